@@ -1,0 +1,62 @@
+"""A benchmark folder: sequences, truths, and a list of every file with its hash."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+
+SCHEMA = "freeart21/benchmark/1"
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """benchmark.json of a data folder."""
+
+    folder: Path
+    name: str
+    version: str
+    split: str
+    sequences: tuple[str, ...]
+
+    def sequence(self, name: str) -> Path:
+        """The sequence folder of `name`."""
+        return self.folder / "sequences" / name
+
+    def truth(self, name: str) -> Path:
+        """The truth folder of `name`."""
+        return self.folder / "truth" / name
+
+
+def file_sha256(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest() if hasattr(hashlib, "file_digest") \
+            else hashlib.sha256(file.read()).hexdigest()
+
+
+def write_benchmark(folder: Path, name: str, version: str, split: str) -> Benchmark:
+    """Write benchmark.json over all sequences that have both their video and their truth."""
+    sequences = tuple(sorted(p.parent.name for p in (folder / "sequences").glob("*/sequence.json")))
+    files = sorted(p for sub in ("sequences", "truth") for s in sequences for p in (folder / sub / s).rglob("*") if p.is_file())
+    atomic.write_json(folder / "benchmark.json", {
+        "schema": SCHEMA, "name": name, "version": version, "split": split, "sequences": list(sequences),
+        "sha256": {str(p.relative_to(folder)): file_sha256(p) for p in files}})
+    return Benchmark(folder, name, version, split, sequences)
+
+
+def read_benchmark(folder: Path) -> Benchmark:
+    """The benchmark in `folder`."""
+    folder = Path(folder)
+    path = folder / "benchmark.json"
+    if not path.is_file():
+        raise FreeArtError(f"{folder} is not a benchmark: it has no benchmark.json")
+    data = checked.read_json(path, SCHEMA)
+    sequences = data.get("sequences")
+    if not isinstance(sequences, list) or not all(isinstance(s, str) and Path(s).name == s for s in sequences):
+        raise FreeArtError(f"{path}: 'sequences' is not a list of folder names")
+    return Benchmark(folder, checked.text(data, "name", path), checked.text(data, "version", path),
+                     checked.text(data, "split", path), tuple(sequences))

@@ -1,0 +1,128 @@
+"""A result folder: what a method says of one sequence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.articulation import PARTS, Articulation
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.joint_json import joint_from_json, joint_to_json
+from freeart21.files.mesh_file import read_ply, write_ply
+from freeart21.reconstruction import Failure, Reconstruction
+
+SCHEMA = "freeart21/prediction/1"
+METHOD_SCHEMA = "freeart21/method/1"
+MAX_FRAMES = 100_000
+
+
+@dataclass(frozen=True)
+class Method:
+    """Who made a set of results: method.json."""
+
+    name: str
+    code: str = ""
+    """Address and version of the code."""
+    settings: dict[str, Any] | None = None
+    hardware: str = ""
+
+
+def write_method(folder: Path, method: Method) -> None:
+    """Write method.json of a results folder."""
+    atomic.write_json(folder / "method.json", {"schema": METHOD_SCHEMA, "name": method.name, "code": method.code,
+                                               "settings": method.settings or {}, "hardware": method.hardware})
+
+
+def read_method(folder: Path) -> Method:
+    """The method of a results folder; one without method.json is named after the folder."""
+    path = folder / "method.json"
+    if not path.is_file():
+        return Method(folder.name)
+    data = checked.read_json(path, METHOD_SCHEMA)
+    return Method(checked.text(data, "name", path), str(data.get("code", "")), data.get("settings"),
+                  str(data.get("hardware", "")))
+
+
+def write_result(folder: Path, result: Reconstruction | Failure, settings: dict[str, Any] | None = None,
+                 renders: list[NDArray[np.uint8]] | None = None) -> None:
+    """Write one result folder, replacing an older one whole. `renders` are the held-out views (height, width, 3)."""
+    with atomic.new_folder(folder, replace=True) as aside:
+        if isinstance(result, Failure):
+            atomic.write_json(aside / "prediction.json", {
+                "schema": SCHEMA, "status": "failed", "stage": result.stage, "reason": result.reason,
+                "seconds": result.seconds, "settings": settings or {}})
+            return
+        n = len(result)
+        std = result.state_std if result.state_std is not None else np.full(n, np.nan)
+        joint = result.articulation.joint
+        atomic.write_json(aside / "prediction.json", {
+            "schema": SCHEMA, "status": "ok", "joint": joint_to_json(joint), "states": result.states,
+            "state_unit": joint.state_unit, "state_std": std, "seen": result.seen, "seconds": result.seconds,
+            "settings": settings or {}})
+        covariances = result.covariances if result.covariances is not None else np.full((n, 2, 6, 6), np.nan)
+        np.savez_compressed(aside / "poses.npz", T_camera_reference=result.Ts_camera_reference,
+                            T_camera_moving=result.Ts_camera_moving, covariances=covariances, seen=result.seen)
+        for i, mask in enumerate(result.part_masks):
+            atomic.write_bytes(aside / "part_mask" / f"{i:05d}.png", checked.encode_png(mask))
+        for name in PARTS:
+            write_ply(aside / "parts" / f"{name}.ply", result.articulation.part(name))
+        for i, image in enumerate(renders or []):
+            atomic.write_bytes(aside / "renders" / f"{i:05d}.png", checked.encode_png(image))
+
+
+def read_result(folder: Path) -> Reconstruction | Failure:
+    """The reconstruction or failure in a result folder, from any method: bounded, checked, nothing executed."""
+    folder = Path(folder)
+    header = folder / "prediction.json"
+    if not header.is_file():
+        raise FreeArtError(f"{folder} is not a result: it has no prediction.json")
+    data = checked.read_json(header, SCHEMA)
+    seconds = data.get("seconds")
+    seconds = {str(k): float(v) for k, v in seconds.items()} if isinstance(seconds, dict) else {}
+    if data.get("status") == "failed":
+        return Failure(checked.text(data, "stage", header), checked.text(data, "reason", header), seconds)
+    if data.get("status") != "ok":
+        raise FreeArtError(f"{header}: status is {data.get('status')!r}, expected 'ok' or 'failed'")
+    states = checked.numbers(data, "states", (None,), header)
+    n = len(states)
+    if n > MAX_FRAMES:
+        raise FreeArtError(f"{header} has {n} states, at most {MAX_FRAMES} are read")
+    poses = checked.read_npz(folder / "poses.npz", ("T_camera_reference", "T_camera_moving"))
+    std = checked.numbers(data, "state_std", (n,), header, nullable=True) if "state_std" in data else None
+    seen = checked.numbers(data, "seen", (n, 2), header).astype(bool) if "seen" in data else np.ones((n, 2), bool)
+    return Reconstruction(
+        Articulation(joint_from_json(data.get("joint"), header),
+                     *(read_ply(folder / "parts" / f"{name}.ply")[0] for name in PARTS)),
+        states, poses["T_camera_reference"], poses["T_camera_moving"], _read_masks(folder, n), seen, std,
+        _read_covariances(folder / "poses.npz", n), seconds,
+    )
+
+
+def read_render(folder: Path, index: int) -> NDArray[np.uint8] | None:
+    """The held-out view `index` that the method rendered, (height, width, 3), or None when there is none."""
+    path = folder / "renders" / f"{index:05d}.png"
+    return checked.read_rgb(path) if path.is_file() else None
+
+
+def _read_masks(folder: Path, n: int) -> NDArray[np.uint8]:
+    masks = [checked.read_labels(folder / "part_mask" / f"{i:05d}.png") for i in range(n)]
+    for i, mask in enumerate(masks):
+        if mask.shape != masks[0].shape or mask.max(initial=0) > 2:
+            raise FreeArtError(f"{folder}/part_mask/{i:05d}.png has shape {mask.shape} and labels up to {mask.max()}, "
+                               f"expected {masks[0].shape} and 0, 1, 2")
+    return np.stack(masks)
+
+
+def _read_covariances(path: Path, n: int) -> NDArray[np.float64] | None:
+    with np.load(path, allow_pickle=False) as data:
+        if "covariances" not in data:
+            return None
+    covariances = checked.read_npz(path, ("covariances",))["covariances"].astype(float)
+    if covariances.shape != (n, 2, 6, 6):
+        raise FreeArtError(f"{path}: covariances has shape {covariances.shape}, expected ({n}, 2, 6, 6)")
+    return None if np.isnan(covariances).all() else covariances
