@@ -31,10 +31,11 @@ class Articulation:
 
     def moved(self, T_new_canonical: ArrayLike) -> Articulation:
         """The same object written in another canonical frame."""
-        return Articulation(self.joint.moved(T_new_canonical), self.reference.moved(T_new_canonical),
-                            self.moving.moved(T_new_canonical))
+        return Articulation(
+            self.joint.moved(T_new_canonical), self.reference.moved(T_new_canonical), self.moving.moved(T_new_canonical)
+        )
 
-    def posed(self, T_camera_reference: ArrayLike, q: float) -> tuple[Mesh, Mesh]:
+    def posed(self, T_camera_reference: Array, q: float) -> tuple[Mesh, Mesh]:
         """Reference and moving mesh in the camera frame, for the reference pose (4, 4) and the joint state `q`."""
-        T: Array = T_camera_reference @ self.joint.transform(q)
-        return self.reference.moved(T_camera_reference), self.moving.moved(T)
+        T_camera_moving = T_camera_reference @ self.joint.transform(q)
+        return self.reference.moved(T_camera_reference), self.moving.moved(T_camera_moving)

@@ -36,5 +36,6 @@ class Asset:
     """Where the asset came from."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "T_canonical_reference",
-                           check_poses("asset T_canonical_reference", self.T_canonical_reference))
+        object.__setattr__(
+            self, "T_canonical_reference", check_poses("asset T_canonical_reference", self.T_canonical_reference)
+        )

@@ -27,7 +27,9 @@ class Camera:
         if K.shape != (3, 3) or not np.isfinite(K).all():
             raise FreeArtError(f"camera K has shape {K.shape}, expected a finite (3, 3) matrix")
         if K[0, 0] <= 0 or K[1, 1] <= 0 or np.abs(K[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] - [0, 0, 0, 0, 1]).max() > 1e-9:
-            raise FreeArtError(f"camera K is {K.tolist()}, expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0")
+            raise FreeArtError(
+                f"camera K is {K.tolist()}, expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0"
+            )
         if self.width < 1 or self.height < 1:
             raise FreeArtError(f"camera size is {self.width} x {self.height}, expected at least 1 x 1")
         K.flags.writeable = False
@@ -35,7 +37,7 @@ class Camera:
 
     @classmethod
     def from_fov(cls, width: int, height: int, fov_y: float) -> Camera:
-        """A camera with square pixels, the principal point in the middle, and vertical field of view `fov_y`, radians."""
+        """A camera with square pixels, a centred principal point and vertical field of view `fov_y`, radians."""
         f = 0.5 * height / np.tan(0.5 * fov_y)
         return cls(np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]]), width, height)
 
@@ -56,7 +58,7 @@ class Camera:
         return np.stack([uu, vv, np.ones_like(uu)], -1)
 
     def backproject(self, depth: ArrayLike) -> Array:
-        """Points (height, width, 3) in the camera frame of a z-depth map (height, width), metres; 0 where depth is 0."""
+        """Camera-frame points (height, width, 3) of a z-depth map (height, width), metres; 0 where depth is 0."""
         depth = np.asarray(depth, float)
         if depth.shape != (self.height, self.width):
             raise FreeArtError(f"depth has shape {depth.shape}, expected {(self.height, self.width)}")

@@ -56,15 +56,22 @@ class Reconstruction:
             raise FreeArtError("reconstruction states must be finite, one a frame")
         for name in ("Ts_camera_reference", "Ts_camera_moving"):
             object.__setattr__(self, name, check_poses(f"reconstruction {name}", getattr(self, name)))
-        shapes = {"Ts_camera_reference": (n, 4, 4), "Ts_camera_moving": (n, 4, 4), "seen": (n, 2),
-                  "state_std": (n,), "covariances": (n, 2, 6, 6)}
+        shapes = {
+            "Ts_camera_reference": (n, 4, 4),
+            "Ts_camera_moving": (n, 4, 4),
+            "seen": (n, 2),
+            "state_std": (n,),
+            "covariances": (n, 2, 6, 6),
+        }
         for name, expected in shapes.items():
             value = getattr(self, name)
             if value is not None and np.shape(value) != expected:
                 raise FreeArtError(f"reconstruction {name} has shape {np.shape(value)}, expected {expected}")
         if self.part_masks.ndim != 3 or len(self.part_masks) != n or self.part_masks.max(initial=0) > 2:
-            raise FreeArtError(f"reconstruction part_masks has shape {self.part_masks.shape}, expected ({n}, height, width) "
-                               "with values 0, 1, 2")
+            raise FreeArtError(
+                f"reconstruction part_masks has shape {self.part_masks.shape}, expected ({n}, height, width) "
+                "with values 0, 1, 2"
+            )
 
     def __len__(self) -> int:
         return len(self.states)

@@ -85,8 +85,10 @@ class Recording:
         size = (self.camera.height, self.camera.width)
         for what, image in (("rgb", frame.rgb), ("depth", frame.depth), ("mask", frame.mask)):
             if image.shape[:2] != size:
-                raise FreeArtError(f"{self.name} frame {index}: {what} is {image.shape[1]} x {image.shape[0]}, "
-                                   f"expected {size[1]} x {size[0]}")
+                raise FreeArtError(
+                    f"{self.name} frame {index}: {what} is {image.shape[1]} x {image.shape[0]}, "
+                    f"expected {size[1]} x {size[0]}"
+                )
         return frame
 
     def frames(self) -> Iterator[Frame]:

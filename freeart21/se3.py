@@ -192,8 +192,10 @@ def check_poses(name: str, Ts: ArrayLike, tolerance: float = 1e-4) -> Array:
             raise FreeArtError(f"{where} has entries that are not finite")
         error = np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max()
         if error > tolerance or np.linalg.det(T[:3, :3]) < 0 or np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
-            raise FreeArtError(f"{where} is not a rigid pose: R R^T differs from the identity by {error:.2g}, "
-                               f"det {np.linalg.det(T[:3, :3]):.3g}, last row {T[3].tolist()}")
+            raise FreeArtError(
+                f"{where} is not a rigid pose: R R^T differs from the identity by {error:.2g}, "
+                f"det {np.linalg.det(T[:3, :3]):.3g}, last row {T[3].tolist()}"
+            )
     return Ts
 
 

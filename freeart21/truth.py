@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.articulation import Articulation
+from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
 from freeart21.mesh import bounding_diagonal
 from freeart21.se3 import Array, check_poses
@@ -49,10 +49,11 @@ class Truth:
             poses = check_poses(f"truth {name}", getattr(self, name))
             if len(poses) != n:
                 raise FreeArtError(f"truth {name} has {len(poses)} poses for {n} states")
-        for flags, part in ((flags, part) for pair in (self.outer, self.visible)
-                            for flags, part in zip(pair, (self.articulation.reference, self.articulation.moving), strict=True)):
-            if len(flags) != len(part.faces):
-                raise FreeArtError(f"truth has {len(flags)} face flags for {len(part.faces)} faces")
+        for k, name in enumerate(PARTS):
+            faces = len(self.articulation.part(name).faces)
+            for which, flags in (("outer", self.outer[k]), ("visible", self.visible[k])):
+                if len(flags) != faces:
+                    raise FreeArtError(f"truth has {len(flags)} {which} flags for {faces} faces of the {name} part")
 
     def __len__(self) -> int:
         return len(self.states)

@@ -23,7 +23,7 @@ def effect_from_json(data: Any, joint_type: JointType, where: str) -> Effect:
 
 
 def effects_from_urdf_dynamics(damping: float, friction: float) -> tuple[Effect, ...]:
-    """What URDF `<dynamics damping friction>` means: viscous damping (N*m*s/rad or N*s/m), Coulomb friction (N*m or N)."""
+    """The meaning of URDF `<dynamics>`: viscous damping (N*m*s/rad or N*s/m) and Coulomb friction (N*m or N)."""
     effects: list[Effect] = []
     if damping:
         effects.append(ViscousDamping(damping))

@@ -52,7 +52,9 @@ class Effect(ABC):
         for field, spec in self.parameters().items():
             value = getattr(self, field)
             if not isinstance(value, int | float) or not np.isfinite(value) or not spec.lower <= value <= spec.upper:
-                raise FreeArtError(f"effect '{self.name}' {field} is {value}, expected {spec.lower:g} to {spec.upper:g}")
+                raise FreeArtError(
+                    f"effect '{self.name}' {field} is {value}, expected {spec.lower:g} to {spec.upper:g}"
+                )
             object.__setattr__(self, field, float(value))
 
     @classmethod
@@ -80,8 +82,10 @@ class Effect(ABC):
         """The effect as it stands in effects.json."""
         return {
             "effect": self.name,
-            "parameters": {name: {"value": getattr(self, name), "unit": spec.unit(joint_type)}
-                           for name, spec in self.parameters().items()},
+            "parameters": {
+                name: {"value": getattr(self, name), "unit": spec.unit(joint_type)}
+                for name, spec in self.parameters().items()
+            },
         }
 
     @classmethod
@@ -95,5 +99,7 @@ class Effect(ABC):
             entry = given[name]
             unit = entry.get("unit") if isinstance(entry, dict) else None
             if unit != spec.unit(joint_type):
-                raise FreeArtError(f"{where}: effect '{cls.name}' {name} has unit '{unit}', expected '{spec.unit(joint_type)}'")
+                raise FreeArtError(
+                    f"{where}: effect '{cls.name}' {name} has unit '{unit}', expected '{spec.unit(joint_type)}'"
+                )
         return cls(**{name: given[name].get("value") for name in specs})

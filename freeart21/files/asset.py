@@ -19,7 +19,12 @@ from freeart21.joint import JointType
 ASSET_SCHEMA = "freeart21/asset/1"
 EFFECTS_SCHEMA = "freeart21/effects/1"
 MAX_URDF_BYTES = 16 << 20
-NEUTRAL_BASELINE = {"joint_friction": 0.0, "link_linear_damping": 0.0, "link_angular_damping": 0.0, "sleep_threshold": 0.0}
+NEUTRAL_BASELINE = {
+    "joint_friction": 0.0,
+    "link_linear_damping": 0.0,
+    "link_angular_damping": 0.0,
+    "sleep_threshold": 0.0,
+}
 """What an effect is measured against: a simulator with every loss of its own switched off."""
 
 _MOVABLE: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
@@ -62,10 +67,15 @@ def read_urdf_joints(urdf: Path) -> dict[str, UrdfJoint]:
         limit, dynamics = element.find("limit"), element.find("dynamics")
         unlimited = kind == "continuous" or limit is None
         joints[name] = UrdfJoint(
-            name, kind, parent.get("link", ""), child.get("link", ""),
+            name,
+            kind,
+            parent.get("link", ""),
+            child.get("link", ""),
             -np.inf if unlimited else _number(limit, "lower", urdf, name),
             np.inf if unlimited else _number(limit, "upper", urdf, name),
-            _number(dynamics, "damping", urdf, name), _number(dynamics, "friction", urdf, name))
+            _number(dynamics, "damping", urdf, name),
+            _number(dynamics, "friction", urdf, name),
+        )
     return joints
 
 
@@ -85,20 +95,38 @@ def movable_joint(urdf: Path, name: str | None = None) -> UrdfJoint:
 def write_effects(folder: Path, asset: Asset) -> None:
     """Write effects.json beside the URDF; needs the URDF in its final form, whose hash it holds."""
     joints = read_urdf_joints(asset.urdf)
-    atomic.write_json(folder / "effects.json", {
-        "schema": EFFECTS_SCHEMA, "urdf_sha256": file_sha256(asset.urdf), "baseline": NEUTRAL_BASELINE,
-        "joints": {name: [effect.to_json(_type_of(joints, name, asset.urdf)) for effect in effects]
-                   for name, effects in asset.effects.items()}})
+    atomic.write_json(
+        folder / "effects.json",
+        {
+            "schema": EFFECTS_SCHEMA,
+            "urdf_sha256": file_sha256(asset.urdf),
+            "baseline": NEUTRAL_BASELINE,
+            "joints": {
+                name: [effect.to_json(_type_of(joints, name, asset.urdf)) for effect in effects]
+                for name, effects in asset.effects.items()
+            },
+        },
+    )
 
 
 def write_asset_json(folder: Path, asset: Asset) -> None:
     """Write asset.json, and effects.json when the asset has effects, beside a URDF that stands in `folder`."""
     if any(asset.effects.values()):
         write_effects(folder, asset)
-    atomic.write_json(folder / "asset.json", {
-        "schema": ASSET_SCHEMA, "urdf": asset.urdf.name, "joint": asset.joint, "reference_link": asset.reference_link,
-        "moving_link": asset.moving_link, "T_canonical_reference": asset.T_canonical_reference,
-        "state_zero": asset.state_zero, "held": asset.held, "source": asset.source})
+    atomic.write_json(
+        folder / "asset.json",
+        {
+            "schema": ASSET_SCHEMA,
+            "urdf": asset.urdf.name,
+            "joint": asset.joint,
+            "reference_link": asset.reference_link,
+            "moving_link": asset.moving_link,
+            "T_canonical_reference": asset.T_canonical_reference,
+            "state_zero": asset.state_zero,
+            "held": asset.held,
+            "source": asset.source,
+        },
+    )
 
 
 def read_asset(path: Path, joint: str | None = None) -> Asset:
@@ -121,8 +149,11 @@ def read_asset(path: Path, joint: str | None = None) -> Asset:
             raise FreeArtError(f"{path} is not an asset: expected asset.json or one URDF, found URDFs: {names}")
         path = urdfs[0]
     scored = movable_joint(path, joint)
-    held = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in read_urdf_joints(path).values()
-            if j.joint_type and j.name != scored.name}
+    held = {
+        j.name: float(np.clip(0.0, j.lower, j.upper))
+        for j in read_urdf_joints(path).values()
+        if j.joint_type and j.name != scored.name
+    }
     return Asset(path, scored.name, scored.parent, scored.child, effects=read_effects(path), held=held)
 
 
@@ -158,16 +189,26 @@ def _read_described(folder: Path, data: dict[str, Any], header: Path, joint: str
     state_zero = data.get("state_zero", 0.0)
     if not isinstance(held, dict) or not all(isinstance(v, int | float) for v in [state_zero, *held.values()]):
         raise FreeArtError(f"{header}: state_zero is {state_zero!r} and held is {held!r}, expected numbers")
-    return Asset(urdf, scored.name, checked.text(data, "reference_link", header), checked.text(data, "moving_link", header),
-                 checked.numbers(data, "T_canonical_reference", (4, 4), header), float(state_zero), read_effects(urdf),
-                 {str(k): float(v) for k, v in held.items()}, data.get("source") or {})
+    return Asset(
+        urdf,
+        scored.name,
+        checked.text(data, "reference_link", header),
+        checked.text(data, "moving_link", header),
+        checked.numbers(data, "T_canonical_reference", (4, 4), header),
+        float(state_zero),
+        read_effects(urdf),
+        {str(k): float(v) for k, v in held.items()},
+        data.get("source") or {},
+    )
 
 
 def _type_of(joints: dict[str, UrdfJoint], name: str, path: Path) -> JointType:
     kind = joints[name].joint_type if name in joints else None
     if kind is None:
         movable = ", ".join(j.name for j in joints.values() if j.joint_type)
-        raise FreeArtError(f"{path}: effects for joint '{name}', which is not a movable joint of the URDF; movable joints: {movable}")
+        raise FreeArtError(
+            f"{path}: effects for joint '{name}', which is not a movable joint of the URDF; movable joints: {movable}"
+        )
     return kind
 
 

@@ -24,8 +24,8 @@ def write_bytes(path: Path, data: bytes) -> None:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(aside, 0o644)
-        os.replace(aside, path)
+        Path(aside).chmod(0o644)
+        Path(aside).replace(path)
     except OSError as error:
         raise FreeArtError(f"cannot write {path}: {error.strerror}") from error
     finally:
@@ -57,11 +57,11 @@ def new_folder(path: Path, replace: bool = False) -> Iterator[Path]:
         aside.chmod(0o755)
         if path.exists():
             old = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.", suffix=".old"))
-            os.replace(path, old / path.name)
-            os.replace(aside, path)
+            path.replace(old / path.name)
+            aside.replace(path)
             shutil.rmtree(old)
         else:
-            os.replace(aside, path)
+            aside.replace(path)
     except OSError as error:
         raise FreeArtError(f"cannot write {path}: {error.strerror or error}") from error
     finally:

@@ -34,17 +34,30 @@ class Benchmark:
 def file_sha256(path: Path) -> str:
     """Hexadecimal SHA-256 of a file's bytes."""
     with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest() if hasattr(hashlib, "file_digest") \
+        return (
+            hashlib.file_digest(file, "sha256").hexdigest()
+            if hasattr(hashlib, "file_digest")
             else hashlib.sha256(file.read()).hexdigest()
+        )
 
 
 def write_benchmark(folder: Path, name: str, version: str, split: str) -> Benchmark:
     """Write benchmark.json over all sequences that have both their video and their truth."""
     sequences = tuple(sorted(p.parent.name for p in (folder / "sequences").glob("*/sequence.json")))
-    files = sorted(p for sub in ("sequences", "truth") for s in sequences for p in (folder / sub / s).rglob("*") if p.is_file())
-    atomic.write_json(folder / "benchmark.json", {
-        "schema": SCHEMA, "name": name, "version": version, "split": split, "sequences": list(sequences),
-        "sha256": {str(p.relative_to(folder)): file_sha256(p) for p in files}})
+    files = sorted(
+        p for sub in ("sequences", "truth") for s in sequences for p in (folder / sub / s).rglob("*") if p.is_file()
+    )
+    atomic.write_json(
+        folder / "benchmark.json",
+        {
+            "schema": SCHEMA,
+            "name": name,
+            "version": version,
+            "split": split,
+            "sequences": list(sequences),
+            "sha256": {str(p.relative_to(folder)): file_sha256(p) for p in files},
+        },
+    )
     return Benchmark(folder, name, version, split, sequences)
 
 
@@ -58,5 +71,10 @@ def read_benchmark(folder: Path) -> Benchmark:
     sequences = data.get("sequences")
     if not isinstance(sequences, list) or not all(isinstance(s, str) and Path(s).name == s for s in sequences):
         raise FreeArtError(f"{path}: 'sequences' is not a list of folder names")
-    return Benchmark(folder, checked.text(data, "name", path), checked.text(data, "version", path),
-                     checked.text(data, "split", path), tuple(sequences))
+    return Benchmark(
+        folder,
+        checked.text(data, "name", path),
+        checked.text(data, "version", path),
+        checked.text(data, "split", path),
+        tuple(sequences),
+    )

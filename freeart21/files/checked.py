@@ -48,7 +48,9 @@ def read_json(path: Path, schema: str | None = None) -> dict[str, Any]:
     return data
 
 
-def numbers(data: dict[str, Any], key: str, shape: tuple[int | None, ...], path: Path, nullable: bool = False) -> NDArray[np.float64]:
+def numbers(
+    data: dict[str, Any], key: str, shape: tuple[int | None, ...], path: Path, nullable: bool = False
+) -> NDArray[np.float64]:
     """The array `data[key]`; None in `shape` is any length; null is NaN when `nullable`, else all must be finite."""
     if key not in data:
         raise FreeArtError(f"{path} has no '{key}'; it has {', '.join(sorted(data))}")

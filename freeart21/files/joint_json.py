@@ -14,9 +14,14 @@ from freeart21.joint import Joint
 
 def joint_to_json(joint: Joint) -> dict[str, Any]:
     """name, type, axis, pivot, lower, upper (null where there is no limit)."""
-    return {"name": joint.name, "type": joint.type, "axis": joint.axis.tolist(), "pivot": joint.pivot.tolist(),
-            "lower": joint.lower if np.isfinite(joint.lower) else None,
-            "upper": joint.upper if np.isfinite(joint.upper) else None}
+    return {
+        "name": joint.name,
+        "type": joint.type,
+        "axis": joint.axis.tolist(),
+        "pivot": joint.pivot.tolist(),
+        "lower": joint.lower if np.isfinite(joint.lower) else None,
+        "upper": joint.upper if np.isfinite(joint.upper) else None,
+    }
 
 
 def joint_from_json(data: Any, path: Path) -> Joint:
@@ -27,8 +32,13 @@ def joint_from_json(data: Any, path: Path) -> Joint:
     if not all(value is None or isinstance(value, int | float) for value in (lower, upper)):
         raise FreeArtError(f"{path}: joint limits are {lower!r}, {upper!r}, expected numbers or null")
     try:
-        return Joint(checked.text(data, "name", path), data.get("type"),  # type: ignore[arg-type]
-                     checked.numbers(data, "axis", (3,), path), checked.numbers(data, "pivot", (3,), path),
-                     -np.inf if lower is None else float(lower), np.inf if upper is None else float(upper))
+        return Joint(
+            checked.text(data, "name", path),
+            data.get("type"),  # type: ignore[arg-type]
+            checked.numbers(data, "axis", (3,), path),
+            checked.numbers(data, "pivot", (3,), path),
+            -np.inf if lower is None else float(lower),
+            np.inf if upper is None else float(upper),
+        )
     except FreeArtError as error:
         raise error if str(path) in str(error) else FreeArtError(f"{path}: {error}") from error

@@ -14,9 +14,22 @@ from freeart21.mesh import Mesh
 
 MAX_PLY_BYTES = 512 << 20
 _PLY_TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
-    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
-    "double": "f8", "float64": "f8",
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
 }
 
 
@@ -37,10 +50,17 @@ def write_ply(path: Path, mesh: Mesh, flags: dict[str, NDArray[np.bool_]] | None
     for name, value in flags.items():
         faces[name] = value
     kinds = {"<f8": "double", "u1": "uchar"}
-    header = ["ply", "format binary_little_endian 1.0", "comment metres", f"element vertex {len(vertices)}",
-              *(f"property {kinds[kind]} {name}" for name, kind in vertex),
-              f"element face {len(faces)}", "property list uchar int vertex_indices",
-              *(f"property uchar {name}" for name in flags), "end_header\n"]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment metres",
+        f"element vertex {len(vertices)}",
+        *(f"property {kinds[kind]} {name}" for name, kind in vertex),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        *(f"property uchar {name}" for name in flags),
+        "end_header\n",
+    ]
     atomic.write_bytes(path, "\n".join(header).encode() + vertices.tobytes() + faces.tobytes())
 
 

@@ -34,8 +34,16 @@ class Method:
 
 def write_method(folder: Path, method: Method) -> None:
     """Write method.json of a results folder."""
-    atomic.write_json(folder / "method.json", {"schema": METHOD_SCHEMA, "name": method.name, "code": method.code,
-                                               "settings": method.settings or {}, "hardware": method.hardware})
+    atomic.write_json(
+        folder / "method.json",
+        {
+            "schema": METHOD_SCHEMA,
+            "name": method.name,
+            "code": method.code,
+            "settings": method.settings or {},
+            "hardware": method.hardware,
+        },
+    )
 
 
 def read_method(folder: Path) -> Method:
@@ -44,29 +52,57 @@ def read_method(folder: Path) -> Method:
     if not path.is_file():
         return Method(folder.name)
     data = checked.read_json(path, METHOD_SCHEMA)
-    return Method(checked.text(data, "name", path), str(data.get("code", "")), data.get("settings"),
-                  str(data.get("hardware", "")))
+    return Method(
+        checked.text(data, "name", path), str(data.get("code", "")), data.get("settings"), str(data.get("hardware", ""))
+    )
 
 
-def write_result(folder: Path, result: Reconstruction | Failure, settings: dict[str, Any] | None = None,
-                 renders: list[NDArray[np.uint8]] | None = None) -> None:
+def write_result(
+    folder: Path,
+    result: Reconstruction | Failure,
+    settings: dict[str, Any] | None = None,
+    renders: list[NDArray[np.uint8]] | None = None,
+) -> None:
     """Write one result folder, replacing an older one whole. `renders` are the held-out views (height, width, 3)."""
     with atomic.new_folder(folder, replace=True) as aside:
         if isinstance(result, Failure):
-            atomic.write_json(aside / "prediction.json", {
-                "schema": SCHEMA, "status": "failed", "stage": result.stage, "reason": result.reason,
-                "seconds": result.seconds, "settings": settings or {}})
+            atomic.write_json(
+                aside / "prediction.json",
+                {
+                    "schema": SCHEMA,
+                    "status": "failed",
+                    "stage": result.stage,
+                    "reason": result.reason,
+                    "seconds": result.seconds,
+                    "settings": settings or {},
+                },
+            )
             return
         n = len(result)
         std = result.state_std if result.state_std is not None else np.full(n, np.nan)
         joint = result.articulation.joint
-        atomic.write_json(aside / "prediction.json", {
-            "schema": SCHEMA, "status": "ok", "joint": joint_to_json(joint), "states": result.states,
-            "state_unit": joint.state_unit, "state_std": std, "seen": result.seen, "seconds": result.seconds,
-            "settings": settings or {}})
+        atomic.write_json(
+            aside / "prediction.json",
+            {
+                "schema": SCHEMA,
+                "status": "ok",
+                "joint": joint_to_json(joint),
+                "states": result.states,
+                "state_unit": joint.state_unit,
+                "state_std": std,
+                "seen": result.seen,
+                "seconds": result.seconds,
+                "settings": settings or {},
+            },
+        )
         covariances = result.covariances if result.covariances is not None else np.full((n, 2, 6, 6), np.nan)
-        np.savez_compressed(aside / "poses.npz", T_camera_reference=result.Ts_camera_reference,
-                            T_camera_moving=result.Ts_camera_moving, covariances=covariances, seen=result.seen)
+        np.savez_compressed(
+            aside / "poses.npz",
+            T_camera_reference=result.Ts_camera_reference,
+            T_camera_moving=result.Ts_camera_moving,
+            covariances=covariances,
+            seen=result.seen,
+        )
         for i, mask in enumerate(result.part_masks):
             atomic.write_bytes(aside / "part_mask" / f"{i:05d}.png", checked.encode_png(mask))
         for name in PARTS:
@@ -96,10 +132,18 @@ def read_result(folder: Path) -> Reconstruction | Failure:
     std = checked.numbers(data, "state_std", (n,), header, nullable=True) if "state_std" in data else None
     seen = checked.numbers(data, "seen", (n, 2), header).astype(bool) if "seen" in data else np.ones((n, 2), bool)
     return Reconstruction(
-        Articulation(joint_from_json(data.get("joint"), header),
-                     *(read_ply(folder / "parts" / f"{name}.ply")[0] for name in PARTS)),
-        states, poses["T_camera_reference"], poses["T_camera_moving"], _read_masks(folder, n), seen, std,
-        _read_covariances(folder / "poses.npz", n), seconds,
+        Articulation(
+            joint_from_json(data.get("joint"), header),
+            *(read_ply(folder / "parts" / f"{name}.ply")[0] for name in PARTS),
+        ),
+        states,
+        poses["T_camera_reference"],
+        poses["T_camera_moving"],
+        _read_masks(folder, n),
+        seen,
+        std,
+        _read_covariances(folder / "poses.npz", n),
+        seconds,
     )
 
 
@@ -113,8 +157,10 @@ def _read_masks(folder: Path, n: int) -> NDArray[np.uint8]:
     masks = [checked.read_labels(folder / "part_mask" / f"{i:05d}.png") for i in range(n)]
     for i, mask in enumerate(masks):
         if mask.shape != masks[0].shape or mask.max(initial=0) > 2:
-            raise FreeArtError(f"{folder}/part_mask/{i:05d}.png has shape {mask.shape} and labels up to {mask.max()}, "
-                               f"expected {masks[0].shape} and 0, 1, 2")
+            raise FreeArtError(
+                f"{folder}/part_mask/{i:05d}.png has shape {mask.shape} and labels up to {mask.max()}, "
+                f"expected {masks[0].shape} and 0, 1, 2"
+            )
     return np.stack(masks)
 
 

@@ -12,24 +12,36 @@ from freeart21.files import atomic, checked
 from freeart21.recording import Frame, Query, Recording
 
 SCHEMA = "freeart21/sequence/1"
+QUERIES_SCHEMA = "freeart21/queries/1"
+MAX_SIDE = 16384
 
 
 def write_header(folder: Path, camera: Camera, depth_scale: float, times_s: np.ndarray, licence: str | None) -> None:
     """Write sequence.json. `depth_scale` is metres per depth unit."""
-    atomic.write_json(folder / "sequence.json", {
-        "schema": SCHEMA,
-        "camera": {"K": camera.K, "width": camera.width, "height": camera.height},
-        "depth_scale": depth_scale, "times_s": times_s, "licence": licence,
-    })
+    atomic.write_json(
+        folder / "sequence.json",
+        {
+            "schema": SCHEMA,
+            "camera": {"K": camera.K, "width": camera.width, "height": camera.height},
+            "depth_scale": depth_scale,
+            "times_s": times_s,
+            "licence": licence,
+        },
+    )
 
 
 def write_queries(folder: Path, queries: tuple[Query, ...]) -> None:
     """Write queries.json."""
-    atomic.write_json(folder / "queries.json", {
-        "schema": "freeart21/queries/1",
-        "queries": [{"pose_of_frame": q.pose_of_frame, "state_of_frame": q.state_of_frame, "T_newcam_cam": q.T_newcam_cam}
-                    for q in queries],
-    })
+    atomic.write_json(
+        folder / "queries.json",
+        {
+            "schema": QUERIES_SCHEMA,
+            "queries": [
+                {"pose_of_frame": q.pose_of_frame, "state_of_frame": q.state_of_frame, "T_newcam_cam": q.T_newcam_cam}
+                for q in queries
+            ],
+        },
+    )
 
 
 def encode_depth(depth: np.ndarray, depth_scale: float) -> np.ndarray:
@@ -41,8 +53,11 @@ def encode_depth(depth: np.ndarray, depth_scale: float) -> np.ndarray:
 def write_frame(folder: Path, index: int, frame: Frame, depth_scale: float) -> None:
     """Write rgb/, depth/ and mask/ of one frame."""
     name = f"{index:05d}.png"
-    for sub, image in (("rgb", frame.rgb), ("depth", encode_depth(frame.depth, depth_scale)),
-                       ("mask", frame.mask.astype(np.uint8) * 255)):
+    for sub, image in (
+        ("rgb", frame.rgb),
+        ("depth", encode_depth(frame.depth, depth_scale)),
+        ("mask", frame.mask.astype(np.uint8) * 255),
+    ):
         atomic.write_bytes(folder / sub / name, checked.encode_png(image))
 
 
@@ -77,8 +92,10 @@ def read_sequence(folder: Path) -> Recording:
         missing = [i for i in range(len(times)) if f"{i:05d}.png" not in have]
         if missing:
             more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-            raise FreeArtError(f"{folder}: frame {missing[0]} is missing: no {sub}/{missing[0]:05d}.png{more}, "
-                               f"expected {len(times)} frames")
+            raise FreeArtError(
+                f"{folder}: frame {missing[0]} is missing: no {sub}/{missing[0]:05d}.png{more}, "
+                f"expected {len(times)} frames"
+            )
 
     def load(index: int) -> Frame:
         name = f"{index:05d}.png"
@@ -92,23 +109,23 @@ def _camera(data: dict, path: Path) -> Camera:
     camera = data.get("camera")
     if not isinstance(camera, dict):
         raise FreeArtError(f"{path}: 'camera' is {camera!r}, expected an object with K, width, height")
-    size = [camera.get(key) for key in ("width", "height")]
-    if not all(isinstance(s, int) and 0 < s <= 16384 for s in size):
-        raise FreeArtError(f"{path}: camera size is {size[0]!r} x {size[1]!r}, expected whole numbers from 1 to 16384")
-    return Camera(checked.numbers(camera, "K", (3, 3), path), *size)
+    size = checked.numbers({"size": [camera.get("width"), camera.get("height")]}, "size", (2,), path)
+    if (size != size.round()).any() or size.min() < 1 or size.max() > MAX_SIDE:
+        raise FreeArtError(f"{path}: camera size is {size.tolist()}, expected whole numbers from 1 to {MAX_SIDE}")
+    return Camera(checked.numbers(camera, "K", (3, 3), path), int(size[0]), int(size[1]))
 
 
 def _read_queries(folder: Path) -> tuple[Query, ...]:
     path = folder / "queries.json"
     if not path.is_file():
         return ()
-    entries = checked.read_json(path, "freeart21/queries/1").get("queries")
+    entries = checked.read_json(path, QUERIES_SCHEMA).get("queries")
     if not isinstance(entries, list):
         raise FreeArtError(f"{path}: 'queries' is {type(entries).__name__}, expected a list")
     queries = []
     for i, entry in enumerate(entries):
-        frames = [entry.get(key) for key in ("pose_of_frame", "state_of_frame")] if isinstance(entry, dict) else [None]
-        if not all(isinstance(f, int) for f in frames):
-            raise FreeArtError(f"{path}: query {i} has frames {frames}, expected two whole numbers")
-        queries.append(Query(frames[0], frames[1], checked.numbers(entry, "T_newcam_cam", (4, 4), path)))
+        a, b = (entry.get("pose_of_frame"), entry.get("state_of_frame")) if isinstance(entry, dict) else (None, None)
+        if not isinstance(a, int) or not isinstance(b, int):
+            raise FreeArtError(f"{path}: query {i} has frames {a!r} and {b!r}, expected two whole numbers")
+        queries.append(Query(a, b, checked.numbers(entry, "T_newcam_cam", (4, 4), path)))
     return tuple(queries)

@@ -20,16 +20,28 @@ def write_truth(folder: Path, truth: Truth, n_queries: int) -> None:
     """Write a whole truth folder, with part masks of all frames and `n_queries` query pictures."""
     with atomic.new_folder(folder) as aside:
         joint = truth.articulation.joint
-        atomic.write_json(aside / "truth.json", {
-            "schema": SCHEMA, "joint": joint_to_json(joint), "states": truth.states, "state_unit": joint.state_unit,
-            "diagonal_m": truth.diagonal, "queries": n_queries, "source": truth.source,
-        })
-        np.savez_compressed(aside / "poses.npz", T_camera_reference=truth.Ts_camera_reference,
-                            T_camera_moving=truth.Ts_camera_moving)
+        atomic.write_json(
+            aside / "truth.json",
+            {
+                "schema": SCHEMA,
+                "joint": joint_to_json(joint),
+                "states": truth.states,
+                "state_unit": joint.state_unit,
+                "diagonal_m": truth.diagonal,
+                "queries": n_queries,
+                "source": truth.source,
+            },
+        )
+        np.savez_compressed(
+            aside / "poses.npz", T_camera_reference=truth.Ts_camera_reference, T_camera_moving=truth.Ts_camera_moving
+        )
         np.savez_compressed(aside / "seen.npz", seen=truth.seen)
         for k, name in enumerate(PARTS):
-            write_ply(aside / "parts" / f"{name}.ply", truth.articulation.part(name),
-                      {"outer": truth.outer[k], "visible": truth.visible[k]})
+            write_ply(
+                aside / "parts" / f"{name}.ply",
+                truth.articulation.part(name),
+                {"outer": truth.outer[k], "visible": truth.visible[k]},
+            )
         for i in range(len(truth)):
             atomic.write_bytes(aside / "part_mask" / f"{i:05d}.png", checked.encode_png(truth.part_mask(i)))
         for i in range(n_queries):
@@ -54,7 +66,8 @@ def read_truth(folder: Path) -> Truth:
     return Truth(
         Articulation(joint_from_json(data.get("joint"), header), parts[0][0], parts[1][0]),
         checked.numbers(data, "states", (None,), header),
-        poses["T_camera_reference"], poses["T_camera_moving"],
+        poses["T_camera_reference"],
+        poses["T_camera_moving"],
         checked.read_npz(folder / "seen.npz", ("seen",))["seen"],
         (parts[0][1].get("outer", no_faces), parts[1][1].get("outer", no_faces)),
         (parts[0][1].get("visible", no_faces), parts[1][1].get("visible", no_faces)),

@@ -1,0 +1,53 @@
+#!/bin/sh
+# Sets up .venv with pinned packages, and a Vulkan driver that SAPIEN accepts when this machine has none.
+# Usage: scripts/setup.sh [dev]     PYTHON=python3.12 chooses the interpreter.
+set -eu
+cd "$(dirname "$0")/.."
+extras="${1:+[$1]}"
+stamp=".venv/.installed${1:+-$1}"
+
+as_root() { if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi; }
+apt_install() { as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "$@"; }
+
+python="${PYTHON:-}"
+if [ -z "$python" ]; then
+    for candidate in python3.11 python3.12 python3.10 python3; do
+        if command -v "$candidate" >/dev/null 2>&1; then python="$candidate"; break; fi
+    done
+fi
+[ -n "$python" ] || { echo "setup: no Python found, expected 3.10 to 3.12" >&2; exit 1; }
+
+if [ ! -x .venv/bin/python ]; then
+    if ! "$python" -c 'import ensurepip' 2>/dev/null; then
+        command -v apt-get >/dev/null || { echo "setup: $python cannot make a venv, and there is no apt-get" >&2; exit 1; }
+        as_root apt-get update
+        apt_install python3-venv
+    fi
+    "$python" -m venv .venv
+fi
+
+if [ ! -f "$stamp" ] || [ pyproject.toml -nt "$stamp" ] || [ constraints.txt -nt "$stamp" ]; then
+    .venv/bin/python -m pip install --quiet -c constraints.txt -e ".$extras"
+    # sapien asks for OpenCV's build with windows, whose files need libGL; the headless build must be written last
+    .venv/bin/python -m pip install --quiet --force-reinstall --no-deps -c constraints.txt opencv-python-headless
+    touch "$stamp"
+fi
+
+renders() { .venv/bin/python -c 'from freeart21.doctor import require_rendering; require_rendering()' 2>/dev/null; }
+if ! renders && command -v apt-get >/dev/null; then
+    echo "setup: installing a software Vulkan driver"
+    codename="$(. /etc/os-release && echo "${VERSION_CODENAME:-}")"
+    release=""
+    if [ "$codename" = bookworm ]; then   # Debian 12's own Mesa 22.3 is too old for SAPIEN, its backports are not
+        release="-t bookworm-backports"
+        if ! grep -rqs bookworm-backports /etc/apt/sources.list /etc/apt/sources.list.d; then
+            mirror="$(grep -rhosE 'https?://[^ ]*/debian/?( |$)' /etc/apt/sources.list /etc/apt/sources.list.d | head -n 1 | tr -d ' ')"
+            echo "deb ${mirror:-http://deb.debian.org/debian} bookworm-backports main" |
+                as_root tee /etc/apt/sources.list.d/bookworm-backports.list >/dev/null
+        fi
+    fi
+    as_root apt-get update
+    # shellcheck disable=SC2086
+    apt_install $release mesa-vulkan-drivers libx11-6
+fi
+renders || { .venv/bin/freeart21 doctor; exit 1; }
