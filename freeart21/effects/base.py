@@ -90,7 +90,7 @@ class Effect(ABC):
 
     @classmethod
     def from_json(cls, data: dict[str, Any], joint_type: JointType, where: str) -> Effect:
-        """The effect of one effects.json entry; raises FreeArtError on a missing, unknown or wrongly united parameter."""
+        """The effect of one effects.json entry; FreeArtError on a missing or unknown parameter or unit."""
         given, specs = data.get("parameters"), cls.parameters()
         if not isinstance(given, dict) or set(given) != set(specs):
             got = sorted(given) if isinstance(given, dict) else given

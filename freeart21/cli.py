@@ -1,0 +1,243 @@
+"""The command line: the one file that sees every room. Each command is a plain function; tyro reads its signature."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from freeart21.errors import FreeArtError
+
+Positional = tyro.conf.Positional
+
+
+def doctor(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
+    """Say what this machine has (Vulkan, GPU, packages), and how to mend what it lacks.
+
+    Args:
+        as_json: Print JSON instead of a table.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from freeart21 import doctor as examination
+
+    findings = examination.examine()
+    if as_json:
+        print(json.dumps([vars(f) for f in findings], indent=1))
+    else:
+        table = Table("what", "", "found", title="freeart21 doctor")
+        marks = {"ok": "[green]ok[/]", "note": "[dim]note[/]", "missing": "[bold red]missing[/]"}
+        for f in findings:
+            table.add_row(f.name, marks[f.status], f.detail)
+        console = Console()
+        console.print(table)
+        for f in findings:
+            if f.mend:
+                console.print(f"[bold]To mend {f.name}:[/]")
+                print(f"  {f.mend}")
+    return 1 if any(f.status == "missing" for f in findings) else 0
+
+
+def demo(
+    name: Annotated[str, Positional] = "stapler",
+    out: Path = Path("out/demo"),
+    frames: int = 120,
+    seed: int = 0,
+    partnet_root: Path | None = None,
+    joint: str | None = None,
+) -> None:
+    """Take one object all the way: simulator, video, reconstruction, URDF, simulator, score, and a page to look at.
+
+    Args:
+        name: Object of the catalog, or a PartNet-Mobility id.
+        out: Folder for everything that the demo makes; an older demo there is replaced.
+        frames: Frames of the video.
+        seed: Seed of shape, motion and views.
+        partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf.
+        joint: Joint of a PartNet-Mobility object that moves.
+    """
+    from freeart21.files.atomic import new_folder
+    from freeart21.view import write_page
+    from leaderboard.score import score_results, write_scores
+    from leaderboard.tables import print_scores
+
+    with new_folder(out, replace=True) as aside:
+        data, results = aside / "data", aside / "results" / "ours"
+        record((name,), data, frames, seed, partnet_root, joint)
+        (sequence,) = (data / "sequences").iterdir()
+        result = results / sequence.name
+        if reconstruct(sequence, result) == 0:
+            export(result, result / "asset")
+        scores = score_results(results, data, "strict-1")
+        write_scores(aside / "scores.json", scores)
+        write_page(result, aside / "index.html", truth=data / "truth" / sequence.name, sequence=sequence, scores=scores)
+        print_scores(scores)
+    print(f"Everything is in {out}; open {out / 'index.html'} to look at it.")
+
+
+def objects(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
+    """List the catalog: name, category, joint type, size, source.
+
+    Args:
+        as_json: Print JSON instead of a table.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from freeart21.catalog import CATALOG
+
+    if as_json:
+        print(json.dumps([vars(entry) for entry in CATALOG], indent=1))
+        return
+    table = Table("name", "category", "joint", "size", "source", title="objects")
+    for entry in CATALOG:
+        size = "?" if entry.size_m is None else f"{100 * entry.size_m:.0f} cm"
+        table.add_row(entry.name, entry.category, entry.joint_type, size, entry.source)
+    Console().print(table)
+
+
+def record(
+    names: Annotated[tuple[str, ...], Positional],
+    out: Path,
+    frames: int = 300,
+    seed: int = 0,
+    partnet_root: Path | None = None,
+    joint: str | None = None,
+) -> None:
+    """Record objects in SAPIEN: the video that a method may see, and the truth apart from it.
+
+    Args:
+        names: Objects of the catalog (`freeart21 objects`), PartNet-Mobility ids, or `all` for the built-in ones.
+        out: Data folder; sequences are added to it.
+        frames: Frames a sequence.
+        seed: Seed of shape, motion and views.
+        partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf.
+        joint: Joint of a PartNet-Mobility object that moves, where the catalog names none.
+    """
+    from freeart21.files.benchmark import write_benchmark
+    from generator.recorder import RecordSettings, built_in_names, record
+
+    wanted = built_in_names() if names == ("all",) else names
+    if not wanted:
+        raise FreeArtError(f"record: no object was named; name some of {', '.join(built_in_names())}, or all")
+    settings = RecordSettings(frames=frames, seed=seed, partnet_root=partnet_root, joint=joint)
+    for name in wanted:
+        print(out / "sequences" / record(name, out, settings))
+    write_benchmark(out, name=out.name, version="1", split="public")
+
+
+def reconstruct(sequence: Annotated[Path, Positional], out: Path) -> int:
+    """Solve one sequence: two parts, their poses, the joint between them, and meshes, from the video alone.
+
+    Args:
+        sequence: A sequence folder (with sequence.json).
+        out: Result folder, such as results/ours/SEQ.
+    """
+    from freeart21.files.result import Method, write_method
+    from freeart21.reconstruction import Failure
+    from reconstruct.pipeline import ReconstructSettings, reconstruct_folder
+
+    settings = ReconstructSettings()
+    result = reconstruct_folder(sequence, out, settings)
+    write_method(out.parent, Method(name=out.parent.name, code="freeart21", hardware=_hardware()))
+    if isinstance(result, Failure):
+        print(f"{out}: failed in {result.stage}: {result.reason}", file=sys.stderr)
+        return 1
+    joint = result.articulation.joint
+    low, high = _shown(joint.lower, joint.type), _shown(joint.upper, joint.type)
+    print(f"{out}: {joint.type} joint, {low} to {high}, {len(result)} frames in {sum(result.seconds.values()):.0f} s")
+    return 0
+
+
+def export(result: Annotated[Path, Positional], out: Path) -> int:
+    """Write a result as a simulation-ready asset (URDF, MJCF, meshes), reload it, and check it.
+
+    Args:
+        result: A result folder (with prediction.json).
+        out: Asset folder to write.
+    """
+    from export.checklist import check_asset
+    from export.exporter import ExportSettings, export_result
+
+    asset = export_result(result, out, ExportSettings())
+    print(asset.urdf)
+    findings = check_asset(out)
+    for finding in findings:
+        print(f"  {finding}", file=sys.stderr)
+    return 1 if findings else 0
+
+
+def score(
+    results: Annotated[Path, Positional],
+    data: Path,
+    protocol: str = "strict-1",
+    out: Path | None = None,
+) -> None:
+    """Score a folder of results against the truth of a data folder, from the reloaded assets.
+
+    Args:
+        results: A method's results (RESULTS/SEQ/prediction.json).
+        data: The data folder they answer.
+        protocol: Named protocol: what each number means.
+        out: Write every number as JSON here, too.
+    """
+    from leaderboard.score import score_results, write_scores
+    from leaderboard.tables import print_scores
+
+    scores = score_results(results, data, protocol)
+    print_scores(scores)
+    if out is not None:
+        write_scores(out, scores)
+
+
+def view(
+    path: Annotated[Path, Positional],
+    out: Path | None = None,
+    truth: Path | None = None,
+    sequence: Path | None = None,
+) -> None:
+    """Write a self-contained page to look at a sequence, a result or an asset.
+
+    Args:
+        path: A sequence, result or asset folder, or a URDF.
+        out: The page; next to the working folder as NAME.html when not given.
+        truth: Truth folder to show beside a sequence or a result.
+        sequence: Sequence folder of a result, for its video.
+    """
+    from freeart21.view import write_page
+
+    page = out or Path(f"{path.resolve().name}.html")
+    write_page(path, page, truth=truth, sequence=sequence)
+    print(page)
+
+
+def main() -> None:
+    """Run a command; every known fault is one line on standard error and exit code 1."""
+    commands = {f.__name__: f for f in (doctor, demo, objects, record, reconstruct, export, score, view)}
+    try:
+        code = tyro.extras.subcommand_cli_from_dict(
+            commands,
+            prog="freeart21",
+            description="FreeArt-21: from RGB-D videos "
+            "of articulated objects to simulation-ready assets, and their score.",
+        )
+    except FreeArtError as error:
+        sys.exit(f"freeart21: {error}")
+    except KeyboardInterrupt:
+        sys.exit(130)
+    sys.exit(code or 0)
+
+
+def _hardware() -> str:
+    return f"{platform.machine()}, {os.cpu_count()} cores"
+
+
+def _shown(state: float, joint_type: str) -> str:
+    return f"{math.degrees(state):.1f} deg" if joint_type == "revolute" else f"{100 * state:.2f} cm"

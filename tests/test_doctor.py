@@ -1,0 +1,91 @@
+"""The doctor names what is missing and the command that mends it."""
+
+import subprocess
+import sys
+
+import pytest
+
+from freeart21 import doctor
+from freeart21.errors import FreeArtError
+
+
+@pytest.fixture
+def says(monkeypatch):
+    """Replaces what the probes print."""
+    doctor._rendering.cache_clear()
+    answers = {}
+    monkeypatch.setattr(doctor, "_python_says", lambda code: subprocess.CompletedProcess([], *answers[code]))
+    monkeypatch.setattr(doctor, "_nvidia", lambda: [])
+    monkeypatch.delenv("VK_ICD_FILENAMES", raising=False)
+    yield answers
+    doctor._rendering.cache_clear()
+
+
+def test_this_machine_can_render():
+    doctor._rendering.cache_clear()
+    doctor.require_rendering()
+
+
+def test_an_absent_driver_is_told_by_a_real_probe():
+    code = (
+        "from freeart21 import doctor\nfrom freeart21.errors import FreeArtError\n"
+        "try: doctor.require_rendering()\nexcept FreeArtError as error: print(error)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"VK_ICD_FILENAMES": "/nonexistent.json", "PATH": "/usr/bin:/bin"},
+    )
+    assert done.stdout.startswith(
+        "no Vulkan driver is installed (VK_ICD_FILENAMES or VK_DRIVER_FILES points to /nonexistent"
+    )
+    assert "bookworm-backports mesa-vulkan-drivers" in done.stdout and done.stdout.count("\n") == 1
+
+
+def test_a_driver_that_is_too_old_is_told_from_none(says):
+    says[doctor._PROBE_SAPIEN] = (0, '{"error": "failed to find a rendering device"}')
+    says[doctor._PROBE_VULKAN] = (0, '{"devices": ["llvmpipe (LLVM 15.0.6, 256 bits)"]}')
+    with pytest.raises(FreeArtError, match="the driver of llvmpipe .* is too old or unfit.*Mend: .*bookworm-backports"):
+        doctor.require_rendering()
+
+
+def test_an_nvidia_gpu_without_its_vulkan_driver(says, monkeypatch):
+    monkeypatch.setattr(doctor, "_nvidia", lambda: ["NVIDIA H200"])
+    says[doctor._PROBE_SAPIEN] = (0, '{"error": "failed to find a rendering device"}')
+    says[doctor._PROBE_VULKAN] = (0, '{"devices": []}')
+    with pytest.raises(FreeArtError, match="NVIDIA_DRIVER_CAPABILITIES"):
+        doctor.require_rendering()
+
+
+def test_a_probe_that_crashes_is_no_crash_of_ours(says):
+    says[doctor._PROBE_SAPIEN] = (-6, "terminate called")
+    says[doctor._PROBE_VULKAN] = (-11, "")
+    with pytest.raises(
+        FreeArtError, match="no Vulkan driver is installed; SAPIEN says: SAPIEN ended with exit code -6"
+    ):
+        doctor.require_rendering()
+
+
+def test_sapien_without_x11(says):
+    says[doctor._PROBE_SAPIEN] = (0, '{"import": "libX11.so.6: cannot open shared object file"}')
+    with pytest.raises(FreeArtError, match="Mend: sudo apt-get install -y libx11-6"):
+        doctor.require_rendering()
+
+
+def test_opencv_with_windows_on_a_machine_without_screen(says, monkeypatch):
+    error = "ImportError: libGL.so.1: cannot open shared object file: No such file or directory"
+    monkeypatch.setattr(
+        doctor, "_python_says", lambda code: subprocess.CompletedProcess([], 1, "", f"Traceback\n{error}\n")
+    )
+    finding = doctor._cv2()
+    assert finding.status == "missing" and "libGL.so.1" in finding.detail
+    assert finding.mend == "pip install --force-reinstall --no-deps opencv-python-headless"
+
+
+def test_a_wrong_package_version_is_named(monkeypatch):
+    real = doctor.importlib.metadata.version
+    monkeypatch.setattr(doctor.importlib.metadata, "version", lambda name: "2.2.2" if name == "sapien" else real(name))
+    (finding,) = doctor._packages()
+    assert finding.status == "missing" and finding.detail == "sapien is 2.2.2, expected >=3.0.3"

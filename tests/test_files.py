@@ -1,0 +1,430 @@
+"""Files round trip, appear whole or not at all, and say in one line what is wrong with them."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from freeart21 import se3
+from freeart21.articulation import Articulation
+from freeart21.asset import Asset
+from freeart21.camera import Camera
+from freeart21.effects import CoulombFriction, ReturnSpring, ViscousDamping
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.asset import movable_joint, read_asset, write_asset_json
+from freeart21.files.benchmark import read_benchmark, write_benchmark
+from freeart21.files.mesh_file import read_ply, write_ply
+from freeart21.files.result import Method, read_method, read_render, read_result, write_method, write_result
+from freeart21.files.sequence import read_sequence, write_sequence
+from freeart21.files.truth import read_truth, write_truth
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.recording import Frame, Query, Recording
+from freeart21.truth import Truth
+
+N, WIDTH, HEIGHT, SCALE = 4, 32, 24, 1e-4
+RNG = np.random.default_rng(0)
+CAMERA = Camera.from_fov(WIDTH, HEIGHT, 0.6)
+JOINT = Joint("hinge", "revolute", np.array([0, 0.6, 0.8]), np.array([0.1, 0.2, 0.3]), -0.5, 1.5)
+TRIANGLES = Mesh(RNG.standard_normal((9, 3)), np.arange(9).reshape(3, 3), RNG.integers(0, 255, (9, 3)))
+POSES = se3.exp_se3(RNG.standard_normal((N, 6)))
+STATES = np.linspace(-0.4, 1.2, N)
+
+
+def make_recording() -> Recording:
+    frames = [
+        Frame(
+            RNG.integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8),
+            (SCALE * RNG.integers(0, 65535, (HEIGHT, WIDTH))).astype(np.float32),
+            RNG.random((HEIGHT, WIDTH)) > 0.5,
+        )
+        for _ in range(N)
+    ]
+    queries = (Query(0, 2, POSES[1]), Query(3, 0, np.eye(4)))
+    return Recording(CAMERA, np.arange(N) / 30, frames.__getitem__, queries, "CC-BY-4.0")
+
+
+def make_truth() -> Truth:
+    masks = RNG.integers(0, 3, (N, HEIGHT, WIDTH), np.uint8)
+    flags = (np.array([True, False, True]), np.array([True, True, False]))
+    return Truth(
+        Articulation(JOINT, TRIANGLES, TRIANGLES),
+        STATES,
+        POSES,
+        POSES @ JOINT.transform(STATES),
+        RNG.integers(0, 99, (N, 2)),
+        flags,
+        flags[::-1],
+        masks.__getitem__,
+        lambda i: np.stack([masks[i]] * 3, -1),
+        lambda i: masks[i] > 0,
+        {"seed": 7},
+    )
+
+
+def make_reconstruction() -> Reconstruction:
+    std = np.array([0.1, np.nan, 0.2, 0.3])
+    return Reconstruction(
+        Articulation(JOINT, TRIANGLES, TRIANGLES),
+        STATES,
+        POSES,
+        POSES @ JOINT.transform(STATES),
+        RNG.integers(0, 3, (N, HEIGHT, WIDTH), np.uint8),
+        RNG.random((N, 2)) > 0.5,
+        std,
+        np.broadcast_to(np.eye(6), (N, 2, 6, 6)),
+        {"tracks": 1.5},
+    )
+
+
+@pytest.fixture
+def sequence(tmp_path):
+    write_sequence(tmp_path / "seq", make_recording(), SCALE)
+    return tmp_path / "seq"
+
+
+@pytest.fixture
+def result(tmp_path):
+    write_result(
+        tmp_path / "ours" / "seq", make_reconstruction(), {"window": 8}, [np.full((HEIGHT, WIDTH, 3), 9, np.uint8)]
+    )
+    return tmp_path / "ours" / "seq"
+
+
+def edit(path: Path, **changes) -> None:
+    data = json.loads(path.read_text())
+    data.update(changes)
+    path.write_text(json.dumps(data))
+
+
+def test_a_sequence_round_trips(sequence):
+    recording = read_sequence(sequence)
+    np.testing.assert_array_equal(recording.camera.K, CAMERA.K)
+    assert len(recording) == N and recording.licence == "CC-BY-4.0" and recording.queries[0].state_of_frame == 2
+    np.testing.assert_allclose(recording.queries[0].T_newcam_cam, POSES[1], atol=1e-12)
+
+
+def test_pixels_round_trip_to_half_a_depth_unit(tmp_path):
+    before = make_recording()
+    write_sequence(tmp_path / "seq", before, SCALE)
+    for a, b in zip(before.frames(), read_sequence(tmp_path / "seq").frames(), strict=True):
+        np.testing.assert_array_equal(a.rgb, b.rgb)
+        np.testing.assert_array_equal(a.mask, b.mask)
+        np.testing.assert_allclose(a.depth, b.depth, atol=0.51 * SCALE)
+        np.testing.assert_array_equal(a.depth == 0, b.depth == 0)
+
+
+def test_depth_out_of_range_becomes_none():
+    from freeart21.files.sequence import encode_depth
+
+    np.testing.assert_array_equal(
+        encode_depth(np.array([[0.0, 1e-9, 0.5, 6.5535, 7.0]]), SCALE), [[0, 0, 5000, 65535, 0]]
+    )
+
+
+def test_a_sequence_tells_nothing_of_its_origin(sequence):
+    assert set(json.loads((sequence / "sequence.json").read_text())) == {
+        "schema",
+        "camera",
+        "depth_scale",
+        "times_s",
+        "licence",
+    }
+    assert {p.name for p in sequence.iterdir()} == {"sequence.json", "queries.json", "rgb", "depth", "mask"}
+
+
+def test_a_folder_that_is_not_a_sequence(tmp_path):
+    with pytest.raises(FreeArtError, match="is not a sequence: it has no sequence.json"):
+        read_sequence(tmp_path)
+    with pytest.raises(FreeArtError, match="is not a folder"):
+        read_sequence(tmp_path / "nothing")
+
+
+def test_a_missing_frame_is_named(sequence):
+    (sequence / "depth" / "00002.png").unlink()
+    with pytest.raises(FreeArtError, match="frame 2 is missing: no depth/00002.png, expected 4 frames"):
+        read_sequence(sequence)
+
+
+def test_depth_of_another_size_is_named(sequence):
+    cv2.imwrite(str(sequence / "depth" / "00001.png"), np.ones((HEIGHT, WIDTH + 2), np.uint16))
+    with pytest.raises(FreeArtError, match="frame 1: depth is 34 x 24, expected 32 x 24"):
+        read_sequence(sequence).frame(1)
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"schema": "freeart21/sequence/9"}, "expected 'freeart21/sequence/1'"),
+        ({"depth_scale": 0}, "depth_scale is 0"),
+        ({"times_s": [0, 1, 1, 2]}, "must be finite and increasing"),
+        ({"times_s": []}, "has no frames"),
+        ({"camera": {"K": [[1, 0], [0, 1]], "width": 32, "height": 24}}, "shape \\(2, 2\\), expected \\(3, 3\\)"),
+        ({"camera": {"K": np.eye(3).tolist(), "width": 1e9, "height": 24}}, "camera size is"),
+        ({"camera": None}, "'camera' is None"),
+    ],
+)
+def test_a_bad_header_is_one_clear_line(sequence, change, message):
+    edit(sequence / "sequence.json", **change)
+    with pytest.raises(FreeArtError, match=message) as error:
+        read_sequence(sequence)
+    assert "\n" not in str(error.value)
+
+
+def test_broken_files_are_one_clear_line(sequence, result):
+    (sequence / "rgb" / "00000.png").write_bytes(b"no picture")
+    with pytest.raises(FreeArtError, match="00000.png is not a readable image"):
+        read_sequence(sequence).frame(0)
+    (sequence / "sequence.json").write_text("{")
+    with pytest.raises(FreeArtError, match="is not JSON"):
+        read_sequence(sequence)
+    (result / "poses.npz").write_bytes(b"PK no archive")
+    with pytest.raises(FreeArtError, match="poses.npz is not a readable .npz"):
+        read_result(result)
+
+
+def test_a_truth_round_trips(tmp_path):
+    before = make_truth()
+    write_truth(tmp_path / "truth", before, n_queries=2)
+    after = read_truth(tmp_path / "truth")
+    np.testing.assert_allclose(after.Ts_camera_moving, before.Ts_camera_moving, atol=1e-15)
+    np.testing.assert_array_equal(after.states, before.states)
+    np.testing.assert_array_equal(after.outer[0], before.outer[0])
+    np.testing.assert_array_equal(after.visible[1], before.visible[1])
+    np.testing.assert_array_equal(after.part_mask(3), before.part_mask(3))
+    np.testing.assert_array_equal(after.query_rgb(1), before.query_rgb(1))
+    np.testing.assert_array_equal(after.query_mask(1), before.query_mask(1))
+    assert after.source == {"seed": 7} and after.diagonal == pytest.approx(before.diagonal, abs=1e-15)
+
+
+def test_a_result_round_trips(result):
+    after = read_result(result)
+    assert isinstance(after, Reconstruction)
+    assert after.articulation.joint.type == "revolute" and after.seconds == {"tracks": 1.5}
+    np.testing.assert_allclose(after.Ts_camera_reference, POSES, atol=1e-15)
+    np.testing.assert_array_equal(after.articulation.moving.vertices, TRIANGLES.vertices)
+    assert np.isnan(after.state_std[1]) and after.state_std[3] == 0.3
+    np.testing.assert_array_equal(read_render(result, 0), np.full((HEIGHT, WIDTH, 3), 9))
+    assert read_render(result, 1) is None
+
+
+def test_a_failure_round_trips_and_replaces_an_older_result(result):
+    write_result(result, Failure("segmentation", "only one motion", {"tracks": 2.0}))
+    assert read_result(result) == Failure("segmentation", "only one motion", {"tracks": 2.0})
+    assert [p.name for p in result.iterdir()] == ["prediction.json"]
+    assert [p.name for p in result.parent.iterdir()] == ["seq"]
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"status": "maybe"}, "expected 'ok' or 'failed'"),
+        ({"states": [0, 1, None, 2]}, "'states' has entries that are not finite"),
+        ({"states": [0, 1]}, "shape"),
+        ({"joint": {"name": "a", "type": "spherical", "axis": [1, 0, 0], "pivot": [0, 0, 0]}}, "type 'spherical'"),
+        ({"joint": {"name": "a", "type": "revolute", "axis": [2, 0, 0], "pivot": [0, 0, 0]}}, "length 2"),
+        (
+            {"joint": {"name": "a", "type": "revolute", "axis": [1, 0, 0], "pivot": [0, 0, 0], "lower": "x"}},
+            "limits are 'x'",
+        ),
+    ],
+)
+def test_a_bad_prediction_is_one_clear_line(result, change, message):
+    edit(result / "prediction.json", **change)
+    with pytest.raises(FreeArtError, match=message):
+        read_result(result)
+
+
+def test_no_pickle_is_ever_opened(result):
+    np.savez(result / "poses.npz", T_camera_reference=np.array([{"a": 1}]), T_camera_moving=POSES)
+    with pytest.raises(FreeArtError, match="without pickled objects"):
+        read_result(result)
+
+
+def test_a_zip_bomb_is_refused(result, monkeypatch):
+    monkeypatch.setattr(checked, "MAX_ARRAY_BYTES", 1000)
+    np.savez_compressed(result / "poses.npz", T_camera_reference=np.zeros(4000), T_camera_moving=POSES)
+    with pytest.raises(FreeArtError, match="bytes, at most 1000 are read"):
+        read_result(result)
+
+
+def test_mirrored_poses_are_refused(result):
+    bad = POSES.copy()
+    bad[1, :3, 0] *= -1
+    np.savez(result / "poses.npz", T_camera_reference=POSES, T_camera_moving=bad)
+    with pytest.raises(FreeArtError, match=r"Ts_camera_moving\[1\] is not a rigid pose"):
+        read_result(result)
+
+
+def test_a_ply_round_trips_with_flags_and_without_colours(tmp_path):
+    flags = {"outer": np.array([True, False, True])}
+    write_ply(tmp_path / "a.ply", replace(TRIANGLES, colours=None), flags)
+    mesh, read = read_ply(tmp_path / "a.ply")
+    np.testing.assert_array_equal(mesh.vertices, TRIANGLES.vertices)
+    np.testing.assert_array_equal(read["outer"], flags["outer"])
+    assert mesh.colours is None
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
+def test_a_ply_of_another_program_is_read(tmp_path, encoding):
+    trimesh = pytest.importorskip("trimesh")
+    box = trimesh.creation.box()
+    data = box.export(file_type="ply", encoding="ascii" if encoding == "ascii" else "binary")
+    (tmp_path / "a.ply").write_bytes(data if isinstance(data, bytes) else data.encode())
+    mesh, _ = read_ply(tmp_path / "a.ply")
+    assert mesh.areas().sum() == pytest.approx(6)
+
+
+@pytest.mark.parametrize(
+    "spoil", [lambda d: d[:-4], lambda d: b"obj" + d, lambda d: d.replace(b"face 3", b"face 3000000")]
+)
+def test_a_spoilt_ply_is_one_clear_line(tmp_path, spoil):
+    write_ply(tmp_path / "a.ply", TRIANGLES)
+    (tmp_path / "a.ply").write_bytes(spoil((tmp_path / "a.ply").read_bytes()))
+    with pytest.raises(FreeArtError, match="is not a readable PLY"):
+        read_ply(tmp_path / "a.ply")
+
+
+def test_faces_that_name_no_vertex_are_refused():
+    with pytest.raises(FreeArtError, match="name vertex 9, expected 0 to 2"):
+        Mesh(np.zeros((3, 3)), [[0, 1, 9]])
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path):
+    with pytest.raises(RuntimeError), atomic.new_folder(tmp_path / "a") as aside:
+        (aside / "half").write_text("x")
+        raise RuntimeError
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_old_folder_survives_a_failed_replacement(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "old").write_text("x")
+    with pytest.raises(RuntimeError), atomic.new_folder(tmp_path / "a", replace=True):
+        raise RuntimeError
+    assert (tmp_path / "a" / "old").read_text() == "x" and len(list(tmp_path.iterdir())) == 1
+    with pytest.raises(FreeArtError, match="exists"), atomic.new_folder(tmp_path / "a"):
+        pass
+
+
+def test_infinity_is_never_written_as_json(tmp_path):
+    with pytest.raises(FreeArtError, match="cannot write inf"):
+        atomic.write_json(tmp_path / "a.json", {"x": np.inf})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_benchmark_lists_every_file_with_its_hash(sequence, tmp_path):
+    data = tmp_path / "data"
+    (data / "sequences").mkdir(parents=True)
+    sequence.rename(data / "sequences" / "seq")
+    write_truth(data / "truth" / "seq", make_truth(), 2)
+    write_benchmark(data, "mine", "1", "public")
+    benchmark = read_benchmark(data)
+    assert benchmark.sequences == ("seq",) and benchmark.truth("seq").is_dir()
+    hashes = json.loads((data / "benchmark.json").read_text())["sha256"]
+    files = {str(p.relative_to(data)) for p in data.rglob("*") if p.is_file()} - {"benchmark.json"}
+    assert set(hashes) == files
+
+
+def test_a_benchmark_cannot_name_a_path_outside(tmp_path):
+    atomic.write_json(
+        tmp_path / "benchmark.json",
+        {
+            "schema": "freeart21/benchmark/1",
+            "name": "a",
+            "version": "1",
+            "split": "public",
+            "sequences": ["../../secret"],
+        },
+    )
+    with pytest.raises(FreeArtError, match="not a list of folder names"):
+        read_benchmark(tmp_path)
+
+
+def test_a_method_round_trips_and_has_a_name_without_a_file(tmp_path):
+    assert read_method(tmp_path).name == tmp_path.name
+    write_method(tmp_path, Method("ours", "v1", {"a": 1}, "2 cores"))
+    assert read_method(tmp_path) == Method("ours", "v1", {"a": 1}, "2 cores")
+
+
+URDF = """<robot name="box"><link name="base"/><link name="lid"/><link name="knob"/>
+<joint name="hinge" type="revolute"><parent link="base"/><child link="lid"/><axis xyz="0 0 1"/>
+<limit lower="-0.0" upper="1.5" effort="10" velocity="10"/><dynamics damping="0.03" friction="0.2"/></joint>
+<joint name="slide" type="prismatic"><parent link="lid"/><child link="knob"/><limit lower="0.1" upper="0.2"/></joint>
+</robot>"""
+
+
+@pytest.fixture
+def urdf(tmp_path):
+    (tmp_path / "asset").mkdir()
+    path = tmp_path / "asset" / "box.urdf"
+    path.write_text(URDF)
+    return path
+
+
+def test_urdf_dynamics_mean_damping_and_coulomb_friction(urdf):
+    asset = read_asset(urdf, "hinge")
+    assert asset.effects == {"hinge": (ViscousDamping(0.03), CoulombFriction(0.2))}
+    assert asset.held == {"slide": 0.1}  # zero lies outside its limits
+
+
+def test_an_asset_round_trips_with_effects_that_urdf_cannot_say(urdf):
+    effects = {"hinge": (ViscousDamping(0.03), CoulombFriction(0.2), ReturnSpring(1.5, 0.2))}
+    before = Asset(urdf, "hinge", "base", "lid", POSES[0], 0.25, effects, {"slide": 0.1}, {"method": "ours"})
+    write_asset_json(urdf.parent, before)
+    after = read_asset(urdf.parent)
+    assert (after.joint, after.effects, after.held, after.state_zero) == ("hinge", effects, {"slide": 0.1}, 0.25)
+    np.testing.assert_allclose(after.T_canonical_reference, POSES[0], atol=1e-12)
+
+
+def test_effects_that_contradict_the_urdf_are_refused(urdf):
+    write_asset_json(urdf.parent, Asset(urdf, "hinge", "base", "lid", effects={"hinge": (CoulombFriction(0.5),)}))
+    with pytest.raises(FreeArtError, match="joint 'hinge' has damping 0, but box.urdf says 0.03"):
+        read_asset(urdf.parent)
+
+
+def test_effects_of_another_urdf_are_refused(urdf):
+    effects = {"hinge": (ViscousDamping(0.03), CoulombFriction(0.2))}
+    write_asset_json(urdf.parent, Asset(urdf, "hinge", "base", "lid", effects=effects))
+    urdf.write_text(URDF.replace("1.5", "1.6"))
+    with pytest.raises(FreeArtError, match="was written for another box.urdf"):
+        read_asset(urdf.parent)
+
+
+def test_a_urdf_without_a_movable_joint(tmp_path):
+    path = tmp_path / "a.urdf"
+    path.write_text('<robot name="a"><link name="base"/></robot>')
+    with pytest.raises(FreeArtError, match="has no movable joint"):
+        movable_joint(path)
+    path.write_text("<sdf/>")
+    with pytest.raises(FreeArtError, match="is not a URDF: its root is <sdf>"):
+        movable_joint(path)
+    path.write_text("<robot")
+    with pytest.raises(FreeArtError, match="is not XML"):
+        movable_joint(path)
+
+
+def test_an_unclear_choice_of_joint_lists_them(urdf):
+    with pytest.raises(FreeArtError, match="no joint was named; movable joints: hinge, slide"):
+        read_asset(urdf)
+    with pytest.raises(FreeArtError, match="no movable joint 'lid'; movable joints: hinge, slide"):
+        read_asset(urdf, "lid")
+
+
+def test_an_asset_cannot_point_out_of_its_folder(urdf):
+    write_asset_json(urdf.parent, Asset(urdf, "hinge", "base", "lid", effects=read_asset(urdf, "hinge").effects))
+    edit(urdf.parent / "asset.json", urdf="../../etc/passwd")
+    with pytest.raises(FreeArtError, match="leads out of the folder"):
+        read_asset(urdf.parent)
+
+
+def test_a_folder_that_is_no_asset(tmp_path):
+    with pytest.raises(FreeArtError, match="is not an asset"):
+        read_asset(tmp_path)
+    with pytest.raises(FreeArtError, match="does not exist"):
+        read_asset(tmp_path / "nothing")
