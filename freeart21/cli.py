@@ -24,6 +24,7 @@ def doctor(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
         as_json: Print JSON instead of a table.
     """
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     from freeart21 import doctor as examination
@@ -35,13 +36,12 @@ def doctor(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
         table = Table("what", "", "found", title="freeart21 doctor")
         marks = {"ok": "[green]ok[/]", "note": "[dim]note[/]", "missing": "[bold red]missing[/]"}
         for f in findings:
-            table.add_row(f.name, marks[f.status], f.detail)
+            table.add_row(f.name, marks[f.status], escape(f.detail))
         console = Console()
         console.print(table)
         for f in findings:
             if f.mend:
-                console.print(f"[bold]To mend {f.name}:[/]")
-                print(f"  {f.mend}")
+                print(f"To mend {f.name}: {f.mend}")
     return 1 if any(f.status == "missing" for f in findings) else 0
 
 

@@ -7,7 +7,7 @@ extras="${1:+[$1]}"
 stamp=".venv/.installed${1:+-$1}"
 
 as_root() { if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi; }
-apt_install() { as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "$@"; }
+apt_install() { as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y --no-install-recommends "$@" >/dev/null; }
 
 python="${PYTHON:-}"
 if [ -z "$python" ]; then
@@ -20,7 +20,7 @@ fi
 if [ ! -x .venv/bin/python ]; then
     if ! "$python" -c 'import ensurepip' 2>/dev/null; then
         command -v apt-get >/dev/null || { echo "setup: $python cannot make a venv, and there is no apt-get" >&2; exit 1; }
-        as_root apt-get update
+        as_root apt-get -qq update
         apt_install python3-venv
     fi
     "$python" -m venv .venv
@@ -46,7 +46,7 @@ if ! renders && command -v apt-get >/dev/null; then
                 as_root tee /etc/apt/sources.list.d/bookworm-backports.list >/dev/null
         fi
     fi
-    as_root apt-get update
+    as_root apt-get -qq update
     # shellcheck disable=SC2086
     apt_install $release mesa-vulkan-drivers libx11-6
 fi
