@@ -1,0 +1,480 @@
+"""The one door to a simulated asset: load it neutral, let its effects act, measure its joint, roll it out.
+
+SAPIEN is not neutral: joint friction is a load coefficient of 0.05 by default, links lose 5 % of their speed a second,
+resting bodies fall asleep, and a URDF's Coulomb friction is dropped. `load` switches all of that off. What an asset
+shall lose is said by its effects, which act as they mean.
+
+One joint moves; every other one is frozen into the part it hangs on. Time is stepped by the drift-kick-drift leapfrog
+(position Verlet): the engine's semi-implicit Euler step, started half a step ahead in position. The position is kept in
+double precision. The loss of speed by a
+force that depends on the speed is taken exactly for constant slope (exponential Euler, Hochbruck and Ostermann 2010,
+eq. 2.1 with one degree of freedom), whatever its strength.
+"""
+
+from __future__ import annotations
+
+import copy
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.effects.base import Effect
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import UrdfJoint, movable_joint, read_urdf_joints
+from freeart21.joint import Joint, JointType
+from freeart21.se3 import Array
+
+GRAVITY = (0.0, 0.0, -9.81)
+"""m/s^2, world frame."""
+
+_CREEP_SPEED = 1e-6  # rad/s or m/s at which the saturated damper of Coulomb friction reaches its limit
+_PHASE_PER_STEP = 0.1  # rad of the stiffest oscillation per internal step: the period is then 0.04 % short (0.1^2 / 24)
+_MAX_SUBSTEPS = 1000
+_STIFFNESS_SAMPLES = 65  # positions over the joint's range at which the effects' stiffness is looked at
+_ROUNDING = 2e-6  # of a position in the engine over one step: 16 units in the last place
+_FAST = 1e6  # rad/s or m/s: speed limits of the engine are lifted to this
+
+
+@dataclass(frozen=True)
+class RollOut:
+    """A joint trajectory under dynamics; positions and velocities belong to the same instants."""
+
+    times_s: NDArray[np.float64]
+    """(n,) seconds from 0, both ends included."""
+    q: NDArray[np.float64]
+    """(n,) joint position, rad or m."""
+    qd: NDArray[np.float64]
+    """(n,) joint velocity, rad/s or m/s."""
+    energy_j: NDArray[np.float64]
+    """(n,) joules, kinetic energy plus potential energy in gravity (zero at q = 0); effects store none of it."""
+
+
+class SimulatedAsset:
+    """An asset in a SAPIEN scene with one moving joint and no losses but its effects. Made by `load`."""
+
+    def __init__(self, asset: Asset, scene: Any, articulation: Any, joint: UrdfJoint, timestep_s: float):
+        self.asset = asset
+        self.scene = scene
+        self.articulation = articulation
+        self.gravity = np.array(scene.physx_system.config.gravity, float)
+        """(3,) m/s^2, world frame."""
+        self.timestep_s = timestep_s
+        self.time_s = 0.0
+        self.lower, self.upper = joint.lower, joint.upper
+        self._links = {link.name: link for link in articulation.links}
+        self._joint = next(j for j in articulation.active_joints if j.name == joint.name)
+        self._system = scene.physx_system
+        self._substeps = 1
+        self._q = self._qd = self._engine_q = 0.0
+        q = float(np.clip(0.0, joint.lower, joint.upper))
+        self.set_state(q)
+        pose = self._joint.global_pose.to_transformation_matrix().astype(float)
+        kind: JointType = "prismatic" if self._joint.type == "prismatic" else "revolute"
+        self.world_joint = Joint(joint.name, kind, pose[:3, 0], pose[:3, 3], -np.inf, np.inf)
+        """The joint in the world frame, its state being q."""
+        mechanics = [_link_mechanics(link) for link in _downstream(articulation, joint.child)]
+        self.moving_mass = sum(mass for mass, _, _ in mechanics)
+        """kg on the far side of the joint."""
+        moment = sum((mass * centre for mass, centre, _ in mechanics), np.zeros(3))
+        self._mass_moment_zero = (self.world_joint.transform(-q) @ np.append(moment, self.moving_mass))[:3]
+        self.joint_inertia = _joint_inertia(self.world_joint, mechanics)
+        """kg*m^2 about, or kg along, the joint axis."""
+        self.set_effects(asset.effects.get(asset.joint, ()))
+
+    def set_effects(self, effects: tuple[Effect, ...]) -> None:
+        """Let these effects act on the joint, instead of those that it had."""
+        self._forces = tuple(e for e in effects if e.acts == "force")
+        self._drives = tuple(e for e in effects if e.acts == "drive")
+        self._joint.set_drive_properties(stiffness=0.0, damping=0.0, force_limit=0.0, mode="force")
+        self._joint.set_drive_velocity_target(0.0)
+        self._joint.set_armature(np.zeros(1, np.float32))
+        self._drive_limit, self._armature = 0.0, 0.0
+        self._plan_substeps()
+
+    def set_state(self, q: float, qd: float = 0.0) -> None:
+        """Put the joint at position `q`, rad or m, and velocity `qd`. `q` may lie beyond the limits."""
+        self._q, self._qd = float(q), float(qd)
+        self._put(self._q)
+        self.articulation.set_qvel(np.array([qd], np.float32))
+        self.articulation.set_qf(np.zeros(1, np.float32))
+
+    def state(self) -> tuple[float, float]:
+        """Position, rad or m, and velocity of the joint now."""
+        return self._q, self._qd
+
+    def set_base_pose(self, T_world_base: ArrayLike) -> None:
+        """Put the root link's frame at (4, 4) `T_world_base`, at rest."""
+        import sapien
+
+        self.articulation.set_root_pose(sapien.Pose(np.asarray(T_world_base, np.float32)))
+        self.articulation.set_root_linear_velocity(np.zeros(3, np.float32))
+        self.articulation.set_root_angular_velocity(np.zeros(3, np.float32))
+
+    def link_pose(self, name: str) -> Array:
+        """(4, 4) T_world_link of a link's frame; FreeArtError lists the links."""
+        if name not in self._links:
+            raise FreeArtError(f"{self.asset.urdf} has no link '{name}'; links: {', '.join(self._links)}")
+        if self._engine_q != self._q:
+            self._put(self._q)
+        pose = self._links[name].entity_pose
+        return se3.pose_from_wxyz(pose.p.astype(float), pose.q.astype(float))
+
+    def T_reference_moving(self) -> Array:
+        """(4, 4) moving link's frame in the reference link's frame."""
+        return se3.inverse(self.link_pose(self.asset.reference_link)) @ self.link_pose(self.asset.moving_link)
+
+    def step(self, force: Callable[[float], float] | None = None) -> None:
+        """Advance by `timestep_s` under gravity, the effects, and the generalised force(t), N*m or N, if given."""
+        h = self._system.timestep = self.timestep_s / self._substeps
+        for _ in range(self._substeps):
+            self._put(self._within(self._q + 0.5 * h * self._qd))
+            q, qd, t = self._engine_q, self._qd, self.time_s + 0.5 * h
+            self._set_drive(q, qd)
+            self._set_armature(q, qd, t, h)
+            acting = self._effect_force(q, qd, t) + (force(t) if force else 0.0)
+            self.articulation.set_qf(np.array([acting], np.float32))
+            self._system.step()
+            self._qd = float(self.articulation.qvel[0])
+            self._engine_q = float(self.articulation.qpos[0])
+            limit = self.lower if self._engine_q - self.lower < self.upper - self._engine_q else self.upper
+            if np.isfinite(limit) and abs(self._engine_q - (q + h * self._qd)) > _ROUNDING * max(1.0, abs(q)):
+                self.set_state(limit)  # it went elsewhere than its velocity says: stopped there, perfectly inelastic
+            else:  # the drift in double precision: the engine's own would lose slow motion to rounding
+                self._q = self._within(q + 0.5 * h * self._qd)
+            self.time_s += h
+
+    def energy(self, q: ArrayLike, qd: ArrayLike) -> NDArray[np.float64]:
+        """Joules at positions and velocities (...): kinetic plus potential in gravity, zero at rest at q = 0."""
+        q, qd = np.asarray(q, float), np.asarray(qd, float)
+        at_zero = np.append(self._mass_moment_zero, self.moving_mass)
+        moment = (self.world_joint.transform(q) @ at_zero)[..., :3]
+        return 0.5 * self.joint_inertia * qd**2 - (moment - self._mass_moment_zero) @ self.gravity
+
+    def _put(self, q: float) -> None:
+        """Let the engine stand at position `q`; its velocity stays."""
+        self.articulation.set_qpos(np.array([q], np.float32))
+        self._engine_q = q
+
+    def _within(self, q: float) -> float:
+        """`q` cut at the limits, or at where the joint stands when that is beyond them."""
+        return min(max(q, min(self.lower, self._q)), max(self.upper, self._q))
+
+    def _effect_force(self, q: float, qd: float, t: float) -> float:
+        return sum(effect.force(q, qd, t) for effect in self._forces)
+
+    def _set_drive(self, q: float, qd: float) -> None:
+        """The saturated damper: force -D qd cut at the limit, so stiff that it sticks (facts: exact, no chatter)."""
+        limit = sum(effect.drive_limit(q, qd) for effect in self._drives)
+        if limit != self._drive_limit:
+            self._joint.set_drive_properties(stiffness=0.0, damping=limit / _CREEP_SPEED, force_limit=limit,
+                                             mode="force")
+            self._drive_limit = limit
+
+    def _set_armature(self, q: float, qd: float, t: float, h: float) -> None:
+        """Make the engine's explicit step exponential: speed v' = v + h phi1(z) F / I with z = h (dF/dv) / I.
+
+        Scaling every force by phi1(z) = (exp(z) - 1) / z is the same as an inertia I / phi1(z), which the joint's
+        armature supplies: so gravity, friction and pushes keep their proportions, and so do final speeds.
+        """
+        if not self._forces:
+            return
+        dv = 1e-3 * max(abs(qd), 1e-3)
+        slope = (self._effect_force(q, qd + dv, t) - self._effect_force(q, qd - dv, t)) / (2 * dv)
+        z = max(-min(slope, 0.0) * h / self.joint_inertia, 0.0)
+        inverse_phi1 = z / -np.expm1(-z) if z > 1e-9 else 1.0
+        armature = self.joint_inertia * (inverse_phi1 - 1.0)
+        if abs(armature - self._armature) > 1e-9 * self.joint_inertia:
+            self._joint.set_armature(np.array([armature], np.float32))
+            self._armature = armature
+
+    def _plan_substeps(self) -> None:
+        """Internal steps per `timestep_s`, such that the stiffest spring among the effects is stepped finely."""
+        self._substeps = 1
+        if not self._forces or self.joint_inertia <= 0:
+            return
+        low, high = max(self.lower, -np.pi), min(self.upper, np.pi)
+        q = np.linspace(low, high, _STIFFNESS_SAMPLES) if low < high else np.array([low])
+        dq = 1e-6
+        slopes = [(self._effect_force(x + dq, 0.0, 0.0) - self._effect_force(x - dq, 0.0, 0.0)) / (2 * dq) for x in q]
+        stiffness = max(-min(slopes), 0.0)
+        phase = self.timestep_s * np.sqrt(stiffness / self.joint_inertia)
+        self._substeps = max(1, int(np.ceil(phase / _PHASE_PER_STEP)))
+        if self._substeps > _MAX_SUBSTEPS:
+            raise FreeArtError(f"{self.asset.urdf} joint '{self.asset.joint}': effects of stiffness {stiffness:.3g} on "
+                               f"an inertia of {self.joint_inertia:.3g} need {self._substeps} internal steps in each "
+                               f"of {self.timestep_s:g} s, at most {_MAX_SUBSTEPS} are made: a shorter timestep_s helps")
+
+
+def load(asset: Asset, *, timestep_s: float = 1e-3, gravity: ArrayLike = GRAVITY, fixed_base: bool = True,
+         scene: Any = None, visuals: bool = False) -> SimulatedAsset:
+    """The asset in simulation: neutral, one joint free, its effects acting.
+
+    Args:
+        asset: what to load. Joints other than `asset.joint` are frozen at `asset.held`, or else at the position nearest
+            to zero within their limits.
+        timestep_s: time of one `step`, s.
+        gravity: (3,) m/s^2, world frame; a given `scene` keeps its own.
+        fixed_base: whether the root link is nailed to the world.
+        scene: a `sapien.Scene` to load into; None makes one of physics only.
+        visuals: load visual meshes too; `scene` must then be able to render.
+
+    Raises FreeArtError when the URDF is not one tree with the named joint and links, a mesh file is missing, or SAPIEN
+    cannot read a file. Links of the asset never collide with each other.
+    """
+    if not timestep_s > 0:
+        raise FreeArtError(f"timestep_s is {timestep_s}, expected seconds above 0")
+    if visuals and scene is None:
+        raise FreeArtError("visuals were asked for without a scene that can render them")
+    joints = read_urdf_joints(asset.urdf)
+    joint = movable_joint(asset.urdf, asset.joint)
+    robot = _readable_urdf(asset, joints, visuals, keep_collisions=scene is not None)
+    _check_sides(asset, joints, joint)
+    if scene is None:
+        scene = _physics_scene(np.asarray(gravity, np.float32))
+    builder = _parse(asset.urdf, robot, scene)
+    builder.mimic_joint_records = []
+    for link in builder.link_builders:
+        link.collision_groups = [1, 1, 1 << 15, 0]  # a common bit of the third word: no collisions among these links
+        record = link.joint_record
+        record.damping = 0.0
+        if record.name in joints and record.name != joint.name and joints[record.name].joint_type:
+            _freeze(record, _held_position(asset, joints[record.name]))
+        elif record.name == joint.name and joint.joint_type == "revolute":
+            record.joint_type = "revolute_unwrapped"
+    try:
+        articulation = builder.build(fix_root_link=fixed_base)
+    except Exception as error:
+        raise _unreadable(asset.urdf, error) from error
+    _neutralise(articulation)
+    return SimulatedAsset(asset, scene, articulation, joint, timestep_s)
+
+
+def joint_motion(asset: Asset, states: ArrayLike) -> Array:
+    """What the loaded joint does: (n, 4, 4) displacements of the moving part, in the asset's canonical frame.
+
+    Each maps the moving part from canonical state zero to one of the canonical `states` (n,), rad or m; states beyond
+    the limits are allowed. Measured from the link poses of the loaded asset, not read from the URDF; the engine's poses
+    are single precision (1e-7 of the distances).
+    """
+    simulated = load(asset)
+    C = asset.T_canonical_reference
+
+    def displaced(state: float) -> Array:
+        simulated.set_state(asset.state_zero + state)
+        return C @ simulated.T_reference_moving()
+
+    zero_inverse = se3.inverse(displaced(0.0))
+    flat = np.asarray(states, float).reshape(-1)
+    return np.stack([displaced(float(q)) @ zero_inverse for q in flat]) if len(flat) else np.zeros((0, 4, 4))
+
+
+def roll_out(asset: Asset | SimulatedAsset, q0: float, qd0: float = 0.0, *, duration_s: float, timestep_s: float = 1e-3,
+             gravity: ArrayLike = GRAVITY, force: Callable[[float], float] | None = None) -> RollOut:
+    """The joint's trajectory from position `q0` and velocity `qd0` (rad or m, URDF joint values), base fixed.
+
+    Args:
+        asset: an asset to load, or a loaded one to use again (which keeps its own time step and gravity).
+        q0: start position.
+        qd0: start velocity.
+        duration_s: seconds; rounded to whole steps.
+        timestep_s: seconds a step, one sample a step.
+        gravity: (3,) m/s^2.
+        force: seconds since the start to a generalised force on the joint, N*m or N.
+
+    Raises FreeArtError when the moving part has no mass, or the start lies beyond the limits.
+    """
+    simulated = asset if isinstance(asset, SimulatedAsset) else load(asset, timestep_s=timestep_s, gravity=gravity)
+    where = f"{simulated.asset.urdf} joint '{simulated.asset.joint}'"
+    if simulated.joint_inertia <= 0:
+        raise FreeArtError(f"{where} moves nothing of mass: its links have neither <inertial> nor collision geometry")
+    slack = 1e-6 * max(1.0, abs(q0))
+    if not simulated.lower - slack <= q0 <= simulated.upper + slack:
+        raise FreeArtError(f"{where} starts at {q0:g}, expected within its limits {simulated.lower:g} to "
+                           f"{simulated.upper:g}")
+    n = round(duration_s / simulated.timestep_s)
+    simulated.set_state(q0, qd0)
+    simulated.time_s = 0.0
+    states = np.empty((n + 1, 2))
+    states[0] = q0, qd0
+    for i in range(n):
+        simulated.step(force)
+        states[i + 1] = simulated.state()
+    q, qd = states[:, 0].copy(), states[:, 1].copy()
+    times = np.arange(n + 1, dtype=float) * simulated.timestep_s
+    return RollOut(times, q, qd, simulated.energy(q, qd))
+
+
+def _physics_scene(gravity: NDArray[np.float32]) -> Any:
+    """A scene that needs no graphics device. The engine takes gravity from a process-wide setting, put back here."""
+    import sapien
+
+    before = sapien.physx.get_scene_config()
+    mine = copy.copy(before)
+    mine.gravity = gravity
+    sapien.physx.set_scene_config(mine)
+    try:
+        return sapien.Scene([sapien.physx.PhysxCpuSystem()])
+    finally:
+        sapien.physx.set_scene_config(before)
+
+
+def _parse(urdf: Path, robot: ET.Element, scene: Any) -> Any:
+    """SAPIEN's articulation builder of the rewritten URDF."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "asset.urdf"
+        ET.ElementTree(robot).write(path, encoding="utf-8")
+        try:
+            articulations, actors, _ = scene.create_urdf_loader().parse(str(path))
+        except Exception as error:
+            raise _unreadable(urdf, error) from error
+    if len(articulations) != 1 or actors:
+        raise FreeArtError(f"{urdf} holds {len(articulations)} articulations and {len(actors)} loose bodies, expected "
+                           "one articulation")
+    return articulations[0]
+
+
+def _unreadable(urdf: Path, error: Exception) -> FreeArtError:
+    lines = str(error).strip().splitlines() or [type(error).__name__]
+    return FreeArtError(f"{urdf} cannot be loaded by SAPIEN: {lines[0]}")
+
+
+def _neutralise(articulation: Any) -> None:
+    """Switch off every loss and limit of the engine's own."""
+    articulation.set_sleep_threshold(0.0)
+    for link in articulation.links:
+        link.set_linear_damping(0.0)
+        link.set_angular_damping(0.0)
+        link.set_max_linear_velocity(_FAST)
+        link.set_max_angular_velocity(_FAST)
+    for joint in articulation.active_joints:
+        joint.set_friction(0.0)
+        joint.set_armature(np.zeros(joint.dof, np.float32))
+        joint.set_max_velocity(_FAST)
+
+
+def _freeze(record: Any, q: float) -> None:
+    """Turn a movable joint of a builder into a fixed one at position `q`: its axis is the x axis of its frame."""
+    import sapien
+
+    motion = se3.exp_se3(np.eye(6)[0] * q if record.joint_type == "prismatic" else np.eye(6)[3] * q)
+    record.pose_in_parent = record.pose_in_parent * sapien.Pose(motion.astype(np.float32))
+    record.joint_type, record.limits = "fixed", []
+
+
+def _held_position(asset: Asset, joint: UrdfJoint) -> float:
+    return asset.held.get(joint.name, float(np.clip(0.0, joint.lower, joint.upper)))
+
+
+def _downstream(articulation: Any, first: str) -> list[Any]:
+    """The link named `first` and all links that hang on it."""
+    names = {first}
+    links = []
+    for link in articulation.links:  # parents come before children
+        if link.name in names or (link.parent is not None and link.parent.name in names):
+            names.add(link.name)
+            links.append(link)
+    return links
+
+
+def _link_mechanics(link: Any) -> tuple[float, Array, Array]:
+    """Mass, centre of mass (3,) and inertia about it (3, 3) of a link, world frame."""
+    frame = (link.entity_pose * link.cmass_local_pose).to_transformation_matrix().astype(float)
+    R = frame[:3, :3]
+    return float(link.mass), frame[:3, 3], R @ np.diag(link.inertia.astype(float)) @ R.T
+
+
+def _joint_inertia(joint: Joint, mechanics: list[tuple[float, Array, Array]]) -> float:
+    """Inertia felt by the joint: total mass along a slider, moment about a hinge (parallel axes theorem)."""
+    if joint.type == "prismatic":
+        return sum(mass for mass, _, _ in mechanics)
+    arms = (np.cross(joint.axis, centre - joint.pivot) for _, centre, _ in mechanics)
+    return float(sum(joint.axis @ inertia @ joint.axis + mass * arm @ arm
+                     for (mass, _, inertia), arm in zip(mechanics, arms, strict=True)))
+
+
+def _check_sides(asset: Asset, joints: dict[str, UrdfJoint], joint: UrdfJoint) -> None:
+    """Reference and moving link must hang on different sides of the joint."""
+    parent_of = {j.child: j.parent for j in joints.values()}
+
+    def beyond(link: str) -> bool:
+        while link in parent_of and link != joint.child:
+            link = parent_of[link]
+        return link == joint.child
+
+    if beyond(asset.reference_link) == beyond(asset.moving_link):
+        raise FreeArtError(f"{asset.urdf}: links '{asset.reference_link}' and '{asset.moving_link}' are on the same "
+                           f"side of joint '{joint.name}', expected one on each side")
+
+
+def _readable_urdf(asset: Asset, joints: dict[str, UrdfJoint], visuals: bool, keep_collisions: bool) -> ET.Element:
+    """The URDF as SAPIEN can read it from anywhere: absolute file names, a limit on every joint."""
+    root = ET.fromstring(asset.urdf.read_bytes())
+    for element in list(root):
+        if element.tag not in ("link", "joint", "material"):
+            root.remove(element)
+    links = [link.get("name", "") for link in root.findall("link")]
+    _check_tree(asset, joints, links)
+    for file in [*root.iter("mesh"), *root.iter("texture")]:
+        file.set("filename", str(_resolve(asset.urdf, file.get("filename", ""))))
+    dropped = () if visuals else ("visual",)
+    for link in root.findall("link"):
+        weighed = float(_attribute(link, "inertial/mass", "value", "0")) > 0
+        for child in list(link):
+            if child.tag in dropped or (child.tag == "collision" and weighed and not keep_collisions):
+                link.remove(child)
+    for element in root.findall("joint"):
+        for tag in ("mimic", "dynamics"):
+            for child in element.findall(tag):
+                element.remove(child)
+        if element.find("limit") is None and element.get("type") in ("revolute", "prismatic"):
+            ET.SubElement(element, "limit", {"lower": "-inf", "upper": "inf", "effort": "0", "velocity": "0"})
+    return root
+
+
+def _attribute(element: ET.Element, path: str, name: str, default: str) -> str:
+    found = element.find(path)
+    return default if found is None else found.get(name, default)
+
+
+def _check_tree(asset: Asset, joints: dict[str, UrdfJoint], links: list[str]) -> None:
+    """One root, every link once and hung once, the asset's links and joint types known."""
+    if len(set(links)) != len(links):
+        twice = next(name for name in links if links.count(name) > 1)
+        raise FreeArtError(f"{asset.urdf} has link '{twice}' {links.count(twice)} times, expected unique names")
+    for joint in joints.values():
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise FreeArtError(f"{asset.urdf}: joint '{joint.name}' names link '{link}'; links: {', '.join(links)}")
+        if joint.joint_type is None and joint.type != "fixed":
+            raise FreeArtError(f"{asset.urdf}: joint '{joint.name}' has type '{joint.type}', expected fixed, revolute, "
+                               "continuous or prismatic")
+    children = [joint.child for joint in joints.values()]
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1 or len(set(children)) != len(children):
+        raise FreeArtError(f"{asset.urdf} is not one tree: its roots are {', '.join(roots) or 'none'}, expected one, "
+                           "and every other link the child of one joint")
+    for link in (asset.reference_link, asset.moving_link):
+        if link not in links:
+            raise FreeArtError(f"{asset.urdf} has no link '{link}'; links: {', '.join(links)}")
+
+
+def _resolve(urdf: Path, filename: str) -> Path:
+    """The file that a URDF names: relative to its folder, absolute, or package:// searched from its folder upwards."""
+    folder = urdf.absolute().parent
+    if filename.startswith("package://"):
+        name = filename.removeprefix("package://")
+        candidates = [parent / name for parent in (folder, *folder.parents)]
+    else:
+        candidates = [folder / filename]
+    for path in candidates:
+        if path.is_file():
+            return path
+    raise FreeArtError(f"{urdf} names mesh '{filename}', which does not exist")
