@@ -1,0 +1,64 @@
+"""The objects that the product knows by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from freeart21.errors import FreeArtError
+from freeart21.joint import JointType
+
+
+@dataclass(frozen=True)
+class CatalogEntry:
+    """One known object."""
+
+    name: str
+    category: str
+    """As PartNet-Mobility calls it."""
+    joint_type: JointType | None
+    """Of the scored joint; None when only the object's files can tell."""
+    size_m: float | None
+    """Approximate diagonal, metres; about 2 for PartNet-Mobility, whose unit is not metric."""
+    source: Literal["procedural", "partnet"]
+    joint: str | None
+    """Name of the scored joint; None when it must be named by the user."""
+    note: str = ""
+    benchmark: str = ""
+    """'FreeArt-21' for the objects of the official benchmark."""
+
+
+_FREEART21: tuple[tuple[str, JointType, int, tuple[str, ...], str], ...] = (
+    ("USB", "revolute", 0, ("100109", "100113", "102033"), ""),
+    ("Lighter", "revolute", 0, ("100309", "100319", "100350"), ""),
+    ("Stapler", "revolute", 1, ("102990", "103271", "103275"), ""),
+    ("Phone", "prismatic", 0, ("103593", "103828", "103886"), "joint type assumed: not stated anywhere"),
+    ("Scissors", "revolute", 0, ("10546", "10567", "11052"), ""),
+    ("StorageFurniture", "prismatic", 0, ("45132", "45135", "48878"), ""),
+    ("Display", "revolute", 0, ("4552", "4562", "4578"), ""),
+)
+"""Category, joint type, joint index, ids (FreeArtGS, configs/eval_joint_ids.yaml)."""
+
+CATALOG: dict[str, CatalogEntry] = {entry.name: entry for entry in (
+    CatalogEntry("stapler", "Stapler", "revolute", 0.15, "procedural", "joint_1"),
+    CatalogEntry("drawer_unit", "StorageFurniture", "prismatic", 0.45, "procedural", "joint_0"),
+    CatalogEntry("flip_lighter", "Lighter", "revolute", 0.07, "procedural", "joint_0"),
+    *(CatalogEntry(name, category, joint_type, 2.0, "partnet", f"joint_{index}", note, "FreeArt-21")
+      for category, joint_type, index, names, note in _FREEART21 for name in names),
+)}
+"""Name to entry: the procedural objects, then the 21 of FreeArt-21, whose files the user brings."""
+
+
+def find(name: str, partnet: bool = False) -> CatalogEntry:
+    """The entry of `name`. With `partnet`, any number is a PartNet-Mobility object, whose category and joint are unknown.
+
+    Raises FreeArtError, listing the known objects, for any other name.
+    """
+    if name in CATALOG:
+        return CATALOG[name]
+    if partnet and name.isdigit():
+        return CatalogEntry(name, "unknown", None, None, "partnet", None)
+    own = ", ".join(e.name for e in CATALOG.values() if e.source == "procedural")
+    official = ", ".join(e.name for e in CATALOG.values() if e.source == "partnet")
+    raise FreeArtError(f"unknown object '{name}'; objects: {own}; with --partnet-root also any PartNet-Mobility id, "
+                       f"of which FreeArt-21's are {official}")

@@ -1,0 +1,90 @@
+"""Truth meshes: fine enough to be flagged face by face, with what can be seen at all and what a video showed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.se3 import Array
+from generator.motion import motion_range
+from generator.rays import Caster
+
+Flags = tuple[NDArray[np.bool_], NDArray[np.bool_]]
+
+_DIRECTIONS = 64
+_GRID = 128
+_ESCAPES = 12
+
+
+def outer_faces(meshes: tuple[Mesh, Mesh], joint: Joint, states: int = 5) -> Flags:
+    """Per side (F,) faces that a ray from outside can hit at one of `states` joint states spread over the range.
+
+    First parallel rays from 64 directions; then, for faces smaller than the rays' spacing, rays from their centres
+    outwards: a face is outer when one of them escapes.
+    """
+    caster = Caster(meshes)
+    flags = (np.zeros(len(meshes[0].faces), bool), np.zeros(len(meshes[1].faces), bool))
+    poses = [(np.eye(4), joint.transform(q)) for q in np.linspace(*motion_range(joint), states)]
+    for Ts in poses:
+        _mark_from_outside(caster, meshes, Ts, flags)
+    for Ts in poses:
+        _mark_escaping(caster, meshes, Ts, flags)
+    return flags
+
+
+def visible_faces(meshes: tuple[Mesh, Mesh], camera: Camera,
+                  views: Iterable[tuple[Array, Array, NDArray[np.bool_]]]) -> Flags:
+    """Per side (F,) faces hit by a pixel's ray in one of the views (pose of each side (4, 4), foreground (height, width))."""
+    caster = Caster(meshes)
+    flags = (np.zeros(len(meshes[0].faces), bool), np.zeros(len(meshes[1].faces), bool))
+    for T_first, T_second, foreground in views:
+        _mark(caster.look(camera, (T_first, T_second), foreground), flags)
+    return flags
+
+
+def _mark(hits, flags: Flags) -> None:
+    for k in (0, 1):
+        flags[k][hits.face[hits.side == k]] = True
+
+
+def _mark_from_outside(caster: Caster, meshes: tuple[Mesh, Mesh], Ts: tuple[Array, Array], flags: Flags) -> None:
+    corners = np.concatenate([se3.transform(T, m.vertices) for T, m in zip(Ts, meshes, strict=True)])
+    low, high = corners.min(0), corners.max(0)
+    centre, radius = (low + high) / 2, 0.5 * np.linalg.norm(high - low)
+    offsets = (np.arange(_GRID) + 0.5) / _GRID * 2 - 1
+    u, v = (g.reshape(-1, 1) for g in np.meshgrid(offsets, offsets))
+    for direction in _sphere(_DIRECTIONS):
+        across = np.linalg.svd(direction[None])[2][1:]
+        origins = centre - 2 * radius * direction + radius * (u * across[0] + v * across[1])
+        _mark(caster.cast(origins, np.broadcast_to(direction, origins.shape), Ts), flags)
+
+
+def _mark_escaping(caster: Caster, meshes: tuple[Mesh, Mesh], Ts: tuple[Array, Array], flags: Flags) -> None:
+    directions = _sphere(2 * _ESCAPES)
+    for k, (T, mesh) in enumerate(zip(Ts, meshes, strict=True)):
+        rest = np.flatnonzero(~flags[k])
+        corners = se3.transform(T, mesh.vertices)[mesh.faces[rest]]
+        middle = corners.mean(1)
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        step = 1e-5 * float(np.ptp(mesh.vertices, axis=0).max())
+        for direction in directions:
+            out = np.sign(normal @ direction)[:, None] * normal
+            clear = np.abs(normal @ direction) > 0.15
+            todo = np.flatnonzero(clear & ~flags[k][rest])
+            hits = caster.cast(middle[todo] + step * out[todo], np.broadcast_to(direction, (len(todo), 3)), Ts)
+            flags[k][rest[todo[hits.side < 0]]] = True
+
+
+def _sphere(n: int) -> Array:
+    """n directions (n, 3), evenly spread (Fibonacci)."""
+    z = 1 - 2 * (np.arange(n) + 0.5) / n
+    angle = np.pi * (1 + 5**0.5) * np.arange(n)
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
