@@ -1,0 +1,286 @@
+"""What a path is, and the page that shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from freeart21.asset import Asset
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic
+from freeart21.files.asset import read_asset, read_effects
+from freeart21.files.result import read_result
+from freeart21.files.sequence import read_sequence
+from freeart21.files.truth import read_truth
+from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.recording import Recording
+from freeart21.se3 import Array
+from freeart21.truth import Truth
+from freeart21.view.asset_scene import asset_scene
+from freeart21.view.document import Section, document
+from freeart21.view.parts import align, articulation_scene, matched, with_truth
+from freeart21.view.plot import StateSeries, plot_section
+from freeart21.view.scene import scene_section
+from freeart21.view.tables import (
+    compared_rows,
+    joint_rows,
+    joint_section,
+    limits_text,
+    link_section,
+    recording_rows,
+    score_section,
+    seconds_section,
+    table_section,
+)
+from freeart21.view.urdf import read_urdf
+from freeart21.view.video import video_section
+
+ALIGNMENT_NOTE = (
+    "The truth is moved into the prediction's frame by the reference part's poses over all frames; one sign and the "
+    "median offset of its states are taken out."
+)
+
+
+def page(
+    path: Path,
+    truth: Path | None = None,
+    sequence: Path | None = None,
+    scores: Mapping[str, Any] | None = None,
+    asset: Path | None = None,
+    title: str | None = None,
+) -> str:
+    """One self-contained HTML page of a sequence, a result, a truth or an asset.
+
+    A result is shown with its asset (`asset`, else its own folder asset/), over the pictures of its `sequence` and
+    beside its `truth` when these folders are given; a sequence is shown with its truth. `scores` is as in
+    `score_section`. Raises FreeArtError in one line when `path` is none of these, or when what is given does not fit
+    together.
+    """
+    path = Path(path)
+    kind = recognised(path)
+    name = title or path.resolve().name
+    true = read_truth(truth) if truth is not None and kind != "truth" else None
+    extra = [score_section(scores, place="small" if kind == "asset" else "right")] if scores else []
+    if kind == "sequence":
+        return _sequence_page(name, read_sequence(path), true, extra)
+    if kind == "truth":
+        return _sequence_page(name, read_sequence(sequence) if sequence is not None else None, read_truth(path), extra)
+    if kind == "result":
+        recording, answer = read_sequence(sequence) if sequence is not None else None, read_result(path)
+        if isinstance(answer, Failure):
+            return _failure_page(name, answer, true, recording, extra)
+        inside = path / "asset"
+        return _result_page(name, answer, true, recording, asset or (inside if inside.is_dir() else None), extra)
+    sections, chips, notices = _asset_sections(path, None)
+    return document(name, [*sections, *extra], "asset", chips, notices)
+
+
+def write_page(
+    path: Path,
+    out: Path,
+    truth: Path | None = None,
+    sequence: Path | None = None,
+    scores: Mapping[str, Any] | None = None,
+    asset: Path | None = None,
+    title: str | None = None,
+) -> None:
+    """Write `page(...)` to the file `out`, whole or not at all."""
+    atomic.write_bytes(Path(out), page(path, truth, sequence, scores, asset, title).encode())
+
+
+def recognised(path: Path) -> str:
+    """'sequence', 'result', 'truth' or 'asset'; FreeArtError says what was looked for and what is there."""
+    if not path.exists():
+        raise FreeArtError(f"{path} does not exist")
+    if path.is_file():
+        if path.suffix == ".urdf":
+            return "asset"
+        raise FreeArtError(
+            f"{path} is a file, expected a URDF or the folder of a sequence, a result, a truth or an asset"
+        )
+    for name, kind in (
+        ("sequence.json", "sequence"),
+        ("prediction.json", "result"),
+        ("truth.json", "truth"),
+        ("asset.json", "asset"),
+    ):
+        if (path / name).is_file():
+            return kind
+    if list(path.glob("*.urdf")):
+        return "asset"
+    names = sorted(p.name + "/" * p.is_dir() for p in path.iterdir())
+    there = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "") or "nothing"
+    patterns = ("*/sequence.json", "*/*/sequence.json", "*/prediction.json", "*/asset.json")
+    inner = sorted(str(p.parent.relative_to(path)) for pattern in patterns for p in path.glob(pattern))
+    hint = f"; what can be shown in it: {', '.join(inner[:8])}{' ...' * (len(inner) > 8)}" if inner else ""
+    raise FreeArtError(
+        f"{path} is nothing to show: looked for sequence.json, prediction.json, truth.json, asset.json or a .urdf file,"
+        f" found {there}{hint}"
+    )
+
+
+def _sequence_page(name: str, recording: Recording | None, true: Truth | None, extra: list[Section]) -> str:
+    """The page of a sequence, of a truth, or of both together."""
+    _check_lengths(recording=recording, truth=true)
+    chips = _recording_chips(recording)
+    sections = []
+    if true is None:
+        sections.append(video_section(recording))
+    else:
+        joint, states = true.articulation.joint, true.states
+        camera = recording.camera if recording is not None else None
+        sections += [
+            video_section(recording, truth=true.part_mask, n=len(true), states=states, joint_type=joint.type),
+            scene_section(
+                articulation_scene(true.articulation, states, true.Ts_camera_reference, camera), "True parts and joint"
+            ),
+            plot_section(StateSeries(joint.type, *_abscissa(recording, len(true)), truth=states)),
+            table_section("True joint", joint_rows(joint, states)),
+            table_section("Source", _source_rows(true.source)),
+        ]
+        chips.append(f"{joint.type} joint")
+    if recording is not None:
+        sections.append(table_section("Recording", recording_rows(recording)))
+    return document(name, [*sections, *extra], "sequence" if recording is not None else "truth", chips)
+
+
+def _result_page(
+    name: str,
+    result: Reconstruction,
+    true: Truth | None,
+    recording: Recording | None,
+    asset: Path | None,
+    extra: list[Section],
+) -> str:
+    """The page of a reconstruction, with whatever belongs to it."""
+    _check_lengths(recording=recording, truth=true, result=result)
+    if true is not None:
+        result = matched(result, true)
+    joint, states, masks = result.articulation.joint, result.states, result.part_masks
+    camera = recording.camera if recording is not None else None
+    scene = articulation_scene(result.articulation, states, result.Ts_camera_reference, camera)
+    series = StateSeries(joint.type, *_abscissa(recording, len(result)), states, result.state_std, result.seen[:, 1])
+    facts = table_section("Joint", joint_rows(joint, states))
+    if true is not None:
+        alignment = align(result, true)
+        scene = with_truth(scene, true, alignment)
+        if alignment.comparable:
+            series = replace(series, truth=alignment.states(true))
+        rows = compared_rows(joint, states, alignment.joint(true), alignment.states(true))
+        facts = table_section("Joint", rows, ("", "found", "true"), note=ALIGNMENT_NOTE)
+    sections = [
+        video_section(recording, lambda i: masks[i], true.part_mask if true else None, len(result), states, joint.type),
+        scene_section(scene, "Parts and joint"),
+        plot_section(series),
+        *extra,
+        facts,
+    ]
+    if result.seconds:
+        sections.append(seconds_section(result.seconds))
+    if recording is not None:
+        sections.append(table_section("Recording", recording_rows(recording)))
+    notices: list[str] = []
+    if asset is not None:
+        try:
+            more, _, notices = _asset_sections(asset, result.Ts_camera_reference[0])
+            sections += more
+        except FreeArtError as error:
+            notices = [f"The asset cannot be shown: {error}"]
+    moved = limits_text(joint.type, float(states.min()), float(states.max()))
+    return document(name, sections, "result", [f"{joint.type} joint", moved, *_recording_chips(recording)], notices)
+
+
+def _failure_page(
+    name: str, failure: Failure, true: Truth | None, recording: Recording | None, extra: list[Section]
+) -> str:
+    """The page of a failure: where the method gave up, and on what video."""
+    _check_lengths(recording=recording, truth=true)
+    sections = []
+    if recording is not None:
+        sections.append(video_section(recording, None, true.part_mask if true else None))
+    sections += [table_section("No reconstruction", [("Stage", failure.stage), ("Reason", failure.reason)]), *extra]
+    if failure.seconds:
+        sections.append(seconds_section(failure.seconds))
+    notice = f"The method gave up in the stage '{failure.stage}': {failure.reason}"
+    return document(name, sections, "result", ["failed", *_recording_chips(recording)], [notice])
+
+
+def _asset_sections(path: Path, T_camera_canonical: Array | None) -> tuple[list[Section], list[str], list[str]]:
+    """Sections, chips and notices of an asset folder or URDF file."""
+    asset: Asset | None = None
+    if path.is_dir() and (path / "asset.json").is_file():
+        asset = read_asset(path)
+        urdf = asset.urdf
+    else:
+        urdf = _one_urdf(path)
+    model = read_urdf(urdf)
+    effects = asset.effects if asset is not None else read_effects(urdf)
+    missing, notices = model.missing, []
+    if missing:
+        some = ", ".join(missing[:5]) + " ..." * (len(missing) > 5)
+        notices = [f"{len(missing)} mesh files that {urdf.name} names are missing: {some}"]
+    movable = [joint for joint in model.joints.values() if joint.joint_type]
+    masses = [link.inertial.mass for link in model.links.values() if link.inertial is not None]
+    chips = [
+        f"{len(model.links)} links",
+        f"{len(movable)} movable joint{'s' * (len(movable) != 1)}",
+        *([f"{sum(masses):.3g} kg"] if masses else []),
+    ]
+    sections = [
+        scene_section(asset_scene(model, asset, T_camera_canonical), "Asset", "full"),
+        joint_section(model, effects),
+        link_section(model),
+    ]
+    if asset is not None and asset.source:
+        sections.append(table_section("Where the asset came from", _source_rows(asset.source)))
+    return sections, chips, notices
+
+
+def _one_urdf(path: Path) -> Path:
+    if path.is_file():
+        return path
+    urdfs = sorted(path.glob("*.urdf"))
+    original = [p for p in urdfs if p.name == "mobility.urdf"] or urdfs
+    if len(original) != 1:
+        raise FreeArtError(f"{path} has {len(urdfs)} URDFs, name one of them: {', '.join(p.name for p in urdfs)}")
+    return original[0]
+
+
+def _check_lengths(
+    recording: Recording | None = None, truth: Truth | None = None, result: Reconstruction | None = None
+) -> None:
+    lengths = {
+        name: len(what)
+        for name, what in (("sequence", recording), ("truth", truth), ("result", result))
+        if what is not None
+    }
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"the {name} has {n} frames" for name, n in lengths.items())
+        raise FreeArtError(f"these do not belong together: {told}")
+    if truth is not None and result is not None and truth.part_mask(0).shape != result.part_masks.shape[1:]:
+        raise FreeArtError(
+            f"the part masks of the result are {result.part_masks.shape[1:]}, those of the truth "
+            f"{truth.part_mask(0).shape}"
+        )
+
+
+def _abscissa(recording: Recording | None, n: int) -> tuple[np.ndarray, bool]:
+    return (recording.times_s, True) if recording is not None else (np.arange(n, dtype=float), False)
+
+
+def _recording_chips(recording: Recording | None) -> list[str]:
+    if recording is None:
+        return []
+    span = float(recording.times_s[-1] - recording.times_s[0])
+    return [f"{len(recording)} frames", f"{span:.3g} s", f"{recording.camera.width} x {recording.camera.height}"]
+
+
+def _source_rows(source: Mapping[str, Any]) -> list[tuple[str, str]]:
+    return [
+        (str(key), ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, Mapping) else str(value))
+        for key, value in source.items()
+    ]

@@ -1,0 +1,188 @@
+"""The numbers of a page: facts, found against true, seconds a stage, scores."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import UrdfJoint
+from freeart21.joint import Joint
+from freeart21.recording import Recording
+from freeart21.view.document import Section, escape
+from freeart21.view.plot import display_unit
+from freeart21.view.urdf import UrdfModel
+
+ARROWS = {"up": ("↑", "more is better"), "down": ("↓", "less is better")}
+
+
+def table_section(
+    title: str,
+    rows: Iterable[Sequence[str]],
+    head: Sequence[str] = (),
+    place: Literal["left", "right", "full", "small"] = "small",
+    note: str = "",
+) -> Section:
+    """A table of texts, all escaped here; the first cell of a row is its heading."""
+    header = f"<thead><tr>{''.join(f'<th scope=col>{escape(cell)}</th>' for cell in head)}</tr></thead>" if head else ""
+    body = "".join(
+        f"<tr><th scope=row>{escape(first)}</th>{''.join(f'<td>{escape(cell)}</td>' for cell in rest)}</tr>"
+        for first, *rest in rows
+    )
+    below = f'<p class="note">{escape(note)}</p>' if note else ""
+    return Section(title, f'<div class="table"><table>{header}<tbody>{body}</tbody></table></div>{below}', place=place)
+
+
+def recording_rows(recording: Recording) -> list[tuple[str, str]]:
+    """What is known of a video."""
+    camera, n = recording.camera, len(recording)
+    span = float(recording.times_s[-1] - recording.times_s[0])
+    rate = f", {(n - 1) / span:.3g} per second" if n > 1 else ""
+    return [
+        ("Frames", f"{n}{rate}"),
+        ("Length", f"{span:.3g} s"),
+        ("Picture", f"{camera.width} x {camera.height} pixels"),
+        ("Focal length", f"{camera.K[0, 0]:.1f}, {camera.K[1, 1]:.1f} pixels"),
+        ("Principal point", f"{camera.K[0, 2]:.1f}, {camera.K[1, 2]:.1f}"),
+        ("Held-out views", str(len(recording.queries))),
+        ("Licence", str(recording.licence or "not stated")),
+    ]
+
+
+def joint_rows(joint: Joint, states: Sequence[float] | np.ndarray) -> list[tuple[str, str]]:
+    """What is said of a joint: type, axis, pivot, limits, states of the video."""
+    rows = [("Type", joint.type), ("Axis", _vector(joint.axis))]
+    if joint.type == "revolute":
+        rows.append(("Pivot", f"{_vector(joint.pivot)} m"))
+    return [
+        *rows,
+        ("Limits", limits_text(joint.type, joint.lower, joint.upper)),
+        ("States in the video", limits_text(joint.type, float(np.min(states)), float(np.max(states)))),
+    ]
+
+
+def compared_rows(
+    found: Joint, found_states: np.ndarray, true: Joint, true_states: np.ndarray
+) -> list[tuple[str, str, str]]:
+    """The rows of `joint_rows` for a found and a true joint, side by side, both in the prediction's frame."""
+    left, right = dict(joint_rows(found, found_states)), dict(joint_rows(true, true_states))
+    return [(name, left.get(name, "-"), right.get(name, "-")) for name in {**left, **right}]
+
+
+def seconds_section(seconds: Mapping[str, float]) -> Section:
+    """Seconds a stage, with bars."""
+    most, total = max([*seconds.values(), 1e-9]), sum(seconds.values())
+    rows = "".join(
+        f"<tr><th scope=row>{escape(stage)}</th>"
+        f'<td class="bar"><i style="width:{100 * max(value, 0.0) / most:.1f}%"></i></td>'
+        f"<td>{value:.2f} s</td></tr>"
+        for stage, value in seconds.items()
+    )
+    last = f'<tr class="total"><th scope=row>all</th><td></td><td>{total:.2f} s</td></tr>'
+    return Section("Time per stage", f'<div class="table"><table><tbody>{rows}{last}</tbody></table></div>')
+
+
+def score_section(
+    scores: Mapping[str, Any], title: str = "Score", place: Literal["right", "small"] = "right"
+) -> Section:
+    """The score table.
+
+    `scores` maps a metric's id to its value, or to {"value", "unit", "better" ('up' or 'down'), "beside"}; `beside` is
+    a second figure as text, such as '0.4 cm'. Raises FreeArtError on anything else.
+    """
+    rows = []
+    for name, entry in scores.items():
+        entry = entry if isinstance(entry, Mapping) else {"value": entry}
+        value, better = entry.get("value"), entry.get("better")
+        if not (value is None or isinstance(value, int | float | str)) or better not in (None, *ARROWS):
+            raise FreeArtError(f"score '{name}' is {entry!r}, expected a value, and better 'up' or 'down'")
+        arrow = '<abbr title="{1}">{0}</abbr>'.format(*ARROWS[better]) if better else ""
+        rows.append(
+            f"<tr><th scope=row>{escape(name)} {arrow}</th><td>{escape(_value(value))}</td>"
+            f"<td>{escape(entry.get('unit') or '')}</td><td>{escape(entry.get('beside') or '')}</td></tr>"
+        )
+    return Section(title, f'<div class="table scores"><table><tbody>{"".join(rows)}</tbody></table></div>', place=place)
+
+
+def link_section(model: UrdfModel) -> Section:
+    """Mass properties of every link that has any shape or mass."""
+    rows = []
+    for link in model.links.values():
+        if link.inertial is None and not link.visuals and not link.collisions:
+            continue
+        shapes = f"{len(link.visuals)} / {len(link.collisions)}"
+        if link.inertial is None:
+            rows.append((link.name, "not given", "", "", shapes))
+            continue
+        inertia = link.inertial.inertia
+        rows.append(
+            (
+                link.name,
+                f"{link.inertial.mass:.4g} kg",
+                f"{_vector(link.inertial.centre)} m",
+                ", ".join(f"{inertia[k]:.3g}" for k in (0, 3, 5)),
+                shapes,
+            )
+        )
+    return table_section(
+        "Links", rows, ("", "mass", "centre of mass", "Ixx, Iyy, Izz, kg m²", "visuals / collisions"), "full"
+    )
+
+
+def joint_section(model: UrdfModel, effects: Mapping[str, Sequence[Any]]) -> Section:
+    """Every movable joint: limits, effort, velocity, and the effects that act on it."""
+    rows = []
+    for name, joint in model.joints.items():
+        if joint.joint_type is None:
+            continue
+        effort, velocity = model.efforts[name]
+        unit = ("N m", "rad/s") if joint.joint_type == "revolute" else ("N", "m/s")
+        acting = "; ".join(effect_text(effect, joint) for effect in effects.get(name, ())) or "none"
+        rows.append(
+            (
+                name,
+                joint.type,
+                f"{joint.parent} → {joint.child}",
+                _vector(model.axes[name]),
+                limits_text(joint.joint_type, joint.lower, joint.upper),
+                "-" if effort is None else f"{effort:g} {unit[0]}",
+                "-" if velocity is None else f"{velocity:g} {unit[1]}",
+                acting,
+            )
+        )
+    return table_section(
+        "Joints", rows, ("", "type", "links", "axis", "limits", "effort", "velocity", "effects"), "full"
+    )
+
+
+def effect_text(effect: Any, joint: UrdfJoint) -> str:
+    """An effect with its values and units, such as 'viscous_damping (coefficient 0.02 N*m*s/rad)'."""
+    assert joint.joint_type is not None
+    parameters = ", ".join(
+        f"{name} {getattr(effect, name):.4g} {spec.unit(joint.joint_type)}"
+        for name, spec in effect.parameters().items()
+    )
+    return f"{effect.name} ({parameters})"
+
+
+def limits_text(joint_type: str, lower: float, upper: float) -> str:
+    """Two states in degrees or centimetres."""
+    unit, factor = display_unit(joint_type)
+    if not np.isfinite([lower, upper]).any():
+        return "none"
+    low, high = (
+        f"{round(factor * value, 1) + 0.0:.1f}" if np.isfinite(value) else "no limit" for value in (lower, upper)
+    )
+    return f"{low}° to {high}°" if unit == "°" else f"{low} to {high} {unit}"
+
+
+def _vector(values: np.ndarray) -> str:
+    return ", ".join(f"{value:.3f}" for value in np.round(np.asarray(values), 3) + 0.0)
+
+
+def _value(value: object) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
