@@ -40,6 +40,7 @@ _PHASE_PER_STEP = 0.1  # rad of the stiffest oscillation per internal step: the 
 _MAX_SUBSTEPS = 1000
 _STIFFNESS_SAMPLES = 65  # positions over the joint's range at which the effects' stiffness is looked at
 _ROUNDING = 2e-6  # of a position in the engine over one step: 16 units in the last place
+_MASSLESS = 1.1e-6  # kg: the engine gives 1e-6 to a link without mass
 _FAST = 1e6  # rad/s or m/s: speed limits of the engine are lifted to this
 
 
@@ -132,7 +133,13 @@ class SimulatedAsset:
         return se3.inverse(self.link_pose(self.asset.reference_link)) @ self.link_pose(self.asset.moving_link)
 
     def step(self, force: Callable[[float], float] | None = None) -> None:
-        """Advance by `timestep_s` under gravity, the effects, and the generalised force(t), N*m or N, if given."""
+        """Advance by `timestep_s` under gravity, the effects, and the generalised force(t), N*m or N, if given.
+
+        Raises FreeArtError when the moving part has no mass.
+        """
+        if self.joint_inertia <= 0:
+            raise FreeArtError(f"{self.asset.urdf} joint '{self.asset.joint}' moves nothing of mass: its links have "
+                               "neither <inertial> nor collision geometry")
         h = self._system.timestep = self.timestep_s / self._substeps
         for _ in range(self._substeps):
             self._put(self._within(self._q + 0.5 * h * self._qd))
@@ -210,7 +217,7 @@ class SimulatedAsset:
         if self._substeps > _MAX_SUBSTEPS:
             raise FreeArtError(f"{self.asset.urdf} joint '{self.asset.joint}': effects of stiffness {stiffness:.3g} on "
                                f"an inertia of {self.joint_inertia:.3g} need {self._substeps} internal steps in each "
-                               f"of {self.timestep_s:g} s, at most {_MAX_SUBSTEPS} are made: a shorter timestep_s helps")
+                               f"of {self.timestep_s:g} s, at most {_MAX_SUBSTEPS} are made: shorten timestep_s")
 
 
 def load(asset: Asset, *, timestep_s: float = 1e-3, gravity: ArrayLike = GRAVITY, fixed_base: bool = True,
@@ -293,8 +300,6 @@ def roll_out(asset: Asset | SimulatedAsset, q0: float, qd0: float = 0.0, *, dura
     """
     simulated = asset if isinstance(asset, SimulatedAsset) else load(asset, timestep_s=timestep_s, gravity=gravity)
     where = f"{simulated.asset.urdf} joint '{simulated.asset.joint}'"
-    if simulated.joint_inertia <= 0:
-        raise FreeArtError(f"{where} moves nothing of mass: its links have neither <inertial> nor collision geometry")
     slack = 1e-6 * max(1.0, abs(q0))
     if not simulated.lower - slack <= q0 <= simulated.upper + slack:
         raise FreeArtError(f"{where} starts at {q0:g}, expected within its limits {simulated.lower:g} to "
@@ -388,6 +393,8 @@ def _link_mechanics(link: Any) -> tuple[float, Array, Array]:
     """Mass, centre of mass (3,) and inertia about it (3, 3) of a link, world frame."""
     frame = (link.entity_pose * link.cmass_local_pose).to_transformation_matrix().astype(float)
     R = frame[:3, :3]
+    if link.mass < _MASSLESS:
+        return 0.0, frame[:3, 3], np.zeros((3, 3))
     return float(link.mass), frame[:3, 3], R @ np.diag(link.inertia.astype(float)) @ R.T
 
 

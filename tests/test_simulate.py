@@ -1,0 +1,315 @@
+"""The simulated asset: it keeps its energy, loses what its effects say, and its joint moves as the URDF means."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects.return_spring import ReturnSpring
+from freeart21.effects.viscous_damping import ViscousDamping
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset, read_urdf_joints, write_effects
+from freeart21.joint import Joint
+from generator.simulate import joint_motion, load, roll_out
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+MASS, ARM = 1.6, 0.5
+INERTIA = {"revolute": 0.01 + MASS * ARM**2, "prismatic": MASS}
+WEIGHTLESS = (0.0, 0.0, 0.0)
+TYPES = pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+
+
+def write_urdf(folder: Path, kind: str, axis: str = "0 1 0", origin: str = "0 0 1", limit: str = "", inside: str = "",
+               more: str = "") -> Path:
+    """A bob of MASS at ARM below a hinge (or on a slider)."""
+    path = folder / "bob.urdf"
+    path.write_text(f"""<robot name="bob"><link name="base"/><link name="bob"><inertial><origin xyz="0 0 {-ARM}"/>
+        <mass value="{MASS}"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="j" type="{kind}"><parent link="base"/><child link="bob"/><origin xyz="{origin}" rpy="0 0 0"/>
+        <axis xyz="{axis}"/>{limit}{inside}</joint>{more}</robot>""")
+    return path
+
+
+def asset_with(folder: Path, kind: str, *effects, **words) -> Asset:
+    return replace(read_asset(write_urdf(folder, kind, **words)), effects={"j": effects})
+
+
+def test_free_pendulum_keeps_its_energy_and_amplitude(tmp_path: Path):
+    run = roll_out(asset_with(tmp_path, "revolute"), 2.6416, duration_s=10)
+    kinetic = 0.5 * INERTIA["revolute"] * run.qd**2
+    assert np.ptp(run.energy_j) < 1e-4 * kinetic.max()
+    assert kinetic.max() == pytest.approx(MASS * 9.81 * ARM * (1 - np.cos(2.6416)), rel=1e-4)
+    late = run.q[run.times_s > 7]
+    assert late.max() == pytest.approx(2.6416, abs=1e-4) and late.min() == pytest.approx(-2.6416, abs=1e-4)
+
+
+def test_plain_sapien_would_have_lost_it(tmp_path: Path):
+    import sapien
+
+    scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
+    path = write_urdf(tmp_path, "revolute", limit='<limit lower="-9" upper="9" effort="1" velocity="1"/>')
+    plain = scene.create_urdf_loader().parse(str(path))[0][0].build(fix_root_link=True)
+    scene.physx_system.timestep = 1e-3
+    plain.set_qpos([0.8])
+    swing = [abs(_step(scene, plain)) for _ in range(5000)]
+    assert max(swing) == pytest.approx(0.8, abs=1e-3)
+    assert max(swing[3000:]) < 0.5
+
+
+def _step(scene, articulation) -> float:
+    scene.physx_system.step()
+    return float(articulation.qpos[0])
+
+
+@TYPES
+def test_oscillator_keeps_its_energy_and_period(tmp_path: Path, kind: str):
+    stiffness, rest = 30.0, 0.2
+    asset = asset_with(tmp_path, kind, ReturnSpring(stiffness, rest))
+    run = roll_out(asset, 0.5, 0.3, duration_s=10, gravity=WEIGHTLESS)
+    stored = 0.5 * stiffness * (run.q - rest) ** 2
+    assert np.ptp(run.energy_j + stored) < 1e-4 * stored.max()
+    before = np.flatnonzero(np.diff(np.sign(run.q - rest)))
+    crossings = run.times_s[before] + 1e-3 * (run.q - rest)[before] / (run.q[before] - run.q[before + 1])
+    period = 2 * (crossings[-1] - crossings[0]) / (len(crossings) - 1)
+    assert period == pytest.approx(2 * np.pi * np.sqrt(INERTIA[kind] / stiffness), rel=1e-3)
+
+
+def test_stiff_spring_keeps_its_period_at_a_coarse_step(tmp_path: Path):
+    asset = asset_with(tmp_path, "prismatic", ReturnSpring(1e5, 0.0))
+    period = 2 * np.pi * np.sqrt(MASS / 1e5)
+    run = roll_out(asset, 1e-3, duration_s=20 * period, timestep_s=period / 4, gravity=WEIGHTLESS)
+    assert run.q[::4] == pytest.approx(1e-3, abs=2e-5)
+    assert np.abs(run.q[1::4]).max() < 1e-4
+
+
+def test_slider_falling_along_gravity_keeps_its_energy(tmp_path: Path):
+    asset = asset_with(tmp_path, "prismatic", axis="0 0.6 0.8")
+    run = roll_out(asset, 0.0, 8.0, duration_s=10)
+    assert np.ptp(run.energy_j) < 1e-4 * (0.5 * MASS * run.qd**2).max()
+    assert run.q == pytest.approx(8.0 * run.times_s - 0.5 * 9.81 * 0.8 * run.times_s**2, abs=1e-2)
+
+
+@TYPES
+@pytest.mark.parametrize("level", [0.05, 0.3, 5.0])
+def test_coulomb_friction_decelerates_by_its_level(tmp_path: Path, kind: str, level: float):
+    run = roll_out(asset_with(tmp_path, kind, CoulombFriction(level)), 0.0, 3.0, duration_s=2, gravity=WEIGHTLESS)
+    deceleration = level / INERTIA[kind]
+    expected = np.maximum(3.0 - deceleration * run.times_s, 0.0)
+    assert np.abs(run.qd - expected).max() < 0.01 * min(3.0, deceleration * 2)
+    if deceleration * 2 > 3:
+        assert np.abs(run.qd[-100:]).max() < 1e-6
+        assert run.q[-1] == pytest.approx(3.0**2 / (2 * deceleration), rel=0.01)
+
+
+@TYPES
+def test_coulomb_friction_sticks_below_its_level_and_slips_above(tmp_path: Path, kind: str):
+    asset = asset_with(tmp_path, kind, CoulombFriction(0.7))
+    held = roll_out(asset, 0.4, duration_s=2, gravity=WEIGHTLESS, force=lambda t: 0.95 * 0.7)
+    assert np.abs(held.q - 0.4).max() < 1e-5
+    slipping = roll_out(asset, 0.4, duration_s=1, gravity=WEIGHTLESS, force=lambda t: 1.05 * 0.7)
+    assert slipping.qd[-1] == pytest.approx(0.05 * 0.7 / INERTIA[kind], rel=0.01)
+
+
+def test_coulomb_friction_holds_a_pendulum_aside(tmp_path: Path):
+    angle = 0.3
+    load_torque = MASS * 9.81 * ARM * np.sin(angle)
+    held = roll_out(asset_with(tmp_path, "revolute", CoulombFriction(1.02 * load_torque)), angle, duration_s=2)
+    assert np.abs(held.q - angle).max() < 1e-5
+    falling = roll_out(asset_with(tmp_path, "revolute", CoulombFriction(0.98 * load_torque)), angle, duration_s=2)
+    assert falling.q[-1] < angle - 0.01
+
+
+@TYPES
+@pytest.mark.parametrize("coefficient", [0.05, 1.0, 100.0, 1e4])
+@pytest.mark.parametrize("timestep_s", [1e-3, 1e-2])
+def test_viscous_damping_decays_exponentially(tmp_path: Path, kind: str, coefficient: float, timestep_s: float):
+    asset = asset_with(tmp_path, kind, ViscousDamping(coefficient))
+    run = roll_out(asset, 0.0, 3.0, duration_s=1, timestep_s=timestep_s, gravity=WEIGHTLESS)
+    rate = coefficient / INERTIA[kind]
+    assert run.qd == pytest.approx(3.0 * np.exp(-rate * run.times_s), rel=0.01, abs=1e-6)
+    if rate * timestep_s < 0.5:
+        assert run.q[-1] == pytest.approx(3.0 / rate * -np.expm1(-rate), rel=0.02)
+
+
+@pytest.mark.parametrize("coefficient", [4.0, 400.0, 1e4])
+def test_heavily_damped_slider_sinks_at_its_final_speed(tmp_path: Path, coefficient: float):
+    asset = asset_with(tmp_path, "prismatic", ViscousDamping(coefficient), axis="0 0 1")
+    run = roll_out(asset, 0.0, duration_s=5)
+    assert run.qd[-1] == pytest.approx(-MASS * 9.81 / coefficient, rel=1e-3)
+
+
+@TYPES
+def test_strong_damping_leaves_coulomb_friction_its_share(tmp_path: Path, kind: str):
+    asset = asset_with(tmp_path, kind, ViscousDamping(500.0), CoulombFriction(2.0))
+    pushed = roll_out(asset, 0.0, duration_s=0.5, gravity=WEIGHTLESS, force=lambda t: 7.0)
+    assert pushed.qd[-1] == pytest.approx((7.0 - 2.0) / 500.0, rel=0.01)
+    held = roll_out(asset, 0.0, duration_s=0.5, gravity=WEIGHTLESS, force=lambda t: 1.9)
+    assert np.abs(held.q).max() < 1e-5
+
+
+@TYPES
+def test_urdf_dynamics_means_the_same_effects(tmp_path: Path, kind: str):
+    said = read_asset(write_urdf(tmp_path, kind, inside='<dynamics damping="0.3" friction="0.2"/>'))
+    assert said.effects == {"j": (ViscousDamping(0.3), CoulombFriction(0.2))}
+    (tmp_path / "other").mkdir()
+    silent = asset_with(tmp_path / "other", kind, ViscousDamping(0.3), CoulombFriction(0.2))
+    runs = [roll_out(asset, 0.1, 2.0, duration_s=2) for asset in (said, silent)]
+    np.testing.assert_array_equal(runs[0].q, runs[1].q)
+    free = roll_out(replace(said, effects={}), 0.1, 2.0, duration_s=2)
+    assert abs(free.q[-1] - runs[0].q[-1]) > 0.01
+
+
+def test_effects_json_beside_the_urdf_acts(tmp_path: Path):
+    asset = asset_with(tmp_path, "revolute", ReturnSpring(20.0, 0.0))
+    write_effects(tmp_path, asset)
+    run = roll_out(read_asset(tmp_path), 0.5, duration_s=1, gravity=WEIGHTLESS)
+    assert run.q == pytest.approx(0.5 * np.cos(np.sqrt(20.0 / INERTIA["revolute"]) * run.times_s), abs=1e-3)
+
+
+def test_limits_stop_the_joint_dead(tmp_path: Path):
+    asset = asset_with(tmp_path, "revolute", limit='<limit lower="-0.3" upper="1" effort="1" velocity="1"/>')
+    run = roll_out(asset, 0.8, duration_s=4)
+    assert run.q.min() == pytest.approx(-0.3, abs=1e-6)
+    hit = int(np.argmin(run.q))
+    assert run.q[hit:].max() == pytest.approx(0.3, abs=1e-3)
+    with pytest.raises(FreeArtError, match=r"starts at 2, expected within its limits -0.3 to 1"):
+        roll_out(asset, 2.0, duration_s=1)
+
+
+def test_slow_motion_is_not_lost_to_single_precision(tmp_path: Path):
+    run = roll_out(asset_with(tmp_path, "prismatic"), 1.3, 0.01, duration_s=3, gravity=WEIGHTLESS)
+    assert run.q == pytest.approx(1.3 + 0.01 * run.times_s, abs=1e-7)
+
+
+def test_same_call_same_bits(tmp_path: Path):
+    asset = asset_with(tmp_path, "revolute", ViscousDamping(0.1), CoulombFriction(0.05), ReturnSpring(2.0, 0.1))
+    simulated = load(asset)
+    runs = [roll_out(a, 0.7, -1.0, duration_s=1) for a in (asset, simulated, simulated)]
+    for run in runs[1:]:
+        np.testing.assert_array_equal(runs[0].q, run.q)
+        np.testing.assert_array_equal(runs[0].qd, run.qd)
+
+
+def test_gravity_of_one_load_does_not_leak_into_the_next(tmp_path: Path):
+    asset = asset_with(tmp_path, "revolute")
+    load(asset, gravity=(1.0, 2.0, 3.0))
+    assert load(asset).gravity == pytest.approx([0, 0, -9.81])
+
+
+def random_pose(rng: np.random.Generator, shift: float = 0.5) -> np.ndarray:
+    return se3.exp_se3(np.concatenate([rng.uniform(-shift, shift, 3), rng.normal(size=3)]))
+
+
+@TYPES
+@pytest.mark.parametrize("reference_hangs", [False, True])
+def test_joint_motion_is_the_joint_in_any_canonical_frame(tmp_path: Path, kind: str, reference_hangs: bool):
+    rng = np.random.default_rng(3)
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    origin = rng.uniform(-0.3, 0.3, 3)
+    asset = asset_with(tmp_path, kind, axis=" ".join(map(str, axis)), origin=" ".join(map(str, origin)),
+                       limit='<limit lower="0.1" upper="0.6" effort="1" velocity="1"/>')
+    C, zero = random_pose(rng), 0.25
+    links = (asset.moving_link, asset.reference_link) if reference_hangs else (asset.reference_link, asset.moving_link)
+    asset = replace(asset, T_canonical_reference=C, state_zero=zero, reference_link=links[0], moving_link=links[1])
+    states = np.array([0.0, 0.2, -0.7, 2.5])  # the last two beyond the limits
+    expected = Joint("j", kind, axis, origin, -9, 9)
+    if reference_hangs:  # the base turns the other way, against a frame whose origin is on the axis
+        expected = Joint("j", kind, -axis, [0, 0, 0], -9, 9)
+    np.testing.assert_allclose(joint_motion(asset, states), expected.moved(C).transform(states), atol=1e-6)
+
+
+def test_no_states_no_motion(tmp_path: Path):
+    assert joint_motion(asset_with(tmp_path, "revolute"), []).shape == (0, 4, 4)
+
+
+def test_other_joints_are_held_where_the_asset_says(tmp_path: Path):
+    more = """<link name="tip"/><joint name="k" type="revolute"><parent link="bob"/><child link="tip"/>
+        <axis xyz="1 0 0"/><limit lower="0.2" upper="1"/><origin xyz="0.1 0 0"/></joint>"""
+    asset = replace(read_asset(write_urdf(tmp_path, "prismatic", more=more), "j"), moving_link="tip")
+    assert asset.held == {"k": 0.2}
+    for held in (0.2, 0.7):
+        simulated = load(replace(asset, held={"k": held}))
+        assert simulated.articulation.dof == 1
+        simulated.set_state(0.3)
+        hung = se3.pose(se3.exp_so3([held, 0, 0]), [0.1, 0.3, 1])
+        np.testing.assert_allclose(simulated.T_reference_moving(), hung, atol=1e-6)
+
+
+def test_joint_without_zero_in_its_limits_loads_and_moves(tmp_path: Path):
+    asset = asset_with(tmp_path, "prismatic", limit='<limit lower="-0.108" upper="-0.008"/>')
+    assert load(asset).state() == (-0.008, 0.0)
+    moved = joint_motion(replace(asset, state_zero=-0.008), [-0.1])
+    np.testing.assert_allclose(moved[0, :3, 3], [0, -0.1, 0], atol=1e-6)
+
+
+def test_energy_is_zero_at_zero_whatever_the_limits(tmp_path: Path):
+    asset = asset_with(tmp_path, "revolute", limit='<limit lower="0.5" upper="1"/>')
+    lifted = load(asset).energy([0.0, 0.5, np.pi], [0.0, 2.0, 0.0])
+    expected = [0, MASS * 9.81 * ARM * (1 - np.cos(0.5)) + 0.5 * INERTIA["revolute"] * 4, MASS * 9.81 * 2 * ARM]
+    assert lifted == pytest.approx(expected, rel=1e-5, abs=1e-5)
+
+
+def test_free_base_falls_and_fixed_base_does_not(tmp_path: Path):
+    asset = asset_with(tmp_path, "revolute")
+    asset.urdf.write_text(asset.urdf.read_text().replace('<link name="base"/>', """<link name="base"><inertial>
+        <mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>"""))
+    for fixed, drop in ((True, 0.0), (False, 0.5 * 9.81 * 0.1**2)):
+        simulated = load(asset, fixed_base=fixed)
+        simulated.set_base_pose(se3.pose(np.eye(3), [0, 0, 2]))
+        for _ in range(100):
+            simulated.step()
+        assert 2 - simulated.link_pose("base")[2, 3] == pytest.approx(drop, abs=1e-3)
+
+
+def test_faults_cost_one_clear_line(tmp_path: Path):
+    mesh = """<link name="x"><visual><geometry><mesh filename="no.obj"/></geometry></visual></link>
+        <joint name="f" type="fixed"><parent link="bob"/><child link="x"/></joint>"""
+    loose = '<link name="x"/>'
+    floating = '<link name="x"/><joint name="f" type="floating"><parent link="bob"/><child link="x"/></joint>'
+    twice = '<link name="bob"/>'
+    for more, said in ((mesh, "mesh 'no.obj', which does not exist"), (loose, "not one tree: its roots are base, x"),
+                       (floating, "type 'floating'"), (twice, "link 'bob' 2 times")):
+        asset = read_asset(write_urdf(tmp_path, "revolute", more=more))
+        with pytest.raises(FreeArtError, match=said) as caught:
+            load(asset)
+        assert "\n" not in str(caught.value)
+    good = asset_with(tmp_path, "revolute")
+    for wrong, said in ((replace(good, moving_link="lid"), "no link 'lid'; links: base, bob"),
+                        (replace(good, joint="lid"), "no movable joint 'lid'; movable joints: j"),
+                        (replace(good, moving_link="base"), "on the same side")):
+        with pytest.raises(FreeArtError, match=said):
+            load(wrong)
+    with pytest.raises(FreeArtError, match="no link 'lid'; links: base, bob"):
+        load(good).link_pose("lid")
+    with pytest.raises(FreeArtError, match="without a scene"):
+        load(good, visuals=True)
+    massless = tmp_path / "massless.urdf"
+    massless.write_text("""<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous">
+        <parent link="a"/><child link="b"/></joint></robot>""")
+    with pytest.raises(FreeArtError, match="moves nothing of mass"):
+        roll_out(read_asset(massless), 0, duration_s=1)
+    with pytest.raises(FreeArtError, match="internal steps"):
+        load(asset_with(tmp_path, "prismatic", ReturnSpring(1e6, 0)), timestep_s=1.0)
+
+
+@pytest.mark.skipif(not (SHARED / "partnet_mobility").is_dir(), reason="no PartNet-Mobility objects")
+@pytest.mark.parametrize("number", ["40147", "41083"])
+def test_partnet_objects_load_and_move_freely(number: str):
+    urdf = SHARED / "partnet_mobility" / number / "mobility.urdf"
+    for joint in read_urdf_joints(urdf).values():
+        if joint.joint_type is None:
+            continue
+        asset = read_asset(urdf, joint.name)
+        simulated = load(asset, gravity=WEIGHTLESS, timestep_s=0.01)
+        middle, speed = 0.5 * (joint.lower + joint.upper), 0.2 * (joint.upper - joint.lower)
+        run = roll_out(simulated, middle, speed, duration_s=2)
+        assert run.q == pytest.approx(middle + speed * run.times_s, abs=1e-5)
+        simulated.set_state(0.0)
+        in_reference = simulated.world_joint.moved(se3.inverse(simulated.link_pose(asset.reference_link)))
+        states = np.array([joint.lower, joint.upper, joint.upper + 0.5])
+        np.testing.assert_allclose(joint_motion(asset, states), in_reference.transform(states), atol=2e-6)
