@@ -1,0 +1,162 @@
+"""What pixels say about motions between frames, with every scale taken from the scene."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.se3 import Array
+from reconstruct import kernels
+from reconstruct.scene import Scene
+from reconstruct.settings import EvidenceSettings, LabelSettings
+
+Samples = dict[int, NDArray[np.int32]]
+"""Frame to its sample pixels (m, 2): row and column."""
+
+
+class Evidence:
+    """The scene's answer to questions about motion; holds no state of its own."""
+
+    def __init__(self, scene: Scene, settings: EvidenceSettings, labels: LabelSettings) -> None:
+        self.scene, self.settings, self.label_settings = scene, settings, labels
+        self.unit = float(np.hypot(scene.footprint, 2 * scene.noise))
+        """Metres: the footprint, widened by depth noise; gates are multiples of it."""
+        self.sigma = float(np.hypot(settings.sigma * scene.footprint, scene.noise))
+        """Metres: standard deviation of point-to-plane residuals."""
+
+    def register(
+        self,
+        source: NDArray[np.int64],
+        target: NDArray[np.int64],
+        T: Array,
+        samples: Samples,
+        gate: float,
+        labels: NDArray[np.uint8] | None = None,
+        part: int = 0,
+    ) -> tuple[Array, Array, Array]:
+        """Gauss-Newton terms H (p, 6, 6), g (p, 6) for left twists of T (p, 4, 4) = T_target_source, and stats (p, 4).
+
+        `gate` is in units. With `labels` (n, h, w) and `part` 1 or 2, samples meet only that part. Statistics are
+        inliers, projected, cost and outside.
+        """
+        scene, s = self.scene, self.settings
+        pixels, offsets = _flat(samples, len(scene))
+        H, g, stats = np.zeros((len(source), 6, 6)), np.zeros((len(source), 6)), np.zeros((len(source), 4))
+        kernels.register_pairs(
+            np.asarray(source, np.int64),
+            np.asarray(target, np.int64),
+            np.ascontiguousarray(T, float),
+            pixels,
+            offsets,
+            scene.points,
+            scene.normals,
+            scene.features,
+            scene.outside,
+            _NO_LABELS if labels is None else labels,
+            0 if labels is None else part,
+            scene.fx,
+            scene.fy,
+            scene.cx,
+            scene.cy,
+            gate * self.unit,
+            self.sigma,
+            s.sigma_colour,
+            s.colour_weight,
+            s.sigma_silhouette,
+            H,
+            g,
+            stats,
+        )
+        return H, g, stats
+
+    def costs(
+        self,
+        frame: int,
+        others: NDArray[np.int64],
+        T: Array,
+        pixels: NDArray[np.int64],
+        logodds: NDArray[np.float32] | None = None,
+        label_weight: float = 0.0,
+    ) -> Array:
+        """(p, s, k) cost of `pixels` (p, 2: row, column) of `frame` under motions T (s, k, 4, 4) to `others` (s,)."""
+        scene, s = self.scene, self.settings
+        costs = np.zeros((len(pixels), len(others), T.shape[1]))
+        kernels.pixel_costs(
+            frame,
+            np.asarray(others, np.int64),
+            np.ascontiguousarray(T, float),
+            np.ascontiguousarray(pixels, np.int64),
+            scene.points,
+            scene.normals,
+            scene.features,
+            scene.outside,
+            _NO_ODDS if logodds is None else logodds,
+            0.0 if logodds is None else label_weight,
+            scene.fx,
+            scene.fy,
+            scene.cx,
+            scene.cy,
+            1.5 * self.sigma,
+            2 * s.sigma_colour,
+            s.cap,
+            costs,
+        )
+        return costs
+
+    def smoothed(self, frame: int, unary: Array) -> NDArray[np.float32]:
+        """Log-odds (h, w) of `frame` after relaxation of `unary` (h, w) among like neighbours."""
+        scene, s = self.scene, self.label_settings
+        valid = scene.valid[frame]
+        weights = np.zeros((*valid.shape, 12), np.float32)
+        kernels.neighbour_weights(
+            valid,
+            scene.points[frame],
+            scene.normals[frame],
+            scene.features[frame],
+            s.reach * scene.diagonal,
+            2 * self.unit,
+            weights,
+        )
+        unary = np.where(valid, unary, 0.0)
+        return kernels.relax(unary, valid, weights, s.smoothness, s.rounds, unary).astype(np.float32)
+
+    def pixel_logodds(
+        self,
+        frame: int,
+        others: NDArray[np.int64],
+        T: Array,
+        logodds: NDArray[np.float32] | None = None,
+        label_weight: float = 0.0,
+        prior: Array | None = None,
+    ) -> NDArray[np.float32]:
+        """Smoothed log-odds (h, w) that pixels of `frame` move by T[:, 1] rather than T[:, 0] to `others`."""
+        valid = self.scene.valid[frame]
+        pixels = np.argwhere(valid)
+        costs = self.costs(frame, others, T, pixels, logodds, label_weight)
+        unary = np.zeros(valid.shape)
+        difference = (costs[:, :, 0] - costs[:, :, 1]).sum(1) / np.sqrt(len(others))
+        unary[valid] = np.clip(difference, -6, 6)
+        weight = np.maximum(cv2.GaussianBlur(valid.astype(float), (0, 0), 0.8), 0.05)
+        unary = cv2.GaussianBlur(unary, (0, 0), 0.8) / weight
+        return self.smoothed(frame, unary if prior is None else unary + prior)
+
+
+_NO_LABELS = np.zeros((1, 1, 1), np.uint8)
+_NO_ODDS = np.zeros((1, 1, 1), np.float32)
+
+
+def _flat(samples: Samples, n: int) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """All samples one after the other, and where each frame's begin."""
+    counts = np.zeros(n + 1, np.int64)
+    for frame, pixels in samples.items():
+        counts[frame + 1] = len(pixels)
+    parts = [samples[frame] for frame in sorted(samples) if len(samples[frame])]
+    flat = np.concatenate(parts) if parts else np.zeros((0, 2), np.int32)
+    return np.ascontiguousarray(flat, np.int32), np.cumsum(counts)
+
+
+def draw(mask: NDArray[np.bool_], most: int, rng: np.random.Generator) -> NDArray[np.int32]:
+    """At most `most` pixels (m, 2: row, column) of a mask (h, w), drawn evenly."""
+    pixels = np.argwhere(mask).astype(np.int32)
+    return pixels if len(pixels) <= most else pixels[np.sort(rng.choice(len(pixels), most, replace=False))]

@@ -1,0 +1,255 @@
+"""What the solver works on: cropped pictures with points, normals, colour features and distances to the mask."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from freeart21.recording import Recording
+from reconstruct.settings import SceneSettings
+
+Floats = NDArray[np.float32]
+
+
+class HopelessError(Exception):
+    """The input cannot be solved by anyone: becomes a Failure of `stage`."""
+
+    def __init__(self, stage: str, reason: str) -> None:
+        super().__init__(reason)
+        self.stage, self.reason = stage, reason
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A recording cropped to its object: n frames of h x w pixels, metres, camera frame.
+
+    A crop pixel (column x, row y) of frame i shows the direction ((x - cx[i]) / fx, (y - cy[i]) / fy, 1).
+    """
+
+    rgb: NDArray[np.uint8]
+    """(n, h, w, 3)."""
+    mask: NDArray[np.bool_]
+    """(n, h, w) foreground."""
+    points: Floats
+    """(n, h, w, 3) plane-fitted points; z is 0 where there is none."""
+    normals: Floats
+    """(n, h, w, 3) unit normals towards the camera; 0 where there is none."""
+    edge: NDArray[np.bool_]
+    """(n, h, w) next to a depth step: no good for registration."""
+    features: Floats
+    """(n, h, w, 3) smoothed CIELAB, lightness damped against shading."""
+    outside: Floats
+    """(n, h, w) pixels to the mask; 0 inside."""
+    fx: float
+    fy: float
+    cx: NDArray[np.float64]
+    """(n,) principal column of each crop."""
+    cy: NDArray[np.float64]
+    """(n,) principal row of each crop."""
+    origin: NDArray[np.int64]
+    """(n, 2) column and row of the crop's corner in the full picture."""
+    factor: int
+    """Full pixels per crop pixel, each way."""
+    footprint: float
+    """Metres a pixel covers at the object: the unit of every threshold."""
+    noise: float
+    """Metres: standard deviation of depth along z."""
+    diagonal: float
+    """Metres: estimate of the object's size."""
+
+    def __len__(self) -> int:
+        return len(self.mask)
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(n, h, w) pixels with a point."""
+        return self.points[..., 2] > 0
+
+
+def prepare(recording: Recording, settings: SceneSettings) -> Scene:
+    """Load and crop all frames, fit local planes, and compute what every stage needs.
+
+    Raises HopelessError when there are too few frames or the masks are empty.
+    """
+    n = len(recording)
+    if n < settings.min_frames:
+        raise HopelessError("tracks", f"{n} frames, at least {settings.min_frames} are needed")
+    frames = [recording.frame(i) for i in range(n)]
+    counts = np.array([int((f.mask & (f.depth > 0)).sum()) for f in frames])
+    if (counts >= settings.min_pixels).sum() < settings.min_frames:
+        raise HopelessError(
+            "tracks",
+            f"the foreground masks hold {settings.min_pixels} or more pixels with depth in only "
+            f"{int((counts >= settings.min_pixels).sum())} frames, at least {settings.min_frames} are needed",
+        )
+    boxes = _boxes([f.mask for f in frames])
+    camera = recording.camera
+    origin, size = _windows(boxes, settings.margin, camera.width, camera.height)
+    factor = max(1, math.ceil(math.sqrt(size[0] * size[1] / settings.max_crop_pixels)))
+    size = (size[0] // factor * factor, size[1] // factor * factor)
+
+    def crop(images: list[NDArray]) -> NDArray:
+        return np.stack([a[y : y + size[1], x : x + size[0]] for a, (x, y) in zip(images, origin, strict=True)])
+
+    rgb = crop([f.rgb for f in frames])
+    mask = crop([f.mask for f in frames])
+    depth = crop([np.where(f.mask, f.depth, 0).astype(np.float32) for f in frames])
+    del frames
+    if factor > 1:
+        rgb = np.stack([cv2.resize(a, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA) for a in rgb])
+        at = factor // 2
+        mask, depth = mask[:, at::factor, at::factor].copy(), depth[:, at::factor, at::factor].copy()
+    K = camera.K
+    fx, fy = K[0, 0] / factor, K[1, 1] / factor
+    at = factor // 2
+    cx = (K[0, 2] - origin[:, 0] - at - 0.5) / factor
+    cy = (K[1, 2] - origin[:, 1] - at - 0.5) / factor
+    footprint = float(np.median(depth[depth > 0])) / fx
+    noise = _depth_noise(depth)
+    radius = settings.plane_radius + (noise > 0.5 * footprint) + (noise > 2 * footprint)
+    points, normals = np.zeros((*mask.shape, 3), np.float32), np.zeros((*mask.shape, 3), np.float32)
+    edge = np.zeros(mask.shape, np.bool_)
+    jump = settings.depth_jump * footprint + 4 * noise
+    _fit_planes(depth, fx, fy, cx, cy, radius, jump, points, normals, edge)
+    return Scene(
+        rgb,
+        mask,
+        points,
+        normals,
+        edge,
+        *_features(rgb, mask),
+        float(fx),
+        float(fy),
+        cx,
+        cy,
+        origin,
+        factor,
+        footprint,
+        noise,
+        _diagonal(points),
+    )
+
+
+def full_masks(scene: Scene, labels: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    """Crop labels (n, h, w) put back into full pictures (n, height, width)."""
+    full = np.zeros((len(scene), height, width), np.uint8)
+    for i, (x, y) in enumerate(scene.origin):
+        part = np.kron(labels[i], np.ones((scene.factor, scene.factor), np.uint8))
+        full[i, y : y + part.shape[0], x : x + part.shape[1]] = part
+    return full
+
+
+def _boxes(masks: list[NDArray[np.bool_]]) -> NDArray[np.int64]:
+    """(n, 4) x0, y0, x1, y1 of each mask, ends excluded; an empty mask takes the box of its neighbour in time."""
+    boxes: list[tuple[int, int, int, int] | None] = []
+    for mask in masks:
+        ys, xs = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+        boxes.append((int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1) if len(xs) else None)
+    known = np.array([i for i, b in enumerate(boxes) if b is not None])
+    return np.array([boxes[known[np.abs(known - i).argmin()]] for i in range(len(boxes))])
+
+
+def _windows(
+    boxes: NDArray[np.int64], margin: int, width: int, height: int
+) -> tuple[NDArray[np.int64], tuple[int, int]]:
+    """Corners (n, 2) of windows of one size (w, h) that hold every box with its margin where the picture allows."""
+    w = min(width, int((boxes[:, 2] - boxes[:, 0]).max()) + 2 * margin)
+    h = min(height, int((boxes[:, 3] - boxes[:, 1]).max()) + 2 * margin)
+    x = np.clip((boxes[:, 0] + boxes[:, 2] - w) // 2, 0, width - w)
+    y = np.clip((boxes[:, 1] + boxes[:, 3] - h) // 2, 0, height - h)
+    return np.stack([x, y], 1), (w, h)
+
+
+def _depth_noise(depth: Floats) -> float:
+    """Standard deviation of depth noise, metres: median absolute second difference along rows."""
+    some = depth[:: max(1, len(depth) // 12)]
+    a, b, c = some[:, :, :-2], some[:, :, 1:-1], some[:, :, 2:]
+    second = np.abs(a - 2 * b + c)[(a > 0) & (b > 0) & (c > 0)]
+    return float(np.median(second)) / (0.6745 * math.sqrt(6)) if len(second) else 0.0
+
+
+def _diagonal(points: Floats) -> float:
+    """The largest extent of the object over frames: a robust estimate of its size, metres."""
+    sizes = []
+    for frame in points[:: max(1, len(points) // 24)]:
+        p = frame[frame[..., 2] > 0]
+        if len(p) > 20:
+            sizes.append(np.linalg.norm(np.percentile(p, 98, axis=0) - np.percentile(p, 2, axis=0)))
+    return float(np.percentile(sizes, 80))
+
+
+def _features(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    features = np.zeros((*mask.shape, 3), np.float32)
+    outside = np.zeros(mask.shape, np.float32)
+    for i in range(len(mask)):
+        lab = cv2.cvtColor(rgb[i].astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+        inside = mask[i].astype(np.float32)
+        blurred = cv2.GaussianBlur(lab * inside[..., None], (0, 0), 1.2)
+        weight = np.maximum(cv2.GaussianBlur(inside, (0, 0), 1.2), 1e-3)
+        features[i] = np.where(mask[i][..., None], blurred / weight[..., None], 0)
+        if mask[i].any():
+            outside[i] = cv2.distanceTransform((~mask[i]).astype(np.uint8), cv2.DIST_L2, 3)
+    features[..., 0] *= 0.3
+    return features, outside
+
+
+@njit(parallel=True, cache=True)
+def _fit_planes(depth, fx, fy, cx, cy, radius, jump, points, normals, edge):  # pragma: no cover
+    """Least-squares plane through each pixel's neighbourhood: inverse depth is affine in the picture."""
+    n, h, w = depth.shape
+    for i in prange(n):
+        for y in range(h):
+            for x in range(w):
+                z0 = depth[i, y, x]
+                if z0 <= 0:
+                    continue
+                s = sx = sy = sxx = sxy = syy = sq = sxq = syq = 0.0
+                total = 0
+                for dy in range(-radius, radius + 1):
+                    for dx in range(-radius, radius + 1):
+                        yy, xx = y + dy, x + dx
+                        if yy < 0 or yy >= h or xx < 0 or xx >= w:
+                            continue
+                        total += 1
+                        z = depth[i, yy, xx]
+                        if z <= 0 or abs(z - z0) > jump * (1 + 0.5 * max(abs(dx), abs(dy))):
+                            continue
+                        q = 1.0 / z - 1.0 / z0
+                        s += 1
+                        sx += dx
+                        sy += dy
+                        sxx += dx * dx
+                        sxy += dx * dy
+                        syy += dy * dy
+                        sq += q
+                        sxq += dx * q
+                        syq += dy * q
+                if s < 5:
+                    continue
+                c11, c12, c13 = sxx * syy - sxy * sxy, sxy * sy - sx * syy, sx * sxy - sxx * sy
+                c22, c23, c33 = s * syy - sy * sy, sx * sy - s * sxy, s * sxx - sx * sx
+                det = s * c11 + sx * c12 + sy * c13
+                if abs(det) < 1e-6:
+                    continue
+                a = (c11 * sq + c12 * sxq + c13 * syq) / det
+                b = (c12 * sq + c22 * sxq + c23 * syq) / det
+                c = (c13 * sq + c23 * sxq + c33 * syq) / det
+                inverse = 1.0 / z0 + a
+                if inverse <= 0:
+                    continue
+                z = 1.0 / inverse
+                n1, n2 = b * fx, c * fy
+                n3 = inverse - b * (x - cx[i]) - c * (y - cy[i])
+                length = math.sqrt(n1 * n1 + n2 * n2 + n3 * n3)
+                points[i, y, x, 0] = (x - cx[i]) / fx * z
+                points[i, y, x, 1] = (y - cy[i]) / fy * z
+                points[i, y, x, 2] = z
+                normals[i, y, x, 0] = -n1 / length
+                normals[i, y, x, 1] = -n2 / length
+                normals[i, y, x, 2] = -n3 / length
+                edge[i, y, x] = s < 0.8 * total

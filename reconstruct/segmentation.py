@@ -1,0 +1,390 @@
+"""Free-moving part segmentation: grow labels and poses of two parts from a seed, both ways in time.
+
+Growth starts free (two poses a frame); as soon as the relative motion says what the joint is, it goes on with six plus
+one degrees of freedom. Labels of a frame come from all its pixels: under both motions, against several earlier frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.joint import Joint, JointType
+from freeart21.se3 import Array
+from reconstruct import rigid
+from reconstruct.evidence import Evidence, Samples, draw
+from reconstruct.joint import JointFit, choose_joint, fit_joint
+from reconstruct.poses import JointedPoses, joint_adjustment
+from reconstruct.scene import HopelessError
+from reconstruct.seeds import Seed, stepped
+from reconstruct.settings import ReconstructSettings
+from reconstruct.tracks import Flow, follow
+
+
+@dataclass(frozen=True)
+class Grown:
+    """Both parts in every frame."""
+
+    poses: JointedPoses
+    labels: NDArray[np.uint8]
+    """(n, h, w): 0 neither, 1 first part, 2 second part."""
+    logodds: NDArray[np.float32]
+    """(n, h, w) > 0 where the second part is."""
+    seen: NDArray[np.bool_]
+    """(n, 2) whether each part shows enough pixels."""
+
+
+class Growth:
+    """The state of the growth: poses and labels of the frames done so far."""
+
+    def __init__(
+        self, evidence: Evidence, flow: Flow, seed: Seed, settings: ReconstructSettings, rng: np.random.Generator
+    ) -> None:
+        scene = evidence.scene
+        self.evidence, self.flow, self.settings, self.rng = evidence, flow, settings, rng
+        n = len(scene)
+        self.Ts = np.tile(np.eye(4), (2, n, 1, 1))
+        self.states = np.zeros(n)
+        self.joint: Joint | None = None
+        self.logodds = np.zeros(scene.mask.shape, np.float32)
+        self.labels = np.zeros(scene.mask.shape, np.uint8)
+        self.done = np.zeros(n, bool)
+        self.seen = np.zeros((n, 2), bool)
+        self.samples: tuple[Samples, Samples] = ({}, {})
+        self.costs = np.full(n, np.nan)
+        self._put_labels(seed.frame, seed.logodds)
+        self.done[seed.frame] = True
+        for j, T in zip(seed.others, seed.Ts, strict=True):
+            self.step_free(int(j), int(j) - 1, ([T[0]], [T[1]]))
+
+    # ---- growing -------------------------------------------------------------------------------------------------
+
+    def frontier(self) -> list[tuple[int, int]]:
+        """(frame, neighbour already done) at the ends of what is done."""
+        frames = np.flatnonzero(self.done)
+        ends = [(int(frames[-1]) + 1, int(frames[-1])), (int(frames[0]) - 1, int(frames[0]))]
+        return [(i, p) for i, p in ends if 0 <= i < len(self.done)]
+
+    def grow(self, most: int) -> int:
+        """Add up to `most` frames, alternating between the two ends; how many were added."""
+        added = 0
+        while added < most and (ends := self.frontier()):
+            for frame, neighbour in ends:
+                if self.joint is None:
+                    self.step_free(frame, neighbour, tuple(self._predictions(k, frame, neighbour) for k in range(2)))
+                else:
+                    self.step_jointed(frame, neighbour)
+                added += 1
+        return added
+
+    def step_free(self, frame: int, neighbour: int, starts: tuple[list[Array], ...]) -> None:
+        """Pose both parts of a frame freely, each from the best of several starts, and label it."""
+        found: list[Array | None] = []
+        for k in range(2):
+            best, best_cost = None, np.inf
+            for start in starts[k]:
+                references = self.references(k, start, frame)
+                if len(references) == 0:
+                    continue
+                T, inliers = self._registered(k, frame, start, references, self.settings.growth.gates)
+                cost = self._cost(k, frame, T, references)
+                if inliers >= self.settings.growth.min_part_pixels and cost < best_cost:
+                    best, best_cost = T, cost
+            found.append(best)
+        for k in range(2):
+            if found[k] is None:  # hidden: as if fixed to the other part
+                other = found[1 - k] if found[1 - k] is not None else self.Ts[1 - k, neighbour]
+                found[k] = other @ se3.inverse(self.Ts[1 - k, neighbour]) @ self.Ts[k, neighbour]
+        for last in (False, True):
+            for k in range(2):
+                self.Ts[k, frame] = found[k]
+            self._label(frame)
+            if not last:
+                for k in range(2):
+                    references = self.references(k, self.Ts[k, frame], frame)
+                    if self.seen[frame, k] and len(references):
+                        T, inliers = self._registered(k, frame, found[k], references, (6.0, 5.0, 4.0), labelled=True)
+                        found[k] = T if inliers >= self.settings.growth.min_part_pixels else found[k]
+        self.done[frame] = True
+
+    def step_jointed(self, frame: int, neighbour: int) -> None:
+        """Pose a frame by the reference pose and the joint state, from the best of several starts, and label it."""
+        best = min(
+            (
+                self._registered_jointed(frame, T, q, self.settings.growth.gates)
+                for T, q in self._starts(frame, neighbour)
+            ),
+            key=lambda found: found[2],
+        )
+        T, q, cost = best
+        for last in (False, True):
+            self._place(frame, T, q)
+            self._label(frame)
+            if not last:
+                T, q, cost = self._registered_jointed(frame, T, q, (6.0, 5.0, 4.0), labelled=True)
+        self.costs[frame] = cost
+        self.done[frame] = True
+
+    # ---- predictions ---------------------------------------------------------------------------------------------
+
+    def _predictions(self, k: int, frame: int, neighbour: int) -> list[Array]:
+        """Starts of one part's pose: constant velocity, standing still, the other part's velocity, and the tracks."""
+        T, before = self.Ts[:, neighbour], 2 * neighbour - frame
+        starts = [T[k]]
+        if 0 <= before < len(self.done) and self.done[before]:
+            starts += [T[m] @ se3.inverse(self.Ts[m, before]) @ T[k] for m in (k, 1 - k)]
+        tracked = self._tracked(k, frame, neighbour)
+        return starts if tracked is None else [*starts, tracked @ T[k]]
+
+    def _starts(self, frame: int, neighbour: int) -> list[tuple[Array, float]]:
+        """Starts of reference pose and state."""
+        assert self.joint is not None
+        T, q, before = self.Ts[0, neighbour], self.states[neighbour], 2 * neighbour - frame
+        starts = [(T, q)]
+        ahead = q
+        if 0 <= before < len(self.done) and self.done[before]:
+            ahead = 2 * q - self.states[before]
+            velocity = T @ se3.inverse(self.Ts[0, before])
+            starts += [(velocity @ T, ahead), (velocity @ T, q)]
+        for k in range(2):
+            tracked = self._tracked(k, frame, neighbour)
+            if tracked is not None:
+                moved = tracked @ self.Ts[k, neighbour]
+                starts.append((moved if k == 0 else moved @ se3.inverse(self.joint.transform(ahead)), ahead))
+        return [(se3.orthonormalised(T), q) for T, q in starts]
+
+    def _tracked(self, k: int, frame: int, neighbour: int) -> Array | None:
+        """The motion of one part from `neighbour` to `frame` by its tracks."""
+        pixels = self.samples[k].get(neighbour)
+        if pixels is None or len(pixels) < 40:
+            return None
+        direction = frame - neighbour
+        tracks = follow(self.evidence.scene, self.flow, neighbour, 1, self.settings.tracks, direction, pixels)
+        kept = tracks.visible[:, -1]
+        if kept.sum() < 25:
+            return None
+        return rigid.ransac_fit(tracks.points[kept, 0], tracks.points[kept, -1], 3 * self.evidence.unit, self.rng)
+
+    # ---- registration --------------------------------------------------------------------------------------------
+
+    def references(self, k: int, T: Array, frame: int, most: int | None = None) -> NDArray[np.int64]:
+        """Frames to register part `k` of `frame` against: the nearest in time, and those of the most similar view."""
+        settings = self.settings.growth
+        most = settings.references if most is None else most
+        known = np.flatnonzero(self.done & self.seen[:, k])
+        known = known[known != frame]
+        if len(known) == 0:
+            return known
+        turn = se3.rotation_angle(self.Ts[k, known, :3, :3] @ T[:3, :3].T)
+        chosen = [int(i) for i in known[np.argsort(np.abs(known - frame), kind="stable")[:2]]]
+        for c in np.argsort(turn + 0.004 * np.minimum(np.abs(known - frame), 20), kind="stable"):
+            if len(chosen) >= most or turn[c] > np.radians(settings.max_turn_deg):
+                break
+            if all(abs(known[c] - other) > 2 for other in chosen):
+                chosen.append(int(known[c]))
+        return np.array(sorted(set(chosen)), int)
+
+    def _terms(
+        self, k: int, frame: int, T: Array, references: NDArray[np.int64], gate: float, labelled: bool
+    ) -> tuple[Array, Array, Array]:
+        """Summed Gauss-Newton terms of the left twist of part k's pose in `frame`, from the references' samples."""
+        relative = T @ se3.inverse(self.Ts[k, references])
+        samples = {int(r): self.samples[k][int(r)] for r in references}
+        H, g, stats = self.evidence.register(
+            references,
+            np.full(len(references), frame),
+            relative,
+            samples,
+            gate,
+            self.labels if labelled else None,
+            k + 1,
+        )
+        return H.sum(0), g.sum(0), stats.sum(0)
+
+    def _registered(
+        self, k: int, frame: int, T: Array, references: NDArray, gates: tuple[float, ...], labelled: bool = False
+    ) -> tuple[Array, float]:
+        """Part k's pose after Gauss-Newton through the gates, and inliers per reference."""
+        stats = np.zeros(4)
+        for gate in gates:
+            H, g, stats = self._terms(k, frame, T, references, gate, labelled)
+            T = stepped(T, H, g)
+        return T, stats[0] / len(references)
+
+    def _registered_jointed(
+        self, frame: int, T: Array, q: float, gates: tuple[float, ...], labelled: bool = False
+    ) -> tuple[Array, float, float]:
+        """Reference pose and state after Gauss-Newton with six plus one unknowns, and their cost."""
+        assert self.joint is not None
+        both = (T, T @ self.joint.transform(q))
+        references = [self.references(k, both[k], frame) for k in range(2)]
+        most = 0.1 if self.joint.type == "revolute" else 0.1 * self.evidence.scene.diagonal
+        for gate in gates:
+            A, b = np.zeros((7, 7)), np.zeros(7)
+            for k in range(2):
+                if len(references[k]) == 0:
+                    continue
+                M = np.eye(6, 7)
+                M[:, 6] = se3.adjoint(T) @ self.joint.screw if k else 0
+                H, g, _ = self._terms(k, frame, T @ self.joint.transform(q) if k else T, references[k], gate, labelled)
+                A += M.T @ H @ M
+                b += M.T @ g
+            diagonal = np.diag(A)
+            x = -np.linalg.solve(A + np.diag(1e-3 * diagonal + 1e-9 * diagonal.max() + 1e-300), b)
+            x[:6] *= min(1.0, 0.1 / max(float(np.linalg.norm(x[3:6])), 1e-12))
+            T = se3.orthonormalised(se3.exp_se3(x[:6]) @ T)
+            q = q + float(np.clip(x[6], -most, most))
+        both = (T, T @ self.joint.transform(q))
+        costs = [self._pixel_costs(k, frame, both[k], references[k]) for k in range(2)]
+        return T, q, float(np.concatenate(costs).mean()) if sum(map(len, costs)) else np.inf
+
+    def _pixel_costs(self, k: int, frame: int, T: Array, references: NDArray[np.int64]) -> Array:
+        """Costs of a third of the references' samples when part k stands at `T` in `frame`."""
+        parts = [
+            self.evidence.costs(
+                int(r), np.array([frame]), (T @ se3.inverse(self.Ts[k, r]))[None, None], self.samples[k][int(r)][::3]
+            )[:, 0, 0]
+            for r in references
+        ]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def _cost(self, k: int, frame: int, T: Array, references: NDArray[np.int64]) -> float:
+        costs = self._pixel_costs(k, frame, T, references)
+        return float(costs.mean()) if len(costs) else np.inf
+
+    # ---- labels --------------------------------------------------------------------------------------------------
+
+    def _place(self, frame: int, T: Array, q: float) -> None:
+        assert self.joint is not None
+        self.Ts[0, frame], self.states[frame] = T, q
+        self.Ts[1, frame] = T @ self.joint.transform(q)
+
+    def _label(self, frame: int) -> None:
+        """Labels of `frame` from all its pixels under both motions to the references of both parts."""
+        most = self.settings.labels.references
+        others = np.union1d(*(self.references(k, self.Ts[k, frame], frame, most) for k in range(2))).astype(int)
+        motions = np.stack([self.Ts[:, j] @ se3.inverse(self.Ts[:, frame]) for j in others])
+        self._put_labels(frame, self.evidence.pixel_logodds(frame, others, motions, self.logodds, 0.5))
+
+    def _put_labels(self, frame: int, logodds: NDArray[np.float32]) -> None:
+        scene, settings = self.evidence.scene, self.settings.growth
+        self.logodds[frame] = logodds
+        self.labels[frame] = np.where(scene.mask[frame], np.where(logodds > 0, 2, 1), 0)
+        for k in range(2):
+            sure = (self.labels[frame] == k + 1) & scene.valid[frame] & ~scene.edge[frame] & (np.abs(logodds) > 1)
+            self.samples[k][frame] = draw(sure, settings.samples, self.rng)
+            self.seen[frame, k] = sure.sum() >= settings.min_part_pixels
+
+    # ---- the joint -----------------------------------------------------------------------------------------------
+
+    def relative_motion(self) -> float:
+        """Metres: how far the second part's pixels have moved against the first part, over the frames done."""
+        frames = np.flatnonzero(self.done & self.seen.all(1))
+        if len(frames) < 2:
+            return 0.0
+        centre, lever = self.part_extent(1)
+        relative = se3.inverse(self.Ts[0, frames]) @ self.Ts[1, frames]
+        body = centre + lever * np.concatenate([np.eye(3), -np.eye(3)])
+        places = se3.transform(relative, np.broadcast_to(body, (len(frames), *body.shape)))
+        low, high = np.percentile(places, [5, 95], axis=0)
+        return float(np.linalg.norm(high - low, axis=1).max())
+
+    def part_extent(self, k: int) -> tuple[Array, float]:
+        """Centre (3,) and radius, metres, of part k's samples in its own frame."""
+        points = [
+            se3.transform(se3.inverse(self.Ts[k, i]), self.evidence.scene.points[i, pixels[:, 0], pixels[:, 1]])
+            for i, pixels in self.samples[k].items()
+            if self.done[i] and self.seen[i, k]
+        ]
+        cloud = np.concatenate(points)
+        centre = np.median(cloud, axis=0)
+        return centre, float(np.sqrt(np.mean(np.sum((cloud - centre) ** 2, axis=1))))
+
+    def try_joint(self) -> tuple[JointedPoses, float]:
+        """Both joint types fitted to the end on the frames done; the better one, and by what share it wins."""
+        frames = np.flatnonzero(self.done & self.seen.all(1))
+        relative = se3.inverse(self.Ts[0, frames]) @ self.Ts[1, frames]
+        centre, lever = self.part_extent(1)
+        settings = self.settings.joint
+        found: dict[JointType, JointedPoses] = {}
+        chosen, fits = choose_joint(relative, centre, lever, settings)
+        for kind, fit in fits.items():
+            start = self._jointed(fit, frames)
+            found[kind] = joint_adjustment(
+                self.evidence, self.labels, start, self.seen, self.settings.poses, self.rng, 8, self.done
+            )
+        if settings.type_rule == "paper":
+            return found[chosen.type], 1.0
+        ratio = found["revolute"].cost / max(found["prismatic"].cost, 1e-300)
+        better: JointType = "revolute" if ratio < 0.97 else "prismatic"
+        return found[better], abs(np.log(max(ratio, 1e-12)))
+
+    def _jointed(self, fit: JointFit, frames: NDArray[np.int64]) -> JointedPoses:
+        """Poses of all frames under a fitted joint, in the frame of the first part."""
+        states = np.interp(np.arange(len(self.done)), frames, fit.states)
+        return JointedPoses(fit.joint(), states, self.Ts[0].copy(), np.full(len(states), np.inf), np.inf)
+
+    def adopt(self, poses: JointedPoses) -> None:
+        """Go on under this joint: the second part takes the first part's canonical frame."""
+        self.joint, self.states = poses.joint, poses.states.copy()
+        self.Ts = np.stack([poses.Ts, poses.Ts_moving])
+
+    def jointed(self) -> JointedPoses:
+        """The present poses."""
+        assert self.joint is not None
+        return JointedPoses(self.joint, self.states, self.Ts[0], np.full(len(self.states), np.inf), np.inf)
+
+
+def grow(evidence: Evidence, flow: Flow, seed: Seed, settings: ReconstructSettings, rng: np.random.Generator) -> Grown:
+    """Labels, poses and joint of the whole recording from one seed.
+
+    Raises HopelessError when the second part never moves against the first.
+    """
+    growth = Growth(evidence, flow, seed, settings, rng)
+    s = settings.growth
+    growth.grow(s.bootstrap_frames - int(growth.done.sum()))
+    enough = s.bootstrap_motion * evidence.scene.diagonal
+    while growth.relative_motion() < enough and growth.done.sum() < s.bootstrap_most and growth.frontier():
+        growth.grow(4)
+    if (growth.done & growth.seen.all(1)).sum() < 4:
+        raise HopelessError("segmentation", "no second part: fewer than 4 frames show two parts")
+    growth.adopt(growth.try_joint()[0])
+    while growth.frontier():
+        growth.grow(s.adjust_every)
+        growth.adopt(
+            joint_adjustment(
+                evidence, growth.labels, growth.jointed(), growth.seen, settings.poses, rng, 4, growth.done
+            )
+        )
+    return Grown(growth.jointed(), growth.labels, growth.logodds, growth.seen)
+
+
+def relabel(evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng: np.random.Generator) -> Grown:
+    """Labels of all frames given all poses: each against the frames that tell the two motions apart best."""
+    Ts = np.stack([grown.poses.Ts, grown.poses.Ts_moving])
+    n = Ts.shape[1]
+    relative = grown.poses.joint.transform(grown.poses.states)
+    logodds = grown.logodds.copy()
+    diagonal = evidence.scene.diagonal
+    for i in range(n):
+        turn = np.minimum(*(se3.rotation_angle(Ts[k, :, :3, :3] @ Ts[k, i, :3, :3].T) for k in range(2)))
+        between = se3.inverse(relative[i]) @ relative
+        apart = np.linalg.norm(between[:, :3, 3], axis=1) / diagonal + 0.5 * se3.rotation_angle(between[:, :3, :3])
+        usable = np.flatnonzero((turn < 1.2) & (np.arange(n) != i) & grown.seen.any(1))
+        if len(usable) == 0:
+            continue
+        value = np.minimum(apart[usable], 0.5) - 0.25 * turn[usable]
+        pool = usable[np.argsort(-value, kind="stable")[:40]]
+        most = settings.labels.references
+        others = np.sort(pool if len(pool) <= most else rng.choice(pool, most, replace=False))
+        motions = np.stack([Ts[:, j] @ se3.inverse(Ts[:, i]) for j in others])
+        prior = 0.5 * np.sign(grown.logodds[i])
+        logodds[i] = evidence.pixel_logodds(i, others, motions, grown.logodds, 0.3, prior)
+    scene, least = evidence.scene, settings.growth.min_part_pixels
+    labels = np.where(scene.mask, np.where(logodds > 0, 2, 1), 0).astype(np.uint8)
+    sure = scene.valid & ~scene.edge & (np.abs(logodds) > 1)
+    seen = np.stack([((labels == k + 1) & sure).sum((1, 2)) >= least for k in range(2)], 1)
+    return replace(grown, labels=labels, logodds=logodds, seen=seen)

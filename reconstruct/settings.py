@@ -1,0 +1,185 @@
+"""Settings of every stage. Lengths are in footprints (the size of one pixel at the object) unless a field says so."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """From pictures to points, normals and colour features."""
+
+    margin: int = 12
+    """Pixels kept round the object's box."""
+    max_crop_pixels: int = 130_000
+    """A larger crop is sampled down by a whole factor, to bound time and memory."""
+    plane_radius: int = 2
+    """Half window, pixels, of the local plane fit; grows with depth noise."""
+    depth_jump: float = 4.0
+    """Depth step that parts two surfaces."""
+    min_frames: int = 10
+    """Fewer frames are hopeless: a Failure."""
+    min_pixels: int = 60
+    """Foreground pixels with depth that a frame needs to count."""
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """Dense optical flow chained over short windows, and the supplement's trajectory filters."""
+
+    max_round_trip: float = 1.5
+    """Pixels by which forward and backward flow may disagree: the visibility test."""
+    tau_v: float = 2.0
+    """Tracks that move more than mean + tau_v standard deviations are dropped (supplement, Trajectory Filtering)."""
+    stride: int = 3
+    """Every how many pixels, both ways, a track starts."""
+
+
+@dataclass(frozen=True)
+class SeedSettings:
+    """Where two motions explain a window far better than one."""
+
+    every: int = 4
+    """Frames between candidate windows."""
+    gaps: tuple[int, ...] = (3, 6)
+    """Frame distances over which two rigid motions are sought in the tracks."""
+    hypotheses: int = 120
+    """RANSAC samples per window, each from a small neighbourhood."""
+    neighbourhood: float = 0.2
+    """Radius of that neighbourhood, in object diagonals."""
+    sample: int = 8
+    """Tracks per RANSAC sample."""
+    max_tracks: int = 1200
+    em_rounds: int = 4
+    """EM rounds of the pair of transforms (supplement, Transformation Initialization)."""
+    refined: int = 8
+    """Windows whose motions are refined densely before the best is chosen."""
+    window: int = 6
+    """Frames, each way, of the dense refinement."""
+    min_gain: float = 0.03
+    """Least drop of the dense cost from one motion to two; below it nothing moves against anything else: a Failure."""
+    min_share: float = 0.04
+    """Least share of the foreground that the smaller part has in the seed frame."""
+
+
+@dataclass(frozen=True)
+class EvidenceSettings:
+    """What one pixel says about a motion: point-to-plane, free space, silhouette, colour."""
+
+    sigma: float = 0.8
+    """Standard deviation of point-to-plane residuals of a clean sensor; depth noise is added in quadrature."""
+    sigma_colour: float = 3.0
+    """Standard deviation of colour residuals, CIELAB units."""
+    sigma_silhouette: float = 2.0
+    """Standard deviation, pixels, of points outside the mask."""
+    colour_weight: float = 0.2
+    """Weight of colour against depth in registration."""
+    cap: float = 6.0
+    """Largest cost of a pixel."""
+
+
+@dataclass(frozen=True)
+class LabelSettings:
+    """From evidence to part masks: a mean-field relaxation over neighbours that look alike and lie in one plane."""
+
+    smoothness: float = 0.6
+    rounds: int = 15
+    reach: float = 0.12
+    """Distance, in object diagonals, over which neighbours pull."""
+    references: int = 10
+    """Frames that each frame is compared with."""
+
+
+@dataclass(frozen=True)
+class GrowthSettings:
+    """Growing from the seed, both ways in time: first free, then with the joint."""
+
+    samples: int = 600
+    """Pixels of a part in a reference frame that take part in registration."""
+    references: int = 6
+    """Reference frames per registration."""
+    max_turn_deg: float = 50.0
+    """Furthest view change to a reference frame."""
+    gates: tuple[float, ...] = (18.0, 13.0, 9.0, 6.0, 5.0, 4.0)
+    """Point-to-plane gates of the registration, coarse to fine."""
+    min_part_pixels: int = 60
+    """Fewer pixels of a part do not fix its pose."""
+    bootstrap_frames: int = 18
+    """Frames grown freely before a joint is tried."""
+    bootstrap_motion: float = 0.12
+    """Relative displacement of the moving part, in object diagonals, that makes a joint worth trying."""
+    bootstrap_most: int = 48
+    """The joint is tried after so many frames in any case."""
+    adjust_every: int = 16
+    """Frames between joint adjustments while growing."""
+
+
+@dataclass(frozen=True)
+class JointSettings:
+    """Joint type and closed forms."""
+
+    type_rule: Literal["residual", "paper"] = "residual"
+    """'residual': fit both types to the end and compare; 'paper': rotation amplitude and translation linearity."""
+    noise_resistance: bool = True
+    """Leave out relative poses further than two standard deviations, and weigh neighbours robustly."""
+    rotation_threshold_deg: float = 10.0
+    """theta_th of the paper's rule."""
+    linearity_threshold: float = 0.05
+    """rho_th of the paper's rule."""
+    revolute_must_win: float = 0.7
+    """A revolute joint has two unknowns more: it is chosen when its residual is below this share of the prismatic."""
+
+
+@dataclass(frozen=True)
+class PoseSettings:
+    """Adjustment of all frames over pairs: no frame is anchored."""
+
+    offsets: tuple[int, ...] = (1, 2, 4, 7, 11)
+    """Frame distances of pairs along time."""
+    loops: int = 8
+    """Pairs per frame with distant frames of a similar view."""
+    samples: int = 500
+    """Pixels per frame and part."""
+    gate: float = 9.0
+    """First point-to-plane gate; shrinks to `final_gate`."""
+    final_gate: float = 4.0
+    joint_rounds: int = 14
+    """Iterations of the joint-constrained adjustment."""
+    free_rounds: int = 8
+    """Iterations of the adjustment that knows no joint."""
+
+
+@dataclass(frozen=True)
+class SurfaceSettings:
+    """Fusion of a part's depth into a coloured mesh."""
+
+    voxel: float = 1.3
+    """Least edge of a voxel."""
+    max_voxels: int = 5_000_000
+    truncation: float = 3.0
+    """Voxels, either side of the surface, that a depth measurement speaks of."""
+    min_component: float = 0.02
+    """Pieces smaller than this share of the largest are dropped."""
+
+
+@dataclass(frozen=True)
+class ReconstructSettings:
+    """All stages."""
+
+    seed: int = 0
+    scene: SceneSettings = field(default_factory=SceneSettings)
+    tracks: TrackSettings = field(default_factory=TrackSettings)
+    seeds: SeedSettings = field(default_factory=SeedSettings)
+    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
+    labels: LabelSettings = field(default_factory=LabelSettings)
+    growth: GrowthSettings = field(default_factory=GrowthSettings)
+    joint: JointSettings = field(default_factory=JointSettings)
+    poses: PoseSettings = field(default_factory=PoseSettings)
+    surfaces: SurfaceSettings = field(default_factory=SurfaceSettings)
+    progress: bool = True
+    """Show a progress bar on standard error."""
+
+    def to_json(self) -> dict[str, Any]:
+        """All settings as plain data, to be saved with a result."""
+        return asdict(self)
