@@ -138,8 +138,10 @@ class SimulatedAsset:
         Raises FreeArtError when the moving part has no mass.
         """
         if self.joint_inertia <= 0:
-            raise FreeArtError(f"{self.asset.urdf} joint '{self.asset.joint}' moves nothing of mass: its links have "
-                               "neither <inertial> nor collision geometry")
+            raise FreeArtError(
+                f"{self.asset.urdf} joint '{self.asset.joint}' moves nothing of mass: its links have "
+                "neither <inertial> nor collision geometry"
+            )
         h = self._system.timestep = self.timestep_s / self._substeps
         for _ in range(self._substeps):
             self._put(self._within(self._q + 0.5 * h * self._qd))
@@ -181,8 +183,9 @@ class SimulatedAsset:
         """The saturated damper: force -D qd cut at the limit, so stiff that it sticks (facts: exact, no chatter)."""
         limit = sum(effect.drive_limit(q, qd) for effect in self._drives)
         if limit != self._drive_limit:
-            self._joint.set_drive_properties(stiffness=0.0, damping=limit / _CREEP_SPEED, force_limit=limit,
-                                             mode="force")
+            self._joint.set_drive_properties(
+                stiffness=0.0, damping=limit / _CREEP_SPEED, force_limit=limit, mode="force"
+            )
             self._drive_limit = limit
 
     def _set_armature(self, q: float, qd: float, t: float, h: float) -> None:
@@ -215,13 +218,22 @@ class SimulatedAsset:
         phase = self.timestep_s * np.sqrt(stiffness / self.joint_inertia)
         self._substeps = max(1, int(np.ceil(phase / _PHASE_PER_STEP)))
         if self._substeps > _MAX_SUBSTEPS:
-            raise FreeArtError(f"{self.asset.urdf} joint '{self.asset.joint}': effects of stiffness {stiffness:.3g} on "
-                               f"an inertia of {self.joint_inertia:.3g} need {self._substeps} internal steps in each "
-                               f"of {self.timestep_s:g} s, at most {_MAX_SUBSTEPS} are made: shorten timestep_s")
+            raise FreeArtError(
+                f"{self.asset.urdf} joint '{self.asset.joint}': effects of stiffness {stiffness:.3g} on "
+                f"an inertia of {self.joint_inertia:.3g} need {self._substeps} internal steps in each "
+                f"of {self.timestep_s:g} s, at most {_MAX_SUBSTEPS} are made: shorten timestep_s"
+            )
 
 
-def load(asset: Asset, *, timestep_s: float = 1e-3, gravity: ArrayLike = GRAVITY, fixed_base: bool = True,
-         scene: Any = None, visuals: bool = False) -> SimulatedAsset:
+def load(
+    asset: Asset,
+    *,
+    timestep_s: float = 1e-3,
+    gravity: ArrayLike = GRAVITY,
+    fixed_base: bool = True,
+    scene: Any = None,
+    visuals: bool = False,
+) -> SimulatedAsset:
     """The asset in simulation: neutral, one joint free, its effects acting.
 
     Args:
@@ -247,11 +259,9 @@ def load(asset: Asset, *, timestep_s: float = 1e-3, gravity: ArrayLike = GRAVITY
     if scene is None:
         scene = _physics_scene(np.asarray(gravity, np.float32))
     builder = _parse(asset.urdf, robot, scene)
-    builder.mimic_joint_records = []
     for link in builder.link_builders:
         link.collision_groups = [1, 1, 1 << 15, 0]  # a common bit of the third word: no collisions among these links
         record = link.joint_record
-        record.damping = 0.0
         if record.name in joints and record.name != joint.name and joints[record.name].joint_type:
             _freeze(record, _held_position(asset, joints[record.name]))
         elif record.name == joint.name and joint.joint_type == "revolute":
@@ -283,8 +293,16 @@ def joint_motion(asset: Asset, states: ArrayLike) -> Array:
     return np.stack([displaced(float(q)) @ zero_inverse for q in flat]) if len(flat) else np.zeros((0, 4, 4))
 
 
-def roll_out(asset: Asset | SimulatedAsset, q0: float, qd0: float = 0.0, *, duration_s: float, timestep_s: float = 1e-3,
-             gravity: ArrayLike = GRAVITY, force: Callable[[float], float] | None = None) -> RollOut:
+def roll_out(
+    asset: Asset | SimulatedAsset,
+    q0: float,
+    qd0: float = 0.0,
+    *,
+    duration_s: float,
+    timestep_s: float = 1e-3,
+    gravity: ArrayLike = GRAVITY,
+    force: Callable[[float], float] | None = None,
+) -> RollOut:
     """The joint's trajectory from position `q0` and velocity `qd0` (rad or m, URDF joint values), base fixed.
 
     Args:
@@ -302,8 +320,9 @@ def roll_out(asset: Asset | SimulatedAsset, q0: float, qd0: float = 0.0, *, dura
     where = f"{simulated.asset.urdf} joint '{simulated.asset.joint}'"
     slack = 1e-6 * max(1.0, abs(q0))
     if not simulated.lower - slack <= q0 <= simulated.upper + slack:
-        raise FreeArtError(f"{where} starts at {q0:g}, expected within its limits {simulated.lower:g} to "
-                           f"{simulated.upper:g}")
+        raise FreeArtError(
+            f"{where} starts at {q0:g}, expected within its limits {simulated.lower:g} to {simulated.upper:g}"
+        )
     n = round(duration_s / simulated.timestep_s)
     simulated.set_state(q0, qd0)
     simulated.time_s = 0.0
@@ -341,8 +360,9 @@ def _parse(urdf: Path, robot: ET.Element, scene: Any) -> Any:
         except Exception as error:
             raise _unreadable(urdf, error) from error
     if len(articulations) != 1 or actors:
-        raise FreeArtError(f"{urdf} holds {len(articulations)} articulations and {len(actors)} loose bodies, expected "
-                           "one articulation")
+        raise FreeArtError(
+            f"{urdf} holds {len(articulations)} articulations and {len(actors)} loose bodies, expected one articulation"
+        )
     return articulations[0]
 
 
@@ -403,8 +423,12 @@ def _joint_inertia(joint: Joint, mechanics: list[tuple[float, Array, Array]]) ->
     if joint.type == "prismatic":
         return sum(mass for mass, _, _ in mechanics)
     arms = (np.cross(joint.axis, centre - joint.pivot) for _, centre, _ in mechanics)
-    return float(sum(joint.axis @ inertia @ joint.axis + mass * arm @ arm
-                     for (mass, _, inertia), arm in zip(mechanics, arms, strict=True)))
+    return float(
+        sum(
+            joint.axis @ inertia @ joint.axis + mass * arm @ arm
+            for (mass, _, inertia), arm in zip(mechanics, arms, strict=True)
+        )
+    )
 
 
 def _check_sides(asset: Asset, joints: dict[str, UrdfJoint], joint: UrdfJoint) -> None:
@@ -417,8 +441,10 @@ def _check_sides(asset: Asset, joints: dict[str, UrdfJoint], joint: UrdfJoint) -
         return link == joint.child
 
     if beyond(asset.reference_link) == beyond(asset.moving_link):
-        raise FreeArtError(f"{asset.urdf}: links '{asset.reference_link}' and '{asset.moving_link}' are on the same "
-                           f"side of joint '{joint.name}', expected one on each side")
+        raise FreeArtError(
+            f"{asset.urdf}: links '{asset.reference_link}' and '{asset.moving_link}' are on the same "
+            f"side of joint '{joint.name}', expected one on each side"
+        )
 
 
 def _readable_urdf(asset: Asset, joints: dict[str, UrdfJoint], visuals: bool, keep_collisions: bool) -> ET.Element:
@@ -438,9 +464,8 @@ def _readable_urdf(asset: Asset, joints: dict[str, UrdfJoint], visuals: bool, ke
             if child.tag in dropped or (child.tag == "collision" and weighed and not keep_collisions):
                 link.remove(child)
     for element in root.findall("joint"):
-        for tag in ("mimic", "dynamics"):
-            for child in element.findall(tag):
-                element.remove(child)
+        for mimic in element.findall("mimic"):
+            element.remove(mimic)
         if element.find("limit") is None and element.get("type") in ("revolute", "prismatic"):
             ET.SubElement(element, "limit", {"lower": "-inf", "upper": "inf", "effort": "0", "velocity": "0"})
     return root
@@ -461,13 +486,17 @@ def _check_tree(asset: Asset, joints: dict[str, UrdfJoint], links: list[str]) ->
             if link not in links:
                 raise FreeArtError(f"{asset.urdf}: joint '{joint.name}' names link '{link}'; links: {', '.join(links)}")
         if joint.joint_type is None and joint.type != "fixed":
-            raise FreeArtError(f"{asset.urdf}: joint '{joint.name}' has type '{joint.type}', expected fixed, revolute, "
-                               "continuous or prismatic")
+            raise FreeArtError(
+                f"{asset.urdf}: joint '{joint.name}' has type '{joint.type}', expected fixed, revolute, "
+                "continuous or prismatic"
+            )
     children = [joint.child for joint in joints.values()]
     roots = [link for link in links if link not in children]
     if len(roots) != 1 or len(set(children)) != len(children):
-        raise FreeArtError(f"{asset.urdf} is not one tree: its roots are {', '.join(roots) or 'none'}, expected one, "
-                           "and every other link the child of one joint")
+        raise FreeArtError(
+            f"{asset.urdf} is not one tree: its roots are {', '.join(roots) or 'none'}, expected one, "
+            "and every other link the child of one joint"
+        )
     for link in (asset.reference_link, asset.moving_link):
         if link not in links:
             raise FreeArtError(f"{asset.urdf} has no link '{link}'; links: {', '.join(links)}")

@@ -23,7 +23,7 @@ TYPES = pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def write_urdf(folder: Path, inside: str = "", kind: str = "revolute") -> Path:
     path = folder / "lid.urdf"
     path.write_text(f"""<robot name="lid"><link name="a"/><link name="b"/><joint name="j" type="{kind}">
-        <parent link="a"/><child link="b"/><limit lower="0" upper="1" effort="1" velocity="1"/>{inside}</joint></robot>""")
+        <parent link="a"/><child link="b"/><limit lower="0" upper="1"/>{inside}</joint></robot>""")
     return path
 
 

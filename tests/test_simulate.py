@@ -152,11 +152,16 @@ def test_strong_damping_leaves_coulomb_friction_its_share(tmp_path: Path, kind: 
 
 
 @TYPES
-def test_urdf_dynamics_means_the_same_effects(tmp_path: Path, kind: str):
-    said = read_asset(write_urdf(tmp_path, kind, inside='<dynamics damping="0.3" friction="0.2"/>'))
-    assert said.effects == {"j": (ViscousDamping(0.3), CoulombFriction(0.2))}
+@pytest.mark.parametrize("dynamics, effects", [
+    ('<dynamics damping="0.3" friction="0.2"/>', (ViscousDamping(0.3), CoulombFriction(0.2))),
+    ('<dynamics damping="0.3"/>', (ViscousDamping(0.3),)),
+    ('<dynamics friction="0.2"/>', (CoulombFriction(0.2),)),
+])
+def test_urdf_dynamics_means_the_same_effects(tmp_path: Path, kind: str, dynamics: str, effects: tuple):
+    said = read_asset(write_urdf(tmp_path, kind, inside=dynamics))
+    assert said.effects == {"j": effects}
     (tmp_path / "other").mkdir()
-    silent = asset_with(tmp_path / "other", kind, ViscousDamping(0.3), CoulombFriction(0.2))
+    silent = asset_with(tmp_path / "other", kind, *effects)
     runs = [roll_out(asset, 0.1, 2.0, duration_s=2) for asset in (said, silent)]
     np.testing.assert_array_equal(runs[0].q, runs[1].q)
     free = roll_out(replace(said, effects={}), 0.1, 2.0, duration_s=2)
@@ -238,6 +243,17 @@ def test_other_joints_are_held_where_the_asset_says(tmp_path: Path):
         simulated.set_state(0.3)
         hung = se3.pose(se3.exp_so3([held, 0, 0]), [0.1, 0.3, 1])
         np.testing.assert_allclose(simulated.T_reference_moving(), hung, atol=1e-6)
+
+
+def test_overlapping_parts_do_not_push_each_other(tmp_path: Path):
+    box = '<collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision>'
+    path = tmp_path / "boxes.urdf"
+    path.write_text(f"""<robot name="r"><link name="base"/><link name="still">{box}</link><link name="bob">{box}</link>
+        <joint name="f" type="fixed"><parent link="base"/><child link="still"/></joint>
+        <joint name="j" type="prismatic"><parent link="base"/><child link="bob"/><origin xyz="0 0.05 0.05"/></joint>
+        </robot>""")
+    run = roll_out(read_asset(path), 0.0, 0.1, duration_s=1, gravity=WEIGHTLESS)
+    assert run.q[-1] == pytest.approx(0.1, abs=1e-6)
 
 
 def test_joint_without_zero_in_its_limits_loads_and_moves(tmp_path: Path):
