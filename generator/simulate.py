@@ -448,7 +448,7 @@ def _check_sides(asset: Asset, joints: dict[str, UrdfJoint], joint: UrdfJoint) -
 
 
 def _readable_urdf(asset: Asset, joints: dict[str, UrdfJoint], visuals: bool, keep_collisions: bool) -> ET.Element:
-    """The URDF as SAPIEN can read it from anywhere: absolute file names, a limit on every joint."""
+    """The URDF as SAPIEN can read it from anywhere: absolute file names, full limits, no more than it needs."""
     root = ET.fromstring(asset.urdf.read_bytes())
     for element in list(root):
         if element.tag not in ("link", "joint", "material"):
@@ -464,10 +464,11 @@ def _readable_urdf(asset: Asset, joints: dict[str, UrdfJoint], visuals: bool, ke
             if child.tag in dropped or (child.tag == "collision" and weighed and not keep_collisions):
                 link.remove(child)
     for element in root.findall("joint"):
-        for mimic in element.findall("mimic"):
-            element.remove(mimic)
-        if element.find("limit") is None and element.get("type") in ("revolute", "prismatic"):
-            ET.SubElement(element, "limit", {"lower": "-inf", "upper": "inf", "effort": "0", "velocity": "0"})
+        for child in [c for c in element if c.tag in ("mimic", "dynamics", "limit")]:
+            element.remove(child)
+        joint = joints[element.get("name", "")]
+        if joint.type in ("revolute", "prismatic"):
+            ET.SubElement(element, "limit", {"lower": repr(joint.lower), "upper": repr(joint.upper)})
     return root
 
 

@@ -265,9 +265,15 @@ def test_joint_without_zero_in_its_limits_loads_and_moves(tmp_path: Path):
 
 def test_energy_is_zero_at_zero_whatever_the_limits(tmp_path: Path):
     asset = asset_with(tmp_path, "revolute", limit='<limit lower="0.5" upper="1"/>')
+    assert load(asset).state() == (0.5, 0.0)
     lifted = load(asset).energy([0.0, 0.5, np.pi], [0.0, 2.0, 0.0])
     expected = [0, MASS * 9.81 * ARM * (1 - np.cos(0.5)) + 0.5 * INERTIA["revolute"] * 4, MASS * 9.81 * 2 * ARM]
     assert lifted == pytest.approx(expected, rel=1e-5, abs=1e-5)
+
+
+def test_limit_without_a_lower_one_means_zero(tmp_path: Path):
+    run = roll_out(asset_with(tmp_path, "revolute", limit='<limit upper="1"/>'), 0.5, duration_s=2)
+    assert run.q.min() == 0.0
 
 
 def test_free_base_falls_and_fixed_base_does_not(tmp_path: Path):
