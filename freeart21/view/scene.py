@@ -20,7 +20,7 @@ from freeart21.se3 import Array
 from freeart21.view.document import Section, data_url, embed_array
 from freeart21.view.simplify import arrow, joined, simplified, turning_arrow
 
-MAX_FACES_PER_LAYER = 30_000
+MAX_FACES_PER_LAYER = 50_000
 MAX_TEXTURE_SIDE = 1024
 
 
@@ -258,20 +258,12 @@ def _bounds(scene: Scene) -> tuple[Array, float]:
     if not solid:
         return np.zeros(3), 1.0
 
-    def corners(values: list[float]) -> Array:
+    def points(values: list[float]) -> Array:
         poses = link_poses(scene.links, values)
-        boxes = []
-        for surface in solid:
-            vertices = surface.mesh.vertices[np.unique(surface.mesh.faces)]
-            box = np.stack(np.meshgrid(*zip(vertices.min(0), vertices.max(0), strict=True)), -1).reshape(-1, 3)
-            boxes.append(se3.transform(poses[surface.link], box))
-        return np.concatenate(boxes)
+        return np.concatenate([se3.transform(poses[s.link], s.mesh.vertices[s.mesh.faces[:, 0]]) for s in solid])
 
-    first = corners([s.value for s in scene.sliders])
+    first = points([s.value for s in scene.sliders])
     centre = (first.min(0) + first.max(0)) / 2
-    reach = max(
-        float(np.linalg.norm(corners(ends) - centre, axis=1).max())
-        for ends in ([s.lower for s in scene.sliders], [s.upper for s in scene.sliders])
-    )
-    radius = max(float(np.linalg.norm(np.ptp(first, axis=0))) / 2, 0.8 * reach)
-    return centre, max(radius, 1e-6)
+    ends = [[s.lower for s in scene.sliders], [s.upper for s in scene.sliders]]
+    radius, *reach = (float(np.linalg.norm(p - centre, axis=1).max()) for p in (first, *map(points, ends)))
+    return centre, max(radius, 0.92 * max(reach), 1e-6)

@@ -11,40 +11,60 @@ from freeart21.mesh import Mesh
 def simplified(mesh: Mesh, max_faces: int) -> Mesh:
     """`mesh` with at most `max_faces` triangles, for display only.
 
-    Vertex clustering on a uniform grid (Rossignac and Borrel 1993): vertices of one cell become their mean, in place
-    and colour, and triangles that collapse or repeat are dropped. The grid grows until the result is small enough.
+    Vertex clustering on a uniform grid with one optimal vertex a cell (Lindstrom, "Out-of-core simplification of large
+    polygonal models", 2000), so that flat faces stay flat and edges sharp; triangles that collapse or repeat are
+    dropped. A vertex takes the colour of the one it replaces that is nearest. The grid grows until the result is small
+    enough.
     """
     if len(mesh.faces) <= max_faces:
         return mesh
-    used = np.unique(mesh.faces)
+    used = np.zeros(len(mesh.vertices), bool)
+    used[mesh.faces] = True
     low, size = mesh.vertices[used].min(0), np.ptp(mesh.vertices[used], axis=0).max()
     if size == 0:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
+    places = np.where(used[:, None], mesh.vertices - low, 0.0)  # vertices of no triangle may lie anywhere
+    key = np.array([1, 1 << 21, 1 << 42])
     cell = size * np.sqrt(1.0 / max_faces)
     while True:
-        clustered = _clustered(mesh, np.floor((mesh.vertices - low) / cell).astype(np.int64))
-        if len(clustered.faces) <= max_faces:
-            return clustered
-        cell *= max(1.05, np.sqrt(len(clustered.faces) / max_faces))
+        cells = np.floor(places / cell).astype(np.int64)
+        cluster = np.unique(cells @ key, return_inverse=True)[1].reshape(-1)
+        faces = cluster[mesh.faces]
+        faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
+        faces = faces[np.sort(np.unique(np.sort(faces, axis=1) @ key, return_index=True)[1])]
+        if len(faces) <= max_faces:
+            return _clustered(mesh, cluster, faces, cell)
+        cell *= max(1.03, np.sqrt(len(faces) / max_faces))
 
 
-def _clustered(mesh: Mesh, cells: NDArray[np.int64]) -> Mesh:
-    _, cluster, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    cluster = cluster.reshape(-1)
+def _clustered(mesh: Mesh, cluster: NDArray[np.int64], faces: NDArray[np.int64], cell: float) -> Mesh:
+    """The mesh of `faces` over clusters, each vertex nearest to the planes of the triangles it stands for."""
+    n = int(cluster.max()) + 1
+    corners = mesh.faces.reshape(-1)
+    counts = np.maximum(np.bincount(cluster[corners], minlength=n), 1)
 
-    def mean(values: ArrayLike) -> NDArray[np.float64]:
-        columns = np.asarray(values, float).T
-        return np.stack([np.bincount(cluster, column, len(counts)) for column in columns], -1) / counts[:, None]
+    def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack([np.bincount(cluster[corners], column, n) for column in values.reshape(len(corners), -1).T], -1)
 
-    faces = cluster[mesh.faces]
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    faces = faces[np.sort(first)]
-    colours = None if mesh.colours is None else np.rint(mean(mesh.colours)).astype(np.uint8)
+    mean = total(mesh.vertices[corners]) / counts[:, None]
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normal = np.repeat(np.cross(b - a, c - a) / cell**2, 3, axis=0)
+    offset = np.einsum("ij,ij->i", normal, mesh.vertices[corners] - mean[cluster[corners]])
+    A = total(normal[:, :, None] * normal[:, None, :]).reshape(-1, 3, 3)
+    weight = 1e-3 * np.trace(A, axis1=1, axis2=2) + 1e-12  # where the planes leave it open, the mean decides
+    step = np.linalg.solve(A + weight[:, None, None] * np.eye(3), total(normal * offset[:, None])[..., None])[..., 0]
+    vertices = mean + np.clip(step, -cell, cell)
+    colours = None
+    if mesh.colours is not None:
+        distance = np.linalg.norm(mesh.vertices[corners] - vertices[cluster[corners]], axis=1)
+        order = np.lexsort((distance, cluster[corners]))
+        groups, first = np.unique(cluster[corners][order], return_index=True)
+        colours = np.zeros((n, 3), np.uint8)
+        colours[groups] = mesh.colours[corners[order[first]]]
     kept = np.unique(faces)
-    index = np.zeros(len(counts), np.int64)
+    index = np.zeros(n, np.int64)
     index[kept] = np.arange(len(kept))
-    return Mesh(mean(mesh.vertices)[kept], index[faces], None if colours is None else colours[kept])
+    return Mesh(vertices[kept], index[faces], None if colours is None else colours[kept])
 
 
 def joined(*meshes: Mesh) -> Mesh:

@@ -122,7 +122,7 @@ def _labels(masks: list[Image | None], index: int, size: tuple[int, int], shown:
                 f"expected {size[1]} x {size[0]} as the video"
             )
         image[..., k] = _LABEL_STEP * cv2.resize(mask, shown, interpolation=cv2.INTER_NEAREST)
-    return data_url("image/png", _encode(image, ".png", [cv2.IMWRITE_PNG_COMPRESSION, 9]))
+    return data_url("image/png", _encode(image, ".png", [cv2.IMWRITE_PNG_COMPRESSION, 6]))
 
 
 def _jpegs(images: list[Image], budget: int, qualities: tuple[int, ...]) -> list[str]:
@@ -137,7 +137,7 @@ def _jpegs(images: list[Image], budget: int, qualities: tuple[int, ...]) -> list
 
 
 def _encode(image: Image, suffix: str, options: list[int]) -> bytes:
-    ok, data = cv2.imencode(suffix, np.ascontiguousarray(image[..., ::-1]), options)
+    ok, data = cv2.imencode(suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)
     if not ok:
         raise FreeArtError(f"cannot encode an image of shape {image.shape} as {suffix}")
     return data.tobytes()
@@ -156,7 +156,7 @@ def _depth_range(depths: list[NDArray[np.float32]]) -> tuple[float, float]:
 def _depth_colours(depth: NDArray[np.float32], near: float, far: float) -> Image:
     """Near bright, far dark; mid-grey where nothing was measured."""
     level = np.clip(255 * (far - depth) / (far - near), 0, 255).astype(np.uint8)
-    colours = cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS)[..., ::-1].copy()
+    colours = cv2.cvtColor(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
     colours[depth <= 0] = 200
     return colours
 

@@ -26,8 +26,10 @@ FreeArt.array = (data) => {
 };
 
 /** A joint state, rad or m, as people read it. */
-FreeArt.stateText = (type, q) =>
-  type === "revolute" ? `${((q * 180) / Math.PI).toFixed(1)}°` : `${(q * 100).toFixed(1)} cm`;
+FreeArt.stateText = (type, q) => {
+  const tenths = Math.round((type === "revolute" ? (q * 180) / Math.PI : q * 100) * 10) / 10 + 0;
+  return type === "revolute" ? `${tenths.toFixed(1)}°` : `${tenths.toFixed(1)} cm`;
+};
 
 FreeArt.clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
