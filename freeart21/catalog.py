@@ -19,7 +19,7 @@ class CatalogEntry:
     joint_type: JointType | None
     """Of the scored joint; None when only the object's files can tell."""
     size_m: float | None
-    """Approximate diagonal, metres; about 2 for PartNet-Mobility, whose unit is not metric."""
+    """Approximate diagonal, metres; None for PartNet-Mobility, whose unit is not metric (its diagonals are about 2)."""
     source: Literal["procedural", "partnet"]
     joint: str | None
     """Name of the scored joint; None when it must be named by the user."""
@@ -39,26 +39,36 @@ _FREEART21: tuple[tuple[str, JointType, int, tuple[str, ...], str], ...] = (
 )
 """Category, joint type, joint index, ids (FreeArtGS, configs/eval_joint_ids.yaml)."""
 
-CATALOG: dict[str, CatalogEntry] = {entry.name: entry for entry in (
+CATALOG: tuple[CatalogEntry, ...] = (
     CatalogEntry("stapler", "Stapler", "revolute", 0.15, "procedural", "joint_1"),
     CatalogEntry("drawer_unit", "StorageFurniture", "prismatic", 0.45, "procedural", "joint_0"),
     CatalogEntry("flip_lighter", "Lighter", "revolute", 0.07, "procedural", "joint_0"),
-    *(CatalogEntry(name, category, joint_type, 2.0, "partnet", f"joint_{index}", note, "FreeArt-21")
-      for category, joint_type, index, names, note in _FREEART21 for name in names),
-)}
-"""Name to entry: the procedural objects, then the 21 of FreeArt-21, whose files the user brings."""
+    *(
+        CatalogEntry(name, category, joint_type, None, "partnet", f"joint_{index}", note, "FreeArt-21")
+        for category, joint_type, index, names, note in _FREEART21
+        for name in names
+    ),
+)
+"""The procedural objects, then the 21 of FreeArt-21, whose files the user brings."""
+
+
+def built_in_names() -> tuple[str, ...]:
+    """The objects that need no files from outside."""
+    return tuple(entry.name for entry in CATALOG if entry.source == "procedural")
 
 
 def find(name: str, partnet: bool = False) -> CatalogEntry:
-    """The entry of `name`. With `partnet`, any number is a PartNet-Mobility object, whose category and joint are unknown.
+    """The entry of `name`. With `partnet`, any number is a PartNet-Mobility object, of unknown category and joint.
 
     Raises FreeArtError, listing the known objects, for any other name.
     """
-    if name in CATALOG:
-        return CATALOG[name]
+    for entry in CATALOG:
+        if entry.name == name:
+            return entry
     if partnet and name.isdigit():
         return CatalogEntry(name, "unknown", None, None, "partnet", None)
-    own = ", ".join(e.name for e in CATALOG.values() if e.source == "procedural")
-    official = ", ".join(e.name for e in CATALOG.values() if e.source == "partnet")
-    raise FreeArtError(f"unknown object '{name}'; objects: {own}; with --partnet-root also any PartNet-Mobility id, "
-                       f"of which FreeArt-21's are {official}")
+    official = ", ".join(entry.name for entry in CATALOG if entry.source == "partnet")
+    raise FreeArtError(
+        f"unknown object '{name}'; objects: {', '.join(built_in_names())}; with --partnet-root also any PartNet-Mobility id, "
+        f"of which FreeArt-21's are {official}"
+    )

@@ -14,7 +14,12 @@ from freeart21.joint import JointType
 Finish = Literal["plastic", "metal", "wood", "rubber", "paper"]
 
 SHINE: dict[str, tuple[float, float]] = {
-    "plastic": (0.25, 60.0), "metal": (0.55, 120.0), "wood": (0.08, 20.0), "rubber": (0.03, 8.0), "paper": (0.02, 4.0)}
+    "plastic": (0.25, 60.0),
+    "metal": (0.55, 120.0),
+    "wood": (0.08, 20.0),
+    "rubber": (0.03, 8.0),
+    "paper": (0.02, 4.0),
+}
 """Finish to specular strength (MTL Ks) and exponent (MTL Ns)."""
 
 
@@ -24,7 +29,7 @@ class Material:
 
     name: str
     colour: tuple[float, float, float]
-    """RGB, 0 to 1; white where a texture says it all."""
+    """RGB, 0 to 1, as it should look (sRGB); of no effect where there is a texture."""
     finish: Finish
     density: float
     """kg/m^3."""

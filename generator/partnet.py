@@ -5,9 +5,9 @@ What such folders are like (each point has a test):
 - The URDF alone is the truth: mobility_v2.json turns some axes round and counts in degrees. Limits may be "-0.0".
 - The link `base` is empty; the last joint fixes the real root to it, turning y-up meshes to z-up.
 - Links have no inertia and joints no dynamics, effort or velocity; collision shapes repeat the visual ones.
-- Link frames sit on their joints, but meshes stay in the object's frame: their origin is minus the sum of joint origins.
+- Link frames sit on their joints, meshes stay in the object's frame: their origin is minus the sum of joint origins.
 - Visual names repeat. Sliders may have their origin at zero, so their pivot means nothing.
-- Meshes have double and inner faces; units are not metric (the diagonal is about 2); mesh files or pictures may be absent.
+- Meshes have double and inner faces; units are not metric (the diagonal is about 2); files may be absent.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from freeart21 import se3
 from freeart21.asset import Asset
@@ -91,18 +90,28 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
     meta = _meta(folder)
     scored = movable_joint(urdf, joint or meta.get("scored_joint"))
     if not scored.lower < scored.upper:
-        raise FreeArtError(f"{urdf}: joint '{scored.name}' cannot move: its limits are [{scored.lower:g}, {scored.upper:g}]")
+        raise FreeArtError(
+            f"{urdf}: joint '{scored.name}' cannot move: its limits are [{scored.lower:g}, {scored.upper:g}]"
+        )
     joints = read_urdf_joints(urdf)
-    held = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in joints.values() if j.joint_type and j.name != scored.name}
+    held = {
+        j.name: float(np.clip(0.0, j.lower, j.upper)) for j in joints.values() if j.joint_type and j.name != scored.name
+    }
     root = ET.fromstring(urdf.read_bytes())
     motions = _motions(root, joints, urdf)
     Ts = link_poses(joints, motions, held)
     visuals = {element.get("name", ""): _visuals(element, folder, urdf) for element in root.findall("link")}
-    absent = tuple(sorted({str(v.mesh.relative_to(folder.resolve())) for vs in visuals.values() for v in vs if not v.mesh.is_file()}))
+    absent = tuple(
+        sorted(
+            {str(v.mesh.relative_to(folder.resolve())) for vs in visuals.values() for v in vs if not v.mesh.is_file()}
+        )
+    )
     if absent and not skip_missing:
         more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""
-        raise FreeArtError(f"{urdf} names the mesh {absent[0]}, which does not exist{more}; "
-                           "use skip_missing to leave absent meshes out")
+        raise FreeArtError(
+            f"{urdf} names the mesh {absent[0]}, which does not exist{more}; "
+            "use skip_missing to leave absent meshes out"
+        )
     below = _below(joints, scored.child)
     unknown = sorted(below - set(visuals))
     if unknown:
@@ -111,10 +120,23 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
     parent = _side(scored, tuple(name for name in visuals if name not in below), visuals, Ts, urdf)
     T_object_joint = Ts[scored.parent] @ motions[scored.name].T_parent_joint
     assert scored.joint_type is not None
-    moving = Joint(scored.name, scored.joint_type, T_object_joint[:3, :3] @ motions[scored.name].axis,
-                   T_object_joint[:3, 3], scored.lower + 0.0, scored.upper + 0.0)
-    asset = Asset(urdf, scored.name, scored.parent, scored.child, Ts[scored.parent], held=held,
-                  source={"format": "PartNet-Mobility", "object": folder.name})
+    moving = Joint(
+        scored.name,
+        scored.joint_type,
+        T_object_joint[:3, :3] @ motions[scored.name].axis,
+        T_object_joint[:3, 3],
+        scored.lower + 0.0,
+        scored.upper + 0.0,
+    )
+    asset = Asset(
+        urdf,
+        scored.name,
+        scored.parent,
+        scored.child,
+        Ts[scored.parent],
+        held=held,
+        source={"format": "PartNet-Mobility", "object": folder.name},
+    )
     return PartNetObject(folder.name, str(meta.get("model_cat", "unknown")), asset, moving, parent, child, absent)
 
 
@@ -144,7 +166,9 @@ def link_poses(joints: dict[str, UrdfJoint], motions: dict[str, Motion], q: dict
             motion = motions[j.name]
             T = Ts[j.parent] @ motion.T_parent_joint
             if j.joint_type is not None:
-                T = T @ Joint(j.name, j.joint_type, motion.axis, np.zeros(3), -np.inf, np.inf).transform(q.get(j.name, 0.0))
+                T = T @ Joint(j.name, j.joint_type, motion.axis, np.zeros(3), -np.inf, np.inf).transform(
+                    q.get(j.name, 0.0)
+                )
             Ts[j.child] = T
         waiting = [j for j in waiting if j not in ready]
     return Ts
@@ -160,7 +184,7 @@ def _motions(root: ET.Element, joints: dict[str, UrdfJoint], urdf: Path) -> dict
     for element in root.findall("joint"):
         name = element.get("name", "")
         axis = _numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"{urdf}: joint '{name}' axis")
-        length = np.linalg.norm(axis)
+        length = float(np.linalg.norm(axis))
         if joints[name].joint_type is not None and length < 1e-9:
             raise FreeArtError(f"{urdf}: joint '{name}' has axis {axis.tolist()}, expected a direction")
         motions[name] = Motion(_origin(element, f"{urdf}: joint '{name}'"), axis / max(length, 1e-9))
@@ -174,18 +198,30 @@ def _visuals(link: ET.Element, folder: Path, urdf: Path) -> list[Visual]:
         where = f"{urdf}: link '{link.get('name')}'"
         if mesh is None or not mesh.get("filename"):
             raise FreeArtError(f"{where} has a visual that is not a mesh; expected <mesh filename=...>")
-        visuals.append(Visual(checked.inside(folder, mesh.get("filename", "")), _origin(element, where),
-                              _numbers(mesh, "scale", (1.0, 1.0, 1.0), where)))
+        visuals.append(
+            Visual(
+                checked.inside(folder, mesh.get("filename", "")),
+                _origin(element, where),
+                _numbers(mesh, "scale", (1.0, 1.0, 1.0), where),
+            )
+        )
     return visuals
 
 
-def _side(scored: UrdfJoint, links: tuple[str, ...], visuals: dict[str, list[Visual]], Ts: dict[str, Array],
-          urdf: Path) -> Side:
-    pieces = [read_obj(v.mesh).moved(Ts[name] @ v.T_link_mesh, v.scale)
-              for name in links for v in visuals[name] if v.mesh.is_file()]
+def _side(
+    scored: UrdfJoint, links: tuple[str, ...], visuals: dict[str, list[Visual]], Ts: dict[str, Array], urdf: Path
+) -> Side:
+    pieces = [
+        read_obj(v.mesh).moved(Ts[name] @ v.T_link_mesh, v.scale)
+        for name in links
+        for v in visuals[name]
+        if v.mesh.is_file()
+    ]
     surface = Surface.joined(pieces)
     if len(surface.faces) == 0:
-        raise FreeArtError(f"{urdf}: joint '{scored.name}' has no surface on the side of links {', '.join(links) or '(none)'}")
+        raise FreeArtError(
+            f"{urdf}: joint '{scored.name}' has no surface on the side of links {', '.join(links) or '(none)'}"
+        )
     return Side(links, surface)
 
 
@@ -222,7 +258,9 @@ def _surface(mesh: trimesh.Trimesh) -> Surface:
         picture = None if image is None or uv is None else np.asarray(image.convert("RGB"))
     uv = np.zeros((len(mesh.vertices), 2)) if uv is None else np.asarray(uv, float)[:, :2]
     faces = np.asarray(mesh.faces, np.int64)
-    return Surface(np.asarray(mesh.vertices, float), faces, uv, np.zeros(len(mesh.vertices), np.int64), (Paint(colour, picture),))
+    return Surface(
+        np.asarray(mesh.vertices, float), faces, uv, np.zeros(len(mesh.vertices), np.int64), (Paint(colour, picture),)
+    )
 
 
 def _check_pictures(obj: Path) -> None:
@@ -264,4 +302,3 @@ def semantics(folder: Path) -> dict[str, tuple[str, str]]:
     path = Path(folder) / "semantics.txt"
     rows = [line.split(None, 2) for line in path.read_text().splitlines() if line.strip()] if path.is_file() else []
     return {row[0]: (row[1], row[2]) for row in rows if len(row) == 3}
-

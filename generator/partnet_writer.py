@@ -1,4 +1,4 @@
-"""Writes a procedural object as a PartNet-Mobility folder, with the habits of the real ones (docs: `generator.partnet`)."""
+"""Writes a procedural object as a PartNet-Mobility folder, with the habits of real ones (see `generator.partnet`)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from freeart21.files import atomic, checked
 from freeart21.se3 import Array
+from generator import textures
 from generator.model import SHINE, Link, Material, ObjectModel, Piece
 from generator.shapes import triangles
 
@@ -31,10 +32,17 @@ def write_partnet(model: ObjectModel, folder: Path) -> Path:
         atomic.write_bytes(aside / "mobility_v2.json", json.dumps(_mobility(model), separators=(",", ":")).encode())
         semantics = "".join(f"link_{k} {link.semantic}\n" for k, link in enumerate(model.links))
         atomic.write_bytes(aside / "semantics.txt", semantics.encode())
-        atomic.write_json(aside / "meta.json", {
-            "model_id": f"{model.name}-s{model.seed}", "anno_id": f"{model.name}-s{model.seed}", "version": "1",
-            "model_cat": model.category, "scored_joint": f"joint_{model.scored_joint}",
-            "link_mass_kg": {f"link_{k}": round(link.mass, 6) for k, link in enumerate(model.links)}})
+        atomic.write_json(
+            aside / "meta.json",
+            {
+                "model_id": f"{model.name}-s{model.seed}",
+                "anno_id": f"{model.name}-s{model.seed}",
+                "version": "1",
+                "model_cat": model.category,
+                "scored_joint": f"joint_{model.scored_joint}",
+                "link_mass_kg": {f"link_{k}": round(link.mass, 6) for k, link in enumerate(model.links)},
+            },
+        )
         corners = np.concatenate([_mesh_frame(piece.solid)[0] for link in model.links for piece in link.pieces])
         atomic.write_json(aside / "bounding_box.json", {"min": corners.min(0), "max": corners.max(0)})
     return folder
@@ -53,14 +61,15 @@ def _write_meshes(model: ObjectModel, folder: Path) -> list[list[tuple[str, str]
         names.append([])
         for piece in link.pieces:
             part += 1
-            for body in piece.solid.decompose():  # pieces in several bodies give duplicate visual names, as in real objects
+            for (
+                body
+            ) in piece.solid.decompose():  # pieces in several bodies give duplicate visual names, as in real objects
                 count += 1
                 stem = f"original-{count}"
                 atomic.write_bytes(folder / "textured_objs" / f"{stem}.obj", _obj(body, piece, stem))
                 atomic.write_bytes(folder / "textured_objs" / f"{stem}.mtl", _mtl(piece.material, part))
                 names[-1].append((f"{piece.name}-{part}", f"textured_objs/{stem}.obj"))
-            if piece.material.texture is not None:
-                atomic.write_bytes(folder / "images" / f"texture_{part}.png", checked.encode_png(piece.material.texture))
+            atomic.write_bytes(folder / "images" / f"texture_{part}.png", checked.encode_png(_picture(piece.material)))
     return names
 
 
@@ -73,21 +82,35 @@ def _obj(body: Manifold, piece: Piece, stem: str) -> bytes:
     n_table, n_at = np.unique(np.round(normals.reshape(-1, 3), 5), axis=0, return_inverse=True)
     indices = np.stack([faces, uv_at.reshape(-1, 3), n_at.reshape(-1, 3)], -1).reshape(-1, 9) + 1
     lines = [f"mtllib {stem}.mtl", f"o {stem}"]
-    lines += ["v %.9g %.9g %.9g" % tuple(v) for v in vertices @ R_ROOT_MESH]
-    lines += ["vt %.6g %.6g" % tuple(t) for t in uv_table]
-    lines += ["vn %.5g %.5g %.5g" % tuple(n) for n in n_table]
+    lines += ["v " + _row(v, 9) for v in vertices @ R_ROOT_MESH]
+    lines += ["vt " + _row(t, 6) for t in uv_table]
+    lines += ["vn " + _row(n, 5) for n in n_table]
     lines += [f"usemtl {piece.material.name}"]
-    lines += ["f %d/%d/%d %d/%d/%d %d/%d/%d" % tuple(row) for row in indices]
+    lines += ["f " + " ".join("/".join(map(str, corner)) for corner in row.reshape(3, 3)) for row in indices]
     return ("\n".join(lines) + "\n").encode()
+
+
+def _row(values: Array, digits: int) -> str:
+    return " ".join(f"{v:.{digits}g}" for v in values)
 
 
 def _mtl(material: Material, part: int) -> bytes:
     strength, exponent = SHINE[material.finish]
-    lines = [f"newmtl {material.name}", "illum 2", "d 1", f"Ns {exponent:g}", "Kd %g %g %g" % material.colour,
-             f"Ks {strength:g} {strength:g} {strength:g}"]
-    if material.texture is not None:
-        lines.append(f"map_Kd ../images/texture_{part}.png")
+    lines = [
+        f"newmtl {material.name}",
+        "illum 2",
+        "d 1",
+        f"Ns {exponent:g}",
+        "Kd 1 1 1",
+        f"Ks {strength:g} {strength:g} {strength:g}",
+        f"map_Kd ../images/texture_{part}.png",
+    ]
     return ("\n".join(lines) + "\n").encode()
+
+
+def _picture(material: Material) -> NDArray[np.uint8]:
+    """Also plain colours become pictures: SAPIEN takes Kd as linear but pictures as sRGB."""
+    return textures.plain(material.colour) if material.texture is None else material.texture
 
 
 def box_uv(vertices: Array, faces: NDArray[np.int64], tile_m: float | None) -> Array:
@@ -133,7 +156,7 @@ def crease_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
 
 
 def _urdf(model: ObjectModel, names: list[list[tuple[str, str]]]) -> bytes:
-    """The URDF: no inertia, no dynamics, no effort, meshes placed by minus the accumulated joint origin, root joint last."""
+    """The URDF: no inertia, dynamics or effort, meshes placed by minus the sum of joint origins, root joint last."""
     robot = ET.Element("robot", name=f"partnet_{model.name}")
     ET.SubElement(robot, "link", name="base")
     for k, link in enumerate(model.links):
@@ -180,9 +203,12 @@ def _mobility(model: ObjectModel) -> list[dict]:
             unit = 180 / np.pi if link.hinge.type == "revolute" else 1.0
             entry["parent"], entry["joint"] = int(link.hinge.parent.removeprefix("link_")), _JSON_KIND[link.hinge.type]
             entry["jointData"] = {
-                "axis": {"origin": (np.array(link.hinge.pivot, float) @ R_ROOT_MESH).tolist(),
-                         "direction": (np.array(link.hinge.axis, float) @ R_ROOT_MESH).tolist()},
-                "limit": {"a": link.hinge.lower * unit, "b": link.hinge.upper * unit, "noLimit": False}}
+                "axis": {
+                    "origin": (np.array(link.hinge.pivot, float) @ R_ROOT_MESH).tolist(),
+                    "direction": (np.array(link.hinge.axis, float) @ R_ROOT_MESH).tolist(),
+                },
+                "limit": {"a": link.hinge.lower * unit, "b": link.hinge.upper * unit, "noLimit": False},
+            }
         entries.append(entry)
     return entries
 

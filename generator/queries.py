@@ -38,21 +38,29 @@ class PlannedQuery:
     """Joint state, rad or m."""
 
 
-def plan_queries(meshes: tuple[Mesh, Mesh], joint: Joint, camera: Camera, plan: Plan, n: int, seed: int,
-                 settings: QuerySettings | None = None) -> tuple[PlannedQuery, ...]:
+def plan_queries(
+    meshes: tuple[Mesh, Mesh],
+    joint: Joint,
+    camera: Camera,
+    plan: Plan,
+    n: int,
+    seed: int,
+    settings: QuerySettings | None = None,
+) -> tuple[PlannedQuery, ...]:
     """`n` views of random pose frame and another state frame; the whole object is in each picture.
 
     A camera move that would cut the object off is drawn again, and shrunk a little each time.
     """
     settings = settings or QuerySettings()
     rng = np.random.default_rng([seed, 3])
-    hulls = tuple(hull_points(mesh) for mesh in meshes)
+    hulls = hull_points(meshes[0]), hull_points(meshes[1])
     views = []
     for _ in range(n):
         a, b = (int(k) for k in rng.choice(len(plan.states), 2, replace=False))
         T_camera_object, q = plan.Ts_camera_object[a], float(plan.states[b])
-        points = np.concatenate([se3.transform(T_camera_object, hulls[0]),
-                                 se3.transform(T_camera_object @ joint.transform(q), hulls[1])])
+        points = np.concatenate(
+            [se3.transform(T_camera_object, hulls[0]), se3.transform(T_camera_object @ joint.transform(q), hulls[1])]
+        )
         centre = se3.transform(T_camera_object, plan.centre)
         size = 1.0
         while True:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,24 +15,27 @@ from numpy.typing import NDArray
 from freeart21 import catalog
 from freeart21.articulation import Articulation
 from freeart21.camera import Camera
+from freeart21.catalog import built_in_names
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import write_benchmark
 from freeart21.files.sequence import write_sequence
 from freeart21.files.truth import write_truth
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal
-from freeart21.recording import Frame, Query, Recording
+from freeart21.recording import Frame, Recording
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from generator import objects, partnet
 from generator.motion import plan_tumble
 from generator.partnet_writer import write_partnet
+from generator.progress import Progress, progress_bar
 from generator.queries import plan_queries
 from generator.scene import Picture, Scene, simulator
 from generator.truth_mesh import outer_faces, visible_faces
 
 LICENCES = {"procedural": "CC0-1.0", "partnet": "PartNet-Mobility terms of use; not to be redistributed"}
 """Licence of a recording by the source of its object."""
+
 
 @dataclass(frozen=True)
 class RecordSettings:
@@ -70,15 +72,12 @@ class RecordSettings:
     """Every how many frames the truth's visible faces are looked for."""
 
 
-Progress = Callable[[int, int], None]
-"""Called with the number of pictures rendered and their total."""
-
-
-def record(name: str, out: Path, settings: RecordSettings | None = None, progress: Progress | None = None) -> str:
+def record(name: str, out: Path, settings: RecordSettings | None = None) -> str:
     """Record the object `name` of the catalog into the data folder `out`; returns the new sequence's name.
 
-    Writes `out/sequences/SEQ` and `out/truth/SEQ`, both or neither, and renews `out/benchmark.json`. Raises FreeArtError
-    when the object is unknown, its files are unfit, the sequence exists already, or this machine cannot render.
+    Writes `out/sequences/SEQ` and `out/truth/SEQ`, both or neither, and renews `out/benchmark.json`.
+    A progress bar appears when standard error is a terminal. Raises FreeArtError when the object is unknown, its files
+    are unfit, the sequence exists already, or this machine cannot render.
     """
     settings = settings or RecordSettings()
     _check(settings)
@@ -90,11 +89,11 @@ def record(name: str, out: Path, settings: RecordSettings | None = None, progres
             if folder.exists():
                 raise FreeArtError(f"{folder} exists; choose another place or seed, or remove it first")
         loaded = partnet.load(source.folder, source.joint, settings.skip_missing)
-        session = _Session(loaded, settings, progress)
+        session = _Session(loaded, settings, stack.enter_context(progress_bar(source.sequence)))
         stack.callback(_remove_half, sequence, truth_folder)
         write_sequence(sequence, session.recording(source.licence), session.depth_scale)
         write_truth(truth_folder, session.truth(source.facts), settings.queries)
-    write_benchmark(out, out.resolve().name, "1", "dev")
+    write_benchmark(out, out.resolve().name, "1", "public")
     return source.sequence
 
 
@@ -117,11 +116,15 @@ def _source(name: str, settings: RecordSettings, stack: ExitStack) -> _Source:
         folder = write_partnet(objects.build(name, settings.seed), place / name)
         return _Source(folder, settings.joint or entry.joint, f"{name}-s{settings.seed}", LICENCES["procedural"], facts)
     if settings.partnet_root is None:
-        raise FreeArtError(f"object '{name}' is from PartNet-Mobility: give the folder that holds {name}/ as --partnet-root")
+        raise FreeArtError(
+            f"object '{name}' is from PartNet-Mobility: give the folder that holds {name}/ as --partnet-root"
+        )
     folder = settings.partnet_root / name
     if not folder.is_dir():
-        raise FreeArtError(f"PartNet-Mobility object {name} is not in {settings.partnet_root}; ask for access to the dataset "
-                           f"and unpack it so that {folder / partnet.URDF_NAME} exists")
+        raise FreeArtError(
+            f"PartNet-Mobility object {name} is not in {settings.partnet_root}; ask for access to the dataset "
+            f"and unpack it so that {folder / partnet.URDF_NAME} exists"
+        )
     joint = settings.joint or entry.joint
     suffix = "" if joint is None else f"-{joint}"
     return _Source(folder, joint, f"{name}{suffix}-s{settings.seed}", LICENCES["partnet"], facts)
@@ -129,8 +132,10 @@ def _source(name: str, settings: RecordSettings, stack: ExitStack) -> _Source:
 
 def _check(settings: RecordSettings) -> None:
     if settings.frames < 2 or settings.fps <= 0 or settings.queries < 0:
-        raise FreeArtError(f"cannot record {settings.frames} frames at {settings.fps:g} a second with {settings.queries} "
-                           "held-out views; expected at least 2 frames, more than 0 a second and 0 views or more")
+        raise FreeArtError(
+            f"cannot record {settings.frames} frames at {settings.fps:g} a second with {settings.queries} "
+            "held-out views; expected at least 2 frames, more than 0 a second and 0 views or more"
+        )
     for what, value, known in (("motion", settings.motion, ("tumble",)), ("sensor", settings.sensor, ("clean",))):
         if value not in known:
             raise FreeArtError(f"unknown {what} '{value}'; {what}s: {', '.join(known)}")
@@ -156,19 +161,20 @@ def other_way_round(joint: Joint) -> Joint:
 class _Session:
     """One recording under way: renders frames when asked, and remembers what the truth needs."""
 
-    def __init__(self, loaded: partnet.PartNetObject, settings: RecordSettings, progress: Progress | None) -> None:
-        self.loaded, self.settings, self._progress = loaded, settings, progress or (lambda done, total: None)
+    def __init__(self, loaded: partnet.PartNetObject, settings: RecordSettings, progress: Progress) -> None:
+        self.loaded, self.settings, self._progress = loaded, settings, progress
         self.camera = Camera.from_fov(settings.width, settings.height, np.radians(settings.fov_y_degrees))
-        coarse = tuple(side.surface.mesh() for side in loaded.sides)
+        coarse = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
         diagonal = bounding_diagonal(*coarse)
-        self.meshes: tuple[Mesh, Mesh] = tuple(  # type: ignore[assignment]
-            side.surface.subdivided(settings.edge * diagonal).mesh() for side in loaded.sides)
+        fine = [side.surface.subdivided(settings.edge * diagonal).mesh() for side in loaded.sides]
+        self.meshes: tuple[Mesh, Mesh] = fine[0], fine[1]
         self.plan = plan_tumble(coarse, loaded.joint, self.camera, settings.frames, settings.fps, settings.seed)
         self.queries = plan_queries(coarse, loaded.joint, self.camera, self.plan, settings.queries, settings.seed)
         reach = np.linalg.norm(self.plan.Ts_camera_object[:, :3, 3], axis=1).max() + 2 * diagonal
         self.depth_scale = nice_scale(reach / 65000)
-        self.scene = Scene(loaded.asset.urdf, [side.links for side in loaded.sides], self.camera, 1e-3 * reach, reach,
-                           settings.shader)
+        self.scene = Scene(
+            loaded.asset.urdf, [side.links for side in loaded.sides], self.camera, 1e-3 * reach, reach, settings.shader
+        )
         self._sides: dict[int, NDArray[np.uint8]] = {}
         self._views: dict[int, Picture] = {}
 
@@ -185,19 +191,40 @@ class _Session:
         order = (1, 0) if counts[:, 1].sum() > counts[:, 0].sum() else (0, 1)
         Ts_sides = self.plan.Ts_camera_object, self.plan.Ts_camera_object @ joint.transform(states)
         outer = outer_faces(self.meshes, self.loaded.joint)
-        visible = visible_faces(self.meshes, self.camera, (
-            (Ts_sides[0][i], Ts_sides[1][i], masks[i] > 0) for i in range(0, len(states), self.settings.visible_every)))
+        visible = visible_faces(
+            self.meshes,
+            self.camera,
+            (
+                (Ts_sides[0][i], Ts_sides[1][i], masks[i] > 0)
+                for i in range(0, len(states), self.settings.visible_every)
+            ),
+        )
         label = np.array([0, 1 + order.index(0), 1 + order.index(1)], np.uint8)
-        source = {**facts, **simulator(), "seed": self.settings.seed, "motion": self.settings.motion,
-                  "sensor": self.settings.sensor, "shader": self.settings.shader, "joint": joint.name,
-                  "held": self.loaded.asset.held,
-                  "reference_links": self.loaded.sides[order[0]].links, "moving_links": self.loaded.sides[order[1]].links}
+        source = {
+            **facts,
+            **simulator(),
+            "seed": self.settings.seed,
+            "motion": self.settings.motion,
+            "sensor": self.settings.sensor,
+            "shader": self.settings.shader,
+            "joint": joint.name,
+            "held": self.loaded.asset.held,
+            "reference_links": self.loaded.sides[order[0]].links,
+            "moving_links": self.loaded.sides[order[1]].links,
+        }
         return Truth(
-            Articulation(joint if order == (0, 1) else other_way_round(joint), *(self.meshes[k] for k in order)), states,
-            Ts_sides[order[0]], Ts_sides[order[1]],
-            counts[:, list(order)], (outer[order[0]] | visible[order[0]], outer[order[1]] | visible[order[1]]),
+            Articulation(joint if order == (0, 1) else other_way_round(joint), *(self.meshes[k] for k in order)),
+            states,
+            Ts_sides[order[0]],
+            Ts_sides[order[1]],
+            counts[:, list(order)],
+            (outer[order[0]] | visible[order[0]], outer[order[1]] | visible[order[1]]),
             (visible[order[0]], visible[order[1]]),
-            lambda i: label[masks[i]], lambda i: self._view(i).rgb, lambda i: self._view(i).side > 0, source)
+            lambda i: label[masks[i]],
+            lambda i: self._view(i).rgb,
+            lambda i: self._view(i).side > 0,
+            source,
+        )
 
     def _frame(self, index: int) -> Frame:
         picture = self._render(self.plan.Ts_camera_object[index], float(self.plan.states[index]))
@@ -214,3 +241,6 @@ class _Session:
 
     def _render(self, T_camera_object: Array, state: float) -> Picture:
         return self.scene.render(T_camera_object, {**self.loaded.asset.held, self.loaded.joint.name: state})
+
+
+__all__ = ["LICENCES", "RecordSettings", "built_in_names", "nice_scale", "other_way_round", "record"]

@@ -35,8 +35,15 @@ class Picture:
 class Scene:
     """One object before a camera at rest; nothing is simulated."""
 
-    def __init__(self, urdf: Path, groups: Sequence[Sequence[str]], camera: Camera, near: float, far: float,
-                 shader: str = "default") -> None:
+    def __init__(
+        self,
+        urdf: Path,
+        groups: Sequence[Sequence[str]],
+        camera: Camera,
+        near: float,
+        far: float,
+        shader: str = "default",
+    ) -> None:
         """`groups` are names of links, one group a label; `near` and `far` bound the depth, metres.
 
         Raises FreeArtError when this machine cannot render or SAPIEN cannot load the object.
@@ -48,20 +55,23 @@ class Scene:
         sapien.render.set_camera_shader_dir(shader)
         self.camera = camera
         self._scene = sapien.Scene()
-        self._scene.set_ambient_light([0.42, 0.42, 0.44])
+        self._scene.set_ambient_light([0.30, 0.30, 0.32])
         # A lamp above and behind the camera to the left, a weaker one from the right, and one from below.
-        self._scene.add_directional_light([1.0, -0.55, -0.9], [1.5, 1.45, 1.38])
-        self._scene.add_directional_light([0.7, 0.9, -0.2], [0.55, 0.57, 0.62])
+        self._scene.add_directional_light([1.0, -0.55, -0.9], [1.9, 1.85, 1.75])
+        self._scene.add_directional_light([0.7, 0.9, -0.2], [0.5, 0.52, 0.58])
         self._scene.add_directional_light([0.5, 0.1, 0.9], [0.25, 0.25, 0.27])
         self._object = _load(self._scene, urdf)
         self._label = _labels(self._object, groups, urdf)
-        self._view = self._scene.add_camera("camera", camera.width, camera.height,
-                                            2 * np.arctan(0.5 * camera.height / camera.K[1, 1]), near, far)
-        self._view.set_perspective_parameters(near, far, camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], 0.0)
+        self._view = self._scene.add_camera(
+            "camera", camera.width, camera.height, 2 * np.arctan(0.5 * camera.height / camera.K[1, 1]), near, far
+        )
+        self._view.set_perspective_parameters(
+            near, far, camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], 0.0
+        )
         self._view.entity.set_pose(sapien.Pose())
 
     def render(self, T_camera_object: Array, positions: dict[str, float]) -> Picture:
-        """The view with the root link at `T_camera_object` (4, 4) and the joints at `positions` (rad or m; others zero)."""
+        """The view with the root link at `T_camera_object` (4, 4) and joints at `positions` (rad or m; others zero)."""
         import sapien
 
         T = _T_SAPIEN_CAMERA @ T_camera_object
@@ -72,14 +82,19 @@ class Scene:
         rgb = self._view.get_picture("Color")[..., :3]
         z = -self._view.get_picture("Position")[..., 2]
         side = self._label[np.minimum(self._view.get_picture("Segmentation")[..., 1], len(self._label) - 1)]
-        return Picture(np.clip(np.rint(rgb * 255), 0, 255).astype(np.uint8) if rgb.dtype != np.uint8 else rgb.copy(),
-                       np.where(side > 0, z, 0).astype(np.float32), side)
+        return Picture(
+            np.clip(np.rint(rgb * 255), 0, 255).astype(np.uint8) if rgb.dtype != np.uint8 else rgb.copy(),
+            np.where(side > 0, z, 0).astype(np.float32),
+            side,
+        )
 
     def link_poses(self) -> dict[str, Array]:
         """Link name to its pose (4, 4) in the camera frame, as SAPIEN has it since the last `render`."""
         T_camera_sapien = se3.inverse(_T_SAPIEN_CAMERA)
-        return {link.name: T_camera_sapien @ se3.pose_from_wxyz(link.entity_pose.p, link.entity_pose.q)
-                for link in self._object.links}
+        return {
+            link.name: T_camera_sapien @ se3.pose_from_wxyz(link.entity_pose.p, link.entity_pose.q)
+            for link in self._object.links
+        }
 
 
 def simulator() -> dict[str, str]:

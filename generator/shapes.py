@@ -31,13 +31,15 @@ def round_box(size: ArrayLike, radius: float, centre: ArrayLike = (0, 0, 0), seg
     """A box of `size` (3,) with all edges and corners rounded to `radius`."""
     half = np.asarray(size, float) / 2 - radius
     ball = Manifold.sphere(radius, segments)
-    corners = [ball.translate((sx * half[0], sy * half[1], sz * half[2]))
-               for sx in (-1, 1) for sy in (-1, 1) for sz in (-1, 1)]
+    corners = [
+        ball.translate((sx * half[0], sy * half[1], sz * half[2])) for sx in (-1, 1) for sy in (-1, 1) for sz in (-1, 1)
+    ]
     return Manifold.batch_hull(corners).translate(tuple(np.asarray(centre, float)))
 
 
-def rod(radius: float, length: float, axis: Axis, centre: ArrayLike = (0, 0, 0), bevel: float = 0.0,
-        segments: int = 48) -> Manifold:
+def rod(
+    radius: float, length: float, axis: Axis, centre: ArrayLike = (0, 0, 0), bevel: float = 0.0, segments: int = 48
+) -> Manifold:
     """A cylinder about `centre` along `axis`, its rims cut at 45 degrees by `bevel` metres."""
     solid = Manifold.cylinder(length, radius - bevel, radius - bevel, segments, True)
     if bevel > 0:

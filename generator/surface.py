@@ -1,4 +1,4 @@
-"""A painted triangle surface: positions, texture coordinates and paints, fine enough to carry colours at its vertices."""
+"""A painted triangle surface, which can be made fine enough to carry its colours at the vertices."""
 
 from __future__ import annotations
 
@@ -59,7 +59,8 @@ class Surface:
             np.concatenate([s.faces + first_vertex[k] for k, s in enumerate(surfaces)]),
             np.concatenate([s.uv for s in surfaces]),
             np.concatenate([s.paint + first_paint[k] for k, s in enumerate(surfaces)]),
-            tuple(paint for s in surfaces for paint in s.paints))
+            tuple(paint for s in surfaces for paint in s.paints),
+        )
 
     def moved(self, T_new_old: Array, scale: ArrayLike = 1.0) -> Surface:
         """The surface scaled about its origin, then mapped by `T_new_old` (4, 4)."""
@@ -85,7 +86,9 @@ class Surface:
             if len(todo) == 0:
                 break
             if len(todo) + sum(map(len, done)) > 20_000_000:
-                raise FreeArtError(f"cannot divide a surface of {len(self.faces)} triangles to edges of {longest:.3g} m")
+                raise FreeArtError(
+                    f"cannot divide a surface of {len(self.faces)} triangles to edges of {longest:.3g} m"
+                )
             rows = np.arange(len(todo))
             a, b, c = todo[rows, k], todo[rows, (k + 1) % 3], todo[rows, (k + 2) % 3]
             edges, at = np.unique(np.sort(np.stack([a, b], 1), axis=1), axis=0, return_inverse=True)

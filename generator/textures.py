@@ -12,30 +12,47 @@ Image = NDArray[np.uint8]
 Colour = tuple[float, float, float]
 
 
+def shade(colour: Colour, factor: float, offset: float = 0.0) -> Colour:
+    """A darker (or lighter) kin of a colour."""
+    r, g, b = (min(1.0, factor * c + offset) for c in colour)
+    return r, g, b
+
+
 def wood(rng: np.random.Generator, light: Colour, dark: Colour, size: int = 512) -> Image:
     """Wood with its grain along u."""
     v, u = np.mgrid[0:size, 0:size] / size
-    bend = _noise(rng, size, 4, 2) * 0.9 + _noise(rng, size, 12, 4) * 0.12
-    rings = 0.5 + 0.5 * np.sin(2 * np.pi * (9 * v + bend + 0.15 * np.sin(2 * np.pi * u)))
+    bend = _noise(rng, size, 3, 3) * 0.55 + _noise(rng, size, 8, 6) * 0.05
+    rings = 0.5 + 0.5 * np.sin(2 * np.pi * (11 * v + bend + 0.08 * np.sin(2 * np.pi * u)))
     fibres = _noise(rng, size, 5, 160)
     mix = np.clip(0.25 + 0.45 * rings**2 + 0.35 * fibres, 0, 1)[..., None]
     picture = np.array(light) * (1 - mix) + np.array(dark) * mix
     for _ in range(2):  # knots
         cu, cv = rng.integers(0, size, 2)
-        cv2.ellipse(picture, (int(cu), int(cv)), (int(rng.integers(10, 20)), int(rng.integers(5, 9))), 0, 0, 360,
-                    (np.array(dark) * 0.55).tolist(), -1, cv2.LINE_AA)
+        cv2.ellipse(
+            picture,
+            (int(cu), int(cv)),
+            (int(rng.integers(10, 20)), int(rng.integers(5, 9))),
+            0,
+            0,
+            360,
+            (np.array(dark) * 0.55).tolist(),
+            -1,
+            cv2.LINE_AA,
+        )
     return _uint8(cv2.GaussianBlur(picture, (0, 0), 0.8))
 
 
 def brushed_metal(rng: np.random.Generator, colour: Colour, size: int = 256) -> Image:
     """Metal brushed along u."""
-    streaks = _noise(rng, size, 3, size) * 0.16 + _noise(rng, size, 2, 48) * 0.08
+    streaks = _noise(rng, size, 6, size) * 0.06 + _noise(rng, size, 2, 64) * 0.03
     return _uint8(np.array(colour) * (1 + streaks[..., None]))
 
 
 def speckle(rng: np.random.Generator, colour: Colour, strength: float = 0.12, size: int = 256) -> Image:
     """Moulded plastic or rubber: a fine grain."""
-    return _uint8(np.array(colour) * (1 + strength * (_noise(rng, size, 96, 96) + 0.5 * _noise(rng, size, 40, 40))[..., None]))
+    return _uint8(
+        np.array(colour) * (1 + strength * (_noise(rng, size, 96, 96) + 0.5 * _noise(rng, size, 40, 40))[..., None])
+    )
 
 
 def knurl(colour: Colour, lines: int = 10, size: int = 256) -> Image:
@@ -51,11 +68,24 @@ def stripes(colours: Sequence[Colour], repeats: int, size: int = 256) -> Image:
     return _uint8(np.broadcast_to(np.array(colours)[index][None], (size, size, 3)))
 
 
-def label(lines: Sequence[str], paper: Colour, ink: Colour, aspect: float, rng: np.random.Generator | None = None,
-          border: bool = True, height: int = 256) -> Image:
+def plain(colour: Colour) -> Image:
+    """One colour all over."""
+    return _uint8(np.broadcast_to(np.array(colour), (4, 4, 3)))
+
+
+def label(
+    lines: Sequence[str],
+    paper: Colour | Image,
+    ink: Colour,
+    aspect: float,
+    rng: np.random.Generator | None = None,
+    border: bool = True,
+    height: int = 256,
+) -> Image:
     """A printed label, `aspect` times as wide as high, with one or more lines of text and, given `rng`, a bar code."""
     width = round(height * aspect)
-    picture = np.ascontiguousarray(np.broadcast_to(_uint8(np.array(paper)), (height, width, 3)))
+    ground = paper if isinstance(paper, np.ndarray) else plain(paper)
+    picture = cv2.resize(ground, (width, height))
     colour = _ink(ink)
     if border:
         cv2.rectangle(picture, (6, 6), (width - 7, height - 7), colour, 4)
@@ -73,7 +103,7 @@ def label(lines: Sequence[str], paper: Colour, ink: Colour, aspect: float, rng: 
         (w, h), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_DUPLEX, scale, 2)
         at = (round(20 + (right - 20 - w) / 2), round(20 + step * (i + 0.5) + h / 2))
         cv2.putText(picture, text, at, cv2.FONT_HERSHEY_DUPLEX, scale, colour, max(2, round(2.2 * scale)), cv2.LINE_AA)
-    return picture
+    return np.asarray(picture, np.uint8)
 
 
 def emblem(rng: np.random.Generator, ground: Image, ink: Colour, text: str) -> Image:
@@ -89,7 +119,7 @@ def emblem(rng: np.random.Generator, ground: Image, ink: Colour, text: str) -> I
     cv2.fillPoly(picture, [np.rint(star).astype(np.int32)], colour, cv2.LINE_AA)
     (w, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_TRIPLEX, 1.4, 3)
     cv2.putText(picture, text, (160 - w // 2, 290), cv2.FONT_HERSHEY_TRIPLEX, 1.4, colour, 3, cv2.LINE_AA)
-    return picture
+    return np.asarray(picture, np.uint8)
 
 
 def _ink(colour: Colour) -> tuple[float, ...]:
@@ -100,7 +130,9 @@ def _noise(rng: np.random.Generator, size: int, cells_u: int, cells_v: int) -> N
     """Smooth noise in -1 to 1 that tiles, with the given number of cells along u (columns) and v (rows)."""
     grid = rng.uniform(-1, 1, (cells_v, cells_u))
     grid = np.pad(grid, 2, mode="wrap")
-    big = cv2.resize(grid, (size * (cells_u + 4) // cells_u, size * (cells_v + 4) // cells_v), interpolation=cv2.INTER_CUBIC)
+    big = cv2.resize(
+        grid, (size * (cells_u + 4) // cells_u, size * (cells_v + 4) // cells_v), interpolation=cv2.INTER_CUBIC
+    )
     top, left = 2 * size // cells_v, 2 * size // cells_u
     return np.clip(big[top : top + size, left : left + size], -1, 1)
 

@@ -13,34 +13,39 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from generator.motion import motion_range
-from generator.rays import Caster
+from generator.rays import Caster, Hits
 
 Flags = tuple[NDArray[np.bool_], NDArray[np.bool_]]
 
-_DIRECTIONS = 64
-_GRID = 128
-_ESCAPES = 12
+_DIRECTIONS = 40
+_GRID = 100
+_ESCAPES = 10
 
 
 def outer_faces(meshes: tuple[Mesh, Mesh], joint: Joint, states: int = 5) -> Flags:
     """Per side (F,) faces that a ray from outside can hit at one of `states` joint states spread over the range.
 
-    First parallel rays from 64 directions; then, for faces smaller than the rays' spacing, rays from their centres
-    outwards: a face is outer when one of them escapes.
+    First parallel rays from 40 directions, others at each state; then, for faces smaller than the rays' spacing, rays
+    from their centres outwards: a face is outer when one of them escapes.
     """
     caster = Caster(meshes)
     flags = (np.zeros(len(meshes[0].faces), bool), np.zeros(len(meshes[1].faces), bool))
     poses = [(np.eye(4), joint.transform(q)) for q in np.linspace(*motion_range(joint), states)]
-    for Ts in poses:
-        _mark_from_outside(caster, meshes, Ts, flags)
-    for Ts in poses:
+    directions = _sphere(_DIRECTIONS * states)
+    for k, Ts in enumerate(poses):
+        _mark_from_outside(caster, meshes, Ts, directions[k::states], flags)
+    for Ts in (poses[0], poses[states // 2], poses[-1]):
         _mark_escaping(caster, meshes, Ts, flags)
     return flags
 
 
-def visible_faces(meshes: tuple[Mesh, Mesh], camera: Camera,
-                  views: Iterable[tuple[Array, Array, NDArray[np.bool_]]]) -> Flags:
-    """Per side (F,) faces hit by a pixel's ray in one of the views (pose of each side (4, 4), foreground (height, width))."""
+def visible_faces(
+    meshes: tuple[Mesh, Mesh], camera: Camera, views: Iterable[tuple[Array, Array, NDArray[np.bool_]]]
+) -> Flags:
+    """Per side (F,) faces hit by a pixel's ray in one of the views.
+
+    A view is the pose of each side (4, 4) and the foreground (height, width) to look at.
+    """
     caster = Caster(meshes)
     flags = (np.zeros(len(meshes[0].faces), bool), np.zeros(len(meshes[1].faces), bool))
     for T_first, T_second, foreground in views:
@@ -48,25 +53,27 @@ def visible_faces(meshes: tuple[Mesh, Mesh], camera: Camera,
     return flags
 
 
-def _mark(hits, flags: Flags) -> None:
+def _mark(hits: Hits, flags: Flags) -> None:
     for k in (0, 1):
         flags[k][hits.face[hits.side == k]] = True
 
 
-def _mark_from_outside(caster: Caster, meshes: tuple[Mesh, Mesh], Ts: tuple[Array, Array], flags: Flags) -> None:
+def _mark_from_outside(
+    caster: Caster, meshes: tuple[Mesh, Mesh], Ts: tuple[Array, Array], directions: Array, flags: Flags
+) -> None:
     corners = np.concatenate([se3.transform(T, m.vertices) for T, m in zip(Ts, meshes, strict=True)])
     low, high = corners.min(0), corners.max(0)
     centre, radius = (low + high) / 2, 0.5 * np.linalg.norm(high - low)
     offsets = (np.arange(_GRID) + 0.5) / _GRID * 2 - 1
     u, v = (g.reshape(-1, 1) for g in np.meshgrid(offsets, offsets))
-    for direction in _sphere(_DIRECTIONS):
+    for direction in directions:
         across = np.linalg.svd(direction[None])[2][1:]
         origins = centre - 2 * radius * direction + radius * (u * across[0] + v * across[1])
         _mark(caster.cast(origins, np.broadcast_to(direction, origins.shape), Ts), flags)
 
 
 def _mark_escaping(caster: Caster, meshes: tuple[Mesh, Mesh], Ts: tuple[Array, Array], flags: Flags) -> None:
-    directions = _sphere(2 * _ESCAPES)
+    directions = _sphere(_ESCAPES)
     for k, (T, mesh) in enumerate(zip(Ts, meshes, strict=True)):
         rest = np.flatnonzero(~flags[k])
         corners = se3.transform(T, mesh.vertices)[mesh.faces[rest]]
