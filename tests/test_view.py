@@ -115,13 +115,14 @@ def make_truth(joint_type: str = "revolute") -> Truth:
     )
 
 
-def perfect_result(truth: Truth, shift: float = 0.3) -> Reconstruction:
-    """The truth in another canonical frame, with the axis turned round and another state zero."""
+def perfect_result(truth: Truth, shift: float = 0.3, sign: float = -1.0) -> Reconstruction:
+    """The truth in another canonical frame, with the axis turned round (or not) and another state zero."""
     T_new_old = se3.exp_se3([0.3, -0.2, 0.1, 0.4, 1.0, -0.7])
     at_shift = truth.articulation.moving.moved(truth.articulation.joint.transform(shift))
-    old = Articulation(truth.articulation.joint.reversed(), truth.articulation.reference, at_shift)
+    joint = truth.articulation.joint if sign > 0 else truth.articulation.joint.reversed()
+    old = Articulation(joint, truth.articulation.reference, at_shift)
     new = old.moved(T_new_old)
-    states = -(truth.states - shift)
+    states = sign * (truth.states - shift)
     reference = truth.Ts_camera_reference @ se3.inverse(T_new_old)
     return Reconstruction(
         new,
@@ -302,16 +303,18 @@ def test_result_page_shows_meshes_as_they_are(folders: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("joint_type", ["revolute", "prismatic"])
-def test_truth_lies_exactly_over_a_perfect_result(joint_type: str, swap: bool) -> None:
+def test_truth_lies_exactly_over_a_perfect_result(joint_type: str, sign: float, swap: bool) -> None:
     truth = make_truth(joint_type)
-    result = perfect_result(truth)
+    result = perfect_result(truth, sign=sign)
     result = matched(exchanged(result) if swap else result, truth)
     alignment = align(result, truth)
     assert np.abs(alignment.states(truth) - result.states).max() < 1e-9
     found, true = result.articulation.joint, alignment.joint(truth)
     assert np.abs(found.axis - true.axis).max() < 1e-9
-    assert [found.lower + 0.3, found.upper + 0.3] == pytest.approx([true.lower, true.upper])
+    assert alignment.offset == pytest.approx(-0.3 * alignment.sign)
+    assert true.lower == pytest.approx(-0.5 if alignment.sign > 0 else -0.8)
     scene = with_truth(
         articulation_scene(result.articulation, result.states, result.Ts_camera_reference), truth, alignment
     )
@@ -424,6 +427,16 @@ def test_urdf_link_moves_about_its_joint(tmp_path: Path) -> None:
     assert se3.transform(T, [[0, 1, 0], [0, 0, 1], [1, 0, 0]]) == pytest.approx(
         np.array([[0.1, 0, 1], [1.1, 0, 0], [0.1, 1, 0]]), abs=1e-12
     )
+
+
+def test_urdf_rpy_turns_about_the_fixed_x_then_y_then_z(tmp_path: Path) -> None:
+    """A quarter turn each: roll takes y to z, pitch takes that z to x, yaw takes that x to y."""
+    quarter = "1.5707963267948966"
+    body = f"""<link name="tip"/><joint name="odd" type="fixed"><origin rpy="{quarter} {quarter} {quarter}"/>
+      <parent link="base"/><child link="tip"/></joint>"""
+    turn = read_urdf(write_urdf(tmp_path, body=body)).origins["odd"][:3, :3]
+    assert turn @ [0, 1, 0] == pytest.approx([0, 1, 0], abs=1e-12)
+    assert turn @ [1, 0, 0] == pytest.approx([0, 0, -1], abs=1e-12)
 
 
 def test_mimic_joint_follows_its_leader_and_missing_mesh_is_told(tmp_path: Path) -> None:
