@@ -43,7 +43,7 @@ class Evidence:
         scene, s = self.scene, self.settings
         pixels, offsets = _flat(samples, len(scene))
         H, g, stats = np.zeros((len(source), 6, 6)), np.zeros((len(source), 6)), np.zeros((len(source), 4))
-        kernels.register_pairs(
+        arguments = (
             np.asarray(source, np.int64),
             np.asarray(target, np.int64),
             np.ascontiguousarray(T, float),
@@ -68,6 +68,7 @@ class Evidence:
             g,
             stats,
         )
+        kernels.in_threads(lambda begin, end: kernels.register_pairs(begin, end, *arguments), len(source), 50)
         return H, g, stats
 
     def costs(
@@ -82,7 +83,7 @@ class Evidence:
         """(p, s, k) cost of `pixels` (p, 2: row, column) of `frame` under motions T (s, k, 4, 4) to `others` (s,)."""
         scene, s = self.scene, self.settings
         costs = np.zeros((len(pixels), len(others), T.shape[1]))
-        kernels.pixel_costs(
+        arguments = (
             frame,
             np.asarray(others, np.int64),
             np.ascontiguousarray(T, float),
@@ -102,6 +103,7 @@ class Evidence:
             s.cap,
             costs,
         )
+        kernels.in_threads(lambda begin, end: kernels.pixel_costs(begin, end, *arguments), len(pixels), 2000)
         return costs
 
     def smoothed(self, frame: int, unary: Array) -> NDArray[np.float32]:

@@ -6,15 +6,37 @@ All work on the arrays of a `Scene` and poses `T` that take camera-frame points 
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 NEAR = 1e-6
 
+_THREADS = min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+_POOL = ThreadPoolExecutor(_THREADS)
 
-@njit(parallel=True, cache=True)
+
+def in_threads(work: Callable[[int, int], object], n: int, worth: int) -> None:
+    """Call `work(begin, end)` on pieces of range(n), in threads when n is at least `worth`.
+
+    Pieces write to places of their own, so the outcome does not depend on the number of threads. Kernels release the
+    interpreter lock; small work stays in this thread, where it is faster.
+    """
+    if n < worth or _THREADS == 1:
+        work(0, n)
+        return
+    bounds = np.linspace(0, n, 2 * _THREADS + 1).astype(int)
+    for done in [_POOL.submit(work, int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]:
+        done.result()
+
+
+@njit(nogil=True, cache=True)
 def register_pairs(  # pragma: no cover
+    begin,
+    end,
     source,
     target,
     T,
@@ -39,7 +61,7 @@ def register_pairs(  # pragma: no cover
     g,
     stats,
 ):
-    """Gauss-Newton terms of frame pairs for the left twist (v, w) of T[p] = T_target_source.
+    """Gauss-Newton terms of the frame pairs begin to end for the left twist (v, w) of T[p] = T_target_source.
 
     `samples[offsets[i]:offsets[i + 1]]` are rows and columns in frame i. With `part` > 0 a sample only meets target
     pixels with that label. Terms per sample: point-to-plane by projective association with Tukey's weight, colour
@@ -47,7 +69,7 @@ def register_pairs(  # pragma: no cover
     stats (p, 4): inliers, projected, cost, outside.
     """
     h, w = points.shape[1], points.shape[2]
-    for p in prange(source.shape[0]):
+    for p in range(begin, end):
         i, j = source[p], target[p]
         R = T[p]
         A = np.zeros((6, 6))
@@ -143,8 +165,10 @@ def _add(A, b, J, r, weight):  # pragma: no cover
             A[q, q2] += wj * J[q2]
 
 
-@njit(parallel=True, cache=True)
+@njit(nogil=True, cache=True)
 def pixel_costs(  # pragma: no cover
+    begin,
+    end,
     frame,
     others,
     T,
@@ -164,14 +188,14 @@ def pixel_costs(  # pragma: no cover
     cap,
     costs,
 ):
-    """What the pixels (p, 2: row, column) of `frame` cost under motions T (s, k, 4, 4) to the frames `others` (s,).
+    """What the pixels begin to end (p, 2: row, column) of `frame` cost under motions T (s, k, 4, 4) to the frames `others` (s,).
 
     Outside the mask: the distance to it. In front of the surface there: a violation of free space. Behind it: hidden,
     a constant. On it: point-to-plane, normal and colour differences, and `label_weight` times the disagreement of the
     hypothesis k (0 reference, 1 moving) with the other frame's `logodds` (> 0: moving). Fills costs (p, s, k).
     """
     h, w = points.shape[1], points.shape[2]
-    for p in prange(pixels.shape[0]):
+    for p in range(begin, end):
         y, x = pixels[p, 0], pixels[p, 1]
         a0, a1, a2 = points[frame, y, x, 0], points[frame, y, x, 1], points[frame, y, x, 2]
         m0, m1, m2 = normals[frame, y, x, 0], normals[frame, y, x, 1], normals[frame, y, x, 2]
@@ -219,7 +243,7 @@ def pixel_costs(  # pragma: no cover
                 costs[p, s, k] = cost
 
 
-@njit(cache=True)
+@njit(nogil=True, cache=True)
 def neighbour_weights(valid, points, normals, features, reach, flatness, weights):  # pragma: no cover
     """How much pixels at 1, 3 and 6 steps up, down, right and left pull: near, in one plane, of one colour."""
     h, w = valid.shape
@@ -250,7 +274,7 @@ def neighbour_weights(valid, points, normals, features, reach, flatness, weights
                 )
 
 
-@njit(cache=True)
+@njit(nogil=True, cache=True)
 def relax(unary, valid, weights, smoothness, rounds, start):  # pragma: no cover
     """Mean-field log-odds (h, w): unary plus the smoothed belief of the neighbours, `rounds` times from `start`."""
     h, w = unary.shape

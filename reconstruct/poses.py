@@ -116,9 +116,11 @@ def joint_adjustment(
 ) -> JointedPoses:
     """Gauss-Newton over all poses, one joint and one state a frame, on the pairs of both parts.
 
-    `seen` (n, 2) says where each part can be measured, `within` (n,) which frames take part at all.
+    `seen` (n, 2) says where each part can be measured, `within` (n,) which frames take part at all. Without
+    `rounds` it runs to the end and measures the standard deviations of the states.
     """
-    n, rounds = len(start.Ts), settings.joint_rounds if rounds is None else rounds
+    n, final = len(start.Ts), rounds is None
+    rounds = settings.joint_rounds if rounds is None else rounds
     within = np.ones(n, bool) if within is None else within
     usable = seen & within[:, None]
     samples = [part_samples(evidence, labels, k + 1, settings.samples, rng, usable[:, k]) for k in range(2)]
@@ -138,9 +140,10 @@ def joint_adjustment(
         now = _stepped(now, _damped_solve(A, b), across, evidence)
         if r in (rounds // 3, 2 * rounds // 3):
             pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((now.Ts, now.Ts_moving))]
-    reuse = len(pairs[1][0]) / max(usable[:, 1].sum(), 1)
-    std = _state_std(A, n, reuse)
-    return replace(now, state_std=np.where(usable.all(1), std, np.inf), cost=float(cost))
+    if final:
+        reuse = len(pairs[1][0]) / max(usable[:, 1].sum(), 1)
+        now = replace(now, state_std=np.where(usable.all(1), _state_std(A, n, reuse), np.inf))
+    return replace(now, cost=float(cost))
 
 
 def _normal_equations(

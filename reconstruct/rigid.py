@@ -11,9 +11,10 @@ from freeart21.se3 import Array
 def rigid_fit(source: Array, target: Array, weights: Array | None = None) -> Array:
     """T (..., 4, 4) that takes points `source` (..., m, 3) nearest to `target`, least squares (Arun et al. 1987)."""
     w = np.ones(source.shape[:-1]) if weights is None else weights
+    source, target = np.broadcast_to(source, (*w.shape, 3)), np.broadcast_to(target, (*w.shape, 3))
     w = w / np.maximum(w.sum(-1, keepdims=True), 1e-300)
     a, b = (w[..., None] * source).sum(-2), (w[..., None] * target).sum(-2)
-    M = np.einsum("...m,...mi,...mj->...ij", w, target - b[..., None, :], source - a[..., None, :])
+    M = np.swapaxes(w[..., None] * (target - b[..., None, :]), -1, -2) @ (source - a[..., None, :])
     R = se3.project_so3(M)
     return se3.pose(R, b - np.einsum("...ij,...j->...i", R, a))
 

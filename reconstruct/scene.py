@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from freeart21.recording import Recording
+from reconstruct.kernels import in_threads
 from reconstruct.settings import SceneSettings
 
 Floats = NDArray[np.float32]
@@ -65,7 +67,7 @@ class Scene:
     def __len__(self) -> int:
         return len(self.mask)
 
-    @property
+    @cached_property
     def valid(self) -> NDArray[np.bool_]:
         """(n, h, w) pixels with a point."""
         return self.points[..., 2] > 0
@@ -115,7 +117,8 @@ def prepare(recording: Recording, settings: SceneSettings) -> Scene:
     points, normals = np.zeros((*mask.shape, 3), np.float32), np.zeros((*mask.shape, 3), np.float32)
     edge = np.zeros(mask.shape, np.bool_)
     jump = settings.depth_jump * footprint + 4 * noise
-    _fit_planes(depth, fx, fy, cx, cy, radius, jump, points, normals, edge)
+    arguments = (depth, fx, fy, cx, cy, radius, jump, points, normals, edge)
+    in_threads(lambda begin, end: _fit_planes(begin, end, *arguments), n, 2)
     return Scene(
         rgb,
         mask,
@@ -198,11 +201,11 @@ def _features(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> tuple[Floats, 
     return features, outside
 
 
-@njit(parallel=True, cache=True)
-def _fit_planes(depth, fx, fy, cx, cy, radius, jump, points, normals, edge):  # pragma: no cover
+@njit(nogil=True, cache=True)
+def _fit_planes(begin, end, depth, fx, fy, cx, cy, radius, jump, points, normals, edge):  # pragma: no cover
     """Least-squares plane through each pixel's neighbourhood: inverse depth is affine in the picture."""
-    n, h, w = depth.shape
-    for i in prange(n):
+    h, w = depth.shape[1:]
+    for i in range(begin, end):
         for y in range(h):
             for x in range(w):
                 z0 = depth[i, y, x]

@@ -107,8 +107,9 @@ def _two_motions(
     pixels = np.rint(tracks.pixels[kept, -1]).astype(int)
     normals = scene.normals[frame + gap, pixels[:, 1], pixels[:, 0]].astype(float)
     errors = _errors(Ts, X, Y, normals, evidence)
-    pair_cost = np.stack([np.minimum(errors[a], errors).mean(1) for a in range(len(Ts))])
-    share = np.stack([(errors[a] < errors).mean(1) for a in range(len(Ts))])
+    some = errors[:, :400]
+    pair_cost = np.stack([np.minimum(one, some).mean(1) for one in some])
+    share = np.stack([(one < some).mean(1) for one in some])
     pair_cost[(share < 0.06) | (share > 0.94)] = np.inf
     a, b = np.unravel_index(pair_cost.argmin(), pair_cost.shape)
     if not np.isfinite(pair_cost[a, b]):
@@ -127,15 +128,20 @@ def _local_hypotheses(
     X: Array, Y: Array, radius: float, scale: float, settings: SeedSettings, rng: np.random.Generator
 ) -> Array:
     """(m, 4, 4) transforms, each from tracks round one point: a neighbourhood mostly lies on one part."""
-    Ts = []
-    for c in rng.integers(0, len(X), settings.hypotheses):
-        near = np.flatnonzero(np.linalg.norm(X - X[c], axis=1) < radius)
-        if len(near) < settings.sample:
-            continue
-        pick = rng.choice(near, settings.sample, replace=False)
-        T = rigid.rigid_fit(X[pick], Y[pick])
-        Ts.append(rigid.tukey_fit(T, X[near], Y[near], scale, 2))
-    return np.array(Ts).reshape(-1, 4, 4)
+    centres = rng.integers(0, len(X), settings.hypotheses)
+    near = np.linalg.norm(X[centres][:, None] - X[None], axis=2) < radius
+    near = near[near.sum(1) >= settings.sample]
+    if len(near) == 0:
+        return np.zeros((0, 4, 4))
+    draw = np.where(near, rng.random(near.shape), np.inf)
+    pick = np.argpartition(draw, settings.sample, axis=1)[:, : settings.sample]
+    Ts = rigid.rigid_fit(X[pick], Y[pick])
+    for _ in range(2):
+        r = rigid.distances(Ts, X[None], Y[None]) / (2 * scale)
+        weights = np.where(near & (r < 1), (1 - r**2) ** 2, 0.0)
+        held = (weights > 0).sum(1) >= 6
+        Ts[held] = rigid.rigid_fit(X[None], Y[None], weights[held])
+    return Ts
 
 
 def _errors(Ts: Array, X: Array, Y: Array, normals: Array, evidence: Evidence) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -12,6 +12,7 @@ from skimage.measure import marching_cubes
 from freeart21 import se3
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
+from reconstruct.kernels import in_threads
 from reconstruct.scene import Scene
 from reconstruct.settings import SurfaceSettings
 
@@ -38,9 +39,9 @@ def fuse(
     truncation = settings.truncation * voxel + 2 * scene.noise
     frames = np.flatnonzero(used)
     depth = np.ascontiguousarray(scene.points[..., 2])
-    _integrate(
-        field, weight, low, voxel, Ts, frames, depth, labels, part, scene.fx, scene.fy, scene.cx, scene.cy, truncation
-    )
+    arguments = (field, weight, low, voxel, Ts, frames, depth, labels, part)
+    lens = (scene.fx, scene.fy, scene.cx, scene.cy, truncation)
+    in_threads(lambda begin, end: _integrate(begin, end, *arguments, *lens), len(field), 2)
     if not ((field < 0) & (weight > 0)).any():
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), np.uint8))
     field[weight <= 0] = 1
@@ -124,14 +125,14 @@ def _colours(
     return np.clip(np.rint(colours), 0, 255).astype(np.uint8)
 
 
-@njit(parallel=True, cache=True)
+@njit(nogil=True, cache=True)
 def _integrate(
-    field, weight, low, voxel, Ts, frames, depth, labels, part, fx, fy, cx, cy, truncation
+    begin, end, field, weight, low, voxel, Ts, frames, depth, labels, part, fx, fy, cx, cy, truncation
 ):  # pragma: no cover
     """Average, over frames, of the signed distance along z in units of the truncation, in [-1, 1]; > 0 is free."""
-    nx, ny, nz = field.shape
+    ny, nz = field.shape[1:]
     h, w = depth.shape[1], depth.shape[2]
-    for a in prange(nx):
+    for a in range(begin, end):
         for b in range(ny):
             for c in range(nz):
                 x, y, z = low[0] + a * voxel, low[1] + b * voxel, low[2] + c * voxel
