@@ -353,6 +353,27 @@ def test_truth_of_another_joint_type_gets_its_own_slider() -> None:
     assert np.array_equal(scene.sliders[1].states, truth.states)
 
 
+def test_result_with_empty_parts_no_limits_and_one_frame_is_shown(tmp_path: Path) -> None:
+    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
+    joint = Joint("j", "prismatic", [1, 0, 0], [0, 0, 0], -np.inf, np.inf)
+    masks = np.zeros((1, 4, 4), np.uint8)
+    one = Reconstruction(
+        Articulation(joint, nothing, nothing),
+        np.zeros(1),
+        np.eye(4)[None],
+        np.eye(4)[None],
+        masks,
+        np.zeros((1, 2), bool),
+    )
+    write_result(tmp_path / "result", one)
+    text = page(tmp_path / "result")
+    scene = next(data for data in Parsed(text).data if "surfaces" in data)
+    assert [scene["layers"][surface["layer"]]["name"] for surface in scene["surfaces"]] == ["joint axis"]
+    assert (
+        scene["sliders"][0]["lower"] < scene["sliders"][0]["upper"] and "nan" not in text.split("<script>")[0].lower()
+    )
+
+
 def test_failure_page_says_why(tmp_path: Path, folders: dict[str, Path]) -> None:
     write_result(tmp_path / "failed", Failure("segmentation", "only one part <moves>", {"tracks": 1.0}))
     text = page(tmp_path / "failed", folders["truth"], folders["seq"], {"axis": {"value": 90.0, "unit": "deg"}})
@@ -415,7 +436,7 @@ def test_asset_page_has_a_slider_over_the_limits_and_says_what_acts(tmp_path: Pa
     (scene,) = Parsed(text).data
     (slider,) = scene["sliders"]
     assert (slider["lower"], slider["upper"], slider["value"]) == (-0.5, 1.5, 0.25)
-    assert "viscous_damping (coefficient 0.02 N*m*s/rad)" in text and "2.5 kg" in text and "3 N m" in text
+    assert "viscous_damping (coefficient 0.02 N m s/rad)" in text and "2.5 kg" in text and "3 N m" in text
     assert "2, 1, 3</td>" in text, "inertia is turned into the link's frame"
     assert [layer["shown"] for layer in scene["layers"] if layer["name"] == "collision shapes"] == [False]
 
@@ -576,6 +597,13 @@ def test_unknown_folder_is_told_what_was_looked_for_and_what_is_there(tmp_path: 
     ):
         with pytest.raises(FreeArtError, match=told):
             page(path)
+
+
+def test_seconds_that_are_no_numbers_are_told(folders: dict[str, Path]) -> None:
+    header = folders["result"] / "prediction.json"
+    header.write_text(json.dumps(json.loads(header.read_text()) | {"seconds": {"tracks": "long"}}))
+    with pytest.raises(FreeArtError, match="'seconds' is {'tracks': 'long'}, expected a number"):
+        page(folders["result"])
 
 
 def test_things_that_do_not_belong_together_are_refused(tmp_path: Path, folders: dict[str, Path]) -> None:

@@ -118,8 +118,10 @@ def read_result(folder: Path) -> Reconstruction | Failure:
     if not header.is_file():
         raise FreeArtError(f"{folder} is not a result: it has no prediction.json")
     data = checked.read_json(header, SCHEMA)
-    seconds = data.get("seconds")
-    seconds = {str(k): float(v) for k, v in seconds.items()} if isinstance(seconds, dict) else {}
+    seconds = data.get("seconds") or {}
+    if not isinstance(seconds, dict) or not all(isinstance(value, int | float) for value in seconds.values()):
+        raise FreeArtError(f"{header}: 'seconds' is {seconds!r}, expected a number for every stage")
+    seconds = {str(stage): float(value) for stage, value in seconds.items()}
     if data.get("status") == "failed":
         return Failure(checked.text(data, "stage", header), checked.text(data, "reason", header), seconds)
     if data.get("status") != "ok":

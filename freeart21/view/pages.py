@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -62,7 +62,7 @@ def page(
     """
     path = Path(path)
     kind = recognised(path)
-    name = title or path.resolve().name
+    name = title or _name(path.resolve())
     true = read_truth(truth) if truth is not None and kind != "truth" else None
     extra = [score_section(scores, place="small" if kind == "asset" else "right")] if scores else []
     if kind == "sequence":
@@ -123,6 +123,13 @@ def recognised(path: Path) -> str:
     )
 
 
+def _name(path: Path) -> str:
+    """What a page is called after: the folder, for a folder asset/ the one it stands in, for a file its stem."""
+    if path.is_file():
+        return path.stem
+    return path.parent.name if path.name == "asset" else path.name
+
+
 def _sequence_page(name: str, recording: Recording | None, true: Truth | None, extra: list[Section]) -> str:
     """The page of a sequence, of a truth, or of both together."""
     _check_lengths(recording=recording, truth=true)
@@ -139,12 +146,13 @@ def _sequence_page(name: str, recording: Recording | None, true: Truth | None, e
                 articulation_scene(true.articulation, states, true.Ts_camera_reference, camera), "True parts and joint"
             ),
             plot_section(StateSeries(joint.type, *_abscissa(recording, len(true)), truth=states)),
-            table_section("True joint", joint_rows(joint, states)),
+            table_section("True joint", joint_rows(joint, states), place="right"),
             table_section("Source", _source_rows(true.source)),
         ]
         chips.append(f"{joint.type} joint")
     if recording is not None:
-        sections.append(table_section("Recording", recording_rows(recording)))
+        place: Literal["right", "small"] = "small" if true is not None else "right"
+        sections.append(table_section("Recording", recording_rows(recording), place=place))
     return document(name, [*sections, *extra], "sequence" if recording is not None else "truth", chips)
 
 
@@ -164,14 +172,18 @@ def _result_page(
     camera = recording.camera if recording is not None else None
     scene = articulation_scene(result.articulation, states, result.Ts_camera_reference, camera)
     series = StateSeries(joint.type, *_abscissa(recording, len(result)), states, result.state_std, result.seen[:, 1])
-    facts = table_section("Joint", joint_rows(joint, states))
+    place: Literal["right", "small"] = "small" if extra else "right"
+    facts = table_section("Joint", joint_rows(joint, states), place=place)
     if true is not None:
         alignment = align(result, true)
         scene = with_truth(scene, true, alignment)
         if alignment.comparable:
             series = replace(series, truth=alignment.states(true))
+        true_axis = alignment.joint(true).axis
+        angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(joint.axis, true_axis)), abs(joint.axis @ true_axis)))
+        apart = f"The axes are {angle:.2f}° apart."
         rows = compared_rows(joint, states, alignment.joint(true), alignment.states(true))
-        facts = table_section("Joint", rows, ("", "found", "true"), note=ALIGNMENT_NOTE)
+        facts = table_section("Joint", rows, ("", "found", "true"), place, f"{ALIGNMENT_NOTE} {apart}")
     sections = [
         video_section(recording, lambda i: masks[i], true.part_mask if true else None, len(result), states, joint.type),
         scene_section(scene, "Parts and joint"),

@@ -156,7 +156,7 @@ def with_truth(scene: Scene, truth: Truth, alignment: Alignment) -> Scene:
             *scene.surfaces,
             Surface(replace(true.reference, colours=None), links, reference),
             Surface(replace(true.moving, colours=None), links + 1, moved),
-            Surface(axis_mesh(true.joint, _centre(true, T_first), size), links, axis),
+            Surface(axis_mesh(alignment.joint(truth), _centre(true, T_first), size, 1.4), links, axis),
         ),
     )
 

@@ -111,18 +111,19 @@ def link_poses(links: Sequence[Link], values: Sequence[float]) -> list[Array]:
     return poses
 
 
-def axis_mesh(joint: Joint, near: ArrayLike, size: float) -> Mesh:
+def axis_mesh(joint: Joint, near: ArrayLike, size: float, length: float = 1.15) -> Mesh:
     """An arrow along the axis, with a second one bent round it for a revolute joint: positive motion, at a glance.
 
-    It stands at the axis point nearest to `near` (3,); `size` (m) is the diagonal of what it belongs to.
+    It stands at the axis point nearest to `near` (3,); `size` (m) is the diagonal of what it belongs to, of which the
+    arrow has `length`.
     """
     centre = joint.pivot + joint.axis * (joint.axis @ (np.asarray(near) - joint.pivot))
     if joint.type == "prismatic":
         centre = np.asarray(near, float)
-    length, radius = 1.15 * size, 0.007 * size
-    shape = arrow(length, radius)
+    radius = 0.008 * size / length
+    shape = arrow(length * size, radius)
     if joint.type == "revolute":
-        shape = joined(shape, turning_arrow(0.085 * size, 0.7 * radius, 0.36 * length))
+        shape = joined(shape, turning_arrow(0.085 * size, 0.7 * radius, 0.36 * length * size))
     other = np.eye(3)[np.argmin(np.abs(joint.axis))]
     x = np.cross(other, joint.axis)
     x /= np.linalg.norm(x)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -66,7 +67,11 @@ def joint_rows(joint: Joint, states: Sequence[float] | np.ndarray) -> list[tuple
 def compared_rows(
     found: Joint, found_states: np.ndarray, true: Joint, true_states: np.ndarray
 ) -> list[tuple[str, str, str]]:
-    """The rows of `joint_rows` for a found and a true joint, side by side, both in the prediction's frame."""
+    """The rows of `joint_rows` for a found and a true joint, side by side, both in the prediction's frame.
+
+    A pivot may be any point of its axis: the true one is told where it is nearest to the found one.
+    """
+    true = replace(true, pivot=true.pivot + true.axis * (true.axis @ (found.pivot - true.pivot)))
     left, right = dict(joint_rows(found, found_states)), dict(joint_rows(true, true_states))
     return [(name, left.get(name, "-"), right.get(name, "-")) for name in {**left, **right}]
 
@@ -158,10 +163,10 @@ def joint_section(model: UrdfModel, effects: Mapping[str, Sequence[Any]]) -> Sec
 
 
 def effect_text(effect: Any, joint: UrdfJoint) -> str:
-    """An effect with its values and units, such as 'viscous_damping (coefficient 0.02 N*m*s/rad)'."""
+    """An effect with its values and units, such as 'viscous_damping (coefficient 0.02 N m s/rad)'."""
     assert joint.joint_type is not None
     parameters = ", ".join(
-        f"{name} {getattr(effect, name):.4g} {spec.unit(joint.joint_type)}"
+        f"{name} {getattr(effect, name):.4g} {spec.unit(joint.joint_type).replace('*', ' ')}"
         for name, spec in effect.parameters().items()
     )
     return f"{effect.name} ({parameters})"

@@ -165,8 +165,8 @@ FreeArt.kinds.video = (section, data, bus) => {
 
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.target.matches("input[type=range]") && event.target !== scrub) return;
-    if (event.key === " " && event.target.closest("button, input[type=checkbox]")) return;
+    if (event.target.matches?.("input[type=range]") && event.target !== scrub) return;
+    if (event.key === " " && event.target.closest?.("button, input[type=checkbox]")) return;
     const moves = { ArrowLeft: slot - 1, ArrowRight: slot + 1, Home: 0, End: n - 1 };
     if (event.key === " ") play.click();
     else if (event.key in moves) {
