@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,9 @@ from freeart21.se3 import Array
 from reconstruct import kernels
 from reconstruct.scene import Scene
 from reconstruct.settings import EvidenceSettings, LabelSettings
+
+Pixels = NDArray[np.integer[Any]]
+"""(m, 2) row and column."""
 
 Samples = dict[int, NDArray[np.int32]]
 """Frame to its sample pixels (m, 2): row and column."""
@@ -76,7 +81,7 @@ class Evidence:
         frame: int,
         others: NDArray[np.int64],
         T: Array,
-        pixels: NDArray[np.int64],
+        pixels: Pixels,
         logodds: NDArray[np.float32] | None = None,
         label_weight: float = 0.0,
     ) -> Array:
@@ -110,18 +115,17 @@ class Evidence:
         """Log-odds (h, w) of `frame` after relaxation of `unary` (h, w) among like neighbours."""
         scene, s = self.scene, self.label_settings
         valid = scene.valid[frame]
-        weights = np.zeros((*valid.shape, 12), np.float32)
-        kernels.neighbour_weights(
+        starts, ends, weights = kernels.neighbours(
             valid,
             scene.points[frame],
             scene.normals[frame],
             scene.features[frame],
             s.reach * scene.diagonal,
             2 * self.unit,
-            weights,
         )
-        unary = np.where(valid, unary, 0.0)
-        return kernels.relax(unary, valid, weights, s.smoothness, s.rounds, unary).astype(np.float32)
+        logodds = np.zeros(valid.shape, np.float32)
+        logodds[valid] = kernels.relax(unary[valid], starts, ends, weights, s.smoothness, s.rounds)
+        return logodds
 
     def pixel_logodds(
         self,

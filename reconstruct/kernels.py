@@ -9,6 +9,7 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -29,7 +30,7 @@ def in_threads(work: Callable[[int, int], object], n: int, worth: int) -> None:
         work(0, n)
         return
     bounds = np.linspace(0, n, 2 * _THREADS + 1).astype(int)
-    for done in [_POOL.submit(work, int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]:
+    for done in [_POOL.submit(work, int(a), int(b)) for a, b in pairwise(bounds)]:
         done.result()
 
 
@@ -89,7 +90,7 @@ def register_pairs(  # pragma: no cover
             M1 = R[1, 0] * m0 + R[1, 1] * m1 + R[1, 2] * m2
             M2 = R[2, 0] * m0 + R[2, 1] * m1 + R[2, 2] * m2
             u, v = fx * Y0 / Y2 + cx[j], fy * Y1 / Y2 + cy[j]
-            xi, yi = int(math.floor(u + 0.5)), int(math.floor(v + 0.5))
+            xi, yi = math.floor(u + 0.5), math.floor(v + 0.5)
             if xi < 2 or yi < 2 or xi >= w - 2 or yi >= h - 2:
                 continue
             projected += 1
@@ -124,7 +125,7 @@ def register_pairs(  # pragma: no cover
                 continue
             if outside[j, yi, xi - 1] + outside[j, yi, xi + 1] > 0:
                 continue
-            x0, y0 = int(math.floor(u)), int(math.floor(v))
+            x0, y0 = math.floor(u), math.floor(v)
             fu, fv = u - x0, v - y0
             for c in range(3):
                 gx = 0.5 * (features[j, yi, xi + 1, c] - features[j, yi, xi - 1, c])
@@ -188,7 +189,7 @@ def pixel_costs(  # pragma: no cover
     cap,
     costs,
 ):
-    """What the pixels begin to end (p, 2: row, column) of `frame` cost under motions T (s, k, 4, 4) to the frames `others` (s,).
+    """What pixels begin to end (p, 2: row, column) of `frame` cost under motions T (s, k, 4, 4) to `others` (s,).
 
     Outside the mask: the distance to it. In front of the surface there: a violation of free space. Behind it: hidden,
     a constant. On it: point-to-plane, normal and colour differences, and `label_weight` times the disagreement of the
@@ -209,8 +210,8 @@ def pixel_costs(  # pragma: no cover
                 Y2 = R[2, 0] * a0 + R[2, 1] * a1 + R[2, 2] * a2 + R[2, 3]
                 if Y2 < NEAR:
                     continue
-                xi = int(math.floor(fx * Y0 / Y2 + cx[j] + 0.5))
-                yi = int(math.floor(fy * Y1 / Y2 + cy[j] + 0.5))
+                xi = math.floor(fx * Y0 / Y2 + cx[j] + 0.5)
+                yi = math.floor(fy * Y1 / Y2 + cy[j] + 0.5)
                 if xi < 0 or yi < 0 or xi >= w or yi >= h:
                     continue
                 z = points[j, yi, xi, 2]
@@ -227,7 +228,7 @@ def pixel_costs(  # pragma: no cover
                     behind = (Y2 - z) / sigma
                     costs[p, s, k] = 0.5 if behind > -3 else min(cap, 0.5 * behind * behind)
                     continue
-                if Y2 > z + 6 * sigma and r < -3 * sigma:
+                if z + 6 * sigma < Y2 and r < -3 * sigma:
                     costs[p, s, k] = 0.8
                     continue
                 same = n0 * M0 + n1 * M1 + n2 * M2
@@ -244,19 +245,35 @@ def pixel_costs(  # pragma: no cover
 
 
 @njit(nogil=True, cache=True)
-def neighbour_weights(valid, points, normals, features, reach, flatness, weights):  # pragma: no cover
-    """How much pixels at 1, 3 and 6 steps up, down, right and left pull: near, in one plane, of one colour."""
+def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no cover
+    """The graph of like neighbours of one frame, as compressed rows over the valid pixels in reading order.
+
+    Neighbours stand 1, 3 and 6 steps up, down, right and left; an edge's weight in [0, 1] falls with distance (over
+    `reach`), bend, distance from the common plane (over `flatness`) and colour. Returns starts (p + 1,), ends and
+    weights of the edges worth keeping.
+    """
     h, w = valid.shape
+    number = np.full((h, w), -1, np.int32)
+    count = 0
     for y in range(h):
         for x in range(w):
-            if not valid[y, x]:
+            if valid[y, x]:
+                number[y, x] = count
+                count += 1
+    starts = np.zeros(count + 1, np.int64)
+    ends = np.zeros(12 * count, np.int32)
+    weights = np.zeros(12 * count, np.float32)
+    edges = 0
+    for y in range(h):
+        for x in range(w):
+            if number[y, x] < 0:
                 continue
             for q in range(12):
-                step = (1, 3, 6)[q // 4]
+                step = 1 if q < 4 else (3 if q < 8 else 6)
                 side = q % 4
                 yy = y + (step if side == 0 else (-step if side == 1 else 0))
                 xx = x + (step if side == 2 else (-step if side == 3 else 0))
-                if yy < 0 or xx < 0 or yy >= h or xx >= w or not valid[yy, xx]:
+                if yy < 0 or xx < 0 or yy >= h or xx >= w or number[yy, xx] < 0:
                     continue
                 distance = bend = colour = 0.0
                 off = off2 = 0.0
@@ -268,35 +285,27 @@ def neighbour_weights(valid, points, normals, features, reach, flatness, weights
                     off2 += normals[yy, xx, c] * d
                     e = features[yy, xx, c] - features[y, x, c]
                     colour += e * e
-                off = max(abs(off), abs(off2))
-                weights[y, x, q] = math.exp(
-                    -distance / (reach * reach) - (1 - bend) / 0.35 - colour / 200.0 - (off / flatness) ** 2
-                )
+                off = max(abs(off), abs(off2)) / flatness
+                exponent = distance / (reach * reach) + (1 - bend) / 0.35 + colour / 200.0 + off * off
+                if exponent < 4.0:
+                    ends[edges] = number[yy, xx]
+                    weights[edges] = math.exp(-exponent)
+                    edges += 1
+            starts[number[y, x] + 1] = edges
+    return starts, ends[:edges], weights[:edges]
 
 
 @njit(nogil=True, cache=True)
-def relax(unary, valid, weights, smoothness, rounds, start):  # pragma: no cover
-    """Mean-field log-odds (h, w): unary plus the smoothed belief of the neighbours, `rounds` times from `start`."""
-    h, w = unary.shape
-    current = start.copy()
-    belief = np.zeros((h, w))
+def relax(unary, starts, ends, weights, smoothness, rounds):  # pragma: no cover
+    """Mean-field log-odds (p,): unary plus `smoothness` times the beliefs of the neighbours, `rounds` times."""
+    current = unary.copy()
+    belief = np.zeros(len(unary))
     for _ in range(rounds):
-        for y in range(h):
-            for x in range(w):
-                belief[y, x] = math.tanh(0.5 * current[y, x]) if valid[y, x] else 0.0
-        for y in range(h):
-            for x in range(w):
-                if not valid[y, x]:
-                    continue
-                pull = 0.0
-                for q in range(12):
-                    weight = weights[y, x, q]
-                    if weight <= 0:
-                        continue
-                    step = (1, 3, 6)[q // 4]
-                    side = q % 4
-                    yy = y + (step if side == 0 else (-step if side == 1 else 0))
-                    xx = x + (step if side == 2 else (-step if side == 3 else 0))
-                    pull += weight * belief[yy, xx]
-                current[y, x] = unary[y, x] + smoothness * pull
+        for p in range(len(unary)):
+            belief[p] = math.tanh(0.5 * current[p])
+        for p in range(len(unary)):
+            pull = 0.0
+            for e in range(starts[p], starts[p + 1]):
+                pull += weights[e] * belief[ends[e]]
+            current[p] = unary[p] + smoothness * pull
     return current

@@ -62,8 +62,8 @@ def part_samples(
 def choose_pairs(Ts: Array, seen: NDArray[np.bool_], settings: PoseSettings) -> tuple[NDArray, NDArray]:
     """Directed pairs (source, target) of frames: neighbours in time, and distant frames of a similar view."""
     frames = np.flatnonzero(seen)
-    found = {(i, i + d) for i in frames for d in settings.offsets if i + d < len(Ts) and seen[i + d]}
-    for i in frames:
+    found = {(int(i), int(i) + d) for i in frames for d in settings.offsets if i + d < len(Ts) and seen[i + d]}
+    for i in map(int, frames):
         turn = se3.rotation_angle(Ts[frames, :3, :3] @ Ts[i, :3, :3].T)
         chosen: list[int] = []
         for c in np.argsort(turn, kind="stable"):
@@ -98,7 +98,7 @@ def free_adjustment(
     for _ in range(settings.free_rounds):
         A, b, _ = _normal_equations(evidence, labels, part, Ts, samples, source, target, settings.final_gate)
         step = _damped_solve(A, b).reshape(n, 6)
-        Ts = se3.orthonormalised(se3.exp_se3(_limited(step, evidence)) @ Ts)
+        Ts = se3.orthonormalised(se3.exp_se3(_limited(step)) @ Ts)
     drift = se3.mean_pose(se3.inverse(start[seen]) @ Ts[seen])
     Ts = np.where(seen[:, None, None], Ts @ se3.inverse(drift), start)
     return FreePoses(Ts, _covariances(A, Ts, seen, len(source) / max(seen.sum(), 1)))
@@ -137,7 +137,7 @@ def joint_adjustment(
         A[: 6 * n, : 6 * n] += A0
         b[: 6 * n] += b0
         _add_state_smoothness(A, b, now.states, n)
-        now = _stepped(now, _damped_solve(A, b), across, evidence)
+        now = _stepped(now, _damped_solve(A, b), across, evidence.scene.diagonal)
         if r in (rounds // 3, 2 * rounds // 3):
             pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((now.Ts, now.Ts_moving))]
     if final:
@@ -201,10 +201,9 @@ def _joint_jacobian(now: JointedPoses) -> tuple[Array, Array]:
     return M.reshape(6 * n, -1), across
 
 
-def _stepped(now: JointedPoses, x: Array, across: Array, evidence: Evidence) -> JointedPoses:
+def _stepped(now: JointedPoses, x: Array, across: Array, size: float) -> JointedPoses:
     n, joint = len(now.Ts), now.joint
-    size = evidence.scene.diagonal
-    Ts = se3.orthonormalised(se3.exp_se3(_limited(x[: 6 * n].reshape(n, 6), evidence)) @ now.Ts)
+    Ts = se3.orthonormalised(se3.exp_se3(_limited(x[: 6 * n].reshape(n, 6))) @ now.Ts)
     most = 0.1 if joint.type == "revolute" else 0.1 * size
     states = now.states + np.clip(x[6 * n : 7 * n], -most, most)
     axis = _unit(joint.axis + np.clip(x[7 * n : 7 * n + 2], -0.1, 0.1) @ across)
@@ -237,15 +236,15 @@ def _damped_solve(A: Array, b: Array) -> Array:
     return -np.linalg.solve(damped, b)
 
 
-def _limited(twists: Array, evidence: Evidence) -> Array:
-    """Twists (n, 6) cut to 0.1 rad and a fifth of the object."""
+def _limited(twists: Array) -> Array:
+    """Twists (n, 6) cut to 0.1 rad."""
     turn = np.linalg.norm(twists[:, 3:], axis=1)
     shrink = np.minimum(1, 0.1 / np.maximum(turn, 1e-12))
     return twists * shrink[:, None]
 
 
 def _unit(v: Array) -> Array:
-    return v / np.linalg.norm(v)
+    return np.asarray(v / np.linalg.norm(v), np.float64)
 
 
 def _covariances(A: Array, Ts: Array, seen: NDArray[np.bool_], reuse: float) -> Array:

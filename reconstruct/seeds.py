@@ -115,8 +115,8 @@ def _two_motions(
     if not np.isfinite(pair_cost[a, b]):
         return None
     pair = np.stack([Ts[a], Ts[b]])
-    for _ in range(settings.em_rounds):
-        second = errors[b] < errors[a] if _ == 0 else np.argmin(_errors(pair, X, Y, normals, evidence), 0) == 1
+    for round_ in range(settings.em_rounds):
+        second = errors[b] < errors[a] if round_ == 0 else np.argmin(_errors(pair, X, Y, normals, evidence), 0) == 1
         for k, mine in enumerate((~second, second)):
             if mine.sum() >= settings.sample:
                 pair[k] = rigid.tukey_fit(pair[k], X[mine], Y[mine], scale, 3)
@@ -175,7 +175,12 @@ def _dense_seed(evidence: Evidence, candidate: Candidate, settings: SeedSettings
     second = logodds[pixels[:, 0], pixels[:, 1]] > 0
     two = float(np.where(second, costs[:, 1], costs[:, 0]).mean())
     single = [
-        np.stack([_refined(evidence, t, int(j), T, valid & ~scene.edge[t], 0, rng) for j, T in zip(others, Ts[:, k])])
+        np.stack(
+            [
+                _refined(evidence, t, int(j), T, valid & ~scene.edge[t], 0, rng)
+                for j, T in zip(others, Ts[:, k], strict=True)
+            ]
+        )
         for k in range(2)
     ]
     one = min(float(evidence.costs(t, others, T[:, None], pixels).mean()) for T in single)

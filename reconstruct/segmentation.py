@@ -16,7 +16,7 @@ from freeart21.joint import Joint, JointType
 from freeart21.se3 import Array
 from reconstruct import rigid
 from reconstruct.evidence import Evidence, Samples, draw
-from reconstruct.joint import JointFit, choose_joint, fit_joint
+from reconstruct.joint import JointFit, choose_joint
 from reconstruct.poses import JointedPoses, joint_adjustment
 from reconstruct.scene import HopelessError
 from reconstruct.seeds import Seed, stepped
@@ -94,20 +94,21 @@ class Growth:
                 if inliers >= self.settings.growth.min_part_pixels and cost < best_cost:
                     best, best_cost = T, cost
             found.append(best)
+        poses = []
         for k in range(2):
-            if found[k] is None:  # hidden: as if fixed to the other part
-                other = found[1 - k] if found[1 - k] is not None else self.Ts[1 - k, neighbour]
-                found[k] = other @ se3.inverse(self.Ts[1 - k, neighbour]) @ self.Ts[k, neighbour]
+            mine, other = found[k], found[1 - k]
+            if mine is None:  # a hidden part moves as if fixed to the other
+                other = self.Ts[1 - k, neighbour] if other is None else other
+                mine = other @ se3.inverse(self.Ts[1 - k, neighbour]) @ self.Ts[k, neighbour]
+            poses.append(mine)
         for last in (False, True):
-            for k in range(2):
-                self.Ts[k, frame] = found[k]
+            self.Ts[:, frame] = poses
             self._label(frame)
-            if not last:
-                for k in range(2):
-                    references = self.references(k, self.Ts[k, frame], frame)
-                    if self.seen[frame, k] and len(references):
-                        T, inliers = self._registered(k, frame, found[k], references, (6.0, 5.0, 4.0), labelled=True)
-                        found[k] = T if inliers >= self.settings.growth.min_part_pixels else found[k]
+            for k in range(0 if last else 2):
+                references = self.references(k, poses[k], frame)
+                if self.seen[frame, k] and len(references):
+                    T, inliers = self._registered(k, frame, poses[k], references, (6.0, 5.0, 4.0), labelled=True)
+                    poses[k] = T if inliers >= self.settings.growth.min_part_pixels else poses[k]
         self.done[frame] = True
 
     def step_jointed(self, frame: int, neighbour: int) -> None:
@@ -276,7 +277,8 @@ class Growth:
         for k in range(2):
             sure = (self.labels[frame] == k + 1) & scene.valid[frame] & ~scene.edge[frame] & (np.abs(logodds) > 1)
             self.samples[k][frame] = draw(sure, settings.samples, self.rng)
-            self.seen[frame, k] = sure.sum() >= settings.min_part_pixels
+            least = settings.min_part_pixels if self.joint is None else settings.min_jointed_pixels
+            self.seen[frame, k] = sure.sum() >= least
 
     # ---- the joint -----------------------------------------------------------------------------------------------
 
@@ -383,7 +385,7 @@ def relabel(evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng
         motions = np.stack([Ts[:, j] @ se3.inverse(Ts[:, i]) for j in others])
         prior = 0.5 * np.sign(grown.logodds[i])
         logodds[i] = evidence.pixel_logodds(i, others, motions, grown.logodds, 0.3, prior)
-    scene, least = evidence.scene, settings.growth.min_part_pixels
+    scene, least = evidence.scene, settings.growth.min_jointed_pixels
     labels = np.where(scene.mask, np.where(logodds > 0, 2, 1), 0).astype(np.uint8)
     sure = scene.valid & ~scene.edge & (np.abs(logodds) > 1)
     seen = np.stack([((labels == k + 1) & sure).sum((1, 2)) >= least for k in range(2)], 1)

@@ -84,7 +84,7 @@ class LabelSettings:
     """From evidence to part masks: a mean-field relaxation over neighbours that look alike and lie in one plane."""
 
     smoothness: float = 0.6
-    rounds: int = 15
+    rounds: int = 10
     reach: float = 0.12
     """Distance, in object diagonals, over which neighbours pull."""
     references: int = 10
@@ -104,7 +104,9 @@ class GrowthSettings:
     gates: tuple[float, ...] = (18.0, 13.0, 9.0, 6.0, 5.0, 4.0)
     """Point-to-plane gates of the registration, coarse to fine."""
     min_part_pixels: int = 60
-    """Fewer pixels of a part do not fix its pose."""
+    """Fewer pixels of a part do not fix its pose when it moves freely."""
+    min_jointed_pixels: int = 12
+    """Fewer pixels of a part say nothing of its state when the joint is known."""
     bootstrap_frames: int = 18
     """Frames grown freely before a joint is tried."""
     bootstrap_motion: float = 0.12

@@ -17,6 +17,7 @@ from reconstruct.scene import Scene
 from reconstruct.settings import SurfaceSettings
 
 Labels = NDArray[np.uint8]
+Faces = NDArray[np.int64]
 
 
 def fuse(
@@ -63,14 +64,14 @@ def _cloud(scene: Scene, labels: Labels, part: int, Ts: Array, used: NDArray[np.
     return np.concatenate(clouds)
 
 
-def _observed(vertices: Array, faces: Array, weight: NDArray[np.float32]) -> tuple[Array, Array]:
+def _observed(vertices: Array, faces: Faces, weight: NDArray[np.float32]) -> tuple[Array, Faces]:
     """Faces all of whose vertices lie between two voxels that some frame measured."""
     lower, upper = np.floor(vertices).astype(int), np.ceil(vertices).astype(int)
     known = (weight[tuple(lower.T)] > 0) & (weight[tuple(upper.T)] > 0)
     return _used_only(vertices, faces[known[faces].all(1)])
 
 
-def _large_pieces(vertices: Array, faces: Array, least: float) -> tuple[Array, Array]:
+def _large_pieces(vertices: Array, faces: Faces, least: float) -> tuple[Array, Faces]:
     """Connected pieces with at least the share `least` of the largest piece's faces."""
     if len(faces) == 0:
         return vertices, faces
@@ -81,10 +82,10 @@ def _large_pieces(vertices: Array, faces: Array, least: float) -> tuple[Array, A
     return _used_only(vertices, faces[sizes[piece[faces[:, 0]]] >= least * sizes.max()])
 
 
-def _used_only(vertices: Array, faces: Array) -> tuple[Array, Array]:
+def _used_only(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     """The same faces without vertices that none of them uses."""
     used, new = np.unique(faces, return_inverse=True)
-    return vertices[used], new.reshape(-1, 3)
+    return vertices[used], new.reshape(-1, 3).astype(np.int64)
 
 
 def _colours(
@@ -94,7 +95,7 @@ def _colours(
     Ts: Array,
     frames: NDArray[np.int64],
     vertices: Array,
-    faces: Array,
+    faces: Faces,
     tolerance: float,
 ) -> NDArray[np.uint8]:
     """(V, 3) RGB: mean over the frames that see a vertex, those that face it squarely counting more."""

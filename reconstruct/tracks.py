@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
@@ -44,7 +46,7 @@ class Tracks:
 
 def optical_flow(scene: Scene) -> Flow:
     """DIS optical flow (Kroeger et al. 2016) both ways between all neighbours, background greyed out."""
-    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     grey = [
         np.where(m, 40 + 0.84 * cv2.cvtColor(c, cv2.COLOR_RGB2GRAY), 0).astype(np.uint8)
         for c, m in zip(scene.rgb, scene.mask, strict=True)
@@ -54,9 +56,9 @@ def optical_flow(scene: Scene) -> Flow:
     for i in range(n - 1):
         shift = crop_shift(scene, i, i + 1)
         moved = cv2.warpAffine(grey[i + 1], np.array([[1, 0, -shift[0]], [0, 1, -shift[1]]], float), (w, h))
-        forward[i] = dis.calc(grey[i], moved, None) + shift.astype(np.float32)
+        forward[i] = dis.calc(grey[i], moved, np.zeros((h, w, 2), np.float32)) + shift
         moved = cv2.warpAffine(grey[i], np.array([[1, 0, shift[0]], [0, 1, shift[1]]], float), (w, h))
-        backward[i + 1] = dis.calc(grey[i + 1], moved, None) - shift.astype(np.float32)
+        backward[i + 1] = dis.calc(grey[i + 1], moved, np.zeros((h, w, 2), np.float32)) - shift
     return Flow(forward, backward)
 
 
@@ -91,7 +93,7 @@ def follow(
     steps: int,
     settings: TrackSettings,
     direction: int = 1,
-    pixels: NDArray[np.int64] | None = None,
+    pixels: NDArray[np.integer[Any]] | None = None,
 ) -> Tracks:
     """Tracks from `start` over `steps` frames in time `direction`, kept where visible and steady.
 
@@ -107,7 +109,7 @@ def follow(
     frames = frames[(frames >= 0) & (frames < len(scene))]
     at = pixels[:, ::-1].astype(float)
     path, seen = [at], [np.ones(len(at), bool)]
-    for a, b in zip(frames[:-1], frames[1:], strict=True):
+    for a, b in pairwise(map(int, frames)):
         there = at + bilinear(flow.step(a, direction), at)
         back = bilinear(flow.step(b, -direction), there)
         x, y = np.rint(there).astype(int).T
@@ -119,7 +121,7 @@ def follow(
         path.append(there)
         at = there
     stack, visible = np.stack(path, 1), np.stack(seen, 1)
-    points = np.stack([lift(scene, f, stack[:, s]) for s, f in enumerate(frames)], 1)
+    points = np.stack([lift(scene, int(f), stack[:, s]) for s, f in enumerate(frames)], 1)
     return Tracks(frames, stack, visible & _steady(points, visible, settings.tau_v), points)
 
 
