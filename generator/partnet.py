@@ -13,12 +13,14 @@ What such folders are like (each point has a test):
 from __future__ import annotations
 
 import contextlib
+import functools
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from freeart21 import se3
 from freeart21.asset import Asset
@@ -67,6 +69,8 @@ class PartNetObject:
     """Motion of the child side against the parent side, in the object's frame."""
     parent_side: Side
     child_side: Side
+    semantics: dict[str, str]
+    """Link name to semantics.txt's kind and name, such as 'slider drawer'; mobility_v2.json may use other names."""
     missing: tuple[str, ...]
     """Mesh files that the URDF names and that are absent (only with `skip_missing`)."""
 
@@ -98,20 +102,10 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
         j.name: float(np.clip(0.0, j.lower, j.upper)) for j in joints.values() if j.joint_type and j.name != scored.name
     }
     root = ET.fromstring(urdf.read_bytes())
-    motions = _motions(root, joints, urdf)
+    motions = read_motions(root, joints, urdf)
     Ts = link_poses(joints, motions, held)
     visuals = {element.get("name", ""): _visuals(element, folder, urdf) for element in root.findall("link")}
-    absent = tuple(
-        sorted(
-            {str(v.mesh.relative_to(folder.resolve())) for vs in visuals.values() for v in vs if not v.mesh.is_file()}
-        )
-    )
-    if absent and not skip_missing:
-        more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""
-        raise FreeArtError(
-            f"{urdf} names the mesh {absent[0]}, which does not exist{more}; "
-            "use skip_missing to leave absent meshes out"
-        )
+    absent = _absent(visuals, folder, urdf, skip_missing)
     below = _below(joints, scored.child)
     unknown = sorted(below - set(visuals))
     if unknown:
@@ -137,7 +131,9 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
         held=held,
         source={"format": "PartNet-Mobility", "object": folder.name},
     )
-    return PartNetObject(folder.name, str(meta.get("model_cat", "unknown")), asset, moving, parent, child, absent)
+    return PartNetObject(
+        folder.name, str(meta.get("model_cat", "unknown")), asset, moving, parent, child, _semantics(folder), absent
+    )
 
 
 @dataclass(frozen=True)
@@ -179,7 +175,8 @@ def _meta(folder: Path) -> dict:
     return checked.read_json(path) if path.is_file() else {}
 
 
-def _motions(root: ET.Element, joints: dict[str, UrdfJoint], urdf: Path) -> dict[str, Motion]:
+def read_motions(root: ET.Element, joints: dict[str, UrdfJoint], urdf: Path) -> dict[str, Motion]:
+    """Joint name to where it sits and which way it moves, of the URDF element `root`."""
     motions = {}
     for element in root.findall("joint"):
         name = element.get("name", "")
@@ -206,6 +203,18 @@ def _visuals(link: ET.Element, folder: Path, urdf: Path) -> list[Visual]:
             )
         )
     return visuals
+
+
+def _absent(visuals: dict[str, list[Visual]], folder: Path, urdf: Path, skip_missing: bool) -> tuple[str, ...]:
+    """Mesh files named but not there; FreeArtError unless they may be skipped."""
+    meshes = {v.mesh for of_link in visuals.values() for v in of_link}
+    absent = tuple(sorted(str(mesh.relative_to(folder.resolve())) for mesh in meshes if not mesh.is_file()))
+    if absent and not skip_missing:
+        more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""
+        raise FreeArtError(
+            f"{urdf} names the mesh {absent[0]}, which does not exist{more}; skip_missing leaves absent meshes out"
+        )
+    return absent
 
 
 def _side(
@@ -239,42 +248,57 @@ def _below(joints: dict[str, UrdfJoint], link: str) -> set[str]:
 
 def read_obj(path: Path) -> Surface:
     """The triangles of an OBJ file with its materials; FreeArtError when it is unreadable or a picture is missing."""
-    _check_pictures(path)
+    pictures = _pictures(path)
     try:
         scene = trimesh.load_scene(path, process=False, group_material=True)
     except (ValueError, IndexError, KeyError, TypeError, OSError) as error:
         raise FreeArtError(f"{path} is not a readable OBJ file: {error}") from error
-    return Surface.joined([_surface(mesh) for mesh in scene.geometry.values() if isinstance(mesh, trimesh.Trimesh)])
+    return Surface.joined([_surface(m, pictures) for m in scene.geometry.values() if isinstance(m, trimesh.Trimesh)])
 
 
-def _surface(mesh: trimesh.Trimesh) -> Surface:
-    material = getattr(mesh.visual, "material", None)
-    uv = getattr(mesh.visual, "uv", None)
-    colour, picture = np.full(3, 255, np.uint8), None
-    if material is not None:
-        diffuse = getattr(material, "diffuse", None)
-        colour = colour if diffuse is None else np.asarray(diffuse, np.uint8)[:3]
-        image = getattr(material, "image", None)
-        picture = None if image is None or uv is None else np.asarray(image.convert("RGB"))
-    uv = np.zeros((len(mesh.vertices), 2)) if uv is None else np.asarray(uv, float)[:, :2]
-    faces = np.asarray(mesh.faces, np.int64)
+def _surface(mesh: trimesh.Trimesh, pictures: dict[str, Path]) -> Surface:
+    material, uv = getattr(mesh.visual, "material", None), getattr(mesh.visual, "uv", None)
+    diffuse = getattr(material, "diffuse", None)
+    colour = np.full(3, 255, np.uint8) if diffuse is None else np.asarray(diffuse, np.uint8)[:3]
+    file = pictures.get(getattr(material, "name", None) or "")
+    picture = None if file is None or uv is None else _read_picture(file, file.stat().st_mtime_ns)
+    count = len(mesh.vertices)
     return Surface(
-        np.asarray(mesh.vertices, float), faces, uv, np.zeros(len(mesh.vertices), np.int64), (Paint(colour, picture),)
+        np.asarray(mesh.vertices, float),
+        np.asarray(mesh.faces, np.int64),
+        np.zeros((count, 2)) if uv is None else np.asarray(uv, float)[:, :2],
+        np.zeros(count, np.int64),
+        (Paint(colour, picture),),
     )
 
 
-def _check_pictures(obj: Path) -> None:
-    """FreeArtError when a material library or picture that an OBJ file names is missing."""
+def _pictures(obj: Path) -> dict[str, Path]:
+    """Material name to the picture of its colour, from the material libraries that an OBJ file names.
+
+    (trimesh opens no picture outside the mesh's own folder, and PartNet-Mobility's lie in ../images.) Raises
+    FreeArtError when a library or a picture is missing, or leads out of the object's folder.
+    """
+    pictures = {}
     with obj.open(errors="replace") as file:
         libraries = [line.split(None, 1)[1].strip() for line in file if line.startswith("mtllib ")]
     for library in libraries:
-        mtl = obj.parent / library
+        mtl, material = obj.parent / library, ""
         if not mtl.is_file():
             raise FreeArtError(f"{obj} names the material library {library}, which does not exist")
-        for line in mtl.read_text(errors="replace").splitlines():
-            words = line.split()
-            if words[:1] == ["map_Kd"] and not (mtl.parent / words[-1]).is_file():
-                raise FreeArtError(f"{mtl} names the picture {words[-1]}, which does not exist")
+        for words in (line.split() for line in mtl.read_text(errors="replace").splitlines()):
+            if words[:1] == ["newmtl"]:
+                material = " ".join(words[1:])
+            elif words[:1] == ["map_Kd"]:
+                pictures[material] = checked.inside(obj.parent.parent, f"{obj.parent.name}/{words[-1]}")
+                if not pictures[material].is_file():
+                    raise FreeArtError(f"{mtl} names the picture {words[-1]}, which does not exist")
+    return pictures
+
+
+@functools.lru_cache(maxsize=64)
+def _read_picture(path: Path, changed_ns: int) -> NDArray[np.uint8]:
+    """The picture as it was at the time `changed_ns`; the meshes of an object share few pictures."""
+    return checked.read_rgb(path)
 
 
 def _origin(element: ET.Element, where: str) -> Array:
@@ -297,8 +321,7 @@ def _numbers(element: ET.Element | None, key: str, default: tuple[float, ...], w
     return values
 
 
-def semantics(folder: Path) -> dict[str, tuple[str, str]]:
-    """Link name to (kind, name) of semantics.txt, such as ('slider', 'drawer'); empty when there is none."""
-    path = Path(folder) / "semantics.txt"
-    rows = [line.split(None, 2) for line in path.read_text().splitlines() if line.strip()] if path.is_file() else []
-    return {row[0]: (row[1], row[2]) for row in rows if len(row) == 3}
+def _semantics(folder: Path) -> dict[str, str]:
+    path = folder / "semantics.txt"
+    rows = [line.split(None, 1) for line in path.read_text().splitlines() if line.strip()] if path.is_file() else []
+    return {row[0]: row[1] for row in rows if len(row) == 2}

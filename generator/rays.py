@@ -54,7 +54,7 @@ class Caster:
         return Hits(distance, side, face)
 
     def look(self, camera: Camera, Ts_camera: tuple[Array, Array], pixels: NDArray[np.bool_] | None = None) -> Hits:
-        """First hits of the rays through all pixel centres, or those of `pixels` (height, width); distance is z-depth."""
+        """First hits of rays through all pixel centres, or those of `pixels` (height, width); distance is z-depth."""
         rays = camera.rays() if pixels is None else camera.rays()[pixels]
         directions = rays.reshape(-1, 3)
         return self.cast(np.zeros_like(directions), directions, Ts_camera)

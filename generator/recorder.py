@@ -83,51 +83,46 @@ def record(name: str, out: Path, settings: RecordSettings | None = None) -> str:
     _check(settings)
     out = Path(out)
     with ExitStack() as stack:
-        source = _source(name, settings, stack)
-        sequence, truth_folder = (out / sub / source.sequence for sub in ("sequences", "truth"))
+        entry = catalog.find(name, partnet=settings.partnet_root is not None)
+        loaded = partnet.load(
+            _object_folder(entry, settings, stack), settings.joint or entry.joint, settings.skip_missing
+        )
+        seq_id = _sequence_name(entry, loaded.joint.name, settings.seed)
+        sequence, truth_folder = (out / sub / seq_id for sub in ("sequences", "truth"))
         for folder in (sequence, truth_folder):
             if folder.exists():
                 raise FreeArtError(f"{folder} exists; choose another place or seed, or remove it first")
-        loaded = partnet.load(source.folder, source.joint, settings.skip_missing)
-        session = _Session(loaded, settings, stack.enter_context(progress_bar(source.sequence)))
+        session = _Session(loaded, settings, stack.enter_context(progress_bar(seq_id)))
         stack.callback(_remove_half, sequence, truth_folder)
-        write_sequence(sequence, session.recording(source.licence), session.depth_scale)
-        write_truth(truth_folder, session.truth(source.facts), settings.queries)
+        write_sequence(sequence, session.recording(LICENCES[entry.source]), session.depth_scale)
+        facts = {"object": name, "category": loaded.category, "object_source": entry.source}
+        write_truth(truth_folder, session.truth(facts), settings.queries)
     write_benchmark(out, out.resolve().name, "1", "public")
-    return source.sequence
+    return seq_id
 
 
-@dataclass(frozen=True)
-class _Source:
-    """Where the object's folder is, and what its recording is called."""
-
-    folder: Path
-    joint: str | None
-    sequence: str
-    licence: str
-    facts: dict[str, Any]
-
-
-def _source(name: str, settings: RecordSettings, stack: ExitStack) -> _Source:
-    entry = catalog.find(name, partnet=settings.partnet_root is not None)
-    facts: dict[str, Any] = {"object": name, "category": entry.category, "object_source": entry.source}
+def _object_folder(entry: catalog.CatalogEntry, settings: RecordSettings, stack: ExitStack) -> Path:
+    """The PartNet-Mobility folder of an object: the user's, or for a procedural object one that `stack` removes."""
     if entry.source == "procedural":
         place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="freeart21-")))
-        folder = write_partnet(objects.build(name, settings.seed), place / name)
-        return _Source(folder, settings.joint or entry.joint, f"{name}-s{settings.seed}", LICENCES["procedural"], facts)
+        return write_partnet(objects.build(entry.name, settings.seed), place / entry.name)
     if settings.partnet_root is None:
         raise FreeArtError(
-            f"object '{name}' is from PartNet-Mobility: give the folder that holds {name}/ as --partnet-root"
+            f"object '{entry.name}' is from PartNet-Mobility: name the folder that holds {entry.name} by --partnet-root"
         )
-    folder = settings.partnet_root / name
+    folder = settings.partnet_root / entry.name
     if not folder.is_dir():
         raise FreeArtError(
-            f"PartNet-Mobility object {name} is not in {settings.partnet_root}; ask for access to the dataset "
+            f"PartNet-Mobility object {entry.name} is not in {settings.partnet_root}; ask for access to the dataset "
             f"and unpack it so that {folder / partnet.URDF_NAME} exists"
         )
-    joint = settings.joint or entry.joint
-    suffix = "" if joint is None else f"-{joint}"
-    return _Source(folder, joint, f"{name}{suffix}-s{settings.seed}", LICENCES["partnet"], facts)
+    return folder
+
+
+def _sequence_name(entry: catalog.CatalogEntry, joint: str, seed: int) -> str:
+    """Such as 'stapler-s0' or '41083-joint_2-s0': the joint is named unless it is a procedural object's own."""
+    own = entry.source == "procedural" and joint == entry.joint
+    return f"{entry.name}-s{seed}" if own else f"{entry.name}-{joint}-s{seed}"
 
 
 def _check(settings: RecordSettings) -> None:
@@ -209,6 +204,7 @@ class _Session:
             "shader": self.settings.shader,
             "joint": joint.name,
             "held": self.loaded.asset.held,
+            "semantics": self.loaded.semantics,
             "reference_links": self.loaded.sides[order[0]].links,
             "moving_links": self.loaded.sides[order[1]].links,
         }

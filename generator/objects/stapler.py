@@ -57,7 +57,7 @@ def _base(
     grooves = union(box((0.002, 0.012, 0.002), (anvil_at + dx, 0, 0.0105)) for dx in (-0.003, 0.003))
     x, _, z = hinge_at
     profile = polygon([[x - 0.022, 0.008], [x + 0.012, 0.008], [x + 0.009, z + 0.006], [x - 0.008, z + 0.006]])
-    cheeks = union(plate(profile, 0.0016, "y", side * (width * 0.5 - 0.006)) for side in (-1, 1))
+    cheeks = union(plate(profile, 0.0016, "y", side * (width * 0.39 + 0.0012)) for side in (-1, 1))
     pin = rod(0.0028, width * 0.86, "y", hinge_at, 0.0006)
     ruler = Material("ruler", (1, 1, 1), "paper", 900.0, _ruler(), None)
     return (
@@ -134,9 +134,9 @@ def _lid(
     rounded = polygon(outline).offset(-0.0040, JoinType.Miter).offset(0.0040, JoinType.Round, circular_segments=32)
     outer = plate(rounded, width * 0.78, "y", 0.0, 0.0035)
     hollow = round_box((back - front - 0.006, width * 0.78 - 0.006, 0.026), 0.003, ((front + back) / 2, 0, low + 0.003))
-    shelled = outer - hollow
-    nose = box((0.010, width * 0.46, 0.012), (front + 0.0085, 0, low + 0.0075), 0.0015)
-    driver = box((0.0012, 0.011, 0.010), (front + 0.006, 0, low + 0.002))
+    shelled = outer - hollow - rod(0.0031, width, "y", hinge_at)
+    nose = box((0.010, width * 0.46, 0.008), (front + 0.0085, 0, low + 0.0133), 0.0015)
+    driver = box((0.0012, 0.011, 0.004), (front + 0.006, 0, low + 0.0080))
     lean = 0.085
     red_ink = textures.shade(body, 0.25)
     text = str(rng.choice(["HEAVY DUTY", "OFFICE 24/6", "DESK PRO 26"]))
