@@ -302,6 +302,13 @@ def test_result_page_shows_meshes_as_they_are(folders: dict[str, Path]) -> None:
     assert scene["sliders"][0]["states"] == pytest.approx(result.states.tolist())
 
 
+def test_part_of_a_single_colour_is_shown_in_the_colour_of_its_part() -> None:
+    truth = make_truth()
+    white = replace(truth.articulation.moving, colours=np.full_like(truth.articulation.moving.colours, 255))
+    scene = articulation_scene(replace(truth.articulation, moving=white), truth.states, truth.Ts_camera_reference)
+    assert scene.surfaces[0].mesh.colours is not None and scene.surfaces[1].mesh.colours is None
+
+
 @pytest.mark.parametrize("swap", [False, True])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("joint_type", ["revolute", "prismatic"])

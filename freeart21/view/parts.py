@@ -11,7 +11,7 @@ from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.camera import Camera
 from freeart21.joint import Joint
-from freeart21.mesh import bounding_diagonal
+from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
@@ -103,8 +103,8 @@ def articulation_scene(
         sliders=(slider,),
         layers=(Layer("reference part", REFERENCE), Layer("moving part", MOVING), Layer("joint axis", AXIS, "axis")),
         surfaces=(
-            Surface(articulation.reference, 0, 0),
-            Surface(articulation.moving, 1, 1),
+            Surface(_told_apart(articulation.reference), 0, 0),
+            Surface(_told_apart(articulation.moving), 1, 1),
             Surface(axis_mesh(joint, _centre(articulation, moving), size), 0, 2),
         ),
         up=R_world_camera @ [0.0, -1.0, 0.0],
@@ -163,6 +163,12 @@ def with_truth(scene: Scene, truth: Truth, alignment: Alignment) -> Scene:
 
 def _widened(slider: Slider, states: NDArray[np.float64]) -> Slider:
     return replace(slider, lower=min(slider.lower, float(states.min())), upper=max(slider.upper, float(states.max())))
+
+
+def _told_apart(mesh: Mesh) -> Mesh:
+    """The mesh without its colours when they are all the same: it is then shown in the colour of its part."""
+    same = mesh.colours is not None and (mesh.colours == mesh.colours[:1]).all()
+    return replace(mesh, colours=None) if same else mesh
 
 
 def _centre(articulation: Articulation, T_moving: Array) -> Array:

@@ -70,7 +70,9 @@ def plot_section(series: StateSeries) -> Section:
         ]
     if series.truth is not None:
         points = _points(across(x), down(factor * series.truth))
-        parts.append(f'<polyline class="truth" stroke="{TRUTH}" points="{points}"/>')
+        parts.append(
+            f'<polyline class="{"truth" if series.found is not None else "found"}" stroke="{TRUTH}" points="{points}"/>'
+        )
     if series.found is not None:
         points = _points(across(x), down(factor * series.found))
         parts.append(f'<polyline class="found" stroke="{MOVING}" points="{points}"/>')

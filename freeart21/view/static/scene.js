@@ -30,7 +30,7 @@ void main() {
   vec3 n = normalize(v_normal);
   n = dot(n, eye) < 0.0 ? -n : n;                       // surfaces have two sides
   vec3 key = normalize(vec3(-0.45, 0.75, 0.6));
-  float light = 0.34 + 0.14 * n.y + 0.42 * max(dot(n, key), 0.0) + 0.26 * max(dot(n, eye), 0.0);
+  float light = 0.28 + 0.10 * n.y + 0.36 * max(dot(n, key), 0.0) + 0.24 * max(dot(n, eye), 0.0);
   float shine = 0.10 * pow(max(dot(reflect(-key, n), eye), 0.0), 28.0);
   vec3 shaded = pow(pow(base, vec3(2.2)) * light + shine, vec3(1.0 / 2.2));
   float rim = pow(1.0 - abs(dot(n, eye)), 2.0);
