@@ -1,0 +1,494 @@
+"""Scoring from files: prices, coverage, untrusted submissions, and the joint read from the reloaded asset."""
+
+import functools
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+from synthetic_case import (
+    HEIGHT,
+    QUERIES,
+    WIDTH,
+    in_frame,
+    make_recording,
+    make_truth,
+    noisy_answer,
+    pictures,
+    random_pose,
+    truth_as_answer,
+    with_joint,
+    with_names_exchanged,
+)
+
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.files.asset import write_asset_json
+from freeart21.files.benchmark import write_benchmark
+from freeart21.files.result import Method, write_method, write_result
+from freeart21.files.sequence import write_sequence
+from freeart21.files.truth import write_truth
+from freeart21.joint import Joint
+from freeart21.reconstruction import Failure
+from leaderboard.asset_joint import joint_of_motion, measured_joint
+from leaderboard.protocols import PROTOCOLS, STRICT_1, protocol_named
+from leaderboard.score import score_results, score_sequence, statistic, write_scores
+from leaderboard.strict1 import Strict1, measure
+from leaderboard.tables import page_entries, print_scores
+
+KINDS = ("revolute", "prismatic")
+
+
+@pytest.fixture(autouse=True)
+def quick(request, monkeypatch):
+    """Few samples, but where a test asks for the protocol as it is."""
+    if "whole_protocol" not in request.fixturenames:
+        few = functools.partial(measure, constants=Strict1(samples=2000))
+        monkeypatch.setitem(PROTOCOLS, "strict-1", replace(STRICT_1, measure=few))
+
+
+@pytest.fixture
+def whole_protocol():
+    return STRICT_1
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Two revolute sequences and one prismatic, on disk."""
+    folder = tmp_path_factory.mktemp("data")
+    for name, kind, seed in (("a", "revolute", 0), ("b", "prismatic", 1), ("c", "revolute", 2)):
+        truth = make_truth(kind, seed)
+        write_sequence(folder / "sequences" / name, make_recording(truth, name), 1e-4)
+        write_truth(folder / "truth" / name, truth, QUERIES)
+    write_benchmark(folder, "made-up", "1", "test")
+    return folder
+
+
+def truths():
+    return {"a": make_truth("revolute", 0), "b": make_truth("prismatic", 1), "c": make_truth("revolute", 2)}
+
+
+def score_one(data, folder, name="a"):
+    return score_sequence(folder, data / "sequences" / name, data / "truth" / name)
+
+
+def submit(folder, truth, answer=None, renders=True):
+    write_result(folder, answer or truth_as_answer(truth), renders=pictures(truth) if renders else None)
+    return folder
+
+
+def assert_priced(row, truth):
+    revolute = truth.articulation.joint.type == "revolute"
+    motion = np.ptp(truth.states) * (np.rad2deg(1) if revolute else 100 / truth.diagonal)
+    expected = {"joint_type": 0, "axis": 90, "position": 100, "position_line": 100, "state": motion,
+                "state_all": motion, "miou": 0, "pose_rotation": 180, "pose_translation": 100, "chamfer_w": 100,
+                "chamfer_m": 100, "chamfer_s": 100, "fscore": 0, "psnr": 0, "ssim": 0}
+    if not revolute:
+        expected |= {"position": None, "position_line": None}
+    assert row.values == pytest.approx(expected)
+    assert row.values_cm["chamfer_w"] == pytest.approx(100 * truth.diagonal)
+
+
+# ---- whole tables
+
+
+def test_the_truth_handed_in_is_perfect_and_the_table_complete(data, tmp_path, whole_protocol):
+    for name, truth in truths().items():
+        submit(tmp_path / name, truth)
+    write_method(tmp_path, Method("oracle"))
+    told = []
+    scores = score_results(tmp_path, data, progress=told.append)
+    assert [row.sequence for row in scores.rows] == ["a", "b", "c"] and told == list(scores.rows)
+    for row in scores.rows:
+        assert row.status == "ok" and row.measured_from == "files" and row.notes == () and not row.swapped
+        for metric in whole_protocol.metrics:
+            value = row.values[metric.id]
+            if metric.id.startswith("position") and row.joint_type == "prismatic":
+                assert value is None
+            elif metric.direction == "down":
+                assert 0 <= value < 1e-6, metric.id
+            else:
+                assert value == pytest.approx(100 if metric.id == "psnr" else 1), metric.id
+    assert scores.method.name == "oracle" and scores.protocol == "strict-1"
+    assert all(s.failures == 0 and s.coverage == 1 for s in scores.summaries)
+
+
+def test_failures_and_missing_sequences_are_priced_and_stay_in_every_mean(data, tmp_path):
+    submit(tmp_path / "a", truths()["a"])
+    write_result(tmp_path / "b", Failure("segmentation", "one motion only", {"tracks": 2.0}))
+    scores = score_results(tmp_path, data)
+    rows = {row.sequence: row for row in scores.rows}
+    assert (rows["b"].status, rows["c"].status) == ("failed", "missing")
+    assert "segmentation: one motion only" in rows["b"].reason and rows["b"].seconds == 2.0
+    for name in "bc":
+        assert_priced(rows[name], truths()[name])
+    by_group = {s.group: s for s in scores.summaries}
+    assert [by_group[g].sequences for g in ("revolute", "prismatic", "all")] == [2, 1, 3]
+    assert [by_group[g].failures for g in ("revolute", "prismatic", "all")] == [1, 1, 2]
+    assert by_group["all"].coverage == pytest.approx(1 / 3)
+    axis = by_group["revolute"].statistics["axis"]
+    assert axis.mean == pytest.approx(45) and axis.std == pytest.approx(90 / np.sqrt(2)) and axis.worst == 90
+    assert by_group["all"].statistics["axis"].mean == pytest.approx(60)
+    assert by_group["prismatic"].statistics["axis"].std is None
+    assert by_group["all"].statistics["position"].sequences == 2
+    assert "state" not in by_group["all"].statistics  # degrees and % have no common mean
+    assert by_group["revolute"].statistics["psnr"].worst == 0
+
+
+def test_standard_deviation_is_that_of_a_sample():
+    """Articulate-Anything's 7 of 15 objects at 90 degrees: 42.00 +- 46.48, the paper's own figure."""
+    seven = statistic([90.0] * 7 + [0.0] * 8, "down")
+    assert round(seven.mean, 2) == 42.00 and round(seven.std, 2) == 46.48
+    assert seven.median == 0 and seven.worst == 90 and statistic([1.0, 3.0], "up").worst == 1
+
+
+def test_scores_are_json_with_units_prices_and_no_nan(data, tmp_path):
+    submit(tmp_path / "results" / "a", truths()["a"], noisy_answer(truths()["a"]), renders=False)
+    path = tmp_path / "scores.json"
+    scores = score_results(tmp_path / "results", data)
+    write_scores(path, scores)
+    text = path.read_text()
+    body = json.loads(text)
+    assert "NaN" not in text and "Infinity" not in text
+    assert body["schema"] == "freeart21/scores/1" and len(body["benchmark"]["sha256"]) == 64
+    units = {m["id"]: (m["unit"], m["direction"], m["price"]) for m in body["protocol"]["metrics"]}
+    assert units["state"] == ({"revolute": "deg", "prismatic": "%"}, "down", "range of motion")
+    assert body["rows"][0]["values"]["position"] == pytest.approx(
+        body["rows"][0]["values_cm"]["position"] / body["rows"][0]["diagonal_m"])
+    assert body["rows"][0]["notes"] == ["2 of 2 held-out views have no render"]
+
+
+def test_tables_show_every_metric_and_flag_failures(data, tmp_path):
+    submit(tmp_path / "a", truths()["a"])
+    write_result(tmp_path / "b", Failure("tracks", "[red]no[/red] texture"))
+    console = Console(record=True, width=200, file=io.StringIO())
+    scores = score_results(tmp_path, data)
+    print_scores(scores, console)
+    text = console.export_text()
+    for metric in STRICT_1.metrics:
+        assert text.count(metric.id) >= 2
+    for said in ("FAILED", "MISSING", "tracks: [red]no[/red] texture", "cm", "±", "coverage", "33 %"):
+        assert said in text, said
+    entries = page_entries(scores.rows[0], "strict-1")
+    assert entries["psnr"] == {"value": 100.0, "unit": "dB", "better": "up"}
+    assert entries["chamfer_w"]["beside"] == "0.00 cm"
+
+
+def test_unknown_protocols_and_folders_are_one_clear_line(data, tmp_path):
+    with pytest.raises(FreeArtError, match="unknown protocol 'paper-9'; protocols: strict-1"):
+        score_results(tmp_path, data, "paper-9")
+    with pytest.raises(FreeArtError, match="not a folder of results"):
+        score_results(tmp_path / "nowhere", data)
+    with pytest.raises(FreeArtError, match="is not a benchmark"):
+        score_results(tmp_path, tmp_path)
+    with pytest.raises(FreeArtError, match="the result of one sequence"):
+        score_results(submit(tmp_path / "a", truths()["a"]), data)
+    with pytest.raises(FreeArtError, match="unknown metric 'axis_err'; metrics of strict-1: joint_type, axis"):
+        protocol_named("strict-1").metric("axis_err")
+
+
+def test_every_metric_has_a_definition_and_a_price():
+    for name, protocol in PROTOCOLS.items():
+        assert protocol.name == name
+        for metric in protocol.metrics:
+            assert metric.definition and metric.direction in ("up", "down")
+            assert metric.price is not None or metric.id.startswith("state")
+
+
+def test_a_wrong_joint_type_prices_the_joint_and_measures_the_rest(data, tmp_path):
+    truth = truths()["a"]
+    wrong = with_joint(truth_as_answer(truth), replace(truth.articulation.joint, type="prismatic"))
+    row = score_one(data, submit(tmp_path / "a", truth, wrong))
+    assert row.status == "ok" and row.notes == ("the joint is prismatic, expected revolute",)
+    assert [row.values[id] for id in ("joint_type", "axis", "position")] == [0, 90, 100]
+    assert row.values["state"] == pytest.approx(np.rad2deg(truth.range_of_motion))
+    assert row.values["miou"] == 1 and row.values["chamfer_s"] < 1e-6 and row.values["psnr"] == 100
+
+
+# ---- untrusted submissions
+
+
+def breaks(name):
+    def add(function):
+        BREAKS[name] = function
+        return function
+    return add
+
+
+BREAKS: dict = {}
+
+
+@breaks("has 15 states, expected 16")
+def _frames(folder):
+    header = json.loads((folder / "prediction.json").read_text())
+    header["states"].pop()
+    (folder / "prediction.json").write_text(json.dumps(header))
+
+
+@breaks("part_mask/00003.png is 3 x 2, expected 40 x 32")
+def _mask_size(folder):
+    (folder / "part_mask" / "00003.png").write_bytes(checked.encode_png(np.zeros((2, 3), np.uint8)))
+
+
+@breaks("part_mask/00005.png is missing")
+def _mask_missing(folder):
+    (folder / "part_mask" / "00005.png").unlink()
+
+
+@breaks("is not a PNG image")
+def _mask_text(folder):
+    (folder / "part_mask" / "00000.png").write_text("x")
+
+
+@breaks("labels up to 7")
+def _labels(folder):
+    (folder / "part_mask" / "00001.png").write_bytes(checked.encode_png(np.full((HEIGHT, WIDTH), 7, np.uint8)))
+
+
+@breaks("without pickled objects")
+def _pickle(folder):
+    bad = np.array([{"a": 1}], dtype=object)
+    np.savez(folder / "poses.npz", T_camera_reference=bad, T_camera_moving=bad)
+
+
+@breaks("not a rigid pose")
+def _scaled(folder):
+    Ts = 2 * np.repeat(np.eye(4)[None], 16, 0)
+    np.savez(folder / "poses.npz", T_camera_reference=Ts, T_camera_moving=Ts)
+
+
+@breaks("expected metres or radians below")
+def _huge(folder):
+    Ts = np.repeat(np.eye(4)[None], 16, 0)
+    Ts[3, 0, 3] = 1e200
+    np.savez(folder / "poses.npz", T_camera_reference=Ts, T_camera_moving=Ts)
+
+
+@breaks("is not JSON")
+def _json(folder):
+    (folder / "prediction.json").write_text("{")
+
+
+@breaks("is not a readable result")
+def _deep(folder):
+    (folder / "prediction.json").write_text("[" * 100_000)
+
+
+@breaks("has no prediction.json")
+def _nothing(folder):
+    (folder / "prediction.json").unlink()
+
+
+@breaks("entries that are not finite")
+def _nan(folder):
+    header = json.loads((folder / "prediction.json").read_text())
+    header["states"][2] = float("nan")
+    (folder / "prediction.json").write_text(json.dumps(header))
+
+
+@breaks("not a readable PLY")
+def _ply(folder):
+    (folder / "parts" / "moving.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 9999999\n"
+                                                  b"property float x\nproperty float y\nproperty float z\nend_header\n")
+
+
+@breaks("leads out of the folder")
+def _link(folder):
+    (folder / "part_mask" / "00000.png").unlink()
+    (folder / "part_mask" / "00000.png").symlink_to("/etc/hostname")
+
+
+@pytest.mark.parametrize("reason", BREAKS)
+def test_a_broken_submission_is_priced_with_its_reason(data, tmp_path, reason):
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    BREAKS[reason](folder)
+    row = score_one(data, folder)
+    assert row.status == "unreadable" and reason in row.reason and "\n" not in row.reason
+    assert_priced(row, truth)
+
+
+def test_one_broken_picture_costs_that_picture(data, tmp_path):
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    (folder / "renders" / "00001.png").write_bytes(checked.encode_png(np.zeros((4, 4, 3), np.uint8)))
+    row = score_one(data, folder)
+    assert row.status == "ok" and row.values["psnr"] == 50 and "4 x 4, expected 40 x 32" in row.notes[0]
+
+
+def test_seconds_that_are_no_number_are_unknown(data, tmp_path):
+    truth = truths()["a"]
+    answer = replace(truth_as_answer(truth), seconds={"tracks": float("nan")})
+    assert score_one(data, submit(tmp_path / "a", truth, answer)).seconds is None
+
+
+# ---- the joint, measured from the asset
+
+
+def write_asset(folder: Path, joint: Joint, T_canonical_reference=None, state_zero=0.0, limits=(-2.0, 2.0)) -> None:
+    """A base and a lid of boxes, joined as `joint`, whose base link sits in the canonical frame as given."""
+    T = np.eye(4) if T_canonical_reference is None else T_canonical_reference
+    here = joint.moved(se3.inverse(T))
+    link = ('<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+            '</inertial><collision><geometry><box size="0.3 0.2 0.1"/></geometry></collision></link>')
+    triple = "{:.12g} {:.12g} {:.12g}".format
+    (folder / "made.urdf").parent.mkdir(parents=True, exist_ok=True)
+    (folder / "made.urdf").write_text(
+        f'<robot name="made">{link.format("base")}{link.format("lid")}<joint name="{joint.name}" type="{joint.type}">'
+        f'<parent link="base"/><child link="lid"/><origin xyz="{triple(*here.pivot)}" rpy="0.3 -0.2 0.5"/>'
+        f'<axis xyz="{triple(*_rpy(0.3, -0.2, 0.5).T @ here.axis)}"/>'
+        f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="1"/></joint></robot>')
+    write_asset_json(folder, Asset(folder / "made.urdf", joint.name, "base", "lid", T, state_zero))
+
+
+def _rpy(r, p, y):
+    return se3.exp_so3([0, 0, y]) @ se3.exp_so3([0, p, 0]) @ se3.exp_so3([r, 0, 0])
+
+
+@pytest.mark.parametrize("name", ["a", "b"])
+def test_the_true_joint_as_an_asset_scores_perfect(data, tmp_path, name):
+    truth = truths()[name]
+    folder = submit(tmp_path / name, truth)
+    T = random_pose(np.random.default_rng(4))
+    write_asset(folder / "asset", truth.articulation.joint, T, state_zero=0.25)
+    row = score_one(data, folder, name)
+    assert row.measured_from == "asset" and row.status == "ok", row.reason
+    for id in ("axis", "state", "state_all", "chamfer_m", *(["position"] if name == "a" else [])):
+        assert row.values[id] < 1e-3, id  # SAPIEN's link poses are float32
+
+
+@pytest.mark.parametrize("name", ["a", "b"])
+@pytest.mark.parametrize("degrees", [0.5, 5.0])
+def test_tilting_the_urdfs_axis_moves_axis_by_as_much(data, tmp_path, name, degrees):
+    truth = truths()[name]
+    folder = submit(tmp_path / name, truth)
+    joint = truth.articulation.joint
+    write_asset(folder / "asset", replace(joint, axis=se3.exp_so3([np.deg2rad(degrees), 0, 0]) @ joint.axis))
+    row = score_one(data, folder, name)
+    assert row.measured_from == "asset"
+    assert row.values["axis"] == pytest.approx(degrees, abs=1e-3)
+    assert row.values["chamfer_m"] > 0.07 * degrees
+
+
+def test_shifting_the_urdfs_joint_moves_position_by_as_much(data, tmp_path):
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    joint = truth.articulation.joint
+    write_asset(folder / "asset", replace(joint, pivot=joint.pivot + np.array([0.03, 0, 0.04])))
+    assert score_one(data, folder).values["position"] == pytest.approx(100 * 0.05 / truth.diagonal, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["a", "b"])
+def test_an_asset_that_turns_the_wrong_way_costs_the_reversed_motion(data, tmp_path, name):
+    truth = truths()[name]
+    folder, other = submit(tmp_path / name, truth), tmp_path / "reversed" / name
+    write_asset(folder / "asset", replace(truth.articulation.joint, axis=-truth.articulation.joint.axis))
+    submit(other, truth, replace(truth_as_answer(truth), states=-truth.states))
+    row, expected = score_one(data, folder, name), score_one(data, other, name)
+    assert row.values["axis"] < 1e-3
+    for id in ("state", "state_all", "chamfer_m"):
+        assert row.values[id] == pytest.approx(expected.values[id], abs=1e-3) and row.values[id] > 1, id
+
+
+def test_an_asset_of_another_type_is_what_counts(data, tmp_path):
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    write_asset(folder / "asset", replace(truth.articulation.joint, type="prismatic"))
+    row = score_one(data, folder)
+    assert row.values["joint_type"] == 0 and row.values["axis"] == 90 and row.measured_from == "asset"
+
+
+def test_states_beyond_the_assets_limits_stop_at_the_limit(data, tmp_path):
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    write_asset(folder / "asset", truth.articulation.joint, limits=(-0.1, 0.5))
+    clipped = replace(truth_as_answer(truth), states=np.minimum(truth.states, 0.5))
+    expected = submit(tmp_path / "x" / "a", truth, clipped)
+    row = score_one(data, folder)
+    assert row.values["state_all"] == pytest.approx(score_one(data, expected).values["state_all"], abs=1e-3)
+    assert row.values["state_all"] > 5
+
+
+def test_the_asset_keeps_up_with_exchanged_names_and_moved_frames(data, tmp_path):
+    truth = truths()["a"]
+    answer = noisy_answer(truth, 3)
+    T = random_pose(np.random.default_rng(5))
+    turned = with_names_exchanged(in_frame(answer, T))
+    plain, other = submit(tmp_path / "x" / "a", truth, answer), submit(tmp_path / "y" / "a", truth, turned)
+    write_asset(plain / "asset", answer.articulation.joint)
+    write_asset(other / "asset", turned.articulation.joint, T)
+    a, b = score_one(data, plain), score_one(data, other)
+    assert (a.swapped, b.swapped) == (False, True) and a.measured_from == b.measured_from == "asset"
+    assert a.values == pytest.approx(b.values, abs=1e-3)
+
+
+@pytest.mark.parametrize("broken, reason", [
+    ("<robot", "is not XML"),
+    ("", "is not an asset"),
+    ('<robot name="x"><link name="a"/><link name="b"/><joint name="j" type="fixed"><parent link="a"/>'
+     '<child link="b"/></joint></robot>', "no movable joint"),
+    ('<robot name="x"><link name="a"><visual><geometry><mesh filename="../../../secret.obj"/></geometry></visual>'
+     '</link><link name="b"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>'
+     '<limit lower="0" upper="1"/></joint></robot>', "leads out of the folder"),
+    ('<robot name="x"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>'
+     '<child link="b"/><axis xyz="0 0 1"/><limit lower="0" upper="0"/></joint></robot>', ""),
+])
+def test_an_asset_that_does_not_load_fails_and_nothing_steps_in_for_it(data, tmp_path, broken, reason):
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    (folder / "asset").mkdir()
+    if broken:
+        (folder / "asset" / "made.urdf").write_text(broken)
+    row = score_one(data, folder)
+    assert row.status == "failed" and row.reason.startswith("asset: ") and reason in row.reason
+    assert row.measured_from == "nothing"
+    assert_priced(row, truth)
+
+
+def test_an_asset_that_ends_the_simulator_ends_only_itself(data, tmp_path, monkeypatch):
+    crash = tmp_path / "site"
+    crash.mkdir()
+    (crash / "sapien.py").write_text("import os; os.abort()")
+    monkeypatch.setenv("PYTHONPATH", str(crash))
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    write_asset(folder / "asset", truth.articulation.joint)
+    row = score_one(data, folder)
+    assert row.status == "failed" and "ended the simulator" in row.reason
+
+
+def test_a_range_of_several_turns_is_read_right(tmp_path):
+    joint = Joint("lid", "revolute", np.array([0, 0.6, 0.8]), np.array([0.1, 0.2, -0.3]), -7.0, 9.0)
+    write_asset(tmp_path, joint, limits=(-7.0, 9.0))
+    found, states = measured_joint(tmp_path, [-6.0, 0.0, 2.0, 8.5])
+    assert np.allclose(found.axis, joint.axis, atol=1e-5)
+    assert np.linalg.norm(np.cross(found.pivot - joint.pivot, joint.axis)) < 1e-5
+    assert np.allclose(np.exp(1j * states), np.exp(1j * np.array([-6.0, 0.0, 2.0, 8.5])), atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_joint_of_a_motion_survives_single_precision(kind):
+    rng = np.random.default_rng(0)
+    joint = Joint("j", kind, *np.linalg.qr(rng.normal(size=(3, 3)))[0][:2], -0.2, 0.3)
+    states = np.linspace(-0.2, 0.3, 33)
+    motion = joint.transform(states) @ random_pose(rng)
+    motion = motion @ se3.inverse(motion[0]) if kind == "prismatic" else joint.transform(states)
+    found = joint_of_motion("j", states, motion.astype(np.float32).astype(float))
+    assert found.type == kind and np.rad2deg(np.arccos(min(1, found.axis @ joint.axis))) < 0.03
+    if kind == "revolute":
+        assert np.linalg.norm(np.cross(found.pivot - joint.pivot, joint.axis)) < 1e-5
+
+
+def test_a_motion_that_is_no_joint_is_refused():
+    states = np.linspace(0, 1, 33)
+    helix = Joint("j", "revolute", [0, 0, 1.0], np.zeros(3), 0, 1).transform(states)
+    helix[:, 2, 3] += states
+    with pytest.raises(FreeArtError, match="neither hinge nor slider"):
+        joint_of_motion("j", states, helix)
+    with pytest.raises(FreeArtError, match="does not move"):
+        joint_of_motion("j", states, np.repeat(np.eye(4)[None], 33, 0))
