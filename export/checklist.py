@@ -1,0 +1,288 @@
+"""What an asset must be before it is shipped, as code: one finding for each thing that is wrong."""
+
+from __future__ import annotations
+
+import importlib.util
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from export.inertia import Inertial, unphysical
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset
+from freeart21.joint import Joint, JointType
+from freeart21.se3 import Array
+from generator.simulate import joint_motion
+
+MAX_HULLS = 64
+"""Collision meshes a link may have."""
+FK_TOLERANCE = 1e-6
+"""Rotation entries and metres by which two simulators may disagree on where a link is."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong with an asset."""
+
+    item: str
+    """The point of the checklist, such as 'limits'."""
+    detail: str
+    """What is wrong, got and expected."""
+
+    def __str__(self) -> str:
+        return f"{self.item}: {self.detail}"
+
+
+def check_asset(folder: Path) -> list[Finding]:
+    """Everything that is wrong with the asset in `folder`; empty when it may be shipped.
+
+    Reads the URDF as text, looks at every file that it names, reloads it in SAPIEN (and its MJCF in MuJoCo when that is
+    installed) and compares where the moving link goes. A folder that is no asset at all is one finding.
+    """
+    folder = Path(folder)
+    try:
+        asset = read_asset(folder)
+        robot = ET.fromstring(asset.urdf.read_bytes())
+    except FreeArtError as error:
+        return [Finding("asset", str(error))]
+    findings = [*_tree(robot), *_names(robot), *_paths(robot, asset.urdf.parent)]
+    if findings:  # what follows needs a tree with all its files
+        return findings
+    try:
+        for link in robot.findall("link"):
+            findings += _inertial(link, asset.urdf.parent, robot)
+            findings += _collisions(link, asset.urdf.parent)
+            findings += _textures(link, asset.urdf.parent)
+        for joint in robot.findall("joint"):
+            findings += [*_axis(joint), *_limits(joint)]
+    except FreeArtError as error:
+        return [*findings, Finding("numbers and meshes", str(error))]
+    return findings or [*_reload(asset, robot)]
+
+
+def _tree(robot: ET.Element) -> Iterator[Finding]:
+    links = [link.get("name", "") for link in robot.findall("link")]
+    ends = [(_get(j, "parent", "link"), _get(j, "child", "link")) for j in robot.findall("joint")]
+    for end in {e for pair in ends for e in pair}:
+        if end not in links:
+            yield Finding("tree", f"a joint names link '{end}'; links: {', '.join(links)}")
+    children = [child for _, child in ends]
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1:
+        yield Finding("tree", f"roots are {', '.join(roots) or 'none'}, expected one")
+    for child in sorted({c for c in children if children.count(c) > 1}):
+        yield Finding("tree", f"link '{child}' is the child of {children.count(child)} joints, expected one")
+
+
+def _names(robot: ET.Element) -> Iterator[Finding]:
+    groups = {
+        "link": robot.findall("link"),
+        "joint": robot.findall("joint"),
+        "visual": list(robot.iter("visual")),
+        "collision": list(robot.iter("collision")),
+    }
+    for kind, elements in groups.items():
+        names = [e.get("name", "") for e in elements if kind in ("link", "joint") or e.get("name")]
+        for name in sorted({n for n in names if names.count(n) > 1 or not n}):
+            yield Finding("names", f"{kind} name '{name}' is used {names.count(name)} times, expected unique names")
+
+
+def _paths(robot: ET.Element, folder: Path) -> Iterator[Finding]:
+    for element in [*robot.iter("mesh"), *robot.iter("texture")]:
+        name = element.get("filename", "")
+        if not name or Path(name).is_absolute() or "://" in name or " " in name or ".." in Path(name).parts:
+            yield Finding("paths", f"file '{name}', expected a relative path without spaces in the asset's folder")
+        elif not (folder / name).is_file():
+            yield Finding("paths", f"file '{name}' does not exist")
+
+
+def _inertial(link: ET.Element, folder: Path, robot: ET.Element) -> Iterator[Finding]:
+    name = link.get("name")
+    if link.find("inertial") is None:
+        if any(_get(j, "child", "link") == name for j in robot.findall("joint") if j.get("type") != "fixed"):
+            yield Finding("inertia", f"link '{name}' moves and has no <inertial>")
+        return
+    rows = ("ixx ixy ixz", "ixy iyy iyz", "ixz iyz izz")
+    inertia = np.array([[_number(link, "inertial/inertia", key, "0") for key in row.split()] for row in rows])
+    centre = _numbers(_get(link, "inertial/origin", "xyz", "0 0 0"))
+    wrong = unphysical(Inertial(_number(link, "inertial/mass", "value", "0"), centre, inertia))
+    if wrong:
+        yield Finding("inertia", f"link '{name}': {wrong}")
+    points = [se3.transform(T, mesh.vertices) for T, mesh in _meshes(link, "collision", folder)]
+    if points:
+        box = np.concatenate(points)
+        if (centre < box.min(0) - 1e-6).any() or (centre > box.max(0) + 1e-6).any():
+            yield Finding("inertia", f"link '{name}' has its centre of mass outside of its collision box")
+
+
+def _collisions(link: ET.Element, folder: Path) -> Iterator[Finding]:
+    name = link.get("name")
+    if link.find("visual") is not None and link.find("collision") is None:
+        yield Finding("collision", f"link '{name}' can be seen but not touched: it has no collision geometry")
+    n = len(link.findall("collision"))
+    if n > MAX_HULLS:
+        yield Finding("collision", f"link '{name}' has {n} collision geometries, expected at most {MAX_HULLS}")
+    for k, (_, mesh) in enumerate(_meshes(link, "collision", folder)):
+        convex = mesh.convex_hull.volume if len(mesh.faces) else 0.0
+        if not mesh.is_watertight or not mesh.volume > 0:
+            yield Finding("collision", f"mesh {k} of link '{name}' is not a closed solid with its faces outwards")
+        elif mesh.volume < convex * (1 - 1e-3):
+            filled = f"it fills {mesh.volume / convex:.1%} of its hull"
+            yield Finding("collision", f"mesh {k} of link '{name}' is not convex: {filled}")
+
+
+def _textures(link: ET.Element, folder: Path) -> Iterator[Finding]:
+    for mesh in link.findall("visual/geometry/mesh"):
+        path = folder / mesh.get("filename", "")
+        if path.suffix.lower() != ".obj":
+            continue
+        for library in _words(path, "mtllib"):
+            material = path.parent / library
+            if not material.is_file():
+                yield Finding("textures", f"{path.name} names {library}, which does not exist")
+                continue
+            for image in _words(material, "map_Kd"):
+                if not (material.parent / image).is_file():
+                    yield Finding("textures", f"{material.name} names {image}, which does not exist")
+
+
+def _axis(joint: ET.Element) -> Iterator[Finding]:
+    if joint.get("type") == "fixed":
+        return
+    length = float(np.linalg.norm(_numbers(_get(joint, "axis", "xyz", "1 0 0"))))
+    if abs(length - 1) > 1e-6:
+        yield Finding("axis", f"joint '{joint.get('name')}' has an axis of length {length:.6g}, expected 1")
+
+
+def _limits(joint: ET.Element) -> Iterator[Finding]:
+    name = joint.get("name")
+    if joint.get("type") not in ("revolute", "prismatic"):
+        return
+    if joint.find("limit") is None:
+        yield Finding("limits", f"joint '{name}' has no <limit>")
+        return
+    lower, upper = (_number(joint, "limit", key, "0") for key in ("lower", "upper"))
+    if not lower < upper:
+        yield Finding("limits", f"joint '{name}' has limits {lower:g} to {upper:g}, expected lower < upper")
+    elif not lower <= 0 <= upper:
+        yield Finding("limits", f"joint '{name}' has limits {lower:g} to {upper:g}, expected zero within")
+    for key in ("effort", "velocity"):
+        value = _number(joint, "limit", key, "0")
+        if not value > 0:
+            yield Finding("limits", f"joint '{name}' has {key} {value:g}, expected more than 0")
+
+
+def _reload(asset: Asset, robot: ET.Element) -> Iterator[Finding]:
+    """The moving link's way as the URDF's numbers say it, against SAPIEN and MuJoCo."""
+    joint = next(j for j in robot.findall("joint") if j.get("name") == asset.joint)
+    lower, upper = (_number(joint, "limit", key, default) for key, default in (("lower", "-1"), ("upper", "1")))
+    positions = np.linspace(lower, upper, 7)
+    said = np.stack([_T_reference_moving(asset, robot, q) for q in positions])
+    zero = _T_reference_moving(asset, robot, asset.state_zero)
+    C = asset.T_canonical_reference
+    expected = C @ said @ se3.inverse(zero) @ se3.inverse(C)
+    try:
+        off = float(np.abs(joint_motion(asset, positions - asset.state_zero) - expected).max())
+    except FreeArtError as fault:
+        yield Finding("reload", str(fault))
+        return
+    if off > FK_TOLERANCE:
+        yield Finding("reload", f"SAPIEN moves '{asset.moving_link}' to {off:.2g} from where the URDF says")
+    mjcf = asset.urdf.with_suffix(".xml")
+    if mjcf.is_file() and importlib.util.find_spec("mujoco"):
+        yield from _reload_mujoco(asset, mjcf, positions, said)
+
+
+def _reload_mujoco(asset: Asset, mjcf: Path, positions: Array, said: Array) -> Iterator[Finding]:
+    import mujoco
+
+    try:
+        model = mujoco.MjModel.from_xml_path(str(mjcf))
+    except ValueError as error:
+        yield Finding("mujoco", str(error).splitlines()[0])
+        return
+    data = mujoco.MjData(model)
+
+    def pose(body: str) -> Array:
+        return se3.pose(data.body(body).xmat.reshape(3, 3), data.body(body).xpos)
+
+    worst = 0.0
+    for q, T in zip(positions, said, strict=True):
+        data.joint(asset.joint).qpos[0] = q
+        mujoco.mj_kinematics(model, data)
+        off = np.abs(se3.inverse(pose(asset.reference_link)) @ pose(asset.moving_link) - T).max()
+        worst = max(worst, float(off))
+    if worst > FK_TOLERANCE:
+        yield Finding("mujoco", f"MuJoCo puts '{asset.moving_link}' {worst:.2g} from where the URDF says")
+
+
+def _T_reference_moving(asset: Asset, robot: ET.Element, q: float) -> Array:
+    """Forward kinematics from the URDF's text alone, other joints as held."""
+    above = {_get(j, "child", "link"): j for j in robot.findall("joint")}
+
+    def T_root_link(link: str) -> Array:
+        if link not in above:
+            return np.eye(4)
+        joint = above[link]
+        position = q if joint.get("name") == asset.joint else asset.held.get(joint.get("name", ""), 0.0)
+        T: Array = T_root_link(_get(joint, "parent", "link")) @ _origin(joint)
+        if joint.get("type") == "fixed":
+            return T
+        axis = _numbers(_get(joint, "axis", "xyz", "1 0 0"))
+        kind: JointType = "prismatic" if joint.get("type") == "prismatic" else "revolute"
+        return T @ Joint("", kind, axis, np.zeros(3), -np.inf, np.inf).transform(position)
+
+    return se3.inverse(T_root_link(asset.reference_link)) @ T_root_link(asset.moving_link)
+
+
+def _origin(element: ET.Element) -> Array:
+    """The pose that an element's <origin> says; rpy are fixed-axis x, y, z angles."""
+    roll, pitch, yaw = _numbers(_get(element, "origin", "rpy", "0 0 0"))
+    R = se3.exp_so3([0, 0, yaw]) @ se3.exp_so3([0, pitch, 0]) @ se3.exp_so3([roll, 0, 0])
+    return se3.pose(R, _numbers(_get(element, "origin", "xyz", "0 0 0")))
+
+
+def _meshes(link: ET.Element, tag: str, folder: Path) -> list[tuple[Array, trimesh.Trimesh]]:
+    """Pose in the link and mesh of every mesh of a link's visuals or collisions."""
+    found = []
+    for element in link.findall(tag):
+        mesh = element.find("geometry/mesh")
+        if mesh is not None:
+            path = folder / mesh.get("filename", "")
+            try:
+                loaded = trimesh.load_mesh(path, process=False)
+            except Exception as error:
+                raise FreeArtError(f"{path} is not a readable mesh: {error}") from error
+            found.append((_origin(element), loaded))
+    return found
+
+
+def _words(path: Path, key: str) -> list[str]:
+    """What follows `key` on the lines of an OBJ or MTL file that begin with it."""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        return [line.split(maxsplit=1)[1].strip() for line in file if line.startswith(key + " ")]
+
+
+def _get(element: ET.Element, path: str, attribute: str, default: str = "") -> str:
+    found = element.find(path)
+    return default if found is None else found.get(attribute, default)
+
+
+def _number(element: ET.Element, path: str, attribute: str, default: str) -> float:
+    return float(_numbers(_get(element, path, attribute, default), 1)[0])
+
+
+def _numbers(text: str, n: int = 3) -> Array:
+    try:
+        numbers = np.array([float(word) for word in text.split()])
+    except ValueError:
+        numbers = np.zeros(0)
+    if len(numbers) != n or not np.isfinite(numbers).all():
+        raise FreeArtError(f"'{text}' is not {n} finite numbers")
+    return numbers

@@ -1,0 +1,180 @@
+"""Part meshes for the eye: cleaned, reduced, and written as OBJ with their vertex colours baked into a texture.
+
+OBJ has no portable vertex colours, so every triangle gets a small square of texels that holds its colours, linear over
+the triangle: bilinear filtering gives back exactly the interpolation of the vertex colours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import fast_simplification
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.mesh import Mesh
+
+_GREY = (0.7, 0.7, 0.7)  # of a part without colours
+
+
+@dataclass(frozen=True)
+class MeshSettings:
+    """How part meshes are cleaned and written."""
+
+    max_faces: int = 20_000
+    """Faces a part may keep; more are reduced by quadric decimation (Garland and Heckbert 1997)."""
+    min_component: float = 0.01
+    """Connected pieces of less than this fraction of the part's area are dropped; the largest always stays."""
+    texels: int = 4
+    """Side, texels, of the square that each triangle gets in the texture; at least 3."""
+
+
+def cleaned(mesh: Mesh, settings: MeshSettings) -> Mesh:
+    """The mesh without doubled vertices, empty or doubled triangles and crumbs, of at most `max_faces` faces.
+
+    Raises FreeArtError when nothing is left.
+    """
+    mesh = without_crumbs(deduplicated(mesh), settings.min_component)
+    if mesh.empty:
+        raise FreeArtError("mesh has no triangle of any area")
+    return reduced(mesh, settings.max_faces)
+
+
+def deduplicated(mesh: Mesh) -> Mesh:
+    """Vertices of equal position and colour merged; triangles without area or said twice removed."""
+    colours = np.zeros((len(mesh.vertices), 0)) if mesh.colours is None else mesh.colours.astype(float)
+    rows = np.hstack([mesh.vertices, colours])
+    _, first, back = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    faces = back.reshape(-1)[mesh.faces]
+    merged = Mesh(mesh.vertices[first], faces, None if mesh.colours is None else mesh.colours[first])
+    area = merged.areas()
+    faces = faces[area > 1e-12 * max(area.max(initial=0.0), 1e-300)]
+    _, kept = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return _compact(merged, faces[np.sort(kept)])
+
+
+def without_crumbs(mesh: Mesh, fraction: float) -> Mesh:
+    """The mesh without connected pieces of less than `fraction` of its area; the largest always stays."""
+    if mesh.empty:
+        return mesh
+    _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    corners = place.reshape(-1)[mesh.faces]
+    edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]]])
+    label = trimesh.graph.connected_component_labels(edges, node_count=int(place.max()) + 1)[corners[:, 0]]
+    area = np.bincount(label, mesh.areas())
+    large = area >= min(fraction * area.sum(), area.max())
+    return _compact(mesh, mesh.faces[large[label]])
+
+
+def reduced(mesh: Mesh, max_faces: int) -> Mesh:
+    """The mesh with at most about `max_faces` faces; colours are taken from the nearest vertex of before."""
+    if len(mesh.faces) <= max_faces:
+        return mesh
+    vertices, faces = fast_simplification.simplify(
+        mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), target_count=max_faces
+    )
+    vertices = vertices.astype(float)
+    colours = None if mesh.colours is None else mesh.colours[cKDTree(mesh.vertices).query(vertices)[1]]
+    return deduplicated(Mesh(vertices, faces, colours))
+
+
+def write_visual(folder: Path, name: str, mesh: Mesh, settings: MeshSettings) -> str | None:
+    """Write NAME.obj and NAME.mtl, and NAME.png when the mesh has colours; returns the texture's file name or None."""
+    texture = None
+    material = f"newmtl {name}\nKa 0 0 0\nKs 0 0 0\nd 1\nillum 1\n"
+    uv = np.zeros((0, 2))
+    if mesh.colours is None:
+        material += "Kd {:g} {:g} {:g}\n".format(*_GREY)
+    else:
+        image, uv = baked(mesh, settings.texels)
+        texture = f"{name}.png"
+        material += f"Kd 1 1 1\nmap_Kd {texture}\n"
+        atomic.write_bytes(folder / texture, checked.encode_png(image))
+    atomic.write_bytes(folder / f"{name}.mtl", material.encode())
+    atomic.write_bytes(folder / f"{name}.obj", _visual_obj(mesh, name, uv).encode())
+    return texture
+
+
+def write_hull(path: Path, hull: Mesh) -> None:
+    """Write a bare mesh as OBJ, for collision."""
+    lines = [_rows("v", hull.vertices, "%.9g"), _rows("f", hull.faces + 1, "%d")]
+    atomic.write_bytes(path, "".join(lines).encode())
+
+
+def baked(mesh: Mesh, texels: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """A texture (S, S, 3) that holds the vertex colours, and texture coordinates (3 F, 2) of the triangles' corners.
+
+    Triangle f owns the square f of a row-wise grid; its corners sit one texel in from the square's edges, so that no
+    filter footprint leaves the square. Coordinates have their origin at the image's lower left, as OBJ wants.
+    """
+    if mesh.colours is None:
+        raise FreeArtError("mesh has no colours to bake")
+    if texels < 3:
+        raise FreeArtError(f"texels is {texels}, expected at least 3")
+    n = len(mesh.faces)
+    across = int(np.ceil(np.sqrt(n)))
+    corner = mesh.colours[mesh.faces].astype(float)
+    step = (np.arange(texels) - 0.5) / (texels - 2)
+    s, t = step[None, None, :, None], step[None, :, None, None]
+    a, b, c = (corner[:, k, None, None, :] for k in range(3))
+    squares = np.zeros((across * across, texels, texels, 3), np.uint8)
+    squares[:n] = np.clip(np.rint(a + s * (b - a) + t * (c - a)), 0, 255)
+    image = squares.reshape(across, across, texels, texels, 3).swapaxes(1, 2).reshape(across * texels, -1, 3)
+    origin = np.stack([np.arange(n) % across, np.arange(n) // across], -1) * texels + 1.0
+    corners = origin[:, None] + np.array([[0, 0], [1, 0], [0, 1]]) * (texels - 2.0)
+    uv = corners.reshape(-1, 2) / (across * texels)
+    return np.ascontiguousarray(image), np.stack([uv[:, 0], 1 - uv[:, 1]], -1)
+
+
+def smooth_normals(mesh: Mesh) -> NDArray[np.float64]:
+    """(V, 3) unit normals, area-weighted over the triangles round each position."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    total = np.zeros((int(place.max()) + 1, 3))
+    for k in range(3):
+        np.add.at(total, place[mesh.faces[:, k]], normal)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    unit = np.where(length > 0, total / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
+    return unit[place]
+
+
+def _visual_obj(mesh: Mesh, name: str, uv: NDArray[np.float64]) -> str:
+    corner = mesh.faces + 1
+    if len(uv):
+        vt = np.arange(1, len(uv) + 1).reshape(-1, 3)
+        columns = np.stack([corner, vt, corner], -1).reshape(-1, 9)
+        faces = _rows("f", columns, "%d/%d/%d %d/%d/%d %d/%d/%d")
+    else:
+        faces = _rows("f", np.stack([corner, corner], -1).reshape(-1, 6), "%d//%d %d//%d %d//%d")
+    return "".join(
+        [
+            f"mtllib {name}.mtl\no {name}\n",
+            _rows("v", mesh.vertices, "%.9g %.9g %.9g"),
+            _rows("vt", uv, "%.7f %.7f"),
+            _rows("vn", smooth_normals(mesh), "%.4f %.4f %.4f"),
+            f"usemtl {name}\n",
+            faces,
+        ]
+    )
+
+
+def _rows(word: str, rows: NDArray, pattern: str) -> str:
+    """One line a row, beginning with `word`; `pattern` formats one number, or the whole row."""
+    if pattern.count("%") == 1:
+        pattern = " ".join([pattern] * rows.shape[1])
+    line = f"{word} {pattern}\n"
+    return "".join([line % tuple(row) for row in rows.tolist()])
+
+
+def _compact(mesh: Mesh, faces: NDArray[np.int64]) -> Mesh:
+    """The mesh of these faces, without vertices that none of them uses."""
+    used, back = np.unique(faces, return_inverse=True)
+    colours = None if mesh.colours is None else mesh.colours[used]
+    return Mesh(mesh.vertices[used], back.reshape(-1, 3), colours)

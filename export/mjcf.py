@@ -1,0 +1,79 @@
+"""An asset as MJCF, written directly: MuJoCo's own reading of URDF drops folders, visuals and velocity limits."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+from export.model import AssetModel, LinkModel, number_text
+from freeart21.errors import FreeArtError
+
+_ADDITIVE = ("damping", "frictionloss")  # words that two effects may both say
+
+
+def mjcf_text(model: AssetModel) -> bytes:
+    """The MJCF file: the reference body stands in the world, the moving body hangs on the joint."""
+    root = ET.Element("mujoco", model=model.name)
+    ET.SubElement(root, "compiler", angle="radian", autolimits="true")
+    assets = ET.SubElement(root, "asset")
+    world = ET.SubElement(root, "worldbody")
+    reference = _body(world, model.reference, assets)
+    moving = _body(reference, model.moving, assets)
+    moving.set("pos", number_text(*model.joint.pivot))
+    moving.insert(1, _joint(model))
+    contact = ET.SubElement(root, "contact")
+    ET.SubElement(contact, "exclude", body1=model.reference.name, body2=model.moving.name)
+    ET.indent(root)
+    return ET.tostring(root, encoding="utf-8") + b"\n"
+
+
+def _body(parent: ET.Element, link: LinkModel, assets: ET.Element) -> ET.Element:
+    """A body with its inertia and geometry; its meshes and texture are added to `assets`."""
+    body = ET.SubElement(parent, "body", name=link.name)
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = link.inertial.inertia
+    ET.SubElement(
+        body,
+        "inertial",
+        pos=number_text(*link.inertial.centre),
+        mass=number_text(link.inertial.mass),
+        fullinertia=number_text(xx, yy, zz, xy, xz, yz),
+    )
+    visual = {
+        "type": "mesh",
+        "name": f"{link.name}_visual",
+        "mesh": f"{link.name}_visual",
+        "group": "2",
+        "contype": "0",
+        "conaffinity": "0",
+        "mass": "0",
+    }
+    ET.SubElement(assets, "mesh", name=f"{link.name}_visual", file=link.visual, inertia="shell")
+    if link.texture:
+        ET.SubElement(assets, "texture", name=link.name, type="2d", file=link.texture)
+        ET.SubElement(assets, "material", name=link.name, texture=link.name)
+        visual["material"] = link.name
+    ET.SubElement(body, "geom", visual)
+    for k, hull in enumerate(link.hulls):
+        name = f"{link.name}_collision_{k:02d}"
+        ET.SubElement(assets, "mesh", name=name, file=hull)
+        ET.SubElement(body, "geom", type="mesh", name=name, mesh=name, group="3", mass="0")
+    return body
+
+
+def _joint(model: AssetModel) -> ET.Element:
+    joint = model.joint
+    element = ET.Element(
+        "joint",
+        name=joint.name,
+        type={"revolute": "hinge", "prismatic": "slide"}[joint.type],
+        axis=number_text(*joint.axis),
+        range=number_text(joint.lower, joint.upper),
+    )
+    words: dict[str, float] = {}
+    for effect in model.effects:
+        for word, value in effect.mjcf_joint().items():
+            if word in words and word not in _ADDITIVE:
+                raise FreeArtError(f"joint '{joint.name}': two effects say MJCF's '{word}', which a joint holds once")
+            words[word] = words.get(word, 0.0) + value
+    for word, value in words.items():
+        element.set(word, number_text(value))
+    return element

@@ -1,0 +1,45 @@
+"""What a URDF or MJCF file is written from: two links, one joint, in metres, seconds, kilograms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from export.inertia import Inertial
+from freeart21.effects.base import Effect
+from freeart21.joint import Joint
+
+
+@dataclass(frozen=True)
+class LinkModel:
+    """One rigid part: its files, relative to the asset folder, are in the frame of its link."""
+
+    name: str
+    visual: str
+    """OBJ file to look at."""
+    texture: str | None
+    """PNG file that the visual mesh wears, or None when it has no colours."""
+    hulls: tuple[str, ...]
+    """OBJ files to collide with, each convex."""
+    inertial: Inertial
+
+
+@dataclass(frozen=True)
+class AssetModel:
+    """The whole asset. The reference link is the root; the moving link's frame stands at the joint's pivot."""
+
+    name: str
+    reference: LinkModel
+    moving: LinkModel
+    joint: Joint
+    """In the reference link's frame, with finite limits."""
+    effort: float
+    """Largest actuator force, N*m or N."""
+    velocity: float
+    """Largest speed, rad/s or m/s."""
+    effects: tuple[Effect, ...] = ()
+    """What acts on the joint; URDF and MJCF say as much of it as they can."""
+
+
+def number_text(*values: float) -> str:
+    """Numbers with spaces between, each with the fewest digits that give it back exactly."""
+    return " ".join(repr(float(value) + 0.0) for value in values)

@@ -1,0 +1,59 @@
+"""An asset as URDF: relative paths, unique names, full limits, inertia, and what URDF can say of the effects."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+
+from export.model import AssetModel, LinkModel, number_text
+
+
+def urdf_text(model: AssetModel) -> bytes:
+    """The URDF file. Metres, radians, kilograms; the reference link is the root."""
+    robot = ET.Element("robot", name=model.name)
+    for link in (model.reference, model.moving):
+        robot.append(_link(link))
+    robot.append(_joint(model))
+    ET.indent(robot)
+    return ET.tostring(robot, encoding="utf-8", xml_declaration=True) + b"\n"
+
+
+def _link(link: LinkModel) -> ET.Element:
+    element = ET.Element("link", name=link.name)
+    inertial = ET.SubElement(element, "inertial")
+    ET.SubElement(inertial, "origin", xyz=number_text(*link.inertial.centre), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=number_text(link.inertial.mass))
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = link.inertial.inertia
+    moments = {"ixx": xx, "ixy": xy, "ixz": xz, "iyy": yy, "iyz": yz, "izz": zz}
+    ET.SubElement(inertial, "inertia", {name: number_text(value) for name, value in moments.items()})
+    _mesh(ET.SubElement(element, "visual", name=f"{link.name}_visual"), link.visual)
+    for k, hull in enumerate(link.hulls):
+        _mesh(ET.SubElement(element, "collision", name=f"{link.name}_collision_{k:02d}"), hull)
+    return element
+
+
+def _mesh(element: ET.Element, filename: str) -> None:
+    ET.SubElement(element, "origin", xyz="0 0 0", rpy="0 0 0")
+    ET.SubElement(ET.SubElement(element, "geometry"), "mesh", filename=filename)
+
+
+def _joint(model: AssetModel) -> ET.Element:
+    joint = model.joint
+    element = ET.Element("joint", name=joint.name, type=joint.type)
+    ET.SubElement(element, "parent", link=model.reference.name)
+    ET.SubElement(element, "child", link=model.moving.name)
+    ET.SubElement(element, "origin", xyz=number_text(*joint.pivot), rpy="0 0 0")
+    ET.SubElement(element, "axis", xyz=number_text(*joint.axis))
+    ET.SubElement(
+        element,
+        "limit",
+        lower=number_text(joint.lower),
+        upper=number_text(joint.upper),
+        effort=number_text(model.effort),
+        velocity=number_text(model.velocity),
+    )
+    said = [effect.urdf_dynamics() for effect in model.effects]
+    dynamics = {word: float(np.sum([words.get(word, 0.0) for words in said])) for word in ("damping", "friction")}
+    ET.SubElement(element, "dynamics", {word: number_text(value) for word, value in dynamics.items()})
+    return element
