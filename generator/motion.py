@@ -49,8 +49,6 @@ class Plan:
     """(n, 4, 4) camera from the object's frame (the root link's)."""
     states: Array
     """(n,) joint state, rad or m."""
-    centre: Array
-    """(3,) point of the object's frame about which it turns."""
 
 
 def plan_tumble(
@@ -87,7 +85,7 @@ def plan_tumble(
         if best is None or score > best[0]:
             best = score, Ts
     assert best is not None
-    return Plan(best[1], states, centre)
+    return Plan(best[1], states)
 
 
 def motion_range(joint: Joint) -> tuple[float, float]:
@@ -140,14 +138,15 @@ def _tumble(frames: int, fps: float, rng: np.random.Generator, settings: MotionS
         )
         return Rs @ Rs[0].T, swing[:, 1]
 
-    scale = 0.3
-    for _ in range(12):
+    # Which stretch of the course is run, and so the median, changes with the scale: the steps towards it are halved.
+    wanted, scale, best = np.radians(settings.degrees_per_frame), 0.3, (np.inf, course(0.3))
+    for _ in range(30):
         Rs, sway = course(scale)
-        step = se3.rotation_angle(Rs[1:] @ np.swapaxes(Rs[:-1], -1, -2)) if frames > 1 else np.zeros(0)
-        if len(step) == 0:
-            break
-        scale = float(np.clip(scale * np.radians(settings.degrees_per_frame) / max(np.median(step), 1e-6), 0.02, 2.0))
-    return Rs, sway
+        median = float(np.median(se3.rotation_angle(Rs[1:] @ np.swapaxes(Rs[:-1], -1, -2))))
+        if abs(np.log(median / wanted)) < best[0]:
+            best = float(abs(np.log(median / wanted))), (Rs, sway)
+        scale = float(np.clip(scale * np.sqrt(wanted / median), 0.02, 2.0))
+    return best[1]
 
 
 def _best_view(caster: Caster, joint: Joint, q: float, centre: Array, swept: Array, rng: np.random.Generator) -> Array:

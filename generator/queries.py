@@ -8,11 +8,12 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.recording import Query
 from freeart21.se3 import Array
-from generator.motion import Plan, hull_points
+from generator.motion import hull_points
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,8 @@ class PlannedQuery:
     """One held-out view, and how to render it."""
 
     query: Query
-    T_camera_object: Array
-    """(4, 4) the moved camera from the object's frame."""
+    T_camera_reference: Array
+    """(4, 4) the moved camera from the canonical frame, reference part."""
     state: float
     """Joint state, rad or m."""
 
@@ -42,34 +43,44 @@ def plan_queries(
     meshes: tuple[Mesh, Mesh],
     joint: Joint,
     camera: Camera,
-    plan: Plan,
+    Ts_camera_reference: Array,
+    states: Array,
     n: int,
     seed: int,
     settings: QuerySettings | None = None,
 ) -> tuple[PlannedQuery, ...]:
-    """`n` views of random pose frame and another state frame; the whole object is in each picture.
+    """`n` views: the reference part as in a random frame, the joint as in another, the camera moved.
 
-    A camera move that would cut the object off is drawn again, and shrunk a little each time.
+    `meshes` are reference and moving part, and `joint` moves the second. The whole object is in each picture: moves of
+    the camera that cut it off are drawn again, a little smaller each time, and so are the frames when none will do.
+    Raises FreeArtError when no such view is found.
     """
     settings = settings or QuerySettings()
     rng = np.random.default_rng([seed, 3])
     hulls = hull_points(meshes[0]), hull_points(meshes[1])
-    views = []
-    for _ in range(n):
-        a, b = (int(k) for k in rng.choice(len(plan.states), 2, replace=False))
-        T_camera_object, q = plan.Ts_camera_object[a], float(plan.states[b])
-        points = np.concatenate(
-            [se3.transform(T_camera_object, hulls[0]), se3.transform(T_camera_object @ joint.transform(q), hulls[1])]
-        )
-        centre = se3.transform(T_camera_object, plan.centre)
-        size = 1.0
-        while True:
-            T_newcam_cam = _camera_move(rng, centre, size, settings)
-            if size < 1e-3 or _inside(camera, se3.transform(T_newcam_cam, points), settings.margin):
-                break
-            size *= 0.93
-        views.append(PlannedQuery(Query(a, b, T_newcam_cam), T_newcam_cam @ T_camera_object, q))
+    views: list[PlannedQuery] = []
+    for _ in range(100 * n):
+        if len(views) == n:
+            break
+        a, b = (int(k) for k in rng.choice(len(states), 2, replace=False))
+        T, q = Ts_camera_reference[a], float(states[b])
+        points = np.concatenate([se3.transform(T, hulls[0]), se3.transform(T @ joint.transform(q), hulls[1])])
+        move = _fitting_move(rng, camera, points, settings)
+        if move is not None:
+            views.append(PlannedQuery(Query(a, b, move), move @ T, q))
+    if len(views) < n:
+        raise FreeArtError(f"only {len(views)} of {n} held-out views keep the object in the picture")
     return tuple(views)
+
+
+def _fitting_move(rng: np.random.Generator, camera: Camera, points: Array, settings: QuerySettings) -> Array | None:
+    """A camera move (4, 4) that keeps all points (k, 3) in the picture; None when only tiny ones would."""
+    centre = (points.min(0) + points.max(0)) / 2
+    for size in 0.95 ** np.arange(30):
+        T_newcam_cam = _camera_move(rng, centre, float(size), settings)
+        if _inside(camera, se3.transform(T_newcam_cam, points), settings.margin):
+            return T_newcam_cam
+    return None
 
 
 def _camera_move(rng: np.random.Generator, centre: Array, size: float, settings: QuerySettings) -> Array:

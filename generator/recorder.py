@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
+import itertools
 import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -17,19 +17,20 @@ from freeart21.articulation import Articulation
 from freeart21.camera import Camera
 from freeart21.catalog import built_in_names
 from freeart21.errors import FreeArtError
+from freeart21.files import atomic
 from freeart21.files.benchmark import write_benchmark
-from freeart21.files.sequence import write_sequence
+from freeart21.files.sequence import write_frame, write_header, write_queries
 from freeart21.files.truth import write_truth
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal
-from freeart21.recording import Frame, Recording
+from freeart21.recording import Frame
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from generator import objects, partnet
 from generator.motion import plan_tumble
 from generator.partnet_writer import write_partnet
 from generator.progress import Progress, progress_bar
-from generator.queries import plan_queries
+from generator.queries import PlannedQuery, plan_queries
 from generator.scene import Picture, Scene, simulator
 from generator.truth_mesh import outer_faces, visible_faces
 
@@ -93,10 +94,15 @@ def record(name: str, out: Path, settings: RecordSettings | None = None) -> str:
             if folder.exists():
                 raise FreeArtError(f"{folder} exists; choose another place or seed, or remove it first")
         session = _Session(loaded, settings, stack.enter_context(progress_bar(seq_id)))
-        stack.callback(_remove_half, sequence, truth_folder)
-        write_sequence(sequence, session.recording(LICENCES[entry.source]), session.depth_scale)
+        aside = stack.enter_context(atomic.new_folder(sequence))  # takes its name when the truth is written, too
+        session.film(aside)
+        parts = session.parts()
+        views = session.plan_views(parts)
+        write_queries(aside, tuple(view.query for view in views))
+        times_s = np.arange(settings.frames) / settings.fps
+        write_header(aside, session.camera, session.depth_scale, times_s, LICENCES[entry.source])
         facts = {"object": name, "category": loaded.category, "object_source": entry.source}
-        write_truth(truth_folder, session.truth(facts), settings.queries)
+        write_truth(truth_folder, session.truth(parts, views, facts), len(views))
     write_benchmark(out, out.resolve().name, "1", "public")
     return seq_id
 
@@ -136,12 +142,6 @@ def _check(settings: RecordSettings) -> None:
             raise FreeArtError(f"unknown {what} '{value}'; {what}s: {', '.join(known)}")
 
 
-def _remove_half(sequence: Path, truth: Path) -> None:
-    """A video without its truth is no recording."""
-    if sequence.exists() and not truth.exists():
-        shutil.rmtree(sequence)
-
-
 def nice_scale(least: float) -> float:
     """The smallest 1, 2 or 5 times a power of ten that is at least `least`."""
     power = 10.0 ** np.floor(np.log10(least))
@@ -153,8 +153,22 @@ def other_way_round(joint: Joint) -> Joint:
     return replace(joint, axis=-joint.axis)
 
 
+@dataclass(frozen=True)
+class _Parts:
+    """Which side of the joint became the reference part, and what follows from it."""
+
+    order: tuple[int, int]
+    """Side (0 parent, 1 child) of the reference and of the moving part."""
+    joint: Joint
+    """Motion of the moving part against the reference part."""
+    Ts_camera: tuple[Array, Array]
+    """Poses (n, 4, 4) of reference and moving part."""
+    seen: NDArray[np.int64]
+    """(n, 2) pixels of reference and moving part."""
+
+
 class _Session:
-    """One recording under way: renders frames when asked, and remembers what the truth needs."""
+    """One recording under way: the scene, the planned motion, and which side each pixel of the video showed."""
 
     def __init__(self, loaded: partnet.PartNetObject, settings: RecordSettings, progress: Progress) -> None:
         self.loaded, self.settings, self._progress = loaded, settings, progress
@@ -164,79 +178,88 @@ class _Session:
         fine = [side.surface.subdivided(settings.edge * diagonal).mesh() for side in loaded.sides]
         self.meshes: tuple[Mesh, Mesh] = fine[0], fine[1]
         self.plan = plan_tumble(coarse, loaded.joint, self.camera, settings.frames, settings.fps, settings.seed)
-        self.queries = plan_queries(coarse, loaded.joint, self.camera, self.plan, settings.queries, settings.seed)
         reach = np.linalg.norm(self.plan.Ts_camera_object[:, :3, 3], axis=1).max() + 2 * diagonal
         self.depth_scale = nice_scale(reach / 65000)
-        self.scene = Scene(
-            loaded.asset.urdf, [side.links for side in loaded.sides], self.camera, 1e-3 * reach, reach, settings.shader
-        )
-        self._sides: dict[int, NDArray[np.uint8]] = {}
-        self._views: dict[int, Picture] = {}
+        groups = [side.links for side in loaded.sides]
+        self.scene = Scene(loaded.asset.urdf, groups, self.camera, 1e-3 * reach, reach, settings.shader)
+        self._sides: list[NDArray[np.uint8]] = []
+        self._done = 0
 
-    def recording(self, licence: str) -> Recording:
-        """The video; its frames are rendered when they are loaded."""
-        times = np.arange(self.settings.frames) / self.settings.fps
-        return Recording(self.camera, times, self._frame, tuple(q.query for q in self.queries), licence)
+    def film(self, folder: Path) -> None:
+        """Render all frames of the video into `folder`."""
+        for i, (T, q) in enumerate(zip(self.plan.Ts_camera_object, self.plan.states, strict=True)):
+            picture = self._render(T, float(q))
+            write_frame(folder, i, Frame(picture.rgb, picture.depth, picture.side > 0), self.depth_scale)
+            self._sides.append(picture.side)
 
-    def truth(self, facts: dict[str, Any]) -> Truth:
-        """The truth, once all frames are rendered."""
-        states, joint = self.plan.states, self.loaded.joint
-        masks = [self._sides[i] for i in range(len(states))]
-        counts = np.array([[np.sum(mask == 1), np.sum(mask == 2)] for mask in masks])
+    def parts(self) -> _Parts:
+        """Reference and moving part of the video: the side with more pixels over all frames is the reference."""
+        counts = np.array([[np.sum(side == 1), np.sum(side == 2)] for side in self._sides])
         order = (1, 0) if counts[:, 1].sum() > counts[:, 0].sum() else (0, 1)
-        Ts_sides = self.plan.Ts_camera_object, self.plan.Ts_camera_object @ joint.transform(states)
-        outer = outer_faces(self.meshes, self.loaded.joint)
-        visible = visible_faces(
-            self.meshes,
+        joint = self.loaded.joint
+        Ts = self.plan.Ts_camera_object, self.plan.Ts_camera_object @ joint.transform(self.plan.states)
+        own = joint if order == (0, 1) else other_way_round(joint)
+        return _Parts(order, own, (Ts[order[0]], Ts[order[1]]), counts[:, list(order)])
+
+    def plan_views(self, parts: _Parts) -> tuple[PlannedQuery, ...]:
+        """The held-out views of the video."""
+        meshes = self.meshes[parts.order[0]], self.meshes[parts.order[1]]
+        return plan_queries(
+            meshes,
+            parts.joint,
             self.camera,
-            (
-                (Ts_sides[0][i], Ts_sides[1][i], masks[i] > 0)
-                for i in range(0, len(states), self.settings.visible_every)
-            ),
+            parts.Ts_camera[0],
+            self.plan.states,
+            self.settings.queries,
+            self.settings.seed,
         )
+
+    def truth(self, parts: _Parts, views: tuple[PlannedQuery, ...], facts: dict[str, Any]) -> Truth:
+        """The truth of the video; renders the held-out views."""
+        order, every = parts.order, self.settings.visible_every
+        meshes = self.meshes[order[0]], self.meshes[order[1]]
+        shown = ((T, U, side > 0) for T, U, side in zip(*parts.Ts_camera, self._sides, strict=True))
+        visible = visible_faces(meshes, self.camera, itertools.islice(shown, 0, None, every))
+        outer = outer_faces(meshes, parts.joint)
         label = np.array([0, 1 + order.index(0), 1 + order.index(1)], np.uint8)
-        source = {
-            **facts,
-            **simulator(),
-            "seed": self.settings.seed,
-            "motion": self.settings.motion,
-            "sensor": self.settings.sensor,
-            "shader": self.settings.shader,
-            "joint": joint.name,
+        pictures = [self._view(view, parts) for view in views]
+        return Truth(
+            Articulation(parts.joint, *meshes),
+            self.plan.states,
+            *parts.Ts_camera,
+            parts.seen,
+            (outer[0] | visible[0], outer[1] | visible[1]),
+            visible,
+            lambda i: label[self._sides[i]],
+            lambda i: pictures[i].rgb,
+            lambda i: pictures[i].side > 0,
+            facts | simulator() | self._source(order),
+        )
+
+    def _source(self, order: tuple[int, int]) -> dict[str, Any]:
+        settings, links = self.settings, [side.links for side in self.loaded.sides]
+        return {
+            "seed": settings.seed,
+            "motion": settings.motion,
+            "sensor": settings.sensor,
+            "shader": settings.shader,
+            "joint": self.loaded.joint.name,
             "held": self.loaded.asset.held,
             "semantics": self.loaded.semantics,
-            "reference_links": self.loaded.sides[order[0]].links,
-            "moving_links": self.loaded.sides[order[1]].links,
+            "reference_links": links[order[0]],
+            "moving_links": links[order[1]],
         }
-        return Truth(
-            Articulation(joint if order == (0, 1) else other_way_round(joint), *(self.meshes[k] for k in order)),
-            states,
-            Ts_sides[order[0]],
-            Ts_sides[order[1]],
-            counts[:, list(order)],
-            (outer[order[0]] | visible[order[0]], outer[order[1]] | visible[order[1]]),
-            (visible[order[0]], visible[order[1]]),
-            lambda i: label[masks[i]],
-            lambda i: self._view(i).rgb,
-            lambda i: self._view(i).side > 0,
-            source,
-        )
 
-    def _frame(self, index: int) -> Frame:
-        picture = self._render(self.plan.Ts_camera_object[index], float(self.plan.states[index]))
-        self._sides[index] = picture.side
-        self._progress(index + 1, self.settings.frames + len(self.queries))
-        return Frame(picture.rgb, picture.depth, picture.side > 0)
-
-    def _view(self, index: int) -> Picture:
-        if index not in self._views:
-            planned = self.queries[index]
-            self._views[index] = self._render(planned.T_camera_object, planned.state)
-            self._progress(self.settings.frames + len(self._views), self.settings.frames + len(self.queries))
-        return self._views[index]
+    def _view(self, view: PlannedQuery, parts: _Parts) -> Picture:
+        """A held-out view; the root link stands with the joint's parent side, whichever part that is."""
+        T_parent = (view.T_camera_reference, view.T_camera_reference @ parts.joint.transform(view.state))
+        return self._render(T_parent[parts.order.index(0)], view.state)
 
     def _render(self, T_camera_object: Array, state: float) -> Picture:
-        return self.scene.render(T_camera_object, {**self.loaded.asset.held, self.loaded.joint.name: state})
+        picture = self.scene.render(T_camera_object, {**self.loaded.asset.held, self.loaded.joint.name: state})
+        self._done += 1
+        self._progress(self._done, self.settings.frames + self.settings.queries)
+        return picture
 
 
 __all__ = ["LICENCES", "RecordSettings", "built_in_names", "nice_scale", "other_way_round", "record"]

@@ -54,6 +54,7 @@ class Scene:
         sapien.render.set_log_level("error")
         sapien.render.set_camera_shader_dir(shader)
         self.camera = camera
+        self._linear = shader == "trivial"  # the unlit shader gives linear colours, the others sRGB
         self._scene = sapien.Scene()
         self._scene.set_ambient_light([0.30, 0.30, 0.32])
         # A lamp above and behind the camera to the left, a weaker one from the right, and one from below.
@@ -80,10 +81,12 @@ class Scene:
         self._scene.update_render()
         self._view.take_picture()
         rgb = self._view.get_picture("Color")[..., :3]
+        if self._linear:
+            rgb = _srgb(rgb)
         z = -self._view.get_picture("Position")[..., 2]
         side = self._label[np.minimum(self._view.get_picture("Segmentation")[..., 1], len(self._label) - 1)]
         return Picture(
-            np.clip(np.rint(rgb * 255), 0, 255).astype(np.uint8) if rgb.dtype != np.uint8 else rgb.copy(),
+            np.clip(np.rint(rgb * 255), 0, 255).astype(np.uint8),
             np.where(side > 0, z, 0).astype(np.float32),
             side,
         )
@@ -105,6 +108,12 @@ def simulator() -> dict[str, str]:
     lines = sapien.render.get_device_summary().splitlines()
     device = next((line.split(":", 1)[1].strip() for line in lines if line.strip().startswith("GPU:")), "unknown")
     return {"simulator": "SAPIEN", "simulator_version": sapien.__version__, "render_device": device}
+
+
+def _srgb(linear: NDArray[np.float32]) -> NDArray[np.float32]:
+    """sRGB, 0 to 1, of linear colours (IEC 61966-2-1)."""
+    linear = np.clip(linear, 0, 1)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def _load(scene: Any, urdf: Path) -> Any:

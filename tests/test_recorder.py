@@ -1,0 +1,446 @@
+"""The recorder: what the video shows is what the truth says, and the video says nothing of the truth."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from freeart21 import catalog, se3
+from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic
+from freeart21.files.benchmark import file_sha256, read_benchmark
+from freeart21.files.sequence import read_sequence
+from freeart21.files.truth import read_truth
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.recording import Recording
+from freeart21.truth import Truth
+from generator import partnet, recorder
+from generator.model import Hinge, Link, Material, ObjectModel, Piece
+from generator.motion import joint_course, motion_range, plan_tumble
+from generator.partnet_writer import write_partnet
+from generator.queries import plan_queries
+from generator.rays import Caster
+from generator.recorder import RecordSettings, nice_scale, record
+from generator.shapes import box, triangles
+from generator.surface import Paint, Surface
+from generator.truth_mesh import outer_faces, visible_faces
+
+REAL = Path(__file__).resolve().parents[2] / "shared" / "partnet_mobility"
+SETTINGS = RecordSettings(
+    frames=10, seed=3, width=320, height=180, shader="trivial", queries=4, visible_every=1, edge=0.04
+)
+CASES = [*catalog.built_in_names(), "small_root", *(["41083"] if (REAL / "41083").is_dir() else [])]
+
+
+def _small_root(folder: Path) -> Path:
+    """A toy whose moving link is larger than the rest: its reference part is the joint's child."""
+    red, blue = (Material(n, c, "plastic", 1000) for n, c in (("red", (0.8, 0.2, 0.2)), ("blue", (0.2, 0.2, 0.8))))
+    root = Link("heavy foot", (Piece("foot", box((0.1, 0.3, 0.1), (0.05, 0, 0)), blue),))
+    board = Link(
+        "hinge board",
+        (Piece("board", box((0.02, 0.5, 0.6), (-0.01, 0.05, 0.35)), red),),
+        Hinge("revolute", "link_1", (0, 1, 0), (0, 0, 0.05), -0.9, 0.4),
+    )
+    return write_partnet(ObjectModel("toy", "Box", (board, root), 0, 0), folder)
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    folder: Path
+    name: str
+    recording: Recording
+    truth: Truth
+    caster: Caster
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("recorded")
+    _small_root(place / "own" / "90210077")
+    return place
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request: pytest.FixtureRequest, place: Path) -> Case:
+    settings, name = SETTINGS, request.param
+    if name == "small_root":
+        settings, name = dataclasses.replace(SETTINGS, partnet_root=place / "own"), "90210077"
+    elif name == "41083":
+        settings = dataclasses.replace(SETTINGS, frames=6, partnet_root=REAL, joint="joint_2")
+    data = place / request.param
+    sequence = record(name, data, settings)
+    truth = read_truth(data / "truth" / sequence)
+    caster = Caster((truth.articulation.reference, truth.articulation.moving))
+    return Case(data, sequence, read_sequence(data / "sequences" / sequence), truth, caster)
+
+
+# --- the truth against the pictures -----------------------------------------------------------------------------------
+
+
+def _cast(
+    case: Case, camera: Camera, T_reference: np.ndarray, T_moving: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Depth, part labels and colours that the truth meshes predict."""
+    meshes = case.truth.articulation.reference, case.truth.articulation.moving
+    hits = case.caster.look(camera, (T_reference, T_moving))
+    shape = camera.height, camera.width
+    colours, rays = np.full((len(hits.side), 3), np.nan), camera.rays().reshape(-1, 3)
+    for k, mesh in enumerate(meshes):
+        here = hits.side == k
+        assert mesh.colours is not None
+        faces = mesh.faces[hits.face[here]]
+        a, b, c = (mesh.vertices[faces[:, j]] @ (T_reference, T_moving)[k][:3, :3].T for j in range(3))
+        front = np.einsum("nc,nc->n", np.cross(b - a, c - a), rays[here]) < 0  # real meshes have faces of both sides
+        colours[here] = np.where(front[:, None], mesh.colours[faces].mean(1), np.nan)
+    return (
+        np.where(hits.side >= 0, hits.distance, 0).reshape(shape),
+        (hits.side + 1).reshape(shape),
+        colours.reshape(*shape, 3),
+    )
+
+
+def _inside(labels: np.ndarray) -> np.ndarray:
+    """Pixels whose eight neighbours have the same label."""
+    same = np.ones(labels.shape, bool)
+    for dv in (-1, 0, 1):
+        for du in (-1, 0, 1):
+            same &= np.roll(labels, (dv, du), (0, 1)) == labels
+    return same
+
+
+def test_depth_and_masks_are_those_of_the_posed_truth_meshes(case: Case) -> None:
+    truth, camera = case.truth, case.recording.camera
+    for i in range(len(truth)):
+        depth, labels, _ = _cast(case, camera, truth.Ts_camera_reference[i], truth.Ts_camera_moving[i])
+        frame, part_mask = case.recording.frame(i), truth.part_mask(i)
+        assert np.mean(labels != part_mask) < 1e-3 and np.mean((labels != part_mask)[part_mask > 0]) < 5e-3
+        assert np.array_equal(frame.mask, part_mask > 0) and np.array_equal(frame.depth > 0, frame.mask)
+        assert np.array_equal(truth.seen[i], [np.sum(part_mask == 1), np.sum(part_mask == 2)])
+        flat = _inside(part_mask) & _inside(labels) & (labels == part_mask) & frame.mask
+        error = np.abs(depth - frame.depth)[flat]
+        assert flat.sum() > 200 and np.mean(error > 0.002 * truth.diagonal) < 0.005  # 0.5 %: steps within a part
+        assert np.median(error) < 1e-4 * truth.diagonal
+
+
+def test_poses_states_and_joint_agree(case: Case) -> None:
+    truth = case.truth
+    predicted = truth.Ts_camera_reference @ truth.articulation.joint.transform(truth.states)
+    assert np.abs(predicted - truth.Ts_camera_moving).max() < 1e-12
+    joint = truth.articulation.joint
+    assert (truth.states >= joint.lower).all() and (truth.states <= joint.upper).all()
+    assert truth.seen[:, 0].sum() >= truth.seen[:, 1].sum()
+
+
+def test_held_out_views_show_pose_a_and_state_b_from_the_moved_camera(case: Case) -> None:
+    truth, recording = case.truth, case.recording
+    assert len(recording.queries) == SETTINGS.queries
+    for i, query in enumerate(recording.queries):
+        assert query.pose_of_frame != query.state_of_frame
+        T = query.T_newcam_cam @ truth.Ts_camera_reference[query.pose_of_frame]
+        q = truth.states[query.state_of_frame]
+        _, labels, colours = _cast(case, recording.camera, T, T @ truth.articulation.joint.transform(q))
+        rgb, mask = truth.query_rgb(i), truth.query_mask(i)
+        assert np.mean((labels > 0) != mask) < 1e-3
+        flat = _inside(labels) & mask & (labels > 0)
+        assert np.nanmedian(np.abs(rgb.astype(float) - colours).max(-1)[flat]) < 20  # unlit: the truth's own colours
+        assert np.degrees(se3.rotation_angle(query.T_newcam_cam[:3, :3])) < 15.01
+
+
+def test_the_object_stays_in_the_picture_and_first_shows_both_parts(case: Case) -> None:
+    pictures = [case.recording.frame(i).mask for i in range(len(case.truth))]
+    pictures += [case.truth.query_mask(i) for i in range(SETTINGS.queries)]
+    for mask in pictures:
+        assert mask.any() and not (mask[[0, -1]].any() or mask[:, [0, -1]].any())
+    assert (case.truth.seen[0] > 0.04 * case.truth.seen[0].sum()).all()
+
+
+def test_truth_meshes_are_fine_and_flagged(case: Case) -> None:
+    truth = case.truth
+    size = np.linalg.norm(
+        np.ptp(np.concatenate([truth.articulation.part(p).vertices for p in ("reference", "moving")]), axis=0)
+    )
+    for k, part in enumerate(("reference", "moving")):
+        mesh = truth.articulation.part(part)
+        corners = mesh.vertices[mesh.faces]
+        assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() <= 1.001 * SETTINGS.edge * size
+        assert truth.visible[k].any() and not (truth.visible[k] & ~truth.outer[k]).any()
+        assert 0.02 < truth.outer[k].mean() <= 1
+
+
+def test_depth_uses_the_range_of_16_bits(case: Case) -> None:
+    scale = json.loads((case.folder / "sequences" / case.name / "sequence.json").read_text())["depth_scale"]
+    deepest = max(case.recording.frame(i).depth.max() for i in range(len(case.truth)))
+    assert 8000 < deepest / scale <= 65000 and float(f"{scale:.1g}") == scale and f"{scale:.0e}"[0] in "125"
+
+
+# --- apart from the truth ---------------------------------------------------------------------------------------------
+
+
+def test_a_sequence_tells_nothing_of_object_seed_motion_or_joint(case: Case) -> None:
+    folder = case.folder / "sequences" / case.name
+    assert set(json.loads((folder / "sequence.json").read_text())) == {
+        "schema",
+        "camera",
+        "depth_scale",
+        "times_s",
+        "licence",
+    }
+    assert set(json.loads((folder / "queries.json").read_text())["queries"][0]) == {
+        "pose_of_frame",
+        "state_of_frame",
+        "T_newcam_cam",
+    }
+    assert {p.name for p in folder.iterdir()} == {"sequence.json", "queries.json", "rgb", "depth", "mask"}
+    words = [
+        b"seed",
+        b"tumble",
+        b"joint",
+        b"link_",
+        b"revolute",
+        b"prismatic",
+        b"axis",
+        str(case.truth.source["object"]).encode(),
+        str(case.truth.source["category"]).encode(),
+    ]
+    for path in (*folder.glob("*.json"), *folder.glob("*/00000.png")):
+        found = [word for word in words if word in path.read_bytes().lower()]
+        assert not found, f"{path.name} says {found}"
+
+
+def test_the_truth_says_where_it_came_from(case: Case) -> None:
+    source = case.truth.source
+    assert source["simulator"] == "SAPIEN" and source["simulator_version"] and source["render_device"] != "unknown"
+    assert source["seed"] == 3 and source["motion"] == "tumble" and source["sensor"] == "clean"
+    assert set(source["reference_links"]).isdisjoint(source["moving_links"])
+
+
+def test_the_benchmark_lists_every_file_with_its_hash(case: Case) -> None:
+    assert case.name in read_benchmark(case.folder).sequences
+    listed = json.loads((case.folder / "benchmark.json").read_text())["sha256"]
+    files = {str(p.relative_to(case.folder)) for p in case.folder.rglob("*") if p.is_file()} - {"benchmark.json"}
+    assert set(listed) == files
+    some = sorted(files)[:: max(len(files) // 5, 1)]
+    assert all(listed[name] == file_sha256(case.folder / name) for name in some)
+
+
+def test_the_larger_part_is_the_reference_even_when_the_joint_carries_it(place: Path) -> None:
+    data = place / "reference_is_child"
+    sequence = record("90210077", data, dataclasses.replace(SETTINGS, partnet_root=place / "own"))
+    truth, loaded = read_truth(data / "truth" / sequence), partnet.load(place / "own" / "90210077")
+    assert sequence == "90210077-joint_0-s3"
+    assert truth.source["reference_links"] == ["link_0"] and truth.source["moving_links"] == ["base", "link_1"]
+    joint = truth.articulation.joint
+    assert np.allclose(joint.axis, -loaded.joint.axis) and (joint.lower, joint.upper) == (-0.9, 0.4)
+    assert truth.states.min() == pytest.approx(-0.9, abs=0.05) and truth.states.max() == pytest.approx(0.4, abs=0.05)
+    # at positive states the foot turns against the board as the board turns, at those states, against the foot
+    assert np.allclose(joint.transform(0.3), se3.inverse(loaded.joint.transform(0.3)))
+
+
+# --- seeds ------------------------------------------------------------------------------------------------------------
+
+
+def test_same_seed_same_bytes(tmp_path: Path) -> None:
+    settings = dataclasses.replace(SETTINGS, frames=4, queries=2)
+    hashes = []
+    for run in "ab":
+        record("flip_lighter", tmp_path / run / "data", settings)
+        files = sorted(p for p in (tmp_path / run).rglob("*") if p.is_file())
+        hashes.append({str(p.relative_to(tmp_path / run)): file_sha256(p) for p in files})
+    assert hashes[0] == hashes[1] and len(hashes[0]) > 20
+
+
+def test_another_seed_is_another_video(tmp_path: Path) -> None:
+    settings = dataclasses.replace(SETTINGS, frames=2, queries=0)
+    truths = [
+        read_truth(tmp_path / "truth" / record("stapler", tmp_path, dataclasses.replace(settings, seed=seed)))
+        for seed in (1, 2)
+    ]
+    assert np.abs(truths[0].Ts_camera_reference - truths[1].Ts_camera_reference).max() > 0.01
+
+
+# --- motion -----------------------------------------------------------------------------------------------------------
+
+
+def _toy_meshes() -> tuple[Mesh, Mesh]:
+    return Mesh(*triangles(box((1, 1, 1)))), Mesh(*triangles(box((1, 1, 0.2), (0, 0, 0.62))))
+
+
+TOY_JOINT = Joint("lid", "revolute", np.array([0.0, 1, 0]), np.array([0.5, 0, 0.5]), 0.0, 1.4)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_tumble_is_smooth_at_the_wanted_speed_and_covers_the_joints_range(seed: int) -> None:
+    plan = plan_tumble(_toy_meshes(), TOY_JOINT, Camera.from_fov(640, 360, 0.7), 120, 30.0, seed)
+    Ts = plan.Ts_camera_object
+    steps = np.degrees(se3.rotation_angle(Ts[1:, :3, :3] @ np.swapaxes(Ts[:-1, :3, :3], 1, 2)))
+    assert 2 <= np.median(steps) <= 3 and steps.max() < 6
+    twists = se3.log_se3(se3.inverse(Ts[:-1]) @ Ts[1:])
+    jerk = np.abs(np.diff(twists[:, 3:], 2, axis=0)).max()
+    assert jerk < 0.1 * np.abs(twists[:, 3:]).max()  # velocity bends slowly: no kinks
+    states = plan.states
+    assert states.min() == pytest.approx(0, abs=1e-9) and states.max() == pytest.approx(1.4, abs=1e-9)
+    top, bottom = np.flatnonzero(states > 1.399), np.flatnonzero(states < 0.001)
+    assert top.min() < bottom.min() < top.max()  # open, shut and open again
+    assert np.sum(np.abs(np.diff(states)) < 1e-6) >= 8  # pauses
+    assert np.abs(np.diff(states, 2)).max() < 0.03
+    assert np.ptp(Ts[:, :3, 3], axis=0).max() > 0.02
+
+
+def test_pose_and_state_are_drawn_independently() -> None:
+    camera = Camera.from_fov(640, 360, 0.7)
+    one = plan_tumble(_toy_meshes(), TOY_JOINT, camera, 60, 30.0, 5)
+    other = plan_tumble(_toy_meshes()[::-1], TOY_JOINT, camera, 60, 30.0, 5)
+    assert np.array_equal(one.states, other.states)
+    assert np.allclose(joint_course(60, np.random.default_rng([5, 1])) * 1.4, one.states)
+
+
+def test_a_joint_without_limits_still_gets_a_range() -> None:
+    free = dataclasses.replace(TOY_JOINT, lower=-np.inf, upper=np.inf)
+    assert motion_range(free) == (-np.pi, np.pi)
+    assert motion_range(TOY_JOINT) == (0.0, 1.4)
+
+
+def test_held_out_cameras_move_and_keep_the_object_in_view() -> None:
+    camera, meshes = Camera.from_fov(640, 360, 0.7), _toy_meshes()
+    plan = plan_tumble(meshes, TOY_JOINT, camera, 30, 30.0, 1)
+    views = plan_queries(meshes, TOY_JOINT, camera, plan.Ts_camera_object, plan.states, 40, 1)
+    angles = np.degrees([se3.rotation_angle(v.query.T_newcam_cam[:3, :3]) for v in views])
+    assert angles.max() <= 15 and np.median(angles) > 4
+    for view in views:
+        a, b = view.query.pose_of_frame, view.query.state_of_frame
+        assert a != b and view.state == plan.states[b]
+        assert np.allclose(view.T_camera_reference, view.query.T_newcam_cam @ plan.Ts_camera_object[a])
+        for mesh, T in zip(
+            meshes, (view.T_camera_reference, view.T_camera_reference @ TOY_JOINT.transform(view.state)), strict=True
+        ):
+            uv = camera.project(se3.transform(T, mesh.vertices))
+            assert (uv > 0).all() and (uv < [640, 360]).all()
+
+
+# --- truth meshes -----------------------------------------------------------------------------------------------------
+
+
+def test_a_drawers_inside_is_outer_only_because_it_opens() -> None:
+    shell = box((1, 1, 1)) - box((0.98, 0.9, 0.9), (-0.02, 0, 0))
+    drawer = (box((0.9, 0.85, 0.8), (-0.04, 0, 0)) - box((0.8, 0.75, 0.8), (-0.04, 0, 0.1))) + box(
+        (0.02, 1, 1), (-0.51, 0, 0)
+    )
+    meshes = tuple(
+        Surface(
+            *triangles(s), np.zeros((s.num_vert(), 2)), np.zeros(s.num_vert(), int), (Paint(np.zeros(3, np.uint8)),)
+        )
+        .subdivided(0.06)
+        .mesh()
+        for s in (shell, drawer)
+    )
+
+    def share_inside(upper: float) -> float:
+        joint = Joint("j", "prismatic", np.array([-1.0, 0, 0]), np.zeros(3), 0.0, upper)
+        flags = outer_faces(meshes, joint)[1]  # type: ignore[arg-type]
+        centres = meshes[1].vertices[meshes[1].faces].mean(1)
+        bottom = (np.abs(centres[:, 2] + 0.3) < 1e-6) & (np.abs(centres[:, 0] + 0.04) < 0.39)
+        assert bottom.sum() > 50
+        return float(flags[bottom].mean())
+
+    assert share_inside(0.7) > 0.9
+    assert share_inside(1e-3) == 0.0
+
+
+def test_visible_faces_are_those_that_face_the_camera_unhidden() -> None:
+    meshes = _toy_meshes()
+    camera = Camera.from_fov(320, 180, 0.7)
+    T = se3.pose(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), [0, 0, 5])  # looks along +x at the face x = -0.5
+    flags = visible_faces(meshes, camera, [(T, T, np.ones((180, 320), bool))])
+    centres = meshes[0].vertices[meshes[0].faces].mean(1)
+    assert (flags[0] == (centres[:, 0] < -0.499)).all()
+
+
+def test_subdivision_keeps_area_shape_colours_and_opens_no_gap() -> None:
+    vertices, faces = triangles(box((3, 1, 0.1)))
+    uv = vertices[:, :2]
+    surface = Surface(vertices, faces, uv, np.zeros(len(vertices), int), (Paint(np.full(3, 9, np.uint8)),))
+    fine = surface.subdivided(0.07)
+    corners = fine.vertices[fine.faces]
+    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() <= 0.07
+    assert fine.mesh().areas().sum() == pytest.approx(surface.mesh().areas().sum(), rel=1e-12)
+    assert np.allclose(fine.uv, fine.vertices[:, :2])  # attributes ride along
+    solid = trimesh.Trimesh(fine.vertices, fine.faces, process=True)
+    assert solid.is_watertight and solid.volume == pytest.approx(0.3)
+
+
+def test_paint_reads_pictures_with_v_upwards_and_repeats_them() -> None:
+    picture = np.array([[[10, 0, 0], [20, 0, 0]], [[30, 0, 0], [40, 0, 0]]], np.uint8)
+    paint = Paint(np.full(3, 255, np.uint8), picture)
+    uv = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [1.75, -0.25]])
+    assert paint.at(uv)[:, 0].tolist() == [30, 40, 10, 20]
+
+
+@pytest.mark.parametrize(("least", "scale"), [(1e-5, 1e-5), (1.01e-5, 2e-5), (4.9e-3, 5e-3), (0.06, 0.1)])
+def test_depth_scales_are_round(least: float, scale: float) -> None:
+    assert nice_scale(least) == scale
+
+
+# --- faults -----------------------------------------------------------------------------------------------------------
+
+
+def _fails(message: str, name: str, out: Path, **changes: object) -> None:
+    with pytest.raises(FreeArtError, match=message) as caught:
+        record(name, out, dataclasses.replace(SETTINGS, **changes))  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_requests_get_one_clear_line(tmp_path: Path) -> None:
+    _fails("unknown object 'teapot'; objects: stapler, drawer_unit, flip_lighter", "teapot", tmp_path)
+    _fails("'45135' is from PartNet-Mobility: name the folder", "45135", tmp_path)
+    _fails("object 45135 is not in .*; ask for access", "45135", tmp_path, partnet_root=tmp_path)
+    _fails("cannot record 1 frames", "stapler", tmp_path, frames=1)
+    _fails("unknown motion 'dance'; motions: tumble", "stapler", tmp_path, motion="dance")
+    _fails("unknown sensor 'noisy'; sensors: clean", "stapler", tmp_path, sensor="noisy")
+    _fails("no movable joint 'lid'; movable joints: joint_0, joint_1", "stapler", tmp_path, joint="lid")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_sequence_is_not_overwritten(tmp_path: Path) -> None:
+    atomic.write_json(tmp_path / "sequences" / "stapler-s3" / "sequence.json", {})
+    _fails("stapler-s3 exists; choose another place or seed", "stapler", tmp_path)
+
+
+def test_a_recording_that_fails_halfway_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise FreeArtError("no room")
+
+    monkeypatch.setattr(recorder, "write_truth", broken)
+    _fails("no room", "flip_lighter", tmp_path, frames=2, queries=0)
+    assert [p for p in tmp_path.rglob("*") if p.is_file()] == []
+
+
+def test_without_a_vulkan_device_the_recorder_says_so_in_one_line_and_python_lives(tmp_path: Path) -> None:
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom freeart21.errors import FreeArtError\n"
+        "from generator.recorder import record\n"
+        "try:\n    record('flip_lighter', Path(sys.argv[1]))\n"
+        "except FreeArtError as error:\n    print(error)\n    raise SystemExit(7)\n"
+    )
+    import os
+
+    env = {**os.environ, "VK_ICD_FILENAMES": "/nonexistent.json", "VK_DRIVER_FILES": "/nonexistent.json"}
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)],
+        env=env,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=Path(__file__).resolve().parents[1],
+    )
+    assert done.returncode == 7, done.stderr
+    assert len(done.stdout.strip().splitlines()) == 1 and "Vulkan" in done.stdout and "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
