@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from dataclasses import asdict
 from pathlib import Path
 
 import tyro
@@ -18,7 +19,7 @@ import tyro
 from freeart21 import cli
 from freeart21.files.atomic import write_json
 from freeart21.files.benchmark import write_benchmark
-from leaderboard.score import score_results, scores_to_json
+from leaderboard.score import score_results
 from leaderboard.tables import print_scores
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -66,7 +67,9 @@ def main(
     write_json(
         out,
         {
-            **scores_to_json(scores),
+            "summary": {s.group: asdict(s) for s in scores.summaries},
+            "rows": [asdict(row) for row in scores.rows],
+            "protocol": scores.protocol,
             "commit": commit.stdout.strip(),
             "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()},
             "settings": {"frames": frames, "seed": seed, "names": names, "real": real if partnet_root else []},

@@ -66,7 +66,7 @@ def demo(
     from freeart21.files.atomic import new_folder
     from freeart21.view import write_page
     from leaderboard.score import score_results, write_scores
-    from leaderboard.tables import print_scores
+    from leaderboard.tables import page_entries, print_scores
 
     with new_folder(out, replace=True) as aside:
         data, results = aside / "data", aside / "results" / "ours"
@@ -77,7 +77,10 @@ def demo(
             export(result, result / "asset")
         scores = score_results(results, data, "strict-1")
         write_scores(aside / "scores.json", scores)
-        write_page(result, aside / "index.html", truth=data / "truth" / sequence.name, sequence=sequence, scores=scores)
+        entries = page_entries(scores.rows[0], scores.protocol)
+        write_page(
+            result, aside / "index.html", truth=data / "truth" / sequence.name, sequence=sequence, scores=entries
+        )
         print_scores(scores)
     print(f"Everything is in {out}; open {out / 'index.html'} to look at it.")
 
