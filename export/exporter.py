@@ -12,7 +12,7 @@ import freeart21
 from export.checklist import check_asset
 from export.collision import CollisionSettings, convex_parts
 from export.inertia import inertial_of
-from export.meshes import MeshSettings, cleaned, write_hull, write_visual
+from export.meshes import MeshSettings, cleaned, inside_out, turned, write_hull, write_visual
 from export.mjcf import mjcf_text
 from export.model import AssetModel, LinkModel
 from export.placement import Placement, placed
@@ -127,6 +127,8 @@ def _write_link(folder: Path, name: str, part: Mesh, settings: ExportSettings) -
     """Write the meshes of one link; also what asset.json says about them."""
     try:
         visual = cleaned(part, settings.meshes)
+        wrong_way = inside_out(visual)
+        visual = turned(visual) if wrong_way else visual
         collision = convex_parts(visual, settings.collision)
         inertial = inertial_of(collision.hulls, settings.density)
     except FreeArtError as error:
@@ -138,6 +140,7 @@ def _write_link(folder: Path, name: str, part: Mesh, settings: ExportSettings) -
     said = {
         "faces_before": len(part.faces),
         "faces": len(visual.faces),
+        "faces_turned_outwards": wrong_way,
         "collision": collision.method,
         "hulls": len(hulls),
         "collision_fallback_reason": collision.reason,

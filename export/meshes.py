@@ -58,6 +58,18 @@ def deduplicated(mesh: Mesh) -> Mesh:
     return _compact(merged, faces[np.sort(kept)])
 
 
+def inside_out(mesh: Mesh) -> bool:
+    """Whether most of the surface faces inwards: the volume that it encloses, seen from its middle, is negative."""
+    corners = mesh.vertices[mesh.faces]
+    a, b, c = np.moveaxis(corners - np.average(corners.mean(1), axis=0, weights=mesh.areas()), 1, 0)
+    return float(np.einsum("fi,fi->", a, np.cross(b, c))) < 0
+
+
+def turned(mesh: Mesh) -> Mesh:
+    """The mesh with every triangle facing the other way."""
+    return Mesh(mesh.vertices, mesh.faces[:, ::-1], mesh.colours)
+
+
 def without_crumbs(mesh: Mesh, fraction: float) -> Mesh:
     """The mesh without connected pieces of less than `fraction` of its area; the largest always stays."""
     if mesh.empty:
