@@ -76,6 +76,11 @@ def _tree(robot: ET.Element) -> Iterator[Finding]:
     roots = [link for link in links if link not in children]
     if len(roots) != 1:
         yield Finding("tree", f"roots are {', '.join(roots) or 'none'}, expected one")
+    hung = set(roots)
+    while grown := {child for parent, child in ends if parent in hung} - hung:
+        hung |= grown
+    if roots and set(links) - hung:
+        yield Finding("tree", f"links {', '.join(sorted(set(links) - hung))} do not hang on the root")
     for child in sorted({c for c in children if children.count(c) > 1}):
         yield Finding("tree", f"link '{child}' is the child of {children.count(child)} joints, expected one")
 

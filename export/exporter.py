@@ -20,9 +20,9 @@ from export.urdf import urdf_text
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic, checked
+from freeart21.files import atomic
 from freeart21.files.asset import read_asset, write_asset_json
-from freeart21.files.result import read_result
+from freeart21.files.result import read_method, read_result
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 
@@ -118,9 +118,8 @@ def _reconstruction(result: Path | Reconstruction) -> tuple[Reconstruction, dict
     read = read_result(folder)
     if isinstance(read, Failure):
         raise FreeArtError(f"{folder} is a failure, nothing to export: {read.stage}: {read.reason}")
-    header = folder.resolve().parent / "method.json"
-    method = checked.read_json(header).get("name") if header.is_file() else None
-    return read, {"method": method, "sequence": folder.resolve().name}
+    place = folder.resolve()
+    return read, {"method": read_method(place.parent).name, "sequence": place.name}
 
 
 def _write_link(folder: Path, name: str, part: Mesh, settings: ExportSettings) -> tuple[LinkModel, dict[str, Any]]:

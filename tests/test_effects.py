@@ -81,8 +81,11 @@ def test_forces_and_limits_are_what_their_formulas_say():
 
 def test_words_of_urdf_and_mjcf():
     assert [e.urdf_dynamics() for e in EXAMPLES] == [{"damping": 0.3}, {"friction": 0.2}, {}]
-    assert [e.mjcf_joint() for e in EXAMPLES] == [{"damping": 0.3}, {"frictionloss": 0.2},
-                                                  {"stiffness": 4.0, "springref": -0.1}]
+    assert [e.mjcf_joint() for e in EXAMPLES] == [
+        {"damping": 0.3},
+        {"frictionloss": 0.2},
+        {"stiffness": 4.0, "springref": -0.1},
+    ]
     assert effects_from_urdf_dynamics(0.3, 0.2) == EXAMPLES[:2]
     assert effects_from_urdf_dynamics(0.0, 0.0) == ()
 
@@ -105,11 +108,14 @@ def test_effects_json_of_another_urdf_is_refused(tmp_path: Path):
         read_asset(tmp_path)
 
 
-@pytest.mark.parametrize("inside, said", [
-    ("", r"damping 0.3, but lid.urdf says 0"),
-    ('<dynamics damping="0.3"/>', r"friction 0.2, but lid.urdf says 0"),
-    ('<dynamics damping="0.31" friction="0.2"/>', r"damping 0.3, but lid.urdf says 0.31"),
-])
+@pytest.mark.parametrize(
+    "inside, said",
+    [
+        ("", r"damping 0.3, but lid.urdf says 0"),
+        ('<dynamics damping="0.3"/>', r"friction 0.2, but lid.urdf says 0"),
+        ('<dynamics damping="0.31" friction="0.2"/>', r"damping 0.3, but lid.urdf says 0.31"),
+    ],
+)
 def test_effects_json_that_contradicts_the_urdf_is_refused(tmp_path: Path, inside: str, said: str):
     described(tmp_path, inside)
     with pytest.raises(FreeArtError, match=said):
@@ -120,9 +126,12 @@ def test_effects_json_of_unknown_joint_or_shape_is_refused(tmp_path: Path):
     described(tmp_path)
     path = tmp_path / "effects.json"
     data = json.loads(path.read_text())
-    for joints, said in (({"lid": []}, "joint 'lid', which is not a movable joint of the URDF; movable joints: j"),
-                         ({"j": {}}, "must map joint names to lists"), ([], "must map joint names to lists"),
-                         ({"j": ["spring"]}, "unknown effect")):
+    for joints, said in (
+        ({"lid": []}, "joint 'lid', which is not a movable joint of the URDF; movable joints: j"),
+        ({"j": {}}, "must map joint names to lists"),
+        ([], "must map joint names to lists"),
+        ({"j": ["spring"]}, "unknown effect"),
+    ):
         path.write_text(json.dumps({**data, "joints": joints}))
         with pytest.raises(FreeArtError, match=said):
             read_asset(tmp_path)

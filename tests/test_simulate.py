@@ -23,8 +23,15 @@ WEIGHTLESS = (0.0, 0.0, 0.0)
 TYPES = pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 
 
-def write_urdf(folder: Path, kind: str, axis: str = "0 1 0", origin: str = "0 0 1", limit: str = "", inside: str = "",
-               more: str = "") -> Path:
+def write_urdf(
+    folder: Path,
+    kind: str,
+    axis: str = "0 1 0",
+    origin: str = "0 0 1",
+    limit: str = "",
+    inside: str = "",
+    more: str = "",
+) -> Path:
     """A bob of MASS at ARM below a hinge (or on a slider)."""
     path = folder / "bob.urdf"
     path.write_text(f"""<robot name="bob"><link name="base"/><link name="bob"><inertial><origin xyz="0 0 {-ARM}"/>
@@ -152,11 +159,14 @@ def test_strong_damping_leaves_coulomb_friction_its_share(tmp_path: Path, kind: 
 
 
 @TYPES
-@pytest.mark.parametrize("dynamics, effects", [
-    ('<dynamics damping="0.3" friction="0.2"/>', (ViscousDamping(0.3), CoulombFriction(0.2))),
-    ('<dynamics damping="0.3"/>', (ViscousDamping(0.3),)),
-    ('<dynamics friction="0.2"/>', (CoulombFriction(0.2),)),
-])
+@pytest.mark.parametrize(
+    "dynamics, effects",
+    [
+        ('<dynamics damping="0.3" friction="0.2"/>', (ViscousDamping(0.3), CoulombFriction(0.2))),
+        ('<dynamics damping="0.3"/>', (ViscousDamping(0.3),)),
+        ('<dynamics friction="0.2"/>', (CoulombFriction(0.2),)),
+    ],
+)
 def test_urdf_dynamics_means_the_same_effects(tmp_path: Path, kind: str, dynamics: str, effects: tuple):
     said = read_asset(write_urdf(tmp_path, kind, inside=dynamics))
     assert said.effects == {"j": effects}
@@ -216,8 +226,13 @@ def test_joint_motion_is_the_joint_in_any_canonical_frame(tmp_path: Path, kind: 
     axis = rng.normal(size=3)
     axis /= np.linalg.norm(axis)
     origin = rng.uniform(-0.3, 0.3, 3)
-    asset = asset_with(tmp_path, kind, axis=" ".join(map(str, axis)), origin=" ".join(map(str, origin)),
-                       limit='<limit lower="0.1" upper="0.6" effort="1" velocity="1"/>')
+    asset = asset_with(
+        tmp_path,
+        kind,
+        axis=" ".join(map(str, axis)),
+        origin=" ".join(map(str, origin)),
+        limit='<limit lower="0.1" upper="0.6" effort="1" velocity="1"/>',
+    )
     C, zero = random_pose(rng), 0.25
     links = (asset.moving_link, asset.reference_link) if reference_hangs else (asset.reference_link, asset.moving_link)
     asset = replace(asset, T_canonical_reference=C, state_zero=zero, reference_link=links[0], moving_link=links[1])
@@ -278,8 +293,13 @@ def test_limit_without_a_lower_one_means_zero(tmp_path: Path):
 
 def test_free_base_falls_and_fixed_base_does_not(tmp_path: Path):
     asset = asset_with(tmp_path, "revolute")
-    asset.urdf.write_text(asset.urdf.read_text().replace('<link name="base"/>', """<link name="base"><inertial>
-        <mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>"""))
+    asset.urdf.write_text(
+        asset.urdf.read_text().replace(
+            '<link name="base"/>',
+            """<link name="base"><inertial>
+        <mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>""",
+        )
+    )
     for fixed, drop in ((True, 0.0), (False, 0.5 * 9.81 * 0.1**2)):
         simulated = load(asset, fixed_base=fixed)
         simulated.set_base_pose(se3.pose(np.eye(3), [0, 0, 2]))
@@ -294,16 +314,22 @@ def test_faults_cost_one_clear_line(tmp_path: Path):
     loose = '<link name="x"/>'
     floating = '<link name="x"/><joint name="f" type="floating"><parent link="bob"/><child link="x"/></joint>'
     twice = '<link name="bob"/>'
-    for more, said in ((mesh, "mesh 'no.obj', which does not exist"), (loose, "not one tree: its roots are base, x"),
-                       (floating, "type 'floating'"), (twice, "link 'bob' 2 times")):
+    for more, said in (
+        (mesh, "mesh 'no.obj', which does not exist"),
+        (loose, "not one tree: its roots are base, x"),
+        (floating, "type 'floating'"),
+        (twice, "link 'bob' 2 times"),
+    ):
         asset = read_asset(write_urdf(tmp_path, "revolute", more=more))
         with pytest.raises(FreeArtError, match=said) as caught:
             load(asset)
         assert "\n" not in str(caught.value)
     good = asset_with(tmp_path, "revolute")
-    for wrong, said in ((replace(good, moving_link="lid"), "no link 'lid'; links: base, bob"),
-                        (replace(good, joint="lid"), "no movable joint 'lid'; movable joints: j"),
-                        (replace(good, moving_link="base"), "on the same side")):
+    for wrong, said in (
+        (replace(good, moving_link="lid"), "no link 'lid'; links: base, bob"),
+        (replace(good, joint="lid"), "no movable joint 'lid'; movable joints: j"),
+        (replace(good, moving_link="base"), "on the same side"),
+    ):
         with pytest.raises(FreeArtError, match=said):
             load(wrong)
     with pytest.raises(FreeArtError, match="no link 'lid'; links: base, bob"):

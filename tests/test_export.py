@@ -1,0 +1,497 @@
+"""Export: the reloaded asset moves exactly as the reconstruction's joint, and everything in its folder is sound."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.ndimage import map_coordinates
+from scipy.spatial.distance import cdist
+
+from export import collision
+from export.checklist import check_asset
+from export.collision import CollisionSettings, convex_hull, convex_parts
+from export.exporter import ExportSettings, export_result
+from export.inertia import Inertial, inertial_of, unphysical
+from export.meshes import MeshSettings, baked, cleaned, inside_out, reduced, turned, write_visual
+from freeart21 import doctor, se3
+from freeart21.articulation import Articulation
+from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects.return_spring import ReturnSpring
+from freeart21.effects.viscous_damping import ViscousDamping
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset
+from freeart21.files.result import write_result
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import Failure, Reconstruction
+from generator.simulate import joint_motion, load, roll_out
+
+RED, BLUE = (200, 30, 20), (20, 40, 220)
+
+
+def box(size, centre=(0.0, 0.0, 0.0), colour=None) -> Mesh:
+    solid = trimesh.creation.box(size, se3.pose(np.eye(3), centre))
+    colours = None if colour is None else np.tile(np.array(colour, np.uint8), (len(solid.vertices), 1))
+    return Mesh(solid.vertices, solid.faces, colours)
+
+
+def reconstruction(
+    kind: str = "revolute", states=(0.0, 0.4, 1.1), frame: int | None = None, slide: float = 0.0, **changes
+) -> Reconstruction:
+    """A red slab with a blue lid hinged at (or sliding from) its edge, in the canonical frame of seed `frame`."""
+    axis = np.array([0.0, 1.0, 0.0])
+    joint = Joint("lid joint", kind, axis, np.array([-0.1, 0, 0.02]) + slide * axis, min(states), max(states))
+    parts = Articulation(joint, box((0.2, 0.15, 0.04), colour=RED), box((0.2, 0.15, 0.03), (0, 0, 0.04), BLUE))
+    if frame is not None:
+        rng = np.random.default_rng(frame)
+        parts = parts.moved(se3.exp_se3(np.concatenate([rng.uniform(-1, 1, 3), rng.normal(size=3)])))
+    parts = replace(parts, **changes)
+    n = len(states)
+    still = np.tile(np.eye(4), (n, 1, 1))
+    return Reconstruction(
+        parts,
+        np.array(states, float),
+        still,
+        still @ parts.joint.transform(states),
+        np.zeros((n, 4, 4), np.uint8),
+        np.ones((n, 2), bool),
+    )
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("assets") / "lid"
+    export_result(reconstruction(), out, effects=(ViscousDamping(0.02), CoulombFriction(0.01), ReturnSpring(0.5, 0.2)))
+    return out
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+@pytest.mark.parametrize("states, slide", [((0.0, 0.4, 1.1), 0.0), ((0.3, 0.5, 0.9), 20.0), ((-0.8, -0.2, -0.5), 0.0)])
+def test_reloaded_joint_is_the_reconstructed_joint(tmp_path: Path, kind: str, states: tuple, slide: float):
+    answer = reconstruction(kind, states, frame=len(kind), slide=slide)
+    asset = export_result(answer, tmp_path / "a")
+    asked = np.array([0.0, *states, -0.35, 1.7])
+    np.testing.assert_allclose(joint_motion(asset, asked), answer.articulation.joint.transform(asked), atol=1e-6)
+    assert check_asset(tmp_path / "a") == []
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_parts_stand_where_the_reconstruction_has_them(tmp_path: Path, kind: str):
+    states = (0.3, 0.5, 0.9)
+    answer = reconstruction(kind, states, frame=5)
+    asset = export_result(answer, tmp_path / "a")
+    simulated = load(asset)
+    for state in states:
+        simulated.set_state(asset.state_zero + state)
+        for part, link in (("reference", asset.reference_link), ("moving", asset.moving_link)):
+            T = (
+                asset.T_canonical_reference
+                @ se3.inverse(simulated.link_pose(asset.reference_link))
+                @ simulated.link_pose(link)
+            )
+            shown = trimesh.load_mesh(tmp_path / "a" / "meshes" / f"{part}.obj", process=False)
+            expected = answer.articulation.posed(np.eye(4), state)[part == "moving"]
+            apart = cdist(se3.transform(T, shown.vertices), expected.vertices)
+            assert apart.min(0).max() < 1e-6 and apart.min(1).max() < 1e-6
+
+
+def test_limits_are_the_observed_range_with_margin_and_zero_inside(tmp_path: Path):
+    for k, (states, zero) in enumerate((((0.0, 0.4, 1.0), 0.0), ((0.3, 0.5, 1.3), 0.3), ((-1.3, -0.5, -0.3), -0.3))):
+        answer = reconstruction(states=states)
+        asset = export_result(answer, tmp_path / str(k))
+        assert asset.state_zero == pytest.approx(-zero)
+        limit = ET.parse(asset.urdf).find("joint/limit")
+        lower, upper = float(limit.get("lower")), float(limit.get("upper"))
+        assert (lower, upper) == pytest.approx((min(states) - 0.02 - zero, max(states) + 0.02 - zero))
+        assert lower < 0 < upper and float(limit.get("effort")) > 0 and float(limit.get("velocity")) > 0
+
+
+def test_frames_in_which_a_part_was_not_seen_do_not_widen_the_limits(tmp_path: Path):
+    seen = np.array([[True, True], [True, True], [True, False]])
+    asset = export_result(replace(reconstruction(states=(0.0, 0.5, 3.0)), seen=seen), tmp_path / "a")
+    assert float(ET.parse(asset.urdf).find("joint/limit").get("upper")) == pytest.approx(0.51)
+
+
+def test_root_stands_in_the_middle_of_the_reference_part_with_z_up(tmp_path: Path):
+    answer = reconstruction(frame=7)
+    T = export_result(answer, tmp_path / "a").T_canonical_reference
+    vertices = answer.articulation.reference.vertices
+    np.testing.assert_allclose(T[:3, 3], 0.5 * (vertices.min(0) + vertices.max(0)), atol=1e-12)
+    np.testing.assert_allclose(T[:3, 2], [0, -1, 0], atol=1e-12)
+
+
+def test_what_cannot_be_exported_says_why_and_leaves_nothing(tmp_path: Path):
+    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
+    flat = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+    cases = [
+        (
+            reconstruction(states=(0.2, 0.2, 0.2)),
+            r"joint 'lid joint' was seen to move by 0 rad, expected at least 0.001",
+        ),
+        (reconstruction("prismatic", states=(0.2, 0.20005)), r"move by 5e-05 m, expected at least 0.0001"),
+        (reconstruction(moving=nothing), "moving part of joint 'lid joint' is an empty mesh"),
+        (reconstruction(reference=nothing), "reference part of joint 'lid joint' is an empty mesh"),
+        (reconstruction(moving=flat), "moving part: mesh has no triangle of any area"),
+    ]
+    for answer, said in cases:
+        with pytest.raises(FreeArtError, match=said):
+            export_result(answer, tmp_path / "a")
+    with pytest.raises(FreeArtError, match="does not pass its own check: limits: joint 'lid_joint' has effort 0"):
+        export_result(reconstruction(), tmp_path / "a", ExportSettings(effort=0))
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "a").mkdir()
+    with pytest.raises(FreeArtError, match="exists"):
+        export_result(reconstruction(), tmp_path / "a")
+
+
+def test_result_folder_is_exported_with_its_origin_and_a_failure_is_refused(tmp_path: Path):
+    write_result(tmp_path / "ours" / "s1", reconstruction())
+    (tmp_path / "ours" / "method.json").write_text('{"schema": "freeart21/method/1", "name": "ours"}')
+    asset = export_result(tmp_path / "ours" / "s1", tmp_path / "asset")
+    assert (asset.source["method"], asset.source["sequence"]) == ("ours", "s1")
+    assert asset.source["parts"]["moving"]["collision"] == "coacd"
+    assert asset == replace(read_asset(tmp_path / "asset"), T_canonical_reference=asset.T_canonical_reference)
+    write_result(tmp_path / "ours" / "s2", Failure("segmentation", "one motion only"))
+    with pytest.raises(FreeArtError, match="is a failure, nothing to export: segmentation: one motion only"):
+        export_result(tmp_path / "ours" / "s2", tmp_path / "other")
+
+
+def test_same_result_same_bytes(tmp_path: Path):
+    for name in ("a", "b"):
+        export_result(reconstruction(frame=2), tmp_path / name)
+    files = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*") if p.is_file())
+    assert len(files) >= 11
+    for file in files:
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
+
+
+def test_effects_are_said_in_every_file_and_act(exported: Path):
+    asset = read_asset(exported)
+    effects = (ViscousDamping(0.02), CoulombFriction(0.01), ReturnSpring(0.5, 0.2))
+    assert asset.effects == {"lid_joint": effects}
+    assert ET.parse(asset.urdf).find("joint/dynamics").attrib == {"damping": "0.02", "friction": "0.01"}
+    words = ET.parse(exported / "object.xml").find(".//joint").attrib
+    assert {k: float(words[k]) for k in ("damping", "frictionloss", "stiffness", "springref")} == {
+        "damping": 0.02,
+        "frictionloss": 0.01,
+        "stiffness": 0.5,
+        "springref": 0.2,
+    }
+    run = roll_out(asset, 0.9, duration_s=20, timestep_s=5e-3, gravity=(0, 0, 0))
+    assert abs(run.q[-1] - 0.2) <= 0.01 / 0.5 + 1e-3 and np.ptp(run.q[-200:]) < 1e-5
+
+
+def test_two_springs_are_more_than_a_joint_of_mjcf_can_say(tmp_path: Path):
+    with pytest.raises(FreeArtError, match="two effects say MJCF's 'stiffness'"):
+        export_result(reconstruction(), tmp_path / "a", effects=(ReturnSpring(1, 0), ReturnSpring(2, 0)))
+
+
+def test_mujoco_loads_the_same_asset(exported: Path):
+    mujoco = pytest.importorskip("mujoco")
+    asset = read_asset(exported)
+    model = mujoco.MjModel.from_xml_path(str(exported / "object.xml"))
+    data, simulated = mujoco.MjData(model), load(asset)
+    low, high = model.jnt_range[0]
+    assert (low, high) == pytest.approx((simulated.lower, simulated.upper))
+    for q in np.linspace(low, high, 5):
+        data.qpos[0] = q
+        mujoco.mj_forward(model, data)
+        simulated.set_state(q)
+        lid = data.body("moving")
+        np.testing.assert_allclose(
+            se3.pose(lid.xmat.reshape(3, 3), lid.xpos), simulated.T_reference_moving(), atol=1e-6
+        )
+    assert model.body("moving").mass[0] == pytest.approx(simulated.moving_mass, rel=1e-6)
+    data.qpos[0] = 0.0
+    mujoco.mj_forward(model, data)
+    dense = np.zeros((1, 1))
+    mujoco.mj_fullM(model, data, dense)
+    assert dense[0, 0] == pytest.approx(simulated.joint_inertia, rel=1e-5)
+    assert data.ncon == 0
+
+
+def test_colours_are_seen_in_sapien(exported: Path):
+    try:
+        doctor.require_rendering()
+    except FreeArtError as error:
+        pytest.skip(str(error))
+    import sapien
+
+    sapien.render.set_camera_shader_dir("trivial")
+    scene = sapien.Scene()
+    simulated = load(read_asset(exported), scene=scene, visuals=True)
+    simulated.set_state(0.5 * simulated.upper)
+    camera = scene.add_camera("c", 160, 120, 1.0, 0.01, 10)
+    camera.set_entity_pose(
+        sapien.Pose(se3.pose(np.eye(3), [-0.6, 0, 0]) @ se3.pose(se3.exp_so3([0, 0, 0.3]), [0, -0.1, 0]))
+    )
+    scene.update_render()
+    camera.take_picture()
+    pixels = np.rint(camera.get_picture("Color")[..., :3] * 255).reshape(-1, 3)
+    for colour in (RED, BLUE):
+        assert (np.abs(pixels - colour).max(1) <= 3).sum() > 100
+
+
+# --- meshes
+
+
+def test_cleaning_merges_drops_crumbs_and_keeps_colours():
+    big, crumb = box((1, 1, 1), colour=RED), box((0.02, 0.02, 0.02), (3, 0, 0), BLUE)
+    doubled = Mesh(
+        np.concatenate([big.vertices[big.faces].reshape(-1, 3), crumb.vertices]),
+        np.concatenate([np.arange(36).reshape(-1, 3), np.arange(36).reshape(-1, 3)[:2], [[0, 0, 1]], crumb.faces + 36]),
+        np.concatenate([np.tile(np.uint8(RED), (36, 1)), crumb.colours]),
+    )
+    clean = cleaned(doubled, MeshSettings())
+    assert (len(clean.vertices), len(clean.faces)) == (8, 12)
+    assert (clean.colours == RED).all()
+    assert trimesh.Trimesh(clean.vertices, clean.faces).volume == pytest.approx(1)
+    assert len(cleaned(doubled, MeshSettings(min_component=0.0)).faces) == 24
+
+
+def test_decimation_keeps_shape_and_colours():
+    ball = trimesh.creation.icosphere(5)
+    colours = np.where(ball.vertices[:, :1] > 0, np.uint8([RED]), np.uint8([BLUE])).astype(np.uint8)
+    small = reduced(Mesh(ball.vertices, ball.faces, colours), 1000)
+    assert 900 <= len(small.faces) <= 1000
+    assert trimesh.Trimesh(small.vertices, small.faces).volume == pytest.approx(ball.volume, rel=0.01)
+    sure = np.abs(small.vertices[:, 0]) > 0.1
+    assert (small.colours[sure] == np.where(small.vertices[sure, :1] > 0, RED, BLUE)).all()
+
+
+def test_faces_that_look_inwards_are_found_and_turned_and_said(tmp_path: Path):
+    solid = box((1, 2, 3), (5, 5, 5))
+    assert not inside_out(solid) and inside_out(turned(solid))
+    wrong = reconstruction(moving=turned(box((0.2, 0.15, 0.03), (0, 0, 0.04))))
+    asset = export_result(wrong, tmp_path / "a")
+    assert asset.source["parts"]["moving"]["faces_turned_outwards"] is True
+    assert asset.source["parts"]["reference"]["faces_turned_outwards"] is False
+    assert trimesh.load_mesh(tmp_path / "a" / "meshes" / "moving.obj", process=True).volume > 0
+
+
+@pytest.mark.parametrize("texels", [3, 4, 7])
+def test_baked_texture_gives_back_the_vertex_colours(texels: int):
+    rng = np.random.default_rng(0)
+    ball = trimesh.creation.icosphere(2)
+    colours = rng.integers(90, 160, (len(ball.vertices), 3)).astype(np.uint8)
+    mesh = Mesh(ball.vertices, ball.faces, colours)
+    image, uv = baked(mesh, texels)
+    weights = rng.dirichlet([1, 1, 1], len(mesh.faces))
+    at = np.einsum("fk,fkc->fc", weights, uv.reshape(-1, 3, 2))
+    pixels = [(1 - at[:, 1]) * image.shape[0] - 0.5, at[:, 0] * image.shape[1] - 0.5]
+    read = np.stack([map_coordinates(image[..., k].astype(float), pixels, order=1) for k in range(3)], -1)
+    expected = np.einsum("fk,fkc->fc", weights, colours[mesh.faces].astype(float))
+    assert np.abs(read - expected).max() <= 1.0
+
+
+def test_visual_obj_wears_its_texture_and_a_grey_part_has_none(tmp_path: Path):
+    assert write_visual(tmp_path, "lid", box((1, 1, 1), colour=RED), MeshSettings()) == "lid.png"
+    read = trimesh.load_mesh(tmp_path / "lid.obj", process=False)
+    assert read.volume == pytest.approx(1)
+    assert (read.visual.to_color().vertex_colors[:, :3] == RED).all()
+    assert write_visual(tmp_path, "grey", box((1, 1, 1)), MeshSettings()) is None
+    assert "map_Kd" not in (tmp_path / "grey.mtl").read_text()
+    assert len(trimesh.load_mesh(tmp_path / "grey.obj", process=False).faces) == 12
+
+
+# --- collision and inertia
+
+
+def l_shape() -> Mesh:
+    solid = trimesh.boolean.union(
+        [
+            trimesh.creation.box((0.2, 0.05, 0.02), se3.pose(np.eye(3), (0.1, 0.025, 0))),
+            trimesh.creation.box((0.05, 0.2, 0.02), se3.pose(np.eye(3), (0.025, 0.1, 0))),
+        ]
+    )
+    return Mesh(solid.vertices, solid.faces)
+
+
+def test_concave_part_becomes_several_convex_hulls():
+    part = l_shape()
+    cut = convex_parts(part, CollisionSettings())
+    assert (cut.method, cut.reason) == ("coacd", None)
+    assert 2 <= len(cut.hulls) <= 16
+    volume = sum(trimesh.Trimesh(h.vertices, h.faces).volume for h in cut.hulls)
+    true = trimesh.Trimesh(part.vertices, part.faces)
+    assert volume == pytest.approx(true.volume, rel=0.1)
+    assert true.convex_hull.volume > 1.4 * true.volume
+
+
+def test_failed_decomposition_is_one_hull_and_says_so(tmp_path: Path, monkeypatch):
+    settings = CollisionSettings(timeout_s=0.01)
+    asset = export_result(reconstruction(), tmp_path / "a", ExportSettings(collision=settings))
+    said = asset.source["parts"]["moving"]
+    assert (said["collision"], said["hulls"]) == ("convex_hull", 1)
+    assert said["collision_fallback_reason"] == "CoACD took longer than 0.01 s"
+    monkeypatch.setattr(collision, "_PROGRAM", "import sys; sys.exit('merge assertion')")
+    crashed = convex_parts(l_shape(), CollisionSettings())
+    assert (crashed.method, crashed.reason) == ("convex_hull", "CoACD ended with exit code 1: merge assertion")
+    assert trimesh.Trimesh(crashed.hulls[0].vertices, crashed.hulls[0].faces).is_convex
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]]),
+        np.array([[0, 0, 0], [0.3, 0.3, 0.3]]),
+        np.array([[0.1, 0.2, 0.3]]),
+        np.tile([[0.1, 0.2, 0.3]], (5, 1)),
+    ],
+    ids=["plane", "line", "point", "one point five times"],
+)
+def test_flat_points_get_a_hull_of_the_least_thickness(points):
+    hull = convex_hull(points, 0.002, 64)
+    solid = trimesh.Trimesh(hull.vertices, hull.faces)
+    assert solid.is_watertight and solid.volume > 0
+    _, _, axes = np.linalg.svd(hull.vertices - hull.vertices.mean(0))
+    assert np.ptp(hull.vertices @ axes.T, axis=0).min() >= 0.0019
+    assert unphysical(inertial_of((hull,), 600)) is None
+
+
+def test_hulls_have_few_vertices_and_stay_inside():
+    ball = trimesh.creation.icosphere(4)
+    hull = convex_hull(ball.vertices, 0.002, 64)
+    assert 40 <= len(hull.vertices) <= 64
+    assert np.linalg.norm(hull.vertices, axis=1).max() <= 1 + 1e-9
+    assert trimesh.Trimesh(hull.vertices, hull.faces).volume > 0.85 * ball.volume
+
+
+def test_inertia_of_boxes_is_the_closed_form():
+    a, b, c, density = 0.2, 0.3, 0.5, 600.0
+    one = inertial_of((box((a, b, c), (1, 2, 3)),), density)
+    mass = density * a * b * c
+    assert one.mass == pytest.approx(mass)
+    np.testing.assert_allclose(one.centre, [1, 2, 3])
+    closed = mass / 12 * np.diag([b * b + c * c, a * a + c * c, a * a + b * b])
+    np.testing.assert_allclose(one.inertia, closed, atol=1e-12)
+    halves = inertial_of((box((a, b, c / 2), (1, 2, 3 - c / 4)), box((a, b, c / 2), (1, 2, 3 + c / 4))), density)
+    np.testing.assert_allclose(halves.inertia, closed, atol=1e-9)
+    np.testing.assert_allclose(halves.centre, one.centre)
+    assert unphysical(one) is None
+
+
+def test_unphysical_numbers_are_named():
+    def body(mass, *moments):
+        return Inertial(mass, np.zeros(3), np.diag(moments))
+
+    assert "mass is 0 kg" in str(unphysical(body(0.0, 1, 1, 1)))
+    assert "mass is nan" in str(unphysical(body(np.nan, 1, 1, 1)))
+    assert "all above 0" in str(unphysical(body(1.0, 0, 1, 1)))
+    assert "triangle inequality" in str(unphysical(body(1.0, 1, 1, 2.01)))
+    assert unphysical(body(1.0, 1, 1, 2)) is None
+    assert "not finite" in str(unphysical(body(1.0, 1, 1, np.nan)))
+    with pytest.raises(FreeArtError, match="volume"):
+        inertial_of((), 600.0)
+
+
+# --- checklist
+
+
+def concave(folder: Path) -> None:
+    part = l_shape()
+    trimesh.Trimesh(part.vertices, part.faces).export(folder / "meshes" / "moving_hull_00.obj")
+
+
+BREAKS = {
+    "tree: links moving do not hang on the root": ('<parent link="reference" />', '<parent link="moving" />'),
+    "tree: a joint names link 'lid'": ('<child link="moving" />', '<child link="lid" />'),
+    "names: collision name": ('name="moving_collision_00"', 'name="reference_collision_00"'),
+    "paths: file 'meshes/no.obj' does not exist": ("meshes/moving.obj", "meshes/no.obj"),
+    "paths: file '/meshes/moving.obj', expected a relative path": ("meshes/moving.obj", "/meshes/moving.obj"),
+    "paths: file 'meshes/a b.obj'": ("meshes/moving.obj", "meshes/a b.obj"),
+    "axis: joint 'lid_joint' has an axis of length 2": ('<axis xyz="', '<axis xyz="0 0 2"/><axis xyz="'),
+    "limits: joint 'lid_joint' has limits 3 to": ('<limit lower="', '<limit lower="3" was="'),
+    "limits: joint 'lid_joint' has limits 0.5 to": ('<limit lower="', '<limit lower="0.5" was="'),
+    "limits: joint 'lid_joint' has effort 0": (' effort="', ' effort="0" was="'),
+    "limits: joint 'lid_joint' has velocity -1": (' velocity="', ' velocity="-1" was="'),
+    "inertia: link 'reference': mass is -1 kg": ('<mass value="', '<mass value="-1" was="'),
+    "inertia: link 'reference': principal moments": (' ixx="', ' ixx="10" was="'),
+    "numbers and meshes: 'many' is not 1 finite numbers": (' ixx="', ' ixx="many" was="'),
+    "inertia: link 'reference' has its centre of mass outside": (
+        '<inertial>\n      <origin xyz="',
+        '<inertial>\n      <origin xyz="9 9 9" was="',
+    ),
+    "collision: link 'reference' can be seen but not touched": ("<collision ", "<not_collision "),
+}
+
+
+def broken_copy(exported: Path, folder: Path) -> Path:
+    import shutil
+
+    shutil.copytree(exported, folder)
+    (folder / "effects.json").unlink()
+    return folder
+
+
+@pytest.mark.parametrize("said", BREAKS)
+def test_checklist_finds_what_is_broken(exported: Path, tmp_path: Path, said: str):
+    folder = broken_copy(exported, tmp_path / "a")
+    urdf = folder / "object.urdf"
+    text = urdf.read_text()
+    if "not_collision" in BREAKS[said][1]:
+        text = text.replace("</collision>", "</not_collision>", text.split("<link")[1].count("</collision>"))
+        new = text.replace(*BREAKS[said], text.split("<link")[1].count("<collision "))
+    else:
+        new = text.replace(*BREAKS[said], 1)
+    assert new != text
+    urdf.write_text(new)
+    findings = check_asset(folder)
+    assert any(str(f).startswith(said) for f in findings), findings
+
+
+def test_checklist_finds_broken_files(exported: Path, tmp_path: Path):
+    def texture(folder):
+        (folder / "meshes" / "moving.png").unlink()
+
+    def material(folder):
+        (folder / "meshes" / "moving.mtl").unlink()
+
+    def inward(folder):
+        path = folder / "meshes" / "moving_hull_00.obj"
+        hull = trimesh.load_mesh(path, process=False)
+        hull.invert()
+        hull.export(path)
+
+    def garbage(folder):
+        (folder / "meshes" / "moving_hull_00.obj").write_text("v 0 0 0\nf 1 2 3\n")
+
+    def mjcf(folder):
+        path = folder / "object.xml"
+        root = ET.parse(path)
+        root.find(".//joint").set("axis", "0.001 1 0")
+        root.write(path)
+
+    def no_mjcf_mesh(folder):
+        path = folder / "object.xml"
+        path.write_text(path.read_text().replace("meshes/moving.obj", "meshes/no.obj"))
+
+    cases = {
+        "textures: moving.mtl names moving.png": texture,
+        "textures: moving.obj names moving.mtl": material,
+        "collision: mesh 0 of link 'moving' is not convex": concave,
+        "collision: mesh 0 of link 'moving' is not a closed solid": inward,
+        "numbers and meshes: ": garbage,
+        "mujoco: MuJoCo puts 'moving'": mjcf,
+        "mujoco: ": no_mjcf_mesh,
+    }
+    for k, (said, breakage) in enumerate(cases.items()):
+        if said.startswith("mujoco"):
+            pytest.importorskip("mujoco")
+        folder = broken_copy(exported, tmp_path / str(k))
+        assert check_asset(folder) == []
+        breakage(folder)
+        findings = check_asset(folder)
+        assert any(str(f).startswith(said) for f in findings), (said, findings)
+
+
+def test_folder_that_is_no_asset_is_one_finding(tmp_path: Path):
+    (finding,) = check_asset(tmp_path)
+    assert finding.item == "asset" and "is not an asset" in finding.detail
+    assert json.dumps(str(finding))
