@@ -69,6 +69,6 @@ def find(name: str, partnet: bool = False) -> CatalogEntry:
         return CatalogEntry(name, "unknown", None, None, "partnet", None)
     official = ", ".join(entry.name for entry in CATALOG if entry.source == "partnet")
     raise FreeArtError(
-        f"unknown object '{name}'; objects: {', '.join(built_in_names())}; with --partnet-root also any PartNet-Mobility id, "
-        f"of which FreeArt-21's are {official}"
+        f"unknown object '{name}'; objects: {', '.join(built_in_names())}; with --partnet-root also any "
+        f"PartNet-Mobility id, of which FreeArt-21's are {official}"
     )

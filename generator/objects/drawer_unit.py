@@ -1,4 +1,4 @@
-"""A desktop drawer unit of about 35 cm: a wooden carcass with two drawers; the upper one moves."""
+"""A desktop drawer unit of about 26 cm a side: a wooden carcass with two drawers; the upper one moves."""
 
 from __future__ import annotations
 
