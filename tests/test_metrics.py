@@ -226,6 +226,11 @@ def test_samples_lie_on_the_surface_in_proportion_to_area():
     assert not np.array_equal(points, surface.sample(20_000, (0, 2)))
 
 
+def test_samples_are_even_within_a_triangle():
+    triangle = Surface(Mesh(np.array([[0, 0, 0], [3.0, 0, 0], [0, 3.0, 0]]), np.array([[0, 1, 2]])))
+    assert triangle.sample(40_000, (0,)).mean(0) == pytest.approx([1, 1, 0], abs=0.02)
+
+
 def test_concentric_spheres_are_as_far_apart_as_their_radii():
     ball = trimesh.creation.icosphere(subdivisions=5)
     inner, outer = (Surface(Mesh(ball.vertices * r, ball.faces)) for r in (1.0, 1.1))

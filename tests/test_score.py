@@ -406,7 +406,7 @@ def test_an_asset_of_another_type_is_what_counts(data, tmp_path):
 def test_states_beyond_the_assets_limits_stop_at_the_limit(data, tmp_path):
     truth = truths()["a"]
     folder = submit(tmp_path / "a", truth)
-    write_asset(folder / "asset", truth.articulation.joint, limits=(-0.1, 0.5))
+    write_asset(folder / "asset", truth.articulation.joint, state_zero=0.25, limits=(0.15, 0.75))
     clipped = replace(truth_as_answer(truth), states=np.minimum(truth.states, 0.5))
     expected = submit(tmp_path / "x" / "a", truth, clipped)
     row = score_one(data, folder)

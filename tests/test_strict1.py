@@ -161,6 +161,8 @@ def test_tilting_the_axis_costs_exactly_that(kind, degrees):
         assert values["state"] == pytest.approx(0 if turned > 0 else reverse, abs=1e-6)
     else:
         assert values["state"] == pytest.approx(0, abs=1e-6)  # an axis across the true one has no sign: the better one
+        reversed_axis = with_joint(truth_as_answer(truth), replace(tilted, axis=-tilted.axis))
+        assert scored(truth, reversed_axis)["state"] == pytest.approx(0, abs=1e-6)
 
 
 @pytest.mark.parametrize("shift", [1e-5, 0.01, 0.5])
