@@ -236,6 +236,8 @@ def _asset_sections(path: Path, T_camera_canonical: Array | None) -> tuple[list[
         some = ", ".join(missing[:5]) + " ..." * (len(missing) > 5)
         notices = [f"{len(missing)} mesh files that {urdf.name} names are missing: {some}"]
     movable = [joint for joint in model.joints.values() if joint.joint_type]
+    if not movable:
+        raise FreeArtError(f"{urdf} has no movable joint, expected a revolute or prismatic one")
     masses = [link.inertial.mass for link in model.links.values() if link.inertial is not None]
     chips = [
         f"{len(model.links)} links",
