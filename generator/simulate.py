@@ -246,7 +246,7 @@ def load(
         visuals: load visual meshes too; `scene` must then be able to render.
 
     Raises FreeArtError when the URDF is not one tree with the named joint and links, a mesh file is missing, or SAPIEN
-    cannot read a file. Links of the asset never collide with each other.
+    cannot read a file. Links of the asset never collide with each other, nor with other assets loaded here.
     """
     if not timestep_s > 0:
         raise FreeArtError(f"timestep_s is {timestep_s}, expected seconds above 0")
