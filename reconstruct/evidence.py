@@ -137,13 +137,14 @@ class Evidence:
         prior: Array | None = None,
     ) -> NDArray[np.float32]:
         """Smoothed log-odds (h, w) that pixels of `frame` move by T[:, 1] rather than T[:, 0] to `others`."""
-        valid = self.scene.valid[frame]
-        pixels = np.argwhere(valid)
-        costs = self.costs(frame, others, T, pixels, logodds, label_weight)
-        unary = np.zeros(valid.shape)
+        measured = self.scene.valid[frame]
+        if measured.sum() > self.label_settings.dense_pixels:
+            measured = measured & (np.indices(measured.shape).sum(0) % 2 == 0)
+        costs = self.costs(frame, others, T, np.argwhere(measured), logodds, label_weight)
+        unary = np.zeros(measured.shape)
         difference = (costs[:, :, 0] - costs[:, :, 1]).sum(1) / np.sqrt(len(others))
-        unary[valid] = np.clip(difference, -6, 6)
-        weight = np.maximum(cv2.GaussianBlur(valid.astype(float), (0, 0), 0.8), 0.05)
+        unary[measured] = np.clip(difference, -6, 6)
+        weight = np.maximum(cv2.GaussianBlur(measured.astype(float), (0, 0), 0.8), 0.05)
         unary = cv2.GaussianBlur(unary, (0, 0), 0.8) / weight
         return self.smoothed(frame, unary if prior is None else unary + prior)
 

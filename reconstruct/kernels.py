@@ -248,9 +248,9 @@ def pixel_costs(  # pragma: no cover
 def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no cover
     """The graph of like neighbours of one frame, as compressed rows over the valid pixels in reading order.
 
-    Neighbours stand 1, 3 and 6 steps up, down, right and left; an edge's weight in [0, 1] falls with distance (over
-    `reach`), bend, distance from the common plane (over `flatness`) and colour. Returns starts (p + 1,), ends and
-    weights of the edges worth keeping.
+    Neighbours stand 1, 3 and 6 steps up, down, right and left. An edge's weight in [0, 1] falls with distance (over
+    `reach`), bend, distance from the common plane (over `flatness`) and colour, and halves with each longer step.
+    Returns starts (p + 1,), ends and weights of the edges worth keeping.
     """
     h, w = valid.shape
     number = np.full((h, w), -1, np.int32)
@@ -289,7 +289,7 @@ def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no
                 exponent = distance / (reach * reach) + (1 - bend) / 0.35 + colour / 200.0 + off * off
                 if exponent < 4.0:
                     ends[edges] = number[yy, xx]
-                    weights[edges] = math.exp(-exponent)
+                    weights[edges] = math.exp(-exponent) / (1 if q < 4 else (2 if q < 8 else 4))
                     edges += 1
             starts[number[y, x] + 1] = edges
     return starts, ends[:edges], weights[:edges]

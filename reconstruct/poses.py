@@ -222,7 +222,7 @@ def _add_state_smoothness(A: Array, b: Array, states: Array, n: int) -> None:
     r = np.arange(n - 2)
     D[r, r], D[r, r + 1], D[r, r + 2] = 1, -2, 1
     diagonal = np.diag(A)[6 * n : 7 * n]
-    weight = 1e-5 * float(np.median(diagonal[diagonal > 0])) if (diagonal > 0).any() else 1.0
+    weight = 1e-3 * float(np.median(diagonal[diagonal > 0])) if (diagonal > 0).any() else 1.0
     A[6 * n : 7 * n, 6 * n : 7 * n] += weight * D.T @ D
     b[6 * n : 7 * n] += weight * D.T @ (D @ states)
 
@@ -244,7 +244,7 @@ def _limited(twists: Array) -> Array:
 
 
 def _unit(v: Array) -> Array:
-    return np.asarray(v / np.linalg.norm(v), np.float64)
+    return np.array(v / np.linalg.norm(v), dtype=np.float64)
 
 
 def _covariances(A: Array, Ts: Array, seen: NDArray[np.bool_], reuse: float) -> Array:

@@ -169,6 +169,14 @@ class Growth:
             return None
         return rigid.ransac_fit(tracks.points[kept, 0], tracks.points[kept, -1], 3 * self.evidence.unit, self.rng)
 
+    def _expected_state(self, frame: int) -> float:
+        """The state of `frame` if the joint moves on evenly from the two nearest frames done."""
+        known = np.flatnonzero(self.done)
+        a, b = known[np.argsort(np.abs(known - frame), kind="stable")[:2]]
+        if known[np.abs(known - frame).argmin()] == frame or abs(a - b) != 1:
+            return float(self.states[a])
+        return float(2 * self.states[a] - self.states[b])
+
     # ---- registration --------------------------------------------------------------------------------------------
 
     def references(self, k: int, T: Array, frame: int, most: int | None = None) -> NDArray[np.int64]:
@@ -223,8 +231,11 @@ class Growth:
         both = (T, T @ self.joint.transform(q))
         references = [self.references(k, both[k], frame) for k in range(2)]
         most = 0.1 if self.joint.type == "revolute" else 0.1 * self.evidence.scene.diagonal
+        expected, stray = self._expected_state(frame), self.settings.growth.state_surprise * 10 * most
+        pull = self.settings.growth.surprise_weight / stray**2
         for gate in gates:
             A, b = np.zeros((7, 7)), np.zeros(7)
+            A[6, 6], b[6] = pull, pull * (q - expected)
             for k in range(2):
                 if len(references[k]) == 0:
                     continue
@@ -268,7 +279,8 @@ class Growth:
         most = self.settings.labels.references
         others = np.union1d(*(self.references(k, self.Ts[k, frame], frame, most) for k in range(2))).astype(int)
         motions = np.stack([self.Ts[:, j] @ se3.inverse(self.Ts[:, frame]) for j in others])
-        self._put_labels(frame, self.evidence.pixel_logodds(frame, others, motions, self.logodds, 0.5))
+        weight = self.settings.labels.propagation
+        self._put_labels(frame, self.evidence.pixel_logodds(frame, others, motions, self.logodds, weight))
 
     def _put_labels(self, frame: int, logodds: NDArray[np.float32]) -> None:
         scene, settings = self.evidence.scene, self.settings.growth
@@ -305,8 +317,8 @@ class Growth:
         centre = np.median(cloud, axis=0)
         return centre, float(np.sqrt(np.mean(np.sum((cloud - centre) ** 2, axis=1))))
 
-    def try_joint(self) -> tuple[JointedPoses, float]:
-        """Both joint types fitted to the end on the frames done; the better one, and by what share it wins."""
+    def try_joint(self) -> JointedPoses:
+        """Both joint types fitted to the end on the frames done; the better one."""
         frames = np.flatnonzero(self.done & self.seen.all(1))
         relative = se3.inverse(self.Ts[0, frames]) @ self.Ts[1, frames]
         centre, lever = self.part_extent(1)
@@ -319,10 +331,18 @@ class Growth:
                 self.evidence, self.labels, start, self.seen, self.settings.poses, self.rng, 8, self.done
             )
         if settings.type_rule == "paper":
-            return found[chosen.type], 1.0
-        ratio = found["revolute"].cost / max(found["prismatic"].cost, 1e-300)
-        better: JointType = "revolute" if ratio < 0.97 else "prismatic"
-        return found[better], abs(np.log(max(ratio, 1e-12)))
+            return found[chosen.type]
+        return found["revolute" if self._hinged(found, centre) else "prismatic"]
+
+    def _hinged(self, found: dict[JointType, JointedPoses], centre: Array) -> bool:
+        """Whether the revolute hypothesis wins: clearly cheaper, and with its hinge at the object.
+
+        A hinge far away says no more than a slide, with two unknowns more.
+        """
+        revolute, settings = found["revolute"], self.settings.joint
+        away = np.cross(centre - revolute.joint.pivot, revolute.joint.axis)
+        near = np.linalg.norm(away) < settings.farthest_hinge * self.evidence.scene.diagonal
+        return bool(near and revolute.cost < settings.revolute_cost * found["prismatic"].cost)
 
     def _jointed(self, fit: JointFit, frames: NDArray[np.int64]) -> JointedPoses:
         """Poses of all frames under a fitted joint, in the frame of the first part."""
@@ -353,7 +373,7 @@ def grow(evidence: Evidence, flow: Flow, seed: Seed, settings: ReconstructSettin
         growth.grow(4)
     if (growth.done & growth.seen.all(1)).sum() < 4:
         raise HopelessError("segmentation", "no second part: fewer than 4 frames show two parts")
-    growth.adopt(growth.try_joint()[0])
+    growth.adopt(growth.try_joint())
     while growth.frontier():
         growth.grow(s.adjust_every)
         growth.adopt(

@@ -83,12 +83,17 @@ class EvidenceSettings:
 class LabelSettings:
     """From evidence to part masks: a mean-field relaxation over neighbours that look alike and lie in one plane."""
 
-    smoothness: float = 0.6
+    smoothness: float = 0.5
+    """Pull of one neighbour of the same look, in log-odds."""
     rounds: int = 10
+    propagation: float = 1.0
+    """Weight, in growth, of the labels of the frames compared with: what holds them while nothing moves."""
     reach: float = 0.12
     """Distance, in object diagonals, over which neighbours pull."""
     references: int = 10
     """Frames that each frame is compared with."""
+    dense_pixels: int = 12_000
+    """A larger foreground is measured at every other pixel only."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,10 @@ class GrowthSettings:
     """Fewer pixels of a part do not fix its pose when it moves freely."""
     min_jointed_pixels: int = 12
     """Fewer pixels of a part say nothing of its state when the joint is known."""
+    state_surprise: float = 0.05
+    """How far a state may stray from even motion in one frame: radians, or object diagonals."""
+    surprise_weight: float = 100.0
+    """Weight of that prior, as a number of independent pixels: it only counts where a part is nearly hidden."""
     bootstrap_frames: int = 18
     """Frames grown freely before a joint is tried."""
     bootstrap_motion: float = 0.12
@@ -129,6 +138,10 @@ class JointSettings:
     """theta_th of the paper's rule."""
     linearity_threshold: float = 0.05
     """rho_th of the paper's rule."""
+    revolute_cost: float = 0.9
+    """Share of the prismatic cost, all evidence adjusted under either type, below which a revolute joint is chosen."""
+    farthest_hinge: float = 2.0
+    """Object diagonals from the moving part within which a hinge is believed."""
     revolute_must_win: float = 0.7
     """A revolute joint has two unknowns more: it is chosen when its residual is below this share of the prismatic."""
 
@@ -158,9 +171,11 @@ class SurfaceSettings:
 
     voxel: float = 1.3
     """Least edge of a voxel."""
-    max_voxels: int = 5_000_000
+    max_voxels: int = 2_500_000
     truncation: float = 3.0
     """Voxels, either side of the surface, that a depth measurement speaks of."""
+    max_frames: int = 80
+    """Frames that are fused, evenly drawn."""
     min_component: float = 0.02
     """Pieces smaller than this share of the largest are dropped."""
 

@@ -1,0 +1,145 @@
+"""Closed forms and robust fits of the joint, against exact and spoiled poses."""
+
+import numpy as np
+import pytest
+
+from freeart21 import se3
+from freeart21.joint import Joint
+from reconstruct.joint import (
+    choose_joint,
+    fit_joint,
+    paper_joint_type,
+    prismatic_axis,
+    revolute_axis,
+    revolute_pivot,
+    rotation_amplitude,
+    translation_linearity,
+    without_outliers,
+)
+from reconstruct.settings import JointSettings
+
+SETTINGS = JointSettings()
+
+
+def random_joint(rng, kind):
+    axis = rng.normal(size=3)
+    return Joint("j", kind, axis / np.linalg.norm(axis), rng.uniform(-0.5, 0.5, 3), -10, 10)
+
+
+def relative_poses(joint, states, rng, noise=0.0, outliers=0.0, gauge=True):
+    """T_reference_moving of an ideal joint with any constant offset, left-perturbed by noise and gross outliers."""
+    G = se3.exp_se3(np.concatenate([rng.uniform(-0.3, 0.3, 3), rng.uniform(-1, 1, 3)])) if gauge else np.eye(4)
+    Ts = joint.transform(states) @ G
+    bad = rng.permutation(len(states))[: int(outliers * len(states))]
+    wobble = noise * rng.normal(size=(len(states), 6)) * np.repeat([0.2, 1.0], 3)
+    wobble[bad] += rng.normal(size=(len(bad), 6)) * np.repeat([0.1, 0.5], 3)
+    return Ts @ se3.exp_se3(wobble)
+
+
+def errors(fit, joint, states):
+    """Axis (rad), distance of the lines, state error with sign and offset removed."""
+    sign = np.sign(fit.axis @ joint.axis)
+    d = fit.pivot - joint.pivot
+    off = sign * fit.states - states
+    return (
+        np.arccos(min(1.0, abs(fit.axis @ joint.axis))),
+        np.linalg.norm(d - (d @ joint.axis) * joint.axis),
+        np.abs(off - np.median(off)),
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_closed_forms_are_exact_on_exact_poses(seed):
+    rng = np.random.default_rng(seed)
+    joint = random_joint(rng, "revolute")
+    Ts = relative_poses(joint, rng.uniform(-0.6, 0.6, 30), rng)
+    axis = revolute_axis(Ts[:, :3, :3])
+    assert abs(axis @ joint.axis) == pytest.approx(1, abs=1e-12)
+    pivot, v = revolute_pivot(Ts, axis)
+    d = pivot - joint.pivot
+    assert np.linalg.norm(d - (d @ joint.axis) * joint.axis) < 1e-9
+    assert abs(pivot @ axis) < 1e-9
+    model = pivot + Ts[:, :3, :3] @ v
+    assert np.ptp((Ts[:, :3, 3] - model) @ axis) < 1e-9
+    slide = random_joint(rng, "prismatic")
+    direction, _ = prismatic_axis(slide.transform(rng.uniform(0, 0.3, 30))[:, :3, 3])
+    assert abs(direction @ slide.axis) == pytest.approx(1, abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+@pytest.mark.parametrize("seed", range(4))
+def test_fit_is_exact_on_exact_poses_in_any_gauge(kind, seed):
+    rng = np.random.default_rng(seed)
+    joint = random_joint(rng, kind)
+    states = rng.uniform(0, 1.2 if kind == "revolute" else 0.3, 40)
+    fit, _ = choose_joint(relative_poses(joint, states, rng), np.array([0.1, 0, 0]), 0.1, SETTINGS)
+    assert fit.type == kind
+    axis, line, state = errors(fit, joint, states)
+    assert axis < 1e-6 and state.max() < 1e-6 and fit.states[0] == 0
+    if kind == "revolute":
+        assert line < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fifth_of_the_frames_may_be_nonsense(seed):
+    rng = np.random.default_rng(seed)
+    for kind, span in (("revolute", 1.0), ("prismatic", 0.3)):
+        joint = random_joint(rng, kind)
+        states = span * (0.5 - 0.5 * np.cos(np.linspace(0, 6, 60)))
+        Ts = relative_poses(joint, states, rng, noise=0.005, outliers=0.2)
+        fit, _ = choose_joint(Ts, np.zeros(3), 0.1, SETTINGS)
+        assert fit.type == kind
+        axis, line, state = errors(fit, joint, states)
+        assert np.degrees(axis) < (0.5 if kind == "revolute" else 1.0)
+        assert np.median(state) < 0.01 * span
+        if kind == "revolute":
+            assert line < 0.006
+
+
+def test_small_range_revolute_with_a_small_lever():
+    rng = np.random.default_rng(3)
+    joint = Joint("j", "revolute", np.array([0, 0, 1.0]), np.array([0.02, 0.01, 0]), -1, 1)
+    states = np.radians(8) * np.sin(np.linspace(0, 9, 80))
+    fit, fits = choose_joint(relative_poses(joint, states, rng, noise=0.002), np.zeros(3), 0.05, SETTINGS)
+    assert fit.type == "revolute"
+    assert np.degrees(errors(fit, joint, states)[0]) < 1.0
+    assert fits["prismatic"].residual > 2 * fits["revolute"].residual
+
+
+def test_an_arc_of_89_degrees_is_a_hinge_where_the_paper_says_slide():
+    rng = np.random.default_rng(0)
+    joint = Joint("j", "revolute", np.array([0, 1.0, 0]), np.array([0.3, 0, 0]), -2, 2)
+    states = np.radians(89) * (0.5 - 0.5 * np.cos(np.linspace(0, np.pi, 60)))
+    Ts = relative_poses(joint, states, rng, noise=0.002, gauge=False)
+    assert choose_joint(Ts, np.zeros(3), 0.2, SETTINGS)[0].type == "revolute"
+    paper = JointSettings(type_rule="paper", linearity_threshold=0.2)
+    assert translation_linearity(Ts) < 0.2 and paper_joint_type(Ts, paper) == "prismatic"
+    assert choose_joint(Ts, np.zeros(3), 0.2, paper)[0].type == "prismatic"
+
+
+def test_paper_rule_on_clear_cases():
+    rng = np.random.default_rng(1)
+    hinge = Joint("j", "revolute", np.array([0, 0, 1.0]), np.array([0.2, 0, 0]), -3, 3)
+    turned = relative_poses(hinge, np.linspace(0, 2.4, 50), rng)
+    slid = relative_poses(random_joint(rng, "prismatic"), np.linspace(0, 0.3, 50), rng)
+    assert paper_joint_type(turned, SETTINGS) == "revolute" and rotation_amplitude(turned) > 50
+    assert paper_joint_type(slid, SETTINGS) == "prismatic" and rotation_amplitude(slid) < 1e-4
+    assert translation_linearity(slid) < 1e-12
+
+
+def test_two_sigma_filter_names_the_jumps():
+    joint = Joint("j", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), 0, 1)
+    Ts = joint.transform(np.linspace(0, 0.3, 40))
+    Ts[17, :3, 3] += (0, 0.5, 0)
+    kept = without_outliers(Ts)
+    assert not kept[17] and kept.sum() == 39
+
+
+def test_without_noise_resistance_outliers_do_harm():
+    rng = np.random.default_rng(5)
+    joint = random_joint(rng, "revolute")
+    states = np.linspace(0, 1, 40)
+    Ts = relative_poses(joint, states, rng, noise=0.003, outliers=0.2)
+    with_it = fit_joint(Ts, "revolute", np.zeros(3), 0.1, SETTINGS)
+    without = revolute_axis(Ts[:, :3, :3], robust=False)
+    assert errors(with_it, joint, states)[0] < 0.2 * np.arccos(min(1.0, abs(without @ joint.axis)))
