@@ -124,7 +124,6 @@ def record(
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf.
         joint: Joint of a PartNet-Mobility object that moves, where the catalog names none.
     """
-    from freeart21.files.benchmark import write_benchmark
     from generator.recorder import RecordSettings, built_in_names, record
 
     wanted = built_in_names() if names == ("all",) else names
@@ -133,7 +132,6 @@ def record(
     settings = RecordSettings(frames=frames, seed=seed, partnet_root=partnet_root, joint=joint)
     for name in wanted:
         print(out / "sequences" / record(name, out, settings))
-    write_benchmark(out, name=out.name, version="1", split="public")
 
 
 def reconstruct(sequence: Annotated[Path, Positional], out: Path) -> int:

@@ -35,6 +35,7 @@ void main() {
   vec3 shaded = pow(pow(base, vec3(2.2)) * light + shine, vec3(1.0 / 2.2));
   float rim = pow(1.0 - abs(dot(n, eye)), 2.0);
   result = vec4(shaded, ghost ? mix(alpha, 0.85, rim) : alpha);
+  gl_FragDepth = gl_FragCoord.z + (gl_FrontFacing ? 0.0 : 2e-4); // of two coincident sides the one towards us shows
 }`;
 
 /** Triangles without shared corners, with normals that are smooth except across creases of more than 40 degrees. */
