@@ -51,7 +51,6 @@ def fuse(
     vertices, faces = _observed(vertices, faces, weight)
     vertices, faces = _large_pieces(vertices, faces, settings.min_component)
     vertices = low + voxel * vertices
-    faces = faces[:, ::-1]
     colours = _colours(scene, labels, part, Ts, frames, vertices, faces, 2 * truncation)
     return Mesh(vertices, faces, colours)
 
