@@ -209,7 +209,7 @@ def _refined(fit: JointFit, Ts: Array, body: Array, weights: Array) -> JointFit:
 
     scale = max(1.5 * float(np.median(np.linalg.norm(errors(np.zeros(turns + 6)), axis=2))), 1e-9 * size)
     solved = least_squares(
-        lambda x: (errors(x) * root[:, None, None]).ravel() / scale, np.zeros(turns + 6), loss="soft_l1", max_nfev=40
+        lambda x: (errors(x) * root[:, None, None]).ravel() / scale, np.zeros(turns + 6), loss="cauchy", max_nfev=40
     )
     best = unpack(solved.x)
     return replace(best, residuals=np.sqrt((errors(solved.x) ** 2).sum(2).mean(1)))

@@ -233,7 +233,7 @@ def _damped_solve(A: Array, b: Array) -> Array:
     floor = 1e-9 * max(float(diagonal.max()), 1e-300)
     damped = A.copy()
     damped[np.diag_indices(len(A))] += 1e-4 * diagonal + floor
-    return -np.linalg.solve(damped, b)
+    return np.asarray(np.linalg.solve(damped, -b), float)
 
 
 def _limited(twists: Array) -> Array:
@@ -244,7 +244,7 @@ def _limited(twists: Array) -> Array:
 
 
 def _unit(v: Array) -> Array:
-    return np.array(v / np.linalg.norm(v), dtype=np.float64)
+    return v / np.linalg.norm(v)
 
 
 def _covariances(A: Array, Ts: Array, seen: NDArray[np.bool_], reuse: float) -> Array:

@@ -35,7 +35,7 @@ OBJECTS = {
         [box((0.30, 0.10, 0.03), (0, 0, 0)), box((0.03, 0.12, 0.08), (-0.14, 0, 0.03))],
         [box((0.28, 0.09, 0.03), (0.02, 0, 0.06)), box((0.04, 0.05, 0.03), (0.14, 0.01, 0.09))],
         Joint("j", "revolute", np.array([0.0, -1, 0]), np.array([-0.13, 0, 0.05]), 0, 1.2),
-        (0.05, 1.0),
+        (0.05, 0.8),
     ),
     "slide": (
         [box((0.20, 0.26, 0.03), (0, 0, 0.09)), box((0.20, 0.26, 0.03), (0, 0, -0.09))]
@@ -54,7 +54,7 @@ OBJECTS = {
 }
 
 
-def make_clip(name="hinge", frames=24, size=(200, 150), seed=0, scale=1.0, spin=1.2, queries=()):
+def make_clip(name="hinge", frames=24, size=(240, 180), seed=0, scale=1.0, spin=1.2, queries=()):
     """A clip of an object tumbling `spin` radians or so while its joint sweeps its range; `scale` makes all larger."""
     first, second, joint, (low, high) = OBJECTS[name]
     first, second = trimesh.util.concatenate(first), trimesh.util.concatenate(second)
@@ -63,11 +63,13 @@ def make_clip(name="hinge", frames=24, size=(200, 150), seed=0, scale=1.0, spin=
     t = np.linspace(0, 1, frames)
     phase = rng.uniform(0, 2 * np.pi, 3)
     turn = spin * np.stack([np.sin(2 * np.pi * 0.55 * t + p) for p in phase], 1)
-    base = se3.exp_so3(rng.normal(size=3))
-    Ts = se3.pose(se3.exp_so3(turn) @ base, np.stack([0.02 * np.sin(5 * t), 0.02 * np.cos(4 * t), 1.15 + 0 * t], 1))
+    base = se3.exp_so3([0.5, 0.4, 0.1]) @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # from the side, a bit above
+    Ts = se3.pose(
+        se3.exp_so3(turn) @ base, np.stack([0.02 * np.sin(5 * t), 0.02 + 0.02 * np.cos(4 * t), 1.25 + 0 * t], 1)
+    )
     states = low + (high - low) * (0.5 - 0.5 * np.cos(2 * np.pi * 0.8 * t))
     texture = rng.uniform(0.25, 1, (3, 12, 12, 12))
-    pictures = [_render(camera, (first, second), joint, T, q, texture) for T, q in zip(Ts, states)]
+    pictures = [_render(camera, (first, second), joint, T, q, texture) for T, q in zip(Ts, states, strict=False)]
     loaded = [Frame(rgb, (depth * scale).astype(np.float32), part > 0) for rgb, depth, part in pictures]
     views = tuple(Query(*q) for q in queries)
     recording = Recording(camera, np.arange(frames) / 30, lambda i: loaded[i], views, None, name)
@@ -82,7 +84,7 @@ def make_clip(name="hinge", frames=24, size=(200, 150), seed=0, scale=1.0, spin=
 def _render(camera, parts, joint, T, q, texture):
     """rgb, depth and part labels of one frame."""
     poses = (T, T @ joint.transform(q))
-    placed = [part.copy().apply_transform(pose) for part, pose in zip(parts, poses)]
+    placed = [part.copy().apply_transform(pose) for part, pose in zip(parts, poses, strict=False)]
     scene = trimesh.util.concatenate(placed)
     rays = camera.rays().reshape(-1, 3)
     caster = trimesh.ray.ray_pyembree.RayMeshIntersector(scene)

@@ -1,0 +1,316 @@
+"""The reconstruction end to end on small ray-cast clips: accuracy, failures, determinism, and what it opens."""
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reconstruct_clip import make_clip
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.files.result import read_result
+from freeart21.files.sequence import write_sequence
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.recording import Frame, Recording
+from reconstruct.pipeline import reconstruct, reconstruct_folder
+from reconstruct.renders import render
+from reconstruct.scene import prepare
+from reconstruct.settings import ReconstructSettings, SceneSettings, TrackSettings
+from reconstruct.tracks import follow, lift, optical_flow
+
+ROOT = Path(__file__).resolve().parents[1]
+QUIET = ReconstructSettings(progress=False)
+FRAMES = 24
+GENTLE = 0.35  # radians of tumbling: about 3 degrees a frame
+
+
+@pytest.fixture(scope="module")
+def hinge():
+    return make_clip("hinge", FRAMES, spin=GENTLE, queries=((3, 20, np.eye(4)),))
+
+
+@pytest.fixture(scope="module")
+def slide():
+    return make_clip("slide", FRAMES, spin=GENTLE)
+
+
+@pytest.fixture(scope="module")
+def solved(hinge, slide):
+    return {"hinge": reconstruct(hinge.recording, QUIET), "slide": reconstruct(slide.recording, QUIET)}
+
+
+def measure(clip, result):
+    """Axis (deg), line distance and mean state error (% of the diagonal, or deg), mIoU; parts matched by labels."""
+    masks, truth = result.part_masks, clip.part_masks
+    swapped = (masks == truth)[truth > 0].mean() < 0.5
+    if swapped:
+        masks = np.array([0, 2, 1], np.uint8)[masks]
+    iou = [((masks == k) & (truth == k)).sum((1, 2)) / ((masks == k) | (truth == k)).sum((1, 2)) for k in (1, 2)]
+    joint, true = result.articulation.joint, clip.joint
+    mine = result.Ts_camera_moving if swapped else result.Ts_camera_reference
+    T = se3.mean_pose(se3.inverse(clip.Ts) @ mine)
+    axis = T[:3, :3] @ joint.axis
+    sign = np.sign(axis @ true.axis) * (-1 if swapped else 1)
+    off = sign * result.states - clip.states
+    d = se3.transform(T, joint.pivot) - true.pivot
+    line = np.linalg.norm(d - (d @ true.axis) * true.axis)
+    state = np.abs(off - np.median(off)).mean()
+    hinged = true.type == "revolute"
+    return {
+        "axis": np.degrees(np.arccos(min(1.0, abs(axis @ true.axis)))),
+        "line": 100 * line / clip.diagonal if hinged else 0.0,
+        "state": np.degrees(state) if hinged else 100 * state / clip.diagonal,
+        "miou": float(np.mean(iou)),
+    }
+
+
+@pytest.mark.parametrize("name", ["hinge", "slide"])
+def test_joint_states_and_masks_are_found(name, hinge, slide, solved):
+    clip, result = {"hinge": hinge, "slide": slide}[name], solved[name]
+    assert isinstance(result, Reconstruction)
+    assert result.articulation.joint.type == clip.joint.type
+    found = measure(clip, result)
+    assert found["axis"] < 1.0 and found["state"] < 0.5 and found["line"] < 4.0 and found["miou"] > 0.93, found
+
+
+@pytest.mark.parametrize("name", ["hinge", "slide"])
+def test_result_keeps_the_conventions(name, solved):
+    result = solved[name]
+    joint = result.articulation.joint
+    assert np.allclose(result.Ts_camera_reference[0], np.eye(4), atol=1e-9) and result.states[0] == 0
+    assert joint.lower == result.states.min() and joint.upper == result.states.max()
+    assert (result.part_masks == 1).sum() >= (result.part_masks == 2).sum()
+    jointed = result.Ts_camera_reference @ joint.transform(result.states)
+    off = se3.log_se3(se3.inverse(jointed) @ result.Ts_camera_moving)
+    assert 0 < np.abs(off).max() < 0.05, "poses are measured, near the joint but not made by it"
+    assert np.isfinite(result.covariances[result.seen]).all()
+    assert (np.linalg.eigvalsh(result.covariances[result.seen]) >= -1e-12).all()
+    assert (result.state_std[result.seen.all(1)] > 0).all()
+    for part in (result.articulation.reference, result.articulation.moving):
+        assert len(part.faces) > 500 and part.colours is not None
+
+
+def test_meshes_lie_on_the_object(hinge, solved):
+    """Every vertex, posed in every frame, is nowhere in front of what that frame saw: nothing is invented."""
+    result = solved["hinge"]
+    camera = hinge.recording.camera
+    for i in range(0, FRAMES, 6):
+        frame = hinge.recording.frame(i)
+        for mesh in result.articulation.posed(result.Ts_camera_reference[i], float(result.states[i])):
+            at = np.floor(camera.project(mesh.vertices)).astype(int)
+            inside = (at >= 0).all(1) & (at < [camera.width, camera.height]).all(1)
+            x, y = at[inside].T
+            assert inside.mean() > 0.95
+            on_object = frame.mask[y, x]
+            assert on_object.mean() > 0.92
+            in_front = frame.depth[y, x][on_object] - mesh.vertices[inside][on_object, 2]
+            assert np.percentile(in_front, 95) < 0.05 * hinge.diagonal
+
+
+def test_scale_changes_nothing_but_lengths(hinge, solved):
+    small, result = solved["hinge"], None
+    result = reconstruct(make_clip("hinge", FRAMES, spin=GENTLE, scale=0.125).recording, QUIET)
+    assert np.allclose(result.articulation.joint.axis, small.articulation.joint.axis, atol=1e-3)
+    assert np.allclose(result.states, small.states, atol=2e-3)
+    assert np.mean(result.part_masks != small.part_masks) < 1e-3
+
+
+def test_same_seed_same_result(slide, solved):
+    again = reconstruct(slide.recording, QUIET)
+    assert np.array_equal(again.states, solved["slide"].states)
+    assert np.array_equal(again.Ts_camera_moving, solved["slide"].Ts_camera_moving)
+    assert np.array_equal(again.part_masks, solved["slide"].part_masks)
+    assert np.array_equal(again.articulation.moving.vertices, solved["slide"].articulation.moving.vertices)
+
+
+def test_one_rigid_body_is_a_failure():
+    result = reconstruct(make_clip("rigid", 16, spin=GENTLE).recording, QUIET)
+    assert isinstance(result, Failure) and result.stage == "segmentation" and "motion" in result.reason
+
+
+def test_empty_masks_are_a_failure(hinge):
+    source = hinge.recording
+    blank = Recording(source.camera, source.times_s, lambda i: _without_mask(source.frame(i)))
+    result = reconstruct(blank, QUIET)
+    assert isinstance(result, Failure) and result.stage == "tracks" and "mask" in result.reason
+
+
+def test_two_frames_are_a_failure(hinge):
+    source = hinge.recording
+    result = reconstruct(Recording(source.camera, source.times_s[:2], source.load), QUIET)
+    assert isinstance(result, Failure) and result.stage == "tracks" and "2 frames" in result.reason
+
+
+def test_a_frame_without_mask_or_depth_is_survived(hinge):
+    source = hinge.recording
+
+    def load(i):
+        frame = source.frame(i)
+        if i == 7:
+            return _without_mask(frame)
+        return replace(frame, depth=np.zeros_like(frame.depth)) if i == 15 else frame
+
+    result = reconstruct(Recording(source.camera, source.times_s, load), QUIET)
+    assert isinstance(result, Reconstruction)
+    assert not result.seen[7].any() and not result.seen[15].any()
+    assert measure(hinge, result)["axis"] < 1.5
+
+
+def _without_mask(frame):
+    return Frame(frame.rgb, frame.depth, np.zeros_like(frame.mask))
+
+
+# ---- tracks --------------------------------------------------------------------------------------------------------
+
+
+def sliding_plane(frames=6, step=3):
+    """A textured slanted plane that moves `step` pixels a frame to the right at constant depth per point."""
+    camera = Camera.from_fov(160, 120, np.radians(30))
+    rng = np.random.default_rng(0)
+    import cv2
+
+    picture = cv2.resize(rng.integers(40, 255, (30, 60, 3)).astype(np.uint8), (240, 120), interpolation=cv2.INTER_CUBIC)
+    rows = np.arange(120)[:, None] + 0.5
+    depth = np.broadcast_to(1.0 + 0.002 * (rows - 60), (120, 160)).astype(np.float32)  # slanted in rows only
+    mask = np.zeros((120, 160), bool)
+    mask[15:105, 20:140] = True
+
+    def load(i):
+        return Frame(np.ascontiguousarray(picture[:, 60 - step * i :][:, :160]), depth, mask)
+
+    return Recording(camera, np.arange(frames) / 30, load)
+
+
+def test_tracks_follow_a_sliding_plane_in_3d():
+    scene = prepare(sliding_plane(), SceneSettings(min_frames=3))
+    flow = optical_flow(scene)
+    tracks = follow(scene, flow, 0, 4, TrackSettings())
+    kept = tracks.visible[:, -1]
+    assert kept.mean() > 0.6
+    moved = tracks.pixels[kept, -1] - tracks.pixels[kept, 0]
+    assert np.median(np.abs(moved - [12, 0])) < 0.15
+    z = tracks.points[kept, 0, 2]
+    expected = np.stack([12 * z / scene.fx, 0 * z, 0 * z], 1)
+    error = np.linalg.norm(tracks.points[kept, -1] - tracks.points[kept, 0] - expected, axis=1)
+    assert np.median(error) < 0.3 * scene.footprint
+    back = follow(scene, flow, 4, 4, TrackSettings(), direction=-1)
+    assert np.median(back.pixels[back.visible[:, -1], -1, 0] - back.pixels[back.visible[:, -1], 0, 0]) < -11.5
+
+
+def test_lift_meets_the_plane_between_pixels():
+    scene = prepare(sliding_plane(), SceneSettings(min_frames=3))
+    at = np.array([[40.3, 50.7], [60.5, 30.2]])
+    points = lift(scene, 0, at)
+    rows = (points[:, 1] / points[:, 2]) * scene.fy + scene.cy[0]
+    assert np.allclose(rows, at[:, 1], atol=1e-6)
+    full_row = at[:, 1] + scene.origin[0, 1] + 0.5
+    assert np.allclose(points[:, 2], 1.0 + 0.002 * (full_row - 60), atol=2e-5)
+
+
+def test_fast_tracks_are_dropped_beyond_two_sigma():
+    scene = prepare(sliding_plane(), SceneSettings(min_frames=3))
+    flow = optical_flow(scene)
+    flow.forward[0, 40:44, 40:44] += (9, 0)
+    flow.backward[1] = -np.median(flow.forward[0], axis=(0, 1))
+    loose = follow(scene, flow, 0, 1, TrackSettings(max_round_trip=50, tau_v=1e9))
+    tight = follow(scene, flow, 0, 1, TrackSettings(max_round_trip=50))
+    thrown = (loose.pixels[:, 0] >= 40).all(1) & (loose.pixels[:, 0] < 44).all(1) & loose.visible[:, 1]
+    assert thrown.any() and not tight.visible[thrown, 1].any()
+    assert tight.visible[:, 1].sum() > 0.8 * loose.visible[:, 1].sum()
+
+
+# ---- renders -------------------------------------------------------------------------------------------------------
+
+
+def test_render_puts_a_coloured_triangle_where_it_projects():
+    camera = Camera.from_fov(64, 48, np.radians(40))
+    square = np.array([[-0.2, -0.1, 1], [0.2, -0.1, 1], [0.2, 0.1, 1], [-0.2, 0.1, 1]], float)
+    mesh = Mesh(square, np.array([[0, 1, 2], [0, 2, 3]]), np.tile(np.array([[200, 30, 10]], np.uint8), (4, 1)))
+    far = Mesh(square * 2, mesh.faces, np.tile(np.array([[0, 0, 255]], np.uint8), (4, 1)))
+    picture = render(camera, [far, mesh])
+    low, high = camera.project(square[0]), camera.project(square[2])
+    rows, columns = np.indices((48, 64)) + 0.5
+    inside = (columns > low[0]) & (columns < high[0]) & (rows > low[1]) & (rows < high[1])
+    assert (picture[inside] == (200, 30, 10)).all() and (picture[~inside] == 255).all()
+    assert (render(camera, []) == 255).all()
+
+
+# ---- folders and honesty -------------------------------------------------------------------------------------------
+
+CODE = ("", ".py", ".pyc", ".nbi", ".nbc", ".pth", ".toml")
+AUDIT = """
+import json, os, sys
+opened = set()
+def hook(event, arguments):
+    if event in ("open", "os.listdir", "os.scandir") and isinstance(arguments[0], (str, bytes, os.PathLike)):
+        opened.add(os.path.realpath(os.fsdecode(arguments[0])))
+sys.addaudithook(hook)
+from pathlib import Path
+from reconstruct.pipeline import ReconstructSettings, reconstruct_folder
+reconstruct_folder(Path(sys.argv[1]), Path(sys.argv[2]), ReconstructSettings(progress=False))
+print(json.dumps(sorted(opened)))
+"""
+
+
+def test_a_sequence_alone_is_all_it_opens(tmp_path, hinge, solved):
+    home = tmp_path / "data" / "sequences" / "hinge-s0"
+    write_sequence(home, hinge.recording, 2e-5)
+    truth = tmp_path / "data" / "truth" / "hinge-s0"
+    truth.mkdir(parents=True)
+    (truth / "truth.json").write_text("{}")
+    here = reconstruct_folder(home, tmp_path / "results" / "here", QUIET)
+    alone = tmp_path / "elsewhere" / "x7f3"
+    alone.parent.mkdir()
+    shutil.copytree(home, alone)
+    out = tmp_path / "answers" / "x7f3"
+    done = subprocess.run(
+        [sys.executable, "-c", AUDIT, alone, out], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    opened = [Path(p) for p in json.loads(done.stdout.splitlines()[-1])]
+    assert any(p.is_relative_to(alone.resolve()) for p in opened), "the hook saw nothing"
+    home_of_python = {Path(p).resolve() for p in (*sys.path, sys.prefix, sys.base_prefix) if p}
+    libraries = [*home_of_python, Path("/proc"), Path("/sys"), Path("/dev"), Path("/etc"), Path("/usr"), Path("/lib")]
+    mine = [tmp_path.resolve() / "elsewhere" / "x7f3", tmp_path.resolve() / "answers"]
+    for path in opened:
+        if path.is_relative_to(tmp_path.resolve()):
+            assert any(path.is_relative_to(a) for a in mine), path
+        else:
+            code = path.is_relative_to(ROOT) and (path.suffix in CODE or "freeart21.egg-info" in path.parts)
+            assert code or any(path.is_relative_to(a) for a in libraries) or str(path).startswith("/tmp"), path
+        assert "truth" not in path.parts, path
+    there = read_result(out)
+    assert np.array_equal(there.states, here.states) and np.array_equal(there.part_masks, here.part_masks)
+    assert np.array_equal(there.Ts_camera_moving, here.Ts_camera_moving)
+
+
+def test_folder_holds_renders_masks_and_settings(tmp_path, hinge):
+    sequence = tmp_path / "clip"
+    write_sequence(sequence, hinge.recording, 2e-5)
+    result = reconstruct_folder(sequence, tmp_path / "out", QUIET)
+    assert isinstance(result, Reconstruction)
+    data = json.loads((tmp_path / "out" / "prediction.json").read_text())
+    assert data["settings"]["joint"]["type_rule"] == "residual" and set(data["seconds"]) >= {"tracks", "renders"}
+    assert (tmp_path / "out" / "renders" / "00000.png").is_file()
+    picture = render(
+        hinge.recording.camera,
+        list(result.articulation.posed(result.Ts_camera_reference[12], float(result.states[12]))),
+    )
+    frame = hinge.recording.frame(12)
+    shown = (picture < 255).any(2)
+    assert (shown & frame.mask).sum() / (shown | frame.mask).sum() > 0.9
+    both = shown & frame.mask
+    assert np.median(np.abs(picture[both].astype(int) - frame.rgb[both])) < 25
+
+
+def test_a_failure_is_written_too(tmp_path, hinge):
+    source = hinge.recording
+    write_sequence(tmp_path / "short", Recording(source.camera, source.times_s[:3], source.load), 2e-5)
+    result = reconstruct_folder(tmp_path / "short", tmp_path / "out", QUIET)
+    assert isinstance(result, Failure)
+    assert read_result(tmp_path / "out") == result
