@@ -39,7 +39,7 @@ def fuse(
     field, weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     truncation = settings.truncation * voxel + 2 * scene.noise
     frames = np.flatnonzero(used)
-    frames = frames[:: max(1, -(-len(frames) // settings.max_frames))]
+    frames = frames[:: max(1, -(-len(frames) // settings.max_frames))].copy()
     depth = np.ascontiguousarray(scene.points[..., 2])
     arguments = (field, weight, low, voxel, Ts, frames, depth, labels, part)
     lens = (scene.fx, scene.fy, scene.cx, scene.cy, truncation)
