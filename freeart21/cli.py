@@ -63,25 +63,36 @@ def demo(
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf.
         joint: Joint of a PartNet-Mobility object that moves.
     """
+    from export.exporter import export_result
     from freeart21.files.atomic import new_folder
+    from freeart21.reconstruction import Failure
     from freeart21.view import write_page
+    from generator.recorder import RecordSettings, record
     from leaderboard.score import score_results, write_scores
     from leaderboard.tables import page_entries, print_scores
+    from reconstruct.pipeline import reconstruct_folder
 
     with new_folder(out, replace=True) as aside:
         data, results = aside / "data", aside / "results" / "ours"
-        record((name,), data, frames, seed, partnet_root, joint)
-        (sequence,) = (data / "sequences").iterdir()
-        result = results / sequence.name
-        if reconstruct(sequence, result) == 0:
-            export(result, result / "asset")
-        scores = score_results(results, data, "strict-1")
+        print(f"Recording {frames} frames of {name} in the simulator", flush=True)
+        settings = RecordSettings(frames=frames, seed=seed, partnet_root=partnet_root, joint=joint)
+        sequence = record(name, data, settings)
+        print("Reconstructing it from the video alone", flush=True)
+        answer = reconstruct_folder(data / "sequences" / sequence, results / sequence)
+        if not isinstance(answer, Failure):
+            print("Exporting it as URDF, MJCF and meshes; reloading them", flush=True)
+            export_result(results / sequence, results / sequence / "asset")
+        print("Scoring the reloaded asset against the truth", flush=True)
+        scores = score_results(results, data)
         write_scores(aside / "scores.json", scores)
-        entries = page_entries(scores.rows[0], scores.protocol)
         write_page(
-            result, aside / "index.html", truth=data / "truth" / sequence.name, sequence=sequence, scores=entries
+            results / sequence,
+            aside / "index.html",
+            truth=data / "truth" / sequence,
+            sequence=data / "sequences" / sequence,
+            scores=page_entries(scores.rows[0], scores.protocol),
         )
-        print_scores(scores)
+    print_scores(scores)
     print(f"Everything is in {out}; open {out / 'index.html'} to look at it.")
 
 
