@@ -124,6 +124,7 @@ def record(
     seed: int = 0,
     partnet_root: Path | None = None,
     joint: str | None = None,
+    skip_missing: bool = False,
 ) -> None:
     """Record objects in SAPIEN: the video that a method may see, and the truth apart from it.
 
@@ -134,13 +135,16 @@ def record(
         seed: Seed of shape, motion and views.
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf.
         joint: Joint of a PartNet-Mobility object that moves, where the catalog names none.
+        skip_missing: Leave out meshes that a PartNet-Mobility object names but does not have.
     """
     from generator.recorder import RecordSettings, built_in_names, record
 
     wanted = built_in_names() if names == ("all",) else names
     if not wanted:
         raise FreeArtError(f"record: no object was named; name some of {', '.join(built_in_names())}, or all")
-    settings = RecordSettings(frames=frames, seed=seed, partnet_root=partnet_root, joint=joint)
+    settings = RecordSettings(
+        frames=frames, seed=seed, partnet_root=partnet_root, joint=joint, skip_missing=skip_missing
+    )
     for name in wanted:
         print(out / "sequences" / record(name, out, settings))
 

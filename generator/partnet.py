@@ -212,7 +212,7 @@ def _absent(visuals: dict[str, list[Visual]], folder: Path, urdf: Path, skip_mis
     if absent and not skip_missing:
         more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""
         raise FreeArtError(
-            f"{urdf} names the mesh {absent[0]}, which does not exist{more}; skip_missing leaves absent meshes out"
+            f"{urdf} names the mesh {absent[0]}, which does not exist{more}; --skip-missing leaves absent meshes out"
         )
     return absent
 

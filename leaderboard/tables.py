@@ -13,13 +13,14 @@ _DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
 
 
 def print_scores(scores: Scores, console: Console | None = None) -> None:
-    """Print both tables, and a line for every sequence that was not measured or needs a word."""
+    """Print the table of sequences, a line for each that needs a word, and the table by joint type when there are more."""
     console = console or Console()
     console.print(sequence_table(scores))
     for row in scores.rows:
         for line in (*([f"{row.status}: {row.reason}"] if row.reason else []), *row.notes):
             console.print(f"  {escape(row.sequence)}: {escape(line)}", style="red" if row.status != "ok" else "yellow")
-    console.print(group_table(scores))
+    if len(scores.rows) > 1:
+        console.print(group_table(scores))
 
 
 def sequence_table(scores: Scores) -> Table:
