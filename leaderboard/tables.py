@@ -13,7 +13,7 @@ _DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
 
 
 def print_scores(scores: Scores, console: Console | None = None) -> None:
-    """Print the table of sequences, a line for each that needs a word, and the table by joint type when there are more."""
+    """Print a table of sequences, a line for each that needs a word, and means by joint type when there are several."""
     console = console or Console()
     console.print(sequence_table(scores))
     for row in scores.rows:
