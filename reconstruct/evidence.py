@@ -42,8 +42,8 @@ class Evidence:
     ) -> tuple[Array, Array, Array]:
         """Gauss-Newton terms H (p, 6, 6), g (p, 6) for left twists of T (p, 4, 4) = T_target_source, and stats (p, 4).
 
-        `gate` is in units. With `labels` (n, h, w) and `part` 1 or 2, samples meet only that part. Statistics are
-        inliers, projected, cost and outside.
+        `gate` is in units. With `labels` (n, h, w) and `part` 1 or 2, samples do not meet the other part; label 0 is
+        either's. Statistics are inliers, projected, cost and outside.
         """
         scene, s = self.scene, self.settings
         pixels, offsets = _flat(samples, len(scene))
@@ -147,6 +147,17 @@ class Evidence:
         weight = np.maximum(cv2.GaussianBlur(measured.astype(float), (0, 0), 0.8), 0.05)
         unary = cv2.GaussianBlur(unary, (0, 0), 0.8) / weight
         return self.smoothed(frame, unary if prior is None else unary + prior)
+
+
+    def usable(self, frame: int, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """The pixels of `mask` (h, w) to register with: away from depth steps, or any when those are too few.
+
+        A face seen at a grazing angle is all depth step, and yet the best there is.
+        """
+        everything = mask & self.scene.valid[frame]
+        inner = everything & ~self.scene.edge[frame]
+        enough = self.settings.enough_pixels
+        return everything if inner.sum() < enough <= everything.sum() else inner
 
 
 _NO_LABELS = np.zeros((1, 1, 1), np.uint8)

@@ -64,8 +64,8 @@ def register_pairs(  # pragma: no cover
 ):
     """Gauss-Newton terms of the frame pairs begin to end for the left twist (v, w) of T[p] = T_target_source.
 
-    `samples[offsets[i]:offsets[i + 1]]` are rows and columns in frame i. With `part` > 0 a sample only meets target
-    pixels with that label. Terms per sample: point-to-plane by projective association with Tukey's weight, colour
+    `samples[offsets[i]:offsets[i + 1]]` are rows and columns in frame i. With `part` > 0 a sample does not meet target
+    pixels labelled as the other part (label 0 is either's). Terms per sample: point-to-plane by projective association with Tukey's weight, colour
     along its gradient, and the distance to the mask where it falls outside. Fills H (p, 6, 6), g (p, 6) and
     stats (p, 4): inliers, projected, cost, outside.
     """
@@ -107,7 +107,7 @@ def register_pairs(  # pragma: no cover
                 cost += 0.5 * weight * r * r
                 continue
             facing = -(M0 * Y0 + M1 * Y1 + M2 * Y2) / math.sqrt(Y0 * Y0 + Y1 * Y1 + Y2 * Y2)
-            if facing < 0.15 or points[j, yi, xi, 2] <= 0 or (part > 0 and labels[j, yi, xi] != part):
+            if facing < 0.15 or points[j, yi, xi, 2] <= 0 or (part > 0 and labels[j, yi, xi] == 3 - part):
                 continue
             n0, n1, n2 = normals[j, yi, xi, 0], normals[j, yi, xi, 1], normals[j, yi, xi, 2]
             if n0 * M0 + n1 * M1 + n2 * M2 < 0.7:

@@ -52,11 +52,8 @@ class FreePoses:
 def part_samples(
     evidence: Evidence, labels: Labels, part: int, most: int, rng: np.random.Generator, frames: NDArray[np.bool_]
 ) -> Samples:
-    """Pixels of one part (1 or 2), away from depth steps, in every one of `frames` (n,)."""
-    scene = evidence.scene
-    return {
-        int(i): draw((labels[i] == part) & scene.valid[i] & ~scene.edge[i], most, rng) for i in np.flatnonzero(frames)
-    }
+    """Usable pixels of one part (1 or 2) in every one of `frames` (n,)."""
+    return {int(i): draw(evidence.usable(i, labels[i] == part), most, rng) for i in np.flatnonzero(frames)}
 
 
 def choose_pairs(Ts: Array, seen: NDArray[np.bool_], settings: PoseSettings) -> tuple[NDArray, NDArray]:
@@ -136,7 +133,7 @@ def joint_adjustment(
         A, b = M.T @ A1 @ M, M.T @ b1
         A[: 6 * n, : 6 * n] += A0
         b[: 6 * n] += b0
-        _add_state_smoothness(A, b, now.states, n)
+        _add_state_smoothness(A, b, now.states - start.states)
         now = _stepped(now, _damped_solve(A, b), across, evidence.scene.diagonal)
         if r in (rounds // 3, 2 * rounds // 3):
             pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((now.Ts, now.Ts_moving))]
@@ -214,8 +211,12 @@ def _stepped(now: JointedPoses, x: Array, across: Array, size: float) -> Jointed
     return replace(now, joint=new, states=states, Ts=Ts)
 
 
-def _add_state_smoothness(A: Array, b: Array, states: Array, n: int) -> None:
-    """A weak pull of states to even motion, so that frames without evidence are interpolated."""
+def _add_state_smoothness(A: Array, b: Array, corrections: Array) -> None:
+    """A weak pull of the states' corrections (n,) to a straight line: frames without evidence go with their neighbours.
+
+    Not of the states: where nothing is seen, those of the growth are the best there are.
+    """
+    n = len(corrections)
     if n < 3:
         return
     D = np.zeros((n - 2, n))
@@ -224,7 +225,7 @@ def _add_state_smoothness(A: Array, b: Array, states: Array, n: int) -> None:
     diagonal = np.diag(A)[6 * n : 7 * n]
     weight = 1e-3 * float(np.median(diagonal[diagonal > 0])) if (diagonal > 0).any() else 1.0
     A[6 * n : 7 * n, 6 * n : 7 * n] += weight * D.T @ D
-    b[6 * n : 7 * n] += weight * D.T @ (D @ states)
+    b[6 * n : 7 * n] += weight * D.T @ (D @ corrections)
 
 
 def _damped_solve(A: Array, b: Array) -> Array:

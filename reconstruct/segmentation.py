@@ -21,7 +21,7 @@ from reconstruct.poses import JointedPoses, joint_adjustment
 from reconstruct.scene import HopelessError
 from reconstruct.seeds import Seed, stepped
 from reconstruct.settings import ReconstructSettings
-from reconstruct.tracks import Flow, follow
+from reconstruct.tracks import Flow, bilinear, follow
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,7 @@ class Growth:
 
     def step_free(self, frame: int, neighbour: int, starts: tuple[list[Array], ...]) -> None:
         """Pose both parts of a frame freely, each from the best of several starts, and label it."""
+        self.labels[frame] = self._carried(frame, neighbour)
         found: list[Array | None] = []
         for k in range(2):
             best, best_cost = None, np.inf
@@ -107,12 +108,13 @@ class Growth:
             for k in range(0 if last else 2):
                 references = self.references(k, poses[k], frame)
                 if self.seen[frame, k] and len(references):
-                    T, inliers = self._registered(k, frame, poses[k], references, (6.0, 5.0, 4.0), labelled=True)
+                    T, inliers = self._registered(k, frame, poses[k], references, (6.0, 5.0, 4.0))
                     poses[k] = T if inliers >= self.settings.growth.min_part_pixels else poses[k]
         self.done[frame] = True
 
     def step_jointed(self, frame: int, neighbour: int) -> None:
         """Pose a frame by the reference pose and the joint state, from the best of several starts, and label it."""
+        self.labels[frame] = self._carried(frame, neighbour)
         best = min(
             (
                 self._registered_jointed(frame, T, q, self.settings.growth.gates)
@@ -125,7 +127,7 @@ class Growth:
             self._place(frame, T, q)
             self._label(frame)
             if not last:
-                T, q, cost = self._registered_jointed(frame, T, q, (6.0, 5.0, 4.0), labelled=True)
+                T, q, cost = self._registered_jointed(frame, T, q, (6.0, 5.0, 4.0))
         self.costs[frame] = cost
         self.done[frame] = True
 
@@ -197,7 +199,7 @@ class Growth:
         return np.array(sorted(set(chosen)), int)
 
     def _terms(
-        self, k: int, frame: int, T: Array, references: NDArray[np.int64], gate: float, labelled: bool
+        self, k: int, frame: int, T: Array, references: NDArray[np.int64], gate: float
     ) -> tuple[Array, Array, Array]:
         """Summed Gauss-Newton terms of the left twist of part k's pose in `frame`, from the references' samples."""
         relative = T @ se3.inverse(self.Ts[k, references])
@@ -208,23 +210,23 @@ class Growth:
             relative,
             samples,
             gate,
-            self.labels if labelled else None,
+            self.labels,
             k + 1,
         )
         return H.sum(0), g.sum(0), stats.sum(0)
 
     def _registered(
-        self, k: int, frame: int, T: Array, references: NDArray, gates: tuple[float, ...], labelled: bool = False
+        self, k: int, frame: int, T: Array, references: NDArray, gates: tuple[float, ...]
     ) -> tuple[Array, float]:
         """Part k's pose after Gauss-Newton through the gates, and inliers per reference."""
         stats = np.zeros(4)
         for gate in gates:
-            H, g, stats = self._terms(k, frame, T, references, gate, labelled)
+            H, g, stats = self._terms(k, frame, T, references, gate)
             T = stepped(T, H, g)
         return T, stats[0] / len(references)
 
     def _registered_jointed(
-        self, frame: int, T: Array, q: float, gates: tuple[float, ...], labelled: bool = False
+        self, frame: int, T: Array, q: float, gates: tuple[float, ...]
     ) -> tuple[Array, float, float]:
         """Reference pose and state after Gauss-Newton with six plus one unknowns, and their cost."""
         assert self.joint is not None
@@ -241,7 +243,7 @@ class Growth:
                     continue
                 M = np.eye(6, 7)
                 M[:, 6] = se3.adjoint(T) @ self.joint.screw if k else 0
-                H, g, _ = self._terms(k, frame, T @ self.joint.transform(q) if k else T, references[k], gate, labelled)
+                H, g, _ = self._terms(k, frame, T @ self.joint.transform(q) if k else T, references[k], gate)
                 A += M.T @ H @ M
                 b += M.T @ g
             diagonal = np.diag(A)
@@ -269,6 +271,20 @@ class Growth:
 
     # ---- labels --------------------------------------------------------------------------------------------------
 
+    def _carried(self, frame: int, neighbour: int) -> NDArray[np.uint8]:
+        """Labels (h, w) that the flow brings from a neighbour; 0 where it disagrees with itself.
+
+        With them a part that is about to vanish cannot slip onto the surface of the other.
+        """
+        direction = neighbour - frame
+        h, w = self.labels.shape[1:]
+        at = np.indices((h, w))[::-1].reshape(2, -1).T.astype(float)
+        there = at + self.flow.step(frame, direction).reshape(-1, 2)
+        round_trip = np.linalg.norm(there + bilinear(self.flow.step(neighbour, -direction), there) - at, axis=1)
+        x, y = np.clip(np.rint(there).astype(int), 0, (w - 1, h - 1)).T
+        sure = round_trip < self.settings.tracks.max_round_trip
+        return np.where(sure, self.labels[neighbour, y, x], 0).reshape(h, w).astype(np.uint8)
+
     def _place(self, frame: int, T: Array, q: float) -> None:
         assert self.joint is not None
         self.Ts[0, frame], self.states[frame] = T, q
@@ -287,7 +303,7 @@ class Growth:
         self.logodds[frame] = logodds
         self.labels[frame] = np.where(scene.mask[frame], np.where(logodds > 0, 2, 1), 0)
         for k in range(2):
-            sure = (self.labels[frame] == k + 1) & scene.valid[frame] & ~scene.edge[frame] & (np.abs(logodds) > 1)
+            sure = self.evidence.usable(frame, (self.labels[frame] == k + 1) & (np.abs(logodds) > 1))
             self.samples[k][frame] = draw(sure, settings.samples, self.rng)
             least = settings.min_part_pixels if self.joint is None else settings.min_jointed_pixels
             self.seen[frame, k] = sure.sum() >= least
@@ -407,6 +423,6 @@ def relabel(evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng
         logodds[i] = evidence.pixel_logodds(i, others, motions, grown.logodds, 0.3, prior)
     scene, least = evidence.scene, settings.growth.min_jointed_pixels
     labels = np.where(scene.mask, np.where(logodds > 0, 2, 1), 0).astype(np.uint8)
-    sure = scene.valid & ~scene.edge & (np.abs(logodds) > 1)
-    seen = np.stack([((labels == k + 1) & sure).sum((1, 2)) >= least for k in range(2)], 1)
-    return replace(grown, labels=labels, logodds=logodds, seen=seen)
+    sure = np.abs(logodds) > 1
+    seen = [[evidence.usable(i, (labels[i] == k) & sure[i]).sum() >= least for k in (1, 2)] for i in range(n)]
+    return replace(grown, labels=labels, logodds=logodds, seen=np.array(seen))

@@ -77,6 +77,8 @@ class EvidenceSettings:
     """Weight of colour against depth in registration."""
     cap: float = 6.0
     """Largest cost of a pixel."""
+    enough_pixels: int = 60
+    """With fewer pixels of a part away from depth steps, those at depth steps are used too."""
 
 
 @dataclass(frozen=True)
@@ -169,15 +171,20 @@ class PoseSettings:
 class SurfaceSettings:
     """Fusion of a part's depth into a coloured mesh."""
 
-    voxel: float = 1.3
+    voxel: float = 1.0
     """Least edge of a voxel."""
-    max_voxels: int = 2_500_000
+    max_voxels: int = 16_000_000
+    """In the box round a part, most of them far from any surface and never looked at."""
     truncation: float = 3.0
-    """Voxels, either side of the surface, that a depth measurement speaks of."""
+    """Voxels in front of the surface over which a depth measurement tells distance."""
+    behind: float = 2.0
+    """Voxels behind the surface of which it speaks at all: sheets thinner than this grow thicker."""
     max_frames: int = 80
     """Frames that are fused, evenly drawn."""
     min_component: float = 0.02
     """Pieces smaller than this share of the largest are dropped."""
+    sharpness: float = 6.0
+    """Power of a view's quality (frontal, near) in the mean colour: high lets the best views win."""
 
 
 @dataclass(frozen=True)
