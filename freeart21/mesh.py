@@ -48,6 +48,12 @@ class Mesh:
         """The mesh with its vertices mapped by `T_new_old` (4, 4)."""
         return replace(self, vertices=se3.transform(T_new_old, self.vertices))
 
+    def with_faces(self, kept: NDArray[np.bool_]) -> Mesh:
+        """The mesh of the faces `kept` (F,) alone, without vertices that none of them uses."""
+        faces = self.faces[kept]
+        used, new = np.unique(faces, return_inverse=True)
+        return Mesh(self.vertices[used], new.reshape(-1, 3), None if self.colours is None else self.colours[used])
+
     def areas(self) -> NDArray[np.float64]:
         """(F,) triangle areas, m^2."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))

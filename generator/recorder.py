@@ -215,21 +215,25 @@ class _Session:
         )
 
     def truth(self, parts: _Parts, views: tuple[PlannedQuery, ...], facts: dict[str, Any]) -> Truth:
-        """The truth of the video; renders the held-out views."""
+        """The truth of the video; renders the held-out views.
+
+        Faces that nothing outside can ever see (where solids of one part meet) are left out: no video tells of them,
+        and handed in as an answer the truth must score perfect.
+        """
         order, every = parts.order, self.settings.visible_every
         meshes = self.meshes[order[0]], self.meshes[order[1]]
         shown = ((T, U, side > 0) for T, U, side in zip(*parts.Ts_camera, self._sides, strict=True))
         visible = visible_faces(meshes, self.camera, itertools.islice(shown, 0, None, every))
-        outer = outer_faces(meshes, parts.joint)
+        outer = [o | v for o, v in zip(outer_faces(meshes, parts.joint), visible, strict=True)]
         label = np.array([0, 1 + order.index(0), 1 + order.index(1)], np.uint8)
         pictures = [self._view(view, parts) for view in views]
         return Truth(
-            Articulation(parts.joint, *meshes),
+            Articulation(parts.joint, *(mesh.with_faces(o) for mesh, o in zip(meshes, outer, strict=True))),
             self.plan.states,
             *parts.Ts_camera,
             parts.seen,
-            (outer[0] | visible[0], outer[1] | visible[1]),
-            visible,
+            (outer[0][outer[0]], outer[1][outer[1]]),
+            (visible[0][outer[0]], visible[1][outer[1]]),
             lambda i: label[self._sides[i]],
             lambda i: pictures[i].rgb,
             lambda i: pictures[i].side > 0,

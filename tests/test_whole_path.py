@@ -1,0 +1,49 @@
+"""The rooms together: what is recorded, handed in, exported, reloaded and scored."""
+
+import numpy as np
+import pytest
+
+from export.exporter import export_result
+from freeart21.files.result import write_result
+from freeart21.files.sequence import read_sequence
+from freeart21.files.truth import read_truth
+from freeart21.reconstruction import Reconstruction
+from generator.recorder import RecordSettings, record
+from leaderboard.score import score_results
+
+SETTINGS = RecordSettings(frames=6, seed=11, queries=3, width=320, height=180, shader="trivial")
+
+
+@pytest.mark.parametrize("name", ["drawer_unit", "flip_lighter"])
+def test_a_recorded_truth_handed_in_and_reloaded_scores_perfect(name, tmp_path):
+    data, results = tmp_path / "data", tmp_path / "results"
+    sequence = record(name, data, SETTINGS)
+    truth, recording = read_truth(data / "truth" / sequence), read_sequence(data / "sequences" / sequence)
+    answer = Reconstruction(
+        truth.articulation,
+        truth.states,
+        truth.Ts_camera_reference,
+        truth.Ts_camera_moving,
+        np.stack([truth.part_mask(i) for i in range(len(truth))]),
+        truth.seen > 0,
+    )
+    write_result(results / sequence, answer, renders=[truth.query_rgb(i) for i in range(len(recording.queries))])
+    export_result(results / sequence, results / sequence / "asset")
+    (row,) = score_results(results, data).rows
+    assert (row.status, row.measured_from, row.swapped) == ("ok", "asset", False)
+    assert row.values["joint_type"] == row.values["fscore"] == 1
+    assert row.values["miou"] == row.values["ssim"] == pytest.approx(1)
+    assert row.values["psnr"] == 100
+    for metric in (
+        "axis",
+        "state",
+        "state_all",
+        "pose_rotation",
+        "pose_translation",
+        "chamfer_w",
+        "chamfer_m",
+        "chamfer_s",
+    ):
+        assert row.values[metric] == pytest.approx(0, abs=1e-3), metric
+    if name == "flip_lighter":
+        assert row.values["position"] == pytest.approx(0, abs=1e-3)
