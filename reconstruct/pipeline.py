@@ -30,6 +30,7 @@ from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence
+from reconstruct.gaps import bridge_gaps
 from reconstruct.poses import FreePoses, free_adjustment, joint_adjustment
 from reconstruct.renders import render_queries
 from reconstruct.scene import HopelessError, Scene, full_masks, prepare
@@ -82,6 +83,7 @@ def _solve(recording: Recording, settings: ReconstructSettings, clock: _Clock) -
             seeds = find_seeds(evidence, flow, settings.seeds, settings.tracks, rng)
             grown = grow(evidence, flow, seeds[0], settings, rng)
         with clock.stage("joint"):
+            grown = bridge_gaps(evidence, grown, settings.gaps, rng)
             for _ in range(2):
                 grown = relabel(evidence, grown, settings, rng)
                 poses = joint_adjustment(evidence, grown.labels, grown.poses, grown.seen, settings.poses, rng)

@@ -129,6 +129,24 @@ class GrowthSettings:
 
 
 @dataclass(frozen=True)
+class GapSettings:
+    """Joining what came before and after frames in which a part is hidden."""
+
+    shortest_gap: int = 2
+    """Frames without the part that can break the chain."""
+    shortest_piece: int = 3
+    """Shorter runs between two gaps are not believed."""
+    frames: int = 10
+    """Frames, evenly drawn on each side, that are compared."""
+    samples: int = 200
+    """Pixels of the part per frame."""
+    steps: int = 40
+    """Steps of the state, each way, over the range of motion."""
+    least_gain: float = 0.05
+    """Share by which the cost must fall for the states to be shifted."""
+
+
+@dataclass(frozen=True)
 class JointSettings:
     """Joint type and closed forms."""
 
@@ -183,6 +201,10 @@ class SurfaceSettings:
     """Frames that are fused, evenly drawn."""
     min_component: float = 0.02
     """Pieces smaller than this share of the largest are dropped."""
+    empty: float = 0.5
+    """Weight of a background pixel's word that a place is free; a pixel that faces the surface squarely has 1."""
+    least: float = 0.0
+    """Weight above which a voxel is known."""
     sharpness: float = 6.0
     """Power of a view's quality (frontal, near) in the mean colour: high lets the best views win."""
 
@@ -198,6 +220,7 @@ class ReconstructSettings:
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     labels: LabelSettings = field(default_factory=LabelSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)
+    gaps: GapSettings = field(default_factory=GapSettings)
     joint: JointSettings = field(default_factory=JointSettings)
     poses: PoseSettings = field(default_factory=PoseSettings)
     surfaces: SurfaceSettings = field(default_factory=SurfaceSettings)
