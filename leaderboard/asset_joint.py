@@ -47,14 +47,23 @@ def measured_joint(folder: Path, states: ArrayLike) -> tuple[Joint, Array]:
     check_files(folder)
     request = json.dumps({"asset": str(folder.resolve()), "states": np.asarray(states, float).tolist()})
     try:
-        done = subprocess.run([sys.executable, "-m", "leaderboard.asset_joint"], input=request, capture_output=True,
-                              text=True, errors="replace", timeout=TIME_LIMIT_S, check=False)
+        done = subprocess.run(
+            [sys.executable, "-m", "leaderboard.asset_joint"],
+            input=request,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=TIME_LIMIT_S,
+            check=False,
+        )
     except subprocess.TimeoutExpired as error:
         raise FreeArtError(f"{folder} did not load and move within {TIME_LIMIT_S:g} s") from error
     lines = done.stdout.splitlines()
     if done.returncode or not lines:
-        raise FreeArtError(f"{folder} ended the simulator that loaded it (exit code {done.returncode}): "
-                           f"{(done.stderr.strip().splitlines() or ['no message'])[-1]}")
+        raise FreeArtError(
+            f"{folder} ended the simulator that loaded it (exit code {done.returncode}): "
+            f"{(done.stderr.strip().splitlines() or ['no message'])[-1]}"
+        )
     answer: dict[str, Any] = json.loads(lines[-1])
     if "error" in answer:
         raise FreeArtError(answer["error"])

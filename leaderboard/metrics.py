@@ -32,8 +32,7 @@ def point_to_line(point: Array, axis: Array, pivot: Array) -> float:
     return float(np.linalg.norm(np.cross(point - pivot, axis)))
 
 
-def position_error(centre: Array, axis_truth: Array, pivot_truth: Array, axis: Array,
-                   pivot: Array) -> float:
+def position_error(centre: Array, axis_truth: Array, pivot_truth: Array, axis: Array, pivot: Array) -> float:
     """Distance, metres, from the point of the true axis nearest `centre` (3,) to the predicted line.
 
     Unlike line to line it is not fooled by a tilted axis that crosses the true one far from the object.
@@ -143,8 +142,11 @@ def ssim(truth: NDArray[np.uint8], picture: NDArray[np.uint8], mask: NDArray[np.
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     pad = [(_SSIM_RADIUS, _SSIM_RADIUS)] * 2
-    white = [np.pad(np.where(mask[..., None], image, 255)[box], [*pad, (0, 0)], constant_values=255).astype(np.uint8)
-             for image in (truth, picture)]
-    _, similarity = structural_similarity(*white, channel_axis=2, data_range=255, gaussian_weights=True, sigma=1.5,
-                                          use_sample_covariance=False, full=True)
+    white = [
+        np.pad(np.where(mask[..., None], image, 255)[box], [*pad, (0, 0)], constant_values=255).astype(np.uint8)
+        for image in (truth, picture)
+    ]
+    _, similarity = structural_similarity(
+        *white, channel_axis=2, data_range=255, gaussian_weights=True, sigma=1.5, use_sample_covariance=False, full=True
+    )
     return float(similarity[np.pad(mask[box], pad)].mean())

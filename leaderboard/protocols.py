@@ -78,17 +78,29 @@ def protocol_named(name: str) -> Protocol:
 
 
 def _surface(id: str, what: str) -> Metric:
-    return Metric(id, "%", "%", "down", 100.0, (
-        f"{what}: mean of the two directed mean distances, point to triangle, 100k seeded samples; truth to prediction "
-        "samples the truth's visible surface, prediction to truth measures to the whole outer surface; averaged over "
-        "the five frames whose true states lie nearest to five values spread evenly over the range, parts posed in "
-        "the camera frame by each side's own reference pose and state"))
+    return Metric(
+        id,
+        "%",
+        "%",
+        "down",
+        100.0,
+        (
+            f"{what}: mean of the two directed mean distances, point to triangle, 100k seeded samples; truth to "
+            "prediction samples the truth's visible surface, prediction to truth measures to the whole outer surface; "
+            "averaged over the five frames whose true states lie nearest to five values spread evenly over the range, parts posed in "
+            "the camera frame by each side's own reference pose and state"
+        ),
+    )
 
 
-_STATE = ("mean absolute difference over {frames}; one global sign, that of the dot product of the two axes; the "
-          "offset that makes it smallest (the median) removed; revolute states wrapped")
-_BOTH = ("frames in which the truth shows both parts with 1 % or more of the foreground each (over all frames when "
-         "there is none)")
+_STATE = (
+    "mean absolute difference over {frames}; one global sign, that of the dot product of the two axes; the "
+    "offset that makes it smallest (the median) removed; revolute states wrapped"
+)
+_BOTH = (
+    "frames in which the truth shows both parts with 1 % or more of the foreground each (over all frames when "
+    "there is none)"
+)
 
 STRICT_1 = Protocol(
     "strict-1",
@@ -103,29 +115,78 @@ STRICT_1 = Protocol(
     (
         Metric("joint_type", "fraction", "fraction", "up", 0.0, "1 when the joint's type is right, else 0"),
         Metric("axis", "deg", "deg", "down", 90.0, "arccos of the clipped absolute dot product of the axes"),
-        Metric("position", "%", None, "down", 100.0,
-               "distance from the point of the true axis nearest the moving part's centre to the predicted line"),
-        Metric("position_line", "%", None, "down", 100.0,
-               "distance between the two axes as lines; point to line when they are parallel within 1e-6", "position"),
+        Metric(
+            "position",
+            "%",
+            None,
+            "down",
+            100.0,
+            "distance from the point of the true axis nearest the moving part's centre to the predicted line",
+        ),
+        Metric(
+            "position_line",
+            "%",
+            None,
+            "down",
+            100.0,
+            "distance between the two axes as lines; point to line when they are parallel within 1e-6",
+            "position",
+        ),
         Metric("state", "deg", "%", "down", None, _STATE.format(frames=_BOTH)),
         Metric("state_all", "deg", "%", "down", None, _STATE.format(frames="all frames")),
-        Metric("miou", "fraction", "fraction", "up", 0.0,
-               "intersection over union, mean over frames and both parts; a part absent in both counts 1"),
-        Metric("pose_rotation", "deg", "deg", "down", 180.0,
-               "mean geodesic error of the reference part over all frames after alignment"),
-        Metric("pose_translation", "%", "%", "down", 100.0,
-               "mean distance of the reference part's centre over all frames after alignment"),
+        Metric(
+            "miou",
+            "fraction",
+            "fraction",
+            "up",
+            0.0,
+            "intersection over union, mean over frames and both parts; a part absent in both counts 1",
+        ),
+        Metric(
+            "pose_rotation",
+            "deg",
+            "deg",
+            "down",
+            180.0,
+            "mean geodesic error of the reference part over all frames after alignment",
+        ),
+        Metric(
+            "pose_translation",
+            "%",
+            "%",
+            "down",
+            100.0,
+            "mean distance of the reference part's centre over all frames after alignment",
+        ),
         _surface("chamfer_w", "whole object"),
         _surface("chamfer_m", "moving part"),
         _surface("chamfer_s", "reference part"),
-        Metric("fscore", "fraction", "fraction", "up", 0.0,
-               "whole object: harmonic mean of precision and recall of the same samples within 1 % of the diagonal"),
-        Metric("psnr", "dB", "dB", "up", 0.0,
-               "held-out queries, uint8, over the pixels of the truth's mask, white elsewhere, mean over queries; at "
-               "most 100; no search at test time; a missing render counts 0"),
-        Metric("ssim", "fraction", "fraction", "up", 0.0,
-               "structural similarity (Gaussian window, sigma 1.5) of the same pictures, mean over the mask's pixels",
-               "psnr"),
+        Metric(
+            "fscore",
+            "fraction",
+            "fraction",
+            "up",
+            0.0,
+            "whole object: harmonic mean of precision and recall of the same samples within 1 % of the diagonal",
+        ),
+        Metric(
+            "psnr",
+            "dB",
+            "dB",
+            "up",
+            0.0,
+            "held-out queries, uint8, over the pixels of the truth's mask, white elsewhere, mean over queries; at "
+            "most 100; no search at test time; a missing render counts 0",
+        ),
+        Metric(
+            "ssim",
+            "fraction",
+            "fraction",
+            "up",
+            0.0,
+            "structural similarity (Gaussian window, sigma 1.5) of the same pictures, mean over the mask's pixels",
+            "psnr",
+        ),
     ),
     strict1.measure,
 )

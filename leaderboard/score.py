@@ -100,8 +100,9 @@ class Scores:
     """What scoring took."""
 
 
-def score_results(results: Path, data: Path, protocol: str = "strict-1",
-                  progress: Callable[[Row], None] | None = None) -> Scores:
+def score_results(
+    results: Path, data: Path, protocol: str = "strict-1", progress: Callable[[Row], None] | None = None
+) -> Scores:
     """Score the results folder of one method against the benchmark folder `data`: every sequence of it, found or not.
 
     `progress` is called with each row. Raises FreeArtError when the protocol is unknown, `results` is not a folder of
@@ -119,8 +120,12 @@ def score_results(results: Path, data: Path, protocol: str = "strict-1",
         rows.append(score_sequence(results / name, benchmark.sequence(name), benchmark.truth(name), rules.name))
         if progress:
             progress(rows[-1])
-    facts = {"name": benchmark.name, "version": benchmark.version, "split": benchmark.split,
-             "sha256": file_sha256(benchmark.folder / "benchmark.json")}
+    facts = {
+        "name": benchmark.name,
+        "version": benchmark.version,
+        "split": benchmark.split,
+        "sha256": file_sha256(benchmark.folder / "benchmark.json"),
+    }
     summaries, seconds = summarise(rows, rules), time.perf_counter() - begun
     return Scores(rules.name, read_method(results), facts, tuple(rows), summaries, seconds)
 
@@ -163,8 +168,10 @@ class Case:
 
     def __post_init__(self) -> None:
         if len(self.truth) != len(self.recording):
-            raise FreeArtError(f"{self.recording.name}: the truth has {len(self.truth)} states, the sequence has "
-                               f"{len(self.recording)} frames")
+            raise FreeArtError(
+                f"{self.recording.name}: the truth has {len(self.truth)} states, the sequence has "
+                f"{len(self.recording)} frames"
+            )
 
     @cached_property
     def diagonal(self) -> float:
@@ -180,8 +187,9 @@ class Case:
             prices["psnr"] = prices["ssim"] = None
         return prices
 
-    def measured(self, answer: Reconstruction, source: Source, renders: list[Render],
-                 notes: tuple[str, ...] = ()) -> Row:
+    def measured(
+        self, answer: Reconstruction, source: Source, renders: list[Render], notes: tuple[str, ...] = ()
+    ) -> Row:
         """The row of an answer that can be measured; single figures that it lacks are priced."""
         found = self.rules.measure(self.truth, answer, renders)
         given, expected = answer.articulation.joint.type, self.truth.articulation.joint.type
@@ -194,14 +202,36 @@ class Case:
         """The row of an answer that cannot be measured: every number at its price."""
         return self._row(self.prices(), status, " ".join(reason.split())[:300], "nothing", False, (), seconds or {})
 
-    def _row(self, values: dict[str, float | None], status: Status, reason: str, source: Source, swapped: bool,
-             notes: tuple[str, ...], seconds: dict[str, float]) -> Row:
+    def _row(
+        self,
+        values: dict[str, float | None],
+        status: Status,
+        reason: str,
+        source: Source,
+        swapped: bool,
+        notes: tuple[str, ...],
+        seconds: dict[str, float],
+    ) -> Row:
         kind, diagonal = self.truth.articulation.joint.type, self.diagonal
-        centimetres = {id: value * diagonal for id, value in values.items()  # % of a diagonal in m is cm
-                       if value is not None and self.rules.metric(id).unit(kind) == "%"}
+        centimetres = {
+            id: value * diagonal
+            for id, value in values.items()  # % of a diagonal in m is cm
+            if value is not None and self.rules.metric(id).unit(kind) == "%"
+        }
         total = float(sum(seconds.values()))
-        return Row(self.recording.name, kind, status, reason, source, swapped, diagonal, values, centimetres, notes,
-                   total if seconds and np.isfinite(total) else None)
+        return Row(
+            self.recording.name,
+            kind,
+            status,
+            reason,
+            source,
+            swapped,
+            diagonal,
+            values,
+            centimetres,
+            notes,
+            total if seconds and np.isfinite(total) else None,
+        )
 
 
 def summarise(rows: Iterable[Row], rules: Protocol) -> tuple[Summary, ...]:
@@ -216,8 +246,10 @@ def summarise(rows: Iterable[Row], rules: Protocol) -> tuple[Summary, ...]:
         for metric in rules.metrics:
             if metric.unit(group) is None:
                 continue
-            columns = {metric.id: [row.values[metric.id] for row in chosen],
-                       f"{metric.id}_cm": [row.values_cm.get(metric.id) for row in chosen]}
+            columns = {
+                metric.id: [row.values[metric.id] for row in chosen],
+                f"{metric.id}_cm": [row.values_cm.get(metric.id) for row in chosen],
+            }
             for id, column in columns.items():
                 numbers = [value for value in column if value is not None]
                 if numbers:
@@ -229,16 +261,29 @@ def summarise(rows: Iterable[Row], rules: Protocol) -> tuple[Summary, ...]:
 def statistic(values: list[float], direction: Literal["up", "down"]) -> Statistic:
     """Mean, sample standard deviation (ddof 1), median and worst of one or more values."""
     std = float(np.std(values, ddof=1)) if len(values) > 1 else None
-    return Statistic(float(np.mean(values)), std, float(np.median(values)),
-                     max(values) if direction == "down" else min(values), len(values))
+    return Statistic(
+        float(np.mean(values)),
+        std,
+        float(np.median(values)),
+        max(values) if direction == "down" else min(values),
+        len(values),
+    )
 
 
 def write_scores(path: Path, scores: Scores) -> None:
     """Write `scores` as JSON, with the protocol's text, units, directions and prices beside the numbers."""
     rules = protocol_named(scores.protocol)
-    metrics = [{"id": m.id, "unit": {"revolute": m.revolute_unit, "prismatic": m.prismatic_unit},
-                "direction": m.direction, "price": "range of motion" if m.price is None else m.price,
-                "beside": m.beside, "definition": m.definition} for m in rules.metrics]
+    metrics = [
+        {
+            "id": m.id,
+            "unit": {"revolute": m.revolute_unit, "prismatic": m.prismatic_unit},
+            "direction": m.direction,
+            "price": "range of motion" if m.price is None else m.price,
+            "beside": m.beside,
+            "definition": m.definition,
+        }
+        for m in rules.metrics
+    ]
     body: dict[str, Any] = asdict(scores)
     body["protocol"] = {"name": rules.name, "preamble": rules.preamble, "metrics": metrics}
     atomic.write_json(Path(path), {"schema": SCHEMA, **body})

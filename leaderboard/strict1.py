@@ -51,8 +51,9 @@ class Measured:
     """Whether the answer's moving part was matched to the true reference part."""
 
 
-def measure(truth: Truth, answer: Reconstruction, renders: Sequence[Render],
-            constants: Strict1 | None = None) -> Measured:
+def measure(
+    truth: Truth, answer: Reconstruction, renders: Sequence[Render], constants: Strict1 | None = None
+) -> Measured:
     """Every number of strict-1 for an answer of as many frames as the truth, with masks of the truth's size.
 
     `renders` holds the answer's picture of each held-out query, or None where it has none.
@@ -65,9 +66,12 @@ def measure(truth: Truth, answer: Reconstruction, renders: Sequence[Render],
     swapped, same, other = match_parts(truth, answer, centre, diagonal)
     matched = with_parts_swapped(answer) if swapped else answer
     T_truth_pred = metrics.align(truth.Ts_camera_reference, matched.Ts_camera_reference, centre)
-    aligned = replace(matched, articulation=matched.articulation.moved(T_truth_pred),
-                      Ts_camera_reference=matched.Ts_camera_reference @ se3.inverse(T_truth_pred),
-                      Ts_camera_moving=matched.Ts_camera_moving @ se3.inverse(T_truth_pred))
+    aligned = replace(
+        matched,
+        articulation=matched.articulation.moved(T_truth_pred),
+        Ts_camera_reference=matched.Ts_camera_reference @ se3.inverse(T_truth_pred),
+        Ts_camera_moving=matched.Ts_camera_moving @ se3.inverse(T_truth_pred),
+    )
     angle, shift = metrics.pose_error(truth.Ts_camera_reference, aligned.Ts_camera_reference, centre)
     values: dict[str, float | None] = {
         **_joint_values(truth, aligned, outer[1].centre, diagonal, c),
@@ -106,10 +110,14 @@ def with_parts_swapped(answer: Reconstruction) -> Reconstruction:
     """
     joint, parts = answer.articulation.joint, answer.articulation
     return replace(
-        answer, articulation=Articulation(replace(joint, axis=-joint.axis), parts.moving, parts.reference),
-        Ts_camera_reference=answer.Ts_camera_moving, Ts_camera_moving=answer.Ts_camera_reference,
-        part_masks=np.array([0, 2, 1], np.uint8)[answer.part_masks], seen=answer.seen[:, ::-1],
-        covariances=None if answer.covariances is None else answer.covariances[:, ::-1])
+        answer,
+        articulation=Articulation(replace(joint, axis=-joint.axis), parts.moving, parts.reference),
+        Ts_camera_reference=answer.Ts_camera_moving,
+        Ts_camera_moving=answer.Ts_camera_reference,
+        part_masks=np.array([0, 2, 1], np.uint8)[answer.part_masks],
+        seen=answer.seen[:, ::-1],
+        covariances=None if answer.covariances is None else answer.covariances[:, ::-1],
+    )
 
 
 def both_seen(truth: Truth, share: float) -> NDArray[np.bool_]:
@@ -123,8 +131,9 @@ def spread_frames(states: Array, count: int) -> list[int]:
     return [int(np.argmin(np.abs(states - state))) for state in np.linspace(states.min(), states.max(), count)]
 
 
-def _joint_values(truth: Truth, aligned: Reconstruction, centre: Array, diagonal: float,
-                  c: Strict1) -> dict[str, float | None]:
+def _joint_values(
+    truth: Truth, aligned: Reconstruction, centre: Array, diagonal: float, c: Strict1
+) -> dict[str, float | None]:
     true, joint = truth.articulation.joint, aligned.articulation.joint
     if joint.type != true.type:  # the other figures do not exist; the protocol prices them
         return {"joint_type": 0.0}
@@ -135,8 +144,9 @@ def _joint_values(truth: Truth, aligned: Reconstruction, centre: Array, diagonal
     scale = np.rad2deg(1.0) if revolute else per_diagonal
 
     def state(frames: NDArray[np.bool_]) -> float:
-        return scale * min(metrics.state_error(truth.states[frames], aligned.states[frames], sign, revolute)
-                           for sign in signs)
+        return scale * min(
+            metrics.state_error(truth.states[frames], aligned.states[frames], sign, revolute) for sign in signs
+        )
 
     values: dict[str, float | None] = {
         "joint_type": 1.0,
@@ -151,8 +161,9 @@ def _joint_values(truth: Truth, aligned: Reconstruction, centre: Array, diagonal
     return values
 
 
-def _surface_values(truth: Truth, aligned: Reconstruction, outer: tuple[Surface, Surface], diagonal: float,
-                    c: Strict1) -> dict[str, float | None]:
+def _surface_values(
+    truth: Truth, aligned: Reconstruction, outer: tuple[Surface, Surface], diagonal: float, c: Strict1
+) -> dict[str, float | None]:
     """Chamfer distances and F-score, averaged over the chosen frames; no entry where the answer has no surface.
 
     A true part of which the video shows nothing is sampled over its outer surface.
@@ -185,8 +196,9 @@ def _samples(surfaces: tuple[Surface, Surface], c: Strict1, side: int) -> tuple[
     return (points[0], points[1]), (first, c.samples - first if not surfaces[1].empty else 0)
 
 
-def _distances(points: Pair, counts: tuple[int, int], poses: Pair, targets: tuple[Surface, Surface],
-               target_poses: Pair) -> tuple[Array, Array, Array]:
+def _distances(
+    points: Pair, counts: tuple[int, int], poses: Pair, targets: tuple[Surface, Surface], target_poses: Pair
+) -> tuple[Array, Array, Array]:
     """Distances, metres, from the points of the reference part to the target's, moving to moving, and whole to whole.
 
     The distance to the whole is the smaller of the distances to its two parts, each measured in that part's own frame.

@@ -43,8 +43,11 @@ def read_submission(folder: Path, frames: int, height: int, width: int) -> Recon
     if isinstance(answer, Failure):
         return answer
     _check_numbers(folder, answer)
-    return replace(answer, Ts_camera_reference=se3.orthonormalised(answer.Ts_camera_reference),
-                   Ts_camera_moving=se3.orthonormalised(answer.Ts_camera_moving))
+    return replace(
+        answer,
+        Ts_camera_reference=se3.orthonormalised(answer.Ts_camera_reference),
+        Ts_camera_moving=se3.orthonormalised(answer.Ts_camera_moving),
+    )
 
 
 def read_submitted_render(folder: Path, index: int, height: int, width: int) -> NDArray[np.uint8] | None:
@@ -99,10 +102,13 @@ def _check_png(path: Path, height: int, width: int) -> None:
 
 def _check_numbers(folder: Path, answer: Reconstruction) -> None:
     joint = answer.articulation.joint
-    named = {"poses.npz T_camera_reference": answer.Ts_camera_reference,
-             "poses.npz T_camera_moving": answer.Ts_camera_moving,
-             "prediction.json states": answer.states, "prediction.json pivot": joint.pivot,
-             **{f"parts/{name}.ply vertices": answer.articulation.part(name).vertices for name in PARTS}}
+    named = {
+        "poses.npz T_camera_reference": answer.Ts_camera_reference,
+        "poses.npz T_camera_moving": answer.Ts_camera_moving,
+        "prediction.json states": answer.states,
+        "prediction.json pivot": joint.pivot,
+        **{f"parts/{name}.ply vertices": answer.articulation.part(name).vertices for name in PARTS},
+    }
     for name, values in named.items():
         largest = np.abs(values).max(initial=0.0)
         if largest > LARGEST:

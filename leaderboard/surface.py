@@ -222,8 +222,12 @@ def _to_triangle(x, y, z, t, best):
         and nx * (cay * cpz - caz * cpy) + ny * (caz * cpx - cax * cpz) + nz * (cax * cpy - cay * cpx) >= 0.0
     ):
         return height * height / square
-    return min(best, _to_edge(abx, aby, abz, apx, apy, apz),
-               _to_edge(bcx, bcy, bcz, bpx, bpy, bpz), _to_edge(cax, cay, caz, cpx, cpy, cpz))
+    return min(
+        best,
+        _to_edge(abx, aby, abz, apx, apy, apz),
+        _to_edge(bcx, bcy, bcz, bpx, bpy, bpz),
+        _to_edge(cax, cay, caz, cpx, cpy, cpz),
+    )
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -34,8 +34,10 @@ def sequence_table(scores: Scores) -> Table:
     table.add_row("status", *(_status(row) for row in scores.rows))
     table.add_row("joint from", *(row.measured_from for row in scores.rows), end_section=True)
     for metric in rules.metrics:
-        cells = (_cell(row.values[metric.id], metric.unit(row.joint_type), row.values_cm.get(metric.id))
-                 for row in scores.rows)
+        cells = (
+            _cell(row.values[metric.id], metric.unit(row.joint_type), row.values_cm.get(metric.id))
+            for row in scores.rows
+        )
         table.add_row(_label(metric), *cells)
     table.add_section()
     table.add_row("seconds", *("-" if row.seconds is None else f"{row.seconds:.0f}" for row in scores.rows))
@@ -53,8 +55,13 @@ def group_table(scores: Scores) -> Table:
     table.add_row("failures", *(f"[red]{s.failures}[/red]" if s.failures else "0" for s in scores.summaries))
     table.add_row("coverage", *(f"{100 * s.coverage:.0f} %" for s in scores.summaries), end_section=True)
     for metric in rules.metrics:
-        table.add_row(_label(metric), *(_statistic(s.statistics.get(metric.id), s.statistics.get(f"{metric.id}_cm"),
-                                                   metric.unit(s.group)) for s in scores.summaries))
+        table.add_row(
+            _label(metric),
+            *(
+                _statistic(s.statistics.get(metric.id), s.statistics.get(f"{metric.id}_cm"), metric.unit(s.group))
+                for s in scores.summaries
+            ),
+        )
     return table
 
 

@@ -48,8 +48,18 @@ def make_truth(kind="revolute", seed=0) -> Truth:
     shown[:, 6:25, 8:30] = True
     seen = np.stack([(masks == k).sum((1, 2)) for k in (1, 2)], -1)
     flags = tuple(np.ones(len(part.faces), bool) for part in (parts.reference, parts.moving))
-    return Truth(parts, states, Ts, Ts @ joint.transform(states), seen, flags, flags, masks.__getitem__,
-                 pictures.__getitem__, shown.__getitem__)
+    return Truth(
+        parts,
+        states,
+        Ts,
+        Ts @ joint.transform(states),
+        seen,
+        flags,
+        flags,
+        masks.__getitem__,
+        pictures.__getitem__,
+        shown.__getitem__,
+    )
 
 
 def make_recording(truth: Truth, name="sequence") -> Recording:
@@ -63,8 +73,14 @@ def make_recording(truth: Truth, name="sequence") -> Recording:
 
 def truth_as_answer(truth: Truth) -> Reconstruction:
     masks = np.stack([truth.part_mask(i) for i in range(len(truth))])
-    return Reconstruction(truth.articulation, truth.states, truth.Ts_camera_reference, truth.Ts_camera_moving, masks,
-                          np.ones((len(truth), 2), bool))
+    return Reconstruction(
+        truth.articulation,
+        truth.states,
+        truth.Ts_camera_reference,
+        truth.Ts_camera_moving,
+        masks,
+        np.ones((len(truth), 2), bool),
+    )
 
 
 def pictures(truth: Truth):
@@ -77,28 +93,43 @@ def noisy_answer(truth: Truth, seed=0) -> Reconstruction:
     joint = truth.articulation.joint
     twist = np.concatenate([rng.normal(size=3) * 0.02, rng.normal(size=3) * 0.1])
     joint = joint.moved(se3.exp_se3(twist))
-    parts = [Mesh(part.vertices + rng.normal(size=part.vertices.shape) * 0.005, part.faces)
-             for part in (truth.articulation.reference, truth.articulation.moving)]
+    parts = [
+        Mesh(part.vertices + rng.normal(size=part.vertices.shape) * 0.005, part.faces)
+        for part in (truth.articulation.reference, truth.articulation.moving)
+    ]
     noise = [se3.exp_se3(rng.normal(size=(len(truth), 6)) * [0.02, 0.02, 0.02, 0.05, 0.05, 0.05]) for _ in range(2)]
     masks = np.stack([truth.part_mask(i) for i in range(len(truth))])
     masks = np.where(rng.random(masks.shape) < 0.05, rng.integers(0, 3, masks.shape), masks).astype(np.uint8)
     states = truth.states + rng.normal(size=len(truth)) * 0.03
-    return Reconstruction(Articulation(joint, *parts), states, truth.Ts_camera_reference @ noise[0],
-                          truth.Ts_camera_moving @ noise[1], masks, np.ones((len(truth), 2), bool))
+    return Reconstruction(
+        Articulation(joint, *parts),
+        states,
+        truth.Ts_camera_reference @ noise[0],
+        truth.Ts_camera_moving @ noise[1],
+        masks,
+        np.ones((len(truth), 2), bool),
+    )
 
 
 def in_frame(answer: Reconstruction, T_new_old) -> Reconstruction:
     """The same answer with another canonical frame."""
     back = se3.inverse(T_new_old)
     reference, moving = answer.Ts_camera_reference @ back, answer.Ts_camera_moving @ back
-    return replace(answer, articulation=answer.articulation.moved(T_new_old), Ts_camera_reference=reference,
-                   Ts_camera_moving=moving)
+    return replace(
+        answer,
+        articulation=answer.articulation.moved(T_new_old),
+        Ts_camera_reference=reference,
+        Ts_camera_moving=moving,
+    )
 
 
 def with_joint(answer: Reconstruction, joint: Joint, states=None) -> Reconstruction:
     parts = answer.articulation
-    return replace(answer, articulation=Articulation(joint, parts.reference, parts.moving),
-                   states=answer.states if states is None else np.asarray(states))
+    return replace(
+        answer,
+        articulation=Articulation(joint, parts.reference, parts.moving),
+        states=answer.states if states is None else np.asarray(states),
+    )
 
 
 def with_names_exchanged(answer: Reconstruction) -> Reconstruction:
@@ -107,8 +138,14 @@ def with_names_exchanged(answer: Reconstruction) -> Reconstruction:
     turned = replace(joint, lower=-joint.upper, upper=-joint.lower)
     exchanged = Articulation(turned, parts.moving, parts.reference)
     masks = np.array([0, 2, 1], np.uint8)[answer.part_masks]
-    return replace(answer, articulation=exchanged, states=-answer.states, part_masks=masks,
-                   Ts_camera_reference=answer.Ts_camera_moving, Ts_camera_moving=answer.Ts_camera_reference)
+    return replace(
+        answer,
+        articulation=exchanged,
+        states=-answer.states,
+        part_masks=masks,
+        Ts_camera_reference=answer.Ts_camera_moving,
+        Ts_camera_moving=answer.Ts_camera_reference,
+    )
 
 
 def static_answer(truth: Truth) -> Reconstruction:
@@ -129,5 +166,6 @@ def random_answer(truth: Truth, seed=0) -> Reconstruction:
     parts = [Mesh(rng.normal(size=(30, 3)) * 0.3, rng.integers(0, 30, (20, 3))) for _ in range(2)]
     poses = [np.stack([random_pose(rng) for _ in range(len(truth))]) for _ in range(2)]
     masks = rng.integers(0, 3, (len(truth), HEIGHT, WIDTH)).astype(np.uint8)
-    return Reconstruction(Articulation(joint, *parts), rng.normal(size=len(truth)), *poses, masks,
-                          np.ones((len(truth), 2), bool))
+    return Reconstruction(
+        Articulation(joint, *parts), rng.normal(size=len(truth)), *poses, masks, np.ones((len(truth), 2), bool)
+    )

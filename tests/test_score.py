@@ -85,9 +85,23 @@ def submit(folder, truth, answer=None, renders=True):
 def assert_priced(row, truth):
     revolute = truth.articulation.joint.type == "revolute"
     motion = np.ptp(truth.states) * (np.rad2deg(1) if revolute else 100 / truth.diagonal)
-    expected = {"joint_type": 0, "axis": 90, "position": 100, "position_line": 100, "state": motion,
-                "state_all": motion, "miou": 0, "pose_rotation": 180, "pose_translation": 100, "chamfer_w": 100,
-                "chamfer_m": 100, "chamfer_s": 100, "fscore": 0, "psnr": 0, "ssim": 0}
+    expected = {
+        "joint_type": 0,
+        "axis": 90,
+        "position": 100,
+        "position_line": 100,
+        "state": motion,
+        "state_all": motion,
+        "miou": 0,
+        "pose_rotation": 180,
+        "pose_translation": 100,
+        "chamfer_w": 100,
+        "chamfer_m": 100,
+        "chamfer_s": 100,
+        "fscore": 0,
+        "psnr": 0,
+        "ssim": 0,
+    }
     if not revolute:
         expected |= {"position": None, "position_line": None}
     assert row.values == pytest.approx(expected)
@@ -159,7 +173,8 @@ def test_scores_are_json_with_units_prices_and_no_nan(data, tmp_path):
     units = {m["id"]: (m["unit"], m["direction"], m["price"]) for m in body["protocol"]["metrics"]}
     assert units["state"] == ({"revolute": "deg", "prismatic": "%"}, "down", "range of motion")
     assert body["rows"][0]["values"]["position"] == pytest.approx(
-        body["rows"][0]["values_cm"]["position"] / body["rows"][0]["diagonal_m"])
+        body["rows"][0]["values_cm"]["position"] / body["rows"][0]["diagonal_m"]
+    )
     assert body["rows"][0]["notes"] == ["2 of 2 held-out views have no render"]
 
 
@@ -217,6 +232,7 @@ def breaks(name):
     def add(function):
         BREAKS[name] = function
         return function
+
     return add
 
 
@@ -293,8 +309,10 @@ def _nan(folder):
 
 @breaks("not a readable PLY")
 def _ply(folder):
-    (folder / "parts" / "moving.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 9999999\n"
-                                                  b"property float x\nproperty float y\nproperty float z\nend_header\n")
+    (folder / "parts" / "moving.ply").write_bytes(
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 9999999\n"
+        b"property float x\nproperty float y\nproperty float z\nend_header\n"
+    )
 
 
 @breaks("leads out of the folder")
@@ -334,15 +352,18 @@ def write_asset(folder: Path, joint: Joint, T_canonical_reference=None, state_ze
     """A base and a lid of boxes, joined as `joint`, whose base link sits in the canonical frame as given."""
     T = np.eye(4) if T_canonical_reference is None else T_canonical_reference
     here = joint.moved(se3.inverse(T))
-    link = ('<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-            '</inertial><collision><geometry><box size="0.3 0.2 0.1"/></geometry></collision></link>')
+    link = (
+        '<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+        '</inertial><collision><geometry><box size="0.3 0.2 0.1"/></geometry></collision></link>'
+    )
     triple = "{:.12g} {:.12g} {:.12g}".format
     (folder / "made.urdf").parent.mkdir(parents=True, exist_ok=True)
     (folder / "made.urdf").write_text(
         f'<robot name="made">{link.format("base")}{link.format("lid")}<joint name="{joint.name}" type="{joint.type}">'
         f'<parent link="base"/><child link="lid"/><origin xyz="{triple(*here.pivot)}" rpy="0.3 -0.2 0.5"/>'
         f'<axis xyz="{triple(*_rpy(0.3, -0.2, 0.5).T @ here.axis)}"/>'
-        f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="1"/></joint></robot>')
+        f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="1"/></joint></robot>'
+    )
     write_asset_json(folder, Asset(folder / "made.urdf", joint.name, "base", "lid", T, state_zero))
 
 
@@ -427,17 +448,30 @@ def test_the_asset_keeps_up_with_exchanged_names_and_moved_frames(data, tmp_path
     assert a.values == pytest.approx(b.values, abs=1e-3)
 
 
-@pytest.mark.parametrize("broken, reason", [
-    ("<robot", "is not XML"),
-    ("", "is not an asset"),
-    ('<robot name="x"><link name="a"/><link name="b"/><joint name="j" type="fixed"><parent link="a"/>'
-     '<child link="b"/></joint></robot>', "no movable joint"),
-    ('<robot name="x"><link name="a"><visual><geometry><mesh filename="../../../secret.obj"/></geometry></visual>'
-     '</link><link name="b"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>'
-     '<limit lower="0" upper="1"/></joint></robot>', "leads out of the folder"),
-    ('<robot name="x"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>'
-     '<child link="b"/><axis xyz="0 0 1"/><limit lower="0" upper="0"/></joint></robot>', ""),
-])
+@pytest.mark.parametrize(
+    "broken, reason",
+    [
+        ("<robot", "is not XML"),
+        ("", "is not an asset"),
+        (
+            '<robot name="x"><link name="a"/><link name="b"/><joint name="j" type="fixed"><parent link="a"/>'
+            '<child link="b"/></joint></robot>',
+            "no movable joint",
+        ),
+        (
+            '<robot name="x"><link name="a"><visual><geometry><mesh filename="../../../secret.obj"/></geometry>'
+            '</visual></link><link name="b"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
+            '<axis xyz="0 0 1"/>'
+            '<limit lower="0" upper="1"/></joint></robot>',
+            "leads out of the folder",
+        ),
+        (
+            '<robot name="x"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>'
+            '<child link="b"/><axis xyz="0 0 1"/><limit lower="0" upper="0"/></joint></robot>',
+            "",
+        ),
+    ],
+)
 def test_an_asset_that_does_not_load_fails_and_nothing_steps_in_for_it(data, tmp_path, broken, reason):
     truth = truths()["a"]
     folder = submit(tmp_path / "a", truth)

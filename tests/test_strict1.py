@@ -26,8 +26,16 @@ KINDS = ("revolute", "prismatic")
 QUICK = Strict1(samples=3000)
 UP = ("joint_type", "miou", "fscore", "psnr", "ssim")
 BEST = {"joint_type": 1, "miou": 1, "fscore": 1, "psnr": 100, "ssim": 1}
-LENGTHS_AND_ANGLES = ("axis", "state", "state_all", "pose_rotation", "pose_translation", "chamfer_w", "chamfer_m",
-                      "chamfer_s")
+LENGTHS_AND_ANGLES = (
+    "axis",
+    "state",
+    "state_all",
+    "pose_rotation",
+    "pose_translation",
+    "chamfer_w",
+    "chamfer_m",
+    "chamfer_s",
+)
 
 
 def scored(truth, answer, renders=None):
@@ -116,9 +124,12 @@ def test_another_state_zero_changes_nothing(kind, offset):
     answer = noisy_answer(truth, 5)
     joint, parts = answer.articulation.joint, answer.articulation
     # The same moving mesh, written at the new state zero, which is state -offset of the old.
-    shifted = replace(answer, states=answer.states + offset, articulation=Articulation(
-        joint, parts.reference, parts.moving.moved(joint.transform(-offset))),
-        Ts_camera_moving=answer.Ts_camera_moving @ joint.transform(offset))
+    shifted = replace(
+        answer,
+        states=answer.states + offset,
+        articulation=Articulation(joint, parts.reference, parts.moving.moved(joint.transform(-offset))),
+        Ts_camera_moving=answer.Ts_camera_moving @ joint.transform(offset),
+    )
     same(scored(truth, answer), scored(truth, shifted))
     same(scored(truth, answer), scored(truth, with_names_exchanged(shifted)))
 
@@ -240,8 +251,9 @@ def test_chamfer_uses_the_answers_own_poses_in_the_camera_frame(kind):
     truth = make_truth(kind)
     answer = truth_as_answer(truth)
     T = np.stack([se3.pose(np.eye(3), -0.05 * T[:3, 2]) for T in truth.Ts_camera_reference])  # 5 cm along the body's -z
-    moved = replace(answer, Ts_camera_reference=T @ answer.Ts_camera_reference,
-                    Ts_camera_moving=T @ answer.Ts_camera_moving)
+    moved = replace(
+        answer, Ts_camera_reference=T @ answer.Ts_camera_reference, Ts_camera_moving=T @ answer.Ts_camera_moving
+    )
     values = scored(truth, moved)
     assert values["pose_translation"] < 1e-6 and values["axis"] < 1e-6
     assert 0.1 < values["chamfer_s"] / (100 * 0.05 / truth.diagonal) < 1
@@ -251,14 +263,20 @@ def test_hidden_surface_is_neither_demanded_nor_forbidden():
     truth = make_truth()
     inner = Mesh(truth.articulation.reference.vertices * 0.5, truth.articulation.reference.faces)
     whole = truth.articulation.reference
-    both = Mesh(np.concatenate([whole.vertices, inner.vertices]),
-                np.concatenate([whole.faces, inner.faces + len(whole.vertices)]))
+    both = Mesh(
+        np.concatenate([whole.vertices, inner.vertices]),
+        np.concatenate([whole.faces, inner.faces + len(whole.vertices)]),
+    )
     n = len(whole.faces)
     bottom = whole.vertices[whole.faces].mean(1)[:, 2] < -0.049
     outer = np.concatenate([np.ones(n, bool), np.zeros(n, bool)])
     visible = np.concatenate([~bottom, np.zeros(n, bool)])
-    hiding = replace(truth, articulation=Articulation(truth.articulation.joint, both, truth.articulation.moving),
-                     outer=(outer, truth.outer[1]), visible=(visible, truth.visible[1]))
+    hiding = replace(
+        truth,
+        articulation=Articulation(truth.articulation.joint, both, truth.articulation.moving),
+        outer=(outer, truth.outer[1]),
+        visible=(visible, truth.visible[1]),
+    )
     answer = truth_as_answer(truth)
 
     def chamfer(reference):
@@ -277,8 +295,12 @@ def test_an_answer_without_a_part_is_measured_where_it_can_be():
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
     flat = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))
     for nothing in (empty, flat):
-        values = scored(truth, replace(answer, articulation=Articulation(
-            answer.articulation.joint, answer.articulation.reference, nothing)))
+        values = scored(
+            truth,
+            replace(
+                answer, articulation=Articulation(answer.articulation.joint, answer.articulation.reference, nothing)
+            ),
+        )
         assert "chamfer_m" not in values
         assert values["chamfer_s"] < 1e-6 and values["chamfer_w"] > 0.1 and 0 < values["fscore"] < 1
     neither = scored(truth, replace(answer, articulation=Articulation(answer.articulation.joint, empty, empty)))
