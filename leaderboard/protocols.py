@@ -87,8 +87,8 @@ def _surface(id: str, what: str) -> Metric:
         (
             f"{what}: mean of the two directed mean distances, point to triangle, 100k seeded samples; truth to "
             "prediction samples the truth's visible surface, prediction to truth measures to the whole outer surface; "
-            "averaged over the five frames whose true states lie nearest to five values spread evenly over the range, parts posed in "
-            "the camera frame by each side's own reference pose and state"
+            "averaged over the five frames whose true states lie nearest to five values spread evenly over the range, "
+            "parts posed in the camera frame by each side's own reference pose and state"
         ),
     )
 
