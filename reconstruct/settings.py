@@ -199,12 +199,8 @@ class SurfaceSettings:
     """Voxels behind the surface of which it speaks at all: sheets thinner than this grow thicker."""
     max_frames: int = 80
     """Frames that are fused, evenly drawn."""
-    min_component: float = 0.02
+    min_component: float = 0.1
     """Pieces smaller than this share of the largest are dropped."""
-    empty: float = 0.5
-    """Weight of a background pixel's word that a place is free; a pixel that faces the surface squarely has 1."""
-    least: float = 0.0
-    """Weight above which a voxel is known."""
     sharpness: float = 6.0
     """Power of a view's quality (frontal, near) in the mean colour: high lets the best views win."""
 

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import math
+
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
 from freeart21 import se3
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from reconstruct.kernels import in_threads
-from reconstruct.scene import Scene
+from reconstruct.scene import Floats, Scene
 from reconstruct.settings import SurfaceSettings
 
 Labels = NDArray[np.uint8]
 Faces = NDArray[np.int64]
+
+BLOCK = 4
+"""Voxels along the edge of a block: the unit in which the neighbourhood of the surface is marked."""
+EMPTY = 0.5
+"""Weight of a background pixel's word that a place is free; a pixel that faces the surface squarely has 1."""
 
 
 def fuse(
@@ -25,50 +35,110 @@ def fuse(
 ) -> Mesh:
     """The mesh of one part (1 or 2), in the frame that `Ts` (n, 4, 4) take to the camera; empty when never seen.
 
-    A truncated signed distance field averaged over the frames `used` (n,) (Curless and Levoy 1996); pixels of the
-    other part and of the background say what is free, and cells no frame spoke of are left open.
+    A truncated signed distance field averaged over the frames `used` (n,) (Curless and Levoy 1996), of distances to
+    the pixels' planes; pixels of the other part and of the background say what is free, and cells no frame spoke of
+    are left open.
     """
-    points = _cloud(scene, labels, part, Ts, used)
+    frames = _evenly(np.flatnonzero(used), settings.max_frames)
+    points = _cloud(scene, labels, part, Ts, frames)
     if len(points) < 100:
-        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), np.uint8))
-    low, high = np.percentile(points, 0.2, axis=0), np.percentile(points, 99.8, axis=0)
-    voxel = max(settings.voxel * scene.footprint, float((np.prod(high - low) / settings.max_voxels) ** (1 / 3)))
-    pad = (settings.truncation + 3) * voxel + 0.01 * scene.diagonal
-    low, high = low - pad, high + pad
-    shape = np.ceil((high - low) / voxel).astype(int) + 1
+        return _nothing()
+    T_part_grid, shape, voxel = _grid(scene, points, settings)
+    Ts_grid = Ts @ T_part_grid
+    reach = settings.truncation * voxel + 2 * scene.noise
+    near = _near_blocks(se3.transform(se3.inverse(T_part_grid), points), voxel, shape, reach)
     field, weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    truncation = settings.truncation * voxel + 2 * scene.noise
-    frames = np.flatnonzero(used)
-    frames = frames[:: max(1, -(-len(frames) // settings.max_frames))].copy()
-    depth = np.ascontiguousarray(scene.points[..., 2])
-    arguments = (field, weight, low, voxel, Ts, frames, depth, labels, part)
-    lens = (scene.fx, scene.fy, scene.cx, scene.cy, truncation)
-    in_threads(lambda begin, end: _integrate(begin, end, *arguments, *lens), len(field), 2)
-    if not ((field < 0) & (weight > 0)).any():
-        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), np.uint8))
-    field[weight <= 0] = 1
+    pictures = (scene.points, scene.normals, scene.mask, labels, _to_rim(scene, labels, part, frames))
+    lens = (scene.fx, scene.fy, scene.cx, scene.cy)
+    distances = (reach, settings.behind * voxel + 2 * scene.noise, 0.5 * voxel + scene.noise)
+    in_threads(
+        lambda begin, end: _integrate(
+            begin, end, field, weight, near, voxel, Ts_grid, frames, *pictures, part, *lens, *distances
+        ),
+        len(near),
+        2,
+    )
+    known = weight > 0
+    if not (field[known] < 0).any():
+        return _nothing()
+    field[~known] = 1
     vertices, faces, _, _ = marching_cubes(field, 0.0)
-    vertices, faces = _observed(vertices, faces, weight)
+    vertices, faces = _observed(vertices, faces, known)
     vertices, faces = _large_pieces(vertices, faces, settings.min_component)
-    vertices = low + voxel * vertices
-    colours = _colours(scene, labels, part, Ts, frames, vertices, faces, 2 * truncation)
-    return Mesh(vertices, faces, colours)
+    vertices = (vertices * voxel).astype(float)
+    tolerance = 2 * voxel + 3 * scene.noise
+    colours = _colours(scene, labels, part, Ts_grid, frames, vertices, faces, tolerance, settings.sharpness)
+    return Mesh(se3.transform(T_part_grid, vertices), faces, colours)
 
 
-def _cloud(scene: Scene, labels: Labels, part: int, Ts: Array, used: NDArray[np.bool_]) -> Array:
-    """A thin sample of the part's points in its own frame."""
+def _nothing() -> Mesh:
+    return Mesh(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), np.uint8))
+
+
+def _evenly(frames: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """At most `most` of the frames, evenly drawn."""
+    if len(frames) <= most:
+        return frames
+    return frames[np.linspace(0, len(frames) - 1, most).round().astype(int)]
+
+
+def _cloud(scene: Scene, labels: Labels, part: int, Ts: Array, frames: NDArray[np.int64]) -> Array:
+    """The part's points in its own frame, one of three."""
     clouds = [np.zeros((0, 3))]
-    for i in np.flatnonzero(used):
-        mine = (labels[i] == part) & scene.valid[i] & ~scene.edge[i]
-        clouds.append(se3.transform(se3.inverse(Ts[i]), scene.points[i][mine][::7]))
+    for i in frames:
+        mine = (labels[i] == part) & scene.valid[i]
+        clouds.append(se3.transform(se3.inverse(Ts[i]), scene.points[i][mine][::3]))
     return np.concatenate(clouds)
 
 
-def _observed(vertices: Array, faces: Faces, weight: NDArray[np.float32]) -> tuple[Array, Faces]:
+def _grid(scene: Scene, points: Array, settings: SurfaceSettings) -> tuple[Array, NDArray[np.int64], float]:
+    """T_part_grid of a box along the principal axes of the points, its voxels each way, and a voxel's edge, metres.
+
+    The grid's frame has the centre of the first voxel at its origin.
+    """
+    axes = np.linalg.eigh(np.cov(points.T))[1]
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    along = points @ axes
+    low, high = np.percentile(along, 0.1, axis=0), np.percentile(along, 99.9, axis=0)
+    voxel = settings.voxel * scene.footprint
+    for _ in range(3):
+        pad = (settings.truncation + 3) * voxel + 2 * scene.noise + 0.01 * scene.diagonal
+        volume = float(np.prod(high - low + 2 * pad))
+        voxel = max(voxel, (volume / settings.max_voxels) ** (1 / 3))
+    shape = (np.ceil((high - low + 2 * pad) / voxel / BLOCK).astype(int) + 1) * BLOCK
+    return se3.pose(axes, axes @ (low - pad)), shape, voxel
+
+
+def _near_blocks(points_grid: Array, voxel: float, shape: NDArray[np.int64], reach: float) -> NDArray[np.bool_]:
+    """(shape / BLOCK) blocks within `reach`, metres, of a point."""
+    blocks = shape // BLOCK
+    at = np.floor(points_grid / (BLOCK * voxel)).astype(int)
+    at = at[((at >= 0) & (at < blocks)).all(1)]
+    near = np.zeros(blocks, bool)
+    near[tuple(at.T)] = True
+    return binary_dilation(near, np.ones((3, 3, 3)), math.ceil((reach + voxel) / (BLOCK * voxel)))
+
+
+def _to_rim(scene: Scene, labels: Labels, part: int, frames: NDArray[np.int64]) -> Floats:
+    """(n, h, w) pixels to the part's rim: its pixels beside others, or beside what lies well behind them."""
+    h, w = scene.mask.shape[1:]
+    distance = np.zeros((len(scene), h, w), np.float32)
+    jump = 4 * (scene.footprint + scene.noise)
+    for i in frames:
+        depth = np.where((labels[i] == part) & scene.valid[i], scene.points[i, ..., 2], np.float32(1e6))
+        rim = (cv2.dilate(depth, np.ones((3, 3))) > depth + jump) & (labels[i] == part)
+        if rim.any():
+            distance[i] = cv2.distanceTransform((~rim).astype(np.uint8), cv2.DIST_L2, 5)
+        else:
+            distance[i] = h + w
+    return distance
+
+
+def _observed(vertices: Array, faces: Faces, known: NDArray[np.bool_]) -> tuple[Array, Faces]:
     """Faces all of whose vertices lie between two voxels that some frame measured."""
     lower, upper = np.floor(vertices).astype(int), np.ceil(vertices).astype(int)
-    known = (weight[tuple(lower.T)] > 0) & (weight[tuple(upper.T)] > 0)
-    return _used_only(vertices, faces[known[faces].all(1)])
+    seen = known[tuple(lower.T)] & known[tuple(upper.T)]
+    return _used_only(vertices, faces[seen[faces].all(1)])
 
 
 def _large_pieces(vertices: Array, faces: Faces, least: float) -> tuple[Array, Faces]:
@@ -88,6 +158,16 @@ def _used_only(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     return vertices[used], new.reshape(-1, 3).astype(np.int64)
 
 
+def _vertex_normals(vertices: Array, faces: Faces) -> Array:
+    """(V, 3) unit outward normals, faces counted by area."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    face_normals = np.cross(b - a, c - a)
+    normals = np.stack(
+        [sum(np.bincount(faces[:, k], face_normals[:, d], len(vertices)) for k in range(3)) for d in range(3)], 1
+    )
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+
+
 def _colours(
     scene: Scene,
     labels: Labels,
@@ -97,73 +177,138 @@ def _colours(
     vertices: Array,
     faces: Faces,
     tolerance: float,
+    sharpness: float,
 ) -> NDArray[np.uint8]:
-    """(V, 3) RGB: mean over the frames that see a vertex, those that face it squarely counting more."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    face_normals = np.cross(b - a, c - a)
-    normals = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(normals, faces[:, k], face_normals)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    total, weight = np.zeros((len(vertices), 3)), np.full(len(vertices), 1e-9)
-    h, w = scene.mask.shape[1:]
-    for i in frames:
-        p, m = se3.transform(Ts[i], vertices), normals @ Ts[i, :3, :3].T
-        x = np.rint(scene.fx * p[:, 0] / p[:, 2] + scene.cx[i]).astype(int)
-        y = np.rint(scene.fy * p[:, 1] / p[:, 2] + scene.cy[i]).astype(int)
-        facing = -(m * p).sum(1) / np.linalg.norm(p, axis=1)
-        seen = np.flatnonzero((x >= 0) & (y >= 0) & (x < w) & (y < h) & (facing > 0.1))
-        at = (i, y[seen], x[seen])
-        seen_here = (labels[at] == part) & (np.abs(scene.points[at][:, 2] - p[seen, 2]) < tolerance)
-        seen, at = seen[seen_here], (i, y[seen][seen_here], x[seen][seen_here])
-        share = facing[seen] ** 2 * np.where(scene.edge[at], 0.05, 1.0)
-        total[seen] += share[:, None] * scene.rgb[at]
-        weight[seen] += share
-    unseen = weight < 1e-6
-    colours = total / weight[:, None]
-    if unseen.any() and not unseen.all():
-        colours[unseen] = np.average(colours[~unseen], axis=0)
+    """(V, 3) RGB from the frames that see a vertex best; one that no frame saw takes that of the nearest seen."""
+    normals = _vertex_normals(vertices, faces)
+    colours, weight = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
+    lens = (scene.fx, scene.fy, scene.cx, scene.cy)
+    pictures = (scene.rgb, scene.points, scene.edge, labels)
+    arguments = (vertices, normals, Ts, frames, *pictures, part, *lens, tolerance, sharpness, colours, weight)
+    in_threads(lambda begin, end: _sample_colours(begin, end, *arguments), len(vertices), 1000)
+    seen = weight > 0
+    if seen.any() and not seen.all():
+        colours[~seen] = colours[seen][cKDTree(vertices[seen]).query(vertices[~seen])[1]]
     return np.clip(np.rint(colours), 0, 255).astype(np.uint8)
 
 
 @njit(nogil=True, cache=True)
+def _sample_colours(
+    begin, end, vertices, normals, Ts, frames, rgb, points, edge, labels, part, fx, fy, cx, cy, tolerance, sharpness,
+    colours, weights,
+):  # pragma: no cover  # fmt: skip
+    """Mean of bilinear samples, weighted by the cosine of the view angle over depth to the power `sharpness`."""
+    h, w = labels.shape[1], labels.shape[2]
+    for k in range(begin, end):
+        total = np.zeros(3)
+        sample = np.zeros(3)
+        weight = 0.0
+        for f in range(frames.shape[0]):
+            i = frames[f]
+            T = Ts[i]
+            px = T[0, 0] * vertices[k, 0] + T[0, 1] * vertices[k, 1] + T[0, 2] * vertices[k, 2] + T[0, 3]
+            py = T[1, 0] * vertices[k, 0] + T[1, 1] * vertices[k, 1] + T[1, 2] * vertices[k, 2] + T[1, 3]
+            pz = T[2, 0] * vertices[k, 0] + T[2, 1] * vertices[k, 1] + T[2, 2] * vertices[k, 2] + T[2, 3]
+            if pz <= 0:
+                continue
+            facing = 0.0
+            for d in range(3):
+                n = T[d, 0] * normals[k, 0] + T[d, 1] * normals[k, 1] + T[d, 2] * normals[k, 2]
+                facing -= n * (px if d == 0 else py if d == 1 else pz)
+            facing /= math.sqrt(px * px + py * py + pz * pz)
+            if facing < 0.1:
+                continue
+            u, v = fx * px / pz + cx[i], fy * py / pz + cy[i]
+            x0, y0 = math.floor(u), math.floor(v)
+            if x0 < 0 or y0 < 0 or x0 >= w - 1 or y0 >= h - 1:
+                continue
+            share = 0.0
+            sample[:] = 0
+            slope = tolerance + 0.7 * (pz / fx) * math.sqrt(1 - min(1.0, facing * facing)) / facing
+            for dy in range(2):
+                for dx in range(2):
+                    x, y = x0 + dx, y0 + dy
+                    z = points[i, y, x, 2]
+                    if labels[i, y, x] != part or z <= 0 or abs(z - pz) > slope:
+                        continue
+                    s = (1 - abs(u - x)) * (1 - abs(v - y)) * (0.3 if edge[i, y, x] else 1.0)
+                    share += s
+                    for d in range(3):
+                        sample[d] += s * rgb[i, y, x, d]
+            if share < 0.1:
+                continue
+            good = (share * facing / pz) ** sharpness
+            weight += good
+            for d in range(3):
+                total[d] += good * sample[d] / share
+        weights[k] = weight
+        if weight > 0:
+            for d in range(3):
+                colours[k, d] = total[d] / weight
+
+
+@njit(nogil=True, cache=True)
 def _integrate(
-    begin, end, field, weight, low, voxel, Ts, frames, depth, labels, part, fx, fy, cx, cy, truncation
-):  # pragma: no cover
-    """Average, over frames, of the signed distance along z in units of the truncation, in [-1, 1]; > 0 is free."""
-    ny, nz = field.shape[1:]
-    h, w = depth.shape[1], depth.shape[2]
-    for a in range(begin, end):
-        for b in range(ny):
-            for c in range(nz):
-                x, y, z = low[0] + a * voxel, low[1] + b * voxel, low[2] + c * voxel
-                total = 0.0
-                count = 0.0
-                for f in range(frames.shape[0]):
-                    i = frames[f]
-                    T = Ts[i]
-                    pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-                    if pz <= 0:
-                        continue
-                    u = fx * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / pz + cx[i] + 0.5
-                    v = fy * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / pz + cy[i] + 0.5
-                    if u < 0 or v < 0 or u >= w or v >= h:
-                        continue
-                    xi, yi = int(u), int(v)
-                    label = labels[i, yi, xi]
-                    if label == 0:
-                        total += 1
-                        count += 1
-                        continue
-                    d = depth[i, yi, xi] - pz
-                    if depth[i, yi, xi] <= 0 or d < -truncation:
-                        continue
-                    if label == part:
-                        total += min(1.0, d / truncation)
-                        count += 1
-                    elif d > truncation:
-                        total += 1
-                        count += 1
-                if count > 0:
-                    field[a, b, c] = total / count
-                    weight[a, b, c] = count
+    begin, end, field, weight, near, voxel, Ts, frames, points, normals, mask, labels, to_rim, part, fx, fy, cx, cy,
+    reach, behind, sure,
+):  # pragma: no cover  # fmt: skip
+    """Average, over frames, of the distance in units of `reach`, in [-1, 1]; > 0 is free. Blocks begin to end.
+
+    A pixel of the part is a piece of plane. In front of it the distance counts in full; behind it, where the far side
+    of a thin sheet may be, it counts less and less from `sure` to `behind`. Any other pixel says that what lies in
+    front of its surface is free. No free place is farther from the part than, across the picture, from the part's rim.
+    """
+    h, w = labels.shape[1], labels.shape[2]
+    for block in range(begin, end):
+        for a in range(block * BLOCK, (block + 1) * BLOCK):
+            for f in range(frames.shape[0]):
+                i = frames[f]
+                T = Ts[i]
+                for b in range(field.shape[1]):
+                    for c in range(field.shape[2]):
+                        if not near[block, b // BLOCK, c // BLOCK]:
+                            continue
+                        x, y, z = a * voxel, b * voxel, c * voxel
+                        pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+                        if pz <= 0:
+                            continue
+                        px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+                        py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+                        u = fx * px / pz + cx[i]
+                        v = fy * py / pz + cy[i]
+                        xi, yi = math.floor(u + 0.5), math.floor(v + 0.5)
+                        if xi < 1 or yi < 1 or xi >= w - 1 or yi >= h - 1:
+                            continue
+                        value, vote = 1.0, EMPTY
+                        mine = labels[i, yi, xi] == part
+                        if mask[i, yi, xi]:
+                            P, n = points[i, yi, xi], normals[i, yi, xi]
+                            if P[2] <= 0 or (not mine and labels[i, yi, xi] == 0):
+                                continue
+                            distance = n[0] * (px - P[0]) + n[1] * (py - P[1]) + n[2] * (pz - P[2])
+                            facing = -(n[0] * px + n[1] * py + n[2] * pz) / math.sqrt(px * px + py * py + pz * pz)
+                            if facing < 0.05 or distance < -behind or pz - P[2] > 2.2 * reach:
+                                continue
+                            vote = facing * facing
+                            if distance < 0:
+                                if not mine:
+                                    continue
+                                if distance < -sure:
+                                    vote *= (distance + behind) / (behind - sure)
+                            elif not mine and distance < 2 * sure:
+                                continue
+                            value = min(1.0, distance / reach)
+                        if value > 0 and to_rim[i, yi, xi] > 0 and to_rim[i, yi, xi] < 12:
+                            x0, y0 = math.floor(u), math.floor(v)
+                            p, q = u - x0, v - y0
+                            rim = (1 - q) * ((1 - p) * to_rim[i, y0, x0] + p * to_rim[i, y0, x0 + 1]) + q * (
+                                (1 - p) * to_rim[i, y0 + 1, x0] + p * to_rim[i, y0 + 1, x0 + 1]
+                            )
+                            value = min(value, max(0.0, rim - 0.5) * pz / (fx * reach))
+                        field[a, b, c] += vote * value
+                        weight[a, b, c] += vote
+        for a in range(block * BLOCK, (block + 1) * BLOCK):
+            for b in range(field.shape[1]):
+                for c in range(field.shape[2]):
+                    if weight[a, b, c] > 0:
+                        field[a, b, c] /= weight[a, b, c]
