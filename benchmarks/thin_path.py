@@ -8,6 +8,7 @@ Finished stages are kept in --work and not repeated.
 
 from __future__ import annotations
 
+import itertools
 import os
 import platform
 import subprocess
@@ -30,7 +31,7 @@ def main(
     real: tuple[str, ...] = ("41083:joint_2",),
     partnet_root: Path | None = None,
     frames: int = 120,
-    seed: int = 0,
+    seeds: tuple[int, ...] = (0, 7),
     work: Path = ROOT / "out" / "thin_path",
     out: Path = ROOT / "benchmarks" / "results" / "thin_path.json",
 ) -> None:
@@ -41,15 +42,15 @@ def main(
         real: PartNet-Mobility objects as ID:JOINT; used when partnet_root is given.
         partnet_root: Folder that holds PartNet-Mobility objects.
         frames: Frames a sequence.
-        seed: Seed of shape, motion and views.
+        seeds: Seeds of shape, motion and views.
         work: Where data and results are kept.
         out: The JSON file.
     """
-    data, results = work / "data", work / "results"
+    data, results = work / "data", work / "results" / "ours"
     wanted = [(name, None) for name in names]
     if partnet_root is not None:
         wanted += [tuple(entry.split(":", 1)) for entry in real]
-    for name, joint in wanted:
+    for (name, joint), seed in itertools.product(wanted, seeds):
         if not any((data / "truth").glob(f"{name}*-s{seed}/truth.json")):
             cli.record((name,), data, frames, seed, partnet_root if joint else None, joint)
     benchmark = write_benchmark(data, "thin-path", "1", "public")
@@ -72,7 +73,7 @@ def main(
             "protocol": scores.protocol,
             "commit": commit.stdout.strip(),
             "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()},
-            "settings": {"frames": frames, "seed": seed, "names": names, "real": real if partnet_root else []},
+            "settings": {"frames": frames, "seeds": seeds, "names": names, "real": real if partnet_root else []},
         },
     )
 
