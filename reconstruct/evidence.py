@@ -148,7 +148,6 @@ class Evidence:
         unary = cv2.GaussianBlur(unary, (0, 0), 0.8) / weight
         return self.smoothed(frame, unary if prior is None else unary + prior)
 
-
     def usable(self, frame: int, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """The pixels of `mask` (h, w) to register with: away from depth steps, or any when those are too few.
 

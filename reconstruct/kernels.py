@@ -65,9 +65,9 @@ def register_pairs(  # pragma: no cover
     """Gauss-Newton terms of the frame pairs begin to end for the left twist (v, w) of T[p] = T_target_source.
 
     `samples[offsets[i]:offsets[i + 1]]` are rows and columns in frame i. With `part` > 0 a sample does not meet target
-    pixels labelled as the other part (label 0 is either's). Terms per sample: point-to-plane by projective association with Tukey's weight, colour
-    along its gradient, and the distance to the mask where it falls outside. Fills H (p, 6, 6), g (p, 6) and
-    stats (p, 4): inliers, projected, cost, outside.
+    pixels labelled as the other part (label 0 is either's). Terms per sample: point-to-plane by projective association
+    with Tukey's weight, colour along its gradient, and the distance to the mask where it falls outside. Fills
+    H (p, 6, 6), g (p, 6) and stats (p, 4): inliers, projected, cost, outside.
     """
     h, w = points.shape[1], points.shape[2]
     for p in range(begin, end):

@@ -53,7 +53,7 @@ def part_samples(
     evidence: Evidence, labels: Labels, part: int, most: int, rng: np.random.Generator, frames: NDArray[np.bool_]
 ) -> Samples:
     """Usable pixels of one part (1 or 2) in every one of `frames` (n,)."""
-    return {int(i): draw(evidence.usable(i, labels[i] == part), most, rng) for i in np.flatnonzero(frames)}
+    return {i: draw(evidence.usable(i, labels[i] == part), most, rng) for i in map(int, np.flatnonzero(frames))}
 
 
 def choose_pairs(Ts: Array, seen: NDArray[np.bool_], settings: PoseSettings) -> tuple[NDArray, NDArray]:

@@ -277,11 +277,12 @@ class Growth:
         With them a part that is about to vanish cannot slip onto the surface of the other.
         """
         direction = neighbour - frame
-        h, w = self.labels.shape[1:]
-        at = np.indices((h, w))[::-1].reshape(2, -1).T.astype(float)
-        there = at + self.flow.step(frame, direction).reshape(-1, 2)
+        h, w = self.evidence.scene.mask.shape[1:]
+        at = np.argwhere(np.ones((h, w), bool))[:, ::-1].astype(float)
+        there = at + self.flow.step(frame, direction).reshape(-1, 2).astype(float)
         round_trip = np.linalg.norm(there + bilinear(self.flow.step(neighbour, -direction), there) - at, axis=1)
-        x, y = np.clip(np.rint(there).astype(int), 0, (w - 1, h - 1)).T
+        x = np.clip(np.rint(there[:, 0]).astype(int), 0, w - 1)
+        y = np.clip(np.rint(there[:, 1]).astype(int), 0, h - 1)
         sure = round_trip < self.settings.tracks.max_round_trip
         return np.where(sure, self.labels[neighbour, y, x], 0).reshape(h, w).astype(np.uint8)
 

@@ -18,9 +18,13 @@ from freeart21.files.sequence import write_sequence
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Frame, Recording
+from reconstruct.evidence import Evidence
+from reconstruct.gaps import bridge_gaps
 from reconstruct.pipeline import reconstruct, reconstruct_folder
+from reconstruct.poses import JointedPoses
 from reconstruct.renders import render
 from reconstruct.scene import prepare
+from reconstruct.segmentation import Grown
 from reconstruct.settings import ReconstructSettings, SceneSettings, TrackSettings
 from reconstruct.tracks import follow, lift, optical_flow
 
@@ -46,7 +50,10 @@ def solved(hinge, slide):
 
 
 def measure(clip, result):
-    """Axis (deg), line distance and mean state error (% of the diagonal, or deg), mIoU; parts matched by labels."""
+    """Axis (deg), distance of the true pivot from the line and mean state error (% of the diagonal, or deg), mIoU.
+
+    The true pivot stands at the object; the found one may be anywhere on its line. Parts are matched by labels.
+    """
     masks, truth = result.part_masks, clip.part_masks
     swapped = (masks == truth)[truth > 0].mean() < 0.5
     if swapped:
@@ -59,7 +66,7 @@ def measure(clip, result):
     sign = np.sign(axis @ true.axis) * (-1 if swapped else 1)
     off = sign * result.states - clip.states
     d = se3.transform(T, joint.pivot) - true.pivot
-    line = np.linalg.norm(d - (d @ true.axis) * true.axis)
+    line = np.linalg.norm(d - (d @ axis) * axis)
     state = np.abs(off - np.median(off)).mean()
     hinged = true.type == "revolute"
     return {
@@ -76,7 +83,7 @@ def test_joint_states_and_masks_are_found(name, hinge, slide, solved):
     assert isinstance(result, Reconstruction)
     assert result.articulation.joint.type == clip.joint.type
     found = measure(clip, result)
-    assert found["axis"] < 1.0 and found["state"] < 0.5 and found["line"] < 4.0 and found["miou"] > 0.93, found
+    assert found["axis"] < 1.0 and found["state"] < 0.5 and found["line"] < 0.5 and found["miou"] > 0.93, found
 
 
 @pytest.mark.parametrize("name", ["hinge", "slide"])
@@ -166,6 +173,48 @@ def _without_mask(frame):
     return Frame(frame.rgb, frame.depth, np.zeros_like(frame.mask))
 
 
+# ---- gaps ----------------------------------------------------------------------------------------------------------
+
+
+def true_growth(clip, hidden, part):
+    """The scene of a clip and its true answer, `part` unseen in the frames `hidden`."""
+    scene = prepare(clip.recording, SceneSettings())
+    size = scene.mask.shape[1:]
+    labels = np.stack(
+        [m[y:, x:][: size[0], : size[1]] for m, (x, y) in zip(clip.part_masks, scene.origin, strict=True)]
+    )
+    seen = np.ones((len(labels), 2), bool)
+    seen[hidden, part] = False
+    poses = JointedPoses(clip.joint, clip.states.copy(), clip.Ts.copy(), np.zeros(len(labels)), 0.0)
+    grown = Grown(poses, labels, np.where(labels == 2, 1, -1).astype(np.float32), seen)
+    return Evidence(scene, QUIET.evidence, QUIET.labels), grown
+
+
+@pytest.mark.parametrize("part", [0, 1])
+@pytest.mark.parametrize("name", ["hinge", "slide"])
+def test_a_slip_behind_a_gap_is_found_and_the_gap_interpolated(name, part, hinge, slide):
+    clip = {"hinge": hinge, "slide": slide}[name]
+    evidence, grown = true_growth(clip, slice(12, 15), part)
+    slipped = clip.states + np.where(np.arange(FRAMES) >= 12, 0.4 * np.ptp(clip.states), 0)
+    anchor = grown.poses.Ts_moving
+    Ts = clip.Ts if part == 1 else anchor @ clip.joint.transform(-slipped)
+    wrong = replace(grown, poses=replace(grown.poses, states=slipped, Ts=Ts))
+    found = bridge_gaps(evidence, wrong, QUIET.gaps, np.random.default_rng(0)).poses
+    off = found.states - clip.states
+    assert np.abs(off[:12] - off[0]).max() < 1e-12 and np.abs(off[15:] - off[15]).max() < 1e-12
+    assert np.abs(off - off[0]).max() < 0.03 * np.ptp(clip.states)
+    kept, true = (found.Ts, clip.Ts) if part == 1 else (found.Ts_moving, anchor)
+    assert np.allclose(kept, true, atol=1e-9), "the part that was seen all along stays where it is"
+
+
+def test_where_nothing_slipped_nothing_is_shifted(hinge):
+    evidence, grown = true_growth(hinge, slice(12, 15), 1)
+    states = bridge_gaps(evidence, grown, QUIET.gaps, np.random.default_rng(0)).poses.states
+    seen = grown.seen.all(1)
+    assert np.array_equal(states[seen], hinge.states[seen])
+    assert np.abs(states - hinge.states).max() < 0.03 * np.ptp(hinge.states), "near a turning point"
+
+
 # ---- tracks --------------------------------------------------------------------------------------------------------
 
 
@@ -252,6 +301,8 @@ def hook(event, arguments):
         opened.add(os.path.realpath(os.fsdecode(arguments[0])))
 sys.addaudithook(hook)
 from pathlib import Path
+from reconstruct.evidence import Evidence
+from reconstruct.gaps import bridge_gaps
 from reconstruct.pipeline import ReconstructSettings, reconstruct_folder
 reconstruct_folder(Path(sys.argv[1]), Path(sys.argv[2]), ReconstructSettings(progress=False))
 print(json.dumps(sorted(opened)))
