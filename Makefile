@@ -10,6 +10,7 @@ demo: setup
 test:
 	scripts/setup.sh dev
 	.venv/bin/ruff check .
+	.venv/bin/ruff format --check --quiet .
 	.venv/bin/mypy
 	.venv/bin/pytest
 
