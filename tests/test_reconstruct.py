@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from reconstruct_clip import make_clip
@@ -109,6 +110,7 @@ def test_meshes_lie_on_the_object(hinge, solved):
     camera = hinge.recording.camera
     for i in range(0, FRAMES, 6):
         frame = hinge.recording.frame(i)
+        nearest = cv2.erode(np.where(frame.mask, frame.depth, np.inf), np.ones((3, 3)))  # a rim may be a pixel off
         for mesh in result.articulation.posed(result.Ts_camera_reference[i], float(result.states[i])):
             at = np.floor(camera.project(mesh.vertices)).astype(int)
             inside = (at >= 0).all(1) & (at < [camera.width, camera.height]).all(1)
@@ -116,8 +118,8 @@ def test_meshes_lie_on_the_object(hinge, solved):
             assert inside.mean() > 0.95
             on_object = frame.mask[y, x]
             assert on_object.mean() > 0.92
-            in_front = frame.depth[y, x][on_object] - mesh.vertices[inside][on_object, 2]
-            assert np.percentile(in_front, 95) < 0.05 * hinge.diagonal
+            in_front = nearest[y, x][on_object] - mesh.vertices[inside][on_object, 2]
+            assert np.percentile(in_front, 99) < 0.005 * hinge.diagonal
 
 
 def test_scale_changes_nothing_but_lengths(hinge, solved):
