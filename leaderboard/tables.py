@@ -15,6 +15,8 @@ _DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
 def print_scores(scores: Scores, console: Console | None = None) -> None:
     """Print a table of sequences, a line for each that needs a word, and means by joint type when there are several."""
     console = console or Console()
+    if not console.is_terminal:  # a file or a pipe has room for every column
+        console.width = max(console.width, 22 + 20 * max(len(scores.rows), 2))
     console.print(sequence_table(scores))
     for row in scores.rows:
         for line in (*([f"{row.status}: {row.reason}"] if row.reason else []), *row.notes):
