@@ -40,9 +40,27 @@ _FREEART21: tuple[tuple[str, JointType, int, tuple[str, ...], str], ...] = (
 """Category, joint type, joint index, ids (FreeArtGS, configs/eval_joint_ids.yaml)."""
 
 CATALOG: tuple[CatalogEntry, ...] = (
-    CatalogEntry("stapler", "Stapler", "revolute", 0.15, "procedural", "joint_1"),
-    CatalogEntry("drawer_unit", "StorageFurniture", "prismatic", 0.45, "procedural", "joint_0"),
+    CatalogEntry("swivel_usb", "USB", "revolute", 0.06, "procedural", "joint_0"),
+    CatalogEntry("flip_cap_usb", "USB", "revolute", 0.08, "procedural", "joint_0"),
+    CatalogEntry("folding_usb", "USB", "revolute", 0.08, "procedural", "joint_0"),
     CatalogEntry("flip_lighter", "Lighter", "revolute", 0.07, "procedural", "joint_0"),
+    CatalogEntry("torch_lighter", "Lighter", "revolute", 0.08, "procedural", "joint_0"),
+    CatalogEntry("folding_lighter", "Lighter", "revolute", 0.24, "procedural", "joint_0"),
+    CatalogEntry("stapler", "Stapler", "revolute", 0.15, "procedural", "joint_1"),
+    CatalogEntry("mini_stapler", "Stapler", "revolute", 0.07, "procedural", "joint_1"),
+    CatalogEntry("long_arm_stapler", "Stapler", "revolute", 0.33, "procedural", "joint_1"),
+    CatalogEntry("slider_phone", "Phone", "prismatic", 0.12, "procedural", "joint_0"),
+    CatalogEntry("keyboard_phone", "Phone", "prismatic", 0.13, "procedural", "joint_0"),
+    CatalogEntry("cover_phone", "Phone", "prismatic", 0.14, "procedural", "joint_0"),
+    CatalogEntry("office_scissors", "Scissors", "revolute", 0.22, "procedural", "joint_0"),
+    CatalogEntry("tailor_shears", "Scissors", "revolute", 0.28, "procedural", "joint_0"),
+    CatalogEntry("craft_scissors", "Scissors", "revolute", 0.15, "procedural", "joint_0"),
+    CatalogEntry("drawer_unit", "StorageFurniture", "prismatic", 0.45, "procedural", "joint_0"),
+    CatalogEntry("nightstand", "StorageFurniture", "prismatic", 0.8, "procedural", "joint_0"),
+    CatalogEntry("filing_cabinet", "StorageFurniture", "prismatic", 1.0, "procedural", "joint_0"),
+    CatalogEntry("tilt_monitor", "Display", "revolute", 0.75, "procedural", "joint_0"),
+    CatalogEntry("pivot_monitor", "Display", "revolute", 0.8, "procedural", "joint_0"),
+    CatalogEntry("folding_display", "Display", "revolute", 0.4, "procedural", "joint_0"),
     *(
         CatalogEntry(name, category, joint_type, None, "partnet", f"joint_{index}", note, "FreeArt-21")
         for category, joint_type, index, names, note in _FREEART21

@@ -14,7 +14,7 @@ _STEEL = 7850.0
 _ABS = 1050.0
 
 
-def build(seed: int) -> ObjectModel:
+def stapler(seed: int) -> ObjectModel:
     """The stapler of a seed. Mouth towards -x, hinge at +x; the lid opens upwards by positive states."""
     rng = np.random.default_rng([seed, 101])
     length, width = 0.140 * rng.uniform(0.94, 1.08), 0.036 * rng.uniform(0.94, 1.08)

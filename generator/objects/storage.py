@@ -19,7 +19,7 @@ _BOARD = 0.010
 _GAP = 0.0015
 
 
-def build(seed: int) -> ObjectModel:
+def drawer_unit(seed: int) -> ObjectModel:
     """The drawer unit of a seed. The front faces -x; the drawers open by positive states."""
     rng = np.random.default_rng([seed, 202])
     width, depth, height = np.array([0.235, 0.265, 0.245]) * rng.uniform(0.94, 1.06, 3)

@@ -13,7 +13,7 @@ _BRASS = 8500.0
 _STEEL = 7850.0
 
 
-def build(seed: int) -> ObjectModel:
+def flip_lighter(seed: int) -> ObjectModel:
     """The lighter of a seed. Broad faces towards -y and +y, hinge at +x; the lid opens by positive states."""
     rng = np.random.default_rng([seed, 303])
     width, depth = 0.038 * rng.uniform(0.96, 1.05), 0.0130 * rng.uniform(0.96, 1.08)
