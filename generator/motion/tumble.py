@@ -13,6 +13,7 @@ from freeart21.camera import Camera
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
+from generator.motion.plan import Plan
 from generator.rays import Caster
 
 Hulls = tuple[Array, Array]
@@ -39,16 +40,6 @@ class MotionSettings:
     """Size of the translation (right, down, away), as shares of the distance to the object."""
     candidates: int = 6
     """Tumbles drawn, of which the one that shows both parts best is taken."""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Where the object is in every frame."""
-
-    Ts_camera_object: Array
-    """(n, 4, 4) camera from the object's frame (the root link's)."""
-    states: Array
-    """(n,) joint state, rad or m."""
 
 
 def plan_tumble(
@@ -85,7 +76,8 @@ def plan_tumble(
         if best is None or score > best[0]:
             best = score, Ts
     assert best is not None
-    return Plan(best[1], states)
+    camera_world = se3.pose(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), best[1][0, :3, 3])
+    return Plan(best[1], states, np.broadcast_to(camera_world, best[1].shape).copy())
 
 
 def motion_range(joint: Joint) -> tuple[float, float]:
