@@ -120,9 +120,7 @@ def moulded(
         vertices.append(np.concatenate([rings, height], -1).reshape(-1, 3))
         faces.append(start + _walls(len(rise), n))
     ends = np.concatenate([np.arange(len(c)) + s for c, s in zip(contours, first, strict=True)])
-    last = np.concatenate(
-        [np.arange(len(c)) + s + (len(rise) - 1) * len(c) for c, s in zip(contours, first, strict=True)]
-    )
+    steps = np.concatenate([np.full(len(c), (len(rise) - 1) * len(c)) for c in contours])
     cap = np.asarray(triangulate(inner), np.int64)
     faces += [ends[cap][:, ::-1], (ends + steps)[cap]]
     return turned(_solid(np.concatenate(vertices), np.concatenate(faces)), axis).translate(
