@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,13 +30,17 @@ class Picture:
     rgb: NDArray[np.uint8]
     """(height, width, 3)."""
     depth: NDArray[np.float32]
-    """(height, width) z-depth, metres; 0 where there is no object."""
+    """(height, width) z-depth, metres; 0 where there is nothing."""
     side: NDArray[np.uint8]
     """(height, width): 0 no object, k for the k-th group of links, from 1."""
 
 
 class Scene:
-    """One object before a camera at rest; nothing is simulated."""
+    """One object before a camera; nothing is simulated.
+
+    The camera stands at the engine's origin and everything is posed in its frame, because the engine's poses are single
+    precision: a moving camera moves the lamps instead.
+    """
 
     def __init__(
         self,
@@ -58,10 +65,18 @@ class Scene:
         self._scene = sapien.Scene()
         self._scene.set_ambient_light([0.30, 0.30, 0.32])
         # A lamp above and behind the camera to the left, a weaker one from the right, and one from below.
-        self._scene.add_directional_light([1.0, -0.55, -0.9], [1.9, 1.85, 1.75])
-        self._scene.add_directional_light([0.7, 0.9, -0.2], [0.5, 0.52, 0.58])
-        self._scene.add_directional_light([0.5, 0.1, 0.9], [0.25, 0.25, 0.27])
+        self._lamps = [
+            lamp.entity
+            for lamp in (
+                self._scene.add_directional_light([1.0, -0.55, -0.9], [1.9, 1.85, 1.75]),
+                self._scene.add_directional_light([0.7, 0.9, -0.2], [0.5, 0.52, 0.58]),
+                self._scene.add_directional_light([0.5, 0.1, 0.9], [0.25, 0.25, 0.27]),
+            )
+        ]
+        self._lamps_at_rest = [lamp.pose for lamp in self._lamps]
+        self._R_camera_world = self._R_now = np.eye(3)
         self._object = _load(self._scene, urdf)
+        self._joint_names = [joint.name for joint in self._object.active_joints]
         self._label = _labels(self._object, groups, urdf)
         self._view = self._scene.add_camera(
             "camera", camera.width, camera.height, 2 * np.arctan(0.5 * camera.height / camera.K[1, 1]), near, far
@@ -71,25 +86,58 @@ class Scene:
         )
         self._view.entity.set_pose(sapien.Pose())
 
-    def render(self, T_camera_object: Array, positions: dict[str, float]) -> Picture:
-        """The view with the root link at `T_camera_object` (4, 4) and joints at `positions` (rad or m; others zero)."""
+    def fix_lamps(self, T_camera_world: Array) -> None:
+        """Fix the lamps in the world as they stand about a camera at `T_camera_world` (4, 4)."""
+        self._R_camera_world = np.asarray(T_camera_world, float)[:3, :3]
+
+    def render(
+        self, T_camera_object: Array, positions: dict[str, float], T_camera_world: Array | None = None
+    ) -> Picture:
+        """The view with the root link at `T_camera_object` (4, 4) and joints at `positions` (rad or m; others zero).
+
+        The lamps stand still in the world when `T_camera_world` (4, 4) is given (see `fix_lamps`); without it they go
+        with the camera. Where they are in the world does not matter: they are infinitely far away.
+        """
+        self.shoot(T_camera_object, positions, T_camera_world)
+        return Picture(self.rgb(), *self.depth_and_side())
+
+    def shoot(self, T_camera_object: Array, positions: dict[str, float], T_camera_world: Array | None = None) -> None:
+        """Draw a view, for the functions that fetch what is wanted of it; arguments as `render`."""
         import sapien
 
         T = _T_SAPIEN_CAMERA @ T_camera_object
         self._object.set_root_pose(sapien.Pose(T[:3, 3].astype(np.float32), se3.wxyz(T).astype(np.float32)))
-        self._object.set_qpos(np.array([positions.get(j.name, 0.0) for j in self._object.active_joints], np.float32))
+        self._object.set_qpos(np.array([positions.get(name, 0.0) for name in self._joint_names], np.float32))
+        self._turn_lamps(self._R_camera_world if T_camera_world is None else T_camera_world[:3, :3])
         self._scene.update_render()
         self._view.take_picture()
-        rgb = self._view.get_picture("Color")[..., :3]
-        if self._linear:
-            rgb = _srgb(rgb)
-        z = -self._view.get_picture("Position")[..., 2]
-        side = self._label[np.minimum(self._view.get_picture("Segmentation")[..., 1], len(self._label) - 1)]
-        return Picture(
-            np.clip(np.rint(rgb * 255), 0, 255).astype(np.uint8),
-            np.where(side > 0, z, 0).astype(np.float32),
-            side,
-        )
+
+    def rgb(self) -> NDArray[np.uint8]:
+        """(height, width, 3) colours of the last view, sRGB."""
+        picture = self._view.get_picture("Color")
+        return encoded(picture[..., :3]) if self._linear else _rounded(picture)
+
+    def linear_rgb(self) -> NDArray[np.float32]:
+        """(height, width, 3) light of the last view, 0 to 1."""
+        picture = self._view.get_picture("Color")[..., :3]
+        return np.clip(picture, 0, 1) if self._linear else decoded(picture)
+
+    def depth_and_side(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Depth and side of the last view, as in `Picture`."""
+        return _depth_and_side(self._view.get_picture("Position"), self._view.get_picture("Segmentation"), self._label)
+
+    def _turn_lamps(self, R_camera_world: Array) -> None:
+        """Turn the lamps to where they stand in the world for a camera at `R_camera_world` (3, 3)."""
+        import sapien
+
+        R = R_camera_world @ self._R_camera_world.T
+        if np.array_equal(R, self._R_now):
+            return
+        axes = _T_SAPIEN_CAMERA[:3, :3]
+        turn = sapien.Pose(np.zeros(3, np.float32), se3.wxyz(axes @ R @ axes.T).astype(np.float32))
+        for lamp, rest in zip(self._lamps, self._lamps_at_rest, strict=True):
+            lamp.set_pose(turn * rest)
+        self._R_now = R
 
     def link_poses(self) -> dict[str, Array]:
         """Link name to its pose (4, 4) in the camera frame, as SAPIEN has it since the last `render`."""
@@ -110,10 +158,53 @@ def simulator() -> dict[str, str]:
     return {"simulator": "SAPIEN", "simulator_version": sapien.__version__, "render_device": device}
 
 
-def _srgb(linear: NDArray[np.float32]) -> NDArray[np.float32]:
-    """sRGB, 0 to 1, of linear colours (IEC 61966-2-1)."""
-    linear = np.clip(linear, 0, 1)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+def encoded(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """sRGB, 0 to 255, of light, 0 to 1 (IEC 61966-2-1); light is taken in 65536 steps."""
+    return _tables()[0][_steps(linear)]
+
+
+def decoded(srgb: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Light, 0 to 1, of sRGB colours, 0 to 1; colours are taken in 65536 steps."""
+    return _tables()[1][_steps(srgb)]
+
+
+def _steps(values: NDArray[np.float32]) -> NDArray[np.uint16]:
+    return (np.clip(values, 0, 1) * np.float32(65535) + np.float32(0.5)).astype(np.uint16)
+
+
+@functools.cache
+def _tables() -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """sRGB bytes of light, and light of sRGB, by step."""
+    x = np.arange(65536) / 65535
+    srgb = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    light = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+    return np.rint(srgb * 255).astype(np.uint8), light.astype(np.float32)
+
+
+def _rounded(colours: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """The first three channels of colours, 0 to 1, as bytes."""
+    scaled = cv2.convertScaleAbs(colours, alpha=255.0)
+    return np.asarray(scaled if scaled.shape[2] == 3 else cv2.cvtColor(scaled, cv2.COLOR_RGBA2RGB), np.uint8)
+
+
+_THING = 255
+"""Label of what is seen and is not the object."""
+
+
+@numba.njit(cache=True)
+def _depth_and_side(
+    position: NDArray[np.float32], segmentation: NDArray[np.uint32], label: NDArray[np.uint8]
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Depth and side of the engine's pictures (h, w, 4); `label` by entity, its last entry for entities beyond."""
+    height, width = position.shape[:2]
+    depth, side = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
+    for v in range(height):
+        for u in range(width):
+            found = label[min(segmentation[v, u, 1], np.uint32(len(label) - 1))]
+            if found > 0:
+                depth[v, u] = -position[v, u, 2]
+                side[v, u] = found if found != _THING else 0
+    return depth, side
 
 
 def _load(scene: Any, urdf: Path) -> Any:
