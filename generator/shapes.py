@@ -66,6 +66,38 @@ def turned(solid: Manifold, axis: Axis) -> Manifold:
     return solid.rotate(_TURN[axis])
 
 
+def lathe(profile: ArrayLike, axis: Axis = "z", centre: ArrayLike = (0, 0, 0), segments: int = 32) -> Manifold:
+    """The `profile` (n, 2) of radii and heights, counter-clockwise, turned about `axis`, its height 0 at `centre`."""
+    solid = Manifold.revolve(polygon(profile), segments)
+    return turned(solid, axis).translate(tuple(np.asarray(centre, float)))
+
+
+def repeated(solid: Manifold, step: ArrayLike, count: int) -> Manifold:
+    """`count` copies of a solid, each moved by `step` (3,) from the last, their middle where the solid is."""
+    step = np.asarray(step, float)
+    return union(solid.translate(tuple((k - (count - 1) / 2) * step)) for k in range(count))
+
+
+def tapered(low: CrossSection, high: CrossSection, length: float, axis: Axis, at: float = 0.0) -> Manifold:
+    """A solid from the convex outline `low` at `at` on `axis` to the convex outline `high`, `length` further on.
+
+    It grows against the axis for axis y, as `turned` turns it.
+    """
+    thin = 1e-5
+    ends = [Manifold.extrude(low, thin), Manifold.extrude(high, thin).translate((0, 0, length - thin))]
+    solid = turned(Manifold.batch_hull(ends), axis)
+    return solid.translate(tuple(at * (np.array(["x", "y", "z"]) == axis)))
+
+
+def screw(radius: float, axis: Axis, at: ArrayLike, sign: int = 1, segments: int = 20) -> Manifold:
+    """A cross-slotted screw head on a surface point `at` (3,) that faces along `axis`, or against it for sign -1."""
+    head = rod(radius, radius, "z", (0, 0, 0), 0.25 * radius, segments)
+    slots = [box((1.4 * radius, 0.3 * radius, radius)), box((0.3 * radius, 1.4 * radius, radius))]
+    up = -sign if axis == "y" else sign
+    head -= union(slots).translate((0, 0, up * 0.75 * radius))
+    return turned(head, axis).translate(tuple(np.asarray(at, float)))
+
+
 def rounded_outline(width: float, height: float, radius: float, segments: int = 32) -> CrossSection:
     """A rectangle about the origin with rounded corners."""
     inner = CrossSection.square((width - 2 * radius, height - 2 * radius), True)
