@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import Literal
 
 import cv2
@@ -143,7 +144,9 @@ def moulded(
     quarter = np.linspace(0, np.pi / 2, segments + 1)
     share = np.concatenate([1 - np.sin(quarter), 1 - np.sin(quarter[::-1])])
     rise = np.concatenate([radius * (1 - np.cos(quarter)), thickness - radius * (1 - np.cos(quarter[::-1]))])
-    vertices, faces, first = [], [], []
+    vertices: list[Array] = []
+    faces: list[NDArray[np.int64]] = []
+    first: list[int] = []
     for contour, inset in zip(contours, inner, strict=True):
         n, start = len(contour), sum(len(v) for v in vertices)
         first.append(start)
@@ -243,7 +246,7 @@ def _inset(contour: Array, depth: float) -> Array:
     normal = np.stack([-ahead[:, 1], ahead[:, 0]], -1)
     before = np.roll(normal, 1, 0)
     moved = contour + depth * (normal + before) / (1 + np.sum(normal * before, 1, keepdims=True))
-    if (np.sum((np.roll(moved, -1, 0) - moved) * ahead, 1) < 0).any():
+    if bool((np.sum((np.roll(moved, -1, 0) - moved) * ahead, 1) < 0).any()):
         raise ValueError(f"rims of radius {depth:g} do not fit the outline's curves")
     return moved
 
@@ -260,3 +263,25 @@ def _solid(vertices: Array, faces: NDArray[np.int64]) -> Manifold:
     if solid.status().name != "NoError" or solid.volume() <= 0:
         raise ValueError(f"not a solid: {solid.status().name}, volume {solid.volume():g}")
     return solid
+
+
+def stroke(points: ArrayLike, radii: ArrayLike, segments: int = 24) -> CrossSection:
+    """The outline that a disc sweeps on its way through `points` (n, 2) while its radius goes through `radii` (n,)."""
+    discs = [
+        CrossSection.circle(float(r), segments).translate((float(x), float(y)))
+        for (x, y), r in zip(np.asarray(points, float), np.broadcast_to(radii, len(np.asarray(points))), strict=True)
+    ]
+    spans = [CrossSection.batch_hull(pair) for pair in pairwise(discs)]
+    return CrossSection.batch_boolean(spans or discs, OpType.Add)
+
+
+def softened(outline: CrossSection, radius: float, segments: int = 24) -> CrossSection:
+    """The outline with all its corners, inward and outward, rounded to at least `radius`."""
+    for step in (-radius, 2 * radius, -radius):
+        outline = outline.offset(step, JoinType.Round, circular_segments=segments)
+    return outline.simplify(radius / 40)
+
+
+def stood(solid: Manifold) -> Manifold:
+    """A solid drawn flat (x right, y up, z towards the viewer) stood up to face -x."""
+    return solid.transform([[0, 0, -1, 0], [-1, 0, 0, 0], [0, 1, 0, 0]])
