@@ -68,6 +68,12 @@ def stripes(colours: Sequence[Colour], repeats: int, size: int = 256) -> Image:
     return _uint8(np.broadcast_to(np.array(colours)[index][None], (size, size, 3)))
 
 
+def page_edges(colour: Colour, leaves: int = 24, size: int = 128) -> Image:
+    """The edges of a block of paper, one leaf above the other."""
+    lines = 0.90 + 0.10 * np.cos(2 * np.pi * leaves * np.arange(size) / size)
+    return _uint8(np.broadcast_to(np.array(colour) * lines[:, None, None], (size, size, 3)))
+
+
 def plain(colour: Colour) -> Image:
     """One colour all over."""
     return _uint8(np.broadcast_to(np.array(colour), (4, 4, 3)))
