@@ -41,8 +41,8 @@ _FREEART21: tuple[tuple[str, JointType, int, tuple[str, ...], str], ...] = (
 
 CATALOG: tuple[CatalogEntry, ...] = (
     CatalogEntry("swivel_usb", "USB", "revolute", 0.06, "procedural", "joint_0"),
-    CatalogEntry("flip_cap_usb", "USB", "revolute", 0.08, "procedural", "joint_0"),
-    CatalogEntry("folding_usb", "USB", "revolute", 0.08, "procedural", "joint_0"),
+    CatalogEntry("flip_cap_usb", "USB", "revolute", 0.065, "procedural", "joint_0"),
+    CatalogEntry("folding_usb", "USB", "revolute", 0.07, "procedural", "joint_0"),
     CatalogEntry("flip_lighter", "Lighter", "revolute", 0.07, "procedural", "joint_0"),
     CatalogEntry("torch_lighter", "Lighter", "revolute", 0.08, "procedural", "joint_0"),
     CatalogEntry("folding_lighter", "Lighter", "revolute", 0.24, "procedural", "joint_0"),

@@ -141,6 +141,10 @@ def moulded(
     """
     contours = [np.asarray(c, float) for c in outline.to_polygons()]
     inner = [_inset(c, radius) for c in contours]
+    kept = CrossSection([1e3 * c for c in inner])  # in millimetres: outlines are rounded to 1e-8 of their unit
+    signed = sum(float(np.sum(c[:, 0] * np.roll(c[:, 1], -1) - c[:, 1] * np.roll(c[:, 0], -1))) / 2 for c in inner)
+    if abs(kept.area() * 1e-6 - signed) > 1e-5 * signed:
+        raise ValueError(f"rims of radius {radius:g} meet each other: the outline is too narrow somewhere")
     quarter = np.linspace(0, np.pi / 2, segments + 1)
     share = np.concatenate([1 - np.sin(quarter), 1 - np.sin(quarter[::-1])])
     rise = np.concatenate([radius * (1 - np.cos(quarter)), thickness - radius * (1 - np.cos(quarter[::-1]))])
