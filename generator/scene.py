@@ -75,6 +75,7 @@ class Scene:
         ]
         self._lamps_at_rest = [lamp.pose for lamp in self._lamps]
         self._R_camera_world = self._R_now = np.eye(3)
+        self._strength: NDArray[np.float32] | None = None
         self._object = _load(self._scene, urdf)
         self._joint_names = [joint.name for joint in self._object.active_joints]
         self._label = _labels(self._object, groups, urdf)
@@ -121,6 +122,14 @@ class Scene:
         """(height, width, 3) light of the last view, 0 to 1."""
         picture = self._view.get_picture("Color")[..., :3]
         return np.clip(picture, 0, 1) if self._linear else decoded(picture)
+
+    def materials(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Of the last view: linear base colours (height, width, 3), 0 to 1, and specular strength (height, width)."""
+        base = self._view.get_picture("Color" if self._linear else "Albedo")[..., :3]
+        shape = self._view.get_picture("Segmentation")[..., 0]
+        if self._strength is None:
+            self._strength = _strengths(self._scene)
+        return base, self._strength[np.minimum(shape, len(self._strength) - 1)]
 
     def depth_and_side(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Depth and side of the last view, as in `Picture`."""
@@ -219,6 +228,25 @@ def _load(scene: Any, urdf: Path) -> Any:
         link.collision_records = []
         link.visual_records = [r for r in link.visual_records if not r.filename or Path(r.filename).is_file()]
     return builders[0].build(fix_root_link=False)
+
+
+def _strengths(scene: Any) -> NDArray[np.float32]:
+    """Specular strength (MTL Ks) by per-scene id of a shape; the last entry is for nothing.
+
+    SAPIEN's importer keeps of Ks and the exponent Ns only the roughness 1 - Ks sqrt(Ns / 1000); Ns is taken as 230 Ks,
+    about as in `generator.model.SHINE`.
+    """
+    import sapien
+
+    found = {0: 0.0}
+    for entity in scene.entities:
+        body = entity.find_component_by_type(sapien.render.RenderBodyComponent)
+        for shape in body.render_shapes if body is not None else ():
+            roughness = np.mean([part.material.roughness for part in shape.parts])
+            found[shape.per_scene_id] = float(np.clip((1 - roughness) / np.sqrt(0.23), 0, 1)) ** (2 / 3)
+    table = np.zeros(max(found) + 2, np.float32)
+    table[list(found)] = list(found.values())
+    return table
 
 
 def _labels(articulation: Any, groups: Sequence[Sequence[str]], urdf: Path) -> NDArray[np.uint8]:

@@ -1,22 +1,32 @@
-"""What the camera adds to a rendered video: named sensors, each of which may be joined with others by '+'."""
+"""What the camera adds to a rendered video: named sensors, each of which may be joined with others by '+'.
+
+- clean: nothing.
+- noise2: depth with Gaussian noise of 2 % of itself.
+- tof: depth as a time-of-flight camera gives it (`generator.tof`).
+- blur: motion blur; light is averaged over the exposure. Poses, states, depth and mask are those of its middle.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
-from generator.motion import Plan
+from generator.motion import Plan, hull_points
 from generator.partnet import PartNetObject
-from generator.scene import Scene
+from generator.scene import Scene, encoded
+from generator.tof import TimeOfFlight, infrared_albedo
 
-SENSORS: tuple[str, ...] = ("clean", "noise2")
+SENSORS: tuple[str, ...] = ("clean", "noise2", "tof", "blur")
 """Names of the sensors."""
+
+EXPOSURE_S = 1 / 60
+"""Time for which blur's shutter is open, half a frame at 30 a second; never longer than a frame."""
 
 NOISE2_SHARE = 0.02
 """Standard deviation of noise2's depth, as a share of the depth."""
@@ -39,31 +49,70 @@ class Shot:
     """(height, width): 0 no object, 1 the scored joint's parent side, 2 its child side; true, whatever `depth` says."""
 
 
-DepthModel = Callable[[NDArray[np.float32], np.random.Generator], NDArray[np.float32]]
-"""What a depth camera makes of a true depth map (0 = none)."""
-
-
 class Sensor:
     """Films one planned motion. Made by `make_sensor`."""
 
-    def __init__(self, name: str, scene: Scene, plan: Plan, loaded: PartNetObject, seed: int) -> None:
+    def __init__(
+        self,
+        name: str,
+        scene: Scene,
+        plan: Plan,
+        loaded: PartNetObject,
+        meshes: tuple[Mesh, Mesh],
+        seed: int,
+        fps: float,
+    ) -> None:
         self.name = name
+        self._parts = set(name.split("+"))
         self._scene, self._plan, self._loaded, self._seed = scene, plan, loaded, seed
-        self._Ts_camera_world: Array | None = getattr(plan, "Ts_camera_world", None)
-        if self._Ts_camera_world is not None:
-            scene.fix_lamps(self._Ts_camera_world[0])
-        self._depth_model: DepthModel | None = noise2 if "noise2" in name.split("+") else None
+        self._exposure = min(EXPOSURE_S * fps, 1.0)
+        self._hulls = hull_points(meshes[0]), hull_points(meshes[1])
+        self._tof = TimeOfFlight(scene.camera, seed)
+        scene.fix_lamps(plan.Ts_camera_world[0])
 
     def shoot(self, i: int) -> Shot:
         """Frame `i` of the video: the same whatever was shot before."""
-        positions = {**self._loaded.asset.held, self._loaded.joint.name: float(self._plan.states[i])}
-        T_camera_world = None if self._Ts_camera_world is None else self._Ts_camera_world[i]
-        self._scene.shoot(self._plan.Ts_camera_object[i], positions, T_camera_world)
-        rgb = self._scene.rgb()
+        exposed = self._exposed(i) if "blur" in self._parts else None
+        self._draw(i)
+        rgb = self._scene.rgb() if exposed is None else exposed
         depth, side = self._scene.depth_and_side()
-        if self._depth_model is not None:
-            depth = self._depth_model(depth, np.random.default_rng([self._seed, _STREAM, i]))
+        rng = np.random.default_rng([self._seed, _STREAM, i])
+        if "noise2" in self._parts:
+            depth = noise2(depth, rng)
+        elif "tof" in self._parts:
+            base, gloss = self._scene.materials()
+            depth = self._tof.measure(depth, infrared_albedo(base), gloss, rng)
         return Shot(rgb, depth, side > 0, side)
+
+    def _draw(self, t: float) -> None:
+        """Draw the scene at time `t`, in frames."""
+        held, joint = self._loaded.asset.held, self._loaded.joint.name
+        state = float(np.interp(t, np.arange(len(self._plan.states)), self._plan.states))
+        self._scene.shoot(
+            between(self._plan.Ts_camera_object, t), {**held, joint: state}, between(self._plan.Ts_camera_world, t)
+        )
+
+    def _exposed(self, i: int) -> NDArray[np.uint8] | None:
+        """Frame `i` as the mean of the light over its exposure; None when nothing moves in that time."""
+        count = sub_frames(self.motion_px(i))
+        if count == 1:
+            return None
+        light = np.zeros((self._scene.camera.height, self._scene.camera.width, 3), np.float32)
+        for k in range(count):
+            self._draw(i + self._exposure * ((k + 0.5) / count - 0.5))
+            light += self._scene.linear_rgb()
+        return encoded(light / np.float32(count))
+
+    def motion_px(self, i: int) -> float:
+        """How far the object's corners move in the picture at most while frame `i` is exposed, pixels."""
+        ends = []
+        for t in (i - self._exposure / 2, i + self._exposure / 2):
+            T = between(self._plan.Ts_camera_object, t)
+            state = float(np.interp(t, np.arange(len(self._plan.states)), self._plan.states))
+            Ts = T, T @ self._loaded.joint.transform(state)
+            points = np.concatenate([se3.transform(T, hull) for T, hull in zip(Ts, self._hulls, strict=True)])
+            ends.append(self._scene.camera.project(points))
+        return float(np.nanmax(np.linalg.norm(ends[1] - ends[0], axis=1), initial=0.0))
 
 
 def make_sensor(
@@ -89,7 +138,7 @@ def make_sensor(
     Raises FreeArtError when the name is unknown or joins what cannot be joined.
     """
     check_sensor(name)
-    return Sensor(name, scene, plan, loaded, seed)
+    return Sensor(name, scene, plan, loaded, meshes, seed, fps)
 
 
 def check_sensor(name: str) -> None:
@@ -102,6 +151,24 @@ def check_sensor(name: str) -> None:
         raise FreeArtError(
             f"sensor '{name}' joins what does not go together: each name once, clean alone, noise2 or tof but not both"
         )
+
+
+def between(Ts: Array, t: float) -> Array:
+    """The pose (4, 4) at time `t`, in frames, of poses (n, 4, 4): constant twists from frame to frame, and beyond."""
+    k = int(np.clip(np.floor(t), 0, max(len(Ts) - 2, 0)))
+    if t == k or len(Ts) == 1:
+        return Ts[k]
+    if t == k + 1:
+        return Ts[k + 1]
+    return Ts[k] @ se3.exp_se3((t - k) * se3.log_se3(se3.inverse(Ts[k]) @ Ts[k + 1]))
+
+
+def sub_frames(motion_px: float) -> int:
+    """How many pictures make up an exposure in which the picture moves by `motion_px`: one a pixel, odd, at most 9.
+
+    Odd, so that the middle of the exposure, where depth and truth are taken, is one of them.
+    """
+    return min(2 * int(np.ceil((motion_px - 0.5) / 2)) + 1, 9) if motion_px > 0.5 else 1
 
 
 def noise2(depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
