@@ -1,37 +1,57 @@
 """Loads a PartNet-Mobility folder, real or written by `generator.partnet_writer`.
 
-What such folders are like (each point has a test):
+What such folders are like (each point has a test, `test_quirk_NN_...`):
 
-- The URDF alone is the truth: mobility_v2.json turns some axes round and counts in degrees. Limits may be "-0.0".
-- The link `base` is empty; the last joint fixes the real root to it, turning y-up meshes to z-up.
+- mobility.urdf alone is the truth: mobility_v2.json turns some axes round and counts in degrees, and the names and ids
+  of semantics.txt and meta.json may differ. Other URDFs beside it (ManiSkill's mobility_cvx, mobility_fixed) are not
+  looked at. Limits may be "-0.0".
+- The link `base` is empty; the last joint fixes the real root to it, turning y-up meshes to z-up. Parts that are free
+  in the world ("free" in semantics.txt, as a stapler's base) hang on it, too: the recorder moves the root.
 - Links have no inertia and joints no dynamics, effort or velocity; collision shapes repeat the visual ones.
 - Link frames sit on their joints, meshes stay in the object's frame: their origin is minus the sum of joint origins.
 - Visual names repeat. Sliders may have their origin at zero, so their pivot means nothing.
-- Meshes have double and inner faces; units are not metric (the diagonal is about 2); files may be absent.
+- Joints may be continuous, without limits. A slider that also turns is two joints, by way of an empty helper link, and
+  its limits may exclude zero: joints are held, and recorded, within their limits only.
+- Meshes are drawn twice, once a side, and have inner faces; units are not metric (the diagonal is about 2).
+- Meshes, pictures and material libraries may be absent (see `generator.partnet_files`); files that the URDF does not
+  name may lie about.
 """
 
 from __future__ import annotations
 
 import contextlib
-import functools
 import xml.etree.ElementTree as ET
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import trimesh
-from numpy.typing import NDArray
 
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.asset import UrdfJoint, movable_joint, read_urdf_joints
+from freeart21.files.asset import UrdfJoint, movable_joint, read_semantics, read_urdf_joints
 from freeart21.joint import Joint
 from freeart21.se3 import Array
-from generator.surface import Paint, Surface
+from generator.motion import motion_range
+from generator.partnet_files import Gaps, inside, read_obj
+from generator.surface import Surface
 
 URDF_NAME = "mobility.urdf"
+
+WHERE_TO_ASK = "PartNet-Mobility is free for those who take an account and its terms: https://sapien.ucsd.edu/downloads"
+"""Said when an object is not there: it may not be handed on."""
+
+# fmt: off
+INCOMPLETE = frozenset((
+    "10090", "10108", "10356", "11538", "12115", "9918", "9987", "10546", "11260", "11887", "12071", "12542",
+    "12578", "12584", "12612", "23724", "25144", "29525", "30857", "32213", "32746", "2780", "39138", "43142",
+    "3380", "3593", "7130", "7138", "7347", "7221", "7306", "7320", "8966",
+))
+# fmt: on
+"""Objects whose URDF names meshes that nobody has: they had no faces and were never shipped (SAPIEN's issues 33 and
+201; the list is r-pad's missing_objs.txt). One, the scissors 10546, is FreeArt-21's."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +92,9 @@ class PartNetObject:
     semantics: dict[str, str]
     """Link name to semantics.txt's kind and name, such as 'slider drawer'; mobility_v2.json may use other names."""
     missing: tuple[str, ...]
-    """Mesh files that the URDF names and that are absent (only with `skip_missing`)."""
+    """Mesh files that the URDF names and that are absent (only with `skip_missing`, or in one of `INCOMPLETE`)."""
+    notes: tuple[str, ...]
+    """What a user should know of this object, one line each: what it lacks, and what was made of it."""
 
     @property
     def sides(self) -> tuple[Side, Side]:
@@ -80,38 +102,53 @@ class PartNetObject:
         return self.parent_side, self.child_side
 
 
+def folder_of(name: str, root: Path | None) -> Path:
+    """Where the object `name` (an id) lies under `root`, the data set's folder or the one above it.
+
+    Raises FreeArtError, saying where to ask for the data, when it is not there.
+    """
+    if root is None:
+        raise FreeArtError(
+            f"object {name} is from PartNet-Mobility: name the folder that holds it by --partnet-root; {WHERE_TO_ASK}"
+        )
+    if not Path(root).is_dir():
+        raise FreeArtError(f"the PartNet-Mobility folder {root} does not exist; {WHERE_TO_ASK}")
+    for place in (Path(root), Path(root) / "dataset"):
+        if (place / name).is_dir():
+            return place / name
+    raise FreeArtError(f"PartNet-Mobility object {name} is not in {root}; {WHERE_TO_ASK}")
+
+
 def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> PartNetObject:
     """The object in `folder`, with the joint named (or the one that meta.json calls scored, or the only movable one).
 
     Raises FreeArtError, in one line, when a file is missing or unreadable, when the joint is unknown (the movable ones
-    are listed) or has no range, or when a side has no surface. `skip_missing` leaves out absent mesh files instead:
-    in PartNet-Mobility those are parts without faces that were never shipped.
+    are listed) or has no range, or when a side has no surface. `skip_missing` leaves out absent mesh files instead, as
+    is always done for the objects `INCOMPLETE`.
     """
     folder = Path(folder)
     urdf = folder / URDF_NAME
     if not urdf.is_file():
         raise FreeArtError(f"{folder} is not a PartNet-Mobility object: it has no {URDF_NAME}")
     meta = _meta(folder)
+    root, joints = _read_tree(urdf)
     scored = movable_joint(urdf, joint or meta.get("scored_joint"))
     if not scored.lower < scored.upper:
         raise FreeArtError(
             f"{urdf}: joint '{scored.name}' cannot move: its limits are [{scored.lower:g}, {scored.upper:g}]"
         )
-    joints = read_urdf_joints(urdf)
     held = {
         j.name: float(np.clip(0.0, j.lower, j.upper)) for j in joints.values() if j.joint_type and j.name != scored.name
     }
-    root = ET.fromstring(urdf.read_bytes())
     motions = read_motions(root, joints, urdf)
     Ts = link_poses(joints, motions, held)
     visuals = {element.get("name", ""): _visuals(element, folder, urdf) for element in root.findall("link")}
-    absent = _absent(visuals, folder, urdf, skip_missing)
+    gaps = Gaps()
+    absent = _absent(visuals, folder, urdf, skip_missing or folder.resolve().name in INCOMPLETE)
+    gaps.meshes.update(absent)
     below = _below(joints, scored.child)
-    unknown = sorted(below - set(visuals))
-    if unknown:
-        raise FreeArtError(f"{urdf}: joints name links that do not exist: {', '.join(unknown)}")
-    child = _side(scored, tuple(name for name in visuals if name in below), visuals, Ts, urdf)
-    parent = _side(scored, tuple(name for name in visuals if name not in below), visuals, Ts, urdf)
+    child = _side(scored, tuple(name for name in visuals if name in below), visuals, Ts, folder, gaps)
+    parent = _side(scored, tuple(name for name in visuals if name not in below), visuals, Ts, folder, gaps)
     T_object_joint = Ts[scored.parent] @ motions[scored.name].T_parent_joint
     assert scored.joint_type is not None
     moving = Joint(
@@ -131,9 +168,75 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
         held=held,
         source={"format": "PartNet-Mobility", "object": folder.name},
     )
+    notes = (*gaps.notes(), *_joint_notes(moving, held), *_meta_notes(meta, folder))
+    category = str(meta.get("model_cat", "unknown"))
     return PartNetObject(
-        folder.name, str(meta.get("model_cat", "unknown")), asset, moving, parent, child, _semantics(folder), absent
+        folder.name, category, asset, moving, parent, child, read_semantics(folder / "semantics.txt"), absent, notes
     )
+
+
+def _joint_notes(moving: Joint, held: dict[str, float]) -> list[str]:
+    notes = []
+    if not np.isfinite([moving.lower, moving.upper]).all():
+        low, high = motion_range(moving)
+        unit = "rad" if moving.type == "revolute" else "m"
+        notes.append(f"joint '{moving.name}' has no limits: it is moved from {low:.4g} to {high:.4g} {unit}")
+    if not moving.lower <= 0 <= moving.upper:
+        notes.append(f"joint '{moving.name}' never stands at 0: its limits are [{moving.lower:g}, {moving.upper:g}]")
+    notes += [f"joint '{name}' cannot stand at 0 and is held at {q:g}" for name, q in held.items() if q != 0]
+    return notes
+
+
+def _meta_notes(meta: dict, folder: Path) -> list[str]:
+    said = str(meta.get("anno_id", folder.name))
+    ours = "scored_joint" in meta
+    return [] if ours or said == folder.name else [f"meta.json calls the object {said}; the folder's name is kept"]
+
+
+def _read_tree(urdf: Path) -> tuple[ET.Element, dict[str, UrdfJoint]]:
+    """The URDF's element and its joints; FreeArtError when it is not one tree of links, or a joint is not understood.
+
+    (SAPIEN would take an unknown type for a fixed joint, and fails without saying where for much else.)
+    """
+    joints = read_urdf_joints(urdf)
+    data = urdf.read_bytes()
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FreeArtError(f"{urdf} is not UTF-8 text: {error}") from error
+    root = ET.fromstring(data)
+    links = [element.get("name", "") for element in root.findall("link")]
+    known = Counter(links)
+    for name, times in known.items():
+        if times > 1:
+            raise FreeArtError(f"{urdf} has link '{name}' {times} times, expected names of their own")
+    limited = {e.get("name", "") for e in root.findall("joint") if e.find("limit") is not None}
+    hung: dict[str, str] = {}
+    for j in joints.values():
+        for link in (j.parent, j.child):
+            if link not in known:
+                raise FreeArtError(f"{urdf}: joint '{j.name}' names link '{link}', which does not exist")
+        if j.child in hung:
+            raise FreeArtError(f"{urdf}: link '{j.child}' hangs on both joints '{hung[j.child]}' and '{j.name}'")
+        hung[j.child] = j.name
+        if j.joint_type is None and j.type != "fixed":
+            raise FreeArtError(
+                f"{urdf}: joint '{j.name}' has type '{j.type}', expected fixed, revolute, continuous or prismatic"
+            )
+        if j.joint_type and j.type != "continuous" and j.name not in limited:
+            raise FreeArtError(f"{urdf}: joint '{j.name}' is {j.type} and has no <limit>, expected lower and upper")
+        if j.lower > j.upper:
+            raise FreeArtError(
+                f"{urdf}: joint '{j.name}' has limits [{j.lower:g}, {j.upper:g}], expected lower <= upper"
+            )
+    roots = [link for link in links if link not in hung]
+    if len(roots) != 1:
+        raise FreeArtError(f"{urdf} has the root links {', '.join(roots) or 'none'}, expected one")
+    reached = {roots[0]} | _below(joints, roots[0])
+    for j in joints.values():
+        if j.child not in reached:
+            raise FreeArtError(f"{urdf}: its joints form a loop at link '{j.child}'")
+    return root, joints
 
 
 @dataclass(frozen=True)
@@ -147,32 +250,29 @@ class Motion:
 
 
 def link_poses(joints: dict[str, UrdfJoint], motions: dict[str, Motion], q: dict[str, float]) -> dict[str, Array]:
-    """Link name to T_root_link (4, 4) at joint positions `q`, rad or m; joints not named stand at zero."""
-    children = {j.child for j in joints.values()}
-    roots = sorted({j.parent for j in joints.values()} - children)
-    if len(roots) != 1:
-        raise FreeArtError(f"the URDF has the root links {', '.join(roots) or 'none'}, expected one")
-    Ts = {roots[0]: np.eye(4)}
-    waiting = list(joints.values())
-    while waiting:
-        ready = [j for j in waiting if j.parent in Ts]
-        if not ready:
-            raise FreeArtError(f"the URDF's joints form a loop at link '{waiting[0].parent}'")
-        for j in ready:
-            motion = motions[j.name]
-            T = Ts[j.parent] @ motion.T_parent_joint
+    """Link name to T_root_link (4, 4) at joint positions `q`, rad or m; joints not named stand at zero.
+
+    The joints must form one tree, as `load` makes sure.
+    """
+    hung = {j.child for j in joints.values()}
+    Ts = {j.parent: np.eye(4) for j in joints.values() if j.parent not in hung}
+    below, at = _children(joints), list(Ts)
+    while at:
+        for j in below.get(at.pop(), ()):
+            Ts[j.child] = Ts[j.parent] @ motions[j.name].T_parent_joint
             if j.joint_type is not None:
-                T = T @ Joint(j.name, j.joint_type, motion.axis, np.zeros(3), -np.inf, np.inf).transform(
-                    q.get(j.name, 0.0)
-                )
-            Ts[j.child] = T
-        waiting = [j for j in waiting if j not in ready]
+                free = Joint(j.name, j.joint_type, motions[j.name].axis, np.zeros(3), -np.inf, np.inf)
+                Ts[j.child] = Ts[j.child] @ free.transform(q.get(j.name, 0.0))
+            at.append(j.child)
     return Ts
 
 
 def _meta(folder: Path) -> dict:
     path = folder / "meta.json"
-    return checked.read_json(path) if path.is_file() else {}
+    meta = checked.read_json(path) if path.is_file() else {}
+    if not isinstance(meta.get("scored_joint", ""), str):
+        raise FreeArtError(f"{path}: scored_joint is {meta['scored_joint']!r}, expected a joint's name")
+    return meta
 
 
 def read_motions(root: ET.Element, joints: dict[str, UrdfJoint], urdf: Path) -> dict[str, Motion]:
@@ -195,21 +295,22 @@ def _visuals(link: ET.Element, folder: Path, urdf: Path) -> list[Visual]:
         where = f"{urdf}: link '{link.get('name')}'"
         if mesh is None or not mesh.get("filename"):
             raise FreeArtError(f"{where} has a visual that is not a mesh; expected <mesh filename=...>")
-        visuals.append(
-            Visual(
-                checked.inside(folder, mesh.get("filename", "")),
-                _origin(element, where),
-                _numbers(mesh, "scale", (1.0, 1.0, 1.0), where),
-            )
-        )
+        name = mesh.get("filename", "")
+        if not name.lower().endswith(".obj"):
+            raise FreeArtError(f"{where} has the mesh '{name}', expected an .obj file")
+        path = inside(folder, name, f"{where} has the mesh")
+        scale = _numbers(mesh, "scale", (1.0, 1.0, 1.0), where)
+        if not scale.all():
+            raise FreeArtError(f"{where} has a mesh of scale {scale.tolist()}, expected none to be zero")
+        visuals.append(Visual(path, _origin(element, where), scale))
     return visuals
 
 
-def _absent(visuals: dict[str, list[Visual]], folder: Path, urdf: Path, skip_missing: bool) -> tuple[str, ...]:
-    """Mesh files named but not there; FreeArtError unless they may be skipped."""
+def _absent(visuals: dict[str, list[Visual]], folder: Path, urdf: Path, may_lack: bool) -> tuple[str, ...]:
+    """Mesh files named but not there; FreeArtError unless the object may lack some."""
     meshes = {v.mesh for of_link in visuals.values() for v in of_link}
     absent = tuple(sorted(str(mesh.relative_to(folder.resolve())) for mesh in meshes if not mesh.is_file()))
-    if absent and not skip_missing:
+    if absent and not may_lack:
         more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""
         raise FreeArtError(
             f"{urdf} names the mesh {absent[0]}, which does not exist{more}; --skip-missing leaves absent meshes out"
@@ -218,87 +319,46 @@ def _absent(visuals: dict[str, list[Visual]], folder: Path, urdf: Path, skip_mis
 
 
 def _side(
-    scored: UrdfJoint, links: tuple[str, ...], visuals: dict[str, list[Visual]], Ts: dict[str, Array], urdf: Path
+    scored: UrdfJoint,
+    links: tuple[str, ...],
+    visuals: dict[str, list[Visual]],
+    Ts: dict[str, Array],
+    folder: Path,
+    gaps: Gaps,
 ) -> Side:
     pieces = [
-        read_obj(v.mesh).moved(Ts[name] @ v.T_link_mesh, v.scale)
+        read_obj(v.mesh, folder, gaps).moved(Ts[name] @ v.T_link_mesh, v.scale)
         for name in links
         for v in visuals[name]
         if v.mesh.is_file()
     ]
     surface = Surface.joined(pieces)
     if len(surface.faces) == 0:
+        lacks = gaps.notes()[:1] and f" ({gaps.notes()[0]})"
         raise FreeArtError(
-            f"{urdf}: joint '{scored.name}' has no surface on the side of links {', '.join(links) or '(none)'}"
+            f"{folder / URDF_NAME}: joint '{scored.name}' has no surface on the side of links "
+            f"{', '.join(links) or '(none)'}{lacks or ''}"
         )
     return Side(links, surface)
 
 
+def _children(joints: dict[str, UrdfJoint]) -> dict[str, list[UrdfJoint]]:
+    """Link name to the joints that hang on it."""
+    children: dict[str, list[UrdfJoint]] = {}
+    for j in joints.values():
+        children.setdefault(j.parent, []).append(j)
+    return children
+
+
 def _below(joints: dict[str, UrdfJoint], link: str) -> set[str]:
     """`link` and every link that hangs on it."""
-    found, at = {link}, [link]
+    children, found, at = _children(joints), {link}, [link]
     while at:
-        parent = at.pop()
-        for j in joints.values():
-            if j.parent == parent and j.child not in found:
+        for j in children.get(at.pop(), ()):
+            if j.child not in found:
                 found.add(j.child)
                 at.append(j.child)
     return found
-
-
-def read_obj(path: Path) -> Surface:
-    """The triangles of an OBJ file with its materials; FreeArtError when it is unreadable or a picture is missing."""
-    pictures = _pictures(path)
-    try:
-        scene = trimesh.load_scene(path, process=False, group_material=True)
-    except (ValueError, IndexError, KeyError, TypeError, OSError) as error:
-        raise FreeArtError(f"{path} is not a readable OBJ file: {error}") from error
-    return Surface.joined([_surface(m, pictures) for m in scene.geometry.values() if isinstance(m, trimesh.Trimesh)])
-
-
-def _surface(mesh: trimesh.Trimesh, pictures: dict[str, Path]) -> Surface:
-    material, uv = getattr(mesh.visual, "material", None), getattr(mesh.visual, "uv", None)
-    diffuse = getattr(material, "diffuse", None)
-    colour = np.full(3, 255, np.uint8) if diffuse is None else np.asarray(diffuse, np.uint8)[:3]
-    file = pictures.get(getattr(material, "name", None) or "")
-    picture = None if file is None or uv is None else _read_picture(file, file.stat().st_mtime_ns)
-    count = len(mesh.vertices)
-    return Surface(
-        np.asarray(mesh.vertices, float),
-        np.asarray(mesh.faces, np.int64),
-        np.zeros((count, 2)) if uv is None else np.asarray(uv, float)[:, :2],
-        np.zeros(count, np.int64),
-        (Paint(colour, picture),),
-    )
-
-
-def _pictures(obj: Path) -> dict[str, Path]:
-    """Material name to the picture of its colour, from the material libraries that an OBJ file names.
-
-    (trimesh opens no picture outside the mesh's own folder, and PartNet-Mobility's lie in ../images.) Raises
-    FreeArtError when a library or a picture is missing, or leads out of the object's folder.
-    """
-    pictures = {}
-    with obj.open(errors="replace") as file:
-        libraries = [line.split(None, 1)[1].strip() for line in file if line.startswith("mtllib ")]
-    for library in libraries:
-        mtl, material = obj.parent / library, ""
-        if not mtl.is_file():
-            raise FreeArtError(f"{obj} names the material library {library}, which does not exist")
-        for words in (line.split() for line in mtl.read_text(errors="replace").splitlines()):
-            if words[:1] == ["newmtl"]:
-                material = " ".join(words[1:])
-            elif words[:1] == ["map_Kd"]:
-                pictures[material] = checked.inside(obj.parent.parent, f"{obj.parent.name}/{words[-1]}")
-                if not pictures[material].is_file():
-                    raise FreeArtError(f"{mtl} names the picture {words[-1]}, which does not exist")
-    return pictures
-
-
-@functools.lru_cache(maxsize=64)
-def _read_picture(path: Path, changed_ns: int) -> NDArray[np.uint8]:
-    """The picture as it was at the time `changed_ns`; the meshes of an object share few pictures."""
-    return checked.read_rgb(path)
 
 
 def _origin(element: ET.Element, where: str) -> Array:
@@ -319,9 +379,3 @@ def _numbers(element: ET.Element | None, key: str, default: tuple[float, ...], w
     if values.shape != (3,) or not np.isfinite(values).all():
         raise FreeArtError(f"{where}: {key} is '{text}', expected three numbers")
     return values
-
-
-def _semantics(folder: Path) -> dict[str, str]:
-    path = folder / "semantics.txt"
-    rows = [line.split(None, 1) for line in path.read_text().splitlines() if line.strip()] if path.is_file() else []
-    return {row[0]: row[1] for row in rows if len(row) == 2}

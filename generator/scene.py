@@ -18,6 +18,7 @@ from freeart21.camera import Camera
 from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
 from freeart21.se3 import Array
+from generator.partnet_files import sapien_urdf
 
 _T_SAPIEN_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """SAPIEN's camera axes (x forward, y left, z up) from ours (x right, y down, z forward)."""
@@ -217,17 +218,30 @@ def _depth_and_side(
 
 
 def _load(scene: Any, urdf: Path) -> Any:
-    """The articulation of a URDF without its collision shapes (nothing collides here) and without absent meshes."""
+    """The articulation of a URDF without its collision shapes (nothing collides here) and without absent files."""
     loader = scene.create_urdf_loader()
     loader.fix_root_link = False
-    try:
-        builders = loader.parse(str(urdf))[0]
-    except (RuntimeError, AssertionError, KeyError) as error:
-        raise FreeArtError(f"SAPIEN cannot load {urdf}: {error}") from error
-    for link in builders[0].link_builders:
-        link.collision_records = []
-        link.visual_records = [r for r in link.visual_records if not r.filename or Path(r.filename).is_file()]
-    return builders[0].build(fix_root_link=False)
+    with sapien_urdf(urdf) as readable:
+        try:
+            builders = loader.parse(str(readable))[0]
+            for link in builders[0].link_builders:
+                link.collision_records = []
+            articulation = builders[0].build(fix_root_link=False)
+            _fetch(articulation)
+        except Exception as error:  # the loader raises Exception itself
+            said = str(error).replace(str(readable.parent), str(urdf.parent)).strip().splitlines()
+            raise FreeArtError(f"SAPIEN cannot load {urdf}: {said[0] if said else type(error).__name__}") from error
+    return articulation
+
+
+def _fetch(articulation: Any) -> None:
+    """Let SAPIEN read the mesh files and pictures now; it would put that off until the first view."""
+    import sapien
+
+    for link in articulation.links:
+        body = link.entity.find_component_by_type(sapien.render.RenderBodyComponent)
+        for shape in body.render_shapes if body is not None else ():
+            _ = getattr(shape, "parts", None)
 
 
 def _strengths(scene: Any) -> NDArray[np.float32]:

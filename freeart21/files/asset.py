@@ -88,8 +88,28 @@ def movable_joint(urdf: Path, name: str | None = None) -> UrdfJoint:
         return next(iter(joints.values()))
     if name is None or name not in joints:
         wanted = "no joint was named" if name is None else f"it has no movable joint '{name}'"
-        raise FreeArtError(f"{urdf}: {wanted}; movable joints: {', '.join(joints)}")
+        kinds = read_semantics(urdf.parent / "semantics.txt")
+        raise FreeArtError(f"{urdf}: {wanted}; movable joints: {', '.join(_told(j, kinds) for j in joints.values())}")
     return joints[name]
+
+
+def _told(joint: UrdfJoint, kinds: dict[str, str]) -> str:
+    """A joint as a user may choose it, such as 'joint_0 (revolute 0..90 deg, hinge rotation_door)'."""
+    per_unit, unit = (np.degrees(1.0), "deg") if joint.joint_type == "revolute" else (1.0, "m")
+    if np.isfinite(joint.lower) and np.isfinite(joint.upper):
+        span = f" {per_unit * joint.lower + 0.0:.3g}..{per_unit * joint.upper + 0.0:.3g} {unit}"
+    else:
+        span = " without limits" if joint.type == "continuous" else ""
+    kind = f", {kinds[joint.child]}" if joint.child in kinds else ""
+    return f"{joint.name} ({joint.type}{span}{kind})"
+
+
+def read_semantics(path: Path) -> dict[str, str]:
+    """Link name to what PartNet-Mobility says of it, such as 'slider drawer'; empty where there is no such file."""
+    if not path.is_file() or path.stat().st_size > MAX_URDF_BYTES:
+        return {}
+    rows = (line.split(None, 1) for line in path.read_text(errors="replace").splitlines())
+    return {row[0]: row[1].strip() for row in rows if len(row) == 2}
 
 
 def write_effects(folder: Path, asset: Asset) -> None:
