@@ -53,7 +53,7 @@ CATALOG: tuple[CatalogEntry, ...] = (
     CatalogEntry("keyboard_phone", "Phone", "prismatic", 0.13, "procedural", "joint_0"),
     CatalogEntry("cover_phone", "Phone", "prismatic", 0.14, "procedural", "joint_0"),
     CatalogEntry("office_scissors", "Scissors", "revolute", 0.22, "procedural", "joint_0"),
-    CatalogEntry("tailor_shears", "Scissors", "revolute", 0.28, "procedural", "joint_0"),
+    CatalogEntry("tailor_shears", "Scissors", "revolute", 0.29, "procedural", "joint_0"),
     CatalogEntry("craft_scissors", "Scissors", "revolute", 0.15, "procedural", "joint_0"),
     CatalogEntry("drawer_unit", "StorageFurniture", "prismatic", 0.45, "procedural", "joint_0"),
     CatalogEntry("nightstand", "StorageFurniture", "prismatic", 0.85, "procedural", "joint_0"),
