@@ -42,12 +42,19 @@ class Caster:
 
     def cast(self, origins: Array, directions: Array, Ts: tuple[Array, Array]) -> Hits:
         """First hits of rays (n, 3), given in a frame into which `Ts` (4, 4 each) map the two sides."""
-        distance, side, face = np.full(len(origins), np.inf), np.full(len(origins), -1), np.full(len(origins), -1)
-        for k, (scene, T) in enumerate(zip(self._scenes, Ts, strict=True)):
+        posed = []
+        for T in Ts:
             T_side_world = se3.inverse(T)
-            o = se3.transform(T_side_world, origins).astype(np.float32)
-            d = (directions @ T_side_world[:3, :3].T).astype(np.float32)
-            out = scene.run(o, d, output=True, dists=np.full(len(o), _FAR, np.float32))
+            posed.append((se3.transform(T_side_world, origins), directions @ T_side_world[:3, :3].T))
+        return self.meet((posed[0], posed[1]))
+
+    def meet(self, rays: tuple[tuple[Array, Array], tuple[Array, Array]]) -> Hits:
+        """First hits of n rays, each given twice: origins and directions (n, 3) in the frame of either side."""
+        n = len(rays[0][0])
+        distance, side, face = np.full(n, np.inf), np.full(n, -1), np.full(n, -1)
+        for k, (scene, (origins, directions)) in enumerate(zip(self._scenes, rays, strict=True)):
+            o, d = origins.astype(np.float32), directions.astype(np.float32)
+            out = scene.run(o, d, output=True, dists=np.full(n, _FAR, np.float32))
             t = np.where(out["primID"] >= 0, out["tfar"].astype(float), np.inf)
             nearer = t < distance
             distance[nearer], side[nearer], face[nearer] = t[nearer], k, out["primID"][nearer]
