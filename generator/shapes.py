@@ -139,8 +139,7 @@ def moulded(
 
     Raises ValueError where `radius` is more than the outline's own curves allow.
     """
-    contours = [np.asarray(c, float) for c in outline.to_polygons()]
-    inner = [_inset(c, radius) for c in contours]
+    contours, inner = zip(*(_inset(np.asarray(c, float), radius) for c in outline.to_polygons()), strict=True)
     kept = CrossSection([1e3 * c for c in inner])  # in millimetres: outlines are rounded to 1e-8 of their unit
     signed = sum(float(np.sum(c[:, 0] * np.roll(c[:, 1], -1) - c[:, 1] * np.roll(c[:, 0], -1))) / 2 for c in inner)
     if abs(kept.area() * 1e-6 - signed) > 1e-5 * signed:
@@ -243,16 +242,28 @@ def triangles(solid: Manifold) -> tuple[Array, NDArray[np.int64]]:
     return np.array(mesh.vert_properties[:, :3], float), np.array(mesh.tri_verts, np.int64)
 
 
-def _inset(contour: Array, depth: float) -> Array:
-    """The contour (n, 2) moved `depth` into the solid on its left."""
-    ahead = np.roll(contour, -1, 0) - contour
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    normal = np.stack([-ahead[:, 1], ahead[:, 0]], -1)
-    before = np.roll(normal, 1, 0)
-    moved = contour + depth * (normal + before) / (1 + np.sum(normal * before, 1, keepdims=True))
-    if bool((np.sum((np.roll(moved, -1, 0) - moved) * ahead, 1) < 0).any()):
-        raise ValueError(f"rims of radius {depth:g} do not fit the outline's curves")
-    return moved
+def _inset(contour: Array, depth: float) -> tuple[Array, Array]:
+    """The contour (n, 2), and it moved `depth` into the solid on its left.
+
+    Edges far shorter than `depth` that would turn over, as outlines have them by rounding, are drawn together first.
+    """
+    while True:
+        ahead = np.roll(contour, -1, 0) - contour
+        long = np.linalg.norm(ahead, axis=1)
+        ahead /= long[:, None]
+        normal = np.stack([-ahead[:, 1], ahead[:, 0]], -1)
+        before = np.roll(normal, 1, 0)
+        moved = contour + depth * (normal + before) / (1 + np.sum(normal * before, 1, keepdims=True))
+        flipped = np.sum((np.roll(moved, -1, 0) - moved) * ahead, 1) < 0
+        if not flipped.any():
+            return contour, moved
+        k = int(np.where(flipped, long, np.inf).argmin())
+        if long[k] > 0.3 * depth:
+            raise ValueError(f"rims of radius {depth:g} do not fit the outline's curves")
+        after = (k + 1) % len(contour)
+        contour = contour.copy()
+        contour[k] = (contour[k] + contour[after]) / 2
+        contour = np.delete(contour, after, 0)
 
 
 def _walls(rings: int, n: int) -> NDArray[np.int64]:
