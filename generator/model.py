@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -91,3 +91,35 @@ class ObjectModel:
     scored_joint: int
     """Index of the joint that is recorded; the others stay at zero."""
     seed: int
+
+    @property
+    def diagonal(self) -> float:
+        """Metres: the diagonal of the axis-aligned box round all solids, joints at zero."""
+        boxes = np.array([piece.solid.bounding_box() for link in self.links for piece in link.pieces])
+        return float(np.linalg.norm(boxes[:, 3:].max(0) - boxes[:, :3].min(0)))
+
+    def scaled(self, factor: float) -> ObjectModel:
+        """The object `factor` times as large, of the same materials: solids, pivots, slides and texture tiles grow."""
+        return replace(self, links=tuple(_scaled_link(link, factor) for link in self.links))
+
+
+def _scaled_link(link: Link, factor: float) -> Link:
+    pieces = tuple(
+        replace(
+            piece,
+            solid=piece.solid.scale((factor, factor, factor)),
+            material=replace(
+                piece.material, tile_m=None if piece.material.tile_m is None else factor * piece.material.tile_m
+            ),
+        )
+        for piece in link.pieces
+    )
+    hinge = link.hinge
+    if hinge is None:
+        return replace(link, pieces=pieces)
+    x, y, z = hinge.pivot
+    slide = factor if hinge.type == "prismatic" else 1.0
+    grown = replace(
+        hinge, pivot=(factor * x, factor * y, factor * z), lower=slide * hinge.lower, upper=slide * hinge.upper
+    )
+    return replace(link, pieces=pieces, hinge=grown)

@@ -1,0 +1,318 @@
+"""One recording: an object, its planned motion and its scene become a sequence folder and a truth folder."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import catalog
+from freeart21.articulation import Articulation
+from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.sequence import encode_depth, write_header, write_queries
+from freeart21.files.truth import write_truth
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh, bounding_diagonal
+from freeart21.se3 import Array
+from freeart21.truth import Truth
+from generator import objects, partnet
+from generator.frame_writer import FrameWriter
+from generator.motion import MOTIONS, PRESETS, Plan, Preset, plan_motion
+from generator.partnet_writer import write_partnet
+from generator.progress import Progress
+from generator.queries import PlannedQuery, plan_queries
+from generator.scene import Picture, Scene, simulator
+from generator.sensor import check_sensor, make_sensor
+from generator.truth_mesh import outer_faces, visible_faces
+
+LICENCES = {"procedural": "CC0-1.0", "partnet": "PartNet-Mobility terms of use; not to be redistributed"}
+"""Licence of a recording by the source of its object."""
+
+ACCESS = "https://sapien.ucsd.edu/downloads"
+"""Where to ask for PartNet-Mobility."""
+
+_PICTURES = ("sequence/rgb", "sequence/depth", "sequence/mask", "side")
+"""What a frame leaves in the work folder, one picture each; `side` is true and goes to the truth only."""
+
+_END_OF_PNG = b"\x00\x00\x00\x00IEND\xaeB`\x82"
+
+
+@dataclass(frozen=True)
+class RecordSettings:
+    """How one object is recorded."""
+
+    frames: int = 300
+    """Pictures of the video."""
+    seed: int = 0
+    """Of everything random: the object's sizes and colours, the motion, the sensor, the held-out views."""
+    width: int = 640
+    height: int = 360
+    """Size of the pictures, pixels."""
+    fov_y_degrees: float | None = None
+    """Vertical field of view; None takes the preset's."""
+    fps: float = 30.0
+    """Pictures per second."""
+    queries: int = 20
+    """Held-out views."""
+    motion: str = "tumble"
+    """How the object is moved: one of `generator.motion.MOTIONS`."""
+    preset: str = "handheld"
+    """How large the object is and how far away: one of `generator.motion.PRESETS`."""
+    sensor: str = "clean"
+    """What the camera adds: one of `generator.sensor.SENSORS`, or several joined by '+'."""
+    effects: Path | None = None
+    """effects.json of the released joint, for the motion 'release'."""
+    partnet_root: Path | None = None
+    """Folder that holds PartNet-Mobility objects, one folder an id."""
+    joint: str | None = None
+    """Scored joint; None takes the catalog's, or the only movable one."""
+    skip_missing: bool = False
+    """Leave out mesh files that an object names but does not have, rather than refuse the object."""
+    shader: str = "default"
+    """SAPIEN's camera shader.
+
+    'default' lights the object: highlights and shading that change as it turns are part of the task. 'trivial' (unlit,
+    three times as fast, no compile wait) is for tests. 'minimal' will not do: it gives depth in whole millimetres.
+    """
+    edge: float = 0.02
+    """Longest edge of the truth meshes, as a share of the object's diagonal."""
+    visible_every: int = 3
+    """Every how many frames the truth's visible faces are looked for."""
+
+    def check(self) -> None:
+        """FreeArtError, in one line, when these settings make no recording."""
+        if self.frames < 2 or self.fps <= 0 or self.queries < 0 or min(self.width, self.height) < 16:
+            raise FreeArtError(
+                f"cannot record {self.frames} frames of {self.width} x {self.height} at {self.fps:g} a second with "
+                f"{self.queries} held-out views; expected at least 2 frames of 16 x 16, more than 0 a second and 0 "
+                "views or more"
+            )
+        for what, value, known in (("motion", self.motion, MOTIONS), ("preset", self.preset, tuple(PRESETS))):
+            if value not in known:
+                raise FreeArtError(f"unknown {what} '{value}'; {what}s: {', '.join(known)}")
+        check_sensor(self.sensor)
+
+    def described(self) -> dict[str, Any]:
+        """All that decides the recording's bytes, as JSON: without places on this machine."""
+        facts = asdict(self)
+        del facts["partnet_root"]
+        facts["effects"] = None if self.effects is None else checked.read_json(self.effects)
+        return facts
+
+
+def record_object(name: str, settings: RecordSettings, work: Path, progress: Progress) -> None:
+    """Record the object `name` into the folder `work`: it then holds `sequence` and `truth`, both whole.
+
+    A folder that an interrupted call left goes on from there, with the same result to the last byte: its frames are
+    kept and only the missing ones are drawn. `truth` appears last. Raises FreeArtError when the object's files are
+    unfit, this machine cannot render, or the disk refuses.
+    """
+    if (work / "truth").is_dir():
+        return
+    atomic.sweep(work)
+    entry = catalog.find(name, partnet=settings.partnet_root is not None)
+    loaded = load_object(entry, settings, work / "object")
+    session = Session(loaded, settings, work, progress)
+    session.film()
+    parts = session.parts()
+    views = session.plan_views(parts)
+    write_queries(work / "sequence", tuple(view.query for view in views))
+    times_s = np.arange(settings.frames) / settings.fps
+    write_header(work / "sequence", session.camera, session.depth_scale, times_s, LICENCES[entry.source])
+    facts = {"object": name, "category": loaded.category, "object_source": entry.source}
+    rough = work / "rough_truth"
+    shutil.rmtree(rough, ignore_errors=True)
+    write_truth(rough, session.truth(parts, views, facts), len(views))
+    try:
+        if entry.source == "procedural":
+            shutil.copytree(work / "object" / name, rough / "object")
+        rough.replace(work / "truth")
+    except OSError as error:
+        raise atomic.cannot_write(work / "truth", error) from error
+
+
+def load_object(entry: catalog.CatalogEntry, settings: RecordSettings, place: Path) -> partnet.PartNetObject:
+    """The object of the catalog's `entry`, loaded from its PartNet-Mobility folder.
+
+    A procedural object's folder is made in `place`, of the preset's size, unless it is there; others are the user's.
+    """
+    folder = place / entry.name if entry.source == "procedural" else partnet_folder(entry.name, settings.partnet_root)
+    if entry.source == "procedural" and not folder.is_dir():
+        model, diagonal = objects.build(entry.name, settings.seed), PRESETS[settings.preset].diagonal_m
+        write_partnet(model if diagonal is None else model.scaled(diagonal / model.diagonal), folder)
+    return partnet.load(folder, settings.joint or entry.joint, settings.skip_missing)
+
+
+def partnet_folder(name: str, root: Path | None) -> Path:
+    """The folder of the PartNet-Mobility object `name`; FreeArtError says where to ask for it when it is not there."""
+    if root is None:
+        raise FreeArtError(
+            f"object '{name}' is from PartNet-Mobility: name the folder that holds {name} by --partnet-root"
+        )
+    if not (root / name).is_dir():
+        raise FreeArtError(
+            f"PartNet-Mobility object {name} is not in {root}; ask for access to the dataset at {ACCESS} and unpack it "
+            f"so that {root / name / partnet.URDF_NAME} exists"
+        )
+    return root / name
+
+
+def nice_scale(least: float) -> float:
+    """The smallest 1, 2 or 5 times a power of ten that is at least `least`."""
+    power = 10.0 ** np.floor(np.log10(least))
+    return float(f"{next(power * k for k in (1, 2, 5, 10) if power * k >= least * (1 - 1e-12)):.1g}")
+
+
+def other_way_round(joint: Joint) -> Joint:
+    """The joint as motion of its parent side against its child side, with the same states: the axis turns round."""
+    return replace(joint, axis=-joint.axis)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Which side of the joint became the reference part, and what follows from it."""
+
+    order: tuple[int, int]
+    """Side (0 parent, 1 child) of the reference and of the moving part."""
+    joint: Joint
+    """Motion of the moving part against the reference part."""
+    Ts_camera: tuple[Array, Array]
+    """Poses (n, 4, 4) of reference and moving part."""
+    seen: NDArray[np.int64]
+    """(n, 2) pixels of reference and moving part."""
+
+
+class Session:
+    """One recording under way: the scene, the planned motion, and a work folder for its pictures."""
+
+    def __init__(self, loaded: partnet.PartNetObject, settings: RecordSettings, work: Path, progress: Progress) -> None:
+        self.loaded, self.settings, self._work, self._progress = loaded, settings, work, progress
+        preset = PRESETS[settings.preset]
+        fov_y = preset.fov_y_degrees if settings.fov_y_degrees is None else settings.fov_y_degrees
+        self.camera = Camera.from_fov(settings.width, settings.height, np.radians(fov_y))
+        coarse = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
+        diagonal = bounding_diagonal(*coarse)
+        fine = [side.surface.subdivided(settings.edge * diagonal).mesh() for side in loaded.sides]
+        self.meshes: tuple[Mesh, Mesh] = fine[0], fine[1]
+        self.plan = self._plan(coarse, preset)
+        reach = np.linalg.norm(self.plan.Ts_camera_object[:, :3, 3], axis=1).max() + 2 * diagonal
+        self.depth_scale = nice_scale(reach / 65000)
+        groups = [side.links for side in loaded.sides]
+        self.scene = Scene(loaded.asset.urdf, groups, self.camera, 1e-3 * reach, reach, settings.shader)
+        self.sensor = make_sensor(settings.sensor, self.scene, self.plan, loaded, coarse, settings.seed, settings.fps)
+        self._counts = np.zeros((settings.frames, 2), np.int64)
+        self._done = 0
+
+    def film(self) -> None:
+        """Draw all frames of the video that the work folder does not hold yet."""
+        with FrameWriter() as writer:
+            for i in range(self.settings.frames):
+                paths = [self._work / sub / f"{i:05d}.png" for sub in _PICTURES]
+                if all(_is_whole(path) for path in paths):
+                    side = checked.read_labels(paths[3])
+                else:
+                    shot = self.sensor.shoot(i)
+                    side = shot.side
+                    mask = shot.mask.view(np.uint8) * np.uint8(255)
+                    images = shot.rgb, encode_depth(shot.depth, self.depth_scale), mask, side
+                    writer.put(dict(zip(paths, images, strict=True)))
+                self._counts[i] = np.count_nonzero(side == 1), np.count_nonzero(side == 2)
+                self._tick()
+
+    def parts(self) -> Parts:
+        """Reference and moving part of the video: the side with more pixels over all frames is the reference."""
+        counts = self._counts
+        order = (1, 0) if counts[:, 1].sum() > counts[:, 0].sum() else (0, 1)
+        joint = self.loaded.joint
+        Ts = self.plan.Ts_camera_object, self.plan.Ts_camera_object @ joint.transform(self.plan.states)
+        own = joint if order == (0, 1) else other_way_round(joint)
+        return Parts(order, own, (Ts[order[0]], Ts[order[1]]), counts[:, list(order)])
+
+    def plan_views(self, parts: Parts) -> tuple[PlannedQuery, ...]:
+        """The held-out views of the video."""
+        meshes = self.meshes[parts.order[0]], self.meshes[parts.order[1]]
+        n, seed = self.settings.queries, self.settings.seed
+        return plan_queries(meshes, parts.joint, self.camera, parts.Ts_camera[0], self.plan.states, n, seed)
+
+    def truth(self, parts: Parts, views: tuple[PlannedQuery, ...], facts: dict[str, Any]) -> Truth:
+        """The truth of the video; renders the held-out views, which are clean whatever the sensor.
+
+        Faces that nothing outside can ever see (where solids of one part meet) are left out: no video tells of them,
+        and handed in as an answer the truth must score perfect.
+        """
+        order = parts.order
+        meshes = self.meshes[order[0]], self.meshes[order[1]]
+        visible = visible_faces(meshes, self.camera, self._shown(parts))
+        outer = [o | v for o, v in zip(outer_faces(meshes, parts.joint), visible, strict=True)]
+        label = np.array([0, 1 + order.index(0), 1 + order.index(1)], np.uint8)
+        pictures = [self._view(view, parts) for view in views]
+        return Truth(
+            Articulation(parts.joint, *(mesh.with_faces(o) for mesh, o in zip(meshes, outer, strict=True))),
+            self.plan.states,
+            *parts.Ts_camera,
+            parts.seen,
+            (outer[0][outer[0]], outer[1][outer[1]]),
+            (visible[0][outer[0]], visible[1][outer[1]]),
+            lambda i: label[self._side(i)],
+            lambda i: pictures[i].rgb,
+            lambda i: pictures[i].side > 0,
+            facts | simulator() | self._source(order),
+        )
+
+    def _plan(self, meshes: tuple[Mesh, Mesh], preset: Preset) -> Plan:
+        s = self.settings
+        return plan_motion(s.motion, meshes, self.loaded.joint, self.camera, s.frames, s.fps, s.seed, preset)
+
+    def _shown(self, parts: Parts) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
+        """Poses of both parts and foreground of some frames."""
+        for i in range(0, self.settings.frames, self.settings.visible_every):
+            yield parts.Ts_camera[0][i], parts.Ts_camera[1][i], self._side(i) > 0
+
+    def _side(self, i: int) -> NDArray[np.uint8]:
+        return checked.read_labels(self._work / "side" / f"{i:05d}.png")
+
+    def _source(self, order: tuple[int, int]) -> dict[str, Any]:
+        settings, links = self.settings, [side.links for side in self.loaded.sides]
+        return {
+            "seed": settings.seed,
+            "motion": settings.motion,
+            "sensor": settings.sensor,
+            "shader": settings.shader,
+            "joint": self.loaded.joint.name,
+            "held": self.loaded.asset.held,
+            "semantics": self.loaded.semantics,
+            "reference_links": links[order[0]],
+            "moving_links": links[order[1]],
+            "settings": settings.described(),
+        }
+
+    def _view(self, view: PlannedQuery, parts: Parts) -> Picture:
+        """A held-out view: the lamps stay; the root link stands with the joint's parent side, whichever part it is."""
+        T_parent = (view.T_camera_reference, view.T_camera_reference @ parts.joint.transform(view.state))
+        positions = {**self.loaded.asset.held, self.loaded.joint.name: view.state}
+        query = view.query
+        T_camera_world = query.T_newcam_cam @ self.plan.Ts_camera_world[query.pose_of_frame]
+        picture = self.scene.render(T_parent[parts.order.index(0)], positions, T_camera_world)
+        self._tick()
+        return picture
+
+    def _tick(self) -> None:
+        self._done += 1
+        self._progress(self._done, self.settings.frames + self.settings.queries)
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a PNG file is there to its end: after a power cut a file may be there without its content."""
+    try:
+        with path.open("rb") as file:
+            file.seek(-len(_END_OF_PNG), 2)
+            return file.read() == _END_OF_PNG
+    except OSError:
+        return False
