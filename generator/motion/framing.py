@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from freeart21 import se3
@@ -68,7 +70,7 @@ def _nearest(points: Array, sway: Array, camera: Camera) -> Array:
     return need
 
 
-def _filling(points: Array, sway: Array, camera: Camera, fill: float, distances) -> Array:  # type: ignore[no-untyped-def]
+def _filling(points: Array, sway: Array, camera: Camera, fill: float, distances: Callable[[Array], Array]) -> Array:
     """(n,) distances at which the object is `fill` of the picture high, on average over the frames, or the nearest."""
     f, height = camera.K[1, 1], camera.height
 

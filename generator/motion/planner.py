@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 
 import numpy as np
+from numpy.typing import NDArray
 
 from freeart21 import se3, sphere
 from freeart21.camera import Camera
@@ -77,7 +78,8 @@ def plan_motion(
         return released_plan(body, states, camera, preset, seed)
     task = Task(body, _atlas(body, camera, frames), frames, fps, _hardship(body, seed, hard), states)
     rng = np.random.default_rng([seed, 2, MOTIONS.index(style)])
-    candidates = [STYLES[style](task, rng) for _ in range(int(np.clip(frames // 8, 6, 20)))]
+    drawn = int(np.clip(frames // 8, 6, 20 if task.hardship == "none" else 36))
+    candidates = [STYLES[style](task, rng) for _ in range(drawn)]
     guessed = [_score(c, task, task.atlas.shares(_views(c.Rs), c.states)) for c in candidates]
     still = style == "turntable"
     best: tuple[float, Plan] | None = None
@@ -128,12 +130,12 @@ def _score(course: Course, task: Task, shares: Array) -> float:
         low, high = _GONE_FRAMES
         score += 3.0 * min(away / low, 1.0) - 2.0 * max(away / high - 1, 0.0)
     else:
-        score -= min(away, 20) / 20
+        score -= min(away / 20, 2.0)
     fastest = float(turns.steps_degrees(course.Rs).max()) * task.fps / 30
     return round(score - 2.0 * max(fastest - _FASTEST, 0.0), 3)
 
 
-def _longest(flags: Array) -> int:
+def _longest(flags: NDArray[np.bool_]) -> int:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, int), [0]])))
     return int(np.diff(edges)[::2].max(initial=0))
 

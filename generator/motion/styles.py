@@ -151,7 +151,7 @@ def _joint(task: Task, rng: np.random.Generator) -> tuple[Array, JointCourse]:
         area = hidden.mean(0) + 0.02 * (1 - atlas.share.min(0))
         k = int(rng.choice(len(area), p=area / area.sum()))
         at = float(np.clip(k + rng.uniform(-0.3, 0.3), 0, len(area) - 1)) / (len(area) - 1)
-        hold = Hold(at, float(rng.uniform(0.20, 0.28)))
+        hold = Hold(at, float(rng.uniform(0.22, 0.30)))
     course = timing.joint_course(task.frames, rng, hold)
     return (task.body.state(course.shares) if task.states is None else task.states), course
 
@@ -163,7 +163,7 @@ def _pace(task: Task, rng: np.random.Generator, slowest: float, fastest: float) 
 
 def _linger(task: Task) -> float:
     """How much slower the hand is while it hides the smaller side."""
-    return 1.0 if task.hardship == "none" else 0.6
+    return 1.0 if task.hardship == "none" else 0.55
 
 
 def _views(

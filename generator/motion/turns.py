@@ -61,7 +61,7 @@ def tour(
 
 
 def rolled(views: list[Array], roll: float, rng: np.random.Generator) -> Array:
-    """(k, 3, 3) rotations that show `views`, the first upright, each next by the shortest turn and up to `roll` more."""
+    """(k, 3, 3) rotations that show `views`, the first upright, each by the shortest turn and up to `roll` more."""
     Rs = [upright_at(views[0])]
     for view in views[1:]:
         there = Rs[-1] @ view  # in the camera's axes, to be turned to point at the camera
