@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from manifold3d import Manifold
 
 from generator import textures
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
@@ -289,11 +290,20 @@ def _runner(s: _Bedside) -> float:
 
 def _bedside_legs(s: _Bedside) -> tuple[Piece, ...]:
     """Four turned legs, tapered and splayed, in metal shoes, under an apron."""
-    profile = [[0, 0], [0.0105, 0], [0.0125, 0.004], [0.0205, s.leg - 0.012], [0.023, s.leg - 0.004], [0.023, s.leg]]
+    profile = [
+        [0.0, 0.0],
+        [0.0105, 0],
+        [0.0125, 0.004],
+        [0.0205, s.leg - 0.012],
+        [0.023, s.leg - 0.004],
+        [0.023, s.leg],
+    ]
     leg = lathe([*profile, [0, s.leg]])
-    shoe = lathe([[0, 0], [0.0125, 0], [0.0135, 0.002], [0.0152, 0.034], [0.0140, 0.036], [0, 0.036]])
+    shoe = lathe([[0.0, 0.0], [0.0125, 0], [0.0135, 0.002], [0.0152, 0.034], [0.0140, 0.036], [0, 0.036]])
     pad = lathe([[0, -0.003], [0.010, -0.003], [0.010, 0.001], [0, 0.001]], segments=24)
-    legs, shoes, pads = [], [], []
+    legs: list[Manifold] = []
+    shoes: list[Manifold] = []
+    pads: list[Manifold] = []
     for x in (-1, 1):
         for y in (-1, 1):
             at = (x * (s.depth / 2 - 0.045), y * (s.width / 2 - 0.045), 0.0)
@@ -510,7 +520,7 @@ def _cabinet_carcass(c: _Cabinet) -> tuple[Piece, ...]:
     )
     plinth = box((deep - 0.04, c.width - 0.03, 0.046), (middle[0] + 0.012, 0, 0.036), 0.003)
     plinth -= box((deep - 0.043, c.width - 0.033, 0.05), (middle[0] + 0.012, 0, 0.033))
-    foot = lathe([[0, 0], [0.018, 0], [0.020, 0.002], [0.020, 0.006], [0.006, 0.009], [0.006, 0.058], [0, 0.058]])
+    foot = lathe([[0.0, 0.0], [0.018, 0], [0.020, 0.002], [0.020, 0.006], [0.006, 0.009], [0.006, 0.058], [0, 0.058]])
     feet = union(
         foot.translate((middle[0] + 0.012 + x * (deep / 2 - 0.06), y * (c.width / 2 - 0.05), 0))
         for x in (-1, 1)
