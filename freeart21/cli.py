@@ -128,28 +128,103 @@ def record(
     partnet_root: Path | None = None,
     joint: str | None = None,
     skip_missing: bool = False,
-) -> None:
+    motion: str = "tumble",
+    preset: str = "handheld",
+    sensor: str = "clean",
+    effects: Path | None = None,
+    procedural: str | None = None,
+    count: int = 1,
+    workers: int = 1,
+    queries: int = 20,
+    width: int = 640,
+    height: int = 360,
+    shader: str = "default",
+) -> int:
     """Record objects in SAPIEN: the video that a method may see, and the truth apart from it.
 
+    May be stopped at any moment: the same command goes on, and the data are the same to the last byte.
+
     Args:
-        names: Objects of the catalog (`freeart21 objects`), PartNet-Mobility ids, or `all` for the built-in ones.
+        names: Objects of the catalog (`freeart21 objects`), PartNet-Mobility ids, or `all`: the 21 built-in objects or,
+            with --partnet-root, the 21 of the official FreeArt-21.
         out: Data folder; sequences are added to it.
         frames: Frames a sequence.
-        seed: Seed of shape, motion and views.
+        seed: Seed of shape, motion, sensor and views.
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf.
         joint: Joint of a PartNet-Mobility object that moves, where the catalog names none.
-        skip_missing: Leave out meshes that a PartNet-Mobility object names but does not have.
+        skip_missing: Leave out meshes that a PartNet-Mobility object names but does not have and, with `all`, objects
+            that are not in --partnet-root.
+        motion: tumble, inspect, wave, turntable, static_base, or release.
+        preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).
+        sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
+        effects: effects.json of the joint that is let go, for the motion release.
+        procedural: Instead of names: a category of which --count fresh objects are drawn from the seed.
+        count: How many fresh objects.
+        workers: Processes that record, each a sequence at a time.
+        queries: Held-out views a sequence.
+        width: Of the pictures, pixels.
+        height: Of the pictures, pixels.
+        shader: SAPIEN's camera shader: default, or trivial (unlit, fast).
     """
-    from generator.recorder import RecordSettings, built_in_names, record
+    from generator.dataset import is_unfinished, jobs_of, official_names, procedural_jobs, record_jobs
+    from generator.recorder import RecordSettings, built_in_names
 
-    wanted = built_in_names() if names == ("all",) else names
-    if not wanted:
-        raise FreeArtError(f"record: no object was named; name some of {', '.join(built_in_names())}, or all")
     settings = RecordSettings(
-        frames=frames, seed=seed, partnet_root=partnet_root, joint=joint, skip_missing=skip_missing
+        frames=frames,
+        seed=seed,
+        width=width,
+        height=height,
+        queries=queries,
+        motion=motion,
+        preset=preset,
+        sensor=sensor,
+        effects=effects,
+        partnet_root=partnet_root,
+        joint=joint,
+        skip_missing=skip_missing,
+        shader=shader,
     )
-    for name in wanted:
-        print(out / "sequences" / record(name, out, settings))
+    if procedural is not None and names:
+        raise FreeArtError(f"record: name objects or a category, not both; got {', '.join(names)} and {procedural}")
+    if procedural is not None:
+        jobs = procedural_jobs(procedural, count, seed, settings)
+    else:
+        if names == ("all",):
+            names = built_in_names() if partnet_root is None else official_names(partnet_root, skip_missing)
+        if not names:
+            raise FreeArtError(f"record: no object was named; name some of {', '.join(built_in_names())}, or all")
+        jobs = jobs_of(names, settings)
+    try:
+        made = record_jobs(out, jobs, workers, on_done=lambda sequence: print(out / "sequences" / sequence, flush=True))
+    except KeyboardInterrupt:
+        kept = f"; what is done is kept in {out}: the same command goes on" if is_unfinished(out) else ""
+        print(f"freeart21: stopped{kept}", file=sys.stderr)
+        return 130
+    if not made:
+        print(f"{out} holds {'this sequence' if len(jobs) == 1 else f'these {len(jobs)} sequences'} already")
+    return 0
+
+
+def verify(data: Annotated[Path, Positional], deep: bool = False) -> int:
+    """Check a data folder: every hash, every format, and that video and truth agree.
+
+    Args:
+        data: A data folder (with benchmark.json).
+        deep: Also cast the truth's meshes anew and render its objects anew, without trusting the recorder.
+    """
+    from freeart21.files.verify import verify as look_through
+
+    report = look_through(data)
+    if deep and not report.findings:
+        from generator.golden import verify_deep
+
+        report.findings.extend(verify_deep(data))
+    for finding in report.findings:
+        print(finding)
+    if report.findings:
+        return 1
+    print(f"{data}: {report.files} files, {report.sequences} sequences: all well")
+    return 0
 
 
 def reconstruct(sequence: Annotated[Path, Positional], out: Path) -> int:
@@ -239,7 +314,7 @@ def view(
 
 def main() -> None:
     """Run a command; every known fault is one line on standard error and exit code 1."""
-    commands = {f.__name__: f for f in (doctor, demo, objects, record, reconstruct, export, score, view)}
+    commands = {f.__name__: f for f in (doctor, demo, objects, record, verify, reconstruct, export, score, view)}
     try:
         code = tyro.extras.subcommand_cli_from_dict(
             commands,

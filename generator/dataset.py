@@ -223,7 +223,7 @@ def _difference(job: Job, header: Path) -> str:
     except FreeArtError:
         return " and has no truth"
     was = {"object": source.get("object"), "sequence": job.sequence, **(source.get("settings") or {})}
-    return _first_difference(was, _plain(job.described()), " of another {key}: {was}, not {now}")
+    return _first_difference(was, _plain(job.described()), " with {key} {was}, not {now}")
 
 
 def _first_difference(was: dict[str, Any], now: dict[str, Any], pattern: str) -> str:
