@@ -36,6 +36,24 @@ class Picture:
     """(height, width): 0 no object, k for the k-th group of links, from 1."""
 
 
+@dataclass(frozen=True)
+class Skin:
+    """A surface with a picture on it."""
+
+    vertices: Array
+    """(V, 3) metres."""
+    faces: NDArray[np.int64]
+    """(F, 3)."""
+    normals: Array
+    """(V, 3)."""
+    uv: Array
+    """(V, 2)."""
+    picture: NDArray[np.uint8]
+    """(h, w, 3) RGB; repeats."""
+    roughness: float = 0.6
+    """0 a mirror, 1 chalk."""
+
+
 class Scene:
     """One object before a camera; nothing is simulated.
 
@@ -77,6 +95,8 @@ class Scene:
         self._lamps_at_rest = [lamp.pose for lamp in self._lamps]
         self._R_camera_world = self._R_now = np.eye(3)
         self._strength: NDArray[np.float32] | None = None
+        self._props: list[Any] = []
+        self._props_shown = False
         self._object = _load(self._scene, urdf)
         self._joint_names = [joint.name for joint in self._object.active_joints]
         self._label = _labels(self._object, groups, urdf)
@@ -103,10 +123,40 @@ class Scene:
         self.shoot(T_camera_object, positions, T_camera_world)
         return Picture(self.rgb(), *self.depth_and_side())
 
-    def shoot(self, T_camera_object: Array, positions: dict[str, float], T_camera_world: Array | None = None) -> None:
-        """Draw a view, for the functions that fetch what is wanted of it; arguments as `render`."""
+    def set_props(self, things: Sequence[Sequence[Skin]]) -> None:
+        """The rigid things besides the object, instead of those before; seen in views that say where they are."""
         import sapien
 
+        for entity in self._props:
+            self._scene.remove_entity(entity)
+        self._props = [sapien.Entity() for _ in things]
+        for entity, skins in zip(self._props, things, strict=True):
+            entity.add_component(_body(skins))
+            entity.set_pose(_away())
+            self._scene.add_entity(entity)
+        self._props_shown, self._strength = False, None
+
+    def shoot(
+        self,
+        T_camera_object: Array,
+        positions: dict[str, float],
+        T_camera_world: Array | None = None,
+        Ts_camera_prop: Array | None = None,
+    ) -> None:
+        """Draw a view, for the functions that fetch what is wanted of it; arguments as `render`.
+
+        `Ts_camera_prop` (n, 4, 4) are the poses of the props in the order of `set_props`; without it none is seen.
+        """
+        import sapien
+
+        if Ts_camera_prop is not None:
+            Ts = _T_SAPIEN_CAMERA @ Ts_camera_prop
+            for entity, t, q in zip(self._props, Ts[:, :3, 3], se3.wxyz(Ts), strict=True):
+                entity.set_pose(sapien.Pose(t.astype(np.float32), q.astype(np.float32)))
+        elif self._props_shown:
+            for entity in self._props:
+                entity.set_pose(_away())
+        self._props_shown = Ts_camera_prop is not None
         T = _T_SAPIEN_CAMERA @ T_camera_object
         self._object.set_root_pose(sapien.Pose(T[:3, 3].astype(np.float32), se3.wxyz(T).astype(np.float32)))
         self._object.set_qpos(np.array([positions.get(name, 0.0) for name in self._joint_names], np.float32))
@@ -217,6 +267,27 @@ def _depth_and_side(
     return depth, side
 
 
+def _body(skins: Sequence[Skin]) -> Any:
+    """What the engine draws of a thing."""
+    import sapien
+
+    body = sapien.render.RenderBodyComponent()
+    for skin in skins:
+        pixels = np.dstack([skin.picture, np.full(skin.picture.shape[:2], 255, np.uint8)])
+        material = sapien.render.RenderMaterial(roughness=skin.roughness, specular=0.3)
+        material.base_color_texture = sapien.render.RenderTexture2D(pixels, "R8G8B8A8Unorm", srgb=True)
+        shape = (skin.vertices, np.float32), (skin.faces, np.uint32), (skin.normals, np.float32), (skin.uv, np.float32)
+        body.attach(sapien.render.RenderShapeTriangleMesh(*(x.astype(kind) for x, kind in shape), material))
+    return body
+
+
+def _away() -> Any:
+    """Where a thing is not seen: behind the camera."""
+    import sapien
+
+    return sapien.Pose([-1e4, 0, 0])
+
+
 def _load(scene: Any, urdf: Path) -> Any:
     """The articulation of a URDF without its collision shapes (nothing collides here) and without absent files."""
     loader = scene.create_urdf_loader()
@@ -264,7 +335,7 @@ def _strengths(scene: Any) -> NDArray[np.float32]:
 
 
 def _labels(articulation: Any, groups: Sequence[Sequence[str]], urdf: Path) -> NDArray[np.uint8]:
-    """Per-scene entity id to group label; the last entry is for ids beyond all links."""
+    """Per-scene entity id to group label; the last entry is for ids beyond all links, which are props."""
     ids = {link.name: link.entity.per_scene_id for link in articulation.links}
     labels = np.zeros(max(ids.values()) + 2, np.uint8)
     for label, names in enumerate(groups, start=1):
@@ -272,4 +343,5 @@ def _labels(articulation: Any, groups: Sequence[Sequence[str]], urdf: Path) -> N
             if name not in ids:
                 raise FreeArtError(f"{urdf}: SAPIEN has no link '{name}'; links: {', '.join(ids)}")
             labels[ids[name]] = label
+    labels[-1] = _THING
     return labels

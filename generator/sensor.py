@@ -3,6 +3,7 @@
 - clean: nothing.
 - noise2: depth with Gaussian noise of 2 % of itself.
 - tof: depth as a time-of-flight camera gives it (`generator.tof`).
+- hand: a hand holds the object and hides some of it (`generator.hand`); it is no part of the mask, but has depth.
 - blur: motion blur; light is averaged over the exposure. Poses, states, depth and mask are those of its middle.
 """
 
@@ -17,12 +18,13 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
+from generator.hand import HandMotion
 from generator.motion import Plan, hull_points
 from generator.partnet import PartNetObject
 from generator.scene import Scene, encoded
 from generator.tof import TimeOfFlight, infrared_albedo
 
-SENSORS: tuple[str, ...] = ("clean", "noise2", "tof", "blur")
+SENSORS: tuple[str, ...] = ("clean", "noise2", "tof", "blur", "hand")
 """Names of the sensors."""
 
 EXPOSURE_S = 1 / 60
@@ -69,6 +71,10 @@ class Sensor:
         self._hulls = hull_points(meshes[0]), hull_points(meshes[1])
         self._tof = TimeOfFlight(scene.camera, seed)
         scene.fix_lamps(plan.Ts_camera_world[0])
+        self._hand: HandMotion | None = None
+        if "hand" in self._parts:
+            self._hand = HandMotion(plan, loaded.joint, meshes, scene.camera, seed)
+            scene.set_props(self._hand.hand.pieces())
 
     def shoot(self, i: int) -> Shot:
         """Frame `i` of the video: the same whatever was shot before."""
@@ -88,9 +94,9 @@ class Sensor:
         """Draw the scene at time `t`, in frames."""
         held, joint = self._loaded.asset.held, self._loaded.joint.name
         state = float(np.interp(t, np.arange(len(self._plan.states)), self._plan.states))
-        self._scene.shoot(
-            between(self._plan.Ts_camera_object, t), {**held, joint: state}, between(self._plan.Ts_camera_world, t)
-        )
+        T = between(self._plan.Ts_camera_object, t)
+        hand = None if self._hand is None else self._hand.poses(t, T, state)
+        self._scene.shoot(T, {**held, joint: state}, between(self._plan.Ts_camera_world, t), hand)
 
     def _exposed(self, i: int) -> NDArray[np.uint8] | None:
         """Frame `i` as the mean of the light over its exposure; None when nothing moves in that time."""
