@@ -35,8 +35,9 @@ MAX_MTL_BYTES = 4 << 20
 _LARGEST = 1e6  # a coordinate beyond this is no object's
 _NO_KD = 0.6  # what SAPIEN's reader (Assimp) takes for a material that says nothing
 _FACE = re.compile(r"^[ \t]*f[ \t]", re.MULTILINE)
+_FACE_LINE = re.compile(r"^[ \t]*f[ \t]+(.*)", re.MULTILINE)
 _BACK_INDEX = re.compile(r"^[ \t]*f[ \t].*-\d", re.MULTILINE)
-_NO_INDEX = re.compile(r"^[ \t]*f(?:[ \t]+[\d/-]+)*[ \t]+0+(?:/|\s|$)", re.MULTILINE)
+_NO_INDEX = re.compile(r"^[ \t]*f(?:[ \t]+[\d/-]+)*[ \t]+(?:0+|-\d+)(?:/|\s|$)", re.MULTILINE)
 _LIBRARY = re.compile(r"^[ \t]*mtllib[ \t]+(.*\S)", re.MULTILINE)
 _USED = re.compile(r"^[ \t]*usemtl[ \t]+(.*\S)", re.MULTILINE)
 _PICTURES = ("map_", "bump", "disp", "norm", "decal", "refl")  # how the MTL lines begin that name a picture
@@ -110,10 +111,12 @@ def read_obj(path: Path, folder: Path, gaps: Gaps) -> Surface:
     if not _FACE.search(text):
         gaps.empty.add(_name(path, folder))
         return Surface.joined([])
+    if _BACK_INDEX.search(text):
+        text = _absolute(text)
     if _NO_INDEX.search(text):
-        raise FreeArtError(f"{path} is not a readable OBJ file: a face names vertex 0, and the first is 1")
+        raise FreeArtError(f"{path} is not a readable OBJ file: a face names a vertex before the first")
     used = "".join(f"newmtl {name}\n" for name in dict.fromkeys(_USED.findall(text)))
-    text = "mtllib used\n" + _LIBRARY.sub("", _absolute(text) if _BACK_INDEX.search(text) else text)
+    text = "mtllib used\n" + _LIBRARY.sub("", text)
     try:  # materials are grouped by name only: the libraries are read above
         read = load_obj(io.StringIO(text), resolver={"used": used.encode()}, group_material=True)
         pieces = [_piece(geometry, materials) for geometry in read.get("geometry", {}).values()]
@@ -251,8 +254,9 @@ def _name(path: Path, folder: Path) -> str:
 def sapien_urdf(urdf: Path) -> Iterator[Path]:
     """A URDF that SAPIEN can load, valid inside the `with`: `urdf` itself, or a copy without what its folder lacks.
 
-    In the copy absent meshes and meshes without faces are left out, as visuals and as collision shapes, and materials
-    go without absent pictures. Only OBJ files are looked into.
+    In the copy absent meshes and meshes without faces are left out, as visuals and as collision shapes, materials go
+    without absent pictures, and meshes that their scale mirrors have their faces turned round (SAPIEN would show them
+    from within). Only OBJ files are looked into.
     """
     root = ET.fromstring(urdf.read_bytes())
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
@@ -263,7 +267,8 @@ def sapien_urdf(urdf: Path) -> Iterator[Path]:
                 if mesh is None or "://" in mesh.get("filename", ""):
                     continue
                 path = urdf.absolute().parent / mesh.get("filename", "")
-                usable = _usable(path, Path(place))
+                mirrored = np.prod(_scale(mesh)) < 0
+                usable = _usable(path, Path(place), bool(mirrored))
                 changed |= usable != path
                 if usable is None:
                     link.remove(shape)
@@ -276,8 +281,18 @@ def sapien_urdf(urdf: Path) -> Iterator[Path]:
         yield Path(place) / urdf.name if changed else urdf
 
 
-def _usable(path: Path, place: Path) -> Path | None:
-    """The mesh file itself, a copy in `place` without absent pictures, or None when there is nothing to show."""
+def _scale(mesh: ET.Element) -> Array:
+    values = np.ones(3)
+    with contextlib.suppress(ValueError):
+        values = np.array([float(word) for word in mesh.get("scale", "1 1 1").split()])
+    return values
+
+
+def _usable(path: Path, place: Path, mirrored: bool) -> Path | None:
+    """The mesh file itself, or None when there is nothing to show, or a copy in `place`.
+
+    The copy goes without absent pictures; its faces are turned round when it is to be `mirrored`.
+    """
     if path.suffix.lower() != ".obj":
         return path
     if not path.is_file():
@@ -287,8 +302,10 @@ def _usable(path: Path, place: Path) -> Path | None:
         return None
     libraries = [mtl for name in _LIBRARY.findall(text) if (mtl := path.parent / name).is_file()]
     lines = [_found(line, path.parent) for mtl in libraries for line in _text(mtl, MAX_MTL_BYTES).splitlines()]
-    if all(as_it_is for _, as_it_is in lines) and not any(map(_marked, (path, *libraries))):
+    if all(as_it_is for _, as_it_is in lines) and not mirrored and not any(map(_marked, (path, *libraries))):
         return path
+    if mirrored:
+        text = _FACE_LINE.sub(lambda face: "f " + " ".join(reversed(face[1].split())), text)
     stem = place / f"mesh-{len(list(place.iterdir()))}"
     stem.with_suffix(".mtl").write_text("\n".join(line for line, _ in lines) + "\n")
     stem.with_suffix(".obj").write_text(f"mtllib {stem.name}.mtl\n" + _LIBRARY.sub("", text))
