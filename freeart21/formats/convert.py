@@ -1,0 +1,219 @@
+"""From one layout of recordings to another, each sequence written whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic
+from freeart21.files.benchmark import write_benchmark
+from freeart21.files.sequence import read_sequence, write_frame, write_header, write_queries
+from freeart21.files.truth import read_truth, write_truth
+from freeart21.formats import freeart21_official, video2articulation
+from freeart21.formats.foreign import Foreign, Progress, safe_name
+from freeart21.recording import Recording
+from freeart21.truth import Truth
+
+Layout = Literal["official", "video2articulation", "native"]
+Target = Literal["official", "native"]
+TruthMaker = Callable[[Foreign], Truth]
+"""The whole truth of a foreign recording, from the object's own files; FreeArtError says what is missing."""
+
+_FARTHER = 10.0  # depth beyond this many times the object's farthest point is given up for a finer scale
+
+
+@dataclass(frozen=True)
+class Converted:
+    """One sequence that was written."""
+
+    folder: Path
+    """The sequence or example folder."""
+    with_truth: bool
+    notes: tuple[str, ...]
+    """What the user should know, a line each: what is missing, what was odd."""
+
+
+def find_sources(source: Path, layout: Layout | None = None) -> list[tuple[Layout, Path]]:
+    """The recordings in `source`: itself, or those that it holds, of one layout; the first that fits, or `layout`.
+
+    native: a sequence folder, or a data folder with sequences/. official: an example, or a folder of examples, or one
+    that holds examples/. video2articulation: a view folder, or any folder above.
+    """
+    source = Path(source)
+    if not source.is_dir():
+        raise FreeArtError(f"{source} is not a folder")
+    for kind in get_args(Layout) if layout is None else (layout,):
+        found = list(_of_layout(source, kind))
+        if found:
+            return [(kind, folder) for folder in found]
+    wanted = "of a known layout" if layout is None else f"of the layout {layout}"
+    raise FreeArtError(
+        f"{source} holds no recording {wanted}: a native one has sequence.json, an official example rgb/, depth/ and "
+        "cam_K.txt, a Video2Articulation-S view camera_pose.npy and intrinsics.npy"
+    )
+
+
+def _of_layout(source: Path, layout: Layout) -> Iterator[Path]:
+    fits, patterns = {
+        "native": (lambda folder: (folder / "sequence.json").is_file(), ("sequences/*", "*")),
+        "official": (freeart21_official.is_example, ("examples/*", "*")),
+        "video2articulation": (
+            video2articulation.is_view,
+            ("view_*", "joint_*/view_*", "*/joint_*/view_*", "*/*/joint_*/view_*", "*/*/*/joint_*/view_*"),
+        ),
+    }[layout]
+    if fits(source):
+        yield source
+        return
+    for pattern in patterns:
+        found = [folder for folder in sorted(source.glob(pattern)) if fits(folder)]
+        if found:
+            yield from found
+            return
+
+
+def convert(
+    source: Path,
+    out: Path,
+    to: Target,
+    layout: Layout | None = None,
+    truth_of: TruthMaker | None = None,
+    partnet_root: Path | None = None,
+    meta: Path | None = None,
+    hold_out: bool = False,
+    progress: Callable[[str], contextlib.AbstractContextManager[Progress]] | None = None,
+) -> Iterator[Converted]:
+    """Convert every recording in `source`, one after the other.
+
+    to="native" writes out/sequences/SEQ and, when `truth_of` can make it, out/truth/SEQ, both or only the sequence, and
+    renews out/benchmark.json when every sequence there has its truth. to="official" writes out/examples/NAME and, when
+    the object's files are at hand (the truth's own, or partnet_root/ID), out/data/partnet-mobility-v0/dataset/NAME;
+    `hold_out` makes the official split of 5 %. `meta` is Video2Articulation's meta file. `progress` names a bar.
+    Raises FreeArtError, in one line; what was written before stays, and is whole.
+    """
+    out, show = Path(out), progress or (lambda name: contextlib.nullcontext(lambda done, total: None))
+    for kind, folder in find_sources(source, layout):
+        if kind == to:
+            raise FreeArtError(f"{folder} is of the layout {to} already")
+        recording = _read(kind, folder, meta, partnet_root)
+        with show(recording.name) as tick, _tidy(out):
+            if to == "native":
+                yield _write_native(out, recording, truth_of, tick)
+            else:
+                files = _object_folder(kind, folder, recording, partnet_root)
+                yield _write_official(out, recording, files, hold_out, tick)
+    if to == "native" and _all_have_truth(out):
+        write_benchmark(out, out.resolve().name, "1", "public")
+
+
+def _read(kind: Layout, folder: Path, meta: Path | None, partnet_root: Path | None) -> Foreign:
+    if kind == "official":
+        return freeart21_official.read_example(folder)
+    if kind == "video2articulation":
+        return video2articulation.read_view(folder, meta)
+    recording, name = read_sequence(folder), folder.resolve().name
+    truth_folder = _truth_folder(folder)
+    if not truth_folder.is_dir():
+        return Foreign(name, name, recording, None, f"there is no {truth_folder}")
+    truth = read_truth(truth_folder)
+    object_id = str(truth.source.get("object") or name)
+    read = Foreign(name, object_id, recording, None)
+    known = freeart21_official.known_of_truth(truth, _object_folder("native", folder, read, partnet_root))
+    return Foreign(name, object_id, recording, known)
+
+
+def _truth_folder(sequence: Path) -> Path:
+    return sequence.resolve().parent.parent / "truth" / sequence.resolve().name
+
+
+def _object_folder(kind: Layout, folder: Path, recording: Foreign, partnet_root: Path | None) -> Path | None:
+    """The object's PartNet-Mobility folder, when it is at hand."""
+    beside = _truth_folder(folder) / "object" if kind == "native" else None
+    mine = partnet_root / safe_name(recording.object_id) if partnet_root is not None else None
+    return next((place for place in (beside, mine) if place is not None and (place / "mobility.urdf").is_file()), None)
+
+
+def _write_native(out: Path, read: Foreign, truth_of: TruthMaker | None, tick: Progress) -> Converted:
+    sequence, truth_folder = (out / sub / read.name for sub in ("sequences", "truth"))
+    for folder in (sequence, truth_folder):
+        if folder.exists():
+            raise FreeArtError(f"{folder} exists; choose another place or remove it first")
+    n, recording = len(read.recording), read.recording
+    scale = _depth_scale(recording, lambda done: tick(done, 2 * n))
+    truth, lacks = _truth(read, truth_of)
+    with atomic.new_folder(sequence) as aside:
+        for i, frame in enumerate(recording.frames()):
+            write_frame(aside, i, frame, scale)
+            tick(n + i + 1, 2 * n)
+        write_queries(aside, ())  # held-out views need pictures, which no foreign layout has
+        write_header(aside, recording.camera, scale, recording.times_s, recording.licence)
+        if truth is not None:
+            write_truth(truth_folder, truth, 0)
+    notes = (*read.notes, *((f"without truth: {lacks}",) if lacks else ()))
+    return Converted(sequence, truth is not None, notes)
+
+
+def _truth(read: Foreign, truth_of: TruthMaker | None) -> tuple[Truth | None, str]:
+    if read.known is None:
+        return None, read.lacks
+    if truth_of is None:
+        return None, f"the object's meshes are needed: name the folder that holds {read.object_id} by --partnet-root"
+    try:
+        return truth_of(read), ""
+    except FreeArtError as error:
+        return None, str(error)
+
+
+def _depth_scale(recording: Recording, tick: Callable[[int], None]) -> float:
+    """Metres per unit: 1, 2 or 5 times a power of ten, the finest that holds the scene in 16 bits.
+
+    What lies beyond ten times the object's farthest point may be lost.
+    """
+    farthest = on_object = 0.0
+    for i, frame in enumerate(recording.frames()):
+        farthest = max(farthest, float(frame.depth.max(initial=0)))
+        on_object = max(on_object, float(frame.depth[frame.mask].max(initial=0)))
+        tick(i + 1)
+    if farthest <= 0:
+        raise FreeArtError(f"{recording.name} has no depth in any frame")
+    least = min(farthest, _FARTHER * on_object if on_object > 0 else farthest) / 65000
+    power = 10.0 ** np.floor(np.log10(least))
+    return float(f"{next(power * k for k in (1, 2, 5, 10) if power * k >= least * (1 - 1e-12)):.1g}")
+
+
+def _write_official(out: Path, read: Foreign, object_folder: Path | None, hold_out: bool, tick: Progress) -> Converted:
+    folder = freeart21_official.write_example(out, read.name, read.recording, read.known, object_folder, hold_out, tick)
+    notes = list(read.notes)
+    if read.known is None:
+        notes.append(f"pictures only: {read.lacks}")
+    elif object_folder is None:
+        notes.append(
+            f"without the object's files, which their evaluator needs: {read.object_id} is not at hand (--partnet-root)"
+        )
+    return Converted(folder, read.known is not None, tuple(notes))
+
+
+def _all_have_truth(out: Path) -> bool:
+    sequences = [path.parent.name for path in (out / "sequences").glob("*/sequence.json")]
+    return bool(sequences) and all((out / "truth" / name / "truth.json").is_file() for name in sequences)
+
+
+@contextlib.contextmanager
+def _tidy(out: Path) -> Iterator[None]:
+    """When the block fails, folders that it made and left empty go, too."""
+    try:
+        yield
+    except BaseException:
+        for sub in ("sequences", "truth", "examples"):
+            with contextlib.suppress(OSError):
+                (out / sub).rmdir()
+        for place in (freeart21_official.OBJECTS, *freeart21_official.OBJECTS.parents):
+            with contextlib.suppress(OSError):
+                (out / place).rmdir()
+        raise
