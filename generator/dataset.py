@@ -34,7 +34,7 @@ from freeart21.files import atomic, checked
 from freeart21.files.benchmark import read_benchmark, write_benchmark
 from generator import partnet
 from generator.progress import Board, progress_board
-from generator.session import RecordSettings, partnet_folder, record_object
+from generator.session import ACCESS, RecordSettings, partnet_folder, record_object
 
 WORK = ".recording"
 """Folder of what is under way, in the data folder."""
@@ -100,7 +100,8 @@ def official_names(root: Path, skip_missing: bool = False) -> tuple[str, ...]:
     if absent and not (skip_missing and here):
         raise FreeArtError(
             f"{len(absent)} of FreeArt-21's {len(official)} PartNet-Mobility objects are not in {root}: "
-            f"{', '.join(absent)}. {partnet.WHERE_TO_ASK}; --skip-missing records those that are there"
+            f"{', '.join(absent)}; ask for access to the dataset at {ACCESS} (an account is free), or record those that "
+            "are there with --skip-missing"
         )
     return here
 

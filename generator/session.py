@@ -131,6 +131,7 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
     shutil.rmtree(rough, ignore_errors=True)
     write_truth(rough, session.truth(parts, views, facts), len(views))
     try:
+        np.savez_compressed(rough / "world.npz", T_camera_world=session.plan.Ts_camera_world)
         if entry.source == "procedural":
             shutil.copytree(work / "object" / name, rough / "object")
         rough.replace(work / "truth")
@@ -288,6 +289,7 @@ class Session:
             "joint": self.loaded.joint.name,
             "held": self.loaded.asset.held,
             "semantics": self.loaded.semantics,
+            "notes": self.loaded.notes,
             "reference_links": links[order[0]],
             "moving_links": links[order[1]],
             "settings": settings.described(),
