@@ -40,9 +40,6 @@ from generator.surface import Surface
 
 URDF_NAME = "mobility.urdf"
 
-WHERE_TO_ASK = "PartNet-Mobility is free for those who take an account and its terms: https://sapien.ucsd.edu/downloads"
-"""Said when an object is not there: it may not be handed on."""
-
 # fmt: off
 INCOMPLETE = frozenset((
     "10090", "10108", "10356", "11538", "12115", "9918", "9987", "10546", "11260", "11887", "12071", "12542",
@@ -100,23 +97,6 @@ class PartNetObject:
     def sides(self) -> tuple[Side, Side]:
         """Parent side, child side."""
         return self.parent_side, self.child_side
-
-
-def folder_of(name: str, root: Path | None) -> Path:
-    """Where the object `name` (an id) lies under `root`, the data set's folder or the one above it.
-
-    Raises FreeArtError, saying where to ask for the data, when it is not there.
-    """
-    if root is None:
-        raise FreeArtError(
-            f"object {name} is from PartNet-Mobility: name the folder that holds it by --partnet-root; {WHERE_TO_ASK}"
-        )
-    if not Path(root).is_dir():
-        raise FreeArtError(f"the PartNet-Mobility folder {root} does not exist; {WHERE_TO_ASK}")
-    for place in (Path(root), Path(root) / "dataset"):
-        if (place / name).is_dir():
-            return place / name
-    raise FreeArtError(f"PartNet-Mobility object {name} is not in {root}; {WHERE_TO_ASK}")
 
 
 def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> PartNetObject:

@@ -658,20 +658,6 @@ def test_the_choice_of_joints_of_a_real_object() -> None:
     )
 
 
-def test_an_object_that_is_not_there_is_told_with_where_to_ask(tmp_path: Path) -> None:
-    ask = "https://sapien.ucsd.edu/downloads"
-    for root, message in (
-        (None, f"by --partnet-root; .*{ask}"),
-        (tmp_path / "no", f"no does not exist; .*{ask}"),
-        (tmp_path, f"object 10546 is not in .*{ask}"),
-    ):
-        with pytest.raises(FreeArtError, match=message):
-            partnet.folder_of("10546", root)
-    (tmp_path / "dataset" / "10546").mkdir(parents=True)
-    assert partnet.folder_of("10546", tmp_path) == tmp_path / "dataset" / "10546"
-    assert partnet.folder_of("10546", tmp_path / "dataset") == tmp_path / "dataset" / "10546"
-
-
 @pytest.mark.parametrize(
     ("urdf", "message"),
     [

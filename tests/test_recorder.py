@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from freeart21 import catalog, se3
+from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
@@ -23,7 +23,8 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.recording import Recording
 from freeart21.truth import Truth
-from generator import partnet, recorder
+from generator import objects, partnet, session
+from generator.golden import LEAST_PSNR, rendered_anew, verify_deep
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.motion import joint_course, motion_range, plan_tumble
 from generator.partnet_writer import write_partnet
@@ -38,7 +39,7 @@ REAL = Path(__file__).resolve().parents[2] / "shared" / "partnet_mobility"
 SETTINGS = RecordSettings(
     frames=10, seed=3, width=320, height=180, shader="trivial", queries=4, visible_every=1, edge=0.04
 )
-CASES = [*catalog.built_in_names(), "small_root", *(["41083"] if (REAL / "41083").is_dir() else [])]
+CASES = ["stapler", "flip_cap_usb", "drawer_unit", "small_root", *(["41083"] if (REAL / "41083").is_dir() else [])]
 
 
 def _small_root(folder: Path) -> Path:
@@ -153,6 +154,19 @@ def test_held_out_views_show_pose_a_and_state_b_from_the_moved_camera(case: Case
         flat = _inside(labels) & mask & (labels > 0)
         assert np.nanmedian(np.abs(rgb.astype(float) - colours).max(-1)[flat]) < 20  # unlit: the truth's own colours
         assert np.degrees(se3.rotation_angle(query.T_newcam_cam[:3, :3])) < 15.01
+
+
+def test_the_truths_own_object_renders_as_the_held_out_views(case: Case) -> None:
+    folder = case.folder / "truth" / case.name
+    if case.truth.source["object_source"] == "partnet":
+        assert not (folder / "object").exists()  # may not be handed on
+        return
+    again = [psnr for _, psnr in rendered_anew(case.recording, case.truth, folder, SETTINGS.queries)]
+    assert len(again) == SETTINGS.queries and min(again) > LEAST_PSNR
+
+
+def test_verification_by_rays_and_a_second_rendering_finds_nothing(case: Case) -> None:
+    assert verify_deep(case.folder, frames=3, views=2) == []
 
 
 def test_the_object_stays_in_the_picture_and_first_shows_both_parts(case: Case) -> None:
@@ -398,28 +412,51 @@ def _fails(message: str, name: str, out: Path, **changes: object) -> None:
 
 
 def test_bad_requests_get_one_clear_line(tmp_path: Path) -> None:
-    _fails("unknown object 'teapot'; objects: stapler, drawer_unit, flip_lighter", "teapot", tmp_path)
+    _fails("unknown object 'teapot'; objects: swivel_usb, flip_cap_usb, ", "teapot", tmp_path)
     _fails("'45135' is from PartNet-Mobility: name the folder", "45135", tmp_path)
     _fails("object 45135 is not in .*; ask for access", "45135", tmp_path, partnet_root=tmp_path)
     _fails("cannot record 1 frames", "stapler", tmp_path, frames=1)
-    _fails("unknown motion 'dance'; motions: tumble", "stapler", tmp_path, motion="dance")
-    _fails("unknown sensor 'noisy'; sensors: clean", "stapler", tmp_path, sensor="noisy")
-    _fails("no movable joint 'lid'; movable joints: joint_0, joint_1", "stapler", tmp_path, joint="lid")
+    _fails("unknown motion 'dance'; motions: tumble, inspect", "stapler", tmp_path, motion="dance")
+    _fails("unknown preset 'huge'; presets: handheld, paper", "stapler", tmp_path, preset="huge")
+    _fails("unknown sensor 'noisy'; sensors: clean, noise2", "stapler", tmp_path, sensor="noisy")
+    _fails(
+        r"no movable joint 'lid'; movable joints: joint_0 \(revolute .*\), joint_1 \(", "stapler", tmp_path, joint="lid"
+    )
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_existing_sequence_is_not_overwritten(tmp_path: Path) -> None:
     atomic.write_json(tmp_path / "sequences" / "stapler-s3" / "sequence.json", {})
-    _fails("stapler-s3 exists; choose another place or seed", "stapler", tmp_path)
+    _fails("stapler-s3 exists and has no truth; choose another place or seed", "stapler", tmp_path)
 
 
 def test_a_recording_that_fails_halfway_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise FreeArtError("no room")
 
-    monkeypatch.setattr(recorder, "write_truth", broken)
-    _fails("no room", "flip_lighter", tmp_path, frames=2, queries=0)
-    assert [p for p in tmp_path.rglob("*") if p.is_file()] == []
+    monkeypatch.setattr(session, "write_truth", broken)
+    _fails("flip_lighter-s3: no room", "flip_lighter", tmp_path / "data", frames=2, queries=0, edge=0.5)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda folder: (folder / "textured_objs" / "original-1.obj").unlink(), "original-1.obj"),
+        (lambda folder: (folder / "images" / "texture_1.png").write_bytes(b"no picture"), "texture_1.png"),
+        (
+            lambda folder: (folder / "mobility.urdf").write_text(
+                (folder / "mobility.urdf").read_text().replace('lower="-0.9"', 'lower="0.4"')
+            ),
+            "joint 'joint_0' cannot move: its limits are",
+        ),
+    ],
+    ids=["missing mesh", "unreadable texture", "zero-range joint"],
+)
+def test_an_unfit_object_gets_one_line_and_leaves_nothing(tmp_path: Path, spoil: object, message: str) -> None:
+    spoil(_small_root(tmp_path / "own" / "90210077"))  # type: ignore[operator]
+    _fails(message, "90210077", tmp_path / "data", partnet_root=tmp_path / "own")
+    assert [p.name for p in tmp_path.iterdir()] == ["own"]
 
 
 def test_without_a_vulkan_device_the_recorder_says_so_in_one_line_and_python_lives(tmp_path: Path) -> None:
