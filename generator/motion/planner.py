@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +19,15 @@ from generator.motion.body import UPRIGHT, Body
 from generator.motion.framing import placed
 from generator.motion.plan import MOTIONS, PRESETS, Plan, Preset
 from generator.motion.release import released_plan
-from generator.motion.styles import STYLES, Course, Hardship, Task
+from generator.motion.styles import HEIGHTS, STYLES, Course, Hardship, Task
 from generator.motion.visibility import Atlas
 
 FEW = 0.05
 """Below this share of the object's pixels a part is hard to follow."""
 _HARD_SHARE = (0.19, 0.32)  # of the frames in which a hard motion shows fewer
 _GONE_FRAMES = (9, 40)
-_HIDDEN, _GONE = 0.36, 0.14  # shares of seeds
+_HARD, _GONE = 0.5, 0.4  # shares of seeds that are hard where they can be, and of these that let a side disappear
+_HIDEABLE = 0.008  # share of the directions from which a side must be hidden, for its motions to be hard at all
 _COUNTED = 4
 _FASTEST = 6.5  # degrees a frame at 30 frames a second
 
@@ -76,7 +78,8 @@ def plan_motion(
     if style == "release":
         assert states is not None
         return released_plan(body, states, camera, preset, seed)
-    task = Task(body, _atlas(body, camera, frames), frames, fps, _hardship(body, seed, hard), states)
+    task = Task(body, _atlas(body, camera, frames), frames, fps, "hidden", states, HEIGHTS.get(style, (-1.0, 1.0)))
+    task = replace(task, hardship=_hardship(task, seed, hard))
     rng = np.random.default_rng([seed, 2, MOTIONS.index(style)])
     drawn = int(np.clip(frames // 8, 6, 20 if task.hardship == "none" else 36))
     candidates = [STYLES[style](task, rng) for _ in range(drawn)]
@@ -98,16 +101,20 @@ def _atlas(body: Body, camera: Camera, frames: int) -> Atlas:
     return Atlas(body, distance) if frames >= 60 else Atlas(body, distance, 96, 4)
 
 
-def _hardship(body: Body, seed: int, hard: bool | None) -> Hardship:
-    """What object and seed decide: another object of the same seed is another case."""
-    extents = np.round(np.concatenate([np.ptp(h, axis=0) for h in body.hulls]) / body.radius, 3)
+def _hardship(task: Task, seed: int, hard: bool | None) -> Hardship:
+    """What object and seed decide: another object of the same seed is another case.
+
+    Objects whose sides always show are left out, and the others are hard the more often.
+    """
+    extents = np.round(np.concatenate([np.ptp(h, axis=0) for h in task.body.hulls]) / task.body.radius, 3)
     draw = np.random.default_rng([seed, 7, zlib.crc32(" ".join(f"{x:.3f}" for x in extents).encode())])
     luck, kind = draw.uniform(0, 1, 2)
     if hard is None:
-        hard = bool(luck < _HIDDEN)
+        hard = bool(luck < _HARD and task.hidden_area().max() > _HIDEABLE)
     if not hard:
         return "none"
-    return "gone" if kind < _GONE / _HIDDEN else "hidden"
+    gone = replace(task, hardship="gone").hidden_area().max() > _HIDEABLE
+    return "gone" if gone and kind < _GONE else "hidden"
 
 
 def _views(Rs: Array) -> Array:
@@ -124,15 +131,17 @@ def _score(course: Course, task: Task, shares: Array) -> float:
         score -= 4.0 * max(few - 0.10, 0.0)
     else:
         low, high = _HARD_SHARE
-        score -= 8.0 * (max(low - few, 0.0) + 0.5 * max(few - high, 0.0))
+        score -= 15.0 * (max(low - few, 0.0) + 0.3 * max(few - high, 0.0))
     away = _longest(shares < 1e-9)
     if task.hardship == "gone":
         low, high = _GONE_FRAMES
         score += 3.0 * min(away / low, 1.0) - 2.0 * max(away / high - 1, 0.0)
     else:
         score -= min(away / 20, 2.0)
-    fastest = float(turns.steps_degrees(course.Rs).max()) * task.fps / 30
-    return round(score - 2.0 * max(fastest - _FASTEST, 0.0), 3)
+    steps = turns.steps_degrees(course.Rs) * task.fps / 30
+    score -= 2.0 * max(float(steps.max()) - _FASTEST, 0.0)
+    score -= 4.0 * max(0.8 * course.pace - float(np.median(steps)), 0.0)
+    return round(score, 3)
 
 
 def _longest(flags: NDArray[np.bool_]) -> int:

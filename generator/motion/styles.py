@@ -19,6 +19,13 @@ Hardship = Literal["none", "hidden", "gone"]
 """Whether the smaller part is to be shown, nearly hidden for long, or out of sight for a while."""
 
 
+HIDDEN = 0.045
+"""A side whose share of the object's pixels is below counts as hidden."""
+
+HEIGHTS: dict[str, tuple[float, float]] = {"turntable": (0.2, 0.65), "static_base": (0.05, 0.82)}
+"""Sines of the angles from which a style looks down, where it does not look from everywhere."""
+
+
 @dataclass(frozen=True)
 class Task:
     """What a style is asked for."""
@@ -30,6 +37,15 @@ class Task:
     hardship: Hardship
     states: Array | None
     """(frames,) given joint states, rad or m; None when they are to be planned."""
+    heights: tuple[float, float] = (-1.0, 1.0)
+    """Sines of the lowest and highest angles from which the style looks down on the object."""
+
+    def hidden_area(self) -> Array:
+        """(Q,) share of the style's directions from which the smaller side is hidden, at each state of the atlas."""
+        z, atlas = self.atlas.directions[:, 2], self.atlas
+        within = (z >= self.heights[0]) & (z <= self.heights[1])
+        hidden = atlas.gone if self.hardship == "gone" else atlas.share < HIDDEN
+        return np.asarray(hidden[within].mean(0))
 
 
 @dataclass(frozen=True)
@@ -44,6 +60,8 @@ class Course:
     """(n,) the hand's time, frames."""
     states: Array
     """(n,) joint state, rad or m."""
+    pace: float
+    """The median step that was wanted, degrees a frame at 30 frames a second."""
 
 
 def tumble(task: Task, rng: np.random.Generator) -> Course:
@@ -54,7 +72,7 @@ def tumble(task: Task, rng: np.random.Generator) -> Course:
     views = _views(task, states, course, 1.1 * pace * tau, rng, (0.7, 1.1))
     Rs = turns.rolled(views, 0.35, rng)
     Rs = _paced(lambda scale: turns.spline(Rs, _within(Rs, scale * tau)), pace, pace)
-    return _held(task, Rs, tau, states, rng, (0.04, 0.02, 0.06))
+    return _held(task, Rs, tau, states, pace, rng, (0.04, 0.02, 0.06))
 
 
 def inspect(task: Task, rng: np.random.Generator) -> Course:
@@ -62,7 +80,7 @@ def inspect(task: Task, rng: np.random.Generator) -> Course:
     states, course = _joint(task, rng)
     pace = _pace(task, rng, 2.2, 2.6)
     t = np.arange(task.frames, dtype=float)
-    views = _views(task, states, course, 1.15 * pace * t, rng, (0.8, 1.5))
+    views = _views(task, states, course, 1.15 * pace * t, rng, (0.8, 1.5), even=False)
     Rs = turns.rolled(views, 0.2, rng)
     steps = se3.log_so3(np.swapaxes(Rs[:-1], 1, 2) @ Rs[1:])
     lengths, luck = np.linalg.norm(steps, axis=1), rng.uniform(0, 1, (2, len(Rs)))
@@ -86,7 +104,7 @@ def inspect(task: Task, rng: np.random.Generator) -> Course:
         median = np.radians(float(np.median(turns.steps_degrees(shown(speed)[0]))))
         speed = float(np.clip(speed * (pace / max(median, 1e-9)) ** 0.7, 0.9 * pace, 1.6 * pace))
     turned, u = shown(speed)
-    return _held(task, turned, 25.0 * u, states, rng, (0.03, 0.015, 0.05))
+    return _held(task, turned, 25.0 * u, states, pace, rng, (0.03, 0.015, 0.05))
 
 
 def wave(task: Task, rng: np.random.Generator) -> Course:
@@ -95,14 +113,14 @@ def wave(task: Task, rng: np.random.Generator) -> Course:
     pace, slow = _pace(task, rng, 2.2, 2.7), _pace(task, rng, 0.5, 0.8)
     tau = timing.clock(timing.pose_rate(task.frames, course, rng, _linger(task)))
     highest = 0.6 if task.hardship == "none" else 1.0
-    views = _views(task, states, course, slow * tau, rng, (0.5, 0.9), highest)
+    views = _views(task, states, course, slow * tau, rng, (0.5, 0.9), highest=highest)
     base = turns.rolled(views, 0.1, rng)
     drift = turns.spline(base, _within(base, slow / 0.6 * tau))
     swings = [timing.wander(tau / task.fps, rng, rng.uniform(0.8, 1.2)) for _ in range(6)]
     shake = np.stack(swings[:3], -1) * np.array([0.6, 1.0, 0.5])
     shake -= shake[0]
     Rs = _paced(lambda size: se3.exp_so3(size * shake) @ drift, 0.2, pace)
-    return _held(task, Rs, tau, states, rng, (0.10, 0.04, 0.08), np.stack(swings[3:], -1))
+    return _held(task, Rs, tau, states, pace, rng, (0.10, 0.04, 0.08), np.stack(swings[3:], -1))
 
 
 def turntable(task: Task, rng: np.random.Generator) -> Course:
@@ -111,7 +129,7 @@ def turntable(task: Task, rng: np.random.Generator) -> Course:
     pace = _pace(task, rng, 2.2, 2.8) * rng.choice([-1, 1])
     yaw = rng.uniform(-np.pi, np.pi) + pace * np.arange(task.frames)
     Rs = turns.level(yaw, np.full(task.frames, rng.uniform(0.2, 0.7)))
-    return Course(Rs, np.zeros((task.frames, 3)), np.zeros(task.frames), states)
+    return Course(Rs, np.zeros((task.frames, 3)), np.zeros(task.frames), states, abs(np.degrees(pace)) * task.fps / 30)
 
 
 def static_base(task: Task, rng: np.random.Generator) -> Course:
@@ -131,7 +149,7 @@ def static_base(task: Task, rng: np.random.Generator) -> Course:
         yaw = front + arc * np.sin(s + phases[0])
         return turns.level(yaw, pitch + tilt * np.sin(turn * s + phases[1]))
 
-    return _held(task, _paced(seen, 1.0, pace), tau, states, rng, (0.02, 0.02, 0.12))
+    return _held(task, _paced(seen, 1.0, pace), tau, states, pace, rng, (0.02, 0.02, 0.12))
 
 
 STYLES: dict[str, Callable[[Task, np.random.Generator], Course]] = {
@@ -147,8 +165,7 @@ def _joint(task: Task, rng: np.random.Generator) -> tuple[Array, JointCourse]:
     """States (frames,) and when they move; a hard motion rests where the smaller side can be hidden best."""
     atlas, hold = task.atlas, None
     if task.hardship != "none":
-        hidden = atlas.gone if task.hardship == "gone" and atlas.gone.any() else atlas.share < 0.045
-        area = hidden.mean(0) + 0.02 * (1 - atlas.share.min(0))
+        area = task.hidden_area() + 0.01 * (1 - atlas.share.min(0))
         k = int(rng.choice(len(area), p=area / area.sum()))
         at = float(np.clip(k + rng.uniform(-0.3, 0.3), 0, len(area) - 1)) / (len(area) - 1)
         hold = Hold(at, float(rng.uniform(0.22, 0.30)))
@@ -173,6 +190,7 @@ def _views(
     way: Array,
     rng: np.random.Generator,
     step: tuple[float, float],
+    even: bool = True,
     highest: float = 1.0,
 ) -> list[Array]:
     """Views for a path that has come `way` (frames,) radians in every frame: both sides shown, or one hidden."""
@@ -181,21 +199,21 @@ def _views(
     directions = atlas.directions[usual]
     want = 0.15 if task.hardship == "none" else 0.25
 
-    def wish(s: float) -> Array:
+    def wish(s: float) -> tuple[Array, bool]:
         frame = int(np.clip(np.searchsorted(way, s), 0, task.frames - 1))
         share = atlas.at_state(float(states[frame]))[usual]
         if task.hardship != "none" and course.held is not None:
             a, b = course.held
             if a - 6 <= frame <= b:
                 best, width = (0.0, 0.03) if task.hardship == "gone" else (0.025, 0.06)
-                return 2.0 * (1 - np.minimum(np.abs(share - best) / width, 1))
-        return want * np.minimum(share / cap, 1)
+                return 2.0 * (1 - np.minimum(np.abs(share - best) / width, 1)), True
+        return want * np.minimum(share / cap, 1), False
 
     first = atlas.at_state(float(states[0]))
     level = np.abs(atlas.directions[:, 2]) < 0.75
     good = np.flatnonzero(level & usual & (first >= np.quantile(first[level & usual], 0.75)))
     start = atlas.directions[int(rng.choice(good))]
-    return turns.tour(start, 1.3 * float(way[-1]) + 2 * step[1], directions, wish, rng, step)
+    return turns.tour(start, 1.7 * float(way[-1]) + 2 * step[1], directions, wish, rng, step, even)
 
 
 def _within(Rs: Array, u: Array) -> Array:
@@ -222,6 +240,7 @@ def _held(
     Rs: Array,
     tau: Array,
     states: Array,
+    pace: float,
     rng: np.random.Generator,
     drift: tuple[float, float, float],
     swing: Array | None = None,
@@ -230,4 +249,6 @@ def _held(
     if swing is None:
         swing = np.stack([timing.wander(tau / task.fps, rng, 0.35) for _ in range(3)], -1)
     sway = np.array(drift) * swing + 0.5 * timing.tremor(task.frames, task.fps, rng) * [1, 1, 0]
-    return Course(se3.exp_so3(timing.tremor(task.frames, task.fps, rng)) @ Rs, sway, tau, states)
+    return Course(
+        se3.exp_so3(timing.tremor(task.frames, task.fps, rng)) @ Rs, sway, tau, states, np.degrees(pace) * task.fps / 30
+    )

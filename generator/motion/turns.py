@@ -11,8 +11,9 @@ from freeart21.se3 import Array
 from freeart21.sphere import covered_cells
 from generator.motion.body import UPRIGHT
 
-Wish = Callable[[float], Array]
-"""Distance along a path, radians, to how welcome each of the candidate directions is there: (D,), 0 to 1."""
+Wish = Callable[[float], tuple[Array, bool]]
+"""Distance along a path, radians, to how welcome each of the candidate directions is there, (D,), 0 to 1, and whether
+to stay near by, rather than to go on to what has not been seen."""
 
 
 def level(yaw: Array | float, pitch: Array | float) -> Array:
@@ -27,12 +28,18 @@ def upright_at(view: Array) -> Array:
 
 
 def tour(
-    start: Array, length: float, directions: Array, wish: Wish, rng: np.random.Generator, step: tuple[float, float]
+    start: Array,
+    length: float,
+    directions: Array,
+    wish: Wish,
+    rng: np.random.Generator,
+    step: tuple[float, float],
+    even: bool,
 ) -> list[Array]:
     """Views from `start` (3,) on, with at least `length` radians of way between them, taken from `directions` (D, 3).
 
     The next view is `step` (least, most) radians on, and the one that shows most of what has not been seen, is most
-    welcome, and turns back least.
+    welcome, and turns back least. `even` counts every step as one of middle size: it will take as long.
     """
     views, way, heading = [start], 0.0, np.zeros(3)
     cells = covered_cells(directions)
@@ -42,6 +49,8 @@ def tour(
         cosine = np.clip(directions @ now, -1, 1)
         angle = np.arccos(cosine)
         least, most = step
+        welcome, stay = wish(way + 0.5 * most)
+        least = 0.0 if stay else least
         allowed = (angle >= least) & (angle <= most)
         if not allowed.any():
             allowed = angle > 1e-6
@@ -51,11 +60,11 @@ def tour(
         fresh = ((cells | halfway) & ~covered).sum(1) / 8
         tangent = _unit(directions - cosine[:, None] * now)
         bend = (1 - tangent @ heading) / 2 if heading.any() else 0.0
-        score = fresh + 3.0 * wish(way + 0.5 * most) - 0.6 * bend + rng.uniform(0, 0.5, len(directions))
+        score = (0.3 if stay else 1.0) * fresh + 3.0 * welcome - 0.6 * bend + rng.uniform(0, 0.5, len(directions))
         best = int(np.where(allowed, score, -np.inf).argmax())
         covered |= cells[best] | halfway[best]
         heading = _unit(directions[best] * cosine[best] - now)
-        way += float(angle[best])
+        way += 0.5 * (step[0] + step[1]) if even else float(angle[best])
         views.append(directions[best])
     return views
 
