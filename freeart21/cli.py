@@ -8,7 +8,7 @@ import os
 import platform
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -312,9 +312,52 @@ def view(
     print(page)
 
 
+def convert(
+    source: Annotated[Path, Positional],
+    out: Path,
+    to: Literal["official", "native"],
+    layout: Annotated[Literal["official", "video2articulation", "native"] | None, tyro.conf.arg(name="from")] = None,
+    partnet_root: Path | None = None,
+    joint: str | None = None,
+    meta: Path | None = None,
+    hold_out: bool = False,
+    skip_missing: bool = False,
+) -> None:
+    """Convert recordings from one layout to another: the official FreeArt-21 release, Video2Articulation-S, our own.
+
+    Args:
+        source: A recording, or a folder of them.
+        out: Folder to add to: a data folder (native), or one that gets examples/ and data/ (official).
+        to: Layout to write.
+        layout: Layout of the source; recognised by its files when not given.
+        partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf: truth needs their meshes.
+        joint: Joint that moves, where neither the layout nor the catalog names one.
+        meta: Video2Articulation's new_partnet_mobility_dataset_correct_intr_meta.json, for the joint's limits.
+        hold_out: Write the official split: 5 % of the frames go to eval/.
+        skip_missing: Leave out meshes that a PartNet-Mobility object names but does not have.
+    """
+    from functools import partial
+
+    from freeart21.formats import convert as formats
+    from generator.foreign import truth_of
+    from generator.progress import progress_board
+
+    maker = None
+    if partnet_root is not None:
+        maker = partial(truth_of, partnet_root=partnet_root, joint=joint, skip_missing=skip_missing)
+    with progress_board(1, 0) as board:
+        for done in formats.convert(source, out, to, layout, maker, partnet_root, meta, hold_out, board.update):
+            board.finished(done.name)
+            print(done.folder)
+            for note in done.notes:
+                print(f"{done.name}: {note}", file=sys.stderr)
+
+
 def main() -> None:
     """Run a command; every known fault is one line on standard error and exit code 1."""
-    commands = {f.__name__: f for f in (doctor, demo, objects, record, verify, reconstruct, export, score, view)}
+    commands = {
+        f.__name__: f for f in (doctor, demo, objects, record, verify, reconstruct, export, score, view, convert)
+    }
     try:
         code = tyro.extras.subcommand_cli_from_dict(
             commands,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,8 @@ _FARTHER = 10.0  # depth beyond this many times the object's farthest point is g
 class Converted:
     """One sequence that was written."""
 
+    name: str
+    """Of the source."""
     folder: Path
     """The sequence or example folder."""
     with_truth: bool
@@ -87,22 +90,24 @@ def convert(
     partnet_root: Path | None = None,
     meta: Path | None = None,
     hold_out: bool = False,
-    progress: Callable[[str], contextlib.AbstractContextManager[Progress]] | None = None,
+    progress: Callable[[str, int, int], None] = lambda name, done, total: None,
 ) -> Iterator[Converted]:
     """Convert every recording in `source`, one after the other.
 
     to="native" writes out/sequences/SEQ and, when `truth_of` can make it, out/truth/SEQ, both or only the sequence, and
     renews out/benchmark.json when every sequence there has its truth. to="official" writes out/examples/NAME and, when
     the object's files are at hand (the truth's own, or partnet_root/ID), out/data/partnet-mobility-v0/dataset/NAME;
-    `hold_out` makes the official split of 5 %. `meta` is Video2Articulation's meta file. `progress` names a bar.
+    `hold_out` makes the official split of 5 %. `meta` is Video2Articulation's meta file. `progress` is called with a
+    sequence's name, the frames done and their total.
     Raises FreeArtError, in one line; what was written before stays, and is whole.
     """
-    out, show = Path(out), progress or (lambda name: contextlib.nullcontext(lambda done, total: None))
+    out = Path(out)
     for kind, folder in find_sources(source, layout):
         if kind == to:
             raise FreeArtError(f"{folder} is of the layout {to} already")
         recording = _read(kind, folder, meta, partnet_root)
-        with show(recording.name) as tick, _tidy(out):
+        tick = functools.partial(progress, recording.name)
+        with _tidy(out):
             if to == "native":
                 yield _write_native(out, recording, truth_of, tick)
             else:
@@ -156,7 +161,7 @@ def _write_native(out: Path, read: Foreign, truth_of: TruthMaker | None, tick: P
         if truth is not None:
             write_truth(truth_folder, truth, 0)
     notes = (*read.notes, *((f"without truth: {lacks}",) if lacks else ()))
-    return Converted(sequence, truth is not None, notes)
+    return Converted(read.name, sequence, truth is not None, notes)
 
 
 def _truth(read: Foreign, truth_of: TruthMaker | None) -> tuple[Truth | None, str]:
@@ -196,7 +201,7 @@ def _write_official(out: Path, read: Foreign, object_folder: Path | None, hold_o
         notes.append(
             f"without the object's files, which their evaluator needs: {read.object_id} is not at hand (--partnet-root)"
         )
-    return Converted(folder, read.known is not None, tuple(notes))
+    return Converted(read.name, folder, read.known is not None, tuple(notes))
 
 
 def _all_have_truth(out: Path) -> bool:
@@ -207,13 +212,13 @@ def _all_have_truth(out: Path) -> bool:
 @contextlib.contextmanager
 def _tidy(out: Path) -> Iterator[None]:
     """When the block fails, folders that it made and left empty go, too."""
+    new = not out.exists()
     try:
         yield
     except BaseException:
-        for sub in ("sequences", "truth", "examples"):
-            with contextlib.suppress(OSError):
-                (out / sub).rmdir()
-        for place in (freeart21_official.OBJECTS, *freeart21_official.OBJECTS.parents):
+        objects = freeart21_official.OBJECTS
+        made = [Path("sequences"), Path("truth"), Path("examples"), objects, *objects.parents]
+        for place in made if new else made[:-1]:
             with contextlib.suppress(OSError):
                 (out / place).rmdir()
         raise

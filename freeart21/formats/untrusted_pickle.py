@@ -22,7 +22,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 
 MAX_BYTES = 64 << 20
-MAX_OPCODES = 5_000_000
+MAX_OPCODES = 1_000_000
 _CODES = {
     f"{kind}{size}" for kind, sizes in (("f", (2, 4, 8)), ("i", (1, 2, 4, 8)), ("u", (1, 2, 4, 8))) for size in sizes
 }

@@ -1,0 +1,782 @@
+"""Foreign layouts: samples typed by hand from their descriptions, and every trap that they set.
+
+One 3D point is known in every sample: it must land on one known pixel, through K, camera axes, quaternions and depth.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pickle
+import random
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from freeart21 import cli, se3
+from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from freeart21.files.benchmark import read_benchmark
+from freeart21.files.result import Method, write_method, write_result
+from freeart21.files.sequence import read_sequence
+from freeart21.files.truth import read_truth
+from freeart21.formats import foreign, freeart21_official, untrusted_pickle, video2articulation
+from freeart21.formats.convert import convert, find_sources
+from freeart21.joint import Joint
+from freeart21.reconstruction import Reconstruction
+from freeart21.truth import Truth
+from generator import partnet
+from generator.foreign import truth_of
+from generator.rays import Caster
+
+W, H, N = 8, 6, 3
+K_TEXT = "10.000000 0.000000 4.000000\n0.000000 10.000000 3.000000\n0.000000 0.000000 1.000000\n"
+HALF = math.sqrt(0.5)
+
+
+def png(path: Path, image: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), image)
+
+
+def dot(row: int, column: int, value: float, dtype: type = np.uint8) -> np.ndarray:
+    image = np.zeros((H, W), dtype)
+    image[row, column] = value
+    return image
+
+
+def npz(path: Path, **arrays: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(path, **arrays)
+
+
+def refused(call: Callable[[], object], *words: str) -> None:
+    """The call raises one clear line with these words."""
+    with pytest.raises(FreeArtError) as caught:
+        call()
+    text = str(caught.value)
+    assert "\n" not in text and all(word in text for word in words), text
+
+
+def read_all(read: foreign.Foreign) -> None:
+    for i in range(len(read.recording)):
+        read.recording.frame(i)
+        if read.known is not None:
+            read.known.side(i)
+
+
+# --- the official release ---------------------------------------------------------------------------------------------
+
+# The camera sits at the world's origin and looks along world x, z up (SAPIEN): right is -y, up is z, back is -x.
+MODEL_MATRIX = [[0, 0, -1, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]]
+P_OBJECT = np.array([0.1, 0.3, 0.2])
+# Frame 0: turned by 90 deg about world z, P goes to (-0.3, 0.1, 0.2) + (2.3, -0.2, 0.1) = (2.0, -0.1, 0.3):
+#          0.1 right, 0.3 up, 2 ahead: pixel 4 + 10 * 0.1 / 2 = 4.5, 3 - 10 * 0.3 / 2 = 1.5.
+# Frame 1: no turn, P goes to (2.5, 0.375, -0.125): pixel 4 - 1.5 = 2.5, 3 + 0.5 = 3.5.
+# Frame 2: turned by 90 deg about world x, P goes to (0.1, -0.2, 0.3) + (1.9, -0.5, -0.2) = (2.0, -0.7, 0.1): 7.5, 2.5.
+OBJECT_POSES = [
+    {"position": [2.3, -0.2, 0.1], "quaternion": [HALF, 0, 0, HALF]},
+    {"position": [2.4, 0.075, -0.325], "quaternion": [1, 0, 0, 0]},
+    {"position": [1.9, -0.5, -0.2], "quaternion": [HALF, HALF, 0, 0]},
+]
+PIXELS = [(1, 4), (3, 2), (2, 7)]  # row, column
+DEPTHS = [2.0, 2.5, 2.0]
+
+
+def official(folder: Path) -> Path:
+    """An example as the release has it: metres in float32, but one file in mm; part masks of four digits."""
+    raw = [
+        dot(*PIXELS[0], 2.0, np.float32),  # type: ignore[arg-type]
+        dot(*PIXELS[1], 2500, np.uint16),  # type: ignore[arg-type]
+        dot(*PIXELS[2], 2000.0, np.float32),  # type: ignore[arg-type]
+    ]
+    for i, (row, column) in enumerate(PIXELS):
+        bgr = np.full((H, W, 3), 255, np.uint8)
+        bgr[row, column] = (30, 20, 250)
+        png(folder / f"rgb/{i:05d}.png", bgr)
+        npz(folder / f"depth/{i:05d}.npz", depth=raw[i])
+        png(folder / f"masks/{i:05d}.png", dot(row, column, 255))
+        side = (1, 0, 0)[i]
+        png(folder / f"rendered_masks/mask_{side}/{i:04d}.png", dot(row, column, 1))
+        png(folder / f"rendered_masks/mask_{1 - side}/{i:04d}.png", dot(0, 0, 0))
+    (folder / "object_poses.json").write_text(json.dumps(OBJECT_POSES))
+    (folder / "joint_states.json").write_text("[[0.25, 0.0], [0.5, 0.0], [1.0, 0.0]]")
+    (folder / "camera_params.json").write_text(json.dumps([{"model_matrix": MODEL_MATRIX}] * N))
+    (folder / "cam_K.txt").write_text(K_TEXT)
+    return folder
+
+
+@pytest.fixture
+def example(tmp_path: Path) -> Path:
+    return official(tmp_path / "examples" / "100109")
+
+
+def assert_point_lands(read: foreign.Foreign, point: np.ndarray) -> None:
+    """The known point of the object's frame: its pixel, its depth, and back from there to where it is."""
+    assert read.known is not None
+    camera = read.recording.camera
+    for i, (row, column) in enumerate(PIXELS):
+        seen = se3.transform(read.known.Ts_camera_object[i], point)
+        assert camera.project(seen) == pytest.approx((column + 0.5, row + 0.5), abs=1e-6)
+        frame = read.recording.frame(i)
+        assert frame.depth[row, column] == pytest.approx(DEPTHS[i], abs=1e-6) == pytest.approx(seen[2])
+        assert np.argwhere(frame.mask).tolist() == [[row, column]]
+        assert camera.backproject(frame.depth)[row, column] == pytest.approx(seen, abs=1e-6)
+
+
+def test_official_point_lands_on_its_pixel(example: Path) -> None:
+    read = freeart21_official.read_example(example)
+    assert_point_lands(read, P_OBJECT)
+    assert read.known is not None
+    for i, (row, column) in enumerate(PIXELS):
+        frame = read.recording.frame(i)
+        assert frame.rgb[row, column].tolist() == [250, 20, 30] and frame.depth.sum() == frame.depth[row, column]
+        side = read.known.side(i)
+        assert side[row, column] == (2, 1, 1)[i] and np.count_nonzero(side) == 1
+    assert read.known.states.tolist() == [0.25, 0.5, 1.0]
+    assert (read.recording.camera.width, read.recording.camera.height) == (W, H)
+
+
+def test_parts_with_fewer_pixels_move_and_the_axis_turns_round(example: Path) -> None:
+    known = freeart21_official.read_example(example).known
+    joint = Joint("joint_0", "revolute", np.array([0, 0, 1.0]), np.array([0.2, 0, 0]), 0, 2)
+    assert known is not None
+    parts = known.parts(joint)
+    assert parts.order == (0, 1) and parts.seen.tolist() == [[0, 1], [1, 0], [1, 0]]
+    assert parts.part_mask(0)[PIXELS[0]] == 2
+    masks = example / "rendered_masks"  # now the child side has more pixels
+    for old, new in (("mask_0", "other"), ("mask_1", "mask_0"), ("other", "mask_1")):
+        (masks / old).rename(masks / new)
+    known = freeart21_official.read_example(example).known
+    assert known is not None
+    turned = known.parts(joint)
+    assert turned.order == (1, 0) and turned.joint.axis.tolist() == [0, 0, -1] and turned.part_mask(0)[PIXELS[0]] == 2
+    assert np.allclose(turned.Ts_camera[1], known.Ts_camera_object)
+    for i, q in enumerate(known.states):
+        assert np.allclose(turned.Ts_camera[0][i] @ turned.joint.transform(q), turned.Ts_camera[1][i])
+
+
+@pytest.mark.parametrize("digits", [4, 5])
+def test_part_masks_of_either_number_of_digits(example: Path, digits: int) -> None:
+    for path in (example / "rendered_masks").glob("*/*.png"):
+        path.rename(path.with_name(f"{int(path.stem):0{digits}d}.png"))
+    known = freeart21_official.read_example(example).known
+    assert known is not None and known.side(2)[PIXELS[2]] == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '[{"angle_rad": 0.25}, {"angle_rad": 0.5}, {"angle_rad": 1}]',
+        '[{"joint": {"qpos": 0.25}}, {"value": 0.5}, {"translation": 1.0}]',
+        '{"frames": [0.25, 0.5, 1.0]}',
+        '{"10": 1.0, "2": 0.5, "0": 0.25}',
+        "[[0.0, 0.25], [0.0, 0.5], [0.0, 1.0]]",
+    ],
+)
+def test_states_in_every_form(example: Path, text: str) -> None:
+    (example / "joint_states.json").write_text(text)
+    known = freeart21_official.read_example(example).known
+    assert known is not None and known.states.tolist() == [0.25, 0.5, 1.0]
+
+
+def _xyzw(folder: Path) -> None:
+    poses = [{**p, "quaternion": [*p["quaternion"][1:], p["quaternion"][0]]} for p in OBJECT_POSES]
+    (folder / "object_poses.json").write_text(json.dumps(poses))
+
+
+def _opencv(folder: Path) -> None:
+    matrix = (np.array(MODEL_MATRIX) @ np.diag([1, -1, -1, 1])).tolist()
+    (folder / "camera_params.json").write_text(json.dumps([{"model_matrix": matrix}] * N))
+
+
+@pytest.mark.parametrize("trap", [_xyzw, _opencv])
+def test_the_known_point_would_tell_a_wrong_convention(example: Path, trap: Callable[[Path], None]) -> None:
+    trap(example)
+    with pytest.raises(AssertionError):
+        assert_point_lands(freeart21_official.read_example(example), P_OBJECT)
+
+
+OFFICIAL_FAULTS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
+    "missing frame": (lambda f: (f / "rgb/00001.png").rename(f / "rgb/00003.png"), ("rgb", "frame 1 is missing")),
+    "fewer depths": (lambda f: (f / "depth/00002.npz").unlink(), ("rgb 3", "depth 2")),
+    "fewer poses": (
+        lambda f: (f / "object_poses.json").write_text(json.dumps(OBJECT_POSES[:2])),
+        ("object_poses.json 2",),
+    ),
+    "fewer states": (lambda f: (f / "joint_states.json").write_text("[0.1, 0.2]"), ("joint_states.json 2", "rgb 3")),
+    "state without number": (
+        lambda f: (f / "joint_states.json").write_text('[{"a": 1}, 2, 3]'),
+        ("state 0", "angle_rad"),
+    ),
+    "wrong size": (lambda f: png(f / "masks/00001.png", np.zeros((H, W + 1), np.uint8)), ("frame 1: mask is 9 x 6",)),
+    "wrong part size": (lambda f: png(f / "rendered_masks/mask_0/0001.png", np.zeros((5, W), np.uint8)), ("8 x 5",)),
+    "two of one number": (
+        lambda f: png(f / "rgb/0001.png", np.zeros((H, W, 3), np.uint8)),
+        ("0001.png", "both frame 1"),
+    ),
+    "metres in whole numbers": (lambda f: npz(f / "depth/00001.npz", depth=dot(3, 2, 2, np.uint16)), ("millimetres",)),
+    "no key": (lambda f: npz(f / "depth/00001.npz", a=dot(3, 2, 2)), ("has no depth; it has a",)),
+    "K": (lambda f: (f / "cam_K.txt").write_text("1 2\n3 4\n"), ("camera K", "(2, 2)")),
+    "K text": (lambda f: (f / "cam_K.txt").write_text("one two three\n"), ("cam_K.txt", "3 x 3")),
+    "quaternion": (
+        lambda f: (f / "object_poses.json").write_text('[{"position": [0,0,0], "quaternion": [0,0,0,0]}]'),
+        ("length 0",),
+    ),
+    "part mask missing": (lambda f: (f / "rendered_masks/mask_1/0002.png").unlink(), ("mask_0 3, mask_1 2",)),
+    "link out": (lambda f: _link_out(f / "rgb/00001.png"), ("leads out of the folder",)),
+    "not json": (lambda f: (f / "object_poses.json").write_text("[" * 100000), ("not JSON",)),
+}
+
+
+def _link_out(path: Path) -> None:
+    outside = path.parents[3] / "outside.png"
+    path.rename(outside)
+    path.symlink_to(outside)
+
+
+@pytest.mark.parametrize("fault", OFFICIAL_FAULTS)
+def test_a_broken_official_example_is_one_clear_line(example: Path, fault: str) -> None:
+    change, words = OFFICIAL_FAULTS[fault]
+    change(example)
+    refused(lambda: read_all(freeart21_official.read_example(example)), *words)
+
+
+def test_an_official_example_after_its_split(example: Path) -> None:
+    """The split moves frame 1 to eval/ and counts the others anew, but leaves part masks of four digits alone."""
+    (example / "eval" / "rgb").mkdir(parents=True)
+    (example / "rgb/00001.png").rename(example / "eval/rgb/00000.png")
+    for sub, end in (("rgb", "png"), ("masks", "png"), ("depth", "npz")):
+        (example / f"{sub}/00001.{end}").unlink(missing_ok=True)
+        (example / f"{sub}/00002.{end}").rename(example / f"{sub}/00001.{end}")
+    (example / "object_poses.json").write_text(json.dumps([OBJECT_POSES[0], OBJECT_POSES[2]]))
+    (example / "joint_states.json").write_text("[0.25, 1.0]")
+    (example / "camera_params.json").write_text(json.dumps([{"model_matrix": MODEL_MATRIX}] * 2))
+    info = {"eval_original_indices": [1], "train_original_indices": [0, 2]}
+    (example / "eval/split_info.json").write_text(json.dumps(info))
+    read = freeart21_official.read_example(example)
+    assert read.known is not None and read.recording.times_s.tolist() == pytest.approx([0, 2 / 30])
+    assert read.known.side(1)[PIXELS[2]] == 1 and np.count_nonzero(read.known.side(1)) == 1
+    info["train_original_indices"] = [0, 1, 2]
+    (example / "eval/split_info.json").write_text(json.dumps(info))
+    refused(lambda: freeart21_official.read_example(example), "names 3 frames", "has 2")
+
+
+def test_without_poses_the_pictures_are_still_read(example: Path) -> None:
+    (example / "object_poses.json").unlink()
+    read = freeart21_official.read_example(example)
+    assert read.known is None and "object_poses.json" in read.lacks and len(read.recording) == N
+
+
+def test_the_official_split_is_that_of_random_sample() -> None:
+    assert freeart21_official.eval_indices(300) == sorted(random.Random(0).sample(range(300), 15))
+    assert len(freeart21_official.eval_indices(8)) == 1
+
+
+# --- Video2Articulation-S ---------------------------------------------------------------------------------------------
+
+# The root link is at (1, 0.5, 0.5), turned by 90 deg about z: P = (0, 0.3, 0.1) is at (0.7, 0.5, 0.6) in the world.
+P_ROOT = np.array([0.0, 0.3, 0.1])
+# SAPIEN cameras look along their x, y left, z up. Frame 0: no turn, P is (2.0, -0.1, 0.3) ahead, left, up: 4.5, 1.5.
+# Frame 1: turned by 90 deg about z, from (1.075, -2.0, 0.725): P is (2.5, 0.375, -0.125): 2.5, 3.5.
+# Frame 2: turned by 90 deg about x, its left is world z: P is (2.0, -0.7, 0.1): 0.7 right, 0.1 up: 7.5, 2.5.
+CAMERA_POSES = [
+    [-1.3, 0.6, 0.3, 1, 0, 0, 0],
+    [1.075, -2.0, 0.725, HALF, 0, 0, HALF],
+    [-1.3, 0.6, 1.3, HALF, HALF, 0, 0],
+]
+VALUES = [0.0, 0.5, 1.0]
+
+
+def turned_z(x: float, y: float, z: float, angle: float) -> np.ndarray:
+    return np.array([x, y, z, math.cos(angle / 2), 0, 0, math.sin(angle / 2)])
+
+
+ACTORS = {
+    "actor_6": [turned_z(1, 0.5, 0.5, math.pi / 2)] * N,
+    "actor_7": [turned_z(1, 0.7, 0.5, math.pi / 2 + q) for q in VALUES],  # a hinge at (0.2, 0, 0) of the root, along z
+    "actor_8": [[1, 0.5, 0.5, *np.negative(turned_z(0, 0, 0, math.pi / 2)[3:]) * (-1) ** i] for i in range(N)],  # q, -q
+}
+
+
+def view(root: Path, joint: str = "joint_12_bg") -> Path:
+    folder = root / "partnet_mobility/Microwave/7265" / joint / "view_1"
+    raw = [
+        np.where(dot(*PIXELS[0], 1) > 0, 2.0, 9.5).astype(np.float32),  # the room is there, too
+        np.where(dot(*PIXELS[1], 1) > 0, 2500, 9500).astype(np.uint16),
+        np.where(dot(*PIXELS[2], 1) > 0, 2000.0, 9500.0).astype(np.float64),
+    ]
+    for i, (row, column) in enumerate(PIXELS):
+        png(folder / f"rgb/{i:06d}.jpg", np.full((H, W, 3), (30, 20, 250), np.uint8))
+        npz(folder / f"depth/{i:06d}.npz", a=raw[i])
+        segment = np.full((H, W), 3, np.uint8)  # a wall
+        segment[row, column] = (8, 7, 6)[i]
+        npz(folder / f"segment/{i:06d}.npz", a=segment)
+    np.save(folder / "camera_pose.npy", np.array(CAMERA_POSES))
+    np.save(folder / "intrinsics.npy", np.array([[10, 0, 4], [0, 10, 3], [0, 0, 1]], np.float32))
+    home = folder.parent
+    (home / "actor_pose.pkl").write_bytes(pickle.dumps(ACTORS))
+    np.save(home / "gt_joint_value.npy", np.array(VALUES))
+    np.save(home / "qpos.npy", np.array([[0.0, q] for q in VALUES]))
+    (home / "joint_id_list.txt").write_text("joint_0\njoint_12\n")
+    (home / "meta.json").write_text('{"joint_id": 12, "init": 0.0, "target": 1.2, "simulation_steps": 1000}')
+    return folder
+
+
+@pytest.fixture
+def one_view(tmp_path: Path) -> Path:
+    return view(tmp_path)
+
+
+def test_video2articulation_point_lands_on_its_pixel(one_view: Path) -> None:
+    read = video2articulation.read_view(one_view)
+    assert_point_lands(read, P_ROOT)
+    assert read.known is not None and read.lacks == "" and read.notes == ()
+    assert read.name == "Microwave-7265-joint_12-view_1" and read.object_id == "7265"
+    assert [int(read.known.side(i)[PIXELS[i]]) for i in range(N)] == [1, 2, 1]
+    rgb = read.recording.frame(0).rgb
+    assert np.abs(rgb[0, 0].astype(int) - [250, 20, 30]).max() < 12
+    assert read.recording.frame(1).depth[0, 0] == pytest.approx(9.5)
+
+
+def test_the_joint_comes_from_the_poses(one_view: Path) -> None:
+    known = video2articulation.read_view(one_view).known
+    assert known is not None and known.joint is not None and known.joint_name == "joint_12"
+    joint = known.joint
+    assert (
+        joint.type == "revolute"
+        and joint.axis == pytest.approx([0, 0, 1])
+        and joint.pivot[:2] == pytest.approx([0.2, 0])
+    )
+    assert (joint.lower, joint.upper) == (0.0, 1.2) and known.held == {"joint_0": 0.0}
+    parts = known.parts(joint)
+    T = parts.Ts_camera[1]  # the moving part: turned about the hinge, which stays
+    hinge = se3.transform(known.Ts_camera_object, np.array([[[0.2, 0, 0]]] * N))
+    assert se3.transform(T, np.array([[[0.2, 0, 0]]] * N)) == pytest.approx(hinge)
+    turn = np.swapaxes(known.Ts_camera_object[:, :3, :3], 1, 2) @ T[:, :3, :3]
+    assert turn[2][:2, 0] == pytest.approx([math.cos(1.0), math.sin(1.0)])
+
+
+def test_a_slider_is_told_from_a_hinge(one_view: Path) -> None:
+    actors = ACTORS | {"actor_7": [turned_z(1 + 0.2 * q, 0.7, 0.5, math.pi / 2) for q in VALUES]}
+    (one_view.parent / "actor_pose.pkl").write_bytes(pickle.dumps(actors))
+    for name in ("gt_joint_value", "qpos"):
+        (one_view.parent / f"{name}.npy").unlink()
+    np.save(one_view.parent / "gt_joint_value.npy", 0.2 * np.array(VALUES)[:, None])
+    known = video2articulation.read_view(one_view).known
+    assert known is not None and known.joint is not None
+    assert known.joint.type == "prismatic" and known.joint.axis == pytest.approx([0, -1, 0], abs=1e-9)
+
+
+def test_degrees_and_mesh_axes_of_the_meta_file(one_view: Path, tmp_path: Path) -> None:
+    """Its axis is in the y-up mesh frame, hinge limits are in degrees, and both may be turned round together."""
+    axis = {"origin": [0, 0, -0.2], "direction": [0, -1, 0]}
+    interaction = {"id": 12, "type": "hinge", "joint": {"axis": axis, "limit": {"a": 0, "b": -90}}}
+    meta = tmp_path / "meta.json"
+    meta.write_text(json.dumps({"Microwave": {"7265": {"interaction_list": [interaction]}}}))
+    read = video2articulation.read_view(one_view, meta)
+    assert read.known is not None and read.known.joint is not None and read.notes == ()
+    assert (read.known.joint.lower, read.known.joint.upper) == pytest.approx((0, math.pi / 2))
+    axis["direction"] = [0, 0, 1]
+    meta.write_text(json.dumps({"Microwave": {"7265": {"interaction_list": [interaction]}}}))
+    assert "axis is 90.0 deg" in video2articulation.read_view(one_view, meta).notes[0]
+
+
+def test_only_sampled_frames_count_though_links_are_broken(one_view: Path) -> None:
+    (one_view / "sample_rgb").mkdir()
+    for i in (0, 2):
+        (one_view / f"sample_rgb/{i:06d}.jpg").symlink_to("/nowhere/at/all.jpg")
+    (one_view / "depth/000001.npz").unlink()  # not needed
+    read = video2articulation.read_view(one_view)
+    assert read.known is not None and len(read.recording) == 2 and read.known.states.tolist() == [0.0, 1.0]
+    assert read.recording.frame(1).mask[PIXELS[2]] and read.recording.times_s[1] == pytest.approx(2 / 15)
+    assert read.recording.camera.project(se3.transform(read.known.Ts_camera_object[1], P_ROOT)) == pytest.approx(
+        (7.5, 2.5)
+    )
+
+
+@pytest.mark.parametrize("protocol", [0, 2, 4, 5])
+@pytest.mark.parametrize("form", ["arrays", "lists", "table", "float32"])
+def test_pickles_of_every_protocol(tmp_path: Path, protocol: int, form: str) -> None:
+    rows = np.array(ACTORS["actor_7"])
+    value: object = {
+        "arrays": list(rows),
+        "lists": rows.tolist(),
+        "table": np.asfortranarray(rows),
+        "float32": [row.astype(">f4") for row in rows],
+    }[form]
+    path = tmp_path / "actor_pose.pkl"
+    old = pickle.dumps({"actor_7": value}, protocol)
+    path.write_bytes(old.replace(b"numpy._core", b"numpy.core") if protocol == 0 else old)
+    assert np.allclose(np.array(untrusted_pickle.read_pickle(path)["actor_7"], float), rows, atol=1e-6)
+
+
+class Call:
+    """Pickles to a call."""
+
+    def __init__(self, function: Callable, *args: object) -> None:
+        self.call = function, args
+
+    def __reduce__(self) -> tuple:
+        return self.call
+
+
+def test_a_malicious_pickle_runs_nothing(one_view: Path, tmp_path: Path) -> None:
+    mark, path = tmp_path / "ran", one_view.parent / "actor_pose.pkl"
+    doubled: object = [0.0]
+    for _ in range(60):
+        doubled = [doubled, doubled]
+    wide: object = [0.0] * 3000
+    for _ in range(3):
+        wide = [wide] * 3000
+    evil = {
+        "posix.system": pickle.dumps(Call(os.system, f"touch {mark}")),
+        "antigravity": b"\x80\x02cantigravity\nfly\n.",
+        "builtins.eval": pickle.dumps(Call(eval, f"open({str(mark)!r}, 'w')")),
+        "builtins.getattr": pickle.dumps({"actor_6": Call(getattr, np.zeros(1), "tofile")}),
+        "'O8'": pickle.dumps({"actor_6": np.array([None, {}], object)}),
+        "'V8'": pickle.dumps({"actor_6": np.zeros(2, [("a", "f8")])}),
+        "more than it could use": b"\x80\x02]r\xff\xff\xff\x7f.",
+        "UnpicklingError": b"\x80\x04garbage",
+        "lists in lists": pickle.dumps({"actor_6": doubled}),
+        "EOFError": b"",
+    }
+    for word, data in evil.items():
+        path.write_bytes(data)
+        with pytest.raises(FreeArtError, match="actor_pose.pkl is (refused|not a readable pickle)") as caught:
+            video2articulation.read_view(one_view)
+        assert "\n" not in str(caught.value) and not mark.exists()
+        assert word in str(caught.value)
+    path.write_bytes(pickle.dumps({"actor_6": wide}))
+    refused(lambda: video2articulation.read_view(one_view), "is refused")
+    assert "antigravity" not in sys.modules
+
+
+VIEW_FAULTS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
+    "missing depth": (lambda f: (f / "depth/000001.npz").unlink(), ("depth", "frame 1 is missing")),
+    "missing pickle": (lambda f: (f.parent / "actor_pose.pkl").unlink(), ("actor_pose.pkl is missing",)),
+    "camera count": (lambda f: np.save(f / "camera_pose.npy", np.array(CAMERA_POSES[:2])), ("frame 2", "2 poses")),
+    "actor count": (
+        lambda f: (f.parent / "actor_pose.pkl").write_bytes(pickle.dumps({k: v[:2] for k, v in ACTORS.items()})),
+        ("actor_6 has shape (2, 7)", "(3, 7)"),
+    ),
+    "value count": (lambda f: np.save(f.parent / "gt_joint_value.npy", np.zeros(4)), ("gt_joint_value.npy", "(4,)")),
+    "segment size": (lambda f: npz(f / "segment/000001.npz", a=np.zeros((H, 5), np.uint8)), ("segment", "(6, 5)")),
+    "picture size": (lambda f: png(f / "rgb/000001.jpg", np.zeros((5, W, 3), np.uint8)), ("rgb is 8 x 5",)),
+    "pickled array": (
+        lambda f: np.save(f / "camera_pose.npy", np.array([{}], object), allow_pickle=True),
+        ("without pickled objects",),
+    ),
+    "nothing moves": (
+        lambda f: (f.parent / "actor_pose.pkl").write_bytes(pickle.dumps(ACTORS | {"actor_7": ACTORS["actor_6"]})),
+        ("no actor moves",),
+    ),
+    "sample out of range": (lambda f: png(f / "sample_rgb/000009.jpg", np.zeros((H, W), np.uint8)), ("[9]", "3 poses")),
+    "link out": (lambda f: _link_out(f / "rgb/000001.jpg"), ("leads out of the folder",)),
+}
+
+
+@pytest.mark.parametrize("fault", VIEW_FAULTS)
+def test_a_broken_view_is_one_clear_line(one_view: Path, fault: str) -> None:
+    change, words = VIEW_FAULTS[fault]
+    change(one_view)
+    refused(lambda: read_all(video2articulation.read_view(one_view)), *words)
+
+
+def test_values_that_disagree_with_the_poses_give_no_joint(one_view: Path) -> None:
+    for name in ("gt_joint_value", "qpos"):
+        (one_view.parent / f"{name}.npy").unlink()
+    np.save(one_view.parent / "gt_joint_value.npy", np.degrees(VALUES))
+    read = video2articulation.read_view(one_view)
+    assert read.known is not None and read.known.joint is None and "disagree" in read.lacks
+
+
+def test_a_joint_value_is_found_in_qpos_by_its_name(one_view: Path) -> None:
+    (one_view.parent / "gt_joint_value.npy").unlink()
+    known = video2articulation.read_view(one_view).known
+    assert known is not None and known.states.tolist() == VALUES
+    (one_view.parent / "joint_id_list.txt").unlink()
+    refused(lambda: video2articulation.read_view(one_view), "gt_joint_value.npy is missing", "joint_12")
+
+
+# --- conversion -------------------------------------------------------------------------------------------------------
+
+TOY_URDF = """<?xml version="1.0" ?>
+<robot name="partnet_toy">
+  <link name="base"/>
+  <link name="link_0">
+    <visual name="lid-1">
+      <origin xyz="0 -0.2 0.3"/><geometry><mesh filename="textured_objs/lid.obj"/></geometry>
+    </visual>
+  </link>
+  <joint name="joint_0" type="revolute">
+    <origin xyz="0 0.2 -0.3"/><axis xyz="1 0 0"/><child link="link_0"/><parent link="link_1"/>
+    <limit lower="0" upper="1.57"/>
+  </joint>
+  <link name="link_1">
+    <visual name="box-2"><geometry><mesh filename="textured_objs/box.obj"/></geometry></visual>
+  </link>
+  <joint name="joint_1" type="fixed">
+    <origin rpy="1.570796326794897 0 -1.570796326794897" xyz="0 0 0"/><child link="link_1"/><parent link="base"/>
+  </joint>
+</robot>
+"""
+CORNERS = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+BOX_FACES = "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"
+TOY_K = np.array([[60.0, 0, 40], [0, 60, 30], [0, 0, 1]])
+
+
+def obj(low: tuple[float, ...], high: tuple[float, ...]) -> str:
+    rows = [" ".join(str((low, high)[c][k]) for k, c in enumerate(corner)) for corner in CORNERS]
+    return "".join(f"v {row}\n" for row in rows) + BOX_FACES
+
+
+@pytest.fixture(scope="module")
+def toy_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A box and its lid, which turns up about the rear edge (mesh frame: y up)."""
+    root = tmp_path_factory.mktemp("partnet")
+    (root / "7777/textured_objs").mkdir(parents=True)
+    (root / "7777/mobility.urdf").write_text(TOY_URDF)
+    (root / "7777/meta.json").write_text('{"model_cat": "Box"}')
+    (root / "7777/textured_objs/box.obj").write_text(obj((-0.4, -0.3, -0.3), (0.4, 0.2, 0.3)))
+    (root / "7777/textured_objs/lid.obj").write_text(obj((-0.4, 0.2, -0.3), (0.4, 0.26, 0.3)))
+    return root
+
+
+TOY_STATES = np.linspace(-0.0, -1.2, 7)  # about +x of the mesh frame the lid opens backwards, towards negative angles
+
+
+@pytest.fixture(scope="module")
+def toy_example(toy_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The toy as an official example, drawn by rays: the object at 2.5 m turns about world z, its lid opens."""
+    folder = tmp_path_factory.mktemp("official") / "examples" / "7777"
+    loaded = partnet.load(toy_root / "7777")
+    camera = Camera(TOY_K, 80, 60)
+    caster = Caster((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()))
+    T_world_cv = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
+    poses = []
+    for i, q in enumerate(TOY_STATES):
+        angle = 0.3 * i
+        tilt = se3.exp_so3([0, 0.5, 0]) @ se3.exp_so3([0, 0, angle])
+        T_world_object = se3.pose(tilt, [2.5, 0.1, 0.05])
+        poses.append({"position": [2.5, 0.1, 0.05], "quaternion": se3.wxyz(T_world_object).tolist()})
+        T = se3.inverse(T_world_cv) @ T_world_object
+        hits = caster.look(camera, (T, T @ loaded.joint.transform(q)))
+        side = hits.side.reshape(60, 80)
+        depth = np.where(hits.side >= 0, hits.distance, 0).reshape(60, 80).astype(np.float32)
+        bgr = np.array([[255, 255, 255], [40, 90, 200], [200, 90, 40]], np.uint8)[side + 1]
+        png(folder / f"rgb/{i:05d}.png", bgr)
+        npz(folder / f"depth/{i:05d}.npz", depth=depth)
+        png(folder / f"masks/{i:05d}.png", (side >= 0).astype(np.uint8) * 255)
+        for k in (0, 1):
+            png(folder / f"rendered_masks/mask_{k}/{i:04d}.png", (side == k).astype(np.uint8) * 255)
+    (folder / "object_poses.json").write_text(json.dumps(poses))
+    (folder / "joint_states.json").write_text(json.dumps([[q] for q in TOY_STATES]))
+    (folder / "camera_params.json").write_text(json.dumps([{"model_matrix": MODEL_MATRIX}] * len(poses)))
+    np.savetxt(folder / "cam_K.txt", TOY_K, fmt="%.6f")
+    return folder
+
+
+def as_answer(truth: Truth) -> Reconstruction:
+    masks = np.stack([truth.part_mask(i) for i in range(len(truth))])
+    poses = truth.Ts_camera_reference, truth.Ts_camera_moving
+    return Reconstruction(truth.articulation, truth.states, *poses, masks, truth.seen > 0)
+
+
+@pytest.fixture(scope="module")
+def native(toy_root: Path, toy_example: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The toy example converted to a native data folder, by the command line."""
+    out = tmp_path_factory.mktemp("native") / "data"
+    cli.convert(toy_example, out, "native", partnet_root=toy_root)
+    return out
+
+
+def test_an_official_example_becomes_a_data_folder_that_scores(native: Path, tmp_path: Path) -> None:
+    from leaderboard.score import score_results
+
+    assert read_benchmark(native).sequences == ("7777",)
+    truth = read_truth(native / "truth/7777")
+    recording = read_sequence(native / "sequences/7777")
+    joint = truth.articulation.joint
+    assert joint.type == "revolute" and truth.states == pytest.approx(TOY_STATES)
+    caster = Caster((truth.articulation.reference, truth.articulation.moving))
+    for i, frame in enumerate(recording.frames()):  # the truth's meshes, posed, are what the pictures show
+        hits = caster.look(recording.camera, (truth.Ts_camera_reference[i], truth.Ts_camera_moving[i]))
+        both = frame.mask & (hits.side >= 0).reshape(frame.mask.shape)
+        assert both.sum() > 0.97 * frame.mask.sum() > 300
+        assert np.median(np.abs(hits.distance.reshape(both.shape) - frame.depth)[both]) < 1e-4
+        assert np.mean((hits.side.reshape(both.shape) + 1 == truth.part_mask(i))[both]) > 0.97
+    write_result(tmp_path / "7777", as_answer(truth))
+    write_method(tmp_path, Method("oracle"))
+    (row,) = score_results(tmp_path, native).rows
+    assert row.status == "ok" and row.values["axis"] == pytest.approx(0, abs=1e-4)
+    assert row.values["miou"] == 1 and row.values["chamfer_w"] == pytest.approx(0, abs=1e-4)
+
+
+def test_round_trip_native_official_native(native: Path, toy_root: Path, tmp_path: Path) -> None:
+    cli.convert(native / "sequences/7777", tmp_path / "official", "official", partnet_root=toy_root)
+    assert (tmp_path / "official/data/partnet-mobility-v0/dataset/7777/mobility.urdf").read_text() == TOY_URDF
+    cli.convert(
+        tmp_path / "official",
+        tmp_path / "again",
+        "native",
+        partnet_root=tmp_path / "official" / freeart21_official.OBJECTS,
+    )
+    one, two = read_sequence(native / "sequences/7777"), read_sequence(tmp_path / "again/sequences/7777")
+    assert np.array_equal(one.times_s, two.times_s) and np.array_equal(one.camera.K, two.camera.K)
+    assert one.licence == two.licence
+    a, b = read_truth(native / "truth/7777"), read_truth(tmp_path / "again/truth/7777")
+    for i in range(len(one)):
+        x, y = one.frame(i), two.frame(i)
+        assert np.array_equal(x.rgb, y.rgb) and np.array_equal(x.mask, y.mask)
+        assert np.abs(x.depth - y.depth).max() <= 2e-7 * x.depth.max()
+        assert np.array_equal(a.part_mask(i), b.part_mask(i))
+    assert np.array_equal(a.states, b.states) and np.array_equal(a.seen, b.seen)
+    for name in ("Ts_camera_reference", "Ts_camera_moving"):
+        assert np.abs(getattr(a, name) - getattr(b, name)).max() < 1e-6
+    assert np.abs(a.articulation.joint.axis - b.articulation.joint.axis).max() < 1e-9
+
+
+def test_a_child_that_is_the_reference_part_stays_the_child(native: Path, toy_root: Path, tmp_path: Path) -> None:
+    """The sides are those of the joint: when the child is larger, poses are those of the moving part, and mask_1 is the
+    reference part."""
+    shutil.copytree(native, tmp_path / "data")
+    folder = tmp_path / "data/truth/7777"
+    truth = read_truth(folder)
+    turned = json.loads((folder / "truth.json").read_text())
+    source = turned["source"]
+    source["reference_links"], source["moving_links"] = source["moving_links"], source["reference_links"]
+    (folder / "truth.json").write_text(json.dumps(turned))
+    cli.convert(tmp_path / "data", tmp_path / "official", "official", partnet_root=toy_root)
+    read = freeart21_official.read_example(tmp_path / "official/examples/7777")
+    assert read.known is not None
+    assert np.abs(read.known.Ts_camera_object - truth.Ts_camera_moving).max() < 1e-6
+    assert np.array_equal(read.known.side(0) == 2, truth.part_mask(0) == 1)
+
+
+def test_what_is_written_is_what_their_code_reads(native: Path, toy_root: Path, tmp_path: Path) -> None:
+    """File by file from the description: names, keys, types, axes and order."""
+    cli.convert(native, tmp_path / "out", "official", partnet_root=toy_root)
+    folder, recording = tmp_path / "out/examples/7777", read_sequence(native / "sequences/7777")
+    truth = read_truth(native / "truth/7777")
+    n = len(recording)
+    for sub in ("rgb", "masks", "vis", "rendered_masks/mask_0", "rendered_masks/mask_1"):
+        assert sorted(p.name for p in (folder / sub).iterdir()) == [f"{i:05d}.png" for i in range(n)]
+    with np.load(folder / "depth/00000.npz") as data:
+        assert data["depth"].dtype == np.float32 and np.array_equal(data["depth"], recording.frame(0).depth)
+    lines = (folder / "cam_K.txt").read_text().splitlines()
+    assert [float(x) for x in lines[0].split()] == [60, 0, 40] and len(lines[1].split()) == 3
+    poses, cameras, states = (
+        json.loads((folder / f"{name}.json").read_text()) for name in ("object_poses", "camera_params", "joint_states")
+    )
+    assert len(poses) == len(cameras) == n and states == [[q] for q in truth.states]
+    C0 = np.array(cameras[0]["model_matrix"]) @ np.diag([1, -1, -1, 1.0])
+    w, x, y, z = poses[3]["quaternion"]
+    R = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, poses[3]["position"]
+    assert np.linalg.inv(C0) @ T == pytest.approx(truth.Ts_camera_reference[3], abs=1e-9)
+
+
+def test_held_out_frames_are_the_official_split(native: Path, tmp_path: Path) -> None:
+    cli.convert(native, tmp_path / "out", "official", hold_out=True)
+    folder, recording = tmp_path / "out/examples/7777", read_sequence(native / "sequences/7777")
+    info = json.loads((folder / "eval/split_info.json").read_text())
+    held, kept = info["eval_original_indices"], info["train_original_indices"]
+    assert held == random.Random(0).sample(range(7), 1) and sorted(held + kept) == list(range(7))
+    rgb = cv2.imread(str(folder / "eval/rgb/00000.png"))[..., ::-1]
+    assert np.array_equal(rgb, recording.frame(held[0]).rgb)
+    states = [[q] for q in read_truth(native / "truth/7777").states]
+    assert json.loads((folder / "eval/joint_states.json").read_text()) == [states[held[0]]]
+    again = freeart21_official.read_example(folder)
+    assert len(again.recording) == 6 and np.array_equal(again.recording.times_s, recording.times_s[kept])
+    assert np.array_equal(again.recording.frame(5).rgb, recording.frame(kept[5]).rgb)
+
+
+def test_a_view_becomes_a_sequence_with_and_without_its_object(one_view: Path, toy_root: Path, tmp_path: Path) -> None:
+    home = tmp_path / "partnet_mobility/Microwave/7265"
+    done = list(convert(home.parent.parent, tmp_path / "data", "native"))
+    assert [c.folder.name for c in done] == ["Microwave-7265-joint_12-view_1"] and not done[0].with_truth
+    assert "--partnet-root" in done[0].notes[0] and not (tmp_path / "data/truth").exists()
+    assert not (tmp_path / "data/benchmark.json").exists()
+    frame = read_sequence(done[0].folder).frame(1)
+    assert frame.depth[PIXELS[1]] == pytest.approx(2.5, abs=1e-3) and frame.depth[0, 0] == pytest.approx(9.5, abs=1e-3)
+    root = tmp_path / "root"  # another object than the one that was filmed
+    shutil.copytree(toy_root / "7777", root / "7265")
+    read = video2articulation.read_view(one_view)
+    refused(lambda: truth_of(read, root, "joint_0"), "is not the joint of", "deg apart")
+
+
+def test_a_view_with_its_object_gives_a_truth(tmp_path: Path) -> None:
+    urdf = TOY_URDF.replace('origin xyz="0 0.2 -0.3"', 'origin xyz="0 0 -0.2"').replace("1 0 0", "0 1 0")
+    urdf = urdf.replace("joint_0", "joint_12").replace('xyz="0 -0.2 0.3"', 'xyz="0 0 0.2"')
+    assert urdf.count("joint_12") == 1
+    folder = tmp_path / "root/7265"
+    (folder / "textured_objs").mkdir(parents=True)
+    (folder / "mobility.urdf").write_text(urdf)
+    (folder / "textured_objs/box.obj").write_text(obj((-0.2, -0.2, -0.1), (0.2, 0.2, 0.2)))
+    (folder / "textured_objs/lid.obj").write_text(obj((-0.2, -0.2, -0.25), (0.2, 0.2, -0.2)))
+    place = view(tmp_path)
+    read = video2articulation.read_view(place)
+    truth = truth_of(read, tmp_path / "root")
+    assert truth.articulation.joint.axis == pytest.approx([0, 0, 1]) and truth.states.tolist() == VALUES
+    assert truth.seen.tolist() == [[1, 0], [0, 1], [1, 0]] and truth.source["joint"] == "joint_12"
+    np.save(place.parent / "qpos.npy", np.array([[-0.7, q] for q in VALUES]))
+    held = TOY_HELD_JOINT.replace("LOW", "-0.7")
+    (folder / "mobility.urdf").write_text(urdf.replace("</robot>", held + "</robot>"))
+    refused(lambda: truth_of(video2articulation.read_view(place), tmp_path / "root"), "joint 'joint_0' stood at -0.7")
+
+
+TOY_HELD_JOINT = """
+  <link name="link_2"><visual name="k"><geometry><mesh filename="textured_objs/lid.obj"/></geometry></visual></link>
+  <joint name="joint_0" type="revolute">
+    <origin xyz="0 0 0"/><axis xyz="1 0 0"/><child link="link_2"/><parent link="link_1"/><limit lower="LOW" upper="1"/>
+  </joint>
+"""
+
+
+def test_layouts_are_recognised(example: Path, one_view: Path, tmp_path: Path, native: Path) -> None:
+    assert find_sources(example) == find_sources(example.parent) == [("official", example)]
+    assert find_sources(one_view) == find_sources(one_view.parent) == [("video2articulation", one_view)]
+    assert find_sources(native) == [("native", native / "sequences/7777")]
+    refused(lambda: find_sources(example, "native"), "holds no recording of the layout native")
+    (tmp_path / "empty").mkdir()
+    refused(lambda: find_sources(tmp_path / "empty"), "sequence.json", "cam_K.txt", "camera_pose.npy")
+    refused(lambda: list(convert(native, tmp_path / "x", "native")), "of the layout native already")
+
+
+def test_a_failed_conversion_leaves_nothing(example: Path, tmp_path: Path, native: Path) -> None:
+    npz(example / "depth/00002.npz", depth=np.zeros((H, 3), np.float32))
+    refused(lambda: list(convert(example, tmp_path / "data", "native")), "frame 2: depth is 3 x 6")
+    assert not (tmp_path / "data").exists()
+    data = Path(shutil.copytree(native, tmp_path / "broken"))
+    (data / "sequences/7777/rgb/00004.png").write_bytes(b"no picture")
+    refused(lambda: list(convert(data, tmp_path / "out", "official")), "00004.png is not a readable image")
+    assert not (tmp_path / "out").exists()
+    list(convert(native, tmp_path / "twice", "official"))
+    refused(lambda: list(convert(native, tmp_path / "twice", "official")), "exists")
+
+
+def test_truth_is_written_with_its_sequence_or_not_at_all(
+    example: Path, toy_example: Path, toy_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cli.convert(toy_example, tmp_path / "data", "native", partnet_root=tmp_path)
+    told = capsys.readouterr()
+    assert "without truth: PartNet-Mobility object 7777 is not in" in told.err and "sequences/7777" in told.out
+    assert not (tmp_path / "data/truth").exists()
+
+
+def test_progress_is_told(native: Path, tmp_path: Path) -> None:
+    told: list[tuple[str, int, int]] = []
+    list(convert(native, tmp_path / "out", "official", progress=lambda *now: told.append(now)))
+    assert told == [("7777", i + 1, 7) for i in range(7)]
