@@ -1,7 +1,7 @@
 """A hand with a forearm that holds the object, shifts its grip now and then, and hides what is behind it.
 
 A proxy: tapered rods of a real hand's proportions, not a scan. Its frame: origin in the middle of the palm, x towards
-the fingers, z out of the palm. All lengths are those of a hand 18 cm long, times `Hand.scale`: a real hand's for
+the fingers, z out of the palm. All lengths are those of a hand 21 cm long, times `Hand.scale`: 17 to 20 cm for
 objects of real size, larger for objects of PartNet's scale (`LARGE_M`).
 
 The hand grips the side of the object that is seen most (the reference part, as far as a few frames tell), at its rim as
@@ -17,9 +17,11 @@ import itertools
 from dataclasses import dataclass
 
 import cv2
+import numba
 import numpy as np
 from manifold3d import Manifold
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from freeart21 import se3
 from freeart21.camera import Camera
@@ -102,7 +104,7 @@ class Hand:
     """A hand: its size, which hand it is, and how it looks."""
 
     scale: float
-    """1 is 18 cm from wrist to finger tip."""
+    """1 is 21 cm from wrist to finger tip."""
     thumb: float
     """+1 a left hand, -1 a right one."""
     skin: NDArray[np.uint8]
@@ -165,22 +167,14 @@ class Hand:
             Manifold.batch_hull([*knuckles, *heel, *cushion]) + Manifold.batch_hull(thumb) + Manifold.batch_hull(edge)
         )
 
-    def solid(self, tips: Array) -> Mesh:
-        """A coarse mesh of the hand without its forearm, in its frame."""
-        eye = np.eye(4)
-        rods = []
-        for T, looks in zip(self.poses(eye, tips, eye)[:-1], self.pieces(10)[:-1], strict=True):
-            rods.append((se3.transform(T, looks[0].vertices), looks[0].faces))
-        return _joined(rods)
-
-    def arm(self) -> Mesh:
-        """A coarse mesh of the forearm, in its frame."""
-        return _joined([(look.vertices, look.faces) for look in self.pieces(10)[-1]])
+    def outlines(self) -> list[Mesh]:
+        """Coarse meshes of all pieces, in the order of `poses`."""
+        return [_joined([(look.vertices, look.faces) for look in looks]) for looks in self.pieces(10)]
 
 
 def make_hand(diagonal: float, rng: np.random.Generator) -> Hand:
     """A hand for an object of bounding-box diagonal `diagonal`, metres."""
-    scale = rng.uniform(0.92, 1.06) * (1.0 if diagonal <= LARGE_M else diagonal / LIKE_M)
+    scale = rng.uniform(0.81, 0.93) * (1.0 if diagonal <= LARGE_M else diagonal / LIKE_M)
     tone = rng.uniform(0.0, 1.0)
     light, dark = np.array([226, 184, 162.0]), np.array([108, 72, 54.0])
     cloth = rng.uniform(30, 200, 3)
@@ -254,7 +248,7 @@ class _Planner:
     def __init__(self, hand: Hand, plan: Plan, joint: Joint, meshes: tuple[Mesh, Mesh], camera: Camera) -> None:
         self._hand, self._plan, self._joint, self._meshes = hand, plan, joint, meshes
         self._caster = Caster(meshes)
-        self._arm = hand.arm()
+        self._outlines = hand.outlines()
         f = 72 / camera.width
         self._camera = Camera(np.diag([f, f, 1.0]) @ camera.K, 72, max(1, round(camera.height * f)))
         looks = [self._look(int(i)) for i in np.unique(np.linspace(0, len(plan.states) - 1, 12).astype(int))]
@@ -379,7 +373,12 @@ class _Planner:
 
     def _cost(self, grasp: Grasp, looks: dict[int, tuple[Array, NDArray[np.int64]]]) -> float:
         """How far a grip is from what is wanted."""
-        caster = Caster((self._hand.solid(grasp.tips), self._arm))
+        eye = np.eye(4)
+        Ts = self._hand.poses(eye, grasp.tips, eye)[:-1]
+        pieces = [
+            (se3.transform(T, mesh.vertices), mesh.faces) for T, mesh in zip(Ts, self._outlines[:-1], strict=True)
+        ]
+        caster = Caster((_joined(pieces), self._outlines[-1]))
         shares, moving, bends, above, lows = [], [], [], [], []
         for i, (depth, side) in looks.items():
             T_camera_hand = self._Ts(i)[self.held] @ grasp.T_side_hand
@@ -405,12 +404,12 @@ class _Planner:
         joints = self._hand.joints(grasp.tips).reshape(-1, 3)
         points = se3.transform(grasp.T_side_hand, np.concatenate([joints, (joints[0::4] + joints[1::4]) / 2]))
         mesh = self._meshes[1 - self.held]
-        vertices = mesh.vertices[:: max(1, len(mesh.vertices) // 400)]
+        vertices = mesh.vertices[:: max(1, len(mesh.vertices) // 200)]
         hit = []
         for i in frames:
             Ts = self._Ts(i)
             there = se3.transform(se3.inverse(Ts[self.held]) @ Ts[1 - self.held], vertices)
-            gap = np.linalg.norm(there[:, None] - points[None], axis=-1).min()
+            gap = cdist(there, points).min()
             hit.append(gap < 0.009 * self._hand.scale)
         return float(np.mean(hit))
 
@@ -432,20 +431,30 @@ def _arc(root: Array, tip: Array, lengths: Array, bulge: Array) -> Array:
     side = bulge - way * (bulge @ way)
     side /= max(float(np.linalg.norm(side)), 1e-9)
 
-    def chain(bend: float) -> Array:
-        angles = np.array([0.0, -bend, -1.7 * bend])
-        steps = np.stack([lengths * np.cos(angles), lengths * np.sin(angles)], 1)
-        return np.concatenate([[[0.0, 0.0]], np.cumsum(steps, 0)])
-
-    low, high = 0.0, 1.9
-    for _ in range(24):
-        mid = (low + high) / 2
-        low, high = (mid, high) if np.linalg.norm(chain(mid)[-1]) > distance else (low, mid)
-    flat = chain(low)
-    angle = np.arctan2(flat[-1, 1], flat[-1, 0])
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    flat = flat @ turn
+    flat = _bent(lengths, distance)
     return root + flat[:, :1] * way + flat[:, 1:] * side
+
+
+@numba.njit(cache=True)
+def _bent(lengths: Array, distance: float) -> Array:
+    """(4, 2) joints of bones in a plane, from the origin to a tip on the x axis at `distance`, or straight."""
+    flat = np.zeros((4, 2))
+    low, high = 0.0, 1.9
+    for _ in range(26):
+        bend = (low + high) / 2
+        for k in range(3):
+            angle = -bend * (0.0, 1.0, 1.7)[k]
+            flat[k + 1, 0] = flat[k, 0] + lengths[k] * np.cos(angle)
+            flat[k + 1, 1] = flat[k, 1] + lengths[k] * np.sin(angle)
+        if flat[3, 0] ** 2 + flat[3, 1] ** 2 > distance**2:
+            low = bend
+        else:
+            high = bend
+    angle = np.arctan2(flat[3, 1], flat[3, 0])
+    turned = np.empty_like(flat)
+    turned[:, 0] = flat[:, 0] * np.cos(angle) + flat[:, 1] * np.sin(angle)
+    turned[:, 1] = flat[:, 1] * np.cos(angle) - flat[:, 0] * np.sin(angle)
+    return turned
 
 
 def _along(a: Array, b: Array, back: Array, spare: Array | None = None) -> Array:

@@ -78,9 +78,10 @@ class Sensor:
 
     def shoot(self, i: int) -> Shot:
         """Frame `i` of the video: the same whatever was shot before."""
-        exposed = self._exposed(i) if "blur" in self._parts else None
+        count = sub_frames(self.motion_px(i)) if "blur" in self._parts else 1
+        light = self._light(i, count)
         self._draw(i)
-        rgb = self._scene.rgb() if exposed is None else exposed
+        rgb = self._scene.rgb() if light is None else encoded((light + self._scene.linear_rgb()) / np.float32(count))
         depth, side = self._scene.depth_and_side()
         rng = np.random.default_rng([self._seed, _STREAM, i])
         if "noise2" in self._parts:
@@ -98,16 +99,14 @@ class Sensor:
         hand = None if self._hand is None else self._hand.poses(t, T, state)
         self._scene.shoot(T, {**held, joint: state}, between(self._plan.Ts_camera_world, t), hand)
 
-    def _exposed(self, i: int) -> NDArray[np.uint8] | None:
-        """Frame `i` as the mean of the light over its exposure; None when nothing moves in that time."""
-        count = sub_frames(self.motion_px(i))
-        if count == 1:
-            return None
-        light = np.zeros((self._scene.camera.height, self._scene.camera.width, 3), np.float32)
+    def _light(self, i: int, count: int) -> NDArray[np.float32] | None:
+        """Sum of the light of all `count` sub-frames of frame `i` but the middle one; None when there is no other."""
+        light = None
         for k in range(count):
-            self._draw(i + self._exposure * ((k + 0.5) / count - 0.5))
-            light += self._scene.linear_rgb()
-        return encoded(light / np.float32(count))
+            if k != count // 2:
+                self._draw(i + self._exposure * ((k + 0.5) / count - 0.5))
+                light = self._scene.linear_rgb() if light is None else light + self._scene.linear_rgb()
+        return light
 
     def motion_px(self, i: int) -> float:
         """How far the object's corners move in the picture at most while frame `i` is exposed, pixels."""

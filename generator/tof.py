@@ -46,6 +46,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -104,9 +105,8 @@ class TimeOfFlight:
         seen = depth > 0
         if not seen.any():
             return np.zeros_like(depth)
-        rays = self.camera.rays()
-        cosine = incidence(depth, rays)
-        signal = returned(depth, albedo, gloss, cosine, rays)
+        cosine = incidence(depth, self.rays)
+        signal = returned(depth, albedo, gloss, cosine, self.rays)
         mean, spread = (values[seen] for values in self.mixed(depth, signal))
         cosine, signal = cosine[seen], signal[seen]
         weak, grazing, torn = rng.random((3, len(mean)), np.float32)
@@ -119,6 +119,11 @@ class TimeOfFlight:
         measured = np.zeros_like(depth)
         measured[seen] = np.where(lost, 0, np.maximum(np.rint(z / STEP_M) * STEP_M, 0))
         return measured
+
+    @cached_property
+    def rays(self) -> Array:
+        """(height, width, 3) directions of the pixels, z = 1."""
+        return self.camera.rays()
 
     def systematic(self, z: NDArray) -> NDArray:
         """Systematic error, metres, at depth `z`."""
@@ -145,6 +150,7 @@ def infrared_albedo(linear_rgb: NDArray[np.float32]) -> Map:
 def noise_m(signal: NDArray) -> NDArray:
     """Standard deviation of the random error, metres, by the signal."""
     a, b, c = NOISE_MM2
+    signal = np.maximum(signal, 1e-6)
     return 1e-3 * np.sqrt(a + (b + c / signal) / signal)
 
 
@@ -159,10 +165,7 @@ def incidence(depth: Map, rays: Array) -> Map:
 
 def returned(depth: Map, albedo: Map, gloss: Map, cosine: Map, rays: Array) -> Map:
     """Signal (height, width) that comes back; 0 where nothing is drawn."""
-    r2 = depth.astype(float) ** 2 * (rays**2).sum(-1)
-    exponent = 230 * gloss
-    light = (albedo * (1 - gloss) + gloss * (exponent + 2) / 8 * cosine**exponent) * cosine
-    return np.where(depth > 0, light / (WHITE * np.maximum(r2, 1e-9)), 0).astype(np.float32)
+    return _returned(depth, albedo, gloss, cosine, rays)
 
 
 def _ramp(x: NDArray, low: float, high: float) -> NDArray:
@@ -197,6 +200,20 @@ def _incidence(depth: Map, rays: Array) -> Map:
             length = math.sqrt(slope_u**2 + slope_v**2 + n_z**2) * math.sqrt(x * x + y * y + 1)
             cosine[v, u] = 1 / z / length
     return cosine
+
+
+@numba.njit(cache=True)
+def _returned(depth: Map, albedo: Map, gloss: Map, cosine: Map, rays: Array) -> Map:
+    height, width = depth.shape
+    signal = np.zeros((height, width), np.float32)
+    for v in range(height):
+        for u in range(width):
+            if depth[v, u] > 0:
+                g, c = gloss[v, u], cosine[v, u]
+                r2 = depth[v, u] ** 2 * (rays[v, u, 0] ** 2 + rays[v, u, 1] ** 2 + 1)
+                highlight = g * (230 * g + 2) / 8 * c ** (230 * g) if g > 0 else 0.0
+                signal[v, u] = (albedo[v, u] * (1 - g) + highlight) * c / (WHITE * max(r2, 1e-9))
+    return signal
 
 
 @numba.njit(cache=True)

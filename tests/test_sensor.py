@@ -1,0 +1,339 @@
+"""Sensors: what each adds is what it says, it is the same in any order, and the truth beside it stays true."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from generator import hand, partnet, tof
+from generator.model import Hinge, Link, Material, ObjectModel, Piece
+from generator.motion import Plan
+from generator.partnet_writer import write_partnet
+from generator.scene import _T_SAPIEN_CAMERA, Scene, decoded, encoded
+from generator.sensor import NOISE2_SHARE, SENSORS, Sensor, between, make_sensor, noise2, sub_frames
+from generator.shapes import box
+from generator.tof import TimeOfFlight, infrared_albedo
+
+CAMERA = Camera.from_fov(160, 120, np.radians(40))
+FRAMES = 90
+UPRIGHT = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+"""Looks along the object's +x, its z up."""
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory: pytest.TempPathFactory) -> partnet.PartNetObject:
+    """A board of 12 x 10 cm with a small lid above it."""
+    red, blue = (Material(n, c, "plastic", 1000) for n, c in (("red", (0.8, 0.2, 0.2)), ("blue", (0.2, 0.2, 0.8))))
+    lid = Link(
+        "rotation lid",
+        (Piece("lid", box((0.02, 0.1, 0.03), (0, 0, 0.075)), red),),
+        Hinge("revolute", "link_1", (0, 1, 0), (0, 0, 0.06), 0.0, 1.2),
+    )
+    board = Link("heavy board", (Piece("board", box((0.02, 0.1, 0.12), (0, 0, 0)), blue),))
+    model = ObjectModel("toy", "Box", (lid, board), 0, 0)
+    return partnet.load(write_partnet(model, tmp_path_factory.mktemp("toy") / "90210001"))
+
+
+def _plan(twist: np.ndarray, frames: int = FRAMES) -> Plan:
+    """The object half a metre away, moved by `twist` (6,) in the camera's frame from frame to frame."""
+    start = se3.pose(UPRIGHT, [0, 0, 0.3])
+    turns = se3.exp_se3(np.arange(frames)[:, None] * twist)
+    centre = se3.pose(np.eye(3), [0, 0, 0.3])
+    Ts = centre @ turns @ se3.inverse(centre) @ start
+    world = se3.pose(UPRIGHT, np.zeros(3))
+    return Plan(Ts, np.linspace(0, 1.2, frames), np.broadcast_to(world, (frames, 4, 4)))
+
+
+TURN = _plan(np.array([0, 0, 0, 0.01, 0.03, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def scene(loaded: partnet.PartNetObject) -> Scene:
+    return Scene(loaded.asset.urdf, [s.links for s in loaded.sides], CAMERA, 0.01, 3.0, "trivial")
+
+
+def _sensor(name: str, scene: Scene, loaded: partnet.PartNetObject, plan: Plan = TURN, seed: int = 0) -> Sensor:
+    meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
+    return make_sensor(name, scene, plan, loaded, meshes, seed, 30.0)
+
+
+# --- all of them ------------------------------------------------------------------------------------------------------
+
+
+def test_clean_is_what_is_rendered(scene: Scene, loaded: partnet.PartNetObject) -> None:
+    shot = _sensor("clean", scene, loaded).shoot(7)
+    picture = scene.render(TURN.Ts_camera_object[7], {loaded.joint.name: float(TURN.states[7])})
+    assert np.array_equal(shot.rgb, picture.rgb) and np.array_equal(shot.depth, picture.depth)
+    assert np.array_equal(shot.side, picture.side) and np.array_equal(shot.mask, shot.depth > 0)
+    assert set(np.unique(shot.side)) == {0, 1, 2} and shot.mask.sum() > 1000
+
+
+@pytest.mark.parametrize("name", [*SENSORS, "tof+blur+hand"])
+def test_a_frame_is_the_same_in_any_order_and_frames_differ(
+    name: str, scene: Scene, loaded: partnet.PartNetObject
+) -> None:
+    sensor = _sensor(name, scene, loaded)
+    forth = [sensor.shoot(i) for i in (3, 40, 41)]
+    again = _sensor(name, scene, loaded)
+    back = [again.shoot(i) for i in (41, 40, 3)][::-1]
+    for a, b in zip(forth, back, strict=True):
+        for field in ("rgb", "depth", "mask", "side"):
+            assert getattr(a, field).tobytes() == getattr(b, field).tobytes()
+        assert a.rgb.dtype == a.side.dtype == np.uint8 and a.depth.dtype == np.float32
+        assert np.array_equal(a.mask, a.side > 0)
+
+
+def test_unknown_names_get_one_line(scene: Scene, loaded: partnet.PartNetObject) -> None:
+    for name, message in (
+        ("fog", "unknown sensor 'fog'; sensors: clean, noise2, tof, blur, hand"),
+        ("tof+fog", "unknown sensor 'fog'"),
+        ("clean+blur", "'clean\\+blur' joins"),
+        ("noise2+tof", "joins"),
+        ("blur+blur", "joins"),
+    ):
+        with pytest.raises(FreeArtError, match=message) as caught:
+            _sensor(name, scene, loaded)
+        assert "\n" not in str(caught.value)
+
+
+def test_lamps_stand_still_in_the_world(scene: Scene) -> None:
+    first = se3.pose(se3.exp_so3([0.3, -0.2, 1.0]), [1.0, 2, 3])
+    scene.fix_lamps(first)
+
+    def directions(T_camera_world: np.ndarray | None) -> np.ndarray:
+        scene.shoot(TURN.Ts_camera_object[0], {}, T_camera_world)
+        ways = [lamp.pose.to_transformation_matrix()[:3, 0] for lamp in scene._lamps]
+        return np.array(ways) @ _T_SAPIEN_CAMERA[:3, :3]
+
+    at_rest = directions(first)
+    moved = se3.pose(se3.exp_so3([-0.5, 0.9, 0.1]), [0, 0, 0]) @ first
+    assert np.allclose(directions(moved) @ moved[:3, :3], at_rest @ first[:3, :3], atol=1e-6)
+    assert np.abs(directions(moved) - at_rest).max() > 0.3
+    assert np.allclose(directions(None), at_rest, atol=1e-6)
+
+
+def test_light_and_srgb() -> None:
+    levels = np.arange(256, dtype=np.uint8)
+    assert np.array_equal(encoded(decoded(levels.astype(np.float32) / 255)), levels)
+    assert encoded(np.array([0.5], np.float32)) == 188  # IEC 61966-2-1
+
+
+# --- noise2 -----------------------------------------------------------------------------------------------------------
+
+
+def test_noise2_is_two_percent_everywhere_and_fresh() -> None:
+    depth = np.tile(np.linspace(0.2, 4, 400, dtype=np.float32), (400, 1))
+    depth[:, :10] = 0
+    one, other = (noise2(depth, np.random.default_rng([0, 4, i])) for i in (0, 1))
+    assert np.array_equal(one[:, :10], depth[:, :10])
+    x, y = ((d[:, 10:] / depth[:, 10:] - 1) / NOISE2_SHARE for d in (one, other))
+    assert NOISE2_SHARE == 0.02 and abs(x.mean()) < 0.01
+    for part in (x, x[:, :100], x[:, -100:]):
+        assert part.std() == pytest.approx(1, rel=0.03)
+    assert abs(np.mean(x * y)) < 0.01 and abs(np.mean(x[:, 1:] * x[:, :-1])) < 0.01
+
+
+# --- tof --------------------------------------------------------------------------------------------------------------
+
+NARROW = Camera.from_fov(160, 120, np.radians(6))
+
+
+def _measured(
+    camera: Camera, depth: np.ndarray, albedo: float, gloss: float = 0.0, seed: int = 0, frame: int = 0
+) -> np.ndarray:
+    depth = depth.astype(np.float32)
+    fill = [np.full(depth.shape, x, np.float32) for x in (albedo, gloss)]
+    return TimeOfFlight(camera, seed).measure(depth, *fill, np.random.default_rng([seed, 4, frame]))
+
+
+def _tilted(camera: Camera, degrees: float, distance: float) -> np.ndarray:
+    """Depth of a plane through (0, 0, distance), tilted about the picture's upright axis."""
+    n = np.array([np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))])
+    return np.maximum(n[2] * distance / (camera.rays() @ n), 0)
+
+
+@pytest.mark.parametrize(("distance", "published_mm"), [(0.8, 0.61), (1.5, 0.89), (3.0, 1.78)])
+def test_tof_noise_on_a_white_wall_is_as_published(distance: float, published_mm: float) -> None:
+    wall = np.full((120, 160), distance)
+    frames = np.array([_measured(NARROW, wall, 0.8, frame=k)[4:-4, 4:-4] for k in range(4)])
+    noise = np.sqrt(frames.astype(float).var(axis=(1, 2)).mean() * 1e6 - 1 / 12)  # without the steps of 1 mm
+    assert noise == pytest.approx(published_mm, rel=0.03)
+    assert abs(np.corrcoef(frames[0].ravel(), frames[1].ravel())[0, 1]) < 0.05
+
+
+def test_tof_error_is_within_the_data_sheet_for_every_specimen() -> None:
+    z = np.linspace(0.2, 4, 500)
+    for seed in range(20):
+        error = TimeOfFlight(NARROW, seed).systematic(z)
+        assert (np.abs(error) < 0.011 + 0.001 * z).all() and np.abs(error).max() > 1e-3
+    assert tof.noise_m(np.array([0.15 / 0.8 / 3.86**2])) < 0.017  # 15 % at the end of the range
+
+
+def test_tof_depth_comes_in_steps_of_a_millimetre() -> None:
+    depth = _measured(NARROW, _tilted(NARROW, 40, 0.6), 0.5)
+    millimetres = depth.astype(float) * 1e3
+    assert np.abs(millimetres - np.rint(millimetres)).max() < 1e-3 and len(np.unique(depth)) > 20
+
+
+def test_tof_sees_the_angle_of_planes() -> None:
+    for degrees in (0, 30, 60, 80):
+        camera = Camera.from_fov(160, 120, np.radians(10))
+        cosine = tof.incidence(_tilted(camera, degrees, 1.0).astype(np.float32), camera.rays())
+        n = np.array([np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))])
+        rays = camera.rays() / np.linalg.norm(camera.rays(), axis=-1, keepdims=True)
+        assert np.abs(cosine - np.abs(rays @ n)).max() < 2e-3
+
+
+def _kept(depth: np.ndarray, albedo: float, gloss: float = 0.0) -> float:
+    inner = slice(8, -8)
+    return float((_measured(NARROW, depth, albedo, gloss)[inner, inner] > 0).mean())
+
+
+def test_tof_loses_grazing_dark_and_glossy_surfaces() -> None:
+    grazing = [_kept(_tilted(NARROW, degrees, 0.5), 0.5) for degrees in (0, 60, 75, 82, 88)]
+    assert grazing[:2] == [1, 1] and grazing[2] > 0.98 and 0.2 < grazing[3] < 0.8 and grazing[4] < 0.05
+    wall = np.full((120, 160), 3.6)
+    dark = [_kept(wall, albedo) for albedo in (0.5, 0.1, 0.045, 0.02)]
+    assert dark[0] == 1 and dark == sorted(dark, reverse=True) and dark[-1] == 0 and dark[0] > dark[2]
+    assert _kept(np.full((120, 160), 0.3), 0.03) == 1  # near enough, the dark is seen
+    facing, turned = (_kept(_tilted(NARROW, degrees, 0.3), 0.3, 0.55) for degrees in (0, 30))
+    assert facing < 0.1 and turned == 1 and _kept(np.full((120, 160), 0.3), 0.3) == 1
+
+
+def test_tof_noise_grows_with_angle_and_darkness() -> None:
+    def noise(depth: np.ndarray, albedo: float) -> float:
+        measured = _measured(NARROW, depth, albedo)
+        error = (measured - depth)[measured > 0]
+        return float(1.4826 * np.median(np.abs(error - np.median(error))))
+
+    wall = np.full((120, 160), 2.0)
+    assert noise(wall, 0.05) > 2 * noise(wall, 0.8)
+    assert noise(_tilted(NARROW, 70, 2.0), 0.5) > 1.2 * noise(_tilted(NARROW, 0, 2.0), 0.5)
+
+
+def test_tof_pixels_fly_backwards_and_only_at_edges() -> None:
+    depth = np.zeros((120, 160), np.float32)
+    cv2.circle(depth, (80, 60), 40, 0.5, -1)
+    camera = Camera.from_fov(160, 120, np.radians(12))
+    measured = _measured(camera, depth, 0.3)
+    assert (measured[depth == 0] == 0).all()
+    inside = cv2.distanceTransform((depth > 0).astype(np.uint8), cv2.DIST_L2, 5)
+    reach = 2.5 * tof.FOOTPRINT_RAD * camera.K[0, 0] + 1.5
+    error = np.where(measured > 0, measured - depth, 0)[depth > 0]
+    far = np.abs(error) > 0.02
+    rim = inside[depth > 0]
+    assert (rim[far] <= reach).all() and far.sum() > 20 and (error[far] > 0).all()
+    assert (measured[(depth > 0) & (inside > reach)] > 0).all()
+    assert 0.02 < (measured[(depth > 0) & (inside <= 2)] == 0).mean() < 0.8
+
+
+def test_tof_takes_colour_and_gloss_from_the_scene(scene: Scene, loaded: partnet.PartNetObject) -> None:
+    shot = _sensor("tof", scene, loaded).shoot(0)
+    base, gloss = scene.materials()
+    assert gloss[shot.mask] == pytest.approx(0.25, abs=0.02) and (gloss[~shot.mask] == 0).all()  # SHINE's plastic
+    albedo = infrared_albedo(base)
+    expected = float(decoded(np.array([0.8, 0.2, 0.2], np.float32)).mean())
+    assert np.median(albedo[shot.side == 2]) == pytest.approx(expected, rel=0.02)
+    seen = shot.depth > 0
+    error = np.abs(shot.depth - _sensor("clean", scene, loaded).shoot(0).depth)[seen]
+    assert seen.sum() > 0.3 * shot.mask.sum() and not seen[~shot.mask].any() and 1e-4 < error.mean() < 6e-3
+
+
+# --- blur -------------------------------------------------------------------------------------------------------------
+
+
+def test_blur_leaves_a_still_picture_alone(scene: Scene, loaded: partnet.PartNetObject) -> None:
+    still = Plan(TURN.Ts_camera_object[:1].repeat(3, 0), np.full(3, 0.4), TURN.Ts_camera_world[:3])
+    sharp, blurred = (_sensor(name, scene, loaded, still).shoot(1) for name in ("clean", "blur"))
+    assert np.array_equal(sharp.rgb, blurred.rgb)
+
+
+def test_blur_widens_edges_by_the_motion_and_keeps_the_light(scene: Scene, loaded: partnet.PartNetObject) -> None:
+    step_px = 14.0  # a frame; half of it while the shutter is open
+    shift = np.array([step_px * (0.3 - 0.01) / CAMERA.K[0, 0], 0, 0, 0, 0, 0])
+    plan = _plan(shift, 3)
+    plan = Plan(plan.Ts_camera_object, np.zeros(3), plan.Ts_camera_world)
+    sharp, sensor = _sensor("clean", scene, loaded, plan).shoot(1), _sensor("blur", scene, loaded, plan)
+    assert sensor.motion_px(1) == pytest.approx(step_px / 2, rel=0.05)
+    blurred = sensor.shoot(1)
+    assert np.array_equal(sharp.mask, blurred.mask) and np.array_equal(sharp.depth, blurred.depth)
+    light = [decoded(s.rgb.astype(np.float32) / 255) for s in (sharp, blurred)]
+    assert light[1].mean() == pytest.approx(light[0].mean(), rel=0.02)
+    row = np.median(light[1][55:65, :, 2], axis=0)  # across the blue board
+    edge = row[: int(np.argmax(row)) + 1] / row.max()
+    width = np.interp(0.95, edge, np.arange(len(edge))) - np.interp(0.05, edge, np.arange(len(edge)))
+    assert width == pytest.approx(0.9 * step_px / 2, abs=1.2)
+    hard = np.median(light[0][55:65, :, 2], axis=0)
+    assert np.sum((hard > 0.05 * hard.max()) & (hard < 0.95 * hard.max())) == 0
+
+
+def test_sub_frames_are_odd_and_a_pixel_apart() -> None:
+    counts = [sub_frames(x) for x in (0.0, 0.5, 0.6, 2.4, 2.6, 4.0, 100.0)]
+    assert counts == [1, 1, 3, 3, 5, 5, 9]
+
+
+def test_poses_between_frames_run_at_constant_twist() -> None:
+    Ts = TURN.Ts_camera_object
+    assert np.array_equal(between(Ts, 5), Ts[5])
+    half = between(Ts, 5.5)
+    assert np.allclose(half @ se3.inverse(Ts[5]), Ts[6] @ se3.inverse(half), atol=1e-12)
+    assert np.allclose(
+        between(Ts, -0.25) @ se3.inverse(between(Ts, 0)), between(Ts, 0) @ se3.inverse(between(Ts, 0.25))
+    )
+    assert np.allclose(between(Ts, len(Ts) - 0.75), Ts[-1] @ se3.inverse(between(Ts, len(Ts) - 1.25)) @ Ts[-1])
+
+
+# --- hand -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_the_hand_hides_some_of_the_object_and_nothing_else_changes(
+    seed: int, scene: Scene, loaded: partnet.PartNetObject
+) -> None:
+    sensor = _sensor("hand", scene, loaded, TURN, seed)
+    shares = []
+    for i in range(0, FRAMES, 9):
+        with_hand = sensor.shoot(i)
+        positions = {loaded.joint.name: float(TURN.states[i])}
+        bare = scene.render(TURN.Ts_camera_object[i], positions, TURN.Ts_camera_world[i])  # and the hand is gone
+        hidden = (bare.side > 0) & (with_hand.side == 0)
+        assert np.array_equal(np.where(hidden, 0, bare.side), with_hand.side)
+        assert np.array_equal(with_hand.rgb[with_hand.mask], bare.rgb[with_hand.mask])
+        assert np.array_equal(with_hand.depth[with_hand.mask], bare.depth[with_hand.mask])
+        assert (with_hand.depth[hidden] > 0).all() and (with_hand.depth[hidden] < bare.depth[hidden]).all()
+        shares.append(hidden.sum() / (bare.side > 0).sum())
+        beside = (bare.side == 0) & (with_hand.depth > 0)
+        assert beside.sum() > 50
+        assert (np.abs(with_hand.rgb[beside].astype(int) - bare.rgb[beside]).max(1) > 20).mean() > 0.9
+    assert 0.04 < np.mean(shares) < 0.35 and np.std(shares) > 0.01
+
+
+def test_the_hand_moves_with_what_it_holds_and_changes_its_grip_smoothly(loaded: partnet.PartNetObject) -> None:
+    meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
+    plan = _plan(np.array([0, 0, 0, 0.0, 0.03, 0.0]), 150)
+    motion = hand.HandMotion(plan, loaded.joint, meshes, CAMERA, 0)
+    assert motion.held == 0 and len(motion.grasps) >= 2  # the board is larger than the lid
+    joints = []
+    for t in range(150):
+        grasp = motion.grasp(t)
+        joints.append(se3.transform(grasp.T_side_hand, motion.hand.joints(grasp.tips).reshape(-1, 3)))
+        lengths = np.linalg.norm(np.diff(joints[-1].reshape(5, 4, 3), axis=1), axis=-1)
+        assert np.allclose(lengths, hand.LENGTHS * motion.hand.scale, rtol=1e-6)  # bones are rigid
+    steps = np.linalg.norm(np.diff(joints, axis=0), axis=-1).max(1)
+    assert np.sum(steps == 0) > 70 and steps.max() < 0.05 and steps.max() > 1e-3
+    T = plan.Ts_camera_object[0]
+    poses = motion.poses(0, T, 0.0)
+    assert poses.shape == (hand.BONES, 4, 4) == (len(motion.hand.pieces(8)), 4, 4)
+    se3.check_poses("hand", poses)
+
+
+def test_the_hand_is_of_real_size_unless_the_object_is_of_partnets() -> None:
+    for diagonal, least, most in ((0.06, 0.17, 0.20), (0.8, 0.17, 0.20), (2.0, 0.75, 0.9)):
+        made = hand.make_hand(diagonal, np.random.default_rng(1))
+        straight = made.joints(np.tile([10.0, 0, 0], (5, 1)) + hand.ROOTS * made.mirror)
+        length = straight[2, 3, 0] - hand.WRIST[0] * made.scale + hand.RADII[2, 3] * made.scale
+        assert least < length < most
