@@ -206,12 +206,14 @@ def mini_stapler(seed: int) -> ObjectModel:
     length, width = 0.062 * rng.uniform(0.95, 1.06), 0.0260 * rng.uniform(0.95, 1.06)
     colour = _PASTELS[int(rng.integers(len(_PASTELS)))]
     shell = Material("shell", (1, 1, 1), "plastic", _ABS, textures.speckle(rng, colour, 0.02), 0.02)
-    steel = Material("steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, (0.72, 0.73, 0.76)), 0.03)
+    grey = 0.10 + 0.80 * sum(colour) / 3
+    r, g, b = (0.55 * grey + 0.45 * c for c in colour)  # coated to go with the shell
+    steel = Material("steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, (r, g, b)), 0.03)
     hinge_at = (length * 0.355, 0.0, 0.0155)
     base = Link("heavy stapler_base", _mini_base(length, width, hinge_at, colour, shell, steel, rng))
     magazine = Link(
         "hinge stapler_magazine",
-        _mini_magazine(length, hinge_at, steel, rng),
+        _mini_magazine(length, hinge_at, colour, steel, rng),
         Hinge("revolute", "link_2", (0, 1, 0), hinge_at, 0.0, 0.04),
     )
     lid = Link(
@@ -280,7 +282,11 @@ def _mini_base(
 
 
 def _mini_magazine(
-    length: float, hinge_at: tuple[float, float, float], steel: Material, rng: np.random.Generator
+    length: float,
+    hinge_at: tuple[float, float, float],
+    colour: textures.Colour,
+    steel: Material,
+    rng: np.random.Generator,
 ) -> tuple[Piece, ...]:
     x, _, z = hinge_at
     front, back, width, height = -length * 0.44, x + 0.0030, 0.0106, 0.0056
@@ -295,7 +301,7 @@ def _mini_magazine(
     strip = box((reach * 0.44, width - 0.0024, height * 0.72), (front + reach * 0.25, 0, level + 0.0006), 0.0005)
     pusher = box((0.0050, width - 0.0022, height * 0.85), (front + reach * 0.54, 0, level + 0.0008), 0.0006)
     spring = coil(0.0015, 0.00025, reach * 0.26, 9, "x", (front + reach * 0.72, 0, level + 0.0012))
-    dark = Material("pusher", (0.42, 0.43, 0.45), "plastic", _ABS)
+    dark = Material("pusher", textures.shade(colour, 0.80), "plastic", _ABS)
     lean = 0.10 + 0.02 * rng.uniform()  # the magazine's mouth stands a little above the anvil
     return tuple(
         Piece(name, tilted(solid, "y", lean * 0.4, hinge_at), material)

@@ -39,17 +39,17 @@ _KNIVES = ((0.70, 0.71, 0.73), (0.33, 0.34, 0.36), (0.66, 0.60, 0.52), (0.17, 0.
 
 
 def swivel_usb(seed: int) -> ObjectModel:
-    """The swivel stick of a seed. Plug towards -x, rivet at the origin; its sleeve turns about z by positive states."""
+    """The swivel stick of a seed. Plug towards -x, rivet at the origin; the stick turns out of its sleeve over +y."""
     rng = np.random.default_rng([seed, 311])
     front, width, thick = np.array([0.0265, 0.0185, 0.0086]) * rng.uniform(0.94, 1.06, 3)
     colour = _STICKS[int(rng.integers(len(_STICKS)))]
-    body = Link("heavy usb_body", _stick(front, width, thick, colour, rng))
-    sleeve = Link(
+    sleeve = Link("heavy usb_cover", _sleeve(front + _PLUG_LONG, width, thick, rng))
+    stick = Link(
         "hinge usb_rotation",
-        _sleeve(front + _PLUG_LONG, width, thick, rng),
-        Hinge("revolute", "link_1", (0, 0, 1), (0, 0, 0), 0.0, np.pi),
+        _stick(front, width, thick, colour, rng),
+        Hinge("revolute", "link_1", (0, 0, -1), (0, 0, 0), 0.0, float(np.pi)),
     )
-    return ObjectModel("swivel_usb", "USB", (sleeve, body), 0, seed)
+    return ObjectModel("swivel_usb", "USB", (stick, sleeve), 0, seed)
 
 
 def _stick(

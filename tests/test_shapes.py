@@ -1,0 +1,78 @@
+"""Shapes of bent, moulded and drawn things have the volumes, sizes and holes of their closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from manifold3d import CrossSection
+
+from generator.shapes import coil, loft, moulded, plate, rounded_outline, smooth_outline, text_outline, tube
+
+CORNER = 1 - np.pi / 4
+"""What rounding to radius 1 takes off a square corner; its centroid lies `IN` away from either side."""
+IN = (10 - 3 * np.pi) / (3 * (4 - np.pi))
+
+
+def _ring(radius: float, bump: float = 0.0, n: int = 240) -> np.ndarray:
+    t = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    return np.stack([radius * np.cos(t), radius * np.sin(t), bump * (np.sin(3 * t) + np.cos(2 * t))], -1)
+
+
+def test_a_moulded_disc_with_a_hole_lacks_what_its_four_round_rims_take() -> None:
+    outer, inner, thick, r = 5.0, 2.0, 1.2, 0.4
+    disc = moulded(CrossSection.circle(outer, 512) - CrossSection.circle(inner, 512), thick, "z", 3.0, r, 24)
+    rims = 2 * r**2 * CORNER * 2 * np.pi * ((outer - IN * r) + (inner + IN * r))
+    assert disc.volume() == pytest.approx(np.pi * (outer**2 - inner**2) * thick - rims, rel=1e-3)
+    assert disc.genus() == 1
+    assert np.allclose(disc.bounding_box(), (-5, -5, 2.4, 5, 5, 3.6))
+
+
+@pytest.mark.parametrize(("axis", "size"), [("x", (0.1, 3, 2)), ("y", (3, 0.1, 2)), ("z", (3, 2, 0.1))])
+def test_moulded_plates_lie_as_plain_ones(axis: str, size: tuple) -> None:
+    solid = moulded(rounded_outline(3, 2, 0.5), 0.1, axis, 0.0, 0.02)  # type: ignore[arg-type]
+    assert np.allclose(np.ptp(np.reshape(solid.bounding_box(), (2, 3)), axis=0), size, atol=1e-6)
+
+
+def test_rims_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"rims of radius 0\.6 do not fit"):
+        moulded(rounded_outline(3, 2, 0.3), 1.5, "z", 0.0, 0.6)
+    with pytest.raises(ValueError, match="rims of radius 0.4 meet"):
+        moulded(CrossSection.circle(2, 64) - CrossSection.circle(1.5, 64), 1.0, "z", 0.0, 0.4)
+
+
+def test_outlines_are_rounded_at_outward_and_inward_corners() -> None:
+    corner = [[0, 0], [5, 0], [5, 2], [2, 2], [2, 4], [0, 4]]
+    r, h = 0.5, 0.3
+    area = smooth_outline(corner, r, h, 256).area()
+    assert area == pytest.approx(5 * 2 + 2 * 2 - 5 * CORNER * r**2 + CORNER * h**2, rel=1e-3)
+
+
+def test_a_loft_through_two_squares_is_a_frustum() -> None:
+    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+    solid = loft([square, 0.5 * square + [0, 0, 3]])
+    assert solid.volume() == pytest.approx(3 / 3 * (4 + 1 + 2))
+    with pytest.raises(ValueError, match="not a solid"):
+        loft([square[::-1], 0.5 * square[::-1] + [0, 0, 3]])
+
+
+@pytest.mark.parametrize("bump", [0.0, 0.3])
+def test_a_closed_wire_has_the_volume_of_its_length_even_where_it_twists(bump: float) -> None:
+    path = _ring(2.0, bump)
+    wire = tube(path, 0.1, 32, closed=True)
+    length = np.linalg.norm(np.roll(path, -1, 0) - path, axis=1).sum()
+    assert wire.genus() == 1 and wire.volume() == pytest.approx(np.pi * 0.1**2 * length, rel=1e-2)
+
+
+def test_a_spring_is_as_long_and_wide_as_asked() -> None:
+    spring = coil(1.0, 0.1, 4.0, 6, "x", (5, 0, 0))
+    low, high = np.reshape(spring.bounding_box(), (2, 3))
+    assert spring.genus() == 0
+    assert np.allclose(high - low, (4.2, 2.2, 2.2), atol=0.05) and np.allclose((low + high)[0] / 2, 5, atol=0.02)
+
+
+def test_letters_are_as_high_or_wide_as_asked_and_keep_their_holes() -> None:
+    u0, v0, u1, v1 = text_outline("HOLE", 0.005).bounds()
+    assert v1 - v0 == pytest.approx(0.005) and np.allclose([u0 + u1, v0 + v1], 0, atol=1e-9)
+    u0, _, u1, _ = text_outline("HOLE", 0.005, 0.008).bounds()
+    assert u1 - u0 == pytest.approx(0.008)
+    assert plate(text_outline("O", 1.0), 0.1, "z").genus() == 1 and len(text_outline("i", 1.0).decompose()) == 2
