@@ -13,9 +13,13 @@ CORNER = 1 - np.pi / 4
 IN = (10 - 3 * np.pi) / (3 * (4 - np.pi))
 
 
-def _ring(radius: float, bump: float = 0.0, n: int = 240) -> np.ndarray:
+def _loop(knotted: bool, n: int = 60) -> np.ndarray:
+    """A circle, or a trefoil knot, whose wire comes back turned to where it began."""
     t = np.linspace(0, 2 * np.pi, n, endpoint=False)
-    return np.stack([radius * np.cos(t), radius * np.sin(t), bump * (np.sin(3 * t) + np.cos(2 * t))], -1)
+    if not knotted:
+        return np.stack([2 * np.cos(t), 2 * np.sin(t), 0 * t], -1)
+    r = 2 + 0.6 * np.cos(3 * t)
+    return np.stack([r * np.cos(2 * t), r * np.sin(2 * t), 0.6 * np.sin(3 * t)], -1)
 
 
 def test_a_moulded_disc_with_a_hole_lacks_what_its_four_round_rims_take() -> None:
@@ -55,12 +59,13 @@ def test_a_loft_through_two_squares_is_a_frustum() -> None:
         loft([square[::-1], 0.5 * square[::-1] + [0, 0, 3]])
 
 
-@pytest.mark.parametrize("bump", [0.0, 0.3])
-def test_a_closed_wire_has_the_volume_of_its_length_even_where_it_twists(bump: float) -> None:
-    path = _ring(2.0, bump)
+@pytest.mark.parametrize("knotted", [False, True])
+def test_a_closed_wire_has_the_volume_of_its_length_even_where_it_twists(knotted: bool) -> None:
+    path = _loop(knotted)
     wire = tube(path, 0.1, 32, closed=True)
     length = np.linalg.norm(np.roll(path, -1, 0) - path, axis=1).sum()
-    assert wire.genus() == 1 and wire.volume() == pytest.approx(np.pi * 0.1**2 * length, rel=1e-2)
+    section = 16 * np.sin(2 * np.pi / 32) * 0.1**2  # of the 32-gon; bends take 0.8 %, a joint out of step 0.7 % more
+    assert wire.genus() == 1 and wire.volume() == pytest.approx(section * length, rel=0.011)
 
 
 def test_a_spring_is_as_long_and_wide_as_asked() -> None:
