@@ -32,6 +32,7 @@ from generator.partnet_writer import R_ROOT_MESH, write_partnet
 from generator.rays import Caster
 from generator.scene import Scene
 from generator.shapes import box, triangles
+from generator.surface import Paint, Surface
 from generator.truth_mesh import outer_faces, same_faces, visible_faces
 
 NAMES = ("stapler", "flip_lighter", "swivel_usb", "drawer_unit")
@@ -562,6 +563,19 @@ def test_quirk_12_outer_faces_of_a_real_object_are_those_that_light_reaches() ->
     exposed, found = np.concatenate(share), np.concatenate([o[p] for o, p in zip(outer, picks, strict=True)])
     assert found[exposed > 0.1].mean() > 0.99 and found[(exposed > 0.05) & (exposed <= 0.1)].mean() > 0.9
     assert found[exposed == 0].mean() < 0.15  # four points of a face are not all of it
+
+
+def test_quirk_12_the_bottom_of_a_shaft_is_outer_face_by_face() -> None:
+    block = box((1, 1, 1)) - box((0.25, 0.25, 0.5), (0, 0, 0.3))  # the shaft is 0.45 deep
+    vertices, faces = triangles(block)
+    plain = (Paint(np.zeros(3, np.uint8)),)
+    count = len(vertices)
+    shaft = Surface(vertices, faces, np.zeros((count, 2)), np.zeros(count, int), plain).subdivided(0.03).mesh()
+    lid = Mesh(np.array([[3.0, 0, 0], [3.1, 0, 0], [3, 0.1, 0]]), np.array([[0, 1, 2]]))
+    outer = outer_faces((shaft, lid), Joint("j", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), 0.0, 0.1))[0]
+    middle = shaft.vertices[shaft.faces].mean(1)
+    bottom = (np.abs(middle[:, :2]) < 0.12).all(1) & (np.abs(middle[:, 2] - 0.05) < 1e-6)
+    assert bottom.sum() > 100 and outer[bottom].mean() > 0.95
 
 
 def _joined(first: Mesh, second: Mesh) -> Mesh:
