@@ -9,7 +9,6 @@ distance follows from the picture (`framing`). `release` lets go of the joint; i
 from generator.motion.body import hull_points, motion_range
 from generator.motion.plan import MOTIONS, PRESETS, Plan, Preset
 from generator.motion.planner import plan_motion
-from generator.motion.tumble import joint_course, plan_tumble
 
 __all__ = [
     "MOTIONS",
@@ -17,8 +16,6 @@ __all__ = [
     "Plan",
     "Preset",
     "hull_points",
-    "joint_course",
     "motion_range",
     "plan_motion",
-    "plan_tumble",
 ]

@@ -140,7 +140,7 @@ def _score(course: Course, task: Task, shares: Array) -> float:
         score -= min(away / 20, 2.0)
     steps = turns.steps_degrees(course.Rs) * task.fps / 30
     score -= 2.0 * max(float(steps.max()) - _FASTEST, 0.0)
-    score -= 4.0 * max(0.8 * course.pace - float(np.median(steps)), 0.0)
+    score -= 6.0 * max(0.92 * course.pace - float(np.median(steps)), 0.0)
     return round(score, 3)
 
 

@@ -39,7 +39,8 @@ def tour(
     """Views from `start` (3,) on, with at least `length` radians of way between them, taken from `directions` (D, 3).
 
     The next view is `step` (least, most) radians on, and the one that shows most of what has not been seen, is most
-    welcome, and turns back least. `even` counts every step as one of middle size: it will take as long.
+    welcome, and turns back least. `even` counts every step as one of middle size, as it will take as long,
+    and lets a view be chosen again where it is welcome to stay.
     """
     views, way, heading = [start], 0.0, np.zeros(3)
     cells = covered_cells(directions)
@@ -50,7 +51,7 @@ def tour(
         angle = np.arccos(cosine)
         least, most = step
         welcome, stay = wish(way + 0.5 * most)
-        least = 0.0 if stay else least
+        least = (0.0 if even else 0.5) if stay else least
         allowed = (angle >= least) & (angle <= most)
         if not allowed.any():
             allowed = angle > 1e-6
