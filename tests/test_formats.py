@@ -5,6 +5,7 @@ One 3D point is known in every sample: it must land on one known pixel, through 
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
@@ -13,6 +14,7 @@ import random
 import shutil
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -34,6 +36,9 @@ from freeart21.truth import Truth
 from generator import partnet
 from generator.foreign import truth_of
 from generator.rays import Caster
+from leaderboard.protocols import PROTOCOLS, STRICT_1
+from leaderboard.score import score_results
+from leaderboard.strict1 import Strict1, measure
 
 W, H, N = 8, 6, 3
 K_TEXT = "10.000000 0.000000 4.000000\n0.000000 10.000000 3.000000\n0.000000 0.000000 1.000000\n"
@@ -433,28 +438,25 @@ def test_a_malicious_pickle_runs_nothing(one_view: Path, tmp_path: Path) -> None
     for _ in range(60):
         doubled = [doubled, doubled]
     wide: object = [0.0] * 3000
-    for _ in range(3):
+    for _ in range(2):
         wide = [wide] * 3000
-    evil = {
-        "posix.system": pickle.dumps(Call(os.system, f"touch {mark}")),
-        "antigravity": b"\x80\x02cantigravity\nfly\n.",
-        "builtins.eval": pickle.dumps(Call(eval, f"open({str(mark)!r}, 'w')")),
-        "builtins.getattr": pickle.dumps({"actor_6": Call(getattr, np.zeros(1), "tofile")}),
-        "'O8'": pickle.dumps({"actor_6": np.array([None, {}], object)}),
-        "'V8'": pickle.dumps({"actor_6": np.zeros(2, [("a", "f8")])}),
-        "more than it could use": b"\x80\x02]r\xff\xff\xff\x7f.",
-        "UnpicklingError": b"\x80\x04garbage",
-        "lists in lists": pickle.dumps({"actor_6": doubled}),
-        "EOFError": b"",
-    }
-    for word, data in evil.items():
+    evil = [
+        ("posix.system", pickle.dumps(Call(os.system, f"touch {mark}"))),
+        ("antigravity.fly", b"\x80\x02cantigravity\nfly\n."),
+        ("builtins.eval", pickle.dumps(Call(eval, f"open({str(mark)!r}, 'w')"))),
+        ("builtins.getattr", pickle.dumps({"actor_6": Call(getattr, np.zeros(1), "tofile")})),
+        ("array of type 'O8'", pickle.dumps({"actor_6": np.array([None, {}], object)})),
+        ("array of type 'V8'", pickle.dumps({"actor_6": np.zeros(2, [("a", "f8")])})),
+        ("more than it could use", b"\x80\x02]r\xff\xff\xff\x7f."),
+        ("more than it could use", pickle.dumps({"actor_6": wide})),
+        ("lists in lists", pickle.dumps({"actor_6": doubled})),
+        ("not a readable pickle", b"\x80\x04garbage"),
+        ("not a readable pickle", b""),
+    ]
+    for words, data in evil:
         path.write_bytes(data)
-        with pytest.raises(FreeArtError, match="actor_pose.pkl is (refused|not a readable pickle)") as caught:
-            video2articulation.read_view(one_view)
-        assert "\n" not in str(caught.value) and not mark.exists()
-        assert word in str(caught.value)
-    path.write_bytes(pickle.dumps({"actor_6": wide}))
-    refused(lambda: video2articulation.read_view(one_view), "is refused")
+        refused(lambda: video2articulation.read_view(one_view), "actor_pose.pkl is", words)
+        assert not mark.exists()
     assert "antigravity" not in sys.modules
 
 
@@ -597,9 +599,11 @@ def native(toy_root: Path, toy_example: Path, tmp_path_factory: pytest.TempPathF
     return out
 
 
-def test_an_official_example_becomes_a_data_folder_that_scores(native: Path, tmp_path: Path) -> None:
-    from leaderboard.score import score_results
-
+def test_an_official_example_becomes_a_data_folder_that_scores(
+    native: Path, toy_example: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = functools.partial(measure, constants=Strict1(samples=2000))
+    monkeypatch.setitem(PROTOCOLS, "strict-1", replace(STRICT_1, measure=few))
     assert read_benchmark(native).sequences == ("7777",)
     truth = read_truth(native / "truth/7777")
     recording = read_sequence(native / "sequences/7777")
@@ -607,6 +611,8 @@ def test_an_official_example_becomes_a_data_folder_that_scores(native: Path, tmp
     assert joint.type == "revolute" and truth.states == pytest.approx(TOY_STATES)
     caster = Caster((truth.articulation.reference, truth.articulation.moving))
     for i, frame in enumerate(recording.frames()):  # the truth's meshes, posed, are what the pictures show
+        with np.load(toy_example / f"depth/{i:05d}.npz") as data:  # about 2.7 m in 16 bits: half a unit of 0.05 mm
+            assert np.abs(frame.depth - data["depth"]).max() < 2.6e-5
         hits = caster.look(recording.camera, (truth.Ts_camera_reference[i], truth.Ts_camera_moving[i]))
         both = frame.mask & (hits.side >= 0).reshape(frame.mask.shape)
         assert both.sum() > 0.97 * frame.mask.sum() > 300
