@@ -667,11 +667,13 @@ def _hanging_files(c: _Cabinet, n: int, rng: np.random.Generator) -> tuple[Piece
     wide, count = c.width - 0.050, int(rng.integers(9, 13))
     manila = [(0.80, 0.70, 0.48), (0.42, 0.50, 0.44), (0.62, 0.64, 0.66)][int(rng.integers(3))]
     xs = np.linspace(-c.depth / 2 + 0.06, c.depth / 2 - 0.10, count) + rng.uniform(-0.006, 0.006, count)
-    folders, tabs = [], []
+    folders, tabs, hangers = [], [], []
     for k, x in enumerate(xs):
         tilt = rng.uniform(-0.06, 0.06)
         leaf = box((0.004, wide - 0.032, high * 0.80), (x, 0, z0 + high * 0.575), 0.0008)
         folders.append(tilted(leaf, "y", tilt, (x, 0, z0 + high)))
+        hangers.append(box((0.0024, wide - 0.014, 0.0030), (x, 0, z0 + high + 0.0112), 0.0004))
+        hangers += [box((0.0024, 0.010, high * 0.06), (x, k * (wide / 2 - 0.024), z0 + high * 0.985)) for k in (-1, 1)]
         tab = box((0.0012, 0.055, 0.020), (x, wide * (0.28 - 0.28 * (k % 3)), z0 + high * 0.975 + 0.009), 0.0002)
         tabs.append(tilted(tab, "y", tilt, (x, 0, z0 + high)))
     spine = box((xs[-1] - xs[0], wide - 0.06, 0.003), ((xs[0] + xs[-1]) / 2, 0, z0 + high * 0.25))
@@ -679,4 +681,10 @@ def _hanging_files(c: _Cabinet, n: int, rng: np.random.Generator) -> tuple[Piece
     letters = Material(
         "tab", (1, 1, 1), "paper", 900.0, textures.label(["FILE"], (0.96, 0.95, 0.90), (0.2, 0.2, 0.25), 2.7, None)
     )
-    return Piece("folder", union([*folders, spine]), paper), Piece("folder_tab", union(tabs) - union(folders), letters)
+    wire = Material("hanger", (0.55, 0.56, 0.58), "metal", 7850.0)
+    leaves = union([*folders, spine])
+    return (
+        Piece("folder", leaves, paper),
+        Piece("hanger", union(hangers) - leaves, wire),
+        Piece("folder_tab", union(tabs) - leaves, letters),
+    )
