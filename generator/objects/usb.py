@@ -75,12 +75,12 @@ def _stick(
     small = Material(
         "serial", (1, 1, 1), "paper", 900.0, textures.label(lines, (0.95, 0.95, 0.93), (0.1, 0.1, 0.1), 2.0, rng)
     )
-    at, half = -front * 0.50, thick / 2
+    at, half = -front * 0.665, thick / 2
     lamp = Material("lamp", (0.45, 0.85, 0.95), "plastic", _ABS)
     return (
         Piece("stick", solid, plastic),
-        Piece("capacity", box((front * 0.54, front * 0.245, 0.0003), (at, 0, half)), words),
-        Piece("serial", box((front * 0.50, front * 0.25, 0.0003), (at, 0, -half)), small),
+        Piece("capacity", box((front * 0.46, front * 0.21, 0.0003), (at, 0, half)), words),
+        Piece("serial", box((front * 0.44, front * 0.22, 0.0003), (at, 0, -half)), small),
         Piece("lamp", rod(0.0009, 0.0008, "y", (-0.004, -width / 2, 0), 0.0002, 24), lamp),
         *_plug(_SILVER, -front, rng),
     )
