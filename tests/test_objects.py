@@ -3,24 +3,36 @@
 from __future__ import annotations
 
 import filecmp
+import functools
+import hashlib
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 from manifold3d import Manifold
+from seen_colours import main_share, seen_colours
 
 from freeart21 import catalog
 from freeart21.joint import Joint
 from generator import objects
 from generator.model import Link, ObjectModel
 from generator.partnet_writer import box_uv, crease_normals, write_partnet
-from generator.shapes import box, plate, polygon, rod, round_box, triangles, union
+from generator.shapes import box, lathe, plate, polygon, repeated, rod, round_box, screw, tapered, triangles, union
 
 NAMES = catalog.built_in_names()
+SEEDS = (0, 3)
+
+build = functools.cache(objects.build)
 
 
 def _solid(links: list[Link]) -> Manifold:
     return union(piece.solid for link in links for piece in link.pieces)
+
+
+def _extent(links: list[Link]) -> np.ndarray:
+    bounds = np.array([piece.solid.bounding_box() for link in links for piece in link.pieces])
+    return bounds[:, 3:].max(0) - bounds[:, :3].min(0)
 
 
 def _joint(model: ObjectModel) -> Joint:
@@ -29,51 +41,160 @@ def _joint(model: ObjectModel) -> Joint:
     return Joint("j", hinge.type, np.array(hinge.axis, float), np.array(hinge.pivot), hinge.lower, hinge.upper)
 
 
-@pytest.mark.parametrize("seed", [0, 7])
+def test_seven_categories_of_three_objects_fifteen_hinges_and_six_sliders() -> None:
+    entries = [catalog.find(name) for name in NAMES]
+    official = [entry for entry in catalog.CATALOG if entry.benchmark == "FreeArt-21"]
+    assert Counter(entry.category for entry in entries) == Counter(entry.category for entry in official)
+    assert set(Counter(entry.category for entry in entries).values()) == {3} and len(entries) == 21
+    assert Counter(entry.joint_type for entry in entries) == {"revolute": 15, "prismatic": 6}
+    assert {e.category for e in entries if e.joint_type == "prismatic"} == {"StorageFurniture", "Phone"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_links_and_joints_are_as_the_catalog_says(name: str) -> None:
+    entry, model = catalog.find(name), build(name, SEEDS[0])
+    assert (model.name, model.category) == (name, entry.category)
+    assert f"joint_{model.scored_joint}" == entry.joint and _joint(model).type == entry.joint_type
+    assert [link.hinge is None for link in model.links] == [False] * (len(model.links) - 1) + [True]
+    for k, link in enumerate(model.links):
+        kind = link.semantic.split(" ", 1)[0]
+        if link.hinge is None:
+            assert kind == "heavy"
+            continue
+        assert kind == {"revolute": "hinge", "prismatic": "slider"}[link.hinge.type]
+        assert np.linalg.norm(link.hinge.axis) == pytest.approx(1)
+        assert link.hinge.parent in {f"link_{j}" for j in range(len(model.links)) if j != k}
+        assert link.hinge.lower <= 0 <= link.hinge.upper
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_scored_joint_moves_far(name: str) -> None:
+    joint = _joint(build(name, SEEDS[0]))
+    diagonal = np.linalg.norm(_extent(list(build(name, SEEDS[0]).links)))
+    reach = joint.upper - joint.lower
+    assert reach > (np.radians(25) if joint.type == "revolute" else 0.15 * diagonal)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if catalog.find(name).category == "Stapler"])
+def test_staplers_have_a_third_part_that_is_not_scored(name: str) -> None:
+    model = build(name, SEEDS[0])
+    third = [link for k, link in enumerate(model.links) if link.hinge is not None and k != model.scored_joint]
+    assert len(third) == 1 and "magazine" in third[0].semantic and len(model.links) == 3
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", NAMES)
 def test_every_piece_is_a_solid_and_the_object_has_real_size_and_mass(name: str, seed: int) -> None:
-    model = objects.build(name, seed)
+    model = build(name, seed)
     for link in model.links:
         for piece in link.pieces:
             assert piece.solid.status().name == "NoError" and piece.solid.volume() > 1e-12, piece.name
-    bounds = np.array(_solid(list(model.links)).bounding_box())
-    diagonal = np.linalg.norm(bounds[3:] - bounds[:3])
     said = catalog.find(name).size_m
-    assert said is not None and 0.8 * said < diagonal < 1.25 * said
+    assert said is not None and 0.8 * said < np.linalg.norm(_extent(list(model.links))) < 1.25 * said
     hull = Manifold.batch_hull([piece.solid for link in model.links for piece in link.pieces]).volume()
     assert 80 < sum(link.mass for link in model.links) / hull < 8000  # kg/m^3: neither foam nor all of lead
+    assert sum(piece.solid.num_tri() for link in model.links for piece in link.pieces) < 30_000
 
 
-@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", NAMES)
 def test_the_moving_link_does_not_pass_through_the_rest(name: str, seed: int) -> None:
-    model = objects.build(name, seed)
+    model = build(name, seed)
     joint = _joint(model)
     moving = model.links[model.scored_joint]
     rest = _solid([link for link in model.links if link is not moving])
     solid = _solid([moving])
-    for q in np.linspace(joint.lower, joint.upper, 7):
+    for q in np.linspace(joint.lower, joint.upper, 9):
         common = (solid.transform(joint.transform(q)[:3]) ^ rest).volume()
         assert common < 0.015 * solid.volume(), f"state {q:.2f}: {common / solid.volume():.3f} of the moving part"
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_same_seed_same_bytes_other_seed_other_object(name: str, tmp_path: Path) -> None:
-    folders = [write_partnet(objects.build(name, seed), tmp_path / f"{k}") for k, seed in enumerate((4, 4, 5))]
+def test_nothing_hangs_in_the_air(name: str) -> None:
+    model = build(name, SEEDS[0])
+    near = 0.01 * float(np.linalg.norm(_extent(list(model.links))))
+    for k, link in enumerate(model.links):
+        assert _floating(link, near) == [], f"link {k}"
+
+
+def _floating(link: Link, near: float) -> list[str]:
+    """Names of the pieces with a body that no chain of others, each within `near` metres, ties to the greatest."""
+    bodies = [(piece.name, body) for piece in link.pieces for body in piece.solid.decompose()]
+    boxes = np.array([body.bounding_box() for _, body in bodies])
+    far = set(range(len(bodies)))
+    todo = [max(far, key=lambda j: bodies[j][1].volume())]
+    while todo:
+        k = todo.pop()
+        far.discard(k)
+        close = ((boxes[:, :3] <= boxes[k, 3:] + near) & (boxes[:, 3:] >= boxes[k, :3] - near)).all(1)
+        found = [j for j in far if close[j] and bodies[j][1].min_gap(bodies[k][1], 1.01 * near) <= near]
+        far -= set(found)
+        todo += found
+    return sorted({bodies[j][0] for j in far})
+
+
+def test_a_floating_piece_is_found() -> None:
+    model = build("drawer_unit", 0)
+    drawer = model.links[0]
+    knob = next(p for p in drawer.pieces if p.name == "handle")
+    lifted = type(knob)("lifted", knob.solid.translate((-0.05, 0, 0)), knob.material)
+    assert _floating(drawer, 0.004) == []
+    assert _floating(Link(drawer.semantic, (*drawer.pieces, lifted), drawer.hinge), 0.004) == ["lifted"]
+
+
+def _fingerprint(model: ObjectModel) -> str:
+    """A hash of all that is written of a model."""
+    digest = hashlib.sha256()
+    for link in model.links:
+        digest.update(repr((link.semantic, link.hinge, model.scored_joint)).encode())
+        for piece in link.pieces:
+            m = piece.material
+            digest.update(repr((piece.name, m.name, m.colour, m.finish, m.density, m.tile_m)).encode())
+            for data in (*triangles(piece.solid), m.texture):
+                digest.update(b"" if data is None else np.ascontiguousarray(data).tobytes())
+    return digest.hexdigest()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_same_seed_same_object_other_seed_another(name: str) -> None:
+    assert _fingerprint(objects.build(name, SEEDS[0])) == _fingerprint(build(name, SEEDS[0]))
+    extents = [_extent(list(build(name, seed).links)) for seed in SEEDS]
+    assert np.abs(extents[0] - extents[1]).max() > 1e-4
+
+
+def test_the_same_object_is_written_as_the_same_bytes(tmp_path: Path) -> None:
+    folders = [write_partnet(objects.build("stapler", 4), tmp_path / f"{k}") for k in range(2)]
     files = sorted(str(p.relative_to(folders[0])) for p in folders[0].rglob("*") if p.is_file())
     assert files == sorted(str(p.relative_to(folders[1])) for p in folders[1].rglob("*") if p.is_file())
     assert filecmp.cmpfiles(folders[0], folders[1], files, shallow=False)[1:] == ([], [])
-    sizes = [np.array(_solid(list(objects.build(name, seed).links)).bounding_box()) for seed in (4, 5)]
-    assert np.abs(sizes[0] - sizes[1]).max() > 1e-4
 
 
-def test_several_links_materials_and_both_textured_and_plain_areas() -> None:
-    for name in NAMES:
-        model = objects.build(name, 1)
-        materials = {piece.material.name: piece.material for link in model.links for piece in link.pieces}
-        assert len(model.links) >= 2 and len(materials) >= 6
-        assert any(m.texture is not None for m in materials.values())
-        assert any(m.texture is None for m in materials.values())
+@pytest.mark.parametrize("name", NAMES)
+def test_several_materials_and_both_textured_and_plain_areas(name: str) -> None:
+    pieces = [piece for link in build(name, SEEDS[0]).links for piece in link.pieces]
+    materials = {piece.material.name: piece.material for piece in pieces}
+    assert len(materials) >= 6
+    assert any(m.texture is not None for m in materials.values())
+    assert any(m.texture is None for m in materials.values())
+
+
+def test_at_least_ten_objects_are_near_monochrome() -> None:
+    shares = {name: [main_share(seen_colours(build(name, seed))) for seed in SEEDS] for name in NAMES}
+    assert sum(min(of_seeds) >= 0.8 for of_seeds in shares.values()) >= 10, shares
+
+
+def test_the_share_of_the_main_colour_is_that_of_the_seen_area() -> None:
+    model = build("drawer_unit", 0)
+    piece = model.links[0].pieces[0]
+
+    def block(at: float, colour: tuple[float, float, float]) -> Link:
+        material = type(piece.material)(f"m{at}", colour, "plastic", 1000.0)
+        return Link("slider block", (type(piece)("b", box((1, 1, 1), (at, 0, 0)), material),), model.links[0].hinge)
+
+    red, grey, near = (0.8, 0.1, 0.1), (0.50, 0.50, 0.50), (0.54, 0.54, 0.54)
+    for other, share in ((red, 0.5), (near, 1.0)):
+        colours = seen_colours(ObjectModel("m", "c", (block(0, other), block(4, grey)), 0, 0))
+        assert main_share(np.concatenate([colours, np.full((40, 3), 128, np.uint8)])) == pytest.approx(share, abs=0.03)
 
 
 def test_shapes_have_the_volumes_of_their_closed_forms() -> None:
@@ -89,6 +210,24 @@ def test_shapes_have_the_volumes_of_their_closed_forms() -> None:
     steiner = np.prod(core) + 2 * radius * (core[0] * core[1] + core[1] * core[2] + core[2] * core[0])
     steiner += np.pi * radius**2 * core.sum() + 4 / 3 * np.pi * radius**3
     assert round_box((3, 2, 1), radius, segments=96).volume() == pytest.approx(steiner, rel=2e-3)
+
+
+def test_turned_repeated_and_tapered_shapes() -> None:
+    cone = lathe([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0]], "z", (1, 2, 3), segments=512)
+    assert cone.volume() == pytest.approx(np.pi * 4, rel=1e-3)
+    assert np.allclose(cone.bounding_box(), (-1, 0, 3, 3, 4, 6), atol=1e-3)
+    row = repeated(box((1, 1, 1)), (0, 3, 0), 4)
+    assert np.allclose(row.bounding_box(), (-0.5, -5, -0.5, 0.5, 5, 0.5)) and row.volume() == pytest.approx(4)
+    low, high = polygon([[-2, -2], [2, -2], [2, 2], [-2, 2]]), polygon([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    frustum = tapered(low, high, 3.0, "x", 5.0)
+    assert np.allclose(frustum.bounding_box(), (5, -2, -2, 8, 2, 2))
+    assert frustum.volume() == pytest.approx(3 / 3 * (16 + 4 + 8), rel=1e-3)
+    for axis, sign in (("x", 1), ("x", -1), ("y", 1), ("y", -1), ("z", 1), ("z", -1)):
+        head = screw(1.0, axis, (0, 0, 0), sign)  # type: ignore[arg-type]
+        k = "xyz".index(axis)
+        slot = [0.05 if j != k else 0.45 * sign for j in range(3)]
+        probe = box((0.02, 0.02, 0.02), slot)
+        assert (head ^ probe).volume() == 0 and (head ^ probe.translate([-2 * c for c in slot])).volume() > 0
 
 
 @pytest.mark.parametrize(
