@@ -100,8 +100,8 @@ def official_names(root: Path, skip_missing: bool = False) -> tuple[str, ...]:
     if absent and not (skip_missing and here):
         raise FreeArtError(
             f"{len(absent)} of FreeArt-21's {len(official)} PartNet-Mobility objects are not in {root}: "
-            f"{', '.join(absent)}; ask for access to the dataset at {ACCESS} (an account is free), or record those that "
-            "are there with --skip-missing"
+            f"{', '.join(absent)}; ask for access to the dataset at {ACCESS} (an account is free), or record those "
+            "that are there with --skip-missing"
         )
     return here
 
@@ -160,15 +160,17 @@ def record_jobs(
         try:
             _begin(out, jobs, label)
             todo = _missing(out, jobs)
-            _run(out, todo, workers, on_done)
-        except atomic.CannotWrite as error:
-            raise atomic.CannotWrite(
-                f"{error}; what is done is kept in {out / WORK}: make room and run the same command again"
-            ) from error
-        except FreeArtError:
+            try:
+                _run(out, todo, workers, on_done)
+            except atomic.CannotWrite:
+                raise
+            except FreeArtError:
+                _finish(out, label)
+                raise
             _finish(out, label)
-            raise
-        _finish(out, label)
+        except atomic.CannotWrite as error:
+            kept = f"; what is done is kept in {out / WORK}" if is_unfinished(out) else ""
+            raise atomic.CannotWrite(f"{error}{kept}: make room and run the same command again") from error
     return [job.sequence for job in todo]
 
 

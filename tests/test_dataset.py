@@ -1,0 +1,372 @@
+"""Whole data sets: one writer, any number of workers, killed at any moment, and the same bytes in the end."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from freeart21 import catalog
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic
+from freeart21.files.benchmark import file_sha256, read_benchmark
+from freeart21.files.truth import read_truth
+from freeart21.files.verify import verify
+from generator import dataset, objects, session
+from generator.dataset import Job, jobs_of, official_names, procedural_jobs, record_jobs
+from generator.session import RecordSettings
+from generator.shapes import triangles
+
+ROOT = Path(__file__).resolve().parents[1]
+SETTINGS = RecordSettings(frames=6, width=160, height=120, queries=2, shader="trivial", edge=0.5)
+RUN = [sys.executable, "-c", "from freeart21.cli import main; main()"]
+SMALL = ["--frames", "6", "--width", "160", "--height", "120", "--queries", "2", "--shader", "trivial"]
+
+
+def hashes(data: Path) -> dict[str, str]:
+    """File name to hash of everything in a folder, hidden files too."""
+    return {str(p.relative_to(data)): file_sha256(p) for p in sorted(data.rglob("*")) if not p.is_dir()}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two sequences, recorded without interruption."""
+    data = tmp_path_factory.mktemp("whole") / "data"
+    assert record_jobs(data, jobs_of(["stapler", "flip_lighter"], SETTINGS)) == ["stapler-s0", "flip_lighter-s0"]
+    return data
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One sequence."""
+    data = tmp_path_factory.mktemp("one") / "data"
+    record_jobs(data, jobs_of(["flip_lighter"], SETTINGS))
+    return data
+
+
+# --- interrupted ------------------------------------------------------------------------------------------------------
+
+
+def test_killed_at_20_random_moments_the_data_set_is_the_same_to_the_last_byte(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, ROOT / "tests" / "killed_recorder.py", tmp_path, "--kills", "20"],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    moments = json.loads(done.stdout.splitlines()[-1])
+    assert len(moments) == 20
+    assert len({(m["files"], m["frames"], m["sequences"]) for m in moments}) >= 8  # they were different moments
+    expected = hashes(tmp_path / "whole" / "data")
+    folders = sorted(tmp_path.glob("killed_*/data"))
+    assert len(folders) >= 2 and len(expected) > 150
+    for folder in folders:
+        assert hashes(folder) == expected, folder
+
+
+@pytest.mark.parametrize("at", [0, 4])
+def test_frames_that_were_kept_are_not_drawn_again(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    jobs, data = jobs_of(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
+    drawn = []
+    own = session.Session.film
+
+    def stopping(self: session.Session) -> None:
+        shoot = self.sensor.shoot
+
+        def stop_at(i: int) -> object:
+            if i == at and not drawn:
+                raise KeyboardInterrupt
+            return shoot(i)
+
+        monkeypatch.setattr(self.sensor, "shoot", stop_at)
+        own(self)
+
+    monkeypatch.setattr(session.Session, "film", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        record_jobs(data, jobs)
+    kept = {p.name: p.stat().st_ino for p in data.glob(".recording/stapler-s0/sequence/depth/*.png")}
+    assert set(kept) <= {f"{i:05d}.png" for i in range(at)} and len(kept) >= at - 1
+    assert not (data / "benchmark.json").exists() and not (data / "sequences").exists()
+    drawn.append(at)
+    assert record_jobs(data, jobs) == ["stapler-s0", "flip_lighter-s0"]
+    assert {n: (data / "sequences" / "stapler-s0" / "depth" / n).stat().st_ino for n in kept} == kept
+    assert hashes(data) == hashes(whole)
+
+
+def test_a_kill_between_the_two_renames_is_mended(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs, data = jobs_of(["stapler", "flip_lighter"], SETTINGS), tmp_path / "data"
+    rename = Path.replace
+
+    def stopping(self: Path, target: Path) -> Path:
+        if Path(target) == data / "sequences" / "stapler-s0":
+            raise KeyboardInterrupt
+        return rename(self, target)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Path, "replace", stopping)
+        record_jobs(data, jobs)
+    assert (data / "truth" / "stapler-s0").is_dir() and not (data / "sequences" / "stapler-s0").exists()
+    record_jobs(data, jobs)
+    assert hashes(data) == hashes(whole)
+
+
+def test_a_kill_during_the_last_clearing_away_is_mended(whole: Path, tmp_path: Path) -> None:
+    jobs, data = jobs_of(["stapler"], SETTINGS), tmp_path / "data"
+    record_jobs(data, jobs)
+    left = data / dataset.WORK / "stapler-s0" / "side"
+    left.mkdir(parents=True)
+    (left / "00000.png").write_bytes(b"left over")
+    (data / dataset.WORK / "lock").touch()
+    assert record_jobs(data, jobs) == [] and not (data / dataset.WORK).exists()
+    record_jobs(data, jobs_of(["flip_lighter"], SETTINGS))
+    assert hashes(data) == hashes(whole)
+
+
+def test_ctrl_c_says_in_one_line_how_to_go_on(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    command = [*RUN, "record", "stapler", "flip_lighter", "--out", str(data), *SMALL, "--workers", "2"]
+    running = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    deadline = time.monotonic() + 90
+    while len(list(data.glob(".recording/*/object"))) < 1 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    began = time.monotonic()
+    running.send_signal(signal.SIGINT)
+    _, errors = running.communicate(timeout=60)
+    assert running.returncode == 130, errors
+    assert time.monotonic() - began < 20
+    assert len(errors.strip().splitlines()) == 1 and "the same command goes on" in errors
+    assert (data / ".recording" / "job.json").is_file()
+    with dataset._only_writer(data):  # no worker of it is left
+        pass
+
+
+# --- workers ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_bytes_do_not_depend_on_the_number_of_workers(whole: Path, tmp_path: Path) -> None:
+    told: list[str] = []
+    data = tmp_path / "data"
+    record_jobs(data, jobs_of(["stapler", "flip_lighter"], SETTINGS), workers=2, on_done=told.append)
+    assert sorted(told) == ["flip_lighter-s0", "stapler-s0"]
+    assert hashes(data) == hashes(whole)
+
+
+def test_a_fault_in_a_worker_is_one_line(tmp_path: Path) -> None:
+    jobs = [Job("stapler", name, dataclasses.replace(SETTINGS, queries=q)) for name, q in (("a", 0), ("b", 0))]
+    broken = tmp_path / "effects.json"
+    broken.write_text("{}")
+    jobs[1] = Job("stapler", "b", dataclasses.replace(SETTINGS, joint="lid"))
+    with pytest.raises(FreeArtError, match="b: .*no movable joint 'lid'") as caught:
+        record_jobs(tmp_path / "data", jobs, workers=2)
+    assert "\n" not in str(caught.value) and not (tmp_path / "data" / dataset.WORK).exists()
+
+
+# --- one writer, one plan ---------------------------------------------------------------------------------------------
+
+
+def test_two_writers_on_one_folder_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dataset, "_PATIENCE_S", 0.2)
+    data = tmp_path / "data"
+    with dataset._only_writer(data):
+        with pytest.raises(FreeArtError, match="another process is recording into .*data; wait for it"):
+            record_jobs(data, jobs_of(["stapler"], SETTINGS))
+        other = (
+            "import sys; from pathlib import Path; from generator import dataset; dataset._PATIENCE_S = 0.2\n"
+            "with dataset._only_writer(Path(sys.argv[1])): pass"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", other, data], cwd=ROOT, capture_output=True, text=True, check=False
+        )
+        assert done.returncode != 0 and "another process is recording" in done.stderr
+    assert not data.exists()  # nothing was made, nothing is left
+
+
+def test_a_worker_holds_the_lock_after_its_recorder_was_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dataset, "_PATIENCE_S", 0.2)
+    lock = tmp_path / "data" / dataset.WORK / "lock"
+    first = dataset._lock(lock)
+    assert first is not None
+    import fcntl
+
+    worker = os.open(lock, os.O_RDWR)
+    fcntl.flock(worker, fcntl.LOCK_SH | fcntl.LOCK_NB)  # as `_start_worker` does
+    os.close(first)
+    assert dataset._lock(lock) is None
+    os.close(worker)
+    assert dataset._lock(lock) is not None
+
+
+def test_other_settings_on_an_unfinished_folder_are_refused_saying_what_differs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = tmp_path / "data"
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(dataset, "record_object", stop)
+        record_jobs(data, jobs_of(["stapler"], SETTINGS))
+    for settings, names, said in (
+        (dataclasses.replace(SETTINGS, frames=7), ["stapler"], "frames 6, not 7"),
+        (dataclasses.replace(SETTINGS, sensor="noise2"), ["stapler"], "sensor clean, not noise2"),
+        (SETTINGS, ["stapler", "flip_lighter"], "1 sequences, not 2"),
+    ):
+        with pytest.raises(FreeArtError, match=f"unfinished recording of something else \\({said}\\)") as caught:
+            record_jobs(data, jobs_of(names, settings))
+        assert "\n" not in str(caught.value)
+
+
+def test_a_whole_data_set_is_left_alone_and_can_grow(whole: Path, tmp_path: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in whole.rglob("*")}
+    assert record_jobs(whole, jobs_of(["flip_lighter", "stapler"], SETTINGS)) == []
+    assert {path: path.stat().st_mtime_ns for path in whole.rglob("*")} == before
+    data = tmp_path / "data"
+    for name in ("flip_lighter", "stapler"):
+        record_jobs(data, jobs_of([name], SETTINGS))
+    assert hashes(data) == hashes(whole)
+    with pytest.raises(FreeArtError, match="stapler-s0 exists with frames 6, not 9"):
+        record_jobs(data, jobs_of(["stapler"], dataclasses.replace(SETTINGS, frames=9)))
+    assert read_benchmark(data).sequences == ("flip_lighter-s0", "stapler-s0")
+
+
+# --- the disk ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("at", ["original-3.obj", "00004.png", "poses.npz", "benchmark.json"])
+def test_a_full_disk_is_one_line_and_the_same_call_goes_on(
+    one: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: str
+) -> None:
+    jobs, data = jobs_of(["flip_lighter"], SETTINGS), tmp_path / "data"
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with monkeypatch.context() as patch, pytest.raises(atomic.CannotWrite) as caught:
+        mkstemp, savez = tempfile.mkstemp, np.savez_compressed
+
+        def no_room(**where: object) -> tuple[int, str]:
+            if str(where["prefix"]).startswith(f".{at}"):
+                raise full
+            return mkstemp(**where)  # type: ignore[call-overload,no-any-return]
+
+        def no_room_for_arrays(path: Path, **arrays: object) -> None:
+            if Path(path).name == at:
+                raise full
+            savez(path, **arrays)  # type: ignore[arg-type]
+
+        patch.setattr(tempfile, "mkstemp", no_room)
+        patch.setattr(np, "savez_compressed", no_room_for_arrays)
+        record_jobs(data, jobs)
+    line = str(caught.value)
+    assert "\n" not in line and "No space left on device" in line and str(data / dataset.WORK) in line
+    assert "cannot write" in line and "run the same command again" in line
+    for sequence in data.glob("sequences/*"):
+        assert hashes(sequence) == hashes(one / "sequences" / sequence.name)
+    record_jobs(data, jobs)
+    assert hashes(data) == hashes(one)
+
+
+def test_a_disk_that_is_really_full(one: Path, tmp_path: Path) -> None:
+    place = tmp_path / "small disk"
+    place.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=400k", "none", place], capture_output=True, check=False
+    )
+    if mounted.returncode != 0:
+        pytest.skip("mounting a small disk needs root")
+    try:
+        jobs, data = jobs_of(["flip_lighter"], SETTINGS), place / "data"
+        with pytest.raises(atomic.CannotWrite, match="No space left on device"):
+            record_jobs(data, jobs)
+        subprocess.run(["mount", "-o", "remount,size=64m", place], check=True)
+        record_jobs(data, jobs)
+        assert hashes(data) == hashes(one)
+    finally:
+        subprocess.run(["umount", place], check=False)
+
+
+# --- which sequences --------------------------------------------------------------------------------------------------
+
+
+def test_fresh_objects_of_a_category_vary_and_follow_from_the_seed() -> None:
+    jobs = procedural_jobs("stapler", 30, 7, SETTINGS)
+    assert [j.sequence for j in jobs[:2]] == ["stapler-s7-000", "stapler-s7-001"]
+    assert {j.name for j in jobs} == {e.name for e in catalog.CATALOG if e.category == "Stapler" and not e.benchmark}
+    assert len({j.settings.seed for j in jobs}) == 30
+    assert procedural_jobs("Stapler", 5, 7, SETTINGS) == jobs[:5]
+    assert procedural_jobs("Stapler", 5, 8, SETTINGS) != jobs[:5]
+    with pytest.raises(FreeArtError, match="unknown category 'Teapot'; procedural categories: USB, Lighter"):
+        procedural_jobs("Teapot", 1, 0, SETTINGS)
+
+
+def test_official_objects_that_are_absent_are_named_in_one_line_with_where_to_ask(tmp_path: Path) -> None:
+    with pytest.raises(FreeArtError, match=r"21 of FreeArt-21's 21 .* 100109, .*https://sapien.ucsd.edu/downloads"):
+        official_names(tmp_path)
+    for name in ("45135", "103271"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mobility.urdf").write_text("<robot/>")
+    with pytest.raises(FreeArtError, match="19 of FreeArt-21's 21 .*--skip-missing") as caught:
+        official_names(tmp_path)
+    assert "45135" not in str(caught.value) and "\n" not in str(caught.value)
+    assert official_names(tmp_path, skip_missing=True) == ("103271", "45135")
+
+
+def test_names_of_sequences_may_be_opaque_and_must_be_unique(tmp_path: Path) -> None:
+    label = dataset.Label("hidden", "1", "test")
+    record_jobs(tmp_path / "data", [Job("stapler", "k3v9", SETTINGS)], label=label)
+    benchmark = read_benchmark(tmp_path / "data")
+    assert benchmark.sequences == ("k3v9",) and (benchmark.name, benchmark.split) == ("hidden", "test")
+    assert verify(tmp_path / "data").findings == []
+    for sequence in ("a/b", "..", ".a"):
+        with pytest.raises(FreeArtError, match="cannot be the name of a sequence"):
+            record_jobs(tmp_path / "data", [Job("stapler", sequence, SETTINGS)])
+    with pytest.raises(FreeArtError, match="cannot be the name of a sequence"):
+        record_jobs(tmp_path / "data", [Job("stapler", "b", SETTINGS)] * 2)
+
+
+# --- what is recorded -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["drawer_unit", "stapler"])
+def test_a_scaled_object_is_the_same_but_larger(name: str) -> None:
+    model = objects.build(name, 4)
+    large = model.scaled(2 / model.diagonal)
+    factor = 2 / model.diagonal
+    assert large.diagonal == pytest.approx(2)
+    for link, grown in zip(model.links, large.links, strict=True):
+        assert grown.mass == pytest.approx(factor**3 * link.mass)
+        for piece, other in zip(link.pieces, grown.pieces, strict=True):
+            assert np.allclose(triangles(other.solid)[0], factor * triangles(piece.solid)[0])
+        if link.hinge is not None and grown.hinge is not None:
+            slide = factor if link.hinge.type == "prismatic" else 1.0
+            assert grown.hinge.upper == pytest.approx(slide * link.hinge.upper) and grown.hinge.axis == link.hinge.axis
+
+
+def test_the_paper_preset_records_at_partnet_scale(tmp_path: Path) -> None:
+    settings = dataclasses.replace(SETTINGS, preset="paper", queries=1)
+    record_jobs(tmp_path, jobs_of(["stapler"], settings))
+    truth = read_truth(tmp_path / "truth" / "stapler-s0")
+    assert truth.diagonal == pytest.approx(2.0, rel=0.2)  # posed as in frame 0, the box is another
+    assert 2.0 < np.linalg.norm(truth.Ts_camera_reference[:, :3, 3], axis=1).mean() < 5.0
+
+
+@pytest.mark.parametrize("sensor", ["noise2", "hand"])
+def test_other_sensors_keep_the_truth_and_the_views_clean(whole: Path, tmp_path: Path, sensor: str) -> None:
+    record_jobs(tmp_path, jobs_of(["stapler"], dataclasses.replace(SETTINGS, sensor=sensor)))
+    assert verify(tmp_path).findings == []
+    mine, clean = hashes(tmp_path), hashes(whole)
+    views = [name for name in clean if "stapler-s0/queries/" in name]
+    assert len(views) == 4 and all(mine[name] == clean[name] for name in views)
+    assert mine["sequences/stapler-s0/depth/00003.png"] != clean["sequences/stapler-s0/depth/00003.png"]
