@@ -69,7 +69,9 @@ def office_scissors(seed: int) -> ObjectModel:
             )
             for k, y in enumerate((-0.030, -0.0335, -0.037))
         )
-        logo = plate(text_outline(str(rng.choice(["FA21", "KORA", "SNIP"])), 0.0034), 0.0110, "z").rotate((0, 0, 75))
+        logo = plate(text_outline(str(rng.choice(["FA21", "KORA", "SNIP"])), 0.0034), 0.0020, "z", 0.0045).rotate(
+            (0, 0, 75)
+        )
         body, edge = _ground(blade, (-0.0068, 0.013), (-0.0006, reach), 0.0034, 0.0017)
         halves.append(
             [
@@ -107,7 +109,7 @@ def tailor_shears(seed: int) -> ObjectModel:
         edge_at = (-0.0105, 0.022), (-0.0009, reach)
         outline = _outline([*edge_at, (0.0009, reach), (0.0052, reach * 0.86), (0.0105, reach * 0.5), (0.0140, 0.012)])
         outline += stroke([(0.0015, 0.010), (0.0, 0.0), (-0.004, -0.010)], [0.0125, 0.0125, 0.0090])
-        blade = _raised(outline, 0.0038, 0.0004)
+        blade = _raised(softened(_filled(outline, 0.012), 0.0006), 0.0038, 0.0004)
         body, edge = _ground(blade, *edge_at, 0.0062, 0.0038)
         shank = stroke(
             size * np.array([(0, 0), (-0.0060, -0.012), (-0.0100, -0.030), (-0.0135, -0.050)]),
@@ -129,7 +131,7 @@ def tailor_shears(seed: int) -> ObjectModel:
     number = _raised(text_outline(f"No {int(rng.integers(8, 13))}", 0.0060), 0.0003, 0).rotate((0, 0, 90))
     halves[1].append(Piece("rear_number", number.translate((0.0015, reach * 0.30, 0.0037)), relief))
     crown = _engraving(["FREEART", f"21  {int(rng.integers(100, 999))}"], colour, rng)
-    halves[1].append(Piece("rear_stamp", _plaque((0.0095, 0.034), (0.0028, reach * 0.52), 0.0038), crown))
+    halves[1].append(Piece("rear_stamp", _plaque((0.0060, 0.034), (0.0052, reach * 0.46), 0.0038), crown))
     knurled = Material("knurled_metal", (1, 1, 1), "metal", _STEEL, _knurl(colour), 0.010)
     screw = _screw(0.0086, 0.0034, 0.0046, rng.uniform(0, 180), steel)
     nut = Piece("nut", _nut(0.0076, 0.0036, 0.0046), knurled)
@@ -200,12 +202,17 @@ def _office_blade(reach: float) -> Manifold:
     spine = [(0.0007, reach), (0.0030, reach * 0.93), (0.0062, reach * 0.74), (0.0086, reach * 0.42), (0.0090, 0.010)]
     outline = _outline([(-0.0068, 0.013), (-0.0006, reach), *spine])
     outline += stroke([(0.0008, 0.006), (0, 0), (-0.006, -0.014), (-0.011, -0.034)], [0.0084, 0.0082, 0.0055, 0.0040])
-    return _raised(softened(outline, 0.0006), 0.0017, 0.0002)
+    return _raised(softened(_filled(outline, 0.010), 0.0006), 0.0017, 0.0002)
 
 
 def _outline(points: ArrayLike) -> CrossSection:
     """The outline through `points` from the heel of the edge over the point down the spine."""
     return polygon(np.asarray(points, float)[::-1])
+
+
+def _filled(outline: CrossSection, radius: float) -> CrossSection:
+    """The outline with its inward corners filled by rounds."""
+    return outline.offset(radius, circular_segments=64).offset(-radius, circular_segments=64)
 
 
 def _raised(outline: CrossSection, thickness: float, bevel: float) -> Manifold:
@@ -223,8 +230,8 @@ def _loop(centre: tuple[float, float], half: tuple[float, float], tilt: float, s
 
 def _handle_outline(shank: CrossSection, loop: CrossSection, wall: float, hollow: float) -> CrossSection:
     """Shank and loop as one: the corners between them filled by rounds of `hollow`, a hole within the `wall`."""
-    joined = ((shank + loop) ^ _left_of(0.0004)).offset(hollow, circular_segments=48)
-    return softened(joined.offset(-hollow, circular_segments=48), 0.0036, 40) - loop.offset(-wall, circular_segments=64)
+    joined = _filled((shank + loop) ^ _left_of(0.0004), hollow)
+    return softened(joined, 0.0036, 40) - loop.offset(-wall, circular_segments=64)
 
 
 def _left_of(gap: float) -> CrossSection:
@@ -313,8 +320,8 @@ def _brushed(name: str, colour: textures.Colour, rng: np.random.Generator) -> Ma
 
 def _engraving(lines: list[str], colour: textures.Colour, rng: np.random.Generator, aspect: float = 6.3) -> Material:
     """Words etched into the metal, to be read with the points to the left."""
-    metal = cv2.GaussianBlur(textures.brushed_metal(rng, colour), (0, 0), 1.0)
-    words = textures.label(lines, np.asarray(metal, np.uint8), textures.shade(colour, 0.45), aspect, None, False, 128)
+    metal = np.rot90(textures.brushed_metal(rng, colour))
+    words = textures.label(lines, metal, textures.shade(colour, 0.45), aspect, None, False, 128)
     return Material("_".join(lines).lower().replace(" ", ""), (1, 1, 1), "metal", _STEEL, np.rot90(words).copy())
 
 
