@@ -342,9 +342,7 @@ def convert(
     from generator.foreign import truth_of
     from generator.progress import progress_board
 
-    maker = None
-    if partnet_root is not None:
-        maker = partial(truth_of, partnet_root=partnet_root, joint=joint, skip_missing=skip_missing)
+    maker = partial(truth_of, joint=joint, skip_missing=skip_missing)
     with progress_board(1, 0) as board:
         for done in formats.convert(source, out, to, layout, maker, partnet_root, meta, hold_out, board.update):
             board.finished(done.name)

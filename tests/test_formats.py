@@ -628,12 +628,7 @@ def test_an_official_example_becomes_a_data_folder_that_scores(
 def test_round_trip_native_official_native(native: Path, toy_root: Path, tmp_path: Path) -> None:
     cli.convert(native / "sequences/7777", tmp_path / "official", "official", partnet_root=toy_root)
     assert (tmp_path / "official/data/partnet-mobility-v0/dataset/7777/mobility.urdf").read_text() == TOY_URDF
-    cli.convert(
-        tmp_path / "official",
-        tmp_path / "again",
-        "native",
-        partnet_root=tmp_path / "official" / freeart21_official.OBJECTS,
-    )
+    cli.convert(tmp_path / "official", tmp_path / "again", "native")  # finds the object beside examples/
     one, two = read_sequence(native / "sequences/7777"), read_sequence(tmp_path / "again/sequences/7777")
     assert np.array_equal(one.times_s, two.times_s) and np.array_equal(one.camera.K, two.camera.K)
     assert one.licence == two.licence

@@ -23,6 +23,7 @@ TRUTH_HOLDERS = {
     "freeart21.files.truth",
     "freeart21.files.benchmark",
     "freeart21.catalog",
+    "freeart21.formats",
     "freeart21.cli",
     "freeart21.view",
 }
@@ -76,6 +77,7 @@ def test_imports_point_down(room):
     [
         ("reconstruct", "from freeart21.truth import Truth"),
         ("reconstruct", "def f():\n    from freeart21.files import truth"),
+        ("reconstruct", "from freeart21.formats.freeart21_official import read_example"),
         ("reconstruct", "import generator.simulate"),
         ("leaderboard", "from reconstruct.pipeline import reconstruct"),
         ("leaderboard", "from generator import recorder"),

@@ -23,8 +23,8 @@ from freeart21.truth import Truth
 
 Layout = Literal["official", "video2articulation", "native"]
 Target = Literal["official", "native"]
-TruthMaker = Callable[[Foreign], Truth]
-"""The whole truth of a foreign recording, from the object's own files; FreeArtError says what is missing."""
+TruthMaker = Callable[[Foreign, Path], Truth]
+"""The whole truth of a foreign recording, from a folder of PartNet-Mobility objects; FreeArtError says what lacks."""
 
 _FARTHER = 10.0  # depth beyond this many times the object's farthest point is given up for a finer scale
 
@@ -94,11 +94,14 @@ def convert(
 ) -> Iterator[Converted]:
     """Convert every recording in `source`, one after the other.
 
-    to="native" writes out/sequences/SEQ and, when `truth_of` can make it, out/truth/SEQ, both or only the sequence, and
-    renews out/benchmark.json when every sequence there has its truth. to="official" writes out/examples/NAME and, when
-    the object's files are at hand (the truth's own, or partnet_root/ID), out/data/partnet-mobility-v0/dataset/NAME;
-    `hold_out` makes the official split of 5 %. `meta` is Video2Articulation's meta file. `progress` is called with a
-    sequence's name, the frames done and their total.
+    to="native" writes out/sequences/SEQ and, when `truth_of` can make it, out/truth/SEQ: both, or the sequence alone.
+    Objects are looked for in `partnet_root`, or, for an official example, where the official code keeps them: in
+    data/partnet-mobility-v0/dataset beside examples/. Renews out/benchmark.json when every sequence has its truth.
+
+    to="official" writes out/examples/NAME and, when the object's files are at hand (the truth's own, or
+    partnet_root/ID), out/data/partnet-mobility-v0/dataset/NAME. `hold_out` makes the official split of 5 %.
+
+    `meta` is Video2Articulation's meta file. `progress` is called with a sequence's name, the frames done, their total.
     Raises FreeArtError, in one line; what was written before stays, and is whole.
     """
     out = Path(out)
@@ -109,7 +112,7 @@ def convert(
         tick = functools.partial(progress, recording.name)
         with _tidy(out):
             if to == "native":
-                yield _write_native(out, recording, truth_of, tick)
+                yield _write_native(out, recording, truth_of, partnet_root or _root_beside(kind, folder), tick)
             else:
                 files = _object_folder(kind, folder, recording, partnet_root)
                 yield _write_official(out, recording, files, hold_out, tick)
@@ -144,14 +147,22 @@ def _object_folder(kind: Layout, folder: Path, recording: Foreign, partnet_root:
     return next((place for place in (beside, mine) if place is not None and (place / "mobility.urdf").is_file()), None)
 
 
-def _write_native(out: Path, read: Foreign, truth_of: TruthMaker | None, tick: Progress) -> Converted:
+def _root_beside(kind: Layout, folder: Path) -> Path | None:
+    """Where the official code keeps its objects: beside examples/."""
+    root = folder.resolve().parent.parent / freeart21_official.OBJECTS
+    return root if kind == "official" and root.is_dir() else None
+
+
+def _write_native(
+    out: Path, read: Foreign, truth_of: TruthMaker | None, root: Path | None, tick: Progress
+) -> Converted:
     sequence, truth_folder = (out / sub / read.name for sub in ("sequences", "truth"))
     for folder in (sequence, truth_folder):
         if folder.exists():
             raise FreeArtError(f"{folder} exists; choose another place or remove it first")
     n, recording = len(read.recording), read.recording
     scale = _depth_scale(recording, lambda done: tick(done, 2 * n))
-    truth, lacks = _truth(read, truth_of)
+    truth, lacks = _truth(read, truth_of, root)
     with atomic.new_folder(sequence) as aside:
         for i, frame in enumerate(recording.frames()):
             write_frame(aside, i, frame, scale)
@@ -164,13 +175,13 @@ def _write_native(out: Path, read: Foreign, truth_of: TruthMaker | None, tick: P
     return Converted(read.name, sequence, truth is not None, notes)
 
 
-def _truth(read: Foreign, truth_of: TruthMaker | None) -> tuple[Truth | None, str]:
+def _truth(read: Foreign, truth_of: TruthMaker | None, root: Path | None) -> tuple[Truth | None, str]:
     if read.known is None:
         return None, read.lacks
-    if truth_of is None:
+    if truth_of is None or root is None:
         return None, f"the object's meshes are needed: name the folder that holds {read.object_id} by --partnet-root"
     try:
-        return truth_of(read), ""
+        return truth_of(read, root), ""
     except FreeArtError as error:
         return None, str(error)
 
