@@ -1,4 +1,4 @@
-"""Pages to look at: one self-contained HTML file for a sequence, a result, a truth or an asset.
+"""Pages to look at: one self-contained HTML file for a sequence, a result, a truth, an asset or a whole data folder.
 
 A page is a list of sections, each built by one small function: `video_section` (the player), `scene_section` (parts and
 joint in 3D), `plot_section` (the joint state over time) and `table_section` (numbers). A section is HTML plus data; the

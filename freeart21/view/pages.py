@@ -21,6 +21,7 @@ from freeart21.recording import Recording
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from freeart21.view.asset_scene import asset_scene
+from freeart21.view.benchmark_page import benchmark_page
 from freeart21.view.document import Section, document
 from freeart21.view.parts import align, articulation_scene, matched, with_truth
 from freeart21.view.plot import StateSeries, plot_section
@@ -53,7 +54,7 @@ def page(
     asset: Path | None = None,
     title: str | None = None,
 ) -> str:
-    """One self-contained HTML page of a sequence, a result, a truth or an asset.
+    """One self-contained HTML page of a sequence, a result, a truth, an asset or a whole data folder.
 
     A result is shown with its asset (`asset`, else its own folder asset/), over the pictures of its `sequence` and
     beside its `truth` when these folders are given; a sequence is shown with its truth. `scores` is as in
@@ -63,6 +64,8 @@ def page(
     path = Path(path)
     kind = recognised(path)
     name = title or _name(path.resolve())
+    if kind == "data":
+        return benchmark_page(path, name)
     true = read_truth(truth) if truth is not None and kind != "truth" else None
     extra = [score_section(scores, place="small" if kind == "asset" else "right")] if scores else []
     if kind == "sequence":
@@ -93,20 +96,21 @@ def write_page(
 
 
 def recognised(path: Path) -> str:
-    """'sequence', 'result', 'truth' or 'asset'; FreeArtError says what was looked for and what is there."""
+    """'sequence', 'result', 'truth', 'asset' or 'data'; FreeArtError says what was looked for and what is there."""
     if not path.exists():
         raise FreeArtError(f"{path} does not exist")
     if path.is_file():
         if path.suffix == ".urdf":
             return "asset"
         raise FreeArtError(
-            f"{path} is a file, expected a URDF or the folder of a sequence, a result, a truth or an asset"
+            f"{path} is a file, expected a URDF or the folder of a sequence, a result, a truth, an asset or a data set"
         )
     for name, kind in (
         ("sequence.json", "sequence"),
         ("prediction.json", "result"),
         ("truth.json", "truth"),
         ("asset.json", "asset"),
+        ("benchmark.json", "data"),
     ):
         if (path / name).is_file():
             return kind
@@ -118,8 +122,8 @@ def recognised(path: Path) -> str:
     inner = sorted(str(p.parent.relative_to(path)) for pattern in patterns for p in path.glob(pattern))
     hint = f"; what can be shown in it: {', '.join(inner[:8])}{' ...' * (len(inner) > 8)}" if inner else ""
     raise FreeArtError(
-        f"{path} is nothing to show: looked for sequence.json, prediction.json, truth.json, asset.json or a .urdf file,"
-        f" found {there}{hint}"
+        f"{path} is nothing to show: looked for sequence.json, prediction.json, truth.json, asset.json, "
+        f"benchmark.json or a .urdf file, found {there}{hint}"
     )
 
 
