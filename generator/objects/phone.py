@@ -271,7 +271,7 @@ def cover_phone(seed: int) -> ObjectModel:
     split = -height / 2 + height * 0.43
     bend = rng.uniform(0.7, 1.0)
     envelope = moulded(rounded_outline(width, height, 0.0150, 48), 0.0220, "z", 0.0, 0.0045, 4)
-    joint = Hinge("prismatic", "link_1", (0, 0, -1), (0, 0, 0), 0.0, height * 0.43 * 0.74)
+    joint = Hinge("prismatic", "link_1", (0, 0, -1), (0, 0, 0), 0.0, height * 0.43 * 0.80)
     moving = _cover(width, height, split, envelope, colour, brand, rng)
     rest = _bar(width, height, split, envelope, colour, brand, bend, rng)
     return _phone("cover_phone", seed, "slider cover", moving, rest, joint)
