@@ -1,0 +1,143 @@
+"""The statistics of motions, on recordings whose motion is known, and their page."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import re
+import subprocess
+from pathlib import Path
+from shutil import which
+
+import numpy as np
+import pytest
+from synthetic_case import make_recording, make_truth
+
+from freeart21 import se3, sphere
+from freeart21.errors import FreeArtError
+from freeart21.files.benchmark import write_benchmark
+from freeart21.files.sequence import write_sequence
+from freeart21.files.truth import write_truth
+from freeart21.recording import Recording
+from freeart21.statistics import motion_statistics
+from freeart21.truth import Truth
+from freeart21.view import page
+from freeart21.view.benchmark_page import summary_rows
+
+N = 40
+STEPS = np.repeat(["pose", "joint", "both", "none"], [10, 11, 12, 6])
+
+
+def _known(kind: str = "revolute", swapped: bool = False) -> Truth:
+    """40 frames, each step of a known kind: turns of 2.5 degrees, joint moves of 1/25 of the range."""
+    base = make_truth(kind)
+    joint = base.articulation.joint
+    turning, working = np.isin(STEPS, ["pose", "both"]), np.isin(STEPS, ["joint", "both"])
+    angle = np.concatenate([[0], np.cumsum(np.radians(2.5) * turning)])
+    states = joint.upper * np.concatenate([[0], np.cumsum(working)]) / 25
+    Ts = se3.pose(se3.exp_so3(angle[:, None] * [0, 1, 0]), [0, 0, 2.0])
+    if swapped:  # the joint's child is the larger part: the reference part is the one that is worked
+        joint = dataclasses.replace(joint, axis=-joint.axis)
+        Ts = Ts @ se3.inverse(joint.transform(states))
+    masks = np.zeros((N, 32, 40), np.uint8)
+    masks[:, 6:26, 10:30] = 1  # 20 x 20 of a picture 32 high
+    for i in range(N):
+        masks[i, 6 : 6 + (0 if 5 <= i < 12 else 10 if i < 30 else 1), 10:29] = 2  # 0, 19 or 190 of 400 pixels
+    seen = np.stack([(masks == k).sum((1, 2)) for k in (1, 2)], -1)
+    return dataclasses.replace(
+        base,
+        articulation=dataclasses.replace(base.articulation, joint=joint),
+        states=states,
+        Ts_camera_reference=Ts,
+        Ts_camera_moving=Ts @ joint.transform(states),
+        seen=seen,
+        part_mask=masks.__getitem__,
+        source={"object": "<toy>", "motion": "tumble", "seed": 3},
+    )
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_known_motion_gives_its_known_figures(kind: str, swapped: bool) -> None:
+    truth = _known(kind, swapped)
+    s = motion_statistics(make_recording(truth), truth, every=1)
+    assert (s.pose_only, s.joint_only, s.both, s.neither) == tuple(np.array([10, 11, 12, 6]) / 39)
+    assert s.median_degrees == pytest.approx(2.5) and s.max_degrees == pytest.approx(2.5)
+    assert s.few == 17 / 40 and s.gone == 7 and s.hard
+    assert s.range_covered == pytest.approx(23 / 25) and s.opening[-1] == pytest.approx(23 / 25)
+    assert s.fill == 20 / 32 and not s.leaves and s.depth_m == (1.0, 1.0) and s.masks_valid
+
+
+def test_an_object_at_the_border_and_masks_that_differ_are_found() -> None:
+    truth = _known()
+    masks = np.stack([truth.part_mask(i) for i in range(N)])
+    masks[7, 31, 15] = 1
+    seen = np.stack([(masks == k).sum((1, 2)) for k in (1, 2)], -1)
+    at_border = dataclasses.replace(truth, part_mask=masks.__getitem__, seen=seen)
+    s = motion_statistics(make_recording(at_border), at_border)
+    assert s.leaves and s.masks_valid
+    assert not motion_statistics(make_recording(truth), dataclasses.replace(truth, seen=seen)).masks_valid
+    other = dataclasses.replace(make_recording(truth), load=make_recording(at_border).load)
+    assert not motion_statistics(other, truth, every=1).masks_valid
+
+
+def test_coverage_grows_with_what_is_seen() -> None:
+    dots = sphere.sphere(500)
+    assert np.allclose(np.linalg.norm(dots, axis=1), 1) and np.abs(dots.mean(0)).max() < 0.01
+    assert sphere.coverage(dots) == 1 and sphere.coverage(dots[:250]) < 0.8
+    one = sphere.coverage(np.array([[0.0, 0, 1]]))
+    assert one == pytest.approx((1 - np.cos(np.radians(30))) / 2, abs=0.02)  # the area of a cap
+
+
+def _folder(place: Path, names: tuple[str, ...] = ("a", "b")) -> Path:
+    for name in names:
+        truth = _known()
+        recording: Recording = make_recording(truth, name)
+        write_sequence(place / "sequences" / name, recording, 1e-4)
+        write_truth(place / "truth" / name, truth, 2)
+    write_benchmark(place, "toys", "1", "public")
+    return place
+
+
+def test_the_page_of_a_data_folder_tells_all_of_it(tmp_path: Path) -> None:
+    text = page(_folder(tmp_path / "toys"))
+    assert "2 sequences" in text and "80 frames" in text and "2 of 2 (100%)" in text
+    assert "&lt;toy&gt;" in text and "<toy>" not in text
+    assert not re.search(r'(src|href)="(?!data:|#)', text) and text.count("data:image/jpeg") == 2
+    cells = re.findall(r'data-value="([^"]*)"', text)
+    assert len(cells) == 2 * 17 and html.unescape(cells[1]) == "tumble"
+    rows = dict(summary_rows([motion_statistics(make_recording(_known()), _known())]))
+    assert rows["Hard: under 5 % in 15 % of the frames"] == "1 of 1 (100%)"
+
+
+def test_a_folder_without_truths_is_told_in_one_line(tmp_path: Path) -> None:
+    folder = _folder(tmp_path / "toys", ("a",))
+    for file in sorted((folder / "truth").rglob("*"), reverse=True):
+        file.unlink() if file.is_file() else file.rmdir()
+    with pytest.raises(FreeArtError, match="1 sequences, but the truth of none"):
+        page(folder)
+
+
+@pytest.mark.skipif(which("node") is None, reason="needs node")
+def test_a_click_on_a_heading_sorts_numbers_as_numbers(tmp_path: Path) -> None:
+    script = Path("freeart21/view/static/table.js").resolve().read_text()
+    harness = """
+const FreeArt = { kinds: {} };
+SCRIPT
+const row = (v) => ({ v, children: [{ dataset: { value: v } }] });
+const body = { children: ["10", "9", "0.5"].map(row), append(...rows) { this.children = rows; } };
+const heading = { a: {}, getAttribute(n) { return this.a[n] ?? null; }, setAttribute(n, v) { this.a[n] = v; } };
+let click;
+const button = { dataset: { column: "0" }, parentElement: heading, addEventListener(_, f) { click = f; } };
+const section = {
+  querySelector: () => body,
+  querySelectorAll: (what) => (what.startsWith("button") ? [button] : []),
+};
+FreeArt.kinds.table(section);
+click(); console.log(body.children.map((r) => r.v).join());
+click(); console.log(body.children.map((r) => r.v).join());
+"""
+    file = tmp_path / "sort.js"
+    file.write_text(harness.replace("SCRIPT", script))
+    done = subprocess.run(["node", str(file)], capture_output=True, text=True, timeout=30, check=True)
+    assert done.stdout.split() == ["0.5,9,10", "10,9,0.5"]
