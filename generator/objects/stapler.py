@@ -363,7 +363,8 @@ def _mini_lid(
         bar = rounded_outline(0.0010, wide * (0.52 - 0.04 * abs(k - (ribs - 1) / 2)), 0.0004, 12)
         solid += moulded(bar, 0.0012, "z", top - 0.0003, 0.0003, 1).translate((-length * 0.02 + 0.0026 * k, 0, 0))
     driver = box((0.0008, 0.0082, 0.0030), (front + 0.0075, 0, z + 0.0058))
-    leaf = box((length * 0.42, 0.0060, 0.0006), (-length * 0.05, 0, z + 0.0052), 0.0002)
+    bend = [[x - 0.0060, top - wall + 0.0003], [x - 0.0120, z + 0.0062], [-length * 0.30, z + 0.0052]]
+    leaf = plate(stroke(bend, 0.0003, 8), 0.0060, "y")
     text = [f"No.{int(rng.choice([8, 10, 12]))}", "MADE OF CODE"]
     print_ = textures.label(text, colour, textures.shade(colour, 0.50, 0.10), 1.6, None)
     label_ = Material("label", (1, 1, 1), "paper", 900.0, print_)
@@ -582,8 +583,13 @@ def _long_arm(
         pad -= box((0.0012, width * 0.5, 0.0012), (front + length * 0.105 + 0.0050 * k, 0, top + 0.0045))
     soft = Material("pad", textures.shade(colour, 0.80), "rubber", 1200.0)
     dark = Material("letters", textures.shade(colour, 0.62), "metal", _STEEL)
-    driver = box((0.0012, 0.0110, 0.0100), (front + 0.0080, 0, z - 0.0005))
-    leaf = box((length * 0.30, 0.0080, 0.0010), (front + length * 0.20, 0, z + 0.0060), 0.0003)
+    driver = box((0.0012, 0.0110, 0.0130), (front + 0.0080, 0, z + 0.0010))
+    bend = [
+        [front + length * 0.36, top - 0.0020],
+        [front + length * 0.33, z + 0.0062],
+        [front + length * 0.06, z + 0.0056],
+    ]
+    leaf = plate(stroke(bend, 0.0005, 8), 0.0080, "y")
     lines = ["26/6 - 24/8", f"MAX {int(rng.integers(20, 60))} SHEETS"]
     print_ = textures.label(lines, textures.shade(colour, 1.05), textures.shade(colour, 0.3), 3.0, None)
     label_ = Material("arm_label", (1, 1, 1), "metal", _STEEL, print_)
