@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
@@ -41,7 +42,7 @@ class Board:
             self._running[sequence] = self._bars.add_task(sequence, total=total)
         self._drawn += done - self._shares.get(sequence, 0)
         self._shares[sequence] = done
-        self._bars.update(self._running[sequence], completed=done)
+        self._bars.update(self._running[sequence], completed=done, total=total)
         if self._all is not None:
             self._bars.update(self._all, completed=self._drawn)
 
@@ -69,6 +70,13 @@ def progress_board(sequences: int, pictures: int) -> Iterator[Board]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _Rate(), TimeRemainingColumn())
     with Bars(*columns, console=console, disable=not console.is_terminal, speed_estimate_period=20) as bars:
         yield Board(bars, console, sequences, pictures)
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Progress]:
+    """A bar named `what`, on standard error when that is a terminal; call it with (done, total)."""
+    with progress_board(1, 0) as board:
+        yield partial(board.update, what)
 
 
 def print_line(text: str) -> None:

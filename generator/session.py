@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from freeart21 import catalog
 from freeart21.articulation import Articulation
 from freeart21.camera import Camera
+from freeart21.effects import Effect, effect_from_json
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.asset import EFFECTS_SCHEMA
 from freeart21.files.sequence import encode_depth, write_header, write_queries
 from freeart21.files.truth import write_truth
 from freeart21.joint import Joint
@@ -24,10 +26,12 @@ from freeart21.se3 import Array
 from freeart21.truth import Truth
 from generator import objects, partnet
 from generator.frame_writer import FrameWriter
-from generator.motion import MOTIONS, PRESETS, Plan, Preset, plan_motion
+from generator.model import ObjectModel
+from generator.motion import MOTIONS, PRESETS, Plan, plan_motion
 from generator.partnet_writer import write_partnet
 from generator.progress import Progress
 from generator.queries import PlannedQuery, plan_queries
+from generator.release import released_states
 from generator.scene import Picture, Scene, simulator
 from generator.sensor import check_sensor, make_sensor
 from generator.truth_mesh import outer_faces, visible_faces
@@ -98,6 +102,10 @@ class RecordSettings:
             if value not in known:
                 raise FreeArtError(f"unknown {what} '{value}'; {what}s: {', '.join(known)}")
         check_sensor(self.sensor)
+        if self.effects is not None and self.motion != "release":
+            raise FreeArtError(
+                f"effects act on a joint that is let go: they go with the motion release, not {self.motion}"
+            )
 
     def described(self) -> dict[str, Any]:
         """All that decides the recording's bytes, as JSON: without places on this machine."""
@@ -119,7 +127,8 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
     atomic.sweep(work)
     entry = catalog.find(name, partnet=settings.partnet_root is not None)
     loaded = load_object(entry, settings, work / "object")
-    session = Session(loaded, settings, work, progress)
+    released = settings.motion == "release" and entry.source == "procedural"
+    session = Session(loaded, settings, work, progress, build(entry.name, settings) if released else None)
     session.film()
     parts = session.parts()
     views = session.plan_views(parts)
@@ -146,9 +155,40 @@ def load_object(entry: catalog.CatalogEntry, settings: RecordSettings, place: Pa
     """
     folder = place / entry.name if entry.source == "procedural" else partnet_folder(entry.name, settings.partnet_root)
     if entry.source == "procedural" and not folder.is_dir():
-        model, diagonal = objects.build(entry.name, settings.seed), PRESETS[settings.preset].diagonal_m
-        write_partnet(model if diagonal is None else model.scaled(diagonal / model.diagonal), folder)
+        write_partnet(build(entry.name, settings), folder)
     return partnet.load(folder, settings.joint or entry.joint, settings.skip_missing)
+
+
+def build(name: str, settings: RecordSettings) -> ObjectModel:
+    """The procedural object `name`, of the settings' seed and preset's size."""
+    model, diagonal = objects.build(name, settings.seed), PRESETS[settings.preset].diagonal_m
+    return model if diagonal is None else model.scaled(diagonal / model.diagonal)
+
+
+def planned(
+    loaded: partnet.PartNetObject, settings: RecordSettings, model: ObjectModel | None = None
+) -> tuple[Camera, Plan]:
+    """The camera, and the motion before it. `model` gives the masses of a procedural object that is let go."""
+    preset, s = PRESETS[settings.preset], settings
+    fov_y = preset.fov_y_degrees if s.fov_y_degrees is None else s.fov_y_degrees
+    camera = Camera.from_fov(s.width, s.height, np.radians(fov_y))
+    meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
+    states = None
+    if s.motion == "release":
+        effects = () if s.effects is None else _effects(s.effects, loaded.joint)
+        states = released_states(loaded, effects, s.frames, s.fps, s.seed, model=model)
+    return camera, plan_motion(s.motion, meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset, states)
+
+
+def _effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
+    """The effects that an effects.json gives to the joint, or to the one joint that it names."""
+    entries = checked.read_json(path, EFFECTS_SCHEMA).get("joints")
+    if not isinstance(entries, dict) or not all(isinstance(v, list) for v in entries.values()):
+        raise FreeArtError(f"{path}: 'joints' must map joint names to lists of effects")
+    if joint.name not in entries and len(entries) != 1:
+        raise FreeArtError(f"{path} says nothing of '{joint.name}'; its joints: {', '.join(entries) or 'none'}")
+    listed = entries.get(joint.name, next(iter(entries.values())))
+    return tuple(effect_from_json(entry, joint.type, f"{path} joint '{joint.name}'") for entry in listed)
 
 
 def partnet_folder(name: str, root: Path | None) -> Path:
@@ -193,16 +233,20 @@ class Parts:
 class Session:
     """One recording under way: the scene, the planned motion, and a work folder for its pictures."""
 
-    def __init__(self, loaded: partnet.PartNetObject, settings: RecordSettings, work: Path, progress: Progress) -> None:
+    def __init__(
+        self,
+        loaded: partnet.PartNetObject,
+        settings: RecordSettings,
+        work: Path,
+        progress: Progress,
+        model: ObjectModel | None = None,
+    ) -> None:
         self.loaded, self.settings, self._work, self._progress = loaded, settings, work, progress
-        preset = PRESETS[settings.preset]
-        fov_y = preset.fov_y_degrees if settings.fov_y_degrees is None else settings.fov_y_degrees
-        self.camera = Camera.from_fov(settings.width, settings.height, np.radians(fov_y))
         coarse = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
         diagonal = bounding_diagonal(*coarse)
         fine = [side.surface.subdivided(settings.edge * diagonal).mesh() for side in loaded.sides]
         self.meshes: tuple[Mesh, Mesh] = fine[0], fine[1]
-        self.plan = self._plan(coarse, preset)
+        self.camera, self.plan = planned(loaded, settings, model)
         reach = np.linalg.norm(self.plan.Ts_camera_object[:, :3, 3], axis=1).max() + 2 * diagonal
         self.depth_scale = nice_scale(reach / 65000)
         groups = [side.links for side in loaded.sides]
@@ -266,10 +310,6 @@ class Session:
             lambda i: pictures[i].side > 0,
             facts | simulator() | self._source(order),
         )
-
-    def _plan(self, meshes: tuple[Mesh, Mesh], preset: Preset) -> Plan:
-        s = self.settings
-        return plan_motion(s.motion, meshes, self.loaded.joint, self.camera, s.frames, s.fps, s.seed, preset)
 
     def _shown(self, parts: Parts) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
         """Poses of both parts and foreground of some frames."""
