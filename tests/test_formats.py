@@ -659,6 +659,9 @@ def test_a_child_that_is_the_reference_part_stays_the_child(native: Path, toy_ro
     assert read.known is not None
     assert np.abs(read.known.Ts_camera_object - truth.Ts_camera_moving).max() < 1e-6
     assert np.array_equal(read.known.side(0) == 2, truth.part_mask(0) == 1)
+    known = freeart21_official.known_of_truth(read_truth(folder), toy_root / "7777")
+    assert known.joint is not None
+    assert np.allclose(known.Ts_camera_object @ known.joint.transform(known.states), truth.Ts_camera_reference)
 
 
 def test_what_is_written_is_what_their_code_reads(native: Path, toy_root: Path, tmp_path: Path) -> None:
