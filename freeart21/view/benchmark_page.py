@@ -139,7 +139,14 @@ def _card(s: MotionStatistics, strip: str) -> Section:
     """One sequence: pictures, three courses over time, and where it was seen from."""
     facts = ", ".join([*(f"{key} {value}" for key, value in s.source.items()), f"{s.joint_type} joint"])
     plots = (
-        _course("moving part's share of the object's pixels", s.share, MOVING, 0.0, max(0.5, float(s.share.max())), FEW)
+        _course(
+            f"moving part's share of the object's pixels; dashed: {FEW:.0%}",
+            s.share,
+            MOVING,
+            0.0,
+            max(0.5, float(s.share.max())),
+            FEW,
+        )
         + _course("joint, share of its range", s.opening, TRUTH, 0.0, 1.0, None)
         + _course("turn, degrees a frame", s.degrees, REFERENCE, 0.0, max(8.0, s.max_degrees), None)
     )
@@ -162,12 +169,13 @@ def _course(label: str, values: Array, colour: str, low: float, high: float, lin
     points = " ".join(
         f"{left + (_WIDTH - left - 4) * k / n:.1f},{y:.1f}" for k, y in enumerate(down(np.clip(values, low, high)))
     )
-    marks = [(low, "grid"), (high, "grid")] + ([(line, "few")] if line is not None else [])
     lines = "".join(
-        f'<line class="{kind}" x1="{left}" x2="{_WIDTH - 4}" y1="{down(v):.1f}" y2="{down(v):.1f}"/>'
-        f'<text x="{left - 5}" y="{down(v) + 4:.1f}" text-anchor="end">{v:g}</text>'
-        for v, kind in ((round(v, 2), kind) for v, kind in marks)
+        f'<line class="grid" x1="{left}" x2="{_WIDTH - 4}" y1="{down(v):.1f}" y2="{down(v):.1f}"/>'
+        f'<text x="{left - 5}" y="{down(v) + 4:.1f}" text-anchor="end">{round(v, 2):g}</text>'
+        for v in (low, high)
     )
+    if line is not None:
+        lines += f'<line class="few" x1="{left}" x2="{_WIDTH - 4}" y1="{down(line):.1f}" y2="{down(line):.1f}"/>'
     return (
         f'<figure><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(label)}">{lines}'
         f'<polyline fill="none" stroke="{colour}" stroke-width="1.6" points="{points}"/></svg>'

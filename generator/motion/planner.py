@@ -140,7 +140,8 @@ def _score(course: Course, task: Task, shares: Array) -> float:
         score -= min(away / 20, 2.0)
     steps = turns.steps_degrees(course.Rs) * task.fps / 30
     score -= 2.0 * max(float(steps.max()) - _FASTEST, 0.0)
-    score -= 6.0 * max(0.92 * course.pace - float(np.median(steps)), 0.0)
+    median = float(np.median(steps))
+    score -= 6.0 * max(0.92 * course.pace - median, median - 1.1 * course.pace, 0.0)
     return round(score, 3)
 
 
