@@ -48,16 +48,17 @@ def test_the_poses_differ_even_from_one_side(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_open_poses_are_seen_from_where_the_inside_shows() -> None:
-    """A box that is open towards -y only, before which a lid slides away: half open, it is looked into."""
-    hollow = box((1, 1, 1)) - box((0.9, 1, 0.9), (0, -0.1, 0))
+    """A box that is open towards -x only, before which a lid slides away to -y: its inside is plainly seen."""
+    hollow = box((1, 1, 1)) - box((1, 0.9, 0.9), (-0.1, 0, 0))
     meshes = []
-    for solid in (hollow, box((1, 0.05, 1), (0, -0.53, 0))):
+    for solid in (hollow, box((0.05, 1, 1), (-0.53, 0, 0))):
         vertices, faces = triangles(solid)
         meshes.append(Mesh(vertices, faces, np.zeros((len(vertices), 3), np.uint8)))
-    joint = Joint("j", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), 0.0, 1.0)
-    views = contact_sheet.telling_views((meshes[0], meshes[1]), joint, [0.0, 0.5, 1.0])
+    joint = Joint("j", "prismatic", np.array([0, -1.0, 0]), np.zeros(3), 0.0, 1.05)
+    views = contact_sheet.telling_views((meshes[0], meshes[1]), joint, [0.0, 0.5, 1.05])
     directions = np.array([[np.cos(np.radians(yaw)), np.sin(np.radians(yaw))] for yaw, _ in views])
-    assert directions[1, 1] > 0.5  # along +y, into the box; the next shows the lid's inner side
+    # the box's open side is met squarely by looks along +x, the lid's inner side by looks along -x
+    assert np.abs(directions[1:, 0]).min() > 0.8
     cosines = directions @ directions.T - 2 * np.eye(3)
     assert cosines.max() <= np.cos(np.radians(59.9)) and views[0] == (-35.0, 20.0)
 
