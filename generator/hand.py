@@ -79,10 +79,14 @@ WORST_SHARE = 0.35
 """Share of the object that a grip may well hide in any one frame."""
 GOOD = 0.25
 """Cost (`_Planner._cost`) of a grip that is kept throughout its stretch; worse ones are changed half-way."""
+DRAWS, MOST_DRAWS = 20, 40
+"""Grips drawn for a stretch at least, and at most."""
 SHORTEST = 28
 """Frames that a grip lasts at least."""
 REGRASP_FRAMES = 75
 """About how many frames a grip lasts."""
+WITHDRAWN = 0.08
+"""How far the hand is drawn back between two grips, metres."""
 SHIFT_FRAMES = 16
 """Frames that a change of grip takes."""
 BONES = 17
@@ -97,6 +101,8 @@ class Grasp:
     """(4, 4) hand in the frame of the held side of the object."""
     tips: Array
     """(5, 3) tips of the digits in the hand's frame, metres."""
+    withdrawn: float = 0.0
+    """How far the hand is drawn back along its forearm, and 0.7 times as far away from the camera, metres."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +214,11 @@ class HandMotion:
         T_camera_side = T_camera_object if self.held == 0 else T_camera_object @ self._joint.transform(state)
         grasp = self.grasp(t)
         T_camera_hand = T_camera_side @ grasp.T_side_hand
-        return self.hand.poses(T_camera_hand, grasp.tips, forearm(T_camera_hand, self.hand))
+        T_camera_arm = forearm(T_camera_hand, self.hand)
+        away = T_camera_arm[:3, 2] + np.array([0, 0, 0.7])  # behind the object rather than before it
+        for T in (T_camera_hand, T_camera_arm):
+            T[:3, 3] += grasp.withdrawn * away
+        return self.hand.poses(T_camera_hand, grasp.tips, T_camera_arm)
 
     def grasp(self, t: float) -> Grasp:
         """The grip at time `t`, in frames; on its way from one to the next it lets go, backs off and closes again."""
@@ -239,7 +249,7 @@ def _shifted(a: Grasp, b: Grasp, u: float, scale: float) -> Grasp:
     t = (1 - s) * a.T_side_hand[:3, 3] + s * b.T_side_hand[:3, 3]
     tips = (1 - s) * a.tips + s * b.tips
     open_tips = tips + scale * np.array([[0.01, 0.0, 0.02], *[[0.015, 0.0, -0.012]] * 4])
-    return Grasp(se3.pose(R, t - R[:, 0] * 0.06 * scale * away), tips + away * (open_tips - tips))
+    return Grasp(se3.pose(R, t), tips + away * (open_tips - tips), WITHDRAWN * scale * away)
 
 
 class _Planner:
@@ -249,6 +259,7 @@ class _Planner:
         self._hand, self._plan, self._joint, self._meshes = hand, plan, joint, meshes
         self._caster = Caster(meshes)
         self._outlines = hand.outlines()
+        self._diagonal = bounding_diagonal(*meshes)
         f = 72 / camera.width
         self._camera = Camera(np.diag([f, f, 1.0]) @ camera.K, 72, max(1, round(camera.height * f)))
         looks = [self._look(int(i)) for i in np.unique(np.linspace(0, len(plan.states) - 1, 12).astype(int))]
@@ -264,12 +275,14 @@ class _Planner:
         half = len(frames) // 2
         return self.grips(frames[:half], rng) + self.grips(frames[half:], rng)
 
-    def _best(self, frames: range, rng: np.random.Generator, draws: int = 24) -> tuple[float, Grasp]:
-        """The best of some grips for `frames`, and its cost."""
-        some = sorted({int(k) for k in np.linspace(frames[0], frames[-1], 6)})
+    def _best(self, frames: range, rng: np.random.Generator) -> tuple[float, Grasp]:
+        """The best of some grips for `frames`, and its cost; more are drawn while none is good."""
+        some = sorted({int(k) for k in np.linspace(frames[0], frames[-1], 9)})
         looks = {i: self._look(i) for i in some}
         best: tuple[float, Grasp] | None = None
-        for _ in range(draws):
+        for draw in range(MOST_DRAWS):
+            if draw >= DRAWS and best is not None and best[0] <= GOOD:
+                break
             grasp = self._draw(int(rng.choice(some)), looks, rng)
             if grasp is None:
                 continue
@@ -311,7 +324,7 @@ class _Planner:
         d = d - view * (d @ view)
         d /= np.linalg.norm(d)
         s = self._hand.scale
-        overlap = float(rng.uniform(0.012, 0.085)) * s
+        overlap = float(rng.uniform(0.008, min(0.085, max(0.5 * self._diagonal / s, 0.016)))) * s
         T_side_camera = se3.inverse(self._Ts(i)[self.held])
         thickness = self._thickness(edge + d * min(overlap, 0.012 * s), view, T_side_camera)
         if thickness is None:
