@@ -493,7 +493,7 @@ def _kickstand(p: _Portable, rng: np.random.Generator) -> tuple[Piece, ...]:
         + box((0.0026, 0.031, 0.0060), (x, k * p.pocket[0] * 0.32, z - 0.0030))
         for k in (-1, 1)
     )
-    edge = box((0.0042, wide * 0.55, 0.0040), (x, 0, long + 0.0020), 0.0004)
+    edge = box((0.0044, wide * 0.55, 0.0044), (x, 0, long + 0.0019), 0.0003)
     words = Material(
         "stand_print",
         (1, 1, 1),
