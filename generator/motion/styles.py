@@ -110,7 +110,8 @@ def inspect(task: Task, rng: np.random.Generator) -> Course:
 def wave(task: Task, rng: np.random.Generator) -> Course:
     """Held about upright, swung and shaken, while it turns slowly round and the joint is worked."""
     states, course = _joint(task, rng)
-    pace, slow = _pace(task, rng, 2.2, 2.7), _pace(task, rng, 0.5, 0.8)
+    pace = _pace(task, rng, 2.2, 2.7)
+    slow = _pace(task, rng, 0.5, 0.8) if task.hardship == "none" else _pace(task, rng, 0.9, 1.3)
     tau = timing.clock(timing.pose_rate(task.frames, course, rng, _linger(task)))
     highest = 0.6 if task.hardship == "none" else 1.0
     views = _views(task, states, course, slow * tau, rng, (0.5, 0.9), highest=highest)
@@ -201,12 +202,15 @@ def _views(
 
     def wish(s: float) -> tuple[Array, bool]:
         frame = int(np.clip(np.searchsorted(way, s), 0, task.frames - 1))
-        share = atlas.at_state(float(states[frame]))[usual]
         if task.hardship != "none" and course.held is not None:
             a, b = course.held
-            if a - 6 <= frame <= b:
+            if a - 0.08 * task.frames <= frame <= b:  # in time to be there
+                share = atlas.at_state(float(states[int(np.clip((a + b) / 2, 0, task.frames - 1))]))[usual]
                 best, width = (0.0, 0.03) if task.hardship == "gone" else (0.025, 0.06)
-                return 2.0 * (1 - np.minimum(np.abs(share - best) / width, 1)), True
+                hidden = 1 - np.minimum(np.abs(share - best) / width, 1)
+                near = (directions @ directions[hidden >= 0.7 * hidden.max()].T).max(1)
+                return 1.5 * hidden + 0.7 * near, True
+        share = atlas.at_state(float(states[frame]))[usual]
         return want * np.minimum(share / cap, 1), False
 
     first = atlas.at_state(float(states[0]))
