@@ -109,13 +109,15 @@ class Sensor:
         return light
 
     def motion_px(self, i: int) -> float:
-        """How far the object's corners move in the picture at most while frame `i` is exposed, pixels."""
+        """How far corners of object and hand move in the picture at most while frame `i` is exposed, pixels."""
         ends = []
         for t in (i - self._exposure / 2, i + self._exposure / 2):
             T = between(self._plan.Ts_camera_object, t)
             state = float(np.interp(t, np.arange(len(self._plan.states)), self._plan.states))
             Ts = T, T @ self._loaded.joint.transform(state)
             points = np.concatenate([se3.transform(T, hull) for T, hull in zip(Ts, self._hulls, strict=True)])
+            if self._hand is not None:
+                points = np.concatenate([points, self._hand.poses(t, T, state)[:, :3, 3]])
             ends.append(self._scene.camera.project(points))
         return float(np.nanmax(np.linalg.norm(ends[1] - ends[0], axis=1), initial=0.0))
 
