@@ -154,9 +154,9 @@ def test_the_spline_begins_and_ends_at_its_views_and_bends_evenly() -> None:
 
 
 @pytest.mark.parametrize("style", PLANNED)
-@pytest.mark.parametrize("frames", [2, 7, 300])
+@pytest.mark.parametrize("frames", [2, 300])
 def test_every_corner_stays_in_the_picture_and_the_object_fills_it(style: str, frames: int) -> None:
-    plan, (meshes, joint) = _plan(style, "drawer", frames=frames), OBJECTS["drawer"]
+    plan, (meshes, joint) = _plan(style, frames=frames), OBJECTS["lidded"]
     assert plan.Ts_camera_object.shape == plan.Ts_camera_world.shape == (frames, 4, 4)
     heights = []
     for T, q in zip(plan.Ts_camera_object, plan.states, strict=True):
@@ -173,10 +173,8 @@ def test_every_corner_stays_in_the_picture_and_the_object_fills_it(style: str, f
 
 @pytest.mark.parametrize(("style", "least"), [("tumble", 0.7), ("inspect", 0.7), ("wave", 0.3), ("turntable", 0.3)])
 def test_the_object_is_seen_from_all_round(style: str, least: float) -> None:
-    for seed in (0, 1):
-        plan = _plan(style, seed=seed)
-        body = Body.of(*OBJECTS["lidded"])
-        assert sphere.coverage(sphere.view_directions(plan.Ts_camera_object, body.centre)) >= least
+    body = Body.of(*OBJECTS["lidded"])
+    assert sphere.coverage(sphere.view_directions(_plan(style).Ts_camera_object, body.centre)) >= least
 
 
 def test_a_turntable_turns_steadily_about_the_upright_axis_at_least_once() -> None:
