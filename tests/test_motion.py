@@ -154,9 +154,9 @@ def test_the_spline_begins_and_ends_at_its_views_and_bends_evenly() -> None:
 
 
 @pytest.mark.parametrize("style", PLANNED)
-@pytest.mark.parametrize("frames", [2, 300])
-def test_every_corner_stays_in_the_picture_and_the_object_fills_it(style: str, frames: int) -> None:
-    plan, (meshes, joint) = _plan(style, frames=frames), OBJECTS["lidded"]
+@pytest.mark.parametrize(("name", "frames"), [("lidded", 2), ("crossed", 80), ("lidded", 300)])
+def test_every_corner_stays_in_the_picture_and_the_object_fills_it(style: str, name: str, frames: int) -> None:
+    plan, (meshes, joint) = _plan(style, name, frames=frames), OBJECTS[name]
     assert plan.Ts_camera_object.shape == plan.Ts_camera_world.shape == (frames, 4, 4)
     heights = []
     for T, q in zip(plan.Ts_camera_object, plan.states, strict=True):
