@@ -71,6 +71,7 @@ class Sensor:
         self._hulls = hull_points(meshes[0]), hull_points(meshes[1])
         self._tof = TimeOfFlight(scene.camera, seed)
         scene.fix_lamps(plan.Ts_camera_world[0])
+        self._begun: int | None = None
         self._hand: HandMotion | None = None
         if "hand" in self._parts:
             self._hand = HandMotion(plan, loaded.joint, meshes, scene.camera, seed)
@@ -80,7 +81,9 @@ class Sensor:
         """Frame `i` of the video: the same whatever was shot before."""
         count = sub_frames(self.motion_px(i)) if "blur" in self._parts else 1
         light = self._light(i, count)
-        self._draw(i)
+        if self._begun != i:
+            self._draw(i)
+        self._begun = None
         rgb = self._scene.rgb() if light is None else encoded((light + self._scene.linear_rgb()) / np.float32(count))
         depth, side = self._scene.depth_and_side()
         rng = np.random.default_rng([self._seed, _STREAM, i])
@@ -90,6 +93,12 @@ class Sensor:
             base, gloss = self._scene.materials()
             depth = self._tof.measure(depth, infrared_albedo(base), gloss, rng)
         return Shot(rgb, depth, side > 0, side)
+
+    def begin(self, i: int) -> None:
+        """Let the renderer draw frame `i` while the caller does something else; `shoot` then takes the picture."""
+        if "blur" not in self._parts:
+            self._draw(i)
+            self._begun = i
 
     def _draw(self, t: float) -> None:
         """Draw the scene at time `t`, in frames."""

@@ -256,18 +256,24 @@ class Session:
         self._done = 0
 
     def film(self) -> None:
-        """Draw all frames of the video that the work folder does not hold yet."""
+        """Draw all frames of the video that the work folder does not hold yet.
+
+        While a frame is encoded and written, the renderer draws the next one.
+        """
+        n = self.settings.frames
+        kept = [all(_is_whole(self._work / sub / f"{i:05d}.png") for sub in _PICTURES) for i in range(n)]
         with FrameWriter() as writer:
-            for i in range(self.settings.frames):
-                paths = [self._work / sub / f"{i:05d}.png" for sub in _PICTURES]
-                if all(_is_whole(path) for path in paths):
-                    side = checked.read_labels(paths[3])
+            for i in range(n):
+                if kept[i]:
+                    side = self._side(i)
                 else:
                     shot = self.sensor.shoot(i)
+                    if i + 1 < n and not kept[i + 1]:
+                        self.sensor.begin(i + 1)
                     side = shot.side
                     mask = shot.mask.view(np.uint8) * np.uint8(255)
                     images = shot.rgb, encode_depth(shot.depth, self.depth_scale), mask, side
-                    writer.put(dict(zip(paths, images, strict=True)))
+                    writer.put({self._work / sub / f"{i:05d}.png": m for sub, m in zip(_PICTURES, images, strict=True)})
                 self._counts[i] = np.count_nonzero(side == 1), np.count_nonzero(side == 2)
                 self._tick()
 

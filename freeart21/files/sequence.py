@@ -46,8 +46,8 @@ def write_queries(folder: Path, queries: tuple[Query, ...]) -> None:
 
 def encode_depth(depth: np.ndarray, depth_scale: float) -> np.ndarray:
     """uint16 units of a z-depth map, metres; 0 stays none, and what is out of range becomes none."""
-    units = np.rint(np.asarray(depth, float) / depth_scale)
-    return np.where((units >= 1) & (units <= 65535), units, 0).astype(np.uint16)
+    units = np.rint(np.asarray(depth, np.float32) * np.float32(1 / depth_scale))
+    return np.where((units >= 1) & (units <= 65535), units, np.float32(0)).astype(np.uint16)
 
 
 def write_frame(folder: Path, index: int, frame: Frame, depth_scale: float) -> None:
