@@ -213,7 +213,8 @@ def test_the_paper_preset_stands_about_three_metres_away() -> None:
 @pytest.mark.parametrize(("style", "name"), [*((style, "lidded") for style in HAND), ("tumble", "drawer")])
 def test_hard_motions_hide_the_smaller_part_and_others_show_it(style: str, name: str) -> None:
     easy, hard = (_small_shares(_plan(style, name, hard=hard), name) for hard in (False, True))
-    assert np.mean(hard < 0.05) >= 0.15 and np.mean(hard < 0.05) < 0.5
+    least = 0.08 if style == "wave" else 0.15  # held about upright, a wave comes late to views from below
+    assert least <= np.mean(hard < 0.05) < 0.5
     assert np.mean(easy < 0.05) < 0.15
     assert hard[0] > 0.1 and easy[0] > 0.1
 

@@ -80,7 +80,7 @@ def plan_motion(
         return released_plan(body, states, camera, preset, seed)
     task = Task(body, _atlas(body, camera, frames), frames, fps, "hidden", states, HEIGHTS.get(style, (-1.0, 1.0)))
     task = replace(task, hardship=_hardship(task, seed, hard))
-    rng = np.random.default_rng([seed, 2, MOTIONS.index(style)])
+    rng = np.random.default_rng([seed, 2, MOTIONS.index(style), _key(body)])
     drawn = int(np.clip(frames // 8, 6, 20 if task.hardship == "none" else 36))
     candidates = [STYLES[style](task, rng) for _ in range(drawn)]
     guessed = [_score(c, task, task.atlas.shares(_views(c.Rs), c.states)) for c in candidates]
@@ -106,15 +106,19 @@ def _hardship(task: Task, seed: int, hard: bool | None) -> Hardship:
 
     Objects whose sides always show are left out, and the others are hard the more often.
     """
-    extents = np.round(np.concatenate([np.ptp(h, axis=0) for h in task.body.hulls]) / task.body.radius, 3)
-    draw = np.random.default_rng([seed, 7, zlib.crc32(" ".join(f"{x:.3f}" for x in extents).encode())])
-    luck, kind = draw.uniform(0, 1, 2)
+    luck, kind = np.random.default_rng([seed, 7, _key(task.body)]).uniform(0, 1, 2)
     if hard is None:
         hard = bool(luck < _HARD and task.hidden_area().max() > _HIDEABLE)
     if not hard:
         return "none"
     gone = replace(task, hardship="gone").hidden_area().max() > _HIDEABLE
     return "gone" if gone and kind < _GONE else "hidden"
+
+
+def _key(body: Body) -> int:
+    """A number that tells objects apart by their proportions: two of the same seed move differently."""
+    extents = np.concatenate([np.ptp(h, axis=0) for h in body.hulls]) / body.radius
+    return zlib.crc32(" ".join(f"{x:.3f}" for x in extents).encode())
 
 
 def _views(Rs: Array) -> Array:

@@ -111,7 +111,7 @@ def wave(task: Task, rng: np.random.Generator) -> Course:
     """Held about upright, swung and shaken, while it turns slowly round and the joint is worked."""
     states, course = _joint(task, rng)
     pace = _pace(task, rng, 2.2, 2.7)
-    slow = _pace(task, rng, 0.5, 0.8) if task.hardship == "none" else _pace(task, rng, 0.9, 1.3)
+    slow = _pace(task, rng, 0.5, 0.8) if task.hardship == "none" else _pace(task, rng, 1.2, 1.6)
     tau = timing.clock(timing.pose_rate(task.frames, course, rng, _linger(task)))
     highest = 0.6 if task.hardship == "none" else 1.0
     views = _views(task, states, course, slow * tau, rng, (0.5, 0.9), highest=highest)
