@@ -6,14 +6,16 @@ joint          adjustment of all frames under one joint; labels again; adjustmen
 poses          both parts' poses, unconstrained by the joint
 surfaces       depth fused to one mesh a part
 renders        the held-out views
+
+Each is one function here. What the expensive ones find is kept until the result is written (`cache`).
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +31,8 @@ from freeart21.joint import Joint
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Recording
 from freeart21.se3 import Array
+from reconstruct import VERSION, cache
+from reconstruct.cache import Kept, KeptStage, Known, Work
 from reconstruct.evidence import Evidence
 from reconstruct.gaps import bridge_gaps
 from reconstruct.poses import FreePoses, free_adjustment, joint_adjustment
@@ -38,11 +42,11 @@ from reconstruct.seeds import find_seeds
 from reconstruct.segmentation import Grown, grow, relabel
 from reconstruct.settings import ReconstructSettings
 from reconstruct.surfaces import fuse
-from reconstruct.tracks import optical_flow
+from reconstruct.tracks import Flow, optical_flow
 
-__all__ = ["ReconstructSettings", "reconstruct", "reconstruct_folder"]
+__all__ = ["ReconstructSettings", "reconstruct", "reconstruct_folder", "reconstruct_until"]
 
-STAGES = ("tracks", "segmentation", "joint", "poses", "surfaces", "renders")
+STAGES = ("tracks", *cache.STAGES, "renders")
 
 
 def reconstruct(recording: Recording, settings: ReconstructSettings | None = None) -> Reconstruction | Failure:
@@ -52,58 +56,158 @@ def reconstruct(recording: Recording, settings: ReconstructSettings | None = Non
     """
     settings = settings or ReconstructSettings()
     with _Clock(settings.progress) as clock:
-        return _solve(recording, settings, clock)
+        answer = _solve(recording, settings, clock)
+    assert answer is not None
+    return answer
 
 
 def reconstruct_folder(
-    sequence: Path, out: Path, settings: ReconstructSettings | None = None
+    sequence: Path, out: Path, settings: ReconstructSettings | None = None, keep_work: bool = False
 ) -> Reconstruction | Failure:
-    """Solve a sequence folder and write a result folder, with the held-out views rendered."""
+    """Solve a sequence folder and write a result folder, with the held-out views rendered.
+
+    Finished stages are kept beside `out` (`cache.work_folder`) until the result is written, and longer with
+    `keep_work`: a call that was killed may be repeated, to the same result. Its seconds are those of the solving.
+    Raises FreeArtError when `sequence` is not a sequence, and CannotWrite.
+    """
     settings = settings or ReconstructSettings()
-    recording = read_sequence(Path(sequence))
+    recording, out = read_sequence(Path(sequence)), Path(out)
+    work = Work(Path(sequence), out, settings)
     with _Clock(settings.progress) as clock:
-        result = _solve(recording, settings, clock)
+        result = _solve(recording, settings, clock, work)
+        assert result is not None
         renders = []
         if isinstance(result, Reconstruction):
             with clock.stage("renders"):
                 renders = render_queries(result, recording.camera, recording.queries)
         result = replace(result, seconds=clock.seconds)
-    write_result(Path(out), result, settings.to_json(), renders)
+    write_result(out, result, {"solver": VERSION, **settings.to_json()}, renders)
+    if not keep_work:
+        work.remove()
     return result
 
 
-def _solve(recording: Recording, settings: ReconstructSettings, clock: _Clock) -> Reconstruction | Failure:
-    rng = np.random.default_rng(settings.seed)
+def reconstruct_until(
+    sequence: Path, out: Path, stage: KeptStage, settings: ReconstructSettings | None = None
+) -> Path | Failure:
+    """Solve a sequence folder up to and with `stage`, which is kept beside `out` as the file that is returned.
+
+    `out` itself stays as it is. Any later call for `out` goes on from there.
+    """
+    settings = settings or ReconstructSettings()
+    recording, work = read_sequence(Path(sequence)), Work(Path(sequence), Path(out), settings)
+    with _Clock(settings.progress) as clock:
+        result = _solve(recording, settings, clock, work, stage)
+    return result if isinstance(result, Failure) else work.path(stage)
+
+
+def _solve(
+    recording: Recording,
+    settings: ReconstructSettings,
+    clock: _Clock,
+    work: Work | None = None,
+    until: KeptStage | None = None,
+) -> Reconstruction | Failure | None:
+    """All stages that are not kept in `work`, one after the other; None when stopped after the stage `until`."""
+    kept = _last(work, clock) or Kept(None, Known(), np.random.default_rng(settings.seed))
+    known, rng = kept.known, kept.rng
+    done = 0 if kept.stage is None else cache.STAGES.index(kept.stage) + 1
+    if until is not None and done > cache.STAGES.index(until):
+        return None
     try:
-        with clock.stage("tracks"):
-            scene = prepare(recording, settings.scene)
-            flow = optical_flow(scene)
-            evidence = Evidence(scene, settings.evidence, settings.labels)
-        with clock.stage("segmentation"):
-            seeds = find_seeds(evidence, flow, settings.seeds, settings.tracks, rng)
-            grown = grow(evidence, flow, seeds[0], settings, rng)
-        with clock.stage("joint"):
-            grown = bridge_gaps(evidence, grown, settings.gaps, rng)
-            for _ in range(2):
-                grown = relabel(evidence, grown, settings, rng)
-                poses = joint_adjustment(evidence, grown.labels, grown.poses, grown.seen, settings.poses, rng)
-                grown = replace(grown, poses=poses)
-            grown = _reference_first(grown)
-        with clock.stage("poses"):
-            free = [
-                free_adjustment(evidence, grown.labels, k + 1, Ts, grown.seen[:, k], settings.poses, rng)
-                for k, Ts in enumerate((grown.poses.Ts, grown.poses.Ts_moving))
-            ]
-        with clock.stage("surfaces"):
-            meshes = [
-                fuse(scene, grown.labels, k + 1, Ts, grown.seen[:, k], settings.surfaces)
-                for k, Ts in enumerate((grown.poses.Ts, grown.poses.Ts_moving))
-            ]
+        if known.answer is None:
+            with clock.stage("tracks"):
+                video = _tracks(recording, settings, with_flow=done == 0)
+        for stage in cache.STAGES[done:]:
+            with clock.stage(stage):
+                known = _SOLVERS[stage](video, known, settings, rng)
+                if work is not None:
+                    work.keep(Kept(stage, known, rng, clock.so_far()))
+            if stage == until:
+                return None
     except HopelessError as error:
         return Failure(error.stage, error.reason, clock.seconds)
-    joint = grown.poses.joint
-    articulation = Articulation(joint, meshes[0], meshes[1])
-    return _canonical(articulation, grown, free, scene, recording, clock.seconds)
+    assert known.answer is not None
+    return replace(known.answer, seconds=clock.seconds)
+
+
+def _last(work: Work | None, clock: _Clock) -> Kept | None:
+    """The furthest stage that is kept, if any; the clock goes on from there."""
+    if work is None:
+        return None
+    kept, complaints = work.last()
+    for line in complaints:
+        clock.say(line)
+    if kept is not None:
+        clock.say(f"going on after {kept.stage}, kept in {work.folder}")
+        clock.go_on(kept)
+    return kept
+
+
+# --- the stages -------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Video:
+    """A recording made ready for the stages."""
+
+    recording: Recording
+    scene: Scene
+    evidence: Evidence
+    flow: Flow | None
+
+
+def _tracks(recording: Recording, settings: ReconstructSettings, with_flow: bool) -> _Video:
+    scene = prepare(recording, settings.scene)
+    flow = optical_flow(scene) if with_flow else None
+    return _Video(recording, scene, Evidence(scene, settings.evidence, settings.labels), flow)
+
+
+def _segmentation(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
+    assert video.flow is not None
+    seeds = find_seeds(video.evidence, video.flow, settings.seeds, settings.tracks, rng)
+    grown = grow(video.evidence, video.flow, seeds[0], settings, rng)
+    video.flow = None  # a gigabyte perhaps, and no later stage looks at it
+    return Known(grown)
+
+
+def _joint(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
+    assert known.grown is not None
+    grown = bridge_gaps(video.evidence, known.grown, settings.gaps, rng)
+    for _ in range(2):
+        grown = relabel(video.evidence, grown, settings, rng)
+        poses = joint_adjustment(video.evidence, grown.labels, grown.poses, grown.seen, settings.poses, rng)
+        grown = replace(grown, poses=poses)
+    return Known(_reference_first(grown))
+
+
+def _poses(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
+    assert known.grown is not None
+    grown = known.grown
+    free = tuple(
+        free_adjustment(video.evidence, grown.labels, k + 1, Ts, grown.seen[:, k], settings.poses, rng)
+        for k, Ts in enumerate((grown.poses.Ts, grown.poses.Ts_moving))
+    )
+    return Known(grown, free)
+
+
+def _surfaces(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
+    assert known.grown is not None
+    grown = known.grown
+    meshes = [
+        fuse(video.scene, grown.labels, k + 1, Ts, grown.seen[:, k], settings.surfaces)
+        for k, Ts in enumerate((grown.poses.Ts, grown.poses.Ts_moving))
+    ]
+    articulation = Articulation(grown.poses.joint, meshes[0], meshes[1])
+    return Known(answer=_canonical(articulation, grown, known.free, video.scene, video.recording))
+
+
+_SOLVERS: dict[KeptStage, Callable[[_Video, Known, ReconstructSettings, np.random.Generator], Known]] = {
+    "segmentation": _segmentation,
+    "joint": _joint,
+    "poses": _poses,
+    "surfaces": _surfaces,
+}
 
 
 def _reference_first(grown: Grown) -> Grown:
@@ -126,10 +230,9 @@ def _with_range(joint: Joint, states: Array) -> Joint:
 def _canonical(
     articulation: Articulation,
     grown: Grown,
-    free: list[FreePoses],
+    free: tuple[FreePoses, ...],
     scene: Scene,
     recording: Recording,
-    seconds: dict[str, float],
 ) -> Reconstruction:
     """Everything in the camera frame with the object as in frame 0, state zero in frame 0."""
     q0 = float(grown.poses.states[0])
@@ -148,7 +251,6 @@ def _canonical(
         grown.seen,
         _finite_or_nan(grown.poses.state_std),
         np.stack([f.covariances for f in free], 1),
-        seconds,
     )
 
 
@@ -161,12 +263,14 @@ class _Clock:
 
     def __init__(self, show: bool) -> None:
         self.seconds: dict[str, float] = {}
+        self._began: tuple[str, float] = ("", 0.0)
+        self._show, self._console = show, Console(stderr=True)
         self._bar = Progress(
             TextColumn("{task.description:>12}"),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
-            console=Console(stderr=True),
+            console=self._console,
             disable=not show,
             transient=True,
         )
@@ -181,11 +285,26 @@ class _Clock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Times a stage by name."""
+        """Times a stage by name; one that was timed before and is repeated keeps its time."""
         self._bar.update(self._task, description=name)
-        start = time.perf_counter()
+        self._began = (name, time.perf_counter())
         try:
             yield
         finally:
-            self.seconds[name] = round(time.perf_counter() - start, 3)
-            self._bar.advance(self._task)
+            self.seconds = self.so_far()
+            self._bar.update(self._task, completed=len(self.seconds))
+
+    def so_far(self) -> dict[str, float]:
+        """Seconds of all stages, with what the running one has taken until now."""
+        name, began = self._began
+        return {**self.seconds, name: self.seconds.get(name, round(time.perf_counter() - began, 3))}
+
+    def go_on(self, kept: Kept) -> None:
+        """Take over the seconds of stages that need not be solved again."""
+        self.seconds = dict(kept.seconds)
+        self._bar.update(self._task, completed=len(self.seconds))
+
+    def say(self, line: str) -> None:
+        """One plain line on standard error, when progress is shown."""
+        if self._show:
+            self._console.print(line, highlight=False, markup=False, soft_wrap=True)
