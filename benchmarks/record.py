@@ -1,6 +1,6 @@
 """How fast the recorder is: frames a second beside a bare SAPIEN loop, shaders, workers, and room on disk.
 
-    .venv/bin/python benchmarks/record.py [--objects ...] [--frames 60] [--blocks 3]
+    .venv/bin/python benchmarks/record.py [--objects ...] [--frames 40] [--blocks 6]
 
 prints tables and writes benchmarks/results/record.json (commit, machine, settings, summary, a row an object and kind).
 
@@ -45,8 +45,8 @@ _AXES = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  
 def main(
     objects: tuple[str, ...] = (),
     most: int = 2,
-    frames: int = 60,
-    blocks: int = 3,
+    frames: int = 40,
+    blocks: int = 6,
     whole: tuple[str, ...] = ("stapler", "flip_lighter"),
     whole_frames: int = 60,
     out: Path = ROOT / "benchmarks" / "results" / "record.json",

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from freeart21 import catalog
+from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.benchmark import file_sha256, read_benchmark
@@ -370,3 +371,38 @@ def test_other_sensors_keep_the_truth_and_the_views_clean(whole: Path, tmp_path:
     views = [name for name in clean if "stapler-s0/queries/" in name]
     assert len(views) == 4 and all(mine[name] == clean[name] for name in views)
     assert mine["sequences/stapler-s0/depth/00003.png"] != clean["sequences/stapler-s0/depth/00003.png"]
+
+
+def test_a_released_joint_swings_by_the_effects_given_while_the_rest_stands_still(tmp_path: Path) -> None:
+    def released(coefficient: float, data: Path) -> np.ndarray:
+        effects = tmp_path / "effects.json"
+        atomic.write_json(
+            effects,
+            {
+                "schema": "freeart21/effects/1",
+                "joints": {"joint_0": [ViscousDamping(coefficient).to_json("revolute")]},
+            },
+        )
+        settings = dataclasses.replace(SETTINGS, frames=30, motion="release", effects=effects, queries=1)
+        record_jobs(data, jobs_of(["flip_lighter"], settings))
+        truth = read_truth(data / "truth" / "flip_lighter-s0")
+        assert np.ptp(truth.Ts_camera_reference, axis=0).max() < 1e-9
+        assert truth.source["settings"]["effects"]["joints"]["joint_0"] == [
+            ViscousDamping(coefficient).to_json("revolute")
+        ]
+        return truth.states
+
+    free, damped = released(0.0, tmp_path / "free"), released(1e-3, tmp_path / "damped")
+    assert free[0] == damped[0] and np.ptp(free) > 0.5
+    assert np.abs(np.diff(damped)).max() < 0.5 * np.abs(np.diff(free)).max()
+
+
+def test_effects_that_do_not_fit_are_one_line(tmp_path: Path) -> None:
+    effects = tmp_path / "effects.json"
+    atomic.write_json(effects, {"schema": "freeart21/effects/1", "joints": {}})
+    settings = dataclasses.replace(SETTINGS, effects=effects)
+    with pytest.raises(FreeArtError, match="they go with the motion release, not tumble"):
+        jobs_of(["stapler"], settings)
+    with pytest.raises(FreeArtError, match="says nothing of 'joint_1'; its joints: none"):
+        record_jobs(tmp_path / "data", jobs_of(["stapler"], dataclasses.replace(settings, motion="release")))
+    assert not (tmp_path / "data").exists()
