@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 import tyro
 
 from freeart21.errors import FreeArtError
+from reconstruct.settings import ReconstructSettings
 
 Positional = tyro.conf.Positional
 
@@ -227,20 +228,50 @@ def verify(data: Annotated[Path, Positional], deep: bool = False) -> int:
     return 0
 
 
-def reconstruct(sequence: Annotated[Path, Positional], out: Path) -> int:
+def reconstruct(
+    sequence: Annotated[Path, Positional],
+    out: Path,
+    until: Literal["segmentation", "joint", "poses", "surfaces"] | None = None,
+    keep_work: bool = False,
+    settings: ReconstructSettings = ReconstructSettings(),  # noqa: B008 (frozen)
+) -> int:
     """Solve one sequence: two parts, their poses, the joint between them, and meshes, from the video alone.
+
+    May be stopped at any moment: the same command goes on after the last finished stage, to the same result.
 
     Args:
         sequence: A sequence folder (with sequence.json).
         out: Result folder, such as results/ours/SEQ.
+        until: Stop after this stage; what it found is kept for the next call.
+        keep_work: Keep what the stages found when the result is written, too, for calls with other settings.
+        settings: Of every stage.
     """
+    import freeart21
     from freeart21.files.result import Method, write_method
     from freeart21.reconstruction import Failure
-    from reconstruct.pipeline import ReconstructSettings, reconstruct_folder
+    from reconstruct import VERSION
+    from reconstruct.cache import work_folder
+    from reconstruct.pipeline import reconstruct_folder, reconstruct_until
 
-    settings = ReconstructSettings()
-    result = reconstruct_folder(sequence, out, settings)
-    write_method(out.parent, Method(name=out.parent.name, code="freeart21", hardware=_hardware()))
+    try:
+        if until is not None:
+            kept = reconstruct_until(sequence, out, until, settings)
+            if isinstance(kept, Path):
+                size = kept.stat().st_size / 1e6
+                print(
+                    f"{kept}: what was found until {until} ({size:.1f} MB); the next call for {out} goes on from here"
+                )
+                return 0
+            print(f"{out}: failed in {kept.stage}: {kept.reason}", file=sys.stderr)
+            return 1
+        result = reconstruct_folder(sequence, out, settings, keep_work)
+    except KeyboardInterrupt:
+        work = work_folder(out)
+        kept_too = f"; finished stages are kept in {work}: the same command goes on" if work.is_dir() else ""
+        print(f"freeart21: stopped{kept_too}", file=sys.stderr)
+        return 130
+    code = f"freeart21 {freeart21.__version__}, solver {VERSION}"
+    write_method(out.parent, Method(out.parent.name, code, settings.to_json(), _hardware()))
     if isinstance(result, Failure):
         print(f"{out}: failed in {result.stage}: {result.reason}", file=sys.stderr)
         return 1

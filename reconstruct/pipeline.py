@@ -271,7 +271,7 @@ class _Clock:
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             console=self._console,
-            disable=not show,
+            disable=not (show and self._console.is_terminal),
             transient=True,
         )
         self._task = self._bar.add_task(STAGES[0], total=len(STAGES))
