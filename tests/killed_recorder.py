@@ -19,8 +19,18 @@ from pathlib import Path
 import numpy as np
 
 from freeart21.doctor import require_rendering
+from generator import scene
 from generator.dataset import Job, jobs_of, record_jobs
 from generator.session import RecordSettings
+
+
+def load_libraries() -> None:
+    """What every recorder would load anew: the simulator, without its renderer, and the compiled loops."""
+    import sapien
+
+    assert sapien.__version__
+    picture = np.zeros((2, 2, 4), np.float32)
+    scene._depth_and_side(picture, picture.astype(np.uint32), np.zeros(2, np.uint8))
 
 
 def start(data: Path, jobs: list[Job]) -> int:
@@ -55,7 +65,7 @@ def killed_at(child: int, data: Path, after_s: float, at_files: float) -> bool:
     while time.monotonic() < deadline and count(data) < at_files:
         if os.waitpid(child, os.WNOHANG) != (0, 0):
             return False
-        time.sleep(0.002)
+        time.sleep(0.005)
     os.kill(child, signal.SIGKILL)
     _, status = os.waitpid(child, 0)
     return os.WIFSIGNALED(status)
@@ -74,6 +84,7 @@ def main() -> None:
     settings = RecordSettings(frames=given.frames, width=160, height=120, queries=2, shader="trivial", edge=0.5)
     jobs, rng = jobs_of(given.objects, settings), np.random.default_rng(given.seed)
     require_rendering()
+    load_libraries()
     duration = finish(given.folder / "whole" / "data", jobs)
     most = count(given.folder / "whole" / "data")
     moments: list[dict[str, int]] = []
