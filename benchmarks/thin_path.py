@@ -9,21 +9,20 @@ Finished stages are kept in --work and not repeated.
 from __future__ import annotations
 
 import itertools
-import os
-import platform
-import subprocess
+import sys
 from dataclasses import asdict
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # else reconstruct.py here hides the package of that name
+
 import tyro
 
+from benchmarks.common import RESULTS, ROOT, commit, machine
 from freeart21 import cli
 from freeart21.files.atomic import write_json
 from freeart21.files.benchmark import write_benchmark
 from leaderboard.score import score_results
 from leaderboard.tables import print_scores
-
-ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(
@@ -33,7 +32,7 @@ def main(
     frames: int = 120,
     seeds: tuple[int, ...] = (0, 7),
     work: Path = ROOT / "out" / "thin_path",
-    out: Path = ROOT / "benchmarks" / "results" / "thin_path.json",
+    out: Path = RESULTS / "thin_path.json",
 ) -> None:
     """Run the thin path.
 
@@ -62,17 +61,14 @@ def main(
             cli.export(results / name, results / name / "asset")
     scores = score_results(results, data, "strict-1")
     print_scores(scores)
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
     write_json(
         out,
         {
             "summary": {s.group: asdict(s) for s in scores.summaries},
             "rows": [asdict(row) for row in scores.rows],
             "protocol": scores.protocol,
-            "commit": commit.stdout.strip(),
-            "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()},
+            "commit": commit(),
+            "machine": machine(),
             "settings": {"frames": frames, "seeds": seeds, "names": names, "real": real if partnet_root else []},
         },
     )

@@ -16,6 +16,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -117,7 +118,7 @@ def work_folder(out: Path) -> Path:
 
 def stage_keys(sequence: Path, settings: ReconstructSettings) -> dict[KeptStage, str]:
     """SHA-256, hexadecimal, of all that a stage's outcome depends on. Held-out views are not among it."""
-    basis = hashlib.sha256(json.dumps([VERSION, code_digest(), _libraries()]).encode())
+    basis = hashlib.sha256(json.dumps([VERSION, _own_code(), _libraries()]).encode())
     for name in ("sequence.json", "rgb", "depth", "mask"):
         path = sequence / name
         for file in sorted(path.glob("*.png")) if path.is_dir() else [path]:
@@ -144,6 +145,11 @@ def code_digest(folder: Path | None = None) -> str:
         for word in _meaning(ast.parse(path.read_text("utf-8"))):
             digest.update(f"{word} ".encode())
     return digest.hexdigest()
+
+
+@lru_cache
+def _own_code() -> str:
+    return code_digest()
 
 
 def _meaning(node: Any) -> Iterator[str]:

@@ -1,0 +1,332 @@
+"""A stopped reconstruction goes on to the same bytes; the reconstruction's benchmark counts as it says."""
+
+import importlib.util
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reconstruct_clip import make_clip
+
+from freeart21.cli import reconstruct as command
+from freeart21.errors import FreeArtError
+from freeart21.files.sequence import write_sequence
+from freeart21.reconstruction import Failure, Reconstruction
+from leaderboard.score import Row
+from reconstruct import VERSION, cache, pipeline
+from reconstruct.pipeline import reconstruct_folder, reconstruct_until
+from reconstruct.settings import ReconstructSettings
+
+ROOT = Path(__file__).resolve().parents[1]
+QUIET = ReconstructSettings(progress=False)
+
+
+def load_benchmark():
+    """benchmarks/reconstruct.py, which is no module of a package."""
+    place = ROOT / "benchmarks" / "reconstruct.py"
+    spec = importlib.util.spec_from_file_location("benchmark_of_reconstruct", place)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+bench = load_benchmark()
+
+
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("clip") / "hinge-s0"
+    write_sequence(folder, make_clip("hinge", 10, (120, 90), spin=0.2, queries=((3, 8, np.eye(4)),)).recording, 2e-5)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(sequence, tmp_path_factory):
+    """The result of one uninterrupted run, with its stages beside it."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    assert isinstance(reconstruct_folder(sequence, out, QUIET, keep_work=True), Reconstruction)
+    return out
+
+
+@pytest.fixture(scope="module")
+def whole(finished):
+    """What one uninterrupted run writes."""
+    return contents(finished)
+
+
+def contents(out):
+    """Every file's bytes by name; what a run took is left out."""
+    found = {str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    prediction = json.loads(found["prediction.json"])
+    assert set(prediction.pop("seconds")) == set(pipeline.STAGES)
+    return {**found, "prediction.json": prediction}
+
+
+class Calls:
+    """Counts how often a stage is solved; stops in the stage `stop`."""
+
+    def __init__(self, monkeypatch, stop=None):
+        self.solved, self.stop = [], stop
+        for name in ("find_seeds", "bridge_gaps", "free_adjustment", "fuse"):
+            monkeypatch.setattr(pipeline, name, self._counted(name, getattr(pipeline, name)))
+
+    def _counted(self, name, function):
+        def counted(*arguments):
+            if self.stop == name:
+                raise KeyboardInterrupt
+            self.solved.append(name)
+            return function(*arguments)
+
+        return counted
+
+
+# ---- stages --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "stop, left",
+    [
+        ("bridge_gaps", ["bridge_gaps", "free_adjustment", "free_adjustment", "fuse", "fuse"]),
+        ("free_adjustment", ["free_adjustment", "free_adjustment", "fuse", "fuse"]),
+        ("fuse", ["fuse", "fuse"]),
+    ],
+)
+def test_a_stopped_run_goes_on_to_the_same_bytes(stop, left, sequence, whole, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        Calls(patch, stop)
+        reconstruct_folder(sequence, out, QUIET)
+    assert not out.exists() and cache.work_folder(out).is_dir()
+    calls = Calls(monkeypatch)
+    reconstruct_folder(sequence, out, QUIET)
+    assert calls.solved == left
+    assert contents(out) == whole
+    assert [path.name for path in tmp_path.iterdir()] == ["out"], "what was kept goes when the result is there"
+
+
+def test_a_result_that_cannot_be_written_costs_no_stage(sequence, whole, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="No space"):
+        patch.setattr(pipeline, "write_result", full)
+        reconstruct_folder(sequence, out, QUIET)
+    monkeypatch.setattr(pipeline, "prepare", full)  # the video is not even looked at
+    reconstruct_folder(sequence, out, QUIET)
+    assert contents(out) == whole
+
+
+def _run(sequence, out):
+    reconstruct_folder(sequence, out, QUIET)
+
+
+def test_a_killed_process_leaves_whole_stages(sequence, whole, tmp_path):
+    out = tmp_path / "out"
+    process = multiprocessing.get_context("spawn").Process(target=_run, args=(sequence, out))
+    process.start()
+    kept = cache.work_folder(out) / "segmentation.npz"
+    deadline = time.monotonic() + 60
+    while not kept.is_file() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.join()
+    assert process.exitcode == -signal.SIGKILL and kept.is_file() and not out.exists()
+    reconstruct_folder(sequence, out, QUIET)
+    assert contents(out) == whole
+
+
+def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "ours" / "hinge-s0"
+    assert command(sequence, out, until="joint", settings=QUIET) == 0
+    kept = cache.work_folder(out)
+    assert str(kept / "joint.npz") in capsys.readouterr().out and not out.exists()
+    calls = Calls(monkeypatch)
+    assert reconstruct_until(sequence, out, "segmentation", QUIET) == kept / "segmentation.npz" and not calls.solved
+    assert command(sequence, out, keep_work=True, settings=QUIET) == 0
+    assert calls.solved == ["free_adjustment", "free_adjustment", "fuse", "fuse"]
+    assert {path.stem for path in kept.iterdir()} == set(cache.STAGES)
+    method = json.loads((out.parent / "method.json").read_text())
+    assert VERSION in method["code"] and contents(out)["prediction.json"]["settings"]["solver"] == VERSION
+    assert contents(out) == whole
+
+
+def test_a_hopeless_video_fails_with_until_too(tmp_path):
+    write_sequence(tmp_path / "rigid", make_clip("rigid", 10, (120, 90), spin=0.2).recording, 2e-5)
+    found = reconstruct_until(tmp_path / "rigid", tmp_path / "out", "poses", QUIET)
+    assert isinstance(found, Failure) and found.stage == "segmentation"
+    assert not (tmp_path / "out").exists() and not cache.work_folder(tmp_path / "out").exists()
+
+
+def test_interrupted_the_command_says_what_is_kept(sequence, tmp_path, monkeypatch, capsys):
+    Calls(monkeypatch, "bridge_gaps")
+    assert command(sequence, tmp_path / "ours" / "x", settings=QUIET) == 130
+    assert str(cache.work_folder(tmp_path / "ours" / "x")) in capsys.readouterr().err
+
+
+# ---- what makes a kept stage invalid -------------------------------------------------------------------------------
+
+
+def test_changed_settings_are_solved_again_from_the_first_stage_that_uses_them(
+    sequence, finished, tmp_path, monkeypatch
+):
+    out = tmp_path / "out"
+    shutil.copytree(cache.work_folder(finished), cache.work_folder(out))
+    calls = Calls(monkeypatch)
+    coarse = replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))
+    reconstruct_folder(sequence, out, coarse, keep_work=True)
+    assert calls.solved == ["fuse", "fuse"]
+    reconstruct_folder(sequence, tmp_path / "fresh", coarse)
+    assert contents(out) == contents(tmp_path / "fresh")
+
+
+def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp_path, monkeypatch):
+    def changed(settings=QUIET, folder=sequence):
+        now = cache.stage_keys(folder, settings)
+        return [stage for stage in cache.STAGES if now[stage] != before[stage]]
+
+    before = cache.stage_keys(sequence, QUIET)
+    assert len(set(before.values())) == len(before)
+    assert changed(replace(QUIET, progress=True)) == []
+    assert changed(replace(QUIET, gaps=replace(QUIET.gaps, steps=3))) == ["joint", "poses", "surfaces"]
+    for name in set(QUIET.to_json()) - {"progress", "gaps", "surfaces", "seed"}:
+        group = getattr(QUIET, name)
+        field = next(iter(group.to_json() if hasattr(group, "to_json") else vars(group)))
+        other = replace(QUIET, **{name: replace(group, **{field: 12345})})
+        assert changed(other) == list(cache.STAGES), name
+    assert changed(replace(QUIET, seed=1)) == list(cache.STAGES)
+    write_sequence(tmp_path / "a", make_clip("hinge", 10, (120, 90), spin=0.2).recording, 2e-5)
+    assert changed(folder=tmp_path / "a") == [], "held-out views and the folder's name do not count"
+    depth = tmp_path / "a" / "depth" / "00004.png"
+    data = bytearray(depth.read_bytes())
+    data[-20] ^= 1
+    depth.write_bytes(data)
+    assert changed(folder=tmp_path / "a") == list(cache.STAGES)
+    monkeypatch.setattr(cache, "VERSION", "0")
+    assert changed() == list(cache.STAGES)
+
+
+@pytest.mark.parametrize("harm", ["cut", "bit", "empty", "text"])
+def test_a_damaged_stage_is_one_line_and_solved_again(harm, sequence, finished, tmp_path, monkeypatch, capsys):
+    out, whole = tmp_path / "out", contents(finished)
+    shutil.copytree(cache.work_folder(finished), cache.work_folder(out))
+    path = cache.work_folder(out) / "surfaces.npz"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes({"cut": data[:-100], "bit": data, "empty": b"", "text": b"not an archive"}[harm])
+    calls = Calls(monkeypatch)
+    reconstruct_folder(sequence, out, replace(QUIET, progress=True))
+    lines = [line for line in capsys.readouterr().err.splitlines() if "surfaces.npz" in line]
+    assert len(lines) == 1 and "not a readable stage" in lines[0]
+    assert calls.solved == ["fuse", "fuse"]
+    found = contents(out)
+    assert found.pop("prediction.json")["states"] == whole["prediction.json"]["states"]
+    assert found == {name: data for name, data in whole.items() if name != "prediction.json"}
+
+
+def test_the_code_digest_sees_code_alone(tmp_path):
+    def digest(text):
+        (tmp_path / "a.py").write_text(text)
+        return cache.code_digest(tmp_path)
+
+    plain = digest("x: int = 1\ndef f(a):\n    return a + 1\n")
+    assert (
+        digest('"""Doc."""\nx: int = 1  # why\n"""Of x."""\n\n\ndef f( a ):\n    """Doc."""\n    return (a+1)\n')
+        == plain
+    )
+    for text in ("x: int = 1\ndef f(a):\n    return a + 2\n", "x: int = 1\ndef f(a):\n    return a - 1\n"):
+        assert digest(text) != plain
+    assert digest("x: int = 1\ndef f(b):\n    return b + 1\n") != plain
+    assert digest("x: int = 1\ndef f(a):\n    'text'\n    return a + 1\n") == plain
+
+
+# ---- the benchmark -------------------------------------------------------------------------------------------------
+
+
+def outcome(name, kind, seconds, peak, status="ok", **values):
+    """A hand-made outcome."""
+    own = {"joint_type": 1.0, "axis": 0.0, "position": 0.0, "state": 0.0, "miou": 1.0, "chamfer_w": 0.0}
+    every = dict.fromkeys((m.id for m in bench.protocol_named("strict-1").metrics), 0.0)
+    every |= {"psnr": None, "ssim": None, "chamfer_m": 0.0, **own, **values}
+    if kind == "prismatic":
+        every["position"] = None
+    row = Row(name, kind, status, "", "asset", False, 0.5, every, {}, ("a note",))
+    return bench.Outcome("stapler", "wave", row, {"tracks": 1.0, "joint": seconds - 1.0}, peak, "1", "abc", {}, 1)
+
+
+def test_summary_counts_means_and_failures():
+    rows = [
+        outcome("a", "revolute", 100, 1.5, axis=0.5, position=0.2, state=1.0, miou=0.9, chamfer_w=0.4, chamfer_m=1.0),
+        outcome("b", "revolute", 200, 2.5, axis=11.5, position=0.4, state=3.0, miou=0.8, chamfer_w=0.6, chamfer_m=3.0),
+        outcome("c", "prismatic", 300, 2.0, axis=3.0, state=0.25, miou=0.5, chamfer_w=0.2, chamfer_m=2.0),
+        replace(outcome("d", "prismatic", 1, None, "failed", joint_type=0.0, axis=90.0, state=7.75), seconds={}),
+    ]
+    found = bench.summary(rows)
+    assert found == {
+        "n": 4,
+        "type_right": 3,
+        "failures": 3,
+        "axis_deg_mean": pytest.approx(26.25),
+        "axis_deg_worst": 90.0,
+        "position_pct_mean": pytest.approx(0.3),
+        "state_deg_mean": pytest.approx(2.0),
+        "state_pct_mean": pytest.approx(4.0),
+        "miou_mean": pytest.approx(0.8),
+        "chamfer_w_pct_mean": pytest.approx(0.3),
+        "chamfer_m_pct_mean": pytest.approx(1.5),
+        "seconds_mean": pytest.approx(200.0),
+        "peak_gb": 2.5,
+    }
+    groups = bench.by_type(rows)
+    assert groups["revolute"]["axis"]["std"] == pytest.approx(11 / np.sqrt(2)), "n - 1 below the line"
+    assert groups["prismatic"]["n"] == 2 and "position" not in groups["prismatic"]
+    assert [o.row.sequence for o in bench.worst_first(rows)] == ["d", "b", "c", "a"]
+    assert bench.badness(rows[0].row) == (pytest.approx(2.0), "state")
+
+
+@pytest.mark.parametrize(
+    "values, fails",
+    [
+        ({"axis": 10.0, "miou": 0.6}, False),
+        ({"axis": 10.01}, True),
+        ({"miou": 0.59}, True),
+        ({"joint_type": 0.0}, True),
+        ({"status": "missing"}, True),
+    ],
+)
+def test_what_counts_as_a_failure(values, fails):
+    assert bench.failed(outcome("a", "revolute", 2, 1.0, **values).row) is fails
+
+
+def test_outcomes_are_kept_under_their_key(tmp_path):
+    path, made = tmp_path / "public" / "a.json", outcome("a", "prismatic", 20, 1.25, axis=0.123456789012345)
+    assert bench.read_outcome(path, "k") is None
+    bench.write_outcome(path, "k", made)
+    assert bench.read_outcome(path, "k") == made
+    assert bench.read_outcome(path, "other") is None
+
+
+def test_a_tier_takes_one_object_of_each_category():
+    seven, full = bench._objects("seven"), bench._objects("full")
+    categories = [bench.catalog.find(name).category for name in full]
+    assert len(full) == 21 and len(seven) == len(set(categories)) == 7
+    assert [bench.catalog.find(name).category for name in seven] == list(dict.fromkeys(categories))
+    with pytest.raises(FreeArtError, match="teapot"):
+        bench._objects("full", ("teapot",))
+
+
+def test_changed_settings_name_their_variant():
+    paper = replace(QUIET, joint=replace(QUIET.joint, type_rule="paper"))
+    many = replace(paper, growth=replace(QUIET.growth, gates=(9.0, 4.0)))
+    assert bench._changed(QUIET) == [] and bench._changed(paper) == ["type_rule=paper"]
+    (name,) = bench._changed(many)
+    assert name.startswith("settings-") and name != bench._changed(replace(many, seed=1))[0]
