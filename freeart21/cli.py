@@ -125,16 +125,17 @@ def record(
     names: Annotated[tuple[str, ...], Positional],
     out: Path,
     frames: int = 300,
-    seed: int = 0,
+    seed: int | None = None,
     partnet_root: Path | None = None,
     joint: str | None = None,
     skip_missing: bool = False,
-    motion: str = "tumble",
+    motion: str | None = None,
     preset: str = "handheld",
     sensor: str = "clean",
     effects: Path | None = None,
     procedural: str | None = None,
     count: int = 1,
+    split: Literal["public", "test"] = "public",
     workers: int = 1,
     queries: int = 20,
     width: int = 640,
@@ -146,37 +147,39 @@ def record(
     May be stopped at any moment: the same command goes on, and the data are the same to the last byte.
 
     Args:
-        names: Objects of the catalog (`freeart21 objects`), PartNet-Mobility ids, or `all`: the 21 built-in objects or,
-            with --partnet-root, the 21 of the official FreeArt-21.
+        names: Objects of the catalog (`freeart21 objects`), PartNet-Mobility ids, or `all`: freeart21-v1 or, with
+            --partnet-root, the 21 of the official FreeArt-21. With --seed or --motion: the 21 built-in ones.
         out: Data folder; sequences are added to it.
         frames: Frames a sequence.
-        seed: Seed of shape, motion, sensor and views.
+        seed: Seed of shape, motion, sensor and views; 0 when not given.
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf.
         joint: Joint of a PartNet-Mobility object that moves, where the catalog names none.
         skip_missing: Leave out meshes that a PartNet-Mobility object names but does not have and, with `all`, objects
             that are not in --partnet-root.
-        motion: tumble, inspect, wave, turntable, static_base, or release.
+        motion: tumble (when not given), inspect, wave, turntable, static_base, or release.
         preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).
         sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
         effects: effects.json of the joint that is let go, for the motion release.
         procedural: Instead of names: a category of which --count fresh objects are drawn from the seed.
         count: How many fresh objects.
+        split: Of freeart21-v1: public, to tune on, or test, which is only scored.
         workers: Processes that record, each a sequence at a time.
         queries: Held-out views a sequence.
         width: Of the pictures, pixels.
         height: Of the pictures, pixels.
         shader: SAPIEN's camera shader: default, or trivial (unlit, fast).
     """
+    from generator import v1
     from generator.dataset import is_unfinished, jobs_of, official_names, procedural_jobs, record_jobs
     from generator.recorder import RecordSettings, built_in_names
 
     settings = RecordSettings(
         frames=frames,
-        seed=seed,
+        seed=seed or 0,
         width=width,
         height=height,
         queries=queries,
-        motion=motion,
+        motion=motion or "tumble",
         preset=preset,
         sensor=sensor,
         effects=effects,
@@ -187,8 +190,16 @@ def record(
     )
     if procedural is not None and names:
         raise FreeArtError(f"record: name objects or a category, not both; got {', '.join(names)} and {procedural}")
-    if procedural is not None:
-        jobs = procedural_jobs(procedural, count, seed, settings)
+    frozen = names == ("all",) and partnet_root is None and seed is None and motion is None
+    if split != "public" and not frozen:
+        raise FreeArtError(
+            f"record: --split {split} is of freeart21-v1, which `all` records when neither seed nor motion is given"
+        )
+    label = None
+    if frozen:
+        jobs, label = v1.jobs(split, settings), v1.label(split, settings)
+    elif procedural is not None:
+        jobs = procedural_jobs(procedural, count, settings.seed, settings)
     else:
         if names == ("all",):
             names = built_in_names() if partnet_root is None else official_names(partnet_root, skip_missing)
@@ -196,7 +207,7 @@ def record(
             raise FreeArtError(f"record: no object was named; name some of {', '.join(built_in_names())}, or all")
         jobs = jobs_of(names, settings)
     try:
-        made = record_jobs(out, jobs, workers, on_done=lambda sequence: print(out / "sequences" / sequence, flush=True))
+        made = record_jobs(out, jobs, workers, label, lambda sequence: print(out / "sequences" / sequence, flush=True))
     except KeyboardInterrupt:
         kept = f"; what is done is kept in {out}: the same command goes on" if is_unfinished(out) else ""
         print(f"freeart21: stopped{kept}", file=sys.stderr)
