@@ -18,6 +18,7 @@ from reconstruct_clip import make_clip
 from freeart21.cli import reconstruct as command
 from freeart21.errors import FreeArtError
 from freeart21.files.sequence import write_sequence
+from freeart21.joint import Joint
 from freeart21.reconstruction import Failure, Reconstruction
 from leaderboard.score import Row
 from reconstruct import VERSION, cache, pipeline
@@ -215,14 +216,30 @@ def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp
     assert changed() == list(cache.STAGES)
 
 
-@pytest.mark.parametrize("harm", ["cut", "bit", "empty", "text"])
+def test_a_joint_comes_back_to_the_last_bit():
+    rng = np.random.default_rng(0)
+    axes = [Joint("j", "revolute", v / np.linalg.norm(v), v, -1, 2).axis for v in rng.normal(size=(2000, 3))]
+    assert any(not np.array_equal(axis, axis / np.linalg.norm(axis)) for axis in axes), "some would move"
+    for axis in axes:
+        joint, arrays = Joint("j", "revolute", np.array([1.0, 0, 0]), axis / 3, -0.1, 0.2), {}
+        object.__setattr__(joint, "axis", axis)
+        back = cache._unpack_joint(cache._pack_joint(joint, arrays), arrays)
+        assert np.array_equal(back.axis, axis) and np.array_equal(back.pivot, joint.pivot)
+        assert (back.name, back.type, back.lower, back.upper) == ("j", "revolute", -0.1, 0.2)
+
+
+@pytest.mark.parametrize("harm", ["cut", "bit", "garbled", "empty", "text"])
 def test_a_damaged_stage_is_one_line_and_solved_again(harm, sequence, finished, tmp_path, monkeypatch, capsys):
     out, whole = tmp_path / "out", contents(finished)
     shutil.copytree(cache.work_folder(finished), cache.work_folder(out))
     path = cache.work_folder(out) / "surfaces.npz"
     data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 0xFF
-    path.write_bytes({"cut": data[:-100], "bit": data, "empty": b"", "text": b"not an archive"}[harm])
+    bit, garbled = bytearray(data), bytearray(data)
+    bit[len(data) // 2] ^= 1
+    stream = data.index(b"answer_states.npy") + 17  # and the header's extra field: 20 bytes
+    garbled[stream : stream + 60] = b"\xff" * 60
+    harmed = {"cut": data[:-100], "bit": bit, "garbled": garbled, "empty": b"", "text": b"not an archive"}
+    path.write_bytes(harmed[harm])
     calls = Calls(monkeypatch)
     reconstruct_folder(sequence, out, replace(QUIET, progress=True))
     lines = [line for line in capsys.readouterr().err.splitlines() if "surfaces.npz" in line]
