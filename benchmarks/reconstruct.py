@@ -7,8 +7,9 @@ the tables (worst first) and writes benchmarks/results/reconstruct.json (summary
 machine). Another sensor, motion, split or setting is another variant, with its name in the files.
 
 An object's outcome is kept in benchmarks/results/reconstruct/VARIANT/SEQUENCE.json and taken from there as long as its
-key holds: the solver's version and code, its settings, and the bytes of the sequence and its truth. A run that was
-stopped goes on from there, within an object from its last finished stage. Crashes are priced, and tried again.
+key holds: the solver's version and code, its settings, how the sequence is recorded, and, where the sequence is here,
+its bytes and its truth's. A run that was stopped goes on from there, within an object from its last finished stage.
+Crashes are priced, and tried again.
 """
 
 from __future__ import annotations
@@ -38,6 +39,9 @@ from freeart21.files import atomic, checked
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
+from generator import v1
+from generator.dataset import Job, Label, record_jobs
+from generator.session import RecordSettings
 from leaderboard.protocols import Group, protocol_named
 from leaderboard.score import Case, Row, score_sequence, summarise
 from reconstruct import VERSION
@@ -89,6 +93,9 @@ class Task:
     result: Path
     settings: ReconstructSettings
     key: str
+    """Under which its outcome is kept."""
+    data: str
+    """Hash over the files of its sequence and truth."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +115,8 @@ class Outcome:
     machine: dict[str, Any]
     workers: int
     """Objects that were solved side by side."""
+    data: str
+    """Hash over the files of the sequence and its truth."""
 
 
 def main(
@@ -121,6 +130,7 @@ def main(
     frames: int = 300,
     workers: int = 1,
     known_only: bool = False,
+    fresh: bool = False,
     work: Path = ROOT / "out" / "reconstruct",
     kept: Path = RESULTS / "reconstruct",
     out: Path | None = None,
@@ -140,6 +150,7 @@ def main(
         frames: Frames a sequence.
         workers: Objects that are solved side by side: their seconds are not comparable then.
         known_only: Solve nothing: tables of what is known already.
+        fresh: Solve all anew, whatever is known.
         work: Where results are kept, to look at.
         kept: Where outcomes are kept, an object a file, to be taken from there by later runs.
         out: The JSON file; benchmarks/results/reconstruct.json, or reconstruct-VARIANT.json.
@@ -150,19 +161,20 @@ def main(
     variant = "-".join([split, *filter(None, [recorded]), *_changed(settings)])
     folder = data.with_name(f"{data.name}-{recorded}") if recorded else data
     chosen = _objects(tier, objects)
-    jobs = _record(folder, chosen, split, sensor, motion, preset, frames, known_only)
     known, todo = {}, []
-    for name, sequence, style in jobs:
-        task = _task(name, style, sequence, folder, work / variant, settings)
-        outcome = read_outcome(kept / variant / f"{sequence}.json", task.key)
-        if outcome is None:
-            todo.append(task)
+    for job in _jobs(chosen, split, sensor, motion, preset, frames):
+        key = _key(job, settings)
+        outcome = None if fresh else read_outcome(kept / variant / f"{job.sequence}.json", key)
+        if outcome is None or outcome.data != (_bytes_of(folder, job.sequence) or outcome.data):
+            todo.append((job, key))
         else:
-            known[sequence] = outcome
-    if not known_only:
-        known |= _solve_all(todo, workers, kept / variant, len(known))
+            known[job.sequence] = outcome
+    if todo and known_only:
+        _say(f"not known: {', '.join(job.sequence for job, _ in todo)}")
     elif todo:
-        _say(f"not known: {', '.join(task.sequence.name for task in todo)}")
+        _record(folder, [job for job, _ in todo], split, recorded)
+        tasks = [_task(job, key, folder, work / variant, settings) for job, key in todo]
+        known |= _solve_all(tasks, workers, kept / variant, len(known))
     if not known:
         raise FreeArtError("nothing is known of this variant")
     outcomes = worst_first(list(known.values()))
@@ -234,44 +246,49 @@ def _objects(tier: str, named: Sequence[str] = ()) -> list[str]:
     return list(first.values())
 
 
-def _record(
-    folder: Path,
+def _jobs(
     objects: Sequence[str],
     split: Literal["public", "test"],
     sensor: str,
     motion: str | None,
     preset: str,
     frames: int,
-    known_only: bool,
-) -> list[tuple[str, str, str]]:
-    """(object, sequence, motion) of the benchmark's jobs for `objects`, recorded where they are missing."""
-    from generator import v1
-    from generator.dataset import Label, record_jobs
-    from generator.session import RecordSettings
-
-    jobs = []
-    for job in v1.jobs(split, RecordSettings(sensor=sensor, preset=preset, frames=frames)):
-        if job.name in objects:
-            jobs.append(job if motion is None else replace(job, settings=replace(job.settings, motion=motion)))
-    if not all((folder / sub / job.sequence).is_dir() for job in jobs for sub in ("sequences", "truth")):
-        if known_only:
-            raise FreeArtError(f"{folder} lacks sequences of the benchmark; record them by leaving out --known-only")
-        name = "-".join([v1.NAME, *_recorded(sensor, motion, preset, frames)])
-        record_jobs(folder, jobs, label=Label(name, v1.VERSION, split))
-    there = read_benchmark(folder)
-    if there.split != split:
-        raise FreeArtError(f"{folder} is the split '{there.split}', expected '{split}': name another folder by --data")
-    return [(job.name, job.sequence, job.settings.motion) for job in jobs]
+) -> list[Job]:
+    """The benchmark's own recordings of `objects`, but for what is asked otherwise."""
+    jobs = v1.jobs(split, RecordSettings(sensor=sensor, preset=preset, frames=frames))
+    if motion is not None:
+        jobs = [replace(job, settings=replace(job.settings, motion=motion)) for job in jobs]
+    return [job for job in jobs if job.name in objects]
 
 
-def _task(name: str, motion: str, sequence: str, folder: Path, work: Path, settings: ReconstructSettings) -> Task:
+def _key(job: Job, settings: ReconstructSettings) -> str:
+    """SHA-256, hexadecimal, of what an outcome depends on, as far as it is known without the data."""
+    facts = [PROTOCOL, VERSION, code_digest(), settings.to_json(), job.described(), v1.frozen()[job.sequence]]
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+
+def _bytes_of(folder: Path, sequence: str) -> str | None:
+    """SHA-256, hexadecimal, over all files of a sequence and its truth, as benchmark.json says; None without them."""
+    if not (folder / "benchmark.json").is_file():
+        return None
     hashes = checked.read_json(folder / "benchmark.json").get("sha256", {})
     mine = {path: value for path, value in hashes.items() if Path(path).parts[1:2] == (sequence,)}
-    facts = [PROTOCOL, VERSION, code_digest(), settings.to_json(), mine]
-    key = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
-    benchmark = read_benchmark(folder)
-    places = benchmark.sequence(sequence), benchmark.truth(sequence), work / sequence
-    return Task(name, motion, *places, settings, key)
+    return hashlib.sha256(json.dumps(mine, sort_keys=True).encode()).hexdigest() if mine else None
+
+
+def _record(folder: Path, jobs: Sequence[Job], split: Literal["public", "test"], recorded: str) -> None:
+    """Record what is missing of `jobs`; what is there is held to their settings."""
+    if (folder / "benchmark.json").is_file() and (there := read_benchmark(folder).split) != split:
+        raise FreeArtError(f"{folder} is the split '{there}', expected '{split}': name another folder by --data")
+    record_jobs(folder, jobs, label=Label("-".join(filter(None, [v1.NAME, recorded])), v1.VERSION, split))
+
+
+def _task(job: Job, key: str, folder: Path, work: Path, settings: ReconstructSettings) -> Task:
+    places = folder / "sequences" / job.sequence, folder / "truth" / job.sequence, work / job.sequence
+    data = _bytes_of(folder, job.sequence)
+    if data is None:
+        raise FreeArtError(f"{folder} has no sequence {job.sequence} in its benchmark.json")
+    return Task(job.name, job.settings.motion, *places, settings, key, data)
 
 
 def read_outcome(path: Path, key: str) -> Outcome | None:
@@ -329,7 +346,7 @@ def _in_a_process(task: Task, workers: int) -> tuple[Outcome, bool]:
     if row is None:
         case = Case(protocol_named(PROTOCOL), read_sequence(task.sequence), read_truth(task.truth))
         row = case.priced("failed", answer["crash"])
-    outcome = Outcome(task.object, task.motion, row, seconds, peak, VERSION, commit(), machine(), workers)
+    outcome = Outcome(task.object, task.motion, row, seconds, peak, VERSION, commit(), machine(), workers, task.data)
     return outcome, "crash" in answer
 
 
