@@ -142,7 +142,7 @@ def main(
         data: Data folder of the split; sequences that it lacks are recorded. Other sensors, motions, presets and
             lengths are recorded beside it, in DATA-SENSOR and so on.
         tier: seven: the first object of each category; full: all 21.
-        objects: These instead of a tier's; then the JSON file is only written when --out names it.
+        objects: These instead of a tier's.
         split: public, or test (to be scored only, never looked at).
         sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
         motion: One motion for all objects instead of the benchmark's own.
@@ -153,7 +153,8 @@ def main(
         fresh: Solve all anew, whatever is known.
         work: Where results are kept, to look at.
         kept: Where outcomes are kept, an object a file, to be taken from there by later runs.
-        out: The JSON file; benchmarks/results/reconstruct.json, or reconstruct-VARIANT.json.
+        out: The JSON file. When not given: benchmarks/results/reconstruct.json, or reconstruct-VARIANT.json there, and
+            only when a whole tier is known.
         settings: Of the solver.
     """
     settings = replace(settings, progress=False)
@@ -180,7 +181,7 @@ def main(
     outcomes = worst_first(list(known.values()))
     goals = {(): GOALS, ("noise2",): NOISE_GOALS}.get(tuple(_recorded(sensor, motion, preset, frames)), ())
     _print(outcomes, goals, f"{variant}, {'chosen objects' if objects else tier}")
-    if objects and out is None:
+    if out is None and (objects or len(known) < len(chosen)):
         return
     path = out or RESULTS / ("reconstruct.json" if variant == "public" else f"reconstruct-{variant}.json")
     facts = {
