@@ -42,7 +42,7 @@ from reconstruct.seeds import find_seeds
 from reconstruct.segmentation import Grown, grow, relabel
 from reconstruct.settings import ReconstructSettings
 from reconstruct.surfaces import fuse
-from reconstruct.tracks import Flow, optical_flow
+from reconstruct.tracks import DisTracker, Tracker
 
 __all__ = ["ReconstructSettings", "reconstruct", "reconstruct_folder", "reconstruct_until"]
 
@@ -117,7 +117,7 @@ def _solve(
     try:
         if known.answer is None:
             with clock.stage("tracks"):
-                video = _tracks(recording, settings, with_flow=done == 0)
+                video = _tracks(recording, settings, with_tracks=done == 0)
         for stage in cache.STAGES[done:]:
             with clock.stage(stage):
                 known = _SOLVERS[stage](video, known, settings, rng)
@@ -154,20 +154,20 @@ class _Video:
     recording: Recording
     scene: Scene
     evidence: Evidence
-    flow: Flow | None
+    tracker: Tracker | None
 
 
-def _tracks(recording: Recording, settings: ReconstructSettings, with_flow: bool) -> _Video:
+def _tracks(recording: Recording, settings: ReconstructSettings, with_tracks: bool) -> _Video:
     scene = prepare(recording, settings.scene)
-    flow = optical_flow(scene) if with_flow else None
-    return _Video(recording, scene, Evidence(scene, settings.evidence, settings.labels), flow)
+    tracker = DisTracker(scene, settings.tracks) if with_tracks else None
+    return _Video(recording, scene, Evidence(scene, settings.evidence, settings.labels), tracker)
 
 
 def _segmentation(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
-    assert video.flow is not None
-    seeds = find_seeds(video.evidence, video.flow, settings.seeds, settings.tracks, rng)
-    grown = grow(video.evidence, video.flow, seeds[0], settings, rng)
-    video.flow = None  # a gigabyte perhaps, and no later stage looks at it
+    assert video.tracker is not None
+    seeds = find_seeds(video.evidence, video.tracker, settings.seeds, rng)
+    grown = grow(video.evidence, video.tracker, seeds[0], settings, rng)
+    video.tracker = None  # a gigabyte perhaps, and no later stage looks at it
     return Known(grown)
 
 

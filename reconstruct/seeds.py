@@ -12,8 +12,8 @@ from freeart21.se3 import Array
 from reconstruct import rigid
 from reconstruct.evidence import Evidence, Samples, draw
 from reconstruct.scene import HopelessError
-from reconstruct.settings import SeedSettings, TrackSettings
-from reconstruct.tracks import Flow, follow
+from reconstruct.settings import SeedSettings
+from reconstruct.tracks import Tracker
 
 
 @dataclass(frozen=True)
@@ -46,27 +46,25 @@ class Seed:
 
 
 def candidates(
-    evidence: Evidence, flow: Flow, settings: SeedSettings, tracks: TrackSettings, rng: np.random.Generator
+    evidence: Evidence, tracker: Tracker, settings: SeedSettings, rng: np.random.Generator
 ) -> list[Candidate]:
     """Two-motion fits of tracks all over the recording, best first."""
     n = len(evidence.scene)
     found = []
     for gap in settings.gaps:
         for frame in range(0, n - gap, settings.every):
-            candidate = _two_motions(evidence, flow, frame, gap, settings, tracks, rng)
+            candidate = _two_motions(evidence, tracker, frame, gap, settings, rng)
             if candidate is not None:
                 found.append(candidate)
     return sorted(found, key=lambda c: -c.gain)
 
 
-def find_seeds(
-    evidence: Evidence, flow: Flow, settings: SeedSettings, tracks: TrackSettings, rng: np.random.Generator
-) -> list[Seed]:
+def find_seeds(evidence: Evidence, tracker: Tracker, settings: SeedSettings, rng: np.random.Generator) -> list[Seed]:
     """The windows whose dense refinement gains most from a second motion, best first.
 
     Raises HopelessError when no window gains: nothing moves against anything else, or there is no second part.
     """
-    found = candidates(evidence, flow, settings, tracks, rng)
+    found = candidates(evidence, tracker, settings, rng)
     if not found:
         raise HopelessError("segmentation", "no window has enough tracks for two motions")
     chosen: list[Candidate] = []
@@ -85,16 +83,15 @@ def find_seeds(
 
 def _two_motions(
     evidence: Evidence,
-    flow: Flow,
+    tracker: Tracker,
     frame: int,
     gap: int,
     settings: SeedSettings,
-    track_settings: TrackSettings,
     rng: np.random.Generator,
 ) -> Candidate | None:
     """RANSAC from small neighbourhoods, the best pair of hypotheses, then EM."""
     scene = evidence.scene
-    tracks = follow(scene, flow, frame, gap, track_settings)
+    tracks = tracker.follow(frame, gap)
     kept = np.flatnonzero(tracks.visible[:, -1])
     if len(kept) < 8 * settings.sample:
         return None

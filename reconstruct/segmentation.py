@@ -21,7 +21,7 @@ from reconstruct.poses import JointedPoses, joint_adjustment
 from reconstruct.scene import HopelessError
 from reconstruct.seeds import Seed, stepped
 from reconstruct.settings import ReconstructSettings
-from reconstruct.tracks import Flow, bilinear, follow
+from reconstruct.tracks import Tracker, bilinear
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class Growth:
     """The state of the growth: poses and labels of the frames done so far."""
 
     def __init__(
-        self, evidence: Evidence, flow: Flow, seed: Seed, settings: ReconstructSettings, rng: np.random.Generator
+        self, evidence: Evidence, tracker: Tracker, seed: Seed, settings: ReconstructSettings, rng: np.random.Generator
     ) -> None:
         scene = evidence.scene
-        self.evidence, self.flow, self.settings, self.rng = evidence, flow, settings, rng
+        self.evidence, self.tracker, self.settings, self.rng = evidence, tracker, settings, rng
         n = len(scene)
         self.Ts = np.tile(np.eye(4), (2, n, 1, 1))
         self.states = np.zeros(n)
@@ -165,7 +165,7 @@ class Growth:
         if pixels is None or len(pixels) < 40:
             return None
         direction = frame - neighbour
-        tracks = follow(self.evidence.scene, self.flow, neighbour, 1, self.settings.tracks, direction, pixels)
+        tracks = self.tracker.follow(neighbour, 1, direction, pixels)
         kept = tracks.visible[:, -1]
         if kept.sum() < 25:
             return None
@@ -279,8 +279,8 @@ class Growth:
         direction = neighbour - frame
         h, w = self.evidence.scene.mask.shape[1:]
         at = np.argwhere(np.ones((h, w), bool))[:, ::-1].astype(float)
-        there = at + self.flow.step(frame, direction).reshape(-1, 2).astype(float)
-        round_trip = np.linalg.norm(there + bilinear(self.flow.step(neighbour, -direction), there) - at, axis=1)
+        there = at + self.tracker.step(frame, direction).reshape(-1, 2).astype(float)
+        round_trip = np.linalg.norm(there + bilinear(self.tracker.step(neighbour, -direction), there) - at, axis=1)
         x = np.clip(np.rint(there[:, 0]).astype(int), 0, w - 1)
         y = np.clip(np.rint(there[:, 1]).astype(int), 0, h - 1)
         sure = round_trip < self.settings.tracks.max_round_trip
@@ -377,12 +377,14 @@ class Growth:
         return JointedPoses(self.joint, self.states, self.Ts[0], np.full(len(self.states), np.inf), np.inf)
 
 
-def grow(evidence: Evidence, flow: Flow, seed: Seed, settings: ReconstructSettings, rng: np.random.Generator) -> Grown:
+def grow(
+    evidence: Evidence, tracker: Tracker, seed: Seed, settings: ReconstructSettings, rng: np.random.Generator
+) -> Grown:
     """Labels, poses and joint of the whole recording from one seed.
 
     Raises HopelessError when the second part never moves against the first.
     """
-    growth = Growth(evidence, flow, seed, settings, rng)
+    growth = Growth(evidence, tracker, seed, settings, rng)
     s = settings.growth
     growth.grow(s.bootstrap_frames - int(growth.done.sum()))
     enough = s.bootstrap_motion * evidence.scene.diagonal

@@ -29,7 +29,13 @@ class TrackSettings:
     """Dense optical flow chained over short windows, and the supplement's trajectory filters."""
 
     max_round_trip: float = 1.5
-    """Pixels by which forward and backward flow may disagree: the visibility test."""
+    """Pixels by which forward and backward flow disagree where the confidence is 0.5."""
+    visibility_filter: bool = True
+    """Drop tracks from where their confidence falls to tau_c (supplement, Trajectory Filtering)."""
+    tau_c: float = 0.5
+    """Confidence that a visible track exceeds; the paper's. Its released code has 0.7."""
+    displacement_filter: bool = True
+    """Drop tracks from where they move too far."""
     tau_v: float = 2.0
     """Tracks that move more than mean + tau_v standard deviations are dropped (supplement, Trajectory Filtering)."""
     stride: int = 3

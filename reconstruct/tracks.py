@@ -1,10 +1,13 @@
-"""Dense optical flow between neighbouring frames, chained over short windows and lifted to 3D (supplement)."""
+"""Pixels followed over short windows and lifted to 3D, behind one interface, and the supplement's filters.
+
+The default tracker chains dense optical flow between neighbours; a learned one takes its place by being a `Tracker`.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -39,9 +42,45 @@ class Tracks:
     pixels: NDArray[np.float64]
     """(p, s + 1, 2) column and row in the crop of each frame."""
     visible: NDArray[np.bool_]
-    """(p, s + 1) true up to the first step at which flow disagrees with itself, leaves the mask, or loses depth."""
+    """(p, s + 1) true up to the first step at which a filter drops the track."""
     points: NDArray[np.float64]
     """(p, s + 1, 3) metres, camera frame; only meaningful where visible."""
+    confidence: NDArray[np.float64]
+    """(p, s + 1) the tracker's own trust, 0 to 1, that the pixel is where it says: c_{t,p} of the supplement."""
+
+
+class Tracker(Protocol):
+    """What the solver asks of tracks. Pixels are of the scene's crops."""
+
+    def step(self, frame: int, direction: int) -> Floats:
+        """Displacements (h, w, 2), column and row, of all pixels of `frame` to its neighbour in time, +1 or -1."""
+        ...
+
+    def follow(
+        self, start: int, steps: int, direction: int = 1, pixels: NDArray[np.integer[Any]] | None = None
+    ) -> Tracks:
+        """Tracks from `start` over at most `steps` frames in time `direction`, filtered.
+
+        `pixels` (p, 2) are rows and columns to follow; the tracker's own choice when not given.
+        """
+        ...
+
+
+class DisTracker:
+    """The default: DIS flow between all neighbours, chained; trusted where forward and backward flow agree."""
+
+    def __init__(self, scene: Scene, settings: TrackSettings) -> None:
+        self.scene, self.settings, self.flow = scene, settings, optical_flow(scene)
+
+    def step(self, frame: int, direction: int) -> Floats:
+        """See `Tracker`."""
+        return self.flow.step(frame, direction)
+
+    def follow(
+        self, start: int, steps: int, direction: int = 1, pixels: NDArray[np.integer[Any]] | None = None
+    ) -> Tracks:
+        """See `Tracker`; all valid pixels on a grid of `settings.stride` when none are given."""
+        return follow(self.scene, self.flow, start, steps, self.settings, direction, pixels)
 
 
 def optical_flow(scene: Scene) -> Flow:
@@ -98,8 +137,8 @@ def follow(
     """Tracks from `start` over `steps` frames in time `direction`, kept where visible and steady.
 
     `pixels` (p, 2) are rows and columns to follow; all valid ones on a grid of `settings.stride` when not given. The
-    filters are the supplement's: visibility (here forward against backward flow), inside the masks, and displacement
-    at most mean + tau_v standard deviations.
+    confidence is 1 / (1 + (r / max_round_trip)^2), r the pixels by which forward and backward flow disagree, at its
+    worst so far: 0.5, the paper's threshold, where r is `max_round_trip`.
     """
     if pixels is None:
         grid = scene.valid[start] & ~scene.edge[start]
@@ -108,25 +147,52 @@ def follow(
     frames = start + direction * np.arange(steps + 1)
     frames = frames[(frames >= 0) & (frames < len(scene))]
     at = pixels[:, ::-1].astype(float)
-    path, seen = [at], [np.ones(len(at), bool)]
+    path, on_object, trust = [at], [np.ones(len(at), bool)], [np.ones(len(at))]
     for a, b in pairwise(map(int, frames)):
         there = at + bilinear(flow.step(a, direction), at)
         back = bilinear(flow.step(b, -direction), there)
         x, y = np.rint(there).astype(int).T
         inside = (x >= 0) & (y >= 0) & (x < w) & (y < h)
-        on_object = np.zeros(len(at), bool)
-        on_object[inside] = scene.points[b, y[inside], x[inside], 2] > 0
+        on_object.append(np.zeros(len(at), bool))
+        on_object[-1][inside] = scene.points[b, y[inside], x[inside], 2] > 0
         round_trip = np.linalg.norm(there + back - at, axis=1)
-        seen.append(seen[-1] & on_object & (round_trip < settings.max_round_trip))
+        trust.append(np.minimum(trust[-1], 1 / (1 + (round_trip / settings.max_round_trip) ** 2)))
         path.append(there)
         at = there
-    stack, visible = np.stack(path, 1), np.stack(seen, 1)
+    stack, confidence = np.stack(path, 1), np.stack(trust, 1)
     points = np.stack([lift(scene, int(f), stack[:, s]) for s, f in enumerate(frames)], 1)
-    return Tracks(frames, stack, visible & _steady(points, visible, settings.tau_v), points)
+    visible = filtered(points, confidence, np.stack(on_object, 1), settings)
+    return Tracks(frames, stack, visible, points, confidence)
 
 
-def _steady(points: NDArray[np.float64], visible: NDArray[np.bool_], tau_v: float) -> NDArray[np.bool_]:
-    """(p, s + 1) false from the first step on whose 3D displacement exceeds mean + tau_v standard deviations."""
+def filtered(
+    points: NDArray[np.float64],
+    confidence: NDArray[np.float64],
+    on_object: NDArray[np.bool_],
+    settings: TrackSettings,
+) -> NDArray[np.bool_]:
+    """(p, s + 1) what the supplement's Trajectory Filtering keeps of tracks, each filter by its switch.
+
+    `on_object` (p, s + 1) is no switch: off the foreground mask, or without depth, there is no point to speak of.
+    """
+    kept = np.logical_and.accumulate(on_object, axis=1)
+    if settings.visibility_filter:
+        kept &= trusted(confidence, settings.tau_c)
+    if settings.displacement_filter:
+        kept &= steady(points, kept, settings.tau_v)
+    return kept
+
+
+def trusted(confidence: NDArray[np.float64], tau_c: float) -> NDArray[np.bool_]:
+    """(p, s + 1) S_vis of the supplement: false from the first step on whose confidence is not above `tau_c`."""
+    return np.logical_and.accumulate(confidence > tau_c, axis=1)
+
+
+def steady(points: NDArray[np.float64], visible: NDArray[np.bool_], tau_v: float) -> NDArray[np.bool_]:
+    """(p, s + 1) S_final of the supplement: false from the first step on that is longer than mu_v + tau_v sigma_v.
+
+    Mean and standard deviation are those of the 3D displacements between neighbours of what is `visible`.
+    """
     length = np.linalg.norm(np.diff(points, axis=1), axis=2)
     used = visible[:, 1:] & visible[:, :-1]
     if not used.any():
