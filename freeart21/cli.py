@@ -152,7 +152,7 @@ def record(
         out: Data folder; sequences are added to it.
         frames: Frames a sequence.
         seed: Seed of shape, motion, sensor and views; 0 when not given.
-        partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf.
+        partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf or ROOT/dataset/41083.
         joint: Joint of a PartNet-Mobility object that moves, where the catalog names none.
         skip_missing: Leave out meshes that a PartNet-Mobility object names but does not have and, with `all`, objects
             that are not in --partnet-root.
@@ -206,6 +206,9 @@ def record(
         if not names:
             raise FreeArtError(f"record: no object was named; name some of {', '.join(built_in_names())}, or all")
         jobs = jobs_of(names, settings)
+    for job in jobs:
+        for note in job.notes:
+            print(f"{job.name}: {note}", file=sys.stderr)
     try:
         made = record_jobs(out, jobs, workers, label, lambda sequence: print(out / "sequences" / sequence, flush=True))
     except KeyboardInterrupt:

@@ -54,6 +54,8 @@ class Job:
     sequence: str
     """Name of the sequence's folders."""
     settings: RecordSettings
+    notes: tuple[str, ...] = ()
+    """What a user should know of the object, a line each."""
 
     def described(self) -> dict[str, Any]:
         """All that decides the sequence's bytes, as JSON."""
@@ -82,26 +84,28 @@ def jobs_of(names: Sequence[str], settings: RecordSettings) -> list[Job]:
     jobs = []
     for name in dict.fromkeys(names):
         entry = catalog.find(name, partnet=settings.partnet_root is not None)
-        joint = settings.joint or entry.joint
+        joint, notes = settings.joint or entry.joint, tuple[str, ...]()
         if entry.source == "partnet":
             folder = partnet_folder(name, settings.partnet_root)
-            joint = partnet.load(folder, joint, settings.skip_missing).joint.name
+            loaded = partnet.load(folder, joint, settings.skip_missing)
+            joint, notes = loaded.joint.name, loaded.notes
         own = entry.source == "procedural" and joint == entry.joint
         middle = "" if own else f"-{joint}"
-        jobs.append(Job(name, f"{name}{middle}-s{settings.seed}", settings))
+        jobs.append(Job(name, f"{name}{middle}-s{settings.seed}", settings, notes))
     return jobs
 
 
 def official_names(root: Path, skip_missing: bool = False) -> tuple[str, ...]:
     """The 21 ids of the official FreeArt-21, all of which must be in `root` unless those absent may be skipped."""
     official = [entry.name for entry in catalog.CATALOG if entry.benchmark == "FreeArt-21"]
-    absent = [name for name in official if not (root / name / partnet.URDF_NAME).is_file()]
+    places = {name: partnet.folder_of(name, root) for name in official}
+    absent = [name for name, place in places.items() if place is None or not (place / partnet.URDF_NAME).is_file()]
     here = tuple(name for name in official if name not in absent)
     if absent and not (skip_missing and here):
         raise FreeArtError(
             f"{len(absent)} of FreeArt-21's {len(official)} PartNet-Mobility objects are not in {root}: "
-            f"{', '.join(absent)}; ask for access to the dataset at {ACCESS} (an account is free), or record those "
-            "that are there with --skip-missing"
+            f"{', '.join(absent)}; ask for access to the dataset at {ACCESS} (an account is free)"
+            + (", or record those that are there with --skip-missing" if here else "")
         )
     return here
 

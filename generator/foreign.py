@@ -26,7 +26,7 @@ _SAME_STATE = 1e-3
 
 
 def truth_of(read: Foreign, partnet_root: Path, joint: str | None = None, skip_missing: bool = False) -> Truth:
-    """The truth of `read`, with meshes from partnet_root/ID and no held-out views.
+    """The truth of `read`, with meshes from partnet_root/ID (or partnet_root/dataset/ID) and no held-out views.
 
     The joint is the one named, or the one that the layout or the catalog names, or the only movable one. Raises
     FreeArtError when the object is not there or unfit, or is not the one that was filmed: its joint sits elsewhere, or
@@ -35,8 +35,8 @@ def truth_of(read: Foreign, partnet_root: Path, joint: str | None = None, skip_m
     known = read.known
     if known is None:
         raise FreeArtError(read.lacks)
-    folder = partnet_root / safe_name(read.object_id)
-    if not folder.is_dir():
+    folder = partnet.folder_of(safe_name(read.object_id), partnet_root)
+    if folder is None:
         raise FreeArtError(f"PartNet-Mobility object {read.object_id} is not in {partnet_root}")
     named = joint or known.joint_name
     if named is None:

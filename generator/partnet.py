@@ -99,6 +99,11 @@ class PartNetObject:
         return self.parent_side, self.child_side
 
 
+def folder_of(name: str, root: Path) -> Path | None:
+    """Where the object `name` is in `root`: ROOT/NAME or, as the data set unpacks, ROOT/dataset/NAME; None if not."""
+    return next((place for place in (root / name, root / "dataset" / name) if place.is_dir()), None)
+
+
 def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> PartNetObject:
     """The object in `folder`, with the joint named (or the one that meta.json calls scored, or the only movable one).
 

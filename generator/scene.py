@@ -19,6 +19,7 @@ from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
 from freeart21.se3 import Array
 from generator.partnet_files import sapien_urdf
+from generator.surface import srgb
 
 _T_SAPIEN_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """SAPIEN's camera axes (x forward, y left, z up) from ours (x right, y down, z forward)."""
@@ -223,9 +224,9 @@ def encoded(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
     return _tables()[0][_steps(linear)]
 
 
-def decoded(srgb: NDArray[np.float32]) -> NDArray[np.float32]:
+def decoded(colours: NDArray[np.float32]) -> NDArray[np.float32]:
     """Light, 0 to 1, of sRGB colours, 0 to 1; colours are taken in 65536 steps."""
-    return _tables()[1][_steps(srgb)]
+    return _tables()[1][_steps(colours)]
 
 
 def _steps(values: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -236,9 +237,8 @@ def _steps(values: NDArray[np.float32]) -> NDArray[np.uint16]:
 def _tables() -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """sRGB bytes of light, and light of sRGB, by step."""
     x = np.arange(65536) / 65535
-    srgb = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
     light = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
-    return np.rint(srgb * 255).astype(np.uint8), light.astype(np.float32)
+    return srgb(x), light.astype(np.float32)
 
 
 def _rounded(colours: NDArray[np.float32]) -> NDArray[np.uint8]:

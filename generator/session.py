@@ -45,6 +45,9 @@ ACCESS = "https://sapien.ucsd.edu/downloads"
 _PICTURES = ("sequence/rgb", "sequence/depth", "sequence/mask", "side")
 """What a frame leaves in the work folder, one picture each; `side` is true and goes to the truth only."""
 
+SHADERS = ("default", "trivial")
+"""SAPIEN's camera shaders that give all the recorder needs."""
+
 _END_OF_PNG = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 
 
@@ -80,7 +83,7 @@ class RecordSettings:
     skip_missing: bool = False
     """Leave out mesh files that an object names but does not have, rather than refuse the object."""
     shader: str = "default"
-    """SAPIEN's camera shader.
+    """SAPIEN's camera shader, one of `SHADERS`.
 
     'default' lights the object: highlights and shading that change as it turns are part of the task. 'trivial' (unlit,
     three times as fast, no compile wait) is for tests. 'minimal' will not do: it gives depth in whole millimetres.
@@ -92,13 +95,16 @@ class RecordSettings:
 
     def check(self) -> None:
         """FreeArtError, in one line, when these settings make no recording."""
+        if self.seed < 0:
+            raise FreeArtError(f"cannot draw from seed {self.seed}; expected 0 or more")
         if self.frames < 2 or self.fps <= 0 or self.queries < 0 or min(self.width, self.height) < 16:
             raise FreeArtError(
                 f"cannot record {self.frames} frames of {self.width} x {self.height} at {self.fps:g} a second with "
                 f"{self.queries} held-out views; expected at least 2 frames of 16 x 16, more than 0 a second and 0 "
                 "views or more"
             )
-        for what, value, known in (("motion", self.motion, MOTIONS), ("preset", self.preset, tuple(PRESETS))):
+        named = ("motion", self.motion, MOTIONS), ("preset", self.preset, PRESETS), ("shader", self.shader, SHADERS)
+        for what, value, known in named:
             if value not in known:
                 raise FreeArtError(f"unknown {what} '{value}'; {what}s: {', '.join(known)}")
         check_sensor(self.sensor)
@@ -195,14 +201,16 @@ def partnet_folder(name: str, root: Path | None) -> Path:
     """The folder of the PartNet-Mobility object `name`; FreeArtError says where to ask for it when it is not there."""
     if root is None:
         raise FreeArtError(
-            f"object '{name}' is from PartNet-Mobility: name the folder that holds {name} by --partnet-root"
+            f"object '{name}' is from PartNet-Mobility: name the folder that holds {name} by --partnet-root; "
+            f"who has none may ask for access at {ACCESS}"
         )
-    if not (root / name).is_dir():
+    folder = partnet.folder_of(name, root)
+    if folder is None:
         raise FreeArtError(
             f"PartNet-Mobility object {name} is not in {root}; ask for access to the dataset at {ACCESS} and unpack it "
             f"so that {root / name / partnet.URDF_NAME} exists"
         )
-    return root / name
+    return folder
 
 
 def nice_scale(least: float) -> float:
@@ -252,13 +260,15 @@ class Session:
         groups = [side.links for side in loaded.sides]
         self.scene = Scene(loaded.asset.urdf, groups, self.camera, 1e-3 * reach, reach, settings.shader)
         self.sensor = make_sensor(settings.sensor, self.scene, self.plan, loaded, coarse, settings.seed, settings.fps)
+        self._may_hide = "hand" in settings.sensor.split("+")
         self._counts = np.zeros((settings.frames, 2), np.int64)
         self._done = 0
 
     def film(self) -> None:
         """Draw all frames of the video that the work folder does not hold yet.
 
-        While a frame is encoded and written, the renderer draws the next one.
+        While a frame is encoded and written, the renderer draws the next one. Raises FreeArtError when a picture is
+        empty though nothing stands before the object: under heavy load a software renderer was seen to fail so.
         """
         n = self.settings.frames
         kept = [all(_is_whole(self._work / sub / f"{i:05d}.png") for sub in _PICTURES) for i in range(n)]
@@ -271,6 +281,8 @@ class Session:
                     if i + 1 < n and not kept[i + 1]:
                         self.sensor.begin(i + 1)
                     side = shot.side
+                    if not self._may_hide:
+                        self._require_seen(side, f"frame {i}")
                     mask = shot.mask.view(np.uint8) * np.uint8(255)
                     images = shot.rgb, encode_depth(shot.depth, self.depth_scale), mask, side
                     writer.put({self._work / sub / f"{i:05d}.png": m for sub, m in zip(_PICTURES, images, strict=True)})
@@ -303,7 +315,7 @@ class Session:
         visible = visible_faces(meshes, self.camera, self._shown(parts))
         outer = [o | v for o, v in zip(outer_faces(meshes, parts.joint), visible, strict=True)]
         label = np.array([0, 1 + order.index(0), 1 + order.index(1)], np.uint8)
-        pictures = [self._view(view, parts) for view in views]
+        pictures = [self._view(i, view, parts) for i, view in enumerate(views)]
         return Truth(
             Articulation(parts.joint, *(mesh.with_faces(o) for mesh, o in zip(meshes, outer, strict=True))),
             self.plan.states,
@@ -341,15 +353,21 @@ class Session:
             "settings": settings.described(),
         }
 
-    def _view(self, view: PlannedQuery, parts: Parts) -> Picture:
-        """A held-out view: the lamps stay; the root link stands with the joint's parent side, whichever part it is."""
+    def _view(self, i: int, view: PlannedQuery, parts: Parts) -> Picture:
+        """Held-out view `i`: the lamps stay; the root link stands with the parent side, whichever part it is."""
         T_parent = (view.T_camera_reference, view.T_camera_reference @ parts.joint.transform(view.state))
         positions = {**self.loaded.asset.held, self.loaded.joint.name: view.state}
         query = view.query
         T_camera_world = query.T_newcam_cam @ self.plan.Ts_camera_world[query.pose_of_frame]
         picture = self.scene.render(T_parent[parts.order.index(0)], positions, T_camera_world)
+        self._require_seen(picture.side, f"held-out view {i}")
         self._tick()
         return picture
+
+    @staticmethod
+    def _require_seen(side: NDArray[np.uint8], what: str) -> None:
+        if not side.any():
+            raise FreeArtError(f"the renderer drew nothing of the object in {what}; run the same command again")
 
     def _tick(self) -> None:
         self._done += 1

@@ -315,9 +315,12 @@ def test_fresh_objects_of_a_category_vary_and_follow_from_the_seed() -> None:
 def test_official_objects_that_are_absent_are_named_in_one_line_with_where_to_ask(tmp_path: Path) -> None:
     with pytest.raises(FreeArtError, match=r"21 of FreeArt-21's 21 .* 100109, .*https://sapien.ucsd.edu/downloads"):
         official_names(tmp_path)
-    for name in ("45135", "103271"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "mobility.urdf").write_text("<robot/>")
+    with pytest.raises(FreeArtError) as none:
+        official_names(tmp_path, skip_missing=True)
+    assert "--skip-missing" not in str(none.value)  # there is nothing that it would leave
+    for place in (tmp_path / "45135", tmp_path / "dataset" / "103271"):  # as the data set unpacks, too
+        place.mkdir(parents=True)
+        (place / "mobility.urdf").write_text("<robot/>")
     with pytest.raises(FreeArtError, match="19 of FreeArt-21's 21 .*--skip-missing") as caught:
         official_names(tmp_path)
     assert "45135" not in str(caught.value) and "\n" not in str(caught.value)

@@ -24,11 +24,13 @@ from freeart21.mesh import Mesh
 from freeart21.recording import Recording
 from freeart21.truth import Truth
 from generator import partnet, session
+from generator.dataset import jobs_of
 from generator.golden import LEAST_PSNR, rendered_anew, verify_deep
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.partnet_writer import write_partnet
 from generator.rays import Caster
 from generator.recorder import RecordSettings, nice_scale, record
+from generator.scene import Scene
 from generator.shapes import box, triangles
 from generator.surface import Paint, Surface
 from generator.truth_mesh import outer_faces, visible_faces
@@ -369,12 +371,14 @@ def _fails(message: str, name: str, out: Path, **changes: object) -> None:
 
 def test_bad_requests_get_one_clear_line(tmp_path: Path) -> None:
     _fails("unknown object 'teapot'; objects: swivel_usb, flip_cap_usb, ", "teapot", tmp_path)
-    _fails("'45135' is from PartNet-Mobility: name the folder", "45135", tmp_path)
+    _fails("'45135' is from PartNet-Mobility: name the folder .*; .* ask for access at https://", "45135", tmp_path)
     _fails("object 45135 is not in .*; ask for access", "45135", tmp_path, partnet_root=tmp_path)
     _fails("cannot record 1 frames", "stapler", tmp_path, frames=1)
     _fails("unknown motion 'dance'; motions: tumble, inspect", "stapler", tmp_path, motion="dance")
     _fails("unknown preset 'huge'; presets: handheld, paper", "stapler", tmp_path, preset="huge")
     _fails("unknown sensor 'noisy'; sensors: clean, noise2", "stapler", tmp_path, sensor="noisy")
+    _fails("unknown shader 'point'; shaders: default, trivial", "stapler", tmp_path, shader="point")
+    _fails("cannot draw from seed -1; expected 0 or more", "stapler", tmp_path, seed=-1)
     _fails(
         r"no movable joint 'lid'; movable joints: joint_0 \(revolute .*\), joint_1 \(", "stapler", tmp_path, joint="lid"
     )
@@ -393,6 +397,34 @@ def test_a_recording_that_fails_halfway_leaves_nothing(tmp_path: Path, monkeypat
     monkeypatch.setattr(session, "write_truth", broken)
     _fails("flip_lighter-s3: no room", "flip_lighter", tmp_path / "data", frames=2, queries=0, edge=0.5)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("at", "where"), [(1, "frame 1"), (3, "held-out view 1")])
+def test_a_renderer_that_draws_nothing_is_one_line_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int, where: str
+) -> None:
+    pictures = iter(range(100))
+    fetch = Scene.depth_and_side
+
+    def failing(self: Scene) -> tuple[np.ndarray, np.ndarray]:
+        depth, side = fetch(self)
+        blank = next(pictures) == at
+        return (np.zeros_like(depth), np.zeros_like(side)) if blank else (depth, side)
+
+    monkeypatch.setattr(Scene, "depth_and_side", failing)
+    few = {"frames": 2, "queries": 2, "edge": 0.5}
+    _fails(f"flip_lighter-s3: the renderer drew nothing of the object in {where};", "flip_lighter", tmp_path, **few)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_real_object_is_found_as_the_data_set_unpacks_and_its_notes_are_told(tmp_path: Path) -> None:
+    folder = _small_root(tmp_path / "dataset" / "90210077")
+    urdf = folder / "mobility.urdf"
+    urdf.write_text(urdf.read_text().replace('upper="0.4"', 'upper="-0.1"'))
+    (job,) = jobs_of(["90210077"], dataclasses.replace(SETTINGS, partnet_root=tmp_path))
+    assert job.sequence == "90210077-joint_0-s3"
+    assert job.notes == ("joint 'joint_0' never stands at 0: its limits are [-0.9, -0.1]",)
+    assert "notes" not in job.described()  # they decide no byte
 
 
 @pytest.mark.parametrize(

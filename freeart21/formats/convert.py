@@ -143,8 +143,9 @@ def _truth_folder(sequence: Path) -> Path:
 def _object_folder(kind: Layout, folder: Path, recording: Foreign, partnet_root: Path | None) -> Path | None:
     """The object's PartNet-Mobility folder, when it is at hand."""
     beside = _truth_folder(folder) / "object" if kind == "native" else None
-    mine = partnet_root / safe_name(recording.object_id) if partnet_root is not None else None
-    return next((place for place in (beside, mine) if place is not None and (place / "mobility.urdf").is_file()), None)
+    name = safe_name(recording.object_id)
+    mine = (None, None) if partnet_root is None else (partnet_root / name, partnet_root / "dataset" / name)
+    return next((place for place in (beside, *mine) if place is not None and (place / "mobility.urdf").is_file()), None)
 
 
 def _root_beside(kind: Layout, folder: Path) -> Path | None:
