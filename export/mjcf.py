@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from export.model import AssetModel, LinkModel, number_text
 from freeart21.errors import FreeArtError
 
-_ADDITIVE = ("damping", "frictionloss")  # words that two effects may both say
+_ADDITIVE = ("damping", "frictionloss", "armature")  # words that two effects may both say
 
 
 def mjcf_text(model: AssetModel) -> bytes:

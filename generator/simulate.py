@@ -8,7 +8,8 @@ One joint moves; every other one is frozen into the part it hangs on. Time is st
 (position Verlet): the engine's semi-implicit Euler step, started half a step ahead in position. The position is kept in
 double precision. The loss of speed by a
 force that depends on the speed is taken exactly for constant slope (exponential Euler, Hochbruck and Ostermann 2010,
-eq. 2.1 with one degree of freedom), whatever its strength.
+eq. 2.1 with one degree of freedom), whatever its strength. The engine knows no limits of this joint: an impact has its
+own time within the step, from which the rest of the step goes on.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import copy
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from freeart21 import se3
 from freeart21.asset import Asset
-from freeart21.effects.base import Effect
+from freeart21.effects.backlash import Backlash
+from freeart21.effects.base import Effect, readings
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import UrdfJoint, movable_joint, read_urdf_joints
 from freeart21.joint import Joint, JointType
+from freeart21.mechanics import Actuator, JointMechanics
 from freeart21.se3 import Array
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -38,8 +41,6 @@ GRAVITY = (0.0, 0.0, -9.81)
 _CREEP_SPEED = 1e-6  # rad/s or m/s at which the saturated damper of Coulomb friction reaches its limit
 _PHASE_PER_STEP = 0.1  # rad of the stiffest oscillation per internal step: the period is then 0.04 % short (0.1^2 / 24)
 _MAX_SUBSTEPS = 1000
-_STIFFNESS_SAMPLES = 65  # positions over the joint's range at which the effects' stiffness is looked at
-_ROUNDING = 2e-6  # of a position in the engine over one step: 16 units in the last place
 _MASSLESS = 1.1e-6  # kg: the engine gives 1e-6 to a link without mass
 _FAST = 1e6  # rad/s or m/s: speed limits of the engine are lifted to this
 
@@ -56,6 +57,8 @@ class RollOut:
     """(n,) joint velocity, rad/s or m/s."""
     energy_j: NDArray[np.float64]
     """(n,) joules, kinetic energy plus potential energy in gravity (zero at q = 0); effects store none of it."""
+    q_measured: NDArray[np.float64]
+    """(n,) what a position sensor with the sensing effects writes down at these instants; q itself without any."""
 
 
 class SimulatedAsset:
@@ -74,38 +77,90 @@ class SimulatedAsset:
         self._joint = next(j for j in articulation.active_joints if j.name == joint.name)
         self._system = scene.physx_system
         self._substeps = 1
-        self._q = self._qd = self._engine_q = 0.0
+        self._q = self._qd = self._qdd = self._engine_q = 0.0
+        self._memories: list[float] = []
+        self._remembering: list[Effect] = []
+        self._slack: Backlash | None = None
+        self._actuator: Actuator | None = None
         q = float(np.clip(0.0, joint.lower, joint.upper))
         self.set_state(q)
         pose = self._joint.global_pose.to_transformation_matrix().astype(float)
         kind: JointType = "prismatic" if self._joint.type == "prismatic" else "revolute"
         self.world_joint = Joint(joint.name, kind, pose[:3, 0], pose[:3, 3], -np.inf, np.inf)
         """The joint in the world frame, its state being q."""
-        mechanics = [_link_mechanics(link) for link in _downstream(articulation, joint.child)]
+        moving = _downstream(articulation, joint.child)
+        self._moving_links = {link.name for link in moving}
+        mechanics = [_link_mechanics(link) for link in moving]
         self.moving_mass = sum(mass for mass, _, _ in mechanics)
         """kg on the far side of the joint."""
         moment = sum((mass * centre for mass, centre, _ in mechanics), np.zeros(3))
         self._mass_moment_zero = (self.world_joint.transform(-q) @ np.append(moment, self.moving_mass))[:3]
         self.joint_inertia = _joint_inertia(self.world_joint, mechanics)
-        """kg*m^2 about, or kg along, the joint axis."""
+        """kg*m^2 about, or kg along, the joint axis; of the links alone."""
+        self._parent = joint.parent
+        to_parent = se3.inverse(self.link_pose(self._parent))
+        self.mechanics = JointMechanics(
+            self.world_joint.moved(to_parent),
+            self.moving_mass,
+            self.joint_inertia,
+            (to_parent @ np.append(self._mass_moment_zero, self.moving_mass))[:3],
+            to_parent[:3, :3] @ self.gravity,
+        )
+        """What the joint carries, in the frame of its parent link."""
         self.set_effects(asset.effects.get(asset.joint, ()))
 
     def set_effects(self, effects: tuple[Effect, ...]) -> None:
-        """Let these effects act on the joint, instead of those that it had."""
-        self._forces = tuple(e for e in effects if e.acts == "force")
-        self._drives = tuple(e for e in effects if e.acts == "drive")
+        """Let these effects act on the joint, instead of those that it had.
+
+        Raises FreeArtError when a joint of this type cannot have one of them.
+        """
+        where = f"{self.asset.urdf} joint '{self.asset.joint}'"
+        for effect in effects:
+            effect.check_joint_type(self.world_joint.type, where)
+        slacks = [e for e in effects if isinstance(e, Backlash)]
+        if len(slacks) > 1:
+            raise FreeArtError(f"{where} has {len(slacks)} effects 'backlash', expected at most one")
+        self.effects = effects
+        self._forces = [(e.law, e.values()) for e in effects if e.acts == "force"]
+        self._remembering = [e for e in effects if e.acts == "force"]
+        self._drives = [e for e in effects if e.acts == "drive"]
+        self._needs_load = any(e.needs_load for e in self._drives)
+        self._stops = [e for e in effects if e.acts == "stop"]
+        self._poses = [e for e in effects if e.acts == "pose"]
+        self._gain = float(np.prod([e.gain() for e in effects]))
+        self._delay = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
+        added = float(np.sum([e.inertia() for e in effects]))
+        self._slack = slacks[0] if slacks else None
+        self._inertia = self.joint_inertia + (0.0 if self._slack else added)
+        self._drive_inertia = self._slack.drive_inertia + added if self._slack else 0.0
         self._joint.set_drive_properties(stiffness=0.0, damping=0.0, force_limit=0.0, mode="force")
         self._joint.set_drive_velocity_target(0.0)
         self._joint.set_armature(np.zeros(1, np.float32))
         self._drive_limit, self._armature = 0.0, 0.0
+        self._forget()
         self._plan_substeps()
 
+    def set_actuator(self, actuator: Actuator | None) -> None:
+        """Let this drive the joint from now on; None for nothing. Its times are those of `time_s`."""
+        self._actuator = actuator
+        self._plan_substeps()
+
+    def _forget(self) -> None:
+        """Effects with memory begin anew, from the state of now."""
+        self._qdd = 0.0
+        self._memories = [e.remember(self._q, 0.0, *e.values()) for e in self._remembering]
+        self._side, self._drive_q, self._drive_qd = 0, self._q, self._qd
+
     def set_state(self, q: float, qd: float = 0.0) -> None:
-        """Put the joint at position `q`, rad or m, and velocity `qd`. `q` may lie beyond the limits."""
+        """Put the joint at position `q`, rad or m, and velocity `qd`. `q` may lie beyond the limits.
+
+        Effects with memory forget it.
+        """
         self._q, self._qd = float(q), float(qd)
         self._put(self._q)
         self.articulation.set_qvel(np.array([qd], np.float32))
         self.articulation.set_qf(np.zeros(1, np.float32))
+        self._forget()
 
     def state(self) -> tuple[float, float]:
         """Position, rad or m, and velocity of the joint now."""
@@ -118,13 +173,24 @@ class SimulatedAsset:
         self.articulation.set_root_pose(sapien.Pose(np.asarray(T_world_base, np.float32)))
         self.articulation.set_root_linear_velocity(np.zeros(3, np.float32))
         self.articulation.set_root_angular_velocity(np.zeros(3, np.float32))
+        gravity = self.link_pose(self._parent)[:3, :3].T @ self.gravity
+        self.mechanics = replace(self.mechanics, gravity=gravity)
 
     def link_pose(self, name: str) -> Array:
-        """(4, 4) T_world_link of a link's frame; FreeArtError lists the links."""
+        """(4, 4) T_world_link of a link's frame, kinematic effects included; FreeArtError lists the links."""
         if name not in self._links:
             raise FreeArtError(f"{self.asset.urdf} has no link '{name}'; links: {', '.join(self._links)}")
         if self._engine_q != self._q:
             self._put(self._q)
+        T = self._engine_pose(name)
+        if name in self._moving_links and self._poses:
+            world = self._engine_pose(self._parent)
+            back = se3.inverse(world)
+            for effect in reversed(self._poses):
+                T = world @ effect.displacement(self._q, self.time_s, self.mechanics) @ back @ T
+        return T
+
+    def _engine_pose(self, name: str) -> Array:
         pose = self._links[name].entity_pose
         return se3.pose_from_wxyz(pose.p.astype(float), pose.q.astype(float))
 
@@ -133,7 +199,9 @@ class SimulatedAsset:
         return se3.inverse(self.link_pose(self.asset.reference_link)) @ self.link_pose(self.asset.moving_link)
 
     def step(self, force: Callable[[float], float] | None = None) -> None:
-        """Advance by `timestep_s` under gravity, the effects, and the generalised force(t), N*m or N, if given.
+        """Advance by `timestep_s` under gravity, the effects, the actuator if one is set, and the external force(t).
+
+        The force, N*m or N, is a push on the moving part and passes by the actuator's effects.
 
         Raises FreeArtError when the moving part has no mass.
         """
@@ -144,44 +212,97 @@ class SimulatedAsset:
             )
         h = self._system.timestep = self.timestep_s / self._substeps
         for _ in range(self._substeps):
-            self._put(self._within(self._q + 0.5 * h * self._qd))
-            q, qd, t = self._engine_q, self._qd, self.time_s + 0.5 * h
-            self._set_drive(q, qd)
-            self._set_armature(q, qd, t, h)
-            acting = self._effect_force(q, qd, t) + (force(t) if force else 0.0)
+            q0, qd0 = self._q, self._qd
+            low, high = min(self.lower, q0), max(self.upper, q0)
+            q, t = min(max(q0 + 0.5 * h * qd0, low), high), self.time_s + 0.5 * h
+            self._put(q)
+            for i, effect in enumerate(self._remembering):
+                self._memories[i] = effect.remember(q, self._memories[i], *effect.values())
+            self._set_drive(q, qd0)
+            self._set_armature(q, qd0, t, h)
+            acting = self._acting_force(q, qd0, t) + (force(t) if force else 0.0)
             self.articulation.set_qf(np.array([acting], np.float32))
             self._system.step()
-            self._qd = float(self.articulation.qvel[0])
+            qd = float(self.articulation.qvel[0])
             self._engine_q = float(self.articulation.qpos[0])
-            limit = self.lower if self._engine_q - self.lower < self.upper - self._engine_q else self.upper
-            if np.isfinite(limit) and abs(self._engine_q - (q + h * self._qd)) > _ROUNDING * max(1.0, abs(q)):
-                self.set_state(limit)  # it went elsewhere than its velocity says: stopped there, perfectly inelastic
-            else:  # the drift in double precision: the engine's own would lose slow motion to rounding
-                self._q = self._within(q + 0.5 * h * self._qd)
+            self._qdd = (qd - qd0) / h
+            self._q, self._qd = self._moved(q0, qd0, h, low, high)
+            if self._slack:
+                self._move_drive_side(self._slack, q, qd0, t, h)
+            if self._qd != qd:
+                self.articulation.set_qvel(np.array([self._qd], np.float32))
             self.time_s += h
 
+    def _moved(self, q: float, qd: float, h: float, low: float, high: float) -> tuple[float, float]:
+        """Position and velocity after `h` at the constant acceleration of this step, with an impact at a limit."""
+        a = self._qdd
+        after = q + h * (qd + 0.5 * h * a)
+        if low <= after <= high:
+            return after, qd + h * a
+        limit, towards = (low, -1.0) if after < low else (high, 1.0)
+        impact = towards * np.sqrt(max(qd * qd + 2 * a * (limit - q), 0.0))
+        if qd * impact > 0:
+            before = 2 * (limit - q) / (qd + impact)
+        else:
+            before = (impact - qd) / a if a else 0.0
+        rest = h - min(max(before, 0.0), h)
+        qd = max((float(e.rebound(impact)) for e in self._stops), key=abs, default=0.0)
+        after = limit + rest * (qd + 0.5 * rest * a)
+        if low <= after <= high and towards * (qd + 0.5 * rest * a) < 0:
+            return after, qd + rest * a
+        return limit, 0.0  # it would come back within the step: it stays
+
+    def _move_drive_side(self, slack: Backlash, q: float, qd: float, t: float, h: float) -> None:
+        """Advance the body on the actuator's side of a slack, after the part; forces acted at `q`, `qd`, `t`."""
+        J, side = self._drive_inertia, self._side
+        if side:
+            push = self._actuator_force(q + 0.5 * side * slack.width, qd, t) - J * self._qdd
+            self._drive_q, self._drive_qd = self._q + 0.5 * side * slack.width, self._qd
+        else:
+            asked = self._actuator_force(self._drive_q + 0.5 * h * self._drive_qd, self._drive_qd, t)
+            damping = self._gain * self._actuator.damping if self._actuator else 0.0
+            before, push = self._drive_qd, 0.0
+            self._drive_qd += h * asked / (J + h * damping)
+            self._drive_q += 0.5 * h * (before + self._drive_qd)
+        self._side = slack.meeting(side, self._drive_q, self._drive_qd, self._q, self._qd, push, slack.width)
+        if self._side and not side:
+            together = (self._inertia * self._qd + J * self._drive_qd) / (self._inertia + J)
+            self._drive_q, self._drive_qd = self._q + 0.5 * self._side * slack.width, together
+            self._qd = together
+
     def energy(self, q: ArrayLike, qd: ArrayLike) -> NDArray[np.float64]:
-        """Joules at positions and velocities (...): kinetic plus potential in gravity, zero at rest at q = 0."""
+        """Joules at positions and velocities (...): kinetic, with armature, plus potential in gravity, 0 at q = 0."""
         q, qd = np.asarray(q, float), np.asarray(qd, float)
         at_zero = np.append(self._mass_moment_zero, self.moving_mass)
         moment = (self.world_joint.transform(q) @ at_zero)[..., :3]
-        return 0.5 * self.joint_inertia * qd**2 - (moment - self._mass_moment_zero) @ self.gravity
+        return 0.5 * self._inertia * qd**2 - (moment - self._mass_moment_zero) @ self.gravity
 
     def _put(self, q: float) -> None:
         """Let the engine stand at position `q`; its velocity stays."""
         self.articulation.set_qpos(np.array([q], np.float32))
         self._engine_q = q
 
-    def _within(self, q: float) -> float:
-        """`q` cut at the limits, or at where the joint stands when that is beyond them."""
-        return min(max(q, min(self.lower, self._q)), max(self.upper, self._q))
+    def _effect_force(self, q: float, qd: float) -> float:
+        return sum(law(q, qd, 0.0, m, *v) for (law, v), m in zip(self._forces, self._memories, strict=True))
 
-    def _effect_force(self, q: float, qd: float, t: float) -> float:
-        return sum(effect.force(q, qd, t) for effect in self._forces)
+    def _actuator_force(self, q: float, qd: float, t: float) -> float:
+        return self._gain * self._actuator.force(q, qd, t - self._delay) if self._actuator else 0.0
+
+    def _acting_force(self, q: float, qd: float, t: float) -> float:
+        """Effects and actuator, this as far as it touches the part."""
+        acting = self._effect_force(q, qd)
+        if self._slack is None:
+            return acting + self._actuator_force(q, qd, t)
+        if self._side:
+            return acting + self._actuator_force(q + 0.5 * self._side * self._slack.width, qd, t)
+        return acting
 
     def _set_drive(self, q: float, qd: float) -> None:
         """The saturated damper: force -D qd cut at the limit, so stiff that it sticks (facts: exact, no chatter)."""
-        limit = sum(effect.drive_limit(q, qd) for effect in self._drives)
+        if not self._drives:
+            return
+        load = float(self.mechanics.load(q, qd, self._qdd)) if self._needs_load else 0.0
+        limit = float(sum(effect.drive_limit(q, qd, load) for effect in self._drives))
         if limit != self._drive_limit:
             self._joint.set_drive_properties(
                 stiffness=0.0, damping=limit / _CREEP_SPEED, force_limit=limit, mode="force"
@@ -192,34 +313,35 @@ class SimulatedAsset:
         """Make the engine's explicit step exponential: speed v' = v + h phi1(z) F / I with z = h (dF/dv) / I.
 
         Scaling every force by phi1(z) = (exp(z) - 1) / z is the same as an inertia I / phi1(z), which the joint's
-        armature supplies: so gravity, friction and pushes keep their proportions, and so do final speeds.
+        armature supplies: so gravity, friction and pushes keep their proportions, and so do final speeds. Inertia that
+        effects add is in the armature too.
         """
-        if not self._forces:
-            return
-        dv = 1e-3 * max(abs(qd), 1e-3)
-        slope = (self._effect_force(q, qd + dv, t) - self._effect_force(q, qd - dv, t)) / (2 * dv)
-        z = max(-min(slope, 0.0) * h / self.joint_inertia, 0.0)
-        inverse_phi1 = z / -np.expm1(-z) if z > 1e-9 else 1.0
-        armature = self.joint_inertia * (inverse_phi1 - 1.0)
+        inertia = self._inertia + (self._drive_inertia if self._side else 0.0)
+        inverse_phi1 = 1.0
+        if self._forces or self._actuator:
+            dv = 1e-3 * max(abs(qd), 1e-3)
+            slope = (self._acting_force(q, qd + dv, t) - self._acting_force(q, qd - dv, t)) / (2 * dv)
+            z = max(-min(slope, 0.0) * h / inertia, 0.0)
+            inverse_phi1 = z / -np.expm1(-z) if z > 1e-9 else 1.0
+        armature = inertia * inverse_phi1 - self.joint_inertia
         if abs(armature - self._armature) > 1e-9 * self.joint_inertia:
             self._joint.set_armature(np.array([armature], np.float32))
             self._armature = armature
 
     def _plan_substeps(self) -> None:
-        """Internal steps per `timestep_s`, such that the stiffest spring among the effects is stepped finely."""
+        """Internal steps per `timestep_s`, such that the stiffest spring is stepped finely."""
         self._substeps = 1
-        if not self._forces or self.joint_inertia <= 0:
+        if self.joint_inertia <= 0:
             return
-        low, high = max(self.lower, -np.pi), min(self.upper, np.pi)
-        q = np.linspace(low, high, _STIFFNESS_SAMPLES) if low < high else np.array([low])
-        dq = 1e-6
-        slopes = [(self._effect_force(x + dq, 0.0, 0.0) - self._effect_force(x - dq, 0.0, 0.0)) / (2 * dq) for x in q]
-        stiffness = max(-min(slopes), 0.0)
-        phase = self.timestep_s * np.sqrt(stiffness / self.joint_inertia)
-        self._substeps = max(1, int(np.ceil(phase / _PHASE_PER_STEP)))
+        stiffness = float(np.sum([e.steepness() for e in self.effects]))
+        servo = self._gain * self._actuator.stiffness if self._actuator else 0.0
+        rate = (stiffness + servo) / self._inertia
+        if self._slack:
+            rate = max(rate, servo / self._drive_inertia)
+        self._substeps = max(1, int(np.ceil(self.timestep_s * np.sqrt(rate) / _PHASE_PER_STEP)))
         if self._substeps > _MAX_SUBSTEPS:
             raise FreeArtError(
-                f"{self.asset.urdf} joint '{self.asset.joint}': effects of stiffness {stiffness:.3g} on "
+                f"{self.asset.urdf} joint '{self.asset.joint}': effects of stiffness {stiffness + servo:.3g} on "
                 f"an inertia of {self.joint_inertia:.3g} need {self._substeps} internal steps in each "
                 f"of {self.timestep_s:g} s, at most {_MAX_SUBSTEPS} are made: shorten timestep_s"
             )
@@ -264,8 +386,10 @@ def load(
         record = link.joint_record
         if record.name in joints and record.name != joint.name and joints[record.name].joint_type:
             _freeze(record, _held_position(asset, joints[record.name]))
-        elif record.name == joint.name and joint.joint_type == "revolute":
-            record.joint_type = "revolute_unwrapped"
+        elif record.name == joint.name:
+            record.limits = [[-np.inf, np.inf]]  # `step` keeps them, in double precision
+            if joint.joint_type == "revolute":
+                record.joint_type = "revolute_unwrapped"
     try:
         articulation = builder.build(fix_root_link=fixed_base)
     except Exception as error:
@@ -274,23 +398,31 @@ def load(
     return SimulatedAsset(asset, scene, articulation, joint, timestep_s)
 
 
-def joint_motion(asset: Asset, states: ArrayLike) -> Array:
+def joint_motion(asset: Asset, states: ArrayLike, times_s: ArrayLike = 0.0) -> Array:
     """What the loaded joint does: (n, 4, 4) displacements of the moving part, in the asset's canonical frame.
 
     Each maps the moving part from canonical state zero to one of the canonical `states` (n,), rad or m; states beyond
     the limits are allowed. Measured from the link poses of the loaded asset, not read from the URDF; the engine's poses
-    are single precision (1e-7 of the distances).
+    are single precision (1e-7 of the distances). Kinematic effects are in it, as at `times_s` (n,) or one for
+    all; displacements are from where the ideal joint has the part at state zero.
     """
     simulated = load(asset)
     C = asset.T_canonical_reference
 
-    def displaced(state: float) -> Array:
+    def displaced(state: float, time_s: float) -> Array:
         simulated.set_state(asset.state_zero + state)
+        simulated.time_s = time_s
         return C @ simulated.T_reference_moving()
 
-    zero_inverse = se3.inverse(displaced(0.0))
+    effects = simulated.effects
+    simulated.set_effects(())
+    zero_inverse = se3.inverse(displaced(0.0, 0.0))
+    simulated.set_effects(effects)
     flat = np.asarray(states, float).reshape(-1)
-    return np.stack([displaced(float(q)) @ zero_inverse for q in flat]) if len(flat) else np.zeros((0, 4, 4))
+    times = np.broadcast_to(np.asarray(times_s, float), flat.shape)
+    if not len(flat):
+        return np.zeros((0, 4, 4))
+    return np.stack([displaced(float(q), float(t)) @ zero_inverse for q, t in zip(flat, times, strict=True)])
 
 
 def roll_out(
@@ -302,6 +434,7 @@ def roll_out(
     timestep_s: float = 1e-3,
     gravity: ArrayLike = GRAVITY,
     force: Callable[[float], float] | None = None,
+    actuator: Actuator | None = None,
 ) -> RollOut:
     """The joint's trajectory from position `q0` and velocity `qd0` (rad or m, URDF joint values), base fixed.
 
@@ -312,7 +445,8 @@ def roll_out(
         duration_s: seconds; rounded to whole steps.
         timestep_s: seconds a step, one sample a step.
         gravity: (3,) m/s^2.
-        force: seconds since the start to a generalised force on the joint, N*m or N.
+        force: seconds since the start to an external generalised force on the joint, N*m or N.
+        actuator: what drives the joint, through the effects that an actuator has; its times are since the start.
 
     Raises FreeArtError when the moving part has no mass, or the start lies beyond the limits.
     """
@@ -326,14 +460,16 @@ def roll_out(
     n = round(duration_s / simulated.timestep_s)
     simulated.set_state(q0, qd0)
     simulated.time_s = 0.0
+    simulated.set_actuator(actuator)
     states = np.empty((n + 1, 2))
     states[0] = q0, qd0
     for i in range(n):
         simulated.step(force)
         states[i + 1] = simulated.state()
+    simulated.set_actuator(None)
     q, qd = states[:, 0].copy(), states[:, 1].copy()
     times = np.arange(n + 1, dtype=float) * simulated.timestep_s
-    return RollOut(times, q, qd, simulated.energy(q, qd))
+    return RollOut(times, q, qd, simulated.energy(q, qd), readings(simulated.effects, times, q))
 
 
 def _physics_scene(gravity: NDArray[np.float32]) -> Any:

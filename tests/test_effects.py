@@ -1,4 +1,4 @@
-"""Effects: bounds and units hold, every file round-trips, and what contradicts itself is refused."""
+"""Effects: bounds and units hold, formulas are what they say, files round-trip, contradictions are refused."""
 
 from __future__ import annotations
 
@@ -9,14 +9,63 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from freeart21.effects import EFFECTS, effect_from_json, effects_from_urdf_dynamics
+from freeart21 import effects as effects_package
+from freeart21 import se3
+from freeart21.effects import EFFECTS, Effect, effect_from_json, effects_from_urdf_dynamics, perpendiculars, readings
+from freeart21.effects.actuator_delay import ActuatorDelay
+from freeart21.effects.actuator_gain import ActuatorGain
+from freeart21.effects.armature import Armature
+from freeart21.effects.axis_tilt import AxisTilt
+from freeart21.effects.backlash import Backlash
 from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects.detent import Detent
+from freeart21.effects.eccentricity import Eccentricity
+from freeart21.effects.encoder_offset import EncoderOffset
+from freeart21.effects.encoder_scale import EncoderScale
+from freeart21.effects.end_stop_bounce import EndStopBounce
+from freeart21.effects.gravity_offset import GravityOffset
+from freeart21.effects.latch import Latch
+from freeart21.effects.load_friction import LoadFriction
+from freeart21.effects.pivot_offset import PivotOffset
+from freeart21.effects.quadratic_drag import QuadraticDrag
 from freeart21.effects.return_spring import ReturnSpring
+from freeart21.effects.sag import Sag
+from freeart21.effects.screw_pitch import ScrewPitch
+from freeart21.effects.stribeck_friction import StribeckFriction
+from freeart21.effects.time_offset import TimeOffset
 from freeart21.effects.viscous_damping import ViscousDamping
+from freeart21.effects.wobble import Wobble
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset, read_effects, write_asset_json
+from freeart21.joint import Joint, JointType
+from freeart21.mechanics import Actuator, JointMechanics, held
 
 EXAMPLES = (ViscousDamping(0.3), CoulombFriction(0.2), ReturnSpring(4.0, -0.1))
+MORE = (
+    StribeckFriction(0.2, 0.3, 0.5),
+    QuadraticDrag(0.3),
+    LoadFriction(0.01),
+    Detent(0.5, 0.4, 0.05),
+    Latch(2.0, 0.1, 0.02, 0.5),
+    Backlash(0.02, 0.1),
+    EndStopBounce(0.5),
+    ActuatorDelay(0.02),
+    ActuatorGain(0.8),
+    Armature(0.05),
+    AxisTilt(0.02, -0.03),
+    ScrewPitch(0.01),
+    Wobble(0.01, 2.0, 0.3, 0.4),
+    Sag(1e-3),
+    EncoderOffset(0.1),
+    EncoderScale(1.1),
+    TimeOffset(0.02),
+)
+OF_ONE_TYPE: dict[JointType, tuple[Effect, ...]] = {
+    "revolute": (GravityOffset(cosine=0.3, sine=-0.2), PivotOffset(0.01, 0.02), Eccentricity(0.002, 0.4)),
+    "prismatic": (GravityOffset(constant=0.3),),
+}
+ALL = {kind: (*EXAMPLES, *MORE, *own) for kind, own in OF_ONE_TYPE.items()}
+ON_BOTH_TYPES = [pytest.param(e, kind, id=f"{e.name}-{kind}") for kind, effects in ALL.items() for e in effects]
 TYPES = pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 
 
@@ -28,17 +77,39 @@ def write_urdf(folder: Path, inside: str = "", kind: str = "revolute") -> Path:
 
 
 def test_every_effect_of_the_library_has_an_example():
-    assert {type(e) for e in EXAMPLES} == set(EFFECTS.values())
+    assert {type(e) for effects in ALL.values() for e in effects} == set(EFFECTS.values())
+    for kind, effects in ALL.items():
+        assert {type(e) for e in effects} == {cls for cls in EFFECTS.values() if kind in cls.joint_types}
     assert all(EFFECTS[cls.name] is cls for cls in EFFECTS.values())
 
 
-@TYPES
-@pytest.mark.parametrize("effect", EXAMPLES, ids=lambda e: e.name)
+def test_an_effect_is_found_by_its_module_alone():
+    folder = Path(effects_package.__file__).parent
+    modules = {p.stem for p in folder.glob("*.py")} - {"__init__", "base"}
+    assert set(EFFECTS) == modules and len(modules) == 23
+    for name, cls in EFFECTS.items():
+        assert cls.__module__ == f"freeart21.effects.{name}" and cls.kind in ("dynamics", "kinematics", "sensing")
+
+
+@pytest.mark.parametrize("effect, kind", ON_BOTH_TYPES)
 def test_round_trip_through_json_text(effect, kind):
     data = json.loads(json.dumps(effect.to_json(kind)))
     assert effect_from_json(data, kind, "here") == effect
-    for name, spec in effect.parameters().items():
+    specs = effect.parameters(kind)
+    assert set(data["parameters"]) == set(specs) and specs
+    for name, spec in specs.items():
         assert data["parameters"][name]["unit"] == spec.unit(kind)
+        assert 0 < spec.scale <= spec.upper - spec.lower
+
+
+def test_what_a_joint_type_cannot_have_is_refused():
+    for data in (PivotOffset(0.1, 0.0).to_json("revolute"), Eccentricity(0.1, 0.0).to_json("revolute")):
+        with pytest.raises(FreeArtError, match=r"here: effect '.*' on a prismatic joint, expected revolute"):
+            effect_from_json(data, "prismatic", "here")
+    with pytest.raises(FreeArtError, match="sine is 0.2, which a prismatic joint does not have"):
+        GravityOffset(sine=0.2, constant=1.0).to_json("prismatic")
+    with pytest.raises(FreeArtError, match=r"\['constant'\], expected \['cosine', 'sine'\]"):
+        effect_from_json(GravityOffset(constant=1.0).to_json("prismatic"), "revolute", "here")
 
 
 @pytest.mark.parametrize("cls", EFFECTS.values(), ids=lambda c: c.name)
@@ -66,9 +137,10 @@ def test_wrong_unit_missing_and_unknown_parameters_are_refused(kind):
 
 
 def test_unknown_effect_lists_the_known_ones():
-    for data in ({"effect": "magic"}, {}, "magic", None):
-        with pytest.raises(FreeArtError, match="effects: coulomb_friction, return_spring, viscous_damping"):
+    for data in ({"effect": "magic"}, {"effect": ["magic"]}, {}, "magic", None):
+        with pytest.raises(FreeArtError, match=f"effects: {', '.join(sorted(EFFECTS))}") as caught:
             effect_from_json(data, "revolute", "here")
+        assert "\n" not in str(caught.value)
 
 
 def test_forces_and_limits_are_what_their_formulas_say():
@@ -79,6 +151,178 @@ def test_forces_and_limits_are_what_their_formulas_say():
     assert [e.acts for e in EXAMPLES] == ["force", "drive", "force"]
 
 
+def test_formulas_by_hand():
+    assert StribeckFriction(0.2, 0.3, 0.5).drive_limit(0.0, np.array([0.0, -0.5, 50.0])) == pytest.approx(
+        [0.5, 0.2 + 0.3 / np.e, 0.2]
+    )
+    assert QuadraticDrag(0.3).force(0.0, np.array([-2.0, 3.0])) == pytest.approx([1.2, -2.7])
+    assert LoadFriction(0.01).drive_limit(0.0, 1.0, 30.0) == pytest.approx(0.3)
+    assert GravityOffset(cosine=0.3, sine=-0.2).force(np.array([0.0, np.pi / 2]), 0.0) == pytest.approx([0.3, -0.2])
+    detent = Detent(0.5, 0.4, 0.05)
+    assert detent.force(np.array([0.35, 0.4, 0.45, 0.6]), 0.0) == pytest.approx([0.5, 0, -0.5, 0], abs=2e-3)
+    assert np.abs(detent.force(np.linspace(0, 1, 10001), 0.0)).max() == pytest.approx(0.5, rel=1e-6)
+    latch = Latch(2.0, 0.1, 0.02, 0.5)
+    course, memory, held = np.array([0.13, 0.115, 0.109, 0.119, 0.0801, 0.121, 0.115]), 0.0, []
+    for q in course:
+        memory = latch.remember(q, memory, *latch.values())
+        held.append(float(latch.force(q, 0.0, 0.0, memory)))
+    assert held == pytest.approx([0, 0, -0.9, -1.9, 1.99, 0, 0])
+    assert EndStopBounce(0.5).rebound(-3.0) == 1.5
+    assert (ActuatorDelay(0.02).delay(), ActuatorGain(0.8).gain(), Armature(0.05).inertia()) == (0.02, 0.8, 0.05)
+    slack = Backlash.meeting
+    assert [slack(0, 0.31, v, 0.2, 1.0, 0.0, 0.2) for v in (2.0, 0.5)] == [1, 0]
+    assert [slack(0, 0.09, v, 0.2, 1.0, 0.0, 0.2) for v in (2.0, 0.5)] == [0, -1]
+    assert [slack(side, 0.0, 0.0, 0.0, 0.0, push, 0.2) for side in (1, -1) for push in (-1.0, 1.0)] == [0, 1, -1, 0]
+
+
+@pytest.mark.parametrize("effect, kind", ON_BOTH_TYPES)
+def test_laws_compile_and_take_arrays(effect, kind):
+    if effect.acts not in ("force", "drive", "inertia", "stop"):
+        with pytest.raises(NotImplementedError):
+            effect.law(0.0, 0.0, 0.0, 0.0, *effect.values())
+        return
+    numba = pytest.importorskip("numba")
+    fast, values = numba.njit(effect.law), effect.values()
+    q, qd = np.linspace(-1, 1, 5), np.linspace(-2, 3, 5)
+    load = np.full(5, 7.0)
+    many = effect.law(q, qd, load, 1.0, *values)
+    for i in range(5):
+        assert fast(q[i], qd[i], 7.0, 1.0, *values) == pytest.approx(many[i], rel=1e-12)
+    if effect.name == "latch":
+        recall = numba.njit(effect.remember)
+        seen = effect.remember(q, 1.0, *values)
+        assert [float(recall(x, 1.0, *values)) for x in q] == list(seen)
+
+
+@pytest.mark.parametrize("effect, kind", ON_BOTH_TYPES)
+def test_no_force_is_steeper_than_it_says(effect, kind):
+    q = np.linspace(-1, 1, 200_001)
+    force = effect.force(q, 0.0 * q, 0.0, 1.0) + 0.0 * q
+    steepest = np.max(-np.diff(force) / np.diff(q))
+    assert steepest <= effect.steepness() * (1 + 1e-6) + 1e-9
+    assert steepest >= 0.9 * effect.steepness()
+
+
+def hinge(kind: JointType, mass: float = 2.0) -> JointMechanics:
+    """A part of 2 kg, its centre at (0.5, 0, 0.1), on an upright axis through (0.1, 0.2, 0)."""
+    joint = Joint("j", kind, np.array([0.0, 0, 1]), np.array([0.1, 0.2, 0.0]), -9, 9)
+    return JointMechanics(joint, mass, 1.0, mass * np.array([0.5, 0, 0.1]), np.array([0.0, 0, -10.0]))
+
+
+def moved_point(effect, kind: JointType, q: float, point, t: float = 0.0) -> np.ndarray:
+    """Where the effect has a point of the moving part (given at q = 0), parent's frame."""
+    mechanics = hinge(kind)
+    T = effect.displacement(q, t, mechanics) @ mechanics.joint.transform(q)
+    return se3.transform(T, np.asarray(point, float))
+
+
+def test_directions_across_the_axis():
+    first, second = perpendiculars([0.0, 0, 1])
+    np.testing.assert_allclose([first, second], [[0, -1, 0], [1, 0, 0]], atol=1e-12)
+    for axis in np.random.default_rng(1).normal(size=(20, 3)):
+        axis /= np.linalg.norm(axis)
+        basis = np.stack([*perpendiculars(axis), axis])
+        np.testing.assert_allclose(basis @ basis.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(basis) == pytest.approx(1)
+
+
+def test_kinematic_effects_move_points_as_by_hand():
+    quarter = np.pi / 2
+    # axis tilted by 0.1 about -y: it points to (-sin 0.1, 0, cos 0.1)
+    tilted = se3.exp_so3(quarter * np.array([-np.sin(0.1), 0, np.cos(0.1)]))
+    expected = np.array([0.1, 0.2, 0]) + tilted @ [0.4, -0.2, 0]
+    np.testing.assert_allclose(moved_point(AxisTilt(0.1, 0.0), "revolute", quarter, [0.5, 0, 0]), expected, atol=1e-12)
+    along = np.array([-np.sin(0.1), 0, np.cos(0.1)])
+    np.testing.assert_allclose(moved_point(AxisTilt(0.1, 0.0), "prismatic", 0.3, [0, 0, 0]), 0.3 * along, atol=1e-12)
+    # pivot at (0.1 + 0.02, 0.2 - 0.01): a quarter turn about it takes (0.5, 0) to (0.12 + 0.19, 0.19 + 0.38)
+    np.testing.assert_allclose(
+        moved_point(PivotOffset(0.01, 0.02), "revolute", quarter, [0.5, 0, 0]), [0.31, 0.57, 0], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        moved_point(ScrewPitch(0.2), "revolute", 0.5, [0.1, 0.2, 0]), [0.1, 0.2, 0.1], atol=1e-12
+    )
+    # a slider's turn of a quarter about (0.1, 0.2)
+    np.testing.assert_allclose(
+        moved_point(ScrewPitch(quarter / 0.3), "prismatic", 0.3, [0.5, 0.2, 0]), [0.1, 0.6, 0.3], atol=1e-12
+    )
+    # rocking about x + the pivot: a point 1 m up the axis goes to -y by sin(angle)
+    wobble = Wobble(0.05, 2.0, 0.0, quarter)
+    for t in (0.0, 0.125, 0.3):
+        angle = 0.05 * np.sin(4 * np.pi * t)
+        expected = np.array([0.1, 0.2 - np.sin(angle), np.cos(angle)])
+        np.testing.assert_allclose(moved_point(wobble, "revolute", 1.0, [0.1, 0.2, 1.0], t), expected, atol=1e-12)
+    # moment of 2 kg at 10 m/s^2, arm (0.4, -0.2): 20 N * 0.4472 m about the horizontal across the arm: the part drops
+    droop = 1e-3 * 20 * np.hypot(0.4, 0.2)
+    dropped = moved_point(Sag(1e-3), "revolute", 0.0, [0.5, 0, 0])
+    assert dropped[2] == pytest.approx(-np.hypot(0.4, 0.2) * np.sin(droop), rel=1e-9)
+    tip = [moved_point(Sag(1e-3), "revolute", q, [0.5, 0, 0])[2] for q in (0.0, 1.0, 2.0)]
+    assert np.ptp(tip) < 1e-12  # upright axis: the same droop at every angle
+    # out of round: twice round per turn, starting towards -y
+    for q in (0.0, quarter / 2, quarter):
+        shift = moved_point(Eccentricity(0.01, 0.0), "revolute", q, [0.1, 0.2, 0]) - [0.1, 0.2, 0]
+        np.testing.assert_allclose(shift, 0.01 * np.array([np.sin(2 * q), -np.cos(2 * q), 0]), atol=1e-12)
+
+
+def test_sag_of_a_lying_slider_grows_as_it_is_pulled_out():
+    mechanics = replace(
+        hinge("prismatic"),
+        joint=Joint("j", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), 0, 1),
+        moment_zero=np.array([0.2, 0, 0]),
+    )
+    for q in (0.0, 0.3, 0.6):
+        T = Sag(1e-3).displacement(q, 0.0, mechanics)
+        tip = se3.log_so3(T[:3, :3])
+        np.testing.assert_allclose(tip, [0, 1e-3 * 2 * 10 * (0.1 + q), 0], atol=1e-12)  # nose down: about +y
+
+
+@pytest.mark.parametrize("effect, kind", ON_BOTH_TYPES)
+def test_displacements_are_vectorised_poses(effect, kind):
+    if effect.kind != "kinematics":
+        with pytest.raises(NotImplementedError):
+            effect.displacement(0.1, 0.0, hinge(kind))
+        return
+    q, t = np.array([-0.3, 0.0, 0.7]), np.array([0.0, 0.2, 0.9])
+    T = effect.displacement(q, t, hinge(kind))
+    se3.check_poses(effect.name, T)
+    for i in range(3):
+        np.testing.assert_allclose(T[i], effect.displacement(q[i], t[i], hinge(kind)), atol=1e-14)
+    assert np.abs(T[2] - np.eye(4)).max() > 1e-4
+
+
+def test_readings_are_late_scaled_and_shifted():
+    t = np.arange(200) * 0.01
+    q = 3.0 * t
+    assert readings((), t, q) == pytest.approx(q)
+    effects = (EncoderOffset(0.1), EncoderScale(1.1), TimeOffset(0.025), ViscousDamping(1.0))
+    assert readings(effects, t, q) == pytest.approx(1.1 * 3.0 * (t - 0.025) + 0.1)
+    assert readings(effects[::-1], t, q) == pytest.approx(readings(effects, t, q))
+    assert readings((TimeOffset(-0.025),), t, q) == pytest.approx(3.0 * (t + 0.025))
+    curved = readings((TimeOffset(0.02),), t, np.sin(t))
+    assert curved[2:] == pytest.approx(np.sin(t - 0.02)[2:], abs=1e-12)
+
+
+def test_joint_mechanics_of_a_pendulum():
+    """A point of 2 kg, 0.5 m below a level hinge along y: m g r sin q back to rest; rod force m (g cos q + r qd^2)."""
+    joint = Joint("j", "revolute", np.array([0.0, 1, 0]), np.array([0.0, 0, 1.0]), -9, 9)
+    body = JointMechanics(joint, 2.0, 0.5, np.array([0.0, 0, 1.0]), np.array([0.0, 0, -10.0]))
+    q, qd = np.array([0.0, 0.4, -1.2]), np.array([1.0, -2.0, 0.5])
+    assert body.gravity_force(q) == pytest.approx(-2 * 10 * 0.5 * np.sin(q))
+    free = -10 / 0.5 * np.sin(q)
+    assert body.load(q, qd, free) == pytest.approx(2 * (10 * np.cos(q) + 0.5 * qd**2))
+    assert body.load(q, 0 * q, 0 * q) == pytest.approx(20.0)  # held still: its whole weight
+    slider = replace(body, joint=Joint("j", "prismatic", np.array([0, 0.6, 0.8]), np.zeros(3), -9, 9))
+    assert slider.gravity_force(q) == pytest.approx(-16.0)
+    assert slider.load(q, qd, qd) == pytest.approx(12.0)
+
+
+def test_a_recorded_series_is_held():
+    series = held([0.0, 0.1, 0.3], [5.0, 6.0, 7.0])
+    assert [series(t) for t in (-1, 0.0, 0.09, 0.1, 0.29, 0.3, 9)] == [5, 5, 5, 6, 6, 7, 7]
+    actuator = Actuator(series, 10.0, 2.0, lambda t: 0.5)
+    assert actuator.force(1.0, 3.0, 0.2) == pytest.approx(10 * (6 - 1) - 2 * 3 + 0.5)
+    assert Actuator(effort=series).force(1.0, 3.0, 0.2) == 6.0
+
+
 def test_words_of_urdf_and_mjcf():
     assert [e.urdf_dynamics() for e in EXAMPLES] == [{"damping": 0.3}, {"friction": 0.2}, {}]
     assert [e.mjcf_joint() for e in EXAMPLES] == [
@@ -86,6 +330,9 @@ def test_words_of_urdf_and_mjcf():
         {"frictionloss": 0.2},
         {"stiffness": 4.0, "springref": -0.1},
     ]
+    assert Armature(0.05).mjcf_joint() == {"armature": 0.05}
+    silent = [e for e in (*MORE, *OF_ONE_TYPE["revolute"]) if e.name != "armature"]
+    assert all(e.urdf_dynamics() == e.mjcf_joint() == {} for e in silent)
     assert effects_from_urdf_dynamics(0.3, 0.2) == EXAMPLES[:2]
     assert effects_from_urdf_dynamics(0.0, 0.0) == ()
 
@@ -98,6 +345,25 @@ def described(folder: Path, inside: str = '<dynamics damping="0.3" friction="0.2
 def test_effects_json_round_trips_beside_its_urdf(tmp_path: Path):
     described(tmp_path)
     assert read_asset(tmp_path).effects == {"j": EXAMPLES}
+
+
+@TYPES
+def test_effects_json_holds_the_whole_library(tmp_path: Path, kind: str):
+    asset = read_asset(write_urdf(tmp_path, '<dynamics damping="0.3" friction="0.2"/>', kind))
+    write_asset_json(tmp_path, replace(asset, effects={"j": ALL[kind]}))
+    assert read_asset(tmp_path).effects == {"j": ALL[kind]}
+    path = tmp_path / "effects.json"
+    data = json.loads(path.read_text())
+    for name, value in (("restitution", 1.5), ("spin", 0.5)):
+        broken = json.loads(json.dumps(data))
+        entry = next(e for e in broken["joints"]["j"] if e["effect"] == "end_stop_bounce")
+        entry["parameters"] = {name: {"value": value, "unit": "1"}}
+        path.write_text(json.dumps(broken))
+        with pytest.raises(
+            FreeArtError, match=f"end_stop_bounce.*({name} is 1.5, expected 0 to 1|expected \\['rest)"
+        ) as e:
+            read_asset(tmp_path)
+        assert "\n" not in str(e.value)
 
 
 def test_effects_json_of_another_urdf_is_refused(tmp_path: Path):

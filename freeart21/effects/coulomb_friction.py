@@ -1,9 +1,9 @@
 """Coulomb friction: a force of constant size against the motion, that holds the joint at rest up to the same size."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar
 
-from freeart21.effects.base import Effect, parameter
+from freeart21.effects.base import Acts, Effect, parameter
 
 
 @dataclass(frozen=True)
@@ -14,12 +14,13 @@ class CoulombFriction(Effect):
     """
 
     name: ClassVar[str] = "coulomb_friction"
-    acts: ClassVar[Literal["force", "drive"]] = "drive"
+    acts: ClassVar[Acts] = "drive"
 
-    level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force")
+    level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force", scale=0.1)
 
-    def drive_limit(self, q: float, qd: float) -> float:
-        return self.level
+    @staticmethod
+    def law(q: Any, qd: Any, load: Any, memory: Any, level: Any) -> Any:
+        return level + 0.0 * qd
 
     def urdf_dynamics(self) -> dict[str, float]:
         return {"friction": self.level}

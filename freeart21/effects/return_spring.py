@@ -1,9 +1,9 @@
 """Return spring: a force towards a rest position, in proportion to the distance from it."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar
 
-from freeart21.effects.base import Effect, parameter
+from freeart21.effects.base import Acts, Effect, parameter
 
 
 @dataclass(frozen=True)
@@ -11,13 +11,17 @@ class ReturnSpring(Effect):
     """force = -stiffness * (q - rest). URDF has no word for it."""
 
     name: ClassVar[str] = "return_spring"
-    acts: ClassVar[Literal["force", "drive"]] = "force"
+    acts: ClassVar[Acts] = "force"
 
-    stiffness: float = parameter("N*m/rad", "N/m", 0.0, 1e6, "force per displacement")
-    rest: float = parameter("rad", "m", -100.0, 100.0, "position without force")
+    stiffness: float = parameter("N*m/rad", "N/m", 0.0, 1e6, "force per displacement", scale=1.0)
+    rest: float = parameter("rad", "m", -100.0, 100.0, "position without force", scale=0.1)
 
-    def force(self, q: float, qd: float, t: float) -> float:
-        return -self.stiffness * (q - self.rest)
+    @staticmethod
+    def law(q: Any, qd: Any, load: Any, memory: Any, stiffness: Any, rest: Any) -> Any:
+        return -stiffness * (q - rest)
+
+    def steepness(self) -> float:
+        return self.stiffness
 
     def mjcf_joint(self) -> dict[str, float]:
         return {"stiffness": self.stiffness, "springref": self.rest}

@@ -1,9 +1,9 @@
 """Viscous damping: a force against the motion, in proportion to its speed."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar
 
-from freeart21.effects.base import Effect, parameter
+from freeart21.effects.base import Acts, Effect, parameter
 
 
 @dataclass(frozen=True)
@@ -11,12 +11,13 @@ class ViscousDamping(Effect):
     """force = -coefficient * qd."""
 
     name: ClassVar[str] = "viscous_damping"
-    acts: ClassVar[Literal["force", "drive"]] = "force"
+    acts: ClassVar[Acts] = "force"
 
-    coefficient: float = parameter("N*m*s/rad", "N*s/m", 0.0, 1e4, "force per speed")
+    coefficient: float = parameter("N*m*s/rad", "N*s/m", 0.0, 1e4, "force per speed", scale=0.1)
 
-    def force(self, q: float, qd: float, t: float) -> float:
-        return -self.coefficient * qd
+    @staticmethod
+    def law(q: Any, qd: Any, load: Any, memory: Any, coefficient: Any) -> Any:
+        return -coefficient * qd
 
     def urdf_dynamics(self) -> dict[str, float]:
         return {"damping": self.coefficient}

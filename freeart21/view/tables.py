@@ -167,7 +167,7 @@ def effect_text(effect: Any, joint: UrdfJoint) -> str:
     assert joint.joint_type is not None
     parameters = ", ".join(
         f"{name} {getattr(effect, name):.4g} {spec.unit(joint.joint_type).replace('*', ' ')}"
-        for name, spec in effect.parameters().items()
+        for name, spec in effect.parameters(joint.joint_type).items()
     )
     return f"{effect.name} ({parameters})"
 

@@ -1,0 +1,89 @@
+"""What a joint carries and what drives it: mass, inertia and gravity of the moving part, and the actuator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from freeart21.joint import Joint
+from freeart21.se3 import Array
+
+
+@dataclass(frozen=True)
+class JointMechanics:
+    """A rigid moving part on a joint whose base is at rest; all in one frame, that of the joint's parent link.
+
+    The generalised equation of free motion is inertia * qdd = gravity_force(q).
+    """
+
+    joint: Joint
+    """Axis and pivot; states are URDF joint values."""
+    mass: float
+    """kg."""
+    inertia: float
+    """kg*m^2 about a revolute joint's axis, kg along a prismatic joint's."""
+    moment_zero: Array
+    """(3,) kg*m: mass times centre of mass at q = 0."""
+    gravity: Array
+    """(3,) m/s^2."""
+
+    def moment(self, q: ArrayLike) -> Array:
+        """(..., 3) kg*m: mass times the vector from the joint's pivot to the centre of mass, at `q` (...)."""
+        T = self.joint.transform(q)
+        return np.asarray((T @ np.append(self.moment_zero, self.mass))[..., :3] - self.mass * self.joint.pivot)
+
+    def gravity_moment(self, q: ArrayLike) -> Array:
+        """(..., 3) N*m: the moment of gravity about the joint's pivot."""
+        return np.cross(self.moment(q), self.gravity)
+
+    def gravity_force(self, q: ArrayLike) -> Array:
+        """(...) N*m or N: gravity's generalised force on the joint."""
+        if self.joint.type == "prismatic":
+            return np.full(np.shape(q), self.mass * self.joint.axis @ self.gravity)
+        return np.asarray(self.gravity_moment(q) @ self.joint.axis)
+
+    def load(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
+        """(...) N: size of the bearing's force on the moving part at position, velocity and acceleration (...).
+
+        Revolute: |m a - m g|, a the acceleration of the centre of mass. Prismatic: its part across the axis, where the
+        acceleration has none. Moments on the bearing are not counted, nor where a push meets the part.
+        """
+        weight, axis = self.mass * self.gravity, self.joint.axis
+        if self.joint.type == "prismatic":
+            return np.full(np.shape(q), np.linalg.norm(weight - (weight @ axis) * axis))
+        arm, qd, qdd = self.moment(q), np.asarray(qd, float), np.asarray(qdd, float)
+        along = np.cross(axis, arm)
+        return np.linalg.norm(qdd[..., None] * along + qd[..., None] ** 2 * np.cross(axis, along) - weight, axis=-1)
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """What drives a joint: a position law, a commanded effort, or both; a measured set's `actuator` and `effort`.
+
+    force = stiffness * (q_command(t) - q) - damping * qd + effort(t).
+    """
+
+    q_command: Callable[[float], float] | None = None
+    """Seconds to commanded position, rad or m; None for no position law."""
+    stiffness: float = 0.0
+    """N*m/rad or N/m."""
+    damping: float = 0.0
+    """N*m*s/rad or N*s/m; acts with a position law only."""
+    effort: Callable[[float], float] | None = None
+    """Seconds to commanded force, N*m or N."""
+
+    def force(self, q: float, qd: float, t: float) -> float:
+        """The force that is asked for at position `q` and velocity `qd` by the command of time `t`."""
+        asked = 0.0 if self.effort is None else self.effort(t)
+        if self.q_command is not None:
+            asked += self.stiffness * (self.q_command(t) - q) - self.damping * qd
+        return asked
+
+
+def held(times_s: ArrayLike, values: ArrayLike) -> Callable[[float], float]:
+    """A recorded series (n,), times rising, as a function of time: each value lasts until the next one."""
+    times, series = np.asarray(times_s, float), np.asarray(values, float)
+    return lambda t: float(series[max(int(np.searchsorted(times, t, side="right")) - 1, 0)])
