@@ -53,6 +53,8 @@ class Skin:
     """(h, w, 3) RGB; repeats."""
     roughness: float = 0.6
     """0 a mirror, 1 chalk."""
+    gloss: float = 0.05
+    """Specular strength, 0 to 1, as MTL's Ks; skin and cloth reflect about so much."""
 
 
 class Scene:
@@ -97,6 +99,7 @@ class Scene:
         self._R_camera_world = self._R_now = np.eye(3)
         self._strength: NDArray[np.float32] | None = None
         self._props: list[Any] = []
+        self._prop_gloss: dict[int, list[float]] = {}
         self._props_shown = False
         self._object = _load(self._scene, urdf)
         self._joint_names = [joint.name for joint in self._object.active_joints]
@@ -135,6 +138,8 @@ class Scene:
             entity.add_component(_body(skins))
             entity.set_pose(_away())
             self._scene.add_entity(entity)
+        glosses = [[skin.gloss for skin in skins] for skins in things]
+        self._prop_gloss = {e.per_scene_id: gloss for e, gloss in zip(self._props, glosses, strict=True)}
         self._props_shown, self._strength = False, None
 
     def shoot(
@@ -180,7 +185,7 @@ class Scene:
         base = self._view.get_picture("Color" if self._linear else "Albedo")[..., :3]
         shape = self._view.get_picture("Segmentation")[..., 0]
         if self._strength is None:
-            self._strength = _strengths(self._scene)
+            self._strength = _strengths(self._scene, self._prop_gloss)
         return base, self._strength[np.minimum(shape, len(self._strength) - 1)]
 
     def depth_and_side(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -315,9 +320,10 @@ def _fetch(articulation: Any) -> None:
             _ = getattr(shape, "parts", None)
 
 
-def _strengths(scene: Any) -> NDArray[np.float32]:
+def _strengths(scene: Any, known: dict[int, list[float]]) -> NDArray[np.float32]:
     """Specular strength (MTL Ks) by per-scene id of a shape; the last entry is for nothing.
 
+    `known` gives that of every shape of some entities, by their per-scene id; of the others it is told by roughness:
     SAPIEN's importer keeps of Ks and the exponent Ns only the roughness 1 - Ks sqrt(Ns / 1000); Ns is taken as 230 Ks,
     about as in `generator.model.SHINE`.
     """
@@ -326,7 +332,11 @@ def _strengths(scene: Any) -> NDArray[np.float32]:
     found = {0: 0.0}
     for entity in scene.entities:
         body = entity.find_component_by_type(sapien.render.RenderBodyComponent)
-        for shape in body.render_shapes if body is not None else ():
+        shapes = body.render_shapes if body is not None else ()
+        if entity.per_scene_id in known:
+            found |= {s.per_scene_id: g for s, g in zip(shapes, known[entity.per_scene_id], strict=True)}
+            continue
+        for shape in shapes:
             roughness = np.mean([part.material.roughness for part in shape.parts])
             found[shape.per_scene_id] = float(np.clip((1 - roughness) / np.sqrt(0.23), 0, 1)) ** (2 / 3)
     table = np.zeros(max(found) + 2, np.float32)

@@ -312,6 +312,15 @@ def test_the_hand_hides_some_of_the_object_and_nothing_else_changes(
     assert 0.04 < np.mean(shares) < 0.35 and np.std(shares) > 0.01
 
 
+def test_tof_sees_the_hand_as_skin_and_cloth_not_as_metal(scene: Scene, loaded: partnet.PartNetObject) -> None:
+    hand, measured = _sensor("hand", scene, loaded).shoot(0), _sensor("tof+hand", scene, loaded).shoot(0)
+    gloss = scene.materials()[1]
+    skin = (hand.depth > 0) & (hand.side == 0)
+    assert skin.sum() > 100 and (gloss[skin] < 0.1).all()
+    assert (measured.depth[skin] > 0).mean() > 0.5
+    assert gloss[hand.mask] == pytest.approx(0.25, abs=0.02)  # the object's stays what it was
+
+
 def test_the_hand_moves_with_what_it_holds_and_changes_its_grip_smoothly(loaded: partnet.PartNetObject) -> None:
     meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
     plan = _plan(np.array([0, 0, 0, 0.0, 0.03, 0.0]), 150)
