@@ -140,8 +140,8 @@ def code_digest(folder: Path | None = None) -> str:
     layout left out."""
     folder = folder or Path(__file__).parent
     digest = hashlib.sha256()
-    for path in sorted(folder.glob("*.py")):
-        digest.update(f"{path.name}\n".encode())
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(f"{path.relative_to(folder)}\n".encode())
         for word in _meaning(ast.parse(path.read_text("utf-8"))):
             digest.update(f"{word} ".encode())
     return digest.hexdigest()
