@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,10 +31,19 @@ class JointMechanics:
     gravity: Array
     """(3,) m/s^2."""
 
+    @cached_property
+    def _arms(self) -> tuple[Array, Array, Array]:
+        """(3,) each, kg*m from the pivot at q = 0: along the axis, across it, and the latter turned by 90 degrees."""
+        arm, axis = self.moment_zero - self.mass * self.joint.pivot, self.joint.axis
+        along = (arm @ axis) * axis
+        return along, arm - along, np.cross(axis, arm)
+
     def moment(self, q: ArrayLike) -> Array:
         """(..., 3) kg*m: mass times the vector from the joint's pivot to the centre of mass, at `q` (...)."""
-        T = self.joint.transform(q)
-        return np.asarray((T @ np.append(self.moment_zero, self.mass))[..., :3] - self.mass * self.joint.pivot)
+        (along, across, turned), q = self._arms, np.asarray(q, float)[..., None]
+        if self.joint.type == "prismatic":
+            return np.asarray(along + across + self.mass * q * self.joint.axis)
+        return np.asarray(along + np.cos(q) * across + np.sin(q) * turned)
 
     def gravity_moment(self, q: ArrayLike) -> Array:
         """(..., 3) N*m: the moment of gravity about the joint's pivot."""
@@ -54,9 +64,11 @@ class JointMechanics:
         weight, axis = self.mass * self.gravity, self.joint.axis
         if self.joint.type == "prismatic":
             return np.full(np.shape(q), np.linalg.norm(weight - (weight @ axis) * axis))
-        arm, qd, qdd = self.moment(q), np.asarray(qd, float), np.asarray(qdd, float)
-        along = np.cross(axis, arm)
-        return np.linalg.norm(qdd[..., None] * along + qd[..., None] ** 2 * np.cross(axis, along) - weight, axis=-1)
+        (_, across, turned), q = self._arms, np.asarray(q, float)
+        c, s = np.cos(q)[..., None], np.sin(q)[..., None]
+        qd, qdd = np.asarray(qd, float)[..., None], np.asarray(qdd, float)[..., None]
+        force = qdd * (c * turned - s * across) - qd**2 * (c * across + s * turned) - weight
+        return np.asarray(np.sqrt((force * force).sum(-1)))
 
 
 @dataclass(frozen=True)

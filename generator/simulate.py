@@ -250,6 +250,7 @@ class SimulatedAsset:
         after = limit + rest * (qd + 0.5 * rest * a)
         if low <= after <= high and towards * (qd + 0.5 * rest * a) < 0:
             return after, qd + rest * a
+        self._qdd = 0.0
         return limit, 0.0  # it would come back within the step: it stays
 
     def _move_drive_side(self, slack: Backlash, q: float, qd: float, t: float, h: float) -> None:

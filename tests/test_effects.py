@@ -348,7 +348,7 @@ def test_effects_json_round_trips_beside_its_urdf(tmp_path: Path):
 
 
 @TYPES
-def test_effects_json_holds_the_whole_library(tmp_path: Path, kind: str):
+def test_effects_json_holds_the_whole_library(tmp_path: Path, kind: JointType):
     asset = read_asset(write_urdf(tmp_path, '<dynamics damping="0.3" friction="0.2"/>', kind))
     write_asset_json(tmp_path, replace(asset, effects={"j": ALL[kind]}))
     assert read_asset(tmp_path).effects == {"j": ALL[kind]}

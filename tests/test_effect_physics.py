@@ -1,0 +1,617 @@
+"""Every effect, as an asset in SAPIEN feels it, against closed forms and event-driven equations solved here.
+
+The equations (scipy, double precision, events for sticking, impacts, catches and contacts) take nothing from the
+product but the effects' parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.effects.actuator_delay import ActuatorDelay
+from freeart21.effects.actuator_gain import ActuatorGain
+from freeart21.effects.armature import Armature
+from freeart21.effects.axis_tilt import AxisTilt
+from freeart21.effects.backlash import Backlash
+from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects.detent import Detent
+from freeart21.effects.eccentricity import Eccentricity
+from freeart21.effects.encoder_offset import EncoderOffset
+from freeart21.effects.encoder_scale import EncoderScale
+from freeart21.effects.end_stop_bounce import EndStopBounce
+from freeart21.effects.gravity_offset import GravityOffset
+from freeart21.effects.latch import Latch
+from freeart21.effects.load_friction import LoadFriction
+from freeart21.effects.pivot_offset import PivotOffset
+from freeart21.effects.quadratic_drag import QuadraticDrag
+from freeart21.effects.return_spring import ReturnSpring
+from freeart21.effects.sag import Sag
+from freeart21.effects.screw_pitch import ScrewPitch
+from freeart21.effects.stribeck_friction import StribeckFriction
+from freeart21.effects.time_offset import TimeOffset
+from freeart21.effects.viscous_damping import ViscousDamping
+from freeart21.effects.wobble import Wobble
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset
+from freeart21.mechanics import Actuator, held
+from generator.simulate import joint_motion, load, roll_out
+
+MASS, ARM, G = 1.6, 0.5, 9.81
+INERTIA = {"revolute": 0.01 + MASS * ARM**2, "prismatic": MASS}
+WEIGHTLESS = (0.0, 0.0, 0.0)
+TYPES = pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+
+
+def asset_with(folder: Path, kind: str, *effects, axis: str = "0 1 0", limit: str = "") -> Asset:
+    """A bob of MASS at ARM below a hinge along y (or on a slider)."""
+    path = folder / "bob.urdf"
+    path.write_text(f"""<robot name="bob"><link name="base"/><link name="bob"><inertial><origin xyz="0 0 {-ARM}"/>
+        <mass value="{MASS}"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="j" type="{kind}"><parent link="base"/><child link="bob"/><origin xyz="0 0 1" rpy="0 0 0"/>
+        <axis xyz="{axis}"/>{limit or '<limit lower="-50" upper="50"/>'}</joint></robot>""")
+    return replace(read_asset(path), effects={"j": effects})
+
+
+def limits(lower: float, upper: float) -> str:
+    return f'<limit lower="{lower}" upper="{upper}"/>'
+
+
+def solved(acceleration, q0: float, qd0: float, times) -> np.ndarray:
+    """(n, 2) position and velocity of qdd = acceleration(t, q, qd), smooth."""
+    found = solve_ivp(
+        lambda t, y: [y[1], acceleration(t, *y)], (0, times[-1]), [q0, qd0], t_eval=times, rtol=1e-10, atol=1e-12
+    )
+    return np.asarray(found.y.T)
+
+
+def with_friction(drive, level, q0: float, qd0: float, end: float, step: float = 1e-3) -> np.ndarray:
+    """(n,) positions under accelerations drive(q, qd) and friction level(q, qd, qdd) that sticks: event-driven."""
+    times = np.arange(round(end / step) + 1) * step
+    q = np.full(len(times), np.nan)
+    now, state = 0.0, [q0, qd0]
+    while now < end:
+        pull = drive(*state)
+        if abs(state[1]) < 1e-9 and abs(pull) <= level(state[0], 0.0, 0.0):
+            q[times >= now - 1e-12] = state[0]
+            return q
+        way = np.sign(state[1]) if abs(state[1]) >= 1e-9 else np.sign(pull)
+
+        def slope(t, y, way=way):
+            free = drive(*y)
+            qdd = free
+            for _ in range(6):  # the load depends on the acceleration that friction changes
+                qdd = free - way * level(y[0], y[1], qdd)
+            return [y[1], qdd]
+
+        def stops(t, y, way=way):
+            return way * y[1]
+
+        stops.terminal, stops.direction = True, -1  # type: ignore[attr-defined]
+        ahead = [state[0], way * max(abs(state[1]), 1e-12)]
+        found = solve_ivp(slope, (now, end), ahead, events=stops, dense_output=True, rtol=1e-9, atol=1e-12)
+        here = (times >= now - 1e-12) & (times <= found.t[-1] + 1e-12)
+        q[here] = found.sol(times[here])[0]
+        now, state = found.t[-1], [float(found.y[0, -1]), 0.0 if found.status == 1 else float(found.y[1, -1])]
+    return q
+
+
+def ramp(size: float, seconds: float) -> Callable[[float], float]:
+    """A force that grows to `size` and stays."""
+    return lambda t: size * min(t / seconds, 1.0)
+
+
+def error(run, q: np.ndarray) -> float:
+    """Largest error of position over the largest travel."""
+    return float(np.abs(run.q - q).max() / np.ptp(q))
+
+
+# friction and drag
+
+
+@TYPES
+def test_stribeck_friction_slows_as_its_equation_says(tmp_path: Path, kind: str):
+    level, rise, speed = 0.7 * INERTIA[kind], 1.2 * INERTIA[kind], 0.4
+    asset = asset_with(tmp_path, kind, StribeckFriction(level, rise, speed))
+    run = roll_out(asset, 0.1, 2.0, duration_s=3.5, gravity=WEIGHTLESS)
+    I = INERTIA[kind]  # noqa: E741
+    expected = with_friction(
+        lambda q, qd: 0.0, lambda q, qd, qdd: (level + rise * np.exp(-((qd / speed) ** 2))) / I, 0.1, 2.0, 3.5
+    )
+    assert error(run, expected) < 4e-4
+    flat = with_friction(lambda q, qd: 0.0, lambda q, qd, qdd: level / I, 0.1, 2.0, 3.5)
+    assert error(run, flat) > 0.02
+
+
+@TYPES
+def test_stribeck_friction_breaks_away_at_its_larger_level(tmp_path: Path, kind: str):
+    asset = asset_with(tmp_path, kind, StribeckFriction(0.3, 0.5, 0.4))
+    at_rest = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, force=lambda t: 0.79)
+    assert np.abs(at_rest.q).max() < 1e-5
+    away = roll_out(asset, 0.0, duration_s=6, gravity=WEIGHTLESS, force=lambda t: 0.9)
+    assert np.gradient(away.qd, away.times_s)[-100:] == pytest.approx((0.9 - 0.3) / INERTIA[kind], rel=0.01)
+
+
+@TYPES
+def test_quadratic_drag_slows_as_one_over_time(tmp_path: Path, kind: str):
+    run = roll_out(asset_with(tmp_path, kind, QuadraticDrag(0.7)), 0.0, 3.0, duration_s=4, gravity=WEIGHTLESS)
+    k = 0.7 / INERTIA[kind]
+    assert run.qd == pytest.approx(3.0 / (1 + k * 3.0 * run.times_s), rel=1e-3)
+    assert run.q[-1] == pytest.approx(np.log1p(k * 3.0 * 4) / k, rel=1e-3)
+
+
+def test_load_friction_of_a_slider_is_its_weight_across_the_rail(tmp_path: Path):
+    asset = asset_with(tmp_path, "prismatic", LoadFriction(0.2), axis="0 0.6 0.8")
+    run = roll_out(asset, 0.0, 8.0, duration_s=1.5)
+    up, down = G * (0.8 + 0.2 * 0.6), G * (0.8 - 0.2 * 0.6)
+    turn = 8.0 / up
+    expected = np.where(run.times_s < turn, 8.0 - up * run.times_s, -down * (run.times_s - turn))
+    assert run.qd == pytest.approx(expected, abs=8e-3)
+    for coefficient, slips in ((1.36, False), (1.30, True)):  # tan of the slope is 4 / 3
+        still = roll_out(
+            asset_with(tmp_path, "prismatic", LoadFriction(coefficient), axis="0 0.6 0.8"), 0, duration_s=1
+        )
+        assert (abs(still.q[-1]) > 0.05) == slips
+
+
+@pytest.mark.parametrize("qd0", [0.0, 4.0])
+def test_load_friction_of_a_pendulum_follows_the_force_in_its_bearing(tmp_path: Path, qd0: float):
+    radius = 0.01
+    run = roll_out(asset_with(tmp_path, "revolute", LoadFriction(radius)), 1.2, qd0, duration_s=4)
+    I = INERTIA["revolute"]  # noqa: E741
+
+    def bearing(q, qd, qdd):  # along and across the rod
+        return MASS * np.hypot(G * np.cos(q) + ARM * qd**2, G * np.sin(q) + ARM * qdd)
+
+    expected = with_friction(
+        lambda q, qd: -MASS * G * ARM * np.sin(q) / I,
+        lambda q, qd, qdd: radius * bearing(q, qd, qdd) / I,
+        1.2,
+        qd0,
+        4.0,
+    )
+    assert error(run, expected) < 1e-3
+    constant = with_friction(
+        lambda q, qd: -MASS * G * ARM * np.sin(q) / I, lambda q, qd, qdd: radius * MASS * G / I, 1.2, qd0, 4.0
+    )
+    assert error(run, constant) > 0.05
+
+
+# forces of position
+
+
+def test_gravity_offset_turns_the_rest_angle_and_the_frequency(tmp_path: Path):
+    weight = MASS * G * ARM
+    added = GravityOffset(cosine=0.1 * weight, sine=-0.2 * weight)
+    angle = np.arctan2(0.1, 1.2)  # 0.1 cos q = 1.2 sin q
+    asset = asset_with(tmp_path, "revolute", added)
+    still = roll_out(asset, angle, duration_s=2)
+    assert np.abs(still.q - angle).max() < 1e-5
+    swing = roll_out(asset, angle + 0.02, duration_s=3)
+    rate = np.sqrt(np.hypot(0.1, 1.2) * weight / INERTIA["revolute"])
+    assert swing.q - angle == pytest.approx(0.02 * np.cos(rate * swing.times_s), abs=1e-4)
+
+
+def test_gravity_offset_is_a_tilt_of_the_base(tmp_path: Path):
+    """Gravity leant by 0.1 in the plane of the swing, m 10 % up: the same motion as the plain asset with an offset."""
+    tilt = 0.1
+    leant = roll_out(
+        asset_with(tmp_path, "revolute"), 0.5, duration_s=2, gravity=(G * np.sin(tilt), 0, -G * np.cos(tilt))
+    )
+    weight = MASS * G * ARM  # hinge along y: the torque is -weight sin(q + tilt)
+    offset = GravityOffset(cosine=-weight * np.sin(tilt), sine=weight * (1 - np.cos(tilt)))
+    run = roll_out(asset_with(tmp_path, "revolute", offset), 0.5, duration_s=2)
+    assert np.abs(run.q - leant.q).max() < 1e-4
+    slider = roll_out(
+        asset_with(tmp_path, "prismatic", GravityOffset(constant=MASS * 0.3)), 0.0, duration_s=1, gravity=WEIGHTLESS
+    )
+    assert slider.q == pytest.approx(0.15 * slider.times_s**2, abs=1e-6)
+
+
+@TYPES
+def test_detent_holds_as_a_spring_near_and_lets_go_above_its_peak(tmp_path: Path, kind: str):
+    peak, centre, width = 0.8, 0.3, 0.05
+    asset = asset_with(tmp_path, kind, Detent(peak, centre, width))
+    small = roll_out(asset, centre + 0.002, duration_s=3, gravity=WEIGHTLESS)
+    rate = np.sqrt(peak * np.exp(0.5) / width / INERTIA[kind])
+    assert small.q - centre == pytest.approx(0.002 * np.cos(rate * small.times_s), abs=1.5e-4)
+    for push, goes in ((0.95, False), (1.05, True)):
+        ramp = roll_out(
+            asset_with(tmp_path, kind, Detent(peak, centre, width), ViscousDamping(3.0)),
+            centre,
+            duration_s=12,
+            timestep_s=5e-3,
+            gravity=WEIGHTLESS,
+            force=ramp(push * peak, 3.0),
+        )
+        assert (ramp.q[-1] > centre + 3 * width) == goes
+    through = roll_out(asset, 0.0, 1.5, duration_s=0.6, gravity=WEIGHTLESS)
+    expected = solved(
+        lambda t, q, qd: (
+            -peak / INERTIA[kind] * ((q - centre) / width) * np.exp(0.5 - 0.5 * ((q - centre) / width) ** 2)
+        ),
+        0.0,
+        1.5,
+        through.times_s,
+    )
+    assert error(through, expected[:, 0]) < 1e-5
+    assert through.qd[-1] == pytest.approx(1.5, abs=2e-3) and through.qd.max() > 1.51
+
+
+@TYPES
+def test_latch_lets_go_at_its_hold_and_then_holds_nothing(tmp_path: Path, kind: str):
+    hold, position, travel = 2.0, 0.1, 0.02
+    effects = (Latch(hold, position, travel, 0.5), ViscousDamping(5.0))
+    for pull, goes in ((0.9, False), (1.1, True)):
+        run = roll_out(
+            asset_with(tmp_path, kind, *effects),
+            position,
+            duration_s=4,
+            gravity=WEIGHTLESS,
+            force=ramp(pull * hold, 2.0),
+        )
+        assert (run.q[-1] > position + 2 * travel) == goes
+        if not goes:
+            assert run.q[-1] - position == pytest.approx(pull * travel, rel=0.01)
+        else:
+            assert run.qd[-1] == pytest.approx(pull * hold / 5.0, rel=0.01)  # free but for the damper
+
+
+@TYPES
+@pytest.mark.parametrize("speed", [0.15, 0.8])
+def test_latch_catches_a_slow_part_and_lets_a_fast_one_pass(tmp_path: Path, kind: str, speed: float):
+    """Coming in it gives k reach^2 / 2, going out it takes k travel^2 / 2: caught when that stops it."""
+    hold, position, travel, capture = 4.0, 0.2, 0.03, 0.4
+    run = roll_out(
+        asset_with(tmp_path, kind, Latch(hold, position, travel, capture)), 0.1, speed, duration_s=2, gravity=WEIGHTLESS
+    )
+    k, I = hold / travel, INERTIA[kind]  # noqa: E741
+    left = speed**2 + k / I * ((capture * travel) ** 2 - travel**2)  # Newton: nothing pulls before it catches
+    if left > 0:
+        assert run.qd[-1] == pytest.approx(np.sqrt(left), rel=0.01)
+    else:
+        late = run.q[-1000:]
+        amplitude = np.sqrt((capture * travel) ** 2 + speed**2 * I / k)
+        assert late.max() == pytest.approx(position + amplitude, abs=1e-3)
+        assert late.min() == pytest.approx(position - amplitude, abs=1e-3)
+
+
+# inertia and limits
+
+
+@TYPES
+def test_armature_slows_but_has_no_weight(tmp_path: Path, kind: str):
+    I = INERTIA[kind]  # noqa: E741
+    asset = asset_with(tmp_path, kind, Armature(0.7 * I), ViscousDamping(0.5))
+    run = roll_out(asset, 0.0, duration_s=2, gravity=WEIGHTLESS, force=lambda t: 2.0)
+    assert run.qd == pytest.approx(4.0 * -np.expm1(-0.5 / (1.7 * I) * run.times_s), abs=2e-3)
+    if kind == "revolute":
+        swing = roll_out(asset_with(tmp_path, kind, Armature(0.7 * I)), 0.02, duration_s=3)
+        rate = np.sqrt(MASS * G * ARM / (1.7 * I))
+        assert swing.q == pytest.approx(0.02 * np.cos(rate * swing.times_s), abs=1e-4)
+        assert np.ptp(swing.energy_j) < 1e-3 * MASS * G * ARM * 0.02**2 / 2
+    pushed = roll_out(
+        asset_with(tmp_path, kind, Armature(0.7 * I), CoulombFriction(1.0)), 0.0, 3.0, duration_s=1, gravity=WEIGHTLESS
+    )
+    assert pushed.qd[-1] == pytest.approx(3.0 - 1.0 / (1.7 * I), rel=2e-3)
+
+
+@pytest.mark.parametrize("timestep_s", [1e-3, 7e-3])
+@pytest.mark.parametrize("e", [0.0, 0.6, 0.9, 1.0])
+def test_bounces_rise_to_e_squared_each(tmp_path: Path, e: float, timestep_s: float):
+    asset = asset_with(tmp_path, "prismatic", EndStopBounce(e), axis="0 0 1", limit=limits(0, 9))
+    height = 1.0
+    run = roll_out(asset, height, duration_s=3, timestep_s=timestep_s)
+    assert run.q.min() >= 0
+    expected = np.empty(len(run.times_s))
+    hit, speed = np.sqrt(2 * height / G), np.sqrt(2 * G * height)
+    expected[:] = height - 0.5 * G * run.times_s**2
+    while hit < 3:
+        speed *= e
+        after = run.times_s >= hit
+        since = run.times_s[after] - hit
+        expected[after] = np.maximum(speed * since - 0.5 * G * since**2, 0.0)
+        if speed < 1e-3:
+            expected[after] = 0
+            break
+        hit += 2 * speed / G
+    assert np.abs(run.q - expected).max() < (2e-3 if e < 1 else 3e-4)
+    if e == 0.6:
+        assert np.all(run.q[-20:] == 0) and np.all(run.qd[-20:] == 0)  # at rest at last
+    if e == 1.0:
+        assert np.ptp(run.energy_j) < 1e-3 * MASS * G
+
+
+def test_a_lid_bounces_at_both_limits_of_a_hinge(tmp_path: Path):
+    asset = asset_with(tmp_path, "revolute", EndStopBounce(0.5), limit=limits(-0.4, 0.4))
+    run = roll_out(asset, 0.0, 3.0, duration_s=1, gravity=WEIGHTLESS)
+    t = run.times_s
+    first, second = 0.4 / 3, 0.4 / 3 + 0.8 / 1.5
+    expected = np.where(t < first, 3 * t, np.where(t < second, 0.4 - 1.5 * (t - first), -0.4 + 0.75 * (t - second)))
+    assert run.q == pytest.approx(expected, abs=1e-5)
+
+
+# actuator
+
+
+def servo(times, I, gain, delay, stiffness, damping, command):  # noqa: E741
+    return solved(lambda t, q, qd: gain * (stiffness * (command(t - delay) - q) - damping * qd) / I, 0.0, 0.0, times)
+
+
+@TYPES
+def test_a_servo_with_delay_and_gain_follows_its_equation(tmp_path: Path, kind: str):
+    def command(t):
+        return 0.3 * np.sin(5 * t) * (t > 0)
+
+    law = Actuator(command, 40.0, 3.0)
+    plain = None
+    for gain, delay in ((1.0, 0.0), (0.6, 0.0), (1.0, 0.08), (1.3, 0.04)):
+        asset = asset_with(tmp_path, kind, ActuatorGain(gain), ActuatorDelay(delay))
+        run = roll_out(asset, 0.0, duration_s=2, gravity=WEIGHTLESS, actuator=law)
+        expected = servo(run.times_s, INERTIA[kind], gain, delay, 40.0, 3.0, command)
+        assert error(run, expected[:, 0]) < 2e-5
+        if plain is not None:
+            assert error(run, plain) > 0.03
+        else:
+            plain = expected[:, 0]
+
+
+@TYPES
+def test_commanded_effort_passes_the_actuator_and_a_push_does_not(tmp_path: Path, kind: str):
+    I = INERTIA[kind]  # noqa: E741
+    asset = asset_with(tmp_path, kind, ActuatorDelay(0.1), ActuatorGain(0.5))
+    effort = Actuator(effort=held([0.0, 0.2, 0.4], [0.0, 2.0, 0.0]))
+    run = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, actuator=effort)
+    assert run.qd == pytest.approx(0.5 * 2.0 / I * np.clip(run.times_s - 0.3, 0, 0.2), abs=2e-3)
+    pushed = roll_out(asset, 0.0, duration_s=1, gravity=WEIGHTLESS, force=lambda t: 2.0)
+    assert pushed.qd == pytest.approx(2.0 / I * pushed.times_s, rel=1e-3)
+
+
+def two_bodies(times, I, J, width, drive, state):  # noqa: E741
+    """(n, 2) positions of part and drive side; contact at +-width/2 stiff and inelastic; drive(t, x, v) its force."""
+    out = np.full((len(times), 2), np.nan)
+    now, side, y = 0.0, 0, np.array(state, float)  # q, qd, x, v
+    end = times[-1]
+    while now < end - 1e-12:
+
+        def slope(t, y, side=side):
+            f = drive(t, y[2], y[3])
+            a = f / (I + J) if side else 0.0
+            return [y[1], a, y[3], a if side else f / J]
+
+        if side:
+
+            def event(t, y, side=side):  # contact force from drive side on part
+                return side * (drive(t, y[2], y[3]) * I / (I + J)) + 1e-12
+
+            event.direction = -1  # type: ignore[attr-defined]
+            events = [event]
+        else:
+            ahead, behind = (lambda t, y, s=s: s * (y[2] - y[0]) - width / 2 for s in (1, -1))
+            ahead.direction = behind.direction = 1  # type: ignore[attr-defined]
+            events = [ahead, behind]
+        for e in events:
+            e.terminal = True  # type: ignore[attr-defined]
+        found = solve_ivp(slope, (now, end), y, events=events, dense_output=True, rtol=1e-9, atol=1e-12, max_step=0.01)
+        here = (times >= now - 1e-12) & (times <= found.t[-1] + 1e-12)
+        out[here] = found.sol(times[here])[[0, 2]].T
+        now, y = found.t[-1], found.y[:, -1].copy()
+        if found.status == 1:
+            if side:
+                side = 0
+            else:
+                side = 1 if len(found.t_events[0]) else -1
+                y[1] = y[3] = (I * y[1] + J * y[3]) / (I + J)
+    return out
+
+
+@TYPES
+@pytest.mark.parametrize("through", ["servo", "effort"])
+def test_backlash_is_two_bodies_with_a_gap(tmp_path: Path, kind: str, through: str):
+    I = INERTIA[kind]  # noqa: E741
+    J, width = 0.3 * I, 0.2
+
+    def command(t):
+        return 0.5 * np.sin(3 * t)
+
+    def effort(t):
+        return 2.0 * I * np.sin(4 * t)
+
+    if through == "servo":
+        law = Actuator(command, 60.0 * I, 8.0 * I)
+    else:
+        law = Actuator(effort=effort)
+    run = roll_out(asset_with(tmp_path, kind, Backlash(width, J)), 0.0, duration_s=3, gravity=WEIGHTLESS, actuator=law)
+
+    def drive(t, x, v):
+        return 60 * I * (command(t) - x) - 8 * I * v if through == "servo" else effort(t)
+
+    expected = two_bodies(run.times_s, I, J, width, drive, [0.0, 0.0, 0.0, 0.0])
+    assert error(run, expected[:, 0]) < 2e-3
+    stiff = solved(lambda t, q, qd: drive(t, q, qd) / (I + J), 0.0, 0.0, run.times_s)
+    assert error(run, stiff[:, 0]) > 0.015
+    early = run.times_s < 0.1
+    assert np.abs(run.q[early]).max() < (1e-3 if through == "servo" else 1e-9)
+
+
+def test_backlash_has_a_dead_band_and_carries_armature(tmp_path: Path):
+    asset = asset_with(tmp_path, "prismatic", Backlash(0.2, 0.1), Armature(0.4))
+    push = Actuator(effort=lambda t: 1.0)
+    run = roll_out(asset, 0.0, duration_s=2, gravity=WEIGHTLESS, actuator=push)
+    J = 0.5  # takes sqrt(2 * 0.1 * J) s across half the slack, then shares its momentum
+    met = np.sqrt(2 * 0.1 * J)
+    since = np.maximum(run.times_s - met, 0)
+    expected = met / (J + MASS) * since + 0.5 * since**2 / (J + MASS)
+    assert run.q == pytest.approx(expected, abs=2e-3)
+    assert np.all(run.q[run.times_s < met - 2e-3] == 0)
+
+
+@TYPES
+def test_a_resting_part_is_pulled_by_gravity_as_its_mechanics_say(tmp_path: Path, kind: str):
+    rng = np.random.default_rng(5)
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    asset = asset_with(tmp_path, kind, axis=" ".join(map(str, axis)))
+    inertia = MASS if kind == "prismatic" else 0.01 + MASS * ARM**2 * (1 - axis[2] ** 2)
+    gravity = rng.normal(size=3) * 5
+    simulated = load(asset, gravity=gravity)
+    for lean in (np.eye(4), se3.exp_se3([0, 0, 0, 0.3, -0.5, 0.9])):
+        simulated.set_base_pose(lean)
+        for q in (-0.7, 0.0, 1.1):
+            simulated.set_state(q)
+            simulated.step()
+            pull = simulated.mechanics.gravity_force(q)
+            assert simulated.state()[1] / 1e-3 == pytest.approx(pull / inertia, rel=1e-4, abs=1e-4)
+
+
+def test_load_friction_of_a_part_that_rests_on_its_limit(tmp_path: Path):
+    """A lid of 90 degrees lying on its stop: its hinge carries the weight, and more than that is needed to lift it."""
+    asset = asset_with(tmp_path, "revolute", LoadFriction(0.05), limit=limits(np.pi / 2, 3))
+    to_lift = MASS * G * (ARM + 0.05)
+    for push, lifts in ((0.98, False), (1.02, True)):
+        run = roll_out(asset, np.pi / 2, duration_s=0.5, force=ramp(push * to_lift, 1e-9))
+        assert (run.q[-1] > np.pi / 2 + 1e-3) == lifts
+
+
+# kinematics and sensing, through the loaded asset
+
+
+@TYPES
+def test_joint_motion_has_the_kinematic_effects(tmp_path: Path, kind: str):
+    asset = asset_with(tmp_path, kind, axis="0 0.6 0.8")
+    C = se3.exp_se3([0.1, -0.2, 0.3, 0.4, 0.5, -0.6])
+    asset = replace(asset, T_canonical_reference=C, state_zero=0.2)
+    states, times = np.array([-0.4, 0.0, 0.9]), np.array([0.0, 0.1, 0.3])
+    axis, pivot = np.array([0, 0.6, 0.8]), np.array([0, 0, 1.0])
+    first = np.array([0, -0.8, 0.6])  # x crossed with the axis
+    second = np.cross(axis, first)
+    np.testing.assert_allclose(second, [1, 0, 0], atol=1e-12)
+
+    def about(direction, angle, point):
+        R = se3.exp_so3(angle * np.asarray(direction))
+        return se3.pose(R, point - R @ point)
+
+    def slid(direction, way):
+        return se3.pose(np.eye(3), way * np.asarray(direction))
+
+    def ideal(q, axis=axis, pivot=pivot):
+        return about(axis, q, pivot) if kind == "revolute" else slid(axis, q)
+
+    def sagged(q):
+        centre = (ideal(q) @ [0, 0, 1 - ARM, 1])[:3]
+        moment = np.cross(centre - pivot, [0, 0, -MASS * G])
+        return se3.exp_so3(1e-3 * (moment - axis * (axis @ moment)))
+
+    tilted = se3.exp_so3(0.05 * first - 0.1 * second) @ axis
+    cases = [
+        (AxisTilt(0.05, -0.1), lambda q, t: ideal(q, tilted)),
+        (
+            Wobble(0.05, 2.0, 0.3, 0.7),
+            lambda q, t: (
+                about(np.cos(0.7) * first + np.sin(0.7) * second, 0.05 * np.sin(4 * np.pi * t + 0.3), pivot) @ ideal(q)
+            ),
+        ),
+        (
+            ScrewPitch(0.2),
+            lambda q, t: (slid(axis, 0.2 * q) if kind == "revolute" else about(axis, 0.2 * q, pivot)) @ ideal(q),
+        ),
+        (Sag(1e-3), lambda q, t: se3.pose(sagged(q), pivot - sagged(q) @ pivot) @ ideal(q)),
+    ]
+    if kind == "revolute":
+        cases += [
+            (PivotOffset(0.02, -0.03), lambda q, t: ideal(q, pivot=pivot + 0.02 * first - 0.03 * second)),
+            (
+                Eccentricity(0.01, 0.4),
+                lambda q, t: slid(0.01 * (np.cos(2 * q + 0.4) * first + np.sin(2 * q + 0.4) * second), 1) @ ideal(q),
+            ),
+        ]
+    plain = joint_motion(asset, states)
+    for effect, true in cases:
+        got = joint_motion(replace(asset, effects={"j": (effect,)}), states, times)
+        zero = se3.inverse(C @ ideal(0.2))
+        expected = [C @ true(0.2 + q, t) @ zero for q, t in zip(states, times, strict=True)]
+        np.testing.assert_allclose(got, expected, atol=2e-6, err_msg=effect.name)
+        assert np.abs(got - plain).max() > 1e-3, effect.name
+
+
+def test_kinematic_effects_multiply_and_do_not_touch_the_dynamics(tmp_path: Path):
+    tilt, pitch = AxisTilt(0.1, 0.0), ScrewPitch(0.3)
+    asset = asset_with(tmp_path, "revolute", tilt, pitch)
+    simulated = load(asset)
+    simulated.set_state(0.7)
+    plain = load(replace(asset, effects={}))
+    plain.set_state(0.7)
+    X = tilt.displacement(0.7, 0, simulated.mechanics) @ pitch.displacement(0.7, 0, simulated.mechanics)
+    np.testing.assert_allclose(simulated.T_reference_moving(), X @ plain.T_reference_moving(), atol=1e-6)
+    runs = [roll_out(a, 0.7, duration_s=0.5) for a in (simulated, plain)]
+    np.testing.assert_array_equal(runs[0].q, runs[1].q)
+
+
+def test_a_reading_is_late_and_scaled_and_the_truth_is_kept(tmp_path: Path):
+    sensing = (EncoderOffset(0.05), EncoderScale(0.9), TimeOffset(0.02))
+    asset = asset_with(tmp_path, "revolute", *sensing)
+    run, plain = roll_out(asset, 0.5, duration_s=2), roll_out(replace(asset, effects={}), 0.5, duration_s=2)
+    np.testing.assert_array_equal(run.q, plain.q)
+    np.testing.assert_array_equal(plain.q, plain.q_measured)
+    assert run.q_measured[20:] == pytest.approx(0.9 * plain.q[:-20] + 0.05, abs=1e-9)
+
+
+# together
+
+
+def test_many_effects_at_once_are_one_equation(tmp_path: Path):
+    I = INERTIA["revolute"]  # noqa: E741
+    effects = (
+        ViscousDamping(0.05),
+        QuadraticDrag(0.03),
+        CoulombFriction(0.1),
+        StribeckFriction(0.05, 0.1, 0.3),
+        ReturnSpring(2.0, 0.1),
+        GravityOffset(cosine=0.3),
+        Armature(0.1),
+        Detent(0.4, -0.3, 0.1),
+    )
+    run = roll_out(asset_with(tmp_path, "revolute", *effects), 1.5, duration_s=8)
+
+    def drive(q, qd):
+        x = (q + 0.3) / 0.1
+        torque = -MASS * G * ARM * np.sin(q) - 0.05 * qd - 0.03 * qd * abs(qd) - 2.0 * (q - 0.1) + 0.3 * np.cos(q)
+        return (torque - 0.4 * x * np.exp(0.5 - 0.5 * x * x)) / (I + 0.1)
+
+    expected = with_friction(
+        drive, lambda q, qd, qdd: (0.15 + 0.1 * np.exp(-((qd / 0.3) ** 2))) / (I + 0.1), 1.5, 0.0, 8.0
+    )
+    assert error(run, expected) < 1.5e-3
+
+
+def test_a_loaded_asset_forgets_between_runs(tmp_path: Path):
+    effects = (Latch(2.0, 0.1, 0.02, 0.5), Backlash(0.1, 0.2), LoadFriction(0.01), EndStopBounce(0.5))
+    asset = asset_with(tmp_path, "revolute", *effects, limit=limits(-0.5, 0.5))
+    simulated, law = load(asset), Actuator(lambda t: 0.4 * np.sin(4 * t), 50.0, 1.0)
+    runs = [roll_out(a, 0.1, 0.5, duration_s=1, actuator=law) for a in (asset, simulated, simulated)]
+    for run in runs[1:]:
+        np.testing.assert_array_equal(runs[0].q, run.q)
+    free = [roll_out(a, 0.1, 0.5, duration_s=1) for a in (simulated, asset)]
+    np.testing.assert_array_equal(free[0].q, free[1].q)
+    assert np.abs(free[0].q - runs[0].q).max() > 0.01
+
+
+def test_what_a_joint_cannot_have_costs_one_line(tmp_path: Path):
+    for effects, said in (
+        ((PivotOffset(0.1, 0.0),), "effect 'pivot_offset' on a prismatic joint, expected revolute"),
+        ((Backlash(0.1, 0.1), Backlash(0.2, 0.1)), "2 effects 'backlash', expected at most one"),
+    ):
+        with pytest.raises(FreeArtError, match=said) as caught:
+            load(asset_with(tmp_path, "prismatic", *effects))
+        assert "\n" not in str(caught.value)
+    with pytest.raises(FreeArtError, match="internal steps"):
+        roll_out(
+            asset_with(tmp_path, "prismatic"), 0, duration_s=1, timestep_s=1.0, actuator=Actuator(lambda t: 0, 1e6)
+        )
