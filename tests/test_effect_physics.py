@@ -223,7 +223,7 @@ def test_detent_holds_as_a_spring_near_and_lets_go_above_its_peak(tmp_path: Path
     rate = np.sqrt(peak * np.exp(0.5) / width / INERTIA[kind])
     assert small.q - centre == pytest.approx(0.002 * np.cos(rate * small.times_s), abs=1.5e-4)
     for push, goes in ((0.95, False), (1.05, True)):
-        ramp = roll_out(
+        run = roll_out(
             asset_with(tmp_path, kind, Detent(peak, centre, width), ViscousDamping(3.0)),
             centre,
             duration_s=12,
@@ -231,7 +231,7 @@ def test_detent_holds_as_a_spring_near_and_lets_go_above_its_peak(tmp_path: Path
             gravity=WEIGHTLESS,
             force=ramp(push * peak, 3.0),
         )
-        assert (ramp.q[-1] > centre + 3 * width) == goes
+        assert (run.q[-1] > centre + 3 * width) == goes
     through = roll_out(asset, 0.0, 1.5, duration_s=0.6, gravity=WEIGHTLESS)
     expected = solved(
         lambda t, q, qd: (
