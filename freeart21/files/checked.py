@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,7 @@ def read_npz(path: Path, keys: tuple[str, ...]) -> dict[str, NDArray[Any]]:
             if missing:
                 raise FreeArtError(f"{path} has no {', '.join(missing)}; it has {', '.join(sorted(data))}")
             return {key: data[key] for key in keys}
-    except (ValueError, OSError, zipfile.BadZipFile, EOFError, KeyError) as error:
+    except (ValueError, OSError, RuntimeError, zipfile.BadZipFile, zlib.error, EOFError, KeyError) as error:
         raise FreeArtError(f"{path} is not a readable .npz file without pickled objects: {error}") from error
 
 
