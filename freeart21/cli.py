@@ -206,6 +206,7 @@ def record(
         if not names:
             raise FreeArtError(f"record: no object was named; name some of {', '.join(built_in_names())}, or all")
         jobs = jobs_of(names, settings)
+    v1.keep_apart(out, jobs, label)
     for job in jobs:
         for note in job.notes:
             print(f"{job.name}: {note}", file=sys.stderr)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -18,7 +19,9 @@ import numpy as np
 import tyro
 
 from freeart21 import catalog
+from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.benchmark import read_benchmark
 from freeart21.se3 import Array
 from generator import objects
 from generator.dataset import Job, Label
@@ -65,10 +68,25 @@ def jobs(split: Split, settings: RecordSettings | None = None) -> list[Job]:
     return [Job(e.object, e.sequence, replace(settings, seed=e.seed, motion=e.motion)) for e in entries(split)]
 
 
-def label(split: Split, settings: RecordSettings) -> Label | None:
-    """What benchmark.json says of a split; None when `settings` are not the benchmark's own, so that it is another."""
+def label(split: Split, settings: RecordSettings) -> Label:
+    """What benchmark.json says of a split; it has another name when `settings` are not the benchmark's own."""
     own = RecordSettings(seed=settings.seed, motion=settings.motion)
-    return Label(NAME, VERSION, split) if settings == own else None
+    return Label(NAME if settings == own else f"{NAME}-changed", VERSION, split)
+
+
+def keep_apart(out: Path, jobs: Sequence[Job], label: Label | None) -> None:
+    """FreeArtError when the folder `out` would bear the benchmark's name with other sequences than its own.
+
+    `label` is that of the `jobs`; None takes the folder's, or the folder's name.
+    """
+    known = read_benchmark(out) if (out / "benchmark.json").is_file() else None
+    if label is None and (known.name if known else out.resolve().name) == NAME:
+        raise FreeArtError(f"{out} is {NAME}, which has sequences of its own only; choose a folder of another name")
+    strange = set(known.sequences if known else ()) - {job.sequence for job in jobs}
+    if label is not None and strange:
+        raise FreeArtError(
+            f"{out} holds {min(strange)}, which is not of {label.name} {label.split}; choose another folder"
+        )
 
 
 def frozen() -> dict[str, dict[str, str]]:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from freeart21 import catalog
+from freeart21.errors import FreeArtError
+from freeart21.files.benchmark import write_benchmark
 from generator import v1
+from generator.dataset import Job, Label
 from generator.session import RecordSettings
 
 EVERY = [*v1.entries("public"), *v1.entries("test")]
@@ -34,8 +38,26 @@ def test_jobs_take_seed_and_motion_from_the_table_and_the_rest_from_the_settings
     jobs = v1.jobs("test", RecordSettings(sensor="tof", seed=5, motion="release"))
     assert {job.settings.sensor for job in jobs} == {"tof"} and {job.settings.seed for job in jobs} == {42}
     assert [job.settings.motion for job in jobs] == [e.motion for e in v1.entries("test")]
-    assert v1.label("test", RecordSettings(seed=9)) is not None
-    assert v1.label("test", RecordSettings(frames=200)) is None  # another benchmark must not bear the name
+    assert v1.label("test", RecordSettings(seed=9)) == Label("freeart21-v1", "1", "test")
+    assert v1.label("test", RecordSettings(frames=200)) == Label("freeart21-v1-changed", "1", "test")
+
+
+def test_no_other_sequences_bear_the_benchmarks_name(tmp_path: Path) -> None:
+    own, other = v1.jobs("public"), [Job("stapler", "stapler-s5", RecordSettings())]
+    label = v1.label("public", RecordSettings())
+    data = tmp_path / "data"
+    v1.keep_apart(data, own, label)
+    v1.keep_apart(data, other, None)
+    with pytest.raises(FreeArtError, match="is freeart21-v1, which has sequences of its own only"):
+        v1.keep_apart(tmp_path / "freeart21-v1", other, None)
+    (data / "sequences" / "stapler-v1").mkdir(parents=True)
+    (data / "sequences" / "stapler-v1" / "sequence.json").write_text("{}")
+    write_benchmark(data, v1.NAME, v1.VERSION, "public")
+    v1.keep_apart(data, own, label)
+    with pytest.raises(FreeArtError, match="is freeart21-v1, which has sequences of its own only"):
+        v1.keep_apart(data, other, None)
+    with pytest.raises(FreeArtError, match="holds stapler-v1, which is not of freeart21-v1 test"):
+        v1.keep_apart(data, v1.jobs("test"), v1.label("test", RecordSettings()))
 
 
 @pytest.mark.parametrize("entry", EVERY, ids=lambda e: e.sequence)
