@@ -186,7 +186,7 @@ def test_broken_files_are_one_clear_line(sequence, result):
     (result / "poses.npz").write_bytes(b"PK no archive")
     with pytest.raises(FreeArtError, match="poses.npz is not a readable .npz"):
         read_result(result)
-    np.savez_compressed(result / "poses.npz", T_camera_reference=np.arange(4000.0))
+    np.savez_compressed(result / "poses.npz", T_camera_reference=np.arange(4000.0), T_camera_moving=POSES)
     garbled = bytearray((result / "poses.npz").read_bytes())
     garbled[80:120] = b"\xff" * 40  # within the deflate stream: zlib's own error
     (result / "poses.npz").write_bytes(garbled)
