@@ -78,15 +78,16 @@ class SimulatedAsset:
         self._system = scene.physx_system
         self._substeps = 1
         self._q = self._qd = self._qdd = self._engine_q = 0.0
-        self._memories: list[float] = []
-        self._remembering: list[Effect] = []
+        self._forces: list[tuple[Any, tuple[float, ...]]] = []
+        self._recalls: list[tuple[int, Any, tuple[float, ...]]] = []
         self._slack: Backlash | None = None
         self._actuator: Actuator | None = None
         q = float(np.clip(0.0, joint.lower, joint.upper))
         self.set_state(q)
         pose = self._joint.global_pose.to_transformation_matrix().astype(float)
         kind: JointType = "prismatic" if self._joint.type == "prismatic" else "revolute"
-        self.world_joint = Joint(joint.name, kind, pose[:3, 0], pose[:3, 3], -np.inf, np.inf)
+        origin = pose[:3, 3] - (q * pose[:3, 0] if kind == "prismatic" else 0.0)  # the engine's frame slides along
+        self.world_joint = Joint(joint.name, kind, pose[:3, 0], origin, -np.inf, np.inf)
         """The joint in the world frame, its state being q."""
         moving = _downstream(articulation, joint.child)
         self._moving_links = {link.name for link in moving}
@@ -122,9 +123,11 @@ class SimulatedAsset:
             raise FreeArtError(f"{where} has {len(slacks)} effects 'backlash', expected at most one")
         self.effects = effects
         self._forces = [(e.law, e.values()) for e in effects if e.acts == "force"]
-        self._remembering = [e for e in effects if e.acts == "force"]
-        self._drives = [e for e in effects if e.acts == "drive"]
-        self._needs_load = any(e.needs_load for e in self._drives)
+        forces = [e for e in effects if e.acts == "force"]
+        recalling = [(i, e) for i, e in enumerate(forces) if type(e).remember is not Effect.remember]
+        self._recalls = [(i, e.remember, e.values()) for i, e in recalling]
+        self._drives = [(e.law, e.values()) for e in effects if e.acts == "drive"]
+        self._needs_load = any(e.needs_load for e in effects)
         self._stops = [e for e in effects if e.acts == "stop"]
         self._poses = [e for e in effects if e.acts == "pose"]
         self._gain = float(np.prod([e.gain() for e in effects]))
@@ -148,7 +151,8 @@ class SimulatedAsset:
     def _forget(self) -> None:
         """Effects with memory begin anew, from the state of now."""
         self._qdd = 0.0
-        self._memories = [e.remember(self._q, 0.0, *e.values()) for e in self._remembering]
+        self._memories = [0.0] * len(self._forces)
+        self._recall(self._q)
         self._side, self._drive_q, self._drive_qd = 0, self._q, self._qd
 
     def set_state(self, q: float, qd: float = 0.0) -> None:
@@ -216,8 +220,7 @@ class SimulatedAsset:
             low, high = min(self.lower, q0), max(self.upper, q0)
             q, t = min(max(q0 + 0.5 * h * qd0, low), high), self.time_s + 0.5 * h
             self._put(q)
-            for i, effect in enumerate(self._remembering):
-                self._memories[i] = effect.remember(q, self._memories[i], *effect.values())
+            self._recall(q)
             self._set_drive(q, qd0)
             self._set_armature(q, qd0, t, h)
             acting = self._acting_force(q, qd0, t) + (force(t) if force else 0.0)
@@ -283,6 +286,10 @@ class SimulatedAsset:
         self.articulation.set_qpos(np.array([q], np.float32))
         self._engine_q = q
 
+    def _recall(self, q: float) -> None:
+        for i, remember, values in self._recalls:
+            self._memories[i] = float(remember(q, self._memories[i], *values))
+
     def _effect_force(self, q: float, qd: float) -> float:
         return sum(law(q, qd, 0.0, m, *v) for (law, v), m in zip(self._forces, self._memories, strict=True))
 
@@ -303,7 +310,7 @@ class SimulatedAsset:
         if not self._drives:
             return
         load = float(self.mechanics.load(q, qd, self._qdd)) if self._needs_load else 0.0
-        limit = float(sum(effect.drive_limit(q, qd, load) for effect in self._drives))
+        limit = float(sum(law(q, qd, load, 0.0, *values) for law, values in self._drives))
         if limit != self._drive_limit:
             self._joint.set_drive_properties(
                 stiffness=0.0, damping=limit / _CREEP_SPEED, force_limit=limit, mode="force"

@@ -485,7 +485,7 @@ def test_load_friction_of_a_part_that_rests_on_its_limit(tmp_path: Path):
 
 @TYPES
 def test_joint_motion_has_the_kinematic_effects(tmp_path: Path, kind: str):
-    asset = asset_with(tmp_path, kind, axis="0 0.6 0.8")
+    asset = asset_with(tmp_path, kind, axis="0 0.6 0.8", limit=limits(0.1, 2))
     C = se3.exp_se3([0.1, -0.2, 0.3, 0.4, 0.5, -0.6])
     asset = replace(asset, T_canonical_reference=C, state_zero=0.2)
     states, times = np.array([-0.4, 0.0, 0.9]), np.array([0.0, 0.1, 0.3])
