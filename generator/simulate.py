@@ -471,10 +471,12 @@ def roll_out(
     simulated.set_actuator(actuator)
     states = np.empty((n + 1, 2))
     states[0] = q0, qd0
-    for i in range(n):
-        simulated.step(force)
-        states[i + 1] = simulated.state()
-    simulated.set_actuator(None)
+    try:
+        for i in range(n):
+            simulated.step(force)
+            states[i + 1] = simulated.state()
+    finally:
+        simulated.set_actuator(None)
     q, qd = states[:, 0].copy(), states[:, 1].copy()
     times = np.arange(n + 1, dtype=float) * simulated.timestep_s
     return RollOut(times, q, qd, simulated.energy(q, qd), readings(simulated.effects, times, q))

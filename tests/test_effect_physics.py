@@ -480,6 +480,24 @@ def test_load_friction_of_a_part_that_rests_on_its_limit(tmp_path: Path):
         assert (run.q[-1] > np.pi / 2 + 1e-3) == lifts
 
 
+def test_the_drive_side_leaves_a_part_that_rests_on_its_limit(tmp_path: Path):
+    """A slider on its lower stop: touched from below, left for 0.3 s, then met again and lifted."""
+    J, width = 0.4, 0.2
+    asset = asset_with(tmp_path, "prismatic", Backlash(width, J), axis="0 0 1", limit=limits(0, 9))
+    efforts = Actuator(effort=held([0.0, 0.6, 0.9], [2.0, -0.5, 20.0]))
+    run = roll_out(asset, 0.0, duration_s=1.5, actuator=efforts)
+    assert np.all(run.q[(run.times_s > 0.5) & (run.times_s < 0.9)] == 0)
+    x, v = 0.1 - 0.5 * 0.5 / J * 0.3**2, -0.5 / J * 0.3
+    a = 20 / J
+    met = (-v + np.sqrt(v * v + 2 * a * (0.1 - x))) / a
+    speed = J * (v + a * met) / (J + MASS)
+    since = np.maximum(run.times_s - 0.9 - met, 0)
+    expected = speed * since + 0.5 * (20 - MASS * G) / (J + MASS) * since**2
+    late = run.times_s > 0.6
+    assert run.q[late] == pytest.approx(expected[late], abs=3e-3)
+    assert met > 0.05 and run.q[-1] > 0.4
+
+
 # kinematics and sensing, through the loaded asset
 
 
