@@ -1,7 +1,7 @@
 """From one RGB-D video with foreground masks to two parts, their poses, the joint between them, and meshes.
 
 tracks         crop, points and normals; optical flow between neighbours
-segmentation   a window where two motions beat one; growth both ways in time
+segmentation   a window where two motions beat one; growth both ways in time (or the paper's: `paper_segmentation`)
 joint          adjustment of all frames under one joint; labels again; adjustment again
 poses          both parts' poses, unconstrained by the joint
 surfaces       depth fused to one mesh a part
@@ -31,9 +31,10 @@ from freeart21.joint import Joint
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Recording
 from freeart21.se3 import Array
-from reconstruct import VERSION, cache
+from reconstruct import VERSION, cache, paper_segmentation
 from reconstruct.cache import Kept, KeptStage, Known, Work
 from reconstruct.evidence import Evidence
+from reconstruct.features import HandMade
 from reconstruct.gaps import bridge_gaps
 from reconstruct.poses import FreePoses, free_adjustment, joint_adjustment
 from reconstruct.renders import render_queries
@@ -165,6 +166,12 @@ def _tracks(recording: Recording, settings: ReconstructSettings, with_tracks: bo
 
 def _segmentation(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
     assert video.tracker is not None
+    if settings.segmentation == "paper":
+        features = HandMade(video.scene, settings.features)
+        found = paper_segmentation.segment(video.evidence, video.tracker, features, settings.paper, rng)
+        grown = paper_segmentation.part_poses(video.evidence, video.tracker, found, settings, rng)
+        video.tracker = None
+        return Known(grown)
     seeds = find_seeds(video.evidence, video.tracker, settings.seeds, rng)
     grown = grow(video.evidence, video.tracker, seeds[0], settings, rng)
     video.tracker = None  # a gigabyte perhaps, and no later stage looks at it
@@ -175,7 +182,8 @@ def _joint(video: _Video, known: Known, settings: ReconstructSettings, rng: np.r
     assert known.grown is not None
     grown = bridge_gaps(video.evidence, known.grown, settings.gaps, rng)
     for _ in range(2):
-        grown = relabel(video.evidence, grown, settings, rng)
+        if settings.segmentation == "ours" or settings.paper.relabel:
+            grown = relabel(video.evidence, grown, settings, rng)
         poses = joint_adjustment(video.evidence, grown.labels, grown.poses, grown.seen, settings.poses, rng)
         grown = replace(grown, poses=poses)
     return Known(_reference_first(grown))

@@ -135,6 +135,77 @@ class GrowthSettings:
 
 
 @dataclass(frozen=True)
+class FeatureSettings:
+    """Hand-made features: by how much a cue must differ to count as one unit of distance; 0 leaves the cue out."""
+
+    colour: float = 10.0
+    """CIELAB units, lightness damped."""
+    gradient: float = 10.0
+    """Grey levels a pixel."""
+    place: float = 0.1
+    """Object diagonals."""
+    normal: float = 0.7
+    """Length of the difference of two unit normals."""
+    curvature: float = 0.2
+    """0 on a plane, towards 1 where normals differ."""
+
+
+@dataclass(frozen=True)
+class PaperSegmentationSettings:
+    """The paper's free-moving part segmentation. Lengths are in half object diagonals: the paper's objects, and with
+    them its learning rates, are of about 2 m. Numbers are the paper's where it has any."""
+
+    window: int = 8
+    """Frames of a window; pairs are (0, i) with i up to window - 1."""
+    iterations: int = 100
+    """Steps of Adam a pair."""
+    rate_transform: float = 1e-4
+    """Adam's learning rate of the transforms' twists."""
+    rate_weight: float = 1e-2
+    """Adam's learning rate of the part weights."""
+    use_main: bool = True
+    main: float = 200.0
+    """lambda_m of L_main."""
+    use_smoothness: bool = True
+    """False: the ablation "w/o Smooth Loss"."""
+    smoothness: float = 10.0
+    """lambda_s of L_smooth."""
+    use_entropy: bool = True
+    entropy: float = 0.01
+    """lambda_e of L_ent. The released code has -0.01, of a term of the other sign."""
+    use_init: bool = True
+    """False: the ablation "w/o Init Loss"."""
+    init: float = 5.0
+    """lambda_init of L_init. The released code has 20."""
+    huber: float = 1.0
+    """Where rho turns from square to linear, as a share of the displacement (the paper does not say)."""
+    epsilon: float = 1e-3
+    """The constant in L_main's denominator (the paper does not say)."""
+    clusters: int = 2
+    """Feature clusters of the first window. More than two vote on the motion that carries them (the paper does not
+    say how many)."""
+    second_from_outliers: bool = True
+    """Where both clusters found one and the same motion, the second is sought among what the first does not explain.
+    Not in the paper, whose learned features part the parts better."""
+    em_rounds: int = 5
+    """EM rounds of the initial transforms."""
+    tukey: float = 5.0
+    """Cut-off of Tukey's weight, in widened footprints (the paper does not say)."""
+    radius: float = 1.0
+    """Radius of the neighbour graph in feature space (the paper does not say)."""
+    neighbours: int = 12
+    """Nearest neighbours within the radius that are kept, to bound time."""
+    fill_neighbours: int = 16
+    """Tracks, nearest in features, whose weights fill a pixel; 0 takes all, as the formula reads."""
+    max_tracks: int = 1500
+    """Tracks of a window, to bound time."""
+    min_tracks: int = 60
+    """A pair with fewer tracks is not solved: its weights and motions are those of the pair before."""
+    relabel: bool = False
+    """Let the joint stage label anew from dense evidence, as ours does: then the masks are no longer the paper's."""
+
+
+@dataclass(frozen=True)
 class GapSettings:
     """Joining what came before and after frames in which a part is hidden."""
 
@@ -216,12 +287,16 @@ class ReconstructSettings:
     """All stages."""
 
     seed: int = 0
+    segmentation: Literal["ours", "paper"] = "ours"
+    """Whose part segmentation: ours, or the paper's with features made by hand."""
     scene: SceneSettings = field(default_factory=SceneSettings)
     tracks: TrackSettings = field(default_factory=TrackSettings)
     seeds: SeedSettings = field(default_factory=SeedSettings)
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     labels: LabelSettings = field(default_factory=LabelSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)
+    features: FeatureSettings = field(default_factory=FeatureSettings)
+    paper: PaperSegmentationSettings = field(default_factory=PaperSegmentationSettings)
     gaps: GapSettings = field(default_factory=GapSettings)
     joint: JointSettings = field(default_factory=JointSettings)
     poses: PoseSettings = field(default_factory=PoseSettings)

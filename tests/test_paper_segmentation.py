@@ -1,0 +1,278 @@
+"""The paper's part segmentation: its objective against finite differences, its transforms against planted motions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reconstruct_clip import make_clip
+
+from freeart21 import se3
+from reconstruct.evidence import Evidence
+from reconstruct.features import HandMade
+from reconstruct.paper_segmentation import (
+    Graph,
+    Pair,
+    _scaled,
+    dense_weights,
+    feature_clusters,
+    initial_transforms,
+    neighbour_graph,
+    objective,
+    segment,
+    solve_pair,
+    tukey_weights,
+)
+from reconstruct.scene import prepare
+from reconstruct.settings import PaperSegmentationSettings, ReconstructSettings
+from reconstruct.tracks import DisTracker
+
+PAPER = PaperSegmentationSettings()
+AHEAD = np.array([0, 0, 1.5])
+SWITCHES = ("main", "smoothness", "entropy", "init")
+
+
+class Gaussian:
+    """Features for descriptors that a test makes itself: one, `x`, for each column of a picture."""
+
+    def __init__(self, x=()):
+        self.x = np.asarray(x, float)
+
+    def describe(self, frame, pixels):
+        return self.x[np.asarray(pixels)[:, 1]][:, None]
+
+    def similarity(self, squared_distance):
+        return np.exp(-0.5 * squared_distance)
+
+
+def planted(rng, p=400, outliers=0.2, noise=0.002, turn=0.2):
+    """Points, where two motions and some nonsense take them, the motions, and who follows which (2: nobody)."""
+    X = rng.uniform(-0.5, 0.5, (p, 3)) + AHEAD
+    Ts = se3.exp_se3(np.concatenate([rng.normal(size=(2, 3)) * 0.1, rng.normal(size=(2, 3)) * turn], 1))
+    part = (X[:, 0] > 0.1).astype(int)
+    Y = np.einsum("pij,pj->pi", Ts[part][:, :3, :3], X) + Ts[part][:, :3, 3] + noise * rng.normal(size=X.shape)
+    wild = rng.random(p) < outliers
+    Y[wild] = rng.uniform(-0.8, 0.8, (int(wild.sum()), 3)) + AHEAD
+    return X, Y, Ts, np.where(wild, 2, part)
+
+
+def pair_of(X, Y, part, rng, wrong=0.0):
+    """A frame pair with the true parts as initial weights, some of them `wrong`, and neighbours of like place."""
+    w = np.where((part == 1) ^ (rng.random(len(X)) < wrong), 0.95, 0.05)
+    return Pair(X, Y, w, neighbour_graph(X / 0.2, Gaussian(), 1.0, 12))
+
+
+# --- pieces -----------------------------------------------------------------------------------------------------------
+
+
+def test_tukey_weights():
+    assert np.allclose(tukey_weights(np.array([0, 1, 2, 3, -1.0]), 2.0), [1, 9 / 16, 0, 0, 9 / 16])
+
+
+@pytest.mark.parametrize("off", [(), *((name,) for name in SWITCHES), ("main", "init")])
+def test_gradients_are_those_of_finite_differences(off):
+    rng = np.random.default_rng(1)
+    X, Y, Ts, part = planted(rng, 60, noise=0.05)
+    pair = pair_of(X, Y, part, rng)
+    settings = replace(PAPER, huber=0.3, entropy=3.0, **{f"use_{name}": False for name in off})
+    Ts = se3.exp_se3(0.1 * rng.normal(size=(2, 6))) @ Ts
+    w = rng.uniform(0.05, 0.95, len(X))
+
+    def total(Ts, w):
+        return sum(objective(pair, Ts, w, settings)[0].values())
+
+    value, dT, dw = objective(pair, Ts, w, settings)
+    assert {name for name, v in value.items() if v == 0} == set(off)
+    eps = 1e-6
+    for k in range(2):
+        for c in range(6):
+            twist = np.zeros((2, 6))
+            twist[k, c] = eps
+            slope = (total(se3.exp_se3(twist) @ Ts, w) - total(se3.exp_se3(-twist) @ Ts, w)) / (2 * eps)
+            assert dT[k, c] == pytest.approx(slope, rel=1e-4, abs=1e-4)
+    for i in range(0, len(w), 7):
+        d = np.eye(len(w))[i] * eps
+        assert dw[i] == pytest.approx((total(Ts, w + d) - total(Ts, w - d)) / (2 * eps), rel=1e-4, abs=1e-4)
+
+
+def test_each_term_is_the_papers_formula():
+    X = np.array([[0.0, 0, 1], [1, 0, 1]])
+    Y = X + np.array([0.5, 0, 0])
+    Ts = np.stack([np.eye(4), se3.pose(np.eye(3), [0.5, 0, 0])])
+    pair = Pair(X, Y, np.array([1.0, 0.5]), Graph(np.array([[0, 1]]), np.array([0.4])))
+    w = np.array([0.8, 0.3])
+    value, _, _ = objective(pair, Ts, w, replace(PAPER, epsilon=0.0))
+    assert value["main"] == pytest.approx(
+        200 * (0.2 * 0.5 + 0.7 * 0.5)
+    )  # standing still leaves all of the way: ratio 1
+    assert value["smoothness"] == pytest.approx(10 * 0.4 * 0.5)
+    entropy = -sum(p * np.log(p) for p in (0.8, 0.2, 0.3, 0.7))
+    assert value["entropy"] == pytest.approx(0.01 * entropy)
+    assert value["init"] == pytest.approx(5 * -(np.log(0.8) + 0.5 * np.log(0.3) + 0.5 * np.log(0.7)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_planted_motions_are_found_among_outliers(seed):
+    rng = np.random.default_rng(seed)
+    X, Y, Ts, part = planted(rng)
+    guess = (part == 1) ^ (rng.random(len(X)) < 0.25)
+    found, second = initial_transforms(X, Y, guess, 0.03, PAPER, rng)
+    for mine, true in zip(found, Ts, strict=True):
+        off = se3.log_se3(mine @ se3.inverse(true))
+        assert np.linalg.norm(off[:3]) < 0.01 and np.linalg.norm(off[3:]) < 0.01
+    assert (second == (part == 1))[part < 2].mean() > 0.97
+
+
+def test_useless_clusters_still_lead_to_two_motions_unless_switched_off():
+    rng = np.random.default_rng(3)
+    X, Y, Ts, _ = planted(rng)
+    blind = rng.random(len(X)) < 0.5  # both halves hold mostly part 0: RANSAC finds that motion twice
+    with_it, _ = initial_transforms(X, Y, blind, 0.03, PAPER, rng)
+    without, _ = initial_transforms(X, Y, blind, 0.03, replace(PAPER, second_from_outliers=False, em_rounds=0), rng)
+
+    def apart(pair):
+        return np.linalg.norm(se3.log_se3(pair[0] @ se3.inverse(pair[1])))
+
+    assert apart(with_it) == pytest.approx(np.linalg.norm(se3.log_se3(Ts[0] @ se3.inverse(Ts[1]))), rel=0.05)
+    assert apart(without) < 0.1 * apart(with_it)
+
+
+def test_clusters_are_seeded_and_part_what_is_apart():
+    rng = np.random.default_rng(0)
+    d = np.concatenate([rng.normal(size=(80, 4)), rng.normal(size=(120, 4)) + 8])
+    a, b = (feature_clusters(d, 2, np.random.default_rng(5)) for _ in range(2))
+    assert np.array_equal(a, b) and len(set(a[:80])) == 1 and len(set(a[80:])) == 1 and a[0] != a[-1]
+
+
+def test_neighbours_are_within_the_radius_and_weights_of_one_point_add_up_to_one():
+    d = np.array([[0.0], [0.5], [1.2], [9.0]])
+    graph = neighbour_graph(d, Gaussian(), 1.0, 5)
+    assert {tuple(e) for e in graph.edges} == {(0, 1), (1, 0), (1, 2), (2, 1)}
+    assert np.allclose(np.bincount(graph.edges[:, 0], graph.alpha), [1, 1, 1])
+    pulls = {tuple(e): a for e, a in zip(graph.edges, graph.alpha, strict=True)}
+    assert pulls[1, 0] > pulls[1, 2]
+
+
+def test_transforms_read_the_same_in_other_units():
+    rng = np.random.default_rng(2)
+    X, T = rng.normal(size=(9, 3)), se3.exp_se3(rng.normal(size=6))
+    middle = np.array([0.3, -0.2, 1.1])
+    scaled = _scaled(T, middle, 0.25)
+    assert np.allclose(se3.transform(scaled, (X - middle) / 0.25), (se3.transform(T, X) - middle) / 0.25)
+    assert np.allclose(_scaled(scaled, -middle / 0.25, 1 / 0.25), T)
+
+
+@pytest.mark.parametrize("most", [0, 3])
+def test_fill_keeps_tracks_and_gives_the_rest_to_whom_they_resemble(most):
+    features = Gaussian([0, 0.2, 0.3, 5, 5.2, 5.3, 5.4])
+    foreground = np.array([[True] * 6 + [False]])
+    pixels = np.array([[0, 0], [0, 1], [0, 3], [0, 4]])
+    known, settings = np.array([0.1, 0.2, 0.9, 0.8]), replace(PAPER, fill_neighbours=most)
+    dense = dense_weights(features, 0, foreground, pixels, known, settings)
+    assert np.allclose(dense[0, [0, 1, 3, 4, 6]], [*known, 0.5])
+    s = np.exp(-0.5 * np.array([0.3, 0.1, 4.7, 4.9]) ** 2)
+    if most == 0:
+        assert dense[0, 2] == pytest.approx(s @ known / s.sum())
+    assert dense[0, 2] == pytest.approx(0.15, abs=0.01) and dense[0, 5] == pytest.approx(0.85, abs=0.01)
+
+
+# --- the solver -------------------------------------------------------------------------------------------------------
+
+
+def wrong_after(pair, start, part, settings):
+    """Share of wrongly labelled tracks, and the solution, after `solve_pair`."""
+    Ts, w = solve_pair(pair, start, settings)
+    return float(((w > 0.5) != (part == 1)).mean()), Ts, w
+
+
+def test_the_objective_mends_wrong_labels_and_each_switch_does_what_it_must():
+    """While both parts travel far together: tracks outvoted by neighbours, wrong labels mended, right ones held."""
+    rng = np.random.default_rng(0)
+    X, _, Ts, part = planted(rng, 500, outliers=0.0)
+    Ts = se3.pose(np.eye(3), [1.0, 0, 0]) @ Ts
+    places = np.einsum("kij,pj->kpi", Ts[:, :3, :3], X) + Ts[:, None, :3, 3]
+    bad = rng.random(len(X)) < 0.12  # tracks that slip onto the other part
+    Y = places[np.where(bad, 1 - part, part), np.arange(len(X))]
+    pair = pair_of(X, Y, part, rng, wrong=0.1)
+    asleep = wrong_after(pair, Ts, part, replace(PAPER, use_main=False, use_smoothness=False, use_entropy=False))
+    assert asleep[0] > 0.07 and np.allclose(asleep[2], pair.w_init, atol=0.02)
+    whole = wrong_after(pair, Ts, part, PAPER)
+    rough = wrong_after(pair, Ts, part, replace(PAPER, use_smoothness=False))
+    unheld = wrong_after(pair, Ts, part, replace(PAPER, use_init=False))
+    assert whole[0] < 0.06 and rough[0] > 1.7 * whole[0] and unheld[0] > 1.3 * whole[0]
+    believed = wrong_after(pair, Ts, part, replace(PAPER, use_smoothness=False, use_init=False))[2] > 0.5
+    assert (believed[bad] != (part[bad] == 1)).all()  # main alone goes by the tracks, slipped ones too
+    loose, sharp = (
+        replace(PAPER, use_main=False, use_init=False, use_smoothness=False, entropy=e) for e in (-1.0, 1.0)
+    )
+    assert np.abs(wrong_after(pair, Ts, part, sharp)[2] - 0.5).min() > 0.49
+    assert np.abs(wrong_after(pair, Ts, part, loose)[2] - 0.5).max() < 0.1
+
+
+def test_adam_moves_the_transforms_towards_the_tracks():
+    rng = np.random.default_rng(4)
+    X, Y, Ts, part = planted(rng, 300, outliers=0.0, noise=0.0)
+    Ts = _scaled(Ts, AHEAD, 1.0)
+    off = se3.exp_se3(np.full((2, 6), 0.006)) @ Ts
+    solved, _ = solve_pair(pair_of(X - AHEAD, Y - AHEAD, part, rng), off, PAPER)
+    places = [np.einsum("kij,pj->kpi", T[:, :3, :3], X - AHEAD) + T[:, None, :3, 3] for T in (Ts, off, solved)]
+    before, after = (np.linalg.norm(other - places[0], axis=2)[part, np.arange(len(X))].mean() for other in places[1:])
+    assert after < 0.5 * before
+
+
+# --- whole clips ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def slide():
+    clip = make_clip("slide", 16, spin=0.3)
+    settings = ReconstructSettings()
+    scene = prepare(clip.recording, settings.scene)
+    evidence = Evidence(scene, settings.evidence, settings.labels)
+    return clip, evidence, DisTracker(scene, settings.tracks), HandMade(scene, settings.features)
+
+
+def crop_truth(clip, scene):
+    assert scene.factor == 1
+    h, w = scene.mask.shape[1:]
+    return np.stack([m[y : y + h, x : x + w] for m, (x, y) in zip(clip.part_masks, scene.origin, strict=True)])
+
+
+def ious(weights, truth):
+    """(n,) mean IoU of the parts of each frame; names exchanged, if at all, in all frames alike."""
+    found = np.where(truth > 0, np.where(weights > 0.5, 2, 1), 0)
+    either = []
+    for names in ((1, 2), (2, 1)):
+        mine = [((found == a) & (truth == b), (found == a) | (truth == b)) for a, b in zip((1, 2), names, strict=True)]
+        either.append(np.mean([x.sum((1, 2)) / np.maximum(y.sum((1, 2)), 1) for x, y in mine], 0))
+    return max(either, key=lambda iou: iou.mean())
+
+
+def test_features_are_of_the_surface_and_may_be_left_out(slide):
+    clip, evidence, _, features = slide
+    scene = evidence.scene
+    at = np.argwhere(scene.valid[0])
+    assert features.describe(0, at).shape == (len(at), 12)
+    assert np.isfinite(features.describe(0, at)).all()
+    part = crop_truth(clip, scene)[0][tuple(at.T)]
+    colour = HandMade(scene, replace(features.settings, gradient=0, place=0, normal=0, curvature=0))
+    d = colour.describe(0, at)
+    assert d.shape[1] == 3
+    between = np.linalg.norm(d[part == 1].mean(0) - d[part == 2].mean(0))
+    assert between > 1  # a warm and a cold part: one unit of distance or more
+
+
+def test_parts_are_found_and_keep_their_names_across_windows(slide):
+    clip, evidence, tracker, features = slide
+    truth = crop_truth(clip, evidence.scene)
+    few = replace(PAPER, max_tracks=400)
+    found, again = (segment(evidence, tracker, features, few, np.random.default_rng(0)) for _ in range(2))
+    assert np.array_equal(found.weights, again.weights)
+    iou = ious(found.weights, truth)
+    assert iou.mean() > 0.8 and iou[8:].min() > 0.7, iou  # frames 8 on are of the second window and the third
+    true = [clip.Ts, clip.Ts @ clip.joint.transform(clip.states)]
+    first = int(((found.weights > 0.5) & (truth == 2)).sum() < ((found.weights > 0.5) & (truth == 1)).sum())
+    for k in range(2):
+        T = true[1 - k if first else k]
+        steps = T[1:] @ se3.inverse(T[:-1])
+        off = se3.rotation_angle((found.motions[:-1, k] @ se3.inverse(steps))[:, :3, :3])
+        assert np.median(off) < 0.3 * np.median(se3.rotation_angle(steps[:, :3, :3])), off
