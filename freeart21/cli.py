@@ -201,6 +201,8 @@ def record(
     elif procedural is not None:
         jobs = procedural_jobs(procedural, count, settings.seed, settings)
     else:
+        if "all" in names and len(names) > 1:
+            raise FreeArtError(f"record: `all` stands alone; got {' '.join(names)}")
         if names == ("all",):
             names = built_in_names() if partnet_root is None else official_names(partnet_root, skip_missing)
         if not names:
@@ -343,10 +345,10 @@ def view(
     truth: Path | None = None,
     sequence: Path | None = None,
 ) -> None:
-    """Write a self-contained page to look at a sequence, a result or an asset.
+    """Write a self-contained page to look at a sequence, a result, an asset or a whole data folder.
 
     Args:
-        path: A sequence, result or asset folder, or a URDF.
+        path: A sequence, result, asset or data folder, or a URDF.
         out: The page; next to the working folder as NAME.html when not given.
         truth: Truth folder to show beside a sequence or a result.
         sequence: Sequence folder of a result, for its video.

@@ -97,6 +97,8 @@ def jobs_of(names: Sequence[str], settings: RecordSettings) -> list[Job]:
 
 def official_names(root: Path, skip_missing: bool = False) -> tuple[str, ...]:
     """The 21 ids of the official FreeArt-21, all of which must be in `root` unless those absent may be skipped."""
+    if not root.is_dir():
+        raise FreeArtError(f"{root} is not a folder; expected one that holds PartNet-Mobility objects ({ACCESS})")
     official = [entry.name for entry in catalog.CATALOG if entry.benchmark == "FreeArt-21"]
     places = {name: partnet.folder_of(name, root) for name in official}
     absent = [name for name, place in places.items() if place is None or not (place / partnet.URDF_NAME).is_file()]
@@ -295,6 +297,8 @@ def _only_writer(out: Path) -> Iterator[None]:
     deadline = time.monotonic() + _PATIENCE_S
     while (handle := _lock(lock)) is None:
         if time.monotonic() > deadline:
+            if not lock.is_file():
+                raise FreeArtError(f"cannot write {lock}: its folder cannot be made")
             raise FreeArtError(f"another process is recording into {out}; wait for it, or choose another folder")
         time.sleep(0.05)
     try:

@@ -187,14 +187,13 @@ def planned(
 
 
 def _effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
-    """The effects that an effects.json gives to the joint, or to the one joint that it names."""
+    """The effects that an effects.json gives to the joint."""
     entries = checked.read_json(path, EFFECTS_SCHEMA).get("joints")
     if not isinstance(entries, dict) or not all(isinstance(v, list) for v in entries.values()):
         raise FreeArtError(f"{path}: 'joints' must map joint names to lists of effects")
-    if joint.name not in entries and len(entries) != 1:
+    if joint.name not in entries:
         raise FreeArtError(f"{path} says nothing of '{joint.name}'; its joints: {', '.join(entries) or 'none'}")
-    listed = entries.get(joint.name, next(iter(entries.values())))
-    return tuple(effect_from_json(entry, joint.type, f"{path} joint '{joint.name}'") for entry in listed)
+    return tuple(effect_from_json(entry, joint.type, f"{path} joint '{joint.name}'") for entry in entries[joint.name])
 
 
 def partnet_folder(name: str, root: Path | None) -> Path:

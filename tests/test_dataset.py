@@ -144,11 +144,9 @@ def test_ctrl_c_says_in_one_line_how_to_go_on(tmp_path: Path) -> None:
     deadline = time.monotonic() + 90
     while len(list(data.glob(".recording/*/object"))) < 1 and time.monotonic() < deadline:
         time.sleep(0.02)
-    began = time.monotonic()
     running.send_signal(signal.SIGINT)
     _, errors = running.communicate(timeout=60)
     assert running.returncode == 130, errors
-    assert time.monotonic() - began < 20
     assert len(errors.strip().splitlines()) == 1 and "the same command goes on" in errors
     assert (data / ".recording" / "job.json").is_file()
     with dataset._only_writer(data):  # no worker of it is left
@@ -406,6 +404,8 @@ def test_effects_that_do_not_fit_are_one_line(tmp_path: Path) -> None:
     settings = dataclasses.replace(SETTINGS, effects=effects)
     with pytest.raises(FreeArtError, match="they go with the motion release, not tumble"):
         jobs_of(["stapler"], settings)
-    with pytest.raises(FreeArtError, match="says nothing of 'joint_1'; its joints: none"):
-        record_jobs(tmp_path / "data", jobs_of(["stapler"], dataclasses.replace(settings, motion="release")))
+    for joints, said in (({}, "none"), ({"joint_0": []}, "joint_0")):
+        atomic.write_json(effects, {"schema": "freeart21/effects/1", "joints": joints})
+        with pytest.raises(FreeArtError, match=f"says nothing of 'joint_1'; its joints: {said}"):
+            record_jobs(tmp_path / "data", jobs_of(["stapler"], dataclasses.replace(settings, motion="release")))
     assert not (tmp_path / "data").exists()
