@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from itertools import zip_longest
 
 from export.model import AssetModel, LinkModel, number_text
 from freeart21.errors import FreeArtError
@@ -68,12 +69,13 @@ def _joint(model: AssetModel) -> ET.Element:
         axis=number_text(*joint.axis),
         range=number_text(joint.lower, joint.upper),
     )
-    words: dict[str, float] = {}
+    words: dict[str, tuple[float, ...]] = {}
     for effect in model.effects:
         for word, value in effect.mjcf_joint().items():
             if word in words and word not in _ADDITIVE:
                 raise FreeArtError(f"joint '{joint.name}': two effects say MJCF's '{word}', which a joint holds once")
-            words[word] = words.get(word, 0.0) + value
-    for word, value in words.items():
-        element.set(word, number_text(value))
+            said = value if isinstance(value, tuple) else (value,)
+            words[word] = tuple(a + b for a, b in zip_longest(words.get(word, ()), said, fillvalue=0.0))
+    for word, values in words.items():
+        element.set(word, number_text(*values))
     return element

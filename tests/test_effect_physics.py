@@ -633,3 +633,31 @@ def test_what_a_joint_cannot_have_costs_one_line(tmp_path: Path):
         roll_out(
             asset_with(tmp_path, "prismatic"), 0, duration_s=1, timestep_s=1.0, actuator=Actuator(lambda t: 0, 1e6)
         )
+
+
+@TYPES
+@pytest.mark.parametrize(
+    "effect",
+    [ViscousDamping(0.3), QuadraticDrag(0.2), CoulombFriction(0.5), ReturnSpring(6.0, -0.2), Armature(0.4)],
+    ids=lambda e: e.name,
+)
+def test_mujoco_takes_its_words_as_sapien_takes_the_effect(tmp_path: Path, kind: str, effect):
+    mujoco = pytest.importorskip("mujoco")
+    joint = "hinge" if kind == "revolute" else "slide"
+    words = {word: np.atleast_1d(value) for word, value in effect.mjcf_joint().items()}
+    said = " ".join(f'{word}="{" ".join(map(str, values))}"' for word, values in words.items())
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><compiler angle="radian"/>
+        <option timestep="0.0005" integrator="implicitfast"/>
+        <worldbody><body pos="0 0 1"><joint type="{joint}" axis="0 1 0" {said}/><inertial pos="0 0 {-ARM}" mass="{MASS}"
+        diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>""")
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0] = 0.8, 2.0
+    theirs = [0.8]
+    for _ in range(3000):
+        mujoco.mj_step(model, data)
+        theirs.append(float(data.qpos[0]))
+    run = roll_out(asset_with(tmp_path, kind, effect), 0.8, 2.0, duration_s=1.5)
+    assert error(run, np.array(theirs[::2])) < (8e-3 if effect.name == "coulomb_friction" else 1e-3)  # theirs is soft
+    free = roll_out(asset_with(tmp_path, kind), 0.8, 2.0, duration_s=1.5)
+    changed = np.abs(free.q - run.q).max()
+    assert changed > 0.02 or (kind == "prismatic" and effect.name == "armature")  # a free slider does not feel inertia

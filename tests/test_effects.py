@@ -339,7 +339,8 @@ def test_words_of_urdf_and_mjcf():
         {"stiffness": 4.0, "springref": -0.1},
     ]
     assert Armature(0.05).mjcf_joint() == {"armature": 0.05}
-    silent = [e for e in (*MORE, *OF_ONE_TYPE["revolute"]) if e.name != "armature"]
+    assert QuadraticDrag(0.3).mjcf_joint() == {"damping": (0.0, 0.3)}
+    silent = [e for e in (*MORE, *OF_ONE_TYPE["revolute"]) if e.name not in ("armature", "quadratic_drag")]
     assert all(e.urdf_dynamics() == e.mjcf_joint() == {} for e in silent)
     assert effects_from_urdf_dynamics(0.3, 0.2) == EXAMPLES[:2]
     assert effects_from_urdf_dynamics(0.0, 0.0) == ()

@@ -21,7 +21,10 @@ from export.inertia import Inertial, inertial_of, unphysical
 from export.meshes import MeshSettings, baked, cleaned, inside_out, reduced, turned, write_visual
 from freeart21 import doctor, se3
 from freeart21.articulation import Articulation
+from freeart21.effects.armature import Armature
+from freeart21.effects.axis_tilt import AxisTilt
 from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects.quadratic_drag import QuadraticDrag
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
@@ -190,6 +193,15 @@ def test_effects_are_said_in_every_file_and_act(exported: Path):
 def test_two_springs_are_more_than_a_joint_of_mjcf_can_say(tmp_path: Path):
     with pytest.raises(FreeArtError, match="two effects say MJCF's 'stiffness'"):
         export_result(reconstruction(), tmp_path / "a", effects=(ReturnSpring(1, 0), ReturnSpring(2, 0)))
+
+
+def test_effects_that_share_a_word_of_mjcf_are_summed_in_it(tmp_path: Path):
+    tilt = AxisTilt(0.02, 0.0)  # which the reload check knows to be beyond the URDF
+    effects = (ViscousDamping(0.02), QuadraticDrag(0.01), ViscousDamping(0.03), Armature(0.01), Armature(0.02), tilt)
+    asset = export_result(reconstruction(), tmp_path / "a", effects=effects)
+    joint = ET.parse(asset.urdf.with_suffix(".xml")).find(".//joint")
+    assert joint is not None and joint.get("damping") == "0.05 0.01" and joint.get("armature") == "0.03"
+    assert read_asset(tmp_path / "a").effects == {"lid_joint": effects}
 
 
 def test_mujoco_loads_the_same_asset(exported: Path):

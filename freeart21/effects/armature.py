@@ -19,5 +19,5 @@ class Armature(Effect):
     def law(q: Any, qd: Any, load: Any, memory: Any, value: Any) -> Any:
         return value + 0.0 * qd
 
-    def mjcf_joint(self) -> dict[str, float]:
+    def mjcf_joint(self) -> dict[str, float | tuple[float, ...]]:
         return {"armature": self.value}

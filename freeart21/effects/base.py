@@ -181,8 +181,8 @@ class Effect(ABC):
         """Attributes of URDF `<dynamics>` that say this effect; empty when URDF can't."""
         return {}
 
-    def mjcf_joint(self) -> dict[str, float]:
-        """Attributes of an MJCF `<joint>` that say this effect; empty when MJCF can't."""
+    def mjcf_joint(self) -> dict[str, float | tuple[float, ...]]:
+        """Attributes of an MJCF `<joint>` that say this effect, a number or several; empty when MJCF can't."""
         return {}
 
     @classmethod

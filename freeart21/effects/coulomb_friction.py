@@ -25,5 +25,5 @@ class CoulombFriction(Effect):
     def urdf_dynamics(self) -> dict[str, float]:
         return {"friction": self.level}
 
-    def mjcf_joint(self) -> dict[str, float]:
+    def mjcf_joint(self) -> dict[str, float | tuple[float, ...]]:
         return {"frictionloss": self.level}

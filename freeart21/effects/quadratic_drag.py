@@ -10,8 +10,8 @@ from freeart21.effects.base import Acts, Effect, parameter
 
 @dataclass(frozen=True)
 class QuadraticDrag(Effect):
-    """force = -coefficient * qd * |qd|: the drag equation with
-    density, area, drag coefficient and lever arms in one number. URDF has no word for it, and MJCF none before 3.7.
+    """force = -coefficient * qd * |qd|: the drag equation with density, area, drag coefficient and lever arms in one
+    number. URDF has no word for it, and MJCF none before MuJoCo 3.7.
     """
 
     name: ClassVar[str] = "quadratic_drag"
@@ -22,3 +22,6 @@ class QuadraticDrag(Effect):
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, coefficient: Any) -> Any:
         return -coefficient * qd * np.abs(qd)
+
+    def mjcf_joint(self) -> dict[str, float | tuple[float, ...]]:
+        return {"damping": (0.0, self.coefficient)}

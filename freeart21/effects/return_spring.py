@@ -23,5 +23,5 @@ class ReturnSpring(Effect):
     def steepness(self) -> float:
         return self.stiffness
 
-    def mjcf_joint(self) -> dict[str, float]:
+    def mjcf_joint(self) -> dict[str, float | tuple[float, ...]]:
         return {"stiffness": self.stiffness, "springref": self.rest}

@@ -22,5 +22,5 @@ class ViscousDamping(Effect):
     def urdf_dynamics(self) -> dict[str, float]:
         return {"damping": self.coefficient}
 
-    def mjcf_joint(self) -> dict[str, float]:
+    def mjcf_joint(self) -> dict[str, float | tuple[float, ...]]:
         return {"damping": self.coefficient}
