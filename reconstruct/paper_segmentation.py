@@ -41,12 +41,6 @@ def feature_clusters(descriptors: Descriptors, clusters: int, rng: np.random.Gen
     return kmeans2(descriptors, clusters, iter=30, minit="++", rng=rng)[1].astype(np.int64)
 
 
-def tukey_weights(residuals: Array, cutoff: float) -> Array:
-    """(1 - (r / cutoff)^2)^2 within the cut-off, 0 beyond: the weights of the Tukey loss of Eq. (1), supplement."""
-    r = residuals / cutoff
-    return np.where(np.abs(r) < 1, (1 - r**2) ** 2, 0.0)
-
-
 def initial_transforms(
     X: Array,
     Y: Array,
@@ -57,7 +51,8 @@ def initial_transforms(
 ) -> tuple[Array, NDArray[np.bool_]] | None:
     """T^0, T^1 (2, 4, 4) from X to Y (p, 3), metres, and which tracks follow T^1: RANSAC, Tukey, EM.
 
-    Supplement, Transformation Initialization, from the partition `second` (p,). None when there are too few tracks.
+    Supplement, Transformation Initialization: Eq. (1) and both steps of EM, from the partition `second` (p,). None when
+    there are too few tracks.
     """
     Ts: list[Array] = []
     for mine in (~second, second):

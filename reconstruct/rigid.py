@@ -24,11 +24,16 @@ def distances(T: Array, source: Array, target: Array) -> Array:
     return np.linalg.norm(se3.transform(T, source) - target, axis=-1)
 
 
+def tukey_weights(residuals: Array, cutoff: float) -> Array:
+    """(1 - (r / cutoff)^2)^2 within the cut-off, 0 beyond: the weights of Tukey's loss."""
+    r = residuals / cutoff
+    return np.where(r < 1, (1 - r**2) ** 2, 0.0)
+
+
 def tukey_fit(T: Array, source: Array, target: Array, scale: float, rounds: int = 5) -> Array:
     """`T` refined under Tukey's weight with cut-off 2 * scale, metres."""
     for _ in range(rounds):
-        r = distances(T, source, target) / (2 * scale)
-        weights = np.where(r < 1, (1 - r**2) ** 2, 0.0)
+        weights = tukey_weights(distances(T, source, target), 2 * scale)
         if (weights > 0).sum() < 6:
             break
         T = rigid_fit(source, target, weights)
