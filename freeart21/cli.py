@@ -7,6 +7,7 @@ import math
 import os
 import platform
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -250,6 +251,7 @@ def reconstruct(
     out: Path,
     until: Literal["segmentation", "joint", "poses", "surfaces"] | None = None,
     keep_work: bool = False,
+    segmentation: Literal["ours", "paper"] | None = None,
     settings: ReconstructSettings = ReconstructSettings(),  # noqa: B008 (frozen)
 ) -> int:
     """Solve one sequence: two parts, their poses, the joint between them, and meshes, from the video alone.
@@ -261,6 +263,7 @@ def reconstruct(
         out: Result folder, such as results/ours/SEQ.
         until: Stop after this stage; what it found is kept for the next call.
         keep_work: Keep what the stages found when the result is written, too, for calls with other settings.
+        segmentation: Short for --settings.segmentation: ours, or the paper's with features made by hand.
         settings: Of every stage.
     """
     import freeart21
@@ -270,6 +273,8 @@ def reconstruct(
     from reconstruct.cache import work_folder
     from reconstruct.pipeline import reconstruct_folder, reconstruct_until
 
+    if segmentation is not None:
+        settings = replace(settings, segmentation=segmentation)
     try:
         if until is not None:
             kept = reconstruct_until(sequence, out, until, settings)
