@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from freeart21 import se3
 from freeart21.se3 import Array
@@ -329,7 +330,7 @@ def dense_weights(
     else:
         filled = np.empty(len(unknown))
         for part in np.array_split(np.arange(len(unknown)), len(unknown) // 2000 + 1):
-            squared = ((unknown[part][:, None] - known[None]) ** 2).sum(2)
+            squared = cdist(unknown[part], known, "sqeuclidean")
             filled[part] = _mean(features, squared, np.broadcast_to(weights, squared.shape))
     dense[tuple(wanted.T)] = filled
     covered = foreground[tuple(pixels.T)]

@@ -7,6 +7,8 @@ import pytest
 from reconstruct_clip import make_clip
 
 from freeart21 import se3
+from freeart21.reconstruction import Reconstruction
+from reconstruct import pipeline
 from reconstruct.evidence import Evidence
 from reconstruct.features import HandMade
 from reconstruct.paper_segmentation import (
@@ -23,8 +25,8 @@ from reconstruct.paper_segmentation import (
 )
 from reconstruct.rigid import tukey_weights
 from reconstruct.scene import prepare
-from reconstruct.settings import PaperSegmentationSettings, ReconstructSettings
-from reconstruct.tracks import DisTracker
+from reconstruct.settings import PaperSegmentationSettings, ReconstructSettings, TrackSettings
+from reconstruct.tracks import DisTracker, filtered
 
 PAPER = PaperSegmentationSettings()
 AHEAD = np.array([0, 0, 1.5])
@@ -175,6 +177,23 @@ def test_fill_keeps_tracks_and_gives_the_rest_to_whom_they_resemble(most):
     assert dense[0, 2] == pytest.approx(0.15, abs=0.01) and dense[0, 5] == pytest.approx(0.85, abs=0.01)
 
 
+def test_each_track_filter_has_its_switch():
+    """Tracks: steady; doubted at step 2; off the object at step 2; a leap at step 3."""
+    points = np.zeros((40, 4, 3))
+    points[:, :, 0] = 0.01 * np.arange(4) + 0.001 * np.arange(40)[:, None] * np.arange(4) / 40
+    points[3, 3, 1] = 1.0
+    confidence, on_object = np.ones((40, 4)), np.ones((40, 4), bool)
+    confidence[1, 2], on_object[2, 2] = 0.6, False
+    kept = filtered(points, confidence, on_object, TrackSettings())
+    assert kept[[0, 1]].all()
+    assert kept[2].tolist() == [True, True, False, False] and kept[3].tolist() == [True, True, True, False]
+    strict = filtered(points, confidence, on_object, TrackSettings(tau_c=0.7))
+    assert strict[1].tolist() == [True, True, False, False]
+    blind = filtered(points, confidence, on_object, TrackSettings(tau_c=0.7, visibility_filter=False))
+    assert blind[1].all() and not blind[2, 2]
+    assert filtered(points, confidence, on_object, TrackSettings(displacement_filter=False))[3].all()
+
+
 # --- the solver -------------------------------------------------------------------------------------------------------
 
 
@@ -276,3 +295,17 @@ def test_parts_are_found_and_keep_their_names_across_windows(slide):
         steps = T[1:] @ se3.inverse(T[:-1])
         off = se3.rotation_angle((found.motions[:-1, k] @ se3.inverse(steps))[:, :3, :3])
         assert np.median(off) < 0.3 * np.median(se3.rotation_angle(steps[:, :3, :3])), off
+
+
+def test_a_whole_result_comes_of_the_papers_labels_alone(monkeypatch):
+    def never(*_):
+        raise AssertionError("the paper's labels are not made anew")
+
+    for name in ("relabel", "find_seeds", "grow"):
+        monkeypatch.setattr(pipeline, name, never)
+    clip = make_clip("slide", 12, (120, 90), spin=0.25)
+    result = pipeline.reconstruct(clip.recording, ReconstructSettings(segmentation="paper", progress=False))
+    assert isinstance(result, Reconstruction) and result.articulation.joint.type == "prismatic"
+    first = result.Ts_camera_reference[0] @ np.append(result.articulation.joint.axis, 0)
+    true = clip.Ts[0] @ np.append(clip.joint.axis, 0)
+    assert abs(first @ true) > np.cos(np.radians(3))
