@@ -45,7 +45,7 @@ _AXES = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  
 def main(
     objects: tuple[str, ...] = (),
     most: int = 2,
-    frames: int = 40,
+    frames: int = 60,
     blocks: int = 6,
     whole: tuple[str, ...] = ("stapler", "flip_lighter"),
     whole_frames: int = 60,
