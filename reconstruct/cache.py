@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
+from freeart21.files.diagnostics import Diagnostics, diagnostics_from_json, diagnostics_to_json
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
@@ -57,6 +58,8 @@ class Known:
     """Both parts' poses without the joint."""
     answer: Reconstruction | None = None
     """The whole; what led to it is dropped."""
+    diagnostics: Diagnostics | None = None
+    """Of the whole."""
 
 
 @dataclass(frozen=True)
@@ -204,6 +207,8 @@ def _packed(kept: Kept, key: str) -> bytes:
     facts["free"] = len(known.free)
     if known.answer is not None:
         facts["answer"] = _pack_answer(known.answer, arrays)
+    if known.diagnostics is not None:
+        facts["diagnostics"] = diagnostics_to_json(known.diagnostics)
     arrays["facts"] = np.frombuffer(json.dumps(facts).encode(), np.uint8)
     buffer = io.BytesIO()
     with zipfile.ZipFile(
@@ -231,7 +236,8 @@ def _read(path: Path, stage: KeptStage, key: str) -> Kept | None:
         grown = Grown(poses, arrays["labels"], arrays["logodds"], arrays["seen"])
     free = tuple(FreePoses(arrays[f"free_{k}_Ts"], arrays[f"free_{k}_covariances"]) for k in range(facts["free"]))
     answer = _unpack_answer(facts["answer"], arrays) if "answer" in facts else None
-    return Kept(stage, Known(grown, free, answer), rng, facts["seconds"])
+    diagnostics = diagnostics_from_json(facts["diagnostics"], path) if "diagnostics" in facts else None
+    return Kept(stage, Known(grown, free, answer, diagnostics), rng, facts["seconds"])
 
 
 _OF_ANSWER = ("states", "Ts_camera_reference", "Ts_camera_moving", "part_masks", "seen", "state_std", "covariances")

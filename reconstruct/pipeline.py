@@ -25,6 +25,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from freeart21 import se3
 from freeart21.articulation import Articulation
+from freeart21.files.diagnostics import Diagnostics
 from freeart21.files.result import write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.joint import Joint
@@ -33,6 +34,7 @@ from freeart21.recording import Recording
 from freeart21.se3 import Array
 from reconstruct import VERSION, cache, paper_segmentation
 from reconstruct.cache import Kept, KeptStage, Known, Work
+from reconstruct.diagnostics import diagnose, peak_bytes
 from reconstruct.evidence import Evidence
 from reconstruct.features import HandMade
 from reconstruct.gaps import bridge_gaps
@@ -57,7 +59,7 @@ def reconstruct(recording: Recording, settings: ReconstructSettings | None = Non
     """
     settings = settings or ReconstructSettings()
     with _Clock(settings.progress) as clock:
-        answer = _solve(recording, settings, clock)
+        answer, _ = _solve(recording, settings, clock)
     assert answer is not None
     return answer
 
@@ -75,14 +77,16 @@ def reconstruct_folder(
     recording, out = read_sequence(Path(sequence)), Path(out)
     work = Work(Path(sequence), out, settings)
     with _Clock(settings.progress) as clock:
-        result = _solve(recording, settings, clock, work)
+        result, diagnostics = _solve(recording, settings, clock, work)
         assert result is not None
         renders = []
         if isinstance(result, Reconstruction):
             with clock.stage("renders"):
                 renders = render_queries(result, recording.camera, recording.queries)
         result = replace(result, seconds=clock.seconds)
-    write_result(out, result, {"solver": VERSION, **settings.to_json()}, renders)
+    if diagnostics is not None:
+        diagnostics = replace(diagnostics, peak_bytes=peak_bytes())
+    write_result(out, result, {"solver": VERSION, **settings.to_json()}, renders, diagnostics)
     if not keep_work:
         work.remove()
     return result
@@ -98,7 +102,7 @@ def reconstruct_until(
     settings = settings or ReconstructSettings()
     recording, work = read_sequence(Path(sequence)), Work(Path(sequence), Path(out), settings)
     with _Clock(settings.progress) as clock:
-        result = _solve(recording, settings, clock, work, stage)
+        result, _ = _solve(recording, settings, clock, work, stage)
     return result if isinstance(result, Failure) else work.path(stage)
 
 
@@ -108,13 +112,13 @@ def _solve(
     clock: _Clock,
     work: Work | None = None,
     until: KeptStage | None = None,
-) -> Reconstruction | Failure | None:
-    """All stages that are not kept in `work`, one after the other; None when stopped after the stage `until`."""
+) -> tuple[Reconstruction | Failure | None, Diagnostics | None]:
+    """All stages that are not kept in `work`, one after the other; no answer when stopped after the stage `until`."""
     kept = _last(work, clock) or Kept(None, Known(), np.random.default_rng(settings.seed))
     known, rng = kept.known, kept.rng
     done = 0 if kept.stage is None else cache.STAGES.index(kept.stage) + 1
     if until is not None and done > cache.STAGES.index(until):
-        return None
+        return None, None
     try:
         if known.answer is None:
             with clock.stage("tracks"):
@@ -125,11 +129,11 @@ def _solve(
                 if work is not None:
                     work.keep(Kept(stage, known, rng, clock.so_far()))
             if stage == until:
-                return None
+                return None, None
     except HopelessError as error:
-        return Failure(error.stage, error.reason, clock.seconds)
+        return Failure(error.stage, error.reason, clock.seconds), None
     assert known.answer is not None
-    return replace(known.answer, seconds=clock.seconds)
+    return replace(known.answer, seconds=clock.seconds), known.diagnostics
 
 
 def _last(work: Work | None, clock: _Clock) -> Kept | None:
@@ -207,7 +211,8 @@ def _surfaces(video: _Video, known: Known, settings: ReconstructSettings, rng: n
         for k, Ts in enumerate((grown.poses.Ts, grown.poses.Ts_moving))
     ]
     articulation = Articulation(grown.poses.joint, meshes[0], meshes[1])
-    return Known(answer=_canonical(articulation, grown, known.free, video.scene, video.recording))
+    diagnostics = diagnose(video.evidence, grown, known.free, settings.poses, settings.seed)
+    return Known(None, (), _canonical(articulation, grown, known.free, video.scene, video.recording), diagnostics)
 
 
 _SOLVERS: dict[KeptStage, Callable[[_Video, Known, ReconstructSettings, np.random.Generator], Known]] = {

@@ -68,7 +68,9 @@ def contents(out):
     found = {str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*") if path.is_file()}
     prediction = json.loads(found["prediction.json"])
     assert set(prediction.pop("seconds")) == set(pipeline.STAGES)
-    return {**found, "prediction.json": prediction}
+    diagnostics = json.loads(found["diagnostics.json"])
+    assert diagnostics.pop("peak_bytes") > 0
+    return {**found, "prediction.json": prediction, "diagnostics.json": diagnostics}
 
 
 class Calls:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files import diagnostics as diagnostics_file
+from freeart21.files.diagnostics import Diagnostics
 from freeart21.files.joint_json import joint_from_json, joint_to_json
 from freeart21.files.mesh_file import read_ply, write_ply
 from freeart21.reconstruction import Failure, Reconstruction
@@ -62,8 +64,12 @@ def write_result(
     result: Reconstruction | Failure,
     settings: dict[str, Any] | None = None,
     renders: list[NDArray[np.uint8]] | None = None,
+    diagnostics: Diagnostics | None = None,
 ) -> None:
-    """Write one result folder, replacing an older one whole. `renders` are the held-out views (height, width, 3)."""
+    """Write one result folder, replacing an older one whole.
+
+    `renders` are the held-out views (height, width, 3); `diagnostics` are of a reconstruction, and may be left out.
+    """
     with atomic.new_folder(folder, replace=True) as aside:
         if isinstance(result, Failure):
             atomic.write_json(
@@ -107,6 +113,8 @@ def write_result(
             atomic.write_bytes(aside / "part_mask" / f"{i:05d}.png", checked.encode_png(mask))
         for name in PARTS:
             write_ply(aside / "parts" / f"{name}.ply", result.articulation.part(name))
+        if diagnostics is not None:
+            atomic.write_json(aside / diagnostics_file.FILE, diagnostics_file.diagnostics_to_json(diagnostics))
         for i, image in enumerate(renders or []):
             atomic.write_bytes(aside / "renders" / f"{i:05d}.png", checked.encode_png(image))
 

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-SCRIPTS = ("base.js", "kinematics.js", "video.js", "plot.js", "scene.js", "table.js", "start.js")
+SCRIPTS = ("base.js", "kinematics.js", "video.js", "plot.js", "curves.js", "scene.js", "table.js", "start.js")
 """Files of `static/`, in the order in which they run."""
 
 REFERENCE, MOVING, TRUTH = "#0072B2", "#E69F00", "#009E73"
@@ -31,7 +31,7 @@ class Section:
     title: str
     html: str
     """What stands in the box, already escaped."""
-    kind: Literal["video", "scene", "plot", "table", "still"] = "still"
+    kind: Literal["video", "scene", "plot", "curves", "remarks", "table", "still"] = "still"
     """Which script brings it to life."""
     data: dict[str, Any] = field(default_factory=dict)
     """What that script reads: plain values, and arrays by `embed_array`."""

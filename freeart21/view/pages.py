@@ -13,6 +13,7 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, read_effects
+from freeart21.files.diagnostics import Diagnostics, read_diagnostics
 from freeart21.files.result import read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
@@ -22,8 +23,9 @@ from freeart21.se3 import Array
 from freeart21.truth import Truth
 from freeart21.view.asset_scene import asset_scene
 from freeart21.view.benchmark_page import benchmark_page
-from freeart21.view.document import Section, document
-from freeart21.view.parts import align, articulation_scene, matched, with_truth
+from freeart21.view.diagnosis import diagnosis_section, remarks_section
+from freeart21.view.document import TRUTH, Section, document
+from freeart21.view.parts import AXIS, align, articulation_scene, axis_in_pictures, matched, with_truth
 from freeart21.view.plot import StateSeries, plot_section
 from freeart21.view.scene import scene_section
 from freeart21.view.tables import (
@@ -38,7 +40,7 @@ from freeart21.view.tables import (
     table_section,
 )
 from freeart21.view.urdf import read_urdf
-from freeart21.view.video import video_section
+from freeart21.view.video import AxisLine, video_section
 
 ALIGNMENT_NOTE = (
     "The truth is moved into the prediction's frame by the reference part's poses over all frames; one sign and the "
@@ -77,7 +79,13 @@ def page(
         if isinstance(answer, Failure):
             return _failure_page(name, answer, true, recording, extra)
         inside = path / "asset"
-        return _result_page(name, answer, true, recording, asset or (inside if inside.is_dir() else None), extra)
+        asset = asset or (inside if inside.is_dir() else None)
+        diagnostics, notices = None, []
+        try:
+            diagnostics = read_diagnostics(path, len(answer))
+        except FreeArtError as error:
+            notices = [f"The diagnostics cannot be shown: {error}"]
+        return _result_page(name, answer, true, recording, asset, diagnostics, extra, notices)
     sections, chips, notices = _asset_sections(path, None)
     return document(name, [*sections, *extra], "asset", chips, notices)
 
@@ -166,15 +174,23 @@ def _result_page(
     true: Truth | None,
     recording: Recording | None,
     asset: Path | None,
+    diagnostics: Diagnostics | None,
     extra: list[Section],
+    notices: list[str],
 ) -> str:
     """The page of a reconstruction, with whatever belongs to it."""
     _check_lengths(recording=recording, truth=true, result=result)
     if true is not None:
-        result = matched(result, true)
+        given, result = result, matched(result, true)
+        if diagnostics is not None and result is not given:
+            diagnostics = diagnostics.exchanged()
+    Ts = result.Ts_camera_reference
     joint, states, masks = result.articulation.joint, result.states, result.part_masks
     camera = recording.camera if recording is not None else None
-    scene = articulation_scene(result.articulation, states, result.Ts_camera_reference, camera)
+    scene = articulation_scene(result.articulation, states, Ts, camera)
+    axes = []
+    if camera is not None:
+        axes.append(AxisLine("found", AXIS, axis_in_pictures(result.articulation, states, Ts, camera)))
     series = StateSeries(joint.type, *_abscissa(recording, len(result)), states, result.state_std, result.seen[:, 1])
     place: Literal["right", "small"] = "small" if extra else "right"
     facts = table_section("Joint", joint_rows(joint, states), place=place)
@@ -183,29 +199,41 @@ def _result_page(
         scene = with_truth(scene, true, alignment)
         if alignment.comparable:
             series = replace(series, truth=alignment.states(true))
+        if camera is not None:
+            lines = axis_in_pictures(true.articulation, true.states, true.Ts_camera_reference, camera)
+            axes.append(AxisLine("truth", TRUTH, lines if alignment.sign > 0 else lines[:, ::-1]))
         true_axis = alignment.joint(true).axis
         angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(joint.axis, true_axis)), abs(joint.axis @ true_axis)))
         apart = f"The axes are {angle:.2f}° apart."
         rows = compared_rows(joint, states, alignment.joint(true), alignment.states(true))
         facts = table_section("Joint", rows, ("", "found", "true"), place, f"{ALIGNMENT_NOTE} {apart}")
     sections = [
-        video_section(recording, lambda i: masks[i], true.part_mask if true else None, len(result), states, joint.type),
+        video_section(
+            recording,
+            lambda i: masks[i],
+            true.part_mask if true else None,
+            len(result),
+            states,
+            joint.type,
+            axes=axes,
+        ),
         scene_section(scene, "Parts and joint"),
         plot_section(series),
+        remarks_section(result, diagnostics),
         *extra,
         facts,
+        diagnosis_section(result, diagnostics, series.frames_or_times, series.timed),
     ]
     if result.seconds:
-        sections.append(seconds_section(result.seconds))
+        sections.append(seconds_section(result.seconds, diagnostics.peak_bytes if diagnostics else None))
     if recording is not None:
         sections.append(table_section("Recording", recording_rows(recording)))
-    notices: list[str] = []
     if asset is not None:
         try:
-            more, _, notices = _asset_sections(asset, result.Ts_camera_reference[0])
-            sections += more
+            more, _, told = _asset_sections(asset, Ts[0])
+            sections, notices = sections + more, [*notices, *told]
         except FreeArtError as error:
-            notices = [f"The asset cannot be shown: {error}"]
+            notices = [*notices, f"The asset cannot be shown: {error}"]
     moved = limits_text(joint.type, float(states.min()), float(states.max()))
     return document(name, sections, "result", [f"{joint.type} joint", moved, *_recording_chips(recording)], notices)
 

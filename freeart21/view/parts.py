@@ -175,6 +175,36 @@ def _centre(articulation: Articulation, T_moving: Array) -> Array:
     """(3,) the middle of the moving part's box where `T_moving` puts it, or of the other when it is empty."""
     for mesh in (articulation.moving.moved(T_moving), articulation.reference):
         if not mesh.empty:
-            used = mesh.vertices[np.unique(mesh.faces)]
-            return (used.min(0) + used.max(0)) / 2
+            return middle(mesh)
     return np.asarray(articulation.joint.pivot, float)
+
+
+def middle(mesh: Mesh) -> Array:
+    """(3,) the middle of a mesh's box; the origin when it is empty."""
+    if mesh.empty:
+        return np.zeros(3)
+    used = mesh.vertices[np.unique(mesh.faces)]
+    return (used.min(0) + used.max(0)) / 2
+
+
+def axis_in_pictures(
+    articulation: Articulation, states: NDArray[np.float64], Ts_camera_reference: Array, camera: Camera
+) -> NDArray[np.float64]:
+    """(n, 2, 2) both ends of the joint axis in every picture, pixels, positive end last; NaN where behind the camera.
+
+    The line passes the moving part's middle and reaches a little beyond the object.
+    """
+    joint = articulation.joint
+    moving = joint.transform(float(states[0]))
+    near = _centre(articulation, moving)
+    size = bounding_diagonal(articulation.reference, articulation.moving.moved(moving)) or 1.0
+    at = near if joint.type == "prismatic" else joint.pivot + joint.axis * (joint.axis @ (near - joint.pivot))
+    ends = at + 0.6 * size * np.array([[-1.0], [1.0]]) * joint.axis
+    seen = se3.transform(Ts_camera_reference, np.broadcast_to(ends, (len(states), 2, 3)))
+    # an end behind the camera is drawn in to just before it, along the line
+    closest = 0.02 * size
+    z, other = seen[..., 2], seen[:, ::-1]
+    part = np.clip((closest - z) / np.where(other[..., 2] == z, 1.0, other[..., 2] - z), 0.0, 1.0)
+    drawn = np.where((z < closest)[..., None], seen + part[..., None] * (other - seen), seen)
+    pixels = camera.project(drawn)
+    return np.where((z.max(1) > closest)[:, None, None], pixels, np.nan)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,18 +53,18 @@ def plot_section(series: StateSeries) -> Section:
 
     parts = [f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="joint state over time">']
     if series.seen is not None:
-        parts += _unseen(x, series.seen, across)
-    for y in _ticks(low, high, 5):
+        parts += unseen_boxes(across(x), series.seen, TOP, HEIGHT - TOP - BOTTOM)
+    for y in ticks(low, high, 5):
         parts.append(
             f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{down(y):.1f}" y2="{down(y):.1f}"/>'
             f'<text x="{LEFT - 7}" y="{down(y) + 4:.1f}" text-anchor="end">{y:g}</text>'
         )
-    for t in _ticks(x_low, x_high, 8):
+    for t in ticks(x_low, x_high, 8):
         parts.append(f'<text x="{across(t):.1f}" y="{HEIGHT - BOTTOM + 18}" text-anchor="middle">{t:g}</text>')
     if band is not None:
         parts += [
             f'<path class="band" d="{_area(across(x[run]), down(band[0][run]), down(band[1][run]))}"/>'
-            for run in _runs(np.isfinite(band[0]))
+            for run in runs(np.isfinite(band[0]))
             if len(run) > 1
         ]
     if series.truth is not None:
@@ -111,7 +110,7 @@ def _range(curves: list[NDArray[np.float64]]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _ticks(low: float, high: float, about: int) -> NDArray[np.float64]:
+def ticks(low: float, high: float, about: int) -> NDArray[np.float64]:
     """Round numbers between two ends: steps of 1, 2 or 5 times a power of ten."""
     raw = (high - low) / about
     power = 10.0 ** np.floor(np.log10(raw))
@@ -119,25 +118,26 @@ def _ticks(low: float, high: float, about: int) -> NDArray[np.float64]:
     return np.round(np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, 10) + 0.0
 
 
-def _runs(flags: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
+def runs(flags: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
     """Indices of every unbroken run of True."""
     index = np.flatnonzero(flags)
     return np.split(index, np.flatnonzero(np.diff(index) > 1) + 1) if len(index) else []
 
 
-def _unseen(
-    x: NDArray[np.float64], seen: NDArray[np.bool_], across: Callable[[float], NDArray[np.float64]]
-) -> list[str]:
-    """Grey boxes over the frames in which the moving part was not measured, half a frame to either side."""
-    edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]])
-    boxes = [
-        (float(across(edges[run[0]])), float(across(edges[run[-1] + 1]))) for run in _runs(~np.asarray(seen, bool))
-    ]
-    height = HEIGHT - TOP - BOTTOM
+def unseen_boxes(across: NDArray[np.float64], seen: NDArray[np.bool_], top: float, height: float) -> list[str]:
+    """Grey boxes over the frames that were not measured, half a frame to either side; `across` (n,) in the drawing."""
+    edges = np.concatenate([across[:1], (across[1:] + across[:-1]) / 2, across[-1:]])
+    boxes = [(float(edges[run[0]]), float(edges[run[-1] + 1])) for run in runs(~np.asarray(seen, bool))]
     return [
-        f'<rect class="unseen" x="{left:.1f}" width="{right - left:.1f}" y="{TOP}" height="{height}"/>'
+        f'<rect class="unseen" x="{left:.1f}" width="{right - left:.1f}" y="{top}" height="{height}"/>'
         for left, right in boxes
     ]
+
+
+def path_data(x: NDArray[np.float64], y: NDArray[np.float64]) -> str:
+    """An SVG path through points; a single one becomes a dot."""
+    points = "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True))
+    return f"M{points}{'h0' if len(x) == 1 else ''}"
 
 
 def _points(x: NDArray[np.float64], y: NDArray[np.float64]) -> str:

@@ -76,8 +76,8 @@ def compared_rows(
     return [(name, left.get(name, "-"), right.get(name, "-")) for name in {**left, **right}]
 
 
-def seconds_section(seconds: Mapping[str, float]) -> Section:
-    """Seconds a stage, with bars."""
+def seconds_section(seconds: Mapping[str, float], peak_bytes: int | None = None) -> Section:
+    """Seconds a stage, with bars; most memory held, if known."""
     most, total = max([*seconds.values(), 1e-9]), sum(seconds.values())
     rows = "".join(
         f"<tr><th scope=row>{escape(stage)}</th>"
@@ -86,6 +86,8 @@ def seconds_section(seconds: Mapping[str, float]) -> Section:
         for stage, value in seconds.items()
     )
     last = f'<tr class="total"><th scope=row>all</th><td></td><td>{total:.2f} s</td></tr>'
+    if peak_bytes is not None:
+        last += f"<tr><th scope=row>memory</th><td></td><td>{peak_bytes / 1e9:.2f} GB at most</td></tr>"
     return Section("Time per stage", f'<div class="table"><table><tbody>{rows}{last}</tbody></table></div>')
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -20,6 +20,16 @@ PartMasks = Callable[[int], Image]
 
 _LABEL_STEP = 100
 """Labels 0, 1, 2 are stored as 0, 100, 200, far enough apart to survive any colour management."""
+
+
+@dataclass(frozen=True)
+class AxisLine:
+    """A joint axis as it stands in every picture."""
+
+    name: Literal["found", "truth"]
+    colour: str
+    ends: NDArray[np.float64]
+    """(n, 2, 2) both ends in pixels of the recording, the positive one last; NaN where there is nothing to draw."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +61,9 @@ def video_section(
     states: ArrayLike | None = None,
     joint_type: str = "",
     settings: VideoSettings | None = None,
+    axes: Sequence[AxisLine] = (),
 ) -> Section:
-    """The player of a recording with found and true parts over it.
+    """The player of a recording with found and true parts and joint axes over it.
 
     Without a recording the parts stand on a plain ground and `n` tells how many frames there are. `states` (n,), rad
     or m by `joint_type`, are told beside the time. Raises FreeArtError when part masks have another size than the
@@ -104,6 +115,17 @@ def video_section(
             "labels": labels,
             "found": found is not None,
             "truth": truth is not None,
+            "axes": [
+                {
+                    "name": axis.name,
+                    "colour": axis.colour,
+                    "ends": [
+                        np.round(ends * scale, 1).ravel() if np.isfinite(ends).all() else None
+                        for ends in axis.ends[frames]
+                    ],
+                }
+                for axis in axes
+            ],
             "colours": [REFERENCE, MOVING],
         },
         "left",

@@ -12,6 +12,13 @@ FreeArt.kinds.plot = (section, data, bus) => {
       .map(([name, series]) => `${name} ${FreeArt.stateText(data.type, series[i])}`);
     readout.textContent = `frame ${i}: ${values.join(", ")}`;
   };
+  FreeArt.seekable(svg, data, bus);
+  bus.on("frame", update);
+  update(0);
+};
+
+/** Clicking or dragging in a drawing `data.width` wide moves the video to the nearest frame of `data.x`. */
+FreeArt.seekable = (svg, data, bus) => {
   const seek = (event) => {
     const box = svg.getBoundingClientRect();
     const x = ((event.clientX - box.left) / box.width) * data.width;
@@ -26,6 +33,4 @@ FreeArt.kinds.plot = (section, data, bus) => {
   svg.addEventListener("pointermove", (event) => {
     if (event.buttons) seek(event);
   });
-  bus.on("frame", update);
-  update(0);
 };

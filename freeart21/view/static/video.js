@@ -8,6 +8,8 @@ FreeArt.kinds.video = (section, data, bus) => {
   const loaded = { rgb: [], depth: [], labels: [] };
   const anyParts = data.found || data.truth;
   let slot = 0, picture = data.rgb ? "rgb" : "none", speed = 1;
+  const axes = data.axes ?? [];
+  let opacity = 0.4, axisShown = axes.length > 0;
   let parts = data.found ? "found" : data.truth ? "truth" : "off";
 
   const panes = ["found", "truth"].map((name) => {
@@ -49,12 +51,34 @@ FreeArt.kinds.video = (section, data, bus) => {
         bytes[4 * i] = colour[0];
         bytes[4 * i + 1] = colour[1];
         bytes[4 * i + 2] = colour[2];
-        bytes[4 * i + 3] = style === "foreground" || rim ? 255 : style === "solid" ? 215 : 105;
+        bytes[4 * i + 3] = style === "foreground" || rim ? 255 : 255 * (style === "solid" ? Math.max(opacity, 0.85) : opacity);
       }
     }
     scratchContext.putImageData(pixels, 0, 0);
     context.drawImage(scratch, 0, 0);
     scratchContext.clearRect(0, 0, width, height);
+  };
+
+  /* A joint axis over one pane: an arrow with a light rim, its head at the positive end. */
+  const paintAxis = (context, { colour, ends }) => {
+    if (!ends[slot]) return;
+    const [u0, v0, u1, v1] = ends[slot];
+    const length = Math.hypot(u1 - u0, v1 - v0);
+    if (length < 1e-3) return;
+    const thick = Math.max(2, data.width / 210), head = Math.min(5 * thick, length / 3);
+    const [a, b] = [(u1 - u0) / length, (v1 - v0) / length];
+    const line = new Path2D();
+    line.moveTo(u0, v0);
+    line.lineTo(u1, v1);
+    line.moveTo(u1 - head * (a - 0.5 * b), v1 - head * (b + 0.5 * a));
+    line.lineTo(u1, v1);
+    line.lineTo(u1 - head * (a + 0.5 * b), v1 - head * (b - 0.5 * a));
+    context.lineCap = context.lineJoin = "round";
+    for (const [style, width] of [["#ffffffd0", 2.2 * thick], [colour, thick]]) {
+      context.strokeStyle = style;
+      context.lineWidth = width;
+      context.stroke(line);
+    }
   };
 
   let wanted = 0;
@@ -74,6 +98,7 @@ FreeArt.kinds.video = (section, data, bus) => {
       if (picture === "rgb" || picture === "depth") context.drawImage(image(picture, slot), 0, 0);
       if (picture === "foreground") paint(context, 0, "foreground");
       if (parts !== "off") paint(context, name === "truth" ? 2 : 1, data.rgb ? "clear" : "solid");
+      for (const axis of axisShown ? axes : []) if (axis.name === "truth" || name === "found") paintAxis(context, axis);
     }
     for (let ahead = 1; ahead < 4; ahead++)
       for (const kind of [picture, "labels"])
@@ -129,13 +154,15 @@ FreeArt.kinds.video = (section, data, bus) => {
   const legendParts = element("ul", { class: "legend" },
     ...["reference part", "moving part"].map((name, k) =>
       element("li", {}, element("i", { "data-colour": data.colours[k] }), name)));
+  for (const { name, colour } of axes)
+    legendParts.append(element("li", {}, element("i", { class: "line", "data-colour": colour }), `${name === "truth" ? "true" : "joint"} axis`));
   for (const mark of legendParts.querySelectorAll("i")) mark.style.background = mark.dataset.colour;
   const bar = element("span", { class: "bar" });
   if (data.depth_colours) bar.style.background = `linear-gradient(to right, ${data.depth_colours.join(",")})`;
   const legendDepth = element("p", { class: "legend" }, `${data.depth_range_m[0].toFixed(2)} m`, bar,
     `${data.depth_range_m[1].toFixed(2)} m`);
   const legends = () => {
-    legendParts.hidden = parts === "off";
+    legendParts.hidden = strengthBox.hidden = parts === "off";
     legendDepth.hidden = picture !== "depth";
   };
   const pictureChoice = FreeArt.choice("picture", pictures, picture, (value) => {
@@ -151,6 +178,17 @@ FreeArt.kinds.video = (section, data, bus) => {
     legends();
     draw();
   });
+  const strength = element("input", { type: "range", min: 0, max: 100, value: 100 * opacity, "aria-label": "opacity of the parts" });
+  strength.addEventListener("input", () => {
+    opacity = Number(strength.value) / 100;
+    draw();
+  });
+  const axisBox = element("input", { type: "checkbox", checked: true });
+  axisBox.addEventListener("change", () => {
+    axisShown = axisBox.checked;
+    draw();
+  });
+  const strengthBox = element("label", { class: "strength" }, element("span", { class: "label" }, "Opacity"), strength);
   const named = (name, choice) => element("div", {}, element("span", { class: "label" }, name), choice);
   const stage = element("div", { class: "stage" }, ...panes.map(({ pane }) => pane));
   section.querySelector(".player").append(
@@ -158,7 +196,8 @@ FreeArt.kinds.video = (section, data, bus) => {
     element("div", { class: "transport" }, play, scrub, readout),
     element("div", { class: "controls" },
       ...(pictures.length > 1 ? [named("Picture", pictureChoice)] : []),
-      ...(anyParts ? [named("Parts", partsChoice)] : []),
+      ...(anyParts ? [named("Parts", partsChoice), strengthBox] : []),
+      ...(axes.length ? [element("label", {}, axisBox, "Axis")] : []),
       named("Speed", rate)),
     legendParts, legendDepth);
   legends();
@@ -177,6 +216,10 @@ FreeArt.kinds.video = (section, data, bus) => {
   });
   bus.on("frame", update);
   bus.on("link", (link) => {
+    if (link.axis) {
+      axisBox.checked = axisShown = link.axis !== "off" && axes.length > 0;
+      draw();
+    }
     if (link.picture) pictureChoice.set(link.picture);
     if (link.parts) partsChoice.set(link.parts);
   });

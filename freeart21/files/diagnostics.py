@@ -1,0 +1,123 @@
+"""diagnostics.json of a result folder: what a method can say of its own work without knowing the truth.
+
+Written beside prediction.json by methods that measure it; results without it are just as good. No scorer reads it. What
+a result tells already (states and their standard deviations, poses, masks, `seen`) is not told again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.se3 import Array
+
+SCHEMA = "freeart21/diagnostics/1"
+FILE = "diagnostics.json"
+MAX_BYTES = 32 << 20
+"""A hundred thousand frames take less."""
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """How well n frames of both parts (reference, moving) agree with each other. NaN where nothing could be measured.
+
+    A frame's samples of a part are carried into other frames by the poses of both, and looked up there.
+    """
+
+    pixels: Array
+    """(n, 2) pixels of each part in the picture."""
+    confidence: Array
+    """(n, 2) mean probability, 0 to 1, that the labels give to the part that they name."""
+    inliers: Array
+    """(n, 2) share, 0 to 1, of samples that meet the same part's surface within `gate_m`."""
+    outside: Array
+    """(n, 2) share, 0 to 1, of samples that fall off the foreground."""
+    residual_m: Array
+    """(n, 2) metres: root mean square distance of inliers to the surface's planes, by the free poses."""
+    jointed_residual_m: Array
+    """(n, 2) metres: the same by poses that obey the joint."""
+    gate_m: float
+    """Metres: samples farther from the surface are no inliers."""
+    footprint_m: float
+    """Metres that a pixel covers at the object."""
+    noise_m: float
+    """Metres: standard deviation of depth."""
+    diagonal_m: float
+    """Metres: estimated size of the object."""
+    peak_bytes: int | None = None
+    """Most memory that the process has held, if known."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in _OF_FRAMES and np.shape(value) != (len(self.pixels), 2):
+                raise FreeArtError(
+                    f"diagnostics {field.name} has shape {np.shape(value)}, expected ({len(self.pixels)}, 2)"
+                )
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def exchanged(self) -> Diagnostics:
+        """The same with the parts' names exchanged."""
+        return replace(self, **{name: getattr(self, name)[:, ::-1] for name in _OF_FRAMES})
+
+
+_OF_FRAMES = ("pixels", "confidence", "inliers", "outside", "residual_m", "jointed_residual_m")
+_SHARES = ("confidence", "inliers", "outside")
+_LENGTHS = ("gate_m", "footprint_m", "noise_m", "diagonal_m")
+
+
+def diagnostics_to_json(diagnostics: Diagnostics) -> dict[str, Any]:
+    """Plain values, arrays to six digits; null where nothing was measured."""
+    data: dict[str, Any] = {"schema": SCHEMA}
+    for name in _OF_FRAMES:
+        data[name] = [[_six_digits(v) for v in row] for row in np.asarray(getattr(diagnostics, name), float).tolist()]
+    return (
+        data | {name: float(getattr(diagnostics, name)) for name in _LENGTHS} | {"peak_bytes": diagnostics.peak_bytes}
+    )
+
+
+def diagnostics_from_json(data: dict[str, Any], path: Path) -> Diagnostics:
+    """What `diagnostics_to_json` wrote; raises FreeArtError naming `path`."""
+    arrays = {name: checked.numbers(data, name, (None, 2), path, nullable=True) for name in _OF_FRAMES}
+    n = len(arrays["pixels"])
+    for name, array in arrays.items():
+        if len(array) != n:
+            raise FreeArtError(f"{path}: '{name}' has {len(array)} frames, expected {n} as 'pixels'")
+        low, high = np.nanmin(array, initial=0.0), np.nanmax(array, initial=0.0)
+        most = 1.0 if name in _SHARES else np.inf
+        if low < 0 or high > most or not np.isfinite(high):
+            raise FreeArtError(f"{path}: '{name}' reaches from {low:g} to {high:g}, expected 0 to {most:g}")
+    for name in _LENGTHS:
+        if not _is_number(data.get(name)) or not 0 <= data[name] < np.inf:
+            raise FreeArtError(f"{path}: '{name}' is {data.get(name)!r}, expected metres, not negative")
+    peak = data.get("peak_bytes")
+    if peak is not None and (not isinstance(peak, int) or isinstance(peak, bool) or peak < 0):
+        raise FreeArtError(f"{path}: 'peak_bytes' is {peak!r}, expected a whole number or null")
+    lengths = {name: float(data[name]) for name in _LENGTHS}
+    return Diagnostics(**arrays, **lengths, peak_bytes=peak)  # type: ignore[arg-type]
+
+
+def read_diagnostics(folder: Path, n: int) -> Diagnostics | None:
+    """The diagnostics in a result folder of `n` frames, None when it has none; FreeArtError when they are no such."""
+    path = Path(folder) / FILE
+    if not path.exists():
+        return None
+    found = diagnostics_from_json(checked.read_json(checked.require_file(path, MAX_BYTES), SCHEMA), path)
+    if len(found) != n:
+        raise FreeArtError(f"{path} is of {len(found)} frames, expected {n} as in prediction.json")
+    return found
+
+
+def _six_digits(value: float) -> float | None:
+    return float(f"{value:.6g}") if np.isfinite(value) else None
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,0 +1,442 @@
+"""Diagnostics: numbers known in closed form, files that are refused, and a page that tells."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import test_view as view
+
+from freeart21 import se3
+from freeart21.articulation import Articulation
+from freeart21.errors import FreeArtError
+from freeart21.files.diagnostics import (
+    FILE,
+    Diagnostics,
+    diagnostics_from_json,
+    diagnostics_to_json,
+    read_diagnostics,
+)
+from freeart21.files.result import read_result, write_result
+from freeart21.joint import Joint
+from freeart21.view import page
+from freeart21.view.curves import Chart, Curve, curves_section
+from freeart21.view.diagnosis import motion_of, remarks, remarks_section
+from freeart21.view.parts import axis_in_pictures, middle
+from reconstruct.cache import Kept, Known, _packed, _read
+from reconstruct.diagnostics import _confidence, agreement, diagnose
+from reconstruct.evidence import Evidence
+from reconstruct.poses import FreePoses, JointedPoses, part_samples
+from reconstruct.scene import Scene
+from reconstruct.segmentation import Grown
+from reconstruct.settings import EvidenceSettings, LabelSettings, PoseSettings
+
+N, H, W, DEPTH, FOCAL = 6, 40, 48, 1.0, 100.0
+
+
+def walls(bulge=0.0, hole=False):
+    """A flat wall at 1 m, filmed six times by a camera that stands still: left half reference, right half moving part.
+
+    `bulge` is what frame 2 shows farther off, metres; with `hole` the mask of the last frames lacks the top rows.
+    """
+    v, u = np.indices((H, W), dtype=float)
+    cx, cy = np.full(N, W / 2), np.full(N, H / 2)
+    rays = np.stack([(u - cx[0]) / FOCAL, (v - cy[0]) / FOCAL, np.ones((H, W))], -1)
+    depth = np.full(N, DEPTH)
+    depth[2] += bulge
+    points = (depth[:, None, None, None] * rays).astype(np.float32)
+    normals = np.zeros_like(points)
+    normals[..., 2] = -1
+    mask, outside = np.ones((N, H, W), bool), np.zeros((N, H, W), np.float32)
+    if hole:
+        mask[3:, :20] = False
+        points[3:, :20] = 0
+        outside[3:, :20] = (20 - v)[:20]
+    labels = np.where(u < W / 2, 1, 2).astype(np.uint8) * mask
+    scene = Scene(
+        np.zeros((N, H, W, 3), np.uint8),
+        mask,
+        points,
+        normals,
+        np.zeros((N, H, W), bool),
+        np.zeros((N, H, W, 3), np.float32),
+        outside,
+        FOCAL,
+        FOCAL,
+        cx,
+        cy,
+        np.zeros((N, 2), np.int64),
+        2,
+        DEPTH / FOCAL,
+        0.0,
+        0.6,
+    )
+    return Evidence(scene, EvidenceSettings(), LabelSettings()), labels
+
+
+def measured(evidence, labels, Ts, part=1, gate=0.05):
+    samples = part_samples(evidence, labels, part, 200, np.random.default_rng(0), np.ones(N, bool))
+    i, j = np.nonzero(~np.eye(N, dtype=bool))
+    return agreement(evidence, labels, part, Ts, samples, (i, j), gate)
+
+
+def still(offset=0.0, frame=2):
+    Ts = np.tile(np.eye(4), (N, 1, 1))
+    Ts[frame, 2, 3] = offset
+    return Ts
+
+
+# ---------------------------------------------------------------- what the solver measures
+
+
+@pytest.mark.parametrize("part", [1, 2])
+def test_perfect_frames_agree_perfectly(part):
+    evidence, labels = walls()
+    assert measured(evidence, labels, still(), part) == pytest.approx(np.tile([1.0, 0.0, 0.0], (N, 1)), abs=1e-6)
+
+
+def test_a_pose_too_near_shows_as_that_distance():
+    """Frame 2 is posed 3 mm off: all its pairs miss by that, and one in five of each other frame's."""
+    evidence, labels = walls()
+    inliers, outside, residual = measured(evidence, labels, still(0.003)).T
+    assert residual[2] == pytest.approx(0.003, rel=1e-3)
+    assert residual[[0, 1, 3, 4, 5]] == pytest.approx(0.003 / np.sqrt(5), rel=1e-2)
+    assert inliers == pytest.approx(np.ones(N)) and outside == pytest.approx(np.zeros(N))
+
+
+def test_a_surface_beyond_the_gate_is_missed_and_leaves_no_residual():
+    inliers, _, residual = measured(*walls(bulge=0.1), still()).T
+    assert inliers[2] == 0 and np.isnan(residual[2])
+    assert inliers[[0, 1, 3, 4, 5]] == pytest.approx(np.full(5, 0.8), abs=0.02)
+    assert residual[0] == pytest.approx(0, abs=1e-6)
+
+
+def test_points_off_the_mask_are_counted():
+    """Frames 0 to 2 show 40 rows, frames 3 to 5 the lower 20: of five partners three lack the upper half."""
+    evidence, labels = walls(hole=True)
+    inliers, outside, _ = measured(evidence, labels, still()).T
+    everything = np.argwhere(labels[0] == 1)
+    off = (everything[:, 0] < 19).mean() * 3 / 5  # the row next to the mask counts as rounding
+    assert outside[:3] == pytest.approx(np.full(3, off), abs=0.06)
+    assert outside[3:] == pytest.approx(np.zeros(3)) and inliers[3:] == pytest.approx(np.ones(3))
+
+
+def test_points_on_the_other_part_do_not_count():
+    evidence, labels = walls()
+    swapped = labels.copy()
+    swapped[3:] = 3 - labels[3:]
+    inliers, _, _ = measured(evidence, swapped, still()).T
+    assert inliers == pytest.approx(np.ones(N)), "where the other part stands, this one may be hidden"
+    inliers, _, _ = measured(evidence, np.where(np.arange(N)[:, None, None] == 2, labels, 3 - labels), still()).T
+    assert np.isnan(inliers[2]), "frame 2 meets its part nowhere"
+
+
+def test_confidence_is_the_probability_of_the_label_given():
+    logodds = np.full((2, 4, 4), np.log(9.0), np.float32)  # 0.9 for the second part
+    labels = np.full((2, 4, 4), 2, np.uint8)
+    labels[1, :2] = 1
+    found = _confidence(labels, logodds)
+    assert np.isnan(found[0, 0])
+    assert found[[0, 1, 1], [1, 0, 1]] == pytest.approx([0.9, 0.1, 0.9], abs=1e-6)
+
+
+def grown_of(labels, joint_off=0.0, hidden=None):
+    joint = Joint("j", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), 0.0, 0.1)
+    Ts = still(joint_off)
+    seen = np.ones((N, 2), bool)
+    if hidden is not None:
+        seen[hidden, 1] = False
+    poses = JointedPoses(joint, np.zeros(N), Ts, np.full(N, 0.001), 0.1)
+    return Grown(poses, labels, np.where(labels == 2, 3.0, -3.0).astype(np.float32), seen)
+
+
+def test_diagnosis_of_both_parts_by_both_kinds_of_poses():
+    evidence, labels = walls()
+    free = tuple(FreePoses(still(), np.zeros((N, 6, 6))) for _ in range(2))
+    found = diagnose(evidence, grown_of(labels, joint_off=0.002, hidden=4), free, PoseSettings())
+    assert found.pixels == pytest.approx(np.full((N, 2), H * W / 2 * 4)), "two by two pixels of the picture each"
+    assert found.confidence == pytest.approx(np.full((N, 2), 1 / (1 + np.exp(-3.0))))
+    assert found.residual_m[[0, 1, 2, 3, 5]] == pytest.approx(np.zeros((5, 2)), abs=1e-6)
+    assert found.jointed_residual_m[2] == pytest.approx([0.002, 0.002], rel=1e-3)
+    assert np.isnan(found.residual_m[4, 1]) and found.residual_m[4, 0] == pytest.approx(0, abs=1e-6)
+    assert found.gate_m == pytest.approx(PoseSettings().gate * evidence.unit)
+    again = diagnose(evidence, grown_of(labels, joint_off=0.002, hidden=4), free, PoseSettings())
+    assert diagnostics_to_json(found) | {"peak_bytes": 0} == diagnostics_to_json(again) | {"peak_bytes": 0}
+
+
+def test_parts_never_seen_have_no_numbers():
+    evidence, labels = walls()
+    free = tuple(FreePoses(still(), np.zeros((N, 6, 6))) for _ in range(2))
+    found = diagnose(evidence, grown_of(np.minimum(labels, 1), hidden=slice(None)), free, PoseSettings())
+    assert np.isnan(found.residual_m[:, 1]).all() and np.isnan(found.confidence[:, 1]).all()
+    assert not found.pixels[:, 1].any()
+
+
+def test_kept_with_the_last_stage(tmp_path):
+    found = sample_diagnostics()
+    path = tmp_path / "surfaces.npz"
+    path.write_bytes(_packed(Kept("surfaces", Known(diagnostics=found), np.random.default_rng(0)), "key"))
+    kept = _read(path, "surfaces", "key")
+    assert diagnostics_to_json(kept.known.diagnostics) == diagnostics_to_json(found)
+
+
+# ---------------------------------------------------------------- the file
+
+
+def sample_diagnostics(n=view.N):
+    rng = np.random.default_rng(0)
+    residual = rng.uniform(0.0005, 0.0006, (n, 2))
+    residual[0, 1] = np.nan
+    return Diagnostics(
+        rng.integers(100, 1000, (n, 2)).astype(float),
+        rng.uniform(0.9, 1, (n, 2)),
+        rng.uniform(0.9, 1, (n, 2)),
+        np.zeros((n, 2)),
+        residual,
+        residual * 1.01,
+        0.004,
+        0.0004,
+        0.0001,
+        0.2,
+        1_500_000_000,
+    )
+
+
+def test_round_trip(tmp_path):
+    result, found = view.perfect_result(view.make_truth()), sample_diagnostics()
+    write_result(tmp_path / "r", result, diagnostics=found)
+    back = read_diagnostics(tmp_path / "r", view.N)
+    assert back.residual_m == pytest.approx(found.residual_m, rel=1e-5, nan_ok=True)
+    assert diagnostics_to_json(back) == diagnostics_to_json(found)
+    assert isinstance(read_result(tmp_path / "r"), type(result))
+    write_result(tmp_path / "r", result)
+    assert read_diagnostics(tmp_path / "r", view.N) is None, "an older result has none"
+
+
+@pytest.mark.parametrize(
+    "change, told",
+    [
+        ({"schema": "freeart21/diagnostics/9"}, "schema 'freeart21/diagnostics/9'"),
+        ({"residual_m": [[0.0, 0.0, 0.0]] * view.N}, "'residual_m' has shape"),
+        ({"residual_m": [[0.0, 0.0]]}, "'residual_m' has 1 frames, expected 6"),
+        ({"residual_m": [[0.0, -1.0]] * view.N}, "'residual_m' reaches from -1"),
+        ({"inliers": [[0.0, 1.5]] * view.N}, "'inliers' reaches from 0 to 1.5"),
+        ({"pixels": [[0.0, float("inf")]] * view.N}, "'pixels' reaches"),
+        ({"confidence": "high"}, "'confidence' is not an array of numbers"),
+        ({"gate_m": None}, "'gate_m' is None"),
+        ({"peak_bytes": "a lot"}, "'peak_bytes' is 'a lot'"),
+        ({"outside": None}, "'outside'"),
+    ],
+)
+def test_bad_files_are_told_in_one_line_and_the_page_goes_on(tmp_path, change, told):
+    write_result(tmp_path / "r", view.perfect_result(view.make_truth()), diagnostics=sample_diagnostics())
+    path = tmp_path / "r" / FILE
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(FreeArtError) as caught:
+        read_diagnostics(tmp_path / "r", view.N)
+    assert told in str(caught.value) and str(path) in str(caught.value) and "\n" not in str(caught.value)
+    assert "The diagnostics cannot be shown" in page(tmp_path / "r")
+
+
+def test_diagnostics_of_another_video_and_missing_keys_are_refused(tmp_path):
+    write_result(tmp_path / "r", view.perfect_result(view.make_truth()), diagnostics=sample_diagnostics())
+    with pytest.raises(FreeArtError, match="is of 6 frames, expected 7"):
+        read_diagnostics(tmp_path / "r", 7)
+    data = diagnostics_to_json(sample_diagnostics())
+    del data["outside"]
+    with pytest.raises(FreeArtError, match="has no 'outside'"):
+        diagnostics_from_json(data, tmp_path)
+    with pytest.raises(FreeArtError, match="inliers has shape"):
+        replace(sample_diagnostics(), inliers=np.zeros((3, 2)))
+
+
+# ---------------------------------------------------------------- what a result says of itself
+
+
+def seen_all(result):
+    return replace(result, seen=np.ones((len(result), 2), bool), state_std=None)
+
+
+def test_gap_and_steps_in_closed_form():
+    result = seen_all(view.perfect_result(view.make_truth()))
+    motion = motion_of(result)
+    assert motion.gap_angle == pytest.approx(np.zeros(view.N), abs=1e-6)
+    assert motion.gap_distance == pytest.approx(np.zeros(view.N), abs=1e-9)
+    centre = middle(result.articulation.moving)
+    off = se3.pose(se3.exp_so3([0, 0, 0.02]), [0, 0, 0])
+    off[:3, 3] = centre - off[:3, :3] @ centre + [0.003, 0, 0]  # turned about its middle, then shifted
+    moving = result.Ts_camera_moving.copy()
+    moving[3] = moving[3] @ off
+    motion = motion_of(replace(result, Ts_camera_moving=moving))
+    assert motion.gap_angle[3] == pytest.approx(0.02) and motion.gap_distance[3] == pytest.approx(0.003)
+    assert np.delete(motion.gap_angle, 3) == pytest.approx(np.zeros(view.N - 1), abs=1e-6)
+    T = se3.pose(se3.exp_so3(np.arange(view.N)[:, None] * [0, 0.1, 0]), np.zeros((view.N, 3)))
+    reference = middle(result.articulation.reference)
+    steps = motion_of(replace(result, Ts_camera_reference=T))
+    assert np.isnan(steps.step_angle[0, 0]) and steps.step_angle[1:, 0] == pytest.approx(np.full(view.N - 1, 0.1))
+    radius = np.hypot(reference[0], reference[2])
+    assert steps.step_distance[1:, 0] == pytest.approx(np.full(view.N - 1, 2 * radius * np.sin(0.05)))
+
+
+def long_result(n=60, hidden=(), joint_type="revolute"):
+    """A perfect result of n frames, smooth in time."""
+    truth = view.make_truth(joint_type)
+    t = np.linspace(0, 1, n)
+    Ts = se3.pose(se3.exp_so3(t[:, None] * [0.4, 0.9, 0.2]), t[:, None] * [0.05, 0, 0] + [0, 0, 0.8])
+    states = 0.5 - 0.5 * np.cos(2 * np.pi * t)
+    seen = np.ones((n, 2), bool)
+    seen[list(hidden), 1] = False
+    joint = truth.articulation.joint
+    result = view.perfect_result(truth)
+    return replace(
+        result,
+        articulation=truth.articulation,
+        states=states,
+        Ts_camera_reference=Ts,
+        Ts_camera_moving=Ts @ joint.transform(states),
+        part_masks=np.repeat(result.part_masks[:1], n, 0),
+        seen=seen,
+        state_std=None,
+    )
+
+
+def told(result, diagnostics=None):
+    return [(remark.where, remark.text) for remark in remarks(result, diagnostics)]
+
+
+def test_nothing_is_said_of_a_good_result():
+    assert told(long_result(), sample_diagnostics(60)) == []
+    assert "Nothing stands out" in remarks_section(long_result(), None).html
+
+
+def test_hidden_parts_are_told():
+    assert told(long_result(hidden=range(20, 31))) == [
+        ("frames 20-30", "the moving part was not seen; states there are interpolated")
+    ]
+    assert told(long_result(hidden=[59])) == [
+        ("frame 59", "the moving part was not seen; states there are not measured")
+    ]
+
+
+def test_a_bad_frame_is_told_by_its_residual():
+    found = sample_diagnostics(60)
+    found.residual_m[88 - 60, 1] = 4 * np.nanmedian(found.residual_m[:, 1])
+    ((where, text),) = told(long_result(), found)
+    assert where == "frame 28" and text.startswith("the residual of the moving part is 2.") and "4 times" in text
+
+
+@pytest.mark.parametrize(
+    "change, where, words",
+    [
+        (lambda d: d.inliers.__setitem__((slice(5, 8), 0), 0.3), "frames 5-7", "only 30 % of the reference part's"),
+        (lambda d: d.confidence.__setitem__((9, 1), 0.6), "frame 9", "only 60 % is the mean confidence"),
+        (lambda d: d.outside.__setitem__((9, 1), 0.2), "frame 9", "off the mask in other frames are 20 %"),
+        (lambda d: d.jointed_residual_m.__setitem__((slice(None), 1), 0.002), "", "the joint does not explain"),
+    ],
+)
+def test_other_faults_are_told(change, where, words):
+    found = sample_diagnostics(60)
+    change(found)
+    ((at, text),) = told(long_result(), found)
+    assert at == where and words in text
+
+
+def test_a_jump_and_a_pose_off_the_joint_are_told():
+    result = long_result()
+    moving = result.Ts_camera_moving.copy()
+    moving[40] = moving[40] @ se3.exp_se3([0, 0, 0, 0.3, 0, 0])
+    found = told(replace(result, Ts_camera_moving=moving))
+    assert {where for where, _ in found} == {"frame 40", "frame 41"}, found
+    assert any("turned off the joint by 17.2°" in text for _, text in found)
+    assert any("the moving part turns by" in text for _, text in found)
+    both = replace(result, Ts_camera_reference=result.Ts_camera_reference.copy(), Ts_camera_moving=moving)
+    both.seen[40, 1] = False
+    assert all("not seen" in text for _, text in told(both)), "what was not seen is not judged"
+
+
+def test_a_joint_that_hardly_moves_is_told():
+    result = long_result()
+    Ts, joint = result.Ts_camera_reference, result.articulation.joint
+    small = replace(result, states=0.05 * result.states, Ts_camera_moving=Ts @ joint.transform(0.05 * result.states))
+    assert [text for _, text in told(small)] == ["the joint moves by only 2.9°, which says little of its axis"]
+
+
+# ---------------------------------------------------------------- the page
+
+
+def test_curves_break_where_nothing_is_known_and_outliers_leave_at_the_top():
+    values = np.ones(50)
+    values[[10, 12]] = np.nan
+    values[30] = 1000.0
+    chart = Chart("Residual <b>", "mm", (Curve("a&b", "#000000", values),), "about")
+    section = curves_section("T", (chart,), np.arange(50.0), False, np.arange(50) == 20)
+    assert section.html.count("<path") == 3 and "h0" in section.html, "two lines and a dot"
+    assert section.html.count('class="unseen"') == 1
+    assert "Residual &lt;b&gt;" in section.html and "a&amp;b" in section.html
+    assert section.data["charts"][0][0][30] == 1000.0 and section.data["charts"][0][0][10] is None
+    assert "nan" not in section.html.lower() and "inf" not in section.html
+
+
+@pytest.mark.parametrize("values", [np.zeros(1), np.full(3, np.nan), np.zeros(4), np.array([0.0, 1e9])])
+def test_curves_of_hardly_anything_are_drawn(values):
+    chart = Chart("c", "mm", (Curve("a", "#000000", values),), "")
+    html = curves_section("T", (chart,), np.arange(len(values), dtype=float), True).html
+    assert "nan" not in html and "inf" not in html
+
+
+def test_axis_in_pictures_is_the_projected_axis():
+    truth, camera = view.make_truth("prismatic"), view.make_recording().camera
+    ends = axis_in_pictures(truth.articulation, truth.states, truth.Ts_camera_reference, camera)
+    joint = truth.articulation.joint
+    at = middle(truth.articulation.moving.moved(joint.transform(truth.states[0])))
+    for i in range(view.N):
+        a, b, c = camera.project(
+            se3.transform(truth.Ts_camera_reference[i], at + np.outer([-0.05, 0, 0.05], joint.axis))
+        )
+        line = ends[i, 1] - ends[i, 0]
+        across = np.array([-line[1], line[0]]) / np.linalg.norm(line)
+        assert abs((a - ends[i, 0]) @ across) < 1e-6 and abs((b - ends[i, 0]) @ across) < 1e-6
+        assert (c - a) @ line > 0, "the positive end is the last"
+
+
+def test_axis_that_passes_the_camera_is_cut_and_one_behind_it_left_out():
+    truth, camera = view.make_truth(), view.make_recording().camera
+    along = Joint("j", "revolute", np.array([0.0, 0, 1]), np.zeros(3), 0, 1)
+    parts = Articulation(along, truth.articulation.reference, truth.articulation.moving)
+    T = np.tile(np.eye(4), (2, 1, 1))
+    T[:, 0, 3], T[0, 2, 3], T[1, 2, 3] = 0.01, 0.05, -5.0
+    ends = axis_in_pictures(parts, np.zeros(2), T, camera)
+    assert np.isfinite(ends[0]).all() and np.isnan(ends[1]).all()
+
+
+def test_page_of_a_result_tells_what_it_should(tmp_path, monkeypatch):
+    truth = view.make_truth()
+    write_result(tmp_path / "r", view.perfect_result(truth), diagnostics=sample_diagnostics())
+    view.write_sequence(tmp_path / "s", view.make_recording(), 1e-4)
+    view.write_truth(tmp_path / "t", truth, 0)
+    text = page(tmp_path / "r", None, tmp_path / "s")
+    parsed = view.Parsed(text)
+    for words in ("What to distrust", "Residual", "Label confidence", "Off the joint", "1.50 GB", "Frames 2-3"):
+        assert words in text
+    (player,) = [data for data in parsed.data if "axes" in data]
+    assert [axis["name"] for axis in player["axes"]] == ["found"] and len(player["axes"][0]["ends"]) == view.N
+    (charts,) = [data for data in parsed.data if "charts" in data]
+    assert len(charts["charts"]) == 9 and len(charts["x"]) == view.N
+    assert charts["charts"][0][1][0] is None, "the moving part's residual in frame 0 is not known"
+    bare = view.perfect_result(truth)
+    write_result(tmp_path / "r", bare)
+    text = page(tmp_path / "r", tmp_path / "t", tmp_path / "s")
+    assert "wrote no diagnostics" in text and "Label confidence" not in text and "Off the joint" in text
+    (player,) = [data for data in view.Parsed(text).data if "axes" in data]
+    assert [axis["name"] for axis in player["axes"]] == ["found", "truth"]
+    found, true = (np.array(axis["ends"][1]).reshape(2, 2) for axis in player["axes"])
+    line = found[1] - found[0]
+    across = np.array([-line[1], line[0]]) / np.linalg.norm(line)
+    assert (true - found[0]) @ across == pytest.approx(np.zeros(2), abs=0.3), "one line, to a tenth of a pixel each"
+    assert (true[1] - true[0]) @ line > 0, "and one direction, though this result's axis is turned round"
+
+
+def test_exchanged_parts_take_their_diagnostics_along():
+    found = sample_diagnostics()
+    turned = found.exchanged()
+    assert turned.pixels == pytest.approx(found.pixels[:, ::-1]) and turned.gate_m == found.gate_m
