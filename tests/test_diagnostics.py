@@ -354,6 +354,22 @@ def test_a_jump_and_a_pose_off_the_joint_are_told():
     assert all("not seen" in text for _, text in told(both)), "what was not seen is not judged"
 
 
+def test_a_result_that_is_wrong_all_along_is_told_once():
+    result = long_result()
+    joint = result.articulation.joint
+    tilted = replace(joint, axis=se3.exp_so3([0, 0.3, 0]) @ joint.axis)
+    found = told(replace(result, articulation=replace(result.articulation, joint=tilted)))
+    assert [where for where, _ in found] == ["", ""]
+    assert all("poses lie off the joint" in text for _, text in found), "by an angle, and by a distance"
+    diagnostics = sample_diagnostics(60)
+    diagnostics.residual_m[:, 0], diagnostics.inliers[:, 1], diagnostics.confidence[:, 1] = 0.002, 0.7, 0.8
+    found = told(long_result(), diagnostics)
+    assert [where for where, _ in found] == [""] * 3, found
+    assert ["residual is 2 mm" in found[0][1], "only 70 %" in found[1][1], "only 80 % sure" in found[2][1]] == [
+        True
+    ] * 3
+
+
 def test_a_joint_that_hardly_moves_is_told():
     result = long_result()
     Ts, joint = result.Ts_camera_reference, result.articulation.joint

@@ -203,19 +203,57 @@ def _of_all(result: Reconstruction, diagnostics: Diagnostics | None) -> list[Rem
     for k, part in enumerate(("reference", "moving")):
         if seen[:, k].mean() < 0.5:
             found.append(Remark(f"the {part} part was seen in only {int(seen[:, k].sum())} of {len(seen)} frames"))
-    if diagnostics is not None:
-        free, bound = diagnostics.residual_m[:, 1], diagnostics.jointed_residual_m[:, 1]
-        both = np.isfinite(free) & np.isfinite(bound)
-        if both.any():
-            a, b = float(np.median(free[both])), float(np.median(bound[both]))
-            if b > 1.3 * a and b - a > 0.1 * max(diagnostics.footprint_m, diagnostics.noise_m):
-                found.append(
-                    Remark(
-                        f"under the joint the moving part's residual is {1000 * b:.2f} mm, without it "
-                        f"{1000 * a:.2f} mm: the joint does not explain the motion"
-                    )
+    motion = motion_of(result)
+    for gap, most, factor, unit in (
+        (motion.gap_angle, np.radians(2.0), 180 / np.pi, "°"),
+        (motion.gap_distance, 0.01 * _size(result), 1000.0, "mm"),
+    ):
+        usual = _median(gap)
+        if usual > most:
+            found.append(
+                Remark(
+                    f"the moving part's measured poses lie off the joint by {factor * usual:.2g}{_spaced(unit)} in the "
+                    "median: joint, labels or poses are wrong"
                 )
+            )
+    if diagnostics is not None:
+        found += _of_all_measured(diagnostics)
     return found
+
+
+def _of_all_measured(d: Diagnostics) -> list[Remark]:
+    found, finest = [], max(d.footprint_m, d.noise_m)
+    for k, part in enumerate(("reference", "moving")):
+        residual, met, sure = (_median(values[:, k]) for values in (d.residual_m, d.inliers, d.confidence))
+        if residual > 1.5 * finest:
+            found.append(
+                Remark(
+                    f"the {part} part's residual is {1000 * residual:.2g} mm in the median, a pixel covers "
+                    f"{1000 * d.footprint_m:.2g} mm"
+                )
+            )
+        if met < 0.75:
+            where = "meet its surface in other frames, in the median"
+            found.append(Remark(f"only {100 * met:.0f} % of the {part} part's points {where}"))
+        if sure < 0.85:
+            found.append(Remark(f"the {part} part's labels are only {100 * sure:.0f} % sure in the median"))
+    free, bound = d.residual_m[:, 1], d.jointed_residual_m[:, 1]
+    both = np.isfinite(free) & np.isfinite(bound)
+    a, b = _median(free[both]), _median(bound[both])
+    if b > 1.3 * a and b - a > 0.1 * finest:
+        found.append(
+            Remark(
+                f"under the joint the moving part's residual is {1000 * b:.2f} mm, without it {1000 * a:.2f} mm: "
+                "the joint does not explain the motion"
+            )
+        )
+    return found
+
+
+def _median(values: Array) -> float:
+    """The median of what is known; NaN, which compares with nothing, when nothing is."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else np.nan
 
 
 def _unseen(result: Reconstruction) -> list[Remark]:
