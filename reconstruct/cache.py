@@ -15,7 +15,7 @@ import shutil
 import zipfile
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
@@ -209,6 +209,8 @@ def _packed(kept: Kept, key: str) -> bytes:
         facts["answer"] = _pack_answer(known.answer, arrays)
     if known.diagnostics is not None:
         facts["diagnostics"] = diagnostics_to_json(known.diagnostics)
+        if known.diagnostics.confidence_maps is not None:
+            arrays["confidence_maps"] = known.diagnostics.confidence_maps
     arrays["facts"] = np.frombuffer(json.dumps(facts).encode(), np.uint8)
     buffer = io.BytesIO()
     with zipfile.ZipFile(
@@ -236,7 +238,10 @@ def _read(path: Path, stage: KeptStage, key: str) -> Kept | None:
         grown = Grown(poses, arrays["labels"], arrays["logodds"], arrays["seen"])
     free = tuple(FreePoses(arrays[f"free_{k}_Ts"], arrays[f"free_{k}_covariances"]) for k in range(facts["free"]))
     answer = _unpack_answer(facts["answer"], arrays) if "answer" in facts else None
-    diagnostics = diagnostics_from_json(facts["diagnostics"], path) if "diagnostics" in facts else None
+    diagnostics = None
+    if "diagnostics" in facts:
+        found = diagnostics_from_json(facts["diagnostics"], path)
+        diagnostics = replace(found, confidence_maps=arrays.get("confidence_maps"))
     return Kept(stage, Known(grown, free, answer, diagnostics), rng, facts["seconds"])
 
 

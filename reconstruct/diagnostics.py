@@ -18,6 +18,7 @@ from freeart21.files.diagnostics import Diagnostics
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence, Samples
 from reconstruct.poses import FreePoses, choose_pairs, part_samples
+from reconstruct.scene import full_masks
 from reconstruct.segmentation import Grown
 from reconstruct.settings import PoseSettings
 
@@ -30,12 +31,17 @@ LEAST = 20
 
 
 def diagnose(
-    evidence: Evidence, grown: Grown, free: tuple[FreePoses, ...], settings: PoseSettings, seed: int = 0
+    evidence: Evidence,
+    grown: Grown,
+    free: tuple[FreePoses, ...],
+    settings: PoseSettings,
+    seed: int = 0,
+    size: tuple[int, int] | None = None,
 ) -> Diagnostics:
     """Residuals, inliers and confidence of every frame and part.
 
     A sample is an inlier when it meets its own part's surface within the adjustment's first gate: wide enough to tell
-    a bad frame from a good one.
+    a bad frame from a good one. With the full picture's `size` (width, height) the maps of confidence are made, too.
     """
     scene, rng = evidence.scene, np.random.default_rng([seed, 21])
     gate = settings.gate * evidence.unit
@@ -47,9 +53,11 @@ def diagnose(
         by_joint = agreement(evidence, grown.labels, k + 1, jointed, samples, pairs, gate)
         columns.append(np.column_stack([by_free, by_joint[:, 2]]))
     inliers, outside, residual, jointed_residual = np.stack(columns, 2).transpose(1, 0, 2)
+    probability = label_probability(grown.labels, grown.logodds)
+    maps = np.rint(255 * probability).astype(np.uint8)
     return Diagnostics(
         _pixels(grown.labels, scene.factor),
-        _confidence(grown.labels, grown.logodds),
+        _means(grown.labels, probability),
         inliers,
         outside,
         residual,
@@ -59,6 +67,7 @@ def diagnose(
         scene.noise,
         scene.diagonal,
         peak_bytes(),
+        None if size is None else full_masks(scene, maps, *size),
     )
 
 
@@ -119,12 +128,15 @@ def _pixels(labels: NDArray[np.uint8], factor: int) -> Array:
     return counts.astype(float) * factor**2
 
 
-def _confidence(labels: NDArray[np.uint8], logodds: NDArray[np.float32]) -> Array:
-    """(n, 2) mean probability of the labels that were given, by the log-odds of the second part."""
-    found = np.full((len(labels), 2), np.nan)
-    for i, (named, odds) in enumerate(zip(labels, logodds, strict=True)):
-        for k, sign in enumerate((-1, 1)):
-            mine = odds[named == k + 1]
-            if len(mine):
-                found[i, k] = expit(sign * mine.astype(float)).mean()
-    return found
+def label_probability(labels: NDArray[np.uint8], logodds: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(n, h, w) probability of the label that each pixel was given, by the log-odds of the second part; 0 for none."""
+    toward = np.where(labels == 2, logodds, -logodds)
+    return np.where(labels > 0, expit(toward), 0).astype(np.float32)
+
+
+def _means(labels: NDArray[np.uint8], values: NDArray[np.float32]) -> Array:
+    """(n, 2) mean of `values` (n, h, w) over each part; NaN where it has no pixels."""
+    masks = np.stack([labels == k for k in (1, 2)], 1)
+    counts = masks.sum((2, 3)).astype(float)
+    sums = np.einsum("nkhw,nhw->nk", masks, values.astype(float))
+    return np.divide(sums, counts, out=np.full_like(counts, np.nan), where=counts > 0)

@@ -211,7 +211,9 @@ def _surfaces(video: _Video, known: Known, settings: ReconstructSettings, rng: n
         for k, Ts in enumerate((grown.poses.Ts, grown.poses.Ts_moving))
     ]
     articulation = Articulation(grown.poses.joint, meshes[0], meshes[1])
-    diagnostics = diagnose(video.evidence, grown, known.free, settings.poses, settings.seed)
+    camera = video.recording.camera
+    size = (camera.width, camera.height)
+    diagnostics = diagnose(video.evidence, grown, known.free, settings.poses, settings.seed, size)
     return Known(None, (), _canonical(articulation, grown, known.free, video.scene, video.recording), diagnostics)
 
 

@@ -1,8 +1,10 @@
 """Diagnostics: numbers known in closed form, files that are refused, and a page that tells."""
 
+import base64
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import test_view as view
@@ -15,6 +17,7 @@ from freeart21.files.diagnostics import (
     Diagnostics,
     diagnostics_from_json,
     diagnostics_to_json,
+    read_confidence,
     read_diagnostics,
 )
 from freeart21.files.result import read_result, write_result
@@ -24,7 +27,7 @@ from freeart21.view.curves import Chart, Curve, curves_section
 from freeart21.view.diagnosis import motion_of, remarks, remarks_section
 from freeart21.view.parts import axis_in_pictures, middle
 from reconstruct.cache import Kept, Known, _packed, _read
-from reconstruct.diagnostics import _confidence, agreement, diagnose
+from reconstruct.diagnostics import _means, agreement, diagnose, label_probability
 from reconstruct.evidence import Evidence
 from reconstruct.poses import FreePoses, JointedPoses, part_samples
 from reconstruct.scene import Scene
@@ -135,7 +138,7 @@ def test_confidence_is_the_probability_of_the_label_given():
     logodds = np.full((2, 4, 4), np.log(9.0), np.float32)  # 0.9 for the second part
     labels = np.full((2, 4, 4), 2, np.uint8)
     labels[1, :2] = 1
-    found = _confidence(labels, logodds)
+    found = _means(labels, label_probability(labels, logodds))
     assert np.isnan(found[0, 0])
     assert found[[0, 1, 1], [1, 0, 1]] == pytest.approx([0.9, 0.1, 0.9], abs=1e-6)
 
@@ -153,7 +156,8 @@ def grown_of(labels, joint_off=0.0, hidden=None):
 def test_diagnosis_of_both_parts_by_both_kinds_of_poses():
     evidence, labels = walls()
     free = tuple(FreePoses(still(), np.zeros((N, 6, 6))) for _ in range(2))
-    found = diagnose(evidence, grown_of(labels, joint_off=0.002, hidden=4), free, PoseSettings())
+    found = diagnose(evidence, grown_of(labels, joint_off=0.002, hidden=4), free, PoseSettings(), size=(2 * W, 2 * H))
+    assert found.confidence_maps.shape == (N, 2 * H, 2 * W) and (found.confidence_maps == 243).all(), "255 / (1 + e^-3)"
     assert found.pixels == pytest.approx(np.full((N, 2), H * W / 2 * 4)), "two by two pixels of the picture each"
     assert found.confidence == pytest.approx(np.full((N, 2), 1 / (1 + np.exp(-3.0))))
     assert found.residual_m[[0, 1, 2, 3, 5]] == pytest.approx(np.zeros((5, 2)), abs=1e-6)
@@ -173,11 +177,12 @@ def test_parts_never_seen_have_no_numbers():
 
 
 def test_kept_with_the_last_stage(tmp_path):
-    found = sample_diagnostics()
+    found = replace(sample_diagnostics(), confidence_maps=np.arange(24, dtype=np.uint8).reshape(6, 2, 2))
     path = tmp_path / "surfaces.npz"
     path.write_bytes(_packed(Kept("surfaces", Known(diagnostics=found), np.random.default_rng(0)), "key"))
     kept = _read(path, "surfaces", "key")
     assert diagnostics_to_json(kept.known.diagnostics) == diagnostics_to_json(found)
+    assert (kept.known.diagnostics.confidence_maps == found.confidence_maps).all()
 
 
 # ---------------------------------------------------------------- the file
@@ -211,6 +216,25 @@ def test_round_trip(tmp_path):
     assert isinstance(read_result(tmp_path / "r"), type(result))
     write_result(tmp_path / "r", result)
     assert read_diagnostics(tmp_path / "r", view.N) is None, "an older result has none"
+
+
+def test_confidence_maps_stand_beside_the_masks_and_in_the_page(tmp_path):
+    result = view.perfect_result(view.make_truth())
+    maps = np.where(result.part_masks > 0, 255, 0).astype(np.uint8)
+    maps[:, 8:16] //= 2
+    found = replace(sample_diagnostics(), confidence_maps=maps)
+    write_result(tmp_path / "r", result, diagnostics=found)
+    assert (read_confidence(tmp_path / "r", 3, maps.shape[1:]) == maps[3]).all()
+    (player,) = [data for data in view.Parsed(page(tmp_path / "r")).data if "labels" in data]
+    image = cv2.imdecode(np.frombuffer(base64.b64decode(player["labels"][3].split(",")[1]), np.uint8), cv2.IMREAD_COLOR)
+    assert player["confidence"] and set(np.unique(image[..., 1])) == {0, 120, 140, 220, 240}
+    assert (np.floor(image[..., 1] / 100 + 0.1) == result.part_masks[3]).all(), "what the scripts make of it"
+    with pytest.raises(FreeArtError, match="is 48 x 32, expected 48 x 31 as the part masks"):
+        read_confidence(tmp_path / "r", 3, (31, 48))
+    (tmp_path / "r" / "confidence" / "00004.png").unlink()
+    assert "The diagnostics cannot be shown" in page(tmp_path / "r")
+    with pytest.raises(FreeArtError, match="confidence_maps has shape"):
+        replace(found, confidence_maps=maps[:2])
 
 
 @pytest.mark.parametrize(

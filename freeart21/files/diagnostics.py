@@ -1,4 +1,4 @@
-"""diagnostics.json of a result folder: what a method can say of its own work without knowing the truth.
+"""diagnostics.json and confidence/ of a result folder: what a method can say of its own work without knowing the truth.
 
 Written beside prediction.json by methods that measure it; results without it are just as good. No scorer reads it. What
 a result tells already (states and their standard deviations, poses, masks, `seen`) is not told again.
@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
+from freeart21.files import atomic, checked
 from freeart21.se3 import Array
 
 SCHEMA = "freeart21/diagnostics/1"
@@ -51,6 +52,8 @@ class Diagnostics:
     """Metres: estimated size of the object."""
     peak_bytes: int | None = None
     """Most memory that the process has held, if known."""
+    confidence_maps: NDArray[np.uint8] | None = None
+    """(n, height, width) probability, in 255ths, of the label that every pixel was given; 0 where it has none."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -59,6 +62,13 @@ class Diagnostics:
                 raise FreeArtError(
                     f"diagnostics {field.name} has shape {np.shape(value)}, expected ({len(self.pixels)}, 2)"
                 )
+
+        maps = self.confidence_maps
+        if maps is not None and (maps.ndim != 3 or len(maps) != len(self) or maps.dtype != np.uint8):
+            raise FreeArtError(
+                f"diagnostics confidence_maps has shape {maps.shape} {maps.dtype}, "
+                f"expected ({len(self)}, height, width) uint8"
+            )
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -74,7 +84,7 @@ _LENGTHS = ("gate_m", "footprint_m", "noise_m", "diagonal_m")
 
 
 def diagnostics_to_json(diagnostics: Diagnostics) -> dict[str, Any]:
-    """Plain values, arrays to six digits; null where nothing was measured."""
+    """Plain values, arrays to six digits; null where nothing was measured. The maps are not among them."""
     data: dict[str, Any] = {"schema": SCHEMA}
     for name in _OF_FRAMES:
         data[name] = [[_six_digits(v) for v in row] for row in np.asarray(getattr(diagnostics, name), float).tolist()]
@@ -104,14 +114,40 @@ def diagnostics_from_json(data: dict[str, Any], path: Path) -> Diagnostics:
     return Diagnostics(**arrays, **lengths, peak_bytes=peak)  # type: ignore[arg-type]
 
 
+def write_diagnostics(folder: Path, diagnostics: Diagnostics) -> None:
+    """Write diagnostics.json and, when there are maps, confidence/."""
+    atomic.write_json(folder / FILE, diagnostics_to_json(diagnostics))
+    for i, image in enumerate(() if diagnostics.confidence_maps is None else diagnostics.confidence_maps):
+        atomic.write_bytes(confidence_file(folder, i), checked.encode_png(image))
+
+
 def read_diagnostics(folder: Path, n: int) -> Diagnostics | None:
-    """The diagnostics in a result folder of `n` frames, None when it has none; FreeArtError when they are no such."""
+    """The diagnostics in a result folder of `n` frames, None when it has none; FreeArtError when they are no such.
+
+    Without the maps: those are read one by one by `read_confidence`.
+    """
     path = Path(folder) / FILE
     if not path.exists():
         return None
     found = diagnostics_from_json(checked.read_json(checked.require_file(path, MAX_BYTES), SCHEMA), path)
     if len(found) != n:
         raise FreeArtError(f"{path} is of {len(found)} frames, expected {n} as in prediction.json")
+    return found
+
+
+def confidence_file(folder: Path, index: int) -> Path:
+    """Where the confidence map of frame `index` stands."""
+    return Path(folder) / "confidence" / f"{index:05d}.png"
+
+
+def read_confidence(folder: Path, index: int, shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """The confidence map of frame `index`, which must be of `shape` (height, width); raises FreeArtError."""
+    path = confidence_file(folder, index)
+    found = checked.read_labels(path)
+    if found.shape != shape:
+        raise FreeArtError(
+            f"{path} is {found.shape[1]} x {found.shape[0]}, expected {shape[1]} x {shape[0]} as the part masks"
+        )
     return found
 
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files import diagnostics as diagnostics_file
-from freeart21.files.diagnostics import Diagnostics
+from freeart21.files.diagnostics import Diagnostics, write_diagnostics
 from freeart21.files.joint_json import joint_from_json, joint_to_json
 from freeart21.files.mesh_file import read_ply, write_ply
 from freeart21.reconstruction import Failure, Reconstruction
@@ -114,7 +113,7 @@ def write_result(
         for name in PARTS:
             write_ply(aside / "parts" / f"{name}.ply", result.articulation.part(name))
         if diagnostics is not None:
-            atomic.write_json(aside / diagnostics_file.FILE, diagnostics_file.diagnostics_to_json(diagnostics))
+            write_diagnostics(aside, diagnostics)
         for i, image in enumerate(renders or []):
             atomic.write_bytes(aside / "renders" / f"{i:05d}.png", checked.encode_png(image))
 

@@ -13,7 +13,7 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, read_effects
-from freeart21.files.diagnostics import Diagnostics, read_diagnostics
+from freeart21.files.diagnostics import Diagnostics, confidence_file, read_confidence, read_diagnostics
 from freeart21.files.result import read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
@@ -40,7 +40,7 @@ from freeart21.view.tables import (
     table_section,
 )
 from freeart21.view.urdf import read_urdf
-from freeart21.view.video import AxisLine, video_section
+from freeart21.view.video import AxisLine, PartMasks, VideoSettings, shown_frames, video_section
 
 ALIGNMENT_NOTE = (
     "The truth is moved into the prediction's frame by the reference part's poses over all frames; one sign and the "
@@ -80,12 +80,13 @@ def page(
             return _failure_page(name, answer, true, recording, extra)
         inside = path / "asset"
         asset = asset or (inside if inside.is_dir() else None)
-        diagnostics, notices = None, []
+        diagnostics, confidence, notices = None, None, []
         try:
             diagnostics = read_diagnostics(path, len(answer))
+            confidence = _confidence(path, answer)
         except FreeArtError as error:
             notices = [f"The diagnostics cannot be shown: {error}"]
-        return _result_page(name, answer, true, recording, asset, diagnostics, extra, notices)
+        return _result_page(name, answer, true, recording, asset, diagnostics, confidence, extra, notices)
     sections, chips, notices = _asset_sections(path, None)
     return document(name, [*sections, *extra], "asset", chips, notices)
 
@@ -175,6 +176,7 @@ def _result_page(
     recording: Recording | None,
     asset: Path | None,
     diagnostics: Diagnostics | None,
+    confidence: PartMasks | None,
     extra: list[Section],
     notices: list[str],
 ) -> str:
@@ -216,6 +218,7 @@ def _result_page(
             states,
             joint.type,
             axes=axes,
+            confidence=confidence,
         ),
         scene_section(scene, "Parts and joint"),
         plot_section(series),
@@ -236,6 +239,15 @@ def _result_page(
             notices = [*notices, f"The asset cannot be shown: {error}"]
     moved = limits_text(joint.type, float(states.min()), float(states.max()))
     return document(name, sections, "result", [f"{joint.type} joint", moved, *_recording_chips(recording)], notices)
+
+
+def _confidence(path: Path, result: Reconstruction) -> PartMasks | None:
+    """The maps of a result folder, all there and of the right size, or None when it has none; raises FreeArtError."""
+    if not confidence_file(path, 0).exists():
+        return None
+    height, width = result.part_masks.shape[1:]
+    shown = shown_frames(len(result), VideoSettings().max_frames).tolist()
+    return {i: read_confidence(path, i, (height, width)) for i in shown}.__getitem__
 
 
 def _failure_page(

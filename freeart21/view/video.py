@@ -22,6 +22,10 @@ _LABEL_STEP = 100
 """Labels 0, 1, 2 are stored as 0, 100, 200, far enough apart to survive any colour management."""
 
 
+_SURE = 40
+"""Added to the label of a pixel of full confidence."""
+
+
 @dataclass(frozen=True)
 class AxisLine:
     """A joint axis as it stands in every picture."""
@@ -62,12 +66,13 @@ def video_section(
     joint_type: str = "",
     settings: VideoSettings | None = None,
     axes: Sequence[AxisLine] = (),
+    confidence: PartMasks | None = None,
 ) -> Section:
     """The player of a recording with found and true parts and joint axes over it.
 
     Without a recording the parts stand on a plain ground and `n` tells how many frames there are. `states` (n,), rad
-    or m by `joint_type`, are told beside the time. Raises FreeArtError when part masks have another size than the
-    pictures.
+    or m by `joint_type`, are told beside the time; `confidence` is that of the found parts, in 255ths. Raises
+    FreeArtError when masks have another size than the pictures.
     """
     settings = settings or VideoSettings()
     total = len(recording) if recording is not None else n
@@ -90,7 +95,8 @@ def video_section(
             frame.mask.astype(np.uint8) if frame is not None else None,
             *(masks(i) if masks else None for masks in (found, truth)),
         ]
-        labels.append(_labels(masks, i, (size[0], size[1]), (width, height)))
+        sure = confidence(i) if confidence is not None else None
+        labels.append(_labels(masks, i, (size[0], size[1]), (width, height), sure))
     near, far = _depth_range(depths)
     return Section(
         "Video",
@@ -115,6 +121,7 @@ def video_section(
             "labels": labels,
             "found": found is not None,
             "truth": truth is not None,
+            "confidence": confidence is not None,
             "axes": [
                 {
                     "name": axis.name,
@@ -132,8 +139,13 @@ def video_section(
     )
 
 
-def _labels(masks: list[Image | None], index: int, size: tuple[int, int], shown: tuple[int, int]) -> str:
-    """Foreground, found and true labels of one frame as the red, green and blue of one PNG."""
+def _labels(
+    masks: list[Image | None], index: int, size: tuple[int, int], shown: tuple[int, int], confidence: Image | None
+) -> str:
+    """Foreground, found and true labels of one frame as the red, green and blue of one PNG.
+
+    The confidence of the found ones is added to them in eight steps, up to _SURE.
+    """
     image = np.zeros((shown[1], shown[0], 3), np.uint8)
     for k, (what, mask) in enumerate(zip(("foreground", "found parts", "true parts"), masks, strict=True)):
         if mask is None:
@@ -144,6 +156,9 @@ def _labels(masks: list[Image | None], index: int, size: tuple[int, int], shown:
                 f"expected {size[1]} x {size[0]} as the video"
             )
         image[..., k] = _LABEL_STEP * cv2.resize(mask, shown, interpolation=cv2.INTER_NEAREST)
+        if k == 1 and confidence is not None:
+            level = cv2.resize(confidence, shown, interpolation=cv2.INTER_NEAREST).astype(np.uint16)
+            image[..., k] += np.where(image[..., k] > 0, (8 * level + 127) // 255 * (_SURE // 8), 0).astype(np.uint8)
     return data_url("image/png", _encode(image, ".png", [cv2.IMWRITE_PNG_COMPRESSION, 6]))
 
 

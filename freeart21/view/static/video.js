@@ -9,7 +9,7 @@ FreeArt.kinds.video = (section, data, bus) => {
   const anyParts = data.found || data.truth;
   let slot = 0, picture = data.rgb ? "rgb" : "none", speed = 1;
   const axes = data.axes ?? [];
-  let opacity = 0.4, axisShown = axes.length > 0;
+  let opacity = 0.4, axisShown = axes.length > 0, doubtShown = false;
   let parts = data.found ? "found" : data.truth ? "truth" : "off";
 
   const panes = ["found", "truth"].map((name) => {
@@ -31,27 +31,28 @@ FreeArt.kinds.video = (section, data, bus) => {
 
   /* Colours over one pane: the foreground in white, or the parts with their outlines. */
   const rgbOf = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
-  const palette = data.colours.map(rgbOf);
+  const palette = data.colours.map(rgbOf), unsure = rgbOf("#e4002b");
   const paint = (context, channel, style) => {
     const { width, height } = data;
     scratchContext.drawImage(image("labels", slot), 0, 0);
     const pixels = scratchContext.getImageData(0, 0, width, height);
     const bytes = pixels.data;
     const label = new Uint8Array(width * height);
-    for (let i = 0; i < label.length; i++) label[i] = Math.round(bytes[4 * i + channel] / 100);
+    const doubtful = doubtShown && channel === 1;
+    for (let i = 0; i < label.length; i++) label[i] = Math.floor(bytes[4 * i + channel] / 100 + 0.1);
     const edge = Math.max(1, Math.round(width / 400));
     for (let i = 0, y = 0; y < height; y++) {
       for (let x = 0; x < width; x++, i++) {
         const value = label[i];
+        const doubt = doubtful && value ? FreeArt.clamp(2 - (bytes[4 * i + channel] - 100 * value) / 20, 0, 1) : 0;
         bytes[4 * i + 3] = 0;
         if (!value) continue;
         const rim = (x < edge || label[i - edge] !== value) || (x >= width - edge || label[i + edge] !== value)
           || (y < edge || label[i - edge * width] !== value) || (y >= height - edge || label[i + edge * width] !== value);
         const colour = style === "foreground" ? [255, 255, 255] : palette[value - 1];
-        bytes[4 * i] = colour[0];
-        bytes[4 * i + 1] = colour[1];
-        bytes[4 * i + 2] = colour[2];
-        bytes[4 * i + 3] = style === "foreground" || rim ? 255 : 255 * (style === "solid" ? Math.max(opacity, 0.85) : opacity);
+        for (let c = 0; c < 3; c++) bytes[4 * i + c] = (1 - doubt) * colour[c] + doubt * unsure[c];
+        const alpha = style === "solid" || doubt > 0 ? Math.max(opacity, 0.85) : opacity;
+        bytes[4 * i + 3] = style === "foreground" || rim ? 255 : 255 * alpha;
       }
     }
     scratchContext.putImageData(pixels, 0, 0);
@@ -156,6 +157,9 @@ FreeArt.kinds.video = (section, data, bus) => {
       element("li", {}, element("i", { "data-colour": data.colours[k] }), name)));
   for (const { name, colour } of axes)
     legendParts.append(element("li", {}, element("i", { class: "line", "data-colour": colour }), `${name === "truth" ? "true" : "joint"} axis`));
+  const legendDoubt = element("li", { title: "red: even odds or worse; no red: sure" },
+    element("i", { "data-colour": "#e4002b" }), "unsure label");
+  legendParts.append(legendDoubt);
   for (const mark of legendParts.querySelectorAll("i")) mark.style.background = mark.dataset.colour;
   const bar = element("span", { class: "bar" });
   if (data.depth_colours) bar.style.background = `linear-gradient(to right, ${data.depth_colours.join(",")})`;
@@ -163,6 +167,7 @@ FreeArt.kinds.video = (section, data, bus) => {
     `${data.depth_range_m[1].toFixed(2)} m`);
   const legends = () => {
     legendParts.hidden = strengthBox.hidden = parts === "off";
+    legendDoubt.hidden = !doubtShown;
     legendDepth.hidden = picture !== "depth";
   };
   const pictureChoice = FreeArt.choice("picture", pictures, picture, (value) => {
@@ -188,6 +193,13 @@ FreeArt.kinds.video = (section, data, bus) => {
     axisShown = axisBox.checked;
     draw();
   });
+  const doubtBox = element("input", { type: "checkbox" });
+  const showDoubt = (shown) => {
+    doubtBox.checked = doubtShown = shown;
+    legends();
+    draw();
+  };
+  doubtBox.addEventListener("change", () => showDoubt(doubtBox.checked));
   const strengthBox = element("label", { class: "strength" }, element("span", { class: "label" }, "Opacity"), strength);
   const named = (name, choice) => element("div", {}, element("span", { class: "label" }, name), choice);
   const stage = element("div", { class: "stage" }, ...panes.map(({ pane }) => pane));
@@ -197,6 +209,7 @@ FreeArt.kinds.video = (section, data, bus) => {
     element("div", { class: "controls" },
       ...(pictures.length > 1 ? [named("Picture", pictureChoice)] : []),
       ...(anyParts ? [named("Parts", partsChoice), strengthBox] : []),
+      ...(data.confidence ? [element("label", {}, doubtBox, "Doubt")] : []),
       ...(axes.length ? [element("label", {}, axisBox, "Axis")] : []),
       named("Speed", rate)),
     legendParts, legendDepth);
@@ -216,6 +229,7 @@ FreeArt.kinds.video = (section, data, bus) => {
   });
   bus.on("frame", update);
   bus.on("link", (link) => {
+    if (link.doubt && data.confidence) showDoubt(link.doubt !== "off");
     if (link.axis) {
       axisBox.checked = axisShown = link.axis !== "off" && axes.length > 0;
       draw();
