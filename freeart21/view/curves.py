@@ -37,7 +37,7 @@ class Chart:
     about: str
     """What it shows, in a sentence."""
     top: float | None = None
-    """Where the vertical axis ends at least, such as 100 for shares."""
+    """What the vertical axis reaches at least, such as 100 for shares."""
 
 
 def curves_section(
@@ -107,9 +107,10 @@ def _figure(chart: Chart, x: NDArray[np.float64], across: NDArray[np.float64], t
 
 
 def _high(values: NDArray[np.float64], top: float | None) -> float:
-    if top is not None or not len(values):
+    if not len(values):
         return top or 1.0
-    return 1.05 * float(min(values.max(), max(TALLEST * np.median(values), np.percentile(values, 95)))) or 1.0
+    high = float(min(values.max(), max(TALLEST * np.median(values), np.percentile(values, 95))))
+    return 1.05 * high or 1.0 if top is None else max(high, top)
 
 
 def _rounded(values: NDArray[np.float64]) -> list[float | None]:

@@ -112,6 +112,7 @@ def diagnosis_section(
                 "%",
                 _both(percent * d.outside),
                 "Share of each part's points that fall off the foreground in other frames.",
+                5.0,
             ),
             Chart("Label confidence", "%", _both(percent * d.confidence), "Mean probability of the labels.", 100.0),
         ]
@@ -150,7 +151,7 @@ def remarks_section(result: Reconstruction, diagnostics: Diagnostics | None) -> 
     if len(found) > MOST_REMARKS:
         lines.append(f"<li>And {len(found) - MOST_REMARKS} more of the same kinds.</li>")
     if not found:
-        lines = ["<li>Nothing stands out.</li>"]
+        lines = ["<li class=fine>Nothing stands out.</li>"]
     return Section(
         "What to distrust", f'<ul class="remarks">{"".join(lines)}</ul>', "remarks", {"n": len(found)}, "right"
     )

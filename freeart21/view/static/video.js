@@ -51,7 +51,7 @@ FreeArt.kinds.video = (section, data, bus) => {
           || (y < edge || label[i - edge * width] !== value) || (y >= height - edge || label[i + edge * width] !== value);
         const colour = style === "foreground" ? [255, 255, 255] : palette[value - 1];
         for (let c = 0; c < 3; c++) bytes[4 * i + c] = (1 - doubt) * colour[c] + doubt * unsure[c];
-        const alpha = style === "solid" || doubt > 0 ? Math.max(opacity, 0.85) : opacity;
+        const alpha = style === "solid" ? Math.max(opacity, 0.85) : opacity + doubt * Math.max(0, 0.85 - opacity);
         bytes[4 * i + 3] = style === "foreground" || rim ? 255 : 255 * alpha;
       }
     }
