@@ -11,6 +11,7 @@ import test_view as view
 
 from freeart21 import se3
 from freeart21.articulation import Articulation
+from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.diagnostics import (
     FILE,
@@ -22,6 +23,7 @@ from freeart21.files.diagnostics import (
 )
 from freeart21.files.result import read_result, write_result
 from freeart21.joint import Joint
+from freeart21.recording import Frame, Recording
 from freeart21.view import page
 from freeart21.view.curves import Chart, Curve, curves_section
 from freeart21.view.diagnosis import motion_of, remarks, remarks_section
@@ -30,9 +32,9 @@ from reconstruct.cache import Kept, Known, _packed, _read
 from reconstruct.diagnostics import _means, agreement, diagnose, label_probability
 from reconstruct.evidence import Evidence
 from reconstruct.poses import FreePoses, JointedPoses, part_samples
-from reconstruct.scene import Scene
+from reconstruct.scene import prepare
 from reconstruct.segmentation import Grown
-from reconstruct.settings import EvidenceSettings, LabelSettings, PoseSettings
+from reconstruct.settings import EvidenceSettings, LabelSettings, PoseSettings, SceneSettings
 
 N, H, W, DEPTH, FOCAL = 6, 40, 48, 1.0, 100.0
 
@@ -40,40 +42,20 @@ N, H, W, DEPTH, FOCAL = 6, 40, 48, 1.0, 100.0
 def walls(bulge=0.0, hole=False):
     """A flat wall at 1 m, filmed six times by a camera that stands still: left half reference, right half moving part.
 
-    `bulge` is what frame 2 shows farther off, metres; with `hole` the mask of the last frames lacks the top rows.
+    `bulge` is what frame 2 shows farther off, metres; with `hole` the mask of the last frames lacks the upper half.
+    Every second pixel each way is left of the picture.
     """
-    v, u = np.indices((H, W), dtype=float)
-    cx, cy = np.full(N, W / 2), np.full(N, H / 2)
-    rays = np.stack([(u - cx[0]) / FOCAL, (v - cy[0]) / FOCAL, np.ones((H, W))], -1)
-    depth = np.full(N, DEPTH)
-    depth[2] += bulge
-    points = (depth[:, None, None, None] * rays).astype(np.float32)
-    normals = np.zeros_like(points)
-    normals[..., 2] = -1
-    mask, outside = np.ones((N, H, W), bool), np.zeros((N, H, W), np.float32)
-    if hole:
-        mask[3:, :20] = False
-        points[3:, :20] = 0
-        outside[3:, :20] = (20 - v)[:20]
-    labels = np.where(u < W / 2, 1, 2).astype(np.uint8) * mask
-    scene = Scene(
-        np.zeros((N, H, W, 3), np.uint8),
-        mask,
-        points,
-        normals,
-        np.zeros((N, H, W), bool),
-        np.zeros((N, H, W, 3), np.float32),
-        outside,
-        FOCAL,
-        FOCAL,
-        cx,
-        cy,
-        np.zeros((N, 2), np.int64),
-        2,
-        DEPTH / FOCAL,
-        0.0,
-        0.6,
-    )
+    size = (2 * W, 2 * H)
+    camera = Camera(np.array([[2 * FOCAL, 0, W], [0, 2 * FOCAL, H], [0, 0, 1.0]]), *size)
+
+    def load(i):
+        mask = np.ones(size[::-1], bool)
+        mask[: H if hole and i >= 3 else 0] = False
+        depth = np.where(mask, DEPTH + (bulge if i == 2 else 0), 0).astype(np.float32)
+        return Frame(np.zeros((*mask.shape, 3), np.uint8), depth, mask)
+
+    scene = prepare(Recording(camera, np.arange(N) / 30, load), SceneSettings(max_crop_pixels=H * W, min_frames=N))
+    labels = np.where(np.arange(W) < W / 2, 1, 2).astype(np.uint8) * scene.mask
     return Evidence(scene, EvidenceSettings(), LabelSettings()), labels
 
 
@@ -371,7 +353,7 @@ def test_a_jump_and_a_pose_off_the_joint_are_told():
     moving[40] = moving[40] @ se3.exp_se3([0, 0, 0, 0.3, 0, 0])
     found = told(replace(result, Ts_camera_moving=moving))
     assert {where for where, _ in found} == {"frame 40", "frame 41"}, found
-    assert any("turned off the joint by 17.2°" in text for _, text in found)
+    assert any("pose lies off the joint by 17.2° and" in text for _, text in found)
     assert any("the moving part turns by" in text for _, text in found)
     both = replace(result, Ts_camera_reference=result.Ts_camera_reference.copy(), Ts_camera_moving=moving)
     both.seen[40, 1] = False

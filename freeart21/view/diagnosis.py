@@ -175,8 +175,7 @@ def remarks(result: Reconstruction, diagnostics: Diagnostics | None = None) -> l
             )
         found += _jumps(np.degrees(motion.step_angle[:, k]), 3.0, "°", f"the {part} part turns by")
         found += _jumps(1000 * motion.step_distance[:, k], 20 * size, "mm", f"the {part} part shifts by")
-    found += _high(motion.gap_angle, np.radians(1.0), 180 / np.pi, "°", "the moving part is turned off the joint by")
-    found += _high(motion.gap_distance, 0.005 * size, 1000, "mm", "the moving part is off the joint by")
+    found += _off_the_joint(motion, size)
     if result.state_std is not None:
         least = np.radians(1.0) if result.articulation.joint.type == "revolute" else 0.005 * size
         found += _high(result.state_std, least, factor, unit, "the standard deviation of the state is")
@@ -281,6 +280,22 @@ def _high(values: Array, floor: float, factor: float, unit: str, what: str) -> l
         upto = "up to " if len(run) > 1 else ""
         found.append(Remark(f"{what} {upto}{factor * most:.3g}{_spaced(unit)}{times}", _ends(run)))
     return found
+
+
+def _off_the_joint(motion: Motion, size: float) -> list[Remark]:
+    """A remark a run of frames whose angle or distance off the joint is far beyond the median and one half percent."""
+    angle, distance = np.nan_to_num(motion.gap_angle), np.nan_to_num(motion.gap_distance)
+    usual = _median(motion.gap_angle), _median(motion.gap_distance)
+    far = (angle > max(SPIKE * usual[0], np.radians(1.0))) | (distance > max(SPIKE * usual[1], 0.005 * size))
+    return [
+        Remark(
+            f"the moving part's measured pose lies off the joint by {'up to ' * (len(run) > 1)}"
+            f"{np.degrees(angle[run].max()):.3g}° and {1000 * distance[run].max():.3g} mm; the medians are "
+            f"{np.degrees(usual[0]):.2g}° and {1000 * usual[1]:.2g} mm",
+            _ends(run),
+        )
+        for run in _near_runs(far)
+    ]
 
 
 def _low_shares(values: Array, least: float, what: str) -> list[Remark]:
