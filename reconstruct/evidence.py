@@ -46,19 +46,17 @@ class Evidence:
         either's. Statistics are inliers, projected, cost and outside.
         """
         scene, s = self.scene, self.settings
-        pixels, offsets = _flat(samples, len(scene))
+        records, offsets = _records(scene, samples)
         H, g, stats = np.zeros((len(source), 6, 6)), np.zeros((len(source), 6)), np.zeros((len(source), 4))
         arguments = (
             np.asarray(source, np.int64),
             np.asarray(target, np.int64),
             np.ascontiguousarray(T, float),
-            pixels,
+            records,
             offsets,
-            scene.points,
-            scene.normals,
-            scene.features,
-            scene.outside,
-            _NO_LABELS if labels is None else labels,
+            scene.pixels.reshape(-1, scene.pixels.shape[-1]),
+            *scene.mask.shape[1:],
+            _NO_LABELS if labels is None else labels.reshape(-1),
             0 if labels is None else part,
             scene.fx,
             scene.fy,
@@ -93,11 +91,9 @@ class Evidence:
             np.asarray(others, np.int64),
             np.ascontiguousarray(T, float),
             np.ascontiguousarray(pixels, np.int64),
-            scene.points,
-            scene.normals,
-            scene.features,
-            scene.outside,
-            _NO_ODDS if logodds is None else logodds,
+            scene.pixels.reshape(-1, scene.pixels.shape[-1]),
+            *scene.mask.shape[1:],
+            _NO_ODDS if logodds is None else logodds.reshape(-1),
             0.0 if logodds is None else label_weight,
             scene.fx,
             scene.fy,
@@ -159,18 +155,17 @@ class Evidence:
         return everything if inner.sum() < enough <= everything.sum() else inner
 
 
-_NO_LABELS = np.zeros((1, 1, 1), np.uint8)
-_NO_ODDS = np.zeros((1, 1, 1), np.float32)
+_NO_LABELS = np.zeros(1, np.uint8)
+_NO_ODDS = np.zeros(1, np.float32)
 
 
-def _flat(samples: Samples, n: int) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """All samples one after the other, and where each frame's begin."""
-    counts = np.zeros(n + 1, np.int64)
+def _records(scene: Scene, samples: Samples) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """The records (m, 10) of all samples, one frame after the other, and where each frame's begin (n + 1,)."""
+    counts = np.zeros(len(scene) + 1, np.int64)
     for frame, pixels in samples.items():
         counts[frame + 1] = len(pixels)
-    parts = [samples[frame] for frame in sorted(samples) if len(samples[frame])]
-    flat = np.concatenate(parts) if parts else np.zeros((0, 2), np.int32)
-    return np.ascontiguousarray(flat, np.int32), np.cumsum(counts)
+    parts = [scene.pixels[frame, samples[frame][:, 0], samples[frame][:, 1]] for frame in sorted(samples)]
+    return np.concatenate(parts) if parts else np.zeros((0, scene.pixels.shape[-1]), np.float32), np.cumsum(counts)
 
 
 def draw(mask: NDArray[np.bool_], most: int, rng: np.random.Generator) -> NDArray[np.int32]:

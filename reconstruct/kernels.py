@@ -16,6 +16,11 @@ from numba import njit
 
 NEAR = 1e-6
 
+POINT, DEPTH, NORMAL, FEATURE, OUTSIDE = 0, 2, 3, 6, 9
+"""Where the fields of a pixel's record begin: see `Scene.pixels`. A point's depth is its third coordinate."""
+
+_NO_ROWS = (0.0,) * 9
+
 _THREADS = min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 _POOL = ThreadPoolExecutor(_THREADS)
 
@@ -34,7 +39,7 @@ def in_threads(work: Callable[[int, int], object], n: int, worth: int) -> None:
         done.result()
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def register_pairs(  # pragma: no cover
     begin,
     end,
@@ -43,10 +48,9 @@ def register_pairs(  # pragma: no cover
     T,
     samples,
     offsets,
-    points,
-    normals,
-    features,
-    outside,
+    pixels,
+    h,
+    w,
     labels,
     part,
     fx,
@@ -64,85 +68,88 @@ def register_pairs(  # pragma: no cover
 ):
     """Gauss-Newton terms of the frame pairs begin to end for the left twist (v, w) of T[p] = T_target_source.
 
-    `samples[offsets[i]:offsets[i + 1]]` are rows and columns in frame i. With `part` > 0 a sample does not meet target
-    pixels labelled as the other part (label 0 is either's). Terms per sample: point-to-plane by projective association
-    with Tukey's weight, colour along its gradient, and the distance to the mask where it falls outside. Fills
-    H (p, 6, 6), g (p, 6) and stats (p, 4): inliers, projected, cost, outside.
+    `samples[offsets[i]:offsets[i + 1]]` are the records of pixels of frame i. With `part` > 0 a sample does not meet
+    target pixels labelled as the other part (label 0 is either's). Terms per sample: point-to-plane by projective
+    association with Tukey's weight, colour along its gradient, and the distance to the mask where it falls outside.
+    Fills H (p, 6, 6), g (p, 6) and stats (p, 4): inliers, projected, cost, outside.
     """
-    h, w = points.shape[1], points.shape[2]
     for p in range(begin, end):
         i, j = source[p], target[p]
-        R = T[p]
-        A = np.zeros((6, 6))
-        b = np.zeros(6)
-        J = np.zeros(6)
+        R00, R01, R02, t0 = T[p, 0, 0], T[p, 0, 1], T[p, 0, 2], T[p, 0, 3]
+        R10, R11, R12, t1 = T[p, 1, 0], T[p, 1, 1], T[p, 1, 2], T[p, 1, 3]
+        R20, R21, R22, t2 = T[p, 2, 0], T[p, 2, 1], T[p, 2, 2], T[p, 2, 3]
+        A, b = np.zeros((6, 6)), np.zeros(6)
         inliers, projected, out, cost = 0, 0, 0, 0.0
         for s in range(offsets[i], offsets[i + 1]):
-            y, x = samples[s, 0], samples[s, 1]
-            a0, a1, a2 = points[i, y, x, 0], points[i, y, x, 1], points[i, y, x, 2]
-            m0, m1, m2 = normals[i, y, x, 0], normals[i, y, x, 1], normals[i, y, x, 2]
-            Y0 = R[0, 0] * a0 + R[0, 1] * a1 + R[0, 2] * a2 + R[0, 3]
-            Y1 = R[1, 0] * a0 + R[1, 1] * a1 + R[1, 2] * a2 + R[1, 3]
-            Y2 = R[2, 0] * a0 + R[2, 1] * a1 + R[2, 2] * a2 + R[2, 3]
+            a0, a1, a2 = samples[s, POINT], samples[s, POINT + 1], samples[s, POINT + 2]
+            Y0 = R00 * a0 + R01 * a1 + R02 * a2 + t0
+            Y1 = R10 * a0 + R11 * a1 + R12 * a2 + t1
+            Y2 = R20 * a0 + R21 * a1 + R22 * a2 + t2
             if Y2 < NEAR:
                 continue
-            M0 = R[0, 0] * m0 + R[0, 1] * m1 + R[0, 2] * m2
-            M1 = R[1, 0] * m0 + R[1, 1] * m1 + R[1, 2] * m2
-            M2 = R[2, 0] * m0 + R[2, 1] * m1 + R[2, 2] * m2
-            u, v = fx * Y0 / Y2 + cx[j], fy * Y1 / Y2 + cy[j]
+            ex, ey = fx / Y2, fy / Y2  # pixels per metre
+            u, v = ex * Y0 + cx[j], ey * Y1 + cy[j]
             xi, yi = math.floor(u + 0.5), math.floor(v + 0.5)
             if xi < 2 or yi < 2 or xi >= w - 2 or yi >= h - 2:
                 continue
             projected += 1
-            if outside[j, yi, xi] > 0.5:
-                r = outside[j, yi, xi]
+            at = (j * h + yi) * w + xi
+            r = pixels[at, OUTSIDE]
+            if r > 0.5:
                 out += 1
                 weight = 1.0 / (sigma_silhouette * sigma_silhouette)
                 if r > 3.0 * sigma_silhouette:
                     weight *= 3.0 * sigma_silhouette / r
-                gx = 0.5 * (outside[j, yi, xi + 1] - outside[j, yi, xi - 1]) * fx / Y2
-                gy = 0.5 * (outside[j, yi + 1, xi] - outside[j, yi - 1, xi]) * fy / Y2
-                _point_row(J, gx, gy, -(gx * Y0 + gy * Y1) / Y2, Y0, Y1, Y2)
-                _add(A, b, J, r, weight)
+                gx = 0.5 * ex * (pixels[at + 1, OUTSIDE] - pixels[at - 1, OUTSIDE])
+                gy = 0.5 * ey * (pixels[at + w, OUTSIDE] - pixels[at - w, OUTSIDE])
+                N = _add_row(_NO_ROWS, gx, gy, -(gx * Y0 + gy * Y1) / Y2, r, weight)
+                _add_point(A, b, N, Y0, Y1, Y2)
                 cost += 0.5 * weight * r * r
                 continue
-            facing = -(M0 * Y0 + M1 * Y1 + M2 * Y2) / math.sqrt(Y0 * Y0 + Y1 * Y1 + Y2 * Y2)
-            if facing < 0.15 or points[j, yi, xi, 2] <= 0 or (part > 0 and labels[j, yi, xi] == 3 - part):
+            if pixels[at, DEPTH] <= 0 or (part > 0 and labels[at] == 3 - part):
                 continue
-            n0, n1, n2 = normals[j, yi, xi, 0], normals[j, yi, xi, 1], normals[j, yi, xi, 2]
+            m0, m1, m2 = samples[s, NORMAL], samples[s, NORMAL + 1], samples[s, NORMAL + 2]
+            M0 = R00 * m0 + R01 * m1 + R02 * m2
+            M1 = R10 * m0 + R11 * m1 + R12 * m2
+            M2 = R20 * m0 + R21 * m1 + R22 * m2
+            facing = -(M0 * Y0 + M1 * Y1 + M2 * Y2)
+            if facing < 0.15 * math.sqrt(Y0 * Y0 + Y1 * Y1 + Y2 * Y2):
+                continue
+            n0, n1, n2 = pixels[at, NORMAL], pixels[at, NORMAL + 1], pixels[at, NORMAL + 2]
             if n0 * M0 + n1 * M1 + n2 * M2 < 0.7:
                 continue
-            r = n0 * (Y0 - points[j, yi, xi, 0]) + n1 * (Y1 - points[j, yi, xi, 1]) + n2 * (Y2 - points[j, yi, xi, 2])
+            r = n0 * (Y0 - pixels[at, POINT]) + n1 * (Y1 - pixels[at, POINT + 1]) + n2 * (Y2 - pixels[at, DEPTH])
             if abs(r) > gate:
                 continue
             tukey = 1 - (r / gate) ** 2
             weight = tukey * tukey / (sigma * sigma)
-            _point_row(J, n0, n1, n2, Y0, Y1, Y2)
-            _add(A, b, J, r, weight)
+            N = _add_row(_NO_ROWS, n0, n1, n2, r, weight)
             inliers += 1
             cost += 0.5 * weight * r * r
-            if colour_weight <= 0 or outside[j, yi - 1, xi] + outside[j, yi + 1, xi] > 0:
-                continue
-            if outside[j, yi, xi - 1] + outside[j, yi, xi + 1] > 0:
+            rim = pixels[at - 1, OUTSIDE] + pixels[at + 1, OUTSIDE]
+            rim += pixels[at - w, OUTSIDE] + pixels[at + w, OUTSIDE]
+            if colour_weight <= 0 or rim > 0:
+                _add_point(A, b, N, Y0, Y1, Y2)
                 continue
             x0, y0 = math.floor(u), math.floor(v)
             fu, fv = u - x0, v - y0
-            for c in range(3):
-                gx = 0.5 * (features[j, yi, xi + 1, c] - features[j, yi, xi - 1, c])
-                gy = 0.5 * (features[j, yi + 1, xi, c] - features[j, yi - 1, xi, c])
+            corner = (j * h + y0) * w + x0
+            for c in range(FEATURE, FEATURE + 3):
+                gx = 0.5 * (pixels[at + 1, c] - pixels[at - 1, c])
+                gy = 0.5 * (pixels[at + w, c] - pixels[at - w, c])
                 if gx * gx + gy * gy < 0.04:
                     continue
-                value = (1 - fv) * ((1 - fu) * features[j, y0, x0, c] + fu * features[j, y0, x0 + 1, c])
-                value += fv * ((1 - fu) * features[j, y0 + 1, x0, c] + fu * features[j, y0 + 1, x0 + 1, c])
-                r = value - features[i, y, x, c]
+                value = (1 - fv) * ((1 - fu) * pixels[corner, c] + fu * pixels[corner + 1, c])
+                value += fv * ((1 - fu) * pixels[corner + w, c] + fu * pixels[corner + w + 1, c])
+                r = value - samples[s, c]
                 if abs(r) > 4 * sigma_colour:
                     continue
                 tukey = 1 - (r / (4 * sigma_colour)) ** 2
                 weight = colour_weight * tukey * tukey / (sigma_colour * sigma_colour)
-                g0, g1 = gx * fx / Y2, gy * fy / Y2
-                _point_row(J, g0, g1, -(g0 * Y0 + g1 * Y1) / Y2, Y0, Y1, Y2)
-                _add(A, b, J, r, weight)
+                gx, gy = ex * gx, ey * gy
+                N = _add_row(N, gx, gy, -(gx * Y0 + gy * Y1) / Y2, r, weight)
                 cost += 0.5 * weight * r * r
+            _add_point(A, b, N, Y0, Y1, Y2)
         for q in range(6):
             g[p, q] = b[q]
             for q2 in range(6):
@@ -151,33 +158,70 @@ def register_pairs(  # pragma: no cover
 
 
 @njit(inline="always")
-def _point_row(J, n0, n1, n2, Y0, Y1, Y2):  # pragma: no cover
-    """Derivative of n . Y by the left twist (v, w): (n, Y x n)."""
-    J[0], J[1], J[2] = n0, n1, n2
-    J[3], J[4], J[5] = Y1 * n2 - Y2 * n1, Y2 * n0 - Y0 * n2, Y0 * n1 - Y1 * n0
+def _add_row(N, n0, n1, n2, r, weight):  # pragma: no cover
+    """The sums N = weight n n^T (upper triangle) and weight r n of rows n, as one tuple of nine."""
+    w0, w1, w2 = weight * n0, weight * n1, weight * n2
+    return (
+        N[0] + w0 * n0,
+        N[1] + w0 * n1,
+        N[2] + w0 * n2,
+        N[3] + w1 * n1,
+        N[4] + w1 * n2,
+        N[5] + w2 * n2,
+        N[6] + w0 * r,
+        N[7] + w1 * r,
+        N[8] + w2 * r,
+    )
 
 
 @njit(inline="always")
-def _add(A, b, J, r, weight):  # pragma: no cover
-    for q in range(6):
-        wj = weight * J[q]
-        b[q] += wj * r
-        for q2 in range(q, 6):
-            A[q, q2] += wj * J[q2]
+def _add_point(A, b, N, Y0, Y1, Y2):  # pragma: no cover
+    """All rows n of one point Y: by the left twist (v, w) a row is (n, Y x n), and so with K = hat(Y) their sum
+    is [[N, N K^T], [K N, K N K^T]]."""
+    n00, n01, n02, n11, n12, n22, m0, m1, m2 = N
+    A[0, 0] += n00
+    A[0, 1] += n01
+    A[0, 2] += n02
+    A[1, 1] += n11
+    A[1, 2] += n12
+    A[2, 2] += n22
+    k00, k01, k02 = Y1 * n02 - Y2 * n01, Y1 * n12 - Y2 * n11, Y1 * n22 - Y2 * n12
+    k10, k11, k12 = Y2 * n00 - Y0 * n02, Y2 * n01 - Y0 * n12, Y2 * n02 - Y0 * n22
+    k20, k21, k22 = Y0 * n01 - Y1 * n00, Y0 * n11 - Y1 * n01, Y0 * n12 - Y1 * n02
+    A[0, 3] += k00
+    A[1, 3] += k01
+    A[2, 3] += k02
+    A[0, 4] += k10
+    A[1, 4] += k11
+    A[2, 4] += k12
+    A[0, 5] += k20
+    A[1, 5] += k21
+    A[2, 5] += k22
+    A[3, 3] += Y1 * k02 - Y2 * k01
+    A[3, 4] += Y2 * k00 - Y0 * k02
+    A[3, 5] += Y0 * k01 - Y1 * k00
+    A[4, 4] += Y2 * k10 - Y0 * k12
+    A[4, 5] += Y0 * k11 - Y1 * k10
+    A[5, 5] += Y0 * k21 - Y1 * k20
+    b[0] += m0
+    b[1] += m1
+    b[2] += m2
+    b[3] += Y1 * m2 - Y2 * m1
+    b[4] += Y2 * m0 - Y0 * m2
+    b[5] += Y0 * m1 - Y1 * m0
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def pixel_costs(  # pragma: no cover
     begin,
     end,
     frame,
     others,
     T,
+    places,
     pixels,
-    points,
-    normals,
-    features,
-    outside,
+    h,
+    w,
     logodds,
     label_weight,
     fx,
@@ -189,17 +233,16 @@ def pixel_costs(  # pragma: no cover
     cap,
     costs,
 ):
-    """What pixels begin to end (p, 2: row, column) of `frame` cost under motions T (s, k, 4, 4) to `others` (s,).
+    """What `places` begin to end (p, 2: row, column) of `frame` cost under motions T (s, k, 4, 4) to `others`.
 
     Outside the mask: the distance to it. In front of the surface there: a violation of free space. Behind it: hidden,
     a constant. On it: point-to-plane, normal and colour differences, and `label_weight` times the disagreement of the
     hypothesis k (0 reference, 1 moving) with the other frame's `logodds` (> 0: moving). Fills costs (p, s, k).
     """
-    h, w = points.shape[1], points.shape[2]
     for p in range(begin, end):
-        y, x = pixels[p, 0], pixels[p, 1]
-        a0, a1, a2 = points[frame, y, x, 0], points[frame, y, x, 1], points[frame, y, x, 2]
-        m0, m1, m2 = normals[frame, y, x, 0], normals[frame, y, x, 1], normals[frame, y, x, 2]
+        here = (frame * h + places[p, 0]) * w + places[p, 1]
+        a0, a1, a2 = pixels[here, POINT], pixels[here, POINT + 1], pixels[here, DEPTH]
+        m0, m1, m2 = pixels[here, NORMAL], pixels[here, NORMAL + 1], pixels[here, NORMAL + 2]
         for s in range(others.shape[0]):
             j = others[s]
             for k in range(T.shape[1]):
@@ -214,15 +257,16 @@ def pixel_costs(  # pragma: no cover
                 yi = math.floor(fy * Y1 / Y2 + cy[j] + 0.5)
                 if xi < 0 or yi < 0 or xi >= w or yi >= h:
                     continue
-                z = points[j, yi, xi, 2]
+                at = (j * h + yi) * w + xi
+                z = pixels[at, DEPTH]
                 if z <= 0:
-                    costs[p, s, k] = min(cap, 0.7 * max(outside[j, yi, xi] - 0.5, 0.0))
+                    costs[p, s, k] = min(cap, 0.7 * max(pixels[at, OUTSIDE] - 0.5, 0.0))
                     continue
                 M0 = R[0, 0] * m0 + R[0, 1] * m1 + R[0, 2] * m2
                 M1 = R[1, 0] * m0 + R[1, 1] * m1 + R[1, 2] * m2
                 M2 = R[2, 0] * m0 + R[2, 1] * m1 + R[2, 2] * m2
-                n0, n1, n2 = normals[j, yi, xi, 0], normals[j, yi, xi, 1], normals[j, yi, xi, 2]
-                r = n0 * (Y0 - points[j, yi, xi, 0]) + n1 * (Y1 - points[j, yi, xi, 1]) + n2 * (Y2 - z)
+                n0, n1, n2 = pixels[at, NORMAL], pixels[at, NORMAL + 1], pixels[at, NORMAL + 2]
+                r = n0 * (Y0 - pixels[at, POINT]) + n1 * (Y1 - pixels[at, POINT + 1]) + n2 * (Y2 - z)
                 facing = -(M0 * Y0 + M1 * Y1 + M2 * Y2) / math.sqrt(Y0 * Y0 + Y1 * Y1 + Y2 * Y2)
                 if facing < 0.1:
                     behind = (Y2 - z) / sigma
@@ -234,12 +278,12 @@ def pixel_costs(  # pragma: no cover
                 same = n0 * M0 + n1 * M1 + n2 * M2
                 shape = min(0.6 * cap, 0.5 * (r / sigma) ** 2 + 2.0 * max(0.0, 0.8 - same))
                 difference = 0.0
-                for c in range(3):
-                    d = features[j, yi, xi, c] - features[frame, y, x, c]
+                for c in range(FEATURE, FEATURE + 3):
+                    d = pixels[at, c] - pixels[here, c]
                     difference += d * d
                 cost = shape + min(0.2 * cap, 0.25 * difference / (sigma_colour * sigma_colour))
                 if label_weight > 0 and shape < 2.0:
-                    against = -logodds[j, yi, xi] if k == 1 else logodds[j, yi, xi]
+                    against = -logodds[at] if k == 1 else logodds[at]
                     cost += label_weight * min(max(against, 0.0), 3.0)
                 costs[p, s, k] = cost
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from freeart21 import se3
 from freeart21.joint import Joint
@@ -61,17 +63,25 @@ def choose_pairs(Ts: Array, seen: NDArray[np.bool_], settings: PoseSettings) -> 
     frames = np.flatnonzero(seen)
     found = {(int(i), int(i) + d) for i in frames for d in settings.offsets if i + d < len(Ts) and seen[i + d]}
     for i in map(int, frames):
-        turn = se3.rotation_angle(Ts[frames, :3, :3] @ Ts[i, :3, :3].T)
-        chosen: list[int] = []
-        for c in np.argsort(turn, kind="stable"):
-            j = int(frames[c])
-            if len(chosen) >= settings.loops or turn[c] > 0.9:
+        turn = _turns(Ts[frames, :3, :3], Ts[i, :3, :3])
+        near = (turn <= 0.9) & (np.abs(frames - i) > 8)
+        left = frames[near][np.argsort(turn[near], kind="stable")]
+        for _ in range(settings.loops):
+            if len(left) == 0:
                 break
-            if abs(j - i) > 8 and all(abs(j - other) > 3 for other in chosen):
-                chosen.append(j)
-                found.add((min(i, j), max(i, j)))
+            j = int(left[0])
+            found.add((min(i, j), max(i, j)))
+            left = left[np.abs(left - j) > 3]
     pairs = np.array(sorted(found), int).reshape(-1, 2)
-    return np.concatenate([pairs[:, 0], pairs[:, 1]]), np.concatenate([pairs[:, 1], pairs[:, 0]])
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    both = both[np.argsort(both[:, 1], kind="stable")]  # by target: its picture is then at hand for all its sources
+    return both[:, 0], both[:, 1]
+
+
+def _turns(Rs: Array, R: Array) -> Array:
+    """(n,) angles between rotations (n, 3, 3) and one (3, 3), from the chord |Rs - R| = sqrt(8) sin(angle / 2)."""
+    chord = np.linalg.norm((Rs - R).reshape(-1, 9), axis=1)
+    return 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1))
 
 
 def free_adjustment(
@@ -91,7 +101,7 @@ def free_adjustment(
     if len(source) == 0:
         return FreePoses(Ts, covariances)
     start = Ts
-    A = np.zeros((6 * n, 6 * n))
+    A = sparse.csr_array((6 * n, 6 * n))
     for _ in range(settings.free_rounds):
         A, b, _ = _normal_equations(evidence, labels, part, Ts, samples, source, target, settings.final_gate)
         step = _damped_solve(A, b).reshape(n, 6)
@@ -123,23 +133,22 @@ def joint_adjustment(
     samples = [part_samples(evidence, labels, k + 1, settings.samples, rng, usable[:, k]) for k in range(2)]
     now = start
     pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((now.Ts, now.Ts_moving))]
-    A, cost = np.zeros((7 * n, 7 * n)), np.inf
+    A, cost = sparse.csr_array((7 * n, 7 * n)), np.inf
     for r in range(rounds):
         gate = max(settings.final_gate, settings.gate * 0.85**r)
         A0, b0, s0 = _normal_equations(evidence, labels, 1, now.Ts, samples[0], *pairs[0], gate)
         A1, b1, s1 = _normal_equations(evidence, labels, 2, now.Ts_moving, samples[1], *pairs[1], gate)
         cost = (s0[2] + s1[2]) / max(s0[1] + s1[1], 1)
         M, across = _joint_jacobian(now)
-        A, b = M.T @ A1 @ M, M.T @ b1
-        A[: 6 * n, : 6 * n] += A0
-        b[: 6 * n] += b0
-        _add_state_smoothness(A, b, now.states - start.states)
+        own = sparse.eye_array(6 * n, M.shape[1], format="csr")
+        A, b = own.T @ A0 @ own + M.T @ A1 @ M, own.T @ b0 + M.T @ b1
+        A, b = _with_state_smoothness(A, b, now.states - start.states)
         now = _stepped(now, _damped_solve(A, b), across, evidence.scene.diagonal)
         if r in (rounds // 3, 2 * rounds // 3):
             pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((now.Ts, now.Ts_moving))]
     if final:
         reuse = len(pairs[1][0]) / max(usable[:, 1].sum(), 1)
-        now = replace(now, state_std=np.where(usable.all(1), _state_std(A, n, reuse), np.inf))
+        now = replace(now, state_std=np.where(usable.all(1), _state_std(A.toarray(), n, reuse), np.inf))
     return replace(now, cost=float(cost))
 
 
@@ -152,29 +161,43 @@ def _normal_equations(
     source: NDArray,
     target: NDArray,
     gate: float,
-) -> tuple[Array, Array, Array]:
+) -> tuple[sparse.csr_array, Array, Array]:
     """A (6n, 6n), b (6n,) over all frames and summed statistics (4,): inliers, projected, cost, outside.
 
-    With T = T_j T_i^-1 a left twist x_i moves T by -Ad(T) x_i.
+    With T = T_j T_i^-1 a left twist x_i moves T by -Ad(T) x_i. A has blocks for the pairs only.
     """
     n = len(Ts)
-    A, b = np.zeros((n, n, 6, 6)), np.zeros((n, 6))
     if len(source) == 0:
-        return A.transpose(0, 2, 1, 3).reshape(6 * n, 6 * n), b.ravel(), np.zeros(4)
+        return sparse.csr_array((6 * n, 6 * n)), np.zeros(6 * n), np.zeros(4)
     T = Ts[target] @ se3.inverse(Ts[source])
     H, g, stats = evidence.register(source, target, T, samples, gate, labels, part)
     back = -se3.adjoint(T)
     Hb = H @ back
-    np.add.at(A, (target, target), H)
-    np.add.at(A, (target, source), Hb)
-    np.add.at(A, (source, target), np.swapaxes(Hb, 1, 2))
-    np.add.at(A, (source, source), np.swapaxes(back, 1, 2) @ Hb)
-    np.add.at(b, target, g)
-    np.add.at(b, source, np.einsum("pji,pj->pi", back, g))
-    return A.transpose(0, 2, 1, 3).reshape(6 * n, 6 * n), b.ravel(), stats.sum(0)
+    to_target, to_source = (_summing(frames, n) for frames in (target, source))
+    own = to_target @ H.reshape(-1, 36) + to_source @ (np.swapaxes(back, 1, 2) @ Hb).reshape(-1, 36)
+    b = to_target @ g + to_source @ np.einsum("pji,pj->pi", back, g)
+    A = _from_blocks(
+        np.concatenate([np.arange(n), target, source]),
+        np.concatenate([np.arange(n), source, target]),
+        np.concatenate([own.reshape(n, 6, 6), Hb, np.swapaxes(Hb, 1, 2)]),
+        n,
+    )
+    return A, b.ravel(), stats.sum(0)
 
 
-def _joint_jacobian(now: JointedPoses) -> tuple[Array, Array]:
+def _summing(frames: NDArray, n: int) -> sparse.csr_array:
+    """(n, p) sums what belongs to pairs over the pairs of each frame."""
+    return sparse.csr_array((np.ones(len(frames)), (frames, np.arange(len(frames)))), (n, len(frames)))
+
+
+def _from_blocks(rows: NDArray, columns: NDArray, blocks: Array, n: int) -> sparse.csr_array:
+    """(6n, 6n) of blocks (k, 6, 6) at block rows and columns (k,); those of the same place add up."""
+    order = np.argsort(rows, kind="stable")
+    starts = np.searchsorted(rows[order], np.arange(n + 1))
+    return sparse.bsr_array((blocks[order], columns[order], starts), (6 * n, 6 * n)).tocsr()
+
+
+def _joint_jacobian(now: JointedPoses) -> tuple[sparse.csr_array, Array]:
     """M (6n, 7n + m) from (x_i, dq_i, axis, pivot) to left twists of the moving part, and directions across the axis.
 
     m is 4 for a revolute joint (two of the axis, two of the pivot), 2 for a prismatic one.
@@ -187,15 +210,11 @@ def _joint_jacobian(now: JointedPoses) -> tuple[Array, Array]:
     changed = [replace(joint, axis=_unit(joint.axis + eps * a)) for a in across]
     if joint.type == "revolute":
         changed += [replace(joint, pivot=joint.pivot + eps * a) for a in across]
-    M = np.zeros((n, 6, 7 * n + len(changed)))
-    frames = np.arange(n)
-    for q in range(6):
-        M[frames, q, 6 * frames + q] = 1
-    M[frames, :, 6 * n + frames] = Ad @ joint.screw
-    for c, other in enumerate(changed):
-        twist = se3.log_se3(other.transform(now.states) @ se3.inverse(J)) / eps
-        M[:, :, 7 * n + c] = np.einsum("nij,nj->ni", Ad, twist)
-    return M.reshape(6 * n, -1), across
+    twists = [se3.log_se3(other.transform(now.states) @ se3.inverse(J)) / eps for other in changed]
+    shared = np.einsum("nij,cnj->nic", Ad, twists).reshape(6 * n, len(changed))
+    of_frame = np.repeat(np.arange(n), 6)
+    states = sparse.csr_array(((Ad @ joint.screw).ravel(), of_frame, np.arange(6 * n + 1)), (6 * n, n))
+    return sparse.hstack([sparse.eye_array(6 * n), states, shared], format="csr"), across
 
 
 def _stepped(now: JointedPoses, x: Array, across: Array, size: float) -> JointedPoses:
@@ -211,30 +230,30 @@ def _stepped(now: JointedPoses, x: Array, across: Array, size: float) -> Jointed
     return replace(now, joint=new, states=states, Ts=Ts)
 
 
-def _add_state_smoothness(A: Array, b: Array, corrections: Array) -> None:
+def _with_state_smoothness(A: sparse.csr_array, b: Array, corrections: Array) -> tuple[sparse.csr_array, Array]:
     """A weak pull of the states' corrections (n,) to a straight line: frames without evidence go with their neighbours.
 
     Not of the states: where nothing is seen, those of the growth are the best there are.
     """
     n = len(corrections)
     if n < 3:
-        return
-    D = np.zeros((n - 2, n))
-    r = np.arange(n - 2)
-    D[r, r], D[r, r + 1], D[r, r + 2] = 1, -2, 1
-    diagonal = np.diag(A)[6 * n : 7 * n]
+        return A, b
+    D = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n))
+    diagonal = A.diagonal()[6 * n : 7 * n]
     weight = 1e-3 * float(np.median(diagonal[diagonal > 0])) if (diagonal > 0).any() else 1.0
-    A[6 * n : 7 * n, 6 * n : 7 * n] += weight * D.T @ D
-    b[6 * n : 7 * n] += weight * D.T @ (D @ corrections)
+    bend = sparse.hstack([sparse.csr_array((n - 2, 6 * n)), D, sparse.csr_array((n - 2, len(b) - 7 * n))], format="csr")
+    return A + weight * bend.T @ bend, b + weight * bend.T @ (D @ corrections)
 
 
-def _damped_solve(A: Array, b: Array) -> Array:
-    """The Levenberg-Marquardt step -(A + damping)^-1 b; the damping is what holds the gauge and empty frames."""
-    diagonal = np.diag(A)
+def _damped_solve(A: sparse.csr_array, b: Array) -> Array:
+    """The Levenberg-Marquardt step -(A + damping)^-1 b; the damping is what holds the gauge and empty frames.
+
+    A is symmetric and, damped, positive definite: its factors need no pivoting.
+    """
+    diagonal = A.diagonal()
     floor = 1e-9 * max(float(diagonal.max()), 1e-300)
-    damped = A.copy()
-    damped[np.diag_indices(len(A))] += 1e-4 * diagonal + floor
-    return np.asarray(np.linalg.solve(damped, -b), float)
+    damped = (A + sparse.diags_array(1e-4 * diagonal + floor)).tocsc()
+    return np.asarray(splu(damped, diag_pivot_thresh=0.0, options={"SymmetricMode": True}).solve(-b), float)
 
 
 def _limited(twists: Array) -> Array:
@@ -248,7 +267,7 @@ def _unit(v: Array) -> Array:
     return v / np.linalg.norm(v)
 
 
-def _covariances(A: Array, Ts: Array, seen: NDArray[np.bool_], reuse: float) -> Array:
+def _covariances(A: sparse.csr_array, Ts: Array, seen: NDArray[np.bool_], reuse: float) -> Array:
     """(n, 6, 6) blocks of the inverse Hessian with the mean gauge twist held; NaN where not seen.
 
     Each pixel enters about `reuse` pairs, which are not independent: the covariance is that much larger.
@@ -256,7 +275,7 @@ def _covariances(A: Array, Ts: Array, seen: NDArray[np.bool_], reuse: float) -> 
     n, frames = len(Ts), np.flatnonzero(seen)
     rows = (6 * frames[:, None] + np.arange(6)).ravel()
     gauge = se3.adjoint(se3.inverse(Ts[frames])).transpose(1, 0, 2).reshape(6, -1) / len(frames)
-    B = A[np.ix_(rows, rows)]
+    B = A[rows][:, rows].toarray()
     scale = float(np.median(np.diag(B)))
     inverse = np.linalg.pinv(B + scale * gauge.T @ gauge, rcond=1e-12, hermitian=True)
     covariances = np.full((n, 6, 6), np.nan)

@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from freeart21.recording import Recording
-from reconstruct.kernels import in_threads
+from reconstruct.kernels import FEATURE, NORMAL, OUTSIDE, POINT, in_threads
 from reconstruct.settings import SceneSettings
 
 Floats = NDArray[np.float32]
@@ -37,16 +37,11 @@ class Scene:
     """(n, h, w, 3)."""
     mask: NDArray[np.bool_]
     """(n, h, w) foreground."""
-    points: Floats
-    """(n, h, w, 3) plane-fitted points; z is 0 where there is none."""
-    normals: Floats
-    """(n, h, w, 3) unit normals towards the camera; 0 where there is none."""
+    pixels: Floats
+    """(n, h, w, 10) one record a pixel, as registration reads it at one place of memory: point, normal, feature and
+    distance to the mask, each described below."""
     edge: NDArray[np.bool_]
     """(n, h, w) next to a depth step: no good for registration."""
-    features: Floats
-    """(n, h, w, 3) smoothed CIELAB, lightness damped against shading."""
-    outside: Floats
-    """(n, h, w) pixels to the mask; 0 inside."""
     fx: float
     fy: float
     cx: NDArray[np.float64]
@@ -66,6 +61,26 @@ class Scene:
 
     def __len__(self) -> int:
         return len(self.mask)
+
+    @property
+    def points(self) -> Floats:
+        """(n, h, w, 3) plane-fitted points; z is 0 where there is none."""
+        return self.pixels[..., POINT : POINT + 3]
+
+    @property
+    def normals(self) -> Floats:
+        """(n, h, w, 3) unit normals towards the camera; 0 where there is none."""
+        return self.pixels[..., NORMAL : NORMAL + 3]
+
+    @property
+    def features(self) -> Floats:
+        """(n, h, w, 3) smoothed CIELAB, lightness damped against shading."""
+        return self.pixels[..., FEATURE : FEATURE + 3]
+
+    @property
+    def outside(self) -> Floats:
+        """(n, h, w) pixels to the mask; 0 inside."""
+        return self.pixels[..., OUTSIDE]
 
     @cached_property
     def valid(self) -> NDArray[np.bool_]:
@@ -114,18 +129,18 @@ def prepare(recording: Recording, settings: SceneSettings) -> Scene:
     footprint = float(np.median(depth[depth > 0])) / fx
     noise = _depth_noise(depth)
     radius = settings.plane_radius + (noise > 0.5 * footprint) + (noise > 2 * footprint)
-    points, normals = np.zeros((*mask.shape, 3), np.float32), np.zeros((*mask.shape, 3), np.float32)
+    pixels = np.zeros((*mask.shape, OUTSIDE + 1), np.float32)
+    points, normals = pixels[..., POINT : POINT + 3], pixels[..., NORMAL : NORMAL + 3]
     edge = np.zeros(mask.shape, np.bool_)
     jump = settings.depth_jump * footprint + 4 * noise
     arguments = (depth, fx, fy, cx, cy, radius, jump, points, normals, edge)
     in_threads(lambda begin, end: _fit_planes(begin, end, *arguments), n, 2)
+    in_threads(lambda begin, end: _fill_features(begin, end, rgb, mask, pixels), n, 2)
     return Scene(
         rgb,
         mask,
-        points,
-        normals,
+        pixels,
         edge,
-        *_features(rgb, mask),
         float(fx),
         float(fy),
         cx,
@@ -186,19 +201,18 @@ def _diagonal(points: Floats) -> float:
     return float(np.percentile(sizes, 80))
 
 
-def _features(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    features = np.zeros((*mask.shape, 3), np.float32)
-    outside = np.zeros(mask.shape, np.float32)
-    for i in range(len(mask)):
+def _fill_features(begin: int, end: int, rgb: NDArray[np.uint8], mask: NDArray[np.bool_], pixels: Floats) -> None:
+    """Colour features and distances to the mask of the frames begin to end."""
+    for i in range(begin, end):
         lab = cv2.cvtColor(rgb[i].astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
         inside = mask[i].astype(np.float32)
         blurred = cv2.GaussianBlur(lab * inside[..., None], (0, 0), 1.2)
         weight = np.maximum(cv2.GaussianBlur(inside, (0, 0), 1.2), 1e-3)
-        features[i] = np.where(mask[i][..., None], blurred / weight[..., None], 0)
+        features = np.where(mask[i][..., None], blurred / weight[..., None], 0)
+        features[..., 0] *= 0.3
+        pixels[i, ..., FEATURE : FEATURE + 3] = features
         if mask[i].any():
-            outside[i] = cv2.distanceTransform((~mask[i]).astype(np.uint8), cv2.DIST_L2, 3)
-    features[..., 0] *= 0.3
-    return features, outside
+            pixels[i, ..., OUTSIDE] = cv2.distanceTransform((~mask[i]).astype(np.uint8), cv2.DIST_L2, 3)
 
 
 @njit(nogil=True, cache=True)
