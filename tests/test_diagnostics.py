@@ -39,11 +39,11 @@ from reconstruct.settings import EvidenceSettings, LabelSettings, PoseSettings, 
 N, H, W, DEPTH, FOCAL = 6, 40, 48, 1.0, 100.0
 
 
-def walls(bulge=0.0, hole=False):
+def walls(bulge=0.0, hole=False, recede=0.0):
     """A flat wall at 1 m, filmed six times by a camera that stands still: left half reference, right half moving part.
 
-    `bulge` is what frame 2 shows farther off, metres; with `hole` the mask of the last frames lacks the upper half.
-    Every second pixel each way is left of the picture.
+    Frame 2 shows it farther off by `bulge`, metres, every frame by `recede` farther than the last. With `hole` the mask
+    of the last frames lacks the upper half. Every second pixel each way is left of the picture.
     """
     size = (2 * W, 2 * H)
     camera = Camera(np.array([[2 * FOCAL, 0, W], [0, 2 * FOCAL, H], [0, 0, 1.0]]), *size)
@@ -51,7 +51,7 @@ def walls(bulge=0.0, hole=False):
     def load(i):
         mask = np.ones(size[::-1], bool)
         mask[: H if hole and i >= 3 else 0] = False
-        depth = np.where(mask, DEPTH + (bulge if i == 2 else 0), 0).astype(np.float32)
+        depth = np.where(mask, DEPTH + recede * i + (bulge if i == 2 else 0), 0).astype(np.float32)
         return Frame(np.zeros((*mask.shape, 3), np.uint8), depth, mask)
 
     scene = prepare(Recording(camera, np.arange(N) / 30, load), SceneSettings(max_crop_pixels=H * W, min_frames=N))
@@ -78,6 +78,14 @@ def still(offset=0.0, frame=2):
 def test_perfect_frames_agree_perfectly(part):
     evidence, labels = walls()
     assert measured(evidence, labels, still(), part) == pytest.approx(np.tile([1.0, 0.0, 0.0], (N, 1)), abs=1e-6)
+
+
+def test_frames_that_move_agree_by_their_poses():
+    Ts = np.tile(np.eye(4), (N, 1, 1))
+    Ts[:, 2, 3] = 0.02 * np.arange(N)
+    evidence, labels = walls(recede=0.02)
+    assert measured(evidence, labels, Ts) == pytest.approx(np.tile([1.0, 0.0, 0.0], (N, 1)), abs=1e-6)
+    assert (measured(evidence, labels, still())[:, 0] < 1).all(), "unmoved they do not"
 
 
 def test_a_pose_too_near_shows_as_that_distance():

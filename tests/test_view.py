@@ -677,3 +677,5 @@ def test_page_comes_to_life_in_a_browser(tmp_path: Path, folders: dict[str, Path
     assert "frame 4 · 0.40 s · -19.5°" in run.stdout, "the player stands at frame 4, with its state"
     assert f"{np.degrees(-0.5):.1f}°</output>" in run.stdout, "the slider stands at the state of the link"
     assert "frame 4: found -19.5°, truth -19.5°" in run.stdout
+    assert run.stdout.count("moving part <output>0.000</output>") == 2, "a perfect result lies on its joint"
+    assert "true axis</li>" in run.stdout
