@@ -28,6 +28,7 @@ from freeart21.view import page
 from freeart21.view.curves import Chart, Curve, curves_section
 from freeart21.view.diagnosis import motion_of, remarks, remarks_section
 from freeart21.view.parts import axis_in_pictures, middle
+from leaderboard.submission import read_submission
 from reconstruct.cache import Kept, Known, _packed, _read
 from reconstruct.diagnostics import _means, agreement, diagnose, label_probability
 from reconstruct.evidence import Evidence
@@ -206,6 +207,16 @@ def test_round_trip(tmp_path):
     assert isinstance(read_result(tmp_path / "r"), type(result))
     write_result(tmp_path / "r", result)
     assert read_diagnostics(tmp_path / "r", view.N) is None, "an older result has none"
+
+
+def test_no_scorer_minds_diagnostics(tmp_path):
+    truth = view.make_truth()
+    for name, text in (("good", None), ("bad", "{"), ("none", "")):
+        own = sample_diagnostics() if text is None else None
+        write_result(tmp_path / name, view.perfect_result(truth), diagnostics=own)
+        if text:
+            (tmp_path / name / FILE).write_text(text)
+        assert len(read_submission(tmp_path / name, view.N, view.HEIGHT, view.WIDTH)) == view.N
 
 
 def test_confidence_maps_stand_beside_the_masks_and_in_the_page(tmp_path):
