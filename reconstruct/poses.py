@@ -277,7 +277,10 @@ def _covariances(A: sparse.csr_array, Ts: Array, seen: NDArray[np.bool_], reuse:
     gauge = se3.adjoint(se3.inverse(Ts[frames])).transpose(1, 0, 2).reshape(6, -1) / len(frames)
     B = A[rows][:, rows].toarray()
     scale = float(np.median(np.diag(B)))
-    inverse = np.linalg.pinv(B + scale * gauge.T @ gauge, rcond=1e-12, hermitian=True)
+    held = B + scale * gauge.T @ gauge
+    inverse = _inverse(held)
+    if inverse is None:
+        inverse = np.linalg.pinv(held, rcond=_SINGULAR, hermitian=True)
     covariances = np.full((n, 6, 6), np.nan)
     for c, i in enumerate(frames):
         block = inverse[6 * c : 6 * c + 6, 6 * c : 6 * c + 6]
@@ -289,6 +292,44 @@ def _state_std(A: Array, n: int, reuse: float) -> Array:
     """(n,) standard deviations of the states against their mean, all else free."""
     scale = np.sqrt(np.maximum(np.diag(A), 1e-12 * np.diag(A).max()))
     normed = A / scale[:, None] / scale[None]
-    inverse = np.linalg.pinv(normed, rcond=1e-9, hermitian=True)
-    variance = np.diag(inverse)[6 * n : 7 * n] / scale[6 * n : 7 * n] ** 2
-    return np.sqrt(np.maximum(reuse * variance, 0))
+    frame = int(np.argmax(np.diag(A)[6 * n : 7 * n]))
+    variances = _gauge_free_variances(normed, np.append(6 * frame + np.arange(6), 6 * n + frame))
+    if variances is None:
+        variances = np.diag(np.linalg.pinv(normed, rcond=1e-9, hermitian=True))
+    return np.sqrt(np.maximum(reuse * variances[6 * n : 7 * n] / scale[6 * n : 7 * n] ** 2, 0))
+
+
+def _gauge_free_variances(A: Array, gauge: NDArray[np.int64]) -> Array | None:
+    """The diagonal of A's pseudo-inverse; None unless A is regular once the unknowns `gauge` are held.
+
+    Eigenvectors of A cost three times as much. With the gauge held, the inverse G of the rest is a generalised
+    inverse of A, and the rest's answer to a move of the gauge spans A's null space N: A+ = (I - N N^T) G (I - N N^T).
+    """
+    seen = np.diag(A) > 0
+    rest = seen.copy()
+    rest[gauge] = False
+    inverse = _inverse(A[np.ix_(rest, rest)])
+    if inverse is None:
+        return None
+    G, N = np.zeros_like(A), np.zeros((len(A), len(gauge)))
+    G[np.ix_(rest, rest)] = inverse
+    N[rest], N[gauge] = -inverse @ A[np.ix_(rest, gauge)], np.eye(len(gauge))
+    N = np.linalg.qr(N)[0]
+    if np.abs(A @ N).max() > 1e-9:  # fewer unknowns than these are free
+        return None
+    GN = G @ N
+    return np.asarray(np.diag(G) - 2 * (GN * N).sum(1) + (N @ (N.T @ GN) * N).sum(1), float)
+
+
+_SINGULAR = 1e-12
+"""Eigenvalues below this share of the largest count as zero."""
+
+
+def _inverse(A: Array) -> Array | None:
+    """The inverse of a regular matrix; None of a singular one, to rounding."""
+    try:
+        inverse = np.linalg.inv(A)
+    except np.linalg.LinAlgError:
+        return None
+    condition = np.linalg.norm(A, 1) * np.linalg.norm(inverse, 1) if len(A) else 1.0
+    return inverse if condition < 1 / _SINGULAR else None

@@ -1,0 +1,100 @@
+"""The numerics of the pose adjustments against their plain, dense definitions."""
+
+import numpy as np
+import pytest
+
+from freeart21 import se3
+from freeart21.joint import Joint
+from reconstruct import poses
+from reconstruct.poses import JointedPoses
+from reconstruct.settings import PoseSettings
+
+
+def turning(n=40, seed=0, step=0.06):
+    """Poses (n, 4, 4) that turn about a wandering axis."""
+    rng = np.random.default_rng(seed)
+    twists = np.cumsum(rng.normal(0, step, (n, 6)), 0)
+    return se3.exp_se3(twists)
+
+
+class Springs:
+    """Stands in for the evidence: the same random positive terms for a pair, whenever asked."""
+
+    def register(self, source, target, T, samples, gate, labels, part):
+        rows = np.random.default_rng(part).normal(size=(len(source), 8, 6))
+        return rows.transpose(0, 2, 1) @ rows, rows.sum(1), np.ones((len(source), 4))
+
+
+def test_pairs_are_the_nearest_views_far_apart_in_time():
+    Ts, seen, settings = turning(), np.ones(40, bool), PoseSettings()
+    seen[5] = False
+    expected = {(i, i + d) for i in range(40) for d in settings.offsets if i + d < 40 and seen[i] and seen[i + d]}
+    for i in np.flatnonzero(seen):
+        turn = se3.rotation_angle(Ts[:, :3, :3] @ Ts[i, :3, :3].T)
+        chosen = []
+        for j in np.argsort(turn, kind="stable"):
+            if len(chosen) < settings.loops and turn[j] <= 0.9 and seen[j] and abs(j - i) > 8:
+                chosen += [j] if all(abs(j - other) > 3 for other in chosen) else []
+        expected |= {(min(i, j), max(i, j)) for j in chosen}
+    source, target = poses.choose_pairs(Ts, seen, settings)
+    assert set(zip(source, target, strict=True)) == expected | {(j, i) for i, j in expected}
+    assert len(source) == 2 * len(expected)
+
+
+def equations(Ts, seen, part):
+    pairs = poses.choose_pairs(Ts, seen, PoseSettings())
+    return pairs, poses._normal_equations(Springs(), None, part, Ts, {}, *pairs, 4.0)
+
+
+def test_normal_equations_are_the_sum_over_pairs():
+    Ts = turning()
+    (source, target), (A, b, stats) = equations(Ts, np.ones(40, bool), 1)
+    H, g, _ = Springs().register(source, target, None, None, None, None, 1)
+    dense, vector = np.zeros((240, 240)), np.zeros(240)
+    for p, (i, j) in enumerate(zip(source, target, strict=True)):
+        J = np.zeros((6, 240))
+        J[:, 6 * j : 6 * j + 6] = np.eye(6)
+        J[:, 6 * i : 6 * i + 6] = -se3.adjoint(Ts[j] @ se3.inverse(Ts[i]))
+        dense += J.T @ H[p] @ J
+        vector += J.T @ g[p]
+    np.testing.assert_allclose(A.toarray(), dense, atol=1e-9)
+    np.testing.assert_allclose(b, vector, atol=1e-9)
+    assert stats[0] == len(source)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_jacobian_is_the_derivative_of_the_moving_part(kind):
+    rng = np.random.default_rng(2)
+    joint = Joint("j", kind, np.array([0.0, 0.6, 0.8]), np.array([0.1, 0.2, 0.0]), 0, 1)
+    now = JointedPoses(joint, rng.uniform(0, 1, 5), turning(5), np.ones(5), 0.0)
+    M, across = poses._joint_jacobian(now)
+    x = 1e-6 * rng.normal(size=M.shape[1])
+    moved = se3.log_se3(poses._stepped(now, x, across, 1.0).Ts_moving @ se3.inverse(now.Ts_moving))
+    np.testing.assert_allclose(moved.ravel(), M @ x, atol=1e-9)
+
+
+def test_variances_with_the_gauge_held_are_those_by_eigenvalues():
+    Ts, n = turning(), 40
+    seen = np.ones(n, bool)
+    seen[7] = False
+    joint = Joint("j", "revolute", np.array([0.0, 0.6, 0.8]), np.array([0.1, 0.2, 0.0]), 0, 1)
+    now = JointedPoses(joint, np.linspace(0, 1, n), Ts, np.ones(n), 0.0)
+    _, (A0, _, _) = equations(Ts, seen, 1)
+    _, (A1, _, _) = equations(now.Ts_moving, seen, 2)
+    M, _ = poses._joint_jacobian(now)
+    own = np.eye(6 * n, M.shape[1])
+    A, _ = poses._with_state_smoothness(own.T @ A0 @ own + M.T @ A1 @ M, np.zeros(M.shape[1]), np.zeros(n))
+    A = np.asarray(A)
+    held = np.append(np.arange(6), 6 * n)
+    scale = np.sqrt(np.maximum(np.diag(A), 1e-12 * np.diag(A).max()))
+    normed = A / scale[:, None] / scale
+    expected = np.diag(np.linalg.pinv(normed, rcond=1e-9, hermitian=True))
+    np.testing.assert_allclose(poses._gauge_free_variances(normed, held), expected, rtol=1e-6, atol=1e-9)
+    assert poses._gauge_free_variances(normed, held[:-1]) is None  # one free direction is left
+    B = A0.toarray()[np.ix_(*2 * [np.r_[:42, 48:240]])]
+    frames = np.flatnonzero(seen)
+    gauge = se3.adjoint(se3.inverse(Ts[frames])).transpose(1, 0, 2).reshape(6, -1) / len(frames)
+    inverse = np.linalg.pinv(B + np.median(np.diag(B)) * gauge.T @ gauge, hermitian=True)
+    found = poses._covariances(A0, Ts, seen, 1.0)
+    np.testing.assert_allclose(found[-1], inverse[-6:, -6:], rtol=1e-6, atol=1e-12)
+    assert np.isnan(found[7]).all()
