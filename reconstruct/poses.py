@@ -332,4 +332,4 @@ def _inverse(A: Array) -> Array | None:
     except np.linalg.LinAlgError:
         return None
     condition = np.linalg.norm(A, 1) * np.linalg.norm(inverse, 1) if len(A) else 1.0
-    return inverse if condition < 1 / _SINGULAR else None
+    return np.asarray(inverse, float) if condition < 1 / _SINGULAR else None
