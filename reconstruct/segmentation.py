@@ -17,6 +17,7 @@ from freeart21.se3 import Array
 from reconstruct import rigid
 from reconstruct.evidence import Evidence, Samples, draw
 from reconstruct.joint import JointFit, choose_joint
+from reconstruct.labels import SURE, label_frame, label_frames
 from reconstruct.poses import JointedPoses, joint_adjustment
 from reconstruct.scene import HopelessError
 from reconstruct.seeds import Seed, stepped
@@ -55,8 +56,9 @@ class Growth:
         self.seen = np.zeros((n, 2), bool)
         self.samples: tuple[Samples, Samples] = ({}, {})
         self.costs = np.full(n, np.nan)
-        self._put_labels(seed.frame, seed.logodds)
+        self._put_labels(seed.frame, np.clip(seed.logodds, -SURE, SURE))
         self.done[seed.frame] = True
+        self.body = self.body_points()
         for j, T in zip(seed.others, seed.Ts, strict=True):
             self.step_free(int(j), int(j) - 1, ([T[0]], [T[1]]))
 
@@ -111,18 +113,17 @@ class Growth:
                     T, inliers = self._registered(k, frame, poses[k], references, (6.0, 5.0, 4.0))
                     poses[k] = T if inliers >= self.settings.growth.min_part_pixels else poses[k]
         self.done[frame] = True
+        self.body = self.body_points()
 
     def step_jointed(self, frame: int, neighbour: int) -> None:
         """Pose a frame by the reference pose and the joint state, from the best of several starts, and label it."""
         self.labels[frame] = self._carried(frame, neighbour)
-        best = min(
-            (
-                self._registered_jointed(frame, T, q, self.settings.growth.gates)
-                for T, q in self._starts(frame, neighbour)
-            ),
-            key=lambda found: found[2],
-        )
-        T, q, cost = best
+        starts = self._starts(frame, neighbour)
+        if self._lost(neighbour):
+            self.labels[frame] = 0  # what is carried may be wrong
+            starts += self._states_searched(frame, starts)
+        found = [self._registered_jointed(frame, T, q, self.settings.growth.gates) for T, q in starts]
+        T, q, cost = min(found, key=lambda one: one[2])
         for last in (False, True):
             self._place(frame, T, q)
             self._label(frame)
@@ -158,6 +159,41 @@ class Growth:
                 moved = tracked @ self.Ts[k, neighbour]
                 starts.append((moved if k == 0 else moved @ se3.inverse(self.joint.transform(ahead)), ahead))
         return [(se3.orthonormalised(T), q) for T, q in starts]
+
+    def _lost(self, frame: int) -> bool:
+        """Whether a part was not seen in `frame`, or what was seen fits worse than it mostly does."""
+        usual = np.nanmedian(self.costs) if np.isfinite(self.costs).any() else np.inf
+        return bool(not self.seen[frame].all() or self.costs[frame] > self.settings.growth.surprising_cost * usual)
+
+    def _states_searched(self, frame: int, starts: list[tuple[Array, float]]) -> list[tuple[Array, float]]:
+        """Starts at any state of the range, by what explains the pixels of `frame` best, either part standing still.
+
+        Needs no labels: a pixel follows the motion that explains it better.
+        """
+        assert self.joint is not None
+        settings, evidence = self.settings.growth, self.evidence
+        known = np.flatnonzero(self.done & self.seen.all(1))
+        if len(known) == 0:
+            return []
+        states = self.states[known]
+        reach = 0.3 * float(np.ptp(states)) + 2 * self._longest_step()
+        grid = np.linspace(states.min() - reach, states.max() + reach, settings.searched_states)
+        pixels = draw(evidence.scene.valid[frame], settings.samples, self.rng)
+        found = []
+        for T, q in starts[:1]:
+            for k in range(2):
+                still = T if k == 0 else T @ self.joint.transform(q)
+                turn = se3.rotation_angle(self.Ts[k, known, :3, :3] @ still[:3, :3].T)
+                others = np.sort(known[np.argsort(turn, kind="stable")[: 2 * settings.references : 2]])
+                J = self.joint.transform(grid)
+                moved = still @ (J if k == 0 else se3.inverse(J))
+                here = np.concatenate([still[None], moved])
+                there = np.stack([self.Ts[k, others], *[self.Ts[1 - k, others]] * len(grid)], 1)
+                costs = evidence.costs(frame, others, there @ se3.inverse(here)[None], pixels)
+                explained = np.minimum(costs[:, :, :1], costs[:, :, 1:]).mean((0, 1))
+                for g in np.argsort(explained, kind="stable")[:2]:
+                    found.append((still if k == 0 else moved[g], float(grid[g])))
+        return [(se3.orthonormalised(T), q) for T, q in found]
 
     def _tracked(self, k: int, frame: int, neighbour: int) -> Array | None:
         """The motion of one part from `neighbour` to `frame` by its tracks."""
@@ -232,7 +268,7 @@ class Growth:
         assert self.joint is not None
         both = (T, T @ self.joint.transform(q))
         references = [self.references(k, both[k], frame) for k in range(2)]
-        most = 0.1 if self.joint.type == "revolute" else 0.1 * self.evidence.scene.diagonal
+        most = self._longest_step()
         expected, stray = self._expected_state(frame), self.settings.growth.state_surprise * 10 * most
         pull = self.settings.growth.surprise_weight / stray**2
         for gate in gates:
@@ -253,7 +289,26 @@ class Growth:
             q = q + float(np.clip(x[6], -most, most))
         both = (T, T @ self.joint.transform(q))
         costs = [self._pixel_costs(k, frame, both[k], references[k]) for k in range(2)]
-        return T, q, float(np.concatenate(costs).mean()) if sum(map(len, costs)) else np.inf
+        if not sum(map(len, costs)):
+            return T, q, np.inf
+        return T, q, float(np.concatenate(costs).mean()) + self._unexplained(frame, both, references)
+
+    def _unexplained(self, frame: int, both: tuple[Array, Array], references: list[NDArray[np.int64]]) -> float:
+        """Mean cost of the pixels of `frame`, each under the motion that explains it better."""
+        pixels = np.argwhere(self.evidence.scene.valid[frame])
+        pixels = pixels[:: max(1, len(pixels) // self.settings.growth.samples)]
+        costs = []
+        for k, others in enumerate(references):
+            if len(others):
+                T = (self.Ts[k, others] @ se3.inverse(both[k]))[:, None].repeat(2, 1)
+                found = self.evidence.costs(frame, others, T, pixels, self.logodds, 0.5)
+                costs.append(found[:, :, k].mean(1))
+        return float(np.min(costs, axis=0).mean())
+
+    def _longest_step(self) -> float:
+        """Radians or metres by which a state may change at once."""
+        assert self.joint is not None
+        return 0.1 if self.joint.type == "revolute" else 0.1 * self.evidence.scene.diagonal
 
     def _pixel_costs(self, k: int, frame: int, T: Array, references: NDArray[np.int64]) -> Array:
         """Costs of a third of the references' samples when part k stands at `T` in `frame`."""
@@ -283,7 +338,7 @@ class Growth:
         round_trip = np.linalg.norm(there + bilinear(self.tracker.step(neighbour, -direction), there) - at, axis=1)
         x = np.clip(np.rint(there[:, 0]).astype(int), 0, w - 1)
         y = np.clip(np.rint(there[:, 1]).astype(int), 0, h - 1)
-        sure = round_trip < self.settings.tracks.max_round_trip
+        sure = (round_trip < self.settings.tracks.max_round_trip) & (np.abs(self.logodds[neighbour, y, x]) > 1)
         return np.where(sure, self.labels[neighbour, y, x], 0).reshape(h, w).astype(np.uint8)
 
     def _place(self, frame: int, T: Array, q: float) -> None:
@@ -292,12 +347,17 @@ class Growth:
         self.Ts[1, frame] = T @ self.joint.transform(q)
 
     def _label(self, frame: int) -> None:
-        """Labels of `frame` from all its pixels under both motions to the references of both parts."""
-        most = self.settings.labels.references
-        others = np.union1d(*(self.references(k, self.Ts[k, frame], frame, most) for k in range(2))).astype(int)
-        motions = np.stack([self.Ts[:, j] @ se3.inverse(self.Ts[:, frame]) for j in others])
-        weight = self.settings.labels.propagation
-        self._put_labels(frame, self.evidence.pixel_logodds(frame, others, motions, self.logodds, weight))
+        """Labels of `frame` from all its pixels under both motions to the frames done."""
+        known = self.done & self.seen.any(1)
+        self._put_labels(frame, label_frame(self.evidence, frame, self.Ts, self.body, known, self.logodds, self.rng))
+
+    def relabel_doubtful(self) -> None:
+        """Label the frames anew that knew least of themselves: what came after them may tell."""
+        valid = self.evidence.scene.valid
+        for frame in map(int, np.flatnonzero(self.done)):
+            doubtful = np.abs(self.logodds[frame][valid[frame]]) < 1
+            if len(doubtful) and doubtful.mean() > self.settings.growth.doubtful:
+                self._label(frame)
 
     def _put_labels(self, frame: int, logodds: NDArray[np.float32]) -> None:
         scene, settings = self.evidence.scene, self.settings.growth
@@ -312,34 +372,25 @@ class Growth:
     # ---- the joint -----------------------------------------------------------------------------------------------
 
     def relative_motion(self) -> float:
-        """Metres: how far the second part's pixels have moved against the first part, over the frames done."""
+        """Metres: how far the second part has moved against the first, over the frames done."""
         frames = np.flatnonzero(self.done & self.seen.all(1))
         if len(frames) < 2:
             return 0.0
-        centre, lever = self.part_extent(1)
-        relative = se3.inverse(self.Ts[0, frames]) @ self.Ts[1, frames]
-        body = centre + lever * np.concatenate([np.eye(3), -np.eye(3)])
+        body, relative = self.body_points(), se3.inverse(self.Ts[0, frames]) @ self.Ts[1, frames]
         places = se3.transform(relative, np.broadcast_to(body, (len(frames), *body.shape)))
         low, high = np.percentile(places, [5, 95], axis=0)
         return float(np.linalg.norm(high - low, axis=1).max())
 
-    def part_extent(self, k: int) -> tuple[Array, float]:
-        """Centre (3,) and radius, metres, of part k's samples in its own frame."""
-        points = [
-            se3.transform(se3.inverse(self.Ts[k, i]), self.evidence.scene.points[i, pixels[:, 0], pixels[:, 1]])
-            for i, pixels in self.samples[k].items()
-            if self.done[i] and self.seen[i, k]
-        ]
-        cloud = np.concatenate(points)
-        centre = np.median(cloud, axis=0)
-        return centre, float(np.sqrt(np.mean(np.sum((cloud - centre) ** 2, axis=1))))
+    def body_points(self) -> Array:
+        """See the function of this name."""
+        return body_points(self.evidence, self.labels, self.Ts[1], self.done & self.seen[:, 1])
 
     def try_joint(self) -> JointedPoses:
         """Both joint types fitted to the end on the frames done; the better one."""
         frames = np.flatnonzero(self.done & self.seen.all(1))
         relative = se3.inverse(self.Ts[0, frames]) @ self.Ts[1, frames]
-        centre, lever = self.part_extent(1)
-        settings = self.settings.joint
+        body, settings = self.body_points(), self.settings.joint
+        centre, lever = body.mean(0), float(np.linalg.norm(body - body.mean(0), axis=1).mean())
         found: dict[JointType, JointedPoses] = {}
         chosen, fits = choose_joint(relative, centre, lever, settings)
         for kind, fit in fits.items():
@@ -370,6 +421,7 @@ class Growth:
         """Go on under this joint: the second part takes the first part's canonical frame."""
         self.joint, self.states = poses.joint, poses.states.copy()
         self.Ts = np.stack([poses.Ts, poses.Ts_moving])
+        self.body = self.body_points()
 
     def jointed(self) -> JointedPoses:
         """The present poses."""
@@ -395,6 +447,7 @@ def grow(
     growth.adopt(growth.try_joint())
     while growth.frontier():
         growth.grow(s.adjust_every)
+        growth.relabel_doubtful()
         growth.adopt(
             joint_adjustment(
                 evidence, growth.labels, growth.jointed(), growth.seen, settings.poses, rng, 4, growth.done
@@ -404,28 +457,25 @@ def grow(
 
 
 def relabel(evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng: np.random.Generator) -> Grown:
-    """Labels of all frames given all poses: each against the frames that tell the two motions apart best."""
+    """Labels of all frames anew, given all poses."""
     Ts = np.stack([grown.poses.Ts, grown.poses.Ts_moving])
-    n = Ts.shape[1]
-    relative = grown.poses.joint.transform(grown.poses.states)
-    logodds = grown.logodds.copy()
-    diagonal = evidence.scene.diagonal
-    for i in range(n):
-        turn = np.minimum(*(se3.rotation_angle(Ts[k, :, :3, :3] @ Ts[k, i, :3, :3].T) for k in range(2)))
-        between = se3.inverse(relative[i]) @ relative
-        apart = np.linalg.norm(between[:, :3, 3], axis=1) / diagonal + 0.5 * se3.rotation_angle(between[:, :3, :3])
-        usable = np.flatnonzero((turn < 1.2) & (np.arange(n) != i) & grown.seen.any(1))
-        if len(usable) == 0:
-            continue
-        value = np.minimum(apart[usable], 0.5) - 0.25 * turn[usable]
-        pool = usable[np.argsort(-value, kind="stable")[:40]]
-        most = settings.labels.references
-        others = np.sort(pool if len(pool) <= most else rng.choice(pool, most, replace=False))
-        motions = np.stack([Ts[:, j] @ se3.inverse(Ts[:, i]) for j in others])
-        prior = 0.5 * np.sign(grown.logodds[i])
-        logodds[i] = evidence.pixel_logodds(i, others, motions, grown.logodds, 0.3, prior)
+    body = body_points(evidence, grown.labels, Ts[1], grown.seen[:, 1])
+    usable: NDArray[np.bool_] = np.any(grown.seen, axis=1)
+    logodds = label_frames(evidence, Ts, body, usable, rng)
     scene, least = evidence.scene, settings.growth.min_jointed_pixels
     labels = np.where(scene.mask, np.where(logodds > 0, 2, 1), 0).astype(np.uint8)
     sure = np.abs(logodds) > 1
-    seen = [[evidence.usable(i, (labels[i] == k) & sure[i]).sum() >= least for k in (1, 2)] for i in range(n)]
+    seen = [[evidence.usable(i, (labels[i] == k) & sure[i]).sum() >= least for k in (1, 2)] for i in range(len(labels))]
     return replace(grown, labels=labels, logodds=logodds, seen=np.array(seen))
+
+
+def body_points(evidence: Evidence, labels: NDArray[np.uint8], Ts: Array, seen: NDArray[np.bool_]) -> Array:
+    """Six points (6, 3) round the middle of the second part, at its radius, in its own frame."""
+    scene, clouds = evidence.scene, []
+    for i in map(int, np.flatnonzero(seen)):
+        cloud = scene.points[i][(labels[i] == 2) & scene.valid[i]][::50]
+        clouds.append(se3.transform(se3.inverse(Ts[i]), cloud))
+    cloud = np.concatenate(clouds)
+    centre = np.median(cloud, axis=0)
+    lever = float(np.sqrt(np.mean(np.sum((cloud - centre) ** 2, axis=1))))
+    return np.asarray(centre + lever * np.concatenate([np.eye(3), -np.eye(3)]))

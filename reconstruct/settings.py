@@ -94,14 +94,28 @@ class LabelSettings:
     smoothness: float = 0.5
     """Pull of one neighbour of the same look, in log-odds."""
     rounds: int = 10
-    propagation: float = 1.0
-    """Weight, in growth, of the labels of the frames compared with: what holds them while nothing moves."""
+    propagation: float = 2.0
+    """Pull of what other frames believe, where a pixel that has seen the joint move pulls with its log-odds."""
     reach: float = 0.12
     """Distance, in object diagonals, over which neighbours pull."""
     references: int = 10
     """Frames that each frame is compared with."""
     dense_pixels: int = 12_000
     """A larger foreground is measured at every other pixel only."""
+    walk: float = 8.0
+    """Pull of one neighbour of the same look in the random walk, where a pixel that knows pulls with its log-odds."""
+    rounds_of_talk: int = 2
+    """Times that all frames are labelled again, each hearing what the others found."""
+    doubt: float = 0.03
+    """Pull to not knowing: how soon belief fades away from those who know."""
+    max_turn: float = 1.2
+    """Radians between two views that are compared."""
+    least_apart: float = 0.02
+    """Object diagonals that the second part has moved, at least, between frames that tell the motions apart."""
+    neighbours: tuple[int, ...] = (-12, -6, -3, -1, 1, 3, 6, 12)
+    """Frame distances over which labels are passed on."""
+    similar: int = 5
+    """More distant frames, of the most similar view, that pass their labels on."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +138,11 @@ class GrowthSettings:
     """How far a state may stray from even motion in one frame: radians, or object diagonals."""
     surprise_weight: float = 100.0
     """Weight of that prior, as a number of independent pixels: it only counts where a part is nearly hidden."""
+    surprising_cost: float = 1.6
+    """A frame that costs so many times the usual is lost: the states of the whole range are tried in the next."""
+    searched_states: int = 41
+    doubtful: float = 0.1
+    """A frame with a larger share of pixels in doubt is labelled anew when the joint is adjusted."""
     bootstrap_frames: int = 18
     """Frames grown freely before a joint is tried."""
     bootstrap_motion: float = 0.12

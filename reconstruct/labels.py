@@ -1,0 +1,263 @@
+"""Which pixel belongs to which part, given the poses of both parts: dense masks with confidence.
+
+A pixel is asked twice. Frames between which the joint has moved say by depth, silhouette and colour which of the two
+motions it follows. Frames near in time and in view pass on what they know, since a surface never changes its part. Then
+a random walk (Grady 2006) over neighbours that look alike and lie in one plane carries the answers to where neither
+knows: the harmonic interpolation between sure pixels, to the end and not only so far as a few rounds reach.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.se3 import Array
+from reconstruct import kernels
+from reconstruct.evidence import Evidence
+from reconstruct.settings import LabelSettings
+
+Frames = NDArray[np.int64]
+Floats = NDArray[np.float32]
+
+SURE = 3.0
+"""Log-odds of a pixel that knows."""
+
+
+def label_frame(
+    evidence: Evidence,
+    frame: int,
+    Ts: Array,
+    body: Array,
+    usable: NDArray[np.bool_],
+    logodds: Floats,
+    rng: np.random.Generator,
+) -> Floats:
+    """Log-odds (h, w), from -3 to 3, that pixels of `frame` are the second part's; 0 where nobody knows.
+
+    `Ts` (2, n, 4, 4) are both parts' poses and `body` (b, 3) points of the second part in its own frame. The frames
+    `usable` (n,) are asked: their poses are believed, and their `logodds` (n, h, w) as far as they go.
+    """
+    seen = motion_evidence(evidence, frame, Ts, body, usable, rng)
+    return walked(evidence, frame, seen, *hearsay(evidence, frame, Ts, usable, logodds))
+
+
+def label_frames(
+    evidence: Evidence, Ts: Array, body: Array, usable: NDArray[np.bool_], rng: np.random.Generator
+) -> Floats:
+    """Log-odds (n, h, w) of all frames: what the pixels of each say, and then what the frames tell each other."""
+    n = Ts.shape[1]
+    seen = [motion_evidence(evidence, i, Ts, body, usable, rng) for i in range(n)]
+    logodds = np.stack([walked(evidence, i, seen[i]) for i in range(n)])
+    for _ in range(evidence.label_settings.rounds_of_talk):
+        heard = [hearsay(evidence, i, Ts, usable, logodds) for i in range(n)]
+        logodds = np.stack([walked(evidence, i, seen[i], *heard[i]) for i in range(n)])
+    return logodds
+
+
+def motion_evidence(
+    evidence: Evidence, frame: int, Ts: Array, body: Array, usable: NDArray[np.bool_], rng: np.random.Generator
+) -> Floats:
+    """Log-odds (h, w), within 6, from frames between which the joint has moved; see `label_frame`."""
+    s, turn = evidence.label_settings, _turn(Ts, frame)
+    others = telling_frames(frame, Ts, body, evidence.scene.diagonal, turn, usable, s, rng)
+    unary = np.zeros(evidence.scene.mask.shape[1:], np.float32)
+    measured = _measured(evidence, frame)
+    if len(others) == 0 or not measured.any():
+        return unary
+    costs = evidence.costs(frame, others, _motions(Ts, frame, others), np.argwhere(measured))
+    unary[measured] = np.clip((costs[:, :, 0] - costs[:, :, 1]).sum(1) / np.sqrt(len(others)), -6, 6)
+    return _spread(unary, measured)
+
+
+def hearsay(
+    evidence: Evidence, frame: int, Ts: Array, usable: NDArray[np.bool_], logodds: Floats
+) -> tuple[Floats, Floats]:
+    """Mean belief (h, w), -1 to 1, of frames near in time and in view of the surfaces of `frame`, and its strength."""
+    scene, s = evidence.scene, evidence.label_settings
+    others = knowing_frames(frame, _turn(Ts, frame), usable, s)
+    mean, strength = np.zeros(scene.mask.shape[1:], np.float32), np.zeros(scene.mask.shape[1:], np.float32)
+    measured = _measured(evidence, frame)
+    if len(others) == 0 or not measured.any():
+        return mean, strength
+    pixels, T = np.argwhere(measured), np.ascontiguousarray(_motions(Ts, frame, others))
+    said, count = np.zeros(len(pixels)), np.zeros(len(pixels))
+    lens = (scene.fx, scene.fy, scene.cx, scene.cy)
+    arguments = (frame, others, T, pixels, scene.points, scene.normals, logodds, *lens, 3 * evidence.unit, said, count)
+    kernels.in_threads(lambda begin, end: _hear(begin, end, *arguments), len(pixels), 2000)
+    mean[measured] = said / np.maximum(SURE * count, 1)
+    strength[measured] = s.propagation * np.minimum(count, 4) / 4
+    return _spread(mean, measured), _spread(strength, measured)
+
+
+def _turn(Ts: Array, frame: int) -> Array:
+    """(n,) radians from the view in `frame`, of the part that turned less."""
+    return np.minimum(*(se3.rotation_angle(T[:, :3, :3] @ T[frame, :3, :3].T) for T in Ts))
+
+
+def _motions(Ts: Array, frame: int, others: Frames) -> Array:
+    """(s, 2, 4, 4) of both parts from `frame` to `others`."""
+    return np.stack([Ts[:, j] @ se3.inverse(Ts[:, frame]) for j in others])
+
+
+def _measured(evidence: Evidence, frame: int) -> NDArray[np.bool_]:
+    """(h, w) pixels that are asked: all, or every other one when there are many."""
+    valid = evidence.scene.valid[frame]
+    if valid.sum() <= evidence.label_settings.dense_pixels:
+        return valid
+    return np.asarray(valid & (np.indices(valid.shape).sum(0) % 2 == 0))
+
+
+def _spread(values: Floats, measured: NDArray[np.bool_]) -> Floats:
+    """`values` (h, w) blurred a little among `measured` pixels, which fills those between."""
+    weight = np.maximum(cv2.GaussianBlur(measured.astype(np.float32), (0, 0), 0.8), 0.05)
+    return np.asarray(cv2.GaussianBlur(np.where(measured, values, 0), (0, 0), 0.8) / weight, np.float32)
+
+
+def telling_frames(
+    frame: int,
+    Ts: Array,
+    body: Array,
+    diagonal: float,
+    turn: Array,
+    usable: NDArray[np.bool_],
+    settings: LabelSettings,
+    rng: np.random.Generator,
+) -> Frames:
+    """Frames of a similar view in which the joint stands elsewhere: they tell the two motions apart.
+
+    `body` (b, 3) are points of the second part in its own frame, `turn` (n,) radians between the views.
+    """
+    known = np.flatnonzero(usable & (turn < settings.max_turn) & (np.arange(len(turn)) != frame))
+    relative = se3.inverse(Ts[0, known]) @ Ts[1, known]
+    here = se3.transform(se3.inverse(Ts[0, frame]) @ Ts[1, frame], body)
+    there = se3.transform(relative, np.broadcast_to(body, (len(known), *body.shape)))
+    apart = np.linalg.norm(there - here, axis=2).mean(1) / diagonal
+    known, apart = known[apart > settings.least_apart], apart[apart > settings.least_apart]
+    value = np.minimum(apart, 0.25) - 0.25 * turn[known]
+    pool = known[np.argsort(-value, kind="stable")[: 4 * settings.references]]
+    if len(pool) > settings.references:
+        pool = rng.choice(pool, settings.references, replace=False)
+    return np.sort(pool)
+
+
+def knowing_frames(frame: int, turn: Array, usable: NDArray[np.bool_], settings: LabelSettings) -> Frames:
+    """Frames that show the same surfaces, whatever the joint does: near in time, and near in view."""
+    n = len(turn)
+    usable = usable & (np.arange(n) != frame)
+    chosen = [frame + d for d in settings.neighbours if 0 <= frame + d < n and usable[frame + d]]
+    similar = np.flatnonzero(usable & (np.abs(np.arange(n) - frame) > max(settings.neighbours)))
+    similar = similar[turn[similar] < settings.max_turn]
+    similar = similar[np.argsort(turn[similar], kind="stable")][: 8 * settings.similar : 8]
+    return np.union1d(np.array(chosen, int), similar)
+
+
+def walked(
+    evidence: Evidence, frame: int, seen: Floats, heard: Floats | float = 0.0, strength: Floats | float = 0.0
+) -> Floats:
+    """Log-odds (h, w), from -3 to 3, after the random walk.
+
+    A pixel is held to what it has `seen` (log-odds, h, w) by their size, to what it has `heard` by its `strength`, to
+    not knowing by a little, and to its neighbours. So belief fades with the way from those who know.
+    """
+    valid, s = evidence.scene.valid[frame], evidence.label_settings
+    hold = np.abs(seen) + strength + s.doubt
+    target = (np.abs(seen) * np.clip(seen, -1, 1) + strength * heard) / hold
+    logodds = np.zeros(valid.shape, np.float32)
+    starts, ends, weights = _graph(evidence, frame)
+    x = _random_walk(hold[valid].astype(float), target[valid].astype(float), starts, ends, s.walk * weights, 1e-3, 300)
+    logodds[valid] = SURE * np.clip(x, -1, 1)
+    return logodds
+
+
+def _graph(evidence: Evidence, frame: int) -> tuple[NDArray, NDArray, NDArray]:
+    """See `kernels.neighbours`."""
+    scene = evidence.scene
+    surface = (scene.valid[frame], scene.points[frame], scene.normals[frame], scene.features[frame])
+    return kernels.neighbours(*surface, evidence.label_settings.reach * scene.diagonal, 2 * evidence.unit)
+
+
+@njit(nogil=True, cache=True)
+def _random_walk(strength, target, starts, ends, weights, tolerance, rounds):  # pragma: no cover
+    """x (p,) that minimises sum strength (x - target)^2 + sum over edges weights (x_p - x_q)^2.
+
+    Conjugate gradients with Jacobi's preconditioner, until the residual has fallen to `tolerance` of the first.
+    """
+    n = len(strength)
+    diagonal = strength.copy()
+    for p in range(n):
+        for e in range(starts[p], starts[p + 1]):
+            diagonal[p] += weights[e]
+    x = target.copy()
+    r = np.empty(n)
+    for p in range(n):
+        r[p] = strength[p] * target[p] - diagonal[p] * x[p]
+        for e in range(starts[p], starts[p + 1]):
+            r[p] += weights[e] * x[ends[e]]
+    d = r / diagonal
+    product = np.empty(n)
+    gain = first = (r * d).sum()
+    for _ in range(rounds):
+        if not gain > tolerance * tolerance * first:
+            break
+        for p in range(n):
+            product[p] = diagonal[p] * d[p]
+            for e in range(starts[p], starts[p + 1]):
+                product[p] -= weights[e] * d[ends[e]]
+        step = gain / (d * product).sum()
+        x += step * d
+        r -= step * product
+        before = gain
+        gain = (r * r / diagonal).sum()
+        d = r / diagonal + gain / before * d
+    return x
+
+
+@njit(nogil=True, cache=True)
+def _hear(
+    begin, end, frame, others, T, pixels, points, normals, logodds, fx, fy, cx, cy, gate, said, count
+):  # pragma: no cover  # fmt: skip
+    """What `others` (s,) believe of the surfaces at pixels begin to end, under both motions T (s, 2, 4, 4).
+
+    Where the first motion leads to what is believed the second part's, that speaks for the second; and the other way
+    round. Fills the sum `said` (p,) and the `count` (p,) of frames in which a motion leads to a surface.
+    """
+    h, w = points.shape[1], points.shape[2]
+    for p in range(begin, end):
+        y, x = pixels[p, 0], pixels[p, 1]
+        for s in range(len(others)):
+            j = others[s]
+            total, met = 0.0, 0
+            for k in range(2):
+                R = T[s, k]
+                Y0 = R[0, 3]
+                Y1 = R[1, 3]
+                Y2 = R[2, 3]
+                for c in range(3):
+                    Y0 += R[0, c] * points[frame, y, x, c]
+                    Y1 += R[1, c] * points[frame, y, x, c]
+                    Y2 += R[2, c] * points[frame, y, x, c]
+                if Y2 < kernels.NEAR:
+                    continue
+                xi = math.floor(fx * Y0 / Y2 + cx[j] + 0.5)
+                yi = math.floor(fy * Y1 / Y2 + cy[j] + 0.5)
+                if xi < 0 or yi < 0 or xi >= w or yi >= h or points[j, yi, xi, 2] <= 0:
+                    continue
+                d = (Y0 - points[j, yi, xi, 0], Y1 - points[j, yi, xi, 1], Y2 - points[j, yi, xi, 2])
+                off, same = 0.0, 0.0
+                for c in range(3):
+                    off += normals[j, yi, xi, c] * d[c]
+                    turned = 0.0
+                    for e in range(3):
+                        turned += R[c, e] * normals[frame, y, x, e]
+                    same += normals[j, yi, xi, c] * turned
+                if abs(off) > gate or same < 0.7:
+                    continue
+                met = 1
+                total += max(logodds[j, yi, xi], 0.0) if k == 0 else min(logodds[j, yi, xi], 0.0)
+            said[p] += total
+            count[p] += met
