@@ -164,8 +164,11 @@ def _records(scene: Scene, samples: Samples) -> tuple[NDArray[np.float32], NDArr
     counts = np.zeros(len(scene) + 1, np.int64)
     for frame, pixels in samples.items():
         counts[frame + 1] = len(pixels)
-    parts = [scene.pixels[frame, samples[frame][:, 0], samples[frame][:, 1]] for frame in sorted(samples)]
-    return np.concatenate(parts) if parts else np.zeros((0, scene.pixels.shape[-1]), np.float32), np.cumsum(counts)
+    offsets = np.cumsum(counts)
+    h, w = scene.mask.shape[1:]
+    places = np.concatenate([np.zeros((0, 2), np.int64), *(samples[frame] for frame in sorted(samples))])
+    rows = np.repeat(np.arange(len(scene)) * h, counts[1:]) + places[:, 0]
+    return scene.pixels.reshape(h * w * len(scene), -1).take(rows * w + places[:, 1], axis=0), offsets
 
 
 def draw(mask: NDArray[np.bool_], most: int, rng: np.random.Generator) -> NDArray[np.int32]:

@@ -288,7 +288,7 @@ def pixel_costs(  # pragma: no cover
                 costs[p, s, k] = cost
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no cover
     """The graph of like neighbours of one frame, as compressed rows over the valid pixels in reading order.
 
@@ -339,14 +339,14 @@ def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no
     return starts, ends[:edges], weights[:edges]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def relax(unary, starts, ends, weights, smoothness, rounds):  # pragma: no cover
     """Mean-field log-odds (p,): unary plus `smoothness` times the beliefs of the neighbours, `rounds` times."""
     current = unary.copy()
     belief = np.zeros(len(unary))
     for _ in range(rounds):
         for p in range(len(unary)):
-            belief[p] = math.tanh(0.5 * current[p])
+            belief[p] = 1 - 2 / (1 + math.exp(current[p]))  # tanh of half of it
         for p in range(len(unary)):
             pull = 0.0
             for e in range(starts[p], starts[p + 1]):
