@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from freeart21.recording import Recording
+from freeart21.recording import Frame, Recording
 from reconstruct.kernels import FEATURE, NORMAL, OUTSIDE, POINT, in_threads
 from reconstruct.settings import SceneSettings
 
@@ -34,7 +35,7 @@ class Scene:
     """
 
     rgb: NDArray[np.uint8]
-    """(n, h, w, 3)."""
+    """(n, h, w, 3); black further than the margin from the mask's box."""
     mask: NDArray[np.bool_]
     """(n, h, w) foreground."""
     pixels: Floats
@@ -96,34 +97,37 @@ def prepare(recording: Recording, settings: SceneSettings) -> Scene:
     n = len(recording)
     if n < settings.min_frames:
         raise HopelessError("tracks", f"{n} frames, at least {settings.min_frames} are needed")
-    frames = [recording.frame(i) for i in range(n)]
-    counts = np.array([int((f.mask & (f.depth > 0)).sum()) for f in frames])
+    cuts = [_cut(recording.frame(i), settings.margin) for i in range(n)]
+    counts = np.array([int((cut.depth > 0).sum()) for cut in cuts])
     if (counts >= settings.min_pixels).sum() < settings.min_frames:
         raise HopelessError(
             "tracks",
             f"the foreground masks hold {settings.min_pixels} or more pixels with depth in only "
             f"{int((counts >= settings.min_pixels).sum())} frames, at least {settings.min_frames} are needed",
         )
-    boxes = _boxes([f.mask for f in frames])
+    boxes = _boxes([cut.box for cut in cuts])
     camera = recording.camera
     origin, size = _windows(boxes, settings.margin, camera.width, camera.height)
     factor = max(1, math.ceil(math.sqrt(size[0] * size[1] / settings.max_crop_pixels)))
-    size = (size[0] // factor * factor, size[1] // factor * factor)
+    at = factor // 2
 
-    def crop(images: list[NDArray]) -> NDArray:
-        return np.stack([a[y : y + size[1], x : x + size[0]] for a, (x, y) in zip(images, origin, strict=True)])
+    def crops(images: list[NDArray]) -> Iterator[NDArray]:
+        """The window of each frame, zero where nothing was cut, of a whole number of crop pixels."""
+        for image, cut, (x, y) in zip(images, cuts, origin, strict=True):
+            window = np.zeros((size[1], size[0], *image.shape[2:]), image.dtype)
+            top, left = cut.corner[1] - y, cut.corner[0] - x
+            window[top : top + image.shape[0], left : left + image.shape[1]] = image
+            yield window[: size[1] // factor * factor, : size[0] // factor * factor]
 
-    rgb = crop([f.rgb for f in frames])
-    mask = crop([f.mask for f in frames])
-    depth = crop([np.where(f.mask, f.depth, 0).astype(np.float32) for f in frames])
-    del frames
-    if factor > 1:
-        rgb = np.stack([cv2.resize(a, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA) for a in rgb])
-        at = factor // 2
-        mask, depth = mask[:, at::factor, at::factor].copy(), depth[:, at::factor, at::factor].copy()
+    small = (size[0] // factor, size[1] // factor)
+    shrunk = [cv2.resize(a, small, interpolation=cv2.INTER_AREA) for a in crops([c.rgb for c in cuts])]
+    rgb = np.asarray(np.stack(shrunk), np.uint8)
+    mask = np.stack([a[at::factor, at::factor] for a in crops([c.mask for c in cuts])])
+    depth = np.stack([a[at::factor, at::factor] for a in crops([c.depth for c in cuts])])
+    cuts.clear()
+    del shrunk
     K = camera.K
     fx, fy = K[0, 0] / factor, K[1, 1] / factor
-    at = factor // 2
     cx = (K[0, 2] - origin[:, 0] - at - 0.5) / factor
     cy = (K[1, 2] - origin[:, 1] - at - 0.5) / factor
     footprint = float(np.median(depth[depth > 0])) / fx
@@ -162,12 +166,32 @@ def full_masks(scene: Scene, labels: NDArray[np.uint8], width: int, height: int)
     return full
 
 
-def _boxes(masks: list[NDArray[np.bool_]]) -> NDArray[np.int64]:
+@dataclass(frozen=True)
+class _Cut:
+    """What is kept of a frame: its mask's box with a margin. Whole pictures of all frames would be gigabytes."""
+
+    rgb: NDArray[np.uint8]
+    depth: Floats
+    """0 off the mask."""
+    mask: NDArray[np.bool_]
+    corner: tuple[int, int]
+    """Column and row in the picture."""
+    box: tuple[int, int, int, int] | None
+    """x0, y0, x1, y1 of the mask, ends excluded; None when it is empty."""
+
+
+def _cut(frame: Frame, margin: int) -> _Cut:
+    ys, xs = np.flatnonzero(frame.mask.any(1)), np.flatnonzero(frame.mask.any(0))
+    box = (int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1) if len(xs) else None
+    x0, y0, x1, y1 = box or (0, 0, 0, 0)
+    corner = (max(x0 - margin, 0), max(y0 - margin, 0))
+    kept = np.s_[corner[1] : y1 + margin if box else 0, corner[0] : x1 + margin if box else 0]
+    mask = frame.mask[kept].copy()
+    return _Cut(frame.rgb[kept].copy(), np.where(mask, frame.depth[kept], 0).astype(np.float32), mask, corner, box)
+
+
+def _boxes(boxes: list[tuple[int, int, int, int] | None]) -> NDArray[np.int64]:
     """(n, 4) x0, y0, x1, y1 of each mask, ends excluded; an empty mask takes the box of its neighbour in time."""
-    boxes: list[tuple[int, int, int, int] | None] = []
-    for mask in masks:
-        ys, xs = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-        boxes.append((int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1) if len(xs) else None)
     known = np.array([i for i, b in enumerate(boxes) if b is not None])
     return np.array([boxes[known[np.abs(known - i).argmin()]] for i in range(len(boxes))])
 
