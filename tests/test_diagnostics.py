@@ -354,7 +354,11 @@ def test_a_bad_frame_is_told_by_its_residual():
     "change, where, words",
     [
         (lambda d: d.inliers.__setitem__((slice(5, 8), 0), 0.3), "frames 5-7", "only 30 % of the reference part's"),
-        (lambda d: d.confidence.__setitem__((9, 1), 0.6), "frame 9", "only 60 % is the mean confidence"),
+        (
+            lambda d: d.confidence.__setitem__((9, 1), 0.6),
+            "frame 9",
+            "the moving part's labels are only 60 % sure on average",
+        ),
         (lambda d: d.outside.__setitem__((9, 1), 0.2), "frame 9", "off the mask in other frames are 20 %"),
         (lambda d: d.jointed_residual_m.__setitem__((slice(None), 1), 0.002), "", "the joint does not explain"),
     ],

@@ -168,8 +168,12 @@ def remarks(result: Reconstruction, diagnostics: Diagnostics | None = None) -> l
             d = diagnostics
             finest = max(0.5 * d.footprint_m, d.noise_m)
             found += _high(d.residual_m[:, k], finest, 1000, "mm", f"the residual of the {part} part is")
-            found += _low_shares(d.inliers[:, k], 0.6, f"of the {part} part's points meet its surface in other frames")
-            found += _low_shares(d.confidence[:, k], 0.75, f"is the mean confidence of the {part} part's labels")
+            found += _low_shares(
+                d.inliers[:, k], 0.6, f"only {{:.0f}} % of the {part} part's points meet its surface in other frames"
+            )
+            found += _low_shares(
+                d.confidence[:, k], 0.75, f"the {part} part's labels are only {{:.0f}} % sure on average"
+            )
             found += _high(
                 d.outside[:, k], 0.05, 100, "%", f"the {part} part's points off the mask in other frames are"
             )
@@ -299,10 +303,11 @@ def _off_the_joint(motion: Motion, size: float) -> list[Remark]:
 
 
 def _low_shares(values: Array, least: float, what: str) -> list[Remark]:
+    """A remark a run of frames with shares below `least`; `what` has a place for the lowest, percent."""
     found = []
     for run in _near_runs(np.nan_to_num(values, nan=1.0) < least):
         low = float(np.nanmin(values[run]))
-        found.append(Remark(f"only {100 * low:.0f} % {what}", _ends(run)))
+        found.append(Remark(what.format(100 * low), _ends(run)))
     return found
 
 
