@@ -285,6 +285,8 @@ def pixel_costs(  # pragma: no cover
                 if label_weight > 0 and shape < 2.0:
                     against = -logodds[at] if k == 1 else logodds[at]
                     cost += label_weight * min(max(against, 0.0), 3.0)
+                if z + 1.2 * sigma < Y2 and r < -0.8 * sigma:  # perhaps hidden, by what stands off but a little
+                    cost = min(cost, 0.8)
                 costs[p, s, k] = cost
 
 
@@ -330,7 +332,7 @@ def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no
                     e = features[yy, xx, c] - features[y, x, c]
                     colour += e * e
                 off = max(abs(off), abs(off2)) / flatness
-                exponent = distance / (reach * reach) + (1 - bend) / 0.35 + colour / 200.0 + off * off
+                exponent = distance / (reach * reach) + (1 - bend) / 0.35 + colour / 60.0 + off * off
                 if exponent < 4.0:
                     ends[edges] = number[yy, xx]
                     weights[edges] = math.exp(-exponent) / (1 if q < 4 else (2 if q < 8 else 4))

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from threadpoolctl import threadpool_limits
 
 from freeart21 import se3
 from freeart21.articulation import Articulation
@@ -38,11 +39,12 @@ from reconstruct.diagnostics import diagnose, peak_bytes
 from reconstruct.evidence import Evidence
 from reconstruct.features import HandMade
 from reconstruct.gaps import bridge_gaps
-from reconstruct.poses import FreePoses, free_adjustment, joint_adjustment
+from reconstruct.hypotheses import better_type
+from reconstruct.poses import FreePoses, JointedPoses, free_adjustment, joint_adjustment
 from reconstruct.renders import render_queries
 from reconstruct.scene import HopelessError, Scene, full_masks, prepare
 from reconstruct.seeds import find_seeds
-from reconstruct.segmentation import Grown, grow, relabel
+from reconstruct.segmentation import Grown, body_points, grow, relabel
 from reconstruct.settings import ReconstructSettings
 from reconstruct.surfaces import fuse
 from reconstruct.tracks import DisTracker, Tracker
@@ -82,7 +84,7 @@ def reconstruct_folder(
         renders = []
         if isinstance(result, Reconstruction):
             with clock.stage("renders"):
-                renders = render_queries(result, recording.camera, recording.queries)
+                renders = render_queries(result, recording)
         result = replace(result, seconds=clock.seconds)
     if diagnostics is not None:
         diagnostics = replace(diagnostics, peak_bytes=peak_bytes())
@@ -106,6 +108,7 @@ def reconstruct_until(
     return result if isinstance(result, Failure) else work.path(stage)
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # more would spin on busy cores, and change the last bits
 def _solve(
     recording: Recording,
     settings: ReconstructSettings,
@@ -184,23 +187,40 @@ def _segmentation(video: _Video, known: Known, settings: ReconstructSettings, rn
 
 def _joint(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
     assert known.grown is not None
-    grown = bridge_gaps(video.evidence, known.grown, settings.gaps, rng)
-    for _ in range(2):
-        if settings.segmentation == "ours" or settings.paper.relabel:
-            grown = relabel(video.evidence, grown, settings, rng)
-        poses = joint_adjustment(video.evidence, grown.labels, grown.poses, grown.seen, settings.poses, rng)
-        grown = replace(grown, poses=poses)
-    return Known(_reference_first(grown))
+    evidence = video.evidence
+    anew = settings.segmentation == "ours" or settings.paper.relabel
+    grown = bridge_gaps(evidence, known.grown, settings.gaps, rng)
+    grown = relabel(evidence, grown, settings, rng) if anew else grown
+    grown = replace(grown, poses=_type_again(evidence, grown, settings, rng))
+    grown = relabel(evidence, grown, settings, rng) if anew else grown
+    poses = joint_adjustment(evidence, grown.labels, grown.poses, grown.seen, settings.poses, rng)
+    return Known(_reference_first(replace(grown, poses=poses)))
+
+
+def _type_again(
+    evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng: np.random.Generator
+) -> JointedPoses:
+    """The joint type, decided at first by a few frames, is decided again by all."""
+    poses = joint_adjustment(evidence, grown.labels, grown.poses, grown.seen, settings.poses, rng, 8)
+    free = np.stack([found.Ts for found in _free(evidence, replace(grown, poses=poses), settings, rng)])
+    body = body_points(evidence, grown.labels, free[1], grown.seen[:, 1])
+    everywhere = np.ones(len(grown.labels), bool)
+    return better_type(evidence, grown.labels, free, grown.seen, body, everywhere, settings, rng, poses)
 
 
 def _poses(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
     assert known.grown is not None
-    grown = known.grown
-    free = tuple(
-        free_adjustment(video.evidence, grown.labels, k + 1, Ts, grown.seen[:, k], settings.poses, rng)
+    return Known(known.grown, _free(video.evidence, known.grown, settings, rng))
+
+
+def _free(
+    evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng: np.random.Generator
+) -> tuple[FreePoses, ...]:
+    """Poses of both parts without the joint."""
+    return tuple(
+        free_adjustment(evidence, grown.labels, k + 1, Ts, grown.seen[:, k], settings.poses, rng)
         for k, Ts in enumerate((grown.poses.Ts, grown.poses.Ts_moving))
     )
-    return Known(grown, free)
 
 
 def _surfaces(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:

@@ -12,17 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3
-from freeart21.joint import Joint, JointType
+from freeart21.joint import Joint
 from freeart21.se3 import Array
 from reconstruct import rigid
-from reconstruct.evidence import Evidence, Samples, draw
-from reconstruct.joint import JointFit, choose_joint
+from reconstruct.evidence import Evidence, Pixels, Samples, draw
+from reconstruct.hypotheses import better_type
 from reconstruct.labels import SURE, label_frame, label_frames
 from reconstruct.poses import JointedPoses, joint_adjustment
 from reconstruct.scene import HopelessError
 from reconstruct.seeds import Seed, stepped
 from reconstruct.settings import ReconstructSettings
 from reconstruct.tracks import Tracker, bilinear
+
+
+def _last(found: tuple[Array, float, float]) -> float:
+    """The cost of a registration."""
+    return found[2]
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,7 @@ class Growth:
         self.done = np.zeros(n, bool)
         self.seen = np.zeros((n, 2), bool)
         self.samples: tuple[Samples, Samples] = ({}, {})
+        self.unsure: Samples = {}
         self.costs = np.full(n, np.nan)
         self._put_labels(seed.frame, np.clip(seed.logodds, -SURE, SURE))
         self.done[seed.frame] = True
@@ -118,17 +124,21 @@ class Growth:
     def step_jointed(self, frame: int, neighbour: int) -> None:
         """Pose a frame by the reference pose and the joint state, from the best of several starts, and label it."""
         self.labels[frame] = self._carried(frame, neighbour)
-        starts = self._starts(frame, neighbour)
+        starts, gates = self._starts(frame, neighbour), self.settings.growth.gates
+        moving = [self._registered_jointed(frame, T, q, gates) for T, q in starts]
+        still = [self._registered_jointed(frame, T, q, gates, True) for T, q in starts if q == self.states[neighbour]]
+        T, q, cost = min(moving, key=_last)
+        at_rest = min(still, key=_last)
+        if at_rest[2] < self.settings.growth.rest_cost * cost:
+            T, q, cost = at_rest
+        rest, parted = q == self.states[neighbour], False
         if self._lost(neighbour):
-            self.labels[frame] = 0  # what is carried may be wrong
-            starts += self._states_searched(frame, starts)
-        found = [self._registered_jointed(frame, T, q, self.settings.growth.gates) for T, q in starts]
-        T, q, cost = min(found, key=lambda one: one[2])
+            T, q, parted = self._parted(frame, T, q)
         for last in (False, True):
             self._place(frame, T, q)
             self._label(frame)
-            if not last:
-                T, q, cost = self._registered_jointed(frame, T, q, (6.0, 5.0, 4.0))
+            if not last and not parted:
+                T, q, cost = self._registered_jointed(frame, T, q, (6.0, 5.0, 4.0), rest)
         self.costs[frame] = cost
         self.done[frame] = True
 
@@ -165,35 +175,81 @@ class Growth:
         usual = np.nanmedian(self.costs) if np.isfinite(self.costs).any() else np.inf
         return bool(not self.seen[frame].all() or self.costs[frame] > self.settings.growth.surprising_cost * usual)
 
-    def _states_searched(self, frame: int, starts: list[tuple[Array, float]]) -> list[tuple[Array, float]]:
-        """Starts at any state of the range, by what explains the pixels of `frame` best, either part standing still.
+    def _parted(self, frame: int, T: Array, q: float) -> tuple[Array, float, bool]:
+        """Reference pose and state that explain the pixels of `frame` best at any state met so far, without labels.
 
-        Needs no labels: a pixel follows the motion that explains it better.
+        A pixel follows the motion that explains it better. Beyond the states met so far the parts might be taken for
+        each other: a lid that opens looks like a box that closes past its lid. `T` and `q` come back when little is
+        gained; the last says whether something was.
         """
         assert self.joint is not None
-        settings, evidence = self.settings.growth, self.evidence
-        known = np.flatnonzero(self.done & self.seen.all(1))
-        if len(known) == 0:
-            return []
-        states = self.states[known]
-        reach = 0.3 * float(np.ptp(states)) + 2 * self._longest_step()
-        grid = np.linspace(states.min() - reach, states.max() + reach, settings.searched_states)
-        pixels = draw(evidence.scene.valid[frame], settings.samples, self.rng)
-        found = []
-        for T, q in starts[:1]:
-            for k in range(2):
-                still = T if k == 0 else T @ self.joint.transform(q)
-                turn = se3.rotation_angle(self.Ts[k, known, :3, :3] @ still[:3, :3].T)
-                others = np.sort(known[np.argsort(turn, kind="stable")[: 2 * settings.references : 2]])
-                J = self.joint.transform(grid)
-                moved = still @ (J if k == 0 else se3.inverse(J))
-                here = np.concatenate([still[None], moved])
-                there = np.stack([self.Ts[k, others], *[self.Ts[1 - k, others]] * len(grid)], 1)
-                costs = evidence.costs(frame, others, there @ se3.inverse(here)[None], pixels)
-                explained = np.minimum(costs[:, :, :1], costs[:, :, 1:]).mean((0, 1))
-                for g in np.argsort(explained, kind="stable")[:2]:
-                    found.append((still if k == 0 else moved[g], float(grid[g])))
-        return [(se3.orthonormalised(T), q) for T, q in found]
+        settings = self.settings.growth
+        known = np.flatnonzero(self.done & self.seen.any(1))
+        pixels = draw(self.evidence.scene.valid[frame], settings.samples, self.rng)
+        turn = np.minimum(
+            *(se3.rotation_angle(self.Ts[k, known, :3, :3] @ T_k[:3, :3].T) for k, T_k in enumerate(self._both(T, q)))
+        )
+        others = np.sort(known[np.argsort(turn, kind="stable")[: 2 * settings.references : 2]])
+        low, high = np.percentile(self.states[known], [1, 99])
+        grid = np.linspace(float(low), float(high), settings.searched_states)
+        found = self._refined_freely(frame, others, pixels, T, q, at_rest=True)
+        before = best = float(self._freely(frame, others, pixels, found[0][None], np.array([q])).min(2).mean())
+        turned = self.joint.transform(q) @ se3.inverse(self.joint.transform(grid))
+        for Ts in (np.tile(T, (len(grid), 1, 1)), T @ turned):  # either part stands still
+            explained = self._freely(frame, others, pixels, Ts, grid).min(2).mean(0)
+            for g in np.argsort(explained, kind="stable")[:2]:
+                start = self._refined_freely(frame, others, pixels, Ts[g], float(grid[g]))
+                cost = float(self._freely(frame, others, pixels, start[0][None], np.array([start[1]])).min(2).mean())
+                if cost < best:
+                    best, found = cost, start
+        if best < settings.found_cost * before:
+            return *found, True
+        return T, q, False
+
+    def _both(self, T: Array, q: float) -> tuple[Array, Array]:
+        """Poses of both parts."""
+        assert self.joint is not None
+        return T, T @ self.joint.transform(q)
+
+    def _freely(self, frame: int, others: NDArray[np.int64], pixels: Pixels, Ts: Array, states: Array) -> Array:
+        """(p, m, 2) costs of `pixels` of `frame` as either part's, for m reference poses and states; no labels."""
+        assert self.joint is not None
+        here = np.stack([Ts, Ts @ self.joint.transform(states)], 1)
+        there = np.swapaxes(self.Ts[:, others], 0, 1)[:, None]
+        motions = (there @ se3.inverse(here)[None]).reshape(len(others), -1, 4, 4)
+        costs = self.evidence.costs(frame, others, motions, pixels).mean(1)
+        return costs.reshape(len(pixels), len(Ts), 2)
+
+    def _refined_freely(
+        self, frame: int, others: NDArray[np.int64], pixels: Pixels, T: Array, q: float, at_rest: bool = False
+    ) -> tuple[Array, float]:
+        """Reference pose and state after Gauss-Newton on pixels that choose their part anew in every round."""
+        assert self.joint is not None
+        most = self._longest_step()
+        for gate in (12.0, 8.0, 6.0, 5.0):
+            second = self._freely(frame, others, pixels, T[None], np.array([q]))[:, 0].argmin(1) == 1
+            A, b = np.zeros((7, 7)), np.zeros(7)
+            for k, T_k in enumerate(self._both(T, q)):
+                mine = {frame: pixels[second == bool(k)]}
+                motions = self.Ts[k, others] @ se3.inverse(T_k)
+                H, g, _ = self.evidence.register(np.full(len(others), frame), others, motions, mine, gate)
+                back = -se3.adjoint(motions)
+                M = np.eye(6, 7)
+                M[:, 6] = se3.adjoint(T) @ self.joint.screw if k else 0
+                M = back @ M
+                A += np.einsum("pia,pij,pjb->ab", M, H, M)
+                b += np.einsum("pia,pi->a", M, g)
+            if at_rest:
+                A[6], A[:, 6], b[6] = 0, 0, 0
+            T, q = self._stepped(T, q, A, b, most)
+        return T, q
+
+    def _stepped(self, T: Array, q: float, A: Array, b: Array, most: float) -> tuple[Array, float]:
+        """Reference pose and state after one damped Gauss-Newton step, at most `most` of the state."""
+        diagonal = np.diag(A)
+        x = -np.linalg.solve(A + np.diag(1e-3 * diagonal + 1e-9 * diagonal.max() + 1e-300), b)
+        x[:6] *= min(1.0, 0.1 / max(float(np.linalg.norm(x[3:6])), 1e-12))
+        return se3.orthonormalised(se3.exp_se3(x[:6]) @ T), q + float(np.clip(x[6], -most, most))
 
     def _tracked(self, k: int, frame: int, neighbour: int) -> Array | None:
         """The motion of one part from `neighbour` to `frame` by its tracks."""
@@ -221,7 +277,7 @@ class Growth:
         """Frames to register part `k` of `frame` against: the nearest in time, and those of the most similar view."""
         settings = self.settings.growth
         most = settings.references if most is None else most
-        known = np.flatnonzero(self.done & self.seen[:, k])
+        known = np.flatnonzero(self.done & (self.seen[:, k] | (self._as_one(frame) if k == 0 else False)))
         known = known[known != frame]
         if len(known) == 0:
             return known
@@ -234,12 +290,27 @@ class Growth:
                 chosen.append(int(known[c]))
         return np.array(sorted(set(chosen)), int)
 
+    def _as_one(self, frame: int) -> NDArray[np.bool_]:
+        """(n,) frames in which the joint stands as in `frame`: whatever part a pixel is of, it moved as the first did.
+
+        By the state that `frame` has for now. Always false before the joint is known.
+        """
+        if self.joint is None:
+            return np.zeros(len(self.done), bool)
+        return self.done & (np.abs(self.states - self.states[frame]) < 0.05 * self._longest_step())
+
+    def _samples(self, k: int, reference: int, frame: int) -> NDArray[np.int32]:
+        """Pixels of part k in `reference` to be met in `frame`; with the first part go those that might be either's."""
+        if k == 1 or not self._as_one(frame)[reference]:
+            return self.samples[k][reference]
+        return np.concatenate([self.samples[0][reference], self.unsure[reference]])
+
     def _terms(
         self, k: int, frame: int, T: Array, references: NDArray[np.int64], gate: float
     ) -> tuple[Array, Array, Array]:
         """Summed Gauss-Newton terms of the left twist of part k's pose in `frame`, from the references' samples."""
         relative = T @ se3.inverse(self.Ts[k, references])
-        samples = {int(r): self.samples[k][int(r)] for r in references}
+        samples = {int(r): self._samples(k, int(r), frame) for r in references}
         H, g, stats = self.evidence.register(
             references,
             np.full(len(references), frame),
@@ -262,10 +333,14 @@ class Growth:
         return T, stats[0] / len(references)
 
     def _registered_jointed(
-        self, frame: int, T: Array, q: float, gates: tuple[float, ...]
+        self, frame: int, T: Array, q: float, gates: tuple[float, ...], at_rest: bool = False
     ) -> tuple[Array, float, float]:
-        """Reference pose and state after Gauss-Newton with six plus one unknowns, and their cost."""
+        """Reference pose and state after Gauss-Newton with six plus one unknowns, and their cost.
+
+        With `at_rest` the state stays: the object moves as one body.
+        """
         assert self.joint is not None
+        self.states[frame] = q
         both = (T, T @ self.joint.transform(q))
         references = [self.references(k, both[k], frame) for k in range(2)]
         most = self._longest_step()
@@ -282,11 +357,9 @@ class Growth:
                 H, g, _ = self._terms(k, frame, T @ self.joint.transform(q) if k else T, references[k], gate)
                 A += M.T @ H @ M
                 b += M.T @ g
-            diagonal = np.diag(A)
-            x = -np.linalg.solve(A + np.diag(1e-3 * diagonal + 1e-9 * diagonal.max() + 1e-300), b)
-            x[:6] *= min(1.0, 0.1 / max(float(np.linalg.norm(x[3:6])), 1e-12))
-            T = se3.orthonormalised(se3.exp_se3(x[:6]) @ T)
-            q = q + float(np.clip(x[6], -most, most))
+            if at_rest:
+                A[6], A[:, 6], b[6] = 0, 0, 0
+            T, q = self._stepped(T, q, A, b, most)
         both = (T, T @ self.joint.transform(q))
         costs = [self._pixel_costs(k, frame, both[k], references[k]) for k in range(2)]
         if not sum(map(len, costs)):
@@ -312,12 +385,10 @@ class Growth:
 
     def _pixel_costs(self, k: int, frame: int, T: Array, references: NDArray[np.int64]) -> Array:
         """Costs of a third of the references' samples when part k stands at `T` in `frame`."""
-        parts = [
-            self.evidence.costs(
-                int(r), np.array([frame]), (T @ se3.inverse(self.Ts[k, r]))[None, None], self.samples[k][int(r)][::3]
-            )[:, 0, 0]
-            for r in references
-        ]
+        parts = []
+        for r in map(int, references):
+            motion, pixels = (T @ se3.inverse(self.Ts[k, r]))[None, None], self._samples(k, r, frame)[::3]
+            parts.append(self.evidence.costs(r, np.array([frame]), motion, pixels)[:, 0, 0])
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def _cost(self, k: int, frame: int, T: Array, references: NDArray[np.int64]) -> float:
@@ -368,6 +439,8 @@ class Growth:
             self.samples[k][frame] = draw(sure, settings.samples, self.rng)
             least = settings.min_part_pixels if self.joint is None else settings.min_jointed_pixels
             self.seen[frame, k] = sure.sum() >= least
+        unsure = self.evidence.usable(frame, scene.mask[frame] & (np.abs(logodds) <= 1))
+        self.unsure[frame] = draw(unsure, settings.samples, self.rng)
 
     # ---- the joint -----------------------------------------------------------------------------------------------
 
@@ -387,35 +460,8 @@ class Growth:
 
     def try_joint(self) -> JointedPoses:
         """Both joint types fitted to the end on the frames done; the better one."""
-        frames = np.flatnonzero(self.done & self.seen.all(1))
-        relative = se3.inverse(self.Ts[0, frames]) @ self.Ts[1, frames]
-        body, settings = self.body_points(), self.settings.joint
-        centre, lever = body.mean(0), float(np.linalg.norm(body - body.mean(0), axis=1).mean())
-        found: dict[JointType, JointedPoses] = {}
-        chosen, fits = choose_joint(relative, centre, lever, settings)
-        for kind, fit in fits.items():
-            start = self._jointed(fit, frames)
-            found[kind] = joint_adjustment(
-                self.evidence, self.labels, start, self.seen, self.settings.poses, self.rng, 8, self.done
-            )
-        if settings.type_rule == "paper":
-            return found[chosen.type]
-        return found["revolute" if self._hinged(found, centre) else "prismatic"]
-
-    def _hinged(self, found: dict[JointType, JointedPoses], centre: Array) -> bool:
-        """Whether the revolute hypothesis wins: clearly cheaper, and with its hinge at the object.
-
-        A hinge far away says no more than a slide, with two unknowns more.
-        """
-        revolute, settings = found["revolute"], self.settings.joint
-        away = np.cross(centre - revolute.joint.pivot, revolute.joint.axis)
-        near = np.linalg.norm(away) < settings.farthest_hinge * self.evidence.scene.diagonal
-        return bool(near and revolute.cost < settings.revolute_cost * found["prismatic"].cost)
-
-    def _jointed(self, fit: JointFit, frames: NDArray[np.int64]) -> JointedPoses:
-        """Poses of all frames under a fitted joint, in the frame of the first part."""
-        states = np.interp(np.arange(len(self.done)), frames, fit.states)
-        return JointedPoses(fit.joint(), states, self.Ts[0].copy(), np.full(len(states), np.inf), np.inf)
+        arguments = (self.evidence, self.labels, self.Ts, self.seen, self.body_points(), self.done)
+        return better_type(*arguments, self.settings, self.rng)
 
     def adopt(self, poses: JointedPoses) -> None:
         """Go on under this joint: the second part takes the first part's canonical frame."""

@@ -138,9 +138,13 @@ class GrowthSettings:
     """How far a state may stray from even motion in one frame: radians, or object diagonals."""
     surprise_weight: float = 100.0
     """Weight of that prior, as a number of independent pixels: it only counts where a part is nearly hidden."""
+    rest_cost: float = 1.02
+    """The joint is taken to rest in a frame that costs no more than so many times what it costs with a motion."""
     surprising_cost: float = 1.6
     """A frame that costs so many times the usual is lost: the states of the whole range are tried in the next."""
     searched_states: int = 41
+    found_cost: float = 0.75
+    """Share of the cost of going on evenly below which a state found so is believed."""
     doubtful: float = 0.1
     """A frame with a larger share of pixels in doubt is labelled anew when the joint is adjusted."""
     bootstrap_frames: int = 18
@@ -256,6 +260,8 @@ class JointSettings:
     """rho_th of the paper's rule."""
     revolute_cost: float = 0.9
     """Share of the prismatic cost, all evidence adjusted under either type, below which a revolute joint is chosen."""
+    beyond_doubt: float = 0.4
+    """At the end the other type is not tried again when the poses, free of any joint, fit this one so much better."""
     farthest_hinge: float = 2.0
     """Object diagonals from the moving part within which a hinge is believed."""
     revolute_must_win: float = 0.7

@@ -73,12 +73,15 @@ def contents(out):
     return {**found, "prediction.json": prediction, "diagnostics.json": diagnostics}
 
 
+FREE = ["free_adjustment", "free_adjustment"]  # one a part
+
+
 class Calls:
     """Counts how often a stage is solved; stops in the stage `stop`."""
 
     def __init__(self, monkeypatch, stop=None):
         self.solved, self.stop = [], stop
-        for name in ("find_seeds", "bridge_gaps", "free_adjustment", "fuse"):
+        for name in ("find_seeds", "bridge_gaps", "better_type", "free_adjustment", "fuse"):
             monkeypatch.setattr(pipeline, name, self._counted(name, getattr(pipeline, name)))
 
     def _counted(self, name, function):
@@ -97,8 +100,8 @@ class Calls:
 @pytest.mark.parametrize(
     "stop, left",
     [
-        ("bridge_gaps", ["bridge_gaps", "free_adjustment", "free_adjustment", "fuse", "fuse"]),
-        ("free_adjustment", ["free_adjustment", "free_adjustment", "fuse", "fuse"]),
+        ("bridge_gaps", ["bridge_gaps", *FREE, "better_type", *FREE, "fuse", "fuse"]),
+        ("better_type", ["bridge_gaps", *FREE, "better_type", *FREE, "fuse", "fuse"]),
         ("fuse", ["fuse", "fuse"]),
     ],
 )
