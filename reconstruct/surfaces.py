@@ -26,6 +26,7 @@ Faces = NDArray[np.int64]
 
 BLOCK = 4
 """Voxels along the edge of a block: the unit in which the neighbourhood of the surface is marked."""
+
 EMPTY = 0.5
 """Weight of a background pixel's word that a place is free; a pixel that faces the surface squarely has 1."""
 
@@ -120,18 +121,25 @@ def _near_blocks(points_grid: Array, voxel: float, shape: NDArray[np.int64], rea
 
 
 def _to_rim(scene: Scene, labels: Labels, part: int, frames: NDArray[np.int64]) -> Floats:
-    """(n, h, w) pixels to the part's rim: its pixels beside others, or beside what lies well behind them."""
-    h, w = scene.mask.shape[1:]
-    distance = np.zeros((len(scene), h, w), np.float32)
+    """(frames, h, w) pixels to the part's rim: its pixels beside others, or beside what lies well behind them.
+
+    Positive within the part, 0 on the rim; outside of it minus the distance to the part.
+    """
+    distance = np.zeros((len(frames), *scene.mask.shape[1:]), np.float32)
     jump = 4 * (scene.footprint + scene.noise)
-    for i in frames:
-        depth = np.where((labels[i] == part) & scene.valid[i], scene.points[i, ..., 2], np.float32(1e6))
-        rim = (cv2.dilate(depth, np.ones((3, 3))) > depth + jump) & (labels[i] == part)
-        if rim.any():
-            distance[i] = cv2.distanceTransform((~rim).astype(np.uint8), cv2.DIST_L2, 5)
-        else:
-            distance[i] = h + w
+    for k, i in enumerate(frames):
+        mine = labels[i] == part
+        depth = np.where(mine & scene.valid[i], scene.points[i, ..., 2], np.float32(1e6))
+        rim = (cv2.dilate(depth, np.ones((3, 3))) > depth + jump) & mine
+        distance[k] = _distance(rim) * mine - _distance(mine)
     return distance
+
+
+def _distance(places: NDArray[np.bool_]) -> Floats:
+    """(h, w) pixels to the nearest of the places, or the picture's size when there is none."""
+    if not places.any():
+        return np.full(places.shape, sum(places.shape), np.float32)
+    return cv2.distanceTransform((~places).astype(np.uint8), cv2.DIST_L2, 5).astype(np.float32, copy=False)
 
 
 def _observed(vertices: Array, faces: Faces, known: NDArray[np.bool_]) -> tuple[Array, Faces]:
@@ -158,7 +166,7 @@ def _used_only(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     return vertices[used], new.reshape(-1, 3).astype(np.int64)
 
 
-def _vertex_normals(vertices: Array, faces: Faces) -> Array:
+def vertex_normals(vertices: Array, faces: Faces) -> Array:
     """(V, 3) unit outward normals, faces counted by area."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     face_normals = np.cross(b - a, c - a)
@@ -180,7 +188,7 @@ def _colours(
     sharpness: float,
 ) -> NDArray[np.uint8]:
     """(V, 3) RGB from the frames that see a vertex best; one that no frame saw takes that of the nearest seen."""
-    normals = _vertex_normals(vertices, faces)
+    normals = vertex_normals(vertices, faces)
     colours, weight = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     lens = (scene.fx, scene.fy, scene.cx, scene.cy)
     pictures = (scene.rgb, scene.points, scene.edge, labels)
@@ -298,13 +306,13 @@ def _integrate(
                             elif not mine and distance < 2 * sure:
                                 continue
                             value = min(1.0, distance / reach)
-                        if value > 0 and to_rim[i, yi, xi] > 0 and to_rim[i, yi, xi] < 12:
+                        if value > 0 and to_rim[f, yi, xi] != 0 and abs(to_rim[f, yi, xi]) < 12:
                             x0, y0 = math.floor(u), math.floor(v)
                             p, q = u - x0, v - y0
-                            rim = (1 - q) * ((1 - p) * to_rim[i, y0, x0] + p * to_rim[i, y0, x0 + 1]) + q * (
-                                (1 - p) * to_rim[i, y0 + 1, x0] + p * to_rim[i, y0 + 1, x0 + 1]
+                            rim = (1 - q) * ((1 - p) * to_rim[f, y0, x0] + p * to_rim[f, y0, x0 + 1]) + q * (
+                                (1 - p) * to_rim[f, y0 + 1, x0] + p * to_rim[f, y0 + 1, x0 + 1]
                             )
-                            value = min(value, max(0.0, rim - 0.5) * pz / (fx * reach))
+                            value = min(value, max(0.0, abs(rim) - 0.5) * pz / (fx * reach))
                         field[a, b, c] += vote * value
                         weight[a, b, c] += vote
         for a in range(block * BLOCK, (block + 1) * BLOCK):
