@@ -332,7 +332,7 @@ def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no
                     e = features[yy, xx, c] - features[y, x, c]
                     colour += e * e
                 off = max(abs(off), abs(off2)) / flatness
-                exponent = distance / (reach * reach) + (1 - bend) / 0.35 + colour / 60.0 + off * off
+                exponent = distance / (reach * reach) + (1 - bend) / 0.35 + colour / 120.0 + off * off
                 if exponent < 4.0:
                     ends[edges] = number[yy, xx]
                     weights[edges] = math.exp(-exponent) / (1 if q < 4 else (2 if q < 8 else 4))

@@ -19,6 +19,7 @@ from freeart21 import se3
 from freeart21.se3 import Array
 from reconstruct import kernels
 from reconstruct.evidence import Evidence
+from reconstruct.rigid import view_angle
 from reconstruct.settings import LabelSettings
 
 Frames = NDArray[np.int64]
@@ -95,8 +96,8 @@ def hearsay(
 
 
 def _turn(Ts: Array, frame: int) -> Array:
-    """(n,) radians from the view in `frame`, of the part that turned less."""
-    return np.minimum(*(se3.rotation_angle(T[:, :3, :3] @ T[frame, :3, :3].T) for T in Ts))
+    """(n,) radians from the view in `frame`, of the part whose view changed less."""
+    return np.minimum(*(view_angle(T[:, :3, :3], T[frame, :3, :3]) for T in Ts))
 
 
 def _motions(Ts: Array, frame: int, others: Frames) -> Array:

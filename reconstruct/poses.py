@@ -16,6 +16,7 @@ from freeart21 import se3
 from freeart21.joint import Joint
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence, Samples, draw
+from reconstruct.rigid import view_angle
 from reconstruct.settings import PoseSettings
 
 Labels = NDArray[np.uint8]
@@ -63,7 +64,7 @@ def choose_pairs(Ts: Array, seen: NDArray[np.bool_], settings: PoseSettings) -> 
     frames = np.flatnonzero(seen)
     found = {(int(i), int(i) + d) for i in frames for d in settings.offsets if i + d < len(Ts) and seen[i + d]}
     for i in map(int, frames):
-        turn = _turns(Ts[frames, :3, :3], Ts[i, :3, :3])
+        turn = view_angle(Ts[frames, :3, :3], Ts[i, :3, :3])
         near = (turn <= 0.9) & (np.abs(frames - i) > 8)
         left = frames[near][np.argsort(turn[near], kind="stable")]
         for _ in range(settings.loops):
@@ -76,12 +77,6 @@ def choose_pairs(Ts: Array, seen: NDArray[np.bool_], settings: PoseSettings) -> 
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.argsort(both[:, 1], kind="stable")]  # by target: its picture is then at hand for all its sources
     return both[:, 0], both[:, 1]
-
-
-def _turns(Rs: Array, R: Array) -> Array:
-    """(n,) angles between rotations (n, 3, 3) and one (3, 3), from the chord |Rs - R| = sqrt(8) sin(angle / 2)."""
-    chord = np.linalg.norm((Rs - R).reshape(-1, 9), axis=1)
-    return 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1))
 
 
 def free_adjustment(

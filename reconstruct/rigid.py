@@ -51,3 +51,11 @@ def ransac_fit(
     some = rng.permutation(len(source))[:800]
     score = np.minimum(distances(Ts, source[some][None], target[some][None]) / scale, 1).sum(1)
     return tukey_fit(Ts[score.argmin()], source, target, scale)
+
+
+def view_angle(Rs: Array, R: Array) -> Array:
+    """Radians (...) between the directions from which a part is seen under rotations Rs (..., 3, 3) and R (3, 3).
+
+    A roll about the optical axis changes no view: the same surfaces are seen.
+    """
+    return np.arccos(np.clip(Rs[..., 2, :] @ R[2], -1, 1))

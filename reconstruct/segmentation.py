@@ -187,7 +187,7 @@ class Growth:
         known = np.flatnonzero(self.done & self.seen.any(1))
         pixels = draw(self.evidence.scene.valid[frame], settings.samples, self.rng)
         turn = np.minimum(
-            *(se3.rotation_angle(self.Ts[k, known, :3, :3] @ T_k[:3, :3].T) for k, T_k in enumerate(self._both(T, q)))
+            *(rigid.view_angle(self.Ts[k, known, :3, :3], T_k[:3, :3]) for k, T_k in enumerate(self._both(T, q)))
         )
         others = np.sort(known[np.argsort(turn, kind="stable")[: 2 * settings.references : 2]])
         low, high = np.percentile(self.states[known], [1, 99])
@@ -281,7 +281,7 @@ class Growth:
         known = known[known != frame]
         if len(known) == 0:
             return known
-        turn = se3.rotation_angle(self.Ts[k, known, :3, :3] @ T[:3, :3].T)
+        turn = rigid.view_angle(self.Ts[k, known, :3, :3], T[:3, :3])
         chosen = [int(i) for i in known[np.argsort(np.abs(known - frame), kind="stable")[:2]]]
         for c in np.argsort(turn + 0.004 * np.minimum(np.abs(known - frame), 20), kind="stable"):
             if len(chosen) >= most or turn[c] > np.radians(settings.max_turn_deg):
