@@ -284,37 +284,41 @@ def _blend(
         total[:] = 0
         for i in frames:
             T = Ts[i]
-            p, n = np.zeros(3), np.zeros(3)
-            for d in range(3):
-                p[d] = T[d, 0] * points[k, 0] + T[d, 1] * points[k, 1] + T[d, 2] * points[k, 2] + T[d, 3]
-                n[d] = T[d, 0] * normals[k, 0] + T[d, 1] * normals[k, 1] + T[d, 2] * normals[k, 2]
-            if p[2] <= 0:
+            x, y, z = points[k, 0], points[k, 1], points[k, 2]
+            px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+            py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+            pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+            if pz <= 0:
                 continue
-            length = math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
-            facing = -(n[0] * p[0] + n[1] * p[1] + n[2] * p[2]) / length
+            x, y, z = normals[k, 0], normals[k, 1], normals[k, 2]
+            nx = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z
+            ny = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z
+            nz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z
+            length = math.sqrt(px * px + py * py + pz * pz)
+            facing = -(nx * px + ny * py + nz * pz) / length
             if facing < 0.1:
                 continue
-            u, v = fx * p[0] / p[2] + cx, fy * p[1] / p[2] + cy
+            u, v = fx * px / pz + cx, fy * py / pz + cy
             x0, y0 = math.floor(u), math.floor(v)
             if x0 < 0 or y0 < 0 or x0 >= w - 1 or y0 >= h - 1:
                 continue
-            shade, view = 1.0, 1.0
+            shade = 1 - (nx * lit[k, 0] + ny * lit[k, 1] + nz * lit[k, 2])
+            view = 1.0
             for d in range(3):
-                shade -= n[d] * lit[k, d]
-                view += (T[0, d] * p[0] + T[1, d] * p[1] + T[2, d] * p[2]) / length * views[k, d]
+                view += (T[0, d] * px + T[1, d] * py + T[2, d] * pz) / length * views[k, d]
             good = facing * facing / (1 + shade / SAME_NORMAL + view / SAME_VIEW) ** SHARPNESS
             share, free = 0.0, 0.0
             sample[:] = 0
-            slope = tolerance + 0.7 * (p[2] / fx) * math.sqrt(max(0.0, 1 - facing * facing)) / facing
-            for y in range(y0, y0 + 2):
-                for x in range(x0, x0 + 2):
-                    s = (1 - abs(u - x)) * (1 - abs(v - y))
-                    z, label = depth[i, y, x], labels[i, y, x]
-                    if label == part and z > 0 and abs(z - p[2]) <= slope:
+            slope = tolerance + 0.7 * (pz / fx) * math.sqrt(max(0.0, 1 - facing * facing)) / facing
+            for row in range(y0, y0 + 2):
+                for column in range(x0, x0 + 2):
+                    s = (1 - abs(u - column)) * (1 - abs(v - row))
+                    far, label = depth[i, row, column], labels[i, row, column]
+                    if label == part and far > 0 and abs(far - pz) <= slope:
                         share += s
                         for d in range(3):
-                            sample[d] += s * rgb[i, y, x, d]
-                    elif label == 0 or z > p[2] + slope:
+                            sample[d] += s * rgb[i, row, column, d]
+                    elif label == 0 or far > pz + slope:
                         free += s
             spoke += good * (share + free)
             agreeing += good * share

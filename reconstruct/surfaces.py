@@ -52,13 +52,9 @@ def fuse(
     pictures = (scene.points, scene.normals, scene.mask, labels, _to_rim(scene, labels, part, frames))
     lens = (scene.fx, scene.fy, scene.cx, scene.cy)
     distances = (reach, settings.behind * voxel + 2 * scene.noise, 0.5 * voxel + scene.noise)
-    in_threads(
-        lambda begin, end: _integrate(
-            begin, end, field, weight, near, voxel, Ts_grid, frames, *pictures, part, *lens, *distances
-        ),
-        len(near),
-        2,
-    )
+    blocks = np.argwhere(near)
+    arguments = (field, weight, blocks, voxel, Ts_grid, frames, *pictures, part, *lens, *distances)
+    in_threads(lambda begin, end: _integrate(begin, end, *arguments), len(blocks), 100)
     known = weight > 0
     if not (field[known] < 0).any():
         return _nothing()
@@ -257,7 +253,7 @@ def _sample_colours(
 
 @njit(nogil=True, cache=True)
 def _integrate(
-    begin, end, field, weight, near, voxel, Ts, frames, points, normals, mask, labels, to_rim, part, fx, fy, cx, cy,
+    begin, end, field, weight, blocks, voxel, Ts, frames, points, normals, mask, labels, to_rim, part, fx, fy, cx, cy,
     reach, behind, sure,
 ):  # pragma: no cover  # fmt: skip
     """Average, over frames, of the distance in units of `reach`, in [-1, 1]; > 0 is free. Blocks begin to end.
@@ -267,35 +263,43 @@ def _integrate(
     front of its surface is free. No free place is farther from the part than, across the picture, from the part's rim.
     """
     h, w = labels.shape[1], labels.shape[2]
+    sums, weights = np.zeros((BLOCK, BLOCK, BLOCK)), np.zeros((BLOCK, BLOCK, BLOCK))
     for block in range(begin, end):
-        for a in range(block * BLOCK, (block + 1) * BLOCK):
-            for f in range(frames.shape[0]):
-                i = frames[f]
-                T = Ts[i]
-                for b in range(field.shape[1]):
-                    for c in range(field.shape[2]):
-                        if not near[block, b // BLOCK, c // BLOCK]:
-                            continue
-                        x, y, z = a * voxel, b * voxel, c * voxel
-                        pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        first = blocks[block] * BLOCK
+        sums[:], weights[:] = 0, 0
+        for f in range(frames.shape[0]):
+            i = frames[f]
+            T = Ts[i]
+            for a in range(BLOCK):
+                for b in range(BLOCK):
+                    x, y, z = (first[0] + a) * voxel, (first[1] + b) * voxel, first[2] * voxel
+                    row_x = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+                    row_y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+                    row_z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+                    for c in range(BLOCK):
+                        pz = row_z + T[2, 2] * (c * voxel)
                         if pz <= 0:
                             continue
-                        px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-                        py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+                        px, py = row_x + T[0, 2] * (c * voxel), row_y + T[1, 2] * (c * voxel)
                         u = fx * px / pz + cx[i]
                         v = fy * py / pz + cy[i]
                         xi, yi = math.floor(u + 0.5), math.floor(v + 0.5)
                         if xi < 1 or yi < 1 or xi >= w - 1 or yi >= h - 1:
                             continue
                         value, vote = 1.0, EMPTY
-                        mine = labels[i, yi, xi] == part
+                        label = labels[i, yi, xi]
+                        mine = label == part
                         if mask[i, yi, xi]:
-                            P, n = points[i, yi, xi], normals[i, yi, xi]
-                            if P[2] <= 0 or (not mine and labels[i, yi, xi] == 0):
+                            depth = points[i, yi, xi, 2]
+                            if depth <= 0 or label == 0 or pz - depth > 2.2 * reach:
                                 continue
-                            distance = n[0] * (px - P[0]) + n[1] * (py - P[1]) + n[2] * (pz - P[2])
-                            facing = -(n[0] * px + n[1] * py + n[2] * pz) / math.sqrt(px * px + py * py + pz * pz)
-                            if facing < 0.05 or distance < -behind or pz - P[2] > 2.2 * reach:
+                            n0, n1, n2 = normals[i, yi, xi, 0], normals[i, yi, xi, 1], normals[i, yi, xi, 2]
+                            across = n0 * px + n1 * py + n2 * pz
+                            distance = across - (n0 * points[i, yi, xi, 0] + n1 * points[i, yi, xi, 1] + n2 * depth)
+                            if distance < -behind:
+                                continue
+                            facing = -across / math.sqrt(px * px + py * py + pz * pz)
+                            if facing < 0.05:
                                 continue
                             vote = facing * facing
                             if distance < 0:
@@ -313,10 +317,11 @@ def _integrate(
                                 (1 - p) * to_rim[f, y0 + 1, x0] + p * to_rim[f, y0 + 1, x0 + 1]
                             )
                             value = min(value, max(0.0, abs(rim) - 0.5) * pz / (fx * reach))
-                        field[a, b, c] += vote * value
-                        weight[a, b, c] += vote
-        for a in range(block * BLOCK, (block + 1) * BLOCK):
-            for b in range(field.shape[1]):
-                for c in range(field.shape[2]):
-                    if weight[a, b, c] > 0:
-                        field[a, b, c] /= weight[a, b, c]
+                        sums[a, b, c] += vote * value
+                        weights[a, b, c] += vote
+        for a in range(BLOCK):
+            for b in range(BLOCK):
+                for c in range(BLOCK):
+                    if weights[a, b, c] > 0:
+                        field[first[0] + a, first[1] + b, first[2] + c] = sums[a, b, c] / weights[a, b, c]
+                        weight[first[0] + a, first[1] + b, first[2] + c] = weights[a, b, c]
