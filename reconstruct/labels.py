@@ -55,8 +55,8 @@ def label_frames(
     seen = [motion_evidence(evidence, i, Ts, body, usable, rng) for i in range(n)]
     logodds = np.stack([walked(evidence, i, seen[i]) for i in range(n)])
     for _ in range(evidence.label_settings.rounds_of_talk):
-        heard = [hearsay(evidence, i, Ts, usable, logodds) for i in range(n)]
-        logodds = np.stack([walked(evidence, i, seen[i], *heard[i]) for i in range(n)])
+        heard = (hearsay(evidence, i, Ts, usable, logodds) for i in range(n))
+        logodds = np.stack([walked(evidence, i, seen[i], *said) for i, said in enumerate(heard)])
     return logodds
 
 

@@ -189,6 +189,7 @@ class Growth:
         turn = np.minimum(
             *(rigid.view_angle(self.Ts[k, known, :3, :3], T_k[:3, :3]) for k, T_k in enumerate(self._both(T, q)))
         )
+        turn += np.where(np.abs(known - frame) < settings.look_back, 1.0, 0)  # a joint that starts to move is slow
         others = np.sort(known[np.argsort(turn, kind="stable")[: 2 * settings.references : 2]])
         low, high = np.percentile(self.states[known], [1, 99])
         grid = np.linspace(float(low), float(high), settings.searched_states)
@@ -202,7 +203,7 @@ class Growth:
                 cost = float(self._freely(frame, others, pixels, start[0][None], np.array([start[1]])).min(2).mean())
                 if cost < best:
                     best, found = cost, start
-        if best < settings.found_cost * before:
+        if best < settings.found_cost * before and best < before - self.settings.seeds.min_gain:
             return *found, True
         return T, q, False
 

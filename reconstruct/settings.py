@@ -143,8 +143,10 @@ class GrowthSettings:
     surprising_cost: float = 1.6
     """A frame that costs so many times the usual is lost: the states of the whole range are tried in the next."""
     searched_states: int = 41
-    found_cost: float = 0.75
+    found_cost: float = 0.85
     """Share of the cost of going on evenly below which a state found so is believed."""
+    look_back: int = 8
+    """Nearer frames are not asked for it if others are there."""
     doubtful: float = 0.1
     """A frame with a larger share of pixels in doubt is labelled anew when the joint is adjusted."""
     bootstrap_frames: int = 18
