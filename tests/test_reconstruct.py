@@ -110,14 +110,15 @@ def test_meshes_lie_on_the_object(hinge, solved):
     camera = hinge.recording.camera
     for i in range(0, FRAMES, 6):
         frame = hinge.recording.frame(i)
-        nearest = cv2.erode(np.where(frame.mask, frame.depth, np.inf), np.ones((3, 3)))  # a rim may be a pixel off
+        mask = cv2.dilate(frame.mask.astype(np.uint8), np.ones((3, 3))) > 0  # a rim may be a pixel off
+        nearest = cv2.erode(np.where(frame.mask, frame.depth, np.inf), np.ones((3, 3)))
         for mesh in result.articulation.posed(result.Ts_camera_reference[i], float(result.states[i])):
             at = np.floor(camera.project(mesh.vertices)).astype(int)
             inside = (at >= 0).all(1) & (at < [camera.width, camera.height]).all(1)
             x, y = at[inside].T
             assert inside.mean() > 0.95
-            on_object = frame.mask[y, x]
-            assert on_object.mean() > 0.92
+            on_object = mask[y, x]
+            assert on_object.mean() > 0.97
             in_front = nearest[y, x][on_object] - mesh.vertices[inside][on_object, 2]
             assert np.percentile(in_front, 99) < 0.005 * hinge.diagonal
 
