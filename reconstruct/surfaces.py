@@ -27,6 +27,8 @@ Faces = NDArray[np.int64]
 BLOCK = 4
 """Voxels along the edge of a block: the unit in which the neighbourhood of the surface is marked."""
 
+FOREIGN = 3
+"""Frames that must see the other part at a place before it can be taken from this one."""
 EMPTY = 0.5
 """Weight of a background pixel's word that a place is free; a pixel that faces the surface squarely has 1."""
 
@@ -64,8 +66,9 @@ def fuse(
     vertices, faces = _large_pieces(vertices, faces, settings.min_component)
     vertices = (vertices * voxel).astype(float)
     tolerance = 2 * voxel + 3 * scene.noise
-    colours = _colours(scene, labels, part, Ts_grid, frames, vertices, faces, tolerance, settings.sharpness)
-    return Mesh(se3.transform(T_part_grid, vertices), faces, colours)
+    colours, foreign = _colours(scene, labels, part, Ts_grid, frames, vertices, faces, tolerance, settings.sharpness)
+    mesh = Mesh(se3.transform(T_part_grid, vertices), faces, colours)
+    return mesh.with_faces(foreign[faces].sum(1) == 0)
 
 
 def _nothing() -> Mesh:
@@ -182,26 +185,35 @@ def _colours(
     faces: Faces,
     tolerance: float,
     sharpness: float,
-) -> NDArray[np.uint8]:
-    """(V, 3) RGB from the frames that see a vertex best; one that no frame saw takes that of the nearest seen."""
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """(V, 3) RGB from the frames that see a vertex best; one that no frame saw takes that of the nearest seen.
+
+    And (V,) vertices of the other part: where its pixels lie on them far oftener than this part's, a few pixels were
+    labelled wrongly.
+    """
     normals = vertex_normals(vertices, faces)
     colours, weight = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
+    owners = np.zeros((len(vertices), 2), np.int32)
     lens = (scene.fx, scene.fy, scene.cx, scene.cy)
     pictures = (scene.rgb, scene.points, scene.edge, labels)
-    arguments = (vertices, normals, Ts, frames, *pictures, part, *lens, tolerance, sharpness, colours, weight)
+    arguments = (vertices, normals, Ts, frames, *pictures, part, *lens, tolerance, sharpness, colours, weight, owners)
     in_threads(lambda begin, end: _sample_colours(begin, end, *arguments), len(vertices), 1000)
     seen = weight > 0
     if seen.any() and not seen.all():
         colours[~seen] = colours[seen][cKDTree(vertices[seen]).query(vertices[~seen])[1]]
-    return np.clip(np.rint(colours), 0, 255).astype(np.uint8)
+    foreign = (owners[:, 1] >= FOREIGN) & (owners[:, 1] > 2 * owners[:, 0])
+    return np.clip(np.rint(colours), 0, 255).astype(np.uint8), foreign
 
 
 @njit(nogil=True, cache=True)
 def _sample_colours(
     begin, end, vertices, normals, Ts, frames, rgb, points, edge, labels, part, fx, fy, cx, cy, tolerance, sharpness,
-    colours, weights,
+    colours, weights, owners,
 ):  # pragma: no cover  # fmt: skip
-    """Mean of bilinear samples, weighted by the cosine of the view angle over depth to the power `sharpness`."""
+    """Mean of bilinear samples, weighted by the cosine of the view angle over depth to the power `sharpness`.
+
+    `owners` (V, 2) counts the frames whose nearest pixel lies on the vertex: of this part, and of the other.
+    """
     h, w = labels.shape[1], labels.shape[2]
     for k in range(begin, end):
         total = np.zeros(3)
@@ -226,6 +238,9 @@ def _sample_colours(
             x0, y0 = math.floor(u), math.floor(v)
             if x0 < 0 or y0 < 0 or x0 >= w - 1 or y0 >= h - 1:
                 continue
+            x, y = x0 + (u - x0 > 0.5), y0 + (v - y0 > 0.5)
+            if facing > 0.3 and abs(points[i, y, x, 2] - pz) <= tolerance and labels[i, y, x] > 0:
+                owners[k, 0 if labels[i, y, x] == part else 1] += 1
             share = 0.0
             sample[:] = 0
             slope = tolerance + 0.7 * (pz / fx) * math.sqrt(1 - min(1.0, facing * facing)) / facing

@@ -170,3 +170,16 @@ def test_outlines_of_held_out_views_are_neither_eaten_nor_swollen(seen_under_a_l
 def test_a_recording_without_held_out_views_has_no_pictures(seen_under_a_lamp):
     recording, result, _ = seen_under_a_lamp
     assert render_queries(result, Recording(CAMERA, recording.times_s, recording.load)) == []
+
+
+def test_a_few_wrong_labels_make_no_surface_of_the_other_part():
+    """A side that two frames of sixty give to the second part stays with the first, and is none of the second."""
+    scene, labels = film(SIZE, ROUND)
+    points = np.stack([se3.transform(se3.inverse(T), p) for T, p in zip(ROUND, scene.points, strict=True)])
+    far_end = scene.mask & (points[..., 0] > 0.02)
+    labels[far_end] = 2
+    seeing = np.argsort(-((points[..., 2] > 0.029) & (points[..., 0] < 0) & scene.mask).sum((1, 2)))[:2]
+    labels[seeing] = 2 * scene.mask[seeing]
+    mesh = fuse(scene, labels, 2, ROUND, np.ones(len(ROUND), bool), SurfaceSettings())
+    assert mesh.vertices[:, 0].max() > 0.055
+    assert (mesh.areas() * (mesh.vertices[mesh.faces].mean(1)[:, 0] < 0.01)).sum() < 0.02 * mesh.areas().sum()
