@@ -42,7 +42,7 @@ from reconstruct.gaps import bridge_gaps
 from reconstruct.hypotheses import better_type
 from reconstruct.poses import FreePoses, JointedPoses, free_adjustment, joint_adjustment
 from reconstruct.renders import render_queries
-from reconstruct.scene import HopelessError, Scene, full_masks, prepare
+from reconstruct.scene import HopelessError, Scene, full_labels, prepare
 from reconstruct.seeds import find_seeds
 from reconstruct.segmentation import Grown, body_points, grow, relabel
 from reconstruct.settings import ReconstructSettings
@@ -282,7 +282,7 @@ def _canonical(
         grown.poses.states - q0,
         free[0].Ts @ back,
         Ts_moving @ back,
-        full_masks(scene, grown.labels, recording.camera.width, recording.camera.height),
+        full_labels(scene, grown.labels, grown.logodds, recording),
         grown.seen,
         _finite_or_nan(grown.poses.state_std),
         np.stack([f.covariances for f in free], 1),

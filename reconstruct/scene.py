@@ -119,13 +119,13 @@ def prepare(recording: Recording, settings: SceneSettings) -> Scene:
             window[top : top + image.shape[0], left : left + image.shape[1]] = image
             yield window[: size[1] // factor * factor, : size[0] // factor * factor]
 
-    small = (size[0] // factor, size[1] // factor)
-    shrunk = [cv2.resize(a, small, interpolation=cv2.INTER_AREA) for a in crops([c.rgb for c in cuts])]
-    rgb = np.asarray(np.stack(shrunk), np.uint8)
+    blur = (factor | 1, factor | 1)  # odd, so that colours stand where depth does
+    rgb = np.asarray(
+        np.stack([cv2.blur(a, blur)[at::factor, at::factor] for a in crops([c.rgb for c in cuts])]), np.uint8
+    )
     mask = np.stack([a[at::factor, at::factor] for a in crops([c.mask for c in cuts])])
     depth = np.stack([a[at::factor, at::factor] for a in crops([c.depth for c in cuts])])
     cuts.clear()
-    del shrunk
     K = camera.K
     fx, fy = K[0, 0] / factor, K[1, 1] / factor
     cx = (K[0, 2] - origin[:, 0] - at - 0.5) / factor
@@ -163,6 +163,24 @@ def full_masks(scene: Scene, labels: NDArray[np.uint8], width: int, height: int)
     for i, (x, y) in enumerate(scene.origin):
         part = np.kron(labels[i], np.ones((scene.factor, scene.factor), np.uint8))
         full[i, y : y + part.shape[0], x : x + part.shape[1]] = part
+    return full
+
+
+def full_labels(scene: Scene, labels: NDArray[np.uint8], logodds: Floats, recording: Recording) -> NDArray[np.uint8]:
+    """Part masks (n, height, width) within the recording's own masks, from crop labels and log-odds (n, h, w).
+
+    Where the crop is sampled down the log-odds between its pixels are interpolated, and the outline is the recording's.
+    """
+    full = np.zeros((len(scene), recording.camera.height, recording.camera.width), np.uint8)
+    f, at = scene.factor, scene.factor // 2
+    back = np.array([[1 / f, 0, -at / f], [0, 1 / f, -at / f]])
+    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    for i, (x, y) in enumerate(scene.origin):
+        sign = np.where(labels[i] == 2, 1.0, -1.0) * (labels[i] > 0) * np.maximum(np.abs(logodds[i]), 0.01)
+        h, w = (f * size for size in sign.shape)
+        second = cv2.warpAffine(sign, back, (w, h), flags=how, borderMode=cv2.BORDER_REPLICATE) > 0
+        window = np.s_[y : y + h, x : x + w]
+        full[i][window] = np.where(recording.frame(i).mask[window], np.where(second, 2, 1), 0)
     return full
 
 
