@@ -11,6 +11,7 @@ from freeart21.se3 import Array
 from reconstruct.evidence import Evidence
 from reconstruct.joint import JointFit, choose_joint
 from reconstruct.poses import JointedPoses, Labels, joint_adjustment
+from reconstruct.scene import HopelessError
 from reconstruct.settings import JointSettings, ReconstructSettings
 
 
@@ -30,11 +31,19 @@ def better_type(
     `Ts` (2, n, 4, 4) are poses of both parts that know no joint, and `body` (b, 3) points of the second part in its own
     frame. Each type starts from its fit to the relative poses, or from where it stands `so_far`. A type that is
     found `so_far` and fits the poses far better than the other is taken without further ado.
+    Raises HopelessError when fewer than 4 frames show both parts.
     """
     frames = np.flatnonzero(within & seen.all(1))
+    if len(frames) < 4:
+        raise HopelessError("joint", f"{len(frames)} frames show both parts, at least 4 are needed")
     relative = se3.inverse(Ts[0, frames]) @ Ts[1, frames]
     centre, lever = body.mean(0), float(np.linalg.norm(body - body.mean(0), axis=1).mean())
     chosen, fits = choose_joint(relative, centre, lever, settings.joint)
+    if settings.joint.type_rule == "paper":
+        start = _started(fits[chosen.type], Ts[0], frames)
+        if so_far is not None and so_far.joint.type == chosen.type:
+            start = so_far
+        return joint_adjustment(evidence, labels, start, seen, settings.poses, rng, 8, within)
     if so_far is not None:
         mine, other = (fits[kind].residual for kind in _self_and_other(so_far.joint.type))
         if mine < settings.joint.beyond_doubt * other:
@@ -44,8 +53,6 @@ def better_type(
         known = so_far is not None and so_far.joint.type == kind
         start = so_far if so_far is not None and known else _started(fit, Ts[0], frames)
         found[kind] = joint_adjustment(evidence, labels, start, seen, settings.poses, rng, 8, within)
-    if settings.joint.type_rule == "paper":
-        return found[chosen.type]
     return found["revolute" if _hinged(found, centre, evidence.scene.diagonal, settings.joint) else "prismatic"]
 
 

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from freeart21 import se3
 from freeart21.se3 import Array
@@ -172,6 +173,10 @@ def walked(
     starts, ends, weights = _graph(evidence, frame)
     x = _random_walk(hold[valid].astype(float), target[valid].astype(float), starts, ends, s.walk * weights, 1e-3, 300)
     logodds[valid] = SURE * np.clip(x, -1, 1)
+    blind = evidence.scene.mask[frame] & ~valid
+    if blind.any() and valid.any():  # a pixel without depth goes with the nearest that has
+        rows, columns = distance_transform_edt(~valid, return_distances=False, return_indices=True)
+        logodds[blind] = logodds[rows[blind], columns[blind]]
     return logodds
 
 

@@ -251,7 +251,7 @@ def _reference_first(grown: Grown) -> Grown:
     if first >= second:
         return grown
     poses = grown.poses
-    swapped = np.array([0, 2, 1], np.uint8)[grown.labels]
+    swapped = (3 - grown.labels) * (grown.labels > 0)
     # T_second = T_first J(q), so T_first = T_second J(-q): the same axis, the states negated
     joint = _with_range(poses.joint, -poses.states)
     turned = replace(poses, Ts=poses.Ts_moving, joint=joint, states=-poses.states)

@@ -248,7 +248,10 @@ def _damped_solve(A: sparse.csr_array, b: Array) -> Array:
     diagonal = A.diagonal()
     floor = 1e-9 * max(float(diagonal.max()), 1e-300)
     damped = (A + sparse.diags_array(1e-4 * diagonal + floor)).tocsc()
-    return np.asarray(splu(damped, diag_pivot_thresh=0.0, options={"SymmetricMode": True}).solve(-b), float)
+    return np.asarray(
+        splu(damped, diag_pivot_thresh=0.0, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(-b),
+        float,
+    )
 
 
 def _limited(twists: Array) -> Array:

@@ -236,9 +236,10 @@ def _depth_noise(depth: Floats) -> float:
 def _diagonal(points: Floats) -> float:
     """The largest extent of the object over frames: a robust estimate of its size, metres."""
     sizes = []
-    for frame in points[:: max(1, len(points) // 24)]:
-        p = frame[frame[..., 2] > 0]
-        if len(p) > 20:
+    shown = np.flatnonzero((points[..., 2] > 0).sum((1, 2)) > 20)
+    for i in shown[:: max(1, len(shown) // 24)]:
+        p = points[i][points[i, ..., 2] > 0]
+        if len(p):
             sizes.append(np.linalg.norm(np.percentile(p, 98, axis=0) - np.percentile(p, 2, axis=0)))
     return float(np.percentile(sizes, 80))
 

@@ -64,7 +64,7 @@ class Growth:
         self.costs = np.full(n, np.nan)
         self._put_labels(seed.frame, np.clip(seed.logodds, -SURE, SURE))
         self.done[seed.frame] = True
-        self.body = self.body_points()
+        self._body: Array | None = None
         for j, T in zip(seed.others, seed.Ts, strict=True):
             self.step_free(int(j), int(j) - 1, ([T[0]], [T[1]]))
 
@@ -119,7 +119,7 @@ class Growth:
                     T, inliers = self._registered(k, frame, poses[k], references, (6.0, 5.0, 4.0))
                     poses[k] = T if inliers >= self.settings.growth.min_part_pixels else poses[k]
         self.done[frame] = True
-        self.body = self.body_points()
+        self._body = None
 
     def step_jointed(self, frame: int, neighbour: int) -> None:
         """Pose a frame by the reference pose and the joint state, from the best of several starts, and label it."""
@@ -129,11 +129,13 @@ class Growth:
         still = [self._registered_jointed(frame, T, q, gates, True) for T, q in starts if q == self.states[neighbour]]
         T, q, cost = min(moving, key=_last)
         at_rest = min(still, key=_last)
-        if at_rest[2] < self.settings.growth.rest_cost * cost:
+        if not at_rest[2] > self.settings.growth.rest_cost * cost:  # nor is there a motion where nothing is measured
             T, q, cost = at_rest
         rest, parted = q == self.states[neighbour], False
         if self._lost(neighbour):
             T, q, parted = self._parted(frame, T, q)
+        if parted:
+            cost = self._jointed_cost(frame, T, q)
         for last in (False, True):
             self._place(frame, T, q)
             self._label(frame)
@@ -186,6 +188,8 @@ class Growth:
         settings = self.settings.growth
         known = np.flatnonzero(self.done & self.seen.any(1))
         pixels = draw(self.evidence.scene.valid[frame], settings.samples, self.rng)
+        if len(pixels) == 0 or len(known) == 0:
+            return T, q, False
         turn = np.minimum(
             *(rigid.view_angle(self.Ts[k, known, :3, :3], T_k[:3, :3]) for k, T_k in enumerate(self._both(T, q)))
         )
@@ -342,7 +346,7 @@ class Growth:
         """
         assert self.joint is not None
         self.states[frame] = q
-        both = (T, T @ self.joint.transform(q))
+        both = self._both(T, q)
         references = [self.references(k, both[k], frame) for k in range(2)]
         most = self._longest_step()
         expected, stray = self._expected_state(frame), self.settings.growth.state_surprise * 10 * most
@@ -361,15 +365,22 @@ class Growth:
             if at_rest:
                 A[6], A[:, 6], b[6] = 0, 0, 0
             T, q = self._stepped(T, q, A, b, most)
-        both = (T, T @ self.joint.transform(q))
+        return T, q, self._jointed_cost(frame, T, q)
+
+    def _jointed_cost(self, frame: int, T: Array, q: float) -> float:
+        """What the parts' samples cost in `frame`, and the pixels of `frame` under the motion that explains them."""
+        both = self._both(T, q)
+        references = [self.references(k, both[k], frame) for k in range(2)]
         costs = [self._pixel_costs(k, frame, both[k], references[k]) for k in range(2)]
         if not sum(map(len, costs)):
-            return T, q, np.inf
-        return T, q, float(np.concatenate(costs).mean()) + self._unexplained(frame, both, references)
+            return np.inf
+        return float(np.concatenate(costs).mean()) + self._unexplained(frame, both, references)
 
     def _unexplained(self, frame: int, both: tuple[Array, Array], references: list[NDArray[np.int64]]) -> float:
         """Mean cost of the pixels of `frame`, each under the motion that explains it better."""
         pixels = np.argwhere(self.evidence.scene.valid[frame])
+        if len(pixels) == 0:
+            return 0.0
         pixels = pixels[:: max(1, len(pixels) // self.settings.growth.samples)]
         costs = []
         for k, others in enumerate(references):
@@ -421,15 +432,17 @@ class Growth:
     def _label(self, frame: int) -> None:
         """Labels of `frame` from all its pixels under both motions to the frames done."""
         known = self.done & self.seen.any(1)
-        self._put_labels(frame, label_frame(self.evidence, frame, self.Ts, self.body, known, self.logodds, self.rng))
+        self._body = self.body_points() if self._body is None else self._body
+        self._put_labels(frame, label_frame(self.evidence, frame, self.Ts, self._body, known, self.logodds, self.rng))
 
     def relabel_doubtful(self) -> None:
         """Label the frames anew that knew least of themselves: what came after them may tell."""
         valid = self.evidence.scene.valid
-        for frame in map(int, np.flatnonzero(self.done)):
-            doubtful = np.abs(self.logodds[frame][valid[frame]]) < 1
-            if len(doubtful) and doubtful.mean() > self.settings.growth.doubtful:
-                self._label(frame)
+        frames = [int(i) for i in np.flatnonzero(self.done) if valid[i].any()]
+        doubt = np.array([(np.abs(self.logodds[i][valid[i]]) < 1).mean() for i in frames])
+        for at in np.argsort(-doubt, kind="stable")[: self.settings.growth.doubtful_most]:
+            if doubt[at] > self.settings.growth.doubtful:
+                self._label(frames[at])
 
     def _put_labels(self, frame: int, logodds: NDArray[np.float32]) -> None:
         scene, settings = self.evidence.scene, self.settings.growth
@@ -468,7 +481,7 @@ class Growth:
         """Go on under this joint: the second part takes the first part's canonical frame."""
         self.joint, self.states = poses.joint, poses.states.copy()
         self.Ts = np.stack([poses.Ts, poses.Ts_moving])
-        self.body = self.body_points()
+        self._body = None
 
     def jointed(self) -> JointedPoses:
         """The present poses."""
@@ -510,19 +523,24 @@ def relabel(evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng
     usable: NDArray[np.bool_] = np.any(grown.seen, axis=1)
     logodds = label_frames(evidence, Ts, body, usable, rng)
     scene, least = evidence.scene, settings.growth.min_jointed_pixels
-    labels = np.where(scene.mask, np.where(logodds > 0, 2, 1), 0).astype(np.uint8)
+    labels = np.where(scene.mask, (logodds > 0) + np.uint8(1), np.uint8(0))
     sure = np.abs(logodds) > 1
     seen = [[evidence.usable(i, (labels[i] == k) & sure[i]).sum() >= least for k in (1, 2)] for i in range(len(labels))]
     return replace(grown, labels=labels, logodds=logodds, seen=np.array(seen))
 
 
 def body_points(evidence: Evidence, labels: NDArray[np.uint8], Ts: Array, seen: NDArray[np.bool_]) -> Array:
-    """Six points (6, 3) round the middle of the second part, at its radius, in its own frame."""
-    scene, clouds = evidence.scene, []
+    """Six points (6, 3) round the middle of the second part, at its radius, in its own frame.
+
+    From the frames that have `seen` (n,) it. Raises HopelessError when no pixel is the second part's.
+    """
+    scene, clouds = evidence.scene, [np.zeros((0, 3))]
     for i in map(int, np.flatnonzero(seen)):
-        cloud = scene.points[i][(labels[i] == 2) & scene.valid[i]][::50]
-        clouds.append(se3.transform(se3.inverse(Ts[i]), cloud))
+        cloud = scene.points[i][(labels[i] == 2) & scene.valid[i]]
+        clouds.append(se3.transform(se3.inverse(Ts[i]), cloud[:: max(1, min(50, len(cloud) // 4))]))
     cloud = np.concatenate(clouds)
+    if len(cloud) == 0:
+        raise HopelessError("segmentation", "no second part: no frame shows enough of it")
     centre = np.median(cloud, axis=0)
     lever = float(np.sqrt(np.mean(np.sum((cloud - centre) ** 2, axis=1))))
     return np.asarray(centre + lever * np.concatenate([np.eye(3), -np.eye(3)]))

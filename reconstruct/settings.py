@@ -89,7 +89,8 @@ class EvidenceSettings:
 
 @dataclass(frozen=True)
 class LabelSettings:
-    """From evidence to part masks: a mean-field relaxation over neighbours that look alike and lie in one plane."""
+    """From evidence to part masks, over neighbours that look alike and lie in one plane: a random walk (Grady 2006); in
+    the seed, a mean-field relaxation."""
 
     smoothness: float = 0.5
     """Pull of one neighbour of the same look, in log-odds."""
@@ -149,6 +150,8 @@ class GrowthSettings:
     """Nearer frames are not asked for it if others are there."""
     doubtful: float = 0.1
     """A frame with a larger share of pixels in doubt is labelled anew when the joint is adjusted."""
+    doubtful_most: int = 40
+    """Frames that are so labelled anew each time, at most: those most in doubt."""
     bootstrap_frames: int = 18
     """Frames grown freely before a joint is tried."""
     bootstrap_motion: float = 0.12

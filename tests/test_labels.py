@@ -1,0 +1,142 @@
+"""Part masks from known poses: what frames say, what they tell each other, and what stays in doubt."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reconstruct_clip import make_clip
+
+from freeart21 import se3
+from freeart21.joint import Joint
+from freeart21.recording import Recording
+from reconstruct import labels
+from reconstruct.evidence import Evidence
+from reconstruct.hypotheses import _hinged
+from reconstruct.poses import JointedPoses
+from reconstruct.rigid import view_angle
+from reconstruct.scene import full_labels, prepare
+from reconstruct.segmentation import body_points
+from reconstruct.settings import JointSettings, ReconstructSettings, SceneSettings
+
+FRAMES = 20
+SETTINGS = ReconstructSettings()
+
+
+@pytest.fixture(scope="module")
+def clip():
+    return make_clip("hinge", FRAMES, spin=0.35)
+
+
+def asked(recording, scene_settings=SETTINGS.scene):
+    scene = prepare(recording, scene_settings)
+    return Evidence(scene, SETTINGS.evidence, SETTINGS.labels)
+
+
+def poses_of(clip, states):
+    return np.stack([clip.Ts, clip.Ts @ clip.joint.transform(states)])
+
+
+def labelled(clip, evidence, states):
+    """Log-odds of all frames under the clip's poses and the given states."""
+    Ts = poses_of(clip, states)
+    everywhere = np.ones(FRAMES, bool)
+    body = body_points(evidence, cropped(clip.part_masks, evidence.scene), Ts[1], everywhere)
+    return labels.label_frames(evidence, Ts, body, everywhere, np.random.default_rng(0))
+
+
+def cropped(masks, scene):
+    """Full masks (n, height, width) as the scene's crop pixels see them."""
+    h, w = scene.mask.shape[1:]
+    f, at = scene.factor, scene.factor // 2
+    cut = [m[y + at : y + at + f * h : f, x + at : x + at + f * w : f] for m, (x, y) in zip(masks, scene.origin)]  # noqa: B905
+    return np.stack([m[:h, :w] for m in cut])
+
+
+def shared(found, truth):
+    """Mean IoU of both parts over frames."""
+    pairs = [((found == k), (truth == k)) for k in (1, 2)]
+    return np.mean([(a & b).sum((1, 2)) / np.maximum((a | b).sum((1, 2)), 1) for a, b in pairs])
+
+
+def test_true_poses_give_true_labels(clip):
+    evidence = asked(clip.recording)
+    logodds = labelled(clip, evidence, clip.states)
+    found = full_labels(evidence.scene, np.where(logodds > 0, 2, 1).astype(np.uint8), logodds, clip.recording)
+    assert shared(found, clip.part_masks) > 0.95
+
+
+def test_a_joint_that_never_moves_leaves_doubt(clip):
+    evidence = asked(clip.recording)
+    logodds = labelled(clip, evidence, np.zeros(FRAMES))
+    assert np.abs(logodds).max() == 0
+
+
+def test_a_smaller_crop_keeps_the_outline(clip):
+    evidence = asked(clip.recording, SceneSettings(max_crop_pixels=3000))
+    assert evidence.scene.factor > 1
+    logodds = labelled(clip, evidence, clip.states)
+    found = full_labels(evidence.scene, np.where(logodds > 0, 2, 1).astype(np.uint8), logodds, clip.recording)
+    masks = np.stack([clip.recording.frame(i).mask for i in range(FRAMES)])
+    assert ((found > 0) == masks).mean() > 0.999
+    assert shared(found, clip.part_masks) > 0.9
+
+
+def test_pixels_without_depth_go_with_their_part(clip):
+    holes = np.zeros(clip.part_masks.shape, bool)
+    holes[:, ::5, ::5] = True
+    holes &= clip.part_masks > 0
+
+    def frame(i):
+        whole = clip.recording.frame(i)
+        return replace(whole, depth=np.where(holes[i], 0, whole.depth).astype(whole.depth.dtype))
+
+    r = clip.recording
+    recording = Recording(r.camera, r.times_s, frame, r.queries)
+    evidence = asked(recording)
+    logodds = labelled(clip, evidence, clip.states)
+    found = np.where(logodds > 0, 2, 1) * evidence.scene.mask
+    truth = cropped(clip.part_masks, evidence.scene)
+    blind = evidence.scene.mask & ~evidence.scene.valid & (truth == 2)
+    assert blind.sum() > 50
+    assert (found[blind] == 2).mean() > 0.9
+
+
+def test_telling_frames_are_those_in_which_the_joint_stood_elsewhere(clip):
+    Ts = poses_of(clip, np.where(np.arange(FRAMES) < 10, 0.0, 0.5))
+    body = clip.joint.pivot + np.array([[0.1, 0, 0], [0, 0, 0.1], [-0.1, 0, 0.1]])
+    everywhere, turn = np.ones(FRAMES, bool), np.zeros(FRAMES)
+    rng = np.random.default_rng(0)
+    told = labels.telling_frames(3, Ts, body, 0.3, turn, everywhere, SETTINGS.labels, rng)
+    assert len(told) and told.min() >= 10
+    turn[10:] = 2.0  # nothing of the same surfaces is seen there
+    assert len(labels.telling_frames(3, Ts, body, 0.3, turn, everywhere, SETTINGS.labels, rng)) == 0
+
+
+def test_random_walk_solves_its_equations():
+    rng = np.random.default_rng(0)
+    n = 30
+    W = np.triu(rng.random((n, n)) * (rng.random((n, n)) < 0.2), 1)
+    W += W.T
+    strength, target = rng.random(n) + 0.01, rng.uniform(-1, 1, n)
+    expected = np.linalg.solve(np.diag(strength + W.sum(1)) - W, strength * target)
+    starts = np.concatenate([[0], np.cumsum((W > 0).sum(1))])
+    ends, weights = np.nonzero(W)[1].astype(np.int32), W[W > 0].astype(np.float32)
+    found = labels._random_walk(strength, target, starts, ends, weights, 1e-8, 500)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_a_roll_changes_no_view():
+    R = se3.exp_so3(np.array([0.3, -0.2, 0.5]))
+    rolled = se3.exp_so3(np.array([0, 0, 1.3])) @ R
+    turned = se3.exp_so3(np.array([0.4, 0, 0])) @ R
+    np.testing.assert_allclose(view_angle(np.stack([rolled, turned]), R), [0, 0.4], atol=1e-6)
+
+
+@pytest.mark.parametrize("cost, pivot, hinged", [(0.8, 0.5, True), (0.95, 0.5, False), (0.8, 5.0, False)])
+def test_a_hinge_is_believed_when_clearly_cheaper_and_near(cost, pivot, hinged):
+    def jointed(kind, cost):
+        joint = Joint("j", kind, np.array([0.0, 0, 1]), np.array([pivot, 0, 0]), 0.0, 1.0)
+        return JointedPoses(joint, np.zeros(2), np.tile(np.eye(4), (2, 1, 1)), np.zeros(2), cost)
+
+    found = {"revolute": jointed("revolute", cost), "prismatic": jointed("prismatic", 1.0)}
+    assert _hinged(found, np.zeros(3), 1.0, JointSettings()) is hinged
