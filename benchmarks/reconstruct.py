@@ -17,6 +17,7 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import os
 import resource
 import sys
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
+from threading import Thread
 from typing import Any, Literal
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # else this file hides the package `reconstruct`
@@ -356,6 +358,7 @@ def _work(task: Task, to: Connection) -> None:
     from freeart21.reconstruction import Failure
     from reconstruct.pipeline import reconstruct_folder
 
+    Thread(target=_end_with_the_parent, daemon=True).start()
     try:
         result = reconstruct_folder(task.sequence, task.result, task.settings)
         peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
@@ -375,6 +378,14 @@ def _work(task: Task, to: Connection) -> None:
         return
     row = row if lacks is None else replace(row, notes=(*row.notes, lacks))
     to.send({"row": row, "seconds": result.seconds, "peak_gb": peak_gb})
+
+
+def _end_with_the_parent() -> None:
+    """A killed benchmark leaves no solver behind."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 # --- what it means ----------------------------------------------------------------------------------------------------
