@@ -87,12 +87,12 @@ def hearsay(
     if len(others) == 0 or not measured.any():
         return mean, strength
     pixels, T = np.argwhere(measured), np.ascontiguousarray(_motions(Ts, frame, others))
-    said, count = np.zeros(len(pixels)), np.zeros(len(pixels))
+    said, size = np.zeros(len(pixels)), np.zeros(len(pixels))
     lens = (scene.fx, scene.fy, scene.cx, scene.cy)
-    arguments = (frame, others, T, pixels, scene.points, scene.normals, logodds, *lens, 3 * evidence.unit, said, count)
+    arguments = (frame, others, T, pixels, scene.points, scene.normals, logodds, *lens, 3 * evidence.unit, said, size)
     kernels.in_threads(lambda begin, end: _hear(begin, end, *arguments), len(pixels), 2000)
-    mean[measured] = said / np.maximum(SURE * count, 1)
-    strength[measured] = s.propagation * np.minimum(count, 4) / 4
+    mean[measured] = said / np.maximum(size, 1e-6)
+    strength[measured] = s.propagation * np.minimum(np.abs(said), 4) / 4
     return _spread(mean, measured), _spread(strength, measured)
 
 
@@ -225,19 +225,20 @@ def _random_walk(strength, target, starts, ends, weights, tolerance, rounds):  #
 
 @njit(nogil=True, cache=True)
 def _hear(
-    begin, end, frame, others, T, pixels, points, normals, logodds, fx, fy, cx, cy, gate, said, count
+    begin, end, frame, others, T, pixels, points, normals, logodds, fx, fy, cx, cy, gate, said, size
 ):  # pragma: no cover  # fmt: skip
     """What `others` (s,) believe of the surfaces at pixels begin to end, under both motions T (s, 2, 4, 4).
 
     Where the first motion leads to what is believed the second part's, that speaks for the second; and the other way
-    round. Fills the sum `said` (p,) and the `count` (p,) of frames in which a motion leads to a surface.
+    round. A frame speaks as loudly as it is sure, lest rumours feed on themselves. Fills the sums, over frames, of
+    belief times its size, `said` (p,), and of its `size` (p,).
     """
     h, w = points.shape[1], points.shape[2]
     for p in range(begin, end):
         y, x = pixels[p, 0], pixels[p, 1]
         for s in range(len(others)):
             j = others[s]
-            total, met = 0.0, 0
+            belief = 0.0
             for k in range(2):
                 R = T[s, k]
                 Y0 = R[0, 3]
@@ -263,7 +264,6 @@ def _hear(
                     same += normals[j, yi, xi, c] * turned
                 if abs(off) > gate or same < 0.7:
                     continue
-                met = 1
-                total += max(logodds[j, yi, xi], 0.0) if k == 0 else min(logodds[j, yi, xi], 0.0)
-            said[p] += total
-            count[p] += met
+                belief += (max(logodds[j, yi, xi], 0.0) if k == 0 else min(logodds[j, yi, xi], 0.0)) / SURE
+            said[p] += belief * abs(belief)
+            size[p] += abs(belief)

@@ -207,9 +207,18 @@ class Growth:
                 cost = float(self._freely(frame, others, pixels, start[0][None], np.array([start[1]])).min(2).mean())
                 if cost < best:
                     best, found = cost, start
-        if best < settings.found_cost * before and best < before - self.settings.seeds.min_gain:
+        gained = best < settings.found_cost * before and best < before - self.settings.seeds.min_gain
+        if gained and self._same_parts(frame, others, pixels, *found):
             return *found, True
         return T, q, False
+
+    def _same_parts(self, frame: int, others: NDArray[np.int64], pixels: Pixels, T: Array, q: float) -> bool:
+        """Whether the labels that flow carried here agree with what `T` and `q` say: else the parts are exchanged."""
+        costs = self._freely(frame, others, pixels, T[None], np.array([q]))[:, 0]
+        carried = self.labels[frame, pixels[:, 0], pixels[:, 1]]
+        told = (carried > 0) & (np.abs(costs[:, 1] - costs[:, 0]) > 0.3)
+        agree = (costs.argmin(1) + 1 == carried)[told]
+        return bool(len(agree) >= self.settings.growth.min_jointed_pixels and agree.mean() > 0.8)
 
     def _both(self, T: Array, q: float) -> tuple[Array, Array]:
         """Poses of both parts."""

@@ -144,7 +144,7 @@ class GrowthSettings:
     surprising_cost: float = 1.6
     """A frame that costs so many times the usual is lost: the states of the whole range are tried in the next."""
     searched_states: int = 41
-    found_cost: float = 0.85
+    found_cost: float = 0.75
     """Share of the cost of going on evenly below which a state found so is believed."""
     look_back: int = 8
     """Nearer frames are not asked for it if others are there."""
