@@ -37,6 +37,7 @@ from reconstruct import VERSION, cache, paper_segmentation
 from reconstruct.cache import Kept, KeptStage, Known, Work
 from reconstruct.diagnostics import diagnose, peak_bytes
 from reconstruct.evidence import Evidence
+from reconstruct.exchanges import undo_exchanges
 from reconstruct.features import HandMade
 from reconstruct.gaps import bridge_gaps
 from reconstruct.hypotheses import better_type
@@ -189,7 +190,8 @@ def _joint(video: _Video, known: Known, settings: ReconstructSettings, rng: np.r
     assert known.grown is not None
     evidence = video.evidence
     anew = settings.segmentation == "ours" or settings.paper.relabel
-    grown = bridge_gaps(evidence, known.grown, settings.gaps, rng)
+    grown = undo_exchanges(evidence, known.grown, settings.exchanges, rng)
+    grown = bridge_gaps(evidence, grown, settings.gaps, rng)
     grown = relabel(evidence, grown, settings, rng) if anew else grown
     grown = replace(grown, poses=_type_again(evidence, grown, settings, rng))
     grown = relabel(evidence, grown, settings, rng) if anew else grown

@@ -252,6 +252,26 @@ class GapSettings:
 
 
 @dataclass(frozen=True)
+class ExchangeSettings:
+    """Turning back stretches in which the parts were taken for each other."""
+
+    every: int = 4
+    """Frames between those that are compared, and between possible cuts."""
+    samples: int = 120
+    """Pixels of a part per frame."""
+    references: int = 3
+    """Frames on the other side of a cut that a frame is compared with."""
+    max_turn: float = 0.7
+    """Radians between two views that are compared."""
+    least_views: int = 6
+    """Frames that have such views on the other side of a cut; with fewer nothing is said of it."""
+    least_gain: float = 0.1
+    """Share by which the cost must fall for the parts to be exchanged."""
+    most: int = 4
+    """Exchanges at most."""
+
+
+@dataclass(frozen=True)
 class JointSettings:
     """Joint type and closed forms."""
 
@@ -327,6 +347,7 @@ class ReconstructSettings:
     growth: GrowthSettings = field(default_factory=GrowthSettings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
     paper: PaperSegmentationSettings = field(default_factory=PaperSegmentationSettings)
+    exchanges: ExchangeSettings = field(default_factory=ExchangeSettings)
     gaps: GapSettings = field(default_factory=GapSettings)
     joint: JointSettings = field(default_factory=JointSettings)
     poses: PoseSettings = field(default_factory=PoseSettings)

@@ -1,0 +1,122 @@
+"""Stretches of the video in which the parts were taken for each other are found and turned back.
+
+When a part was hidden or the joint rested, the growth may take one part for the other as it goes on: a lid that opens
+looks like a box that closes past its lid. What follows is consistent in itself and wrong against what came before.
+With T_second = T_first J(q), and r the state in which the parts were confused, the exchange is T_first' = T_second
+J(-r), T_second' = T_first J(r), so q' = 2 r - q: where q = r nothing moves. Views of both sides that look alike tell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.joint import Joint
+from freeart21.se3 import Array
+from reconstruct.evidence import Evidence, Samples, draw
+from reconstruct.poses import JointedPoses
+from reconstruct.rigid import view_angle
+from reconstruct.segmentation import Grown
+from reconstruct.settings import ExchangeSettings
+
+Frames = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class _Exchange:
+    """All frames from `cut` on, or all before it, with their parts exchanged at the state `turning`."""
+
+    cut: int
+    turning: float
+    gain: float
+    """Share by which the cost between the two sides of the cut falls."""
+
+
+def undo_exchanges(evidence: Evidence, grown: Grown, settings: ExchangeSettings, rng: np.random.Generator) -> Grown:
+    """`grown` with the parts exchanged on the shorter side of every cut across which they then fit better.
+
+    The cut that gains most comes first. A stretch between two cuts is exchanged, and what lies beyond it restored.
+    """
+    frames = np.flatnonzero(grown.seen.all(1))[:: settings.every]
+    for _ in range(settings.most):
+        pixels = [_part_pixels(evidence, grown, frames, k, settings.samples, rng) for k in (1, 2)]
+        found = [_exchange(evidence, grown.poses, frames, pixels, int(cut), settings) for cut in frames[1:]]
+        best = max((e for e in found if e is not None), key=lambda e: e.gain, default=None)
+        if best is None or best.gain < settings.least_gain:
+            break
+        grown = _exchanged(grown, best)
+    return grown
+
+
+def _part_pixels(
+    evidence: Evidence, grown: Grown, frames: Frames, part: int, most: int, rng: np.random.Generator
+) -> Samples:
+    """Pixels that are surely of `part`, frame by frame."""
+    sure = (grown.labels == part) & (np.abs(grown.logodds) > 1)
+    return {i: draw(evidence.usable(i, sure[i]), most, rng) for i in map(int, frames)}
+
+
+def _exchange(
+    evidence: Evidence,
+    poses: JointedPoses,
+    frames: Frames,
+    pixels: list[Samples],
+    cut: int,
+    settings: ExchangeSettings,
+) -> _Exchange | None:
+    """What an exchange at `cut` gains; None when too few views on its two sides are alike to tell."""
+    turning = float(poses.states[cut])
+    both = np.stack([poses.Ts, poses.Ts_moving])
+    other = np.stack(_turned(poses.joint, both, turning))
+    before, after = frames[frames < cut], frames[frames >= cut]
+    costs = []
+    for sides in ((before, after), (after, before)):
+        for i in map(int, sides[0]):
+            others = _alike(both, other, i, sides[1], settings)
+            if len(others) == 0:
+                continue
+            for k in range(2):  # seen from either side, the other one is exchanged
+                Ts = np.stack([both[k, others], other[k, others]], 1) @ se3.inverse(both[k, i])
+                costs.append(evidence.costs(i, others, Ts, pixels[k][i]).mean(1))
+    if len(costs) < 2 * settings.least_views:
+        return None
+    as_is, exchanged = np.concatenate(costs).mean(0)
+    return _Exchange(cut, turning, 1 - float(exchanged) / max(float(as_is), 1e-9))
+
+
+def _alike(both: Array, other: Array, frame: int, candidates: Frames, settings: ExchangeSettings) -> Frames:
+    """Those of `candidates` whose view is most like that of `frame`, as they stand or exchanged."""
+    chosen: list[int] = []
+    for Ts in (both, other):
+        turn = np.minimum(*(view_angle(Ts[k, candidates, :3, :3], both[k, frame, :3, :3]) for k in range(2)))
+        near = candidates[np.argsort(turn, kind="stable")][: (turn < settings.max_turn).sum()]
+        for j in map(int, near):
+            if len(chosen) >= settings.references:
+                break
+            if all(abs(j - c) > settings.every for c in chosen):
+                chosen.append(j)
+    return np.array(sorted(chosen), int)
+
+
+def _turned(joint: Joint, both: Array, turning: float) -> tuple[Array, Array]:
+    """Poses of the first and the second part when each is taken for the other at the state `turning`."""
+    return both[1] @ joint.transform(-turning), both[0] @ joint.transform(turning)
+
+
+def _exchanged(grown: Grown, exchange: _Exchange) -> Grown:
+    """`grown` with the parts exchanged on the shorter side of the cut."""
+    poses, n = grown.poses, len(grown.labels)
+    side = np.arange(n) >= exchange.cut
+    side = side if 2 * side.sum() <= n else ~side
+    Ts = poses.Ts.copy()
+    Ts[side] = poses.Ts_moving[side] @ poses.joint.transform(-exchange.turning)
+    states = np.where(side, 2 * exchange.turning - poses.states, poses.states)
+    joint = replace(poses.joint, lower=float(states.min()), upper=float(states.max()))
+    labels, logodds, seen = grown.labels.copy(), grown.logodds.copy(), grown.seen.copy()
+    labels[side] = (3 - labels[side]) * (labels[side] > 0)
+    logodds[side] *= -1
+    seen[side] = seen[side][:, ::-1]
+    return Grown(replace(poses, joint=joint, states=states, Ts=Ts), labels, logodds, seen)
