@@ -1,7 +1,7 @@
 """What the solver can say of its own answer without a truth: how well all frames agree with each other.
 
-Samples of every frame are carried into the frames of the last adjustment's pairs (`poses.choose_pairs`) and looked up
-there, once by the free poses, once by those that obey the joint. Nothing of the answer depends on it.
+Samples of every frame are carried into the frames that `poses.choose_pairs` pairs it with by the free poses, and looked
+up there, once by the free poses, once by those that obey the joint. Nothing of the answer depends on it.
 """
 
 from __future__ import annotations
@@ -40,8 +40,9 @@ def diagnose(
 ) -> Diagnostics:
     """Residuals, inliers and confidence of every frame and part.
 
-    A sample is an inlier when it meets its own part's surface within the adjustment's first gate: wide enough to tell
-    a bad frame from a good one. With the full picture's `size` (width, height) the maps of confidence are made, too.
+    A sample is an inlier when it meets its own part's surface within the joint adjustment's first gate: wide enough to
+    tell a bad frame from a good one. With the full picture's `size` (width, height) the maps of confidence are made,
+    too.
     """
     scene, rng = evidence.scene, np.random.default_rng([seed, 21])
     gate = settings.gate * evidence.unit

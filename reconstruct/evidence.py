@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -12,6 +12,8 @@ from freeart21.se3 import Array
 from reconstruct import kernels
 from reconstruct.scene import Scene
 from reconstruct.settings import EvidenceSettings, LabelSettings
+
+Float = TypeVar("Float", np.float32, np.float64)
 
 Pixels = NDArray[np.integer[Any]]
 """(m, 2) row and column."""
@@ -123,26 +125,20 @@ class Evidence:
         logodds[valid] = kernels.relax(unary[valid], starts, ends, weights, s.smoothness, s.rounds)
         return logodds
 
-    def pixel_logodds(
-        self,
-        frame: int,
-        others: NDArray[np.int64],
-        T: Array,
-        logodds: NDArray[np.float32] | None = None,
-        label_weight: float = 0.0,
-        prior: Array | None = None,
-    ) -> NDArray[np.float32]:
+    def pixel_logodds(self, frame: int, others: NDArray[np.int64], T: Array) -> NDArray[np.float32]:
         """Smoothed log-odds (h, w) that pixels of `frame` move by T[:, 1] rather than T[:, 0] to `others`."""
-        measured = self.scene.valid[frame]
-        if measured.sum() > self.label_settings.dense_pixels:
-            measured = measured & (np.indices(measured.shape).sum(0) % 2 == 0)
-        costs = self.costs(frame, others, T, np.argwhere(measured), logodds, label_weight)
+        measured = self.measured(frame)
+        costs = self.costs(frame, others, T, np.argwhere(measured))
         unary = np.zeros(measured.shape)
-        difference = (costs[:, :, 0] - costs[:, :, 1]).sum(1) / np.sqrt(len(others))
-        unary[measured] = np.clip(difference, -6, 6)
-        weight = np.maximum(cv2.GaussianBlur(measured.astype(float), (0, 0), 0.8), 0.05)
-        unary = cv2.GaussianBlur(unary, (0, 0), 0.8) / weight
-        return self.smoothed(frame, unary if prior is None else unary + prior)
+        unary[measured] = np.clip((costs[:, :, 0] - costs[:, :, 1]).sum(1) / np.sqrt(len(others)), -6, 6)
+        return self.smoothed(frame, spread(unary, measured))
+
+    def measured(self, frame: int) -> NDArray[np.bool_]:
+        """(h, w) pixels that are asked: all, or every other one when there are many."""
+        valid = self.scene.valid[frame]
+        if valid.sum() <= self.label_settings.dense_pixels:
+            return valid
+        return np.asarray(valid & (np.indices(valid.shape).sum(0) % 2 == 0))
 
     def usable(self, frame: int, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """The pixels of `mask` (h, w) to register with: away from depth steps, or any when those are too few.
@@ -169,6 +165,19 @@ def _records(scene: Scene, samples: Samples) -> tuple[NDArray[np.float32], NDArr
     places = np.concatenate([np.zeros((0, 2), np.int64), *(samples[frame] for frame in sorted(samples))])
     rows = np.repeat(np.arange(len(scene)) * h, counts[1:]) + places[:, 0]
     return scene.pixels.reshape(h * w * len(scene), -1).take(rows * w + places[:, 1], axis=0), offsets
+
+
+def spread(values: NDArray[Float], measured: NDArray[np.bool_]) -> NDArray[Float]:
+    """`values` (h, w) blurred a little among `measured` pixels, which fills those between."""
+    weight = np.maximum(cv2.GaussianBlur(measured.astype(values.dtype), (0, 0), 0.8), 0.05)
+    return np.asarray(cv2.GaussianBlur(np.where(measured, values, 0), (0, 0), 0.8) / weight, values.dtype)
+
+
+def evenly(frames: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """At most `most` of the frames, evenly drawn."""
+    if len(frames) <= most:
+        return frames
+    return frames[np.linspace(0, len(frames) - 1, most).round().astype(int)]
 
 
 def draw(mask: NDArray[np.bool_], most: int, rng: np.random.Generator) -> NDArray[np.int32]:

@@ -43,11 +43,18 @@ def undo_exchanges(evidence: Evidence, grown: Grown, settings: ExchangeSettings,
     frames = np.flatnonzero(grown.seen.all(1))[:: settings.every]
     for _ in range(settings.most):
         pixels = [_part_pixels(evidence, grown, frames, k, settings.samples, rng) for k in (1, 2)]
-        found = [_exchange(evidence, grown.poses, frames, pixels, int(cut), settings) for cut in frames[1:]]
-        best = max((e for e in found if e is not None), key=lambda e: e.gain, default=None)
-        if best is None or best.gain < settings.least_gain:
+
+        def best(cuts: Frames, poses: JointedPoses = grown.poses, pixels: list[Samples] = pixels) -> _Exchange | None:
+            found = [_exchange(evidence, poses, frames, pixels, int(cut), settings) for cut in cuts]
+            return max((e for e in found if e is not None), key=lambda e: e.gain, default=None)
+
+        rough = best(frames[1:])
+        if rough is None or not rough.gain > settings.suspicion:
             break
-        grown = _exchanged(grown, best)
+        found = best(np.arange(frames[0] + 1, frames[-1] + 1))
+        if found is None or found.gain < settings.least_gain:
+            break
+        grown = _exchanged(grown, found)
     return grown
 
 
@@ -81,7 +88,7 @@ def _exchange(
             for k in range(2):  # seen from either side, the other one is exchanged
                 Ts = np.stack([both[k, others], other[k, others]], 1) @ se3.inverse(both[k, i])
                 costs.append(evidence.costs(i, others, Ts, pixels[k][i]).mean(1))
-    if len(costs) < 2 * settings.least_views:
+    if len(costs) < 2 * settings.least_views or not sum(map(len, costs)):
         return None
     as_is, exchanged = np.concatenate(costs).mean(0)
     return _Exchange(cut, turning, 1 - float(exchanged) / max(float(as_is), 1e-9))

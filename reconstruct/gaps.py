@@ -2,7 +2,7 @@
 
 While a part is hidden the growth can only guess its state, and goes on from its guess when the part comes back. All
 frames after the gap are then off by one and the same state, because the other part was seen all along: a search over
-one number joins them.
+one number joins them. So it is where a part seen edge-on came back with a jump, as no joint moves.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from freeart21 import se3
+from freeart21.joint import Joint
 from freeart21.se3 import Array
-from reconstruct.evidence import Evidence, draw
+from reconstruct.evidence import Evidence, draw, evenly
 from reconstruct.segmentation import Grown
 from reconstruct.settings import GapSettings
 
@@ -25,14 +26,16 @@ Frames = NDArray[np.int64]
 def bridge_gaps(evidence: Evidence, grown: Grown, settings: GapSettings, rng: np.random.Generator) -> Grown:
     """`grown` with every stretch after a gap of either part shifted in state to fit the rest, and gaps interpolated."""
     for part in range(2):
-        pieces = seen_pieces(grown.seen[:, part], settings)
+        jumps = _jumps(grown, part, settings)
+        pieces = seen_pieces(grown.seen[:, part], jumps, settings)
         if not pieces:
             continue
         joined = max(pieces, key=len)
         for piece in sorted((p for p in pieces if p is not joined), key=lambda p: abs(p.mean() - joined.mean())):
-            shift = _best_shift(evidence, grown, part, joined, piece, settings, rng)
+            likely = _to_go_on(grown, jumps, joined, piece)
+            shift = _best_shift(evidence, grown, part, joined, piece, likely, settings, rng)
             states = grown.poses.states.copy()
-            states[piece] += shift
+            states[piece] = _without_turns(grown.poses.joint, states, joined, piece, states[piece] + shift)
             grown = _with_states(grown, states, part)
             joined = np.concatenate([joined, piece])
         joined = np.sort(joined)
@@ -45,11 +48,42 @@ def bridge_gaps(evidence: Evidence, grown: Grown, settings: GapSettings, rng: np
     return grown
 
 
-def seen_pieces(seen: NDArray[np.bool_], settings: GapSettings) -> list[Frames]:
-    """Runs of frames in which a part is `seen` (n,), parted by gaps worth the name; short runs are left out."""
+def seen_pieces(seen: NDArray[np.bool_], jumps: Frames, settings: GapSettings) -> list[Frames]:
+    """Runs of frames in which a part is `seen` (n,), parted by gaps worth the name and before every one of `jumps`.
+
+    Short runs are left out.
+    """
     frames = np.flatnonzero(seen)
-    breaks = np.flatnonzero(np.diff(frames) > settings.shortest_gap) + 1
-    return [piece for piece in np.split(frames, breaks) if len(piece) >= settings.shortest_piece]
+    parted = (np.diff(frames) > settings.shortest_gap) | np.isin(frames[1:], jumps)
+    return [piece for piece in np.split(frames, np.flatnonzero(parted) + 1) if len(piece) >= settings.shortest_piece]
+
+
+def _jumps(grown: Grown, part: int, settings: GapSettings) -> Frames:
+    """Frames before which the state jumps, and `part` with it, while the other part goes on."""
+    poses, seen = grown.poses, np.asarray(grown.seen.all(1))
+    steps = np.abs(np.diff(poses.states))
+    known = steps[seen[1:] & seen[:-1]]
+    if len(known) == 0:
+        return np.zeros(0, int)
+    usual = max(float(np.percentile(known, 90)), 0.01 * float(np.ptp(poses.states[seen])))
+    turns, moves = [], []
+    for Ts in (poses.Ts, poses.Ts_moving):
+        moved = Ts[1:] @ se3.inverse(Ts[:-1])
+        turns.append(se3.rotation_angle(moved[:, :3, :3]))
+        moves.append(np.linalg.norm(se3.transform(moved, Ts[:-1, :3, 3][:, None])[:, 0] - Ts[:-1, :3, 3], axis=1))
+    strides = turns if poses.joint.type == "revolute" else moves
+    return np.flatnonzero((steps > settings.jump * usual) & (strides[part] > strides[1 - part])) + 1
+
+
+def _to_go_on(grown: Grown, jumps: Frames, joined: Frames, piece: Frames) -> float | None:
+    """The state to add in `piece` so that there is no jump to the frames `joined`; None unless a jump parts them."""
+    states = grown.poses.states
+    for jump in map(int, jumps):
+        if jump in piece and jump - 1 in joined:
+            return float(states[jump - 1] - states[jump])
+        if jump in joined and jump - 1 in piece:
+            return float(states[jump] - states[jump - 1])
+    return None
 
 
 def _with_states(grown: Grown, states: Array, part: int) -> Grown:
@@ -60,24 +94,39 @@ def _with_states(grown: Grown, states: Array, part: int) -> Grown:
     return replace(grown, poses=replace(poses, joint=joint, states=states, Ts=Ts))
 
 
+def _without_turns(joint: Joint, states: Array, joined: Frames, piece: Frames, shifted: Array) -> Array:
+    """`shifted` states of `piece`, less the full turns by which a hinge seems to be away from its nearest neighbour."""
+    if joint.type == "prismatic":
+        return shifted
+    apart = np.abs(piece[:, None] - joined)
+    mine, other = np.unravel_index(apart.argmin(), apart.shape)
+    turns = np.round((shifted[mine] - states[joined[other]]) / (2 * np.pi))
+    return np.asarray(shifted - 2 * np.pi * turns)
+
+
 def _best_shift(
     evidence: Evidence,
     grown: Grown,
     part: int,
     joined: Frames,
     piece: Frames,
+    likely: float | None,
     settings: GapSettings,
     rng: np.random.Generator,
 ) -> float:
-    """The state to add in the frames `piece` so that `part` there agrees best with the frames `joined`; 0 if unsure."""
+    """The state to add in the frames `piece` so that `part` there agrees best with the frames `joined`.
+
+    If unsure, what is `likely`, or else 0.
+    """
     most = max(float(np.ptp(grown.poses.states[joined])), float(np.ptp(grown.poses.states[piece])))
-    shifts, best, costs = np.linspace(-most, most, 2 * settings.steps + 1), 0.0, np.zeros(0)
+    prior = 0.0 if likely is None else likely
+    shifts, costs = np.linspace(-most, most, 2 * settings.steps + 1), np.zeros(0)
     sample = _Pairs(evidence, grown, part, joined, piece, settings, rng)
     for _ in range(2):
-        costs = sample.costs(np.append(best + shifts, 0.0))
-        best = float((best + shifts)[costs[:-1].argmin()])
-        shifts = np.linspace(-1.5, 1.5, 25) * most / settings.steps
-    return best if costs.min() < (1 - settings.least_gain) * costs[-1] else 0.0
+        costs = sample.costs(np.append(shifts, prior))
+        best = float(shifts[costs[:-1].argmin()])
+        shifts = best + np.linspace(-1.5, 1.5, 25) * most / settings.steps
+    return best if costs.min() < (1 - settings.least_gain) * costs[-1] else prior
 
 
 class _Pairs:
@@ -94,7 +143,7 @@ class _Pairs:
         rng: np.random.Generator,
     ) -> None:
         self.evidence, self.poses, self.part = evidence, grown.poses, part
-        self.sides = tuple(_spread(frames, settings.frames) for frames in (joined, piece))
+        self.sides = tuple(evenly(frames, settings.frames) for frames in (joined, piece))
         self.pixels = {
             int(i): draw(evidence.usable(i, grown.labels[i] == part + 1), settings.samples, rng)
             for frames in self.sides
@@ -119,8 +168,3 @@ class _Pairs:
     def _one(self, frame: int, others: Frames, Ts: Array) -> Array:
         """(p, m) costs of one frame's pixels under motions (s, m, 4, 4) to other frames."""
         return self.evidence.costs(frame, others, Ts, self.pixels[frame]).mean(1)
-
-
-def _spread(frames: Frames, most: int) -> Frames:
-    """At most `most` frames, evenly drawn."""
-    return frames[np.unique(np.linspace(0, len(frames) - 1, most).round().astype(int))]

@@ -9,7 +9,7 @@ from freeart21 import se3
 from freeart21.joint import JointType
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence
-from reconstruct.joint import JointFit, choose_joint
+from reconstruct.joint import JointFit, fit_joint, paper_joint_type
 from reconstruct.poses import JointedPoses, Labels, joint_adjustment
 from reconstruct.scene import HopelessError
 from reconstruct.settings import JointSettings, ReconstructSettings
@@ -26,7 +26,7 @@ def better_type(
     rng: np.random.Generator,
     so_far: JointedPoses | None = None,
 ) -> JointedPoses:
-    """Poses under the joint that explains the frames `within` (n,) better.
+    """Poses under the joint that explains the frames `within` (n,) better, or under that of the paper's type rule.
 
     `Ts` (2, n, 4, 4) are poses of both parts that know no joint, and `body` (b, 3) points of the second part in its own
     frame. Each type starts from its fit to the relative poses, or from where it stands `so_far`. A type that is
@@ -38,21 +38,20 @@ def better_type(
         raise HopelessError("joint", f"{len(frames)} frames show both parts, at least 4 are needed")
     relative = se3.inverse(Ts[0, frames]) @ Ts[1, frames]
     centre, lever = body.mean(0), float(np.linalg.norm(body - body.mean(0), axis=1).mean())
-    chosen, fits = choose_joint(relative, centre, lever, settings.joint)
-    if settings.joint.type_rule == "paper":
-        start = _started(fits[chosen.type], Ts[0], frames)
-        if so_far is not None and so_far.joint.type == chosen.type:
-            start = so_far
+    kinds: tuple[JointType, ...] = ("revolute", "prismatic")
+    fits = {kind: fit_joint(relative, kind, centre, lever, settings.joint) for kind in kinds}
+
+    def adjusted(kind: JointType) -> JointedPoses:
+        start = so_far if so_far is not None and so_far.joint.type == kind else _started(fits[kind], Ts[0], frames)
         return joint_adjustment(evidence, labels, start, seen, settings.poses, rng, 8, within)
+
+    if settings.joint.type_rule == "paper":
+        return adjusted(paper_joint_type(relative, settings.joint))
     if so_far is not None:
         mine, other = (fits[kind].residual for kind in _self_and_other(so_far.joint.type))
         if mine < settings.joint.beyond_doubt * other:
             return so_far
-    found: dict[JointType, JointedPoses] = {}
-    for kind, fit in fits.items():
-        known = so_far is not None and so_far.joint.type == kind
-        start = so_far if so_far is not None and known else _started(fit, Ts[0], frames)
-        found[kind] = joint_adjustment(evidence, labels, start, seen, settings.poses, rng, 8, within)
+    found = {kind: adjusted(kind) for kind in kinds}
     return found["revolute" if _hinged(found, centre, evidence.scene.diagonal, settings.joint) else "prismatic"]
 
 

@@ -133,9 +133,7 @@ def prismatic_axis(positions: Array, weights: Array | None = None, robust: bool 
     return axis, mean
 
 
-def fit_joint(
-    Ts: Array, kind: JointType, centre: Array, lever: float, settings: JointSettings, weights: Array | None = None
-) -> JointFit:
+def fit_joint(Ts: Array, kind: JointType, centre: Array, lever: float, settings: JointSettings) -> JointFit:
     """One hypothesis fitted to relative poses (n, 4, 4): closed form, then a robust least-squares refinement.
 
     `centre` (3,) is the moving part's middle in its own canonical frame and `lever`, metres, its radius: residuals are
@@ -143,7 +141,7 @@ def fit_joint(
     pose.
     """
     Ts = se3.orthonormalised(Ts)
-    w = np.ones(len(Ts)) if weights is None else np.asarray(weights, float)
+    w = np.ones(len(Ts))
     if settings.noise_resistance:
         steady = w * without_outliers(Ts)
         w = steady if (steady > 0).sum() >= 4 else w
@@ -162,18 +160,6 @@ def fit_joint(
         T_zero = se3.pose(R_zero, pivot + along * axis + R_zero @ v)
     fit = JointFit(kind, axis, pivot, np.zeros(len(Ts)), T_zero, np.zeros(len(Ts)))
     return _from_first(_refined(fit, Ts, body, w))
-
-
-def choose_joint(
-    Ts: Array, centre: Array, lever: float, settings: JointSettings, weights: Array | None = None
-) -> tuple[JointFit, dict[JointType, JointFit]]:
-    """The better hypothesis, and both. The type is decided by `settings.type_rule`."""
-    kinds: tuple[JointType, ...] = ("revolute", "prismatic")
-    fits = {kind: fit_joint(Ts, kind, centre, lever, settings, weights) for kind in kinds}
-    if settings.type_rule == "paper":
-        return fits[paper_joint_type(Ts, settings)], fits
-    wins = fits["revolute"].residual < settings.revolute_must_win * fits["prismatic"].residual
-    return fits["revolute" if wins else "prismatic"], fits
 
 
 def states_of(fit: JointFit, Ts: Array, body: Array) -> Array:

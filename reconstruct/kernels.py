@@ -10,9 +10,12 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 from numba import njit
+
+T = TypeVar("T")
 
 NEAR = 1e-6
 
@@ -22,7 +25,7 @@ POINT, DEPTH, NORMAL, FEATURE, OUTSIDE = 0, 2, 3, 6, 9
 _NO_ROWS = (0.0,) * 9
 
 _THREADS = min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
-_POOL = ThreadPoolExecutor(_THREADS)
+_POOL, _FRAMES_POOL = ThreadPoolExecutor(_THREADS), ThreadPoolExecutor(_THREADS)
 
 
 def in_threads(work: Callable[[int, int], object], n: int, worth: int) -> None:
@@ -37,6 +40,11 @@ def in_threads(work: Callable[[int, int], object], n: int, worth: int) -> None:
     bounds = np.linspace(0, n, 2 * _THREADS + 1).astype(int)
     for done in [_POOL.submit(work, int(a), int(b)) for a, b in pairwise(bounds)]:
         done.result()
+
+
+def each_in_threads(work: Callable[[int], T], n: int) -> list[T]:
+    """`work(i)` for all i in range(n), in threads; it may itself call `in_threads`, but not this."""
+    return list(_FRAMES_POOL.map(work, range(n)))
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})

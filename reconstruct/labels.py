@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from scipy.ndimage import distance_transform_edt
 from freeart21 import se3
 from freeart21.se3 import Array
 from reconstruct import kernels
-from reconstruct.evidence import Evidence
+from reconstruct.evidence import Evidence, spread
 from reconstruct.rigid import view_angle
 from reconstruct.settings import LabelSettings
 
@@ -44,36 +43,44 @@ def label_frame(
     `Ts` (2, n, 4, 4) are both parts' poses and `body` (b, 3) points of the second part in its own frame. The frames
     `usable` (n,) are asked: their poses are believed, and their `logodds` (n, h, w) as far as they go.
     """
-    seen = motion_evidence(evidence, frame, Ts, body, usable, rng)
-    return walked(evidence, frame, seen, *hearsay(evidence, frame, Ts, usable, logodds))
+    telling = telling_frames(evidence, frame, Ts, body, usable, rng)
+    seen = motion_evidence(evidence, frame, Ts, telling)
+    return walked(evidence, frame, seen, *hearsay(evidence, frame, Ts, usable, logodds), start=logodds[frame])
 
 
 def label_frames(
-    evidence: Evidence, Ts: Array, body: Array, usable: NDArray[np.bool_], rng: np.random.Generator
+    evidence: Evidence, Ts: Array, body: Array, usable: NDArray[np.bool_], start: Floats, rng: np.random.Generator
 ) -> Floats:
-    """Log-odds (n, h, w) of all frames: what the pixels of each say, and then what the frames tell each other."""
+    """Log-odds (n, h, w) of all frames: what the pixels of each say, and then what the frames tell each other.
+
+    `start` (n, h, w) is a guess that saves time and changes nothing else; see `label_frame` for the other arguments.
+    """
     n = Ts.shape[1]
-    seen = [motion_evidence(evidence, i, Ts, body, usable, rng) for i in range(n)]
-    logodds = np.stack([walked(evidence, i, seen[i]) for i in range(n)])
+    telling = [telling_frames(evidence, i, Ts, body, usable, rng) for i in range(n)]
+    seen = kernels.each_in_threads(lambda i: motion_evidence(evidence, i, Ts, telling[i]).astype(np.float16), n)
+    logodds = np.stack(
+        kernels.each_in_threads(lambda i: walked(evidence, i, seen[i].astype(np.float32), start=start[i]), n)
+    )
     for _ in range(evidence.label_settings.rounds_of_talk):
-        heard = (hearsay(evidence, i, Ts, usable, logodds) for i in range(n))
-        logodds = np.stack([walked(evidence, i, seen[i], *said) for i, said in enumerate(heard)])
+        before = logodds
+
+        def talked(i: int, before: Floats = before) -> Floats:
+            heard = hearsay(evidence, i, Ts, usable, before)
+            return walked(evidence, i, seen[i].astype(np.float32), *heard, start=before[i])
+
+        logodds = np.stack(kernels.each_in_threads(talked, n))
     return logodds
 
 
-def motion_evidence(
-    evidence: Evidence, frame: int, Ts: Array, body: Array, usable: NDArray[np.bool_], rng: np.random.Generator
-) -> Floats:
-    """Log-odds (h, w), within 6, from frames between which the joint has moved; see `label_frame`."""
-    s, turn = evidence.label_settings, _turn(Ts, frame)
-    others = telling_frames(frame, Ts, body, evidence.scene.diagonal, turn, usable, s, rng)
+def motion_evidence(evidence: Evidence, frame: int, Ts: Array, others: Frames) -> Floats:
+    """Log-odds (h, w), within 6, from `others`, between which and `frame` the joint has moved; see `label_frame`."""
     unary = np.zeros(evidence.scene.mask.shape[1:], np.float32)
-    measured = _measured(evidence, frame)
+    measured = evidence.measured(frame)
     if len(others) == 0 or not measured.any():
         return unary
     costs = evidence.costs(frame, others, _motions(Ts, frame, others), np.argwhere(measured))
     unary[measured] = np.clip((costs[:, :, 0] - costs[:, :, 1]).sum(1) / np.sqrt(len(others)), -6, 6)
-    return _spread(unary, measured)
+    return spread(unary, measured)
 
 
 def hearsay(
@@ -83,7 +90,7 @@ def hearsay(
     scene, s = evidence.scene, evidence.label_settings
     others = knowing_frames(frame, _turn(Ts, frame), usable, s)
     mean, strength = np.zeros(scene.mask.shape[1:], np.float32), np.zeros(scene.mask.shape[1:], np.float32)
-    measured = _measured(evidence, frame)
+    measured = evidence.measured(frame)
     if len(others) == 0 or not measured.any():
         return mean, strength
     pixels, T = np.argwhere(measured), np.ascontiguousarray(_motions(Ts, frame, others))
@@ -93,7 +100,7 @@ def hearsay(
     kernels.in_threads(lambda begin, end: _hear(begin, end, *arguments), len(pixels), 2000)
     mean[measured] = said / np.maximum(size, 1e-6)
     strength[measured] = s.propagation * np.minimum(np.abs(said), 4) / 4
-    return _spread(mean, measured), _spread(strength, measured)
+    return spread(mean, measured), spread(strength, measured)
 
 
 def _turn(Ts: Array, frame: int) -> Array:
@@ -106,39 +113,19 @@ def _motions(Ts: Array, frame: int, others: Frames) -> Array:
     return np.stack([Ts[:, j] @ se3.inverse(Ts[:, frame]) for j in others])
 
 
-def _measured(evidence: Evidence, frame: int) -> NDArray[np.bool_]:
-    """(h, w) pixels that are asked: all, or every other one when there are many."""
-    valid = evidence.scene.valid[frame]
-    if valid.sum() <= evidence.label_settings.dense_pixels:
-        return valid
-    return np.asarray(valid & (np.indices(valid.shape).sum(0) % 2 == 0))
-
-
-def _spread(values: Floats, measured: NDArray[np.bool_]) -> Floats:
-    """`values` (h, w) blurred a little among `measured` pixels, which fills those between."""
-    weight = np.maximum(cv2.GaussianBlur(measured.astype(np.float32), (0, 0), 0.8), 0.05)
-    return np.asarray(cv2.GaussianBlur(np.where(measured, values, 0), (0, 0), 0.8) / weight, np.float32)
-
-
 def telling_frames(
-    frame: int,
-    Ts: Array,
-    body: Array,
-    diagonal: float,
-    turn: Array,
-    usable: NDArray[np.bool_],
-    settings: LabelSettings,
-    rng: np.random.Generator,
+    evidence: Evidence, frame: int, Ts: Array, body: Array, usable: NDArray[np.bool_], rng: np.random.Generator
 ) -> Frames:
     """Frames of a similar view in which the joint stands elsewhere: they tell the two motions apart.
 
-    `body` (b, 3) are points of the second part in its own frame, `turn` (n,) radians between the views.
+    See `label_frame` for the arguments.
     """
+    settings, turn = evidence.label_settings, _turn(Ts, frame)
     known = np.flatnonzero(usable & (turn < settings.max_turn) & (np.arange(len(turn)) != frame))
     relative = se3.inverse(Ts[0, known]) @ Ts[1, known]
     here = se3.transform(se3.inverse(Ts[0, frame]) @ Ts[1, frame], body)
     there = se3.transform(relative, np.broadcast_to(body, (len(known), *body.shape)))
-    apart = np.linalg.norm(there - here, axis=2).mean(1) / diagonal
+    apart = np.linalg.norm(there - here, axis=2).mean(1) / evidence.scene.diagonal
     known, apart = known[apart > settings.least_apart], apart[apart > settings.least_apart]
     value = np.minimum(apart, 0.25) - 0.25 * turn[known]
     pool = known[np.argsort(-value, kind="stable")[: 4 * settings.references]]
@@ -159,19 +146,27 @@ def knowing_frames(frame: int, turn: Array, usable: NDArray[np.bool_], settings:
 
 
 def walked(
-    evidence: Evidence, frame: int, seen: Floats, heard: Floats | float = 0.0, strength: Floats | float = 0.0
+    evidence: Evidence,
+    frame: int,
+    seen: Floats,
+    heard: Floats | float = 0.0,
+    strength: Floats | float = 0.0,
+    start: Floats | None = None,
 ) -> Floats:
     """Log-odds (h, w), from -3 to 3, after the random walk.
 
     A pixel is held to what it has `seen` (log-odds, h, w) by their size, to what it has `heard` by its `strength`, to
-    not knowing by a little, and to its neighbours. So belief fades with the way from those who know.
+    not knowing by a little, and to its neighbours. So belief fades with the way from those who know. The nearer the
+    log-odds `start` (h, w) to the outcome, the sooner it is found.
     """
     valid, s = evidence.scene.valid[frame], evidence.label_settings
     hold = np.abs(seen) + strength + s.doubt
     target = (np.abs(seen) * np.clip(seen, -1, 1) + strength * heard) / hold
     logodds = np.zeros(valid.shape, np.float32)
     starts, ends, weights = _graph(evidence, frame)
-    x = _random_walk(hold[valid].astype(float), target[valid].astype(float), starts, ends, s.walk * weights, 1e-3, 300)
+    hold, target = hold[valid].astype(float), target[valid].astype(float)
+    first = target if start is None else start[valid] / SURE
+    x = _random_walk(hold, target, first.astype(float), starts, ends, s.walk * weights, s.residual, 300)
     logodds[valid] = SURE * np.clip(x, -1, 1)
     blind = evidence.scene.mask[frame] & ~valid
     if blind.any() and valid.any():  # a pixel without depth goes with the nearest that has
@@ -188,28 +183,29 @@ def _graph(evidence: Evidence, frame: int) -> tuple[NDArray, NDArray, NDArray]:
 
 
 @njit(nogil=True, cache=True)
-def _random_walk(strength, target, starts, ends, weights, tolerance, rounds):  # pragma: no cover
+def _random_walk(strength, target, first, starts, ends, weights, tolerance, rounds):  # pragma: no cover
     """x (p,) that minimises sum strength (x - target)^2 + sum over edges weights (x_p - x_q)^2.
 
-    Conjugate gradients with Jacobi's preconditioner, until the residual has fallen to `tolerance` of the first.
+    Conjugate gradients with Jacobi's preconditioner from `first` (p,), until the residual has fallen to `tolerance` of
+    the target's.
     """
     n = len(strength)
     diagonal = strength.copy()
     for p in range(n):
         for e in range(starts[p], starts[p + 1]):
             diagonal[p] += weights[e]
-    x = target.copy()
-    r = np.empty(n)
-    for p in range(n):
-        r[p] = strength[p] * target[p] - diagonal[p] * x[p]
-        for e in range(starts[p], starts[p + 1]):
-            r[p] += weights[e] * x[ends[e]]
-    d = r / diagonal
-    product = np.empty(n)
-    gain = first = (r * d).sum()
+    x, d = target.copy(), np.zeros(n)
+    r, product = np.empty(n), np.empty(n)
+    _residual(x, strength, target, diagonal, starts, ends, weights, r)
+    enough = tolerance * tolerance * (r * r / diagonal).sum()
+    x[:] = first
+    _residual(x, strength, target, diagonal, starts, ends, weights, r)
+    gain = (r * r / diagonal).sum()
+    before = np.inf
     for _ in range(rounds):
-        if not gain > tolerance * tolerance * first:
+        if not gain > enough:
             break
+        d = r / diagonal + gain / before * d
         for p in range(n):
             product[p] = diagonal[p] * d[p]
             for e in range(starts[p], starts[p + 1]):
@@ -219,8 +215,16 @@ def _random_walk(strength, target, starts, ends, weights, tolerance, rounds):  #
         r -= step * product
         before = gain
         gain = (r * r / diagonal).sum()
-        d = r / diagonal + gain / before * d
     return x
+
+
+@njit(nogil=True, cache=True)
+def _residual(x, strength, target, diagonal, starts, ends, weights, r):  # pragma: no cover
+    """Fills r (p,), minus half of the gradient at x (p,); see `_random_walk`."""
+    for p in range(len(x)):
+        r[p] = strength[p] * target[p] - diagonal[p] * x[p]
+        for e in range(starts[p], starts[p + 1]):
+            r[p] += weights[e] * x[ends[e]]
 
 
 @njit(nogil=True, cache=True)

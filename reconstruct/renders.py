@@ -181,7 +181,7 @@ class _Film:
                 frame = recording.frame(int(frames[k]))
                 mask = frame.mask[box]
                 rgb[k], depth[k] = frame.rgb[box], np.where(mask, frame.depth[box], 0)
-                # the parts' masks may be coarser than the object's: its own outline is kept
+                # the outline is the object's own: the parts' masks may stop a little short of it, or go beyond
                 beside = cv2.dilate(labels[k], np.ones((3, 3)))
                 labels[k] = np.where(mask, np.where(labels[k] > 0, labels[k], beside), 0)
 

@@ -41,8 +41,6 @@ class Seed:
     """(h, w) > 0 where pixels move by the second motion."""
     gain: float
     """Drop of the mean dense cost from one motion to two, less for a small second part."""
-    cost: float
-    """Mean dense cost under two motions."""
 
 
 def candidates(
@@ -183,7 +181,7 @@ def _dense_seed(evidence: Evidence, candidate: Candidate, settings: SeedSettings
     one = min(float(evidence.costs(t, others, T[:, None], pixels).mean()) for T in single)
     share = min(second.mean(), 1 - second.mean())
     gain = (one - two) * min(1.0, share / 0.12) if share >= settings.min_share else 0.0
-    return Seed(t, others, Ts, logodds, gain, two)
+    return Seed(t, others, Ts, logodds, gain)
 
 
 def _refined(

@@ -62,6 +62,7 @@ class Growth:
         self.samples: tuple[Samples, Samples] = ({}, {})
         self.unsure: Samples = {}
         self.costs = np.full(n, np.nan)
+        self.found_again: list[tuple[int, int]] = []
         self._put_labels(seed.frame, np.clip(seed.logodds, -SURE, SURE))
         self.done[seed.frame] = True
         self._body: Array | None = None
@@ -136,13 +137,58 @@ class Growth:
             T, q, parted = self._parted(frame, T, q)
         if parted:
             cost = self._jointed_cost(frame, T, q)
-        for last in (False, True):
+            if self._jumped(q - self.states[neighbour]):
+                self.found_again.append((frame, neighbour))
+        self._place(frame, T, q)
+        self._label(frame)
+        if not parted:
+            T, q, cost = self._registered_jointed(frame, T, q, (6.0, 5.0, 4.0), rest)
+        if self._moved(frame, T, q) > self.settings.growth.same_place * self.evidence.unit:
             self._place(frame, T, q)
             self._label(frame)
-            if not last and not parted:
-                T, q, cost = self._registered_jointed(frame, T, q, (6.0, 5.0, 4.0), rest)
+        self._place(frame, T, q)
         self.costs[frame] = cost
         self.done[frame] = True
+
+    def go_back(self, frame: int, neighbour: int) -> bool:
+        """Grow again from `frame`, where a part was found anew, over `neighbour` to where it had been lost.
+
+        There old and new poses agree; whether they do. If not, all is as before. What lies between is no reference
+        until it is grown again.
+        """
+        back = 1 if neighbour > frame else -1
+        doubted = self._doubted(neighbour, back)
+        before = self.Ts[:, doubted].copy(), self.states[doubted].copy(), self.logodds[doubted].copy()
+        self.done[doubted] = False
+        alike = grown = 0
+        for i, T, q in zip(doubted, before[0][0], before[1], strict=True):
+            self.step_jointed(int(i), int(i) - back)
+            grown += 1
+            near = self._moved(int(i), T, q) < self.settings.growth.agreeing * self.evidence.unit
+            alike = alike + 1 if near else 0
+            if alike == self.settings.growth.agreeing_frames:
+                break
+        agreed = alike == self.settings.growth.agreeing_frames
+        for c, i in enumerate(doubted[:grown]):
+            if not agreed:
+                self.Ts[:, i], self.states[i] = before[0][:, c], before[1][c]
+                self._put_labels(int(i), before[2][c])
+        self.done[doubted] = True
+        self._body = None
+        return agreed
+
+    def _doubted(self, frame: int, back: int) -> NDArray[np.int64]:
+        """The frames from `frame` on in the direction `back` until, and with, a run that shows both parts clearly."""
+        s, valid = self.settings.growth, self.evidence.scene.valid
+        run, frames = 0, []
+        while 0 <= frame < len(self.done) and self.done[frame] and run < s.sound_frames:
+            known = np.abs(self.logodds[frame][valid[frame]]) >= 1
+            second = (self.logodds[frame][valid[frame]] >= 1).sum() / max(known.sum(), 1)
+            sound = known.mean() > 1 - s.doubtful and s.sound_share < second < 1 - s.sound_share
+            run = run + 1 if sound and self.seen[frame].all() else 0
+            frames.append(frame)
+            frame += back
+        return np.array(frames, int)
 
     # ---- predictions ---------------------------------------------------------------------------------------------
 
@@ -161,7 +207,7 @@ class Growth:
         T, q, before = self.Ts[0, neighbour], self.states[neighbour], 2 * neighbour - frame
         starts = [(T, q)]
         ahead = q
-        if 0 <= before < len(self.done) and self.done[before]:
+        if 0 <= before < len(self.done) and self.done[before] and not self._jumped(q - self.states[before]):
             ahead = 2 * q - self.states[before]
             velocity = T @ se3.inverse(self.Ts[0, before])
             starts += [(velocity @ T, ahead), (velocity @ T, q)]
@@ -186,7 +232,7 @@ class Growth:
         """
         assert self.joint is not None
         settings = self.settings.growth
-        known = np.flatnonzero(self.done & self.seen.any(1))
+        known = np.flatnonzero(self.done & self.seen.all(1))  # others call all one part, and would agree to it
         pixels = draw(self.evidence.scene.valid[frame], settings.samples, self.rng)
         if len(pixels) == 0 or len(known) == 0:
             return T, q, False
@@ -281,7 +327,7 @@ class Growth:
         """The state of `frame` if the joint moves on evenly from the two nearest frames done."""
         known = np.flatnonzero(self.done)
         a, b = known[np.argsort(np.abs(known - frame), kind="stable")[:2]]
-        if known[np.abs(known - frame).argmin()] == frame or abs(a - b) != 1:
+        if a == frame or abs(a - b) != 1 or self._jumped(self.states[a] - self.states[b]):
             return float(self.states[a])
         return float(2 * self.states[a] - self.states[b])
 
@@ -399,6 +445,11 @@ class Growth:
                 costs.append(found[:, :, k].mean(1))
         return float(np.min(costs, axis=0).mean())
 
+    def _jumped(self, step: float) -> bool:
+        """Whether a state that changes so from one frame to the next had been lost: no hand is so fast."""
+        assert self.joint is not None
+        return bool(abs(step) > (0.2 if self.joint.type == "revolute" else 0.06 * self.evidence.scene.diagonal))
+
     def _longest_step(self) -> float:
         """Radians or metres by which a state may change at once."""
         assert self.joint is not None
@@ -432,6 +483,13 @@ class Growth:
         y = np.clip(np.rint(there[:, 1]).astype(int), 0, h - 1)
         sure = (round_trip < self.settings.tracks.max_round_trip) & (np.abs(self.logodds[neighbour, y, x]) > 1)
         return np.where(sure, self.labels[neighbour, y, x], 0).reshape(h, w).astype(np.uint8)
+
+    def _moved(self, frame: int, T: Array, q: float) -> float:
+        """Metres by which points all over the object move when a frame's reference pose and state become these."""
+        body = self.body_points() if self._body is None else self._body
+        now = [se3.transform(T_k, body) for T_k in self._both(T, q)]
+        was = [se3.transform(T_k, body) for T_k in self.Ts[:, frame]]
+        return float(np.linalg.norm(np.subtract(now, was), axis=2).max())
 
     def _place(self, frame: int, T: Array, q: float) -> None:
         assert self.joint is not None
@@ -514,13 +572,16 @@ def grow(
     if (growth.done & growth.seen.all(1)).sum() < 4:
         raise HopelessError("segmentation", "no second part: fewer than 4 frames show two parts")
     growth.adopt(growth.try_joint())
+    roughly = replace(settings.poses, samples=s.adjust_samples)
     while growth.frontier():
         growth.grow(s.adjust_every)
+        found, growth.found_again = growth.found_again, []
+        for pair in found:
+            growth.go_back(*pair)
+        growth.found_again.clear()  # what the way back found leads nowhere new
         growth.relabel_doubtful()
         growth.adopt(
-            joint_adjustment(
-                evidence, growth.labels, growth.jointed(), growth.seen, settings.poses, rng, 4, growth.done
-            )
+            joint_adjustment(evidence, growth.labels, growth.jointed(), growth.seen, roughly, rng, 4, growth.done)
         )
     return Grown(growth.jointed(), growth.labels, growth.logodds, growth.seen)
 
@@ -530,7 +591,7 @@ def relabel(evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng
     Ts = np.stack([grown.poses.Ts, grown.poses.Ts_moving])
     body = body_points(evidence, grown.labels, Ts[1], grown.seen[:, 1])
     usable: NDArray[np.bool_] = np.any(grown.seen, axis=1)
-    logodds = label_frames(evidence, Ts, body, usable, rng)
+    logodds = label_frames(evidence, Ts, body, usable, grown.logodds, rng)
     scene, least = evidence.scene, settings.growth.min_jointed_pixels
     labels = np.where(scene.mask, (logodds > 0) + np.uint8(1), np.uint8(0))
     sure = np.abs(logodds) > 1

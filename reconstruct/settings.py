@@ -105,6 +105,8 @@ class LabelSettings:
     """A larger foreground is measured at every other pixel only."""
     walk: float = 8.0
     """Pull of one neighbour of the same look in the random walk, where a pixel that knows pulls with its log-odds."""
+    residual: float = 3e-3
+    """Share of its first residual at which the random walk is solved."""
     rounds_of_talk: int = 2
     """Times that all frames are labelled again, each hearing what the others found."""
     doubt: float = 0.03
@@ -148,6 +150,14 @@ class GrowthSettings:
     """Share of the cost of going on evenly below which a state found so is believed."""
     look_back: int = 8
     """Nearer frames are not asked for it if others are there."""
+    agreeing: float = 5.0
+    """Growing back from where a part was found again ends where old and new poses differ by less: widened footprints"""
+    agreeing_frames: int = 3
+    """in so many frames on end."""
+    sound_frames: int = 8
+    """A part had been lost after the last so many frames on end with"""
+    sound_share: float = 0.05
+    """at least this share of sure pixels of either part, and few in doubt."""
     doubtful: float = 0.1
     """A frame with a larger share of pixels in doubt is labelled anew when the joint is adjusted."""
     doubtful_most: int = 40
@@ -160,6 +170,10 @@ class GrowthSettings:
     """The joint is tried after so many frames in any case."""
     adjust_every: int = 16
     """Frames between joint adjustments while growing."""
+    adjust_samples: int = 250
+    """Pixels per frame and part of these adjustments."""
+    same_place: float = 0.2
+    """A frame whose pose changes by less, in widened footprints, once it is labelled, keeps its labels."""
 
 
 @dataclass(frozen=True)
@@ -241,6 +255,8 @@ class GapSettings:
     """Frames without the part that can break the chain."""
     shortest_piece: int = 3
     """Shorter runs between two gaps are not believed."""
+    jump: float = 5.0
+    """A state that changes at once by so many times the usual has jumped."""
     frames: int = 10
     """Frames, evenly drawn on each side, that are compared."""
     samples: int = 200
@@ -256,7 +272,9 @@ class ExchangeSettings:
     """Turning back stretches in which the parts were taken for each other."""
 
     every: int = 4
-    """Frames between those that are compared, and between possible cuts."""
+    """Frames between those that are compared, and between the cuts that are tried at first."""
+    suspicion: float = 0.05
+    """All cuts are tried if one of these makes the cost fall by this share."""
     samples: int = 120
     """Pixels of a part per frame."""
     references: int = 3
@@ -284,13 +302,12 @@ class JointSettings:
     linearity_threshold: float = 0.05
     """rho_th of the paper's rule."""
     revolute_cost: float = 0.9
-    """Share of the prismatic cost, all evidence adjusted under either type, below which a revolute joint is chosen."""
+    """Share of the prismatic cost, all evidence adjusted under either type, below which a revolute joint, with two
+    unknowns more, is chosen."""
     beyond_doubt: float = 0.4
     """At the end the other type is not tried again when the poses, free of any joint, fit this one so much better."""
     farthest_hinge: float = 2.0
     """Object diagonals from the moving part within which a hinge is believed."""
-    revolute_must_win: float = 0.7
-    """A revolute joint has two unknowns more: it is chosen when its residual is below this share of the prismatic."""
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from skimage.measure import marching_cubes
 from freeart21 import se3
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
+from reconstruct.evidence import evenly
 from reconstruct.kernels import in_threads
 from reconstruct.scene import Floats, Scene
 from reconstruct.settings import SurfaceSettings
@@ -42,7 +43,7 @@ def fuse(
     the pixels' planes; pixels of the other part and of the background say what is free, and cells no frame spoke of
     are left open.
     """
-    frames = _evenly(np.flatnonzero(used), settings.max_frames)
+    frames = evenly(np.flatnonzero(used), settings.max_frames)
     points = _cloud(scene, labels, part, Ts, frames)
     if len(points) < 100:
         return _nothing()
@@ -73,13 +74,6 @@ def fuse(
 
 def _nothing() -> Mesh:
     return Mesh(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), np.uint8))
-
-
-def _evenly(frames: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """At most `most` of the frames, evenly drawn."""
-    if len(frames) <= most:
-        return frames
-    return frames[np.linspace(0, len(frames) - 1, most).round().astype(int)]
 
 
 def _cloud(scene: Scene, labels: Labels, part: int, Ts: Array, frames: NDArray[np.int64]) -> Array:

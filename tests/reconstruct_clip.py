@@ -54,8 +54,11 @@ OBJECTS = {
 }
 
 
-def make_clip(name="hinge", frames=24, size=(240, 180), seed=0, scale=1.0, spin=1.2, queries=()):
-    """A clip of an object tumbling `spin` radians or so while its joint sweeps its range; `scale` makes all larger."""
+def make_clip(name="hinge", frames=24, size=(240, 180), seed=0, scale=1.0, spin=1.2, queries=(), sweep=None):
+    """A clip of an object tumbling `spin` radians or so while its joint sweeps its range; `scale` makes all larger.
+
+    `sweep` (frames,) says how far into its range the joint is, from 0 to 1.
+    """
     first, second, joint, (low, high) = OBJECTS[name]
     first, second = trimesh.util.concatenate(first), trimesh.util.concatenate(second)
     rng = np.random.default_rng(seed)
@@ -67,7 +70,8 @@ def make_clip(name="hinge", frames=24, size=(240, 180), seed=0, scale=1.0, spin=
     Ts = se3.pose(
         se3.exp_so3(turn) @ base, np.stack([0.02 * np.sin(5 * t), 0.02 + 0.02 * np.cos(4 * t), 1.25 + 0 * t], 1)
     )
-    states = low + (high - low) * (0.5 - 0.5 * np.cos(2 * np.pi * 0.8 * t))
+    sweep = 0.5 - 0.5 * np.cos(2 * np.pi * 0.8 * t) if sweep is None else np.asarray(sweep)
+    states = low + (high - low) * sweep
     texture = rng.uniform(0.25, 1, (3, 12, 12, 12))
     pictures = [_render(camera, (first, second), joint, T, q, texture) for T, q in zip(Ts, states, strict=False)]
     loaded = [Frame(rgb, (depth * scale).astype(np.float32), part > 0) for rgb, depth, part in pictures]

@@ -1,12 +1,14 @@
 """Closed forms and robust fits of the joint, against exact and spoiled poses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from freeart21 import se3
 from freeart21.joint import Joint
+from reconstruct import hypotheses
 from reconstruct.joint import (
-    choose_joint,
     fit_joint,
     paper_joint_type,
     prismatic_axis,
@@ -16,7 +18,7 @@ from reconstruct.joint import (
     translation_linearity,
     without_outliers,
 )
-from reconstruct.settings import JointSettings
+from reconstruct.settings import JointSettings, ReconstructSettings
 
 SETTINGS = JointSettings()
 
@@ -34,6 +36,10 @@ def relative_poses(joint, states, rng, noise=0.0, outliers=0.0, gauge=True):
     wobble = noise * rng.normal(size=(len(states), 6)) * np.repeat([0.2, 1.0], 3)
     wobble[bad] += rng.normal(size=(len(bad), 6)) * np.repeat([0.1, 0.5], 3)
     return Ts @ se3.exp_se3(wobble)
+
+
+def both_fits(Ts, centre, lever):
+    return {kind: fit_joint(Ts, kind, centre, lever, SETTINGS) for kind in ("revolute", "prismatic")}
 
 
 def errors(fit, joint, states):
@@ -72,8 +78,10 @@ def test_fit_is_exact_on_exact_poses_in_any_gauge(kind, seed):
     rng = np.random.default_rng(seed)
     joint = random_joint(rng, kind)
     states = rng.uniform(0, 1.2 if kind == "revolute" else 0.3, 40)
-    fit, _ = choose_joint(relative_poses(joint, states, rng), np.array([0.1, 0, 0]), 0.1, SETTINGS)
-    assert fit.type == kind
+    fits = both_fits(relative_poses(joint, states, rng), np.array([0.1, 0, 0]), 0.1)
+    fit = fits.pop(kind)
+    (other,) = fits.values()
+    assert fit.type == kind and fit.residual < 1e-12 and other.residual > 1e-5
     axis, line, state = errors(fit, joint, states)
     assert axis < 1e-6 and state.max() < 1e-6 and fit.states[0] == 0
     if kind == "revolute":
@@ -87,8 +95,10 @@ def test_a_fifth_of_the_frames_may_be_nonsense(seed):
         joint = random_joint(rng, kind)
         states = span * (0.5 - 0.5 * np.cos(np.linspace(0, 6, 60)))
         Ts = relative_poses(joint, states, rng, noise=0.005, outliers=0.2)
-        fit, _ = choose_joint(Ts, np.zeros(3), 0.1, SETTINGS)
-        assert fit.type == kind
+        fits = both_fits(Ts, np.zeros(3), 0.1)
+        fit = fits.pop(kind)
+        (other,) = fits.values()
+        assert fit.residual < 0.003 and other.residual > 2 * fit.residual
         axis, line, state = errors(fit, joint, states)
         assert np.degrees(axis) < (0.5 if kind == "revolute" else 1.0)
         assert np.median(state) < 0.01 * span
@@ -100,9 +110,8 @@ def test_small_range_revolute_with_a_small_lever():
     rng = np.random.default_rng(3)
     joint = Joint("j", "revolute", np.array([0, 0, 1.0]), np.array([0.02, 0.01, 0]), -1, 1)
     states = np.radians(8) * np.sin(np.linspace(0, 9, 80))
-    fit, fits = choose_joint(relative_poses(joint, states, rng, noise=0.002), np.zeros(3), 0.05, SETTINGS)
-    assert fit.type == "revolute"
-    assert np.degrees(errors(fit, joint, states)[0]) < 1.0
+    fits = both_fits(relative_poses(joint, states, rng, noise=0.002), np.zeros(3), 0.05)
+    assert np.degrees(errors(fits["revolute"], joint, states)[0]) < 1.0
     assert fits["prismatic"].residual > 2 * fits["revolute"].residual
 
 
@@ -111,10 +120,33 @@ def test_an_arc_of_89_degrees_is_a_hinge_where_the_paper_says_slide():
     joint = Joint("j", "revolute", np.array([0, 1.0, 0]), np.array([0.3, 0, 0]), -2, 2)
     states = np.radians(89) * (0.5 - 0.5 * np.cos(np.linspace(0, np.pi, 60)))
     Ts = relative_poses(joint, states, rng, noise=0.002, gauge=False)
-    assert choose_joint(Ts, np.zeros(3), 0.2, SETTINGS)[0].type == "revolute"
+    fits = both_fits(Ts, np.zeros(3), 0.2)
+    assert fits["revolute"].residual < 0.002 and fits["prismatic"].residual > 0.05
     paper = JointSettings(type_rule="paper", linearity_threshold=0.2)
     assert translation_linearity(Ts) < 0.2 and paper_joint_type(Ts, paper) == "prismatic"
-    assert choose_joint(Ts, np.zeros(3), 0.2, paper)[0].type == "prismatic"
+
+
+@pytest.mark.parametrize("turned, kind", [(2.4, "revolute"), (0.1, "prismatic")])
+def test_under_the_papers_rule_its_type_alone_is_adjusted(turned, kind, monkeypatch):
+    """From its fit, or from where it stands; 0.1 rad are too few for that rule to call it a hinge."""
+    rng = np.random.default_rng(2)
+    hinge = Joint("j", "revolute", np.array([0, 0, 1.0]), np.array([0.2, 0, 0]), -3, 3)
+    states = np.linspace(0, turned, 30)
+    Ts = np.stack([np.tile(np.eye(4), (30, 1, 1)), relative_poses(hinge, states, rng)])
+    settings = ReconstructSettings(joint=JointSettings(type_rule="paper"))
+    starts = []
+
+    def adjustment(evidence, labels, start, *rest):
+        starts.append(start)
+        return start
+
+    monkeypatch.setattr(hypotheses, "joint_adjustment", adjustment)
+    arguments = (None, None, Ts, np.ones((30, 2), bool), rng.normal(size=(50, 3)), np.ones(30, bool), settings, rng)
+    found = hypotheses.better_type(*arguments)
+    assert found.joint.type == kind and len(starts) == 1
+    assert hypotheses.better_type(*arguments, found) is found
+    other = replace(found, joint=replace(found.joint, type="prismatic" if kind == "revolute" else "revolute"))
+    assert hypotheses.better_type(*arguments, other).joint.type == kind and len(starts) == 3
 
 
 def test_paper_rule_on_clear_cases():

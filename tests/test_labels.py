@@ -41,7 +41,8 @@ def labelled(clip, evidence, states):
     Ts = poses_of(clip, states)
     everywhere = np.ones(FRAMES, bool)
     body = body_points(evidence, cropped(clip.part_masks, evidence.scene), Ts[1], everywhere)
-    return labels.label_frames(evidence, Ts, body, everywhere, np.random.default_rng(0))
+    nothing = np.zeros(evidence.scene.mask.shape, np.float32)
+    return labels.label_frames(evidence, Ts, body, everywhere, nothing, np.random.default_rng(0))
 
 
 def cropped(masks, scene):
@@ -104,12 +105,11 @@ def test_pixels_without_depth_go_with_their_part(clip):
 def test_telling_frames_are_those_in_which_the_joint_stood_elsewhere(clip):
     Ts = poses_of(clip, np.where(np.arange(FRAMES) < 10, 0.0, 0.5))
     body = clip.joint.pivot + np.array([[0.1, 0, 0], [0, 0, 0.1], [-0.1, 0, 0.1]])
-    everywhere, turn = np.ones(FRAMES, bool), np.zeros(FRAMES)
-    rng = np.random.default_rng(0)
-    told = labels.telling_frames(3, Ts, body, 0.3, turn, everywhere, SETTINGS.labels, rng)
+    evidence, everywhere, rng = asked(clip.recording), np.ones(FRAMES, bool), np.random.default_rng(0)
+    told = labels.telling_frames(evidence, 3, Ts, body, everywhere, rng)
     assert len(told) and told.min() >= 10
-    turn[10:] = 2.0  # nothing of the same surfaces is seen there
-    assert len(labels.telling_frames(3, Ts, body, 0.3, turn, everywhere, SETTINGS.labels, rng)) == 0
+    Ts[:, 10:] = se3.pose(se3.exp_so3(np.array([0.0, 2, 0])), np.zeros(3)) @ Ts[:, 10:]  # other surfaces are seen there
+    assert len(labels.telling_frames(evidence, 3, Ts, body, everywhere, rng)) == 0
 
 
 def test_random_walk_solves_its_equations():
@@ -121,7 +121,7 @@ def test_random_walk_solves_its_equations():
     expected = np.linalg.solve(np.diag(strength + W.sum(1)) - W, strength * target)
     starts = np.concatenate([[0], np.cumsum((W > 0).sum(1))])
     ends, weights = np.nonzero(W)[1].astype(np.int32), W[W > 0].astype(np.float32)
-    found = labels._random_walk(strength, target, starts, ends, weights, 1e-8, 500)
+    found = labels._random_walk(strength, target, rng.uniform(-1, 1, n), starts, ends, weights, 1e-8, 500)
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 

@@ -210,6 +210,22 @@ def test_a_slip_behind_a_gap_is_found_and_the_gap_interpolated(name, part, hinge
     assert np.allclose(kept, true, atol=1e-9), "the part that was seen all along stays where it is"
 
 
+@pytest.mark.parametrize("part", [0, 1])
+@pytest.mark.parametrize("name", ["hinge", "slide"])
+def test_a_jump_of_a_part_seen_all_along_is_undone(name, part, hinge, slide):
+    clip = {"hinge": hinge, "slide": slide}[name]
+    evidence, grown = true_growth(clip, slice(0, 0), part)
+    jumped = clip.states + np.where(np.arange(FRAMES) >= 12, 0.7 * np.ptp(clip.states), 0)
+    anchor = grown.poses.Ts_moving
+    Ts = clip.Ts if part == 1 else anchor @ clip.joint.transform(-jumped)
+    wrong = replace(grown, poses=replace(grown.poses, states=jumped, Ts=Ts))
+    found = bridge_gaps(evidence, wrong, QUIET.gaps, np.random.default_rng(0)).poses
+    off = found.states - clip.states
+    assert np.abs(off - off[0]).max() < 0.05 * np.ptp(clip.states)
+    kept, true = (found.Ts, clip.Ts) if part == 1 else (found.Ts_moving, anchor)
+    assert np.allclose(kept, true, atol=1e-9), "the part that did not jump stays where it is"
+
+
 def test_where_nothing_slipped_nothing_is_shifted(hinge):
     evidence, grown = true_growth(hinge, slice(12, 15), 1)
     states = bridge_gaps(evidence, grown, QUIET.gaps, np.random.default_rng(0)).poses.states

@@ -1,0 +1,134 @@
+"""Clips in which the joint rests, nothing is seen for a while, or a part appears late."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reconstruct_clip import make_clip
+from test_reconstruct import GENTLE, QUIET, true_growth
+
+from freeart21 import se3
+from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.recording import Frame, Recording
+from reconstruct.paper_segmentation import PartWeights, part_poses
+from reconstruct.pipeline import reconstruct
+from reconstruct.seeds import Seed, find_seeds
+from reconstruct.segmentation import Growth, grow
+from reconstruct.tracks import DisTracker
+
+SIZE = (160, 120)
+SWEEP = np.concatenate([np.linspace(0, 0.5, 7), np.full(17, 0.5), np.linspace(0.5, 1, 8)])
+REST = slice(6, 25)
+RNG = np.random.default_rng
+
+
+@pytest.fixture(scope="module")
+def resting():
+    """A clip whose joint rests for nineteen frames, its scene, its true answer, sure of its labels, and its tracker."""
+    clip = make_clip("hinge", len(SWEEP), size=(200, 150), spin=GENTLE, sweep=SWEEP)
+    evidence, true = true_growth(clip, slice(0, 0), 1)
+    return clip, evidence, replace(true, logodds=4 * true.logodds), DisTracker(evidence.scene, QUIET.tracks)
+
+
+def without(clip, frames, part=None):
+    """`clip` with `part`, or all of the object, cut out of the masks of `frames`."""
+    loaded = [clip.recording.frame(i) for i in range(len(clip.states))]
+    for i in np.arange(len(loaded))[frames]:
+        kept = loaded[i].mask & (part is not None) & (clip.part_masks[i] != part)
+        loaded[i] = Frame(loaded[i].rgb, loaded[i].depth, kept)
+    masks = clip.part_masks * np.stack([frame.mask for frame in loaded])
+    recording = Recording(clip.recording.camera, clip.recording.times_s, loaded.__getitem__)
+    return replace(clip, recording=recording, part_masks=masks)
+
+
+def state_errors(states, clip):
+    """(n,) what the states are off, from their middle, as a share of the clip's range; either sign of them is right."""
+    sign = np.sign(np.corrcoef(states, clip.states)[0, 1])
+    off = sign * states - clip.states
+    return (off - np.median(off)) / np.ptp(clip.states)
+
+
+def right_labels(found, truth):
+    """Shares of right labels in the frames that show the object, whichever part is called the first."""
+    found = found if (found == truth)[truth > 0].mean() > 0.5 else np.array([0, 2, 1], np.uint8)[found]
+    return np.array([(f == t)[t > 0].mean() for f, t in zip(found, truth, strict=True) if t.any()])
+
+
+def half_grown(done, resting, settings):
+    """A growth that has found the first `done` frames to be what they truly are."""
+    clip, evidence, true, tracker = resting
+    nothing = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), true.logodds[0], gain=0.0)
+    growth = Growth(evidence, tracker, nothing, settings, RNG(0))
+    for i in range(done):
+        growth._put_labels(i, true.logodds[i])
+    growth.done[:done] = True
+    past = np.arange(len(SWEEP)) < done
+    Ts = np.where(past[:, None, None], true.poses.Ts, np.eye(4))
+    growth.adopt(replace(true.poses, states=np.where(past, clip.states, 0), Ts=Ts))
+    return growth
+
+
+# ---- a rest --------------------------------------------------------------------------------------------------------
+
+
+def test_growth_holds_a_resting_joint_still_and_lets_it_go_on(resting):
+    clip = resting[0]
+    growth = half_grown(done=20, resting=resting, settings=QUIET)
+    growth.grow(len(SWEEP) - 20)
+    steps = np.diff(growth.states)
+    assert (steps[19 : REST.stop - 1] == 0).mean() > 0.5, "not only nearly"
+    assert (steps[REST.stop - 1 :] != 0).all()
+    assert np.abs(growth.states - clip.states).max() < 0.017 * np.ptp(clip.states)
+    assert growth.seen.all() and growth.done.all()
+
+
+def test_a_joint_that_rests_and_goes_on_is_followed(resting):
+    clip, evidence, true, tracker = resting
+    rng = RNG(0)
+    grown = grow(evidence, tracker, find_seeds(evidence, tracker, QUIET.seeds, rng)[0], QUIET, rng)
+    off = state_errors(grown.poses.states, clip)
+    assert grown.poses.joint.type == "revolute"
+    assert np.ptp(off[REST]) < 0.028 and np.abs(off).mean() < 0.006 and np.abs(off).max() < 0.015
+    assert right_labels(grown.labels, true.labels).min() > 0.93
+
+
+# ---- nothing to see ------------------------------------------------------------------------------------------------
+
+
+def test_both_sides_of_blank_frames_are_solved_as_one():
+    frames, blank = 20, slice(9, 12)
+    clip = without(make_clip("hinge", frames, size=SIZE, spin=GENTLE), blank)
+    result = reconstruct(clip.recording, QUIET)
+    assert isinstance(result, Reconstruction) and result.articulation.joint.type == "revolute"
+    shown = np.ones(frames, bool)
+    shown[blank] = False
+    assert np.array_equal(result.seen.all(1), shown) and not result.seen[blank].any()
+    off = state_errors(result.states, clip)
+    assert np.abs(off[shown]).max() < 0.016 and np.abs(off).max() < 0.06
+    share = right_labels(result.part_masks, clip.part_masks)
+    assert len(share) == shown.sum() and share.min() > 0.91
+    swapped = (result.part_masks == clip.part_masks)[clip.part_masks > 0].mean() < 0.5
+    T = se3.inverse(clip.Ts) @ (result.Ts_camera_moving if swapped else result.Ts_camera_reference)
+    astray = se3.log_se3(se3.inverse(se3.mean_pose(T[shown])) @ T[shown])
+    assert np.linalg.norm(astray[:, 3:], axis=1).max() < 0.038, "no turn of the reference part behind the blank frames"
+
+
+# ---- a part that appears late, under the paper's segmentation ------------------------------------------------------
+
+
+def test_papers_segmentation_bears_a_part_that_appears_late():
+    clip = without(make_clip("hinge", 12, size=SIZE, spin=GENTLE), slice(0, 1), part=2)
+    fast = replace(QUIET, segmentation="paper", paper=replace(QUIET.paper, iterations=20))
+    result = reconstruct(clip.recording, fast)
+    assert isinstance(result, Reconstruction | Failure)
+
+
+def test_papers_poses_bear_a_part_that_appears_late():
+    late = 3
+    clip = without(make_clip("hinge", 12, size=SIZE, spin=GENTLE), slice(0, late), part=2)
+    evidence, true = true_growth(clip, slice(0, 0), 1)
+    given = PartWeights((true.labels == 2).astype(np.float32), np.tile(np.eye(4), (12, 2, 1, 1)))
+    grown = part_poses(evidence, DisTracker(evidence.scene, QUIET.tracks), given, QUIET, RNG(0))
+    assert grown.seen[:, 0].all() and np.array_equal(grown.seen[:, 1], np.arange(12) >= late)
+    assert grown.poses.joint.type == "revolute"
+    assert np.abs(state_errors(grown.poses.states, clip)[late:]).max() < 0.016
