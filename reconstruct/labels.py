@@ -34,39 +34,41 @@ def label_frame(
     frame: int,
     Ts: Array,
     body: Array,
-    usable: NDArray[np.bool_],
+    seen: NDArray[np.bool_],
     logodds: Floats,
     rng: np.random.Generator,
 ) -> Floats:
     """Log-odds (h, w), from -3 to 3, that pixels of `frame` are the second part's; 0 where nobody knows.
 
-    `Ts` (2, n, 4, 4) are both parts' poses and `body` (b, 3) points of the second part in its own frame. The frames
-    `usable` (n,) are asked: their poses are believed, and their `logodds` (n, h, w) as far as they go.
+    `Ts` (2, n, 4, 4) are both parts' poses and `body` (b, 3) points of the second part in its own frame. Asked are the
+    frames that have `seen` (n, 2) a part: their poses are believed, their joint if they have seen both, and their
+    `logodds` (n, h, w) as far as they go.
     """
-    telling = telling_frames(evidence, frame, Ts, body, usable, rng)
-    seen = motion_evidence(evidence, frame, Ts, telling)
-    return walked(evidence, frame, seen, *hearsay(evidence, frame, Ts, usable, logodds), start=logodds[frame])
+    measured, known = np.asarray(seen.all(1)), np.asarray(seen.any(1))
+    telling = telling_frames(evidence, frame, Ts, body, measured, rng)
+    found = motion_evidence(evidence, frame, Ts, telling)
+    return walked(evidence, frame, found, *hearsay(evidence, frame, Ts, known, logodds), start=logodds[frame])
 
 
 def label_frames(
-    evidence: Evidence, Ts: Array, body: Array, usable: NDArray[np.bool_], start: Floats, rng: np.random.Generator
+    evidence: Evidence, Ts: Array, body: Array, seen: NDArray[np.bool_], start: Floats, rng: np.random.Generator
 ) -> Floats:
     """Log-odds (n, h, w) of all frames: what the pixels of each say, and then what the frames tell each other.
 
     `start` (n, h, w) is a guess that saves time and changes nothing else; see `label_frame` for the other arguments.
     """
-    n = Ts.shape[1]
-    telling = [telling_frames(evidence, i, Ts, body, usable, rng) for i in range(n)]
-    seen = kernels.each_in_threads(lambda i: motion_evidence(evidence, i, Ts, telling[i]).astype(np.float16), n)
+    n, measured, known = Ts.shape[1], np.asarray(seen.all(1)), np.asarray(seen.any(1))
+    telling = [telling_frames(evidence, i, Ts, body, measured, rng) for i in range(n)]
+    found = kernels.each_in_threads(lambda i: motion_evidence(evidence, i, Ts, telling[i]).astype(np.float16), n)
     logodds = np.stack(
-        kernels.each_in_threads(lambda i: walked(evidence, i, seen[i].astype(np.float32), start=start[i]), n)
+        kernels.each_in_threads(lambda i: walked(evidence, i, found[i].astype(np.float32), start=start[i]), n)
     )
     for _ in range(evidence.label_settings.rounds_of_talk):
         before = logodds
 
         def talked(i: int, before: Floats = before) -> Floats:
-            heard = hearsay(evidence, i, Ts, usable, before)
-            return walked(evidence, i, seen[i].astype(np.float32), *heard, start=before[i])
+            heard = hearsay(evidence, i, Ts, known, before)
+            return walked(evidence, i, found[i].astype(np.float32), *heard, start=before[i])
 
         logodds = np.stack(kernels.each_in_threads(talked, n))
     return logodds

@@ -143,7 +143,8 @@ def joint_adjustment(
             pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((now.Ts, now.Ts_moving))]
     if final:
         reuse = len(pairs[1][0]) / max(usable[:, 1].sum(), 1)
-        now = replace(now, state_std=np.where(usable.all(1), _state_std(A.toarray(), n, reuse), np.inf))
+        measured = np.asarray(usable.all(1))
+        now = replace(now, state_std=np.where(measured, _state_std(A.toarray(), measured, reuse), np.inf))
     return replace(now, cost=float(cost))
 
 
@@ -286,8 +287,11 @@ def _covariances(A: sparse.csr_array, Ts: Array, seen: NDArray[np.bool_], reuse:
     return covariances
 
 
-def _state_std(A: Array, n: int, reuse: float) -> Array:
-    """(n,) standard deviations of the states against their mean, all else free."""
+def _state_std(A: Array, measured: NDArray[np.bool_], reuse: float) -> Array:
+    """(n,) standard deviations of the `measured` (n,) states against their mean, all else free; of others nothing."""
+    n = len(measured)
+    unknown = 6 * n + np.flatnonzero(~measured)
+    A[unknown], A[:, unknown] = 0, 0
     scale = np.sqrt(np.maximum(np.diag(A), 1e-12 * np.diag(A).max()))
     normed = A / scale[:, None] / scale[None]
     frame = int(np.argmax(np.diag(A)[6 * n : 7 * n]))

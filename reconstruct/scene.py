@@ -56,7 +56,7 @@ class Scene:
     footprint: float
     """Metres a pixel covers at the object: the unit of every threshold."""
     noise: float
-    """Metres: standard deviation of depth along z."""
+    """Metres: standard deviation of the points along z; the plane fits leave but a part of the depth noise."""
     diagonal: float
     """Metres: estimate of the object's size."""
 
@@ -133,6 +133,7 @@ def prepare(recording: Recording, settings: SceneSettings) -> Scene:
     footprint = float(np.median(depth[depth > 0])) / fx
     noise = _depth_noise(depth)
     radius = settings.plane_radius + (noise > 0.5 * footprint) + (noise > 2 * footprint)
+    left = 1.3 * noise / (2 * radius + 1)  # after the plane fit; at rims fewer pixels share in it
     pixels = np.zeros((*mask.shape, OUTSIDE + 1), np.float32)
     points, normals = pixels[..., POINT : POINT + 3], pixels[..., NORMAL : NORMAL + 3]
     edge = np.zeros(mask.shape, np.bool_)
@@ -152,7 +153,7 @@ def prepare(recording: Recording, settings: SceneSettings) -> Scene:
         origin,
         factor,
         footprint,
-        noise,
+        left,
         _diagonal(points),
     )
 

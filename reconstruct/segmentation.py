@@ -498,7 +498,7 @@ class Growth:
 
     def _label(self, frame: int) -> None:
         """Labels of `frame` from all its pixels under both motions to the frames done."""
-        known = self.done & self.seen.any(1)
+        known = self.seen & self.done[:, None]
         self._body = self.body_points() if self._body is None else self._body
         self._put_labels(frame, label_frame(self.evidence, frame, self.Ts, self._body, known, self.logodds, self.rng))
 
@@ -590,8 +590,7 @@ def relabel(evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng
     """Labels of all frames anew, given all poses."""
     Ts = np.stack([grown.poses.Ts, grown.poses.Ts_moving])
     body = body_points(evidence, grown.labels, Ts[1], grown.seen[:, 1])
-    usable: NDArray[np.bool_] = np.any(grown.seen, axis=1)
-    logodds = label_frames(evidence, Ts, body, usable, grown.logodds, rng)
+    logodds = label_frames(evidence, Ts, body, grown.seen, grown.logodds, rng)
     scene, least = evidence.scene, settings.growth.min_jointed_pixels
     labels = np.where(scene.mask, (logodds > 0) + np.uint8(1), np.uint8(0))
     sure = np.abs(logodds) > 1

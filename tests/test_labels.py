@@ -42,7 +42,8 @@ def labelled(clip, evidence, states):
     everywhere = np.ones(FRAMES, bool)
     body = body_points(evidence, cropped(clip.part_masks, evidence.scene), Ts[1], everywhere)
     nothing = np.zeros(evidence.scene.mask.shape, np.float32)
-    return labels.label_frames(evidence, Ts, body, everywhere, nothing, np.random.default_rng(0))
+    both = np.ones((FRAMES, 2), bool)
+    return labels.label_frames(evidence, Ts, body, both, nothing, np.random.default_rng(0))
 
 
 def cropped(masks, scene):

@@ -47,7 +47,7 @@ class Diagnostics:
     footprint_m: float
     """Metres that a pixel covers at the object."""
     noise_m: float
-    """Metres: standard deviation of depth."""
+    """Metres: standard deviation of depth, once planes are fitted to it."""
     diagonal_m: float
     """Metres: estimated size of the object."""
     peak_bytes: int | None = None
