@@ -34,17 +34,17 @@ def label_frame(
     frame: int,
     Ts: Array,
     body: Array,
-    seen: NDArray[np.bool_],
+    known: NDArray[np.bool_],
+    measured: NDArray[np.bool_],
     logodds: Floats,
     rng: np.random.Generator,
 ) -> Floats:
     """Log-odds (h, w), from -3 to 3, that pixels of `frame` are the second part's; 0 where nobody knows.
 
     `Ts` (2, n, 4, 4) are both parts' poses and `body` (b, 3) points of the second part in its own frame. Asked are the
-    frames that have `seen` (n, 2) a part: their poses are believed, their joint if they have seen both, and their
-    `logodds` (n, h, w) as far as they go.
+    frames `known` (n,): their poses are believed, their joint if it was `measured` (n,), and their `logodds` (n, h, w)
+    as far as they go.
     """
-    measured, known = np.asarray(seen.all(1)), np.asarray(seen.any(1))
     telling = telling_frames(evidence, frame, Ts, body, measured, rng)
     found = motion_evidence(evidence, frame, Ts, telling)
     return walked(evidence, frame, found, *hearsay(evidence, frame, Ts, known, logodds), start=logodds[frame])
@@ -55,9 +55,11 @@ def label_frames(
 ) -> Floats:
     """Log-odds (n, h, w) of all frames: what the pixels of each say, and then what the frames tell each other.
 
-    `start` (n, h, w) is a guess that saves time and changes nothing else; see `label_frame` for the other arguments.
+    Each part was `seen` (n, 2) or not in the labels `start` (n, h, w) so far; see `label_frame` for the rest.
     """
-    n, measured, known = Ts.shape[1], np.asarray(seen.all(1)), np.asarray(seen.any(1))
+    n, known = Ts.shape[1], np.asarray(seen.any(1))
+    unsure = np.array([is_open(logodds[valid]) for logodds, valid in zip(start, evidence.scene.valid, strict=True)])
+    measured = np.asarray(seen.all(1)) | unsure
     telling = [telling_frames(evidence, i, Ts, body, measured, rng) for i in range(n)]
     found = kernels.each_in_threads(lambda i: motion_evidence(evidence, i, Ts, telling[i]).astype(np.float16), n)
     logodds = np.stack(
@@ -72,6 +74,15 @@ def label_frames(
 
         logodds = np.stack(kernels.each_in_threads(talked, n))
     return logodds
+
+
+def is_open(logodds: Floats) -> bool:
+    """Whether so many of a frame's pixels (p,) are in doubt that either part may be among them.
+
+    Such a frame moved as one body with its neighbours; with no pixel in doubt, a part that is not seen is hidden, and
+    its state a guess.
+    """
+    return len(logodds) > 0 and bool((np.abs(logodds) <= 1).mean() > 0.25)
 
 
 def motion_evidence(evidence: Evidence, frame: int, Ts: Array, others: Frames) -> Floats:

@@ -17,7 +17,7 @@ from freeart21.se3 import Array
 from reconstruct import rigid
 from reconstruct.evidence import Evidence, Pixels, Samples, draw
 from reconstruct.hypotheses import better_type
-from reconstruct.labels import SURE, label_frame, label_frames
+from reconstruct.labels import SURE, is_open, label_frame, label_frames
 from reconstruct.poses import JointedPoses, joint_adjustment
 from reconstruct.scene import HopelessError
 from reconstruct.seeds import Seed, stepped
@@ -59,6 +59,7 @@ class Growth:
         self.labels = np.zeros(scene.mask.shape, np.uint8)
         self.done = np.zeros(n, bool)
         self.seen = np.zeros((n, 2), bool)
+        self.open = np.zeros(n, bool)
         self.samples: tuple[Samples, Samples] = ({}, {})
         self.unsure: Samples = {}
         self.costs = np.full(n, np.nan)
@@ -134,7 +135,7 @@ class Growth:
             T, q, cost = at_rest
         rest, parted = q == self.states[neighbour], False
         if self._lost(neighbour):
-            T, q, parted = self._parted(frame, T, q)
+            T, q, parted = self._parted(frame, neighbour, T, q)
         if parted:
             cost = self._jointed_cost(frame, T, q)
             if self._jumped(q - self.states[neighbour]):
@@ -142,7 +143,11 @@ class Growth:
         self._place(frame, T, q)
         self._label(frame)
         if not parted:
+            labels = self.labels[frame].copy()
+            if self.open[frame]:
+                self.labels[frame][np.abs(self.logodds[frame]) <= 1] = 0  # either part may be met there
             T, q, cost = self._registered_jointed(frame, T, q, (6.0, 5.0, 4.0), rest)
+            self.labels[frame] = labels
         if self._moved(frame, T, q) > self.settings.growth.same_place * self.evidence.unit:
             self._place(frame, T, q)
             self._label(frame)
@@ -223,16 +228,16 @@ class Growth:
         usual = np.nanmedian(self.costs) if np.isfinite(self.costs).any() else np.inf
         return bool(not self.seen[frame].all() or self.costs[frame] > self.settings.growth.surprising_cost * usual)
 
-    def _parted(self, frame: int, T: Array, q: float) -> tuple[Array, float, bool]:
+    def _parted(self, frame: int, neighbour: int, T: Array, q: float) -> tuple[Array, float, bool]:
         """Reference pose and state that explain the pixels of `frame` best at any state met so far, without labels.
 
         A pixel follows the motion that explains it better. Beyond the states met so far the parts might be taken for
         each other: a lid that opens looks like a box that closes past its lid. `T` and `q` come back when little is
-        gained; the last says whether something was.
+        gained; the last says whether something was. After a frame whose labels were in doubt growth goes on so.
         """
         assert self.joint is not None
         settings = self.settings.growth
-        known = np.flatnonzero(self.done & self.seen.all(1))  # others call all one part, and would agree to it
+        known = np.flatnonzero(self._measured())  # others call all one part, and would agree to it
         pixels = draw(self.evidence.scene.valid[frame], settings.samples, self.rng)
         if len(pixels) == 0 or len(known) == 0:
             return T, q, False
@@ -243,7 +248,7 @@ class Growth:
         others = np.sort(known[np.argsort(turn, kind="stable")[: 2 * settings.references : 2]])
         low, high = np.percentile(self.states[known], [1, 99])
         grid = np.linspace(float(low), float(high), settings.searched_states)
-        found = self._refined_freely(frame, others, pixels, T, q, at_rest=True)
+        found = still = self._refined_freely(frame, others, pixels, T, q, at_rest=True)
         before = best = float(self._freely(frame, others, pixels, found[0][None], np.array([q])).min(2).mean())
         turned = self.joint.transform(q) @ se3.inverse(self.joint.transform(grid))
         for Ts in (np.tile(T, (len(grid), 1, 1)), T @ turned):  # either part stands still
@@ -254,17 +259,31 @@ class Growth:
                 if cost < best:
                     best, found = cost, start
         gained = best < settings.found_cost * before and best < before - self.settings.seeds.min_gain
-        if gained and self._same_parts(frame, others, pixels, *found):
+        if self.open[neighbour] and not self._jumped(found[1] - q):  # labels say little: go on without
+            gained = settings.rest_cost * best < before
+        if gained and self._same_parts(frame, neighbour, others, pixels, *found):
             return *found, True
-        return T, q, False
+        return (*still, True) if self.open[neighbour] else (T, q, False)
 
-    def _same_parts(self, frame: int, others: NDArray[np.int64], pixels: Pixels, T: Array, q: float) -> bool:
-        """Whether the labels that flow carried here agree with what `T` and `q` say: else the parts are exchanged."""
+    def _measured(self) -> NDArray[np.bool_]:
+        """(n,) the frames done whose joint is known, not guessed."""
+        return self.done & (np.asarray(self.seen.all(1)) | self.open)
+
+    def _same_parts(
+        self, frame: int, neighbour: int, others: NDArray[np.int64], pixels: Pixels, T: Array, q: float
+    ) -> bool:
+        """Whether the labels that flow carried here agree with what `T` and `q` say: else the parts are exchanged.
+
+        Of a part that was hidden flow carries nothing: most pixels, at least, are the other's still. Where all was in
+        doubt either part may be either, and nothing speaks against.
+        """
         costs = self._freely(frame, others, pixels, T[None], np.array([q]))[:, 0]
         carried = self.labels[frame, pixels[:, 0], pixels[:, 1]]
         told = (carried > 0) & (np.abs(costs[:, 1] - costs[:, 0]) > 0.3)
         agree = (costs.argmin(1) + 1 == carried)[told]
-        return bool(len(agree) >= self.settings.growth.min_jointed_pixels and agree.mean() > 0.8)
+        if len(agree) < self.settings.growth.min_jointed_pixels:
+            return bool(self.open[neighbour])
+        return bool(agree.mean() > (0.8 if self.seen[neighbour].all() else 0.5))
 
     def _both(self, T: Array, q: float) -> tuple[Array, Array]:
         """Poses of both parts."""
@@ -498,9 +517,10 @@ class Growth:
 
     def _label(self, frame: int) -> None:
         """Labels of `frame` from all its pixels under both motions to the frames done."""
-        known = self.seen & self.done[:, None]
+        known = self.done & (self.seen.any(1) | self.open)
         self._body = self.body_points() if self._body is None else self._body
-        self._put_labels(frame, label_frame(self.evidence, frame, self.Ts, self._body, known, self.logodds, self.rng))
+        asked = self._body, known, self._measured()
+        self._put_labels(frame, label_frame(self.evidence, frame, self.Ts, *asked, self.logodds, self.rng))
 
     def relabel_doubtful(self) -> None:
         """Label the frames anew that knew least of themselves: what came after them may tell."""
@@ -520,6 +540,7 @@ class Growth:
             self.samples[k][frame] = draw(sure, settings.samples, self.rng)
             least = settings.min_part_pixels if self.joint is None else settings.min_jointed_pixels
             self.seen[frame, k] = sure.sum() >= least
+        self.open[frame] = is_open(logodds[scene.valid[frame]])
         unsure = self.evidence.usable(frame, scene.mask[frame] & (np.abs(logodds) <= 1))
         self.unsure[frame] = draw(unsure, settings.samples, self.rng)
 
