@@ -41,7 +41,7 @@ KeptStage = Literal["segmentation", "joint", "poses", "surfaces"]
 
 STAGES: tuple[KeptStage, ...] = get_args(KeptStage)
 
-_FIRST_USED: dict[str, KeptStage] = {"gaps": "joint", "surfaces": "surfaces"}
+_FIRST_USED: dict[str, KeptStage] = {"exchanges": "joint", "gaps": "joint", "surfaces": "surfaces"}
 """Groups of settings that the first stage does not use: all others, known or not, count from the first stage on."""
 
 _LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image")

@@ -28,7 +28,7 @@ class Evidence:
     def __init__(self, scene: Scene, settings: EvidenceSettings, labels: LabelSettings) -> None:
         self.scene, self.settings, self.label_settings = scene, settings, labels
         self.unit = float(np.hypot(scene.footprint, 2 * scene.noise))
-        """Metres: the footprint, widened by depth noise; gates are multiples of it."""
+        """Metres: the footprint, widened by the noise that planes leave; gates are multiples of it."""
         self.sigma = float(np.hypot(settings.sigma * scene.footprint, scene.noise))
         """Metres: standard deviation of point-to-plane residuals."""
 

@@ -96,15 +96,11 @@ def _exchange(
 
 def _alike(both: Array, other: Array, frame: int, candidates: Frames, settings: ExchangeSettings) -> Frames:
     """Those of `candidates` whose view is most like that of `frame`, as they stand or exchanged."""
-    chosen: list[int] = []
-    for Ts in (both, other):
-        turn = np.minimum(*(view_angle(Ts[k, candidates, :3, :3], both[k, frame, :3, :3]) for k in range(2)))
-        near = candidates[np.argsort(turn, kind="stable")][: (turn < settings.max_turn).sum()]
-        for j in map(int, near):
-            if len(chosen) >= settings.references:
-                break
-            if all(abs(j - c) > settings.every for c in chosen):
-                chosen.append(j)
+    turns = [view_angle(Ts[k, candidates, :3, :3], both[k, frame, :3, :3]) for Ts in (both, other) for k in range(2)]
+    turn, chosen = np.min(turns, axis=0), list[int]()
+    for j in map(int, candidates[np.argsort(turn, kind="stable")][: (turn < settings.max_turn).sum()]):
+        if len(chosen) < settings.references and all(abs(j - c) > settings.every for c in chosen):
+            chosen.append(j)
     return np.array(sorted(chosen), int)
 
 

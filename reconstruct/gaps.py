@@ -32,7 +32,7 @@ def bridge_gaps(evidence: Evidence, grown: Grown, settings: GapSettings, rng: np
             continue
         joined = max(pieces, key=len)
         for piece in sorted((p for p in pieces if p is not joined), key=lambda p: abs(p.mean() - joined.mean())):
-            likely = _to_go_on(grown, jumps, joined, piece)
+            likely = _to_go_on(grown, jumps, joined, piece, settings)
             shift = _best_shift(evidence, grown, part, joined, piece, likely, settings, rng)
             states = grown.poses.states.copy()
             states[piece] = _without_turns(grown.poses.joint, states, joined, piece, states[piece] + shift)
@@ -54,7 +54,8 @@ def seen_pieces(seen: NDArray[np.bool_], jumps: Frames, settings: GapSettings) -
     Short runs are left out.
     """
     frames = np.flatnonzero(seen)
-    parted = (np.diff(frames) > settings.shortest_gap) | np.isin(frames[1:], jumps)
+    before = np.searchsorted(jumps, frames, "right")
+    parted = (np.diff(frames) > settings.shortest_gap) | (np.diff(before) > 0)
     return [piece for piece in np.split(frames, np.flatnonzero(parted) + 1) if len(piece) >= settings.shortest_piece]
 
 
@@ -75,14 +76,15 @@ def _jumps(grown: Grown, part: int, settings: GapSettings) -> Frames:
     return np.flatnonzero((steps > settings.jump * usual) & (strides[part] > strides[1 - part])) + 1
 
 
-def _to_go_on(grown: Grown, jumps: Frames, joined: Frames, piece: Frames) -> float | None:
+def _to_go_on(grown: Grown, jumps: Frames, joined: Frames, piece: Frames, settings: GapSettings) -> float | None:
     """The state to add in `piece` so that there is no jump to the frames `joined`; None unless a jump parts them."""
     states = grown.poses.states
     for jump in map(int, jumps):
-        if jump in piece and jump - 1 in joined:
-            return float(states[jump - 1] - states[jump])
-        if jump in joined and jump - 1 in piece:
-            return float(states[jump] - states[jump - 1])
+        for earlier, later in ((joined, piece), (piece, joined)):
+            before, after = earlier[earlier < jump], later[later >= jump]
+            if len(before) and len(after) and after.min() - before.max() <= settings.shortest_gap + 1:
+                step = float(states[before.max()] - states[after.min()])
+                return step if earlier is joined else -step
     return None
 
 
@@ -118,7 +120,7 @@ def _best_shift(
 
     If unsure, what is `likely`, or else 0.
     """
-    most = max(float(np.ptp(grown.poses.states[joined])), float(np.ptp(grown.poses.states[piece])))
+    most = float(np.ptp(grown.poses.states[np.concatenate([joined, piece])]))
     prior = 0.0 if likely is None else likely
     shifts, costs = np.linspace(-most, most, 2 * settings.steps + 1), np.zeros(0)
     sample = _Pairs(evidence, grown, part, joined, piece, settings, rng)

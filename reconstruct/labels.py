@@ -55,7 +55,7 @@ def label_frames(
 ) -> Floats:
     """Log-odds (n, h, w) of all frames: what the pixels of each say, and then what the frames tell each other.
 
-    Each part was `seen` (n, 2) or not in the labels `start` (n, h, w) so far; see `label_frame` for the rest.
+    Each part was `seen` (n, 2) or not by the log-odds `start` (n, h, w) so far; see `label_frame` for the rest.
     """
     n, known = Ts.shape[1], np.asarray(seen.any(1))
     unsure = np.array([is_open(logodds[valid]) for logodds, valid in zip(start, evidence.scene.valid, strict=True)])
@@ -210,7 +210,7 @@ def _random_walk(strength, target, first, starts, ends, weights, tolerance, roun
     x, d = target.copy(), np.zeros(n)
     r, product = np.empty(n), np.empty(n)
     _residual(x, strength, target, diagonal, starts, ends, weights, r)
-    enough = tolerance * tolerance * (r * r / diagonal).sum()
+    enough = max(tolerance * tolerance * (r * r / diagonal).sum(), 1e-12 * diagonal.sum())
     x[:] = first
     _residual(x, strength, target, diagonal, starts, ends, weights, r)
     gain = (r * r / diagonal).sum()

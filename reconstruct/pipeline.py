@@ -190,11 +190,12 @@ def _joint(video: _Video, known: Known, settings: ReconstructSettings, rng: np.r
     assert known.grown is not None
     evidence = video.evidence
     anew = settings.segmentation == "ours" or settings.paper.relabel
-    grown = undo_exchanges(evidence, known.grown, settings.exchanges, rng)
+    grown = undo_exchanges(evidence, known.grown, settings.exchanges, rng) if anew else known.grown
     grown = bridge_gaps(evidence, grown, settings.gaps, rng)
     grown = relabel(evidence, grown, settings, rng) if anew else grown
     grown = replace(grown, poses=_type_again(evidence, grown, settings, rng))
-    grown = relabel(evidence, grown, settings, rng) if anew else grown
+    last = relabel(evidence, grown, settings, rng) if anew else grown
+    grown = last if last.seen.all(1).sum() >= 4 else grown
     poses = joint_adjustment(evidence, grown.labels, grown.poses, grown.seen, settings.poses, rng)
     return Known(_reference_first(replace(grown, poses=poses)))
 

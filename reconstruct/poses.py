@@ -137,8 +137,8 @@ def joint_adjustment(
         M, across = _joint_jacobian(now)
         own = sparse.eye_array(6 * n, M.shape[1], format="csr")
         A, b = own.T @ A0 @ own + M.T @ A1 @ M, own.T @ b0 + M.T @ b1
-        A, b = _with_state_smoothness(A, b, now.states - start.states)
-        now = _stepped(now, _damped_solve(A, b), across, evidence.scene.diagonal)
+        step = _damped_solve(*_with_state_smoothness(A, b, now.states - start.states))
+        now = _stepped(now, step, across, evidence.scene.diagonal)
         if r in (rounds // 3, 2 * rounds // 3):
             pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((now.Ts, now.Ts_moving))]
     if final:

@@ -163,10 +163,12 @@ class Growth:
         """
         back = 1 if neighbour > frame else -1
         doubted = self._doubted(neighbour, back)
-        before = self.Ts[:, doubted].copy(), self.states[doubted].copy(), self.logodds[doubted].copy()
+        Ts, states, logodds = self.Ts[:, doubted].copy(), self.states[doubted].copy(), self.logodds[doubted].copy()
+        costs, seen = self.costs[doubted].copy(), self.seen[doubted].copy()
+        self._body = self.body_points() if self._body is None else self._body
         self.done[doubted] = False
         alike = grown = 0
-        for i, T, q in zip(doubted, before[0][0], before[1], strict=True):
+        for i, T, q in zip(doubted, Ts[0], states, strict=True):
             self.step_jointed(int(i), int(i) - back)
             grown += 1
             near = self._moved(int(i), T, q) < self.settings.growth.agreeing * self.evidence.unit
@@ -176,8 +178,9 @@ class Growth:
         agreed = alike == self.settings.growth.agreeing_frames
         for c, i in enumerate(doubted[:grown]):
             if not agreed:
-                self.Ts[:, i], self.states[i] = before[0][:, c], before[1][c]
-                self._put_labels(int(i), before[2][c])
+                self.Ts[:, i], self.states[i] = Ts[:, c], states[c]
+                self._put_labels(int(i), logodds[c])
+                self.costs[i], self.seen[i] = costs[c], seen[c]
         self.done[doubted] = True
         self._body = None
         return agreed
@@ -189,7 +192,7 @@ class Growth:
         while 0 <= frame < len(self.done) and self.done[frame] and run < s.sound_frames:
             known = np.abs(self.logodds[frame][valid[frame]]) >= 1
             second = (self.logodds[frame][valid[frame]] >= 1).sum() / max(known.sum(), 1)
-            sound = known.mean() > 1 - s.doubtful and s.sound_share < second < 1 - s.sound_share
+            sound = len(known) and known.mean() > 1 - s.doubtful and s.sound_share < second < 1 - s.sound_share
             run = run + 1 if sound and self.seen[frame].all() else 0
             frames.append(frame)
             frame += back
@@ -232,8 +235,8 @@ class Growth:
         """Reference pose and state that explain the pixels of `frame` best at any state met so far, without labels.
 
         A pixel follows the motion that explains it better. Beyond the states met so far the parts might be taken for
-        each other: a lid that opens looks like a box that closes past its lid. `T` and `q` come back when little is
-        gained; the last says whether something was. After a frame whose labels were in doubt growth goes on so.
+        each other: a lid that opens looks like a box that closes past its lid. `T` and `q` come back, and False, when
+        little is gained. After a frame whose labels were in doubt growth goes on so, at least at rest.
         """
         assert self.joint is not None
         settings = self.settings.growth
@@ -345,8 +348,9 @@ class Growth:
     def _expected_state(self, frame: int) -> float:
         """The state of `frame` if the joint moves on evenly from the two nearest frames done."""
         known = np.flatnonzero(self.done)
-        a, b = known[np.argsort(np.abs(known - frame), kind="stable")[:2]]
-        if a == frame or abs(a - b) != 1 or self._jumped(self.states[a] - self.states[b]):
+        near = known[np.argsort(np.abs(known - frame), kind="stable")]
+        a, b = near[0], near[min(1, len(near) - 1)]
+        if abs(a - b) != 1 or self._jumped(self.states[a] - self.states[b]):
             return float(self.states[a])
         return float(2 * self.states[a] - self.states[b])
 
@@ -504,7 +508,7 @@ class Growth:
         return np.where(sure, self.labels[neighbour, y, x], 0).reshape(h, w).astype(np.uint8)
 
     def _moved(self, frame: int, T: Array, q: float) -> float:
-        """Metres by which points all over the object move when a frame's reference pose and state become these."""
+        """Metres by which points round the second part move, as either part's, when reference pose and state change."""
         body = self.body_points() if self._body is None else self._body
         now = [se3.transform(T_k, body) for T_k in self._both(T, q)]
         was = [se3.transform(T_k, body) for T_k in self.Ts[:, frame]]

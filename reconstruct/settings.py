@@ -74,7 +74,7 @@ class EvidenceSettings:
     """What one pixel says about a motion: point-to-plane, free space, silhouette, colour."""
 
     sigma: float = 0.8
-    """Standard deviation of point-to-plane residuals of a clean sensor; depth noise is added in quadrature."""
+    """Standard deviation of point-to-plane residuals of a clean sensor; noise that planes leave adds in quadrature."""
     sigma_colour: float = 3.0
     """Standard deviation of colour residuals, CIELAB units."""
     sigma_silhouette: float = 2.0
@@ -106,7 +106,7 @@ class LabelSettings:
     walk: float = 8.0
     """Pull of one neighbour of the same look in the random walk, where a pixel that knows pulls with its log-odds."""
     residual: float = 3e-3
-    """Share of its first residual at which the random walk is solved."""
+    """Share of the residual of what pixels see and hear, unsmoothed, at which the random walk is solved."""
     rounds_of_talk: int = 2
     """Times that all frames are labelled again, each hearing what the others found."""
     doubt: float = 0.03

@@ -126,6 +126,19 @@ def test_random_walk_solves_its_equations():
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
+def test_where_nobody_knows_a_wrong_start_is_forgotten():
+    rng = np.random.default_rng(0)
+    for n in range(2, 40):
+        starts = np.concatenate([[0], 2 * np.arange(1, n) - 1, [2 * n - 2]])  # a chain
+        ends = np.array([e for p in range(n) for e in (p - 1, p + 1) if 0 <= e < n], np.int32)
+        weights = rng.random(len(ends)).astype(np.float32) * 8
+        forth = ends > np.repeat(np.arange(n), np.diff(starts))
+        weights[~forth] = weights[forth]
+        nothing = np.zeros(n)
+        found = labels._random_walk(nothing + 0.03, nothing, rng.uniform(-1, 1, n), starts, ends, weights, 3e-3, 300)
+        np.testing.assert_allclose(found, 0, atol=1e-3)
+
+
 def test_a_roll_changes_no_view():
     R = se3.exp_so3(np.array([0.3, -0.2, 0.5]))
     rolled = se3.exp_so3(np.array([0, 0, 1.3])) @ R

@@ -22,7 +22,7 @@ from freeart21.recording import Frame, Recording
 from reconstruct.evidence import Evidence
 from reconstruct.gaps import bridge_gaps
 from reconstruct.pipeline import reconstruct, reconstruct_folder
-from reconstruct.poses import JointedPoses
+from reconstruct.poses import JointedPoses, joint_adjustment
 from reconstruct.renders import render
 from reconstruct.scene import prepare
 from reconstruct.segmentation import Grown
@@ -210,11 +210,12 @@ def test_a_slip_behind_a_gap_is_found_and_the_gap_interpolated(name, part, hinge
     assert np.allclose(kept, true, atol=1e-9), "the part that was seen all along stays where it is"
 
 
+@pytest.mark.parametrize("unseen", [[], [11], [12]])
 @pytest.mark.parametrize("part", [0, 1])
 @pytest.mark.parametrize("name", ["hinge", "slide"])
-def test_a_jump_of_a_part_seen_all_along_is_undone(name, part, hinge, slide):
+def test_a_jump_of_a_part_that_was_not_hidden_is_undone(name, part, unseen, hinge, slide):
     clip = {"hinge": hinge, "slide": slide}[name]
-    evidence, grown = true_growth(clip, slice(0, 0), part)
+    evidence, grown = true_growth(clip, unseen, part)
     jumped = clip.states + np.where(np.arange(FRAMES) >= 12, 0.7 * np.ptp(clip.states), 0)
     anchor = grown.poses.Ts_moving
     Ts = clip.Ts if part == 1 else anchor @ clip.joint.transform(-jumped)
@@ -224,6 +225,16 @@ def test_a_jump_of_a_part_seen_all_along_is_undone(name, part, hinge, slide):
     assert np.abs(off - off[0]).max() < 0.05 * np.ptp(clip.states)
     kept, true = (found.Ts, clip.Ts) if part == 1 else (found.Ts_moving, anchor)
     assert np.allclose(kept, true, atol=1e-9), "the part that did not jump stays where it is"
+
+
+def test_a_state_that_was_not_measured_leaves_the_others_as_sure(hinge):
+    def median_std(hidden):
+        evidence, grown = true_growth(hinge, hidden, 1)
+        poses = joint_adjustment(evidence, grown.labels, grown.poses, grown.seen, QUIET.poses, np.random.default_rng(0))
+        assert np.array_equal(np.isfinite(poses.state_std), grown.seen.all(1))
+        return np.median(poses.state_std[grown.seen.all(1)])
+
+    assert median_std([10]) == pytest.approx(median_std([]), rel=0.2)
 
 
 def test_where_nothing_slipped_nothing_is_shifted(hinge):

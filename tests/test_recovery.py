@@ -92,6 +92,35 @@ def test_a_joint_that_rests_and_goes_on_is_followed(resting):
     assert right_labels(grown.labels, true.labels).min() > 0.93
 
 
+def test_the_way_back_that_leads_nowhere_changes_nothing(resting):
+    settings = replace(QUIET, growth=replace(QUIET.growth, agreeing=-1.0))
+    growth = half_grown(done=14, resting=resting, settings=settings)
+    kept = ("Ts", "states", "labels", "logodds", "seen", "open", "costs", "done")
+    before = {name: getattr(growth, name).copy() for name in kept}
+    assert not growth.go_back(12, 11)
+    for name in kept:
+        assert np.array_equal(getattr(growth, name), before[name], equal_nan=name == "costs"), name
+
+
+def test_the_way_back_may_lead_over_all_that_was_found(resting):
+    settings = replace(QUIET, growth=replace(QUIET.growth, sound_share=0.49))  # no frame is sound
+    growth = half_grown(done=12, resting=resting, settings=settings)
+    growth.go_back(11, 10)
+    assert growth.done[:12].all() and np.isfinite(growth.Ts).all()
+
+
+def test_the_way_back_mends_what_was_lost(resting):
+    clip, _, true, _ = resting
+    growth = half_grown(done=30, resting=resting, settings=QUIET)
+    lost = np.arange(15, 24)
+    growth.states[lost] += 0.5 * np.ptp(clip.states)
+    growth.Ts[1, lost] = growth.Ts[0, lost] @ growth.joint.transform(growth.states[lost])
+    for i in lost:
+        growth._put_labels(int(i), np.where(true.labels[i] > 0, -3, 0).astype(np.float32))
+    assert growth.go_back(24, 23)
+    assert np.abs(growth.states[:30] - clip.states[:30]).max() < 0.02 * np.ptp(clip.states)
+
+
 # ---- nothing to see ------------------------------------------------------------------------------------------------
 
 
