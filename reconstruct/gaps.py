@@ -3,6 +3,8 @@
 While a part is hidden the growth can only guess its state, and goes on from its guess when the part comes back. All
 frames after the gap are then off by one and the same state, because the other part was seen all along: a search over
 one number joins them. So it is where a part seen edge-on came back with a jump, as no joint moves.
+
+Within the gap little is known of the state, but where the part would stick out behind what hides it, it is not.
 """
 
 from __future__ import annotations
@@ -17,14 +19,18 @@ from freeart21 import se3
 from freeart21.joint import Joint
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence, draw, evenly
+from reconstruct.rigid import view_angle
 from reconstruct.segmentation import Grown
 from reconstruct.settings import GapSettings
 
 Frames = NDArray[np.int64]
 
+HIDDEN = 0.8
+"""Cost of a pixel that is hidden: see `kernels.pixel_costs`."""
+
 
 def bridge_gaps(evidence: Evidence, grown: Grown, settings: GapSettings, rng: np.random.Generator) -> Grown:
-    """`grown` with every stretch after a gap of either part shifted in state to fit the rest, and gaps interpolated."""
+    """`grown` with every stretch after a gap of either part shifted in state to fit the rest, and gaps filled."""
     for part in range(2):
         jumps = _jumps(grown, part, settings)
         pieces = seen_pieces(grown.seen[:, part], jumps, settings)
@@ -38,14 +44,84 @@ def bridge_gaps(evidence: Evidence, grown: Grown, settings: GapSettings, rng: np
             states[piece] = _without_turns(grown.poses.joint, states, joined, piece, states[piece] + shift)
             grown = _with_states(grown, states, part)
             joined = np.concatenate([joined, piece])
-        joined = np.sort(joined)
-        frames = np.clip(np.arange(len(grown.labels)), joined[0], joined[-1])
-        if 1 < len(joined) < len(frames):
-            states = grown.poses.states.copy()
-            unseen = np.setdiff1d(np.arange(len(frames)), joined)
-            states[unseen] = PchipInterpolator(joined, states[joined])(frames[unseen])
-            grown = _with_states(grown, states, part)
+        grown = _filled(evidence, grown, part, np.sort(joined), settings, rng)
     return grown
+
+
+def fill_gaps(evidence: Evidence, grown: Grown, settings: GapSettings, rng: np.random.Generator) -> Grown:
+    """`grown` with the states of frames in which a part was not seen guessed anew from those in which it was."""
+    for part in range(2):
+        grown = _filled(evidence, grown, part, np.flatnonzero(grown.seen[:, part]), settings, rng)
+    return grown
+
+
+def _filled(
+    evidence: Evidence, grown: Grown, part: int, joined: Frames, settings: GapSettings, rng: np.random.Generator
+) -> Grown:
+    """`grown` with states in all frames but `joined` that go on evenly where `part` stays hidden by that."""
+    n = len(grown.labels)
+    if not 1 < len(joined) < n:
+        return grown
+    frames = np.clip(np.arange(n), joined[0], joined[-1])
+    states, unseen = grown.poses.states.copy(), np.setdiff1d(np.arange(n), joined)
+    states[unseen] = PchipInterpolator(joined, states[joined])(frames[unseen])
+    grown, states = _with_states(grown, states, part), states.copy()
+    low, high = float(states[joined].min()), float(states[joined].max())
+    grid = np.linspace(low, high, settings.hidden_states) + 0.1 * (high - low) * np.linspace(
+        -1, 1, settings.hidden_states
+    )
+    for run in np.split(unseen, np.flatnonzero(np.diff(unseen) > 1) + 1):
+        if len(run) > settings.shortest_gap and high > low and grown.seen[run, 1 - part].all():
+            exposed = np.stack([_exposed(evidence, grown, part, int(i), joined, grid, settings, rng) for i in run])
+            held = run[0] > 0, run[-1] < n - 1
+            states[run] = _hidden_path(exposed, states[run], grid, held, settings.evenness)
+    return _with_states(grown, states, part)
+
+
+def _exposed(
+    evidence: Evidence,
+    grown: Grown,
+    part: int,
+    frame: int,
+    joined: Frames,
+    grid: Array,
+    settings: GapSettings,
+    rng: np.random.Generator,
+) -> Array:
+    """(m,) how much of `part`, as known from the frames `joined`, would show in `frame` in the states `grid` (m,)."""
+    poses = grown.poses
+    Ts = (poses.Ts, poses.Ts_moving)[part]
+    here = poses.Ts[frame] @ poses.joint.transform(grid)
+    if part == 0:
+        here = poses.Ts_moving[frame] @ poses.joint.transform(-grid)
+    chosen: set[int] = set()
+    for T in here[:: max(1, len(grid) // 4)]:
+        turn = view_angle(Ts[joined, :3, :3], T[:3, :3])
+        chosen |= set(map(int, joined[np.argsort(turn, kind="stable")[:9:3]]))
+    found = []
+    for i in sorted(chosen):
+        pixels = draw(evidence.usable(i, grown.labels[i] == part + 1), settings.samples // 2, rng)
+        costs = evidence.costs(i, np.array([frame]), (here @ se3.inverse(Ts[i]))[None], pixels)[:, 0]
+        found.append(np.maximum(costs - HIDDEN, 0))
+    return np.asarray(np.concatenate(found).mean(0))
+
+
+def _hidden_path(exposed: Array, even: Array, grid: Array, held: tuple[bool, bool], evenness: float) -> Array:
+    """The states (r,) of a run of frames that expose the least, `exposed` (r, m), and stray the least from `even` (r,).
+
+    Dynamic programming over the states `grid` (m,). `held` says whether the frames before and after the run are known.
+    """
+    stray = (grid - even[:, None]) / np.ptp(grid)
+    cost, back = exposed[0] + held[0] * evenness * stray[0] ** 2, np.zeros(exposed.shape, int)
+    for r in range(1, len(even)):
+        step = cost[:, None] + evenness * (stray[r - 1][:, None] - stray[r]) ** 2
+        back[r] = step.argmin(0)
+        cost = step.min(0) + exposed[r]
+    at = int((cost + held[1] * evenness * stray[-1] ** 2).argmin())
+    path = [at]
+    for r in range(len(even) - 1, 0, -1):
+        path.append(at := int(back[r, at]))
+    return np.asarray(grid[path[::-1]])
 
 
 def seen_pieces(seen: NDArray[np.bool_], jumps: Frames, settings: GapSettings) -> list[Frames]:

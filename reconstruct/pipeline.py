@@ -39,7 +39,7 @@ from reconstruct.diagnostics import diagnose, peak_bytes
 from reconstruct.evidence import Evidence
 from reconstruct.exchanges import undo_exchanges
 from reconstruct.features import HandMade
-from reconstruct.gaps import bridge_gaps
+from reconstruct.gaps import bridge_gaps, fill_gaps
 from reconstruct.hypotheses import better_type
 from reconstruct.poses import FreePoses, JointedPoses, free_adjustment, joint_adjustment
 from reconstruct.renders import render_queries
@@ -197,7 +197,8 @@ def _joint(video: _Video, known: Known, settings: ReconstructSettings, rng: np.r
     last = relabel(evidence, grown, settings, rng) if anew else grown
     grown = last if last.seen.all(1).sum() >= 4 else grown
     poses = joint_adjustment(evidence, grown.labels, grown.poses, grown.seen, settings.poses, rng)
-    return Known(_reference_first(replace(grown, poses=poses)))
+    grown = fill_gaps(evidence, replace(grown, poses=poses), settings.gaps, rng)
+    return Known(_reference_first(grown))
 
 
 def _type_again(

@@ -265,6 +265,10 @@ class GapSettings:
     """Steps of the state, each way, over the range of motion."""
     least_gain: float = 0.05
     """Share by which the cost must fall for the states to be shifted."""
+    hidden_states: int = 61
+    """States that are tried in frames in which a part is hidden."""
+    evenness: float = 20.0
+    """Weight of squared steps off even motion, in ranges, against the mean cost of pixels that would stick out."""
 
 
 @dataclass(frozen=True)

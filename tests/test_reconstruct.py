@@ -20,7 +20,7 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Frame, Recording
 from reconstruct.evidence import Evidence
-from reconstruct.gaps import bridge_gaps
+from reconstruct.gaps import _hidden_path, bridge_gaps, fill_gaps
 from reconstruct.pipeline import reconstruct, reconstruct_folder
 from reconstruct.poses import JointedPoses, joint_adjustment
 from reconstruct.renders import render
@@ -205,7 +205,8 @@ def test_a_slip_behind_a_gap_is_found_and_the_gap_interpolated(name, part, hinge
     found = bridge_gaps(evidence, wrong, QUIET.gaps, np.random.default_rng(0)).poses
     off = found.states - clip.states
     assert np.abs(off[:12] - off[0]).max() < 1e-12 and np.abs(off[15:] - off[15]).max() < 1e-12
-    assert np.abs(off - off[0]).max() < 0.03 * np.ptp(clip.states)
+    assert np.abs(off - off[0])[grown.seen[:, part]].max() < 0.03 * np.ptp(clip.states)
+    assert np.abs(off - off[0]).max() < 0.08 * np.ptp(clip.states), "only guessed"
     kept, true = (found.Ts, clip.Ts) if part == 1 else (found.Ts_moving, anchor)
     assert np.allclose(kept, true, atol=1e-9), "the part that was seen all along stays where it is"
 
@@ -227,6 +228,36 @@ def test_a_jump_of_a_part_that_was_not_hidden_is_undone(name, part, unseen, hing
     assert np.allclose(kept, true, atol=1e-9), "the part that did not jump stays where it is"
 
 
+@pytest.mark.parametrize("part", [0, 1])
+@pytest.mark.parametrize("kind", ["hinge", "slide"])
+def test_in_a_gap_a_part_stands_where_it_would_not_be_seen(kind, part):
+    sweep = np.concatenate(
+        [np.linspace(0, 0.5, 8), np.linspace(0.6, 1, 4), np.linspace(1, 0.6, 4), np.linspace(0.5, 0, 8)]
+    )
+    clip = make_clip(kind, len(sweep), spin=GENTLE, sweep=sweep)
+    evidence, grown = true_growth(clip, slice(8, 16), part)
+    evenly = replace(grown.poses, states=np.interp(np.arange(24), [0, 7, 16, 23], clip.states[[0, 7, 16, 23]]))
+    Ts = clip.Ts if part == 1 else grown.poses.Ts_moving @ clip.joint.transform(-evenly.states)
+    found = fill_gaps(
+        evidence, replace(grown, poses=replace(evenly, Ts=Ts)), QUIET.gaps, np.random.default_rng(0)
+    ).poses
+    reach = clip.states[grown.seen.all(1)].max() + 0.05 * np.ptp(clip.states)  # hardly further than it was ever seen
+    off = np.abs(found.states - np.minimum(clip.states, reach)) / np.ptp(clip.states)
+    assert off.max() < 0.08 and (np.abs(evenly.states - clip.states) / np.ptp(clip.states)).max() > 0.4
+    kept, true = (found.Ts, clip.Ts) if part == 1 else (found.Ts_moving, grown.poses.Ts_moving)
+    assert np.allclose(kept, true, atol=1e-9)
+
+
+def test_a_hidden_path_goes_round_what_is_exposed_and_back():
+    grid, even = np.linspace(0, 1, 11), np.full(9, 0.5)
+    assert np.allclose(_hidden_path(np.zeros((9, 11)), even, grid, (True, True), 1.0), 0.5)
+    exposed = np.zeros((9, 11))
+    exposed[4, :9] = 5.0
+    found = _hidden_path(exposed, even, grid, (True, True), 1.0)
+    assert found[4] == pytest.approx(0.9) and found[0] < 0.7 and found[8] < 0.7
+    assert _hidden_path(exposed, even, grid, (True, False), 1.0)[8] == pytest.approx(0.9)
+
+
 def test_a_state_that_was_not_measured_leaves_the_others_as_sure(hinge):
     def median_std(hidden):
         evidence, grown = true_growth(hinge, hidden, 1)
@@ -242,7 +273,7 @@ def test_where_nothing_slipped_nothing_is_shifted(hinge):
     states = bridge_gaps(evidence, grown, QUIET.gaps, np.random.default_rng(0)).poses.states
     seen = grown.seen.all(1)
     assert np.array_equal(states[seen], hinge.states[seen])
-    assert np.abs(states - hinge.states).max() < 0.03 * np.ptp(hinge.states), "near a turning point"
+    assert np.abs(states - hinge.states).max() < 0.08 * np.ptp(hinge.states), "only guessed, near a turning point"
 
 
 # ---- tracks --------------------------------------------------------------------------------------------------------
