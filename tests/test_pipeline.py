@@ -204,7 +204,8 @@ def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp
     assert len(set(before.values())) == len(before)
     assert changed(replace(QUIET, progress=True)) == []
     assert changed(replace(QUIET, gaps=replace(QUIET.gaps, steps=3))) == ["joint", "poses", "surfaces"]
-    for name in set(QUIET.to_json()) - {"progress", "gaps", "surfaces"}:
+    assert changed(replace(QUIET, exchanges=replace(QUIET.exchanges, every=3))) == ["joint", "poses", "surfaces"]
+    for name in set(QUIET.to_json()) - {"progress", "exchanges", "gaps", "surfaces"}:
         group = getattr(QUIET, name)
         other = replace(group, **{fields(group)[0].name: 12345}) if is_dataclass(group) else 12345
         assert changed(replace(QUIET, **{name: other})) == list(cache.STAGES), name
