@@ -52,6 +52,10 @@ class Joint:
         if np.isnan(self.lower) or np.isnan(self.upper) or self.lower > self.upper:
             raise FreeArtError(f"joint '{self.name}' limits are [{self.lower}, {self.upper}], expected lower <= upper")
 
+    def spanning(self, states: Array) -> Joint:
+        """This joint with the range of `states` (n,), rad or m, as its limits."""
+        return replace(self, lower=float(np.min(states)), upper=float(np.max(states)))
+
     @property
     def state_unit(self) -> str:
         """'rad' or 'm'."""

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3
-from freeart21.joint import Joint
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence, Samples, draw
 from reconstruct.poses import JointedPoses
@@ -40,22 +39,44 @@ def undo_exchanges(evidence: Evidence, grown: Grown, settings: ExchangeSettings,
 
     The cut that gains most comes first. A stretch between two cuts is exchanged, and what lies beyond it restored.
     """
-    frames = np.flatnonzero(grown.seen.all(1))[:: settings.every]
+    frames, n = np.flatnonzero(grown.seen.all(1))[:: settings.every], len(grown.labels)
     for _ in range(settings.most):
         pixels = [_part_pixels(evidence, grown, frames, k, settings.samples, rng) for k in (1, 2)]
-
-        def best(cuts: Frames, poses: JointedPoses = grown.poses, pixels: list[Samples] = pixels) -> _Exchange | None:
-            found = [_exchange(evidence, poses, frames, pixels, int(cut), settings) for cut in cuts]
-            return max((e for e in found if e is not None), key=lambda e: e.gain, default=None)
-
-        rough = best(frames[1:])
+        asked = evidence, grown.poses, frames, pixels, settings
+        rough = _best(frames[1:], *asked)
         if rough is None or not rough.gain > settings.suspicion:
             break
-        found = best(np.arange(frames[0] + 1, frames[-1] + 1))
+        found = _best(np.arange(frames[0] + 1, frames[-1] + 1), *asked)
         if found is None or found.gain < settings.least_gain:
             break
-        grown = _exchanged(grown, found)
+        after = np.arange(n) >= found.cut
+        grown = exchanged(grown, after if 2 * after.sum() <= n else ~after, found.turning)
     return grown
+
+
+def exchanged(grown: Grown, frames: NDArray[np.bool_], turning: float) -> Grown:
+    """`grown` with each part called the other in `frames` (n,): their poses agree where the state is `turning`."""
+    poses = grown.poses
+    Ts = np.where(frames[:, None, None], poses.Ts_moving @ poses.joint.transform(-turning), poses.Ts)
+    states = np.where(frames, 2 * turning - poses.states, poses.states)
+    other = frames[:, None, None]
+    labels = np.where(other, (3 - grown.labels) * (grown.labels > 0), grown.labels).astype(np.uint8)
+    logodds = np.where(other, -grown.logodds, grown.logodds)
+    seen = np.where(frames[:, None], grown.seen[:, ::-1], grown.seen)
+    return Grown(replace(poses, joint=poses.joint.spanning(states), states=states, Ts=Ts), labels, logodds, seen)
+
+
+def _best(
+    cuts: Frames,
+    evidence: Evidence,
+    poses: JointedPoses,
+    frames: Frames,
+    pixels: list[Samples],
+    settings: ExchangeSettings,
+) -> _Exchange | None:
+    """The exchange at one of `cuts` that gains most, if any can be judged."""
+    found = [_exchange(evidence, poses, frames, pixels, int(cut), settings) for cut in cuts]
+    return max((e for e in found if e is not None), key=lambda e: e.gain, default=None)
 
 
 def _part_pixels(
@@ -77,7 +98,7 @@ def _exchange(
     """What an exchange at `cut` gains; None when too few views on its two sides are alike to tell."""
     turning = float(poses.states[cut])
     both = np.stack([poses.Ts, poses.Ts_moving])
-    other = np.stack(_turned(poses.joint, both, turning))
+    other = np.stack([both[1] @ poses.joint.transform(-turning), both[0] @ poses.joint.transform(turning)])
     before, after = frames[frames < cut], frames[frames >= cut]
     costs = []
     for sides in ((before, after), (after, before)):
@@ -102,24 +123,3 @@ def _alike(both: Array, other: Array, frame: int, candidates: Frames, settings: 
         if len(chosen) < settings.references and all(abs(j - c) > settings.every for c in chosen):
             chosen.append(j)
     return np.array(sorted(chosen), int)
-
-
-def _turned(joint: Joint, both: Array, turning: float) -> tuple[Array, Array]:
-    """Poses of the first and the second part when each is taken for the other at the state `turning`."""
-    return both[1] @ joint.transform(-turning), both[0] @ joint.transform(turning)
-
-
-def _exchanged(grown: Grown, exchange: _Exchange) -> Grown:
-    """`grown` with the parts exchanged on the shorter side of the cut."""
-    poses, n = grown.poses, len(grown.labels)
-    side = np.arange(n) >= exchange.cut
-    side = side if 2 * side.sum() <= n else ~side
-    Ts = poses.Ts.copy()
-    Ts[side] = poses.Ts_moving[side] @ poses.joint.transform(-exchange.turning)
-    states = np.where(side, 2 * exchange.turning - poses.states, poses.states)
-    joint = replace(poses.joint, lower=float(states.min()), upper=float(states.max()))
-    labels, logodds, seen = grown.labels.copy(), grown.logodds.copy(), grown.seen.copy()
-    labels[side] = (3 - labels[side]) * (labels[side] > 0)
-    logodds[side] *= -1
-    seen[side] = seen[side][:, ::-1]
-    return Grown(replace(poses, joint=joint, states=states, Ts=Ts), labels, logodds, seen)

@@ -1,4 +1,4 @@
-"""Frames in which a part is hidden: what came before and after them is joined anew, and the states there interpolated.
+"""Frames in which a part is hidden: what came before and after them is joined anew, and the states there are guessed.
 
 While a part is hidden the growth can only guess its state, and goes on from its guess when the part comes back. All
 frames after the gap are then off by one and the same state, because the other part was seen all along: a search over
@@ -58,7 +58,10 @@ def fill_gaps(evidence: Evidence, grown: Grown, settings: GapSettings, rng: np.r
 def _filled(
     evidence: Evidence, grown: Grown, part: int, joined: Frames, settings: GapSettings, rng: np.random.Generator
 ) -> Grown:
-    """`grown` with states in all frames but `joined` that go on evenly where `part` stays hidden by that."""
+    """`grown` with states in all frames but `joined` that go on evenly where `part` stays hidden by that.
+
+    States a little beyond the range of those joined are thought of too: a joint may turn back while it is hidden.
+    """
     n = len(grown.labels)
     if not 1 < len(joined) < n:
         return grown
@@ -67,9 +70,8 @@ def _filled(
     states[unseen] = PchipInterpolator(joined, states[joined])(frames[unseen])
     grown, states = _with_states(grown, states, part), states.copy()
     low, high = float(states[joined].min()), float(states[joined].max())
-    grid = np.linspace(low, high, settings.hidden_states) + 0.1 * (high - low) * np.linspace(
-        -1, 1, settings.hidden_states
-    )
+    beyond = 0.1 * (high - low)
+    grid = np.linspace(low - beyond, high + beyond, settings.hidden_states)
     for run in np.split(unseen, np.flatnonzero(np.diff(unseen) > 1) + 1):
         if len(run) > settings.shortest_gap and high > low and grown.seen[run, 1 - part].all():
             exposed = np.stack([_exposed(evidence, grown, part, int(i), joined, grid, settings, rng) for i in run])
@@ -168,8 +170,7 @@ def _with_states(grown: Grown, states: Array, part: int) -> Grown:
     """`grown` with other states; `part` moves, the other part stays where it is."""
     poses = grown.poses
     Ts = poses.Ts if part == 1 else poses.Ts_moving @ poses.joint.transform(-states)
-    joint = replace(poses.joint, lower=float(states.min()), upper=float(states.max()))
-    return replace(grown, poses=replace(poses, joint=joint, states=states, Ts=Ts))
+    return replace(grown, poses=replace(poses, joint=poses.joint.spanning(states), states=states, Ts=Ts))
 
 
 def _without_turns(joint: Joint, states: Array, joined: Frames, piece: Frames, shifted: Array) -> Array:

@@ -29,7 +29,6 @@ from freeart21.articulation import Articulation
 from freeart21.files.diagnostics import Diagnostics
 from freeart21.files.result import write_result
 from freeart21.files.sequence import read_sequence
-from freeart21.joint import Joint
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Recording
 from freeart21.se3 import Array
@@ -37,7 +36,7 @@ from reconstruct import VERSION, cache, paper_segmentation
 from reconstruct.cache import Kept, KeptStage, Known, Work
 from reconstruct.diagnostics import diagnose, peak_bytes
 from reconstruct.evidence import Evidence
-from reconstruct.exchanges import undo_exchanges
+from reconstruct.exchanges import exchanged, undo_exchanges
 from reconstruct.features import HandMade
 from reconstruct.gaps import bridge_gaps, fill_gaps
 from reconstruct.hypotheses import better_type
@@ -254,16 +253,7 @@ def _reference_first(grown: Grown) -> Grown:
     first, second = (int((grown.labels == k).sum()) for k in (1, 2))
     if first >= second:
         return grown
-    poses = grown.poses
-    swapped = (3 - grown.labels) * (grown.labels > 0)
-    # T_second = T_first J(q), so T_first = T_second J(-q): the same axis, the states negated
-    joint = _with_range(poses.joint, -poses.states)
-    turned = replace(poses, Ts=poses.Ts_moving, joint=joint, states=-poses.states)
-    return Grown(turned, swapped, -grown.logodds, grown.seen[:, ::-1].copy())
-
-
-def _with_range(joint: Joint, states: Array) -> Joint:
-    return replace(joint, lower=float(states.min()), upper=float(states.max()))
+    return exchanged(grown, np.ones(len(grown.labels), bool), 0.0)
 
 
 def _canonical(
@@ -276,7 +266,7 @@ def _canonical(
     """Everything in the camera frame with the object as in frame 0, state zero in frame 0."""
     q0 = float(grown.poses.states[0])
     T_zero = grown.poses.joint.transform(q0)
-    joint = _with_range(articulation.joint, grown.poses.states - q0)
+    joint = articulation.joint.spanning(grown.poses.states - q0)
     moving = articulation.moving.moved(T_zero)
     T_frame0 = free[0].Ts[0]
     Ts_moving = free[1].Ts @ se3.inverse(T_zero)

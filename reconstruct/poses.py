@@ -222,7 +222,7 @@ def _stepped(now: JointedPoses, x: Array, across: Array, size: float) -> Jointed
     pivot = joint.pivot
     if joint.type == "revolute":
         pivot = pivot + np.clip(x[7 * n + 2 :], -0.05 * size, 0.05 * size) @ across
-    new = replace(joint, axis=axis, pivot=pivot, lower=float(states.min()), upper=float(states.max()))
+    new = replace(joint, axis=axis, pivot=pivot).spanning(states)
     return replace(now, joint=new, states=states, Ts=Ts)
 
 

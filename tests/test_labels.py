@@ -50,7 +50,8 @@ def cropped(masks, scene):
     """Full masks (n, height, width) as the scene's crop pixels see them."""
     h, w = scene.mask.shape[1:]
     f, at = scene.factor, scene.factor // 2
-    cut = [m[y + at : y + at + f * h : f, x + at : x + at + f * w : f] for m, (x, y) in zip(masks, scene.origin)]  # noqa: B905
+    corners = zip(masks, scene.origin, strict=True)
+    cut = [m[y + at : y + at + f * h : f, x + at : x + at + f * w : f] for m, (x, y) in corners]
     return np.stack([m[:h, :w] for m in cut])
 
 

@@ -193,22 +193,30 @@ def true_growth(clip, hidden, part):
     return Evidence(scene, QUIET.evidence, QUIET.labels), grown
 
 
+def slipped(clip, grown, part, share):
+    """`grown` with `part` off by a `share` of the range from frame 12 on, while the other part stays where it is."""
+    states = clip.states + np.where(np.arange(FRAMES) >= 12, share * np.ptp(clip.states), 0)
+    Ts = clip.Ts if part == 1 else grown.poses.Ts_moving @ clip.joint.transform(-states)
+    return replace(grown, poses=replace(grown.poses, states=states, Ts=Ts))
+
+
+def assert_stays(found, true, part):
+    """The other part is where it was."""
+    kept, there = (found.Ts, true.Ts) if part == 1 else (found.Ts_moving, true.Ts_moving)
+    assert np.allclose(kept, there, atol=1e-9)
+
+
 @pytest.mark.parametrize("part", [0, 1])
 @pytest.mark.parametrize("name", ["hinge", "slide"])
 def test_a_slip_behind_a_gap_is_found_and_the_gap_interpolated(name, part, hinge, slide):
     clip = {"hinge": hinge, "slide": slide}[name]
     evidence, grown = true_growth(clip, slice(12, 15), part)
-    slipped = clip.states + np.where(np.arange(FRAMES) >= 12, 0.4 * np.ptp(clip.states), 0)
-    anchor = grown.poses.Ts_moving
-    Ts = clip.Ts if part == 1 else anchor @ clip.joint.transform(-slipped)
-    wrong = replace(grown, poses=replace(grown.poses, states=slipped, Ts=Ts))
-    found = bridge_gaps(evidence, wrong, QUIET.gaps, np.random.default_rng(0)).poses
+    found = bridge_gaps(evidence, slipped(clip, grown, part, 0.4), QUIET.gaps, np.random.default_rng(0)).poses
     off = found.states - clip.states
     assert np.abs(off[:12] - off[0]).max() < 1e-12 and np.abs(off[15:] - off[15]).max() < 1e-12
     assert np.abs(off - off[0])[grown.seen[:, part]].max() < 0.03 * np.ptp(clip.states)
     assert np.abs(off - off[0]).max() < 0.08 * np.ptp(clip.states), "only guessed"
-    kept, true = (found.Ts, clip.Ts) if part == 1 else (found.Ts_moving, anchor)
-    assert np.allclose(kept, true, atol=1e-9), "the part that was seen all along stays where it is"
+    assert_stays(found, grown.poses, part)
 
 
 @pytest.mark.parametrize("unseen", [[], [11], [12]])
@@ -217,15 +225,10 @@ def test_a_slip_behind_a_gap_is_found_and_the_gap_interpolated(name, part, hinge
 def test_a_jump_of_a_part_that_was_not_hidden_is_undone(name, part, unseen, hinge, slide):
     clip = {"hinge": hinge, "slide": slide}[name]
     evidence, grown = true_growth(clip, unseen, part)
-    jumped = clip.states + np.where(np.arange(FRAMES) >= 12, 0.7 * np.ptp(clip.states), 0)
-    anchor = grown.poses.Ts_moving
-    Ts = clip.Ts if part == 1 else anchor @ clip.joint.transform(-jumped)
-    wrong = replace(grown, poses=replace(grown.poses, states=jumped, Ts=Ts))
-    found = bridge_gaps(evidence, wrong, QUIET.gaps, np.random.default_rng(0)).poses
+    found = bridge_gaps(evidence, slipped(clip, grown, part, 0.7), QUIET.gaps, np.random.default_rng(0)).poses
     off = found.states - clip.states
     assert np.abs(off - off[0]).max() < 0.05 * np.ptp(clip.states)
-    kept, true = (found.Ts, clip.Ts) if part == 1 else (found.Ts_moving, anchor)
-    assert np.allclose(kept, true, atol=1e-9), "the part that did not jump stays where it is"
+    assert_stays(found, grown.poses, part)
 
 
 @pytest.mark.parametrize("part", [0, 1])
@@ -244,8 +247,7 @@ def test_in_a_gap_a_part_stands_where_it_would_not_be_seen(kind, part):
     reach = clip.states[grown.seen.all(1)].max() + 0.05 * np.ptp(clip.states)  # hardly further than it was ever seen
     off = np.abs(found.states - np.minimum(clip.states, reach)) / np.ptp(clip.states)
     assert off.max() < 0.08 and (np.abs(evenly.states - clip.states) / np.ptp(clip.states)).max() > 0.4
-    kept, true = (found.Ts, clip.Ts) if part == 1 else (found.Ts_moving, grown.poses.Ts_moving)
-    assert np.allclose(kept, true, atol=1e-9)
+    assert_stays(found, grown.poses, part)
 
 
 def test_a_hidden_path_goes_round_what_is_exposed_and_back():
