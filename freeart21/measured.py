@@ -1,0 +1,63 @@
+"""What was measured of one joint: runs of its position against time, and what is known of the circumstances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.joint import JointType
+from freeart21.mechanics import Actuator
+from freeart21.se3 import Array
+
+Timestamps = Literal["recorded", "nominal"]
+EffortKind = Literal["commanded", "external"]
+TIMESTAMPS: tuple[str, ...] = get_args(Timestamps)
+EFFORT_KINDS: tuple[str, ...] = get_args(EffortKind)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recording of the joint; (n,) arrays of one length, times rising."""
+
+    name: str
+    times_s: Array
+    """(n,) seconds."""
+    q: Array
+    """(n,) position as read, rad or m; NaN where there is no reading, and all NaN when only poses were measured."""
+    effort: Array | None = None
+    """(n,) N*m or N; each value lasts until the next one."""
+    q_command: Array | None = None
+    """(n,) commanded position, rad or m; each value lasts until the next one."""
+    poses: Array | None = None
+    """(n, 4, 4) T_reference_moving: the moving part's pose in the reference part's (base) frame, which is the identity
+    at state zero of an ideal joint: both parts are at home in the asset's canonical frame."""
+    seen: NDArray[np.bool_] | None = None
+    """(n,) whether the parts were seen when the poses were measured."""
+    held_out: bool | None = None
+    """Whether a fit must never see it; None when nobody said."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """All runs of one joint of one object, its base at rest."""
+
+    joint: str
+    """Name in the asset's URDF."""
+    joint_type: JointType
+    gravity: Array
+    """(3,) m/s^2 in the base frame."""
+    rate_hz: float
+    timestamps: Timestamps
+    """"recorded" times may jitter and are to be believed; "nominal" ones are even and may be off by the jitter."""
+    effort_kind: EffortKind | None = None
+    """Whether efforts pass the actuator or push the moving part itself; None without efforts."""
+    actuator: Actuator | None = None
+    """Stiffness and damping of the position law that follows `q_command`; its functions of time are empty."""
+    inertia_relative: float = 0.0
+    """How far the asset's inertia may be off, as a part of it; 0 is exact."""
+    gravity_relative: float = 0.0
+    """How far the asset's gravity torque (or force) may be off, as a part of it; 0 is exact."""
+    runs: tuple[Run, ...] = field(default_factory=tuple)
