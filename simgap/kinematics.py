@@ -1,0 +1,488 @@
+"""Geometry from part poses alone, before any dynamics: where the joint's motion is not the asset's ideal joint.
+
+The measured motion is split into its part along the joint (position over time: dynamics and timing) and what is left of
+it (geometry). The latter is explained by axis_tilt, pivot_offset, screw_pitch, sag, eccentricity and wobble, alone or
+up to three together; runs that were not fitted decide, and what cannot be told apart is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.effects.base import Effect
+from freeart21.effects.wobble import Wobble
+from freeart21.errors import FreeArtError
+from freeart21.mechanics import JointMechanics
+from freeart21.se3 import Array
+from simgap import pose_search
+from simgap.pose_model import STATIC, Geometry, Linear, PoseModel, Rock, Track, Weighting, effect_of, priors
+from simgap.pose_search import ROCK, Losses
+from simgap.swings import unit_numbers
+
+GeometryVerdict = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
+_NOISELESS = np.repeat([1e-12, 1e-12], 3)  # m^2 and rad^2: least noise of any pose
+_T90 = 1.645
+
+
+@dataclass(frozen=True)
+class KinematicsSettings:
+    """How geometry is looked for and when it is believed."""
+
+    most_effects: int = 3
+    """Effects that may be named together."""
+    level: float = 0.01
+    """p-value that every named effect must reach on runs that it was not fitted to."""
+    least_share: float = 0.03
+    """Share of the noise's loss by which an effect must lower the held-out loss: about 0.17 floors of displacement."""
+    unexplained_floors: float = 0.5
+    """Floors of displacement, besides the named effects, that a free function of the joint's position explains."""
+    closed: float = 0.75
+    """Part of the gap that must be closed for a name to be given while something remains."""
+    least_span: tuple[float, float] = (0.05, 0.005)
+    """Motion, rad and m, below which nothing can be said."""
+    registration_std: tuple[float, float] = (1e-3, 1e-3)
+    """Metres and radians by which the tracker's idea of the part's frame may be off: a constant, no effect."""
+    most_frames: int = 2400
+    """Frames, of all runs together, that the search looks at: poses next to each other say the same."""
+
+
+@dataclass(frozen=True)
+class TrackGeometry:
+    """What one run says."""
+
+    name: str
+    times_s: Array
+    """(n,) s."""
+    q: Array
+    """(n,) rad or m: the joint's position with the named geometry taken out, for the dynamics that follows."""
+    q_std: float
+    """Standard deviation of the noise of `q`."""
+    off_before: Array
+    """(n, 6) m and rad: twist off the ideal joint, at the moving part's middle."""
+    off_after: Array
+    """(n, 6) the same off the joint with the named effects."""
+    gap_before: float
+    """m: root mean square displacement of the part off the ideal joint."""
+    gap_after: float
+    """m: off the joint with the named effects."""
+    floor: float
+    """m: noise of the poses."""
+    held_out: bool
+
+
+@dataclass(frozen=True)
+class KinematicsFinding:
+    """The geometry of the joint, as far as it can be told."""
+
+    verdict: GeometryVerdict
+    effects: tuple[Effect, ...]
+    """Named effects, outermost displacement first."""
+    low: tuple[dict[str, float], ...]
+    """Lower ends of the 90 % intervals of each effect's parameters."""
+    high: tuple[dict[str, float], ...]
+    rivals: tuple[tuple[str, ...], ...]
+    """Other sets of names that explain the poses as well."""
+    tracks: tuple[TrackGeometry, ...]
+    ranking: tuple[tuple[tuple[str, ...], float, float], ...]
+    """Sets of names, their held-out loss over the noise's (1 is noise alone), p-value of no gain over no effect."""
+    remainder_floors: float
+    """Floors of displacement that depend on the joint's position and have no name here."""
+    next_experiment: str | None = None
+    p_values: tuple[float, ...] = field(default=())
+    """Of every named effect: that the others do as well without it."""
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Training runs thinned out for the search."""
+
+    model: PoseModel
+    units: NDArray[np.int64]
+    folds: NDArray[np.int64]
+    rate_hz: float
+
+
+def find_geometry(
+    tracks: Sequence[Track],
+    mechanics: JointMechanics,
+    settings: KinematicsSettings | None = None,
+    held_out: Sequence[bool] | None = None,
+) -> KinematicsFinding:
+    """The kinematic effects in runs of part poses.
+
+    Args:
+        tracks: runs; their motions are those from joint position zero, in the frame of the joint's parent link.
+        mechanics: the asset's joint and masses, in that frame.
+        settings: None takes the defaults.
+        held_out: for each run whether it may only be used to measure the gap; None holds out none, and cross-validation
+            alone decides.
+
+    Raises FreeArtError when there is no run to fit, or a run has fewer than 10 poses.
+    """
+    settings = settings or KinematicsSettings()
+    flags = [False] * len(tracks) if held_out is None else list(held_out)
+    train = tuple(t for t, out in zip(tracks, flags, strict=True) if not out)
+    if not train:
+        raise FreeArtError("no run of poses to fit: expected one or more that are not held out")
+    for t in tracks:
+        if len(t.times_s) < 10:
+            raise FreeArtError(f"run '{t.name}' has {len(t.times_s)} poses, expected 10 or more")
+    problem = _problem(train, mechanics, settings)
+    q = problem.model.q0
+    least = settings.least_span[0 if mechanics.joint.type == "revolute" else 1]
+    weighting = _first_weighting(problem.model, settings)
+    if max(float(np.ptp(q[problem.model.run == r])) for r in range(len(train))) < least:
+        return _nothing(tracks, flags, mechanics, weighting)
+    names = tuple(n for n in STATIC if mechanics.joint.type in _class_types(n))
+    weighting, full, lin = _full_fit(problem, names, weighting)
+    left = pose_search.free_residual(lin, priors((), weighting))
+    frequencies = pose_search.rocking_frequency(lin, left, problem.folds, problem.rate_hz)
+    candidates = (*names, *((ROCK,) if all(f is not None for f in frequencies) else ()))
+    losses = pose_search.held_out_losses(
+        lin,
+        names,
+        priors(names, weighting),
+        problem.units,
+        pose_search.subsets_of(candidates, settings.most_effects),
+        frequencies,
+        problem.folds,
+    )
+    chosen = _chosen(losses, settings)
+    chosen, p_values = _pruned(losses, chosen, settings)
+    point = _fitted(problem, chosen, weighting, full, frequencies, lin)
+    return _finding(tracks, flags, mechanics, weighting, problem, losses, chosen, p_values, point, settings)
+
+
+def _class_types(name: str) -> tuple[str, ...]:
+    return type(effect_of(name, np.zeros(STATIC[name]))).joint_types
+
+
+def _problem(train: tuple[Track, ...], mechanics: JointMechanics, settings: KinematicsSettings) -> _Problem:
+    every = max(1, -(-sum(len(t.times_s) for t in train) // settings.most_frames))
+    thin = tuple(Track(t.name, t.times_s[::every], t.motions[::every]) for t in train)
+    model = PoseModel(thin, mechanics)
+    span = float(np.ptp(model.q0)) or 1.0
+    frames = len(model.run)
+    units = unit_numbers(model.q0, model.run, 0.05 * span, longest=max(20, frames // 24))
+    folds = model.run if len(train) >= 3 else _pieces(units, 4)
+    rate = 1 / float(np.median(np.concatenate([np.diff(t.times_s) for t in thin])))
+    return _Problem(model, units, folds, rate)
+
+
+def _pieces(units: NDArray[np.int64], least: int) -> NDArray[np.int64]:
+    """Folds of whole units, in order, where runs are too few to leave one out."""
+    count = int(units.max()) + 1
+    return (units * min(least, count)) // count
+
+
+def _first_weighting(model: PoseModel, settings: KinematicsSettings) -> Weighting:
+    """Noise by second differences of the residual to the ideal joint: motion has next to none."""
+    y = model.residuals(Geometry.zero(()), model.q0)
+    same = model.run[2:] == model.run[:-2]
+    bends = (y[2:] - 2 * y[1:-1] + y[:-2])[same]
+    covariance = bends.T @ bends / (6 * max(len(bends), 1)) + np.diag(_NOISELESS)
+    shrunk = 0.9 * covariance + 0.1 * np.diag(np.diag(covariance))
+    return Weighting(shrunk, 1.0, settings.registration_std)
+
+
+def _full_fit(
+    problem: _Problem, names: tuple[str, ...], weighting: Weighting
+) -> tuple[Weighting, Geometry, Linear]:
+    """The fit with all static effects, with the noise that is left over it; the model about it."""
+    model, point = problem.model, Geometry.zero(names)
+    for _ in range(3):
+        point, q = model.fit(point, weighting)
+        lin = model.linear(point, q, weighting)
+        left = pose_search.free_residual(lin, priors((), weighting))
+        weighting = replace(
+            weighting, covariance=_noise(model, point, q, lin, left, weighting), correlation=_correlation(left, model.run)
+        )
+    return weighting, point, model.linear(point, q, weighting)
+
+
+def _noise(model: PoseModel, point: Geometry, q: Array, lin: Linear, left: Array, weighting: Weighting) -> Array:
+    """(6, 6) covariance of the noise, scaled and shaped by what is left: its part along the joint is not seen there."""
+    L = weighting.whitening
+    scale = float((left**2).sum(-1).mean()) / 5.0
+    seen = np.linalg.inv(L) @ left.T
+    shape = np.cov(seen) + 1e-3 * scale * weighting.covariance
+    along = model.joint.screw / np.linalg.norm(L @ model.joint.screw)  # unit length once whitened: its variance is not seen
+    return shape + scale * np.outer(along, along) + np.diag(_NOISELESS)
+
+
+def _correlation(left: Array, run: NDArray[np.int64]) -> float:
+    """Frames that count as one: 1 + 2 sum of the autocorrelations, down to the first below 0.1."""
+    centred = left - left.mean(0)
+    total, power = 1.0, float((centred**2).sum()) or 1.0
+    for lag in range(1, min(len(left) // 4, 400)):
+        same = run[lag:] == run[:-lag]
+        r = float((centred[lag:] * centred[:-lag])[same].sum()) / power
+        if r < 0.1:
+            break
+        total += 2 * r
+    return total
+
+
+def _chosen(losses: Losses, settings: KinematicsSettings) -> tuple[str, ...]:
+    """The subset of least held-out loss, or a smaller one that is not worse by more than one standard error."""
+    best = min(losses.subsets, key=losses.mean)
+    for subset in sorted(losses.subsets, key=lambda s: (len(s), losses.mean(s))):
+        if len(subset) >= len(best):
+            break
+        terms = (losses.of(subset) - losses.of(best)) * losses.weights / losses.weights.mean()
+        error = float(terms.std(ddof=1)) / np.sqrt(len(terms)) if len(terms) > 1 else np.inf
+        if terms.mean() <= error:
+            return subset
+    return best
+
+
+def _pruned(
+    losses: Losses, chosen: tuple[str, ...], settings: KinematicsSettings
+) -> tuple[tuple[str, ...], tuple[float, ...]]:
+    """The subset without members whose absence costs too little or is not significant; p-values of the others."""
+    tests = len(losses.subsets) - 1  # what was looked at before this was chosen
+    while chosen:
+        drops = []
+        for name in chosen:
+            fewer = tuple(n for n in chosen if n != name)
+            gain, p = losses.gain(losses.of(fewer), losses.of(chosen))
+            drops.append((gain / losses.mean(chosen), min(1.0, p * tests), name))
+        if all(gain >= settings.least_share and p <= settings.level for gain, p, _ in drops):
+            return chosen, tuple(p for _, p, _ in drops)
+        weakest = min(drops, key=lambda d: d[0])[2]
+        chosen = tuple(n for n in chosen if n != weakest)
+    return chosen, ()
+
+
+def _fitted(
+    problem: _Problem,
+    chosen: tuple[str, ...],
+    weighting: Weighting,
+    full: Geometry,
+    frequencies: Sequence[float | None],
+    lin: Linear,
+) -> Geometry:
+    """The chosen effects fitted to all training runs, without linearisation."""
+    static = tuple(n for n in chosen if n != ROCK)
+    start = Geometry.zero(static)
+    of_full = dict(full.split())
+    values = np.concatenate([of_full[n] for n in start.names] or [np.zeros(0)])
+    point, q = problem.model.fit(replace(start, values=values), weighting, rounds=12)
+    if ROCK not in chosen:
+        return point
+    frequency = float(np.median([f for f in frequencies if f is not None]))
+    for _ in range(4):
+        now = problem.model.linear(replace(point, rock=None), q, weighting)
+        left = now.data - now.columns @ np.concatenate([point.values, point.registration])
+        frequency = _refined(now, left, frequency)
+        rock = Rock(frequency, _one_direction(pose_search.rock_coefficients(now, left, frequency)))
+        point, q = problem.model.fit(replace(point, rock=rock), weighting, rounds=4)
+    return point
+
+
+def _refined(lin: Linear, left: Array, frequency: float) -> float:
+    """The frequency near this one that fits best."""
+    from scipy.optimize import minimize_scalar
+
+    reach = 0.5 / max(float(np.ptp(lin.times_s[lin.run == r])) for r in np.unique(lin.run))
+
+    def loss(f: float) -> float:
+        waves = pose_search.waves_at(f, lin.times_s)
+        c = pose_search.rock_coefficients(lin, left, f)[lin.run]
+        return float(((left - np.einsum("nij,njb,nb->ni", lin.rocks, c, waves)) ** 2).sum())
+
+    return float(minimize_scalar(loss, bounds=(max(frequency - reach, 1e-6), frequency + reach), method="bounded").x)
+
+
+def _one_direction(coefficients: Array) -> Array:
+    """Coefficients (runs, 2, 2) with every run rocking about one and the same direction."""
+    stacked = np.concatenate(list(coefficients), -1)
+    u = np.linalg.svd(stacked)[0][:, 0]
+    return np.asarray(u[:, None] * (u @ coefficients)[:, None, :])
+
+
+def wobble_of(rock: Rock) -> Wobble:
+    """The library's effect: amplitude over all runs, phase of the first run."""
+    stacked = np.concatenate(list(rock.coefficients), -1)
+    u = np.linalg.svd(stacked)[0][:, 0]
+    u = u * (1.0 if u[int(np.argmax(np.abs(u)))] > 0 else -1.0)
+    waves = u @ rock.coefficients  # (runs, 2)
+    amplitude = float(np.sqrt((waves**2).sum(-1).mean()))
+    phase = float(np.arctan2(waves[0, 1], waves[0, 0]))
+    return Wobble(min(amplitude, 0.8), rock.frequency, phase, float(np.arctan2(u[1], u[0])))
+
+
+def named_effects(point: Geometry) -> tuple[Effect, ...]:
+    """All effects of a point of the model, outermost displacement first."""
+    return (*(() if point.rock is None else (wobble_of(point.rock),)), *point.effects())
+
+
+def _finding(
+    tracks: Sequence[Track],
+    flags: list[bool],
+    mechanics: JointMechanics,
+    weighting: Weighting,
+    problem: _Problem,
+    losses: Losses,
+    chosen: tuple[str, ...],
+    p_values: tuple[float, ...],
+    point: Geometry,
+    settings: KinematicsSettings,
+) -> KinematicsFinding:
+    here = losses.of(chosen)
+    noise = min(float(np.average(losses.ceiling, weights=losses.weights)), losses.mean(chosen))
+    _, p_more = losses.gain(here, losses.ceiling)
+    remainder = float(np.sqrt(max(losses.mean(chosen) / noise - 1, 0.0)))
+    more = remainder > settings.unexplained_floors and p_more <= settings.level
+    gaps = [np.sqrt(losses.mean(s) / noise) for s in ((), chosen)]
+    closed = (gaps[0] - gaps[1]) / max(gaps[0] - 1.0, 1e-9)
+    rivals = _rivals(losses, chosen, settings)
+    if more and (not chosen or closed < settings.closed):
+        verdict: GeometryVerdict = "unexplained"
+    elif not chosen:
+        verdict = "no_gap"
+    else:
+        verdict = "ambiguous" if rivals else "named"
+    effects = named_effects(point)
+    order = {name: p for name, p in zip(chosen, p_values, strict=True)}
+    ends: list[tuple[dict[str, float], dict[str, float]]] = []
+    if effects:
+        from simgap.pose_intervals import intervals
+
+        q = problem.model.positions(point, weighting)
+        ends = intervals(problem.model.linear(point, q, weighting), point, weighting, problem.units)
+    plain, _ = problem.model.fit(Geometry.zero(()), weighting)
+    ranking = [
+        (s, losses.mean(s) / noise, losses.gain(losses.of(()), losses.of(s))[1] if s else 1.0) for s in losses.subsets
+    ]
+    return KinematicsFinding(
+        verdict,
+        effects,
+        tuple(low for low, _ in ends),
+        tuple(high for _, high in ends),
+        rivals,
+        tuple(
+            _track_geometry(t, out, mechanics, weighting, plain, point) for t, out in zip(tracks, flags, strict=True)
+        ),
+        tuple(sorted(ranking, key=lambda row: row[1])[:12]),
+        remainder,
+        _experiment(chosen, rivals) if rivals else None,
+        tuple(order[e.name] for e in effects),
+    )
+
+
+def _nothing(
+    tracks: Sequence[Track], flags: list[bool], mechanics: JointMechanics, weighting: Weighting
+) -> KinematicsFinding:
+    plain = Geometry.zero(())
+    seen = tuple(
+        _track_geometry(t, out, mechanics, weighting, plain, plain) for t, out in zip(tracks, flags, strict=True)
+    )
+    said = "Move the joint through more of its range: it stood all but still."
+    return KinematicsFinding("not_excited", (), (), (), (), seen, (), 0.0, said)
+
+
+def _rivals(losses: Losses, chosen: tuple[str, ...], settings: KinematicsSettings) -> tuple[tuple[str, ...], ...]:
+    """Sets of no more names that predict held-out runs as well, best first."""
+    if not chosen:
+        return ()
+    found = []
+    for subset in losses.subsets:
+        if subset in ((), chosen) or len(subset) > len(chosen) or set(subset) < set(chosen):
+            continue
+        gain, p = losses.gain(losses.of(subset), losses.of(chosen))
+        if p > 0.05 or gain < 0.5 * settings.least_share * losses.mean(chosen):
+            found.append((gain, subset))
+    return tuple(subset for _, subset in sorted(found))
+
+
+def _experiment(chosen: tuple[str, ...], rivals: tuple[tuple[str, ...], ...]) -> str:
+    """What to record next so that the rivals part."""
+    names = set(chosen).symmetric_difference({n for r in rivals for n in r}) | set(chosen)
+    if "sag" in names:
+        return "Tip the base by some 30 degrees and record again: a joint that sags follows gravity, crooked parts do not."
+    if ROCK in names:
+        return "Move the joint at another speed: rocking keeps its own frequency, the rest goes with the joint's position."
+    return "Record the joint over more of its range: only there do these causes part."
+
+
+def _track_geometry(
+    track: Track, held_out: bool, mechanics: JointMechanics, weighting: Weighting, plain: Geometry, point: Geometry
+) -> TrackGeometry:
+    model = PoseModel((track,), mechanics)
+    middle = mechanics.moment_zero / mechanics.mass if mechanics.mass else mechanics.joint.pivot
+    lever = _lever(mechanics, middle)
+    q_plain = model.positions(plain, weighting)
+    here = _with_phase(model, point, weighting)
+    q = model.positions(here, weighting)
+    before, after = (_at(middle, model.residuals(g, at)) for g, at in ((plain, q_plain), (here, q)))
+    L = weighting.whitening
+    along = L @ mechanics.joint.screw
+    size = float(np.linalg.norm(along))
+    off = np.eye(6) - np.outer(along, along) / size**2
+    noise = _at(middle, (np.linalg.inv(L) @ off).T)
+    return TrackGeometry(
+        track.name,
+        track.times_s,
+        q,
+        1 / size,
+        before,
+        after,
+        _displacement(before, lever),
+        _displacement(after, lever),
+        _displacement(noise, lever) * np.sqrt(len(noise)),
+        held_out,
+    )
+
+
+def _with_phase(model: PoseModel, point: Geometry, weighting: Weighting) -> Geometry:
+    """The point of the model with rocking's phase of this one run; direction, amplitude and frequency stay."""
+    if point.rock is None:
+        return point
+    stacked = np.concatenate(list(point.rock.coefficients), -1)
+    u = np.linalg.svd(stacked)[0][:, 0]
+    amplitude = float(np.sqrt(((u @ point.rock.coefficients) ** 2).sum(-1).mean()))
+    still = replace(point, rock=None)
+    lin = model.linear(still, model.positions(still, weighting), weighting)
+    left = lin.data - lin.columns @ np.concatenate([point.values, point.registration])
+    waves = u @ pose_search.rock_coefficients(lin, left, point.rock.frequency)[0]
+    waves = amplitude * waves / max(float(np.linalg.norm(waves)), 1e-12)
+    return replace(point, rock=Rock(point.rock.frequency, np.outer(u, waves)[None]))
+
+
+def _lever(mechanics: JointMechanics, middle: Array) -> float:
+    """m: how far from its middle the part's points are taken to lie, to count turns as displacements."""
+    if mechanics.joint.type == "revolute" and mechanics.mass > 0:
+        return float(np.sqrt(mechanics.inertia / mechanics.mass))
+    return max(float(np.linalg.norm(middle - mechanics.joint.pivot)), 0.05)
+
+
+def _at(point: Array, twists: Array) -> Array:
+    """(n, 6) twists whose translation is that of `point` (3,) of the part."""
+    return np.concatenate([twists[:, :3] + np.cross(twists[:, 3:], point), twists[:, 3:]], -1)
+
+
+def _displacement(twists: Array, lever: float) -> float:
+    return float(np.sqrt(((twists[:, :3] ** 2).sum(-1) + lever**2 * (twists[:, 3:] ** 2).sum(-1)).mean()))
+
+
+def motions_in_parent(
+    poses: Array, T_parent_base: Array, joint: object, state_zero: float, child_moves: bool = True
+) -> Array:
+    """(n, 4, 4) motions from joint position zero in the joint's parent link, as `find_geometry` takes them.
+
+    Args:
+        poses: (n, 4, 4) of the moving part in the base frame (canonical), identity at canonical state zero.
+        T_parent_base: (4, 4) canonical frame in the frame of the joint's parent link, the part at canonical state zero.
+        joint: the joint in that frame, states being URDF positions.
+        state_zero: URDF position at canonical state zero.
+        child_moves: False when the moving part is on the joint's parent side, so that the poses are of that.
+    """
+    moved = poses if child_moves else se3.inverse(poses)
+    return T_parent_base @ moved @ se3.inverse(T_parent_base) @ joint.transform(state_zero)  # type: ignore[attr-defined]
