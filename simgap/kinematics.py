@@ -14,16 +14,29 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21 import se3
+from freeart21.asset import Asset
 from freeart21.effects.base import Effect
-from freeart21.effects.wobble import Wobble
 from freeart21.errors import FreeArtError
+from freeart21.measured import Measured
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
 from simgap import pose_search
-from simgap.pose_model import STATIC, Geometry, Linear, PoseModel, Rock, Track, Weighting, effect_of, priors
+from simgap.placing import place
+from simgap.pose_model import (
+    STATIC,
+    Geometry,
+    Linear,
+    PoseModel,
+    Rock,
+    Track,
+    Weighting,
+    effect_of,
+    named_effects,
+    priors,
+)
 from simgap.pose_search import ROCK, Losses
 from simgap.swings import unit_numbers
+from simgap.track_geometry import TrackGeometry, track_geometry
 
 GeometryVerdict = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
 _NOISELESS = np.repeat([1e-12, 1e-12], 3)  # m^2 and rad^2: least noise of any pose
@@ -48,32 +61,8 @@ class KinematicsSettings:
     """Motion, rad and m, below which nothing can be said."""
     registration_std: tuple[float, float] = (1e-3, 1e-3)
     """Metres and radians by which the tracker's idea of the part's frame may be off: a constant, no effect."""
-    most_frames: int = 2400
+    most_frames: int = 1500
     """Frames, of all runs together, that the search looks at: poses next to each other say the same."""
-
-
-@dataclass(frozen=True)
-class TrackGeometry:
-    """What one run says."""
-
-    name: str
-    times_s: Array
-    """(n,) s."""
-    q: Array
-    """(n,) rad or m: the joint's position with the named geometry taken out, for the dynamics that follows."""
-    q_std: float
-    """Standard deviation of the noise of `q`."""
-    off_before: Array
-    """(n, 6) m and rad: twist off the ideal joint, at the moving part's middle."""
-    off_after: Array
-    """(n, 6) the same off the joint with the named effects."""
-    gap_before: float
-    """m: root mean square displacement of the part off the ideal joint."""
-    gap_after: float
-    """m: off the joint with the named effects."""
-    floor: float
-    """m: noise of the poses."""
-    held_out: bool
 
 
 @dataclass(frozen=True)
@@ -87,7 +76,7 @@ class KinematicsFinding:
     """Lower ends of the 90 % intervals of each effect's parameters."""
     high: tuple[dict[str, float], ...]
     rivals: tuple[tuple[str, ...], ...]
-    """Other sets of names that explain the poses as well."""
+    """Sets of names that explain the poses as well as each other, the best one first; empty when there is no doubt."""
     tracks: tuple[TrackGeometry, ...]
     ranking: tuple[tuple[tuple[str, ...], float, float], ...]
     """Sets of names, their held-out loss over the noise's (1 is noise alone), p-value of no gain over no effect."""
@@ -156,6 +145,8 @@ def find_geometry(
     chosen = _chosen(losses, settings)
     chosen, p_values = _pruned(losses, chosen, settings)
     point = _fitted(problem, chosen, weighting, full, frequencies, lin)
+    if point.rock is not None:  # what rocked was taken for noise so far
+        weighting = _weighting_over(problem.model, point, weighting)
     return _finding(tracks, flags, mechanics, weighting, problem, losses, chosen, p_values, point, settings)
 
 
@@ -191,28 +182,30 @@ def _first_weighting(model: PoseModel, settings: KinematicsSettings) -> Weightin
     return Weighting(shrunk, 1.0, settings.registration_std)
 
 
-def _full_fit(
-    problem: _Problem, names: tuple[str, ...], weighting: Weighting
-) -> tuple[Weighting, Geometry, Linear]:
+def _full_fit(problem: _Problem, names: tuple[str, ...], weighting: Weighting) -> tuple[Weighting, Geometry, Linear]:
     """The fit with all static effects, with the noise that is left over it; the model about it."""
     model, point = problem.model, Geometry.zero(names)
-    for _ in range(3):
+    for _ in range(2):
         point, q = model.fit(point, weighting)
-        lin = model.linear(point, q, weighting)
-        left = pose_search.free_residual(lin, priors((), weighting))
-        weighting = replace(
-            weighting, covariance=_noise(model, point, q, lin, left, weighting), correlation=_correlation(left, model.run)
-        )
+        weighting = _weighting_over(model, point, weighting)
     return weighting, point, model.linear(point, q, weighting)
 
 
-def _noise(model: PoseModel, point: Geometry, q: Array, lin: Linear, left: Array, weighting: Weighting) -> Array:
-    """(6, 6) covariance of the noise, scaled and shaped by what is left: its part along the joint is not seen there."""
+def _weighting_over(model: PoseModel, point: Geometry, weighting: Weighting) -> Weighting:
+    """Noise by what neither this point of the model nor any function of the joint's position explains."""
+    lin = model.linear(point, model.positions(point, weighting), weighting)
+    left = pose_search.free_residual(lin, priors((), weighting), model.rocking(lin, point))
+    return replace(weighting, covariance=_noise(model, left, weighting), correlation=_correlation(left, model.run))
+
+
+def _noise(model: PoseModel, left: Array, weighting: Weighting) -> Array:
+    """(6, 6) covariance of the noise, scaled and shaped by what is `left` (n, 6): its part along the joint is not seen
+    there, and taken to be as the rest."""
     L = weighting.whitening
     scale = float((left**2).sum(-1).mean()) / 5.0
     seen = np.linalg.inv(L) @ left.T
     shape = np.cov(seen) + 1e-3 * scale * weighting.covariance
-    along = model.joint.screw / np.linalg.norm(L @ model.joint.screw)  # unit length once whitened: its variance is not seen
+    along = model.joint.screw / np.linalg.norm(L @ model.joint.screw)  # of unit length once whitened
     return shape + scale * np.outer(along, along) + np.diag(_NOISELESS)
 
 
@@ -307,22 +300,6 @@ def _one_direction(coefficients: Array) -> Array:
     return np.asarray(u[:, None] * (u @ coefficients)[:, None, :])
 
 
-def wobble_of(rock: Rock) -> Wobble:
-    """The library's effect: amplitude over all runs, phase of the first run."""
-    stacked = np.concatenate(list(rock.coefficients), -1)
-    u = np.linalg.svd(stacked)[0][:, 0]
-    u = u * (1.0 if u[int(np.argmax(np.abs(u)))] > 0 else -1.0)
-    waves = u @ rock.coefficients  # (runs, 2)
-    amplitude = float(np.sqrt((waves**2).sum(-1).mean()))
-    phase = float(np.arctan2(waves[0, 1], waves[0, 0]))
-    return Wobble(min(amplitude, 0.8), rock.frequency, phase, float(np.arctan2(u[1], u[0])))
-
-
-def named_effects(point: Geometry) -> tuple[Effect, ...]:
-    """All effects of a point of the model, outermost displacement first."""
-    return (*(() if point.rock is None else (wobble_of(point.rock),)), *point.effects())
-
-
 def _finding(
     tracks: Sequence[Track],
     flags: list[bool],
@@ -367,12 +344,10 @@ def _finding(
         tuple(low for low, _ in ends),
         tuple(high for _, high in ends),
         rivals,
-        tuple(
-            _track_geometry(t, out, mechanics, weighting, plain, point) for t, out in zip(tracks, flags, strict=True)
-        ),
+        tuple(track_geometry(t, out, mechanics, weighting, plain, point) for t, out in zip(tracks, flags, strict=True)),
         tuple(sorted(ranking, key=lambda row: row[1])[:12]),
         remainder,
-        _experiment(chosen, rivals) if rivals else None,
+        _experiment(rivals) if rivals else None,
         tuple(order[e.name] for e in effects),
     )
 
@@ -382,14 +357,14 @@ def _nothing(
 ) -> KinematicsFinding:
     plain = Geometry.zero(())
     seen = tuple(
-        _track_geometry(t, out, mechanics, weighting, plain, plain) for t, out in zip(tracks, flags, strict=True)
+        track_geometry(t, out, mechanics, weighting, plain, plain) for t, out in zip(tracks, flags, strict=True)
     )
     said = "Move the joint through more of its range: it stood all but still."
     return KinematicsFinding("not_excited", (), (), (), (), seen, (), 0.0, said)
 
 
 def _rivals(losses: Losses, chosen: tuple[str, ...], settings: KinematicsSettings) -> tuple[tuple[str, ...], ...]:
-    """Sets of no more names that predict held-out runs as well, best first."""
+    """The chosen set, then others of no more names that predict held-out runs as well; none without such."""
     if not chosen:
         return ()
     found = []
@@ -399,90 +374,30 @@ def _rivals(losses: Losses, chosen: tuple[str, ...], settings: KinematicsSetting
         gain, p = losses.gain(losses.of(subset), losses.of(chosen))
         if p > 0.05 or gain < 0.5 * settings.least_share * losses.mean(chosen):
             found.append((gain, subset))
-    return tuple(subset for _, subset in sorted(found))
+    return (chosen, *(subset for _, subset in sorted(found))) if found else ()
 
 
-def _experiment(chosen: tuple[str, ...], rivals: tuple[tuple[str, ...], ...]) -> str:
+def _experiment(rivals: tuple[tuple[str, ...], ...]) -> str:
     """What to record next so that the rivals part."""
-    names = set(chosen).symmetric_difference({n for r in rivals for n in r}) | set(chosen)
+    names = {n for r in rivals for n in r}
     if "sag" in names:
-        return "Tip the base by some 30 degrees and record again: a joint that sags follows gravity, crooked parts do not."
+        return (
+            "Tip the base by some 30 degrees and record again: a joint that sags follows gravity, crooked parts do not."
+        )
     if ROCK in names:
-        return "Move the joint at another speed: rocking keeps its own frequency, the rest goes with the joint's position."
+        return (
+            "Move the joint at another speed: rocking keeps its own frequency, the rest goes with the joint's position."
+        )
     return "Record the joint over more of its range: only there do these causes part."
 
 
-def _track_geometry(
-    track: Track, held_out: bool, mechanics: JointMechanics, weighting: Weighting, plain: Geometry, point: Geometry
-) -> TrackGeometry:
-    model = PoseModel((track,), mechanics)
-    middle = mechanics.moment_zero / mechanics.mass if mechanics.mass else mechanics.joint.pivot
-    lever = _lever(mechanics, middle)
-    q_plain = model.positions(plain, weighting)
-    here = _with_phase(model, point, weighting)
-    q = model.positions(here, weighting)
-    before, after = (_at(middle, model.residuals(g, at)) for g, at in ((plain, q_plain), (here, q)))
-    L = weighting.whitening
-    along = L @ mechanics.joint.screw
-    size = float(np.linalg.norm(along))
-    off = np.eye(6) - np.outer(along, along) / size**2
-    noise = _at(middle, (np.linalg.inv(L) @ off).T)
-    return TrackGeometry(
-        track.name,
-        track.times_s,
-        q,
-        1 / size,
-        before,
-        after,
-        _displacement(before, lever),
-        _displacement(after, lever),
-        _displacement(noise, lever) * np.sqrt(len(noise)),
-        held_out,
-    )
-
-
-def _with_phase(model: PoseModel, point: Geometry, weighting: Weighting) -> Geometry:
-    """The point of the model with rocking's phase of this one run; direction, amplitude and frequency stay."""
-    if point.rock is None:
-        return point
-    stacked = np.concatenate(list(point.rock.coefficients), -1)
-    u = np.linalg.svd(stacked)[0][:, 0]
-    amplitude = float(np.sqrt(((u @ point.rock.coefficients) ** 2).sum(-1).mean()))
-    still = replace(point, rock=None)
-    lin = model.linear(still, model.positions(still, weighting), weighting)
-    left = lin.data - lin.columns @ np.concatenate([point.values, point.registration])
-    waves = u @ pose_search.rock_coefficients(lin, left, point.rock.frequency)[0]
-    waves = amplitude * waves / max(float(np.linalg.norm(waves)), 1e-12)
-    return replace(point, rock=Rock(point.rock.frequency, np.outer(u, waves)[None]))
-
-
-def _lever(mechanics: JointMechanics, middle: Array) -> float:
-    """m: how far from its middle the part's points are taken to lie, to count turns as displacements."""
-    if mechanics.joint.type == "revolute" and mechanics.mass > 0:
-        return float(np.sqrt(mechanics.inertia / mechanics.mass))
-    return max(float(np.linalg.norm(middle - mechanics.joint.pivot)), 0.05)
-
-
-def _at(point: Array, twists: Array) -> Array:
-    """(n, 6) twists whose translation is that of `point` (3,) of the part."""
-    return np.concatenate([twists[:, :3] + np.cross(twists[:, 3:], point), twists[:, 3:]], -1)
-
-
-def _displacement(twists: Array, lever: float) -> float:
-    return float(np.sqrt(((twists[:, :3] ** 2).sum(-1) + lever**2 * (twists[:, 3:] ** 2).sum(-1)).mean()))
-
-
-def motions_in_parent(
-    poses: Array, T_parent_base: Array, joint: object, state_zero: float, child_moves: bool = True
-) -> Array:
-    """(n, 4, 4) motions from joint position zero in the joint's parent link, as `find_geometry` takes them.
-
-    Args:
-        poses: (n, 4, 4) of the moving part in the base frame (canonical), identity at canonical state zero.
-        T_parent_base: (4, 4) canonical frame in the frame of the joint's parent link, the part at canonical state zero.
-        joint: the joint in that frame, states being URDF positions.
-        state_zero: URDF position at canonical state zero.
-        child_moves: False when the moving part is on the joint's parent side, so that the poses are of that.
-    """
-    moved = poses if child_moves else se3.inverse(poses)
-    return T_parent_base @ moved @ se3.inverse(T_parent_base) @ joint.transform(state_zero)  # type: ignore[attr-defined]
+def find_geometry_of(
+    asset: Asset, measured: Measured, settings: KinematicsSettings | None = None
+) -> KinematicsFinding | None:
+    """The geometry of an asset's joint in the pose runs of a measured set; None when it has none."""
+    posed = [run for run in measured.runs if run.poses is not None]
+    if not posed:
+        return None
+    placed = place(asset, measured.gravity)
+    tracks = [placed.track(run) for run in posed]
+    return find_geometry(tracks, placed.mechanics, settings, [bool(run.held_out) for run in posed])

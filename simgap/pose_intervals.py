@@ -1,4 +1,4 @@
-"""How sure the parameters of kinematic effects are: 90 % intervals that trust no frame to be independent of the next."""
+"""How sure the parameters of kinematic effects are: 90 % intervals that take no frame as independent of the next."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.se3 import Array
-from simgap.pose_model import Geometry, Linear, Weighting, normal_equations, priors, waves_at
+from simgap.pose_model import Geometry, Linear, Weighting, normal_equations, priors, waves_at, wobble_of
 
 
 def intervals(
     lin: Linear, point: Geometry, weighting: Weighting, units: NDArray[np.int64]
 ) -> list[tuple[dict[str, float], dict[str, float]]]:
-    """Lower and upper ends for every effect of `point`, in the order of `kinematics.named_effects`.
+    """Lower and upper ends for every effect of `point`, in the order of `named_effects`.
 
     Covariance by the sandwich of scores summed over half-swings `units` (n,) (Liang and Zeger 1986), with the
     registration's prior as an error of its own.
@@ -39,8 +39,6 @@ def intervals(
     static = _static(point, covariance, reach)
     if point.rock is None:
         return static
-    from simgap.kinematics import wobble_of
-
     wobble = wobble_of(point.rock)
     errors = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
     spread = {"amplitude": errors[0], "direction": errors[1], "frequency": errors[2], "phase": errors[3]}

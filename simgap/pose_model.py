@@ -22,6 +22,7 @@ from freeart21.effects.eccentricity import Eccentricity
 from freeart21.effects.pivot_offset import PivotOffset
 from freeart21.effects.sag import Sag
 from freeart21.effects.screw_pitch import ScrewPitch
+from freeart21.effects.wobble import Wobble
 from freeart21.joint import Joint
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
@@ -72,7 +73,7 @@ class Geometry:
 
     def split(self) -> list[tuple[str, Array]]:
         """Name and coordinates of every static effect."""
-        ends = np.cumsum([STATIC[name] for name in self.names])[:-1] if self.names else []
+        ends = np.cumsum([STATIC[name] for name in self.names])[:-1]
         return list(zip(self.names, np.split(self.values, ends), strict=True)) if self.names else []
 
     @classmethod
@@ -177,11 +178,11 @@ class PoseModel:
         """(n, 6) twists from the model to what was measured, in the part's frame."""
         return se3.log_se3(se3.inverse(self.poses(point, q)) @ self.motions)
 
-    def positions(self, point: Geometry, weighting: Weighting, q: Array | None = None, rounds: int = 4) -> Array:
+    def positions(self, point: Geometry, weighting: Weighting, q: Array | None = None, rounds: int = 3) -> Array:
         """(n,) the position in every frame that leaves the least residual."""
         q = self.q0 if q is None else q
+        along = self._tangents(point, q) @ weighting.whitening.T
         for _ in range(rounds):
-            along = self._tangents(point, q) @ weighting.whitening.T
             y = self.residuals(point, q) @ weighting.whitening.T
             q = q + (along * y).sum(-1) / (along * along).sum(-1)
         return q
@@ -216,11 +217,8 @@ class PoseModel:
         prior = priors(point.names, weighting)
         for _ in range(rounds):
             lin = self.linear(point, q, weighting)
-            data = lin.data
-            if point.rock is not None:
-                data = data - (lin.rocks @ self._rock_angles(point.rock)[..., None])[..., 0]
-            A, b = normal_equations(lin.columns, data, frames)
-            found = np.linalg.solve(A + np.diag(prior), b)
+            A, b = normal_equations(lin.columns, lin.data - self.rocking(lin, point), frames)
+            found = np.asarray(np.linalg.solve(A + np.diag(prior), b), float)
             k = len(point.values)
             moved = replace(point, values=bounded(point.names, found[:k]), registration=found[k:])
             change = np.abs(moved.values - point.values).max(initial=0.0)
@@ -229,6 +227,12 @@ class PoseModel:
             if change < 1e-7:
                 break
         return point, q
+
+    def rocking(self, lin: Linear, point: Geometry) -> Array:
+        """(n, 6) what rocking gives to `lin`'s data."""
+        if point.rock is None:
+            return np.zeros((len(self.times_s), 6))
+        return np.asarray((lin.rocks @ self._rock_angles(point.rock)[..., None])[..., 0])
 
     def _rock_angles(self, rock: Rock) -> Array:
         """(n, 2) rad."""
@@ -291,3 +295,24 @@ def waves_at(frequency: float, times_s: Array) -> Array:
     """(n, 2) sine and cosine."""
     angle = 2 * np.pi * frequency * times_s
     return np.stack([np.sin(angle), np.cos(angle)], -1)
+
+
+def rock_direction(rock: Rock) -> Array:
+    """(2,) unit vector on the directions across the axis about which it rocks most."""
+    return np.asarray(np.linalg.svd(np.concatenate(list(rock.coefficients), -1))[0][:, 0])
+
+
+def wobble_of(rock: Rock) -> Wobble:
+    """The library's effect: amplitude over all runs, phase of the first run."""
+    stacked = np.concatenate(list(rock.coefficients), -1)
+    u = np.linalg.svd(stacked)[0][:, 0]
+    u = u * (1.0 if u[int(np.argmax(np.abs(u)))] > 0 else -1.0)
+    waves = u @ rock.coefficients  # (runs, 2)
+    amplitude = float(np.sqrt((waves**2).sum(-1).mean()))
+    phase = float(np.arctan2(waves[0, 1], waves[0, 0]))
+    return Wobble(min(amplitude, 0.8), rock.frequency, phase, float(np.arctan2(u[1], u[0])))
+
+
+def named_effects(point: Geometry) -> tuple[Effect, ...]:
+    """All effects of a point of the model, outermost displacement first."""
+    return (*(() if point.rock is None else (wobble_of(point.rock),)), *point.effects())

@@ -1,8 +1,8 @@
 """Which kinematic effects the poses need: every subset, judged on runs that it was not fitted to.
 
-The model is nearly linear about its own best fit, so subsets are compared by linear algebra there: each run is predicted
-from the others, and losses of half-swings are compared in pairs. Rocking in time (`wobble`) has a frequency that is
-looked for without the run it is judged on, and a phase in every run that is fitted to the other half of it.
+The model is nearly linear about its own best fit, so subsets are compared by linear algebra there: each run is
+predicted from the others, and losses of half-swings are compared in pairs. Rocking in time (`wobble`) has a frequency
+that is looked for without the run it is judged on, and a phase in every run that is fitted to its other half.
 """
 
 from __future__ import annotations
@@ -125,11 +125,11 @@ def free_columns(lin: Linear, degree: int = 5) -> Array:
     return (lin.left_to_whitened[..., None] * basis[:, None, None, :]).reshape(n, 6, 6 * m)
 
 
-def free_residual(lin: Linear, prior: Array) -> Array:
-    """(n, 6) what no function of the joint's position explains; `prior` (6,) of the registration."""
-    columns = np.concatenate([free_columns(lin), lin.columns[..., -6:]], -1)
-    A, b = _gram(columns, lin.data)
-    return lin.data - columns @ _ridge(A, b, np.concatenate([np.zeros(len(b) - 6), prior]))
+def free_residual(lin: Linear, prior: Array, rocking: Array | float = 0.0) -> Array:
+    """(n, 6) what neither `rocking` (n, 6) nor a function of the joint's position explains; `prior` (6,) of B."""
+    columns, data = np.concatenate([free_columns(lin), lin.columns[..., -6:]], -1), lin.data - rocking
+    A, b = _gram(columns, data)
+    return data - columns @ _ridge(A, b, np.concatenate([np.zeros(len(b) - 6), prior]))
 
 
 def rocking_frequency(lin: Linear, left: Array, folds: NDArray[np.int64], rate_hz: float) -> list[float | None]:
@@ -166,7 +166,7 @@ def rocking_frequency(lin: Linear, left: Array, folds: NDArray[np.int64], rate_h
 
 
 def rock_coefficients(lin: Linear, left: Array, frequency: float) -> Array:
-    """(runs, 2, 2) rad of rocking that fit residuals `left` (n, 6) best, each run by itself: rows are the directions."""
+    """(runs, 2, 2) rad of rocking that fit residuals `left` (n, 6) best, run by run: rows are the directions."""
     out = []
     for r in range(int(lin.run.max()) + 1):
         here = lin.run == r
@@ -189,7 +189,8 @@ def _gram(columns: Array, data: Array) -> tuple[Array, Array]:
 
 
 def _ridge(A: Array, b: Array, prior: Array | float = 0.0) -> Array:
-    return np.linalg.solve(A + np.diag(np.broadcast_to(prior, len(b)) + _RIDGE * (np.trace(A) / len(b) + 1e-300)), b)
+    ridge = np.broadcast_to(prior, len(b)) + _RIDGE * (np.trace(A) / len(b) + 1e-300)
+    return np.asarray(np.linalg.solve(A + np.diag(ridge), b), float)
 
 
 def _solved(
@@ -217,9 +218,7 @@ def _rock_grams(lin: Linear, frequency: float, folds: NDArray[np.int64]) -> dict
     out = {}
     for f in np.unique(folds):
         here = folds == f
-        both = np.concatenate(
-            [lin.columns[here], _rock_columns(lin.rocks[here], lin.times_s[here], frequency)], -1
-        )
+        both = np.concatenate([lin.columns[here], _rock_columns(lin.rocks[here], lin.times_s[here], frequency)], -1)
         A, b = _gram(both, lin.data[here])
         k = len(b) - 4
         D = A[k:, k:] + _RIDGE * np.trace(A[k:, k:]) * np.eye(4)

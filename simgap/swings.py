@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,10 +29,10 @@ def reversals(q: Array, least: float) -> NDArray[np.int64]:
 
 
 def half_swings(q: Array, least: float, longest: int | None = None) -> NDArray[np.int64]:
-    """(n,) number, from 0, of the half-swing that each sample belongs to; one longer than `longest` is divided evenly."""
+    """(n,) number, from 0, of each sample's half-swing; one longer than `longest` samples is divided evenly."""
     ends = [0, *reversals(q, least).tolist(), len(q)]
     cuts = [0]
-    for a, b in zip(ends[:-1], ends[1:], strict=True):
+    for a, b in pairwise(ends):
         pieces = 1 if longest is None else max(1, -(-(b - a) // longest))
         cuts += [a + round((b - a) * k / pieces) for k in range(1, pieces + 1)]
     return np.searchsorted(np.unique(cuts)[1:-1], np.arange(len(q)), side="right")

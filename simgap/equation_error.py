@@ -1,0 +1,227 @@
+"""What force is missing at every instant: measured accelerations against the equation of motion.
+
+Smoothed derivatives make this biased and noisy: it points at where the gap is (facts of identification: errors in the
+regressors), and never decides what it is called.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.effects.base import Effect
+from freeart21.measured import Measured, Run
+from freeart21.mechanics import JointMechanics
+from freeart21.se3 import Array
+from simgap.swings import reversals, unit_numbers
+
+_ORDER = 4  # of the local polynomials
+_WINDOWS = (7, 9, 11, 15, 19, 25, 33, 43, 57, 75, 99, 131, 171, 225)
+_MORE_NOISE = 1.15  # how much more than the shortest window's a residual may be before a window is called too long
+
+
+@dataclass(frozen=True)
+class MissingForce:
+    """Samples of all runs in a row, those without a contact at a limit; (n,) each."""
+
+    force: Array
+    """N*m or N: what the measured motion has beyond the simulated equation."""
+    inertia: float
+    """kg*m^2 or kg."""
+    q: Array
+    """Smoothed position, rad or m."""
+    qd: Array
+    """Smoothed velocity."""
+    time_s: Array
+    """Since the start of the run."""
+    run: NDArray[np.int64]
+    """Number of the run."""
+    unit: NDArray[np.int64]
+    """Number of the half-swing, over all runs."""
+    since_reversal: Array
+    """Way since the joint last turned back, rad or m; NaN before it first did."""
+    to_limit: Array
+    """Distance to the nearer limit; inf without any."""
+    command: Array
+    """Commanded position less position; NaN without any."""
+    run_names: tuple[str, ...]
+    impacts: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(m, 3) of every arrival at a limit: which (-1 or 1), speed before, speed after, away from it."""
+
+
+def missing_force(
+    measured: Measured,
+    mechanics: JointMechanics,
+    lower: float,
+    upper: float,
+    effects: tuple[Effect, ...] = (),
+    runs: tuple[Run, ...] | None = None,
+) -> MissingForce:
+    """The force that the asset's equation lacks, with `effects` acting.
+
+    Args:
+        measured: circumstances; inertia and gravity are scaled within their uncertainty to what fits best.
+        mechanics: the joint's, with the gravity of the recording.
+        lower: limit, rad or m.
+        upper: limit.
+        effects: those that are in the simulation.
+        runs: which to look at; None takes all that are not held out. Their `q` must be known.
+    """
+    runs = tuple(r for r in measured.runs if not r.held_out) if runs is None else runs
+    pieces, impacts = [], []
+    for number, run in enumerate(runs):
+        smooth = _smoothed(run)
+        if smooth is None:
+            continue
+        t, q, qd, qdd, half = smooth
+        # close to a stop the contact's own force is unknown
+        touching = _touching(q, qd, lower, upper)
+        near = np.convolve(touching, np.ones(2 * half + 1), "same") > 0
+        impacts += _impacts(q, qd, touching, half)
+        given, gravity = _forces(measured, mechanics, run, effects, t, q, qd, qdd)
+        since = _since_reversal(q)
+        command = np.full(len(t), np.nan) if run.q_command is None else _held(run.times_s, run.q_command, t) - q
+        columns = [t - run.times_s[0], q, qd, qdd, given, gravity, since, command, np.full(len(t), float(number))]
+        keep = ~near
+        keep[:half], keep[len(keep) - half :] = False, False  # one-sided windows there
+        pieces.append(np.stack(columns, -1)[keep])
+    rows = np.concatenate(pieces) if pieces else np.zeros((0, 9))
+    time, q, qd, qdd, given, gravity, since, command, number = rows.T
+    inertia = mechanics.inertia + float(np.sum([e.inertia() for e in effects]))
+    a, g = _scales(measured, inertia, q, qd, qdd, given, gravity)
+    force = a * inertia * qdd - given - g * gravity
+    run = number.astype(np.int64)
+    unit = unit_numbers(q, run, 0.03 * float(np.ptp(q)), longest=max(10, len(q) // 60)) if len(q) else run
+    distance = np.minimum(q - lower, upper - q)
+    names = tuple(r.name for r in runs)
+    return MissingForce(
+        force,
+        a * inertia,
+        q,
+        qd,
+        time,
+        run,
+        unit,
+        since,
+        distance,
+        command,
+        names,
+        np.array(impacts).reshape(-1, 3),
+    )
+
+
+def _smoothed(run: Run) -> tuple[Array, Array, Array, Array, int] | None:
+    """Even times, position, velocity, acceleration, and half the window in samples; None for too short a run."""
+    from scipy.signal import savgol_filter
+
+    known = np.isfinite(run.q)
+    if known.sum() < 2 * _WINDOWS[0]:
+        return None
+    step = float(np.median(np.diff(run.times_s[known])))
+    t = np.arange(run.times_s[known][0], run.times_s[known][-1], step)
+    q = np.interp(t, run.times_s[known], run.q[known])
+    windows = [w for w in _WINDOWS if 4 * w < len(q)] or [_WINDOWS[0]]
+
+    def noise(window: int) -> float:
+        left = q - savgol_filter(q, window, _ORDER)
+        weight = savgol_filter(np.eye(window)[window // 2], window, _ORDER)[window // 2]
+        return float(np.sqrt(np.mean(left**2) / max(1 - weight, 0.05)))
+
+    first = noise(windows[0]) or 1e-12
+    window = windows[0]
+    for w in windows[1:]:
+        if noise(w) > _MORE_NOISE * first:
+            break
+        window = w
+    parts = [savgol_filter(q, window, _ORDER, deriv=k, delta=step) for k in range(3)]
+    return t, parts[0], parts[1], parts[2], window // 2
+
+
+def _held(times: Array, values: Array, at: Array) -> Array:
+    return np.asarray(values)[np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 1)]
+
+
+def _forces(
+    measured: Measured,
+    mechanics: JointMechanics,
+    run: Run,
+    effects: tuple[Effect, ...],
+    t: Array,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+) -> tuple[Array, Array]:
+    """(n,) what acts besides gravity by the model, and gravity."""
+    gain = float(np.prod([e.gain() for e in effects]))
+    late = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
+    acting = np.zeros(len(t))
+    if run.q_command is not None and measured.actuator is not None:
+        law = measured.actuator
+        asked = _held(run.times_s, run.q_command, t - late)
+        acting += gain * (law.stiffness * (asked - q) - law.damping * qd)
+    if run.effort is not None:
+        commanded = measured.effort_kind == "commanded"
+        effort = _held(run.times_s, run.effort, t - late if commanded else t)
+        acting += (gain if commanded else 1.0) * effort
+    for effect in effects:
+        if effect.acts == "force":
+            memory: float | Array = 0.0
+            if type(effect).remember is not Effect.remember:
+                memory, now = np.zeros(len(q)), 0.0
+                for i, at in enumerate(q):
+                    now = memory[i] = float(effect.remember(at, now, *effect.values()))
+            acting += effect.force(q, qd, t, memory)
+        elif effect.acts == "drive":
+            acting -= effect.drive_limit(q, qd, mechanics.load(q, qd, qdd)) * np.sign(qd)
+    return acting, np.asarray(mechanics.gravity_force(q))
+
+
+def _scales(
+    measured: Measured, inertia: float, q: Array, qd: Array, qdd: Array, given: Array, gravity: Array
+) -> tuple[float, float]:
+    """By how much inertia and gravity differ from the asset's, as far as they may, with room for smooth losses."""
+    from scipy.optimize import lsq_linear
+
+    reach = measured.inertia_relative, measured.gravity_relative
+    if len(q) < 20 or max(reach) == 0:
+        return 1.0, 1.0
+    rest = np.stack([np.ones_like(q), qd, np.sign(qd), qd * np.abs(qd)], -1)
+    columns = np.concatenate([(inertia * qdd)[:, None], -gravity[:, None], rest], -1)
+    size = np.maximum(np.abs(columns).max(0), 1e-12)
+    free = np.full(rest.shape[1], np.inf)
+    low = np.concatenate([[1 - reach[0] - 1e-9, 1 - reach[1] - 1e-9], -free]) * size
+    high = np.concatenate([[1 + reach[0] + 1e-9, 1 + reach[1] + 1e-9], free]) * size
+    found = lsq_linear(columns / size, given, (low, high)).x / size
+    if np.ptp(gravity) < 1e-9 * max(float(np.abs(gravity).max()), 1e-12):
+        found[1] = 1.0  # a constant pull is no scale of gravity
+    return float(found[0]), float(found[1])
+
+
+def _touching(q: Array, qd: Array, lower: float, upper: float) -> NDArray[np.bool_]:
+    slack = 0.02 * max(float(np.ptp(q)), 1e-9)
+    return (q < lower + slack) | (q > upper - slack)
+
+
+def _impacts(q: Array, qd: Array, touching: NDArray[np.bool_], half: int) -> list[list[float]]:
+    """Of every arrival at a limit: which one, greatest speed shortly before it, greatest speed away shortly after."""
+    found: list[list[float]] = []
+    starts = np.flatnonzero(touching[1:] & ~touching[:-1]) + 1
+    reach = 2 * half + 2
+    middle = 0.5 * (float(q.max()) + float(q.min()))
+    for i in starts:
+        side = 1.0 if q[i] > middle else -1.0
+        before = side * qd[max(i - reach, 0) : i + 1]
+        after = -side * qd[i : i + 2 * reach]
+        if len(before) and len(after) and before.max() > 0:
+            found.append([side, float(before.max()), float(max(after.max(), 0.0))])
+    return found
+
+
+def _since_reversal(q: Array) -> Array:
+    out = np.full(len(q), np.nan)
+    turns = reversals(q, 0.03 * max(float(np.ptp(q)), 1e-9))
+    for a, b in zip(turns, [*turns[1:], len(q)], strict=True):
+        out[a:b] = np.abs(q[a:b] - q[a])
+    return out
