@@ -344,6 +344,25 @@ def score(
         write_scores(out, scores)
 
 
+def gap(
+    asset: Annotated[Path, Positional],
+    measured: Annotated[Path, Positional],
+    out: Path,
+) -> None:
+    """Find what the simulation of an asset lacks, from measured runs: name the effect, or say why not.
+
+    Args:
+        asset: An asset folder or a URDF.
+        measured: A measured set (with measured.json).
+        out: Folder for verdict.json, the repaired asset and a page; an older one there is replaced.
+    """
+    from simgap.workflow import gap_folder
+
+    verdict = gap_folder(asset, measured, out)
+    print(f"{verdict.verdict}: {verdict.sentence}")
+    print(out / "verdict.json")
+
+
 def view(
     path: Annotated[Path, Positional],
     out: Path | None = None,
@@ -407,7 +426,7 @@ def convert(
 def main() -> None:
     """Run a command; every known fault is one line on standard error and exit code 1."""
     commands = {
-        f.__name__: f for f in (doctor, demo, objects, record, verify, reconstruct, export, score, view, convert)
+        f.__name__: f for f in (doctor, demo, objects, record, verify, reconstruct, export, score, gap, view, convert)
     }
     try:
         code = tyro.extras.subcommand_cli_from_dict(

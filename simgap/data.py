@@ -1,0 +1,170 @@
+"""Runs as a fit sees them: readings with their noise, inputs, a first guess of the start, and the regime."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from freeart21.errors import FreeArtError
+from freeart21.joint import Joint
+from freeart21.measured import Measured, Run
+from freeart21.se3 import Array, log_so3
+from simgap.floor import Floor, floor_of
+from simgap.surrogate import Inputs, Plant
+
+MAX_SAMPLES = 1500
+"""Readings of a run that a fit looks at; more are thinned out evenly."""
+
+
+@dataclass(frozen=True)
+class FitRun:
+    """One run, or a stretch of one."""
+
+    name: str
+    times_s: Array
+    """(n,) of the readings."""
+    q: Array
+    """(n,) readings."""
+    sigma: Array
+    """(n,) standard deviations of the readings."""
+    speed: Array
+    """(n,) rough velocities."""
+    inputs: Inputs
+    held_out: bool | None
+    regime: str = ""
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """A first guess of the state at the first reading."""
+        k = min(len(self.q), 7)
+        t = self.times_s[:k] - self.times_s[0]
+        fit = np.polynomial.polynomial.polyfit(t, self.q[:k], 2 if k > 4 else 1)
+        return float(fit[0]), float(fit[1])
+
+    def between(self, begin: int, end: int) -> FitRun:
+        """The stretch of readings begin to end."""
+        cut = slice(begin, end)
+        return replace(self, times_s=self.times_s[cut], q=self.q[cut], sigma=self.sigma[cut], speed=self.speed[cut])
+
+
+def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floor]:
+    """All runs of a measured set, and the floor of its sensor.
+
+    Raises FreeArtError when the readings cannot be positions of this joint: far beyond its limits, or in degrees.
+    """
+    series = []
+    for run in measured.runs:
+        q = run.q if run.poses is None else states_of_poses(plant.mechanics.joint, run)
+        good = np.isfinite(q)
+        series.append((run.times_s[good], q[good]))
+    _check_units(measured, plant, series)
+    floor = floor_of(series)
+    runs = []
+    for run, (times, q) in zip(measured.runs, series, strict=True):
+        stride = -(-len(times) // MAX_SAMPLES)
+        speed = rough_speed(times, q)
+        runs.append(
+            FitRun(
+                run.name,
+                np.ascontiguousarray(times[::stride]),
+                q[::stride],
+                floor.sigma(speed[::stride]),
+                speed[::stride],
+                inputs_of(run, measured),
+                run.held_out,
+            )
+        )
+    return _with_regimes(runs), floor
+
+
+def inputs_of(run: Run, measured: Measured) -> Inputs:
+    """What drove a run."""
+    if run.effort is None and run.q_command is None:
+        return Inputs()
+    n, nothing = len(run.times_s), np.zeros(len(run.times_s))
+    effort = nothing if run.effort is None else run.effort
+    commanded = measured.effort_kind == "commanded"
+    return Inputs(
+        np.ascontiguousarray(run.times_s),
+        np.full(n, np.nan) if run.q_command is None else run.q_command,
+        effort if commanded else nothing,
+        nothing if commanded else effort,
+    )
+
+
+def states_of_poses(joint: Joint, run: Run) -> Array:
+    """(n,) state along the joint of every measured pose, NaN where a part was not seen; `joint` in the poses' frame."""
+    assert run.poses is not None
+    if joint.type == "prismatic":
+        q = run.poses[:, :3, 3] @ joint.axis
+    else:
+        q = np.unwrap(log_so3(run.poses[:, :3, :3]) @ joint.axis)
+    return np.where(run.seen, q, np.nan) if run.seen is not None else np.asarray(q)
+
+
+def rough_speed(times: Array, q: Array) -> Array:
+    """(n,) slope of a straight line through five neighbours."""
+    reach = min(2, (len(q) - 1) // 2)
+    width = 2 * reach + 1
+    pad_t, pad_q = (
+        np.pad(times, reach, mode="reflect", reflect_type="odd"),
+        np.pad(q, reach, mode="reflect", reflect_type="odd"),
+    )
+    t = np.lib.stride_tricks.sliding_window_view(pad_t, width)
+    v = np.lib.stride_tricks.sliding_window_view(pad_q, width)
+    t = t - t.mean(1, keepdims=True)
+    return np.asarray((t * v).sum(1) / (t * t).sum(1))
+
+
+def _with_regimes(runs: list[FitRun]) -> tuple[FitRun, ...]:
+    """Runs named by how they move: driven or free, and small or large against the others of their kind."""
+    driven = [
+        bool(len(run.inputs.times_s))
+        and bool(np.any(run.inputs.effort) or np.any(run.inputs.push) or np.isfinite(run.inputs.command).any())
+        for run in runs
+    ]
+    fast = np.array([float(np.sqrt(np.mean(run.speed**2))) for run in runs])
+    named = []
+    for i, run in enumerate(runs):
+        kin = fast[[d == driven[i] for d in driven]]
+        middle = np.sqrt(kin.min() * kin.max())
+        size = "" if kin.max() < 1.5 * kin.min() else (" slow" if fast[i] < middle else " fast")
+        named.append(replace(run, regime=("driven" if driven[i] else "free") + size))
+    return tuple(named)
+
+
+def _check_units(measured: Measured, plant: Plant, series: list[tuple[Array, Array]]) -> None:
+    unit, foreign = ("rad", "degrees") if plant.joint_type == "revolute" else ("m", "mm")
+    for run, (_, q) in zip(measured.runs, series, strict=True):
+        low, high = float(q.min()), float(q.max())
+        span = plant.upper - plant.lower
+        if np.isfinite(span):
+            beyond = max(plant.lower - low, high - plant.upper)
+            if beyond > 0.25 * span + (0.3 if unit == "rad" else 0.0):
+                raise FreeArtError(
+                    f"run '{run.name}' reads {low:.4g} to {high:.4g} {unit}, but joint '{measured.joint}' has limits "
+                    f"{plant.lower:.4g} to {plant.upper:.4g} {unit}: are its units {foreign}?"
+                )
+        turns = np.abs(np.diff(q[_turns(q)]))
+        if unit == "rad" and len(turns) >= 3 and np.median(turns) > 4 * np.pi:
+            raise FreeArtError(
+                f"run '{run.name}' swings by {np.median(turns):.4g} rad between turns of joint '{measured.joint}', "
+                "expected less than 2 turns: are its units degrees?"
+            )
+
+
+def _turns(q: Array) -> Array:
+    """Indices of the ends and of the turning points of a course, small ones left out."""
+    least, kept = 0.1 * float(np.ptp(q)), [0]
+    way, best = 0, 0
+    for i in range(1, len(q)):
+        if way == 0:
+            if abs(q[i] - q[0]) > least:
+                way, best = (1 if q[i] > q[0] else -1), i
+        elif (q[i] - q[best]) * way > 0:
+            best = i
+        elif (q[best] - q[i]) * way > least:
+            kept.append(best)
+            way, best = -way, i
+    return np.array([*kept, len(q) - 1])

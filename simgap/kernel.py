@@ -1,0 +1,358 @@
+"""One joint under any effects, compiled: classical Runge-Kutta steps between events, each at its own time.
+
+Events are: friction stops the joint (it then sticks, or slides back), an impact at a limit, a memory that changes, the
+two sides of a slack that meet or part, and an input that jumps. A step in which one happens is cut there by bisection.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from freeart21.effects import EFFECTS, Effect
+
+INERTIA, GRAVITY_COS, GRAVITY_SIN, GRAVITY_CONST = 0, 1, 2, 3
+LOAD_ARM2, LOAD_WEIGHT2, LOAD_ACROSS, LOAD_TURNED = 4, 5, 6, 7
+GAIN, COMMAND_DELAY, STIFFNESS, DAMPING = 8, 9, 10, 11
+LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
+READING_DELAY, Q0, QD0 = 16, 17, 18
+SPEED_REF, Q_MID, Q_HALF = 19, 20, 21
+HEAD = 22
+"""Places in the vector of numbers that describes one simulation; behind them each effect has FORM, then parameters."""
+FORM = 3
+"""How the size of an effect may depart from its formula: with speed, with position, with position squared."""
+FORCE, DRIVE, STOP = 0, 1, 2
+ACTS = {"force": FORCE, "drive": DRIVE, "stop": STOP}
+
+_BISECTIONS = 30
+_MAX_STEPS = 400_000
+_STOPPED, _LIMIT, _MEMORY, _MET, _PARTED = 1, 2, 4, 8, 16
+
+LAWS: dict[str, int] = {name: i for i, name in enumerate(n for n in EFFECTS if EFFECTS[n].acts in ACTS)}
+"""Number of each law that the kernel knows."""
+
+
+_jit = njit(error_model="numpy", fastmath={"contract"}, _nrt=False)  # type: ignore[call-overload]  # no arrays are made
+
+_TAKEN = {  # a slice would cost more than the formula
+    1: _jit(lambda p, at: (p[at],)),
+    2: _jit(lambda p, at: (p[at], p[at + 1])),
+    3: _jit(lambda p, at: (p[at], p[at + 1], p[at + 2])),
+    4: _jit(lambda p, at: (p[at], p[at + 1], p[at + 2], p[at + 3])),
+    5: _jit(lambda p, at: (p[at], p[at + 1], p[at + 2], p[at + 3], p[at + 4])),
+    6: _jit(lambda p, at: (p[at], p[at + 1], p[at + 2], p[at + 3], p[at + 4], p[at + 5])),
+}
+
+
+def _law_among(names: list[str]) -> Any:
+    """A compiled choice among the laws of the effects `names`."""
+    number, law, taken = _pieces(names[0], "law")
+    others = _law_among(names[1:]) if len(names) > 1 else _jit(lambda which, q, qd, load, memory, p, at: 0.0)
+
+    @_jit
+    def choose(which, q, qd, load, memory, p, at):  # pragma: no cover
+        if which == number:
+            return 1.0 * law(q, qd, load, memory, *taken(p, at))
+        return others(which, q, qd, load, memory, p, at)
+
+    return choose
+
+
+def _memory_among(names: list[str]) -> Any:
+    """A compiled choice among the memories of the effects `names`; 0 for all others."""
+    if not names:
+        return _jit(lambda which, q, memory, p, at: 0.0)
+    number, remember, taken = _pieces(names[0], "remember")
+    others = _memory_among(names[1:])
+
+    @_jit
+    def choose(which, q, memory, p, at):  # pragma: no cover
+        if which == number:
+            return 1.0 * remember(q, memory, *taken(p, at))
+        return others(which, q, memory, p, at)
+
+    return choose
+
+
+def _pieces(name: str, formula: str) -> tuple[int, Any, Any]:
+    return LAWS[name], _jit(getattr(EFFECTS[name], formula)), _TAKEN[len(EFFECTS[name].parameters())]
+
+
+_law = _law_among(list(LAWS))
+_remember = _memory_among([n for n in LAWS if EFFECTS[n].remember is not Effect.remember])
+_stamp = int.from_bytes(
+    hashlib.sha256(b"".join(Path(inspect.getfile(EFFECTS[n])).read_bytes() for n in LAWS)).digest()[:7], "big"
+)
+
+
+@_jit
+def _form(p, at, q, v):  # pragma: no cover
+    """By what factor the size of the effect at `at` departs from its formula."""
+    a, b, c = p[at], p[at + 1], p[at + 2]
+    if a == 0.0 and b == 0.0 and c == 0.0:
+        return 1.0
+    speed = min(2.0 * abs(v) / p[SPEED_REF], 2.0) - 1.0
+    x = min(max((q - p[Q_MID]) / p[Q_HALF], -1.2), 1.2)
+    return max(1.0 + a * speed + b * x + c * (2.0 * x * x - 1.0), 0.0)
+
+
+@_jit
+def _sum(acts, terms, p, memory, q, v, load):  # pragma: no cover
+    """Sum of all forces, or of all friction levels."""
+    total = 0.0
+    for k in range(len(terms)):
+        if terms[k, 1] == acts:
+            at = terms[k, 2]
+            total += _form(p, at, q, v) * _law(terms[k, 0], q, v, load, memory[k], p, at + FORM)
+    return total
+
+
+@_jit
+def _actuator(p, q, v, position, effort):  # pragma: no cover
+    """Force of the actuator at the position and speed that it sees; `position` is NaN without a position law."""
+    asked = effort
+    if not np.isnan(position):
+        asked += p[STIFFNESS] * (position - q) - p[DAMPING] * v
+    return p[GAIN] * asked
+
+
+@_jit
+def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no cover
+    """All forces on the part but friction."""
+    F = p[GRAVITY_CONST] + push
+    if p[GRAVITY_COS] != 0.0 or p[GRAVITY_SIN] != 0.0:
+        F += p[GRAVITY_COS] * math.cos(q) + p[GRAVITY_SIN] * math.sin(q)
+    F += _sum(FORCE, terms, p, memory, q, v, 0.0)
+    if p[SLACK_WIDTH] == 0.0:
+        F += _actuator(p, q, v, position, effort)
+    elif side != 0:
+        F += _actuator(p, q + 0.5 * side * p[SLACK_WIDTH], v, position, effort)
+    return F
+
+
+@_jit
+def _level(terms, p, memory, q, v, qdd):  # pragma: no cover
+    """Friction level, under the load that the bearing carries at this acceleration; the load may be left out."""
+    if p[LOAD_WEIGHT2] == 0.0 and p[LOAD_ARM2] == 0.0:
+        return _sum(DRIVE, terms, p, memory, q, v, 0.0)
+    c, s = math.cos(q), math.sin(q)
+    load2 = p[LOAD_ARM2] * (qdd * qdd + v**4) + p[LOAD_WEIGHT2]
+    load2 -= 2.0 * qdd * (c * p[LOAD_TURNED] - s * p[LOAD_ACROSS])
+    load2 += 2.0 * v * v * (c * p[LOAD_ACROSS] + s * p[LOAD_TURNED])
+    return _sum(DRIVE, terms, p, memory, q, v, math.sqrt(max(load2, 0.0)))
+
+
+@_jit
+def _acceleration(terms, p, memory, q, v, slide, side, push, position, effort, loaded):  # pragma: no cover
+    """Of a moving part; `slide` is the direction in which it slides against friction, 0 without friction."""
+    inertia = p[INERTIA] + (p[SLACK_INERTIA] if side != 0 else 0.0)
+    free = _acting(terms, p, memory, q, v, side, push, position, effort) / inertia
+    if slide == 0:
+        return free
+    qdd = free - slide * _level(terms, p, memory, q, v, free) / inertia
+    if loaded:
+        for _ in range(4):  # the load depends on the acceleration that friction changes
+            qdd = free - slide * _level(terms, p, memory, q, v, qdd) / inertia
+    return qdd
+
+
+@_jit
+def _slopes(y, terms, p, memory, frozen, slide, side, push, position, effort, loaded):  # pragma: no cover
+    """Accelerations of part and drive side at y = (q, v, x, w)."""
+    a = 0.0
+    if not frozen:
+        a = _acceleration(terms, p, memory, y[0], y[1], slide, side, push, position, effort, loaded)
+    b = 0.0
+    if p[SLACK_WIDTH] > 0.0:
+        b = a if side != 0 else _actuator(p, y[2], y[3], position, effort) / p[SLACK_INERTIA]
+    return a, b
+
+
+@_jit
+def _advanced(y, h, terms, p, memory, frozen, slide, side, push, position, effort, loaded):  # pragma: no cover
+    """State after `h` by the classical Runge-Kutta step, nothing changing but the state."""
+    q, v, x, w = y
+    a1, b1 = _slopes(y, terms, p, memory, frozen, slide, side, push, position, effort, loaded)
+    v2, w2 = v + 0.5 * h * a1, w + 0.5 * h * b1
+    y2 = (q + 0.5 * h * v, v2, x + 0.5 * h * w, w2)
+    a2, b2 = _slopes(y2, terms, p, memory, frozen, slide, side, push, position, effort, loaded)
+    v3, w3 = v + 0.5 * h * a2, w + 0.5 * h * b2
+    y3 = (q + 0.5 * h * v2, v3, x + 0.5 * h * w2, w3)
+    a3, b3 = _slopes(y3, terms, p, memory, frozen, slide, side, push, position, effort, loaded)
+    v4, w4 = v + h * a3, w + h * b3
+    y4 = (q + h * v3, v4, x + h * w3, w4)
+    a4, b4 = _slopes(y4, terms, p, memory, frozen, slide, side, push, position, effort, loaded)
+    q1 = q + h * (v + 2 * v2 + 2 * v3 + v4) / 6
+    v1 = v + h * (a1 + 2 * a2 + 2 * a3 + a4) / 6
+    if side != 0:
+        return q1, v1, q1 + 0.5 * side * p[SLACK_WIDTH], v1
+    return q1, v1, x + h * (w + 2 * w2 + 2 * w3 + w4) / 6, w + h * (b1 + 2 * b2 + 2 * b3 + b4) / 6
+
+
+@_jit
+def _contact(y, terms, p, memory, frozen, slide, side, push, position, effort, loaded):  # pragma: no cover
+    """Force of the drive side on the part while they touch."""
+    a, _ = _slopes(y, terms, p, memory, frozen, slide, side, push, position, effort, loaded)
+    return _actuator(p, y[2], y[3], position, effort) - p[SLACK_INERTIA] * a
+
+
+@_jit
+def _events(y, terms, p, memory, frozen, slide, side, push, position, effort, loaded):  # pragma: no cover
+    """What has happened by the state `y`, as bits."""
+    found = 0
+    q, v, x, w = y
+    if not frozen:
+        if slide * v < 0:
+            found |= _STOPPED
+        if q < p[LOWER] or q > p[UPPER]:
+            found |= _LIMIT
+        for k in range(len(terms)):
+            if terms[k, 1] == FORCE and _remember(terms[k, 0], q, memory[k], p, terms[k, 2] + FORM) != memory[k]:
+                found |= _MEMORY
+    if p[SLACK_WIDTH] > 0.0:
+        if side == 0:
+            apart = x - q
+            if abs(apart) >= 0.5 * p[SLACK_WIDTH] and apart * (w - v) > 0:
+                found |= _MET
+        elif side * _contact(y, terms, p, memory, frozen, slide, side, push, position, effort, loaded) < 0:
+            found |= _PARTED
+    return found
+
+
+@_jit
+def _rebound(terms, p, v):  # pragma: no cover
+    """Speed after an impact that came in with `v`."""
+    after = 0.0
+    for k in range(len(terms)):
+        if terms[k, 1] == STOP:
+            at = terms[k, 2]
+            speed = _form(p, at, p[Q_MID], v) * _law(terms[k, 0], 0.0, v, 0.0, 0.0, p, at + FORM)
+            if abs(speed) > abs(after):
+                after = speed
+    return min(abs(after), abs(v)) * (1.0 if after > 0 else -1.0)
+
+
+@_jit
+def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  # pragma: no cover
+    """Positions `out` (n,) as read at `times` (n,), for one vector of numbers."""
+    n, inputs = len(times), len(t_in)
+    dry, loaded = False, p[LOAD_ARM2] > 0
+    for k in range(len(terms)):
+        dry |= terms[k, 1] == DRIVE
+    y = (p[Q0], p[QD0], p[Q0], p[QD0])
+    for k in range(len(terms)):
+        if terms[k, 1] == FORCE:
+            memory[k] = _remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + FORM)
+    delayed, now = p[COMMAND_DELAY], times[0] - p[READING_DELAY]
+    end = times[n - 1] - p[READING_DELAY]
+    late = early = 0  # the inputs that act now, through the actuator and directly
+    side, done, resting = 0, 0, 0
+    for _ in range(_MAX_STEPS):
+        if done == n:
+            return
+        # inputs
+        position, asked, push, until = np.nan, 0.0, 0.0, np.inf
+        if inputs > 0:
+            while late + 1 < inputs and t_in[late + 1] + delayed <= now + 1e-12:
+                late += 1
+            while early + 1 < inputs and t_in[early + 1] <= now + 1e-12:
+                early += 1
+            position, asked, push = command[late], effort[late], pushes[early]
+            if late + 1 < inputs:
+                until = t_in[late + 1] + delayed
+            if early + 1 < inputs:
+                until = min(until, t_in[early + 1])
+        h = max(min(step, until - now), 1e-9)
+        # what holds the part
+        q, v = y[0], y[1]
+        frozen, slide = False, 0
+        if v == 0.0 and (dry or resting != 0):
+            F = _acting(terms, p, memory, q, 0.0, side, push, position, asked)
+            held = _level(terms, p, memory, q, 0.0, 0.0) if dry else 0.0
+            if abs(F) <= held or (resting != 0 and resting * F >= -held):
+                frozen = True
+            else:
+                slide, resting = (1 if F > 0 else -1) if dry else 0, 0
+        elif dry:
+            slide, resting = 1 if v > 0 else -1, 0
+        else:
+            resting = 0
+        # a step, cut where something happens
+        after = _advanced(y, h, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
+        found = _events(after, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
+        if found:
+            low, high = 0.0, h
+            for _ in range(_BISECTIONS):
+                mid = 0.5 * (low + high)
+                there = _advanced(y, mid, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
+                at_mid = _events(there, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
+                if at_mid:
+                    high, after, found = mid, there, at_mid
+                else:
+                    low = mid
+            h = high
+        if not abs(after[0]) < 1e6:
+            for i in range(done, n):
+                out[i] = 1e6
+            return
+        # readings within the step: the cubic with its ends' positions and speeds
+        last = now + h >= end - 1e-12
+        while done < n and (times[done] - p[READING_DELAY] <= now + h or last):
+            s = min((times[done] - p[READING_DELAY] - now) / h, 1.0)
+            u = 1.0 - s
+            out[done] = u * u * ((1 + 2 * s) * q + s * h * v) + s * s * ((1 + 2 * u) * after[0] - u * h * after[1])
+            done += 1
+        now += h
+        y = after
+        # what the event changes
+        if found & _MEMORY:
+            for k in range(len(terms)):
+                if terms[k, 1] == FORCE:
+                    memory[k] = _remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + FORM)
+        if found & _PARTED:
+            side = 0
+        if found & _MET:
+            side = 1 if y[2] > y[0] else -1
+            together = (p[INERTIA] * y[1] + p[SLACK_INERTIA] * y[3]) / (p[INERTIA] + p[SLACK_INERTIA])
+            y = (y[0], together, y[0] + 0.5 * side * p[SLACK_WIDTH], together)
+        if found & _LIMIT:
+            towards = 1 if y[0] > p[UPPER] else -1
+            limit = p[UPPER] if towards > 0 else p[LOWER]
+            back = _rebound(terms, p, y[1])
+            inward = towards * _acting(terms, p, memory, limit, 0.0, side, push, position, asked) / p[INERTIA]
+            if back * towards >= 0 or (inward > 0 and abs(back) < 0.25 * step * inward):
+                back, resting = 0.0, towards  # it would come back within half a step: it stays
+            y = (limit, back, y[2], y[3])
+            if side != 0:
+                y = (limit, back, limit + 0.5 * side * p[SLACK_WIDTH], back)
+        elif found & _STOPPED:
+            y = (y[0], 0.0, y[2], 0.0 if side != 0 else y[3])
+    for i in range(done, n):
+        out[i] = 1e6
+
+
+def _made(stamp: int) -> Any:
+    """The door, as a closure over the formulas' stamp: so numba's cache on disk knows when one has changed."""
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def sweep(numbers, terms, times, t_in, command, effort, pushes, step, out):  # pragma: no cover
+        if stamp < 0:
+            return
+        memory = np.zeros(len(terms))
+        for row in range(len(numbers)):
+            memory[:] = 0.0
+            _roll(numbers[row], terms, memory, times, t_in, command, effort, pushes, step, out[row])
+
+    return sweep
+
+
+sweep = _made(_stamp)
+"""sweep(numbers (m, k), terms (t, 3), times (n,), t_in (i,), command (i,), effort (i,), pushes (i,), step, out (m, n)):
+m simulations of one run. `terms` are law, what it does (FORCE, DRIVE, STOP), and where its numbers begin. Inputs last
+from `t_in` to the next; none are arrays of length 0. A run that leaves all bounds reads 1e6."""

@@ -1,0 +1,218 @@
+"""The fast simulation that fits search in: one joint in double precision, any effects of the library, inputs and all.
+
+`kernel` does the stepping; here assets, effects and runs become its vectors of numbers. It must say what
+`generator.simulate` says (a test holds them together).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from freeart21.asset import Asset
+from freeart21.effects import Effect
+from freeart21.effects.backlash import Backlash
+from freeart21.joint import JointType
+from freeart21.measured import Measured
+from freeart21.mechanics import JointMechanics
+from freeart21.se3 import Array
+from generator.simulate import load
+from simgap import kernel
+from simgap.settings import SurrogateSettings
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What the asset says of its joint; frame of the joint's parent link."""
+
+    mechanics: JointMechanics
+    lower: float
+    upper: float
+    effects: tuple[Effect, ...] = ()
+    """Effects that the asset has already."""
+    stiffness: float = 0.0
+    """Of the actuator's position law."""
+    damping: float = 0.0
+
+    @property
+    def joint_type(self) -> JointType:
+        """revolute or prismatic."""
+        return self.mechanics.joint.type
+
+    @cached_property
+    def gravity_terms(self) -> Array:
+        """(3, 3) cosine, sine and constant of gravity's force: as it is, and per rad of lean of the base in two ways.
+
+        The two ways turn gravity towards the direction in the plane of a hinge's motion (a slider's axis), and across.
+        """
+        joint, g = self.mechanics.joint, self.mechanics.gravity
+        size = float(np.linalg.norm(g))
+        if size == 0:
+            return np.zeros((3, 3))
+        first = np.cross(joint.axis, g) if joint.type == "revolute" else joint.axis - (joint.axis @ g) * g / size**2
+        if np.linalg.norm(first) < 1e-6 * size:
+            first = np.cross(np.eye(3)[int(np.argmin(np.abs(g)))], g)
+        first = size * first / np.linalg.norm(first)
+        second = np.cross(g, first) / size
+        return np.stack([_gravity_terms(replace(self.mechanics, gravity=v)) for v in (g, first, second)])
+
+
+def _gravity_terms(mechanics: JointMechanics) -> Array:
+    if mechanics.joint.type == "prismatic":
+        return np.array([0.0, 0.0, float(mechanics.gravity_force(0.0))])
+    return np.append(mechanics.gravity_force([0.0, np.pi / 2]), 0.0)
+
+
+def plant_of(asset: Asset, measured: Measured) -> Plant:
+    """The joint of `asset` under the gravity and the actuator of `measured`; loads the asset in SAPIEN, neutral."""
+    simulated = load(asset, gravity=measured.gravity)
+    actuator = measured.actuator
+    return Plant(
+        simulated.mechanics,
+        simulated.lower,
+        simulated.upper,
+        tuple(asset.effects.get(asset.joint, ())),
+        actuator.stiffness if actuator else 0.0,
+        actuator.damping if actuator else 0.0,
+    )
+
+
+def _nothing() -> Array:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What drove a run; (i,) arrays, each value lasts until the next time."""
+
+    times_s: Array = field(default_factory=_nothing)
+    command: Array = field(default_factory=_nothing)
+    """Commanded positions; NaN without a position law."""
+    effort: Array = field(default_factory=_nothing)
+    """Commanded efforts: they pass the actuator."""
+    push: Array = field(default_factory=_nothing)
+    """External efforts: they act on the part."""
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """By how much the asset may be off without anything missing."""
+
+    inertia: float = 1.0
+    """True over the asset's inertia."""
+    gravity: float = 1.0
+    """True over the asset's gravity force."""
+    lean: tuple[float, float] = (0.0, 0.0)
+    """rad by which the base leans, see `Plant.gravity_terms`."""
+
+
+def terms_of(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[np.int64]:
+    """(t, 3) what the kernel needs to know of those effects that have a law there."""
+    rows, at = [], kernel.HEAD
+    for effect in effects:
+        if effect.name in kernel.LAWS:
+            rows.append((kernel.LAWS[effect.name], kernel.ACTS[effect.acts], at))
+            at += kernel.FORM + len(effect.parameters())
+    return np.array(rows, np.int64).reshape(-1, 3)
+
+
+def numbers_of(
+    plant: Plant,
+    effects: tuple[Effect, ...],
+    nuisance: Nuisance = Nuisance(),
+    forms: dict[str, tuple[float, float, float]] | None = None,
+    reference: tuple[float, float, float] = (1.0, 0.0, 1.0),
+) -> Array:
+    """The kernel's vector for these effects, start state 0.
+
+    Args:
+        plant: the joint.
+        effects: all effects, those of the asset among them.
+        nuisance: how the asset is off.
+        forms: name of an effect to how its size departs from its formula with speed, position and position squared.
+        reference: largest speed, middle and half range of position, to which `forms` refer.
+    """
+    mechanics = plant.mechanics
+    head = np.zeros(kernel.HEAD)
+    added = sum(effect.inertia() for effect in effects)
+    slack = next((effect for effect in effects if isinstance(effect, Backlash)), None)
+    head[kernel.INERTIA] = nuisance.inertia * mechanics.inertia + (0.0 if slack else added)
+    if slack:
+        head[kernel.SLACK_WIDTH], head[kernel.SLACK_INERTIA] = slack.width, slack.drive_inertia + added
+    terms = plant.gravity_terms
+    head[kernel.GRAVITY_COS : kernel.GRAVITY_CONST + 1] = nuisance.gravity * (
+        terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2]
+    )
+    if any(effect.needs_load for effect in effects):
+        head[kernel.LOAD_ARM2 : kernel.LOAD_TURNED + 1] = _load_terms(mechanics)
+    head[kernel.GAIN] = np.prod([effect.gain() for effect in effects])
+    head[kernel.COMMAND_DELAY] = sum(effect.delay() for effect in effects if effect.acts == "command")
+    head[kernel.READING_DELAY] = sum(effect.delay() for effect in effects if effect.kind == "sensing")
+    head[kernel.STIFFNESS], head[kernel.DAMPING] = plant.stiffness, plant.damping
+    head[kernel.LOWER], head[kernel.UPPER] = plant.lower, plant.upper
+    head[kernel.SPEED_REF], head[kernel.Q_MID], head[kernel.Q_HALF] = reference
+    parts = [head]
+    for effect in effects:
+        if effect.name in kernel.LAWS:
+            parts += [np.array((forms or {}).get(effect.name, (0.0, 0.0, 0.0))), np.array(effect.values())]
+    return np.concatenate(parts)
+
+
+def _load_terms(mechanics: JointMechanics) -> tuple[float, float, float, float]:
+    """Numbers from which the kernel has the bearing's force (`JointMechanics.load`)."""
+    weight, axis = mechanics.mass * mechanics.gravity, mechanics.joint.axis
+    if mechanics.joint.type == "prismatic":
+        across = weight - (weight @ axis) * axis
+        return 0.0, float(across @ across), 0.0, 0.0
+    arm = mechanics.moment(0.0)
+    across = arm - (arm @ axis) * axis
+    turned = np.cross(axis, across)
+    return float(across @ across), float(weight @ weight), float(across @ weight), float(turned @ weight)
+
+
+def step_of(
+    plant: Plant,
+    effects: tuple[Effect, ...],
+    settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
+) -> float:
+    """Longest step, s, at which the fastest oscillation is stepped finely."""
+    gain = float(np.prod([effect.gain() for effect in effects]))
+    inertia = plant.mechanics.inertia
+    stiffness = float(np.hypot(*plant.gravity_terms[0, :2])) + sum(effect.steepness() for effect in effects)
+    slack = next((effect for effect in effects if isinstance(effect, Backlash)), None)
+    driven = min(inertia, slack.drive_inertia) if slack else inertia
+    rate = np.sqrt(stiffness / inertia + gain * plant.stiffness / driven) + 0.1 * gain * plant.damping / driven
+    return float(np.clip(settings.phase_per_step / max(rate, 1e-9), settings.min_step_s, settings.max_step_s))
+
+
+def sweep(numbers: Array, terms: NDArray[np.int64], times_s: Array, inputs: Inputs, step_s: float) -> Array:
+    """(m, n) true positions, as late as they are read, at `times_s` (n,), of m vectors of numbers (m, k)."""
+    out = np.empty((len(numbers), len(times_s)))
+    kernel.sweep(numbers, terms, times_s, inputs.times_s, inputs.command, inputs.effort, inputs.push, step_s, out)
+    return out
+
+
+def readings_of(effects: tuple[Effect, ...], q: Array) -> Array:
+    """What a sensor with these effects writes down at positions (...); the delay is the kernel's."""
+    return np.asarray(q + sum(effect.reading_error(q) for effect in effects if effect.kind == "sensing"))
+
+
+def simulate(
+    plant: Plant,
+    effects: tuple[Effect, ...],
+    times_s: ArrayLike,
+    q0: float,
+    qd0: float = 0.0,
+    inputs: Inputs = Inputs(),
+    nuisance: Nuisance = Nuisance(),
+    settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
+) -> Array:
+    """(n,) readings at `times_s` (n,), rising; the state (q0, qd0) is that of the first reading's instant."""
+    numbers = numbers_of(plant, effects, nuisance)
+    numbers[kernel.Q0], numbers[kernel.QD0] = q0, qd0
+    times = np.ascontiguousarray(times_s, float)
+    q = sweep(numbers[None], terms_of(effects), times, inputs, step_of(plant, effects, settings))[0]
+    return readings_of(effects, q)
