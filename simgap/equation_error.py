@@ -92,8 +92,8 @@ def missing_force(
     inertia = mechanics.inertia + float(np.sum([e.inertia() for e in effects]))
     a, g = _scales(measured, inertia, q, qd, qdd, given, gravity)
     force = a * inertia * qdd - given - g * gravity
-    run = number.astype(np.int64)
-    unit = unit_numbers(q, run, 0.03 * float(np.ptp(q)), longest=max(10, len(q) // 60)) if len(q) else run
+    of_run = number.astype(np.int64)
+    unit = unit_numbers(q, of_run, 0.03 * float(np.ptp(q)), max(10, len(q) // 60)) if len(q) else of_run
     distance = np.minimum(q - lower, upper - q)
     names = tuple(r.name for r in runs)
     return MissingForce(
@@ -102,7 +102,7 @@ def missing_force(
         q,
         qd,
         time,
-        run,
+        of_run,
         unit,
         since,
         distance,
