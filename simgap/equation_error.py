@@ -7,6 +7,7 @@ regressors), and never decides what it is called.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from simgap.swings import reversals, unit_numbers
 
 _ORDER = 4  # of the local polynomials
 _WINDOWS = (7, 9, 11, 15, 19, 25, 33, 43, 57, 75, 99, 131, 171, 225)
+_IMPACT_READINGS = 12  # on either side of an impact
 _MORE_NOISE = 1.15  # how much more than the shortest window's a residual may be before a window is called too long
 
 
@@ -71,19 +73,21 @@ def missing_force(
     """
     runs = tuple(r for r in measured.runs if not r.held_out) if runs is None else runs
     pieces, impacts = [], []
-    for number, run in enumerate(runs):
+    for index, run in enumerate(runs):
         smooth = _smoothed(run)
         if smooth is None:
             continue
-        t, q, qd, qdd, half = smooth
+        t, raw, q, qd, qdd, kernel = smooth
+        half = len(kernel) // 2 + 1
         # close to a stop the contact's own force is unknown
-        touching = _touching(q, qd, lower, upper)
+        touching = _touching(q, lower, upper)
         near = np.convolve(touching, np.ones(2 * half + 1), "same") > 0
-        impacts += _impacts(q, qd, touching, half)
-        given, gravity = _forces(measured, mechanics, run, effects, t, q, qd, qdd)
+        impacts += _impacts(t, raw, touching)
+        acting = _forces(measured, mechanics, run, effects, t, q, qd, qdd)
+        given, gravity = (np.convolve(force, kernel, "same") for force in acting)  # as smooth as qdd is
         since = _since_reversal(q)
         command = np.full(len(t), np.nan) if run.q_command is None else _held(run.times_s, run.q_command, t) - q
-        columns = [t - run.times_s[0], q, qd, qdd, given, gravity, since, command, np.full(len(t), float(number))]
+        columns = [t - run.times_s[0], q, qd, qdd, given, gravity, since, command, np.full(len(t), float(index))]
         keep = ~near
         keep[:half], keep[len(keep) - half :] = False, False  # one-sided windows there
         pieces.append(np.stack(columns, -1)[keep])
@@ -91,13 +95,10 @@ def missing_force(
     time, q, qd, qdd, given, gravity, since, command, number = rows.T
     inertia = mechanics.inertia + float(np.sum([e.inertia() for e in effects]))
     a, g = _scales(measured, inertia, q, qd, qdd, given, gravity)
-    force = a * inertia * qdd - given - g * gravity
-    of_run = number.astype(np.int64)
+    of_run = np.asarray(number, np.int64)
     unit = unit_numbers(q, of_run, 0.03 * float(np.ptp(q)), max(10, len(q) // 60)) if len(q) else of_run
-    distance = np.minimum(q - lower, upper - q)
-    names = tuple(r.name for r in runs)
     return MissingForce(
-        force,
+        a * inertia * qdd - given - g * gravity,
         a * inertia,
         q,
         qd,
@@ -105,38 +106,42 @@ def missing_force(
         of_run,
         unit,
         since,
-        distance,
+        np.minimum(q - lower, upper - q),
         command,
-        names,
+        tuple(r.name for r in runs),
         np.array(impacts).reshape(-1, 3),
     )
 
 
-def _smoothed(run: Run) -> tuple[Array, Array, Array, Array, int] | None:
-    """Even times, position, velocity, acceleration, and half the window in samples; None for too short a run."""
-    from scipy.signal import savgol_filter
+def _smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | None:
+    """Even times; position as read, smoothed, velocity, acceleration; and what acceleration is smoothed by.
+
+    None for too short a run. A local polynomial's second derivative (Savitzky and Golay 1964) is exactly the true
+    acceleration seen through a kernel; forces seen through the same one have the same bias.
+    """
+    from scipy.signal import savgol_coeffs, savgol_filter
 
     known = np.isfinite(run.q)
-    if known.sum() < 2 * _WINDOWS[0]:
+    if known.sum() < 4 * _WINDOWS[0]:
         return None
     step = float(np.median(np.diff(run.times_s[known])))
     t = np.arange(run.times_s[known][0], run.times_s[known][-1], step)
-    q = np.interp(t, run.times_s[known], run.q[known])
-    windows = [w for w in _WINDOWS if 4 * w < len(q)] or [_WINDOWS[0]]
+    raw = np.interp(t, run.times_s[known], run.q[known])
+    windows = [w for w in _WINDOWS if 4 * w < len(raw)] or [_WINDOWS[0]]
 
     def noise(window: int) -> float:
-        left = q - savgol_filter(q, window, _ORDER)
-        weight = savgol_filter(np.eye(window)[window // 2], window, _ORDER)[window // 2]
+        left = raw - savgol_filter(raw, window, _ORDER)
+        weight = savgol_coeffs(window, _ORDER)[window // 2]
         return float(np.sqrt(np.mean(left**2) / max(1 - weight, 0.05)))
 
-    first = noise(windows[0]) or 1e-12
-    window = windows[0]
+    first, window = noise(windows[0]) or 1e-12, windows[0]
     for w in windows[1:]:
         if noise(w) > _MORE_NOISE * first:
             break
         window = w
-    parts = [savgol_filter(q, window, _ORDER, deriv=k, delta=step) for k in range(3)]
-    return t, parts[0], parts[1], parts[2], window // 2
+    q, qd, qdd = (savgol_filter(raw, window, _ORDER, deriv=k, delta=step) for k in range(3))
+    kernel = np.cumsum(np.cumsum(savgol_coeffs(window, _ORDER, deriv=2)))[:-2]  # its second difference is the filter
+    return t, raw, q, qd, qdd, np.convolve(kernel, [1 / 12, 10 / 12, 1 / 12])
 
 
 def _held(times: Array, values: Array, at: Array) -> Array:
@@ -199,29 +204,34 @@ def _scales(
     return float(found[0]), float(found[1])
 
 
-def _touching(q: Array, qd: Array, lower: float, upper: float) -> NDArray[np.bool_]:
+def _touching(q: Array, lower: float, upper: float) -> NDArray[np.bool_]:
     slack = 0.02 * max(float(np.ptp(q)), 1e-9)
     return (q < lower + slack) | (q > upper - slack)
 
 
-def _impacts(q: Array, qd: Array, touching: NDArray[np.bool_], half: int) -> list[list[float]]:
-    """Of every arrival at a limit: which one, greatest speed shortly before it, greatest speed away shortly after."""
+def _impacts(t: Array, raw: Array, touching: NDArray[np.bool_]) -> list[list[float]]:
+    """Of every arrival at a limit: which one (-1 or 1), speed just before it, speed away just after it.
+
+    Speeds by parabolas through some readings on either side, for after a dead stop gravity may take the part away too.
+    """
     found: list[list[float]] = []
-    starts = np.flatnonzero(touching[1:] & ~touching[:-1]) + 1
-    reach = 2 * half + 2
-    middle = 0.5 * (float(q.max()) + float(q.min()))
-    for i in starts:
-        side = 1.0 if q[i] > middle else -1.0
-        before = side * qd[max(i - reach, 0) : i + 1]
-        after = -side * qd[i : i + 2 * reach]
-        if len(before) and len(after) and before.max() > 0:
-            found.append([side, float(before.max()), float(max(after.max(), 0.0))])
+    middle, n = 0.5 * (float(raw.max()) + float(raw.min())), _IMPACT_READINGS
+    for i in np.flatnonzero(touching[1:] & ~touching[:-1]) + 1:
+        side = 1.0 if raw[i] > middle else -1.0
+        stretch = side * raw[i : i + n]
+        at = i + int(np.argmax(stretch))
+        if at - n < 0 or at + n >= len(raw):
+            continue
+        before = np.polyfit(t[at - n : at] - t[at], side * raw[at - n : at], 2)[1]
+        after = -np.polyfit(t[at + 1 : at + n + 1] - t[at], side * raw[at + 1 : at + n + 1], 2)[1]
+        if before > 0:
+            found.append([side, float(before), float(max(after, 0.0))])
     return found
 
 
 def _since_reversal(q: Array) -> Array:
     out = np.full(len(q), np.nan)
-    turns = reversals(q, 0.03 * max(float(np.ptp(q)), 1e-9))
-    for a, b in zip(turns, [*turns[1:], len(q)], strict=True):
+    ends = [*reversals(q, 0.03 * max(float(np.ptp(q)), 1e-9)).tolist(), len(q)]
+    for a, b in pairwise(ends):
         out[a:b] = np.abs(q[a:b] - q[a])
     return out

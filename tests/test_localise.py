@@ -1,0 +1,185 @@
+"""Where the missing force is, on motions integrated here; and that pure noise flags no more than it may."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.joint import Joint
+from freeart21.measured import Measured, Run
+from freeart21.mechanics import Actuator, JointMechanics
+from simgap.equation_error import missing_force
+from simgap.localise import LEVEL, benjamini_hochberg, residual_maps, sign_flips, where
+from simgap.swings import half_swings, reversals
+
+INERTIA, WEIGHT = 0.05, 1.2  # kg m^2, N m of m g l
+MECHANICS = JointMechanics(
+    Joint("j", "revolute", np.array([0.0, 1, 0]), np.zeros(3), -np.inf, np.inf),
+    1.0,
+    INERTIA,
+    np.array([0.0, 0, -WEIGHT / 9.81]),
+    np.array([0, 0, -9.81]),
+)
+
+
+def swings(torque, seed=0, runs=6, seconds=6.0, noise=5e-4, starts=None, restitution=None, stop=9.0):
+    """Runs of a pendulum under `torque(t, q, qd)` besides gravity; at the stop it keeps `restitution` of its speed."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for r in range(runs):
+        t = np.arange(round(200 * seconds)) / 200
+        state = [rng.uniform(0.5, 1.2) if starts is None else starts[r], rng.uniform(-0.5, 0.5)]
+        q, now = np.full(len(t), np.nan), 0.0
+        while now < t[-1]:
+
+            def slope(t, y):
+                return [y[1], (torque(t, *y) - WEIGHT * np.sin(y[0])) / INERTIA]
+
+            def met(t, y):
+                return stop - y[0]
+
+            met.terminal, met.direction = True, -1  # type: ignore[attr-defined]
+            done = solve_ivp(slope, (now, t[-1]), state, events=met, dense_output=True, rtol=1e-7, atol=1e-9)
+            here = (t >= now) & (t <= done.t[-1])
+            q[here] = done.sol(t[here])[0]
+            now = done.t[-1] + 1e-9
+            state = [stop - 1e-9, -(restitution or 0) * done.y[1, -1]]
+        made.append(Run(f"run_{r}", t, q + rng.normal(size=len(t)) * noise))
+    return Measured("j", "revolute", np.array([0, 0, -9.81]), 200.0, "recorded", runs=tuple(made))
+
+
+def maps_of(measured, effects=(), upper=9.0, **more):
+    found = missing_force(measured, MECHANICS, -9.0, upper, effects, **more)
+    maps = residual_maps(found)
+    return {m.quantity: m for m in maps}, where(maps, found, "revolute"), found
+
+
+def friction(t, q, qd):
+    return -0.02 * np.tanh(qd / 0.01)
+
+
+def notch(t, q, qd):
+    x = (q - 0.35) / 0.06
+    return -0.15 * x * np.exp(0.5 - 0.5 * x * x) - 0.004 * qd
+
+
+def test_nothing_missing_flags_little():
+    flagged = 0
+    for seed in range(12):
+        maps, places, _ = maps_of(swings(lambda t, q, qd: 0.0, seed))
+        flagged += bool(places)
+        assert len(maps) >= 6
+    assert flagged <= 3  # 5 % of sets are expected to
+
+
+def test_sign_flips_are_calibrated_under_correlation():
+    rng = np.random.default_rng(3)
+    p = []
+    for _ in range(200):
+        units = np.repeat(np.arange(30), 40)
+        values = np.repeat(rng.normal(size=30), 40) + rng.normal(size=1200)  # every unit has an offset of its own
+        p.append(sign_flips(units, rng.integers(0, 8, 1200), values, 8, rng)[1])
+    assert 0.01 < np.mean(np.array(p) < 0.05) < 0.1
+    assert 0.35 < np.mean(np.array(p) < 0.5) < 0.65
+
+
+def test_friction_shows_by_direction_and_goes_once_it_is_in_the_model():
+    maps, places, _ = maps_of(swings(friction))
+    assert maps["direction"].adjusted < 0.01
+    backwards, forwards = maps["direction"].mean
+    assert forwards == pytest.approx(-0.02, rel=0.2) and backwards == pytest.approx(0.02, rel=0.2)
+    assert {w.quantity for w in places} >= {"direction", "velocity"}
+    assert any("When it moves forwards, it is pushed backwards by" in w.text for w in places)
+    maps, _, _ = maps_of(swings(friction), effects=(CoulombFriction(0.02),))
+    assert maps["direction"].p_value > LEVEL
+
+
+def test_a_notch_is_found_at_its_place_and_nowhere_else():
+    maps, places, _ = maps_of(swings(notch, runs=8))
+    local = maps["position, by itself"]
+    assert local.adjusted < 0.01
+    flagged = [0.5 * (a + b) for a, b, f in zip(local.edges[:-1], local.edges[1:], local.flagged, strict=True) if f]
+    assert min(abs(x - 0.35) for x in flagged) < 0.12
+    spans = [w for w in places if w.quantity == "position, by itself"]
+    below = [w for w in spans if w.high < 0.5 and "forwards" in w.text]
+    above = [w for w in spans if w.low > 0.2 and "backwards" in w.text]
+    assert below and above  # pulled into it from both sides
+    assert "°" in below[0].text and "N m" in below[0].text
+
+
+def test_a_spring_shows_over_position():
+    maps, _, _ = maps_of(swings(lambda t, q, qd: -0.1 * (q - 0.2)))
+    position = maps["position"]
+    assert position.adjusted < 0.01 and position.mean[1] > 0 > position.mean[-2]
+    assert not maps["position, by itself"].flagged.any()
+
+
+def test_a_stop_that_throws_back_is_seen():
+    data = swings(lambda t, q, qd: -0.004 * qd, restitution=0.6, stop=0.3, starts=[-1.0, -0.8, -0.7, -0.9, -1.1, -0.6])
+    _, places, found = maps_of(data, upper=0.3)
+    assert len(found.impacts) > 8
+    said = [w for w in places if "stop" in w.text]
+    assert said and 0.4 < float(said[0].text.split("about ")[1].split("%")[0]) / 100 < 0.75
+    dead = swings(lambda t, q, qd: -0.004 * qd, restitution=0.0, stop=0.3, starts=[-1.0, -0.8, -0.7, -0.9, -1.1, -0.6])
+    _, places, _ = maps_of(dead, upper=0.3)
+    assert not [w for w in places if "stop" in w.text and "comes back" in w.text]
+
+
+def test_a_brake_that_wears_in_shows_over_time_and_run():
+    def warming(t, q, qd):
+        return -0.03 * qd * (t > 3)
+
+    maps, _, _ = maps_of(swings(warming, runs=8))
+    assert maps["time"].adjusted < LEVEL
+    early, late = np.nanmean(maps["time"].mean[:6]), np.nanmean(maps["time"].mean[9:])
+    assert early > 0 > late
+
+
+def test_asset_uncertainty_is_not_a_gap():
+    heavy = Measured("j", "revolute", np.array([0, 0, -9.81]), 200.0, "recorded", runs=swings(friction).runs)
+    light = JointMechanics(MECHANICS.joint, 1.0, INERTIA * 1.06, MECHANICS.moment_zero * 0.97, MECHANICS.gravity)
+    from dataclasses import replace
+
+    unsure = replace(heavy, inertia_relative=0.1, gravity_relative=0.05)
+    wrong = {m.quantity: m for m in residual_maps(missing_force(heavy, light, -9, 9))}
+    right = {m.quantity: m for m in residual_maps(missing_force(unsure, light, -9, 9))}
+    assert wrong["position"].p_value < 0.01 < right["position"].p_value
+    assert right["direction"].adjusted < 0.01
+
+
+def test_the_servo_and_pushes_are_part_of_the_equation():
+    def command(t):
+        return 0.5 * np.sin(3 * t)
+
+    def push(t):
+        return 0.1 * np.sign(np.sin(5 * t))
+
+    data = swings(lambda t, q, qd: 4 * (command(t) - q) - 0.1 * qd + push(t))
+    runs = tuple(Run(r.name, r.times_s, r.q, push(r.times_s), command(r.times_s)) for r in data.runs)
+    law = Actuator(None, 4.0, 0.1)
+    driven = Measured("j", "revolute", data.gravity, 200.0, "recorded", "external", law, runs=runs)
+    found = missing_force(driven, MECHANICS, -9, 9)
+    bare = missing_force(data, MECHANICS, -9, 9)
+    assert np.sqrt(np.mean(found.force**2)) < 0.1 * np.sqrt(np.mean(bare.force**2))
+    assert "command" in {m.quantity for m in residual_maps(found)}
+
+
+def test_half_swings():
+    t = np.linspace(0, 4 * np.pi, 400)
+    q = np.cos(t) + 0.004 * np.cos(90 * t)
+    turns = reversals(q, 0.05)
+    assert np.allclose(t[turns], np.pi * np.arange(1, 4), atol=0.15)
+    numbers = half_swings(q, 0.05)
+    assert numbers.max() == 3 and (np.diff(numbers) >= 0).all()
+    assert half_swings(q, 0.05, longest=60).max() == 7
+
+
+def test_benjamini_hochberg():
+    assert benjamini_hochberg(np.array([0.01, 0.04, 0.03, 0.5])) == pytest.approx([0.04, 0.16 / 3, 0.16 / 3, 0.5])
+
+
+def test_too_little_is_no_map():
+    data = swings(friction, runs=1, seconds=0.2)
+    assert residual_maps(missing_force(data, MECHANICS, -9, 9)) == ()
