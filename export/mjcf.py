@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 from itertools import zip_longest
 
 from export.model import AssetModel, LinkModel, number_text
+from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 
 _ADDITIVE = ("damping", "frictionloss", "armature")  # words that two effects may both say
@@ -69,13 +70,18 @@ def _joint(model: AssetModel) -> ET.Element:
         axis=number_text(*joint.axis),
         range=number_text(joint.lower, joint.upper),
     )
+    for word, said in joint_words(model.effects, joint.name).items():
+        element.set(word, said)
+    return element
+
+
+def joint_words(effects: tuple[Effect, ...], joint: str) -> dict[str, str]:
+    """The attributes of `<joint>` that say these effects; FreeArtError when two say what can be said only once."""
     words: dict[str, tuple[float, ...]] = {}
-    for effect in model.effects:
+    for effect in effects:
         for word, value in effect.mjcf_joint().items():
             if word in words and word not in _ADDITIVE:
-                raise FreeArtError(f"joint '{joint.name}': two effects say MJCF's '{word}', which a joint holds once")
+                raise FreeArtError(f"joint '{joint}': two effects say MJCF's '{word}', which a joint holds once")
             said = value if isinstance(value, tuple) else (value,)
             words[word] = tuple(a + b for a, b in zip_longest(words.get(word, ()), said, fillvalue=0.0))
-    for word, values in words.items():
-        element.set(word, number_text(*values))
-    return element
+    return {word: number_text(*values) for word, values in words.items()}

@@ -1,0 +1,219 @@
+"""Effects written into an asset, and the gap that a fresh process then finds in SAPIEN; the loop on our own data."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from freeart21.asset import Asset
+from freeart21.effects.armature import Armature
+from freeart21.effects.axis_tilt import AxisTilt
+from freeart21.effects.backlash import Backlash
+from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects.detent import Detent
+from freeart21.effects.encoder_offset import EncoderOffset
+from freeart21.effects.return_spring import ReturnSpring
+from freeart21.effects.viscous_damping import ViscousDamping
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset, write_asset_json
+from freeart21.measured import Measured, Run
+from freeart21.mechanics import Actuator
+from generator.simulate import roll_out
+from simgap.show import Off, Replayed, helps, show
+from simgap.writeback import repaired
+
+MASS, ARM, G = 1.2, 0.3, 9.81
+INERTIA = 0.01 + MASS * ARM**2
+
+
+def bob(folder: Path, more: str = "", limits: str = '<limit lower="-3" upper="3"/>') -> Asset:
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "bob.urdf"
+    path.write_text(f"""<?xml version="1.0"?><robot name="bob"><!-- by hand --><link name="base"/><link name="bob">
+        <inertial><origin xyz="0 0 {-ARM}"/><mass value="{MASS}"/>
+        <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="j" type="revolute"><parent link="base"/><child link="bob"/><origin xyz="0 0 1" rpy="0 0 0"/>
+        <axis xyz="0 1 0"/>{limits}{more}</joint></robot>""")
+    return read_asset(path)
+
+
+def pendulum(starts, torque, seconds=4.0, inertia=INERTIA, gravity=1.0, seed=0, noise=1e-3, **channels):
+    """Runs (measured set) and their true start states, by an equation of our own."""
+    rng = np.random.default_rng(seed)
+    runs = []
+    for i, (q0, qd0) in enumerate(starts):
+        t = np.sort(np.arange(round(150 * seconds)) / 150 + rng.uniform(-1, 1, round(150 * seconds)) * 1e-3)
+        t = t - t[0] + 0.2 * i  # clocks need not begin at zero
+
+        def slope(s, y):
+            return [y[1], (torque(s, *y) - gravity * MASS * G * ARM * np.sin(y[0])) / inertia]
+
+        done = solve_ivp(slope, (t[0], t[-1]), [q0, qd0], t_eval=t, rtol=1e-8, atol=1e-10, max_step=0.01)
+        given = {name: np.array([f(s) for s in t]) for name, f in channels.items() if callable(f)}
+        runs.append(Run(f"run_{i}", t, done.y[0] + rng.normal(size=len(t)) * noise, **given))
+    return Measured("j", "revolute", np.array([0, 0, -G]), 150.0, "recorded", runs=tuple(runs))
+
+
+def replays(measured, starts, regimes=None):
+    return tuple(
+        Replayed(run, start, start, 1e-3, "" if regimes is None else regimes[i])
+        for i, (run, start) in enumerate(zip(measured.runs, starts, strict=True))
+    )
+
+
+STARTS = ((1.2, 0.0), (0.4, 0.5), (-1.5, 0.0))
+
+
+def damped(s, q, qd):
+    return -0.03 * qd
+
+
+# ---------------------------------------------------------------- into the asset
+
+
+def test_urdf_says_what_it_can_and_effects_json_says_all(tmp_path: Path):
+    asset = bob(tmp_path / "a", '<dynamics damping="0.01"/>')
+    new = (ViscousDamping(0.02), CoulombFriction(0.05), Detent(0.3, 0.2, 0.05), AxisTilt(0.01, 0.0))
+    again = repaired(asset, new, tmp_path / "b", {"by": "test"})
+    assert again.effects == {"j": (ViscousDamping(0.03), *new[1:])}
+    text = again.urdf.read_text()
+    assert "<!-- by hand -->" in text
+    dynamics = ET.fromstring(text).find("joint/dynamics")
+    assert dynamics is not None
+    assert (float(dynamics.get("damping", 0)), float(dynamics.get("friction", 0))) == pytest.approx((0.03, 0.05))
+    assert again.source["repair"] == {"by": "test"}
+    assert asset.effects == {"j": (ViscousDamping(0.01),)} == read_asset(asset.urdf).effects  # untouched
+    run = roll_out(again, 1.0, duration_s=0.5)
+    told = roll_out(replace(asset, effects={"j": again.effects["j"]}), 1.0, duration_s=0.5)
+    np.testing.assert_array_equal(run.q, told.q)
+
+
+def test_mjcf_beside_the_urdf_says_it_too(tmp_path: Path):
+    mujoco = pytest.importorskip("mujoco")
+    asset = bob(tmp_path / "a")
+    (tmp_path / "a/bob.xml").write_text("""<mujoco><worldbody><body name="base"><body name="bob" pos="0 0 1">
+        <joint name="j" type="hinge" axis="0 1 0" frictionloss="9"/><inertial pos="0 0 -0.3" mass="1.2"
+        diaginertia="0.01 0.01 0.01"/></body></body></worldbody></mujoco>""")
+    write_asset_json(tmp_path / "a", asset)
+    again = repaired(read_asset(tmp_path / "a"), (ViscousDamping(0.02), Armature(0.003)), tmp_path / "b")
+    joint = mujoco.MjModel.from_xml_path(str(again.urdf.with_suffix(".xml")))
+    assert joint.dof_damping[0] == pytest.approx(0.02)
+    assert joint.dof_armature[0] == pytest.approx(0.003)
+    assert joint.dof_frictionloss[0] == 0
+    (tmp_path / "a/bob.xml").write_text("<mujoco/>")
+    with pytest.raises(FreeArtError, match="has no joint 'j'; joints: none"):
+        repaired(read_asset(tmp_path / "a"), (ViscousDamping(0.02),), tmp_path / "c")
+
+
+def test_meshes_go_along(tmp_path: Path):
+    asset = bob(tmp_path / "a")
+    (tmp_path / "a/meshes").mkdir()
+    (tmp_path / "a/meshes/box.mtl").write_text("newmtl m\nmap_Kd box.png\n")
+    (tmp_path / "a/meshes/box.png").write_bytes(b"png")
+    (tmp_path / "a/meshes/box.obj").write_text("mtllib box.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "a/unrelated.bin").write_bytes(b"big")
+    text = asset.urdf.read_text()
+    visual = '<visual><geometry><mesh filename="meshes/box.obj"/></geometry></visual>'
+    asset.urdf.write_text(text.replace("</inertial>", f"</inertial>{visual}"))
+    again = repaired(read_asset(asset.urdf), (ViscousDamping(0.02),), tmp_path / "b")
+    files = {str(p.relative_to(tmp_path / "b")) for p in (tmp_path / "b").rglob("*") if p.is_file()}
+    meshes = {"meshes/box.obj", "meshes/box.mtl", "meshes/box.png"}
+    assert files == {"bob.urdf", "asset.json", "effects.json", *meshes}
+    assert again.effects == {"j": (ViscousDamping(0.02),)}
+    asset.urdf.write_text(asset.urdf.read_text().replace("meshes/box.obj", "../box.obj"))
+    with pytest.raises(FreeArtError, match="expected a path within its folder"):
+        repaired(read_asset(asset.urdf), (), tmp_path / "c")
+
+
+def test_a_joint_has_one_backlash(tmp_path: Path):
+    asset = replace(bob(tmp_path / "a"), effects={"j": (Backlash(0.1, 0.1),)})
+    with pytest.raises(FreeArtError, match="has an effect 'backlash' already"):
+        repaired(asset, (Backlash(0.1, 0.1),), tmp_path / "b")
+
+
+# ---------------------------------------------------------------- and shown
+
+
+def test_a_right_repair_closes_the_gap_in_a_fresh_process(tmp_path: Path):
+    asset, measured = bob(tmp_path / "a"), pendulum(STARTS, damped)
+    again = repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
+    shown = show(asset, again, measured, replays(measured, STARTS, ["fast", "slow", "fast"]))
+    for run in shown.runs:
+        assert run.gap_before > 30 * run.floor
+        assert run.gap_after < 1.5 * run.floor
+        assert run.after == pytest.approx(run.measured, abs=8e-3)
+    assert shown.helps and shown.numerics < 0.1
+    assert shown.closed() > 0.97 and shown.closed({"slow"}) > 0.97 and shown.closed({"other"}) is None
+
+
+def test_a_wrong_repair_is_no_help(tmp_path: Path):
+    asset, measured = bob(tmp_path / "a"), pendulum(STARTS[:2], damped)
+    again = repaired(asset, (ReturnSpring(1.0, 0.0),), tmp_path / "b")
+    shown = show(asset, again, measured, replays(measured, STARTS[:2]))
+    assert not shown.helps
+    good = show(
+        asset, repaired(asset, (ViscousDamping(0.03),), tmp_path / "c"), measured, replays(measured, STARTS[:2])
+    )
+    wider = replace(good.runs[1], gap_after=good.runs[1].gap_before + 0.3 * good.runs[1].floor, regime="slow")
+    assert good.helps and not helps((good.runs[0], wider))  # nor one that harms another regime
+
+
+def test_what_the_asset_is_off_by_itself_is_in_both_replays(tmp_path: Path):
+    asset = bob(tmp_path / "a")
+    measured = pendulum(STARTS[:1], damped, inertia=1.08 * INERTIA, gravity=0.97)
+    again = repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
+    sine = MASS * G * ARM * (1 - 0.97)  # gravity's torque is -m g l sin q
+    off = Off(1.08, (0.0, sine, 0.0))
+    plain = show(asset, again, measured, replays(measured, STARTS[:1]))
+    known = show(asset, again, measured, replays(measured, STARTS[:1]), (off, off))
+    assert plain.runs[0].gap_after > 10e-3
+    assert known.runs[0].gap_after < 1.5e-3
+    assert known.runs[0].gap_before > 30e-3
+
+
+def test_start_states_can_be_fitted_in_sapien(tmp_path: Path):
+    asset, measured = bob(tmp_path / "a"), pendulum(STARTS[:1], damped, seconds=2.0)
+    again = repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
+    rough = tuple(replace(r, start_before=(1.1, 0.3), start_after=(1.1, 0.3)) for r in replays(measured, STARTS[:1]))
+    shown = show(asset, again, measured, rough, fit_starts=True)
+    assert shown.runs[0].gap_after < 1.3e-3
+
+
+def test_servo_efforts_and_the_sensor_are_replayed(tmp_path: Path):
+    def command(s):
+        return 0.6 * np.sin(2 * s)
+
+    def push(s):
+        return 0.3 * np.sign(np.sin(7 * s))
+
+    asset = bob(tmp_path / "a")
+    law = Actuator(None, 8.0, 0.4)
+    measured = pendulum(
+        ((0.1, 0.0),),
+        lambda s, q, qd: 8.0 * (command(s) - q) - 0.4 * qd + push(s) + damped(s, q, qd),
+        q_command=command,
+        effort=push,
+    )
+    measured = replace(measured, actuator=law, effort_kind="external")
+    measured = replace(measured, runs=tuple(replace(r, q=r.q + 0.05) for r in measured.runs))
+    again = repaired(asset, (ViscousDamping(0.03), EncoderOffset(0.05)), tmp_path / "b")
+    shown = show(asset, again, measured, replays(measured, ((0.1, 0.0),)))
+    assert shown.runs[0].gap_before > 0.05
+    assert shown.runs[0].gap_after < 4e-3  # commands are held from reading to reading
+
+
+def test_a_replay_that_cannot_run_says_why_in_one_line(tmp_path: Path):
+    asset, measured = bob(tmp_path / "a"), pendulum(STARTS[:1], damped, seconds=1.0)
+    again = repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
+    (tmp_path / "b/effects.json").unlink()
+    (tmp_path / "b/effects.json").write_text("{}")
+    with pytest.raises(FreeArtError, match="effects.json") as caught:
+        show(asset, again, measured, replays(measured, STARTS[:1]))
+    assert "\n" not in str(caught.value)
+    with pytest.raises(FreeArtError, match="no run to replay"):
+        show(asset, asset, measured, ())
