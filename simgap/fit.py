@@ -52,6 +52,10 @@ class Problem:
     """Largest speed of all runs."""
     sigma: float
     """Floor at rest."""
+    force: float = 1.0
+    """Root mean square of the forces at work, N*m or N."""
+    load: float = 1.0
+    """A usual force on the bearing, N."""
     fit: FitSettings = field(default_factory=FitSettings)
     surrogate: SurrogateSettings = field(default_factory=SurrogateSettings)
 
@@ -85,7 +89,7 @@ class Theory:
         if problem.gravity_relative > 0 and np.any(terms[0]):
             r = problem.gravity_relative
             found.append(Range("asset", "gravity", 1 - r, 1 + r, r, r, 1.0))
-        tilt = problem.fit.tilt_rad
+        tilt = max(problem.fit.tilt_rad, problem.gravity_relative)
         for i in (1, 2):
             if tilt > 0 and np.linalg.norm(terms[i]) > 1e-6 * np.linalg.norm(terms):
                 found.append(Range("asset", f"lean_{i}", -tilt, tilt, tilt, tilt))
@@ -103,8 +107,10 @@ class Theory:
         spec, problem = cls.parameters()[name], self.problem
         unit, span = spec.unit(problem.plant.joint_type), problem.q_high - problem.q_low
         low, high, size = spec.lower, spec.upper, spec.scale
+        local = any(s.lower >= 0 and s.revolute_unit == "rad" for s in cls.parameters().values())
         if unit in ("rad", "m") and spec.lower < 0:
-            low, high, size = problem.q_low - 3 * span, problem.q_high + 3 * span, 0.1 * span
+            reach = 0.1 * span if local else 3 * span
+            low, high, size = problem.q_low - reach, problem.q_high + reach, 0.1 * span
         elif unit in ("rad", "m") and cls.acts != "drive":
             low, high, size = max(2 * problem.sigma, 1e-3 * span), 2 * span, 0.05 * span
         elif unit in ("rad/s", "m/s"):
@@ -138,17 +144,20 @@ class Theory:
         return tuple(made)
 
 
-class _Reader:
-    """Turns parameters into the kernel's vectors, with no look at a dictionary twice."""
+class Reader:
+    """Turns parameters into the kernel's vectors."""
 
     def __init__(self, theory: Theory):
-        self.theory, self.ranges = theory, theory.ranges()
+        self.theory: Theory = theory
+        self.ranges = theory.ranges()
         self.base = theory.problem.plant.effects
         self.owners = [r.owner for r in self.ranges]
         self.sensing = any(e.kind == "sensing" for e in (*self.base, *theory.classes))
 
     def effects(self, theta: Array) -> tuple[Effect, ...]:
-        made, kind = [], self.theory.problem.plant.joint_type
+        """The asset's own effects and the added ones."""
+        kind = self.theory.problem.plant.joint_type
+        made: list[Effect] = []
         for cls in self.theory.classes:
             at = self.owners.index(cls.name)
             names = list(cls.parameters(kind))
@@ -156,6 +165,7 @@ class _Reader:
         return (*self.base, *made)
 
     def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
+        """The vector, start left at 0, and all effects."""
         asset = {r.name: float(x) for r, x in zip(self.ranges, theta, strict=True) if r.owner == "asset"}
         nuisance = Nuisance(
             asset.get("inertia", 1.0), asset.get("gravity", 1.0), (asset.get("lean_1", 0.0), asset.get("lean_2", 0.0))
@@ -220,7 +230,7 @@ def fitted(
         iterations: at most; as the settings say when not given.
         free: whether the parameters move; without, only the starts do.
     """
-    reader, ranges = _Reader(theory), theory.ranges()
+    reader, ranges = Reader(theory), theory.ranges()
     p = len(ranges)
     low, high = (np.array([getattr(r, k) for r in ranges]) for k in ("lower", "upper"))
     x = np.concatenate(
@@ -268,7 +278,7 @@ def placed(fit: Fit, runs: tuple[FitRun, ...], starts: dict[str, tuple[float, fl
 
 def predicted(fit: Fit, run: FitRun, times_s: Array | None = None) -> Array:
     """(n,) readings that the fit predicts of a run that it has a start for."""
-    reader = _Reader(fit.theory)
+    reader = Reader(fit.theory)
     numbers, effects = reader.numbers(fit.theta)
     numbers[kernel.Q0], numbers[kernel.QD0] = fit.starts[run.name]
     times = run.times_s if times_s is None else times_s
@@ -289,7 +299,7 @@ def pieces(runs: tuple[FitRun, ...], seconds: float) -> tuple[FitRun, ...]:
     return tuple(found)
 
 
-def _residuals(reader: _Reader, runs: tuple[FitRun, ...], x: Array, p: int, step: float) -> list[Array]:
+def _residuals(reader: Reader, runs: tuple[FitRun, ...], x: Array, p: int, step: float) -> list[Array]:
     numbers, effects = reader.numbers(x[:p])
     terms, parts = terms_of(effects), []
     for i, run in enumerate(runs):
@@ -304,50 +314,74 @@ def _cost(parts: list[Array], ranges: tuple[Range, ...], x: Array) -> float:
     return float(sum(part @ part for part in parts) + known)
 
 
-def _normal_equations(
-    reader: _Reader, runs: tuple[FitRun, ...], x: Array, p: int, step: float, parts: list[Array], free: bool
-) -> tuple[Array, Array, Array]:
-    """Approximate Hessian, gradient (towards less cost) and the parameters' own information, the starts being free."""
-    ranges, n = reader.ranges, len(x)
-    A, g = np.zeros((n, n)), np.zeros(n)
-    rows, read = [], []
-    deltas = np.array([_PROBE * max(abs(x[i]) * 0.1, r.size) for i, r in enumerate(ranges)])
+def tangent(fit: Fit, runs: tuple[FitRun, ...]) -> tuple[list[Array], list[Array], list[Array]]:
+    """Of every run: residuals (n,), and what a unit of start (2, n) and of each parameter (p, n) does to the readings,
+    all in floors. The fit must have starts for the runs.
+    """
+    reader = Reader(fit.theory)
+    p = len(reader.ranges)
+    x = np.concatenate([fit.theta, *[np.array(fit.starts[run.name]) for run in runs]])
+    step = step_of(fit.theory.problem.plant, reader.effects(fit.theta), fit.theory.problem.surrogate)
+    parts = _residuals(reader, runs, x, p, step)
+    slopes = _slopes(reader, runs, x, p, step, parts, True)
+    return parts, [J[:2] for J in slopes], [J[2:] for J in slopes]
+
+
+def _slopes(
+    reader: Reader, runs: tuple[FitRun, ...], x: Array, p: int, step: float, parts: list[Array], free: bool
+) -> list[Array]:
+    """Of every run (2 + p, n): what a unit of its start and of every parameter does to its readings, in floors."""
+    count = p if free else 0
+    problem, ranges = reader.theory.problem, reader.ranges[:count]
+    deltas = np.array([_PROBE * max(0.1 * abs(x[i]), r.size) for i, r in enumerate(ranges)])
     deltas = np.array([-d if x[i] + d > r.upper else d for i, (d, r) in enumerate(zip(deltas, ranges, strict=True))])
     numbers, effects = reader.numbers(x[:p])
-    terms = terms_of(effects)
-    rows, read = [numbers, numbers], [effects, effects]
-    for j in range(p if free else 0):
+    made = [(numbers, effects), (numbers, effects)]
+    for j in range(count):
         theta = x[:p].copy()
         theta[j] += deltas[j]
-        changed, its = reader.numbers(theta)
-        rows.append(changed)
-        read.append(its)
-    table = np.array(rows)
-    speed, span = reader.theory.problem.speed, reader.theory.problem.reference[2]
-    moves = np.append([_PROBE * 0.1 * span, _PROBE * 0.1 * speed], deltas[: p if free else 0])
+        made.append(reader.numbers(theta))
+    table, terms, found = np.array([row for row, _ in made]), terms_of(effects), []
+    moves = np.append([_PROBE * 0.1 * problem.reference[2], _PROBE * 0.1 * problem.speed], deltas)
     for i, run in enumerate(runs):
-        at = p + 2 * i
-        table[:, kernel.Q0], table[:, kernel.QD0] = x[at], x[at + 1]
-        signs = np.ones(2)
-        if x[at] + moves[0] > reader.theory.problem.plant.upper:
-            signs[0] = -1.0
-        table[0, kernel.Q0] += signs[0] * moves[0]
+        q0, qd0 = x[p + 2 * i], x[p + 2 * i + 1]
+        table[:, kernel.Q0], table[:, kernel.QD0] = q0, qd0
+        moves[0] = abs(moves[0]) * (-1.0 if q0 + abs(moves[0]) > problem.plant.upper else 1.0)
+        table[0, kernel.Q0] += moves[0]
         table[1, kernel.QD0] += moves[1]
         q = sweep(table, terms, run.times_s, run.inputs, step)
         if reader.sensing:
-            q = np.stack([readings_of(e, row) for e, row in zip(read, q, strict=True)])
-        now = run.q - parts[i] * run.sigma
-        J = (q - now) / run.sigma / np.concatenate([signs * moves[:2], moves[2:]])[:, None]
-        index = np.concatenate([[at, at + 1], np.arange(p if free else 0)]).astype(int)
+            q = np.stack([readings_of(its, row) for (_, its), row in zip(made, q, strict=True)])
+        found.append((q - (run.q - parts[i] * run.sigma)) / run.sigma / moves[:, None])
+    return found
+
+
+def _normal_equations(
+    reader: Reader, runs: tuple[FitRun, ...], x: Array, p: int, step: float, parts: list[Array], free: bool
+) -> tuple[Array, Array, Array]:
+    """Approximate Hessian, gradient (towards less cost) and the parameters' own information, the starts being free."""
+    n, moving = len(x), np.arange(p if free else 0)
+    A, g = np.zeros((n, n)), np.zeros(n)
+    for i, J in enumerate(_slopes(reader, runs, x, p, step, parts, free)):
+        index = np.concatenate([[p + 2 * i, p + 2 * i + 1], moving]).astype(int)
         A[np.ix_(index, index)] += J @ J.T
         g[index] += J @ parts[i]
-    for j, r in enumerate(ranges if free else ()):
+    for j in moving:
+        r = reader.ranges[j]
         if np.isfinite(r.prior):
             A[j, j] += 1 / r.prior**2
             g[j] -= (x[j] - r.neutral) / r.prior**2
     inner = A[p:, p:] + 1e-12 * np.diag(np.diag(A[p:, p:]) + 1e-12)
     cross = A[:p, p:]
     return A, g, A[:p, :p] - cross @ np.linalg.lstsq(inner, cross.T, rcond=None)[0]
+
+
+def joined(theory: Theory, parent: Fit, points: dict[str, dict[str, float]]) -> Array:
+    """(p,) start of a theory: what the parent has, and `points` for effects that it has not."""
+    values = {(r.owner, r.name): float(x) for r, x in zip(parent.theory.ranges(), parent.theta, strict=True)}
+    for owner, point in points.items():
+        values.update({(owner, name): value for name, value in point.items()})
+    return np.array([values.get((r.owner, r.name), r.neutral) for r in theory.ranges()])
 
 
 def _step(x: Array, A: Array, g: Array, damping: float, low: Array, high: Array) -> Array:

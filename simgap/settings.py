@@ -37,16 +37,26 @@ class ChoiceSettings:
 
     max_effects: int = 3
     shortlist: int = 7
-    """Effects that pairs are made of."""
+    """Sets of one effect more that are fitted to the end."""
+    parents: int = 3
+    """Sets that larger ones start from."""
+    contenders: int = 5
+    """Sets of a size that are put before held-out runs."""
     least_gap: float = 0.35
-    """Floors of gap (beyond the floor) below which nothing is sought: what coarse time stamps alone can leave."""
+    """Floors that must be explained for a gap to be one: less may come of coarse time stamps alone."""
+    plain_gap: float = 2.5
+    """Floors of error at which there is a gap, whether anything explains it or not."""
     p_value: float = 0.01
-    explained: float = 2.0
-    """Floors of error on held-out runs that an explanation may leave."""
-    explained_part: float = 0.04
-    """... or this part of the gap before, whichever is more."""
+    explained: float = 1.25
+    """Floors of error on held-out runs that an explanation of a small gap may leave; the floor is an estimate."""
+    explained_part: float = 0.02
+    """Part of a large gap that it may leave besides."""
+    much_better: float = 0.6
+    """A larger set must leave less than this part of what a smaller one leaves."""
     rival: float = 1.15
-    """A set of effects whose held-out error is within this factor of the best is its rival."""
+    """A set whose held-out error is within this factor of the best is its rival,"""
+    rival_sum: float = 9.0
+    """... and so is one whose sum of squares is not larger by this many units of noise."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from simgap.settings import GapSettings
 from simgap.surrogate import Plant, plant_of
 from simgap.verdict import RunGap, Verdict
 
-
 DEFAULTS = GapSettings()
 
 
@@ -53,6 +52,9 @@ def problem_of(
     plant: Plant, measured: Measured, runs: tuple[FitRun, ...], floor: Floor, settings: GapSettings
 ) -> Problem:
     """What all fits share."""
+    motion = np.concatenate([run.q for run in runs])
+    speed = np.concatenate([run.speed for run in runs])
+    load = plant.mechanics.load(motion, speed, np.zeros(len(speed)))
     return Problem(
         plant,
         measured.inertia_relative,
@@ -61,9 +63,17 @@ def problem_of(
         float(max(run.q.max() for run in runs)),
         float(max(np.quantile(np.abs(run.speed), 0.99) for run in runs)),
         floor.still,
+        force_at_work(plant, runs),
+        float(np.sqrt(np.mean(load**2))),
         settings.fit,
         settings.surrogate,
     )
+
+
+def force_at_work(plant: Plant, runs: tuple[FitRun, ...]) -> float:
+    """Root mean square of inertia times acceleration, N*m or N, roughly: from the slopes of speeds."""
+    squares = [np.mean(np.gradient(run.speed, run.times_s) ** 2) for run in runs]
+    return max(float(plant.mechanics.inertia * np.sqrt(np.mean(squares))), 1e-9)
 
 
 def gap_folder(asset: Path, measured: Path, out: Path, settings: GapSettings = DEFAULTS) -> Verdict:

@@ -154,9 +154,9 @@ def _read_poses(file: Path, name: str, rate_hz: float, held_out: bool | None) ->
             f"{file} has {n} poses, times of shape {times.shape}, expected one time and seen flag a pose"
         )
     if seen is not None and seen.ndim == 2:
-        seen = seen.all(1)
+        seen = np.asarray(seen.all(1))
     usable = np.isfinite(reference).all((1, 2)) & np.isfinite(moving).all((1, 2))
-    seen = usable if seen is None else seen & usable
+    seen = np.asarray(usable if seen is None else seen & usable)
     poses = np.tile(np.eye(4), (n, 1, 1))
     poses[usable] = se3.inverse(se3.check_poses(f"{file} T_camera_reference", reference[usable])) @ se3.check_poses(
         f"{file} T_camera_moving", moving[usable]
@@ -194,7 +194,7 @@ def _check_channels(
 ) -> None:
     """Every column has its unit, and whoever drives says how."""
     for run in runs:
-        columns = () if run.poses is not None else ("t_s", "q")
+        columns: tuple[str, ...] = () if run.poses is not None else ("t_s", "q")
         columns += tuple(c for c in ("effort", "q_command") if getattr(run, c) is not None)
         for column in columns:
             if column not in units:
@@ -215,10 +215,10 @@ def _actuator(data: dict[str, Any], path: Path) -> Actuator | None:
     given = _object(data, "actuator", path)
     if given.get("type") != "position":
         raise FreeArtError(f"{path}: the actuator's type is {given.get('type')!r}, expected 'position'")
-    values = [_number(given, key, path) for key in ("stiffness", "damping")]
-    if min(values) < 0:
-        raise FreeArtError(f"{path}: the actuator's stiffness and damping are {values}, expected 0 or more")
-    return Actuator(None, *values)
+    stiffness, damping = (_number(given, key, path) for key in ("stiffness", "damping"))
+    if min(stiffness, damping) < 0:
+        raise FreeArtError(f"{path}: the actuator's stiffness and damping are {stiffness:g} and {damping:g}, expected 0 or more")
+    return Actuator(None, stiffness, damping)
 
 
 def _object(data: dict[str, Any], key: str, path: Path) -> dict[str, Any]:

@@ -1,0 +1,208 @@
+"""Which explanation stands: the smallest set of effects that predicts runs it never saw, and its rivals.
+
+A real effect is never just the library's formula, so a set explains the runs when they are met with the sizes of its
+effects free to depart from their formulas by the form tolerance. What is named is the smallest set that does; sets of
+that size that do as well by their plain formulas are rivals. When none does, nothing is named.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.stats import norm
+
+from freeart21.se3 import Array
+from simgap.data import FitRun
+from simgap.fit import Fit, fitted, placed
+from simgap.search import Search, relaxed
+from simgap.settings import ChoiceSettings
+
+PLAINER = {
+    "stribeck_friction": "coulomb_friction",
+    "load_friction": "coulomb_friction",
+    "backlash": "armature",
+}
+"""Effect to the one that it becomes in a special case: the plainer one has the name unless it does worse."""
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Runs to fit, and runs to predict."""
+
+    train: tuple[FitRun, ...]
+    test: tuple[FitRun, ...]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A set of effects before runs it never saw."""
+
+    fit: Fit
+    strict: dict[str, Array]
+    """Held-out residuals over the floor by run, by the plain formulas."""
+    loose: dict[str, Array] | None = None
+    """The same with the sizes free within the form tolerance."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the effects."""
+        return self.fit.theory.names
+
+    @property
+    def floors(self) -> float:
+        """Root mean square of the held-out residuals, in floors."""
+        return _rms(self.strict)
+
+    @property
+    def reach(self) -> float:
+        """The same with the sizes free, or without, whichever is less."""
+        return self.floors if self.loose is None else min(self.floors, _rms(self.loose))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What stands."""
+
+    base: Judged
+    p_value: float
+    """That a gap this clear comes of noise, over all effects that were tried."""
+    explaining: tuple[Judged, ...]
+    """Rivals, the best first; empty when there is no gap, or nothing explains it."""
+    best: Judged
+    """The best set that was found, whether it explains the gap or not."""
+    bar: float
+    """Floors that an explanation may leave."""
+    gap: bool
+    tried: tuple[Judged, ...] = ()
+
+
+def folds_of(runs: tuple[FitRun, ...]) -> tuple[Fold, ...]:
+    """Held-out runs as marked; without marks each run is held out in turn, at most four groups of like size of motion.
+
+    A single run is cut into three stretches.
+    """
+    if any(run.held_out for run in runs):
+        return (Fold(tuple(r for r in runs if not r.held_out), tuple(r for r in runs if r.held_out)),)
+    if len(runs) == 1:
+        bounds = np.linspace(0, len(runs[0].q), 4).astype(int)
+        runs = tuple(_stretch(runs[0], int(a), int(b)) for a, b in pairwise(bounds))
+    order = np.argsort([np.mean(run.speed**2) for run in runs], kind="stable")
+    groups = [set(map(int, g)) for g in np.array_split(order, min(len(runs), 4))]
+    return tuple(
+        Fold(tuple(r for i, r in enumerate(runs) if i not in g), tuple(r for i, r in enumerate(runs) if i in g))
+        for g in groups
+    )
+
+
+def _stretch(run: FitRun, begin: int, end: int) -> FitRun:
+    from dataclasses import replace
+
+    return replace(run.between(begin, end), name=f"{run.name}#{begin}")
+
+
+def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Choice:
+    """The smallest explanation, or none."""
+    base = judged(search.base(), folds)
+    level = search.singles()
+    first = [judged(fit, folds) for fit in level[: settings.contenders]]
+    tried = list(first)
+    best = min(first, key=lambda j: j.floors)
+    p = p_value(base, first[0], len(search.names))
+    closed = np.sqrt(max(base.floors**2 - best.floors**2, 0.0))
+    bar = float(np.hypot(settings.explained, settings.explained_part * base.floors))
+    gap = bool((p < settings.p_value and closed > settings.least_gap) or base.floors > settings.plain_gap)
+    if not gap:
+        return Choice(base, p, (), best, bar, False, tuple(tried))
+    contenders = first
+    for size in range(1, settings.max_effects + 1):
+        contenders = [loosened(j, folds) if j.floors > settings.explained else j for j in contenders]
+        standing = [j for j in contenders if j.reach <= bar]
+        reach = min((j.reach for j in standing), default=np.inf)
+        if reach <= settings.explained or size == settings.max_effects:
+            break
+        level = sorted(search.larger(level[: settings.parents]), key=lambda fit: fit.cost)
+        contenders = [judged(fit, folds) for fit in level[: settings.contenders]]
+        tried += contenders
+        if standing and min(j.floors for j in contenders) > settings.much_better * reach:
+            break  # not even a larger set does much better: the rest is form
+    if standing:
+        found = rivals(standing, settings)
+        return Choice(base, p, found, found[0], bar, True, tuple(tried))
+    return Choice(base, p, (), min(tried, key=lambda j: j.floors), bar, True, tuple(tried))
+
+
+def judged(fit: Fit, folds: tuple[Fold, ...]) -> Judged:
+    """How the set predicts what it was not fitted to."""
+    residuals: dict[str, Array] = {}
+    for fold in folds:
+        residuals.update(placed(_refitted(fit, fold), fold.test).residuals)
+    return Judged(fit, residuals)
+
+
+def loosened(judgement: Judged, folds: tuple[Fold, ...]) -> Judged:
+    """The same with the sizes of the effects free within the form tolerance."""
+    residuals: dict[str, Array] = {}
+    for fold in folds:
+        residuals.update(placed(relaxed(_refitted(judgement.fit, fold), fold.train), fold.test).residuals)
+    return Judged(judgement.fit, judgement.strict, residuals)
+
+
+def _refitted(fit: Fit, fold: Fold) -> Fit:
+    if set(fit.starts) == {run.name for run in fold.train}:
+        return fit
+    return fitted(fit.theory, fold.train, fit.theta, fit.starts, iterations=8)
+
+
+def p_value(base: Judged, best: Judged, tried: int) -> float:
+    """That noise alone makes the best of `tried` sets, chosen on other runs, predict held-out runs so much better.
+
+    For a fixed change of the prediction, noise of standard deviation 1 makes the sum of squares fall by x or more with
+    a probability of at most that of a normal number above sqrt(x) (the likelihood ratio of two points); times the
+    number of sets. x is counted in what the better set leaves, and in independent readings.
+    """
+    fall = sum(float((base.strict[run] ** 2).sum() - (best.strict[run] ** 2).sum()) for run in base.strict)
+    return float(min(1.0, tried * norm.sf(np.sqrt(max(fall, 0.0) / unit_of(best)))))
+
+
+def unit_of(judgement: Judged) -> float:
+    """Variance of a sum of squares' independent part: what is left, times how far it is correlated."""
+    power = max(np.mean([np.mean(r * r) for r in judgement.strict.values()]), 1e-12)
+    summed = 0.0
+    for r in judgement.strict.values():
+        for lag in range(1, min(len(r) // 4, 200)):
+            c = float(r[:-lag] @ r[lag:]) / len(r) / power / len(judgement.strict)
+            if c < 0.02:
+                break
+            summed += c
+    return float(max(power, 1.0) * (1 + 2 * summed))
+
+
+def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ...]:
+    """Those that the held-out runs do not tell from the best, the best first; a general effect yields to a plainer."""
+    order = sorted(standing, key=lambda j: j.floors)
+    best, unit = order[0], unit_of(order[0])
+
+    def alike(j: Judged) -> bool:
+        more = sum(float((j.strict[run] ** 2).sum() - (best.strict[run] ** 2).sum()) for run in best.strict)
+        return j.floors < settings.rival * best.floors or more < settings.rival_sum * unit
+
+    kept = [j for j in order if alike(j)]
+    names = {j.names for j in kept}
+    plain = [j for j in kept if not any(p in names for p in _plainer(j.names))]
+    return tuple(plain)
+
+
+def _plainer(names: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """The sets that this one becomes in special cases."""
+    found = []
+    for name in names:
+        if name in PLAINER:
+            rest = {n for n in names if n != name}
+            found.append(tuple(sorted({*rest, PLAINER[name]})))
+    return found
+
+
+def _rms(residuals: dict[str, Array]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(list(residuals.values())) ** 2)))

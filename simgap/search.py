@@ -1,0 +1,123 @@
+"""Which effects explain the runs: fits of one, two and three effects, every larger set started from its subsets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from freeart21.effects import EFFECTS, Effect
+from simgap.data import FitRun
+from simgap.fit import Fit, Problem, Theory, fitted, joined, pieces, placed
+from simgap.guess import Guess, guesses, off
+from simgap.settings import ChoiceSettings
+
+_PIECE_S = 1.2
+_SCREEN = 2
+_FAR = 15.0
+"""Floors of error beyond which a run is looked at in stretches."""
+
+
+def candidates(problem: Problem, runs: tuple[FitRun, ...]) -> tuple[str, ...]:
+    """Names of the effects that these runs could show at all."""
+    commanded = any(np.any(run.inputs.effort) or np.isfinite(run.inputs.command).any() for run in runs)
+    span = problem.q_high - problem.q_low
+    near = problem.q_low < problem.plant.lower + 0.02 * span or problem.q_high > problem.plant.upper - 0.02 * span
+    driven = commanded or any(np.any(run.inputs.push) for run in runs)
+    slack = any(effect.acts == "slack" for effect in problem.plant.effects)
+
+    def possible(cls: type[Effect]) -> bool:
+        if problem.plant.joint_type not in cls.joint_types or cls.kind == "kinematics":
+            return False
+        if cls.acts == "command" or cls.acts == "slack":
+            return commanded and not (slack and cls.acts == "slack")
+        if cls.acts == "stop":
+            return near
+        return cls.name != "time_offset" or driven or near
+
+    return tuple(name for name, cls in EFFECTS.items() if possible(cls))
+
+
+@dataclass
+class Search:
+    """All fits to the runs that may be fitted, kept."""
+
+    problem: Problem
+    train: tuple[FitRun, ...]
+    settings: ChoiceSettings
+    names: tuple[str, ...]
+    fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
+
+    def base(self) -> Fit:
+        """Nothing missing but what the asset may be off by."""
+        if () not in self.fits:
+            self.fits[()] = fitted(Theory(self.problem, ()), self.train)
+        return self.fits[()]
+
+    def singles(self) -> list[Fit]:
+        """Every effect alone, the best first."""
+        base, cut = self.base(), self._cut(self.base())
+        found = guesses(placed(base, cut) if cut is not self.train else base, cut, self.names)
+        for name in self.names:
+            own = [guess for guess in found if guess.name == name][: self.problem.fit.starts]
+            if (name,) not in self.fits and own:
+                self._single(name, own, cut)
+        return sorted((self.fits[(name,)] for name in self.names if (name,) in self.fits), key=lambda fit: fit.cost)
+
+    def _single(self, name: str, own: list[Guess], cut: tuple[FitRun, ...]) -> None:
+        theory, base = Theory(self.problem, (name,)), self.base()
+        tried = [fitted(theory, cut, joined(theory, base, {name: g.point}), base.starts, iterations=4) for g in own]
+        best = min(tried, key=lambda fit: fit.cost)
+        self._keep(fitted(theory, self.train, best.theta, best.starts if cut is self.train else base.starts))
+
+    def larger(self, parents: list[Fit]) -> list[Fit]:
+        """The most promising sets of one effect more than some of `parents`, fitted."""
+        rough: dict[tuple[str, ...], tuple[float, Fit, Guess]] = {}
+        for parent in parents:
+            cut = self._cut(parent)
+            at = placed(parent, cut) if cut is not self.train else parent
+            scale = parent.cost / max(at.cost, 1e-9)  # costs of stretches and of whole runs, made alike
+            for guess in guesses(at, cut, self.names):
+                names = tuple(sorted((*parent.theory.names, guess.name)))
+                cost = guess.cost * scale
+                if names not in self.fits and (names not in rough or cost < rough[names][0]):
+                    rough[names] = (cost, parent, guess)
+        best = sorted(rough.values(), key=lambda entry: entry[0])[: self.settings.shortlist]
+        return [self._started(parent, guess) for _, parent, guess in best]
+
+    def _started(self, parent: Fit, guess: Guess) -> Fit:
+        """The set of `parent` and the guessed effect, from the parent's fit."""
+        theory = Theory(self.problem, tuple(sorted((*parent.theory.names, guess.name))))
+        points = [guess.point]
+        alone = self.fits.get((guess.name,))
+        if alone is not None:
+            values = zip(alone.theory.ranges(), alone.theta, strict=True)
+            points.append({r.name: float(x) for r, x in values if r.owner == guess.name})
+        tried = [
+            fitted(theory, self.train, joined(theory, parent, {guess.name: point}), parent.starts, _SCREEN)
+            for point in points
+        ]
+        best = min(tried, key=lambda fit: fit.cost)
+        return self._keep(fitted(theory, self.train, best.theta, best.starts))
+
+    def _keep(self, fit: Fit) -> Fit:
+        """Remember a fit, after making sure that it is no worse than any of a smaller set."""
+        for name in fit.theory.names:
+            smaller = self.fits.get(tuple(n for n in fit.theory.names if n != name))
+            if smaller is not None and smaller.cost < fit.cost - 1e-3 - 1e-6 * fit.cost:
+                theta = joined(fit.theory, smaller, {name: off(self.problem, name)})
+                again = fitted(fit.theory, self.train, theta, smaller.starts)
+                fit = min(fit, again, key=lambda f: f.cost)
+        self.fits[fit.theory.names] = fit
+        return fit
+
+    def _cut(self, fit: Fit) -> tuple[FitRun, ...]:
+        """The runs as they are where a first-order look may span them, else in stretches."""
+        readings = sum(len(run.q) for run in self.train)
+        return self.train if fit.rss < _FAR**2 * readings else pieces(self.train, _PIECE_S)
+
+
+def relaxed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The same effects, their sizes free to depart from their formulas within the form tolerance."""
+    theory = Theory(fit.theory.problem, fit.theory.names, relaxed=True)
+    return fitted(theory, runs, joined(theory, fit, {}), fit.starts)
