@@ -151,7 +151,7 @@ def _turn(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def draw_body(rng: np.random.Generator, family: str) -> Body:
-    """A body of real measures: a lid, a door, a drawer, a tray on a slope. A fifth knows some losses already."""
+    """A body of real measures: a lid, a door, a drawer, a tray on a slope. Some assets know some losses already."""
     mass = float(np.exp(rng.uniform(np.log(0.3), np.log(4.0))))
     heading = rng.uniform(-np.pi, np.pi)
     slant = {
@@ -182,7 +182,7 @@ def draw_body(rng: np.random.Generator, family: str) -> Body:
     body = Body(
         family, mass, float(arm), float(inertia_centre), axis, rng.uniform(-0.3, 0.3, 3), com, gravity, lower, upper
     )
-    if rng.uniform() < 0.2:
-        known = {"damping": rng.uniform(0.05, 0.25) * body.inertia, "friction": rng.uniform(0.005, 0.03) * body.force}
+    if rng.uniform() < {"pendulum": 0.25, "door": 0.65, "drawer": 0.65, "slope": 0.4}[family]:
+        known = {"damping": rng.uniform(0.05, 0.25) * body.inertia, "friction": rng.uniform(0.015, 0.05) * body.force}
         body = replace(body, **known)
     return _rounded(body)

@@ -77,6 +77,8 @@ class Recorded:
     q: NDArray[np.float64]
     command: NDArray[np.float64] | None
     effort: NDArray[np.float64] | None
+    true: NDArray[np.float64]
+    """What it was; never written down."""
 
 
 def draw_nuisance(rng: np.random.Generator, body: Body) -> Nuisance:
@@ -87,7 +89,7 @@ def draw_nuisance(rng: np.random.Generator, body: Body) -> Nuisance:
     return Nuisance(
         float(rng.uniform(0.9, 1.1)), float(rng.uniform(0.95, 1.05)),
         np.deg2rad(0.3) * rng.uniform(0, 1) * lean / np.linalg.norm(lean),
-        float(quantum), float(quantum * rng.uniform(0.3, 0.9)), float(rng.uniform(0.05, 0.3)), 2e-5,
+        float(quantum), float(quantum * rng.uniform(0.3, 0.9)), float(rng.uniform(0.05, 0.3)), 2e-6,
     )  # fmt: skip
 
 
@@ -169,7 +171,28 @@ def record(
         q[keep],
         None if plan.command is None else drive.command[keep],
         None if plan.effort is None else drive.effort[keep],
+        true[keep],
     )
+
+
+def repeats(world: World, plan: Plan, commanded: bool, reading: Reading, run: Recorded, clock: float) -> float:
+    """How far the true course strays, rad or m, when what was written down is done again: root mean square.
+
+    A part that all but touches a stop, or all but sticks, goes elsewhere for a millionth of a second.
+    """
+    still = np.zeros(len(run.times))
+    kind = NO_EFFORT if run.effort is None else COMMANDED if commanded else EXTERNAL
+    drive = Drive(
+        run.times,
+        still if run.command is None else run.command,
+        run.command is not None,
+        still if run.effort is None else run.effort,
+        kind,
+    )
+    asked = run.times - reading.late
+    begin = min(-LEAD, asked[0] - 1e-3)
+    again = simulate(world, plan.q0, plan.v0, np.concatenate([[begin], asked]), drive, clock)[1:, 0]
+    return float(np.sqrt(((again - run.true) ** 2).mean()))
 
 
 def floor(nuisance: Nuisance, speed: float) -> float:

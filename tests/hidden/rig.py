@@ -121,16 +121,16 @@ def _push(
         corners = np.interp(times, [0, 0.3 * end, 0.8 * end, end], [0, size, -0.8 * size, 0]) - constant
         q0 = body.rest
         return float(q0), 0.0, np.asarray(corners)
-    hertz = rng.uniform(0.45, 1.1) * (1.4 if wild else 1.0)
-    omega = 2 * np.pi * hertz
-    swing = (0.42 if wild else (0.15, 0.25, 0.32)[i % 3]) * body.range
-    if body.family == "pendulum":
-        size = (0.75 if wild else (0.25, 0.4, 0.55)[i % 3]) * body.force
+    if body.family == "pendulum":  # well below its own rate: without losses it would climb into the stops
+        omega = rng.uniform(0.3, 0.55) * np.sqrt(body.force / body.inertia)
+        size = (0.55 if wild else (0.15, 0.25, 0.35)[i % 3]) * body.force
         return body.rest + 0.1 * float(rng.normal()), 0.0, size * np.sin(omega * times + rng.uniform(0, 6))
+    omega = 2 * np.pi * rng.uniform(0.45, 1.1) * (1.4 if wild else 1.0)
+    swing = (0.4 if wild else (0.12, 0.2, 0.28)[i % 3]) * body.range
     size = swing * omega**2 * body.inertia / 2
-    q0 = body.rest - rng.choice([-1, 1]) * 0.0 - 0.5 * swing
     ripple = 0.25 * size * np.sin(2.7 * omega * times)
-    return float(q0), -0.25 * size / (2.7 * omega * body.inertia), size * np.cos(omega * times) + ripple - constant
+    v0 = -0.25 * size / (2.7 * omega * body.inertia)
+    return float(body.rest - 0.5 * swing), v0, size * np.cos(omega * times) + ripple - constant
 
 
 def _command(
