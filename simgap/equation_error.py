@@ -19,9 +19,9 @@ from freeart21.se3 import Array
 from simgap.swings import reversals, unit_numbers
 
 _ORDER = 4  # of the local polynomials
-_WINDOWS = (7, 9, 11, 15, 19, 25, 33, 43, 57, 75, 99, 131, 171, 225)
+_SHORTEST = 7  # readings of a window
+_WINDOWS_PER_HALF_SWING = 6  # what is narrower is blurred, and noise grows with the power 2.5
 _IMPACT_READINGS = 12  # on either side of an impact
-_MORE_NOISE = 1.15  # how much more than the shortest window's a residual may be before a window is called too long
 
 
 @dataclass(frozen=True)
@@ -122,23 +122,14 @@ def _smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | Non
     from scipy.signal import savgol_coeffs, savgol_filter
 
     known = np.isfinite(run.q)
-    if known.sum() < 4 * _WINDOWS[0]:
+    if known.sum() < 4 * _SHORTEST:
         return None
     step = float(np.median(np.diff(run.times_s[known])))
     t = np.arange(run.times_s[known][0], run.times_s[known][-1], step)
     raw = np.interp(t, run.times_s[known], run.q[known])
-    windows = [w for w in _WINDOWS if 4 * w < len(raw)] or [_WINDOWS[0]]
-
-    def noise(window: int) -> float:
-        left = raw - savgol_filter(raw, window, _ORDER)
-        weight = savgol_coeffs(window, _ORDER)[window // 2]
-        return float(np.sqrt(np.mean(left**2) / max(1 - weight, 0.05)))
-
-    first, window = noise(windows[0]) or 1e-12, windows[0]
-    for w in windows[1:]:
-        if noise(w) > _MORE_NOISE * first:
-            break
-        window = w
+    turns = len(reversals(raw, 0.1 * float(np.ptp(raw))))
+    window = int(len(raw) / max(turns, 1) / _WINDOWS_PER_HALF_SWING) // 2 * 2 + 1
+    window = min(max(window, _SHORTEST), len(raw) // 4 * 2 - 1)
     q, qd, qdd = (savgol_filter(raw, window, _ORDER, deriv=k, delta=step) for k in range(3))
     kernel = np.cumsum(np.cumsum(savgol_coeffs(window, _ORDER, deriv=2)))[:-2]  # its second difference is the filter
     return t, raw, q, qd, qdd, np.convolve(kernel, [1 / 12, 10 / 12, 1 / 12])

@@ -72,7 +72,7 @@ def residual_maps(found: MissingForce, seed: int = 0) -> tuple[ResidualMap, ...]
         maps.append(
             _map("distance since reversal", found.since_reversal, along * local, found, known, rng, False, True)
         )
-    if np.isfinite(found.to_limit).all():
+    if found.to_limit.min() < 0.15 * np.ptp(found.q):  # a stop far away has nothing to do with it
         maps.append(_map("distance to limit", found.to_limit, local, found, every, rng, within=True))
     given = np.isfinite(found.command)
     if given.sum() > 4 * _BINS:
@@ -102,9 +102,10 @@ def where(maps: tuple[ResidualMap, ...], found: MissingForce, joint_type: JointT
         if m.adjusted > LEVEL:
             continue
         for first, last in _stretches(m):
-            part = slice(first, last + 1)
-            mean = float(np.nanmean(m.mean[part]))
+            mean = float(np.nanmean(m.mean[first : last + 1]))
             low, high = float(m.edges[first]), float(m.edges[last + 1])
+            if any(_same_place(w, m.quantity, low, high) for w in out):
+                continue
             text = _text(m, first, low, high, mean, joint_type)
             out.append(Where(m.quantity, low, high, m.p_value, text))
     bounce = _bounces(found)
@@ -211,6 +212,12 @@ def _stretches(m: ResidualMap) -> list[tuple[int, int]]:
         joined = not m.labels and out and out[-1][1] == i - 1 and m.mean[i] * m.mean[i - 1] > 0
         out = [*out[:-1], (out[-1][0], int(i))] if joined else [*out, (int(i), int(i))]
     return out
+
+
+def _same_place(told: Where, quantity: str, low: float, high: float) -> bool:
+    """Whether a region of the position alone is one that was told of already."""
+    both = {told.quantity, quantity} == {"position", "position, by itself"}
+    return both and low <= told.high and high >= told.low
 
 
 def _bounces(found: MissingForce) -> Where | None:

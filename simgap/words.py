@@ -8,31 +8,31 @@ from freeart21.effects.base import Effect
 from freeart21.joint import JointType
 
 PLAIN: dict[str, str] = {
-    "viscous_damping": "it is damped as by oil",
-    "coulomb_friction": "it rubs: dry friction",
-    "stribeck_friction": "it sticks before it moves",
-    "quadratic_drag": "air or fluid slows it when it is fast",
-    "load_friction": "it rubs the more, the more it carries",
-    "return_spring": "a spring pulls it",
-    "gravity_offset": "its weight pulls otherwise than the model's",
-    "detent": "it clicks into a notch",
-    "latch": "a catch holds it",
-    "backlash": "the drive has play",
-    "end_stop_bounce": "it bounces off its stop",
-    "actuator_delay": "the drive acts late",
-    "actuator_gain": "the drive is weaker or stronger than told",
-    "armature": "the drive's own inertia turns with it",
-    "axis_tilt": "its axis points elsewhere",
-    "pivot_offset": "its axis lies elsewhere",
-    "screw_pitch": "it screws: it shifts along its axis as it turns",
-    "wobble": "it rocks in a worn bearing",
-    "sag": "it sags under its weight",
-    "eccentricity": "its pin is out of round",
-    "encoder_offset": "the sensor's zero is off",
-    "encoder_scale": "the sensor's scale is off",
-    "time_offset": "the sensor's clock is off",
+    "viscous_damping": "damping as by oil",
+    "coulomb_friction": "dry friction",
+    "stribeck_friction": "friction that sticks before it slides",
+    "quadratic_drag": "drag that grows with the square of speed",
+    "load_friction": "friction that grows with the load",
+    "return_spring": "a spring",
+    "gravity_offset": "a pull of gravity other than the model's",
+    "detent": "a notch that it clicks into",
+    "latch": "a catch that holds it",
+    "backlash": "play in the drive",
+    "end_stop_bounce": "a stop that throws it back",
+    "actuator_delay": "a drive that acts late",
+    "actuator_gain": "a drive weaker or stronger than told",
+    "armature": "inertia of the drive itself",
+    "axis_tilt": "an axis that points elsewhere",
+    "pivot_offset": "an axis that lies elsewhere",
+    "screw_pitch": "a thread: it shifts along its axis as it turns",
+    "wobble": "rocking in a worn bearing",
+    "sag": "sagging under its weight",
+    "eccentricity": "a pin out of round",
+    "encoder_offset": "a sensor whose zero is off",
+    "encoder_scale": "a sensor whose scale is off",
+    "time_offset": "a sensor whose clock is off",
 }
-"""Effect name to what a mechanic would say of it; none is needed for an effect to work."""
+"""Effect name to what a mechanic would call it; no effect needs one to work."""
 
 
 def plain(name: str) -> str:
@@ -54,12 +54,12 @@ def amount(value: float, unit: str) -> str:
 
 
 def effect_words(effect: Effect, joint_type: JointType) -> str:
-    """An effect with its numbers, such as 'dry friction ... (coulomb_friction: torque 0.12 N m)'."""
+    """An effect with its numbers, such as 'dry friction (level 0.12 N m)'."""
     numbers = ", ".join(
         f"{name} {amount(getattr(effect, name), spec.unit(joint_type))}"
         for name, spec in effect.parameters(joint_type).items()
     )
-    return f"{plain(effect.name)} ({effect.name}: {numbers})"
+    return f"{plain(effect.name)} ({numbers})"
 
 
 def span_text(quantity: str, low: float, high: float, joint_type: JointType) -> str:
@@ -71,3 +71,15 @@ def span_text(quantity: str, low: float, high: float, joint_type: JointType) -> 
     digits = max(0, 1 - int(np.floor(np.log10(max(factor * (high - low), 1e-6)))))
     ends = [f"{round(factor * v, digits) + 0.0:.{digits}f}" for v in (low, high)]
     return f"{ends[0]} to {ends[1]}{unit}{per}"
+
+
+def number_text(value: float, unit: str) -> str:
+    """A parameter as a table shows it: `amount`, infinite ends as words."""
+    if not np.isfinite(value):
+        return "no bound"
+    return amount(value, unit)
+
+
+def capital(text: str) -> str:
+    """The text with its first letter large."""
+    return text[:1].upper() + text[1:]

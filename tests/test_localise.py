@@ -102,7 +102,7 @@ def test_a_notch_is_found_at_its_place_and_nowhere_else():
     assert local.adjusted < 0.01
     flagged = [0.5 * (a + b) for a, b, f in zip(local.edges[:-1], local.edges[1:], local.flagged, strict=True) if f]
     assert min(abs(x - 0.35) for x in flagged) < 0.12
-    spans = [w for w in places if w.quantity == "position, by itself"]
+    spans = [w for w in places if w.quantity in ("position", "position, by itself")]
     below = [w for w in spans if w.high < 0.5 and "forwards" in w.text]
     above = [w for w in spans if w.low > 0.2 and "backwards" in w.text]
     assert below and above  # pulled into it from both sides
