@@ -1,0 +1,55 @@
+"""Recordings of real pendula come through the reader as they are; skipped where they are not at hand."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import measured_sources
+
+from freeart21.files.asset import read_asset
+from freeart21.files.measured import read_measured
+from generator.simulate import roll_out
+
+SOURCES = measured_sources.sources()
+pytestmark = pytest.mark.skipif(not SOURCES, reason="recordings of others are not at hand")
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("real")
+    for name, make in SOURCES.items():
+        make(folder / name)
+    return folder
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_every_recording_is_read_with_its_asset(name: str, sets: Path):
+    measured = read_measured(sets / name / "measured")
+    asset = read_asset(sets / name / "asset", measured.joint)
+    assert asset.joint == measured.joint == "hinge"
+    assert any(run.held_out for run in measured.runs) and not all(run.held_out for run in measured.runs)
+    assert all(np.isfinite(run.q).all() and len(run.q) > 100 for run in measured.runs)
+    assert (measured.actuator is not None) == name.startswith("bam")
+
+
+def test_the_free_arm_swings_at_the_rate_of_its_asset(sets: Path):
+    run = read_measured(sets / "multiarm" / "measured").runs[0]
+    asset = read_asset(sets / "multiarm" / "asset")
+    turns = np.flatnonzero(np.diff(np.sign(run.q)) > 0)
+    period = float(np.diff(run.times_s[turns])[-3:].mean())
+    amplitude = float(np.abs(run.q[turns[-2] : turns[-1]]).max())
+    alone = roll_out(asset, amplitude, duration_s=2.0)
+    crossings = np.flatnonzero(np.diff(np.sign(alone.q)) > 0)
+    assert float(np.diff(alone.times_s[crossings])[0]) == pytest.approx(period, rel=0.03)
+
+
+def test_a_servo_that_was_switched_off_makes_a_run_without_commands(sets: Path):
+    measured = read_measured(sets / "bam_kp100" / "measured")
+    free = [run for run in measured.runs if run.q_command is None]
+    assert len(free) == 1 and len(measured.runs) == 5
+    assert free[0].times_s[-1] - free[0].times_s[0] == pytest.approx(4.0, abs=0.5)  # let go for four seconds
+    assert measured.actuator is not None and 0.1 < measured.actuator.stiffness < 0.3
