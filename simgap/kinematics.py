@@ -83,6 +83,9 @@ class KinematicsFinding:
     remainder_floors: float
     """Floors of displacement that depend on the joint's position and have no name here."""
     next_experiment: str | None = None
+    registrations: tuple[Array, Array] = field(default_factory=lambda: (np.zeros(6), np.zeros(6)))
+    """Twists by which the tracker's idea of the part's frame is off, with the ideal joint and with the named effects:
+    measured motion = model @ exp(twist), in the parent link's frame."""
     p_values: tuple[float, ...] = field(default=())
     """Of every named effect: that the others do as well without it."""
 
@@ -348,6 +351,7 @@ def _finding(
         tuple(sorted(ranking, key=lambda row: row[1])[:12]),
         remainder,
         _experiment(rivals) if rivals else None,
+        (plain.registration, point.registration),
         tuple(order[e.name] for e in effects),
     )
 

@@ -97,7 +97,7 @@ def benjamini_hochberg(p: Array) -> Array:
 
 def where(maps: tuple[ResidualMap, ...], found: MissingForce, joint_type: JointType) -> tuple[Where, ...]:
     """The regions that the maps flag, the surest first, in words; and stops that throw the part back."""
-    out = []
+    out: list[Where] = []
     for m in maps:
         if m.adjusted > LEVEL:
             continue

@@ -39,6 +39,12 @@ class Placed:
         T = self.T_parent_canonical
         return T @ moved @ se3.inverse(T) @ self.mechanics.joint.transform(self.state_zero)
 
+    def poses(self, motions: Array) -> Array:
+        """(n, 4, 4) what `motions` was given: the inverse of that."""
+        T = self.T_parent_canonical
+        moved = se3.inverse(T) @ motions @ se3.inverse(self.mechanics.joint.transform(self.state_zero)) @ T
+        return np.asarray(moved if self.child_moves else se3.inverse(moved))
+
     def track(self, run: Run) -> Track:
         """The poses of a run in which the part was seen."""
         assert run.poses is not None

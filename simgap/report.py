@@ -149,9 +149,8 @@ def _doubt(gap: Gap) -> list[Section]:
     """Rivals and the next experiment, and where something remains."""
     verdict, lines = gap.verdict, []
     for names in verdict.rivals:
-        lines.append(
-            f"<li>{escape(capital(' and '.join(plain(n) for n in names)))} <small>{escape(', '.join(names))}</small></li>"
-        )
+        said = capital(" and ".join(plain(n) for n in names))
+        lines.append(f"<li>{escape(said)} <small>{escape(', '.join(names))}</small></li>")
     html = ""
     if lines:
         html += "<p>These explain the runs equally well:</p>" + f'<ul class="remarks">{"".join(lines)}</ul>'

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.effects.gravity_offset import GravityOffset
 from freeart21.errors import FreeArtError
@@ -30,6 +31,7 @@ from freeart21.mechanics import Actuator, held
 from freeart21.se3 import Array
 from generator import simulate
 from simgap.placing import place
+from simgap.track_geometry import at_point, displacement
 
 _SECONDS = 120
 """A replay that takes longer is given up."""
@@ -49,6 +51,37 @@ class Replayed:
     """rad or m: noise of the readings."""
     regime: str = ""
     held_out: bool = True
+
+
+@dataclass(frozen=True)
+class PosesReplayed:
+    """Measured poses of one run to hold against where the assets put the part."""
+
+    name: str
+    poses: tuple[Array, Array]
+    """(n, 4, 4) each, in the canonical frame, without the tracker's registration as found for either asset."""
+    states: tuple[Array, Array]
+    """(n,) canonical joint states each, as the poses say them, for either asset."""
+    times_s: Array
+    """(n,) on the clock of the asset's effects."""
+    middle: Array
+    """(3,) canonical, at state zero: the point of the moving part at which shifts are counted."""
+    lever: float
+    """m: how far points are from there, to count turns as shifts."""
+    floor: float
+    """m: noise of the poses."""
+    held_out: bool = True
+
+
+@dataclass(frozen=True)
+class PoseGap:
+    """How far the part is off the assets' joints, m: root mean square displacement."""
+
+    run: str
+    before: float
+    after: float
+    floor: float
+    held_out: bool
 
 
 @dataclass(frozen=True)
@@ -92,6 +125,7 @@ class Shown:
     timestep_s: float
     helps: bool
     """Whether the repaired asset is nearer to what was measured, and in no regime further away."""
+    poses: tuple[PoseGap, ...] = ()
 
     def closed(self, regimes: Iterable[str] | None = None) -> float | None:
         """Part of the gap beyond the floor that is closed in these regimes (all for None); None without any gap."""
@@ -113,6 +147,7 @@ def show(
     off: tuple[Off, Off] = (Off(), Off()),
     timestep_s: float = 2e-3,
     fit_starts: bool = False,
+    poses: tuple[PosesReplayed, ...] = (),
 ) -> Shown:
     """Replay runs in SAPIEN with both assets, in a process that knows neither fit nor surrogate.
 
@@ -124,14 +159,15 @@ def show(
         off: for each asset by how much it is off by its own fit.
         timestep_s: first choice; halved until that changes the longest run by less than a tenth of its floor.
         fit_starts: improve the start states in SAPIEN itself before the replay, when nobody fitted them well.
+        poses: runs of poses, whose geometry is compared too.
 
     Raises FreeArtError when there is nothing to replay, or the process fails: its last line says why.
     """
-    if not replays:
+    if not replays and not poses:
         raise FreeArtError("no run to replay, expected one or more")
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place_:
         folder = Path(place_)
-        _write_job(folder, before, after, measured, replays, off, timestep_s, fit_starts)
+        _write_job(folder, before, after, measured, replays, off, timestep_s, fit_starts, poses)
         root = str(Path(__file__).resolve().parents[1])
         paths = os.pathsep.join(p for p in (root, os.environ.get("PYTHONPATH", "")) if p)
         try:
@@ -148,11 +184,15 @@ def show(
         if done.returncode:
             last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
             raise FreeArtError(f"the replay in a fresh process failed: {last}")
-        return _read_answer(folder, replays)
+        return _read_answer(folder, replays, poses)
 
 
-def helps(runs: tuple[ReplayGap, ...]) -> bool:
-    """Whether the gap is smaller, of all runs and (by more than a quarter of a floor) wider in no regime."""
+def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = ()) -> bool:
+    """Whether a gap is smaller, and none is wider by more than a quarter of a floor: of no regime, nor of the poses."""
+    if not runs:
+        return _poses_help(poses, least=True)
+    if not _poses_help(poses, least=False):
+        return False
 
     def size(name: str, chosen: list[ReplayGap]) -> float:
         return float(np.sqrt(np.mean([getattr(r, name) ** 2 for r in chosen])))
@@ -167,6 +207,16 @@ def helps(runs: tuple[ReplayGap, ...]) -> bool:
     return True
 
 
+def _poses_help(poses: tuple[PoseGap, ...], least: bool) -> bool:
+    if not poses:
+        return True
+    judged = [p for p in poses if p.held_out] or list(poses)
+    before, after, floor = (
+        float(np.sqrt(np.mean([getattr(p, name) ** 2 for p in judged]))) for name in ("before", "after", "floor")
+    )
+    return after < before if least else after <= before + 0.25 * floor
+
+
 # ---------------------------------------------------------------- the two ends of the door
 
 
@@ -179,6 +229,7 @@ def _write_job(
     off: tuple[Off, Off],
     timestep_s: float,
     fit_starts: bool,
+    poses: tuple[PosesReplayed, ...],
 ) -> None:
     law = measured.actuator
     job: dict[str, Any] = {
@@ -202,6 +253,11 @@ def _write_job(
             values = getattr(replay.run, name)
             if values is not None:
                 arrays[f"{name}_{i}"] = values
+    for i, track in enumerate(poses):
+        for k in (0, 1):
+            arrays[f"poses_{k}_{i}"], arrays[f"states_{k}_{i}"] = track.poses[k], track.states[k]
+        arrays[f"pose_times_{i}"] = track.times_s
+    job["poses"] = [{"middle": np.asarray(t.middle).tolist(), "lever": t.lever} for t in poses]
     atomic.write_json(folder / "job.json", job)
     with (folder / "job.npz").open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
@@ -213,11 +269,15 @@ def _address(asset: Asset) -> str:
     return str((home if (home / "asset.json").is_file() else asset.urdf).resolve())
 
 
-def _read_answer(folder: Path, replays: tuple[Replayed, ...]) -> Shown:
+def _read_answer(folder: Path, replays: tuple[Replayed, ...], poses: tuple[PosesReplayed, ...]) -> Shown:
     said = checked.read_json(folder / "replay.json")
     with np.load(folder / "replay.npz") as data:
         runs = tuple(_gap(replay, data[f"before_{i}"], data[f"after_{i}"]) for i, replay in enumerate(replays))
-    return Shown(runs, float(said["numerics"]), float(said["timestep_s"]), helps(runs))
+    off = tuple(
+        PoseGap(track.name, float(pair[0]), float(pair[1]), track.floor, track.held_out)
+        for track, pair in zip(poses, said["poses"], strict=True)
+    )
+    return Shown(runs, float(said["numerics"]), float(said["timestep_s"]), helps(runs, off), off)
 
 
 def _gap(replay: Replayed, before: Array, after: Array) -> ReplayGap:
@@ -339,17 +399,8 @@ def _replay(folder: Path) -> None:
     data = dict(np.load(folder / "job.npz"))
     stages = [_Stage(Path(path), job, off, folder) for path, off in zip(job["assets"], job["off"], strict=True)]
     count = len(job["starts"])
-    starts = [[tuple(s) for s in pair] for pair in job["starts"]]
-    longest = max(range(count), key=lambda i: float(np.ptp(data[f"times_{i}"])))
-    h, floor = float(job["timestep_s"]), float(job["floors"][longest])
-    after = stages[1]
-    coarse, numerics = after.replay(after.load(h), data, longest, starts[longest][1]), np.inf
-    for _ in range(_HALVINGS):
-        fine = after.replay(after.load(h / 2), data, longest, starts[longest][1])
-        numerics = float(np.sqrt(np.mean((fine - coarse) ** 2))) / floor
-        if numerics < 0.1:
-            break
-        h, coarse = h / 2, fine
+    starts = [[(float(q), float(qd)) for q, qd in pair] for pair in job["starts"]]
+    h, numerics = _timestep(stages[1], data, job, starts) if count else (float(job["timestep_s"]), 0.0)
     out: dict[str, Array] = {}
     for k, (name, stage) in enumerate(zip(("before", "after"), stages, strict=True)):
         loaded = stage.load(h)
@@ -360,7 +411,34 @@ def _replay(folder: Path) -> None:
             out[f"{name}_{i}"] = stage.replay(loaded, data, i, start)
     with (folder / "replay.npz").open("wb") as file:
         np.savez(file, **out)  # type: ignore[arg-type]
-    (folder / "replay.json").write_text(json.dumps({"numerics": numerics, "timestep_s": h}))
+    off = [_pose_gaps(stages, data, i, said) for i, said in enumerate(job["poses"])]
+    (folder / "replay.json").write_text(json.dumps({"numerics": numerics, "timestep_s": h, "poses": off}))
+
+
+def _timestep(
+    stage: _Stage, data: Any, job: dict[str, Any], starts: list[list[tuple[float, float]]]
+) -> tuple[float, float]:
+    """Time step, s, and by how many floors its halving changes the replay of the longest run."""
+    i = max(range(len(starts)), key=lambda k: float(np.ptp(data[f"times_{k}"])))
+    h, floor = float(job["timestep_s"]), float(job["floors"][i])
+    coarse, numerics = stage.replay(stage.load(h), data, i, starts[i][1]), np.inf
+    for _ in range(_HALVINGS):
+        fine = stage.replay(stage.load(h / 2), data, i, starts[i][1])
+        numerics = float(np.sqrt(np.mean((fine - coarse) ** 2))) / floor
+        if numerics < 0.1:
+            break
+        h, coarse = h / 2, fine
+    return h, numerics
+
+
+def _pose_gaps(stages: list[_Stage], data: Any, i: int, said: dict[str, Any]) -> list[float]:
+    """m: how far measured poses of run `i` are from where either asset has the part."""
+    gaps = []
+    for k, stage in enumerate(stages):
+        motion = simulate.joint_motion(stage.asset, data[f"states_{k}_{i}"], data[f"pose_times_{i}"])
+        off = se3.log_se3(se3.inverse(motion) @ data[f"poses_{k}_{i}"])
+        gaps.append(displacement(at_point(np.array(said["middle"]), off), float(said["lever"])))
+    return gaps
 
 
 def _main() -> None:

@@ -21,6 +21,10 @@ class TrackGeometry:
     """(n,) s."""
     q: Array
     """(n,) rad or m: the joint's position with the named geometry taken out, for the dynamics that follows."""
+    q_before: Array
+    """(n,) the same with the asset's ideal joint."""
+    time_shift_s: float
+    """By how much the clock of this run is set on so that rocking has the phase of the named effect."""
     q_std: float
     """Standard deviation of the noise of `q`."""
     off_before: Array
@@ -41,27 +45,29 @@ def track_geometry(
 ) -> TrackGeometry:
     """One run off the ideal joint (`plain`, registration only) and off the joint of `point`."""
     model = PoseModel((track,), mechanics)
-    middle = mechanics.moment_zero / mechanics.mass if mechanics.mass else mechanics.joint.pivot
-    lever = _lever(mechanics, middle)
+    middle = middle_of(mechanics)
+    lever = lever_of(mechanics, middle)
     q_plain = model.positions(plain, weighting)
     here = _with_phase(model, point, weighting)
     q = model.positions(here, weighting)
-    before, after = (_at(middle, model.residuals(g, at)) for g, at in ((plain, q_plain), (here, q)))
+    before, after = (at_point(middle, model.residuals(g, at)) for g, at in ((plain, q_plain), (here, q)))
     L = weighting.whitening
     along = L @ mechanics.joint.screw
     size = float(np.linalg.norm(along))
     off = np.eye(6) - np.outer(along, along) / size**2
-    noise = _at(middle, (np.linalg.inv(L) @ off).T)
+    noise = at_point(middle, (np.linalg.inv(L) @ off).T)
     return TrackGeometry(
         track.name,
         track.times_s,
         q,
+        q_plain,
+        _time_shift(point, here),
         1 / size,
         before,
         after,
-        _displacement(before, lever),
-        _displacement(after, lever),
-        _displacement(noise, lever) * np.sqrt(len(noise)),
+        displacement(before, lever),
+        displacement(after, lever),
+        displacement(noise, lever) * np.sqrt(len(noise)),
         held_out,
     )
 
@@ -80,17 +86,33 @@ def _with_phase(model: PoseModel, point: Geometry, weighting: Weighting) -> Geom
     return replace(point, rock=Rock(point.rock.frequency, np.outer(u, waves)[None]))
 
 
-def _lever(mechanics: JointMechanics, middle: Array) -> float:
+def _time_shift(point: Geometry, here: Geometry) -> float:
+    """Seconds by which rocking of this run's phase is ahead of the first run's."""
+    if point.rock is None or here.rock is None:
+        return 0.0
+    u = rock_direction(point.rock)
+    first, now = u @ point.rock.coefficients[0], u @ here.rock.coefficients[0]
+    ahead = np.arctan2(now[1], now[0]) - np.arctan2(first[1], first[0])
+    return float(ahead / (2 * np.pi * point.rock.frequency))
+
+
+def middle_of(mechanics: JointMechanics) -> Array:
+    """(3,) the part's centre of mass at joint position zero, else the pivot."""
+    return np.asarray(mechanics.moment_zero / mechanics.mass if mechanics.mass else mechanics.joint.pivot)
+
+
+def lever_of(mechanics: JointMechanics, middle: Array) -> float:
     """m: how far from its middle the part's points are taken to lie, to count turns as displacements."""
     if mechanics.joint.type == "revolute" and mechanics.mass > 0:
         return float(np.sqrt(mechanics.inertia / mechanics.mass))
     return max(float(np.linalg.norm(middle - mechanics.joint.pivot)), 0.05)
 
 
-def _at(point: Array, twists: Array) -> Array:
+def at_point(point: Array, twists: Array) -> Array:
     """(n, 6) twists whose translation is that of `point` (3,) of the part."""
     return np.concatenate([twists[:, :3] + np.cross(twists[:, 3:], point), twists[:, 3:]], -1)
 
 
-def _displacement(twists: Array, lever: float) -> float:
+def displacement(twists: Array, lever: float) -> float:
+    """m: root mean square displacement of points at `lever` around where twists (n, 6) are counted."""
     return float(np.sqrt(((twists[:, :3] ** 2).sum(-1) + lever**2 * (twists[:, 3:] ** 2).sum(-1)).mean()))

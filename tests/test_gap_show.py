@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.effects.armature import Armature
 from freeart21.effects.axis_tilt import AxisTilt
@@ -17,14 +18,21 @@ from freeart21.effects.backlash import Backlash
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.detent import Detent
 from freeart21.effects.encoder_offset import EncoderOffset
+from freeart21.effects.pivot_offset import PivotOffset
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
+from freeart21.effects.wobble import Wobble
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset, write_asset_json
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator
-from generator.simulate import roll_out
+from generator.simulate import joint_motion, roll_out
+from simgap.kinematics import find_geometry_of
+from simgap.publish import GEOMETRY, Draft, maps_of, off_of, publish, with_positions
+from simgap.report import Ranked
 from simgap.show import Off, Replayed, helps, show
+from simgap.surrogate import Nuisance, plant_of
+from simgap.verdict import Named, RunGap, Verdict
 from simgap.writeback import repaired
 
 MASS, ARM, G = 1.2, 0.3, 9.81
@@ -217,3 +225,140 @@ def test_a_replay_that_cannot_run_says_why_in_one_line(tmp_path: Path):
     assert "\n" not in str(caught.value)
     with pytest.raises(FreeArtError, match="no run to replay"):
         show(asset, asset, measured, ())
+
+
+# ---------------------------------------------------------------- and published
+
+
+def named(*effects):
+    ends = [{n: getattr(e, n) for n in e.parameters()} for e in effects]
+    return tuple(Named(e, end, end) for e, end in zip(effects, ends, strict=True))
+
+
+def draft(measured, starts, *effects, answer="named", **more):
+    gaps = tuple(
+        RunGap(run.name, 0.1, np.nan, 1e-3, bool(run.held_out), "fast" if abs(s[0]) > 0.5 else "slow")
+        for run, s in zip(measured.runs, starts, strict=True)
+    )
+    verdict = Verdict(answer, named(*effects), (), gaps, (), None, "Oil is missing.")
+    return Draft(
+        verdict,
+        {run.name: (s, s) for run, s in zip(measured.runs, starts, strict=True)},
+        ranking=(Ranked(tuple(e.name for e in effects), 1.1, 0.001, "chosen"), Ranked((), 90.0)),
+        regimes={gap.run: gap.regime for gap in gaps},
+        floor=1e-3,
+        **more,
+    )
+
+
+def held_out(measured, *which):
+    return replace(measured, runs=tuple(replace(r, held_out=i in which) for i, r in enumerate(measured.runs)))
+
+
+def test_a_verdict_is_published_with_the_gaps_that_sapien_measured(tmp_path: Path):
+    asset, measured = bob(tmp_path / "a"), held_out(pendulum(STARTS, damped), 1, 2)
+    out = tmp_path / "out"
+    out.mkdir()
+    verdict = publish(asset, measured, draft(measured, STARTS, ViscousDamping(0.03)), out, "A <bob>", 1.0)
+    assert verdict.verdict == "named" and verdict.where
+    by_run = {gap.run: gap for gap in verdict.gaps}
+    assert np.isnan(by_run["run_0"].after)  # fitted, not replayed
+    for name in ("run_1", "run_2"):
+        assert by_run[name].before > 20e-3 and by_run[name].after < 1.5e-3
+    assert read_asset(out / "asset").effects == {"j": (ViscousDamping(0.03),)}
+    page = (out / "index.html").read_text()
+    assert "A &lt;bob&gt;" in page and "<bob>" not in page
+    for said in ("Oil is missing.", "Damping as by oil", "Run run_1, held out, slow", "closed in other motion"):
+        assert said in page, said
+    assert "http://" not in page.replace("http://www.w3.org", "") and "src=" not in page
+
+
+def test_what_does_not_help_is_rolled_back(tmp_path: Path):
+    asset, measured = bob(tmp_path / "a", '<dynamics damping="0.01"/>'), held_out(pendulum(STARTS, damped), 1)
+    out = tmp_path / "out"
+    out.mkdir()
+    verdict = publish(asset, measured, draft(measured, STARTS, ReturnSpring(1.0, 0.0)), out, "bob")
+    assert (verdict.verdict, verdict.effects) == ("unexplained", ())
+    assert all(gap.after == gap.before for gap in verdict.gaps)
+    assert read_asset(out / "asset").effects == {"j": (ViscousDamping(0.01),)}
+    assert "rolled back" in (out / "index.html").read_text()
+
+
+def test_without_a_gap_the_asset_stays_as_it_is(tmp_path: Path):
+    asset, measured = bob(tmp_path / "a"), pendulum(STARTS, lambda s, q, qd: 0.0)
+    out = tmp_path / "out"
+    out.mkdir()
+    verdict = publish(asset, measured, draft(measured, STARTS, answer="no_gap"), out, "bob")
+    assert (verdict.verdict, verdict.where) == ("no_gap", ())
+    assert read_asset(out / "asset").effects == {}
+    assert "No gap" in (out / "index.html").read_text()
+
+
+def test_a_fits_nuisance_is_what_replays_are_off_by(tmp_path: Path):
+    plant = plant_of(bob(tmp_path / "a"), pendulum(STARTS[:1], damped, seconds=0.2))
+    off = off_of(plant, Nuisance(1.1, 0.9, (0.01, 0.0)))
+    assert off.inertia == 1.1
+    weight = MASS * G * ARM
+    assert off.gravity[1] == pytest.approx(0.1 * weight, rel=1e-6)  # less of -m g l sin q
+    assert abs(off.gravity[0]) == pytest.approx(0.9 * 0.01 * weight, rel=1e-6)
+
+
+def filmed(asset: Asset, seed: int = 0, runs: int = 4, fps: float = 30.0):
+    """Our own loop: SAPIEN lets the joint go, a tracker follows the part, its errors last from frame to frame."""
+    rng, made, true = np.random.default_rng(seed), [], []
+    for r in range(runs):
+        rolled = roll_out(asset, rng.uniform(0.8, 1.4), 0.0, duration_s=4.0, timestep_s=1 / 300)
+        q, t = rolled.q[::10], rolled.times_s[::10]
+        error = np.zeros((len(t), 6))
+        for i in range(len(t)):
+            error[i] = 0.8 * error[i - 1] + 0.6 * rng.normal(size=6) * 1e-3
+        centre = se3.pose(np.eye(3), [0, 0, 1 - ARM])
+        shaken = centre @ se3.exp_se3(error) @ se3.inverse(centre)
+        poses = joint_motion(asset, q, t) @ shaken
+        made.append(
+            Run(f"take_{r}", t, np.full(len(t), np.nan), None, None, poses, np.ones(len(t), bool), r == runs - 1)
+        )
+        true.append((q, (float(rolled.q[0]), 0.0)))
+    return Measured("j", "revolute", np.array([0, 0, -G]), fps, "recorded", runs=tuple(made)), true
+
+
+def test_our_own_release_is_understood_from_part_poses(tmp_path: Path):
+    """Geometry and dynamics in one film: a crooked axis and oil, told apart, written, and shown in SAPIEN."""
+    asset = bob(tmp_path / "a")
+    crooked = (AxisTilt(0.02, -0.015), PivotOffset(0.01, 0.006))
+    measured, true = filmed(replace(asset, effects={"j": (*crooked, ViscousDamping(0.03))}))
+    geometry = find_geometry_of(asset, measured)
+    assert geometry is not None and geometry.verdict == "named"
+    assert {e.name for e in geometry.effects} == {"axis_tilt", "pivot_offset"}
+    runs = with_positions(measured, geometry)
+    for run, (q, _) in zip(runs.runs, true, strict=True):
+        assert np.sqrt(np.mean((run.q - q) ** 2)) < 2e-3
+    direction = next(m for m in maps_of(asset, runs) if m.quantity == "velocity")
+    assert direction.adjusted < 0.05 and direction.mean[1] > 0 > direction.mean[-2]  # a brake
+    starts = tuple(start for _, start in true)
+    out = tmp_path / "out"
+    out.mkdir()
+    told = draft(measured, starts, *geometry.effects, ViscousDamping(0.03), geometry=geometry)
+    verdict = publish(asset, measured, told, out, "our own film")
+    assert verdict.verdict == "named"
+    gaps = {(gap.run, gap.regime): gap for gap in verdict.gaps if gap.held_out}
+    off_joint, motion = gaps["take_3", GEOMETRY], gaps["take_3", "fast"]
+    assert off_joint.before > 4 * off_joint.floor and off_joint.after < 1.3 * off_joint.floor
+    assert motion.before > 20e-3 and motion.after < 3e-3
+    assert "Off its joint: Run take_3" in (out / "index.html").read_text()
+
+
+def test_rocking_is_shown_with_each_runs_own_phase(tmp_path: Path):
+    asset = bob(tmp_path / "a")
+    measured, _ = filmed(replace(asset, effects={"j": (Wobble(0.012, 2.3, 0.4, 0.9),)}))
+    late = tuple(replace(run, times_s=run.times_s + 0.11 * i) for i, run in enumerate(measured.runs))
+    measured = replace(measured, runs=late)
+    geometry = find_geometry_of(asset, measured)
+    assert geometry is not None and [e.name for e in geometry.effects] == ["wobble"]
+    out = tmp_path / "out"
+    out.mkdir()
+    told = replace(draft(measured, ((1.0, 0.0),) * 4, *geometry.effects, geometry=geometry), starts={})
+    verdict = publish(asset, measured, told, out, "rocking")
+    gap = next(gap for gap in verdict.gaps if gap.regime == GEOMETRY)
+    assert verdict.verdict == "named"
+    assert gap.before > 1.8 * gap.floor and gap.after < 1.25 * gap.floor
