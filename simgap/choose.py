@@ -128,6 +128,8 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         if standing and min(j.floors for j in contenders) > settings.much_better * reach:
             break  # not even a larger set does much better: the rest is form
     if standing:
+        missing = {names for j in standing for names in _plainer(j.names)} - {j.names for j in standing}
+        standing += [judged(search.of(names), folds) for names in sorted(missing)]
         found = rivals(standing, settings)
         return Choice(base, p, found, found[0], bar, True, tuple(tried))
     return Choice(base, p, (), min(tried, key=lambda j: j.floors), bar, True, tuple(tried))

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from freeart21.errors import FreeArtError
-from freeart21.joint import Joint
 from freeart21.measured import Measured, Run
-from freeart21.se3 import Array, log_so3
+from freeart21.se3 import Array
 from simgap.floor import Floor, floor_of
 from simgap.surrogate import Inputs, Plant
 
@@ -49,15 +48,14 @@ class FitRun:
 
 
 def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floor]:
-    """All runs of a measured set, and the floor of its sensor.
+    """All runs of a measured set, whose positions are known, and the floor of its sensor.
 
     Raises FreeArtError when the readings cannot be positions of this joint: far beyond its limits, or in degrees.
     """
     series = []
     for run in measured.runs:
-        q = run.q if run.poses is None else states_of_poses(plant.mechanics.joint, run)
-        good = np.isfinite(q)
-        series.append((run.times_s[good], q[good]))
+        good = np.isfinite(run.q)
+        series.append((run.times_s[good], run.q[good]))
     _check_units(measured, plant, series)
     floor = floor_of(series)
     runs = []
@@ -91,16 +89,6 @@ def inputs_of(run: Run, measured: Measured) -> Inputs:
         effort if commanded else nothing,
         nothing if commanded else effort,
     )
-
-
-def states_of_poses(joint: Joint, run: Run) -> Array:
-    """(n,) state along the joint of every measured pose, NaN where a part was not seen; `joint` in the poses' frame."""
-    assert run.poses is not None
-    if joint.type == "prismatic":
-        q = run.poses[:, :3, 3] @ joint.axis
-    else:
-        q = np.unwrap(log_so3(run.poses[:, :3, :3]) @ joint.axis)
-    return np.where(run.seen, q, np.nan) if run.seen is not None else np.asarray(q)
 
 
 def rough_speed(times: Array, q: Array) -> Array:

@@ -89,10 +89,14 @@ class Theory:
         if problem.gravity_relative > 0 and np.any(terms[0]):
             r = problem.gravity_relative
             found.append(Range("asset", "gravity", 1 - r, 1 + r, r, r, 1.0))
-        tilt = max(problem.fit.tilt_rad, problem.gravity_relative)
+        size = float(np.linalg.norm(terms[0]))
         for i in (1, 2):
-            if tilt > 0 and np.linalg.norm(terms[i]) > 1e-6 * np.linalg.norm(terms):
-                found.append(Range("asset", f"lean_{i}", -tilt, tilt, tilt, tilt))
+            column = float(np.linalg.norm(terms[i]))
+            lean = problem.fit.tilt_rad
+            if i == 1 and problem.plant.joint_type == "revolute" and column > 0:
+                lean += problem.gravity_relative * size / column  # a centre of mass that is off turns the pull, too
+            if lean > 0 and column > 1e-6 * np.linalg.norm(terms):
+                found.append(Range("asset", f"lean_{i}", -lean, lean, lean, lean))
         for cls in self.classes:
             found += [self._range(cls, name) for name in cls.parameters(problem.plant.joint_type)]
         if self.relaxed:
@@ -152,7 +156,7 @@ class Reader:
         self.ranges = theory.ranges()
         self.base = theory.problem.plant.effects
         self.owners = [r.owner for r in self.ranges]
-        self.sensing = any(e.kind == "sensing" for e in (*self.base, *theory.classes))
+        self.sensing = any(e.kind == "sensing" for e in self.base) or any(c.kind == "sensing" for c in theory.classes)
 
     def effects(self, theta: Array) -> tuple[Effect, ...]:
         """The asset's own effects and the added ones."""
@@ -164,12 +168,16 @@ class Reader:
             made.append(cls(**dict(zip(names, map(float, theta[at : at + len(names)]), strict=True))))
         return (*self.base, *made)
 
-    def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
-        """The vector, start left at 0, and all effects."""
+    def nuisance(self, theta: Array) -> Nuisance:
+        """How the asset is off."""
         asset = {r.name: float(x) for r, x in zip(self.ranges, theta, strict=True) if r.owner == "asset"}
-        nuisance = Nuisance(
+        return Nuisance(
             asset.get("inertia", 1.0), asset.get("gravity", 1.0), (asset.get("lean_1", 0.0), asset.get("lean_2", 0.0))
         )
+
+    def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
+        """The vector, start left at 0, and all effects."""
+        nuisance = self.nuisance(theta)
         forms = {}
         if self.theory.relaxed:
             for cls in self.theory.classes:
@@ -273,7 +281,18 @@ def fitted(
 
 def placed(fit: Fit, runs: tuple[FitRun, ...], starts: dict[str, tuple[float, float]] | None = None) -> Fit:
     """The same parameters on other runs: only the start states are fitted."""
+    starts = settled(fit.theory, fit.theta, runs) if starts is None else starts
     return fitted(fit.theory, runs, fit.theta, starts, iterations=12, free=False)
+
+
+def settled(theory: Theory, theta: Array, runs: tuple[FitRun, ...]) -> dict[str, tuple[float, float]]:
+    """Start states that make the simulation follow each run ever longer: a far impact misleads a first guess."""
+    starts: dict[str, tuple[float, float]] = {}
+    for part in (0.08, 0.2, 0.45, 1.0):
+        cut = tuple(run.between(0, max(8, round(part * len(run.q)))) for run in runs)
+        for run in cut:
+            starts.update(fitted(theory, (run,), theta, starts, iterations=6, free=False).starts)
+    return starts
 
 
 def predicted(fit: Fit, run: FitRun, times_s: Array | None = None) -> Array:

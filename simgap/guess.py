@@ -82,8 +82,8 @@ class _Linear:
         others = [r.name for r in own if r not in sizes]
         zero = off(self.problem, name)
         trials: list[tuple[dict[str, float], float]] = []
-        for values in grid:
-            point = {**zero, **dict(zip(others, map(float, values), strict=True))}
+        for places in grid:
+            point = {**zero, **dict(zip(others, map(float, places), strict=True))}
             for r in sizes:
                 step = self._step(name, point, r)
                 trials.append(({**point, r.name: point[r.name] + step}, step))

@@ -8,7 +8,7 @@ import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
 from simgap.data import FitRun
-from simgap.fit import Fit, Problem, Theory, fitted, joined, pieces, placed
+from simgap.fit import Fit, Problem, Theory, fitted, joined, pieces, placed, settled
 from simgap.guess import Guess, guesses, off
 from simgap.settings import ChoiceSettings
 
@@ -51,7 +51,9 @@ class Search:
     def base(self) -> Fit:
         """Nothing missing but what the asset may be off by."""
         if () not in self.fits:
-            self.fits[()] = fitted(Theory(self.problem, ()), self.train)
+            theory = Theory(self.problem, ())
+            rough = fitted(theory, pieces(self.train, _PIECE_S), iterations=6)
+            self.fits[()] = fitted(theory, self.train, rough.theta, settled(theory, rough.theta, self.train))
         return self.fits[()]
 
     def singles(self) -> list[Fit]:
@@ -99,6 +101,20 @@ class Search:
         ]
         best = min(tried, key=lambda fit: fit.cost)
         return self._keep(fitted(theory, self.train, best.theta, best.starts))
+
+    def of(self, names: tuple[str, ...]) -> Fit:
+        """The fit of this very set, started from its best subset."""
+        if names not in self.fits:
+            smaller = [self.fits[s] for n in names if (s := tuple(m for m in names if m != n)) in self.fits]
+            parent = min(smaller, key=lambda fit: fit.cost) if smaller else self.base()
+            new = tuple(n for n in names if n not in parent.theory.names)
+            if len(new) > 1:
+                parent = self.of(names[:-1])
+                new = names[-1:]
+            cut = self._cut(parent)
+            at = placed(parent, cut) if cut is not self.train else parent
+            self._started(parent, guesses(at, cut, new)[0])
+        return self.fits[names]
 
     def _keep(self, fit: Fit) -> Fit:
         """Remember a fit, after making sure that it is no worse than any of a smaller set."""

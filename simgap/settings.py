@@ -35,6 +35,8 @@ class FitSettings:
 class ChoiceSettings:
     """From fits to a verdict."""
 
+    least_motion: float = 15.0
+    """Floors that the joint must move through for anything to be said."""
     max_effects: int = 3
     shortlist: int = 7
     """Sets of one effect more that are fitted to the end."""

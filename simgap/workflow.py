@@ -2,41 +2,113 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
 
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import movable_joint
+from freeart21.files.asset import movable_joint, read_asset
+from freeart21.files.atomic import new_folder
+from freeart21.files.measured import read_measured
 from freeart21.measured import Measured
+from simgap.choose import Choice, chosen, folds_of, p_value
 from simgap.data import FitRun, fit_runs
-from simgap.fit import Problem, Theory, fitted
+from simgap.decide import moves_enough, still_verdict, verdict_of
+from simgap.fit import Fit, Problem, Reader, placed
 from simgap.floor import Floor
+from simgap.kinematics import KinematicsFinding, find_geometry_of
+from simgap.publish import Draft, off_of, publish, with_positions
+from simgap.report import Ranked
+from simgap.search import Search, candidates
 from simgap.settings import GapSettings
-from simgap.surrogate import Plant, plant_of
-from simgap.verdict import RunGap, Verdict
+from simgap.surrogate import Nuisance, Plant, plant_of
+from simgap.verdict import Named, Verdict
+from simgap.words import plain
 
 DEFAULTS = GapSettings()
 
 
 def find_gap(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) -> Verdict:
-    """What the simulation of `asset` lacks, by what was measured of it.
+    """What the simulation of `asset` lacks, by what was measured of it; nothing is written.
 
     Raises FreeArtError when the measurement is not of this asset's joint, or its units cannot be right.
     """
+    return explain(asset, measured, settings).verdict
+
+
+def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) -> Draft:
+    """Measure, tell geometry from dynamics, name: all but what SAPIEN has to show."""
     check_match(asset, measured)
+    geometry = find_geometry_of(asset, measured)
+    positions = with_positions(measured, geometry)
     plant = plant_of(asset, measured)
-    runs, floor = fit_runs(measured, plant)
+    runs, floor = fit_runs(positions, plant)
+    if not moves_enough(runs, floor, settings.choice):
+        return Draft(still_verdict(runs, floor), geometry=geometry, floor=floor.still)
     problem = problem_of(plant, measured, runs, floor, settings)
-    fit = fitted(Theory(problem, ()), runs)
-    gaps = tuple(
-        RunGap(run.name, fit.floors(run.name) * floor.still, np.nan, floor.still, bool(run.held_out), run.regime)
-        for run in runs
+    folds = folds_of(runs)
+    fitted_runs = folds[0].train if len(folds) == 1 else runs
+    search = Search(problem, fitted_runs, settings.choice, candidates(problem, fitted_runs))
+    choice = chosen(search, folds, settings.choice)
+    verdict = with_geometry(verdict_of(choice, runs, floor, problem), geometry)
+    before, after = choice.base, (choice.explaining[0] if choice.explaining else choice.base)
+    return Draft(
+        verdict,
+        starts_of(before.fit, after.fit, runs),
+        (off_of(plant, nuisance_of(before.fit)), off_of(plant, nuisance_of(after.fit))),
+        ranking_of(choice),
+        geometry,
+        {run.name: run.regime for run in runs},
+        floor.still,
     )
-    apart = max(fit.floors(run.name) for run in runs) > 1 + settings.choice.least_gap
-    said = "Simulation and measurement differ." if apart else "Simulation and measurement agree."
-    return Verdict("unexplained" if apart else "no_gap", (), (), gaps, (), None, said)
+
+
+def nuisance_of(fit: Fit) -> Nuisance:
+    """How the asset is off in a fit."""
+    return Reader(fit.theory).nuisance(fit.theta)
+
+
+def starts_of(
+    before: Fit, after: Fit, runs: tuple[FitRun, ...]
+) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
+    """Start states of every run without and with the effects."""
+    first, second = (
+        fit.starts if all(run.name in fit.starts for run in runs) else {**placed(fit, runs).starts, **fit.starts}
+        for fit in (before, after)
+    )
+    return {run.name: (first[run.name], second[run.name]) for run in runs}
+
+
+def ranking_of(choice: Choice) -> tuple[Ranked, ...]:
+    """All that was tried before held-out runs, the best first."""
+    tried = sorted(
+        {j.names: j for j in (choice.base, *choice.tried, *choice.explaining)}.values(), key=lambda j: j.floors
+    )
+    return tuple(
+        Ranked(j.names, j.floors, p_value(choice.base, j, len(choice.tried)) if j.names else None) for j in tried
+    )
+
+
+def with_geometry(verdict: Verdict, geometry: KinematicsFinding | None) -> Verdict:
+    """The verdict on motion along the joint, and what part poses say of the joint itself."""
+    if geometry is None or geometry.verdict in ("no_gap", "not_excited"):
+        return verdict
+    parts = zip(geometry.effects, geometry.low, geometry.high, strict=True)
+    named = tuple(Named(effect, low, high) for effect, low, high in parts)
+    words = "The joint's geometry is off: " + ", ".join(plain(effect.name) for effect in geometry.effects) + "."
+    order = ("no_gap", "not_excited", "named", "ambiguous", "unexplained")
+    answer = max(verdict.verdict, geometry.verdict, key=order.index)
+    return Verdict(
+        answer,
+        (*named, *verdict.effects) if answer != "unexplained" else (),
+        verdict.where,
+        verdict.gaps,
+        geometry.rivals or verdict.rivals,
+        geometry.next_experiment or verdict.next_experiment,
+        words if verdict.verdict == "no_gap" else f"{words} {verdict.sentence}",
+    )
 
 
 def check_match(asset: Asset, measured: Measured) -> None:
@@ -77,14 +149,11 @@ def force_at_work(plant: Plant, runs: tuple[FitRun, ...]) -> float:
 
 
 def gap_folder(asset: Path, measured: Path, out: Path, settings: GapSettings = DEFAULTS) -> Verdict:
-    """`find_gap` from folders to a folder, which appears whole or not at all."""
-    from freeart21.files.asset import read_asset
-    from freeart21.files.atomic import new_folder
-    from freeart21.files.measured import read_measured
-
+    """`find_gap` from folders to a folder with verdict, repaired asset and page, which appears whole or not at all."""
     runs = read_measured(measured)
     loaded = read_asset(asset, runs.joint)
     with new_folder(out, replace=True) as aside:
-        verdict = find_gap(loaded, runs, settings)
-        verdict.write(aside / "verdict.json", runs.joint_type)
-    return verdict
+        began = time.perf_counter()
+        draft = explain(loaded, runs, settings)
+        seconds = time.perf_counter() - began
+        return publish(loaded, runs, draft, aside, Path(measured).resolve().name, seconds, settings.seed)

@@ -1,0 +1,142 @@
+"""From what stands to what is said: names with intervals, rivals and the experiment that parts them, and a sentence."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simgap.choose import Choice, Judged, unit_of
+from simgap.data import FitRun
+from simgap.experiment import next_experiment
+from simgap.fit import Fit, Problem
+from simgap.floor import Floor
+from simgap.settings import ChoiceSettings
+from simgap.verdict import Named, RunGap, Verdict
+from simgap.words import amount, effect_words, plain
+
+_NORMAL_90 = 1.645
+
+
+def moves_enough(runs: tuple[FitRun, ...], floor: Floor, settings: ChoiceSettings) -> bool:
+    """Whether any run moves by more than the sensor's noise can hide."""
+    return max(float(np.ptp(run.q)) for run in runs) > settings.least_motion * floor.still
+
+
+def still_verdict(runs: tuple[FitRun, ...], floor: Floor) -> Verdict:
+    """Nothing moved: nothing is known."""
+    gaps = tuple(RunGap(r.name, floor.still, floor.still, floor.still, bool(r.held_out), r.regime) for r in runs)
+    return Verdict(
+        "not_excited",
+        (),
+        (),
+        gaps,
+        (),
+        "Let it go from far off its rest position, or push it through its whole range, and record again.",
+        "The joint hardly moved: these runs cannot tell whether anything is missing in the simulation.",
+    )
+
+
+def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: Problem) -> Verdict:
+    """The verdict of a choice."""
+    before = choice.base
+    if not choice.gap:
+        said = (
+            f"Simulation and measurement agree: what is left ({_length(before.floors * floor.still, problem)}) "
+            "is the sensor's noise and what the asset is known to be off by."
+        )
+        return Verdict("no_gap", (), (), _gaps(runs, before, before, floor), (), None, said)
+    if not choice.explaining:
+        said = (
+            f"Simulation and measurement differ by {_length(before.floors * floor.still, problem)}, and no effect of "
+            f"the library explains it; the nearest, {_listed(choice.best)}, leaves "
+            f"{_length(choice.best.floors * floor.still, problem)}."
+        )
+        return Verdict("unexplained", (), (), _gaps(runs, before, before, floor), (), None, said)
+    best = choice.explaining[0]
+    named = named_effects(best)
+    gaps = _gaps(runs, before, best, floor)
+    kind = problem.plant.joint_type
+    words = " and ".join(effect_words(n.effect, kind) for n in named)
+    if len(choice.explaining) > 1:
+        sets = tuple(j.names for j in choice.explaining)
+        experiment = next_experiment([j.fit for j in choice.explaining], runs)
+        or_else = ", or ".join(_listed(j) for j in choice.explaining)
+        return Verdict("ambiguous", named, (), gaps, sets, experiment, f"These runs cannot decide: {or_else}.")
+    idle = [n.effect.name for n in named if _unknown(n)]
+    if idle:
+        said = f"Something is missing, perhaps {words}, but these runs do not move enough of it to say how much."
+        wider = "Record larger and smaller motions over the whole range, with pushes of known size."
+        return Verdict("not_excited", named, (), gaps, (), wider, said)
+    closed = 1 - best.floors / before.floors
+    said = f"The simulation misses this: {words}. With it {closed:.0%} of the gap on runs that were not fitted is gone."
+    return Verdict("named", named, (), gaps, (), None, said)
+
+
+def named_effects(judgement: Judged) -> tuple[Named, ...]:
+    """The effects with 90 % intervals, strongest first: the one without which most would be left."""
+    fit = judgement.fit
+    ranges = fit.theory.ranges()
+    spread = _NORMAL_90 * np.sqrt(np.diag(_covariance(fit)) * unit_of(judgement))
+    found = []
+    for effect in fit.effects:
+        own = {r.name: i for i, r in enumerate(ranges) if r.owner == effect.name}
+        specs = effect.parameters()
+        low = {n: float(max(fit.theta[i] - spread[i], specs[n].lower)) for n, i in own.items()}
+        high = {n: float(min(fit.theta[i] + spread[i], specs[n].upper)) for n, i in own.items()}
+        i = min(own.values())
+        weight = (fit.theta[i] - (1.0 if effect.name in ("actuator_gain", "encoder_scale") else 0.0)) ** 2 * fit.normal[
+            i, i
+        ]
+        found.append((float(weight), Named(effect, low, high)))
+    found.sort(key=lambda pair: -pair[0])
+    return tuple(named for _, named in found)
+
+
+def _covariance(fit: Fit) -> np.ndarray:
+    scale = np.sqrt(np.maximum(np.diag(fit.normal), 1e-300))
+    scaled = fit.normal / np.outer(scale, scale)
+    return np.linalg.pinv(scaled, rcond=1e-10, hermitian=True) / np.outer(scale, scale)
+
+
+def _unknown(named: Named) -> bool:
+    """Whether even the size of the effect is unknown within a factor of some."""
+    first = next(iter(named.low))
+    value, low, high = getattr(named.effect, first), named.low[first], named.high[first]
+    about = 1.0 if named.effect.name in ("actuator_gain", "encoder_scale") else 0.0
+    if any(abs(getattr(named.effect, n) - about) > 0.6 * (named.high[n] - named.low[n]) for n in named.low):
+        return False
+    return bool(high - low > 1.2 * abs(value - about))
+
+
+def _gaps(runs: tuple[FitRun, ...], before: Judged, after: Judged, floor: Floor) -> tuple[RunGap, ...]:
+    """Root mean squares of every run: held out where it was, else as fitted."""
+
+    def size(judgement: Judged, run: FitRun) -> float:
+        residual = judgement.strict.get(run.name, judgement.fit.residuals.get(run.name))
+        if residual is None:  # a single run was cut into stretches
+            parts = [r for name, r in judgement.strict.items() if name.startswith(f"{run.name}#")]
+            residual = np.concatenate(parts)
+        return float(np.sqrt(np.mean((residual * _sigmas(residual, run)) ** 2)))
+
+    return tuple(
+        RunGap(
+            run.name,
+            size(before, run),
+            size(after, run),
+            float(np.sqrt(np.mean(run.sigma**2))),
+            bool(run.held_out),
+            run.regime,
+        )
+        for run in runs
+    )
+
+
+def _sigmas(residual: np.ndarray, run: FitRun) -> np.ndarray:
+    return run.sigma if len(run.sigma) == len(residual) else np.full(len(residual), float(np.mean(run.sigma)))
+
+
+def _listed(judgement: Judged) -> str:
+    return " with ".join(f"{plain(name)} ({name})" for name in judgement.names)
+
+
+def _length(value: float, problem: Problem) -> str:
+    return amount(value, "rad" if problem.plant.joint_type == "revolute" else "m")
