@@ -30,6 +30,7 @@ from simgap.pose_model import (
     Rock,
     Track,
     Weighting,
+    bounds,
     effect_of,
     named_effects,
     priors,
@@ -53,6 +54,10 @@ class KinematicsSettings:
     """p-value that every named effect must reach on runs that it was not fitted to."""
     least_share: float = 0.03
     """Share of the noise's loss by which an effect must lower the held-out loss: about 0.17 floors of displacement."""
+    form: float = 0.1
+    """Part of the whole displacement that may be a named effect's real form being other than the library's: what
+    closes no more than that has no name of its own. Rocking goes with time, so neither is it the form of another effect
+    nor is another one its form."""
     unexplained_floors: float = 0.5
     """Floors of displacement, besides the named effects, that a free function of the joint's position explains."""
     closed: float = 0.75
@@ -61,7 +66,7 @@ class KinematicsSettings:
     """Motion, rad and m, below which nothing can be said."""
     registration_std: tuple[float, float] = (1e-3, 1e-3)
     """Metres and radians by which the tracker's idea of the part's frame may be off: a constant, no effect."""
-    most_frames: int = 1500
+    most_frames: int = 1000
     """Frames, of all runs together, that the search looks at: poses next to each other say the same."""
 
 
@@ -140,6 +145,7 @@ def find_geometry(
         lin,
         names,
         priors(names, weighting),
+        bounds(names, weighting),
         problem.units,
         pose_search.subsets_of(candidates, settings.most_effects),
         frequencies,
@@ -244,12 +250,15 @@ def _pruned(
     """The subset without members whose absence costs too little or is not significant; p-values of the others."""
     tests = len(losses.subsets) - 1  # what was looked at before this was chosen
     while chosen:
+        whole = losses.mean((ROCK,) if ROCK in chosen else ()) - losses.mean(chosen)
         drops = []
         for name in chosen:
             fewer = tuple(n for n in chosen if n != name)
             gain, p = losses.gain(losses.of(fewer), losses.of(chosen))
-            drops.append((gain / losses.mean(chosen), min(1.0, p * tests), name))
-        if all(gain >= settings.least_share and p <= settings.level for gain, p, _ in drops):
+            drops.append((gain, min(1.0, p * tests), name))
+        least = settings.least_share * losses.mean(chosen)
+        formed = max(least, settings.form**2 * whole)
+        if all(gain >= (least if n == ROCK else formed) and p <= settings.level for gain, p, n in drops):
             return chosen, tuple(p for _, p, _ in drops)
         weakest = min(drops, key=lambda d: d[0])[2]
         chosen = tuple(n for n in chosen if n != weakest)

@@ -31,6 +31,8 @@ STATIC: dict[str, int] = {"axis_tilt": 2, "pivot_offset": 2, "screw_pitch": 1, "
 """Effects that depend on the joint's position alone, and how many coordinates each has; first one outermost."""
 _STEP = 1e-5  # of a coordinate's scale in central differences
 _SCALES = {"axis_tilt": 0.02, "pivot_offset": 0.005, "screw_pitch": 0.005, "sag": 1e-3, "eccentricity": 0.002}
+_DONE = 1e-3  # scales by which the last round moved a coordinate
+_MOST_REGISTRATION = 3.0  # standard deviations: beyond, it is no longer the tracker
 _WIDE = 100.0  # scales: standard deviation of the prior that keeps unexcited coordinates finite
 
 
@@ -218,13 +220,13 @@ class PoseModel:
         for _ in range(rounds):
             lin = self.linear(point, q, weighting)
             A, b = normal_equations(lin.columns, lin.data - self.rocking(lin, point), frames)
-            found = np.asarray(np.linalg.solve(A + np.diag(prior), b), float)
+            found = solved_within(A + np.diag(prior), b, *bounds(point.names, weighting))
             k = len(point.values)
-            moved = replace(point, values=bounded(point.names, found[:k]), registration=found[k:])
-            change = np.abs(moved.values - point.values).max(initial=0.0)
+            moved = replace(point, values=found[:k], registration=found[k:])
+            change = np.abs((moved.values - point.values) / coordinate_scales(point.names)).max(initial=0.0)
             point = moved
             q = self.positions(point, weighting, q, rounds=2)
-            if change < 1e-7:
+            if change < _DONE:
                 break
         return point, q
 
@@ -268,14 +270,28 @@ class PoseModel:
         return np.stack(columns, -1) if columns else np.zeros((len(q), 6, 0))
 
 
-def bounded(names: tuple[str, ...], values: Array) -> Array:
-    """Coordinates with those of one-sided effects not below zero."""
-    at, out = 0, np.array(values)
-    for name in names:
-        if name == "sag":
-            out[at] = max(out[at], 0.0)
-        at += STATIC[name]
-    return out
+def bounds(names: tuple[str, ...], weighting: Weighting) -> tuple[Array, Array]:
+    """(k + 6,) twice: what coordinates and registration can be at all: no sag upwards, a tracker not far off."""
+    low = np.concatenate([np.full(STATIC[name], 0.0 if name == "sag" else -np.inf) for name in names] or [np.zeros(0)])
+    metres, radians = weighting.registration_std
+    box = _MOST_REGISTRATION * np.repeat([metres, radians], 3)
+    return np.concatenate([low, -box]), np.concatenate([np.full(len(low), np.inf), box])
+
+
+def solved_within(A: Array, b: Array, low: Array, high: Array) -> Array:
+    """(k,) x of least x A x / 2 - b x, each within its bounds; those beyond are put on them, until none is."""
+    x = np.asarray(np.linalg.solve(A, b), float)
+    held = np.zeros(len(b), bool)
+    for _ in range(len(b)):
+        out = ~held & ((x < low) | (x > high))
+        if not out.any():
+            break
+        held |= out
+        x[held] = np.clip(x, low, high)[held]
+        free = ~held
+        if free.any():
+            x[free] = np.linalg.solve(A[np.ix_(free, free)], b[free] - A[np.ix_(free, held)] @ x[held])
+    return np.clip(x, low, high)
 
 
 def priors(names: tuple[str, ...], weighting: Weighting) -> Array:

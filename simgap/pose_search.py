@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.se3 import Array
-from simgap.pose_model import STATIC, Linear, waves_at
+from simgap.pose_model import STATIC, Linear, solved_within, waves_at
 
 ROCK = "wobble"
 _RIDGE = 1e-9
@@ -70,6 +70,7 @@ def held_out_losses(
     lin: Linear,
     names: tuple[str, ...],
     prior: Array,
+    limits: tuple[Array, Array],
     units: NDArray[np.int64],
     subsets: tuple[tuple[str, ...], ...],
     frequencies: Sequence[float | None],
@@ -81,6 +82,7 @@ def held_out_losses(
         lin: the model about its fit with all `names`.
         names: static effects, as the columns of `lin` have them.
         prior: (k + 6,) precisions.
+        limits: (k + 6,) lowest and highest values.
         units: (n,) what losses are averaged over.
         subsets: of `names` and ROCK.
         frequencies: Hz of rocking for each fold, found without it; None for no candidate.
@@ -102,7 +104,7 @@ def held_out_losses(
             grams = rocked if rocks and rocked is not None else plain
             A = sum((grams[g][0] for g in numbers if g != f), np.zeros_like(plain[f][0]))
             b = sum((grams[g][1] for g in numbers if g != f), np.zeros_like(plain[f][1]))
-            x = _solved(A, b, prior, use, at, subset)
+            x = solved_within(A[np.ix_(use, use)] + np.diag(prior[use]), b[use], *(ends[use] for ends in limits))
             left = lin.data[here] - lin.columns[here][:, :, use] @ x
             if rocks and frequency is not None:
                 left = _rocks_taken_out(left, lin.rocks[here], lin.times_s[here], frequency)
@@ -191,20 +193,6 @@ def _gram(columns: Array, data: Array) -> tuple[Array, Array]:
 def _ridge(A: Array, b: Array, prior: Array | float = 0.0) -> Array:
     ridge = np.broadcast_to(prior, len(b)) + _RIDGE * (np.trace(A) / len(b) + 1e-300)
     return np.asarray(np.linalg.solve(A + np.diag(ridge), b), float)
-
-
-def _solved(
-    A: Array, b: Array, prior: Array, use: list[int], at: dict[str, list[int]], subset: tuple[str, ...]
-) -> Array:
-    """(len(use),) coordinates; a sag that would lift the part is none."""
-    x = np.linalg.solve(A[np.ix_(use, use)] + np.diag(prior[use]), b[use])
-    if "sag" in subset:
-        i = use.index(at["sag"][0])
-        if x[i] < 0:
-            rest = [u for u in use if u != at["sag"][0]]
-            y = np.linalg.solve(A[np.ix_(rest, rest)] + np.diag(prior[rest]), b[rest])
-            return np.insert(y, i, 0.0)
-    return np.asarray(x)
 
 
 def _rock_columns(rocks: Array, times_s: Array, frequency: float) -> Array:
