@@ -252,7 +252,7 @@ def test_every_hidden_effect_shows_in_the_motion(name: str):
     case = cases.draw_case(Wish("single", (name,), "full", family), 3)
     assert case.ratio >= 5
     weak = cases.draw_case(Wish("single", (name,), "full", family, "weak"), 3)
-    if name in effects.START and name != "end_stop_bounce":  # slow impacts always bounce, there
+    if name in effects.START and case.hidden[0].size > effects.SMALLEST.get(name, 0.0):
         assert weak.hidden[0].size < case.hidden[0].size
 
 
@@ -298,12 +298,12 @@ def test_the_urdf_says_the_body_that_moves(tmp_path: Path):
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory):
-    """A hundred small cases of one rig under seal; sizes of effects are the table's."""
+    """Small cases of one rig under seal; sizes of effects are the table's."""
     folder = tmp_path_factory.mktemp("sealed")
     vault = sealed.Vault(folder / "out", folder / "vault")
     names = list(effects.START)
     drawn = {}
-    for i in range(96):
+    for i in range(64):
         family = ("pendulum", "door")[i // 2 % 2]
         hidden = (names[i // 4 % len(names)],) if i % 2 else ()
         wish = Wish("single" if hidden else "null", hidden, "full", family)

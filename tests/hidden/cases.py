@@ -292,6 +292,8 @@ def wishes(seed: int, share: float = 1.0) -> list[Wish]:
                 else:
                     rig = "full"
                 found.append(Wish("single", (name,), rig, kind, strength))
+    for name in ("viscous_damping", "quadratic_drag", "return_spring"):
+        found += [Wish("single", (name,), "swing", "pendulum") for _ in range(count(6))]
     for name in poses.KINEMATIC:
         for _ in range(count(8)):
             hinge = name in poses.REVOLUTE_ONLY

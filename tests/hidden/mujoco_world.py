@@ -28,6 +28,16 @@ def able(world: World) -> bool:
     return powers and not [n for n in used if not n.endswith("_power")] and world.link != GAP
 
 
+def sayable(world: World) -> World:
+    """The nearest world that MuJoCo can say: losses by the first and second power, mixed a little to be neither."""
+    if world.viscous:
+        mixed = world.drag + 0.04 * world.viscous
+        return world._replace(viscous_power=1.0, drag_power=2.0, drag=mixed)
+    if world.drag:
+        return world._replace(viscous=0.04 * world.drag, viscous_power=1.0, drag_power=2.0)
+    return world
+
+
 def mjcf(world: World, revolute: bool) -> str:
     """One joint, or a rotor and a part behind a spring, without gravity: gravity's pull is applied as a force."""
     kind = "hinge" if revolute else "slide"

@@ -257,8 +257,9 @@ def _run(p, q0, v0, breaks, is_sample, times, commands, has_command, efforts, ki
         fine = longest
         if p.stop_stiffness > 0.0:  # fast only where it is pressed in
             reach = 3.0 * abs(y[1]) * (end - t) + 1e-3 * (p.upper - p.lower)
-            if y[0] - p.lower < reach or p.upper - y[0] < reach:
-                fine = min(longest, 2e-5)
+            pace = abs(y[1]) / (p.upper - p.lower)
+            if (y[0] - p.lower < reach or p.upper - y[0] < reach) and pace > 1e-4:
+                fine = min(longest, 0.04 * longest * min(max(pace**-0.2, 1.0), 6.0))  # an impact lasts v^-1/5
         steps = max(1, int(np.ceil((end - t) / fine)))
         h = (end - t) / steps
         for _ in range(steps):
@@ -328,12 +329,15 @@ def _run(p, q0, v0, breaks, is_sample, times, commands, has_command, efforts, ki
 
 def longest_step(world: World) -> float:
     """Seconds of a step that resolves the fastest thing in this world."""
+    most = 2e-4 if world.friction + world.friction_rise + world.friction_load > 0 else 5e-4
+    if world.link == RIGID:
+        return most
+    servo = max(np.sqrt(world.stiffness / world.link_inertia), world.damping / world.link_inertia)
     if world.link == GAP:
-        return 1e-4
-    if world.link == ELASTIC:
-        light = world.inertia * world.link_inertia / (world.inertia + world.link_inertia)
-        return float(min(5e-4, 0.05 / np.sqrt(world.link_stiffness / light)))
-    return 2e-4 if world.friction + world.friction_rise + world.friction_load > 0 else 5e-4
+        return float(min(1e-4, 0.3 / max(servo, 1e-9)))
+    light = world.inertia * world.link_inertia / (world.inertia + world.link_inertia)
+    shaft = max(np.sqrt(world.link_stiffness / light), world.link_damping / light)
+    return float(min(most, 0.1 / max(servo, shaft, 1e-9)))
 
 
 def simulate(

@@ -13,13 +13,14 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import secrets
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hidden import poses
+from hidden import mujoco_world, poses
 from hidden.cases import Case, changed
 from hidden.nuisance import (
     GRAVITY_RELATIVE,
@@ -52,6 +53,8 @@ def runs_of(case: Case, solve=simulate) -> list[Recorded]:
     rng = np.random.default_rng([case.seed, 3])
     base = with_servo(true_world(case.body, case.nuisance), case.servo)
     world, reading = changed(base, case.body, case.hidden)
+    if solve is mujoco_world.simulate:
+        world = mujoco_world.sayable(world)
     commanded = case.wish.rig == "effort"
     most = float(np.hypot(case.nuisance.noise, case.nuisance.quantum / 3.5))
     found = []
@@ -174,24 +177,27 @@ class Vault:
         self.out, self.vault = out, vault
         self.ledger = vault / "ledger.jsonl"
 
-    def seal(self, cases: dict[str, Case], solves: dict[str, Any] | None = None) -> None:
-        """Write all cases and labels; ids are the keys. Goes on where a killed run stopped."""
+    def prepare(self) -> None:
+        """Make the vault and its salt."""
         self.vault.mkdir(parents=True, exist_ok=True)
         salt = self.vault / "salt"
         if not salt.is_file():
-            import secrets
-
             salt.write_text(secrets.token_hex(32))
+
+    def seal(self, cases: dict[str, Case]) -> None:
+        """Write all cases and labels; ids are the keys. Goes on where a killed run stopped."""
+        self.prepare()
         for name, case in cases.items():
-            self.add(name, case, (solves or {}).get(name, simulate))
+            self.add(name, case)
         self.publish()
 
-    def add(self, name: str, case: Case, solve=simulate, more: dict[str, Any] | None = None) -> None:
-        """One more case: its files appear last of all, its label before them."""
+    def add(self, name: str, case: Case) -> None:
+        """One more case: its files appear last of all, its label before them. Some free swings are MuJoCo's."""
         folder = self.out / "cases" / name
         if folder.is_dir():
             return
-        label = {"id": name, **case.label(), **(more or {})}
+        solve = engine_of(case)
+        label = {"id": name, **case.label(), "engine": "ode" if solve is simulate else "mujoco"}
         with (self.vault / "labels.jsonl").open("a") as file:
             file.write(json.dumps(label, default=float) + "\n")
         aside = self.out / f".{name}.part"
@@ -235,6 +241,13 @@ class Vault:
             if manifest.get(name) != self._hash(labels[name]):
                 raise SealBroken(f"the label of case {name} is not the one that was published")
         return {name: labels[name] for name in verdicts}
+
+
+def engine_of(case: Case) -> Any:
+    """MuJoCo for swings that never meet a stop, where it can say what is hidden; else our own equations."""
+    world, _ = changed(with_servo(true_world(case.body, case.nuisance), case.servo), case.body, case.hidden)
+    fit = case.wish.rig == "swing" and case.seed % 2 and mujoco_world.able(mujoco_world.sayable(world))
+    return mujoco_world.simulate if fit else simulate
 
 
 def case_id(seed: int, i: int) -> str:
