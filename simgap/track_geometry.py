@@ -67,7 +67,7 @@ def track_geometry(
         after,
         displacement(before, lever),
         displacement(after, lever),
-        displacement(noise, lever) * np.sqrt(len(noise)),
+        float(displacement(noise, lever) * np.sqrt(len(noise))),
         held_out,
     )
 
