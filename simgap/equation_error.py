@@ -21,7 +21,7 @@ from simgap.swings import reversals, unit_numbers
 _ORDER = 4  # of the local polynomials
 _SHORTEST = 7  # readings of a window
 _WINDOWS_PER_HALF_SWING = 6  # what is narrower is blurred, and noise grows with the power 2.5
-_IMPACT_READINGS = 12  # on either side of an impact
+_IMPACT_READINGS = (5, 12)  # fewest and most on either side of an impact
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,11 @@ def _impacts(t: Array, raw: Array, touching: NDArray[np.bool_]) -> list[list[flo
     Speeds by parabolas through some readings on either side, for after a dead stop gravity may take the part away too.
     """
     found: list[list[float]] = []
-    middle, n = 0.5 * (float(raw.max()) + float(raw.min())), _IMPACT_READINGS
+    middle = 0.5 * (float(raw.max()) + float(raw.min()))
+    half_swing = len(raw) / max(len(reversals(raw, 0.1 * float(np.ptp(raw)))), 1)
+    n = min(int(half_swing / 8), _IMPACT_READINGS[1])  # in longer stretches gravity would turn the motion round
+    if n < _IMPACT_READINGS[0]:
+        return []
     for i in np.flatnonzero(touching[1:] & ~touching[:-1]) + 1:
         side = 1.0 if raw[i] > middle else -1.0
         stretch = side * raw[i : i + n]

@@ -357,7 +357,7 @@ def _finding(
         tuple(high for _, high in ends),
         rivals,
         tuple(track_geometry(t, out, mechanics, weighting, plain, point) for t, out in zip(tracks, flags, strict=True)),
-        tuple(sorted(ranking, key=lambda row: row[1])[:12]),
+        tuple(sorted(ranking, key=lambda row: row[1])),
         remainder,
         _experiment(rivals) if rivals else None,
         (plain.registration, point.registration),

@@ -16,7 +16,7 @@ from simgap.equation_error import missing_force
 from simgap.kinematics import KinematicsFinding
 from simgap.localise import ResidualMap, residual_maps, where
 from simgap.placing import Placed, place
-from simgap.report import Gap, Ranked, write_report
+from simgap.report import GEOMETRY, Gap, Ranked, write_report
 from simgap.show import Off, PosesReplayed, Replayed, Shown, show
 from simgap.surrogate import Nuisance, Plant
 from simgap.track_geometry import lever_of, middle_of
@@ -26,8 +26,6 @@ from simgap.writeback import repaired
 MOST_REPLAYS = 6
 """Runs that SAPIEN replays; of every regime some."""
 _MOST_POSES = 150
-GEOMETRY = "geometry"
-"""Regime of a gap that is counted in metres off the joint."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,10 +18,12 @@ from simgap.localise import LEVEL, ResidualMap
 from simgap.report_plots import AFTER, BEFORE, Line, chart, interval_drawing, map_drawing, p_text, run_drawings
 from simgap.show import Shown
 from simgap.track_geometry import TrackGeometry
-from simgap.verdict import Verdict
+from simgap.verdict import RunGap, Verdict
 from simgap.words import capital, effect_words, number_text, plain
 
-MOST_RUNS = 6
+GEOMETRY = "geometry"
+"""Regime of a gap that is counted in metres off the joint."""
+MOST_RUNS = 4
 """Held-out runs that are drawn."""
 _WORDS = {
     "no_gap": "No gap",
@@ -70,13 +73,20 @@ def write_report(path: Path, gap: Gap) -> None:
 def page(gap: Gap) -> str:
     """The page as HTML."""
     verdict = gap.verdict
-    held = [g for g in verdict.gaps if g.held_out]
-    chips = [f"joint {gap.joint}, {gap.joint_type}", f"{len(verdict.gaps)} runs, {len(held)} held out"]
+    runs = {g.run: g.held_out for g in verdict.gaps}
+    chips = [f"joint {gap.joint}, {gap.joint_type}", f"{len(runs)} runs, {sum(runs.values())} held out"]
     if gap.seconds is not None:
         chips.append(f"{gap.seconds:.1f} s")
-    sections = [_answer(gap), *_parameters(gap), *_doubt(gap), *_runs(gap), *_maps(gap), *_geometry(gap)]
-    sections += [*_ranking(gap), *_gaps(gap)]
-    return document(gap.title, sections, "gap", chips)
+    sections = [_answer(gap), *_parameters(gap), *_doubt(gap)]
+    motion, geometry = [*_runs(gap), *_maps(gap)], _geometry(gap)
+    sections += [*motion, *geometry] if _moves_otherwise(gap) else [*geometry, *motion]
+    return document(gap.title, [*sections, *_ranking(gap), *_gaps(gap)], "gap", chips)
+
+
+def _moves_otherwise(gap: Gap) -> bool:
+    """Whether the answer is (also) about the motion, not about the joint's geometry alone."""
+    kinds = [named.effect.kind for named in gap.verdict.effects]
+    return not kinds or any(kind != "kinematics" for kind in kinds)
 
 
 def _answer(gap: Gap) -> Section:
@@ -93,26 +103,43 @@ def _answer(gap: Gap) -> Section:
 
 
 def _tiles(gap: Gap) -> list[str]:
-    runs = [g for g in gap.verdict.gaps if g.held_out] or list(gap.verdict.gaps)
-    if not runs:
-        return []
+    """Gap before, after, floor, and how much is closed: of the motion, and of the poses off the joint."""
+    tiles = []
+    motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY]
+    if _moves_otherwise(gap) and motion:
+        tiles += _sizes(motion, lambda v: length_text(v, gap.joint_type), "", gap.shown is not None)
+        tiles += _closed(gap) if gap.shown is not None else []
+    off = [g for g in gap.verdict.gaps if g.regime == GEOMETRY]
+    if off:
+        tiles += _sizes(off, metres_text, "off the joint, ", True)
+    return tiles
+
+
+def _sizes(gaps: list[RunGap], text: Callable[[float], str], what: str, replayed: bool) -> list[str]:
+    """Tiles of the gap before and after, and of the floor."""
+    held = [g for g in gaps if g.held_out]
+    where = "on runs never fitted" if held else "on the fitted runs"
+    judged = [g for g in held or gaps if not replayed or np.isfinite(g.after)] or held or gaps
     before, after, floor = (
-        float(np.sqrt(np.mean([getattr(r, name) ** 2 for r in runs]))) for name in ("before", "after", "floor")
+        float(np.sqrt(np.mean([getattr(g, name) ** 2 for g in judged]))) for name in ("before", "after", "floor")
     )
-    where = "on runs never fitted" if any(r.held_out for r in runs) else "on the fitted runs"
-    tiles = [_tile(length_text(before, gap.joint_type), f"gap before, {where}", f"{before / floor:.1f} floors")]
-    if np.isfinite(after) and gap.shown is not None:
-        tiles.append(_tile(length_text(after, gap.joint_type), "gap after, in SAPIEN", f"{after / floor:.1f} floors"))
-    tiles.append(_tile(length_text(floor, gap.joint_type), "floor: the sensor's noise", ""))
-    if gap.shown is not None:
-        fitted = {r.regime for r in gap.verdict.gaps if not r.held_out}
-        regimes = {r.regime for r in gap.shown.runs}
-        same, other = gap.shown.closed(regimes & fitted or regimes), gap.shown.closed(regimes - fitted)
-        if same is not None:
-            tiles.append(_tile(f"{100 * same:.0f} %", "of the gap closed", "same kind of motion as was fitted"))
-        if other is not None and regimes & fitted and regimes - fitted:
-            kinds = ", ".join(sorted(regimes - fitted))
-            tiles.append(_tile(f"{100 * other:.0f} %", "closed in other motion", kinds))
+    tiles = [_tile(text(before), f"gap before, {what}{where}", f"{before / floor:.1f} floors")]
+    if replayed and np.isfinite(after):
+        tiles.append(_tile(text(after), f"gap after, {what}in SAPIEN", f"{after / floor:.1f} floors"))
+    return [*tiles, _tile(text(floor), f"floor, {what}the sensor's noise", "")]
+
+
+def _closed(gap: Gap) -> list[str]:
+    """Tiles of the part of the gap that is closed, in motion as was fitted and in other."""
+    assert gap.shown is not None
+    fitted = {r.regime for r in gap.verdict.gaps if not r.held_out}
+    regimes = {r.regime for r in gap.shown.runs}
+    same, other = gap.shown.closed(regimes & fitted or regimes), gap.shown.closed(regimes - fitted)
+    tiles = []
+    if same is not None:
+        tiles.append(_tile(f"{100 * same:.0f} %", "of the gap closed", "same kind of motion as was fitted"))
+    if other is not None and regimes & fitted and regimes - fitted:
+        tiles.append(_tile(f"{100 * other:.0f} %", "closed in other motion", ", ".join(sorted(regimes - fitted))))
     return tiles
 
 
@@ -171,7 +198,7 @@ def _runs(gap: Gap) -> list[Section]:
     """Held-out runs before and after, as SAPIEN replays them."""
     if gap.shown is None:
         return []
-    runs = sorted(gap.shown.runs, key=lambda r: not r.held_out)[:MOST_RUNS]
+    runs = sorted(gap.shown.runs, key=lambda r: not r.held_out)[: MOST_RUNS if _moves_otherwise(gap) else 1]
     sections = []
     for run in runs:
         figures, data = run_drawings(run, gap.joint_type)
@@ -216,13 +243,17 @@ def _geometry(gap: Gap) -> list[Section]:
             (slice(3, 6), "Off the joint: turn", "°", 180 / np.pi),
         )
     )
+    chosen = tuple(sorted(e.name for e in g.effects))
+    shown = [r for r in g.ranking if len(r[0]) < 2 or tuple(sorted(r[0])) == chosen or r[0] in g.rivals]
     rows = [
         (
             capital(" and ".join(plain(n) for n in names) or "the asset's ideal joint"),
+            ", ".join(names),
             f"{np.sqrt(loss):.2f}",
             p_text(p) if names else "",
+            "chosen" if tuple(sorted(names)) == chosen and names else "rival" if names in g.rivals else "",
         )
-        for names, loss, p in g.ranking[:6]
+        for names, loss, p in shown
     ]
     what = f"Run {track.name}" + (", held out" if track.held_out else "")
     note = (
@@ -230,10 +261,10 @@ def _geometry(gap: Gap) -> list[Section]:
         + capital("; ".join(effect_words(e, gap.joint_type) for e in g.effects))
     )
     table = table_section(
-        "Geometry, by held-out poses",
+        "Explanations of the geometry, by held-out poses",
         rows,
-        ("", "error, in floors", "p of no gain"),
-        "small",
+        ("", "", "error, in floors", "p of no gain", ""),
+        "full",
         f"{g.remainder_floors:.1f} floors of displacement go with the position and have no name.",
     )
     drawing = Section(
@@ -276,19 +307,15 @@ def _ranking(gap: Gap) -> list[Section]:
 
 def _gaps(gap: Gap) -> list[Section]:
     """All runs in numbers."""
-    rows = [
-        (
-            g.run,
-            "held out" if g.held_out else "fitted",
-            g.regime,
-            length_text(g.before, gap.joint_type),
-            length_text(g.after, gap.joint_type) if np.isfinite(g.after) else "-",
-            length_text(g.floor, gap.joint_type),
-        )
-        for g in gap.verdict.gaps
-    ]
+    rows = []
+    for g in gap.verdict.gaps:
+        sizes = [
+            "-" if not np.isfinite(v) else metres_text(v) if g.regime == GEOMETRY else length_text(v, gap.joint_type)
+            for v in (g.before, g.after, g.floor)
+        ]
+        rows.append((g.run, "held out" if g.held_out else "fitted", g.regime, *sizes))
     note = ""
-    if gap.shown is not None:
+    if gap.shown is not None and gap.shown.runs:
         note = (
             f"Replayed in a fresh process in SAPIEN at {1e3 * gap.shown.timestep_s:g} ms; halving that changes the "
             f"longest run by {gap.shown.numerics:.2g} floors."
@@ -296,8 +323,13 @@ def _gaps(gap: Gap) -> list[Section]:
     return [table_section("Runs", rows, ("", "", "motion", "gap before", "after", "floor"), "full", note)]
 
 
+def metres_text(value: float) -> str:
+    """A displacement in millimetres."""
+    return f"{1e3 * value:.2g} mm" if value < 0.0995 else f"{1e3 * value:.0f} mm"
+
+
 def length_text(value: float, kind: JointType) -> str:
     """A joint's position or a difference of two, in degrees or millimetres."""
     if kind == "prismatic":
-        return f"{1e3 * value:.2g} mm" if value < 0.0995 else f"{1e3 * value:.0f} mm"
+        return metres_text(value)
     return f"{display_unit(kind)[1] * value:.2g}°"

@@ -219,7 +219,7 @@ def _force_unit(m: ResidualMap, kind: JointType) -> tuple[float, str]:
 def _map_ticks(m: ResidualMap, factor: float, unit: str, ends: Array, height: int) -> list[str]:
     if m.labels:
         middles = 0.5 * (ends[1:] + ends[:-1])
-        every = max(1, len(m.labels) // 6)
+        every = -(-len(m.labels) // 4)
         named = [(x, label) for x, label in zip(middles, m.labels, strict=True)][::every]
     else:
         low, high = factor * m.edges[0], factor * m.edges[-1]
