@@ -3,8 +3,9 @@
     .venv/bin/python benchmarks/simgap_answer.py CASES ANSWERS [--workers 2] [--jobs JOBS.json]
 
 CASES/ID/{asset,measured} becomes ANSWERS/ID/verdict.json, by the function behind `freeart21 gap`, and ANSWERS/ID/
-seconds.json. Answers that are there are kept. JOBS.json may map names of answers to {"case", "without"}: an effect to
-leave out of the library.
+seconds.json: `verdict`, from trajectories to the draft of a verdict, and `whole`, with SAPIEN's replay and the page.
+Answers that are there are kept. JOBS.json may map names of answers to {"case", "without"}: an effect to leave out of
+the library.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ def answer(case: Path, out: Path, without: str | None) -> None:
     from simgap import workflow
 
     took: list[float] = []
-    ask = workflow.find_gap
+    ask = workflow.explain
 
     def timed(*given: Any, **named: Any) -> Any:
         began = time.perf_counter()
@@ -40,7 +41,7 @@ def answer(case: Path, out: Path, without: str | None) -> None:
         return found
 
     left_out = EFFECTS.pop(without) if without else None
-    workflow.find_gap = timed
+    workflow.explain = timed
     began = time.perf_counter()
     aside = out.parent / f".{out.name}.part"
     try:
@@ -50,11 +51,12 @@ def answer(case: Path, out: Path, without: str | None) -> None:
         failed = {"verdict": "crashed", "effects": [], "gap": [], "rivals": [], "error": traceback.format_exc()[-2000:]}
         (aside / "verdict.json").write_text(json.dumps(failed))
     finally:
-        workflow.find_gap = ask
+        workflow.explain = ask
         if without and left_out:
             EFFECTS[without] = left_out
     whole = time.perf_counter() - began
     (aside / "seconds.json").write_text(json.dumps({"verdict": took[0] if took else whole, "whole": whole}))
+    (aside / "index.html").unlink(missing_ok=True)  # a megabyte a case
     aside.rename(out)
 
 

@@ -137,6 +137,8 @@ def draw_case(wish: Wish, seed: int, search: bool = True) -> Case:
     """
     rng = np.random.default_rng([seed, 1])
     body = draw_body(rng, wish.family)
+    if wish.stratum == "gauge":
+        body = replace(body, damping=0.0, friction=0.0)  # a known force would set the scale
     servo = draw_servo(rng, body)
     nuisance = draw_nuisance(rng, body)
     plans = draw_plans(rng, body, wish.rig, servo, nominal_times())
