@@ -16,15 +16,8 @@ from scipy.stats import norm
 from freeart21.se3 import Array
 from simgap.data import FitRun
 from simgap.fit import Fit, fitted, placed
-from simgap.search import Search, relaxed
+from simgap.search import PLAINER, Search, relaxed
 from simgap.settings import ChoiceSettings
-
-PLAINER = {
-    "stribeck_friction": "coulomb_friction",
-    "load_friction": "coulomb_friction",
-    "backlash": "armature",
-}
-"""Effect to the one that it becomes in a special case: the plainer one has the name unless it does worse."""
 
 
 @dataclass(frozen=True)
@@ -117,12 +110,14 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         return Choice(base, p, (), best, bar, False, tuple(tried))
     contenders = first
     for size in range(1, settings.max_effects + 1):
-        contenders = [loosened(j, folds) if j.floors > settings.explained else j for j in contenders]
+        contenders = [
+            loosened(j, folds) if settings.explained < j.floors < settings.form_factor * bar else j for j in contenders
+        ]
         standing = [j for j in contenders if j.reach <= bar]
         reach = min((j.reach for j in standing), default=np.inf)
         if reach <= settings.explained or size == settings.max_effects:
             break
-        level = sorted(search.larger(level[: settings.parents]), key=lambda fit: fit.cost)
+        level = search.larger(level[: settings.parents])
         contenders = [judged(fit, folds) for fit in level[: settings.contenders]]
         tried += contenders
         if standing and min(j.floors for j in contenders) > settings.much_better * reach:

@@ -82,12 +82,15 @@ def inputs_of(run: Run, measured: Measured) -> Inputs:
         return Inputs()
     n, nothing = len(run.times_s), np.zeros(len(run.times_s))
     effort = nothing if run.effort is None else run.effort
+    command = np.full(n, np.nan) if run.q_command is None else run.q_command
     commanded = measured.effort_kind == "commanded"
+    series = np.stack([np.nan_to_num(command), effort])
+    new = np.append(True, (np.diff(series) != 0).any(0))  # a value lasts: only where it changes matters
     return Inputs(
-        np.ascontiguousarray(run.times_s),
-        np.full(n, np.nan) if run.q_command is None else run.q_command,
-        effort if commanded else nothing,
-        nothing if commanded else effort,
+        np.ascontiguousarray(run.times_s[new]),
+        command[new],
+        (effort if commanded else nothing)[new],
+        (nothing if commanded else effort)[new],
     )
 
 

@@ -267,7 +267,7 @@ def fitted(
                 damping, moved = max(damping / 10, 1e-9), True
                 break
             damping *= 8
-        if not moved or gain < 1e-4 * cost + 1e-3:
+        if not moved or gain < 1e-4 * cost + 1e-2:
             break
     return Fit(
         theory,
@@ -293,6 +293,17 @@ def settled(theory: Theory, theta: Array, runs: tuple[FitRun, ...]) -> dict[str,
         for run in cut:
             starts.update(fitted(theory, (run,), theta, starts, iterations=6, free=False).starts)
     return starts
+
+
+def resettled(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The fit after a new look at the starts of runs that it misses: an impact may have led them astray."""
+    usual = float(np.median([fit.floors(run.name) for run in runs]))
+    missed = tuple(run for run in runs if fit.floors(run.name) > max(2.0, 1.5 * usual))
+    if not missed:
+        return fit
+    again = placed(fit, missed)
+    better = {run.name: again.starts[run.name] for run in missed if again.floors(run.name) < 0.9 * fit.floors(run.name)}
+    return fitted(fit.theory, runs, fit.theta, {**fit.starts, **better}) if better else fit
 
 
 def predicted(fit: Fit, run: FitRun, times_s: Array | None = None) -> Array:

@@ -64,10 +64,19 @@ class _Linear:
         self.bases = [np.linalg.qr(J.T)[0] for J in starts]
         left = np.concatenate([self._freed(i, r[None])[0] for i, r in enumerate(residuals)])
         rest = np.concatenate([self._freed(i, J) for i, J in enumerate(parameters)], 1)
+        rest = rest[self._free(rest @ left)]
         size = np.linalg.norm(rest, axis=1) if len(rest) else np.zeros(0)
         self.span = np.linalg.qr(rest[size > 1e-9].T)[0] if (size > 1e-9).any() else np.zeros((len(left), 0))
         self.left = left - self.span @ (self.span.T @ left)
         self.cost = float(self.left @ self.left)
+
+    def _free(self, downhill: Array) -> Array:
+        """(p,) whether a parameter may still move, and is not held by a bound."""
+        ranges, theta = self.fit.theory.ranges(), self.fit.theta
+        near = 1e-6 * np.array([r.upper - r.lower for r in ranges])
+        low = theta <= np.array([r.lower for r in ranges]) + near
+        high = theta >= np.array([r.upper for r in ranges]) - near
+        return np.asarray(~((low & (downhill < 0)) | (high & (downhill > 0))))
 
     def _freed(self, i: int, rows: Array) -> Array:
         """(m, n) changes of run i, its start being free."""
@@ -104,8 +113,21 @@ class _Linear:
             }
             taken = self.left - A @ np.array([values[r.name] - point[r.name] for r in sizes])
             found.append(Guess(name, {**point, **values}, float(taken @ taken)))
+        if len(own) == 2 and len(sizes) == 1 and len(grid) == _PLACES:
+            found += self._between(name, own, columns[0], columns[-1], float(grid[0][0]), float(grid[-1][0]))
         found.sort(key=lambda guess: guess.cost)
         return [self._nudged(guess, sizes) for guess in found]
+
+    def _between(self, name: str, own: list[Range], first: Array, last: Array, low: float, high: float) -> list[Guess]:
+        """The point of a law that is linear in its place, too, such as a spring's: between two places, or beyond."""
+        a, b = np.linalg.lstsq(np.stack([first, last], 1), self.left, rcond=1e-6)[0]
+        size, place = own
+        if not size.lower < a + b < size.upper:
+            return []
+        at = float(np.clip(low + b / (a + b) * (high - low), place.lower, place.upper))
+        share = (at - low) / (high - low)
+        taken = self.left - (a + b) * ((1 - share) * first + share * last)
+        return [Guess(name, {size.name: float(a + b), place.name: at}, float(taken @ taken))]
 
     def _nudged(self, guess: Guess, sizes: list[Range]) -> Guess:
         """A size of 0 gives a fit nothing to hold on to."""

@@ -30,9 +30,10 @@ FORM = 3
 FORCE, DRIVE, STOP = 0, 1, 2
 ACTS = {"force": FORCE, "drive": DRIVE, "stop": STOP}
 
-_BISECTIONS = 30
+_BISECTIONS = 25
 _MAX_STEPS = 400_000
-_STOPPED, _LIMIT, _MEMORY, _MET, _PARTED = 1, 2, 4, 8, 16
+_FALSI = 7
+_STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
 
 LAWS: dict[str, int] = {name: i for i, name in enumerate(n for n in EFFECTS if EFFECTS[n].acts in ACTS)}
 """Number of each law that the kernel knows."""
@@ -286,7 +287,29 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
         # a step, cut where something happens
         after = _advanced(y, h, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
         found = _events(after, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
-        if found:
+        if found == _STOPPED or found == _LIMIT:  # where a smooth number passes zero: regula falsi (Illinois)
+            aim = 0.0 if found == _STOPPED else (p[LOWER] if after[0] < p[LOWER] else p[UPPER])
+            which = 1 if found == _STOPPED else 0
+            low, high, f_low, f_high = 0.0, h, y[which] - aim, after[which] - aim
+            if f_low * f_high < 0.0:
+                kept = 0
+                for _ in range(_FALSI):
+                    mid = (low * f_high - high * f_low) / (f_high - f_low)
+                    there = _advanced(y, mid, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
+                    f_mid = there[which] - aim
+                    if f_mid * f_high > 0.0:
+                        high, f_high, after = mid, f_mid, there
+                        f_low = 0.5 * f_low if kept == 1 else f_low
+                        kept = 1
+                    else:
+                        low, f_low, after = mid, f_mid, there
+                        f_high = 0.5 * f_high if kept == -1 else f_high
+                        kept = -1
+                    h = mid
+                    if abs(f_mid) < 1e-12:
+                        break
+                found |= _SURE
+        if found and not found & _SURE:
             low, high = 0.0, h
             for _ in range(_BISECTIONS):
                 mid = 0.5 * (low + high)
@@ -322,7 +345,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
             together = (p[INERTIA] * y[1] + p[SLACK_INERTIA] * y[3]) / (p[INERTIA] + p[SLACK_INERTIA])
             y = (y[0], together, y[0] + 0.5 * side * p[SLACK_WIDTH], together)
         if found & _LIMIT:
-            towards = 1 if y[0] > p[UPPER] else -1
+            towards = 1 if y[0] - p[LOWER] > p[UPPER] - y[0] else -1
             limit = p[UPPER] if towards > 0 else p[LOWER]
             back = _rebound(terms, p, y[1])
             inward = towards * _acting(terms, p, memory, limit, 0.0, side, push, position, asked) / p[INERTIA]

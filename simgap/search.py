@@ -8,7 +8,7 @@ import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
 from simgap.data import FitRun
-from simgap.fit import Fit, Problem, Theory, fitted, joined, pieces, placed, settled
+from simgap.fit import Fit, Problem, Theory, fitted, joined, pieces, placed, resettled, settled
 from simgap.guess import Guess, guesses, off
 from simgap.settings import ChoiceSettings
 
@@ -16,6 +16,14 @@ _PIECE_S = 1.2
 _SCREEN = 2
 _FAR = 15.0
 """Floors of error beyond which a run is looked at in stretches."""
+
+
+PLAINER = {
+    "stribeck_friction": "coulomb_friction",
+    "load_friction": "coulomb_friction",
+    "backlash": "armature",
+}
+"""Effect to the one that it becomes in a special case: the plainer one has the name unless it does worse."""
 
 
 def candidates(problem: Problem, runs: tuple[FitRun, ...]) -> tuple[str, ...]:
@@ -60,17 +68,31 @@ class Search:
         """Every effect alone, the best first."""
         base, cut = self.base(), self._cut(self.base())
         found = guesses(placed(base, cut) if cut is not self.train else base, cut, self.names)
-        for name in self.names:
+        for name in list(dict.fromkeys(guess.name for guess in found))[: self.settings.singles]:
             own = [guess for guess in found if guess.name == name][: self.problem.fit.starts]
-            if (name,) not in self.fits and own:
+            if (name,) not in self.fits:
                 self._single(name, own, cut)
-        return sorted((self.fits[(name,)] for name in self.names if (name,) in self.fits), key=lambda fit: fit.cost)
+        for name, plainer in PLAINER.items():
+            if (name,) in self.fits and (plainer,) in self.fits:
+                self._keep_from(name, self.fits[(plainer,)])
+        return self._resettled([self.fits[(name,)] for name in self.names if (name,) in self.fits])
 
     def _single(self, name: str, own: list[Guess], cut: tuple[FitRun, ...]) -> None:
         theory, base = Theory(self.problem, (name,)), self.base()
         tried = [fitted(theory, cut, joined(theory, base, {name: g.point}), base.starts, iterations=4) for g in own]
         best = min(tried, key=lambda fit: fit.cost)
         self._keep(fitted(theory, self.train, best.theta, best.starts if cut is self.train else base.starts))
+
+    def _keep_from(self, name: str, plainer: Fit) -> None:
+        """A general effect fits no worse than the plainer one that it may become, where their parameters agree."""
+        fit = self.fits[(name,)]
+        shared = {
+            r.name: float(x) for r, x in zip(plainer.theory.ranges(), plainer.theta, strict=True) if r.owner != "asset"
+        }
+        if fit.cost > plainer.cost and set(shared) <= set(EFFECTS[name].parameters()):
+            point = {**off(self.problem, name), **shared}
+            theta = joined(fit.theory, plainer, {name: point})
+            self._keep(fitted(fit.theory, self.train, theta, plainer.starts))
 
     def larger(self, parents: list[Fit]) -> list[Fit]:
         """The most promising sets of one effect more than some of `parents`, fitted."""
@@ -85,7 +107,14 @@ class Search:
                 if names not in self.fits and (names not in rough or cost < rough[names][0]):
                     rough[names] = (cost, parent, guess)
         best = sorted(rough.values(), key=lambda entry: entry[0])[: self.settings.shortlist]
-        return [self._started(parent, guess) for _, parent, guess in best]
+        return self._resettled([self._started(parent, guess) for _, parent, guess in best])
+
+    def _resettled(self, level: list[Fit]) -> list[Fit]:
+        """The best ones with a new look at their starts; all of them sorted."""
+        level = sorted(level, key=lambda fit: fit.cost)
+        for fit in level[: self.settings.parents]:
+            self.fits[fit.theory.names] = resettled(fit, self.train)
+        return sorted((self.fits[fit.theory.names] for fit in level), key=lambda fit: fit.cost)
 
     def _started(self, parent: Fit, guess: Guess) -> Fit:
         """The set of `parent` and the guessed effect, from the parent's fit."""
@@ -136,4 +165,4 @@ class Search:
 def relaxed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The same effects, their sizes free to depart from their formulas within the form tolerance."""
     theory = Theory(fit.theory.problem, fit.theory.names, relaxed=True)
-    return fitted(theory, runs, joined(theory, fit, {}), fit.starts)
+    return fitted(theory, runs, joined(theory, fit, {}), fit.starts, iterations=8)

@@ -10,9 +10,9 @@ from typing import Any
 class SurrogateSettings:
     """The fast simulation that fits search in."""
 
-    phase_per_step: float = 0.1
-    """rad of the fastest oscillation a step: the fourth-order step is then off by 1e-7 a radian."""
-    max_step_s: float = 0.01
+    phase_per_step: float = 0.15
+    """rad of the fastest oscillation a step: the fourth-order step is then late by 4e-6 of the way."""
+    max_step_s: float = 0.02
     min_step_s: float = 1e-4
 
 
@@ -20,8 +20,8 @@ class SurrogateSettings:
 class FitSettings:
     """Output-error fits."""
 
-    max_iterations: int = 25
-    starts: int = 3
+    max_iterations: int = 15
+    starts: int = 2
     """Starting points of an effect with a place, a width or a speed to find."""
     tilt_rad: float = 7e-3
     """How far the base may lean in the plane of the motion without being called an effect; a usual mounting is 0.3
@@ -38,11 +38,13 @@ class ChoiceSettings:
     least_motion: float = 15.0
     """Floors that the joint must move through for anything to be said."""
     max_effects: int = 3
-    shortlist: int = 7
+    singles: int = 7
+    """Effects that are fitted alone: those of the best first-order guesses."""
+    shortlist: int = 5
     """Sets of one effect more that are fitted to the end."""
     parents: int = 3
     """Sets that larger ones start from."""
-    contenders: int = 5
+    contenders: int = 4
     """Sets of a size that are put before held-out runs."""
     least_gap: float = 0.35
     """Floors that must be explained for a gap to be one: less may come of coarse time stamps alone."""
@@ -51,8 +53,10 @@ class ChoiceSettings:
     p_value: float = 0.01
     explained: float = 1.25
     """Floors of error on held-out runs that an explanation of a small gap may leave; the floor is an estimate."""
-    explained_part: float = 0.02
+    explained_part: float = 0.06
     """Part of a large gap that it may leave besides."""
+    form_factor: float = 8.0
+    """Bars of error beyond which no departure from a formula is tried."""
     much_better: float = 0.6
     """A larger set must leave less than this part of what a smaller one leaves."""
     rival: float = 1.15
