@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 
 from export.inertia import Inertial, unphysical
+from export.urdf_numbers import numbers, origin_pose, told
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
@@ -68,7 +69,7 @@ def check_asset(folder: Path) -> list[Finding]:
 
 def _tree(robot: ET.Element) -> Iterator[Finding]:
     links = [link.get("name", "") for link in robot.findall("link")]
-    ends = [(_get(j, "parent", "link"), _get(j, "child", "link")) for j in robot.findall("joint")]
+    ends = [(told(j, "parent", "link"), told(j, "child", "link")) for j in robot.findall("joint")]
     for end in {e for pair in ends for e in pair}:
         if end not in links:
             yield Finding("tree", f"a joint names link '{end}'; links: {', '.join(links)}")
@@ -110,12 +111,12 @@ def _paths(robot: ET.Element, folder: Path) -> Iterator[Finding]:
 def _inertial(link: ET.Element, folder: Path, robot: ET.Element) -> Iterator[Finding]:
     name = link.get("name")
     if link.find("inertial") is None:
-        if any(_get(j, "child", "link") == name for j in robot.findall("joint") if j.get("type") != "fixed"):
+        if any(told(j, "child", "link") == name for j in robot.findall("joint") if j.get("type") != "fixed"):
             yield Finding("inertia", f"link '{name}' moves and has no <inertial>")
         return
     rows = ("ixx ixy ixz", "ixy iyy iyz", "ixz iyz izz")
     inertia = np.array([[_number(link, "inertial/inertia", key, "0") for key in row.split()] for row in rows])
-    centre = _numbers(_get(link, "inertial/origin", "xyz", "0 0 0"))
+    centre = numbers(told(link, "inertial/origin", "xyz", "0 0 0"))
     wrong = unphysical(Inertial(_number(link, "inertial/mass", "value", "0"), centre, inertia))
     if wrong:
         yield Finding("inertia", f"link '{name}': {wrong}")
@@ -160,7 +161,7 @@ def _textures(link: ET.Element, folder: Path) -> Iterator[Finding]:
 def _axis(joint: ET.Element) -> Iterator[Finding]:
     if joint.get("type") == "fixed":
         return
-    length = float(np.linalg.norm(_numbers(_get(joint, "axis", "xyz", "1 0 0"))))
+    length = float(np.linalg.norm(numbers(told(joint, "axis", "xyz", "1 0 0"))))
     if abs(length - 1) > 1e-6:
         yield Finding("axis", f"joint '{joint.get('name')}' has an axis of length {length:.6g}, expected 1")
 
@@ -230,28 +231,21 @@ def _reload_mujoco(asset: Asset, mjcf: Path, positions: Array, said: Array) -> I
 
 def _T_reference_moving(asset: Asset, robot: ET.Element, q: float) -> Array:
     """Forward kinematics from the URDF's text alone, other joints as held."""
-    above = {_get(j, "child", "link"): j for j in robot.findall("joint")}
+    above = {told(j, "child", "link"): j for j in robot.findall("joint")}
 
     def T_root_link(link: str) -> Array:
         if link not in above:
             return np.eye(4)
         joint = above[link]
         position = q if joint.get("name") == asset.joint else asset.held.get(joint.get("name", ""), 0.0)
-        T: Array = T_root_link(_get(joint, "parent", "link")) @ _origin(joint)
+        T: Array = T_root_link(told(joint, "parent", "link")) @ origin_pose(joint)
         if joint.get("type") == "fixed":
             return T
-        axis = _numbers(_get(joint, "axis", "xyz", "1 0 0"))
+        axis = numbers(told(joint, "axis", "xyz", "1 0 0"))
         kind: JointType = "prismatic" if joint.get("type") == "prismatic" else "revolute"
         return T @ Joint("", kind, axis, np.zeros(3), -np.inf, np.inf).transform(position)
 
     return se3.inverse(T_root_link(asset.reference_link)) @ T_root_link(asset.moving_link)
-
-
-def _origin(element: ET.Element) -> Array:
-    """The pose that an element's <origin> says; rpy are fixed-axis x, y, z angles."""
-    roll, pitch, yaw = _numbers(_get(element, "origin", "rpy", "0 0 0"))
-    R = se3.exp_so3([0, 0, yaw]) @ se3.exp_so3([0, pitch, 0]) @ se3.exp_so3([roll, 0, 0])
-    return se3.pose(R, _numbers(_get(element, "origin", "xyz", "0 0 0")))
 
 
 def _meshes(link: ET.Element, tag: str, folder: Path) -> list[tuple[Array, trimesh.Trimesh]]:
@@ -265,7 +259,7 @@ def _meshes(link: ET.Element, tag: str, folder: Path) -> list[tuple[Array, trime
                 loaded = trimesh.load_mesh(path, process=False)
             except Exception as error:
                 raise FreeArtError(f"{path} is not a readable mesh: {error}") from error
-            found.append((_origin(element), loaded))
+            found.append((origin_pose(element), loaded))
     return found
 
 
@@ -275,20 +269,5 @@ def _words(path: Path, key: str) -> list[str]:
         return [line.split(maxsplit=1)[1].strip() for line in file if line.startswith(key + " ")]
 
 
-def _get(element: ET.Element, path: str, attribute: str, default: str = "") -> str:
-    found = element.find(path)
-    return default if found is None else found.get(attribute, default)
-
-
 def _number(element: ET.Element, path: str, attribute: str, default: str) -> float:
-    return float(_numbers(_get(element, path, attribute, default), 1)[0])
-
-
-def _numbers(text: str, n: int = 3) -> Array:
-    try:
-        numbers = np.array([float(word) for word in text.split()])
-    except ValueError:
-        numbers = np.zeros(0)
-    if len(numbers) != n or not np.isfinite(numbers).all():
-        raise FreeArtError(f"'{text}' is not {n} finite numbers")
-    return numbers
+    return float(numbers(told(element, path, attribute, default), 1)[0])

@@ -93,7 +93,8 @@ def publish(
     """
     placed = place(asset, measured.gravity)
     runs = with_positions(measured, draft.geometry)
-    found = missing_force(runs, placed.mechanics, *_limits(asset))
+    acting = asset.effects.get(asset.joint, ())
+    found = missing_force(runs, placed.mechanics, *_limits(asset), acting, runs.runs)  # held-out ones may point, too
     maps = residual_maps(found, seed)
     verdict = draft.verdict
     if not verdict.where:

@@ -217,7 +217,7 @@ def _maps(gap: Gap) -> list[Section]:
     drawn = "".join(map_drawing(m, gap.joint_type) for m in maps)
     told = sum(m.adjusted <= LEVEL for m in maps)
     note = (
-        "What force the asset's equation lacks, by the accelerations of the fitted runs; bars with standard errors. "
+        "What force the asset's equation lacks, by the accelerations in all runs; bars with standard errors. "
         f"{told} of {len(maps)} maps differ from nothing beyond chance (half-swings flipped at random, corrected for "
         "the number of maps); where, is on colour. These maps point; the fits decide."
     )

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from export.mjcf import joint_words
+from export.mjcf_of_urdf import mjcf_of_urdf
 from freeart21.asset import Asset
 from freeart21.effects.backlash import Backlash
 from freeart21.effects.base import Effect
+from freeart21.effects.return_spring import ReturnSpring
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, write_asset_json
@@ -47,23 +49,36 @@ def repaired(asset: Asset, effects: tuple[Effect, ...], folder: Path, source: di
     if mjcf.is_file():
         atomic.write_bytes(folder / mjcf.name, mjcf_with_effects(mjcf.read_bytes(), asset.joint, joined, mjcf))
     told = {**asset.source, **({"repair": source} if source else {})}
-    write_asset_json(folder, replace(asset, urdf=urdf, effects=joined, source=told))
+    written = replace(asset, urdf=urdf, effects=joined, source=told)
+    if not mjcf.is_file():
+        atomic.write_bytes(folder / mjcf.name, mjcf_of_urdf(written))
+    write_asset_json(folder, written)
     return _reloaded(asset, joined, folder)
 
 
 def joined_effects(had: tuple[Effect, ...], new: tuple[Effect, ...]) -> tuple[Effect, ...]:
-    """The effects of both, those of one size as one; FreeArtError when both have a backlash."""
+    """The effects of both, those of one size, and springs, as one; FreeArtError when both have a backlash."""
     out = list(had)
     for effect in new:
         same = next((i for i, e in enumerate(out) if e.name == effect.name), None)
         if same is not None and effect.name in _ONE_SIZE:
             (field,) = effect.parameters()
             out[same] = dataclasses.replace(effect, **{field: getattr(out[same], field) + getattr(effect, field)})  # type: ignore[type-var]
+        elif same is not None and isinstance(effect, ReturnSpring):
+            out[same] = _one_spring(out[same], effect)
         elif same is not None and isinstance(effect, Backlash):
             raise FreeArtError("the asset's joint has an effect 'backlash' already, expected at most one")
         else:
             out.append(effect)
     return tuple(out)
+
+
+def _one_spring(a: Effect, b: Effect) -> ReturnSpring:
+    """Two springs side by side, which MJCF can say only as one."""
+    assert isinstance(a, ReturnSpring) and isinstance(b, ReturnSpring)
+    stiffness = a.stiffness + b.stiffness
+    rest = (a.stiffness * a.rest + b.stiffness * b.rest) / stiffness if stiffness else a.rest
+    return ReturnSpring(stiffness, rest)
 
 
 def urdf_with_effects(text: bytes, effects: dict[str, tuple[Effect, ...]], where: Path) -> bytes:

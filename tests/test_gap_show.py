@@ -50,7 +50,7 @@ def bob(folder: Path, more: str = "", limits: str = '<limit lower="-3" upper="3"
     return read_asset(path)
 
 
-def pendulum(starts, torque, seconds=4.0, inertia=INERTIA, gravity=1.0, seed=0, noise=1e-3, **channels):
+def pendulum(starts, torque, seconds=3.0, inertia=INERTIA, gravity=1.0, seed=0, noise=1e-3, **channels):
     """Runs (measured set) and their true start states, by an equation of our own."""
     rng = np.random.default_rng(seed)
     runs = []
@@ -118,6 +118,36 @@ def test_mjcf_beside_the_urdf_says_it_too(tmp_path: Path):
         repaired(read_asset(tmp_path / "a"), (ViscousDamping(0.02),), tmp_path / "c")
 
 
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_urdf_without_mjcf_gets_one_that_moves_the_same(tmp_path: Path, kind: str):
+    """Turned origins, a held joint between, a turned inertia, shapes: MuJoCo swings it as SAPIEN does."""
+    mujoco = pytest.importorskip("mujoco")
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a/tree.urdf").write_text(f"""<robot name="tree"><link name="root"><collision><geometry>
+        <box size="0.2 0.2 0.2"/></geometry></collision></link><link name="middle"/><link name="bob"><inertial>
+        <origin xyz="0.1 0.05 -0.3" rpy="0.3 0.2 0.1"/><mass value="1.5"/>
+        <inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0.001" ixz="0" iyz="0.002"/></inertial>
+        <visual><origin xyz="0 0 -0.3"/><geometry><sphere radius="0.05"/></geometry></visual>
+        <collision><geometry><cylinder radius="0.02" length="0.3"/></geometry></collision></link>
+        <joint name="held" type="revolute"><parent link="root"/><child link="middle"/>
+        <origin xyz="0 0 1" rpy="0.2 0 0.4"/><axis xyz="1 0 0"/><limit lower="0.1" upper="1"/></joint>
+        <joint name="j" type="{kind}"><parent link="middle"/><child link="bob"/><origin xyz="0.1 0 0.1" rpy="0 0.3 0"/>
+        <axis xyz="0.2 2 0.4"/><limit lower="-9" upper="9"/></joint></robot>""")
+    effects = (ViscousDamping(0.4), ReturnSpring(6.0, 0.1), Armature(0.02))
+    again = repaired(read_asset(tmp_path / "a/tree.urdf", "j"), effects, tmp_path / "b")
+    model = mujoco.MjModel.from_xml_path(str(again.urdf.with_suffix(".xml")))
+    model.opt.timestep = 5e-4
+    data = mujoco.MjData(model)
+    data.qpos[0] = 0.5
+    theirs = [0.5]
+    for _ in range(2000):
+        mujoco.mj_step(model, data)
+        theirs.append(float(data.qpos[0]))
+    run = roll_out(again, 0.5, duration_s=1.0)
+    assert np.abs(run.q - theirs[::2]).max() < 2e-3
+    assert np.ptp(run.q) > 0.1
+
+
 def test_meshes_go_along(tmp_path: Path):
     asset = bob(tmp_path / "a")
     (tmp_path / "a/meshes").mkdir()
@@ -131,11 +161,17 @@ def test_meshes_go_along(tmp_path: Path):
     again = repaired(read_asset(asset.urdf), (ViscousDamping(0.02),), tmp_path / "b")
     files = {str(p.relative_to(tmp_path / "b")) for p in (tmp_path / "b").rglob("*") if p.is_file()}
     meshes = {"meshes/box.obj", "meshes/box.mtl", "meshes/box.png"}
-    assert files == {"bob.urdf", "asset.json", "effects.json", *meshes}
+    assert files == {"bob.urdf", "bob.xml", "asset.json", "effects.json", *meshes}
     assert again.effects == {"j": (ViscousDamping(0.02),)}
     asset.urdf.write_text(asset.urdf.read_text().replace("meshes/box.obj", "../box.obj"))
     with pytest.raises(FreeArtError, match="expected a path within its folder"):
         repaired(read_asset(asset.urdf), (), tmp_path / "c")
+
+
+def test_two_springs_are_one(tmp_path: Path):
+    asset = replace(bob(tmp_path / "a"), effects={"j": (ReturnSpring(1.0, 0.2),)})
+    again = repaired(asset, (ReturnSpring(3.0, -0.2),), tmp_path / "b")
+    assert again.effects == {"j": (ReturnSpring(4.0, -0.1),)}
 
 
 def test_a_joint_has_one_backlash(tmp_path: Path):
