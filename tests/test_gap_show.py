@@ -171,7 +171,7 @@ def test_meshes_go_along(tmp_path: Path):
 def test_two_springs_are_one(tmp_path: Path):
     asset = replace(bob(tmp_path / "a"), effects={"j": (ReturnSpring(1.0, 0.2),)})
     again = repaired(asset, (ReturnSpring(3.0, -0.2),), tmp_path / "b")
-    assert again.effects == {"j": (ReturnSpring(4.0, -0.1),)}
+    assert again.effects["j"][0].values() == pytest.approx((4.0, -0.1)) and len(again.effects["j"]) == 1
 
 
 def test_a_joint_has_one_backlash(tmp_path: Path):
