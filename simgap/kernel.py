@@ -287,7 +287,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
         # a step, cut where something happens
         after = _advanced(y, h, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
         found = _events(after, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
-        if found == _STOPPED or found == _LIMIT:  # where a smooth number passes zero: regula falsi (Illinois)
+        if found in (_STOPPED, _LIMIT):  # where a smooth number passes zero: regula falsi (Illinois)
             aim = 0.0 if found == _STOPPED else (p[LOWER] if after[0] < p[LOWER] else p[UPPER])
             which = 1 if found == _STOPPED else 0
             low, high, f_low, f_high = 0.0, h, y[which] - aim, after[which] - aim

@@ -81,7 +81,11 @@ class Search:
         theory, base = Theory(self.problem, (name,)), self.base()
         tried = [fitted(theory, cut, joined(theory, base, {name: g.point}), base.starts, iterations=4) for g in own]
         best = min(tried, key=lambda fit: fit.cost)
-        self._keep(fitted(theory, self.train, best.theta, best.starts if cut is self.train else base.starts))
+        if cut is not self.train:
+            thetas = [best.theta, joined(theory, base, {name: own[0].point})]
+            whole = [fitted(theory, self.train, theta, base.starts, _SCREEN) for theta in thetas]
+            best = min(whole, key=lambda fit: fit.cost)
+        self._keep(fitted(theory, self.train, best.theta, best.starts))
 
     def _keep_from(self, name: str, plainer: Fit) -> None:
         """A general effect fits no worse than the plainer one that it may become, where their parameters agree."""

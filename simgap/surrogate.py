@@ -191,7 +191,8 @@ def step_of(
 def sweep(numbers: Array, terms: NDArray[np.int64], times_s: Array, inputs: Inputs, step_s: float) -> Array:
     """(m, n) true positions, as late as they are read, at `times_s` (n,), of m vectors of numbers (m, k)."""
     out = np.empty((len(numbers), len(times_s)))
-    kernel.sweep(numbers, terms, times_s, inputs.times_s, inputs.command, inputs.effort, inputs.push, step_s, out)
+    series = (times_s, inputs.times_s, inputs.command, inputs.effort, inputs.push)
+    kernel.sweep(numbers, terms, *(np.ascontiguousarray(values, float) for values in series), step_s, out)
     return out
 
 

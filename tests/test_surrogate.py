@@ -1,0 +1,175 @@
+"""The fast simulation says what SAPIEN says, with every effect that it knows."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from freeart21.effects import EFFECTS
+from freeart21.files.asset import read_asset
+from freeart21.measured import Measured
+from freeart21.mechanics import Actuator, held
+from generator.simulate import roll_out
+from simgap import kernel
+from simgap.surrogate import Inputs, Nuisance, plant_of, simulate
+
+MASS, ARM, G = 1.6, 0.5, 9.81
+GRAVITY = np.array([0.0, 0.0, -G])
+TYPES = pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+
+
+def asset_at(folder: Path, kind: str, *effects, axis: str = "0 1 0", lower: float = -50, upper: float = 50):
+    path = folder / "bob.urdf"
+    path.write_text(f"""<robot name="bob"><link name="base"/><link name="bob"><inertial><origin xyz="0 0 {-ARM}"/>
+        <mass value="{MASS}"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="j" type="{kind}"><parent link="base"/><child link="bob"/><origin xyz="0 0 1" rpy="0 0 0"/>
+        <axis xyz="{axis}"/><limit lower="{lower}" upper="{upper}"/></joint></robot>""")
+    return replace(read_asset(path), effects={"j": effects})
+
+
+def measured_of(kind: str, actuator: Actuator | None = None, gravity=GRAVITY) -> Measured:
+    return Measured("j", kind, np.asarray(gravity, float), 1000.0, "recorded", None, actuator)
+
+
+def made(name: str, **values: float):
+    return EFFECTS[name](**values)
+
+
+FREE = {
+    "viscous_damping": made("viscous_damping", coefficient=0.3),
+    "quadratic_drag": made("quadratic_drag", coefficient=0.1),
+    "coulomb_friction": made("coulomb_friction", level=0.4),
+    "stribeck_friction": made("stribeck_friction", level=0.2, rise=0.3, speed=0.3),
+    "load_friction": made("load_friction", coefficient=0.01),
+    "return_spring": made("return_spring", stiffness=4.0, rest=0.2),
+    "detent": made("detent", peak=1.0, centre=0.3, width=0.08),
+    "latch": made("latch", hold=2.0, position=0.1, travel=0.1, capture=0.4),
+    "armature": made("armature", value=0.2),
+    "encoder_offset": made("encoder_offset", offset=0.05),
+    "encoder_scale": made("encoder_scale", factor=1.1),
+}
+
+
+def test_the_kernel_has_every_law_of_the_library():
+    lawful = {name for name, cls in EFFECTS.items() if cls.acts in ("force", "drive", "stop")}
+    assert set(kernel.LAWS) == lawful
+    rng = np.random.default_rng(0)
+    for name in lawful:
+        cls = EFFECTS[name]
+        numbers = rng.uniform(0.1, 0.9, len(cls.parameters()))
+        q, qd, load, memory = rng.uniform(-1, 1, 2).tolist() + [2.0, 1.0]
+        got = kernel._law(kernel.LAWS[name], q, qd, load, memory, numbers, 0)
+        assert got == pytest.approx(float(cls.law(q, qd, load, memory, *numbers)), rel=1e-12), name
+        caught = kernel._remember(kernel.LAWS[name], q, 1.0, numbers, 0)
+        assert caught == float(cls.remember(q, 1.0, *numbers)), name
+
+
+@TYPES
+@pytest.mark.parametrize("name", FREE)
+def test_free_motion_is_sapiens(tmp_path: Path, kind: str, name: str):
+    gravity = GRAVITY if kind == "revolute" else np.zeros(3)
+    if name == "load_friction" and kind == "prismatic":
+        gravity = GRAVITY
+    asset = asset_at(tmp_path, kind, FREE[name])
+    q0, qd0 = (0.9, 0.0) if kind == "revolute" else (-0.2, 0.9)
+    theirs = roll_out(asset, q0, qd0, duration_s=3, gravity=gravity)
+    plant = plant_of(asset, measured_of(kind, gravity=gravity))
+    ours = simulate(plant, (FREE[name],), theirs.times_s, q0, qd0)
+    assert np.abs(ours - theirs.q_measured).max() < 2e-3 * np.ptp(theirs.q), name
+    plain = simulate(plant, (), theirs.times_s, q0, qd0)
+    assert np.abs(plain - theirs.q_measured).max() > 5e-3 * np.ptp(theirs.q) or (kind, name) == (
+        "prismatic",
+        "armature",
+    )
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.6])
+def test_impacts_are_sapiens(tmp_path: Path, restitution: float):
+    effects = (made("end_stop_bounce", restitution=restitution), made("viscous_damping", coefficient=0.05))
+    asset = asset_at(tmp_path, "revolute", *effects, lower=-0.4, upper=1.5)
+    theirs = roll_out(asset, 1.2, 0.0, duration_s=4)
+    ours = simulate(plant_of(asset, measured_of("revolute")), effects, theirs.times_s, 1.2)
+    assert np.abs(ours - theirs.q).max() < 4e-3
+    assert ours.min() >= -0.4 - 1e-12
+
+
+@pytest.mark.parametrize("names", [(), ("actuator_gain",), ("actuator_delay",), ("backlash",), ("coulomb_friction",)])
+def test_a_servo_is_sapiens(tmp_path: Path, names: tuple[str, ...]):
+    library = {
+        "actuator_gain": made("actuator_gain", factor=0.7),
+        "actuator_delay": made("actuator_delay", seconds=0.03),
+        "backlash": made("backlash", width=0.1, drive_inertia=0.1),
+        "coulomb_friction": made("coulomb_friction", level=0.5),
+    }
+    effects = tuple(library[name] for name in names)
+    asset = asset_at(tmp_path, "revolute", *effects)
+    times = np.arange(3001) * 1e-3
+    ticks = times[::10]
+    command = 0.4 * np.sin(4 * ticks)
+    law = Actuator(held(ticks, command), 40.0, 3.0)
+    theirs = roll_out(asset, 0.0, duration_s=3, actuator=law)
+    plant = plant_of(asset, measured_of("revolute", Actuator(None, 40.0, 3.0)))
+    inputs = Inputs(ticks, command, np.zeros(len(ticks)), np.zeros(len(ticks)))
+    ours = simulate(plant, effects, theirs.times_s, 0.0, 0.0, inputs)
+    assert np.abs(ours - theirs.q).max() < 4e-3 * np.ptp(theirs.q)
+
+
+def test_a_push_passes_the_actuator_by_and_a_commanded_effort_does_not(tmp_path: Path):
+    effects = (made("actuator_gain", factor=0.5), made("actuator_delay", seconds=0.1))
+    asset = asset_at(tmp_path, "prismatic", *effects)
+    plant = plant_of(asset, measured_of("prismatic", gravity=np.zeros(3)))
+    times, ticks = np.arange(1001) * 1e-3, np.array([0.0, 0.2, 0.4])
+    effort, none = np.array([0.0, 2.0, 0.0]), np.full(3, np.nan)
+    commanded = simulate(plant, effects, times, 0.0, 0.0, Inputs(ticks, none, effort, np.zeros(3)))
+    speed = 0.5 * 2.0 / MASS * 0.2
+    assert commanded[-1] == pytest.approx(0.5 * speed * 0.2 + speed * 0.5, abs=1e-7)
+    pushed = simulate(plant, effects, times, 0.0, 0.0, Inputs(ticks, none, np.zeros(3), effort))
+    speed = 2.0 / MASS * 0.2
+    assert pushed[-1] == pytest.approx(0.5 * speed * 0.2 + speed * 0.6, abs=1e-7)
+
+
+def test_a_late_clock_reads_what_was(tmp_path: Path):
+    asset = asset_at(tmp_path, "revolute")
+    plant = plant_of(asset, measured_of("revolute"))
+    times = np.arange(500) * 0.01
+    now = simulate(plant, (), times, 0.5)
+    late = simulate(plant, (made("time_offset", seconds=0.2),), times, 0.5)
+    np.testing.assert_allclose(late, now, atol=1e-9)  # the start is that of the first reading: a free gauge
+
+
+def test_nuisance_is_another_asset(tmp_path: Path):
+    asset = asset_at(tmp_path, "revolute")
+    plant = plant_of(asset, measured_of("revolute"))
+    lean = 0.01
+    leant = plant_of(asset, measured_of("revolute", gravity=(G * np.sin(lean), 0, -G * np.cos(lean))))
+    times = np.arange(300) * 0.01
+    way = np.sign(plant.gravity_terms[1] @ (leant.gravity_terms[0] - plant.gravity_terms[0]))
+    ours = simulate(plant, (), times, 0.5, nuisance=Nuisance(lean=(way * np.tan(lean), 0.0), gravity=np.cos(lean)))
+    np.testing.assert_allclose(ours, simulate(leant, (), times, 0.5), atol=1e-5)  # SAPIEN's gravity is single precision
+
+
+def test_steps_make_no_difference(tmp_path: Path):
+    from simgap.settings import SurrogateSettings
+
+    asset = asset_at(tmp_path, "revolute", lower=-0.5, upper=2)
+    plant = plant_of(asset, measured_of("revolute"))
+    effects = (made("coulomb_friction", level=0.2), made("end_stop_bounce", restitution=0.5))
+    times = np.arange(500) * 0.01
+    fine = simulate(plant, effects, times, 1.5, settings=SurrogateSettings(0.01, 1e-3))
+    assert np.abs(simulate(plant, effects, times, 1.5) - fine).max() < 1e-5
+
+
+def test_five_seconds_take_less_than_a_millisecond(tmp_path: Path):
+    asset = asset_at(tmp_path, "revolute")
+    plant = plant_of(asset, measured_of("revolute"))
+    times = np.arange(1001) * 5e-3
+    spent = []
+    for _ in range(20):
+        began = time.process_time()
+        simulate(plant, (made("coulomb_friction", level=0.2),), times, 1.0)
+        spent.append(time.process_time() - began)
+    assert min(spent) < 1e-3
