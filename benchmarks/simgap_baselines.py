@@ -102,46 +102,52 @@ def _greedy(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> di
     return {"names": list(now.theory.names), "closed": _closed(base, now, test)}
 
 
-def _missing(problem: Any, run: Any) -> tuple[Array, Array, Array]:
-    """Smoothed position and speed, and the force (n,) that the asset lacks by them: equation error."""
+def _true(problem: Any, base: Any) -> tuple[float, Array]:
+    """Inertia, and gravity's parts of cos q, of sin q and constant (3,), as far as the asset may be off by them."""
+    from simgap.fit import Reader
+    from simgap.surrogate import kernel, numbers_of
+
+    numbers = numbers_of(problem.plant, problem.plant.effects, Reader(base.theory).nuisance(base.theta))
+    return float(numbers[kernel.INERTIA]), numbers[kernel.GRAVITY_COS : kernel.GRAVITY_CONST + 1]
+
+
+def _missing(problem: Any, base: Any, run: Any) -> Array:
+    """(4, n) smoothed position, speed and acceleration, and the force that the asset lacks by them: equation error."""
     times = run.times_s
     even = np.arange(times[0], times[-1], float(np.median(np.diff(times))))
     q = np.interp(even, times, run.q)
     step = even[1] - even[0]
-    window = max(7, 2 * int(0.05 / step) + 1)
+    window = max(7, 2 * int(0.06 / step) + 1)
     smooth, speed, bend = (savgol_filter(q, window, 3, d, step) for d in (0, 1, 2))
-    return smooth, speed, problem.plant.mechanics.inertia * bend - _known(problem, run, even, smooth, speed)
-
-
-def _known(problem: Any, run: Any, times: Array, q: Array, speed: Array) -> Array:
-    """Forces that are known: gravity, pushes, the servo, the asset's own effects."""
-    plant, inputs = problem.plant, run.inputs
-    force = np.asarray(plant.mechanics.gravity_force(q), float).copy()
+    inertia, gravity = _true(problem, base)
+    force = gravity[0] * np.cos(smooth) + gravity[1] * np.sin(smooth) + gravity[2]
+    inputs, plant = run.inputs, problem.plant
     if len(inputs.times_s):
-        at = np.clip(np.searchsorted(inputs.times_s, times, side="right") - 1, 0, None)
-        force += inputs.push[at] + inputs.effort[at]
-        commanded = np.isfinite(inputs.command[at])
-        servo = plant.stiffness * (inputs.command[at] - q) - plant.damping * speed
-        force += np.where(commanded, servo, 0.0)
-    for effect in plant.effects:
-        force += effect.force(q, speed) - np.sign(speed) * effect.drive_limit(q, speed)
-    return force
+        at = np.clip(np.searchsorted(inputs.times_s, even, side="right") - 1, 0, None)
+        servo = plant.stiffness * (inputs.command[at] - smooth) - plant.damping * speed
+        force += inputs.push[at] + inputs.effort[at] + np.where(np.isfinite(inputs.command[at]), servo, 0.0)
+    return np.array([smooth, speed, bend, inertia * bend - force - _own(plant, smooth, speed)])
 
 
-def _collected(problem: Any, runs: Any) -> tuple[Array, Array, Array]:
-    """All of it, away from the limits, where impacts would be forces."""
-    parts = [_missing(problem, run) for run in runs]
-    q, speed, force = (np.concatenate([p[i] for p in parts]) for i in range(3))
+def _own(plant: Any, q: Array, speed: Array) -> Array:
+    """Force of the losses that the asset knows."""
+    return np.asarray(
+        sum((e.force(q, speed) - np.sign(speed) * e.drive_limit(q, speed) for e in plant.effects), 0.0 * q)
+    )
+
+
+def _collected(problem: Any, base: Any, runs: Any) -> Array:
+    """(4, n) of all runs, away from the limits, where impacts would be forces."""
+    found = np.concatenate([_missing(problem, base, run) for run in runs], axis=1)
     room = 0.03 * (problem.q_high - problem.q_low)
-    free = (q > problem.plant.lower + room) & (q < problem.plant.upper - room)
-    return q[free], speed[free], force[free]
+    return found[:, (found[0] > problem.plant.lower + room) & (found[0] < problem.plant.upper - room)]
 
 
 def _stlsq(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> dict[str, Any]:
-    """Names of the terms that stay; of a linear and a constant term together, the spring has the name."""
+    """Names of the terms that stay."""
     import pysindy
 
-    q, speed, force = _collected(problem, train)
+    q, speed, bend, force = _collected(problem, base, train)
     middle, half = 0.5 * (problem.q_low + problem.q_high), 0.5 * (problem.q_high - problem.q_low)
     terms = {
         "viscous_damping": speed,
@@ -150,7 +156,7 @@ def _stlsq(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> dic
         "return_spring": (q - middle) / half,
         "gravity_offset": np.cos(q) if problem.plant.joint_type == "revolute" else np.ones(len(q)),
         "gravity_offset ": np.sin(q) if problem.plant.joint_type == "revolute" else np.zeros(len(q)),
-        "armature": force * 0.0 + np.gradient(speed),
+        "armature": bend,
     }
     columns = np.column_stack(list(terms.values()))
     scale = np.sqrt((columns**2).mean(0))
@@ -203,7 +209,7 @@ def _gp(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> dict[s
 
     from simgap.fit import placed
 
-    q, speed, force = _collected(problem, train)
+    q, speed, _, force = _collected(problem, base, train)
     chosen = np.random.default_rng(0).permutation(len(q))[:_MOST_POINTS]
     size = max(float(force.std()), 1e-12)
     qs, vs = problem.q_high - problem.q_low, problem.speed
@@ -219,8 +225,9 @@ def _gp(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> dict[s
     at_q, at_v = np.meshgrid(grid_q, grid_v, indexing="ij")
     grid = size * model.predict(seen(at_q.ravel(), at_v.ravel())).reshape(at_q.shape)
     plant = problem.plant
-    cosine, sine = _gravity(plant)
-    numbers = np.array([plant.mechanics.inertia, *cosine, sine, plant.stiffness, plant.damping])
+    grid += _own(plant, at_q, at_v)
+    inertia, gravity = _true(problem, base)
+    numbers = np.array([inertia, *gravity, plant.stiffness, plant.damping])
     start = placed(base, test)
     residuals = {}
     for run in test:
@@ -238,14 +245,6 @@ def _gp(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> dict[s
         residuals[run.name] = left(found.x)
     before, after = _floors(start.residuals), _floors(residuals)
     return {"names": [], "closed": (before - after) / (before - 1) if before > 1.5 else None}
-
-
-def _gravity(plant: Any) -> tuple[tuple[float, float], float]:
-    """Of the asset's gravity: parts of cos q and sin q, and the constant."""
-    mechanics = plant.mechanics
-    if plant.joint_type == "prismatic":
-        return (0.0, 0.0), float(mechanics.gravity_force(0.0))
-    return (float(mechanics.gravity_force(0.0)), float(mechanics.gravity_force(np.pi / 2))), 0.0
 
 
 def summary(answers: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
