@@ -41,7 +41,7 @@ from simgap.track_geometry import TrackGeometry, track_geometry
 
 GeometryVerdict = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
 _NOISELESS = np.repeat([1e-12, 1e-12], 3)  # m^2 and rad^2: least noise of any pose
-_T90 = 1.645
+_ONE_ERROR = 0.16  # chance of more than one standard error upwards
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def find_geometry(
         frequencies,
         problem.folds,
     )
-    chosen = _chosen(losses, settings)
+    chosen = _chosen(losses)
     chosen, p_values = _pruned(losses, chosen, settings)
     point = _fitted(problem, chosen, weighting, full, frequencies, lin)
     if point.rock is not None:  # what rocked was taken for noise so far
@@ -231,15 +231,13 @@ def _correlation(left: Array, run: NDArray[np.int64]) -> float:
     return total
 
 
-def _chosen(losses: Losses, settings: KinematicsSettings) -> tuple[str, ...]:
+def _chosen(losses: Losses) -> tuple[str, ...]:
     """The subset of least held-out loss, or a smaller one that is not worse by more than one standard error."""
     best = min(losses.subsets, key=losses.mean)
     for subset in sorted(losses.subsets, key=lambda s: (len(s), losses.mean(s))):
         if len(subset) >= len(best):
             break
-        terms = (losses.of(subset) - losses.of(best)) * losses.weights / losses.weights.mean()
-        error = float(terms.std(ddof=1)) / np.sqrt(len(terms)) if len(terms) > 1 else np.inf
-        if terms.mean() <= error:
+        if losses.gain(losses.of(subset), losses.of(best))[1] > _ONE_ERROR:
             return subset
     return best
 

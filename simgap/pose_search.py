@@ -47,18 +47,28 @@ class Losses:
 
 
 def paired_gain(small: Array, big: Array, weights: Array) -> tuple[float, float]:
-    """Weighted mean of small - big over units and its one-sided p-value."""
+    """Weighted mean of small - big over units, and a one-sided p-value of no gain.
+
+    The lesser of two paired t-tests, doubled: of differences, which the largest swings decide, and of ratios, to which
+    all contribute alike.
+    """
+    gain = float(np.average(small - big, weights=weights))
+    differences = (small - big) * weights / weights.mean()
+    ratios = np.log(np.maximum(small, 1e-12)) - np.log(np.maximum(big, 1e-12))
+    return gain, min(1.0, 2 * min(_above_zero(differences), _above_zero(ratios)))
+
+
+def _above_zero(terms: Array) -> float:
+    """p-value of a mean that is not above 0."""
     from scipy.stats import t as student
 
-    gain = float(np.average(small - big, weights=weights))
-    terms = (small - big) * weights / weights.mean()
     n = len(terms)
     if n < 2:
-        return gain, 1.0
+        return 1.0
     error = float(terms.std(ddof=1)) / np.sqrt(n)
     if error == 0:
-        return gain, 0.0 if gain > 0 else 1.0
-    return gain, float(student.sf(terms.mean() / error, n - 1))
+        return 0.0 if terms.mean() > 0 else 1.0
+    return float(student.sf(terms.mean() / error, n - 1))
 
 
 def subsets_of(names: Sequence[str], most: int = 3) -> tuple[tuple[str, ...], ...]:
@@ -232,8 +242,11 @@ def _ceiling_losses(lin: Linear, prior: Array, folds: NDArray[np.int64], units: 
     grams = {f: _gram(columns[folds == f], lin.data[folds == f]) for f in np.unique(folds)}
     total_A, total_b = (sum((g[i] for g in grams.values()), 0.0 * grams[folds[0]][i]) for i in (0, 1))
     out = np.zeros(int(units.max()) + 1)
+    whole = _ridge(total_A, total_b, precisions)
     for f, (A, b) in grams.items():
-        here = folds == f
-        left = lin.data[here] - columns[here] @ _ridge(total_A - A, total_b - b, precisions)
+        here, others = folds == f, lin.q[folds != f]
+        beyond = (lin.q[here] < others.min()) | (lin.q[here] > others.max())  # a polynomial does not reach there
+        x = np.where(beyond[:, None], whole, _ridge(total_A - A, total_b - b, precisions))
+        left = lin.data[here] - (columns[here] @ x[..., None])[..., 0]
         out += np.bincount(units[here], (left**2).sum(-1), len(out))
     return out
