@@ -125,9 +125,18 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     if standing:
         missing = {names for j in standing for names in _plainer(j.names)} - {j.names for j in standing}
         standing += [judged(search.of(names), folds) for names in sorted(missing)]
-        found = rivals(standing, settings)
+        found = rivals([earned(j, search, folds, bar, settings) for j in standing], settings)
         return Choice(base, p, found, found[0], bar, True, tuple(tried))
     return Choice(base, p, (), min(tried, key=lambda j: j.floors), bar, True, tuple(tried))
+
+
+def earned(judgement: Judged, search: Search, folds: tuple[Fold, ...], bar: float, settings: ChoiceSettings) -> Judged:
+    """The set without the members that do not earn their places: the rest, fitted from here, predicts about as well."""
+    for name in judgement.names if len(judgement.names) > 1 else ():
+        smaller = loosened(judged(search.without(judgement.fit, name), folds), folds)
+        if smaller.reach <= max(settings.explained, judgement.floors / settings.much_better) and smaller.reach <= bar:
+            return earned(smaller, search, folds, bar, settings)
+    return judgement
 
 
 def judged(fit: Fit, folds: tuple[Fold, ...]) -> Judged:
@@ -185,7 +194,9 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
         more = sum(float((j.strict[run] ** 2).sum() - (best.strict[run] ** 2).sum()) for run in best.strict)
         return j.floors < settings.rival * best.floors or more < settings.rival_sum * unit
 
-    kept = [j for j in order if alike(j)]
+    kept = [j for j in {j.names: j for j in reversed(order)}.values() if alike(j)][::-1]
+    fewest = min(len(j.names) for j in kept)
+    kept = [j for j in kept if len(j.names) == fewest]
     names = {j.names for j in kept}
     plain = [j for j in kept if not any(p in names for p in _plainer(j.names))]
     return tuple(plain)

@@ -75,7 +75,7 @@ def named_effects(judgement: Judged) -> tuple[Named, ...]:
     """The effects with 90 % intervals, strongest first: the one without which most would be left."""
     fit = judgement.fit
     ranges = fit.theory.ranges()
-    spread = _NORMAL_90 * np.sqrt(np.diag(_covariance(fit)) * unit_of(judgement))
+    spread = _NORMAL_90 * np.sqrt(np.diag(_covariance(fit, unit_of(judgement))))
     found = []
     for effect in fit.effects:
         own = {r.name: i for i, r in enumerate(ranges) if r.owner == effect.name}
@@ -91,10 +91,12 @@ def named_effects(judgement: Judged) -> tuple[Named, ...]:
     return tuple(named for _, named in found)
 
 
-def _covariance(fit: Fit) -> np.ndarray:
-    scale = np.sqrt(np.maximum(np.diag(fit.normal), 1e-300))
-    scaled = fit.normal / np.outer(scale, scale)
-    return np.linalg.pinv(scaled, rcond=1e-10, hermitian=True) / np.outer(scale, scale)
+def _covariance(fit: Fit, unit: float) -> np.ndarray:
+    """(p, p) of the parameters: what the readings say is counted in units of noise, what was known before in full."""
+    known = np.diag([1 / r.prior**2 for r in fit.theory.ranges()])
+    normal = (fit.normal - known) / unit + known
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
 
 
 def _unknown(named: Named) -> bool:

@@ -149,6 +149,11 @@ class Search:
             self._started(parent, guesses(at, cut, new)[0])
         return self.fits[names]
 
+    def without(self, fit: Fit, name: str) -> Fit:
+        """The set of `fit` without one effect, started from `fit`."""
+        theory = Theory(self.problem, tuple(n for n in fit.theory.names if n != name))
+        return self._keep(fitted(theory, self.train, joined(theory, fit, {}), fit.starts))
+
     def _keep(self, fit: Fit) -> Fit:
         """Remember a fit, after making sure that it is no worse than any of a smaller set."""
         for name in fit.theory.names:
@@ -157,8 +162,9 @@ class Search:
                 theta = joined(fit.theory, smaller, {name: off(self.problem, name)})
                 again = fitted(fit.theory, self.train, theta, smaller.starts)
                 fit = min(fit, again, key=lambda f: f.cost)
-        self.fits[fit.theory.names] = fit
-        return fit
+        kept = self.fits.get(fit.theory.names)
+        self.fits[fit.theory.names] = fit if kept is None or fit.cost < kept.cost else kept
+        return self.fits[fit.theory.names]
 
     def _cut(self, fit: Fit) -> tuple[FitRun, ...]:
         """The runs as they are where a first-order look may span them, else in stretches."""

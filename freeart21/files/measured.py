@@ -217,7 +217,9 @@ def _actuator(data: dict[str, Any], path: Path) -> Actuator | None:
         raise FreeArtError(f"{path}: the actuator's type is {given.get('type')!r}, expected 'position'")
     stiffness, damping = (_number(given, key, path) for key in ("stiffness", "damping"))
     if min(stiffness, damping) < 0:
-        raise FreeArtError(f"{path}: the actuator's stiffness and damping are {stiffness:g} and {damping:g}, expected 0 or more")
+        raise FreeArtError(
+            f"{path}: the actuator's stiffness and damping are {stiffness:g} and {damping:g}, expected 0 or more"
+        )
     return Actuator(None, stiffness, damping)
 
 

@@ -1,0 +1,163 @@
+"""A measured set is read as it stands, and whatever is wrong with one costs one clear line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from freeart21.errors import FreeArtError
+from freeart21.files.measured import read_measured
+
+TIMES = np.arange(60) * 0.01
+
+
+def write(folder: Path, changes: dict | None = None, csv: str | None = None, **columns) -> Path:
+    """A well-formed set of two runs, changed as asked for."""
+    folder.mkdir(parents=True, exist_ok=True)
+    table = {"t_s": TIMES, "q": 0.3 * np.cos(8 * TIMES), **columns}
+    text = (
+        ",".join(table)
+        + "\n"
+        + "\n".join(",".join(f"{v:.6f}" for v in row) for row in zip(*table.values(), strict=True))
+    )
+    (folder / "run_0.csv").write_text(text if csv is None else csv)
+    (folder / "run_1.csv").write_text(text)
+    data = {
+        "version": 1,
+        "joint": "j",
+        "joint_type": "revolute",
+        "units": {"t_s": "s", "q": "rad"},
+        "gravity": [0, 0, -9.81],
+        "base": "fixed",
+        "sampling": {"rate_hz": 100, "timestamps": "recorded"},
+        "runs": [{"file": "run_0.csv", "held_out": False}, {"file": "run_1.csv", "held_out": True}],
+        "asset_uncertainty": {"inertia_relative": 0.1, "gravity_relative": 0.05},
+    }
+    data.update(changes or {})
+    (folder / "measured.json").write_text(json.dumps({k: v for k, v in data.items() if v is not ...}))
+    return folder
+
+
+def test_a_set_is_read_as_it_stands(tmp_path: Path):
+    units = {"t_s": "s", "q": "rad", "effort": "N*m", "q_command": "rad"}
+    actuator = {"type": "position", "stiffness": 5.0, "damping": 0.5}
+    changes = {"units": units, "effort": "commanded", "actuator": actuator}
+    measured = read_measured(write(tmp_path, changes, effort=np.sin(TIMES), q_command=np.cos(TIMES)))
+    assert (measured.joint, measured.joint_type, measured.rate_hz) == ("j", "revolute", 100)
+    assert (measured.timestamps, measured.effort_kind) == ("recorded", "commanded")
+    assert (measured.inertia_relative, measured.gravity_relative) == (0.1, 0.05)
+    assert measured.actuator is not None and (measured.actuator.stiffness, measured.actuator.damping) == (5.0, 0.5)
+    np.testing.assert_array_equal(measured.gravity, [0, 0, -9.81])
+    first, second = measured.runs
+    assert (first.name, first.held_out, second.held_out) == ("run_0", False, True)
+    np.testing.assert_allclose(first.q, 0.3 * np.cos(8 * TIMES), atol=1e-6)
+    assert first.effort is not None and first.q_command is not None
+    np.testing.assert_allclose(first.effort, np.sin(TIMES), atol=1e-6)
+
+
+def test_what_may_be_left_out_is_exact_free_and_unmarked(tmp_path: Path):
+    plain = {"asset_uncertainty": ..., "runs": [{"file": "run_0.csv"}], "base": ...}
+    measured = read_measured(write(tmp_path, plain))
+    assert (measured.inertia_relative, measured.gravity_relative) == (0.0, 0.0)
+    assert measured.actuator is None and measured.effort_kind is None
+    assert measured.runs[0].held_out is None and measured.runs[0].effort is None
+
+
+def test_a_missing_reading_is_nan(tmp_path: Path):
+    rows = [f"{t:.3f},{'' if i == 7 else 0.1}" for i, t in enumerate(TIMES)]
+    measured = read_measured(write(tmp_path, csv="t_s,q\n" + "\n".join(rows)))
+    assert np.flatnonzero(np.isnan(measured.runs[0].q)).tolist() == [7]
+
+
+def test_poses_are_of_the_moving_part_in_the_reference_parts_frame(tmp_path: Path):
+    from freeart21 import se3
+
+    camera = se3.exp_se3([0.1, 0.2, 1.0, 0.3, -0.2, 0.5])
+    motions = se3.exp_se3(np.outer(np.linspace(0, 0.5, 30), [0, 0, 0, 0, 0, 1.0]))
+    folder = write(tmp_path, {"runs": [{"file": "run_p", "kind": "poses"}]})
+    (folder / "run_p").mkdir()
+    seen = np.ones((30, 2), bool)
+    seen[4, 1] = False
+    reference = np.broadcast_to(camera, motions.shape)
+    np.savez(folder / "run_p/poses.npz", T_camera_reference=reference, T_camera_moving=camera @ motions, seen=seen)
+    run = read_measured(folder).runs[0]
+    assert run.poses is not None and run.seen is not None and np.isnan(run.q).all()
+    np.testing.assert_allclose(run.poses, motions, atol=1e-9)
+    np.testing.assert_array_equal(run.seen, np.arange(30) != 4)
+    np.testing.assert_allclose(run.times_s, np.arange(30) / 100)
+
+
+def _csv(**columns) -> str:
+    table = {"t_s": TIMES, "q": 0.0 * TIMES, **columns}
+    return ",".join(table) + "\n" + "\n".join(",".join(map(str, row)) for row in zip(*table.values(), strict=True))
+
+
+BAD_FILES = {
+    "t_s,q\n0,0\n0.01,0\n": "2 samples, expected 20 or more: the run is too short",
+    _csv(t_s=np.where(TIMES == TIMES[9], 0, TIMES)): "times must increase, but line 11 has 0 s after 0.08 s",
+    _csv().replace("t_s,q", "t_s,angle"): "has no column 'q'; its columns: t_s, angle",
+    _csv().replace("t_s,q", "time,q"): "has no column 't_s'; its columns: time, q",
+    _csv(q=np.full(60, np.nan)): "has 0 readings of q that are numbers",
+    _csv().replace("0.02,", "0.02,x"): "line 4 is '0.02,x0.0', expected 2 numbers",
+    _csv(speed=TIMES): "has columns t_s, q, speed; expected each once of t_s, q, effort, q_command",
+    _csv(effort=TIMES): "has 'effort', whose unit is not in 'units'",
+    "": "has no column 't_s'; its columns: none",
+    _csv(t_s=np.append(np.nan, TIMES[1:])): "'t_s' is not a number in line 2",
+}
+
+
+@pytest.mark.parametrize("csv", BAD_FILES, ids=range(len(BAD_FILES)))
+def test_a_bad_run_costs_one_line(tmp_path: Path, csv: str):
+    with pytest.raises(FreeArtError) as caught:
+        read_measured(write(tmp_path, csv=csv))
+    assert BAD_FILES[csv] in str(caught.value) and "\n" not in str(caught.value)
+
+
+BAD_HEADERS = [
+    ({"version": 2}, "has version 2, expected 1"),
+    ({"joint_type": "ball"}, "'joint_type' is 'ball', expected revolute or prismatic"),
+    ({"joint": ...}, "'joint' is None, expected text"),
+    ({"units": {"t_s": "s", "q": "deg"}}, "'q' of a revolute joint is in 'deg', expected 'rad'"),
+    ({"units": {"t_s": "s"}}, "has 'q', whose unit is not in 'units'"),
+    ({"gravity": [0, -9.81]}, "'gravity' has shape (2,), expected (3,)"),
+    ({"base": "moving"}, "base is 'moving', expected 'fixed'"),
+    ({"sampling": {"rate_hz": 0, "timestamps": "recorded"}}, "'rate_hz' is 0, expected a number above 0"),
+    (
+        {"sampling": {"rate_hz": 100, "timestamps": "guessed"}},
+        "'timestamps' is 'guessed', expected recorded or nominal",
+    ),
+    ({"runs": []}, "has 0 runs, expected 1 to 1000"),
+    ({"runs": [{"file": "run_9.csv"}]}, "run_9.csv is missing"),
+    ({"runs": [{"file": "../run_0.csv"}]}, "leads out of the folder"),
+    ({"runs": [{"file": "run_0.csv", "kind": "video"}]}, "has kind 'video', expected csv, poses or rgbd"),
+    ({"runs": [{"file": "run_0.csv", "held_out": 1.5}]}, "has held_out 1.5, expected true or false"),
+    ({"runs": [{"file": "run_0.csv"}] * 2}, "'runs' names a file twice"),
+    ({"runs": [{"file": "run_0.csv", "held_out": True}]}, "all 1 runs are held out"),
+    ({"actuator": {"type": "velocity"}}, "the actuator's type is 'velocity', expected 'position'"),
+    ({"actuator": {"type": "position", "stiffness": -1, "damping": 0}}, "stiffness and damping are -1 and 0"),
+    ({"effort": "guessed"}, "'effort' is 'guessed', expected commanded or external"),
+    ({"asset_uncertainty": {"inertia_relative": 10}}, "'inertia_relative' is 10, expected 0 (exact) to below 1"),
+]
+
+
+@pytest.mark.parametrize("changes, said", BAD_HEADERS)
+def test_a_bad_header_costs_one_line(tmp_path: Path, changes: dict, said: str):
+    with pytest.raises(FreeArtError) as caught:
+        read_measured(write(tmp_path, changes))
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_efforts_and_commands_need_to_be_explained(tmp_path: Path):
+    units = {"t_s": "s", "q": "rad", "effort": "N*m", "q_command": "rad"}
+    with pytest.raises(FreeArtError, match="has efforts, but 'effort' does not say"):
+        read_measured(write(tmp_path, {"units": units}, effort=TIMES))
+    with pytest.raises(FreeArtError, match="has 'q_command', but there is no 'actuator'"):
+        read_measured(write(tmp_path, {"units": units}, q_command=TIMES))
+
+
+def test_no_set_at_all_costs_one_line(tmp_path: Path):
+    with pytest.raises(FreeArtError, match="is not a measured set: expected a folder with measured.json"):
+        read_measured(tmp_path / "nothing")
