@@ -30,7 +30,10 @@ HIDDEN = 0.8
 
 
 def bridge_gaps(evidence: Evidence, grown: Grown, settings: GapSettings, rng: np.random.Generator) -> Grown:
-    """`grown` with every stretch after a gap of either part shifted in state to fit the rest, and gaps filled."""
+    """`grown` with every stretch after a gap of either part shifted in state to fit the rest, and gaps filled.
+
+    A stretch that begins with a jump and fits nowhere was not that part: it counts as not seen.
+    """
     for part in range(2):
         jumps = _jumps(grown, part, settings)
         pieces = seen_pieces(grown.seen[:, part], jumps, settings)
@@ -40,11 +43,16 @@ def bridge_gaps(evidence: Evidence, grown: Grown, settings: GapSettings, rng: np
         for piece in sorted((p for p in pieces if p is not joined), key=lambda p: abs(p.mean() - joined.mean())):
             likely = _to_go_on(grown, jumps, joined, piece, settings)
             shift = _best_shift(evidence, grown, part, joined, piece, likely, settings, rng)
+            if shift is None:
+                continue
             states = grown.poses.states.copy()
             states[piece] = _without_turns(grown.poses.joint, states, joined, piece, states[piece] + shift)
             grown = _with_states(grown, states, part)
             joined = np.concatenate([joined, piece])
-        grown = _filled(evidence, grown, part, np.sort(joined), settings, rng)
+        joined = np.sort(joined)
+        seen = grown.seen.copy()
+        seen[:, part] = np.isin(np.arange(len(seen)), joined)
+        grown = _filled(evidence, replace(grown, seen=seen), part, joined, settings, rng)
     return grown
 
 
@@ -192,10 +200,10 @@ def _best_shift(
     likely: float | None,
     settings: GapSettings,
     rng: np.random.Generator,
-) -> float:
+) -> float | None:
     """The state to add in the frames `piece` so that `part` there agrees best with the frames `joined`.
 
-    If unsure, what is `likely`, or else 0.
+    If unsure, what is `likely`, or else 0. None when there is a jump to undo and yet no state fits.
     """
     most = float(np.ptp(grown.poses.states[np.concatenate([joined, piece])]))
     prior = 0.0 if likely is None else likely
@@ -205,6 +213,8 @@ def _best_shift(
         costs = sample.costs(np.append(shifts, prior))
         best = float(shifts[costs[:-1].argmin()])
         shifts = best + np.linspace(-1.5, 1.5, 25) * most / settings.steps
+    if likely is not None and costs.min() > HIDDEN:
+        return None
     return best if costs.min() < (1 - settings.least_gain) * costs[-1] else prior
 
 

@@ -21,6 +21,7 @@ from reconstruct import kernels
 from reconstruct.evidence import Evidence, spread
 from reconstruct.rigid import view_angle
 from reconstruct.settings import LabelSettings
+from reconstruct.votes import SurfaceVotes
 
 Frames = NDArray[np.int64]
 Floats = NDArray[np.float32]
@@ -53,26 +54,26 @@ def label_frame(
 def label_frames(
     evidence: Evidence, Ts: Array, body: Array, seen: NDArray[np.bool_], start: Floats, rng: np.random.Generator
 ) -> Floats:
-    """Log-odds (n, h, w) of all frames: what the pixels of each say, and then what the frames tell each other.
+    """Log-odds (n, h, w) of all frames: what the pixels of each say, and then what all frames say of their surfaces.
 
     Each part was `seen` (n, 2) or not by the log-odds `start` (n, h, w) so far; see `label_frame` for the rest.
     """
-    n, known = Ts.shape[1], np.asarray(seen.any(1))
+    n = Ts.shape[1]
     unsure = np.array([is_open(logodds[valid]) for logodds, valid in zip(start, evidence.scene.valid, strict=True)])
     measured = np.asarray(seen.all(1)) | unsure
-    telling = [telling_frames(evidence, i, Ts, body, measured, rng) for i in range(n)]
+    nothing = np.zeros(0, np.int64)  # where the joint stands is a guess in a frame that was not measured
+    telling = [telling_frames(evidence, i, Ts, body, measured, rng) if measured[i] else nothing for i in range(n)]
     found = kernels.each_in_threads(lambda i: motion_evidence(evidence, i, Ts, telling[i]).astype(np.float16), n)
-    logodds = np.stack(
-        kernels.each_in_threads(lambda i: walked(evidence, i, found[i].astype(np.float32), start=start[i]), n)
-    )
-    for _ in range(evidence.label_settings.rounds_of_talk):
-        before = logodds
+    logodds = start
+    votes = SurfaceVotes(evidence, Ts, seen | unsure[:, None])
+    for _ in range(evidence.label_settings.rounds_of_votes):
+        before, said = logodds, votes.beliefs(logodds, SURE)
 
-        def talked(i: int, before: Floats = before) -> Floats:
-            heard = hearsay(evidence, i, Ts, known, before)
-            return walked(evidence, i, found[i].astype(np.float32), *heard, start=before[i])
+        def voted(i: int, before: Floats = before, said: list[Floats] = said) -> Floats:
+            strength = evidence.label_settings.vote * np.abs(said[i])
+            return walked(evidence, i, found[i].astype(np.float32), np.sign(said[i]), strength, start=before[i])
 
-        logodds = np.stack(kernels.each_in_threads(talked, n))
+        logodds = np.stack(kernels.each_in_threads(voted, n))
     return logodds
 
 

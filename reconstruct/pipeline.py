@@ -193,11 +193,13 @@ def _joint(video: _Video, known: Known, settings: ReconstructSettings, rng: np.r
     grown = bridge_gaps(evidence, grown, settings.gaps, rng)
     grown = relabel(evidence, grown, settings, rng) if anew else grown
     grown = replace(grown, poses=_type_again(evidence, grown, settings, rng))
+    grown = bridge_gaps(evidence, grown, settings.gaps, rng)
     last = relabel(evidence, grown, settings, rng) if anew else grown
     grown = last if last.seen.all(1).sum() >= 4 else grown
     poses = joint_adjustment(evidence, grown.labels, grown.poses, grown.seen, settings.poses, rng)
     grown = fill_gaps(evidence, replace(grown, poses=poses), settings.gaps, rng)
-    return Known(_reference_first(grown))
+    last = relabel(evidence, grown, settings, rng) if anew else grown
+    return Known(_reference_first(replace(last, seen=grown.seen)))  # what only now shows was not measured
 
 
 def _type_again(

@@ -107,8 +107,13 @@ class LabelSettings:
     """Pull of one neighbour of the same look in the random walk, where a pixel that knows pulls with its log-odds."""
     residual: float = 3e-3
     """Share of the residual of what pixels see and hear, unsmoothed, at which the random walk is solved."""
-    rounds_of_talk: int = 2
-    """Times that all frames are labelled again, each hearing what the others found."""
+    rounds_of_votes: int = 4
+    """Times that all frames are labelled again, each hearing what all others believe of its surfaces."""
+    vote: float = 20.0
+    """Pull of what all frames believe of a surface, where a pixel that has seen the joint move pulls with its
+    log-odds."""
+    vote_cell: float = 3.0
+    """Size, in units, of the cells of a surface in which beliefs are gathered."""
     doubt: float = 0.03
     """Pull to not knowing: how soon belief fades away from those who know."""
     max_turn: float = 1.2
@@ -253,7 +258,7 @@ class GapSettings:
 
     shortest_gap: int = 2
     """Frames without the part that can break the chain."""
-    shortest_piece: int = 3
+    shortest_piece: int = 5
     """Shorter runs between two gaps are not believed."""
     jump: float = 5.0
     """A state that changes at once by so many times the usual has jumped."""
