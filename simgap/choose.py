@@ -115,7 +115,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         ]
         standing = [j for j in contenders if j.reach <= bar]
         reach = min((j.reach for j in standing), default=np.inf)
-        if reach <= settings.explained or size == settings.max_effects:
+        if reach <= max(settings.explained, settings.well_explained * bar) or size == settings.max_effects:
             break
         level = search.larger(level[: settings.parents])
         contenders = [judged(fit, folds) for fit in level[: settings.contenders]]

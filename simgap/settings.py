@@ -55,6 +55,8 @@ class ChoiceSettings:
     """Floors of error on held-out runs that an explanation of a small gap may leave; the floor is an estimate."""
     explained_part: float = 0.06
     """Part of a large gap that it may leave besides."""
+    well_explained: float = 0.2
+    """Part of a large bar at which no larger set is looked for."""
     form_factor: float = 8.0
     """Bars of error beyond which no departure from a formula is tried."""
     much_better: float = 0.6

@@ -1,0 +1,140 @@
+"""What is named, what is left open, and what is refused: on motions from equations that the product does not have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_case import asset_of, measured_of
+
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset
+from freeart21.measured import Measured
+from simgap.choose import folds_of, p_value
+from simgap.data import fit_runs
+from simgap.surrogate import plant_of
+from simgap.verdict import Verdict
+from simgap.workflow import find_gap
+
+
+def verdict(folder: Path, measured: Measured, lower: float = -3.0, upper: float = 3.0) -> Verdict:
+    return find_gap(read_asset(asset_of(folder, lower, upper), "j"), measured)
+
+
+def names(found: Verdict) -> set[str]:
+    return {named.effect.name for named in found.effects}
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("servo", [False, True])
+def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path, seed: int, servo: bool):
+    found = verdict(tmp_path, measured_of(seed, servo=servo))
+    assert found.verdict == "no_gap" and not found.effects and not found.rivals
+    assert all(gap.before < 1.3 * gap.floor for gap in found.gaps)
+
+
+@pytest.mark.parametrize(
+    "hidden, expected",
+    [
+        ({"viscous": 0.12, "power": 0.9}, "viscous_damping"),
+        ({"dry": 0.15}, "coulomb_friction"),
+        ({"drag": 0.06}, "quadratic_drag"),
+        ({"spring": 2.0, "rest": 0.3}, "return_spring"),
+    ],
+)
+def test_a_clear_effect_is_named(tmp_path: Path, hidden: dict[str, float], expected: str):
+    found = verdict(tmp_path, measured_of(11, **hidden))
+    assert (found.verdict, names(found)) == ("named", {expected})
+    held = [gap for gap in found.gaps if gap.held_out]
+    assert len(held) == 2 and all(gap.after < 0.2 * gap.before for gap in held)
+    low, high = found.effects[0].low, found.effects[0].high
+    assert all(low[k] <= getattr(found.effects[0].effect, k) <= high[k] for k in low)
+
+
+def test_bouncing_off_a_stop_is_named(tmp_path: Path):
+    measured = measured_of(12, lower=-0.5, upper=1.6, bounce=0.6)
+    found = verdict(tmp_path, measured, -0.5, 1.6)
+    assert (found.verdict, names(found)) == ("named", {"end_stop_bounce"})
+    assert found.effects[0].effect.restitution == pytest.approx(0.6, abs=0.03)
+
+
+def test_a_pair_is_named_that_no_single_effect_is_part_of(tmp_path: Path):
+    """Dry friction with drag looks like oil on the whole: one step at a time would name that."""
+    found = verdict(tmp_path, measured_of(13, dry=0.1, drag=0.05))
+    assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "quadratic_drag"})
+
+
+def test_a_zero_that_is_off_may_be_a_leaning_base(tmp_path: Path):
+    found = verdict(tmp_path, measured_of(14, offset=0.15))
+    assert found.verdict == "ambiguous"
+    assert {("encoder_offset",), ("gravity_offset",)} <= set(found.rivals)
+    assert found.next_experiment and "the explanations then differ by" in found.next_experiment
+
+
+def test_a_late_drive_may_be_a_late_clock(tmp_path: Path):
+    found = verdict(tmp_path, measured_of(15, servo=True, delay=0.03))
+    assert found.verdict == "ambiguous" and {("actuator_delay",), ("time_offset",)} <= set(found.rivals)
+
+
+@pytest.mark.parametrize("strange", [{"cog": 0.4, "count": 7.0}])
+def test_what_is_in_no_library_has_no_name(tmp_path: Path, strange: dict[str, float]):
+    found = verdict(tmp_path, measured_of(16, **strange))
+    assert found.verdict == "unexplained" and not found.effects
+
+
+def test_a_joint_that_hardly_moves_says_nothing(tmp_path: Path):
+    found = verdict(tmp_path, measured_of(17, largest=4e-3, dry=0.0, viscous=0.3))
+    assert found.verdict == "not_excited" and found.next_experiment
+
+
+def test_without_marks_every_run_is_held_out_in_turn(tmp_path: Path):
+    measured = measured_of(18, marked=False, viscous=0.1, runs=3, seconds=3.0)
+    found = verdict(tmp_path, measured)
+    assert (found.verdict, names(found)) == ("named", {"viscous_damping"})
+    runs, _ = fit_runs(measured, plant_of(read_asset(asset_of(tmp_path), "j"), measured))
+    folds = folds_of(runs)
+    assert sorted(run.name for fold in folds for run in fold.test) == sorted(run.name for run in runs)
+    assert all(not {r.name for r in fold.train} & {r.name for r in fold.test} for fold in folds)
+
+
+def test_a_single_run_is_cut(tmp_path: Path):
+    found = verdict(tmp_path, measured_of(19, marked=False, runs=1, seconds=9.0, viscous=0.1, largest=1.5))
+    assert (found.verdict, names(found)) == ("named", {"viscous_damping"})
+
+
+def test_noise_is_no_evidence(tmp_path: Path):
+    """The p-value of the best of many is at most what is claimed, for directions that have nothing to do with noise."""
+    from types import SimpleNamespace
+
+    rng = np.random.default_rng(3)
+    tried, alarms = 10, 0
+    for _ in range(400):
+        noise = rng.normal(size=500)
+        base = SimpleNamespace(strict={"a": noise})
+        moves = rng.normal(size=(tried, 500)) / np.sqrt(500) * rng.uniform(0, 4, (tried, 1))
+        best = min((noise - move for move in moves), key=lambda r: r @ r)
+        alarms += p_value(base, SimpleNamespace(strict={"a": best}), tried) < 0.05  # type: ignore[arg-type]
+    assert alarms <= 0.05 * 400
+
+
+def test_a_verdict_is_written_as_it_stands(tmp_path: Path):
+    import json
+
+    found = verdict(tmp_path, measured_of(11, viscous=0.12))
+    found.write(tmp_path / "verdict.json", "revolute")
+    said = json.loads((tmp_path / "verdict.json").read_text())
+    assert said["verdict"] == "named" and said["effects"][0]["name"] == "viscous_damping"
+    coefficient = said["effects"][0]["parameters"]["coefficient"]
+    assert coefficient["unit"] == "N*m*s/rad" and coefficient["low"] < coefficient["value"] < coefficient["high"]
+    assert [gap["held_out"] for gap in said["gap"]] == [False] * 3 + [True] * 2
+
+
+def test_the_wrong_joint_costs_one_line(tmp_path: Path):
+    from dataclasses import replace
+
+    asset = read_asset(asset_of(tmp_path), "j")
+    for wrong, said in (({"joint": "k"}, "it has no movable joint 'k'"), ({"joint_type": "prismatic"}, "is revolute")):
+        with pytest.raises(FreeArtError, match=said) as caught:
+            find_gap(asset, replace(measured_of(0), **wrong))
+        assert "\n" not in str(caught.value)

@@ -1,0 +1,117 @@
+"""Output-error fits: what is hidden is found again, the starts are free, and a larger set fits no worse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_case import INERTIA, asset_of, measured_of
+
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset
+from freeart21.measured import Measured
+from simgap.choose import folds_of
+from simgap.data import fit_runs
+from simgap.fit import Problem, Theory, fitted, placed, predicted, tangent
+from simgap.floor import floor_of
+from simgap.search import Search, candidates
+from simgap.settings import GapSettings
+from simgap.surrogate import plant_of
+from simgap.workflow import problem_of
+
+SETTINGS = GapSettings()
+
+
+def problem(folder: Path, measured: Measured) -> tuple[Problem, tuple]:
+    plant = plant_of(read_asset(asset_of(folder), "j"), measured)
+    runs, floor = fit_runs(measured, plant)
+    return problem_of(plant, measured, runs, floor, SETTINGS), runs
+
+
+def test_what_is_hidden_is_found_again_with_free_starts(tmp_path: Path):
+    measured = measured_of(1, viscous=0.12, exact=True)
+    setup, runs = problem(tmp_path, measured)
+    fit = fitted(Theory(setup, ("viscous_damping",)), runs, np.array([0.0, 0.05]))
+    assert fit.effects[0].coefficient == pytest.approx(0.12, rel=0.01)
+    assert max(fit.floors(run.name) for run in runs) < 1.1
+    spread = np.sqrt(np.linalg.inv(fit.normal)[-1, -1])
+    assert abs(fit.theta[-1] - 0.12) < 4 * spread and spread < 0.01 * 0.12
+    wrong = fitted(Theory(setup, ()), runs)
+    assert min(wrong.floors(run.name) for run in runs) > 10
+
+
+def test_the_assets_own_doubts_are_fitted_within_their_bounds(tmp_path: Path):
+    measured = measured_of(2, inertia=1.3 * INERTIA)
+    setup, runs = problem(tmp_path, measured)
+    fit = fitted(Theory(setup, ()), runs)
+    names = [r.name for r in fit.theory.ranges()]
+    assert names == ["inertia", "gravity", "lean_1"]
+    assert all(r.lower <= x <= r.upper for r, x in zip(fit.theory.ranges(), fit.theta, strict=True))
+    assert fit.theta[0] == pytest.approx(1.1) and min(fit.floors(run.name) for run in runs) > 5
+    armed = fitted(Theory(setup, ("armature",)), runs, np.array([1.1, 1.0, 0.0, 0.05]))
+    assert max(armed.floors(run.name) for run in runs) < 1.1
+
+
+def test_a_held_out_run_only_gets_a_start(tmp_path: Path):
+    setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
+    fit = fitted(Theory(setup, ("viscous_damping",)), runs[:3])
+    there = placed(fit, runs[3:])
+    np.testing.assert_array_equal(there.theta, fit.theta)
+    assert max(there.floors(run.name) for run in runs[3:]) < 1.3
+    np.testing.assert_allclose(
+        (runs[4].q - predicted(there, runs[4])) / runs[4].sigma, there.residuals[runs[4].name], atol=1e-9
+    )
+
+
+def test_slopes_are_what_small_changes_do(tmp_path: Path):
+    setup, runs = problem(tmp_path, measured_of(4, viscous=0.12, dry=0.05))
+    theory = Theory(setup, ("coulomb_friction", "viscous_damping"))
+    fit = fitted(theory, runs[:1], np.array([1.0, 1.0, 0.0, 0.05, 0.1]))
+    _, starts, parameters = tangent(fit, runs[:1])
+    run, j = runs[0], len(fit.theta) - 1
+    more, less = (
+        predicted(type(fit)(**{**vars(fit), "theta": fit.theta + d * np.eye(j + 1)[j]}), run) for d in (1e-3, -1e-3)
+    )
+    expected = (more - less) / 2e-3 / run.sigma
+    assert np.abs(parameters[0][j] - expected).max() < 0.02 * np.abs(expected).max()
+    assert starts[0].shape == (2, len(run.q))
+
+
+def test_a_larger_set_fits_no_worse_than_a_smaller_one(tmp_path: Path):
+    setup, runs = problem(tmp_path, measured_of(5, dry=0.1, drag=0.05))
+    train = folds_of(runs)[0].train
+    search = Search(setup, train, SETTINGS.choice, candidates(setup, train))
+    level = search.singles()
+    pairs = search.larger(level[:3])
+    assert {"coulomb_friction", "quadratic_drag"} in [set(fit.theory.names) for fit in pairs]
+    assert len(search.fits) > len(level)
+    for names, fit in search.fits.items():
+        for name in names:
+            smaller = search.fits.get(tuple(n for n in names if n != name))
+            assert smaller is None or fit.cost <= smaller.cost * (1 + 1e-6) + 1e-2, names
+
+
+def test_the_floor_is_the_sensors(tmp_path: Path):
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.uniform(0.004, 0.006, 4000))
+    true, speed = np.sin(3 * times), 3 * np.cos(3 * times)
+    assert floor_of([(times, true + rng.normal(0, 2e-3, 4000))]).still == pytest.approx(2e-3, rel=0.1)
+    assert floor_of([(times, np.round(true / 0.01) * 0.01)]).still == pytest.approx(0.01 / np.sqrt(12), rel=0.25)
+    floor = floor_of([(times, true + rng.normal(0, 2e-3, 4000) + speed * rng.normal(0, 2e-3, 4000))])
+    assert floor.stamp_s == pytest.approx(2e-3, rel=0.25) and floor.still == pytest.approx(2e-3, rel=0.4)
+
+
+@pytest.mark.parametrize("largest, said", [(57.3, "are its units degrees?"), (0.9, None)])
+def test_degrees_are_not_taken_for_radians(tmp_path: Path, largest: float, said: str | None):
+    from dataclasses import replace
+
+    measured = measured_of(6, largest=0.9)
+    runs = tuple(replace(run, q=run.q * (57.3 if said else 1.0)) for run in measured.runs)
+    setup = replace(measured, runs=runs)
+    if said is None:
+        assert problem(tmp_path, setup)
+    else:
+        with pytest.raises(FreeArtError, match="units degrees") as caught:
+            problem(tmp_path, setup)
+        assert "\n" not in str(caught.value)
