@@ -150,7 +150,9 @@ def picture(rows: list[dict[str, Any]], path: Path) -> None:
             fill = (shade, 255 if right else shade, shade) if part else (255, 255, 255)
             draw.rectangle((*at, at[0] + cell, at[1] + cell), fill=fill, outline=(210, 210, 210))
             if counts[i, j]:
-                draw.text((at[0] + 6, at[1] + 7), str(counts[i, j]), fill="black")
+                draw.text(
+                    (at[0] + 6, at[1] + 7), str(counts[i, j]), fill="white" if shade < 128 and not right else "black"
+                )
     for j, said in enumerate(answers):
         label = Image.new("RGBA", (top - 10, 14))
         ImageDraw.Draw(label).text((0, 0), said, fill="black")
