@@ -67,11 +67,12 @@ def label_frames(
     logodds = start
     votes = SurfaceVotes(evidence, Ts, seen | unsure[:, None])
     for _ in range(evidence.label_settings.rounds_of_votes):
-        before, said = logodds, votes.beliefs(logodds, SURE)
+        before, beliefs = logodds, votes.beliefs(logodds, SURE)
 
-        def voted(i: int, before: Floats = before, said: list[Floats] = said) -> Floats:
-            strength = evidence.label_settings.vote * np.abs(said[i])
-            return walked(evidence, i, found[i].astype(np.float32), np.sign(said[i]), strength, start=before[i])
+        def voted(i: int, before: Floats = before, beliefs: Floats = beliefs) -> Floats:
+            heard = votes.in_frame(beliefs, i)
+            strength = np.float32(evidence.label_settings.vote) * np.abs(heard)
+            return walked(evidence, i, found[i].astype(np.float32), np.sign(heard), strength, start=before[i])
 
         logodds = np.stack(kernels.each_in_threads(voted, n))
     return logodds

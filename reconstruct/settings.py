@@ -107,7 +107,7 @@ class LabelSettings:
     """Pull of one neighbour of the same look in the random walk, where a pixel that knows pulls with its log-odds."""
     residual: float = 3e-3
     """Share of the residual of what pixels see and hear, unsmoothed, at which the random walk is solved."""
-    rounds_of_votes: int = 4
+    rounds_of_votes: int = 2
     """Times that all frames are labelled again, each hearing what all others believe of its surfaces."""
     vote: float = 20.0
     """Pull of what all frames believe of a surface, where a pixel that has seen the joint move pulls with its

@@ -45,10 +45,10 @@ class SurfaceVotes:
             keys[self._ends[i] : self._ends[i + 1]] = ((cell[:, 0] << 38) | (cell[:, 1] << 19) | cell[:, 2]) * 6 + way
         return np.asarray(np.unique(keys, return_inverse=True)[1], np.int32)
 
-    def beliefs(self, logodds: Floats, sure: float) -> list[Floats]:
-        """What the surfaces under each frame's pixels are believed to be, given all `logodds` (n, h, w).
+    def beliefs(self, logodds: Floats, sure: float) -> Floats:
+        """(p,) what the surface under every measured pixel is believed to be, given all `logodds` (n, h, w).
 
-        (h, w) for each frame, -1 (surely the first part) to 1; log-odds of `sure` know. Who is surer is louder.
+        From -1 (surely the first part) to 1; log-odds of `sure` know. Who is surer is louder.
         """
         mine = np.concatenate([found[here] for found, here in zip(logodds, self._measured, strict=True)]) / sure
         total = np.zeros(len(mine), np.float32)
@@ -56,9 +56,10 @@ class SurfaceVotes:
             loud = np.where(voting, np.abs(mine), 0)
             said, size = np.bincount(cells, loud * mine), np.bincount(cells, loud)
             total += 0.5 * (said / (size + _HUSH)).astype(np.float32)[cells]
-        maps = []
-        for here, begin, end in zip(self._measured, self._ends[:-1], self._ends[1:], strict=True):
-            found = np.zeros(here.shape, np.float32)
-            found[here] = total[begin:end]
-            maps.append(spread(found, here))
-        return maps
+        return total
+
+    def in_frame(self, beliefs: Floats, frame: int) -> Floats:
+        """The `beliefs` (p,) of all measured pixels as a picture (h, w) of one frame."""
+        found = np.zeros(self._measured[frame].shape, np.float32)
+        found[self._measured[frame]] = beliefs[self._ends[frame] : self._ends[frame + 1]]
+        return spread(found, self._measured[frame])
