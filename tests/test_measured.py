@@ -96,8 +96,8 @@ def _csv(**columns) -> str:
 
 
 BAD_FILES = {
-    "t_s,q\n0,0\n0.01,0\n": "2 samples, expected 20 or more: the run is too short",
-    _csv(t_s=np.where(TIMES == TIMES[9], 0, TIMES)): "times must increase, but line 11 has 0 s after 0.08 s",
+    "\n".join(["t_s,q", "0,0", "0.01,0"]): "2 samples, expected 20 or more: the run is too short",
+    _csv(t_s=np.where(np.arange(60) == 9, 0, TIMES)): "times must increase, but line 11 has 0 s after 0.08 s",
     _csv().replace("t_s,q", "t_s,angle"): "has no column 'q'; its columns: t_s, angle",
     _csv().replace("t_s,q", "time,q"): "has no column 't_s'; its columns: time, q",
     _csv(q=np.full(60, np.nan)): "has 0 readings of q that are numbers",

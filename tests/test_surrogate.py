@@ -61,7 +61,7 @@ def test_the_kernel_has_every_law_of_the_library():
     for name in lawful:
         cls = EFFECTS[name]
         numbers = rng.uniform(0.1, 0.9, len(cls.parameters()))
-        q, qd, load, memory = rng.uniform(-1, 1, 2).tolist() + [2.0, 1.0]
+        q, qd, load, memory = *rng.uniform(-1, 1, 2).tolist(), 2.0, 1.0
         got = kernel._law(kernel.LAWS[name], q, qd, load, memory, numbers, 0)
         assert got == pytest.approx(float(cls.law(q, qd, load, memory, *numbers)), rel=1e-12), name
         caught = kernel._remember(kernel.LAWS[name], q, 1.0, numbers, 0)
