@@ -1,8 +1,8 @@
 """Which pixel belongs to which part, given the poses of both parts: dense masks with confidence.
 
 A pixel is asked twice. Frames between which the joint has moved say by depth, silhouette and colour which of the two
-motions it follows. Frames near in time and in view pass on what they know, since a surface never changes its part. Then
-a random walk (Grady 2006) over neighbours that look alike and lie in one plane carries the answers to where neither
+motions it follows. Then, since a surface never changes its part, other frames pass on what they know: while growing,
+those near in time and in view; afterwards all frames together, by `votes`. And a random walk (Grady 2006) over neighbours that look alike and lie in one plane carries the answers to where neither
 knows: the harmonic interpolation between sure pixels, to the end and not only so far as a few rounds reach.
 """
 
