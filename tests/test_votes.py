@@ -67,7 +67,7 @@ def test_who_is_surer_is_louder(case):
 
 
 def test_labels_of_frames_in_which_the_joint_is_a_guess_come_from_the_others(case):
-    clip, evidence, Ts, truth, logodds = case
+    _, evidence, Ts, truth, logodds = case
     seen, start = np.ones((FRAMES, 2), bool), logodds.copy()
     seen[9:12, 1] = False
     start[9:12] = -SURE * (truth[9:12] > 0)
