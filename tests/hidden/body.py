@@ -96,7 +96,7 @@ class Body:
         arm, axial = self.load_terms()
         return World(
             inertia=self.inertia, gravity_cosine=cosine, gravity_sine=sine, gravity_constant=constant,
-            lower=self.lower, upper=self.upper, viscous=self.damping, dry=self.friction,
+            lower=self.lower, upper=self.upper, known_viscous=self.damping, dry=self.friction,
             mass=self.mass, arm=arm, load_axial=axial,
         )  # fmt: skip
 

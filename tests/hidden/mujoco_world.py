@@ -13,9 +13,9 @@ from hidden.ode import COMMANDED, ELASTIC, EXTERNAL, GAP, Drive, World
 
 STEP = 1e-4
 _ABLE = {
-    "inertia", "gravity_cosine", "gravity_sine", "gravity_constant", "lower", "upper", "viscous", "drag", "dry",
-    "spring", "spring_rest", "hardening", "mass", "arm", "load_axial", "stiffness", "damping", "gain", "link",
-    "link_width", "link_inertia", "link_stiffness", "link_damping", "bristle",
+    "inertia", "gravity_cosine", "gravity_sine", "gravity_constant", "lower", "upper", "viscous", "known_viscous",
+    "drag", "dry", "spring", "spring_rest", "hardening", "mass", "arm", "load_axial", "stiffness", "damping", "gain",
+    "link", "link_width", "link_inertia", "link_stiffness", "link_damping", "bristle",
 }  # fmt: skip
 
 
@@ -45,8 +45,9 @@ def mjcf(world: World, revolute: bool) -> str:
     spring = ""
     if world.spring:
         spring = f'stiffness="{world.spring!r} 0 {world.spring * world.hardening!r}" springref="{world.spring_rest!r}"'
+    loss = f"{world.viscous + world.known_viscous!r} {world.drag!r}"
     joint = (
-        f'<joint name="q" type="{kind}" axis="0 0 1" {limit} damping="{world.viscous!r} {world.drag!r}" {spring} '
+        f'<joint name="q" type="{kind}" axis="0 0 1" {limit} damping="{loss}" {spring} '
         f'frictionloss="{world.dry!r}" solreflimit="{2 * STEP} 60" solimplimit="0.999 0.9999 1e-5" '
         f'solreffriction="{2 * STEP} 1" solimpfriction="0.9999 0.99999 1e-5"/>'
     )

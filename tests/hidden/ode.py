@@ -40,6 +40,7 @@ class World(NamedTuple):
     stop_loss: float = 0.0
     viscous: float = 0.0  # viscous * |v|^power
     viscous_power: float = 1.0
+    known_viscous: float = 0.0  # known_viscous * v: what the asset says of itself
     pulsing: float = 0.0  # the viscous loss goes up and down in time by this part
     pulsing_rate: float = 0.0  # Hz
     drag: float = 0.0
@@ -144,6 +145,7 @@ def _asked(p, x, w, command, has_command, effort):
 def _forces(p, q, v, z, x, w, t, clock, caught, command, has_command, effort, push):
     """Force on the part, dry friction left out, and acceleration of the drive side."""
     force = p.gravity_cosine * np.cos(q) + p.gravity_sine * np.sin(q) + p.gravity_constant + push
+    force -= p.known_viscous * v
     if p.viscous > 0.0:
         pulse = 1.0 + p.pulsing * np.sin(2.0 * np.pi * p.pulsing_rate * (clock + t))
         force -= p.viscous * pulse * np.sign(v) * abs(v) ** p.viscous_power

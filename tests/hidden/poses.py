@@ -55,6 +55,13 @@ def motion(body: Body, q: Array, axis: Array | None = None, origin: Array | None
     return pose(np.broadcast_to(np.eye(3), (len(q), 3, 3)), q[:, None] * axis)
 
 
+def _bending(body: Body, displaced: Array) -> Array:
+    """(n, 3) gravity's moment about the origin, its part along the axis left out, at `displaced` (n, 4, 4)."""
+    arm = displaced[:, :3, :3] @ (body.origin + body.com) + displaced[:, :3, 3] - body.origin
+    moment = np.cross(body.mass * arm, body.gravity)
+    return moment - (moment @ body.axis)[:, None] * body.axis
+
+
 def seen_motion(name: str | None, seed: int, size: float, body: Body, q: Array, t: Array) -> Array:
     """(n, 4, 4) displacements of the part, base frame, with the kinematic effect `name` of that size."""
     rng = np.random.default_rng([seed, 78])
@@ -87,10 +94,9 @@ def seen_motion(name: str | None, seed: int, size: float, body: Body, q: Array, 
         angle = size * (np.sin(phase) - 0.08 * np.sin(3 * phase))
         return _about(_turn(angle[:, None] * across), body.origin) @ ideal
     if name == "sag":  # softer one way than the other
-        arm = ideal[:, :3, :3] @ (body.origin + body.com) + ideal[:, :3, 3] - body.origin
-        moment = np.cross(body.mass * arm, body.gravity)
-        moment = moment - (moment @ body.axis)[:, None] * body.axis
-        usual = max(float(np.sqrt((moment**2).sum(1).mean())), 1e-9)
+        moment = _bending(body, ideal)
+        middle = motion(body, np.array([0.5 * (max(body.lower, -1.0) + min(body.upper, 1.0))]))
+        usual = max(float(np.linalg.norm(_bending(body, middle))), 1e-9)  # of the body, the same in every run
         soft = moment + 0.1 * (moment @ across)[:, None] * across
         return _about(_turn(size / usual * soft), body.origin) @ ideal
     if name == "eccentricity":
