@@ -2,8 +2,9 @@
 
 A pixel is asked twice. Frames between which the joint has moved say by depth, silhouette and colour which of the two
 motions it follows. Then, since a surface never changes its part, other frames pass on what they know: while growing,
-those near in time and in view; afterwards all frames together, by `votes`. And a random walk (Grady 2006) over neighbours that look alike and lie in one plane carries the answers to where neither
-knows: the harmonic interpolation between sure pixels, to the end and not only so far as a few rounds reach.
+those near in time and in view; afterwards all frames together, by `votes`. And a random walk (Grady 2006) over
+neighbours that look alike and lie in one plane carries the answers to where neither knows: the harmonic interpolation
+between sure pixels, to the end and not only so far as a few rounds reach.
 """
 
 from __future__ import annotations
