@@ -39,20 +39,22 @@ def bridge_gaps(evidence: Evidence, grown: Grown, settings: GapSettings, rng: np
         pieces = seen_pieces(grown.seen[:, part], jumps, settings)
         if not pieces:
             continue
-        joined = max(pieces, key=len)
+        joined, refused = max(pieces, key=len), [np.zeros(0, int)]
         for piece in sorted((p for p in pieces if p is not joined), key=lambda p: abs(p.mean() - joined.mean())):
             likely = _to_go_on(grown, jumps, joined, piece, settings)
             shift = _best_shift(evidence, grown, part, joined, piece, likely, settings, rng)
             if shift is None:
+                refused.append(piece)
                 continue
             states = grown.poses.states.copy()
             states[piece] = _without_turns(grown.poses.joint, states, joined, piece, states[piece] + shift)
             grown = _with_states(grown, states, part)
             joined = np.concatenate([joined, piece])
-        joined = np.sort(joined)
-        seen = grown.seen.copy()
-        seen[:, part] = np.isin(np.arange(len(seen)), joined)
-        grown = _filled(evidence, replace(grown, seen=seen), part, joined, settings, rng)
+        if len(joined) > len(np.concatenate(refused)):
+            seen = grown.seen.copy()
+            seen[np.concatenate(refused), part] = False
+            grown = replace(grown, seen=seen)
+        grown = _filled(evidence, grown, part, np.sort(joined), settings, rng)
     return grown
 
 
@@ -214,7 +216,10 @@ def _best_shift(
         best = float(shifts[costs[:-1].argmin()])
         shifts = best + np.linspace(-1.5, 1.5, 25) * most / settings.steps
     if likely is not None and costs.min() > HIDDEN:
-        return None
+        even, odd = np.sort(joined)[::2], np.sort(joined)[1::2]
+        own = _Pairs(evidence, grown, part, even, odd, settings, rng).costs(np.zeros(1))[0]
+        if costs.min() > settings.foreign * own:  # what hides the object makes all costs high
+            return None
     return best if costs.min() < (1 - settings.least_gain) * costs[-1] else prior
 
 

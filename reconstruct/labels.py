@@ -57,7 +57,8 @@ def label_frames(
 ) -> Floats:
     """Log-odds (n, h, w) of all frames: what the pixels of each say, and then what all frames say of their surfaces.
 
-    Each part was `seen` (n, 2) or not by the log-odds `start` (n, h, w) so far; see `label_frame` for the rest.
+    Frames in which the joint is a guess say nothing of their own: they begin with what was believed. Each
+    part was `seen` (n, 2) or not by the log-odds `start` (n, h, w) so far; see `label_frame` for the rest.
     """
     n = Ts.shape[1]
     unsure = np.array([is_open(logodds[valid]) for logodds, valid in zip(start, evidence.scene.valid, strict=True)])
@@ -65,7 +66,8 @@ def label_frames(
     nothing = np.zeros(0, np.int64)  # where the joint stands is a guess in a frame that was not measured
     telling = [telling_frames(evidence, i, Ts, body, measured, rng) if measured[i] else nothing for i in range(n)]
     found = kernels.each_in_threads(lambda i: motion_evidence(evidence, i, Ts, telling[i]).astype(np.float16), n)
-    logodds = start
+    pairs = zip(found, measured, start, strict=True)
+    logodds = np.stack([np.clip(f, -SURE, SURE) if m else s for f, m, s in pairs]).astype(np.float32)
     votes = SurfaceVotes(evidence, Ts, seen | unsure[:, None])
     for _ in range(evidence.label_settings.rounds_of_votes):
         before, beliefs = logodds, votes.beliefs(logodds, SURE)

@@ -2,7 +2,7 @@
 
 tracks         crop, points and normals; optical flow between neighbours
 segmentation   a window where two motions beat one; growth both ways in time (or the paper's: `paper_segmentation`)
-joint          adjustment of all frames under one joint; labels again; adjustment again
+joint          exchanges and gaps mended; labels of all frames; the joint's type; adjustment under one joint
 poses          both parts' poses, unconstrained by the joint
 surfaces       depth fused to one mesh a part
 renders        the held-out views
@@ -191,15 +191,22 @@ def _joint(video: _Video, known: Known, settings: ReconstructSettings, rng: np.r
     anew = settings.segmentation == "ours" or settings.paper.relabel
     grown = undo_exchanges(evidence, known.grown, settings.exchanges, rng) if anew else known.grown
     grown = bridge_gaps(evidence, grown, settings.gaps, rng)
-    grown = relabel(evidence, grown, settings, rng) if anew else grown
+    grown = _labels_again(evidence, grown, settings, rng) if anew else grown
     grown = replace(grown, poses=_type_again(evidence, grown, settings, rng))
     grown = bridge_gaps(evidence, grown, settings.gaps, rng)
-    last = relabel(evidence, grown, settings, rng) if anew else grown
-    grown = last if last.seen.all(1).sum() >= 4 else grown
+    grown = _labels_again(evidence, grown, settings, rng) if anew else grown
     poses = joint_adjustment(evidence, grown.labels, grown.poses, grown.seen, settings.poses, rng)
     grown = fill_gaps(evidence, replace(grown, poses=poses), settings.gaps, rng)
-    last = relabel(evidence, grown, settings, rng) if anew else grown
-    return Known(_reference_first(replace(last, seen=grown.seen)))  # what only now shows was not measured
+    last = _labels_again(evidence, grown, settings, rng) if anew else grown
+    seen = grown.seen & last.seen  # what only now shows was not measured, and what is gone was not that part
+    state_std = np.where(seen.all(1), grown.poses.state_std, np.inf)
+    return Known(_reference_first(replace(last, seen=seen, poses=replace(last.poses, state_std=state_std))))
+
+
+def _labels_again(evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng: np.random.Generator) -> Grown:
+    """`grown` with labels anew, unless they would lose a part."""
+    last = relabel(evidence, grown, settings, rng)
+    return last if last.seen.all(1).sum() >= 4 else grown
 
 
 def _type_again(

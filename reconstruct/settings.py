@@ -270,6 +270,8 @@ class GapSettings:
     """Steps of the state, each way, over the range of motion."""
     least_gain: float = 0.05
     """Share by which the cost must fall for the states to be shifted."""
+    foreign: float = 1.25
+    """A stretch that costs so many times what the others cost among themselves fits nowhere."""
     hidden_states: int = 61
     """States that are tried in frames in which a part is hidden."""
     evenness: float = 20.0

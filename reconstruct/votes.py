@@ -43,14 +43,18 @@ class SurfaceVotes:
             way = 2 * along + (np.take_along_axis(normal, along[:, None], 1)[:, 0] > 0)
             cell = np.clip(cell + _HALF, 0, 2 * _HALF - 1)
             keys[self._ends[i] : self._ends[i + 1]] = ((cell[:, 0] << 38) | (cell[:, 1] << 19) | cell[:, 2]) * 6 + way
-        return np.asarray(np.unique(keys, return_inverse=True)[1], np.int32)
+        order = keys.argsort(kind="stable")
+        cells = np.zeros(len(keys), np.int32)
+        cells[order[1:]] = np.cumsum(np.diff(keys[order]) > 0, dtype=np.int32)
+        return cells
 
     def beliefs(self, logodds: Floats, sure: float) -> Floats:
         """(p,) what the surface under every measured pixel is believed to be, given all `logodds` (n, h, w).
 
         From -1 (surely the first part) to 1; log-odds of `sure` know. Who is surer is louder.
         """
-        mine = np.concatenate([found[here] for found, here in zip(logodds, self._measured, strict=True)]) / sure
+        mine = np.concatenate([found[here] for found, here in zip(logodds, self._measured, strict=True)])
+        mine = np.clip(mine / sure, -1, 1)
         total = np.zeros(len(mine), np.float32)
         for cells, voting in zip(self._cells, self._voting, strict=True):
             loud = np.where(voting, np.abs(mine), 0)

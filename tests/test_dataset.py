@@ -139,7 +139,8 @@ def test_a_kill_during_the_last_clearing_away_is_mended(whole: Path, tmp_path: P
 
 def test_ctrl_c_says_in_one_line_how_to_go_on(tmp_path: Path) -> None:
     data = tmp_path / "data"
-    command = [*RUN, "record", "stapler", "flip_lighter", "--out", str(data), *SMALL, "--workers", "2"]
+    names = ["stapler", "flip_lighter", "drawer_unit", "swivel_usb", "slider_phone", "office_scissors"]  # long enough
+    command = [*RUN, "record", *names, "--out", str(data), *SMALL, "--workers", "2"]
     running = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     deadline = time.monotonic() + 90
     while len(list(data.glob(".recording/*/object"))) < 1 and time.monotonic() < deadline:

@@ -100,8 +100,8 @@ class Calls:
 @pytest.mark.parametrize(
     "stop, left",
     [
-        ("bridge_gaps", ["bridge_gaps", *FREE, "better_type", *FREE, "fuse", "fuse"]),
-        ("better_type", ["bridge_gaps", *FREE, "better_type", *FREE, "fuse", "fuse"]),
+        ("bridge_gaps", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", *FREE, "fuse", "fuse"]),
+        ("better_type", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", *FREE, "fuse", "fuse"]),
         ("fuse", ["fuse", "fuse"]),
     ],
 )
