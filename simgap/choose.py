@@ -194,7 +194,10 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
         more = sum(float((j.strict[run] ** 2).sum() - (best.strict[run] ** 2).sum()) for run in best.strict)
         return j.floors < settings.rival * best.floors or more < settings.rival_sum * unit
 
-    kept = [j for j in {j.names: j for j in reversed(order)}.values() if alike(j)][::-1]
+    first: dict[tuple[str, ...], Judged] = {}
+    for j in order:
+        first.setdefault(j.names, j)
+    kept = [j for j in first.values() if alike(j)]
     fewest = min(len(j.names) for j in kept)
     kept = [j for j in kept if len(j.names) == fewest]
     names = {j.names for j in kept}

@@ -112,7 +112,9 @@ class Theory:
         unit, span = spec.unit(problem.plant.joint_type), problem.q_high - problem.q_low
         low, high, size = spec.lower, spec.upper, spec.scale
         local = any(s.lower >= 0 and s.revolute_unit == "rad" for s in cls.parameters().values())
-        if unit in ("rad", "m") and spec.lower < 0:
+        if unit in ("rad", "m") and cls.acts == "reading":
+            low, high, size = -0.6 * span, 0.6 * span, 0.1 * span
+        elif unit in ("rad", "m") and spec.lower < 0:
             reach = 0.1 * span if local else 3 * span
             low, high, size = problem.q_low - reach, problem.q_high + reach, 0.1 * span
         elif unit in ("rad", "m") and cls.acts != "drive":

@@ -21,6 +21,7 @@ from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
 from generator.simulate import load
 from simgap import kernel
+from simgap.placing import place
 from simgap.settings import SurrogateSettings
 
 
@@ -68,10 +69,10 @@ def _gravity_terms(mechanics: JointMechanics) -> Array:
 
 def plant_of(asset: Asset, measured: Measured) -> Plant:
     """The joint of `asset` under the gravity and the actuator of `measured`; loads the asset in SAPIEN, neutral."""
-    simulated = load(asset, gravity=measured.gravity)
+    simulated = load(asset)
     actuator = measured.actuator
     return Plant(
-        simulated.mechanics,
+        place(asset, measured.gravity).mechanics,
         simulated.lower,
         simulated.upper,
         tuple(asset.effects.get(asset.joint, ())),

@@ -148,8 +148,22 @@ def force_at_work(plant: Plant, runs: tuple[FitRun, ...]) -> float:
     return max(float(plant.mechanics.inertia * np.sqrt(np.mean(squares))), 1e-9)
 
 
+def check_place(out: Path, asset: Path, measured: Path) -> None:
+    """Raise FreeArtError when writing `out` would destroy anything but an older answer."""
+    place = out.resolve()
+    for what, path in (("asset", asset.resolve()), ("measured set", measured.resolve())):
+        if path.is_relative_to(place) or (path.is_dir() and place.is_relative_to(path)):
+            raise FreeArtError(f"{out} and the {what} {path} lie in each other; choose another place")
+    if out.exists() and not (out.is_dir() and ((out / "verdict.json").is_file() or not any(out.iterdir()))):
+        raise FreeArtError(f"{out} exists and is no answer of an earlier run; choose another place or remove it first")
+
+
 def gap_folder(asset: Path, measured: Path, out: Path, settings: GapSettings = DEFAULTS) -> Verdict:
-    """`find_gap` from folders to a folder with verdict, repaired asset and page, which appears whole or not at all."""
+    """`find_gap` from folders to a folder with verdict, repaired asset and page, which appears whole or not at all.
+
+    Only an older answer is replaced. Raises FreeArtError when `out` holds anything else, or asset or measurement.
+    """
+    check_place(Path(out), Path(asset), Path(measured))
     runs = read_measured(measured)
     loaded = read_asset(asset, runs.joint)
     with new_folder(out, replace=True) as aside:

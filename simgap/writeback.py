@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import shutil
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -159,7 +160,7 @@ def _beside(home: Path, name: str) -> list[str]:
         for line in file:
             word, _, rest = line.strip().partition(" ")
             if word in _BESIDE_MESH and rest:
-                other = str(Path(name).parent / rest.split()[-1])
+                other = os.path.normpath(Path(name).parent / rest.split()[-1])
                 if (home / other).is_file() and other not in found:
                     found.append(other)
                     found += _beside(home, other) if word == "mtllib" else []

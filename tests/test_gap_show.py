@@ -33,6 +33,7 @@ from simgap.report import Ranked
 from simgap.show import Off, Replayed, helps, show
 from simgap.surrogate import Nuisance, plant_of
 from simgap.verdict import Named, RunGap, Verdict
+from simgap.workflow import check_place
 from simgap.writeback import repaired
 
 MASS, ARM, G = 1.2, 0.3, 9.81
@@ -398,3 +399,18 @@ def test_rocking_is_shown_with_each_runs_own_phase(tmp_path: Path):
     gap = next(gap for gap in verdict.gaps if gap.regime == GEOMETRY)
     assert verdict.verdict == "named"
     assert gap.before > 1.8 * gap.floor and gap.after < 1.25 * gap.floor
+
+
+def test_only_an_older_answer_is_replaced(tmp_path: Path):
+    asset, measured, out = tmp_path / "asset", tmp_path / "measured", tmp_path / "out"
+    for folder in (asset, measured, out):
+        folder.mkdir()
+    for place in (measured, tmp_path, asset / "gap", asset):
+        with pytest.raises(FreeArtError, match="lie in each other"):
+            check_place(place, asset, measured)
+    check_place(out, asset, measured)  # empty
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(FreeArtError, match="no answer of an earlier run"):
+        check_place(out, asset, measured)
+    (out / "verdict.json").write_text("{}")
+    check_place(out, asset, measured)
