@@ -11,6 +11,7 @@ from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
 from simgap.floor import Floor, floor_of
 from simgap.surrogate import Inputs, Plant
+from simgap.swings import reversals
 
 MAX_SAMPLES = 1500
 """Readings of a run that a fit looks at; more are thinned out evenly."""
@@ -137,25 +138,9 @@ def _check_units(measured: Measured, plant: Plant, series: list[tuple[Array, Arr
                     f"run '{run.name}' reads {low:.4g} to {high:.4g} {unit}, but joint '{measured.joint}' has limits "
                     f"{plant.lower:.4g} to {plant.upper:.4g} {unit}: are its units {foreign}?"
                 )
-        turns = np.abs(np.diff(q[_turns(q)]))
+        turns = np.abs(np.diff(q[[0, *reversals(q, 0.1 * float(np.ptp(q))), -1]]))
         if unit == "rad" and len(turns) >= 3 and np.median(turns) > 4 * np.pi:
             raise FreeArtError(
                 f"run '{run.name}' swings by {np.median(turns):.4g} rad between turns of joint '{measured.joint}', "
                 "expected less than 2 turns: are its units degrees?"
             )
-
-
-def _turns(q: Array) -> Array:
-    """Indices of the ends and of the turning points of a course, small ones left out."""
-    least, kept = 0.1 * float(np.ptp(q)), [0]
-    way, best = 0, 0
-    for i in range(1, len(q)):
-        if way == 0:
-            if abs(q[i] - q[0]) > least:
-                way, best = (1 if q[i] > q[0] else -1), i
-        elif (q[i] - q[best]) * way > 0:
-            best = i
-        elif (q[best] - q[i]) * way > least:
-            kept.append(best)
-            way, best = -way, i
-    return np.array([*kept, len(q) - 1])

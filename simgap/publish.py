@@ -9,12 +9,11 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.asset import Asset
-from freeart21.effects.base import Effect
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
 from simgap.equation_error import missing_force
 from simgap.kinematics import KinematicsFinding
-from simgap.localise import ResidualMap, residual_maps, where
+from simgap.localise import residual_maps, where
 from simgap.placing import Placed, place
 from simgap.report import GEOMETRY, Gap, Ranked, write_report
 from simgap.show import Off, PosesReplayed, Replayed, Shown, show
@@ -129,15 +128,6 @@ def publish(
         ),
     )
     return verdict
-
-
-def maps_of(
-    asset: Asset, measured: Measured, effects: tuple[Effect, ...] = (), seed: int = 0
-) -> tuple[ResidualMap, ...]:
-    """Maps of the force that the asset, with `effects` besides its own, lacks in the runs to fit."""
-    placed = place(asset, measured.gravity)
-    acting = (*asset.effects.get(asset.joint, ()), *effects)
-    return residual_maps(missing_force(measured, placed.mechanics, *_limits(asset), acting), seed)
 
 
 def _limits(asset: Asset) -> tuple[float, float]:

@@ -146,7 +146,6 @@ def show(
     replays: tuple[Replayed, ...],
     off: tuple[Off, Off] = (Off(), Off()),
     timestep_s: float = 2e-3,
-    fit_starts: bool = False,
     poses: tuple[PosesReplayed, ...] = (),
 ) -> Shown:
     """Replay runs in SAPIEN with both assets, in a process that knows neither fit nor surrogate.
@@ -158,7 +157,6 @@ def show(
         replays: runs with start states.
         off: for each asset by how much it is off by its own fit.
         timestep_s: first choice; halved until that changes the longest run by less than a tenth of its floor.
-        fit_starts: improve the start states in SAPIEN itself before the replay, when nobody fitted them well.
         poses: runs of poses, whose geometry is compared too.
 
     Raises FreeArtError when there is nothing to replay, or the process fails: its last line says why.
@@ -167,7 +165,7 @@ def show(
         raise FreeArtError("no run to replay, expected one or more")
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place_:
         folder = Path(place_)
-        _write_job(folder, before, after, measured, replays, off, timestep_s, fit_starts, poses)
+        _write_job(folder, before, after, measured, replays, off, timestep_s, poses)
         root = str(Path(__file__).resolve().parents[1])
         paths = os.pathsep.join(p for p in (root, os.environ.get("PYTHONPATH", "")) if p)
         try:
@@ -215,7 +213,6 @@ def _write_job(
     replays: tuple[Replayed, ...],
     off: tuple[Off, Off],
     timestep_s: float,
-    fit_starts: bool,
     poses: tuple[PosesReplayed, ...],
 ) -> None:
     law = measured.actuator
@@ -227,7 +224,6 @@ def _write_job(
         "effort": measured.effort_kind,
         "off": [asdict(o) for o in off],
         "timestep_s": timestep_s,
-        "fit_starts": fit_starts,
         "starts": [[list(r.start_before), list(r.start_after)] for r in replays],
         "floors": [r.floor for r in replays],
     }
@@ -316,9 +312,14 @@ class _Stage:
         return loaded
 
     def replay(self, loaded: simulate.SimulatedAsset, data: Any, i: int, start: tuple[float, float]) -> Array:
-        """(n,) what the sensor reads at the times of run `i`."""
+        """(n,) what the sensor reads at the times of run `i`; the state `start` is that of the first reading.
+
+        A sensor that is late reads a state of before: the simulation begins by so much earlier.
+        """
         times, clock = data[f"times_{i}"], data[f"clock_{i}"]
-        begin = float(times[0])
+        sensing = [effect for effect in loaded.effects if effect.kind == "sensing"]
+        first = float(times[0])
+        begin = first - sum(effect.delay() for effect in sensing)
         effort, command = (data.get(f"{name}_{i}") for name in ("effort", "q_command"))
         law = self.job["actuator"]
         follows = held(clock - begin, command) if command is not None and law else None
@@ -330,37 +331,10 @@ class _Stage:
             actuator = Actuator(follows, stiffness, damping, commanded)
         q0 = float(np.clip(start[0], self.lower, self.upper))
         h = loaded.timestep_s
-        seconds = float(np.ceil((times[-1] - begin) / h) * h) + h
+        seconds = float(np.ceil((times[-1] - first) / h) * h) + h
         rolled = simulate.roll_out(loaded, q0, start[1], duration_s=seconds, force=push, actuator=actuator)
-        return np.interp(times - begin, rolled.times_s, rolled.q_measured)
-
-    def fitted_start(
-        self, loaded: simulate.SimulatedAsset, data: Any, i: int, start: tuple[float, float]
-    ) -> tuple[float, float]:
-        """The start state of least difference over the whole run, from `start`, by Gauss-Newton."""
-        measured = data[f"q_{i}"]
-        span = max(float(np.ptp(measured)), 1e-6)
-        duration = max(float(np.ptp(data[f"times_{i}"])), 1e-3)
-        steps = np.array([1e-3 * span, 1e-2 * span / duration])
-        x, best = np.array(start, float), np.inf
-        for _ in range(4):
-            now = self.replay(loaded, data, i, (x[0], x[1]))
-            cost = float(np.mean((measured - now) ** 2))
-            if cost > best * (1 - 1e-4):
-                break
-            best, kept = cost, x.copy()
-            # backwards where a step forwards would leave the limits
-            signs = np.where([x[0] + steps[0] > self.upper, False], -1.0, 1.0)
-            J = np.stack(
-                [
-                    (self.replay(loaded, data, i, tuple(x + signs * steps * e)) - now) / (signs[k] * steps[k])
-                    for k, e in enumerate(np.eye(2))
-                ],
-                -1,
-            )
-            x = x + np.linalg.lstsq(J, measured - now, rcond=1e-6)[0]
-            x[0] = np.clip(x[0], self.lower, self.upper)
-        return float(kept[0]), float(kept[1])
+        q = np.interp(times - first, rolled.times_s, rolled.q)
+        return np.asarray(q + sum((effect.reading_error(q) for effect in sensing), np.zeros(len(q))))
 
 
 def _scaled(asset: Asset, factor: float, folder: Path) -> Asset:
@@ -392,10 +366,7 @@ def _replay(folder: Path) -> None:
     for k, (name, stage) in enumerate(zip(("before", "after"), stages, strict=True)):
         loaded = stage.load(h)
         for i in range(count):
-            start = starts[i][k]
-            if job["fit_starts"]:
-                start = stage.fitted_start(loaded, data, i, start)
-            out[f"{name}_{i}"] = stage.replay(loaded, data, i, start)
+            out[f"{name}_{i}"] = stage.replay(loaded, data, i, starts[i][k])
     with (folder / "replay.npz").open("wb") as file:
         np.savez(file, **out)  # type: ignore[arg-type]
     off = [_pose_gaps(stages, data, i, said) for i, said in enumerate(job["poses"])]
