@@ -20,6 +20,8 @@ from freeart21.joint import Joint
 from freeart21.se3 import Array
 
 _SHAPES = ("mesh", "box", "cylinder", "sphere")
+_MESHES = (".obj", ".stl", ".msh")
+"""Endings of meshes that MuJoCo reads; shapes of others are left out, and inertia is the URDF's anyway."""
 
 
 def mjcf_of_urdf(asset: Asset) -> bytes:
@@ -128,6 +130,8 @@ def _geom(shape: ET.Element, assets: ET.Element) -> ET.Element | None:
         file = geometry.get("filename", "")
         if "://" in file:
             raise FreeArtError(f"mesh '{file}' is named by an address, expected a path")
+        if not file.lower().endswith(_MESHES):
+            return None
         scale = number_text(*numbers(geometry.get("scale", "1 1 1")))
         ET.SubElement(assets, "mesh", name=name, file=file, scale=scale, inertia="shell")
         geom.set("mesh", name)

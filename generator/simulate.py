@@ -602,7 +602,7 @@ def _readable_urdf(asset: Asset, joints: dict[str, UrdfJoint], visuals: bool, ke
     links = [link.get("name", "") for link in root.findall("link")]
     _check_tree(asset, joints, links)
     for file in [*root.iter("mesh"), *root.iter("texture")]:
-        file.set("filename", str(_resolve(asset.urdf, file.get("filename", ""))))
+        file.set("filename", str(named_file(asset.urdf, file.get("filename", ""))))
     dropped = () if visuals else ("visual",)
     for link in root.findall("link"):
         weighed = float(_attribute(link, "inertial/mass", "value", "0")) > 0
@@ -649,7 +649,7 @@ def _check_tree(asset: Asset, joints: dict[str, UrdfJoint], links: list[str]) ->
             raise FreeArtError(f"{asset.urdf} has no link '{link}'; links: {', '.join(links)}")
 
 
-def _resolve(urdf: Path, filename: str) -> Path:
+def named_file(urdf: Path, filename: str) -> Path:
     """The file that a URDF names: relative to its folder, absolute, or package:// searched from its folder upwards."""
     folder = urdf.absolute().parent
     if filename.startswith("package://"):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import shutil
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -22,12 +20,11 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, write_asset_json
 from generator import simulate
+from simgap.asset_files import copied, mjcf_beside, parsed, written
 
 _ONE_SIZE = ("viscous_damping", "coulomb_friction", "quadratic_drag", "load_friction", "armature")
 """Effects of one number that is a size: two of them are one with the sum."""
 _POSE_TOLERANCE = 1e-6  # single precision of the engine, metres and rotation entries
-_NAMED_FILES = ("mesh", "texture")
-_BESIDE_MESH = ("mtllib", "map_Kd", "map_Ka", "map_Bump", "map_bump", "bump")
 
 
 def repaired(asset: Asset, effects: tuple[Effect, ...], folder: Path, source: dict[str, Any] | None = None) -> Asset:
@@ -39,21 +36,20 @@ def repaired(asset: Asset, effects: tuple[Effect, ...], folder: Path, source: di
         folder: takes the files; need not exist, must hold nothing else.
         source: what asset.json shall say of where the repair came from.
 
-    Raises FreeArtError when the joint cannot have an effect, a named file is missing or lies where it cannot be copied,
-    or the reloaded asset is not the same but for its effects.
+    Raises FreeArtError when the joint cannot have an effect, a named file cannot be copied, or the reloaded asset is
+    not the same but for its effects.
     """
     joined = {**asset.effects, asset.joint: joined_effects(asset.effects.get(asset.joint, ()), effects)}
-    _copy(asset.urdf, folder)
-    urdf = folder / asset.urdf.name
-    mjcf = asset.urdf.with_suffix(".xml")
-    atomic.write_bytes(urdf, urdf_with_effects(asset.urdf.read_bytes(), joined, asset.urdf))
-    if mjcf.is_file():
-        atomic.write_bytes(folder / mjcf.name, mjcf_with_effects(mjcf.read_bytes(), asset.joint, joined, mjcf))
+    texts = copied(asset.urdf, folder)
+    urdf, mjcf = folder / asset.urdf.name, mjcf_beside(asset.urdf)
+    atomic.write_bytes(urdf, urdf_with_effects(texts[urdf.name], joined, asset.urdf))
+    if mjcf.name in texts:
+        atomic.write_bytes(folder / mjcf.name, mjcf_with_effects(texts[mjcf.name], asset.joint, joined, mjcf))
     told = {**asset.source, **({"repair": source} if source else {})}
-    written = replace(asset, urdf=urdf, effects=joined, source=told)
-    if not mjcf.is_file():
-        atomic.write_bytes(folder / mjcf.name, mjcf_of_urdf(written))
-    write_asset_json(folder, written)
+    mended = replace(asset, urdf=urdf, effects=joined, source=told)
+    if mjcf.name not in texts:
+        atomic.write_bytes(folder / mjcf.name, mjcf_of_urdf(mended))
+    write_asset_json(folder, mended)
     return _reloaded(asset, joined, folder)
 
 
@@ -84,7 +80,7 @@ def _one_spring(a: Effect, b: Effect) -> ReturnSpring:
 
 def urdf_with_effects(text: bytes, effects: dict[str, tuple[Effect, ...]], where: Path) -> bytes:
     """The URDF with `<dynamics>` of every joint as its effects say; everything else, comments too, stays."""
-    root = _parsed(text, where)
+    root = parsed(text, where)
     for joint in root.findall("joint"):
         acting = effects.get(joint.get("name", ""), ())
         said = [effect.urdf_dynamics() for effect in acting]
@@ -95,12 +91,12 @@ def urdf_with_effects(text: bytes, effects: dict[str, tuple[Effect, ...]], where
         element = ET.SubElement(joint, "dynamics") if element is None else element
         for word, value in sums.items():
             element.set(word, repr(value))
-    return ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+    return written(root, declared=True)
 
 
 def mjcf_with_effects(text: bytes, joint: str, effects: dict[str, tuple[Effect, ...]], where: Path) -> bytes:
     """The MJCF with the words of its joint as the effects say; FreeArtError when it has no such joint."""
-    root = _parsed(text, where)
+    root = parsed(text, where)
     element = next((e for e in root.iter("joint") if e.get("name") == joint), None)
     if element is None:
         names = ", ".join(e.get("name", "") for e in root.iter("joint"))
@@ -109,62 +105,7 @@ def mjcf_with_effects(text: bytes, joint: str, effects: dict[str, tuple[Effect, 
         element.attrib.pop(word, None)
     for word, said in joint_words(effects.get(joint, ()), joint).items():
         element.set(word, said)
-    return ET.tostring(root, encoding="utf-8") + b"\n"
-
-
-def _parsed(text: bytes, where: Path) -> ET.Element:
-    try:
-        return ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
-    except ET.ParseError as error:
-        raise FreeArtError(f"{where} is not XML: {error}") from error
-
-
-def _copy(urdf: Path, folder: Path) -> None:
-    """The files that an asset needs: its folder when asset.json says that it is one, else what the URDF names."""
-    home = urdf.parent
-    if (home / "asset.json").is_file():
-        shutil.copytree(home, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("effects.json"))
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(urdf, folder / urdf.name)
-    for extra in ("semantics.txt", urdf.with_suffix(".xml").name):
-        if (home / extra).is_file():
-            shutil.copyfile(home / extra, folder / extra)
-    for name in _named_files(urdf):
-        source, target = home / name, folder / name
-        if Path(name).is_absolute() or "://" in name or ".." in Path(name).parts:
-            raise FreeArtError(f"{urdf} names file '{name}', expected a path within its folder: it cannot be copied")
-        if not source.is_file():
-            raise FreeArtError(f"{urdf} names file '{name}', which does not exist")
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source, target)
-
-
-def _named_files(urdf: Path) -> list[str]:
-    """Files that a URDF, and the MJCF beside it, name, with the materials and pictures of OBJ meshes."""
-    names: list[str] = []
-    for path, attribute in ((urdf, "filename"), (urdf.with_suffix(".xml"), "file")):
-        if path.is_file():
-            root = _parsed(path.read_bytes(), path)
-            names += [e.get(attribute, "") for tag in _NAMED_FILES for e in root.iter(tag) if e.get(attribute)]
-    for name in list(names):
-        if name.lower().endswith(".obj") and (urdf.parent / name).is_file():
-            names += _beside(urdf.parent, name)
-    return list(dict.fromkeys(names))
-
-
-def _beside(home: Path, name: str) -> list[str]:
-    """What an OBJ or MTL file names, if it is there."""
-    found: list[str] = []
-    with (home / name).open(encoding="utf-8", errors="replace") as file:
-        for line in file:
-            word, _, rest = line.strip().partition(" ")
-            if word in _BESIDE_MESH and rest:
-                other = os.path.normpath(Path(name).parent / rest.split()[-1])
-                if (home / other).is_file() and other not in found:
-                    found.append(other)
-                    found += _beside(home, other) if word == "mtllib" else []
-    return found
+    return written(root)
 
 
 def _reloaded(asset: Asset, effects: dict[str, tuple[Effect, ...]], folder: Path) -> Asset:

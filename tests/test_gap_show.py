@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -168,9 +169,61 @@ def test_meshes_go_along(tmp_path: Path):
     meshes = {"meshes/box.obj", "meshes/box.mtl", "meshes/box.png"}
     assert files == {"bob.urdf", "bob.xml", "asset.json", "effects.json", *meshes}
     assert again.effects == {"j": (ViscousDamping(0.02),)}
-    asset.urdf.write_text(asset.urdf.read_text().replace("meshes/box.obj", "../box.obj"))
-    with pytest.raises(FreeArtError, match="expected a path within its folder"):
-        repaired(read_asset(asset.urdf), (), tmp_path / "c")
+
+
+@pytest.mark.parametrize("named_as", ["{out}/box.obj", "package://robot/shapes/box.obj", "../robot/shapes/box.obj"])
+def test_meshes_from_elsewhere_come_into_the_copy(tmp_path: Path, named_as: str):
+    """Absolute, package:// and parent paths: the copy stands alone, and nothing is written beside it."""
+    mujoco = pytest.importorskip("mujoco")
+    out = tmp_path / "robot/shapes"
+    out.mkdir(parents=True)
+    (tmp_path / "robot/secret.png").write_bytes(b"png")
+    (out / "box.png").write_bytes(b"png")
+    (out / "box.mtl").write_text("newmtl m\nmap_Kd box.png\nmap_Bump ../secret.png\n")
+    cube = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1))
+    (out / "box.obj").write_text(f"mtllib box.mtl\n{cube}f 1 2 3\nf 1 2 5\nf 1 3 5\nf 2 3 5\nf 8 7 6\n")
+    asset = bob(tmp_path / "a")
+    visual = f'<visual><geometry><mesh filename="{named_as.format(out=out)}"/></geometry></visual>'
+    asset.urdf.write_text(asset.urdf.read_text().replace("</inertial>", f"</inertial>{visual}"))
+    again = repaired(read_asset(asset.urdf), (ViscousDamping(0.02),), tmp_path / "b/c")
+    files = {str(p.relative_to(tmp_path / "b")) for p in (tmp_path / "b").rglob("*") if p.is_file()}
+    meshes = {f"c/outside/0/box.{ending}" for ending in ("obj", "mtl", "png")}
+    assert files == {"c/bob.urdf", "c/bob.xml", "c/asset.json", "c/effects.json", *meshes}
+    shutil.rmtree(tmp_path / "robot")
+    assert again.urdf.read_text().count('filename="outside/0/box.obj"') == 1
+    mujoco.MjModel.from_xml_path(str(again.urdf.with_suffix(".xml")))
+    twice = repaired(again, (CoulombFriction(0.02),), tmp_path / "d")  # and may be repaired again
+    assert (tmp_path / "d/outside/0/box.png").is_file() and len(twice.effects["j"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("/etc/hostname", "expected a mesh or a picture"), ("gone.obj", "does not exist"), ("big.obj", "at most")],
+)
+def test_not_everything_that_a_urdf_names_is_copied(tmp_path: Path, name: str, said: str, monkeypatch):
+    asset = bob(tmp_path / "a")
+    monkeypatch.setattr("simgap.asset_files.MAX_BYTES", 1000)
+    (tmp_path / "a/big.obj").write_bytes(b"#" * 1001)
+    visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
+    asset.urdf.write_text(asset.urdf.read_text().replace("</inertial>", f"</inertial>{visual}"))
+    with pytest.raises(FreeArtError, match=said) as caught:
+        repaired(read_asset(asset.urdf), (), tmp_path / "b")
+    assert "\n" not in str(caught.value)
+
+
+def test_an_mjcf_with_folders_of_its_own_comes_along(tmp_path: Path):
+    mujoco = pytest.importorskip("mujoco")
+    asset = bob(tmp_path / "a")
+    (tmp_path / "shapes").mkdir()
+    cube = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1))
+    (tmp_path / "shapes/box.obj").write_text(f"{cube}f 1 2 3\nf 1 2 5\nf 1 3 5\nf 2 3 5\nf 8 7 6\n")
+    (tmp_path / "a/bob.xml").write_text("""<mujoco><compiler meshdir="../shapes"/><asset><mesh name="m" file="box.obj"/>
+        </asset><worldbody><body name="bob" pos="0 0 1"><joint name="j" axis="0 1 0"/>
+        <geom type="mesh" mesh="m"/></body></worldbody></mujoco>""")
+    again = repaired(read_asset(asset.urdf), (ViscousDamping(0.02),), tmp_path / "b")
+    shutil.rmtree(tmp_path / "shapes")
+    model = mujoco.MjModel.from_xml_path(str(again.urdf.with_suffix(".xml")))
+    assert model.dof_damping[0] == pytest.approx(0.02)
 
 
 def test_two_springs_are_one(tmp_path: Path):
