@@ -32,8 +32,8 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from reconstruct import VERSION
+from reconstruct.growth import Grown
 from reconstruct.poses import FreePoses, JointedPoses
-from reconstruct.segmentation import Grown
 from reconstruct.settings import ReconstructSettings
 
 KeptStage = Literal["segmentation", "joint", "poses", "surfaces"]

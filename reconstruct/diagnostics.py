@@ -17,9 +17,9 @@ from freeart21 import se3
 from freeart21.files.diagnostics import Diagnostics
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence, Samples
+from reconstruct.growth import Grown
 from reconstruct.poses import FreePoses, choose_pairs, part_samples
 from reconstruct.scene import full_masks
-from reconstruct.segmentation import Grown
 from reconstruct.settings import PoseSettings
 
 SAMPLES = 100

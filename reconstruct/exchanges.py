@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from freeart21 import se3
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence, Samples, draw
+from reconstruct.growth import Grown
 from reconstruct.poses import JointedPoses
 from reconstruct.rigid import view_angle
-from reconstruct.segmentation import Grown
 from reconstruct.settings import ExchangeSettings
 
 Frames = NDArray[np.int64]
@@ -59,9 +59,10 @@ def exchanged(grown: Grown, frames: NDArray[np.bool_], turning: float) -> Grown:
     poses = grown.poses
     Ts = np.where(frames[:, None, None], poses.Ts_moving @ poses.joint.transform(-turning), poses.Ts)
     states = np.where(frames, 2 * turning - poses.states, poses.states)
-    other = frames[:, None, None]
-    labels = np.where(other, (3 - grown.labels) * (grown.labels > 0), grown.labels).astype(np.uint8)
-    logodds = np.where(other, -grown.logodds, grown.logodds)
+    labels, logodds = grown.labels.copy(), grown.logodds.copy()
+    for i in map(int, np.flatnonzero(frames)):  # all at once would be half a gigabyte of copies
+        labels[i] = np.where(labels[i] > 0, 3 - labels[i], 0)
+        logodds[i] = -logodds[i]
     seen = np.where(frames[:, None], grown.seen[:, ::-1], grown.seen)
     return Grown(replace(poses, joint=poses.joint.spanning(states), states=states, Ts=Ts), labels, logodds, seen)
 

@@ -19,8 +19,8 @@ from freeart21 import se3
 from freeart21.joint import Joint
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence, draw, evenly
+from reconstruct.growth import Grown
 from reconstruct.rigid import view_angle
-from reconstruct.segmentation import Grown
 from reconstruct.settings import GapSettings
 
 Frames = NDArray[np.int64]

@@ -22,9 +22,10 @@ from freeart21.se3 import Array
 from reconstruct import rigid
 from reconstruct.evidence import Evidence
 from reconstruct.features import Descriptors, Features
+from reconstruct.growth import Grown, Growth
 from reconstruct.scene import HopelessError
 from reconstruct.seeds import Seed
-from reconstruct.segmentation import Grown, Growth
+from reconstruct.segmentation import add_frames
 from reconstruct.settings import PaperSegmentationSettings, ReconstructSettings
 from reconstruct.tracks import Tracker, Tracks
 
@@ -412,7 +413,7 @@ def part_poses(
     Raises HopelessError when fewer than 4 frames show two parts.
     """
     growth = _Labelled(evidence, tracker, found, settings, rng)
-    growth.grow(len(evidence.scene))
+    add_frames(growth, len(evidence.scene))
     if (growth.done & growth.seen.all(1)).sum() < 4:
         raise HopelessError("segmentation", "no second part: fewer than 4 frames show two parts")
     growth.adopt(growth.try_joint())
@@ -436,12 +437,12 @@ class _Labelled(Growth):
         start = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), self.given[0], 0.0)
         super().__init__(evidence, tracker, start, settings, rng)
 
-    def _label(self, frame: int) -> None:
-        self._put_labels(frame, self.given[frame])
+    def label(self, frame: int) -> None:
+        self.put_labels(frame, self.given[frame])
 
-    def _carried(self, frame: int, neighbour: int) -> NDArray[np.uint8]:
+    def carried(self, frame: int, neighbour: int) -> NDArray[np.uint8]:
         return np.where(self.evidence.scene.mask[frame], np.where(self.given[frame] > 0, 2, 1), 0).astype(np.uint8)
 
-    def _predictions(self, k: int, frame: int, neighbour: int) -> list[Array]:
-        starts = super()._predictions(k, frame, neighbour)
+    def predictions(self, k: int, frame: int, neighbour: int) -> list[Array]:
+        starts = super().predictions(k, frame, neighbour)
         return [*starts, self.motions[neighbour, k] @ self.Ts[k, neighbour]] if frame > neighbour else starts

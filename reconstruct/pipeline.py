@@ -39,12 +39,13 @@ from reconstruct.evidence import Evidence
 from reconstruct.exchanges import exchanged, undo_exchanges
 from reconstruct.features import HandMade
 from reconstruct.gaps import bridge_gaps, fill_gaps
+from reconstruct.growth import Grown, body_points
 from reconstruct.hypotheses import better_type
 from reconstruct.poses import FreePoses, JointedPoses, free_adjustment, joint_adjustment
 from reconstruct.renders import render_queries
 from reconstruct.scene import HopelessError, Scene, full_labels, prepare
 from reconstruct.seeds import find_seeds
-from reconstruct.segmentation import Grown, body_points, grow, relabel
+from reconstruct.segmentation import grow, relabel
 from reconstruct.settings import ReconstructSettings
 from reconstruct.surfaces import fuse
 from reconstruct.tracks import DisTracker, Tracker
@@ -197,10 +198,11 @@ def _joint(video: _Video, known: Known, settings: ReconstructSettings, rng: np.r
     grown = _labels_again(evidence, grown, settings, rng) if anew else grown
     poses = joint_adjustment(evidence, grown.labels, grown.poses, grown.seen, settings.poses, rng)
     grown = fill_gaps(evidence, replace(grown, poses=poses), settings.gaps, rng)
-    last = _labels_again(evidence, grown, settings, rng) if anew else grown
-    seen = grown.seen & last.seen  # what only now shows was not measured, and what is gone was not that part
+    measured = grown.seen
+    grown = _labels_again(evidence, grown, settings, rng) if anew else grown
+    seen = measured & grown.seen  # what only now shows was not measured, and what is gone was not that part
     state_std = np.where(seen.all(1), grown.poses.state_std, np.inf)
-    return Known(_reference_first(replace(last, seen=seen, poses=replace(last.poses, state_std=state_std))))
+    return Known(_reference_first(replace(grown, seen=seen, poses=replace(grown.poses, state_std=state_std))))
 
 
 def _labels_again(evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng: np.random.Generator) -> Grown:

@@ -28,8 +28,7 @@ class SurfaceVotes:
         scene, self._size = evidence.scene, evidence.label_settings.vote_cell * evidence.unit
         self._measured = [evidence.measured(i) for i in range(len(scene))]
         self._ends = np.cumsum([0, *(m.sum() for m in self._measured)])
-        frames = np.repeat(np.arange(len(scene)), np.diff(self._ends))
-        self._voting = [voting[frames, k] for k in (0, 1)]
+        self._voting = [np.repeat(voting[:, k], np.diff(self._ends)) for k in (0, 1)]
         self._cells = [self._sorted(evidence, T) for T in Ts]
 
     def _sorted(self, evidence: Evidence, T: Array) -> NDArray[np.int32]:

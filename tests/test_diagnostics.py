@@ -32,9 +32,9 @@ from leaderboard.submission import read_submission
 from reconstruct.cache import Kept, Known, _packed, _read
 from reconstruct.diagnostics import _means, agreement, diagnose, label_probability
 from reconstruct.evidence import Evidence
+from reconstruct.growth import Grown
 from reconstruct.poses import FreePoses, JointedPoses, part_samples
 from reconstruct.scene import prepare
-from reconstruct.segmentation import Grown
 from reconstruct.settings import EvidenceSettings, LabelSettings, PoseSettings, SceneSettings
 
 N, H, W, DEPTH, FOCAL = 6, 40, 48, 1.0, 100.0

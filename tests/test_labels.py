@@ -11,11 +11,11 @@ from freeart21.joint import Joint
 from freeart21.recording import Recording
 from reconstruct import labels
 from reconstruct.evidence import Evidence
+from reconstruct.growth import body_points
 from reconstruct.hypotheses import _hinged
 from reconstruct.poses import JointedPoses
 from reconstruct.rigid import view_angle
 from reconstruct.scene import full_labels, prepare
-from reconstruct.segmentation import body_points
 from reconstruct.settings import JointSettings, ReconstructSettings, SceneSettings
 
 FRAMES = 20

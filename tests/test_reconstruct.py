@@ -21,11 +21,11 @@ from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Frame, Recording
 from reconstruct.evidence import Evidence
 from reconstruct.gaps import _hidden_path, bridge_gaps, fill_gaps
+from reconstruct.growth import Grown
 from reconstruct.pipeline import reconstruct, reconstruct_folder
 from reconstruct.poses import JointedPoses, joint_adjustment
 from reconstruct.renders import render
 from reconstruct.scene import prepare
-from reconstruct.segmentation import Grown
 from reconstruct.settings import ReconstructSettings, SceneSettings, TrackSettings
 from reconstruct.tracks import follow, lift, optical_flow
 

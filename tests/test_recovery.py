@@ -10,10 +10,11 @@ from test_reconstruct import GENTLE, QUIET, true_growth
 from freeart21 import se3
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Frame, Recording
+from reconstruct.growth import Growth
 from reconstruct.paper_segmentation import PartWeights, part_poses
 from reconstruct.pipeline import reconstruct
 from reconstruct.seeds import Seed, find_seeds
-from reconstruct.segmentation import Growth, grow
+from reconstruct.segmentation import add_frames, go_back, grow
 from reconstruct.tracks import DisTracker
 
 SIZE = (160, 120)
@@ -60,7 +61,7 @@ def half_grown(done, resting, settings):
     nothing = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), true.logodds[0], gain=0.0)
     growth = Growth(evidence, tracker, nothing, settings, RNG(0))
     for i in range(done):
-        growth._put_labels(i, true.logodds[i])
+        growth.put_labels(i, true.logodds[i])
     growth.done[:done] = True
     past = np.arange(len(SWEEP)) < done
     Ts = np.where(past[:, None, None], true.poses.Ts, np.eye(4))
@@ -74,7 +75,7 @@ def half_grown(done, resting, settings):
 def test_growth_holds_a_resting_joint_still_and_lets_it_go_on(resting):
     clip = resting[0]
     growth = half_grown(done=20, resting=resting, settings=QUIET)
-    growth.grow(len(SWEEP) - 20)
+    add_frames(growth, len(SWEEP) - 20)
     steps = np.diff(growth.states)
     assert (steps[19 : REST.stop - 1] == 0).mean() > 0.5, "not only nearly"
     assert (steps[REST.stop - 1 :] != 0).all()
@@ -97,7 +98,7 @@ def test_the_way_back_that_leads_nowhere_changes_nothing(resting):
     growth = half_grown(done=14, resting=resting, settings=settings)
     kept = ("Ts", "states", "labels", "logodds", "seen", "open", "costs", "done")
     before = {name: getattr(growth, name).copy() for name in kept}
-    assert not growth.go_back(12, 11)
+    assert not go_back(growth, 12, 11)
     for name in kept:
         assert np.array_equal(getattr(growth, name), before[name], equal_nan=name == "costs"), name
 
@@ -105,7 +106,7 @@ def test_the_way_back_that_leads_nowhere_changes_nothing(resting):
 def test_the_way_back_may_lead_over_all_that_was_found(resting):
     settings = replace(QUIET, growth=replace(QUIET.growth, sound_share=0.49))  # no frame is sound
     growth = half_grown(done=12, resting=resting, settings=settings)
-    growth.go_back(11, 10)
+    go_back(growth, 11, 10)
     assert growth.done[:12].all() and np.isfinite(growth.Ts).all()
 
 
@@ -116,8 +117,8 @@ def test_the_way_back_mends_what_was_lost(resting):
     growth.states[lost] += 0.5 * np.ptp(clip.states)
     growth.Ts[1, lost] = growth.Ts[0, lost] @ growth.joint.transform(growth.states[lost])
     for i in lost:
-        growth._put_labels(int(i), np.where(true.labels[i] > 0, -3, 0).astype(np.float32))
-    assert growth.go_back(24, 23)
+        growth.put_labels(int(i), np.where(true.labels[i] > 0, -3, 0).astype(np.float32))
+    assert go_back(growth, 24, 23)
     assert np.abs(growth.states[:30] - clip.states[:30]).max() < 0.02 * np.ptp(clip.states)
 
 

@@ -5,8 +5,8 @@ import pytest
 from reconstruct_clip import make_clip
 from test_labels import asked, cropped, poses_of
 
+from reconstruct.growth import body_points
 from reconstruct.labels import SURE, label_frames
-from reconstruct.segmentation import body_points
 from reconstruct.votes import SurfaceVotes
 
 FRAMES = 20
