@@ -348,6 +348,7 @@ def gap(
     asset: Annotated[Path, Positional],
     measured: Annotated[Path, Positional],
     out: Path,
+    replay_seconds: float = 120.0,
 ) -> None:
     """Find what the simulation of an asset lacks, from measured runs: name the effect, or say why not.
 
@@ -355,10 +356,22 @@ def gap(
         asset: An asset folder or a URDF.
         measured: A measured set (with measured.json).
         out: Folder for verdict.json, the repaired asset and a page; an older one there is replaced.
+        replay_seconds: Seconds after which SAPIEN's replay is given up; the answer then says so.
     """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
     from simgap.workflow import gap_folder
 
-    verdict = gap_folder(asset, measured, out)
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task("Looking for what is missing", total=None)
+
+        def replayed(done: int, total: int) -> None:
+            bars.update(task, description="Replaying in SAPIEN", completed=done, total=total)
+
+        verdict = gap_folder(asset, measured, out, replay_seconds=replay_seconds, progress=replayed)
     print(f"{verdict.verdict}: {verdict.sentence}")
     print(out / "verdict.json")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -16,10 +18,22 @@ from simgap.kinematics import KinematicsFinding
 from simgap.localise import residual_maps, where
 from simgap.placing import Placed, place
 from simgap.report import GEOMETRY, Gap, Ranked, write_report
-from simgap.show import Off, PosesReplayed, Replayed, Shown, show
+from simgap.show import (
+    SECONDS,
+    CannotReplay,
+    Off,
+    PosesReplayed,
+    Progress,
+    Replayed,
+    ReplayGap,
+    Shown,
+    helps,
+    show,
+)
 from simgap.surrogate import Nuisance, Plant
 from simgap.track_geometry import lever_of, middle_of
 from simgap.verdict import Named, RunGap, Verdict
+from simgap.words import plain
 from simgap.writeback import repaired
 
 MOST_REPLAYS = 6
@@ -43,6 +57,10 @@ class Draft:
     """Run name to regime."""
     floor: float = 0.0
     """rad or m."""
+    certain: tuple[Named, ...] = ()
+    """Effects that are named without doubt, whatever is said of the rest: only these go into the asset."""
+    curves: tuple[ReplayGap, ...] = ()
+    """Held-out runs as the fits' own simulation has them, by the asset as it is and by the best that was found."""
 
 
 def off_of(plant: Plant, nuisance: Nuisance) -> Off:
@@ -75,11 +93,14 @@ def publish(
     title: str,
     seconds: float | None = None,
     seed: int = 0,
+    replay_seconds: float = SECONDS,
+    progress: Progress | None = None,
 ) -> Verdict:
     """Write asset/, verdict.json and index.html into `folder`; the verdict as it stands after the replay in SAPIEN.
 
-    A repair that does not help on runs that were not fitted is rolled back: asset/ is then the asset as it was, and the
-    verdict is unexplained.
+    Only effects that are certain are written into asset/. Those that do not help on runs that were not fitted are
+    rolled back, motion and geometry each by itself, and the verdict is then unexplained. The best of several rivals is
+    replayed, too, for the page, but not written.
 
     Args:
         asset: as it was.
@@ -89,6 +110,8 @@ def publish(
         title: of the page.
         seconds: what the verdict took, for the page.
         seed: of permutations.
+        replay_seconds: when these are over the replay is given up; the answer stays, and says so.
+        progress: told how many runs are replayed.
     """
     placed = place(asset, measured.gravity)
     runs = with_positions(measured, draft.geometry)
@@ -98,19 +121,16 @@ def publish(
     verdict = draft.verdict
     if not verdict.where:
         verdict = replace(verdict, where=where(maps, found, measured.joint_type))
-    effects = tuple(named.effect for named in verdict.effects)
-    shown, notes = None, []
-    if effects:
-        source = {"verdict": verdict.verdict, "effects": [effect.name for effect in effects]}
-        mended = repaired(asset, effects, folder / "asset", source)
-        shown = _shown(asset, mended, measured, runs, draft, placed)
-        verdict = replace(verdict, gaps=_measured_gaps(verdict.gaps, shown))
-        if not shown.helps:
-            verdict, note = _rolled_back(verdict)
-            notes.append(note)
-            _remove(folder / "asset")
-    if not (folder / "asset").exists():
-        repaired(asset, (), folder / "asset")
+    tried = verdict.effects if verdict.verdict in ("named", "ambiguous") else draft.certain
+    shown, kept = None, draft.certain
+    notes: list[str] = []
+    if tried:
+        trial = Trial(asset, measured, runs, draft, placed, tried)
+        shown, why = trial.replayed(replay_seconds, progress)
+        verdict, kept, notes = _judged(verdict, draft.certain, tried, shown, why, replay_seconds)
+    source = {"verdict": verdict.verdict, "effects": [n.effect.name for n in kept]} if kept else None
+    repaired(asset, tuple(n.effect for n in kept), folder / "asset", source)
+    verdict = replace(verdict, added=tuple(n.effect.name for n in kept))
     verdict.write(folder / "verdict.json", measured.joint_type)
     write_report(
         folder / "index.html",
@@ -125,9 +145,103 @@ def publish(
             draft.geometry,
             tuple(notes),
             seconds,
+            draft.curves,
         ),
     )
     return verdict
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Effects that are tried in SAPIEN."""
+
+    asset: Asset
+    measured: Measured
+    runs: Measured
+    """The same with positions in the place of poses."""
+    draft: Draft
+    placed: Placed
+    tried: tuple[Named, ...]
+
+    def replayed(self, seconds: float, progress: Progress | None) -> tuple[Shown | None, str]:
+        """What SAPIEN shows, or why it cannot; None for nothing to show."""
+        draft, runs = self.draft, self.runs
+        moving = any(n.effect.kind != "kinematics" for n in self.tried)
+        picked = _picked([run for run in runs.runs if run.name in draft.starts], draft.regimes) if moving else []
+        replays = tuple(
+            Replayed(run, *draft.starts[run.name], draft.floor, draft.regimes.get(run.name, ""), bool(run.held_out))
+            for run in picked
+        )
+        bent = any(n.effect.kind == "kinematics" for n in self.tried) and draft.geometry is not None
+        tracks = _tracks(self.measured, draft.geometry, self.placed, self.asset.state_zero) if bent else ()  # type: ignore[arg-type]
+        if not replays and not tracks:
+            return None, ""
+        with tempfile.TemporaryDirectory(prefix="freeart21-") as place_:
+            mended = repaired(self.asset, tuple(n.effect for n in self.tried), Path(place_) / "asset")
+            try:
+                return (
+                    show(
+                        self.asset, mended, runs, replays, draft.off, poses=tracks, seconds=seconds, progress=progress
+                    ),
+                    "",
+                )
+            except CannotReplay as error:
+                return None, str(error)
+
+
+def _judged(
+    verdict: Verdict,
+    certain: tuple[Named, ...],
+    tried: tuple[Named, ...],
+    shown: Shown | None,
+    why: str,
+    seconds: float,
+) -> tuple[Verdict, tuple[Named, ...], list[str]]:
+    """The verdict after the replay, the effects that go into the asset, and what else must be said."""
+    notes: list[str] = []
+    if shown is None and not why:
+        return verdict, certain, notes
+    if shown is None:
+        bad = [n for n in tried if n.effect.kind != "kinematics"]
+        notes.append(f"SAPIEN could not replay {_names(bad or tried)}: {why}")
+        return _rolled_back(verdict, certain, bad or list(tried)), _without(certain, bad or list(tried)), notes
+    verdict = replace(verdict, gaps=_measured_gaps(verdict.gaps, shown))
+    if shown.given_up:
+        done = len(shown.runs)
+        notes.append(
+            f"SAPIEN's replay took more than {seconds:g} s and was given up: {done} of {done + len(shown.given_up)} "
+            "runs are replayed. " + ("" if done else "Gaps of the motion are the fits' own, not SAPIEN's.")
+        )
+        if not done:
+            unsure = "SAPIEN has not confirmed it: the replay took too long."
+            verdict = replace(verdict, sentence=f"{verdict.sentence} {unsure}")
+    motion, geometry = (helps(shown.runs) if shown.runs else None), (helps((), shown.poses) if shown.poses else None)
+    bad = [n for n in tried if (geometry if n.effect.kind == "kinematics" else motion) is False]
+    if bad:
+        notes.append(
+            f"A repair with {_names(bad)} was tried and rolled back: replayed in SAPIEN it did not help on runs that "
+            "were not fitted."
+        )
+        return _rolled_back(verdict, certain, bad), _without(certain, bad), notes
+    rest = [n for n in tried if n not in certain]
+    if rest:
+        notes.append(
+            f"The asset was not given {_names(rest)}: that is not certain. Curves and gaps after show what it would do."
+        )
+    if np.isfinite(shown.numerics) and shown.numerics > 0.25:
+        notes.append(
+            f"Halving SAPIEN's time step of {1e3 * shown.timestep_s:g} ms still changes a run by {shown.numerics:.2g} "
+            "floors: gaps are no surer than that."
+        )
+    return verdict, certain, notes
+
+
+def _names(effects: Sequence[Named]) -> str:
+    return ", ".join(named.effect.name for named in effects)
+
+
+def _without(certain: tuple[Named, ...], bad: Sequence[Named]) -> tuple[Named, ...]:
+    return tuple(named for named in certain if named not in bad)
 
 
 def _limits(asset: Asset) -> tuple[float, float]:
@@ -135,16 +249,6 @@ def _limits(asset: Asset) -> tuple[float, float]:
 
     joint = movable_joint(asset.urdf, asset.joint)
     return joint.lower, joint.upper
-
-
-def _shown(asset: Asset, mended: Asset, measured: Measured, runs: Measured, draft: Draft, placed: Placed) -> Shown:
-    picked = _picked([run for run in runs.runs if run.name in draft.starts], draft.regimes)
-    replays = tuple(
-        Replayed(run, *draft.starts[run.name], draft.floor, draft.regimes.get(run.name, ""), bool(run.held_out))
-        for run in picked
-    )
-    tracks = () if draft.geometry is None else _tracks(measured, draft.geometry, placed, asset.state_zero)
-    return show(asset, mended, runs, replays, draft.off, poses=tracks)
 
 
 def _picked(runs: list[Run], regimes: dict[str, str]) -> list[Run]:
@@ -201,16 +305,18 @@ def _measured_gaps(gaps: tuple[RunGap, ...], shown: Shown) -> tuple[RunGap, ...]
     return tuple(out)
 
 
-def _rolled_back(verdict: Verdict) -> tuple[Verdict, str]:
-    tried: tuple[Named, ...] = verdict.effects
-    names = ", ".join(named.effect.name for named in tried)
-    note = f"A repair with {names} was tried and rolled back: replayed in SAPIEN it did not help on held-out runs."
-    sentence = "Simulation and measurement differ, and nothing known here mends it: the best repair did not help."
-    gaps = tuple(replace(gap, after=gap.before) for gap in verdict.gaps)
-    return replace(verdict, verdict="unexplained", effects=(), rivals=(), gaps=gaps, sentence=sentence), note
-
-
-def _remove(folder: Path) -> None:
-    import shutil
-
-    shutil.rmtree(folder)
+def _rolled_back(verdict: Verdict, certain: tuple[Named, ...], bad: Sequence[Named]) -> Verdict:
+    """Unexplained but for what helped; the gaps of what did not are as before."""
+    kept = _without(certain, bad)
+    bent = any(named.effect.kind == "kinematics" for named in bad)
+    moved = any(named.effect.kind != "kinematics" for named in bad)
+    gaps = tuple(
+        replace(gap, after=gap.before) if (bent if gap.regime == GEOMETRY else moved) else gap for gap in verdict.gaps
+    )
+    what = "the best repair of it did not help"
+    if kept:
+        words = ", ".join(plain(named.effect.name) for named in kept)
+        sentence = f"This is mended: {words}. What else simulation and measurement differ by is not known: {what}."
+    else:
+        sentence = f"Simulation and measurement differ, and nothing known here mends it: {what}."
+    return replace(verdict, verdict="unexplained", effects=kept, rivals=(), gaps=gaps, sentence=sentence)

@@ -16,13 +16,14 @@ from freeart21.view.tables import table_section
 from simgap.kinematics import KinematicsFinding
 from simgap.localise import LEVEL, ResidualMap
 from simgap.report_plots import AFTER, BEFORE, Line, chart, interval_drawing, map_drawing, p_text, run_drawings
-from simgap.show import Shown
+from simgap.show import ReplayGap, Shown
 from simgap.track_geometry import TrackGeometry
 from simgap.verdict import RunGap, Verdict
 from simgap.words import capital, effect_words, number_text, plain
 
 GEOMETRY = "geometry"
 """Regime of a gap that is counted in metres off the joint."""
+ROLLED_BACK = "with the repair that was rolled back"
 MOST_RUNS = 4
 """Held-out runs that are drawn."""
 _WORDS = {
@@ -45,6 +46,8 @@ class Ranked:
     p_value: float | None = None
     """Chance that effects that do not exist look as good."""
     note: str = ""
+    spread: tuple[float, float] | None = None
+    """The least and the largest error of one run, in floors."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,8 @@ class Gap:
     notes: tuple[str, ...] = ()
     """What else should be known, such as that a repair was rolled back."""
     seconds: float | None = None
+    curves: tuple[ReplayGap, ...] = ()
+    """Held-out runs as the fits have them, for where SAPIEN replayed none."""
 
 
 def write_report(path: Path, gap: Gap) -> None:
@@ -107,25 +112,34 @@ def _tiles(gap: Gap) -> list[str]:
     tiles = []
     motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY]
     if _moves_otherwise(gap) and motion:
-        tiles += _sizes(motion, lambda v: length_text(v, gap.joint_type), "", gap.shown is not None)
-        tiles += _closed(gap) if gap.shown is not None else []
+        replayed = gap.shown is not None and bool(gap.shown.runs)
+        tiles += _sizes(motion, lambda v: length_text(v, gap.joint_type), "", _with(gap) if replayed else None)
+        tiles += _closed(gap) if replayed and _with(gap) != ROLLED_BACK else []
     off = [g for g in gap.verdict.gaps if g.regime == GEOMETRY]
     if off:
-        tiles += _sizes(off, metres_text, "off the joint, ", True)
+        tiles += _sizes(off, metres_text, "off the joint, ", "after")
     return tiles
 
 
-def _sizes(gaps: list[RunGap], text: Callable[[float], str], what: str, replayed: bool) -> list[str]:
-    """Tiles of the gap before and after, and of the floor."""
+def _with(gap: Gap) -> str:
+    """What the second curve of a replayed run is."""
+    if gap.verdict.verdict == "ambiguous":
+        return "with the best of these answers"
+    moved = any(n.effect.kind != "kinematics" and n.effect.name in gap.verdict.added for n in gap.verdict.effects)
+    return "after" if moved else ROLLED_BACK
+
+
+def _sizes(gaps: list[RunGap], text: Callable[[float], str], what: str, after_is: str | None) -> list[str]:
+    """Tiles of the gap before and, if SAPIEN replayed it, after, and of the floor."""
     held = [g for g in gaps if g.held_out]
     where = "on runs never fitted" if held else "on the fitted runs"
-    judged = [g for g in held or gaps if not replayed or np.isfinite(g.after)] or held or gaps
+    judged = [g for g in held or gaps if not after_is or np.isfinite(g.after)] or held or gaps
     before, after, floor = (
         float(np.sqrt(np.mean([getattr(g, name) ** 2 for g in judged]))) for name in ("before", "after", "floor")
     )
     tiles = [_tile(text(before), f"gap before, {what}{where}", f"{before / floor:.1f} floors")]
-    if replayed and np.isfinite(after):
-        tiles.append(_tile(text(after), f"gap after, {what}in SAPIEN", f"{after / floor:.1f} floors"))
+    if after_is and after_is != ROLLED_BACK and np.isfinite(after):
+        tiles.append(_tile(text(after), f"gap {after_is}, {what}in SAPIEN", f"{after / floor:.1f} floors"))
     return [*tiles, _tile(text(floor), f"floor, {what}the sensor's noise", "")]
 
 
@@ -168,7 +182,13 @@ def _parameters(gap: Gap) -> list[Section]:
         return []
     head = "".join(f"<th scope=col>{cell}</th>" for cell in ("", "parameter", "value", "90 % interval", ""))
     html = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
-    title = "What was added to the asset" if gap.verdict.verdict == "named" else "The best explanation, not certain"
+    here = [named.effect.name in gap.verdict.added for named in gap.verdict.effects]
+    if all(here):
+        title = "What was added to the asset"
+    elif any(here):
+        title = f"The best explanation; added to the asset: {', '.join(gap.verdict.added)}"
+    else:
+        title = "The best explanation, not certain, and not added to the asset"
     return [Section(title, html, place="full")]
 
 
@@ -195,16 +215,21 @@ def _doubt(gap: Gap) -> list[Section]:
 
 
 def _runs(gap: Gap) -> list[Section]:
-    """Held-out runs before and after, as SAPIEN replays them."""
-    if gap.shown is None:
-        return []
-    runs = sorted(gap.shown.runs, key=lambda r: not r.held_out)[: MOST_RUNS if _moves_otherwise(gap) else 1]
+    """Held-out runs before and after, as SAPIEN replays them; as the fits have them where it does not."""
+    replayed = gap.shown.runs if gap.shown is not None else ()
+    most = MOST_RUNS if _moves_otherwise(gap) else 1
+    names: tuple[str, str | None]
+    if replayed:
+        runs, where, names = replayed, "in SAPIEN", ("as the asset was", _with(gap))
+    else:
+        nearest = "with the nearest try, which is no answer" if gap.verdict.verdict == "unexplained" else None
+        runs, where, names = gap.curves, "in the fits' own simulation", ("as the asset is", nearest)
     sections = []
-    for run in runs:
-        figures, data = run_drawings(run, gap.joint_type)
-        sizes = " → ".join(length_text(v, gap.joint_type) for v in (run.gap_before, run.gap_after))
-        facts = ", ".join(w for w in ("held out" if run.held_out else "fitted", run.regime) if w)
-        title = f"Run {run.run}, {facts}: {sizes}"
+    for run in sorted(runs, key=lambda r: not r.held_out)[:most]:
+        figures, data = run_drawings(run, gap.joint_type, names)
+        facts = ", ".join(w for w in ("held out" if run.held_out else "fitted", run.regime, where) if w)
+        sizes = [length_text(v, gap.joint_type) for v in (run.gap_before, run.gap_after)]
+        title = f"Run {run.run}, {facts}: {' → '.join(sizes if names[1] else sizes[:1])}"
         sections.append(Section(title, f'<div class="charts">{"".join(figures)}</div>', "curves", data, "full"))
     return sections
 
@@ -295,12 +320,16 @@ def _ranking(gap: Gap) -> list[Section]:
         names = capital(" and ".join(plain(n) for n in r.names) or "nothing is missing")
         share = 100 * np.log10(max(r.floors, 1.0)) / worst
         p = "" if r.p_value is None else p_text(r.p_value)
+        spread = "" if r.spread is None else f"{r.spread[0]:.2f} to {r.spread[1]:.2f}"
         rows.append(
             f"<tr><th scope=row>{escape(names)}<br><small>{escape(', '.join(r.names))}</small></th>"
             f'<td class="bar"><i style="width:{share:.1f}%"></i></td><td>{r.floors:.2f}</td>'
+            f"<td>{escape(spread)}</td>"
             f"<td>{escape(p)}</td><td>{escape(r.note)}</td></tr>"
         )
-    head = "".join(f"<th scope=col>{cell}</th>" for cell in ("", "held-out error (log)", "floors", "p", ""))
+    head = "".join(
+        f"<th scope=col>{cell}</th>" for cell in ("", "held-out error (log)", "floors", "run by run", "p", "")
+    )
     html = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
     return [Section("Explanations, by held-out error", html, place="full")]
 
@@ -318,7 +347,7 @@ def _gaps(gap: Gap) -> list[Section]:
     if gap.shown is not None and gap.shown.runs:
         note = (
             f"Replayed in a fresh process in SAPIEN at {1e3 * gap.shown.timestep_s:g} ms; halving that changes the "
-            f"longest run by {gap.shown.numerics:.2g} floors."
+            f"widest and the fastest run, before and after, by no more than {gap.shown.numerics:.2g} floors."
         )
     return [table_section("Runs", rows, ("", "", "motion", "gap before", "after", "floor"), "full", note)]
 

@@ -92,21 +92,25 @@ def chart(
     )
 
 
-def run_drawings(run: ReplayGap, kind: JointType) -> tuple[list[str], dict[str, object]]:
-    """Figures of one replayed run, position and difference, and what the script of kind 'curves' needs."""
+def run_drawings(
+    run: ReplayGap, kind: JointType, names: tuple[str, str | None] = ("as the asset was", "after")
+) -> tuple[list[str], dict[str, object]]:
+    """Figures of one replayed run, position and difference, and what the script of kind 'curves' needs.
+
+    `names` say what the two simulations are; without a second one only the first is drawn.
+    """
     unit, factor = display_unit(kind)
     kept = np.unique(np.linspace(0, len(run.times_s) - 1, min(_MOST_POINTS, len(run.times_s))).astype(int))
     x = run.times_s[kept] - run.times_s[0]
     measured, before, after = (factor * series[kept] for series in (run.measured, run.before, run.after))
     position = [
         Line("measured", MEASURED, measured, "wide"),
-        Line("simulated before", BEFORE, before, "dashed"),
-        Line("simulated after", AFTER, after),
+        Line(f"simulated {names[0]}", BEFORE, before, "dashed"),
     ]
-    difference = [
-        Line("before less measured", BEFORE, before - measured, "dashed"),
-        Line("after less measured", AFTER, after - measured),
-    ]
+    difference = [Line(f"{names[0]}, less measured", BEFORE, before - measured, "dashed")]
+    if names[1] is not None:
+        position.append(Line(f"simulated {names[1]}", AFTER, after))
+        difference.append(Line(f"{names[1]}, less measured", AFTER, after - measured))
     figures = [
         chart(x, position, "Position", unit),
         chart(x, difference, "Difference", f"{unit}; grey: noise, ± 2 floors", band=2 * factor * run.floor, height=150),

@@ -1,41 +1,38 @@
 """The gap that counts: a fresh process reloads both assets in SAPIEN and replays measured runs.
 
 What the fits found is not believed here: nothing is taken from them but the start state of every run and how far the
-asset's own inertia and gravity may be off, which both assets get alike. `python -m simgap.show FOLDER` is the fresh
-process: it reads FOLDER/job.npz and writes FOLDER/replay.npz.
+asset's own inertia and gravity may be off, which both assets get alike. `simgap.replay` is the fresh process.
 """
 
 from __future__ import annotations
 
-import json
+import contextlib
 import os
 import subprocess
 import sys
 import tempfile
-import xml.etree.ElementTree as ET
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from freeart21 import se3
 from freeart21.asset import Asset
-from freeart21.effects.gravity_offset import GravityOffset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.asset import movable_joint, read_asset
 from freeart21.measured import Measured, Run
-from freeart21.mechanics import Actuator, held
 from freeart21.se3 import Array
-from generator import simulate
-from simgap.placing import place
-from simgap.track_geometry import at_point, displacement
 
-_SECONDS = 120
-"""A replay that takes longer is given up."""
-_HALVINGS = 3
+SECONDS = 120.0
+"""What is not replayed by then is given up."""
+Progress = Callable[[int, int], None]
+"""Called with the number of runs replayed and their total."""
+
+
+class CannotReplay(FreeArtError):
+    """The fresh process failed; its last line says why."""
 
 
 @dataclass(frozen=True)
@@ -121,11 +118,14 @@ class Shown:
 
     runs: tuple[ReplayGap, ...]
     numerics: float
-    """Floors by which the last halving of the time step changed the replay of the longest run."""
+    """Floors by which the last halving of the time step changed a replay; NaN when it was never reached."""
     timestep_s: float
-    helps: bool
-    """Whether the repaired asset is nearer to what was measured, and in no regime further away."""
+    helps: bool | None
+    """Whether the repaired asset is nearer to what was measured, and in no regime further away; None: not one run of
+    these was replayed in time."""
     poses: tuple[PoseGap, ...] = ()
+    given_up: tuple[str, ...] = ()
+    """Runs that were not replayed in time."""
 
     def closed(self, regimes: Iterable[str] | None = None) -> float | None:
         """Part of the gap beyond the floor that is closed in these regimes (all for None); None without any gap."""
@@ -147,6 +147,8 @@ def show(
     off: tuple[Off, Off] = (Off(), Off()),
     timestep_s: float = 2e-3,
     poses: tuple[PosesReplayed, ...] = (),
+    seconds: float = SECONDS,
+    progress: Progress | None = None,
 ) -> Shown:
     """Replay runs in SAPIEN with both assets, in a process that knows neither fit nor surrogate.
 
@@ -156,33 +158,54 @@ def show(
         measured: circumstances: gravity, actuator, what efforts are.
         replays: runs with start states.
         off: for each asset by how much it is off by its own fit.
-        timestep_s: first choice; halved until that changes the longest run by less than a tenth of its floor.
+        timestep_s: first choice; halved until that changes the widest and the fastest run, with either asset, by less
+            than a tenth of their floors.
         poses: runs of poses, whose geometry is compared too.
+        seconds: when this is over, what was replayed counts and the rest is given up.
+        progress: told how many runs are replayed.
 
-    Raises FreeArtError when there is nothing to replay, or the process fails: its last line says why.
+    Raises FreeArtError when there is nothing to replay, and CannotReplay when the process fails.
     """
     if not replays and not poses:
         raise FreeArtError("no run to replay, expected one or more")
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place_:
         folder = Path(place_)
-        _write_job(folder, before, after, measured, replays, off, timestep_s, poses)
-        root = str(Path(__file__).resolve().parents[1])
-        paths = os.pathsep.join(p for p in (root, os.environ.get("PYTHONPATH", "")) if p)
+        _write_job(folder, before, after, measured, replays, off, timestep_s, seconds, poses)
+        _run(folder, len(replays), seconds, progress)
+        return _read_answer(folder, replays, poses, timestep_s)
+
+
+def _run(folder: Path, count: int, seconds: float, progress: Progress | None) -> None:
+    """Let the fresh process work for some seconds."""
+    root = str(Path(__file__).resolve().parents[1])
+    paths = os.pathsep.join(p for p in (root, os.environ.get("PYTHONPATH", "")) if p)
+    told, end = -1, time.monotonic() + seconds
+    with (folder / "stderr").open("w") as stderr:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "simgap.replay", str(folder)],
+            stdout=subprocess.DEVNULL,
+            stderr=stderr,
+            env={**os.environ, "PYTHONPATH": paths},
+        )
         try:
-            done = subprocess.run(
-                [sys.executable, "-m", "simgap.show", str(folder)],
-                capture_output=True,
-                text=True,
-                timeout=_SECONDS,
-                env={**os.environ, "PYTHONPATH": paths},
-                check=False,
-            )
-        except subprocess.TimeoutExpired as error:
-            raise FreeArtError(f"the replay of {len(replays)} runs took more than {_SECONDS} s") from error
-        if done.returncode:
-            last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
-            raise FreeArtError(f"the replay in a fresh process failed: {last}")
-        return _read_answer(folder, replays, poses)
+            while process.poll() is None and time.monotonic() < end:
+                done = sum((folder / f"run_{i}.npz").is_file() for i in range(count))
+                if progress is not None and done > told:
+                    told = done
+                    progress(done, count)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(0.05)
+        finally:
+            late = process.poll() is None
+            if late:
+                process.kill()
+                process.wait()
+    if process.returncode and not late:
+        lines = (folder / "stderr").read_text(errors="replace").strip().splitlines()
+        last = (lines or [f"exit status {process.returncode}"])[-1]
+        raise CannotReplay(f"the replay in a fresh process failed: {last}")
+    if progress is not None:
+        progress(count, count)
 
 
 def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = ()) -> bool:
@@ -213,6 +236,7 @@ def _write_job(
     replays: tuple[Replayed, ...],
     off: tuple[Off, Off],
     timestep_s: float,
+    seconds: float,
     poses: tuple[PosesReplayed, ...],
 ) -> None:
     law = measured.actuator
@@ -224,6 +248,7 @@ def _write_job(
         "effort": measured.effort_kind,
         "off": [asdict(o) for o in off],
         "timestep_s": timestep_s,
+        "seconds": seconds,
         "starts": [[list(r.start_before), list(r.start_after)] for r in replays],
         "floors": [r.floor for r in replays],
     }
@@ -252,15 +277,30 @@ def _address(asset: Asset) -> str:
     return str((home if (home / "asset.json").is_file() else asset.urdf).resolve())
 
 
-def _read_answer(folder: Path, replays: tuple[Replayed, ...], poses: tuple[PosesReplayed, ...]) -> Shown:
-    said = checked.read_json(folder / "replay.json")
-    with np.load(folder / "replay.npz") as data:
-        runs = tuple(_gap(replay, data[f"before_{i}"], data[f"after_{i}"]) for i, replay in enumerate(replays))
-    off = tuple(
+def _read_answer(
+    folder: Path, replays: tuple[Replayed, ...], poses: tuple[PosesReplayed, ...], timestep_s: float
+) -> Shown:
+    """What there is."""
+    done = [i for i in range(len(replays)) if (folder / f"run_{i}.npz").is_file()]
+    runs = []
+    for i in done:
+        with np.load(folder / f"run_{i}.npz") as data:
+            runs.append(_gap(replays[i], data["before"], data["after"]))
+    steps, off = folder / "steps.json", folder / "poses.json"
+    said = checked.read_json(steps) if steps.is_file() else {"numerics": np.nan, "timestep_s": timestep_s}
+    pairs = checked.read_json(off)["poses"] if off.is_file() else []
+    tracks = tuple(
         PoseGap(track.name, float(pair[0]), float(pair[1]), track.floor, track.held_out)
-        for track, pair in zip(poses, said["poses"], strict=True)
+        for track, pair in zip(poses, pairs, strict=False)
     )
-    return Shown(runs, float(said["numerics"]), float(said["timestep_s"]), helps(runs, off), off)
+    return Shown(
+        tuple(runs),
+        float(said["numerics"]),
+        float(said["timestep_s"]),
+        helps(tuple(runs), tracks) if runs or tracks else None,
+        tracks,
+        tuple(replay.run.name for i, replay in enumerate(replays) if i not in done),
+    )
 
 
 def _gap(replay: Replayed, before: Array, after: Array) -> ReplayGap:
@@ -279,132 +319,3 @@ def _gap(replay: Replayed, before: Array, after: Array) -> ReplayGap:
         replay.regime,
         replay.held_out,
     )
-
-
-# ---------------------------------------------------------------- in the fresh process
-
-
-class _Stage:
-    """One asset in SAPIEN, ready to replay runs."""
-
-    def __init__(self, path: Path, job: dict[str, Any], off: dict[str, Any], folder: Path):
-        asset = read_asset(path, job["joint"])
-        placed = place(asset, np.array(job["gravity"]))
-        self.lower, self.upper = (getattr(movable_joint(asset.urdf, asset.joint), k) for k in ("lower", "upper"))
-        revolute = placed.mechanics.joint.type == "revolute"
-        cosine, sine, constant = off["gravity"]
-        inertia = float(off["inertia"])
-        # heavier links weigh more too; what gravity has beyond the asset's is counted from the asset's own masses
-        if revolute:
-            own = [float(placed.mechanics.gravity_force(q)) for q in (0.0, np.pi / 2)]
-            offset = GravityOffset(cosine=cosine - (inertia - 1) * own[0], sine=sine - (inertia - 1) * own[1])
-        else:
-            own_force = float(placed.mechanics.gravity_force(0.0))
-            offset = GravityOffset(constant=constant - (inertia - 1) * own_force)
-        self.asset = _scaled(asset, inertia, folder)
-        self.effects = (*asset.effects.get(asset.joint, ()), *((offset,) if any(offset.values()) else ()))
-        self.gravity, self.job = placed.gravity, job
-
-    def load(self, timestep_s: float) -> simulate.SimulatedAsset:
-        """The asset with its effects, and with how it is off."""
-        loaded = simulate.load(self.asset, timestep_s=timestep_s, gravity=self.gravity)
-        loaded.set_effects(self.effects)
-        return loaded
-
-    def replay(self, loaded: simulate.SimulatedAsset, data: Any, i: int, start: tuple[float, float]) -> Array:
-        """(n,) what the sensor reads at the times of run `i`; the state `start` is that of the first reading.
-
-        A sensor that is late reads a state of before: the simulation begins by so much earlier.
-        """
-        times, clock = data[f"times_{i}"], data[f"clock_{i}"]
-        sensing = [effect for effect in loaded.effects if effect.kind == "sensing"]
-        first = float(times[0])
-        begin = first - sum(effect.delay() for effect in sensing)
-        effort, command = (data.get(f"{name}_{i}") for name in ("effort", "q_command"))
-        law = self.job["actuator"]
-        follows = held(clock - begin, command) if command is not None and law else None
-        commanded = held(clock - begin, effort) if effort is not None and self.job["effort"] == "commanded" else None
-        push = held(clock - begin, effort) if effort is not None and self.job["effort"] == "external" else None
-        actuator = None
-        if follows is not None or commanded is not None:
-            stiffness, damping = law or (0.0, 0.0)
-            actuator = Actuator(follows, stiffness, damping, commanded)
-        q0 = float(np.clip(start[0], self.lower, self.upper))
-        h = loaded.timestep_s
-        seconds = float(np.ceil((times[-1] - first) / h) * h) + h
-        rolled = simulate.roll_out(loaded, q0, start[1], duration_s=seconds, force=push, actuator=actuator)
-        q = np.interp(times - first, rolled.times_s, rolled.q)
-        return np.asarray(q + sum((effect.reading_error(q) for effect in sensing), np.zeros(len(q))))
-
-
-def _scaled(asset: Asset, factor: float, folder: Path) -> Asset:
-    """The asset with all its masses and inertias times `factor`, from a URDF in `folder`."""
-    if factor == 1.0:
-        return asset
-    root = ET.fromstring(asset.urdf.read_bytes())
-    for inertial in root.iter("inertial"):
-        for element in (*inertial.findall("mass"), *inertial.findall("inertia")):
-            for key, value in element.attrib.items():
-                element.set(key, repr(float(value) * factor))
-    for element in (*root.iter("mesh"), *root.iter("texture")):
-        name = element.get("filename", "")
-        if not Path(name).is_absolute() and "://" not in name:
-            element.set("filename", str((asset.urdf.parent / name).resolve()))
-    path = folder / f"scaled_{asset.urdf.parent.name}_{factor:.9g}.urdf"
-    path.write_bytes(ET.tostring(root))
-    return replace(asset, urdf=path)
-
-
-def _replay(folder: Path) -> None:
-    job = checked.read_json(folder / "job.json")
-    data = dict(np.load(folder / "job.npz"))
-    stages = [_Stage(Path(path), job, off, folder) for path, off in zip(job["assets"], job["off"], strict=True)]
-    count = len(job["starts"])
-    starts = [[(float(q), float(qd)) for q, qd in pair] for pair in job["starts"]]
-    h, numerics = _timestep(stages[1], data, job, starts) if count else (float(job["timestep_s"]), 0.0)
-    out: dict[str, Array] = {}
-    for k, (name, stage) in enumerate(zip(("before", "after"), stages, strict=True)):
-        loaded = stage.load(h)
-        for i in range(count):
-            out[f"{name}_{i}"] = stage.replay(loaded, data, i, starts[i][k])
-    with (folder / "replay.npz").open("wb") as file:
-        np.savez(file, **out)  # type: ignore[arg-type]
-    off = [_pose_gaps(stages, data, i, said) for i, said in enumerate(job["poses"])]
-    (folder / "replay.json").write_text(json.dumps({"numerics": numerics, "timestep_s": h, "poses": off}))
-
-
-def _timestep(
-    stage: _Stage, data: Any, job: dict[str, Any], starts: list[list[tuple[float, float]]]
-) -> tuple[float, float]:
-    """Time step, s, and by how many floors its halving changes the replay of the longest run."""
-    i = max(range(len(starts)), key=lambda k: float(np.ptp(data[f"times_{k}"])))
-    h, floor = float(job["timestep_s"]), float(job["floors"][i])
-    coarse, numerics = stage.replay(stage.load(h), data, i, starts[i][1]), np.inf
-    for _ in range(_HALVINGS):
-        fine = stage.replay(stage.load(h / 2), data, i, starts[i][1])
-        numerics = float(np.sqrt(np.mean((fine - coarse) ** 2))) / floor
-        if numerics < 0.1:
-            break
-        h, coarse = h / 2, fine
-    return h, numerics
-
-
-def _pose_gaps(stages: list[_Stage], data: Any, i: int, said: dict[str, Any]) -> list[float]:
-    """m: how far measured poses of run `i` are from where either asset has the part."""
-    gaps = []
-    for k, stage in enumerate(stages):
-        motion = simulate.joint_motion(stage.asset, data[f"states_{k}_{i}"], data[f"pose_times_{i}"])
-        off = se3.log_se3(se3.inverse(motion) @ data[f"poses_{k}_{i}"])
-        gaps.append(displacement(at_point(np.array(said["middle"]), off), float(said["lever"])))
-    return gaps
-
-
-def _main() -> None:
-    try:
-        _replay(Path(sys.argv[1]))
-    except FreeArtError as error:
-        sys.exit(str(error))
-
-
-if __name__ == "__main__":
-    _main()

@@ -65,6 +65,8 @@ class Verdict:
     """What would tell the rivals apart, or excite what lay still."""
     sentence: str
     """The verdict for a mechanic."""
+    added: tuple[str, ...] = ()
+    """Names of the effects that the asset beside the verdict got: those that are certain, and helped in SAPIEN."""
 
     def to_json(self, joint_type: JointType) -> dict[str, Any]:
         """As it stands in verdict.json."""
@@ -73,6 +75,7 @@ class Verdict:
             "verdict": self.verdict,
             "sentence": self.sentence,
             "effects": [_named_to_json(named, joint_type) for named in self.effects],
+            "added": list(self.added),
             "where": [vars(where) for where in self.where],
             "gap": [vars(gap) for gap in self.gaps],
             "rivals": [list(names) for names in self.rivals],

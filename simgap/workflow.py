@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import movable_joint, read_asset
 from freeart21.files.atomic import new_folder
 from freeart21.files.measured import read_measured
+from freeart21.joint import JointType
 from freeart21.measured import Measured
-from simgap.choose import Choice, chosen, folds_of, p_value
+from simgap.choose import Choice, Judged, chosen, folds_of, p_value
 from simgap.data import FitRun, fit_runs
 from simgap.decide import moves_enough, still_verdict, verdict_of
 from simgap.fit import Fit, Problem, Reader, placed
@@ -23,11 +25,14 @@ from simgap.publish import Draft, off_of, publish, with_positions
 from simgap.report import Ranked
 from simgap.search import Search, candidates
 from simgap.settings import GapSettings
+from simgap.show import SECONDS, Progress, ReplayGap
 from simgap.surrogate import Nuisance, Plant, plant_of
 from simgap.verdict import Named, Verdict
-from simgap.words import plain
+from simgap.words import amount, effect_words, plain
 
 DEFAULTS = GapSettings()
+_ORDER = ("no_gap", "not_excited", "named", "ambiguous", "unexplained")
+"""Answers; of two the later one stands."""
 
 
 def find_gap(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) -> Verdict:
@@ -46,23 +51,50 @@ def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) 
     plant = plant_of(asset, measured)
     runs, floor = fit_runs(positions, plant)
     if not moves_enough(runs, floor, settings.choice):
-        return Draft(still_verdict(runs, floor), geometry=geometry, floor=floor.still)
+        motion = still_verdict(runs, floor)
+        return Draft(
+            joined(motion, geometry, measured.joint_type),
+            geometry=geometry,
+            floor=floor.still,
+            certain=certain_of(motion, geometry),
+        )
     problem = problem_of(plant, measured, runs, floor, settings)
     folds = folds_of(runs)
     fitted_runs = folds[0].train if len(folds) == 1 else runs
     search = Search(problem, fitted_runs, settings.choice, candidates(problem, fitted_runs))
     choice = chosen(search, folds, settings.choice)
-    verdict = with_geometry(verdict_of(choice, runs, floor, problem), geometry)
+    motion = verdict_of(choice, runs, floor, problem)
     before, after = choice.base, (choice.explaining[0] if choice.explaining else choice.base)
     return Draft(
-        verdict,
+        joined(motion, geometry, measured.joint_type),
         starts_of(before.fit, after.fit, runs),
         (off_of(plant, nuisance_of(before.fit)), off_of(plant, nuisance_of(after.fit))),
         ranking_of(choice),
         geometry,
         {run.name: run.regime for run in runs},
         floor.still,
+        certain_of(motion, geometry),
+        curves_of(choice, runs),
     )
+
+
+def curves_of(choice: Choice, runs: tuple[FitRun, ...]) -> tuple[ReplayGap, ...]:
+    """Held-out runs as the fits' own simulation has them, by the asset as it is and by the best that was found."""
+    best = choice.explaining[0] if choice.explaining else choice.best
+    found = []
+    for run in runs:
+        off = [j.strict.get(run.name) for j in (choice.base, best)]
+        if off[0] is None or off[1] is None:
+            continue
+        before, after = (run.q - residual * run.sigma for residual in off if residual is not None)
+        gap_before, gap_after, floor = (
+            float(np.sqrt(np.mean(series**2))) for series in (before - run.q, after - run.q, run.sigma)
+        )
+        out = bool(run.held_out)
+        found.append(
+            ReplayGap(run.name, run.times_s, run.q, before, after, gap_before, gap_after, floor, run.regime, out)
+        )
+    return tuple(found)
 
 
 def nuisance_of(fit: Fit) -> Nuisance:
@@ -87,28 +119,64 @@ def ranking_of(choice: Choice) -> tuple[Ranked, ...]:
         {j.names: j for j in (choice.base, *choice.tried, *choice.explaining)}.values(), key=lambda j: j.floors
     )
     return tuple(
-        Ranked(j.names, j.floors, p_value(choice.base, j, len(choice.tried)) if j.names else None) for j in tried
+        Ranked(j.names, j.floors, p_value(choice.base, j, len(choice.tried)) if j.names else None, spread=spread_of(j))
+        for j in tried
     )
 
 
-def with_geometry(verdict: Verdict, geometry: KinematicsFinding | None) -> Verdict:
+def spread_of(judgement: Judged) -> tuple[float, float]:
+    """The least and the largest error of one run, in floors."""
+    runs = [float(np.sqrt(np.mean(residual**2))) for residual in judgement.strict.values()]
+    return min(runs), max(runs)
+
+
+def certain_of(motion: Verdict, geometry: KinematicsFinding | None) -> tuple[Named, ...]:
+    """The effects that are named without doubt, whatever may be said of the rest: these go into the asset."""
+    return (
+        *(named_of(geometry) if geometry is not None and geometry.verdict == "named" else ()),
+        *(motion.effects if motion.verdict == "named" else ()),
+    )
+
+
+def named_of(geometry: KinematicsFinding) -> tuple[Named, ...]:
+    """The effects of the joint's geometry, with their intervals."""
+    return tuple(Named(*each) for each in zip(geometry.effects, geometry.low, geometry.high, strict=True))
+
+
+def joined(motion: Verdict, geometry: KinematicsFinding | None, kind: JointType) -> Verdict:
     """The verdict on motion along the joint, and what part poses say of the joint itself."""
     if geometry is None or geometry.verdict in ("no_gap", "not_excited"):
-        return verdict
-    parts = zip(geometry.effects, geometry.low, geometry.high, strict=True)
-    named = tuple(Named(effect, low, high) for effect, low, high in parts)
-    words = "The joint's geometry is off: " + ", ".join(plain(effect.name) for effect in geometry.effects) + "."
-    order = ("no_gap", "not_excited", "named", "ambiguous", "unexplained")
-    answer = max(verdict.verdict, geometry.verdict, key=order.index)
-    return Verdict(
-        answer,
-        (*named, *verdict.effects) if answer != "unexplained" else (),
-        verdict.where,
-        verdict.gaps,
-        geometry.rivals or verdict.rivals,
-        geometry.next_experiment or verdict.next_experiment,
-        words if verdict.verdict == "no_gap" else f"{words} {verdict.sentence}",
+        return motion
+    answer = max(motion.verdict, geometry.verdict, key=_ORDER.index)
+    told = ("named",) if answer == "unexplained" else ("named", "ambiguous")
+    crooked_effects = named_of(geometry) if geometry.verdict in told else ()
+    kept = (*crooked_effects, *(motion.effects if motion.verdict in told else ()))
+    sets = [
+        tuple(dict.fromkeys((*crooked, *other)))
+        for crooked in geometry.rivals or (tuple(e.name for e in geometry.effects),)
+        for other in motion.rivals or (tuple(n.effect.name for n in kept[len(crooked_effects) :]),)
+    ]
+    said = sentence_of(geometry, kind)
+    return replace(
+        motion,
+        verdict=answer,
+        effects=kept,
+        rivals=tuple(sets) if answer == "ambiguous" else (),
+        next_experiment=" ".join(filter(None, (geometry.next_experiment, motion.next_experiment))) or None,
+        sentence=said if motion.verdict == "no_gap" else f"{said} {motion.sentence}",
     )
+
+
+def sentence_of(geometry: KinematicsFinding, kind: JointType) -> str:
+    """What part poses say of the joint, with its numbers."""
+    if geometry.verdict == "named":
+        words = " and ".join(effect_words(effect, kind) for effect in geometry.effects)
+        return f"The joint is not where the asset has it: {words}."
+    if geometry.verdict == "ambiguous":
+        sets = ", or ".join(" with ".join(plain(name) for name in names) for names in geometry.rivals)
+        return f"The joint is not where the asset has it, but these poses cannot decide how: {sets}."
+    off = max((track.gap_before for track in geometry.tracks), default=0.0)
+    return f"The part strays from its joint by {amount(off, 'm')}, and no effect of the library explains it."
 
 
 def check_match(asset: Asset, measured: Measured) -> None:
@@ -158,10 +226,18 @@ def check_place(out: Path, asset: Path, measured: Path) -> None:
         raise FreeArtError(f"{out} exists and is no answer of an earlier run; choose another place or remove it first")
 
 
-def gap_folder(asset: Path, measured: Path, out: Path, settings: GapSettings = DEFAULTS) -> Verdict:
+def gap_folder(
+    asset: Path,
+    measured: Path,
+    out: Path,
+    settings: GapSettings = DEFAULTS,
+    replay_seconds: float = SECONDS,
+    progress: Progress | None = None,
+) -> Verdict:
     """`find_gap` from folders to a folder with verdict, repaired asset and page, which appears whole or not at all.
 
-    Only an older answer is replaced. Raises FreeArtError when `out` holds anything else, or asset or measurement.
+    Only an older answer is replaced. SAPIEN's replay is given up after `replay_seconds`; `progress` is told how many
+    runs are replayed. Raises FreeArtError when `out` holds anything else, or asset or measurement.
     """
     check_place(Path(out), Path(asset), Path(measured))
     runs = read_measured(measured)
@@ -170,4 +246,5 @@ def gap_folder(asset: Path, measured: Path, out: Path, settings: GapSettings = D
         began = time.perf_counter()
         draft = explain(loaded, runs, settings)
         seconds = time.perf_counter() - began
-        return publish(loaded, runs, draft, aside, Path(measured).resolve().name, seconds, settings.seed)
+        title = Path(measured).resolve().name
+        return publish(loaded, runs, draft, aside, title, seconds, settings.seed, replay_seconds, progress)

@@ -345,6 +345,7 @@ def draft(measured, starts, *effects, answer="named", **more):
         ranking=(Ranked(tuple(e.name for e in effects), 1.1, 0.001, "chosen"), Ranked((), 90.0)),
         regimes={gap.run: gap.regime for gap in gaps},
         floor=1e-3,
+        certain=verdict.effects if answer == "named" else (),
         **more,
     )
 

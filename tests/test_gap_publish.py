@@ -1,0 +1,161 @@
+"""What goes into the asset and what is said: only what is certain, each part by itself, and honestly when late."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_gap_show import STARTS, bob, damped, draft, filmed, held_out, named, pendulum
+
+from freeart21.effects.axis_tilt import AxisTilt
+from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects.detent import Detent
+from freeart21.effects.pivot_offset import PivotOffset
+from freeart21.effects.return_spring import ReturnSpring
+from freeart21.effects.viscous_damping import ViscousDamping
+from freeart21.files.asset import read_asset
+from simgap import replay
+from simgap.kinematics import KinematicsFinding, find_geometry_of
+from simgap.publish import GEOMETRY, publish
+from simgap.verdict import Verdict
+from simgap.workflow import certain_of, joined
+
+TILT = AxisTilt(0.02, -0.015)
+
+
+def found(answer, *effects, rivals=()):
+    ends = tuple({n: getattr(e, n) for n in e.parameters()} for e in effects)
+    more = "Tip the base." if rivals else None
+    return KinematicsFinding(answer, effects, ends, ends, rivals, (), (), 0.0, more)
+
+
+def said(answer, *effects, rivals=(), more=None):
+    return Verdict(answer, named(*effects), (), (), rivals, more, "Oil." if answer != "no_gap" else "They agree.")
+
+
+def names(effects):
+    return [n.effect.name for n in effects]
+
+
+TWO = (("viscous_damping",), ("coulomb_friction",))
+CROOKED = (("axis_tilt",), ("pivot_offset",))
+
+
+@pytest.mark.parametrize(
+    ("motion", "geometry", "answer", "told", "certain", "rivals"),
+    [
+        (said("named", ViscousDamping(1.0)), found("named", TILT), "named", 2, 2, 0),
+        (said("no_gap"), found("named", TILT), "named", 1, 1, 0),
+        (said("not_excited", ViscousDamping(1.0)), found("named", TILT), "named", 1, 1, 0),
+        (said("ambiguous", ViscousDamping(1.0), rivals=TWO), found("named", TILT), "ambiguous", 2, 1, 2),
+        (said("named", ViscousDamping(1.0)), found("ambiguous", TILT, rivals=CROOKED), "ambiguous", 2, 1, 2),
+        (
+            said("ambiguous", ViscousDamping(1.0), rivals=TWO, more="Push."),
+            found("ambiguous", TILT, rivals=CROOKED),
+            *("ambiguous", 2, 0, 4),
+        ),
+        (said("unexplained"), found("named", TILT), "unexplained", 1, 1, 0),
+        (said("named", ViscousDamping(1.0)), found("unexplained", TILT), "unexplained", 1, 1, 0),
+        (said("unexplained"), found("ambiguous", TILT, rivals=CROOKED), "unexplained", 0, 0, 0),
+        (said("ambiguous", ViscousDamping(1.0), rivals=TWO), None, "ambiguous", 1, 0, 2),
+        (said("named", ViscousDamping(1.0)), found("no_gap"), "named", 1, 1, 0),
+    ],
+)
+def test_geometry_and_motion_are_said_together(motion, geometry, answer, told, certain, rivals):
+    verdict = joined(motion, geometry, "revolute")
+    assert (verdict.verdict, len(verdict.effects), len(verdict.rivals)) == (answer, told, rivals)
+    assert len(certain_of(motion, geometry)) == certain
+    assert verdict.sentence.strip() and ": ." not in verdict.sentence and ":  " not in verdict.sentence
+    if geometry is not None and geometry.verdict == "named":
+        assert "1.15°" in verdict.sentence  # never without its number
+    if motion.verdict != "no_gap":
+        assert motion.sentence in verdict.sentence
+    for more in (motion.next_experiment, geometry and geometry.next_experiment):
+        assert more is None or more in (verdict.next_experiment or "")
+
+
+@pytest.mark.parametrize("answer", ["ambiguous", "not_excited"])
+def test_what_is_not_certain_is_not_written(tmp_path: Path, answer: str):
+    asset, measured = bob(tmp_path / "a", '<dynamics damping="0.01"/>'), held_out(pendulum(STARTS, damped), 1)
+    told = draft(measured, STARTS, ViscousDamping(0.02), answer=answer)
+    verdict = publish(asset, measured, told, tmp_path / "out", "bob")
+    assert (verdict.verdict, verdict.added) == (answer, ())
+    assert names(verdict.effects) == ["viscous_damping"]
+    assert read_asset(tmp_path / "out/asset").effects == {"j": (ViscousDamping(0.01),)}
+    data = json.loads((tmp_path / "out/verdict.json").read_text())
+    assert data["added"] == [] and data["effects"][0]["name"] == "viscous_damping"
+    page = (tmp_path / "out/index.html").read_text()
+    assert "not added to the asset" in page and "What was added" not in page
+
+
+def test_geometry_stays_when_only_the_motions_repair_hurts(tmp_path: Path):
+    asset = bob(tmp_path / "a")
+    measured, true = filmed(replace(asset, effects={"j": (TILT, PivotOffset(0.01, 0.006), ViscousDamping(0.03))}))
+    geometry = find_geometry_of(asset, measured)
+    assert geometry is not None and geometry.verdict == "named"
+    starts = tuple(start for _, start in true)
+    wrong = draft(measured, starts, *geometry.effects, ReturnSpring(3.0, 0.0), geometry=geometry)
+    verdict = publish(asset, measured, wrong, tmp_path / "out", "half")
+    assert verdict.verdict == "unexplained"
+    assert sorted(verdict.added) == sorted(names(verdict.effects)) == ["axis_tilt", "pivot_offset"]
+    assert read_asset(tmp_path / "out/asset").effects["j"] == geometry.effects
+    gaps = {gap.regime: gap for gap in verdict.gaps if gap.held_out}
+    assert gaps[GEOMETRY].after < 0.4 * gaps[GEOMETRY].before
+    assert gaps["fast"].after == gaps["fast"].before
+    assert (
+        "This is mended" in verdict.sentence and "return_spring was tried" in (tmp_path / "out/index.html").read_text()
+    )
+
+
+def test_a_replay_that_takes_too_long_keeps_the_answer_and_says_so(tmp_path: Path):
+    asset, measured = bob(tmp_path / "a"), held_out(pendulum(STARTS, damped), 1, 2)
+    told = draft(measured, STARTS, ViscousDamping(0.03))
+    verdict = publish(asset, measured, told, tmp_path / "out", "late", replay_seconds=0.1)
+    assert (verdict.verdict, verdict.added) == ("named", ("viscous_damping",))
+    assert "SAPIEN has not confirmed it" in verdict.sentence
+    assert read_asset(tmp_path / "out/asset").effects == {"j": (ViscousDamping(0.03),)}
+    page = (tmp_path / "out/index.html").read_text()
+    assert "more than 0.1 s and was given up: 0 of 2 runs" in page
+    told_of: list[tuple[int, int]] = []
+    publish(asset, measured, told, tmp_path / "in_time", "in time", progress=lambda *of: told_of.append(of))
+    assert told_of[0] == (0, 2) and told_of[-1] == (2, 2)
+
+
+def test_what_sapien_cannot_step_is_not_written(tmp_path: Path):
+    asset, measured = bob(tmp_path / "a"), held_out(pendulum(STARTS[:2], damped, seconds=1.0), 1)
+    told = draft(measured, STARTS[:2], Detent(1e4, 0.3, 1e-5))
+    verdict = publish(asset, measured, told, tmp_path / "out", "stiff")
+    assert (verdict.verdict, verdict.added) == ("unexplained", ())
+    assert "shorten timestep_s" in (tmp_path / "out/index.html").read_text()
+
+
+class _Stage:
+    def __init__(self, stiff: float):
+        self.stiff, self.asked = stiff, []
+
+    def load(self, h: float) -> float:
+        self.asked.append(h)
+        return h
+
+    def replay(self, h, data, i, start):
+        return np.full(10, self.stiff * h**2)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_the_time_step_suits_either_asset(which: int):
+    stages = [_Stage(1e-3), _Stage(1e-3)]
+    stages[which] = _Stage(5e2)
+    data = {f"{name}_{i}": np.linspace(0, 1 + i, 20) for i in range(2) for name in ("q", "times")}
+    job = {"timestep_s": 2e-3, "floors": [1e-3, 1e-3], "seconds": 60}
+    h, numerics = replay._timestep(stages, data, job, [[(0, 0), (0, 0)]] * 2)
+    assert h == 5e-4 and numerics < replay.ENOUGH
+    assert replay._timestep([_Stage(1e-3)] * 2, data, job, [[(0, 0), (0, 0)]] * 2)[0] == 2e-3
+    assert replay._timestep([_Stage(1e9)] * 2, data, job, [[(0, 0), (0, 0)]] * 2)[1] > 1  # and does not go on for ever
+
+
+def test_a_sets_of_coulomb_and_oil_are_two_effects():
+    verdict = joined(said("named", ViscousDamping(1.0), CoulombFriction(0.1)), found("named", TILT), "revolute")
+    assert names(verdict.effects) == ["axis_tilt", "viscous_damping", "coulomb_friction"]
