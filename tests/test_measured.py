@@ -24,7 +24,8 @@ def write(folder: Path, changes: dict | None = None, csv: str | None = None, **c
         + "\n".join(",".join(f"{v:.6f}" for v in row) for row in zip(*table.values(), strict=True))
     )
     (folder / "run_0.csv").write_text(text if csv is None else csv)
-    (folder / "run_1.csv").write_text(text)
+    other = text.replace("0.300000", "0.300001", 1) if changes is None or "runs" not in changes else text
+    (folder / "run_1.csv").write_text(other)
     data = {
         "version": 1,
         "joint": "j",
@@ -105,7 +106,13 @@ BAD_FILES = {
     _csv(speed=TIMES): "has columns t_s, q, speed; expected each once of t_s, q, effort, q_command",
     _csv(effort=TIMES): "has 'effort', whose unit is not in 'units'",
     "": "has no column 't_s'; its columns: none",
-    _csv(t_s=np.append(np.nan, TIMES[1:])): "'t_s' is not a number in line 2",
+    _csv(t_s=np.append(np.nan, TIMES[1:])): "the time is not a number in line 2",
+    _csv().replace("0.02,", "0.02,\0", 1): "is not text: it has a NUL byte in line 4",
+    _csv().replace("0.02,0.0", '"0.02,0.0'): "expected 2 numbers",
+    "t_s,q\n0," + "9" * 200_000 + "\n": "line 2 is not CSV: field larger than field limit",
+    _csv(q=np.where(np.arange(60) == 5, 1e30, 0)): "q is 1e+30 in line 7, expected rad or m",
+    _csv(t_s=1e3 * TIMES): "has 10 s from reading to reading, but 'rate_hz' is 100: expected some 0.01 s",
+    _csv().replace("\n", "\n\n").replace("0.02,", "0.02,x"): "line 7 is '0.02,x0.0'",
 }
 
 
@@ -135,6 +142,15 @@ BAD_HEADERS = [
     ({"runs": [{"file": "run_0.csv", "kind": "video"}]}, "has kind 'video', expected csv, poses or rgbd"),
     ({"runs": [{"file": "run_0.csv", "held_out": 1.5}]}, "has held_out 1.5, expected true or false"),
     ({"runs": [{"file": "run_0.csv"}] * 2}, "'runs' names a file twice"),
+    ({"runs": [{"file": "run_0.csv"}, {"file": "./run_0.csv", "held_out": True}]}, "'runs' names a file twice"),
+    (
+        {"runs": [{"file": "run_0.csv"}, {"file": "run_1.csv", "held_out": True}]},
+        "runs 'run_0' and 'run_1' hold the same readings, but one of them is held out",
+    ),
+    ({"runs": [{"file": "run_0.csv"}, {"file": "run_0", "kind": "poses"}]}, "would both be called 'run_0'"),
+    ({"runs": [{"file": "."}]}, "is a folder, expected a CSV file"),
+    ({"sampling": {"rate_hz": 1e30, "timestamps": "recorded"}}, "'rate_hz' is 1e+30, expected at most 100000"),
+    ({"gravity": [0, 0, -9810]}, "'gravity' is 9810 long, expected m/s^2"),
     ({"runs": [{"file": "run_0.csv", "held_out": True}]}, "all 1 runs are held out"),
     ({"actuator": {"type": "velocity"}}, "the actuator's type is 'velocity', expected 'position'"),
     ({"actuator": {"type": "position", "stiffness": -1, "damping": 0}}, "stiffness and damping are -1 and 0"),
@@ -161,3 +177,34 @@ def test_efforts_and_commands_need_to_be_explained(tmp_path: Path):
 def test_no_set_at_all_costs_one_line(tmp_path: Path):
     with pytest.raises(FreeArtError, match="is not a measured set: expected a folder with measured.json"):
         read_measured(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"seen": np.zeros((30, 2), bool)}, "has 0 poses in which both parts were seen, expected 20 or more"),
+        ({"times_s": np.zeros(30)}, "times must increase, but pose 1 has 0 s after 0 s"),
+        ({"times_s": np.arange(29.0)}, "expected one time and seen flag a pose"),
+        ({"T_camera_moving": np.full((30, 4, 4), np.nan)}, "has 0 poses in which both parts were seen"),
+        ({"T_camera_moving": np.zeros((30, 4, 4))}, "T_camera_moving"),
+        ({"T_camera_moving": np.zeros((30, 3, 4))}, "expected (n, 4, 4) twice"),
+        ({"T_camera_moving": np.full((30, 4, 4), "x")}, "is of type <U1, expected numbers"),
+        ({"T_camera_moving": ...}, "has no T_camera_moving; it has"),
+    ],
+)
+def test_bad_poses_cost_one_line(tmp_path: Path, changes: dict, said: str):
+    folder = write(tmp_path, {"runs": [{"file": "run_p", "kind": "poses"}]})
+    (folder / "run_p").mkdir()
+    eye = np.tile(np.eye(4), (30, 1, 1))
+    data = {"T_camera_reference": eye, "T_camera_moving": eye, **changes}
+    np.savez(folder / "run_p/poses.npz", **{k: v for k, v in data.items() if v is not ...})
+    with pytest.raises(FreeArtError) as caught:
+        read_measured(folder)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_too_much_is_not_read(tmp_path: Path, monkeypatch):
+    folder = write(tmp_path)
+    monkeypatch.setattr("freeart21.files.measured.MAX_BYTES", 1000)
+    with pytest.raises(FreeArtError, match="bytes together, at most 1000 are read"):
+        read_measured(folder)
