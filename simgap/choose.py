@@ -15,7 +15,7 @@ from scipy.stats import norm
 
 from freeart21.se3 import Array
 from simgap.data import FitRun
-from simgap.fit import Fit, fitted, placed
+from simgap.fit import Fit, fitted, foretold
 from simgap.search import PLAINER, Search, relaxed
 from simgap.settings import ChoiceSettings
 
@@ -143,7 +143,7 @@ def judged(fit: Fit, folds: tuple[Fold, ...]) -> Judged:
     """How the set predicts what it was not fitted to."""
     residuals: dict[str, Array] = {}
     for fold in folds:
-        residuals.update(placed(_refitted(fit, fold), fold.test).residuals)
+        residuals.update(foretold(_refitted(fit, fold), fold.test).residuals)
     return Judged(fit, residuals)
 
 
@@ -151,7 +151,7 @@ def loosened(judgement: Judged, folds: tuple[Fold, ...]) -> Judged:
     """The same with the sizes of the effects free within the form tolerance."""
     residuals: dict[str, Array] = {}
     for fold in folds:
-        residuals.update(placed(relaxed(_refitted(judgement.fit, fold), fold.train), fold.test).residuals)
+        residuals.update(foretold(relaxed(_refitted(judgement.fit, fold), fold.train), fold.test).residuals)
     return Judged(judgement.fit, judgement.strict, residuals)
 
 

@@ -17,6 +17,10 @@ MAX_SAMPLES = 1500
 """Readings of a run that a fit looks at; more are thinned out evenly."""
 
 
+_BEGINNING_S = 0.06
+"""Of a run, that tells its first velocity."""
+
+
 @dataclass(frozen=True)
 class FitRun:
     """One run, or a stretch of one."""
@@ -37,7 +41,8 @@ class FitRun:
     @property
     def start(self) -> tuple[float, float]:
         """A first guess of the state at the first reading."""
-        k = min(len(self.q), 7)
+        k = max(7, int(np.searchsorted(self.times_s, self.times_s[0] + _BEGINNING_S)))
+        k = min(len(self.q), k)
         t = self.times_s[:k] - self.times_s[0]
         fit = np.polynomial.polynomial.polyfit(t, self.q[:k], 2 if k > 4 else 1)
         return float(fit[0]), float(fit[1])

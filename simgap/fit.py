@@ -1,194 +1,39 @@
 """Output-error fits: a set of effects, the asset's own doubts and a free start of every run, against all readings.
 
-The noise is in the readings and nowhere else, so the simulation runs free and is compared with them. A set of effects
-starts from what is known of its subsets: a larger set that fits worse than a smaller one is a failed search, and is
-started again from there.
+The noise is in the readings and nowhere else, so the simulation runs free and is compared with them. Far from the
+answer a run that is simulated whole meets its stops and turns in another order than the real one; so a fit begins with
+short stretches, each with a start of its own, and goes on to longer ones (multiple shooting: Bock 1983).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from freeart21.effects import EFFECTS, Effect
+from freeart21.effects import Effect
 from freeart21.se3 import Array
 from simgap import kernel
 from simgap.data import FitRun
-from simgap.settings import FitSettings, SurrogateSettings
-from simgap.surrogate import Nuisance, Plant, numbers_of, readings_of, step_of, sweep, terms_of
+from simgap.least_squares import Prior, solve
+from simgap.surrogate import readings_of, step_of, sweep, terms_of
+from simgap.theory import Problem as Problem
+from simgap.theory import Range as Range
+from simgap.theory import Reader as Reader
+from simgap.theory import Theory as Theory
 
 _PROBE = 1e-4
 """Part of a parameter's size by which it is changed to see what it does."""
+_SEEN_S = 0.3
+"""Of a run that decides where its start is looked for."""
+_SPEEDS = (0.0, -0.3, 0.3, -1.0, 1.0)
+"""Parts of the largest speed by which a start may differ from its first guess."""
 
+_SHORT, _LONG = 1.5, 5.0
+"""Crossings of its range, at its top speed, that a stretch lasts for."""
 
-@dataclass(frozen=True)
-class Range:
-    """One number that is fitted."""
-
-    owner: str
-    """Name of an effect, 'asset', or an effect's name with ' form'."""
-    name: str
-    lower: float
-    upper: float
-    size: float
-    """A usual size."""
-    prior: float = np.inf
-    """Standard deviation of what is known of it beforehand, about its neutral value."""
-    neutral: float = 0.0
-
-
-@dataclass(frozen=True)
-class Problem:
-    """What all fits to one measured set share."""
-
-    plant: Plant
-    inertia_relative: float
-    gravity_relative: float
-    q_low: float
-    q_high: float
-    speed: float
-    """Largest speed of all runs."""
-    sigma: float
-    """Floor at rest."""
-    force: float = 1.0
-    """Root mean square of the forces at work, N*m or N."""
-    load: float = 1.0
-    """A usual force on the bearing, N."""
-    fit: FitSettings = field(default_factory=FitSettings)
-    surrogate: SurrogateSettings = field(default_factory=SurrogateSettings)
-
-    @property
-    def reference(self) -> tuple[float, float, float]:
-        """Largest speed, middle and half range of position."""
-        return self.speed, 0.5 * (self.q_low + self.q_high), max(0.5 * (self.q_high - self.q_low), 1e-9)
-
-
-@dataclass(frozen=True)
-class Theory:
-    """A set of effects that may be missing, and what of it is fitted."""
-
-    problem: Problem
-    names: tuple[str, ...]
-    relaxed: bool = False
-    """Whether the sizes of the effects may depart from their formulas, within the form tolerance."""
-
-    @property
-    def classes(self) -> tuple[type[Effect], ...]:
-        """Of the added effects."""
-        return tuple(EFFECTS[name] for name in self.names)
-
-    def ranges(self) -> tuple[Range, ...]:
-        """All that is fitted, but the starts."""
-        problem, found = self.problem, []
-        if problem.inertia_relative > 0:
-            r = problem.inertia_relative
-            found.append(Range("asset", "inertia", 1 - r, 1 + r, r, r, 1.0))
-        terms = problem.plant.gravity_terms
-        if problem.gravity_relative > 0 and np.any(terms[0]):
-            r = problem.gravity_relative
-            found.append(Range("asset", "gravity", 1 - r, 1 + r, r, r, 1.0))
-        size = float(np.linalg.norm(terms[0]))
-        for i in (1, 2):
-            column = float(np.linalg.norm(terms[i]))
-            lean = problem.fit.tilt_rad
-            if i == 1 and problem.plant.joint_type == "revolute" and column > 0:
-                lean += problem.gravity_relative * size / column  # a centre of mass that is off turns the pull, too
-            if lean > 0 and column > 1e-6 * np.linalg.norm(terms):
-                found.append(Range("asset", f"lean_{i}", -lean, lean, lean, lean))
-        for cls in self.classes:
-            found += [self._range(cls, name) for name in cls.parameters(problem.plant.joint_type)]
-        if self.relaxed:
-            r = problem.fit.form_tolerance
-            for cls in self.classes:
-                if cls.name in kernel.LAWS:
-                    found += [Range(f"{cls.name} form", k, -r, r, r, r) for k in ("speed", "position", "curve")]
-        return tuple(found)
-
-    def _range(self, cls: type[Effect], name: str) -> Range:
-        """Bounds and size of an effect's parameter on these data: nothing beyond what was moved through."""
-        spec, problem = cls.parameters()[name], self.problem
-        unit, span = spec.unit(problem.plant.joint_type), problem.q_high - problem.q_low
-        low, high, size = spec.lower, spec.upper, spec.scale
-        local = any(s.lower >= 0 and s.revolute_unit == "rad" for s in cls.parameters().values())
-        if unit in ("rad", "m") and cls.acts == "reading":
-            low, high, size = -0.6 * span, 0.6 * span, 0.1 * span
-        elif unit in ("rad", "m") and spec.lower < 0:
-            reach = 0.1 * span if local else 3 * span
-            low, high, size = problem.q_low - reach, problem.q_high + reach, 0.1 * span
-        elif unit in ("rad", "m") and cls.acts != "drive":
-            low, high, size = max(2 * problem.sigma, 1e-3 * span), 2 * span, 0.05 * span
-        elif unit in ("rad/s", "m/s"):
-            low, high, size = 0.01 * problem.speed, problem.speed, 0.1 * problem.speed
-        elif unit == "s":
-            low, high = max(spec.lower, -0.5), 0.5
-        elif unit in ("kg*m^2", "kg"):
-            size = 0.1 * problem.plant.mechanics.inertia
-            low, high = max(spec.lower, 1e-3 * size), 1e3 * size
-        elif unit == "1":
-            high = min(spec.upper, 10.0)
-        return Range(cls.name, name, max(low, spec.lower), min(high, spec.upper), size)
-
-    def neutral(self) -> Array:
-        """(p,) a point at which the asset is right; effects are at half their usual size."""
-        return np.array(
-            [
-                np.clip(r.neutral if r.owner == "asset" or "form" in r.owner else 0.5 * r.size, r.lower, r.upper)
-                for r in self.ranges()
-            ]
-        )
-
-    def effects(self, theta: Array) -> tuple[Effect, ...]:
-        """The added effects at parameters (p,)."""
-        ranges, joint_type = self.ranges(), self.problem.plant.joint_type
-        made = []
-        for cls in self.classes:
-            names = list(cls.parameters(joint_type))
-            values = {r.name: float(x) for r, x in zip(ranges, theta, strict=True) if r.owner == cls.name}
-            made.append(cls(**{name: values[name] for name in names}))
-        return tuple(made)
-
-
-class Reader:
-    """Turns parameters into the kernel's vectors."""
-
-    def __init__(self, theory: Theory):
-        self.theory: Theory = theory
-        self.ranges = theory.ranges()
-        self.base = theory.problem.plant.effects
-        self.owners = [r.owner for r in self.ranges]
-        self.sensing = any(e.kind == "sensing" for e in self.base) or any(c.kind == "sensing" for c in theory.classes)
-
-    def effects(self, theta: Array) -> tuple[Effect, ...]:
-        """The asset's own effects and the added ones."""
-        kind = self.theory.problem.plant.joint_type
-        made: list[Effect] = []
-        for cls in self.theory.classes:
-            at = self.owners.index(cls.name)
-            names = list(cls.parameters(kind))
-            made.append(cls(**dict(zip(names, map(float, theta[at : at + len(names)]), strict=True))))
-        return (*self.base, *made)
-
-    def nuisance(self, theta: Array) -> Nuisance:
-        """How the asset is off."""
-        asset = {r.name: float(x) for r, x in zip(self.ranges, theta, strict=True) if r.owner == "asset"}
-        return Nuisance(
-            asset.get("inertia", 1.0), asset.get("gravity", 1.0), (asset.get("lean_1", 0.0), asset.get("lean_2", 0.0))
-        )
-
-    def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
-        """The vector, start left at 0, and all effects."""
-        nuisance = self.nuisance(theta)
-        forms = {}
-        if self.theory.relaxed:
-            for cls in self.theory.classes:
-                if cls.name in kernel.LAWS:
-                    at = self.owners.index(f"{cls.name} form")
-                    forms[cls.name] = (float(theta[at]), float(theta[at + 1]), float(theta[at + 2]))
-        effects = self.effects(theta)
-        problem = self.theory.problem
-        return numbers_of(problem.plant, effects, nuisance, forms, problem.reference), effects
+Starts = dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -198,7 +43,7 @@ class Fit:
     theory: Theory
     theta: Array
     """(p,) in the order of `theory.ranges()`."""
-    starts: dict[str, tuple[float, float]]
+    starts: Starts
     """State at the first reading of every run that was fitted, by name."""
     residuals: dict[str, Array]
     """Reading less simulation over the floor, by run."""
@@ -217,83 +62,167 @@ class Fit:
         """Sum of squared residuals."""
         return float(sum((r * r).sum() for r in self.residuals.values()))
 
+    @property
+    def level(self) -> float:
+        """Root mean square of all residuals, in floors."""
+        return float(np.sqrt(self.rss / sum(len(r) for r in self.residuals.values())))
+
     def floors(self, run: str) -> float:
         """Root mean square residual of a run, in floors."""
         return float(np.sqrt(np.mean(self.residuals[run] ** 2)))
+
+
+class _Model:
+    """A theory before runs, as the solver asks of it."""
+
+    def __init__(self, theory: Theory, runs: tuple[FitRun, ...], step: float):
+        self.reader, self.runs, self.step = Reader(theory), runs, step
+        self.problem = theory.problem
+        self._kept: tuple[bytes, Array, tuple[Effect, ...]] | None = None
+
+    def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
+        """Vector and effects at parameters (p,); the last ones are kept."""
+        key = theta.tobytes()
+        if self._kept is None or self._kept[0] != key:
+            self._kept = (key, *self.reader.numbers(theta))
+        return self._kept[1], self._kept[2]
+
+    def look(self, i: int, starts: Array, theta: Array) -> Array:
+        """(m, n) residuals of run i from starts (m, 2)."""
+        numbers, effects = self.numbers(theta)
+        table = np.repeat(numbers[None], len(starts), 0)
+        table[:, kernel.Q0], table[:, kernel.QD0] = starts[:, 0], starts[:, 1]
+        run = self.runs[i]
+        q = sweep(table, terms_of(effects), run.times_s, run.inputs, self.step)
+        return np.asarray((run.q - (readings_of(effects, q) if self.reader.sensing else q)) / run.sigma)
+
+    def slopes(self, starts: Array, theta: Array, parts: list[Array], free: bool) -> list[Array]:
+        """Of every run (2 + p, n): what a unit of its start and of every parameter does to its readings, in floors."""
+        problem, ranges = self.problem, self.reader.ranges[: len(theta) if free else 0]
+        deltas = np.array([_PROBE * max(0.1 * abs(x), r.size) for x, r in zip(theta, ranges, strict=False)])
+        deltas = np.array([-d if x + d > r.upper else d for x, d, r in zip(theta, deltas, ranges, strict=False)])
+        numbers, effects = self.numbers(theta)
+        made = [(numbers, effects), (numbers, effects)]
+        for j, delta in enumerate(deltas):
+            moved = theta.copy()
+            moved[j] += delta
+            made.append(self.reader.numbers(moved))
+        table, terms, found = np.array([row for row, _ in made]), terms_of(effects), []
+        moves = np.append([_PROBE * 0.1 * problem.reference[2], _PROBE * 0.1 * problem.speed], deltas)
+        for i, run in enumerate(self.runs):
+            table[:, kernel.Q0], table[:, kernel.QD0] = starts[i]
+            moves[0] = abs(moves[0]) * (-1.0 if starts[i, 0] + abs(moves[0]) > problem.plant.upper else 1.0)
+            table[0, kernel.Q0] += moves[0]
+            table[1, kernel.QD0] += moves[1]
+            q = sweep(table, terms, run.times_s, run.inputs, self.step)
+            if self.reader.sensing:
+                q = np.stack([readings_of(its, row) for (_, its), row in zip(made, q, strict=True)])
+            found.append((q - (run.q - parts[i] * run.sigma)) / run.sigma / moves[:, None])
+        return found
 
 
 def fitted(
     theory: Theory,
     runs: tuple[FitRun, ...],
     theta: Array | None = None,
-    starts: dict[str, tuple[float, float]] | None = None,
+    starts: Starts | None = None,
     iterations: int | None = None,
     free: bool = True,
+    robust: bool = False,
+    known: Fit | None = None,
 ) -> Fit:
-    """The theory fitted to the runs from `theta` (p,) by Levenberg and Marquardt's method within its bounds.
+    """The theory fitted to the runs from `theta` (p,) within its bounds.
 
     Args:
         theory: what is fitted.
         runs: what to.
         theta: first guess; the neutral point when not given.
-        starts: first guesses of start states; taken from the readings where not given.
+        starts: first guesses of start states; looked for in the readings where not given.
         iterations: at most; as the settings say when not given.
         free: whether the parameters move; without, only the starts do.
+        robust: whether runs that are missed by far count for less.
+        known: an earlier fit, to other runs: its parameters are known beforehand as well as those runs told them.
     """
-    reader, ranges = Reader(theory), theory.ranges()
-    p = len(ranges)
+    ranges, plant = theory.ranges(), theory.problem.plant
     low, high = (np.array([getattr(r, k) for r in ranges]) for k in ("lower", "upper"))
-    x = np.concatenate(
-        [
-            np.clip(theory.neutral() if theta is None else theta, low, high),
-            *[np.array((starts or {}).get(run.name, run.start)) for run in runs],
-        ]
-    )
-    plant = theory.problem.plant
-    low = np.concatenate([low, *[np.array([plant.lower, -np.inf])] * len(runs)])
-    high = np.concatenate([high, *[np.array([plant.upper, np.inf])] * len(runs)])
-    x = np.clip(x, low, high)
-    step = step_of(plant, reader.effects(x[:p]), theory.problem.surrogate)
-    parts = _residuals(reader, runs, x, p, step)
-    cost = _cost(parts, ranges, x)
-    damping, normal = 1e-3, np.zeros((p, p))
-    for _ in range(iterations or theory.problem.fit.max_iterations):
-        A, g, normal = _normal_equations(reader, runs, x, p, step, parts, free)
-        moved = False
-        for _ in range(8):
-            trial = _step(x, A, g, damping, low, high)
-            trial_parts = _residuals(reader, runs, trial, p, step)
-            trial_cost = _cost(trial_parts, ranges, trial)
-            if trial_cost < cost:
-                gain, x, parts, cost = cost - trial_cost, trial, trial_parts, trial_cost
-                damping, moved = max(damping / 10, 1e-9), True
-                break
-            damping *= 8
-        if not moved or gain < 1e-4 * cost + 1e-2:
-            break
+    neutral, spread = (np.array([getattr(r, k) for r in ranges]) for k in ("neutral", "prior"))
+    weight = np.diag(1 / spread**2)
+    if known is not None:
+        neutral, weight = known.theta, known.normal
+    at = np.clip(theory.neutral() if theta is None else theta, low, high)
+    model = _Model(theory, runs, 0.0)
+    model.step = step_of(plant, model.numbers(at)[1], theory.problem.surrogate)
+    given = starts or {}
+    begin = np.array([given[r.name] if r.name in given else _start(model, i, at) for i, r in enumerate(runs)])
+    begin[:, 0] = np.clip(begin[:, 0], plant.lower, plant.upper)
+    most = theory.problem.fit.max_iterations if iterations is None else iterations
+    prior = Prior(low, high, neutral, weight)
+    state = solve(at, begin, model.look, model.slopes, prior, plant.lower, plant.upper, most, free, robust)
     return Fit(
         theory,
-        x[:p],
-        {run.name: (float(x[p + 2 * i]), float(x[p + 2 * i + 1])) for i, run in enumerate(runs)},
-        {run.name: part for run, part in zip(runs, parts, strict=True)},
-        cost,
-        normal,
+        state.theta,
+        {run.name: (float(q), float(v)) for run, (q, v) in zip(runs, state.starts, strict=True)},
+        {run.name: part for run, part in zip(runs, state.parts, strict=True)},
+        state.cost,
+        state.normal,
     )
 
 
-def placed(fit: Fit, runs: tuple[FitRun, ...], starts: dict[str, tuple[float, float]] | None = None) -> Fit:
+def _start(model: _Model, i: int, theta: Array) -> Array:
+    """(2,) the start, of those about the first guess, from which run i begins most like its readings."""
+    run, plant = model.runs[i], model.problem.plant
+    q0, qd0 = run.start
+    speeds = qd0 + model.problem.speed * np.array(_SPEEDS)
+    rows = np.array([(q, v) for q in (q0, run.q[0]) for v in (*speeds, 0.0)])
+    rows[:, 0] = np.clip(rows[:, 0], plant.lower, plant.upper)
+    seen = max(8, int(np.searchsorted(run.times_s, run.times_s[0] + _SEEN_S)))
+    short = _Model(model.reader.theory, (run.between(0, seen),), model.step)
+    short._kept = model._kept
+    left = short.look(0, rows, theta)
+    return np.asarray(rows[int(np.argmin((left * left).sum(1)))])
+
+
+def grown(theory: Theory, runs: tuple[FitRun, ...], theta: Array | None = None, iterations: int = 6) -> Fit:
+    """The theory fitted to short stretches first, then to longer ones, then to whole runs."""
+    at, known = stretched(theory, runs, theta, _SHORT, iterations)
+    at, known = stretched(theory, runs, at, _LONG, iterations, known)
+    return resettled(fitted(theory, runs, at, known), runs)
+
+
+def stretched(
+    theory: Theory,
+    runs: tuple[FitRun, ...],
+    theta: Array | None,
+    crossings: float,
+    iterations: int,
+    known: Starts | None = None,
+) -> tuple[Array, Starts]:
+    """Parameters from stretches of the runs, and the starts of stretches and of runs."""
+    cut = pieces(runs, crossings * theory.problem.crossing_s)
+    rough = fitted(theory, cut, theta, known, iterations, robust=True)
+    return rough.theta, {**rough.starts, **{run.name: rough.starts[f"{run.name}#0"] for run in runs}}
+
+
+def placed(fit: Fit, runs: tuple[FitRun, ...], starts: Starts | None = None) -> Fit:
     """The same parameters on other runs: only the start states are fitted."""
     starts = settled(fit.theory, fit.theta, runs) if starts is None else starts
     return fitted(fit.theory, runs, fit.theta, starts, iterations=12, free=False)
 
 
-def settled(theory: Theory, theta: Array, runs: tuple[FitRun, ...]) -> dict[str, tuple[float, float]]:
+def foretold(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The fit before runs that it was not fitted to: their starts are free, and its parameters as free as the runs that
+    it was fitted to leave them. A wild run may hang on the fourth digit of a parameter of which three are known.
+    """
+    there = placed(fit, runs)
+    return fitted(fit.theory, runs, fit.theta, there.starts, iterations=5, known=fit)
+
+
+def settled(theory: Theory, theta: Array, runs: tuple[FitRun, ...]) -> Starts:
     """Start states that make the simulation follow each run ever longer: a far impact misleads a first guess."""
-    starts: dict[str, tuple[float, float]] = {}
-    for part in (0.08, 0.2, 0.45, 1.0):
+    starts: Starts = {}
+    for part in (0.08, 0.2, 0.45):
         cut = tuple(run.between(0, max(8, round(part * len(run.q)))) for run in runs)
-        for run in cut:
-            starts.update(fitted(theory, (run,), theta, starts, iterations=6, free=False).starts)
+        starts = fitted(theory, cut, theta, starts, iterations=6, free=False).starts
     return starts
 
 
@@ -319,93 +248,29 @@ def predicted(fit: Fit, run: FitRun, times_s: Array | None = None) -> Array:
 
 
 def pieces(runs: tuple[FitRun, ...], seconds: float) -> tuple[FitRun, ...]:
-    """The runs cut into stretches of about `seconds`, each with a start of its own."""
+    """The runs cut into stretches of about `seconds`, each with a start of its own, named by their first readings."""
     found = []
     for run in runs:
         duration = float(run.times_s[-1] - run.times_s[0])
         count = max(1, min(round(duration / seconds), len(run.q) // 12))
-        bounds = np.linspace(0, len(run.q), count + 1).astype(int)
-        found += [
-            replace(run.between(int(a), int(b)), name=f"{run.name}#{i}") for i, (a, b) in enumerate(pairwise(bounds))
-        ]
+        bounds = [len(run.q) * k // count for k in range(count + 1)]
+        found += [replace(run.between(a, b), name=f"{run.name}#{a}") for a, b in pairwise(bounds)]
     return tuple(found)
-
-
-def _residuals(reader: Reader, runs: tuple[FitRun, ...], x: Array, p: int, step: float) -> list[Array]:
-    numbers, effects = reader.numbers(x[:p])
-    terms, parts = terms_of(effects), []
-    for i, run in enumerate(runs):
-        numbers[kernel.Q0], numbers[kernel.QD0] = x[p + 2 * i], x[p + 2 * i + 1]
-        q = sweep(numbers[None], terms, run.times_s, run.inputs, step)[0]
-        parts.append((run.q - (readings_of(effects, q) if reader.sensing else q)) / run.sigma)
-    return parts
-
-
-def _cost(parts: list[Array], ranges: tuple[Range, ...], x: Array) -> float:
-    known = sum(((x[i] - r.neutral) / r.prior) ** 2 for i, r in enumerate(ranges))
-    return float(sum(part @ part for part in parts) + known)
 
 
 def tangent(fit: Fit, runs: tuple[FitRun, ...]) -> tuple[list[Array], list[Array], list[Array]]:
     """Of every run: residuals (n,), and what a unit of start (2, n) and of each parameter (p, n) does to the readings,
     all in floors. The fit must have starts for the runs.
     """
-    reader = Reader(fit.theory)
-    p = len(reader.ranges)
-    x = np.concatenate([fit.theta, *[np.array(fit.starts[run.name]) for run in runs]])
-    step = step_of(fit.theory.problem.plant, reader.effects(fit.theta), fit.theory.problem.surrogate)
-    parts = _residuals(reader, runs, x, p, step)
-    slopes = _slopes(reader, runs, x, p, step, parts, True)
+    model = _Model(
+        fit.theory,
+        runs,
+        step_of(fit.theory.problem.plant, Reader(fit.theory).effects(fit.theta), fit.theory.problem.surrogate),
+    )
+    starts = np.array([fit.starts[run.name] for run in runs])
+    parts = [model.look(i, starts[i : i + 1], fit.theta)[0] for i in range(len(runs))]
+    slopes = model.slopes(starts, fit.theta, parts, True)
     return parts, [J[:2] for J in slopes], [J[2:] for J in slopes]
-
-
-def _slopes(
-    reader: Reader, runs: tuple[FitRun, ...], x: Array, p: int, step: float, parts: list[Array], free: bool
-) -> list[Array]:
-    """Of every run (2 + p, n): what a unit of its start and of every parameter does to its readings, in floors."""
-    count = p if free else 0
-    problem, ranges = reader.theory.problem, reader.ranges[:count]
-    deltas = np.array([_PROBE * max(0.1 * abs(x[i]), r.size) for i, r in enumerate(ranges)])
-    deltas = np.array([-d if x[i] + d > r.upper else d for i, (d, r) in enumerate(zip(deltas, ranges, strict=True))])
-    numbers, effects = reader.numbers(x[:p])
-    made = [(numbers, effects), (numbers, effects)]
-    for j in range(count):
-        theta = x[:p].copy()
-        theta[j] += deltas[j]
-        made.append(reader.numbers(theta))
-    table, terms, found = np.array([row for row, _ in made]), terms_of(effects), []
-    moves = np.append([_PROBE * 0.1 * problem.reference[2], _PROBE * 0.1 * problem.speed], deltas)
-    for i, run in enumerate(runs):
-        q0, qd0 = x[p + 2 * i], x[p + 2 * i + 1]
-        table[:, kernel.Q0], table[:, kernel.QD0] = q0, qd0
-        moves[0] = abs(moves[0]) * (-1.0 if q0 + abs(moves[0]) > problem.plant.upper else 1.0)
-        table[0, kernel.Q0] += moves[0]
-        table[1, kernel.QD0] += moves[1]
-        q = sweep(table, terms, run.times_s, run.inputs, step)
-        if reader.sensing:
-            q = np.stack([readings_of(its, row) for (_, its), row in zip(made, q, strict=True)])
-        found.append((q - (run.q - parts[i] * run.sigma)) / run.sigma / moves[:, None])
-    return found
-
-
-def _normal_equations(
-    reader: Reader, runs: tuple[FitRun, ...], x: Array, p: int, step: float, parts: list[Array], free: bool
-) -> tuple[Array, Array, Array]:
-    """Approximate Hessian, gradient (towards less cost) and the parameters' own information, the starts being free."""
-    n, moving = len(x), np.arange(p if free else 0)
-    A, g = np.zeros((n, n)), np.zeros(n)
-    for i, J in enumerate(_slopes(reader, runs, x, p, step, parts, free)):
-        index = np.concatenate([[p + 2 * i, p + 2 * i + 1], moving]).astype(int)
-        A[np.ix_(index, index)] += J @ J.T
-        g[index] += J @ parts[i]
-    for j in moving:
-        r = reader.ranges[j]
-        if np.isfinite(r.prior):
-            A[j, j] += 1 / r.prior**2
-            g[j] -= (x[j] - r.neutral) / r.prior**2
-    inner = A[p:, p:] + 1e-12 * np.diag(np.diag(A[p:, p:]) + 1e-12)
-    cross = A[:p, p:]
-    return A, g, A[:p, :p] - cross @ np.linalg.lstsq(inner, cross.T, rcond=None)[0]
 
 
 def joined(theory: Theory, parent: Fit, points: dict[str, dict[str, float]]) -> Array:
@@ -414,26 +279,3 @@ def joined(theory: Theory, parent: Fit, points: dict[str, dict[str, float]]) -> 
     for owner, point in points.items():
         values.update({(owner, name): value for name, value in point.items()})
     return np.array([values.get((r.owner, r.name), r.neutral) for r in theory.ranges()])
-
-
-def _step(x: Array, A: Array, g: Array, damping: float, low: Array, high: Array) -> Array:
-    """The damped step, with what would leave its bounds held there."""
-    scale = np.sqrt(np.diag(A))
-    active = scale > 0
-    trial = x.copy()
-    for _ in range(4):
-        index = np.flatnonzero(active)
-        if not len(index):
-            return trial
-        s = scale[index]
-        M = A[np.ix_(index, index)] / np.outer(s, s) + damping * np.eye(len(index))
-        move = np.linalg.lstsq(M, g[index] / s, rcond=None)[0] / s
-        trial = x.copy()
-        trial[index] += move
-        out = ((trial < low) | (trial > high)) & active
-        stuck = out & (((x <= low) & (trial < low)) | ((x >= high) & (trial > high)))
-        trial = np.clip(trial, low, high)
-        if not stuck.any():
-            return trial
-        active &= ~stuck
-    return trial

@@ -5,11 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from freeart21.se3 import Array
 
-_POINTS = 5
+_WINDOWS = ((5, 3), (11, 4))
+"""Neighbouring readings, and the order of the polynomial through them."""
+_MOST = 1000
+"""Windows of a run that are looked at."""
 _BINS = 6
+_FAR = 8
+"""Readings on either side that tell how fast they move."""
 
 
 @dataclass(frozen=True)
@@ -29,30 +35,50 @@ class Floor:
 def floor_of(series: list[tuple[Array, Array]]) -> Floor:
     """The floor of one sensor from its runs (times (n,), readings (n,), both finite).
 
-    Five neighbouring readings leave one number that no cubic through them explains (a fourth divided difference). Its
-    size, robustly and as a function of speed, is the noise; quantisation is at least a twelfth of its step squared.
+    What neighbouring readings leave that no polynomial through them explains is, robustly and as a function of speed,
+    the noise; quantisation is at least a twelfth of its step squared. Few neighbours take even motion over a sensor's
+    steps for noise, many take fast turns for it: the lesser of both counts.
     """
-    left, speed = (np.concatenate(parts) for parts in zip(*(_left(t, q) for t, q in series), strict=True))
-    step = _quantum(np.concatenate([q for _, q in series]))
-    order = np.argsort(speed)
-    bins = [part for part in np.array_split(order, _BINS) if len(part)]
-    variance = np.array([(1.4826 * np.median(np.abs(left[part]))) ** 2 for part in bins])
-    squares = np.array([np.mean(speed[part] ** 2) for part in bins])
-    still2, stamp2 = _line(squares, variance)
-    smallest = 1e-7 * max(float(np.ptp(np.concatenate([q for _, q in series]))), 1e-9)
+    readings = np.concatenate([q for _, q in series])
+    step = _quantum(readings)
+    smallest = 1e-7 * max(float(np.ptp(readings)), 1e-9)
+    found = [_scatter(series, *window, step) for window in _WINDOWS]
+    still2, stamp2 = min(found, key=lambda f: f[0] + f[2] * f[1])[:2]
     return Floor(float(np.sqrt(max(still2, step**2 / 12, smallest**2))), float(np.sqrt(stamp2)))
 
 
-def _left(times: Array, q: Array) -> tuple[Array, Array]:
-    """What five neighbours leave, scaled to one reading's noise, and their speed; (n - 4,) each."""
-    n = len(times) - _POINTS + 1
-    t = np.stack([times[i : i + n] for i in range(_POINTS)])
-    t = (t - t[2]) / np.maximum(t[4] - t[0], 1e-12)
-    values = np.stack([q[i : i + n] for i in range(_POINTS)])
-    weights = np.stack([1 / np.prod([t[i] - t[j] for j in range(_POINTS) if j != i], axis=0) for i in range(_POINTS)])
-    weights /= np.linalg.norm(weights, axis=0)
-    speed = np.abs(q[_POINTS - 1 :] - q[:n]) / (times[_POINTS - 1 :] - times[:n])
-    return (weights * values).sum(0), speed
+def _scatter(series: list[tuple[Array, Array]], points: int, order: int, step: float) -> tuple[float, float, float]:
+    """Variance at rest, its growth with speed squared, and the mean square of speed."""
+    parts = [_left(t, q, points, order) for t, q in series if len(q) >= points]
+    if not parts:
+        return np.inf, 0.0, 0.0
+    left2, speed, ways = (np.concatenate(column) for column in zip(*parts, strict=True))
+    told = ways > step  # a sensor at rest shows the same step again and again, and hides its noise
+    if told.sum() > max(100, 0.05 * len(told)):
+        left2, speed = left2[told], speed[told]
+    free = points - order - 1
+    bins = [part for part in np.array_split(np.argsort(speed), _BINS) if len(part)]
+    variance = np.array([np.median(left2[part]) for part in bins]) / chi2.median(free)
+    squares = np.array([np.mean(speed[part] ** 2) for part in bins])
+    return (*_line(squares, variance), float(np.mean(squares)))
+
+
+def _left(times: Array, q: Array, points: int, order: int) -> tuple[Array, Array, Array]:
+    """Of every so many neighbours: the sum of squares beyond a polynomial, their speed, and how far five of them move,
+    by readings further apart; (n - points + 1,) each."""
+    n = len(times) - points + 1
+    at = np.arange(n)[:: -(-n // _MOST)]
+    t, values = times[at[:, None] + np.arange(points)], q[at[:, None] + np.arange(points)]
+    long = np.maximum(t[:, -1:] - t[:, :1], 1e-12)
+    basis = np.linalg.qr(((t - t.mean(1, keepdims=True)) / long)[..., None] ** np.arange(order + 1))[0]
+    around = values - values.mean(1, keepdims=True)
+    left = around - (basis @ (basis.transpose(0, 2, 1) @ around[..., None]))[..., 0]
+    first, last = np.maximum(at - _FAR, 0), np.minimum(at + points - 1 + _FAR, len(q) - 1)
+    return (
+        (left**2).sum(1),
+        np.abs(values[:, -1] - values[:, 0]) / long[:, 0],
+        np.abs(q[last] - q[first]) * 4 / (last - first),
+    )
 
 
 def _line(x: Array, y: Array) -> tuple[float, float]:

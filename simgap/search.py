@@ -8,7 +8,7 @@ import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
 from simgap.data import FitRun
-from simgap.fit import Fit, Problem, Theory, fitted, joined, pieces, placed, resettled, settled
+from simgap.fit import Fit, Problem, Theory, fitted, grown, joined, pieces, placed, resettled
 from simgap.guess import Guess, guesses, off
 from simgap.settings import ChoiceSettings
 
@@ -60,8 +60,7 @@ class Search:
         """Nothing missing but what the asset may be off by."""
         if () not in self.fits:
             theory = Theory(self.problem, ())
-            rough = fitted(theory, pieces(self.train, _PIECE_S), iterations=6)
-            self.fits[()] = fitted(theory, self.train, rough.theta, settled(theory, rough.theta, self.train))
+            self.fits[()] = grown(theory, self.train)
         return self.fits[()]
 
     def singles(self) -> list[Fit]:

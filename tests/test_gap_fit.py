@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap.choose import folds_of
 from simgap.data import fit_runs
-from simgap.fit import Problem, Theory, fitted, placed, predicted, tangent
+from simgap.fit import Problem, Theory, fitted, foretold, pieces, placed, predicted, tangent
 from simgap.floor import floor_of
 from simgap.search import Search, candidates
 from simgap.settings import GapSettings
@@ -115,3 +116,30 @@ def test_degrees_are_not_taken_for_radians(tmp_path: Path, largest: float, said:
         with pytest.raises(FreeArtError, match="units degrees") as caught:
             problem(tmp_path, setup)
         assert "\n" not in str(caught.value)
+
+
+def test_a_sensor_that_rests_within_a_step_does_not_hide_its_noise():
+    rng = np.random.default_rng(1)
+    times = np.arange(3000) / 100
+    true = np.where(times < 12, 0.5 * np.sin(3 * times), 0.5 * np.sin(36) + 0.0002)
+    readings = 1.5e-3 * np.round((true + rng.normal(0, 0.5e-3, 3000)) / 1.5e-3)
+    assert floor_of([(times, readings)]).still == pytest.approx(np.hypot(0.5e-3, 1.5e-3 / np.sqrt(12)), rel=0.12)
+
+
+def test_one_stretch_that_cannot_be_met_holds_up_nothing_else(tmp_path: Path):
+    setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
+    broken = replace(runs[0], name="broken", q=runs[0].q + np.where(runs[0].times_s > 1.0, 0.8, 0.0))
+    theory = Theory(setup, ("viscous_damping",))
+    cut = pieces((*runs, broken), 1.5)
+    fit = fitted(theory, cut, np.array([0.9, 0.9, 0.0, 0.02]), robust=True)
+    assert fit.effects[0].coefficient == pytest.approx(0.12, rel=0.15)
+
+
+def test_what_runs_leave_open_is_open_before_others_too(tmp_path: Path):
+    setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
+    theory = Theory(setup, ("viscous_damping",))
+    told = fitted(theory, pieces(runs[:1], 0.3)[:2], np.array([1.0, 1.0, 0.0, 0.1]))
+    alone, free = placed(told, runs[3:]), foretold(told, runs[3:])
+    assert free.level < 1.3 < 3 < alone.level
+    away = free.theta - told.theta
+    assert away @ told.normal @ away < 25

@@ -1,0 +1,187 @@
+"""What is fitted: a set of effects that may be missing, how far the asset itself may be off, and their bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from freeart21.effects import EFFECTS, Effect
+from freeart21.se3 import Array
+from simgap import kernel
+from simgap.settings import FitSettings, SurrogateSettings
+from simgap.surrogate import Nuisance, Plant, numbers_of
+
+
+@dataclass(frozen=True)
+class Range:
+    """One number that is fitted."""
+
+    owner: str
+    """Name of an effect, 'asset', or an effect's name with ' form'."""
+    name: str
+    lower: float
+    upper: float
+    size: float
+    """A usual size."""
+    prior: float = np.inf
+    """Standard deviation of what is known of it beforehand, about its neutral value."""
+    neutral: float = 0.0
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What all fits to one measured set share."""
+
+    plant: Plant
+    inertia_relative: float
+    gravity_relative: float
+    q_low: float
+    q_high: float
+    speed: float
+    """Largest speed of all runs."""
+    sigma: float
+    """Floor at rest."""
+    force: float = 1.0
+    """Root mean square of the forces at work, N*m or N."""
+    load: float = 1.0
+    """A usual force on the bearing, N."""
+    fit: FitSettings = field(default_factory=FitSettings)
+    surrogate: SurrogateSettings = field(default_factory=SurrogateSettings)
+
+    @property
+    def reference(self) -> tuple[float, float, float]:
+        """Largest speed, middle and half range of position."""
+        return self.speed, 0.5 * (self.q_low + self.q_high), max(0.5 * (self.q_high - self.q_low), 1e-9)
+
+    @property
+    def crossing_s(self) -> float:
+        """Seconds in which the range moved through is crossed at top speed: how fast all goes here."""
+        return (self.q_high - self.q_low) / max(self.speed, 1e-9)
+
+
+@dataclass(frozen=True)
+class Theory:
+    """A set of effects that may be missing, and what of it is fitted."""
+
+    problem: Problem
+    names: tuple[str, ...]
+    relaxed: bool = False
+    """Whether the sizes of the effects may depart from their formulas, within the form tolerance."""
+
+    @property
+    def classes(self) -> tuple[type[Effect], ...]:
+        """Of the added effects."""
+        return tuple(EFFECTS[name] for name in self.names)
+
+    def ranges(self) -> tuple[Range, ...]:
+        """All that is fitted, but the starts."""
+        problem, found = self.problem, []
+        if problem.inertia_relative > 0:
+            r = problem.inertia_relative
+            found.append(Range("asset", "inertia", 1 - r, 1 + r, r, r, 1.0))
+        terms = problem.plant.gravity_terms
+        if problem.gravity_relative > 0 and np.any(terms[0]):
+            r = problem.gravity_relative
+            found.append(Range("asset", "gravity", 1 - r, 1 + r, r, r, 1.0))
+        size = float(np.linalg.norm(terms[0]))
+        for i in (1, 2):
+            column = float(np.linalg.norm(terms[i]))
+            lean = problem.fit.tilt_rad
+            if i == 1 and problem.plant.joint_type == "revolute" and column > 0:
+                lean += problem.gravity_relative * size / column  # a centre of mass that is off turns the pull, too
+            if lean > 0 and column > 1e-6 * np.linalg.norm(terms):
+                found.append(Range("asset", f"lean_{i}", -lean, lean, lean, lean))
+        for cls in self.classes:
+            found += [self._range(cls, name) for name in cls.parameters(problem.plant.joint_type)]
+        if self.relaxed:
+            r = problem.fit.form_tolerance
+            for cls in self.classes:
+                if cls.name in kernel.LAWS:
+                    found += [Range(f"{cls.name} form", k, -r, r, r, r) for k in ("speed", "position", "curve")]
+        return tuple(found)
+
+    def _range(self, cls: type[Effect], name: str) -> Range:
+        """Bounds and size of an effect's parameter on these data: nothing beyond what was moved through."""
+        spec, problem = cls.parameters()[name], self.problem
+        unit, span = spec.unit(problem.plant.joint_type), problem.q_high - problem.q_low
+        low, high, size = spec.lower, spec.upper, spec.scale
+        local = any(s.lower >= 0 and s.revolute_unit == "rad" for s in cls.parameters().values())
+        if unit in ("rad", "m") and cls.acts == "reading":
+            low, high, size = -0.6 * span, 0.6 * span, 0.1 * span
+        elif unit in ("rad", "m") and spec.lower < 0:
+            reach = 0.1 * span if local else 3 * span
+            low, high, size = problem.q_low - reach, problem.q_high + reach, 0.1 * span
+        elif unit in ("rad", "m") and cls.acts != "drive":
+            low, high, size = max(2 * problem.sigma, 1e-3 * span), 2 * span, 0.05 * span
+        elif unit in ("rad/s", "m/s"):
+            low, high, size = 0.01 * problem.speed, problem.speed, 0.1 * problem.speed
+        elif unit == "s":
+            low, high = max(spec.lower, -0.5), 0.5
+        elif unit in ("kg*m^2", "kg"):
+            size = 0.1 * problem.plant.mechanics.inertia
+            low = 1e-3 * size if cls.acts == "inertia" else 0.2 * size  # a lighter drive side moves no otherwise
+            low, high = max(spec.lower, low), 1e3 * size
+        elif unit == "1":
+            high = min(spec.upper, 10.0)
+        return Range(cls.name, name, max(low, spec.lower), min(high, spec.upper), size)
+
+    def neutral(self) -> Array:
+        """(p,) a point at which the asset is right; effects are at half their usual size."""
+        return np.array(
+            [
+                np.clip(r.neutral if r.owner == "asset" or "form" in r.owner else 0.5 * r.size, r.lower, r.upper)
+                for r in self.ranges()
+            ]
+        )
+
+    def effects(self, theta: Array) -> tuple[Effect, ...]:
+        """The added effects at parameters (p,)."""
+        ranges, joint_type = self.ranges(), self.problem.plant.joint_type
+        made = []
+        for cls in self.classes:
+            names = list(cls.parameters(joint_type))
+            values = {r.name: float(x) for r, x in zip(ranges, theta, strict=True) if r.owner == cls.name}
+            made.append(cls(**{name: values[name] for name in names}))
+        return tuple(made)
+
+
+class Reader:
+    """Turns parameters into the kernel's vectors."""
+
+    def __init__(self, theory: Theory):
+        self.theory: Theory = theory
+        self.ranges = theory.ranges()
+        self.base = theory.problem.plant.effects
+        self.owners = [r.owner for r in self.ranges]
+        self.sensing = any(e.kind == "sensing" for e in self.base) or any(c.kind == "sensing" for c in theory.classes)
+
+    def effects(self, theta: Array) -> tuple[Effect, ...]:
+        """The asset's own effects and the added ones."""
+        kind = self.theory.problem.plant.joint_type
+        made: list[Effect] = []
+        for cls in self.theory.classes:
+            at = self.owners.index(cls.name)
+            names = list(cls.parameters(kind))
+            made.append(cls(**dict(zip(names, map(float, theta[at : at + len(names)]), strict=True))))
+        return (*self.base, *made)
+
+    def nuisance(self, theta: Array) -> Nuisance:
+        """How the asset is off."""
+        asset = {r.name: float(x) for r, x in zip(self.ranges, theta, strict=True) if r.owner == "asset"}
+        return Nuisance(
+            asset.get("inertia", 1.0), asset.get("gravity", 1.0), (asset.get("lean_1", 0.0), asset.get("lean_2", 0.0))
+        )
+
+    def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
+        """The vector, start left at 0, and all effects."""
+        nuisance = self.nuisance(theta)
+        forms = {}
+        if self.theory.relaxed:
+            for cls in self.theory.classes:
+                if cls.name in kernel.LAWS:
+                    at = self.owners.index(f"{cls.name} form")
+                    forms[cls.name] = (float(theta[at]), float(theta[at + 1]), float(theta[at + 2]))
+        effects = self.effects(theta)
+        problem = self.theory.problem
+        return numbers_of(problem.plant, effects, nuisance, forms, problem.reference), effects
