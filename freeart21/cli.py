@@ -401,14 +401,18 @@ def convert(
     source: Annotated[Path, Positional],
     out: Path,
     to: Literal["official", "native"],
-    layout: Annotated[Literal["official", "video2articulation", "native"] | None, tyro.conf.arg(name="from")] = None,
+    layout: Annotated[
+        Literal["native", "rgbd", "official", "video2articulation"] | None, tyro.conf.arg(name="from")
+    ] = None,
     partnet_root: Path | None = None,
     joint: str | None = None,
     meta: Path | None = None,
     hold_out: bool = False,
     skip_missing: bool = False,
+    depth_unit: float = 0.001,
+    fps: float = 30.0,
 ) -> None:
-    """Convert recordings from one layout to another: the official FreeArt-21 release, Video2Articulation-S, our own.
+    """Convert recordings between layouts: a camera's pictures, official FreeArt-21, Video2Articulation-S, our own.
 
     Args:
         source: A recording, or a folder of them.
@@ -420,6 +424,8 @@ def convert(
         meta: Video2Articulation's new_partnet_mobility_dataset_correct_intr_meta.json, for the joint's limits.
         hold_out: Write the official split: 5 % of the frames go to eval/.
         skip_missing: Leave out meshes that a PartNet-Mobility object names but does not have.
+        depth_unit: Metres per depth unit of a plain folder of pictures (rgb/, depth/, masks/, cam_K.txt).
+        fps: Frames a second of such a folder.
     """
     from functools import partial
 
@@ -429,7 +435,9 @@ def convert(
 
     maker = partial(truth_of, joint=joint, skip_missing=skip_missing)
     with progress_board(1, 0) as board:
-        for done in formats.convert(source, out, to, layout, maker, partnet_root, meta, hold_out, board.update):
+        for done in formats.convert(
+            source, out, to, layout, maker, partnet_root, meta, hold_out, depth_unit, fps, board.update
+        ):
             board.finished(done.name)
             print(done.folder)
             for note in done.notes:

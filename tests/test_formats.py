@@ -28,7 +28,7 @@ from freeart21.files.benchmark import read_benchmark
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
-from freeart21.formats import foreign, freeart21_official, untrusted_pickle, video2articulation
+from freeart21.formats import foreign, freeart21_official, rgbd_folder, untrusted_pickle, video2articulation
 from freeart21.formats.convert import convert, find_sources
 from freeart21.joint import Joint
 from freeart21.reconstruction import Reconstruction
@@ -784,3 +784,105 @@ def test_progress_is_told(native: Path, tmp_path: Path) -> None:
     told: list[tuple[str, int, int]] = []
     list(convert(native, tmp_path / "out", "official", progress=lambda *now: told.append(now)))
     assert told == [("7777", i + 1, 7) for i in range(7)]
+
+
+# ---- plain folders of a depth camera's pictures ----------------------------------------------------------------------
+
+OPEN3D = {"width": W, "height": H, "intrinsic_matrix": [10.0, 0.0, 0.0, 0.0, 11.0, 0.0, 3.5, 2.5, 1.0]}
+NAMES = ("frame_9", "frame_10", "frame_100")  # in time, though not by letters
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    """Three frames as a depth camera writes them: 0.5 m, 0.6 m, 0.7 m at the one pixel that the object covers."""
+    folder = tmp_path / "my stapler"
+    for i, name in enumerate(NAMES):
+        png(folder / f"rgb/{name}.png", np.full((H, W, 3), 40 * i, np.uint8))
+        png(folder / f"depth/{name}.png", dot(2, 5, 500 + 100 * i, np.uint16))
+        png(folder / f"masks/{name}.png", dot(2, 5, 255))
+    (folder / "cam_K.txt").write_text("10 0 3.5\n0 11 2.5\n0 0 1\n")
+    return folder
+
+
+def in_open3d(folder: Path) -> None:
+    (folder / "cam_K.txt").unlink()
+    (folder / "rgb").rename(folder / "color")
+    (folder / "camera_intrinsic.json").write_text(json.dumps(OPEN3D))
+
+
+@pytest.mark.parametrize("layout", ["bundlesdf", "open3d"])
+def test_a_cameras_pictures_become_a_sequence(pictures: Path, tmp_path: Path, layout: str) -> None:
+    if layout == "open3d":
+        in_open3d(pictures)
+    cli.convert(pictures, tmp_path / "data", "native", fps=10)
+    recording = read_sequence(tmp_path / "data/sequences/my-stapler")
+    assert not (tmp_path / "data/truth").exists()
+    assert recording.times_s == pytest.approx([0, 0.1, 0.2])
+    assert np.array_equal(recording.camera.K, [[10, 0, 4], [0, 11, 3], [0, 0, 1]]), "pixel centres at +0.5"
+    for i, frame in enumerate(recording.frames()):
+        assert frame.depth[2, 5] == pytest.approx(0.5 + 0.1 * i, abs=1e-5)
+        assert frame.mask[2, 5] and frame.mask.sum() == 1 and (frame.rgb == 40 * i).all()
+
+
+def test_depth_of_another_unit(pictures: Path) -> None:
+    read = rgbd_folder.read_rgbd_folder(pictures, depth_unit=1 / 5000)
+    assert read.recording.frame(0).depth[2, 5] == pytest.approx(0.1)
+
+
+def no_masks(folder: Path) -> str:
+    shutil.rmtree(folder / "masks")
+    return "has no masks/: a picture of every frame is expected"
+
+
+def a_frame_without_depth(folder: Path) -> str:
+    (folder / "depth/frame_10.png").unlink()
+    return "frame 'frame_10' is among the colours, but not among depth; 1 differ"
+
+
+def depth_of_another_size(folder: Path) -> str:
+    png(folder / "depth/frame_10.png", np.zeros((2 * H, W), np.uint16))
+    return "frame_10.png is 8 x 12, expected 8 x 6 as the first colours: align depth"
+
+
+def shallow_depth(folder: Path) -> str:
+    png(folder / "depth/frame_9.png", np.zeros((H, W), np.uint8))
+    return "expected one channel of uint16"
+
+
+def intrinsics_of_another_size(folder: Path) -> str:
+    in_open3d(folder)
+    (folder / "camera_intrinsic.json").write_text(json.dumps({**OPEN3D, "width": 1280, "height": 720}))
+    return "is of pictures 1280 x 720, but the colours are 8 x 6"
+
+
+def a_matrix_of_two_rows(folder: Path) -> str:
+    (folder / "cam_K.txt").write_text("10 0 3.5\n0 11 2.5\n")
+    return "has shape (2, 3), expected a 3 x 3 matrix"
+
+
+def a_link_that_leads_out(folder: Path) -> str:
+    (folder / "masks/frame_9.png").unlink()
+    (folder / "masks/frame_9.png").symlink_to("/etc/hostname")
+    return "leads out of the folder"
+
+
+PICTURE_FAULTS = [
+    no_masks,
+    a_frame_without_depth,
+    depth_of_another_size,
+    shallow_depth,
+    intrinsics_of_another_size,
+    a_matrix_of_two_rows,
+    a_link_that_leads_out,
+]
+
+
+@pytest.mark.parametrize("spoil", PICTURE_FAULTS, ids=lambda fault: fault.__name__)
+def test_broken_pictures_are_one_clear_line(pictures: Path, tmp_path: Path, spoil: Callable[[Path], str]) -> None:
+    refused(lambda: list(convert(pictures, tmp_path / "data", "native")), spoil(pictures))
+    assert not (tmp_path / "data").exists()
+
+
+def test_units_and_rates_that_cannot_be(pictures: Path) -> None:
+    refused(lambda: rgbd_folder.read_rgbd_folder(pictures, depth_unit=1000), "depth unit is 1000")
+    refused(lambda: rgbd_folder.read_rgbd_folder(pictures, fps=0), "fps is 0")

@@ -16,12 +16,12 @@ from freeart21.files import atomic
 from freeart21.files.benchmark import write_benchmark
 from freeart21.files.sequence import read_sequence, write_frame, write_header, write_queries
 from freeart21.files.truth import read_truth, write_truth
-from freeart21.formats import freeart21_official, video2articulation
+from freeart21.formats import freeart21_official, rgbd_folder, video2articulation
 from freeart21.formats.foreign import Foreign, Progress, safe_name
 from freeart21.recording import Recording
 from freeart21.truth import Truth
 
-Layout = Literal["official", "video2articulation", "native"]
+Layout = Literal["native", "rgbd", "official", "video2articulation"]
 Target = Literal["official", "native"]
 TruthMaker = Callable[[Foreign, Path], Truth]
 """The whole truth of a foreign recording, from a folder of PartNet-Mobility objects; FreeArtError says what lacks."""
@@ -45,8 +45,9 @@ class Converted:
 def find_sources(source: Path, layout: Layout | None = None) -> list[tuple[Layout, Path]]:
     """The recordings in `source`: itself, or those that it holds, of one layout; the first that fits, or `layout`.
 
-    native: a sequence folder, or a data folder with sequences/. official: an example, or a folder of examples, or one
-    that holds examples/. video2articulation: a view folder, or any folder above.
+    native: a sequence folder, or a data folder with sequences/. rgbd: a plain folder of pictures, or a folder of such.
+    official: an example, or a folder of examples, or one that holds examples/. video2articulation: a view folder, or
+    any folder above.
     """
     source = Path(source)
     if not source.is_dir():
@@ -57,7 +58,8 @@ def find_sources(source: Path, layout: Layout | None = None) -> list[tuple[Layou
             return [(kind, folder) for folder in found]
     wanted = "of a known layout" if layout is None else f"of the layout {layout}"
     raise FreeArtError(
-        f"{source} holds no recording {wanted}: a native one has sequence.json, an official example rgb/, depth/ and "
+        f"{source} holds no recording {wanted}: a native one has sequence.json, a plain one rgb/ or color/, "
+        "depth/*.png, masks/ and cam_K.txt or camera_intrinsic.json, an official example rgb/, depth/*.npz and "
         "cam_K.txt, a Video2Articulation-S view camera_pose.npy and intrinsics.npy"
     )
 
@@ -65,6 +67,7 @@ def find_sources(source: Path, layout: Layout | None = None) -> list[tuple[Layou
 def _of_layout(source: Path, layout: Layout) -> Iterator[Path]:
     fits, patterns = {
         "native": (lambda folder: (folder / "sequence.json").is_file(), ("sequences/*", "*")),
+        "rgbd": (rgbd_folder.is_rgbd_folder, ("*",)),
         "official": (freeart21_official.is_example, ("examples/*", "*")),
         "video2articulation": (
             video2articulation.is_view,
@@ -90,6 +93,8 @@ def convert(
     partnet_root: Path | None = None,
     meta: Path | None = None,
     hold_out: bool = False,
+    depth_unit: float = rgbd_folder.MILLIMETRE,
+    fps: float = rgbd_folder.FPS,
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
 ) -> Iterator[Converted]:
     """Convert every recording in `source`, one after the other.
@@ -101,14 +106,18 @@ def convert(
     to="official" writes out/examples/NAME and, when the object's files are at hand (the truth's own, or
     partnet_root/ID), out/data/partnet-mobility-v0/dataset/NAME. `hold_out` makes the official split of 5 %.
 
-    `meta` is Video2Articulation's meta file. `progress` is called with a sequence's name, the frames done, their total.
+    `meta` is Video2Articulation's meta file; `depth_unit` (metres) and `fps` are of plain folders. `progress` is called
+    with a sequence's name, the frames done, their total.
     Raises FreeArtError, in one line; what was written before stays, and is whole.
     """
     out = Path(out)
     for kind, folder in find_sources(source, layout):
         if kind == to:
             raise FreeArtError(f"{folder} is of the layout {to} already")
-        recording = _read(kind, folder, meta, partnet_root)
+        if kind == "rgbd":
+            recording = rgbd_folder.read_rgbd_folder(folder, depth_unit, fps)
+        else:
+            recording = _read(kind, folder, meta, partnet_root)
         tick = functools.partial(progress, recording.name)
         with _tidy(out):
             if to == "native":

@@ -182,6 +182,15 @@ def read_npy(path: Path, shape: tuple[int | None, ...]) -> Array:
     return array.astype(float)
 
 
+def read_matrix(path: Path) -> Array:
+    """The rows of numbers, parted by blanks or commas, of a text file; FreeArtError where a word is no number."""
+    text = checked.require_file(path, 1 << 16).read_text("utf-8", errors="replace").replace(",", " ")
+    try:
+        return np.array([[float(word) for word in line.split()] for line in text.splitlines() if line.strip()])
+    except ValueError:
+        raise FreeArtError(f"{path} is not a 3 x 3 matrix of numbers") from None
+
+
 def read_any_json(path: Path) -> Any:
     """Whatever JSON is in `path`."""
     try:

@@ -89,7 +89,7 @@ def read_example(folder: Path) -> Foreign:
         raise FreeArtError(
             f"{folder / SIDECAR} has {len(times)} times, expected one for each of {max(train) + 1} frames"
         )
-    camera = Camera(_read_K(folder / "cam_K.txt"), *_size(rgb[0]))
+    camera = Camera(foreign.read_matrix(folder / "cam_K.txt"), *_size(rgb[0]))
 
     def load(index: int) -> Frame:
         path = foreign.within(folder, depth[index])
@@ -318,14 +318,6 @@ def _state(entry: Any, path: Path, i: int) -> float:
             f"{path}: state {i} is {entry!r}, expected a number or one of {', '.join(_STATE_KEYS)}"[:300]
         )
     return float(value)
-
-
-def _read_K(path: Path) -> Array:
-    text = checked.require_file(path, 1 << 16).read_text("utf-8", errors="replace").replace(",", " ")
-    try:
-        return np.array([[float(word) for word in line.split()] for line in text.splitlines() if line.strip()])
-    except ValueError:
-        raise FreeArtError(f"{path} is not a 3 x 3 matrix of numbers") from None
 
 
 def _size(path: Path) -> tuple[int, int]:
