@@ -11,7 +11,10 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.asset import Asset
+from freeart21.effects.base import Effect
+from freeart21.effects.gravity_offset import GravityOffset
 from freeart21.measured import Measured, Run
+from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
 from simgap.equation_error import missing_force
 from simgap.kinematics import KinematicsFinding
@@ -57,6 +60,8 @@ class Draft:
     """Run name to regime."""
     floor: float = 0.0
     """rad or m."""
+    moves_otherwise: bool = True
+    """Whether the motion along the joint is other than simulated; without that, nothing is said of where."""
     certain: tuple[Named, ...] = ()
     """Effects that are named without doubt, whatever is said of the rest: only these go into the asset."""
     curves: tuple[ReplayGap, ...] = ()
@@ -116,10 +121,10 @@ def publish(
     placed = place(asset, measured.gravity)
     runs = with_positions(measured, draft.geometry)
     acting = asset.effects.get(asset.joint, ())
-    found = missing_force(runs, placed.mechanics, *_limits(asset), acting, runs.runs)  # held-out ones may point, too
+    found = missing_force(*_as_fitted(runs, placed, acting, draft.off[0], _limits(asset)))
     maps = residual_maps(found, seed)
     verdict = draft.verdict
-    if not verdict.where:
+    if draft.moves_otherwise and not verdict.where:
         verdict = replace(verdict, where=where(maps, found, measured.joint_type))
     tried = verdict.effects if verdict.verdict in ("named", "ambiguous") else draft.certain
     shown, kept = None, draft.certain
@@ -242,6 +247,22 @@ def _names(effects: Sequence[Named]) -> str:
 
 def _without(certain: tuple[Named, ...], bad: Sequence[Named]) -> tuple[Named, ...]:
     return tuple(named for named in certain if named not in bad)
+
+
+def _as_fitted(
+    runs: Measured, placed: Placed, acting: tuple[Effect, ...], off: Off, limits: tuple[float, float]
+) -> tuple[Measured, JointMechanics, float, float, tuple[Effect, ...], tuple[Run, ...]]:
+    """What `missing_force` takes, held-out runs too: by as much as the asset is known to be off there is no gap."""
+    if off == Off():
+        return runs, placed.mechanics, *limits, acting, runs.runs
+    cosine, sine, constant = off.gravity
+    if placed.mechanics.joint.type == "revolute":
+        other = GravityOffset(cosine=cosine, sine=sine)
+    else:
+        other = GravityOffset(constant=constant)
+    exact = replace(runs, inertia_relative=0.0, gravity_relative=0.0)
+    mechanics = replace(placed.mechanics, inertia=placed.mechanics.inertia * off.inertia)
+    return exact, mechanics, *limits, (*acting, other), runs.runs
 
 
 def _limits(asset: Asset) -> tuple[float, float]:

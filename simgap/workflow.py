@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from freeart21.asset import Asset
+from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import movable_joint, read_asset
 from freeart21.files.atomic import new_folder
@@ -73,6 +74,7 @@ def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) 
         geometry,
         {run.name: run.regime for run in runs},
         floor.still,
+        motion.verdict != "no_gap",
         certain_of(motion, geometry),
         curves_of(choice, runs),
     )
@@ -170,13 +172,22 @@ def joined(motion: Verdict, geometry: KinematicsFinding | None, kind: JointType)
 def sentence_of(geometry: KinematicsFinding, kind: JointType) -> str:
     """What part poses say of the joint, with its numbers."""
     if geometry.verdict == "named":
-        words = " and ".join(effect_words(effect, kind) for effect in geometry.effects)
+        words = " and ".join(_how_far(effect, kind) for effect in geometry.effects)
         return f"The joint is not where the asset has it: {words}."
     if geometry.verdict == "ambiguous":
         sets = ", or ".join(" with ".join(plain(name) for name in names) for names in geometry.rivals)
         return f"The joint is not where the asset has it, but these poses cannot decide how: {sets}."
     off = max((track.gap_before for track in geometry.tracks), default=0.0)
     return f"The part strays from its joint by {amount(off, 'm')}, and no effect of the library explains it."
+
+
+def _how_far(effect: Effect, kind: JointType) -> str:
+    """The effect in words; of one with a direction, how far in all."""
+    sizes = {n: s.unit(kind) for n, s in effect.parameters(kind).items() if n.endswith(("_first", "_second"))}
+    if len(sizes) != 2:
+        return effect_words(effect, kind)
+    far = float(np.hypot(*(getattr(effect, n) for n in sizes)))
+    return f"{plain(effect.name)}, by {amount(far, next(iter(sizes.values())))}"
 
 
 def check_match(asset: Asset, measured: Measured) -> None:
@@ -246,5 +257,6 @@ def gap_folder(
         began = time.perf_counter()
         draft = explain(loaded, runs, settings)
         seconds = time.perf_counter() - began
-        title = Path(measured).resolve().name
+        named = Path(measured).resolve()
+        title = named.parent.name if named.name == "measured" else named.name
         return publish(loaded, runs, draft, aside, title, seconds, settings.seed, replay_seconds, progress)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_gap_show import STARTS, bob, damped, draft, filmed, held_out, named, pendulum
+from test_gap_show import ARM, INERTIA, MASS, STARTS, G, bob, damped, draft, filmed, held_out, named, pendulum
 
 from freeart21.effects.axis_tilt import AxisTilt
 from freeart21.effects.coulomb_friction import CoulombFriction
@@ -18,8 +18,12 @@ from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.files.asset import read_asset
 from simgap import replay
+from simgap.equation_error import missing_force
 from simgap.kinematics import KinematicsFinding, find_geometry_of
-from simgap.publish import GEOMETRY, publish
+from simgap.localise import residual_maps
+from simgap.placing import place
+from simgap.publish import GEOMETRY, _as_fitted, publish
+from simgap.show import Off
 from simgap.verdict import Verdict
 from simgap.workflow import certain_of, joined
 
@@ -70,7 +74,7 @@ def test_geometry_and_motion_are_said_together(motion, geometry, answer, told, c
     assert len(certain_of(motion, geometry)) == certain
     assert verdict.sentence.strip() and ": ." not in verdict.sentence and ":  " not in verdict.sentence
     if geometry is not None and geometry.verdict == "named":
-        assert "1.15°" in verdict.sentence  # never without its number
+        assert "by 1.43°" in verdict.sentence  # never without its number
     if motion.verdict != "no_gap":
         assert motion.sentence in verdict.sentence
     for more in (motion.next_experiment, geometry and geometry.next_experiment):
@@ -159,3 +163,24 @@ def test_the_time_step_suits_either_asset(which: int):
 def test_a_sets_of_coulomb_and_oil_are_two_effects():
     verdict = joined(said("named", ViscousDamping(1.0), CoulombFriction(0.1)), found("named", TILT), "revolute")
     assert names(verdict.effects) == ["axis_tilt", "viscous_damping", "coulomb_friction"]
+
+
+def test_what_the_asset_is_off_by_is_no_place_of_a_gap(tmp_path: Path):
+    """A leaning base, more inertia, less weight: the maps know them as the fit does."""
+    weight = MASS * G * ARM
+    starts = ((1.2, 0.0), (0.6, 0.5), (-1.5, 0.0), (0.9, 1.0))
+
+    def lean(s, q, qd):
+        return 0.02 * weight * np.cos(q)
+
+    asset, measured = bob(tmp_path / "a"), pendulum(starts, lean, seconds=5.0, inertia=1.06 * INERTIA, gravity=0.97)
+    placed = place(asset, measured.gravity)
+    off = Off(1.06, (0.02 * weight, 0.03 * weight, 0.0))
+    naive, known = (
+        residual_maps(missing_force(*_as_fitted(measured, placed, (), o, (-3.0, 3.0)))) for o in (Off(), off)
+    )
+    assert min(m.adjusted for m in naive) < 0.01
+    assert min(m.adjusted for m in known) > 0.05
+    quiet = replace(draft(measured, starts, answer="no_gap"), moves_otherwise=False)
+    verdict = publish(asset, measured, quiet, tmp_path / "out", "leaning")
+    assert verdict.where == () and "Where it shows" not in (tmp_path / "out/index.html").read_text()
