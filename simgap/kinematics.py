@@ -182,11 +182,16 @@ def _pieces(units: NDArray[np.int64], least: int) -> NDArray[np.int64]:
 
 
 def _first_weighting(model: PoseModel, settings: KinematicsSettings) -> Weighting:
-    """Noise by second differences of the residual to the ideal joint: motion has next to none."""
+    """Noise by second differences of the residual to the ideal joint: motion has next to none.
+
+    Along the joint there is no residual, whatever the noise: it is taken to be as across it.
+    """
     y = model.residuals(Geometry.zero(()), model.q0)
     same = model.run[2:] == model.run[:-2]
     bends = (y[2:] - 2 * y[1:-1] + y[:-2])[same]
     covariance = bends.T @ bends / (6 * max(len(bends), 1)) + np.diag(_NOISELESS)
+    own = slice(3, 6) if model.joint.type == "revolute" else slice(0, 3)
+    covariance += 0.5 * np.trace(covariance[own, own]) * np.outer(model.joint.screw, model.joint.screw)
     shrunk = 0.9 * covariance + 0.1 * np.diag(np.diag(covariance))
     return Weighting(shrunk, 1.0, settings.registration_std)
 

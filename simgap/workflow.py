@@ -50,7 +50,7 @@ def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) 
     geometry = find_geometry_of(asset, measured)
     positions = with_positions(measured, geometry)
     plant = plant_of(asset, measured)
-    runs, floor = fit_runs(positions, plant)
+    runs, floor = as_tracked(*fit_runs(positions, plant), geometry)
     if not moves_enough(runs, floor, settings.choice):
         motion = still_verdict(runs, floor)
         return Draft(
@@ -78,6 +78,19 @@ def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) 
         certain_of(motion, geometry),
         curves_of(choice, runs),
     )
+
+
+def as_tracked(
+    runs: tuple[FitRun, ...], floor: Floor, geometry: KinematicsFinding | None
+) -> tuple[tuple[FitRun, ...], Floor]:
+    """Runs with the noise that part poses have: a tracker's errors last, so that neighbouring readings hide them."""
+    noise = {} if geometry is None else {track.name: track.q_std for track in geometry.tracks}
+    if not noise:
+        return runs, floor
+    louder = tuple(replace(run, sigma=np.maximum(run.sigma, noise.get(run.name, 0.0))) for run in runs)
+    if len(noise) < len(runs):
+        return louder, floor
+    return louder, replace(floor, still=max(floor.still, float(np.median(list(noise.values())))))
 
 
 def curves_of(choice: Choice, runs: tuple[FitRun, ...]) -> tuple[ReplayGap, ...]:
