@@ -135,10 +135,9 @@ def _step(
     free: bool,
 ) -> tuple[Array, Array]:
     """Moves of the parameters (p,) and of the starts (r, 2)."""
-    inverses = []
-    for block, mu in zip(blocks, own, strict=True):
-        inner = block[:2, :2] + np.diag((mu + 1e-9) * np.diag(block[:2, :2]) + 1e-12)
-        inverses.append(np.linalg.inv(inner))
+    inner = np.array([block[:2, :2] for block in blocks])
+    inner[:, (0, 1), (0, 1)] = inner[:, (0, 1), (0, 1)] * (1 + own[:, None] + 1e-9) + 1e-12
+    inverses = np.linalg.inv(inner)
     shift = np.zeros(len(theta))
     if free and len(theta):
         A, g = prior.weight.copy(), -prior.weight @ (theta - prior.neutral)

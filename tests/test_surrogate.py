@@ -173,3 +173,12 @@ def test_five_seconds_take_less_than_a_millisecond(tmp_path: Path):
         simulate(plant, (made("coulomb_friction", level=0.2),), times, 1.0)
         spent.append(time.process_time() - began)
     assert min(spent) < 1e-3
+
+
+def test_a_loose_drive_side_comes_to_rest_with_a_part_that_leans_on_its_stop(tmp_path: Path):
+    effects = (made("backlash", width=0.02, drive_inertia=0.1),)
+    asset = asset_at(tmp_path, "prismatic", *effects, axis="1 0 0", lower=0.0, upper=2.0)
+    plant = plant_of(asset, measured_of("prismatic", gravity=[-0.02, 0.0, -G]))
+    times = np.arange(500) / 100
+    q = simulate(plant, effects, times, 0.3, -0.4)
+    assert q.min() == 0.0 and np.all(q[times > 1.5] == 0.0)

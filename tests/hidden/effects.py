@@ -36,7 +36,7 @@ START: dict[str, tuple[float, float]] = {
 LARGEST = {"end_stop_bounce": 0.85, "actuator_delay": 0.12, "time_offset": 0.1, "backlash": 0.15, "actuator_gain": 0.6,
            "encoder_offset": 0.3, "gravity_offset": 0.9, "armature": 4.0, "encoder_scale": 0.3}  # fmt: skip
 """Sizes that are not exceeded in making an effect clear."""
-SMALLEST = {"armature": 0.03, "end_stop_bounce": 0.02, "backlash": 0.002, "belt_elasticity": 0.05}
+SMALLEST = {"armature": 0.2, "end_stop_bounce": 0.02, "backlash": 0.002, "belt_elasticity": 0.05}
 """Nor gone below: there the asset's own uncertainty begins, or there is next to nothing."""
 STRANGE: dict[str, tuple[float, float]] = {
     "cogging": (0.1, 0.3),
