@@ -134,6 +134,7 @@ def record(
     preset: str = "handheld",
     sensor: str = "clean",
     effects: Path | None = None,
+    let_go: float | None = None,
     procedural: str | None = None,
     count: int = 1,
     split: Literal["public", "test"] = "public",
@@ -161,6 +162,8 @@ def record(
         preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).
         sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
         effects: effects.json of the joint that is let go, for the motion release.
+        let_go: Share of its range (0 to 1) at which the joint is let go, for the motion release; drawn from the seed
+            when not given.
         procedural: Instead of names: a category of which --count fresh objects are drawn from the seed.
         count: How many fresh objects.
         split: Of freeart21-v1: public, to tune on, or test, which is only scored.
@@ -184,6 +187,7 @@ def record(
         preset=preset,
         sensor=sensor,
         effects=effects,
+        let_go=let_go,
         partnet_root=partnet_root,
         joint=joint,
         skip_missing=skip_missing,
@@ -344,6 +348,49 @@ def score(
         write_scores(out, scores)
 
 
+def measure(
+    sources: Annotated[tuple[Path, ...], Positional],
+    out: Path,
+    noise_mm: float = 0.5,
+    noise_deg: float = 0.2,
+    seed: int = 0,
+    partnet_root: Path | None = None,
+    gravity: tuple[float, float, float] | None = None,
+    rate_hz: float = 30.0,
+) -> None:
+    """Make a measured set for `gap` from recordings of a joint that was let go, or from one reconstructed video.
+
+    Args:
+        sources: Truth folders of one object (DATA/truth/SEQ, recorded with --motion release, each a run): their part
+            poses get a tracker's errors. Or one result folder (RESULTS/SEQ) whose reference part stood fixed.
+        out: Folder for the measured set (OUT/measured) and, of truths, the object without effects (OUT/asset).
+        noise_mm: Standard deviation of a tracker's shifts, for truths.
+        noise_deg: Standard deviation of a tracker's turns, for truths.
+        seed: Seed of the tracker's errors.
+        partnet_root: Folder that holds PartNet-Mobility objects, for truths of such.
+        gravity: Of a result: gravity, m/s^2, in the camera's axes (right, down, forward) of the first frame; a level
+            camera has 0 9.81 0.
+        rate_hz: Of a result: frames a second.
+    """
+    results = [source for source in sources if (source / "prediction.json").is_file()]
+    if results and (len(sources) > 1 or gravity is None):
+        raise FreeArtError(
+            "measure: a result stands alone and needs --gravity X Y Z in the camera's axes of its first frame "
+            f"(0 9.81 0 for a level camera); got {len(sources)} folders, gravity {gravity}"
+        )
+    if results and gravity is not None:
+        from simgap.measure import measure_result
+
+        measure_result(results[0], out, gravity, rate_hz)
+        asset = results[0] / "asset"
+    else:
+        from generator.measure import TrackerNoise, measure_truths
+
+        measure_truths(sources, out, TrackerNoise(1e-3 * noise_mm, math.radians(noise_deg), seed=seed), partnet_root)
+        asset = out / "asset"
+    print(f"{out / 'measured'}: now `freeart21 gap {asset} {out / 'measured'} --out GAP`")
+
+
 def gap(
     asset: Annotated[Path, Positional],
     measured: Annotated[Path, Positional],
@@ -447,7 +494,8 @@ def convert(
 def main() -> None:
     """Run a command; every known fault is one line on standard error and exit code 1."""
     commands = {
-        f.__name__: f for f in (doctor, demo, objects, record, verify, reconstruct, export, score, gap, view, convert)
+        f.__name__: f
+        for f in (doctor, demo, objects, record, verify, reconstruct, export, score, measure, gap, view, convert)
     }
     try:
         code = tyro.extras.subcommand_cli_from_dict(

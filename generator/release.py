@@ -75,11 +75,11 @@ def released_states(
     return rolled.q[::per_frame][:frames]
 
 
-def weighed(asset: Asset, model: ObjectModel, folder: Path) -> Asset:
-    """`asset`, written from `model`, with a URDF in `folder` that has inertia by the materials, and no shapes."""
+def weighed(asset: Asset, model: ObjectModel, folder: Path, shapes: bool = False) -> Asset:
+    """`asset`, written from `model`, with a URDF in `folder` that has inertia by the materials, and maybe shapes."""
     root = ET.fromstring(asset.urdf.read_bytes())
     for element in root.findall("link"):
-        for shape in (*element.findall("visual"), *element.findall("collision")):
+        for shape in () if shapes else (*element.findall("visual"), *element.findall("collision")):
             element.remove(shape)
         name = element.get("name", "")
         if name.startswith("link_"):

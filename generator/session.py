@@ -27,7 +27,7 @@ from freeart21.truth import Truth
 from generator import objects, partnet
 from generator.frame_writer import FrameWriter
 from generator.model import ObjectModel
-from generator.motion import MOTIONS, PRESETS, Plan, plan_motion
+from generator.motion import MOTIONS, PRESETS, Plan, motion_range, plan_motion
 from generator.partnet_writer import write_partnet
 from generator.progress import Progress
 from generator.queries import PlannedQuery, plan_queries
@@ -76,6 +76,8 @@ class RecordSettings:
     """What the camera adds: one of `generator.sensor.SENSORS`, or several joined by '+'."""
     effects: Path | None = None
     """effects.json of the released joint, for the motion 'release'."""
+    let_go: float | None = None
+    """Share of the released joint's range, from its lower limit, at which it is let go; None draws it from the seed."""
     partnet_root: Path | None = None
     """Folder that holds PartNet-Mobility objects, one folder an id."""
     joint: str | None = None
@@ -112,12 +114,19 @@ class RecordSettings:
             raise FreeArtError(
                 f"effects act on a joint that is let go: they go with the motion release, not {self.motion}"
             )
+        if self.let_go is not None and not (self.motion == "release" and 0 <= self.let_go <= 1):
+            raise FreeArtError(
+                f"the joint cannot be let go at {self.let_go:g} of its range in the motion {self.motion}; expected 0 "
+                "to 1, and the motion release"
+            )
 
     def described(self) -> dict[str, Any]:
         """All that decides the recording's bytes, as JSON: without places on this machine."""
         facts = asdict(self)
         del facts["partnet_root"]
         facts["effects"] = None if self.effects is None else checked.read_json(self.effects)
+        if self.let_go is None:
+            del facts["let_go"]  # what was recorded before there was a choice
         return facts
 
 
@@ -182,7 +191,9 @@ def planned(
     states = None
     if s.motion == "release":
         effects = () if s.effects is None else _effects(s.effects, loaded.joint)
-        states = released_states(loaded, effects, s.frames, s.fps, s.seed, model=model)
+        low, high = motion_range(loaded.joint)
+        start = None if s.let_go is None else low + s.let_go * (high - low)
+        states = released_states(loaded, effects, s.frames, s.fps, s.seed, start, model)
     return camera, plan_motion(s.motion, meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset, states)
 
 
@@ -193,7 +204,14 @@ def _effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
         raise FreeArtError(f"{path}: 'joints' must map joint names to lists of effects")
     if joint.name not in entries:
         raise FreeArtError(f"{path} says nothing of '{joint.name}'; its joints: {', '.join(entries) or 'none'}")
-    return tuple(effect_from_json(entry, joint.type, f"{path} joint '{joint.name}'") for entry in entries[joint.name])
+    effects = tuple(effect_from_json(e, joint.type, f"{path} joint '{joint.name}'") for e in entries[joint.name])
+    odd = [effect.name for effect in effects if effect.kind != "dynamics" or effect.acts == "command"]
+    if odd:
+        raise FreeArtError(
+            f"{path} gives joint '{joint.name}' {', '.join(odd)}: a joint that is let go is filmed with what works on "
+            "its motion alone, not with effects of geometry, sensors or drives"
+        )
+    return effects
 
 
 def partnet_folder(name: str, root: Path | None) -> Path:

@@ -1,0 +1,128 @@
+"""From recordings of a joint that was let go to a measured set: frames, gravity, masses, and a tracker's errors."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from freeart21 import se3
+from freeart21.effects.axis_tilt import AxisTilt
+from freeart21.effects.encoder_offset import EncoderOffset
+from freeart21.effects.viscous_damping import ViscousDamping
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset
+from freeart21.files.measured import read_measured
+from freeart21.files.truth import read_truth
+from generator.measure import TrackerNoise, measure_truths
+from generator.recorder import RecordSettings, record
+from generator.simulate import joint_motion, load, roll_out
+from simgap.kinematics import find_geometry_of
+from simgap.measure import measure_result
+from simgap.placing import place
+
+OIL = ViscousDamping(1.5e-4)
+
+
+def effects_file(folder: Path, *effects) -> Path:
+    path = folder / "effects.json"
+    listed = [effect.to_json("revolute") for effect in effects]
+    path.write_text(json.dumps({"schema": "freeart21/effects/1", "joints": {"joint_1": listed}}))
+    return path
+
+
+def settings(folder: Path, *effects, **more) -> RecordSettings:
+    return RecordSettings(
+        frames=45, seed=3, width=64, height=36, queries=0, motion="release", shader="trivial", visible_every=20, edge=0.5,
+        effects=effects_file(folder, *effects), **more,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory) -> Path:
+    """The truth of a stapler whose arm was let go at nine tenths of its range, with oil in its hinge."""
+    folder = tmp_path_factory.mktemp("film")
+    name = record("stapler", folder / "data", settings(folder, OIL, let_go=0.9))
+    return folder / "data/truth" / name
+
+
+def test_the_measured_set_is_the_film_and_its_asset_moves_as_the_film_does(tmp_path: Path, film: Path):
+    truth = read_truth(film)
+    measure_truths([film, film], tmp_path / "out", TrackerNoise(seed=1))
+    asset, measured = read_asset(tmp_path / "out/asset"), read_measured(tmp_path / "out/measured")
+    assert measured.joint == asset.joint == "joint_1" and asset.effects == {}
+    assert np.linalg.norm(measured.gravity) == pytest.approx(9.81)
+    assert truth.states[0] == pytest.approx(0.9 * truth.articulation.joint.upper)
+    ideal = joint_motion(asset, truth.states)
+    for run in measured.runs:
+        off = se3.log_se3(se3.inverse(ideal) @ run.poses)
+        assert 1.5e-3 < off[:, 3:].std() < 6e-3  # a tracker's errors, and no more: the frames are the truth's
+    assert np.abs(measured.runs[0].poses - measured.runs[1].poses).max() > 1e-4
+    geometry = find_geometry_of(asset, measured)
+    assert geometry is not None and geometry.verdict == "no_gap"
+    error = np.concatenate([track.q - truth.states for track in geometry.tracks])
+    assert 0.5 * error.std() < geometry.tracks[0].q_std < 2 * error.std()
+    loaded = load(asset, gravity=place(asset, measured.gravity).gravity)
+    for effects, least, most in (((OIL,), 0.0, 2e-3), ((), 2e-2, 1.0)):
+        loaded.set_effects(effects)
+        rolled = roll_out(loaded, float(truth.states[0]), duration_s=44 / 30)
+        off = np.interp(measured.runs[0].times_s, rolled.times_s, rolled.q) - truth.states
+        assert least <= np.abs(off).max() < most
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"asset", "measured"}
+
+
+def test_of_three_takes_one_is_held_out(tmp_path: Path, film: Path):
+    measure_truths([film] * 3, tmp_path / "out", TrackerNoise())
+    assert [run.held_out for run in read_measured(tmp_path / "out/measured").runs] == [False, False, True]
+
+
+def test_takes_of_other_motions_or_objects_cost_one_line(tmp_path: Path, film: Path):
+    other = tmp_path / "other"
+    shutil.copytree(film, other)
+    data = json.loads((film / "truth.json").read_text())
+    for change, said in (
+        ({"motion": "tumble"}, "is of the motion 'tumble', expected release"),
+        ({"settings": {**data["source"]["settings"], "seed": 4}}, "has seed 4, .* has 3: expected one object"),
+    ):
+        (other / "truth.json").write_text(json.dumps({**data, "source": {**data["source"], **change}}))
+        with pytest.raises(FreeArtError, match=said):
+            measure_truths([film, other], tmp_path / "out")
+    with pytest.raises(FreeArtError, match="expected 0 or more"):
+        measure_truths([film], tmp_path / "out", TrackerNoise(-1.0))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_released_joint_has_effects_of_motion_only(tmp_path: Path):
+    for effects, said in (
+        ((OIL, AxisTilt(0.01, 0.0)), "gives joint 'joint_1' axis_tilt: a joint that is let go"),
+        ((EncoderOffset(0.1),), "gives joint 'joint_1' encoder_offset"),
+    ):
+        with pytest.raises(FreeArtError, match=said):
+            record("stapler", tmp_path / "data", settings(tmp_path, *effects))
+    with pytest.raises(FreeArtError, match="let go at 1.5 of its range in the motion release; expected 0 to 1"):
+        settings(tmp_path, OIL, let_go=1.5).check()
+
+
+def test_a_result_becomes_one_run(tmp_path: Path, film: Path):
+    from freeart21.files.result import write_result
+    from freeart21.reconstruction import Reconstruction
+
+    truth, n = read_truth(film), 45
+    seen = np.ones((n, 2), bool)
+    seen[7] = False
+    masks = np.stack([truth.part_mask(i) for i in range(n)])
+    poses = truth.Ts_camera_reference, truth.Ts_camera_moving
+    result = tmp_path / "ours/seq"
+    write_result(result, Reconstruction(truth.articulation, truth.states, *poses, masks, seen))
+    with pytest.raises(FreeArtError, match="has no asset; make one by `freeart21 export"):
+        measure_result(result, tmp_path / "out", (0, 9.81, 0), 30.0)
+    measure_truths([film], tmp_path / "truths")
+    shutil.copytree(tmp_path / "truths/asset", result / "asset")
+    measure_result(result, tmp_path / "out", (0, 9.81, 0), 30.0)
+    measured = read_measured(tmp_path / "out/measured")
+    (run,) = measured.runs
+    np.testing.assert_allclose(run.poses, joint_motion(read_asset(result / "asset"), truth.states), atol=1e-5)
+    assert np.flatnonzero(~run.seen).tolist() == [7] and measured.rate_hz == 30
