@@ -41,6 +41,8 @@ from simgap.track_geometry import TrackGeometry, track_geometry
 
 GeometryVerdict = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
 _NOISELESS = np.repeat([1e-12, 1e-12], 3)  # m^2 and rad^2: least noise of any pose
+_STRAYS = 5.0
+"""Floors off its joint at which a part that stands still along it has moved otherwise."""
 _ONE_ERROR = 0.16  # chance of more than one standard error upwards
 
 
@@ -126,7 +128,8 @@ def find_geometry(
     flags = [False] * len(tracks) if held_out is None else list(held_out)
     train = tuple(t for t, out in zip(tracks, flags, strict=True) if not out)
     if not train:
-        raise FreeArtError("no run of poses to fit: expected one or more that are not held out")
+        said = ", ".join(t.name for t in tracks)
+        raise FreeArtError(f"all runs of poses ({said}) are held out, expected at least one to fit to")
     for t in tracks:
         if len(t.times_s) < 10:
             raise FreeArtError(f"run '{t.name}' has {len(t.times_s)} poses, expected 10 or more")
@@ -170,6 +173,8 @@ def _problem(train: tuple[Track, ...], mechanics: JointMechanics, settings: Kine
     span = float(np.ptp(model.q0)) or 1.0
     frames = len(model.run)
     units = unit_numbers(model.q0, model.run, 0.05 * span, longest=max(20, frames // 24))
+    if units.max() < 3:  # a short sweep that never turns back
+        units = np.arange(frames) * 4 // frames
     folds = model.run if len(train) >= 3 else _pieces(units, 4)
     rate = 1 / float(np.median(np.concatenate([np.diff(t.times_s) for t in thin])))
     return _Problem(model, units, folds, rate)
@@ -375,6 +380,9 @@ def _nothing(
     seen = tuple(
         track_geometry(t, out, mechanics, weighting, plain, plain) for t, out in zip(tracks, flags, strict=True)
     )
+    if any(t.gap_before > _STRAYS * t.floor for t in seen):
+        said = "Make sure that this is the joint that was moved, and that asset and poses have one frame."
+        return KinematicsFinding("unexplained", (), (), (), (), seen, (), 0.0, said)
     said = "Move the joint through more of its range: it stood all but still."
     return KinematicsFinding("not_excited", (), (), (), (), seen, (), 0.0, said)
 

@@ -36,8 +36,8 @@ def effects_file(folder: Path, *effects) -> Path:
 
 def settings(folder: Path, *effects, **more) -> RecordSettings:
     return RecordSettings(
-        frames=45, seed=3, width=64, height=36, queries=0, motion="release", shader="trivial", visible_every=20, edge=0.5,
-        effects=effects_file(folder, *effects), **more,
+        frames=45, seed=3, width=64, height=36, queries=0, motion="release", shader="trivial", visible_every=20,
+        edge=0.5, effects=effects_file(folder, *effects), **more,
     )  # fmt: skip
 
 
