@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from abc import ABCMeta
 from typing import Any
 
 from freeart21.effects.base import Effect, perpendiculars, readings
@@ -32,7 +33,7 @@ def _found() -> dict[str, type[Effect]]:
     for info in sorted(pkgutil.iter_modules(__path__), key=lambda info: info.name):
         module = importlib.import_module(f"{__name__}.{info.name}")
         for value in vars(module).values():
-            if isinstance(value, type) and issubclass(value, Effect) and getattr(value, "name", None) == info.name:
+            if isinstance(value, ABCMeta) and issubclass(value, Effect) and getattr(value, "name", None) == info.name:
                 found[info.name] = value
     return found
 
