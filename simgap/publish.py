@@ -17,7 +17,7 @@ from freeart21.measured import Measured, Run
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
 from simgap.equation_error import missing_force
-from simgap.kinematics import KinematicsFinding
+from simgap.finding import KinematicsFinding
 from simgap.localise import residual_maps, where
 from simgap.placing import Placed, place
 from simgap.report import GEOMETRY, Gap, Ranked, write_report

@@ -13,7 +13,7 @@ from freeart21.joint import JointType
 from freeart21.view.document import Section, document, escape
 from freeart21.view.plot import display_unit
 from freeart21.view.tables import table_section
-from simgap.kinematics import KinematicsFinding
+from simgap.finding import KinematicsFinding
 from simgap.localise import LEVEL, ResidualMap
 from simgap.report_plots import AFTER, BEFORE, Line, chart, interval_drawing, map_drawing, p_text, run_drawings
 from simgap.show import ReplayGap, Shown

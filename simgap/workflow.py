@@ -19,9 +19,10 @@ from freeart21.measured import Measured
 from simgap.choose import Choice, Judged, chosen, folds_of, p_value
 from simgap.data import FitRun, fit_runs
 from simgap.decide import moves_enough, still_verdict, verdict_of
+from simgap.finding import KinematicsFinding
 from simgap.fit import Fit, Problem, Reader, placed
 from simgap.floor import Floor
-from simgap.kinematics import KinematicsFinding, find_geometry_of
+from simgap.kinematics import find_geometry_of
 from simgap.publish import Draft, off_of, publish, with_positions
 from simgap.report import Ranked
 from simgap.search import Search, candidates

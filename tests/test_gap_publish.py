@@ -19,7 +19,8 @@ from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.files.asset import read_asset
 from simgap import replay
 from simgap.equation_error import missing_force
-from simgap.kinematics import KinematicsFinding, find_geometry_of
+from simgap.finding import KinematicsFinding
+from simgap.kinematics import find_geometry_of
 from simgap.localise import residual_maps
 from simgap.placing import place
 from simgap.publish import GEOMETRY, _as_fitted, publish

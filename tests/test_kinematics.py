@@ -13,7 +13,8 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured, Run
-from simgap.kinematics import KinematicsFinding, find_geometry_of
+from simgap.finding import KinematicsFinding
+from simgap.kinematics import find_geometry_of
 
 PIVOT = np.array([0.1, -0.2, 0.3])
 ARM = np.array([0.25, 0.0, -0.1])  # from the pivot to the middle of the part at q = 0
