@@ -98,6 +98,8 @@ def _stretch(run: FitRun, begin: int, end: int) -> FitRun:
 def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Choice:
     """The smallest explanation, or none."""
     base = judged(search.base(), folds)
+    if base.floors < settings.explained and search.hinted() < settings.hint * settings.least_gap:
+        return Choice(base, 1.0, (), base, settings.explained, False)
     level = search.singles()
     first = [judged(fit, folds) for fit in level[: settings.contenders]]
     tried = list(first)
@@ -115,11 +117,19 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         ]
         standing = [j for j in contenders if j.reach <= bar]
         reach = min((j.reach for j in standing), default=np.inf)
-        if reach <= max(settings.explained, settings.well_explained * bar) or size == settings.max_effects:
+        plain = min((j.floors for j in standing), default=np.inf)
+        well = reach <= max(settings.explained, settings.well_explained * bar)
+        if (well and plain <= settings.form_doubt) or size == settings.max_effects:
             break
         level = search.larger(level[: settings.parents])
         contenders = [judged(fit, folds) for fit in level[: settings.contenders]]
         tried += contenders
+        if well:  # by its form alone: others that need none of it stand instead, more effects beside it do not
+            named = [set(j.names) for j in standing]
+            others = [j for j in contenders if not any(names <= set(j.names) for names in named)]
+            others = [j for j in others if j.floors <= min(settings.explained, settings.much_better * plain)]
+            standing = others or standing
+            break
         if standing and min(j.floors for j in contenders) > settings.much_better * reach:
             break  # not even a larger set does much better: the rest is form
     if standing:

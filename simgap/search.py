@@ -12,9 +12,10 @@ from simgap.fit import Fit, Problem, Theory, fitted, grown, joined, pieces, plac
 from simgap.guess import Guess, guesses, off
 from simgap.settings import ChoiceSettings
 
-_PIECE_S = 1.2
+_CROSSINGS = 2.5
+"""Crossings of the range at top speed that a stretch lasts for, in which a first-order look sees an effect whole."""
 _SCREEN = 2
-_FAR = 15.0
+_FAR = 6.0
 """Floors of error beyond which a run is looked at in stretches."""
 
 
@@ -55,36 +56,53 @@ class Search:
     settings: ChoiceSettings
     names: tuple[str, ...]
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
+    _first: tuple[tuple[FitRun, ...], list[Guess]] | None = None
 
     def base(self) -> Fit:
         """Nothing missing but what the asset may be off by."""
         if () not in self.fits:
-            theory = Theory(self.problem, ())
-            self.fits[()] = grown(theory, self.train)
+            self.fits[()] = grown(Theory(self.problem, ()), self.train)
         return self.fits[()]
+
+    def hinted(self) -> float:
+        """Floors that the best effect would explain of what the asset alone leaves, to first order."""
+        fall = self.base().rss - min((guess.cost for guess in self._guesses()[1]), default=np.inf)
+        return float(np.sqrt(max(fall, 0.0) / sum(len(run.q) for run in self.train)))
+
+    def _guesses(self) -> tuple[tuple[FitRun, ...], list[Guess]]:
+        """Stretches that a first-order look can span, and first guesses of every effect alone by them."""
+        if self._first is None:
+            base, cut = self.base(), self._cut(self.base())
+            at = base if cut is self.train else fitted(base.theory, cut, base.theta, iterations=4, robust=True)
+            self._first = cut, guesses(at, cut, self.names)
+        return self._first
 
     def singles(self) -> list[Fit]:
         """Every effect alone, the best first."""
-        base, cut = self.base(), self._cut(self.base())
-        found = guesses(placed(base, cut) if cut is not self.train else base, cut, self.names)
+        cut, found = self._guesses()
+        rough = []
         for name in list(dict.fromkeys(guess.name for guess in found))[: self.settings.singles]:
             own = [guess for guess in found if guess.name == name][: self.problem.fit.starts]
-            if (name,) not in self.fits:
-                self._single(name, own, cut)
+            rough.append(self._rough(name, own, cut))
+        rough.sort(key=lambda fit: fit.cost)
+        for fit in rough[: self.settings.contenders + 1]:
+            theory, theta, starts = fit.theory, fit.theta, fit.starts
+            if cut is not self.train:
+                first = {run.name: fit.starts[f"{run.name}#0"] for run in self.train}
+                ways = [fitted(theory, self.train, theta, at, _SCREEN) for at in (first, self.base().starts)]
+                theta, starts = (best := min(ways, key=lambda way: way.cost)).theta, best.starts
+            self._keep(fitted(theory, self.train, theta, starts))
         for name, plainer in PLAINER.items():
             if (name,) in self.fits and (plainer,) in self.fits:
                 self._keep_from(name, self.fits[(plainer,)])
         return self._resettled([self.fits[(name,)] for name in self.names if (name,) in self.fits])
 
-    def _single(self, name: str, own: list[Guess], cut: tuple[FitRun, ...]) -> None:
+    def _rough(self, name: str, own: list[Guess], cut: tuple[FitRun, ...]) -> Fit:
+        """The effect on the stretches, from the best of its first guesses."""
         theory, base = Theory(self.problem, (name,)), self.base()
-        tried = [fitted(theory, cut, joined(theory, base, {name: g.point}), base.starts, iterations=4) for g in own]
-        best = min(tried, key=lambda fit: fit.cost)
-        if cut is not self.train:
-            thetas = [best.theta, joined(theory, base, {name: own[0].point})]
-            whole = [fitted(theory, self.train, theta, base.starts, _SCREEN) for theta in thetas]
-            best = min(whole, key=lambda fit: fit.cost)
-        self._keep(fitted(theory, self.train, best.theta, best.starts))
+        starts = base.starts if cut is self.train else None
+        tried = [fitted(theory, cut, joined(theory, base, {name: guess.point}), starts, 4) for guess in own]
+        return min(tried, key=lambda fit: fit.cost)
 
     def _keep_from(self, name: str, plainer: Fit) -> None:
         """A general effect fits no worse than the plainer one that it may become, where their parameters agree."""
@@ -98,7 +116,8 @@ class Search:
             self._keep(fitted(fit.theory, self.train, theta, plainer.starts))
 
     def larger(self, parents: list[Fit]) -> list[Fit]:
-        """The most promising sets of one effect more than some of `parents`, fitted."""
+        """The most promising sets of one effect more than some of `parents`, fitted; of every parent's at least one:
+        the best single effect is often none of a pair."""
         rough: dict[tuple[str, ...], tuple[float, Fit, Guess]] = {}
         for parent in parents:
             cut = self._cut(parent)
@@ -109,7 +128,9 @@ class Search:
                 cost = guess.cost * scale
                 if names not in self.fits and (names not in rough or cost < rough[names][0]):
                     rough[names] = (cost, parent, guess)
-        best = sorted(rough.values(), key=lambda entry: entry[0])[: self.settings.shortlist]
+        order = sorted(rough.values(), key=lambda entry: entry[0])
+        firsts = [next(e for e in order if e[1] is parent) for parent in parents if any(e[1] is parent for e in order)]
+        best = (firsts + [e for e in order if not any(e is f for f in firsts)])[: self.settings.shortlist]
         return self._resettled([self._started(parent, guess) for _, parent, guess in best])
 
     def _resettled(self, level: list[Fit]) -> list[Fit]:
@@ -168,7 +189,8 @@ class Search:
     def _cut(self, fit: Fit) -> tuple[FitRun, ...]:
         """The runs as they are where a first-order look may span them, else in stretches."""
         readings = sum(len(run.q) for run in self.train)
-        return self.train if fit.rss < _FAR**2 * readings else pieces(self.train, _PIECE_S)
+        near = fit.rss < _FAR**2 * readings
+        return self.train if near else pieces(self.train, _CROSSINGS * self.problem.crossing_s)
 
 
 def relaxed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:

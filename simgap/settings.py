@@ -26,9 +26,9 @@ class FitSettings:
     tilt_rad: float = 7e-3
     """How far the base may lean in the plane of the motion without being called an effect; a usual mounting is 0.3
     degrees off."""
-    form_tolerance: float = 0.3
-    """By how much of itself a real effect may differ from the library's formula over the range of speeds and
-    positions and still have its name."""
+    form_tolerance: float = 0.2
+    """By how much of itself a real effect may differ from the library's formula over the range of speeds, and over that
+    of positions in two ways, and still have its name."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,9 @@ class ChoiceSettings:
     """Sets of a size that are put before held-out runs."""
     least_gap: float = 0.35
     """Floors that must be explained for a gap to be one: less may come of coarse time stamps alone."""
+    hint: float = 0.6
+    """Part of the least gap that some effect must promise to explain, to first order, for any to be fitted when the
+    asset alone leaves no more than an explanation may."""
     plain_gap: float = 2.5
     """Floors of error at which there is a gap, whether anything explains it or not."""
     p_value: float = 0.01
@@ -57,6 +60,8 @@ class ChoiceSettings:
     """Part of a large gap that it may leave besides."""
     well_explained: float = 0.2
     """Part of a large bar at which no larger set is looked for."""
+    form_doubt: float = 2.0
+    """Floors that a plain formula may leave before sets of other effects are tried, though its form explains it."""
     form_factor: float = 8.0
     """Bars of error beyond which no departure from a formula is tried."""
     much_better: float = 0.6

@@ -113,7 +113,8 @@ class Theory:
             reach = 0.1 * span if local else 3 * span
             low, high, size = problem.q_low - reach, problem.q_high + reach, 0.1 * span
         elif unit in ("rad", "m") and cls.acts != "drive":
-            low, high, size = max(2 * problem.sigma, 1e-3 * span), 2 * span, 0.05 * span
+            # what is wider than a third of the way moved through is no local effect, and looks like a spring
+            low, high, size = max(2 * problem.sigma, 1e-3 * span), 0.35 * span, 0.05 * span
         elif unit in ("rad/s", "m/s"):
             low, high, size = 0.01 * problem.speed, problem.speed, 0.1 * problem.speed
         elif unit == "s":
