@@ -15,7 +15,7 @@ from simgap.settings import ChoiceSettings
 _CROSSINGS = 2.5
 """Crossings of the range at top speed that a stretch lasts for, in which a first-order look sees an effect whole."""
 _SCREEN = 2
-_FAR = 6.0
+_FAR = 2.0
 """Floors of error beyond which a run is looked at in stretches."""
 
 

@@ -208,24 +208,30 @@ class _Gap:
         step = 2 * longest_step(world)
         return simulate(world, plan.q0 + dq, plan.v0 + dv, asked, drive, clock=8.0 * i, step=step)[1:]
 
-    def _explainable(self) -> tuple[NDArray[np.float64], list[float]]:
-        """(rows, k) what nuisance does to the readings, and how far each may go."""
+    def _explainable(self) -> tuple[NDArray[np.float64], list[tuple[float, float]]]:
+        """(rows, k) what nuisance does to the readings, and how far each may go from where it is.
+
+        What may be off is off already: an effect that takes it back may be as large as both together.
+        """
         if "columns" in self._kept:
             return self._kept["columns"]
         body, w = self.case.body, self.base
         g = GRAVITY_VECTOR[body.family] * body.mass * 9.81 * (body.arm if body.revolute else 1.0)
-        moves: list[tuple[World, float, float]] = [(w._replace(inertia=1.02 * w.inertia), 0.02, 0.1)]
+        off = self.case.nuisance.inertia - 1
+        moves = [(w._replace(inertia=1.02 * w.inertia), 0.02)]
+        bounds = [(-0.1 - off, 0.1 - off)]
         for name in ("gravity_cosine", "gravity_sine") if body.revolute else ("gravity_constant",):
-            moves.append((w._replace(**{name: getattr(w, name) + 0.05 * g}), 0.05, 1.0))
-        columns = [(self._trace(world)[0] - self._q).ravel() / step for world, step, _ in moves]
-        bounds = [bound for _, _, bound in moves]
+            moves.append((w._replace(**{name: getattr(w, name) + 0.05 * g}), 0.05))
+            off = (getattr(w, name) - getattr(body.world(), name)) / g
+            bounds.append((-1.1 - off, 1.1 - off))
+        columns = [(self._trace(world)[0] - self._q).ravel() / step for world, step in moves]
         for i, plan in enumerate(self.case.plans):
             for dq, dv in ((1e-3 * body.range, 0.0), (0.0, 1e-3 * body.speed)):
                 column = np.zeros_like(self._q)
                 sign = -1.0 if plan.q0 > body.upper - 2e-3 * body.range else 1.0
                 column[i] = (self._run(w, plan, i, sign * dq, dv)[:, 0] - self._q[i]) * sign
                 columns.append(column.ravel())
-                bounds.append(np.inf)
+                bounds.append((-np.inf, np.inf))
         self._kept["columns"] = np.array(columns).T, bounds
         return self._kept["columns"]
 
@@ -233,19 +239,42 @@ class _Gap:
         """Root mean square of what remains, over the floor, with the effects `beside` free to help explaining."""
         columns, bounds = self._explainable()
         change = self._change(hidden)
-        lower, upper = [-b for b in bounds], list(bounds)
+        lower, upper = [low for low, _ in bounds], [high for _, high in bounds]
         for rival in beside:
             columns = np.column_stack([columns, self._change((rival,))])
             lower, upper = [*lower, 0.0], [*upper, np.inf]
         scale = np.linalg.norm(columns, axis=0)
         keep = scale > 1e-12
         basis, R = np.linalg.qr(columns[:, keep] / scale[keep])
-        inside = basis.T @ change
-        found = lsq_linear(
-            R, inside, (np.array(lower)[keep] * scale[keep], np.array(upper)[keep] * scale[keep]), method="bvls"
-        )
-        left = float(change @ change - inside @ inside + 2 * found.cost)
-        return float(np.sqrt(max(left, 0.0) / len(change)) / self.floor)
+        at, rest, best = np.zeros(len(scale)), change, np.inf
+        for _ in range(8):  # what nuisance explains, and again of what is left when it truly is so
+            before = best
+            inside = basis.T @ rest
+            room = [(np.array(ends) - at)[keep] * scale[keep] for ends in (lower, upper)]
+            found = lsq_linear(R, inside, (np.minimum(room[0], -1e-12), np.maximum(room[1], 1e-12)), method="bvls")
+            best = min(best, float(rest @ rest - inside @ inside + 2 * found.cost))
+            if beside:
+                break
+            at[keep] += found.x / scale[keep]
+            rest = change - self._shift(at)
+            best = min(best, float(rest @ rest))
+            if best > 0.8 * before:
+                break
+        return float(np.sqrt(max(best, 0.0) / len(change)) / self.floor)
+
+    def _shift(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(rows,) what nuisance of this size, in the units of the columns, truly does to the readings."""
+        body, w = self.case.body, self.base
+        g = GRAVITY_VECTOR[body.family] * body.mass * 9.81 * (body.arm if body.revolute else 1.0)
+        names = ("gravity_cosine", "gravity_sine") if body.revolute else ("gravity_constant",)
+        moved = {name: getattr(w, name) + x * g for name, x in zip(names, at[1:], strict=False)}
+        world = w._replace(inertia=(1 + at[0]) * w.inertia, **moved)
+        starts = at[1 + len(names) :].reshape(-1, 2) * 1e-3 * np.array([body.range, body.speed])
+        rows = []
+        for i, (plan, (dq, dv)) in enumerate(zip(self.case.plans, starts, strict=True)):
+            dq = float(np.clip(dq, body.lower - plan.q0, body.upper - plan.q0))
+            rows.append(self._run(world, plan, i, dq, float(dv))[:, 0])
+        return np.asarray((np.array(rows) - self._q).ravel())
 
     def _change(self, hidden: tuple[Hidden, ...]) -> NDArray[np.float64]:
         world, reading = changed(self.base, self.case.body, hidden)
