@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import functools
 import json
 import os
 import signal
@@ -141,7 +142,8 @@ def test_ctrl_c_says_in_one_line_how_to_go_on(tmp_path: Path) -> None:
     data = tmp_path / "data"
     names = ["stapler", "flip_lighter", "drawer_unit", "swivel_usb", "slider_phone", "office_scissors"]  # long enough
     command = [*RUN, "record", *names, "--out", str(data), *SMALL, "--workers", "2"]
-    running = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    heeded = functools.partial(signal.signal, signal.SIGINT, signal.default_int_handler)  # shells let '&' ignore it
+    running = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, preexec_fn=heeded)
     deadline = time.monotonic() + 90
     while len(list(data.glob(".recording/*/object"))) < 1 and time.monotonic() < deadline:
         time.sleep(0.02)
