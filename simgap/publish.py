@@ -177,8 +177,9 @@ class Trial:
             Replayed(run, *draft.starts[run.name], draft.floor, draft.regimes.get(run.name, ""), bool(run.held_out))
             for run in picked
         )
-        bent = any(n.effect.kind == "kinematics" for n in self.tried) and draft.geometry is not None
-        tracks = _tracks(self.measured, draft.geometry, self.placed, self.asset.state_zero) if bent else ()  # type: ignore[arg-type]
+        tracks: tuple[PosesReplayed, ...] = ()
+        if draft.geometry is not None and any(n.effect.kind == "kinematics" for n in self.tried):
+            tracks = _tracks(self.measured, draft.geometry, self.placed, self.asset.state_zero)
         if not replays and not tracks:
             return None, ""
         with tempfile.TemporaryDirectory(prefix="freeart21-") as place_:

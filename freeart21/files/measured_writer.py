@@ -23,8 +23,13 @@ def write_measured(folder: Path, measured: Measured) -> None:
         place.mkdir()
         seen = np.ones(len(run.times_s), bool) if run.seen is None else run.seen
         reference = np.tile(np.eye(4), (len(run.times_s), 1, 1))
-        arrays = {"T_camera_reference": reference, "T_camera_moving": run.poses, "times_s": run.times_s, "seen": seen}
-        np.savez_compressed(place / "poses.npz", **arrays)  # type: ignore[arg-type]
+        np.savez_compressed(
+            place / "poses.npz",
+            T_camera_reference=reference,
+            T_camera_moving=run.poses,
+            times_s=run.times_s,
+            seen=seen,
+        )
         marked = {} if run.held_out is None else {"held_out": run.held_out}
         listed.append({"file": run.name, "kind": "poses", **marked})
     units = UNITS[measured.joint_type]
