@@ -84,7 +84,8 @@ def agreement(
     """(n, 3) of every frame: share of inliers, share outside the mask, root mean square of the inliers, metres.
 
     `Ts` (n, 4, 4) are T_camera_part, `pairs` (source, target) frames, `gate` in metres. Samples that face away in the
-    target or fall on the other part are hidden there and do not count. NaN with fewer than LEAST that count.
+    target, or fall on the other part or behind a hand, are hidden there and do not count. NaN with fewer than LEAST
+    that count.
     """
     scene = evidence.scene
     h, w = scene.mask.shape[1:]
@@ -105,8 +106,9 @@ def agreement(
         facing = (N * X).sum(-1) < -0.15 * np.linalg.norm(X, axis=-1)
         X, N, j = X[inside & facing], N[inside & facing], j[inside & facing]
         at = (j, v[inside & facing].astype(int), u[inside & facing].astype(int))
-        off = scene.outside[at] > OFF_MASK
-        own = (scene.points[at][:, 2] > 0) & (labels[at] != 3 - part)
+        depth = scene.points[at][:, 2]
+        off = (scene.outside[at] > OFF_MASK) & ~((depth < 0) & (X[:, 2] > -depth - gate))
+        own = (depth > 0) & (labels[at] != 3 - part)
         counted = int((off | own).sum())
         if counted < LEAST:
             continue

@@ -20,13 +20,11 @@ from freeart21.joint import Joint
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence, draw, evenly
 from reconstruct.growth import Grown
+from reconstruct.kernels import HIDDEN
 from reconstruct.rigid import view_angle
 from reconstruct.settings import GapSettings
 
 Frames = NDArray[np.int64]
-
-HIDDEN = 0.8
-"""Cost of a pixel that is hidden: see `kernels.pixel_costs`."""
 
 
 def bridge_gaps(evidence: Evidence, grown: Grown, settings: GapSettings, rng: np.random.Generator) -> Grown:

@@ -22,6 +22,9 @@ NEAR = 1e-6
 POINT, DEPTH, NORMAL, FEATURE, OUTSIDE = 0, 2, 3, 6, 9
 """Where the fields of a pixel's record begin: see `Scene.pixels`. A point's depth is its third coordinate."""
 
+HIDDEN = 0.8
+"""Cost of a pixel that is hidden: see `pixel_costs`."""
+
 _NO_ROWS = (0.0,) * 9
 
 _THREADS = min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
@@ -78,7 +81,8 @@ def register_pairs(  # pragma: no cover
 
     `samples[offsets[i]:offsets[i + 1]]` are the records of pixels of frame i. With `part` > 0 a sample does not meet
     target pixels labelled as the other part (label 0 is either's). Terms per sample: point-to-plane by projective
-    association with Tukey's weight, colour along its gradient, and the distance to the mask where it falls outside.
+    association with Tukey's weight, colour along its gradient, and the distance to the mask where it falls outside of
+    it and is not hidden by what was measured there.
     Fills H (p, 6, 6), g (p, 6) and stats (p, 4): inliers, projected, cost, outside.
     """
     for p in range(begin, end):
@@ -104,6 +108,8 @@ def register_pairs(  # pragma: no cover
             at = (j * h + yi) * w + xi
             r = pixels[at, OUTSIDE]
             if r > 0.5:
+                if -pixels[at, DEPTH] - gate < Y2 and pixels[at, DEPTH] < 0:
+                    continue  # behind a hand
                 out += 1
                 weight = 1.0 / (sigma_silhouette * sigma_silhouette)
                 if r > 3.0 * sigma_silhouette:
@@ -243,9 +249,10 @@ def pixel_costs(  # pragma: no cover
 ):
     """What `places` begin to end (p, 2: row, column) of `frame` cost under motions T (s, k, 4, 4) to `others`.
 
-    Outside the mask: the distance to it. In front of the surface there: a violation of free space. Behind it: hidden,
-    a constant. On it: point-to-plane, normal and colour differences, and `label_weight` times the disagreement of the
-    hypothesis k (0 reference, 1 moving) with the other frame's `logodds` (> 0: moving). Fills costs (p, s, k).
+    Outside the mask: the distance to it. In front of the surface there: a violation of free space. Behind it, or
+    behind what is not the object: hidden, a constant. On it: point-to-plane, normal and colour differences, and
+    `label_weight` times the disagreement of the hypothesis k (0 reference, 1 moving) with the other frame's `logodds`
+    (> 0: moving). Fills costs (p, s, k).
     """
     for p in range(begin, end):
         here = (frame * h + places[p, 0]) * w + places[p, 1]
@@ -269,6 +276,8 @@ def pixel_costs(  # pragma: no cover
                 z = pixels[at, DEPTH]
                 if z <= 0:
                     costs[p, s, k] = min(cap, 0.7 * max(pixels[at, OUTSIDE] - 0.5, 0.0))
+                    if z < 0 and -z - 3 * sigma < Y2:  # behind a hand
+                        costs[p, s, k] = min(costs[p, s, k], HIDDEN)
                     continue
                 M0 = R[0, 0] * m0 + R[0, 1] * m1 + R[0, 2] * m2
                 M1 = R[1, 0] * m0 + R[1, 1] * m1 + R[1, 2] * m2
@@ -281,7 +290,7 @@ def pixel_costs(  # pragma: no cover
                     costs[p, s, k] = 0.5 if behind > -3 else min(cap, 0.5 * behind * behind)
                     continue
                 if z + 6 * sigma < Y2 and r < -3 * sigma:
-                    costs[p, s, k] = 0.8
+                    costs[p, s, k] = HIDDEN
                     continue
                 same = n0 * M0 + n1 * M1 + n2 * M2
                 shape = min(0.6 * cap, 0.5 * (r / sigma) ** 2 + 2.0 * max(0.0, 0.8 - same))
@@ -294,7 +303,7 @@ def pixel_costs(  # pragma: no cover
                     against = -logodds[at] if k == 1 else logodds[at]
                     cost += label_weight * min(max(against, 0.0), 3.0)
                 if z + 1.2 * sigma < Y2 and r < -0.8 * sigma:  # perhaps hidden, by what stands off but a little
-                    cost = min(cost, 0.8)
+                    cost = min(cost, HIDDEN)
                 costs[p, s, k] = cost
 
 

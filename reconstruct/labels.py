@@ -66,18 +66,20 @@ def label_frames(
     nothing = np.zeros(0, np.int64)  # where the joint stands is a guess in a frame that was not measured
     telling = [telling_frames(evidence, i, Ts, body, measured, rng) if measured[i] else nothing for i in range(n)]
     found = kernels.each_in_threads(lambda i: motion_evidence(evidence, i, Ts, telling[i]).astype(np.float16), n)
-    pairs = zip(found, measured, start, strict=True)
-    logodds = np.stack([np.clip(f, -SURE, SURE) if m else s for f, m, s in pairs]).astype(np.float32)
+    logodds = start.copy()
+    for i in np.flatnonzero(measured):
+        logodds[i] = np.clip(found[i], -SURE, SURE)
     votes = SurfaceVotes(evidence, Ts, seen | unsure[:, None])
     for _ in range(evidence.label_settings.rounds_of_votes):
-        before, beliefs = logodds, votes.beliefs(logodds, SURE)
+        beliefs = votes.beliefs(logodds, SURE)
 
-        def voted(i: int, before: Floats = before, beliefs: Floats = beliefs) -> Floats:
+        def vote(i: int, beliefs: Floats = beliefs) -> None:
             heard = votes.in_frame(beliefs, i)
             strength = np.float32(evidence.label_settings.vote) * np.abs(heard)
-            return walked(evidence, i, found[i].astype(np.float32), np.sign(heard), strength, start=before[i])
+            seen = found[i].astype(np.float32)
+            logodds[i] = walked(evidence, i, seen, np.sign(heard), strength, start=logodds[i])
 
-        logodds = np.stack(kernels.each_in_threads(voted, n))
+        kernels.each_in_threads(vote, n)
     return logodds
 
 

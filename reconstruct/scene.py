@@ -65,7 +65,10 @@ class Scene:
 
     @property
     def points(self) -> Floats:
-        """(n, h, w, 3) plane-fitted points; z is 0 where there is none."""
+        """(n, h, w, 3) plane-fitted points of the object; z is 0 where there is none.
+
+        Off the mask, z is minus the depth measured there: of a hand that may hide the object, or of what stands behind.
+        """
         return self.pixels[..., POINT : POINT + 3]
 
     @property
@@ -99,6 +102,7 @@ def prepare(recording: Recording, settings: SceneSettings) -> Scene:
         raise HopelessError("tracks", f"{n} frames, at least {settings.min_frames} are needed")
     cuts = [_cut(recording.frame(i), settings.margin) for i in range(n)]
     counts = np.array([int((cut.depth > 0).sum()) for cut in cuts])
+    surrounded = any(cut.surrounded for cut in cuts)
     if (counts >= settings.min_pixels).sum() < settings.min_frames:
         raise HopelessError(
             "tracks",
@@ -141,6 +145,11 @@ def prepare(recording: Recording, settings: SceneSettings) -> Scene:
     arguments = (depth, fx, fy, cx, cy, radius, jump, points, normals, edge)
     in_threads(lambda begin, end: _fit_planes(begin, end, *arguments), n, 2)
     in_threads(lambda begin, end: _fill_features(begin, end, rgb, mask, pixels), n, 2)
+    if surrounded:
+        for i, (x, y) in enumerate(origin):
+            around = recording.frame(i).depth[y + at : y + size[1] : factor, x + at : x + size[0] : factor]
+            around = around[: mask.shape[1], : mask.shape[2]]
+            points[i, ..., 2] -= np.where(mask[i], 0, around)
     return Scene(
         rgb,
         mask,
@@ -197,6 +206,8 @@ class _Cut:
     """Column and row in the picture."""
     box: tuple[int, int, int, int] | None
     """x0, y0, x1, y1 of the mask, ends excluded; None when it is empty."""
+    surrounded: bool
+    """Whether depth was measured off the mask."""
 
 
 def _cut(frame: Frame, margin: int) -> _Cut:
@@ -206,7 +217,8 @@ def _cut(frame: Frame, margin: int) -> _Cut:
     corner = (max(x0 - margin, 0), max(y0 - margin, 0))
     kept = np.s_[corner[1] : y1 + margin if box else 0, corner[0] : x1 + margin if box else 0]
     mask = frame.mask[kept].copy()
-    return _Cut(frame.rgb[kept].copy(), np.where(mask, frame.depth[kept], 0).astype(np.float32), mask, corner, box)
+    depth = np.where(mask, frame.depth[kept], 0).astype(np.float32)
+    return _Cut(frame.rgb[kept].copy(), depth, mask, corner, box, bool((frame.depth[kept][~mask] > 0).any()))
 
 
 def _boxes(boxes: list[tuple[int, int, int, int] | None]) -> NDArray[np.int64]:

@@ -122,7 +122,8 @@ def _to_rim(scene: Scene, labels: Labels, part: int, frames: NDArray[np.int64]) 
     jump = 4 * (scene.footprint + scene.noise)
     for k, i in enumerate(frames):
         mine = labels[i] == part
-        depth = np.where(mine & scene.valid[i], scene.points[i, ..., 2], np.float32(1e6))
+        depth = scene.points[i, ..., 2]
+        depth = np.where(mine & scene.valid[i], depth, np.where(scene.mask[i] | (depth == 0), np.float32(1e6), -depth))
         rim = (cv2.dilate(depth, np.ones((3, 3))) > depth + jump) & mine
         distance[k] = _distance(rim) * mine - _distance(mine)
     return distance
@@ -298,6 +299,9 @@ def _integrate(
                         value, vote = 1.0, EMPTY
                         label = labels[i, yi, xi]
                         mine = label == part
+                        around = -points[i, yi, xi, 2]
+                        if around > 0 and pz > around - reach:
+                            continue
                         if mask[i, yi, xi]:
                             depth = points[i, yi, xi, 2]
                             if depth <= 0 or label == 0 or pz - depth > 2.2 * reach:

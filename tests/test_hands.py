@@ -1,0 +1,132 @@
+"""What stands before the object, measured in depth but not in the mask, hides it; what stands behind does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from reconstruct_clip import make_clip
+from test_reconstruct import GENTLE, QUIET, measure
+from test_surfaces import CAMERA, ROUND, shoot
+
+from freeart21 import se3
+from freeart21.recording import Frame, Recording
+from reconstruct.evidence import Evidence, draw
+from reconstruct.kernels import HIDDEN
+from reconstruct.pipeline import reconstruct
+from reconstruct.scene import prepare
+from reconstruct.settings import SceneSettings, SurfaceSettings
+from reconstruct.surfaces import fuse
+
+WALL = 3.0
+
+
+def held(frame, before, told=True):
+    """`frame` with a hand in the pixels `before` (h, w), 2 cm nearer than the object; its depth may be untold."""
+    depth = np.where(before, frame.depth[frame.mask].min() - 0.02 if told else 0, frame.depth).astype(np.float32)
+    return Frame(np.where(before[..., None], np.uint8(190), frame.rgb), depth, frame.mask & ~before)
+
+
+def before_wall(frame):
+    return replace(frame, depth=np.where(frame.mask, frame.depth, WALL).astype(np.float32))
+
+
+def filmed(frames, recording):
+    return replace(recording, load=lambda i: frames[i])
+
+
+def lower_right(frame, share=0.45):
+    """(h, w) the corner of the picture that holds about this share of the object, both ways."""
+    rows, columns = np.nonzero(frame.mask)
+    corner = np.quantile(rows, 1 - share), np.quantile(columns, 1 - share)
+    y, x = np.indices(frame.mask.shape)
+    return (y > corner[0]) & (x > corner[1])
+
+
+@pytest.fixture(scope="module")
+def clip():
+    return make_clip("hinge", 24, size=(160, 120), spin=GENTLE)
+
+
+def asked(clip, frames):
+    return Evidence(prepare(filmed(frames, clip.recording), SceneSettings()), QUIET.evidence, QUIET.labels)
+
+
+def over_the_hand(clip, told):
+    """Evidence, the reference part's pixels of frame 0, and its motion to frame 1, in which a hand is before it."""
+    frames = list(clip.recording.frames())
+    frames[1] = held(frames[1], lower_right(frames[1]), told)
+    evidence = asked(clip, frames)
+    x, y = evidence.scene.origin[0]
+    h, w = evidence.scene.mask.shape[1:]
+    mine = evidence.scene.valid[0] & (clip.part_masks[0][y : y + h, x : x + w] == 1)
+    return evidence, np.argwhere(mine), clip.Ts[1] @ se3.inverse(clip.Ts[0])
+
+
+def test_a_pixel_behind_a_hand_says_nothing_against_a_motion(clip):
+    evidence, pixels, T = over_the_hand(clip, told=True)
+    blind, _, _ = over_the_hand(clip, told=False)
+    costs, untold = (e.costs(0, np.array([1]), T[None, None], pixels)[:, 0, 0] for e in (evidence, blind))
+    covered = untold > 2 * HIDDEN
+    assert covered.mean() > 0.1, "else the hand covers nothing"
+    assert (costs[covered] <= HIDDEN + 1e-9).mean() > 0.98
+    assert np.allclose(costs[~covered], untold[~covered], atol=HIDDEN)
+
+
+def test_before_a_hand_there_is_no_object(clip):
+    evidence, pixels, T = over_the_hand(clip, told=True)
+    nearer = T.copy()
+    nearer[2, 3] -= 0.6 * evidence.scene.points[0][evidence.scene.valid[0]][:, 2].min()
+    assert evidence.costs(0, np.array([1]), nearer[None, None], pixels).mean() > 2 * HIDDEN
+
+
+def test_a_hand_does_not_draw_the_pose(clip):
+    offs = []
+    for told in (True, False):
+        evidence, pixels, T = over_the_hand(clip, told)
+        mask = np.zeros(evidence.scene.mask.shape[1:], bool)
+        mask[tuple(pixels.T)] = True
+        samples = {0: draw(evidence.usable(0, mask), 600, np.random.default_rng(0))}
+        H, g, stats = evidence.register(np.array([0]), np.array([1]), T[None], samples, 4.0)
+        offs.append((np.linalg.norm(np.linalg.solve(H[0] + 1e-6 * np.trace(H[0]) * np.eye(6), g[0])), stats[0, 3]))
+    (step, outside), (blind_step, blind_outside) = offs
+    assert outside < 0.1 * blind_outside and step < 0.2 * blind_step
+
+
+def test_a_wall_behind_changes_nothing(clip):
+    frames = list(clip.recording.frames())
+    free, walled = asked(clip, frames), asked(clip, [before_wall(f) for f in frames])
+    assert np.array_equal(free.scene.valid, walled.scene.valid) and (walled.scene.points[..., 2] < -2).any()
+    pixels, others = np.argwhere(free.scene.valid[0]), np.arange(1, 6)
+    T = (clip.Ts[others] @ se3.inverse(clip.Ts[0]))[:, None]
+    assert np.array_equal(free.costs(0, others, T, pixels), walled.costs(0, others, T, pixels))
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_hand_carves_nothing_off_a_mesh(told):
+    size = np.array([0.12, 0.09, 0.06])
+    frames = [held(f, lower_right(f, 0.3), told) for f in (shoot(size, T) for T in ROUND)]
+    scene = prepare(Recording(CAMERA, np.arange(len(ROUND)) / 30, lambda i: frames[i]), SceneSettings())
+    mesh = fuse(scene, scene.mask.astype(np.uint8), 1, ROUND, np.ones(len(ROUND), bool), SurfaceSettings())
+    off = np.abs(trimesh.proximity.signed_distance(trimesh.creation.box(size), mesh.vertices))
+    off = np.percentile(off, 99) / scene.footprint
+    assert off < 0.5 if told else off > 1.5, off
+    assert not told or mesh.areas().sum() > 0.94 * trimesh.creation.box(size).area
+
+
+def test_a_clip_in_a_moving_hand_is_solved(clip):
+    """The hand goes once round the object's middle, over one part and the other."""
+    frames = [held(f, round_hand(f, 2 * np.pi * i / 24)) for i, f in enumerate(clip.recording.frames())]
+    masks = np.stack([np.where(f.mask, m, 0) for f, m in zip(frames, clip.part_masks, strict=True)])
+    recording = filmed(frames, clip.recording)
+    found = measure(replace(clip, part_masks=masks), reconstruct(recording, QUIET))
+    assert found["axis"] < 2.5 and found["line"] < 0.5 and found["state"] < 0.3 and found["miou"] > 0.96, found
+
+
+def round_hand(frame, angle):
+    """(h, w) a disc over part of the object, off its middle in the direction `angle`."""
+    y, x = np.indices(frame.mask.shape)
+    rows, columns = np.nonzero(frame.mask)
+    size = np.ptp(columns)
+    off = y - rows.mean() - 0.4 * np.ptp(rows) * np.sin(angle), x - columns.mean() - 0.4 * size * np.cos(angle)
+    return np.hypot(*off) < 0.2 * size
