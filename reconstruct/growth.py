@@ -38,11 +38,19 @@ class Growth:
     """What is known so far: poses and labels of the frames done."""
 
     def __init__(
-        self, evidence: Evidence, tracker: Tracker, seed: Seed, settings: ReconstructSettings, rng: np.random.Generator
+        self,
+        evidence: Evidence,
+        tracker: Tracker,
+        seed: Seed,
+        settings: ReconstructSettings,
+        rng: np.random.Generator,
+        span: tuple[int, int] | None = None,
     ) -> None:
         scene = evidence.scene
         self.evidence, self.tracker, self.settings, self.rng = evidence, tracker, settings, rng
         n = len(scene)
+        self.span = (0, n - 1) if span is None else span
+        """First and last frame that may be grown."""
         self.Ts = np.tile(np.eye(4), (2, n, 1, 1))
         self.states = np.zeros(n)
         self.joint: Joint | None = None

@@ -44,25 +44,37 @@ class Seed:
 
 
 def candidates(
-    evidence: Evidence, tracker: Tracker, settings: SeedSettings, rng: np.random.Generator
+    evidence: Evidence,
+    tracker: Tracker,
+    settings: SeedSettings,
+    rng: np.random.Generator,
+    within: tuple[int, int] | None = None,
 ) -> list[Candidate]:
-    """Two-motion fits of tracks all over the recording, best first."""
-    n = len(evidence.scene)
+    """Two-motion fits of tracks all over the recording, or from the first to the last frame `within`, best first."""
+    first, last = (0, len(evidence.scene) - 1) if within is None else within
     found = []
     for gap in settings.gaps:
-        for frame in range(0, n - gap, settings.every):
+        for frame in range(first, last - gap + 1, settings.every):
             candidate = _two_motions(evidence, tracker, frame, gap, settings, rng)
             if candidate is not None:
                 found.append(candidate)
     return sorted(found, key=lambda c: -c.gain)
 
 
-def find_seeds(evidence: Evidence, tracker: Tracker, settings: SeedSettings, rng: np.random.Generator) -> list[Seed]:
-    """The windows whose dense refinement gains most from a second motion, best first.
+def find_seeds(
+    evidence: Evidence,
+    tracker: Tracker,
+    settings: SeedSettings,
+    rng: np.random.Generator,
+    within: tuple[int, int] | None = None,
+) -> list[Seed]:
+    """The windows whose dense refinement gains most from a second motion, best first; all, or those of a stretch.
+
+    They lie from the first to the last frame `within`, but may look a few frames beyond.
 
     Raises HopelessError when no window gains: nothing moves against anything else, or there is no second part.
     """
-    found = candidates(evidence, tracker, settings, rng)
+    found = candidates(evidence, tracker, settings, rng, within)
     if not found:
         raise HopelessError("segmentation", "no window has enough tracks for two motions")
     chosen: list[Candidate] = []

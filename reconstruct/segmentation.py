@@ -14,20 +14,21 @@ from freeart21 import se3
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence
 from reconstruct.growth import Grown, Growth, body_points
-from reconstruct.labels import label_frames
+from reconstruct.labels import Frames, label_frames
+from reconstruct.pieces import join, lost_stretches
 from reconstruct.poses import joint_adjustment
 from reconstruct.recovery import doubted_frames, found_anew, is_lost
 from reconstruct.scene import HopelessError
-from reconstruct.seeds import Seed
+from reconstruct.seeds import Seed, find_seeds
 from reconstruct.settings import ReconstructSettings
 from reconstruct.tracks import Tracker
 
 
 def frontier(growth: Growth) -> list[tuple[int, int]]:
     """(frame, neighbour already done) at the ends of what is done."""
-    frames = np.flatnonzero(growth.done)
+    frames, (first, last) = np.flatnonzero(growth.done), growth.span
     ends = [(int(frames[-1]) + 1, int(frames[-1])), (int(frames[0]) - 1, int(frames[0]))]
-    return [(i, p) for i, p in ends if 0 <= i < len(growth.done)]
+    return [(i, p) for i, p in ends if first <= i <= last]
 
 
 def add_frames(growth: Growth, most: int) -> int:
@@ -149,11 +150,31 @@ def go_back(growth: Growth, frame: int, neighbour: int) -> bool:
 def grow(
     evidence: Evidence, tracker: Tracker, seed: Seed, settings: ReconstructSettings, rng: np.random.Generator
 ) -> Grown:
-    """Labels, poses and joint of the whole recording from one seed.
+    """Labels, poses and joint of the whole recording from one seed, and from others where that was lost for long.
 
     Raises HopelessError when the second part never moves against the first.
     """
-    growth = Growth(evidence, tracker, seed, settings, rng)
+    growth = _grow_piece(evidence, tracker, seed, settings, rng)
+    given_up: set[int] = set()
+    for _ in range(settings.pieces.most):
+        stretch = next((run for run in lost_stretches(growth) if int(run[0]) not in given_up), None)
+        if stretch is None:
+            break
+        if not _mended(growth, stretch, rng):
+            given_up.add(int(stretch[0]))
+    return Grown(growth.jointed(), growth.labels, growth.logodds, growth.seen)
+
+
+def _grow_piece(
+    evidence: Evidence,
+    tracker: Tracker,
+    seed: Seed,
+    settings: ReconstructSettings,
+    rng: np.random.Generator,
+    span: tuple[int, int] | None = None,
+) -> Growth:
+    """All frames, or those from the first to the last of `span`, grown from one seed."""
+    growth = Growth(evidence, tracker, seed, settings, rng, span)
     for j, T in zip(seed.others, seed.Ts, strict=True):
         step_free(growth, int(j), int(j) - 1, ([T[0]], [T[1]]))
     s = settings.growth
@@ -164,7 +185,6 @@ def grow(
     if (growth.done & growth.seen.all(1)).sum() < 4:
         raise HopelessError("segmentation", "no second part: fewer than 4 frames show two parts")
     growth.adopt(growth.try_joint())
-    roughly = replace(settings.poses, samples=s.adjust_samples)
     while frontier(growth):
         add_frames(growth, s.adjust_every)
         found, growth.found_again = growth.found_again, []
@@ -172,10 +192,31 @@ def grow(
             go_back(growth, *pair)
         growth.found_again.clear()  # what the way back found leads nowhere new
         growth.relabel_doubtful()
-        growth.adopt(
-            joint_adjustment(evidence, growth.labels, growth.jointed(), growth.seen, roughly, rng, 4, growth.done)
-        )
-    return Grown(growth.jointed(), growth.labels, growth.logodds, growth.seen)
+        _adjust(growth, rng)
+    return growth
+
+
+def _adjust(growth: Growth, rng: np.random.Generator) -> None:
+    """All poses so far under one joint, roughly."""
+    roughly = replace(growth.settings.poses, samples=growth.settings.growth.adjust_samples)
+    asked = growth.evidence, growth.labels, growth.jointed(), growth.seen, roughly, rng
+    growth.adopt(joint_adjustment(*asked, 4, growth.done))
+
+
+def _mended(growth: Growth, stretch: Frames, rng: np.random.Generator) -> bool:
+    """Whether a piece from a seed within `stretch` took the place of what growth had found there."""
+    settings, last = growth.settings, len(growth.done) - 1
+    span = max(0, int(stretch[0]) - settings.pieces.margin), min(last, int(stretch[-1]) + settings.pieces.margin)
+    try:
+        within = int(stretch[0]), int(stretch[-1])
+        seed = find_seeds(growth.evidence, growth.tracker, settings.seeds, rng, within)[0]
+        piece = _grow_piece(growth.evidence, growth.tracker, seed, settings, rng, span)
+    except HopelessError:
+        return False
+    if not join(growth, piece, stretch):
+        return False
+    _adjust(growth, rng)
+    return True
 
 
 def relabel(evidence: Evidence, grown: Grown, settings: ReconstructSettings, rng: np.random.Generator) -> Grown:

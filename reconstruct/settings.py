@@ -182,6 +182,22 @@ class GrowthSettings:
 
 
 @dataclass(frozen=True)
+class PieceSettings:
+    """Growing anew, from seeds of their own, where growth was lost for long."""
+
+    most: int = 3
+    """Stretches that are tried, at most."""
+    lost_cost: float = 4.0
+    """A frame that costs so many times the usual shows that growth was lost."""
+    shortest: int = 8
+    """Fewer such frames on end are left as they are."""
+    margin: int = 40
+    """Frames beyond a stretch, both ways, that its piece grows over: there it is joined."""
+    better: float = 0.85
+    """Share of the present cost below which what a piece found is believed."""
+
+
+@dataclass(frozen=True)
 class FeatureSettings:
     """Hand-made features: by how much a cue must differ to count as one unit of distance; 0 leaves the cue out."""
 
@@ -373,6 +389,7 @@ class ReconstructSettings:
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     labels: LabelSettings = field(default_factory=LabelSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)
+    pieces: PieceSettings = field(default_factory=PieceSettings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
     paper: PaperSegmentationSettings = field(default_factory=PaperSegmentationSettings)
     exchanges: ExchangeSettings = field(default_factory=ExchangeSettings)

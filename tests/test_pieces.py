@@ -1,0 +1,87 @@
+"""A stretch in which growth was lost is grown anew from a seed of its own, and joined under the right names."""
+
+import numpy as np
+import pytest
+from reconstruct_clip import make_clip
+from test_reconstruct import GENTLE, QUIET, true_growth
+from test_recovery import RNG, right_labels
+
+from reconstruct.growth import Growth
+from reconstruct.pieces import lost_stretches
+from reconstruct.seeds import Seed
+from reconstruct.segmentation import _mended
+from reconstruct.tracks import DisTracker
+
+FRAMES = 32
+STRETCH = np.arange(12, 24)
+NAMES = ("hinge", "slide")
+SWEEP = 0.5 - 0.5 * np.cos(3 * np.pi * np.arange(FRAMES) / FRAMES)
+
+
+@pytest.fixture(scope="module")
+def films():
+    return {name: filmed(make_clip(name, FRAMES, size=(160, 120), spin=GENTLE, sweep=SWEEP)) for name in NAMES}
+
+
+def filmed(clip):
+    evidence, true = true_growth(clip, slice(0, 0), 1)
+    return clip, evidence, true, DisTracker(evidence.scene, QUIET.tracks)
+
+
+def grown_but_lost(film, turn, shift, swap):
+    """A growth that holds the truth in all frames but those of STRETCH: there all is turned, shifted or misnamed."""
+    clip, evidence, true, tracker = film
+    nothing = Seed(0, np.zeros(0, np.int64), np.zeros((0, 2, 4, 4)), 4 * true.logodds[0], gain=0.0)
+    growth = Growth(evidence, tracker, nothing, QUIET, RNG(0))
+    for i in range(FRAMES):
+        wrong = i in STRETCH and swap
+        growth.put_labels(i, (-4 if wrong else 4) * np.where(true.labels[i] > 0, true.logodds[i], 0))
+    growth.done[:] = True
+    growth.adopt(true.poses)
+    growth.costs[:] = 0.1
+    for i in STRETCH:
+        T = growth.Ts[0, i].copy()
+        T[:3, :3] = turn @ T[:3, :3]
+        growth.place(int(i), T, growth.states[i] + shift * np.ptp(clip.states))
+        growth.costs[i] = 2.0
+    return growth
+
+
+def quarter_turn():
+    return np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    "name, turn, shift, swap",
+    [("hinge", np.eye(3), 0.6, False), ("slide", np.eye(3), -0.5, True), ("hinge", quarter_turn(), 0, True)],
+)
+def test_a_lost_stretch_is_found_and_mended(name, turn, shift, swap, films):
+    clip, _, true, _ = films[name]
+    growth = grown_but_lost(films[name], turn, shift, swap)
+    (stretch,) = lost_stretches(growth)
+    assert np.array_equal(stretch, STRETCH)
+    assert _mended(growth, stretch, RNG(0))
+    assert np.abs(growth.states - clip.states).max() < 0.03 * np.ptp(clip.states)
+    assert right_labels(growth.labels, true.labels).min() > 0.9
+    named = (growth.labels == true.labels)[true.labels > 0].mean()
+    assert named > 0.95, "and by the names of the rest"
+
+
+def test_what_is_sound_is_left_as_it_is(films):
+    growth = grown_but_lost(films["slide"], np.eye(3), 0.0, False)
+    Ts, labels = growth.Ts.copy(), growth.labels.copy()
+    growth.costs[:] = 0.1
+    assert lost_stretches(growth) == []
+    growth.costs[STRETCH] = 2.0  # it seems lost, and yet no piece fits better
+    assert not _mended(growth, STRETCH, RNG(0))
+    assert np.array_equal(growth.Ts, Ts) and np.array_equal(growth.labels, labels)
+
+
+def test_a_few_costly_frames_are_no_stretch(films):
+    growth = grown_but_lost(films["hinge"], np.eye(3), 0.0, False)
+    growth.costs[:] = 0.1
+    growth.costs[3:9] = 5.0
+    assert lost_stretches(growth) == []
+    growth.costs[[3, 4, 5, 8, 9, 10, 14, 15, 16]] = 5.0  # some better ones in between
+    (stretch,) = lost_stretches(growth)
+    assert stretch[0] == 3 and stretch[-1] == 16
