@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -22,6 +22,15 @@ Samples = dict[int, NDArray[np.int32]]
 """Frame to its sample pixels (m, 2): row and column."""
 
 
+class Records(NamedTuple):
+    """What registration reads of samples, gathered once for many calls: see `Evidence.records`."""
+
+    pixels: NDArray[np.float32]
+    """(m, 10) records of the samples' pixels, one frame after the other."""
+    offsets: NDArray[np.int64]
+    """(n + 1,) where each frame's begin."""
+
+
 class Evidence:
     """The scene's answer to questions about motion; holds no state of its own."""
 
@@ -37,7 +46,7 @@ class Evidence:
         source: NDArray[np.int64],
         target: NDArray[np.int64],
         T: Array,
-        samples: Samples,
+        samples: Samples | Records,
         gate: float,
         labels: NDArray[np.uint8] | None = None,
         part: int = 0,
@@ -48,7 +57,7 @@ class Evidence:
         either's. Statistics are inliers, projected, cost and outside.
         """
         scene, s = self.scene, self.settings
-        records, offsets = _records(scene, samples)
+        records, offsets = samples if isinstance(samples, Records) else self.records(samples)
         H, g, stats = np.zeros((len(source), 6, 6)), np.zeros((len(source), 6)), np.zeros((len(source), 4))
         arguments = (
             np.asarray(source, np.int64),
@@ -75,6 +84,18 @@ class Evidence:
         )
         kernels.in_threads(lambda begin, end: kernels.register_pairs(begin, end, *arguments), len(source), 50)
         return H, g, stats
+
+    def records(self, samples: Samples) -> Records:
+        """What `register` reads of the samples' pixels."""
+        scene = self.scene
+        counts = np.zeros(len(scene) + 1, np.int64)
+        for frame, pixels in samples.items():
+            counts[frame + 1] = len(pixels)
+        h, w = scene.mask.shape[1:]
+        places = np.concatenate([np.zeros((0, 2), np.int64), *(samples[frame] for frame in sorted(samples))])
+        rows = np.repeat(np.arange(len(scene)) * h, counts[1:]) + places[:, 0]
+        found = scene.pixels.reshape(h * w * len(scene), -1).take(rows * w + places[:, 1], axis=0)
+        return Records(found, np.cumsum(counts))
 
     def costs(
         self,
@@ -153,18 +174,6 @@ class Evidence:
 
 _NO_LABELS = np.zeros(1, np.uint8)
 _NO_ODDS = np.zeros(1, np.float32)
-
-
-def _records(scene: Scene, samples: Samples) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """The records (m, 10) of all samples, one frame after the other, and where each frame's begin (n + 1,)."""
-    counts = np.zeros(len(scene) + 1, np.int64)
-    for frame, pixels in samples.items():
-        counts[frame + 1] = len(pixels)
-    offsets = np.cumsum(counts)
-    h, w = scene.mask.shape[1:]
-    places = np.concatenate([np.zeros((0, 2), np.int64), *(samples[frame] for frame in sorted(samples))])
-    rows = np.repeat(np.arange(len(scene)) * h, counts[1:]) + places[:, 0]
-    return scene.pixels.reshape(h * w * len(scene), -1).take(rows * w + places[:, 1], axis=0), offsets
 
 
 def spread(values: NDArray[Float], measured: NDArray[np.bool_]) -> NDArray[Float]:

@@ -11,7 +11,7 @@ from freeart21 import se3
 from freeart21.joint import Joint
 from freeart21.se3 import Array
 from reconstruct import rigid
-from reconstruct.evidence import Evidence, Samples, draw
+from reconstruct.evidence import Evidence, Records, Samples, draw
 from reconstruct.hypotheses import better_type
 from reconstruct.labels import SURE, is_open, label_frame
 from reconstruct.poses import JointedPoses
@@ -61,6 +61,7 @@ class Growth:
         self.open = np.zeros(n, bool)
         self.samples: tuple[Samples, Samples] = ({}, {})
         self.unsure: Samples = {}
+        self._kept_records: dict[tuple[int, bytes, bytes], Records] = {}
         self.costs = np.full(n, np.nan)
         self.found_again: list[tuple[int, int]] = []
         self.put_labels(seed.frame, np.clip(seed.logodds, -SURE, SURE))
@@ -94,27 +95,28 @@ class Growth:
             return np.zeros(len(self.done), bool)
         return self.done & (np.abs(self.states - self.states[frame]) < 0.05 * self.longest_step())
 
-    def _samples(self, k: int, reference: int, frame: int) -> NDArray[np.int32]:
-        """Pixels of part k in `reference` to be met in `frame`; with the first part go those that might be either's."""
-        if k == 1 or not self._as_one(frame)[reference]:
-            return self.samples[k][reference]
-        return np.concatenate([self.samples[0][reference], self.unsure[reference]])
+    def _samples(self, k: int, references: NDArray[np.int64], frame: int) -> Samples:
+        """Pixels of part k in `references` to be met in `frame`; with the first part go those that may be either's."""
+        found = {int(r): self.samples[k][int(r)] for r in references}
+        for r in references[self._as_one(frame)[references]] if k == 0 else ():
+            found[int(r)] = np.concatenate([found[int(r)], self.unsure[int(r)]])
+        return found
+
+    def _records(self, k: int, references: NDArray[np.int64], frame: int) -> Records:
+        """The records of `_samples`, kept until samples are drawn anew: a frame is registered from many starts."""
+        together = self._as_one(frame)[references] if k == 0 else references[:0]
+        key = k, references.tobytes(), together.tobytes()
+        if key not in self._kept_records:
+            self._kept_records[key] = self.evidence.records(self._samples(k, references, frame))
+        return self._kept_records[key]
 
     def _terms(
         self, k: int, frame: int, T: Array, references: NDArray[np.int64], gate: float
     ) -> tuple[Array, Array, Array]:
         """Summed Gauss-Newton terms of the left twist of part k's pose in `frame`, from the references' samples."""
         relative = T @ se3.inverse(self.Ts[k, references])
-        samples = {int(r): self._samples(k, int(r), frame) for r in references}
-        H, g, stats = self.evidence.register(
-            references,
-            np.full(len(references), frame),
-            relative,
-            samples,
-            gate,
-            self.labels,
-            k + 1,
-        )
+        records, here = self._records(k, references, frame), np.full(len(references), frame)
+        H, g, stats = self.evidence.register(references, here, relative, records, gate, self.labels, k + 1)
         return H.sum(0), g.sum(0), stats.sum(0)
 
     def registered(
@@ -190,9 +192,9 @@ class Growth:
     def _pixel_costs(self, k: int, frame: int, T: Array, references: NDArray[np.int64]) -> Array:
         """Costs of a third of the references' samples when part k stands at `T` in `frame`."""
         parts = []
-        for r in map(int, references):
-            motion, pixels = (T @ se3.inverse(self.Ts[k, r]))[None, None], self._samples(k, r, frame)[::3]
-            parts.append(self.evidence.costs(r, np.array([frame]), motion, pixels)[:, 0, 0])
+        for r, pixels in self._samples(k, references, frame).items():
+            motion = (T @ se3.inverse(self.Ts[k, r]))[None, None]
+            parts.append(self.evidence.costs(r, np.array([frame]), motion, pixels[::3])[:, 0, 0])
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def cost(self, k: int, frame: int, T: Array, references: NDArray[np.int64]) -> float:
@@ -280,19 +282,22 @@ class Growth:
         return self.done & (np.asarray(self.seen.all(1)) | self.open)
 
     def carried(self, frame: int, neighbour: int) -> NDArray[np.uint8]:
-        """Labels (h, w) that the flow brings from a neighbour; 0 where it disagrees with itself.
+        """Labels (h, w) that the flow brings from a neighbour; 0 off the mask and where flow disagrees with itself.
 
         With them a part that is about to vanish cannot slip onto the surface of the other.
         """
         direction = neighbour - frame
-        h, w = self.evidence.scene.mask.shape[1:]
-        at = np.argwhere(np.ones((h, w), bool))[:, ::-1].astype(float)
-        there = at + self.tracker.step(frame, direction).reshape(-1, 2).astype(float)
+        mask = self.evidence.scene.mask[frame]
+        h, w = mask.shape
+        at = np.argwhere(mask)[:, ::-1].astype(float)
+        there = at + self.tracker.step(frame, direction)[mask].astype(float)
         round_trip = np.linalg.norm(there + bilinear(self.tracker.step(neighbour, -direction), there) - at, axis=1)
         x = np.clip(np.rint(there[:, 0]).astype(int), 0, w - 1)
         y = np.clip(np.rint(there[:, 1]).astype(int), 0, h - 1)
         sure = (round_trip < self.settings.tracks.max_round_trip) & (np.abs(self.logodds[neighbour, y, x]) > 1)
-        return np.where(sure, self.labels[neighbour, y, x], 0).reshape(h, w).astype(np.uint8)
+        labels = np.zeros((h, w), np.uint8)
+        labels[mask] = np.where(sure, self.labels[neighbour, y, x], 0)
+        return labels
 
     def label(self, frame: int) -> None:
         """Labels of `frame` from all its pixels under both motions to the frames done."""
@@ -313,6 +318,7 @@ class Growth:
     def put_labels(self, frame: int, logodds: NDArray[np.float32]) -> None:
         """Believe these log-odds (h, w) of a frame, and draw the samples that register other frames to it."""
         scene, settings = self.evidence.scene, self.settings.growth
+        self._kept_records.clear()
         self.logodds[frame] = logodds
         self.labels[frame] = np.where(scene.mask[frame], np.where(logodds > 0, 2, 1), 0)
         for k in range(2):

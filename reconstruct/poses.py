@@ -15,7 +15,7 @@ from scipy.sparse.linalg import splu
 from freeart21 import se3
 from freeart21.joint import Joint
 from freeart21.se3 import Array
-from reconstruct.evidence import Evidence, Samples, draw
+from reconstruct.evidence import Evidence, Records, Samples, draw
 from reconstruct.rigid import view_angle
 from reconstruct.settings import PoseSettings
 
@@ -90,7 +90,7 @@ def free_adjustment(
 ) -> FreePoses:
     """Gauss-Newton over all pairs of one part. Frames without the part keep their pose."""
     n = len(Ts)
-    samples = part_samples(evidence, labels, part, settings.samples, rng, seen)
+    samples = evidence.records(part_samples(evidence, labels, part, settings.samples, rng, seen))
     source, target = choose_pairs(Ts, seen, settings)
     covariances = np.full((n, 6, 6), np.nan)
     if len(source) == 0:
@@ -125,7 +125,8 @@ def joint_adjustment(
     rounds = settings.joint_rounds if rounds is None else rounds
     within = np.ones(n, bool) if within is None else within
     usable = seen & within[:, None]
-    samples = [part_samples(evidence, labels, k + 1, settings.samples, rng, usable[:, k]) for k in range(2)]
+    drawn = [part_samples(evidence, labels, k + 1, settings.samples, rng, usable[:, k]) for k in range(2)]
+    samples = [evidence.records(pixels) for pixels in drawn]
     now = start
     pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((now.Ts, now.Ts_moving))]
     A, cost = sparse.csr_array((7 * n, 7 * n)), np.inf
@@ -153,7 +154,7 @@ def _normal_equations(
     labels: Labels,
     part: int,
     Ts: Array,
-    samples: Samples,
+    samples: Records,
     source: NDArray,
     target: NDArray,
     gate: float,

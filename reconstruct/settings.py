@@ -187,7 +187,7 @@ class PieceSettings:
 
     most: int = 3
     """Stretches that are tried, at most."""
-    lost_cost: float = 4.0
+    lost_cost: float = 2.5
     """A frame that costs so many times the usual shows that growth was lost."""
     shortest: int = 8
     """Fewer such frames on end are left as they are."""
