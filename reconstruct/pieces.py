@@ -16,6 +16,7 @@ from freeart21 import se3
 from freeart21.se3 import Array
 from reconstruct.evidence import evenly
 from reconstruct.growth import Growth
+from reconstruct.kernels import HIDDEN
 from reconstruct.rigid import view_angle
 
 Frames = NDArray[np.int64]
@@ -37,11 +38,14 @@ class _Join:
 
 
 def lost_stretches(growth: Growth) -> list[Frames]:
-    """Runs of frames that cost far more than is usual, with those about them that cost more; the costliest first."""
+    """Runs of frames that cost far more than is usual, with those about them that cost more; the costliest first.
+
+    A frame that costs less than if all of it were hidden is never taken for lost.
+    """
     s, costs = growth.settings.pieces, growth.costs
     if not np.isfinite(costs).any():
         return []
-    bad = np.flatnonzero(costs > s.lost_cost * np.nanmedian(costs))
+    bad = np.flatnonzero(costs > max(HIDDEN, s.lost_cost * np.nanmedian(costs)))
     runs = [run for run in np.split(bad, np.flatnonzero(np.diff(bad) > s.shortest) + 1) if len(run) >= s.shortest]
     unsound = ~_sound(growth)
     for run in runs:
