@@ -51,7 +51,12 @@ class Judged:
     @property
     def reach(self) -> float:
         """The same with the sizes free, or without, whichever is less."""
-        return self.floors if self.loose is None else min(self.floors, _rms(self.loose))
+        return _rms(self.left)
+
+    @property
+    def left(self) -> dict[str, Array]:
+        """What is left with the sizes free, or without, whichever is less: form that is explained is no noise."""
+        return self.strict if self.loose is None or _rms(self.loose) > self.floors else self.loose
 
 
 @dataclass(frozen=True)
@@ -179,16 +184,17 @@ def p_value(base: Judged, best: Judged, tried: int) -> float:
     number of sets. x is counted in what the better set leaves, and in independent readings.
     """
     fall = sum(float((base.strict[run] ** 2).sum() - (best.strict[run] ** 2).sum()) for run in base.strict)
-    return float(min(1.0, tried * norm.sf(np.sqrt(max(fall, 0.0) / unit_of(best)))))
+    return float(min(1.0, tried * norm.sf(np.sqrt(max(fall, 0.0) / unit_of(best.strict)))))
 
 
-def unit_of(judgement: Judged) -> float:
-    """Variance of a sum of squares' independent part: what is left, times how far it is correlated."""
-    power = max(np.mean([np.mean(r * r) for r in judgement.strict.values()]), 1e-12)
+def unit_of(left: dict[str, Array]) -> float:
+    """Variance of a sum of squares' independent part: what is left (residuals in floors, by run), times how far it is
+    correlated."""
+    power = max(np.mean([np.mean(r * r) for r in left.values()]), 1e-12)
     summed = 0.0
-    for r in judgement.strict.values():
+    for r in left.values():
         for lag in range(1, min(len(r) // 4, 200)):
-            c = float(r[:-lag] @ r[lag:]) / len(r) / power / len(judgement.strict)
+            c = float(r[:-lag] @ r[lag:]) / len(r) / power / len(left)
             if c < 0.02:
                 break
             summed += c
@@ -198,7 +204,7 @@ def unit_of(judgement: Judged) -> float:
 def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ...]:
     """Those that the held-out runs do not tell from the best, the best first; a general effect yields to a plainer."""
     order = sorted(standing, key=lambda j: j.floors)
-    best, unit = order[0], unit_of(order[0])
+    best, unit = order[0], unit_of(order[0].strict)
 
     def alike(j: Judged) -> bool:
         more = sum(float((j.strict[run] ** 2).sum() - (best.strict[run] ** 2).sum()) for run in best.strict)

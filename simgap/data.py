@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -17,8 +18,8 @@ MAX_SAMPLES = 1500
 """Readings of a run that a fit looks at; more are thinned out evenly."""
 
 
-_BEGINNING_S = 0.06
-"""Of a run, that tells its first velocity."""
+_BEGINNINGS_S = (0.06, 0.12, 0.25)
+"""Of a run, that tell its first velocity: a short one is noisy, a long one may hold an impact."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +42,20 @@ class FitRun:
     @property
     def start(self) -> tuple[float, float]:
         """A first guess of the state at the first reading."""
-        k = max(7, int(np.searchsorted(self.times_s, self.times_s[0] + _BEGINNING_S)))
-        k = min(len(self.q), k)
-        t = self.times_s[:k] - self.times_s[0]
-        fit = np.polynomial.polynomial.polyfit(t, self.q[:k], 2 if k > 4 else 1)
-        return float(fit[0]), float(fit[1])
+        return self.starts[0]
+
+    @cached_property
+    def starts(self) -> list[tuple[float, float]]:
+        """First guesses of the state at the first reading, by parabolas through beginnings ever longer."""
+        found = []
+        for seconds in _BEGINNINGS_S:
+            k = max(7, int(np.searchsorted(self.times_s, self.times_s[0] + seconds)))
+            k = min(len(self.q), k)
+            t = (self.times_s[:k] - self.times_s[0]) / (self.times_s[k - 1] - self.times_s[0])
+            powers = t[:, None] ** np.arange(3 if k > 4 else 2)
+            fit = np.linalg.lstsq(powers, self.q[:k], None)[0]
+            found.append((float(fit[0]), float(fit[1] / (self.times_s[k - 1] - self.times_s[0]))))
+        return found
 
     def between(self, begin: int, end: int) -> FitRun:
         """The stretch of readings begin to end."""

@@ -61,7 +61,7 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
         experiment = next_experiment([j.fit for j in choice.explaining], runs)
         or_else = ", or ".join(_listed(j) for j in choice.explaining)
         return Verdict("ambiguous", named, (), gaps, sets, experiment, f"These runs cannot decide: {or_else}.")
-    idle = [n.effect.name for n in named if _unknown(n)]
+    idle = unmoved(best)
     if idle:
         said = f"Something is missing, perhaps {words}, but these runs do not move enough of it to say how much."
         wider = "Record larger and smaller motions over the whole range, with pushes of known size."
@@ -75,7 +75,7 @@ def named_effects(judgement: Judged) -> tuple[Named, ...]:
     """The effects with 90 % intervals, strongest first: the one without which most would be left."""
     fit = judgement.fit
     ranges = fit.theory.ranges()
-    spread = _NORMAL_90 * np.sqrt(np.diag(_covariance(fit, unit_of(judgement))))
+    spread = _NORMAL_90 * np.sqrt(np.diag(_covariance(fit, unit_of(judgement.left))))
     found = []
     for effect in fit.effects:
         own = {r.name: i for i, r in enumerate(ranges) if r.owner == effect.name}
@@ -99,14 +99,25 @@ def _covariance(fit: Fit, unit: float) -> np.ndarray:
     return np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
 
 
-def _unknown(named: Named) -> bool:
-    """Whether even the size of the effect is unknown within a factor of some."""
-    first = next(iter(named.low))
-    value, low, high = getattr(named.effect, first), named.low[first], named.high[first]
-    about = 1.0 if named.effect.name in ("actuator_gain", "encoder_scale") else 0.0
-    if any(abs(getattr(named.effect, n) - about) > 0.6 * (named.high[n] - named.low[n]) for n in named.low):
-        return False
-    return bool(high - low > 1.2 * abs(value - about))
+def unmoved(judgement: Judged) -> list[str]:
+    """Names of the effects of which these runs tell no size, were all else known: they hardly stir them.
+
+    What an effect shares with the asset's own doubts is no lack of motion, and more of the same would not part them.
+    """
+    fit, unit, found = judgement.fit, unit_of(judgement.left), []
+    ranges = fit.theory.ranges()
+    for effect in fit.effects:
+        own = [i for i, r in enumerate(ranges) if r.owner == effect.name]
+        about = 1.0 if effect.name in ("actuator_gain", "encoder_scale") else 0.0
+        block = fit.normal[np.ix_(own, own)] / unit
+        scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
+        inverse = np.linalg.pinv(block / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
+        spread = _NORMAL_90 * np.sqrt(np.diag(inverse))
+        sizes = np.array([fit.theta[i] - (about if i == own[0] else 0.0) for i in own])
+        forces = [i == own[0] or ranges[i].name in ("sine",) for i in own]
+        if not any(abs(x) > 0.8 * s for x, s, force in zip(sizes, spread, forces, strict=True) if force):
+            found.append(effect.name)
+    return found
 
 
 def _gaps(runs: tuple[FitRun, ...], before: Judged, after: Judged, floor: Floor) -> tuple[RunGap, ...]:

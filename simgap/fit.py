@@ -171,9 +171,9 @@ def fitted(
 def _start(model: _Model, i: int, theta: Array) -> Array:
     """(2,) the start, of those about the first guess, from which run i begins most like its readings."""
     run, plant = model.runs[i], model.problem.plant
-    q0, qd0 = run.start
-    speeds = qd0 + model.problem.speed * np.array(_SPEEDS)
-    rows = np.array([(q, v) for q in (q0, run.q[0]) for v in (*speeds, 0.0)])
+    told = run.starts
+    speeds = (*(told[0][1] + model.problem.speed * np.array(_SPEEDS)), *(qd0 for _, qd0 in told[1:]), 0.0)
+    rows = np.array([*told[1:], *((q, v) for q in (told[0][0], run.q[0]) for v in speeds)])
     rows[:, 0] = np.clip(rows[:, 0], plant.lower, plant.upper)
     seen = max(8, int(np.searchsorted(run.times_s, run.times_s[0] + _SEEN_S)))
     short = _Model(model.reader.theory, (run.between(0, seen),), model.step)

@@ -22,11 +22,11 @@ LOAD_ARM2, LOAD_WEIGHT2, LOAD_ACROSS, LOAD_TURNED = 4, 5, 6, 7
 GAIN, COMMAND_DELAY, STIFFNESS, DAMPING = 8, 9, 10, 11
 LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
 READING_DELAY, Q0, QD0 = 16, 17, 18
-SPEED_REF, Q_MID, Q_HALF = 19, 20, 21
-HEAD = 22
+HEAD = 19
 """Places in the vector of numbers that describes one simulation; behind them each effect has FORM, then parameters."""
-FORM = 3
-"""How the size of an effect may depart from its formula: with speed, with position, with position squared."""
+FORM = 6
+"""How the size of an effect may depart from its formula: with speed, with position, with position squared; and the
+speed, the middle and the half width by which it does."""
 FORCE, DRIVE, STOP = 0, 1, 2
 ACTS = {"force": FORCE, "drive": DRIVE, "stop": STOP}
 
@@ -99,8 +99,8 @@ def _form(p, at, q, v):  # pragma: no cover
     a, b, c = p[at], p[at + 1], p[at + 2]
     if a == 0.0 and b == 0.0 and c == 0.0:
         return 1.0
-    speed = min(2.0 * abs(v) / p[SPEED_REF], 2.0) - 1.0
-    x = min(max((q - p[Q_MID]) / p[Q_HALF], -1.2), 1.2)
+    speed = min(2.0 * abs(v) / p[at + 3], 2.0) - 1.0
+    x = min(max((q - p[at + 4]) / p[at + 5], -1.2), 1.2)
     return max(1.0 + a * speed + b * x + c * (2.0 * x * x - 1.0), 0.0)
 
 
@@ -234,7 +234,9 @@ def _rebound(terms, p, v):  # pragma: no cover
     for k in range(len(terms)):
         if terms[k, 1] == STOP:
             at = terms[k, 2]
-            speed = _form(p, at, p[Q_MID], v) * _law(terms[k, 0], 0.0, v, 0.0, 0.0, p, at + FORM)
+            s = min(2.0 * abs(v) / p[at + 3], 2.0) - 1.0
+            form = max(1.0 + p[at] * s + p[at + 2] * (2.0 * s * s - 1.0), 0.0)
+            speed = form * _law(terms[k, 0], 0.0, v, 0.0, 0.0, p, at + FORM)
             if abs(speed) > abs(after):
                 after = speed
     return min(abs(after), abs(v)) * (1.0 if after > 0 else -1.0)

@@ -8,13 +8,15 @@ import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
 from simgap.data import FitRun
-from simgap.fit import Fit, Problem, Theory, fitted, grown, joined, pieces, placed, resettled
+from simgap.fit import Fit, Problem, Starts, Theory, fitted, grown, joined, pieces, placed, resettled
 from simgap.guess import Guess, guesses, off
 from simgap.settings import ChoiceSettings
 
 _CROSSINGS = 2.5
 """Crossings of the range at top speed that a stretch lasts for, in which a first-order look sees an effect whole."""
 _SCREEN = 2
+_HOPEFUL = 6.0
+"""Times the least sum of squares on stretches that another effect may leave there and still be fitted to whole runs."""
 _FAR = 2.0
 """Floors of error beyond which a run is looked at in stretches."""
 
@@ -56,7 +58,7 @@ class Search:
     settings: ChoiceSettings
     names: tuple[str, ...]
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
-    _first: tuple[tuple[FitRun, ...], list[Guess]] | None = None
+    _first: tuple[tuple[FitRun, ...], Starts, list[Guess]] | None = None
 
     def base(self) -> Fit:
         """Nothing missing but what the asset may be off by."""
@@ -66,26 +68,27 @@ class Search:
 
     def hinted(self) -> float:
         """Floors that the best effect would explain of what the asset alone leaves, to first order."""
-        fall = self.base().rss - min((guess.cost for guess in self._guesses()[1]), default=np.inf)
+        fall = self.base().rss - min((guess.cost for guess in self._guesses()[2]), default=np.inf)
         return float(np.sqrt(max(fall, 0.0) / sum(len(run.q) for run in self.train)))
 
-    def _guesses(self) -> tuple[tuple[FitRun, ...], list[Guess]]:
-        """Stretches that a first-order look can span, and first guesses of every effect alone by them."""
+    def _guesses(self) -> tuple[tuple[FitRun, ...], Starts, list[Guess]]:
+        """Stretches that a first-order look can span, their starts, and first guesses of every effect alone by them."""
         if self._first is None:
             base, cut = self.base(), self._cut(self.base())
             at = base if cut is self.train else fitted(base.theory, cut, base.theta, iterations=4, robust=True)
-            self._first = cut, guesses(at, cut, self.names)
+            self._first = cut, at.starts, guesses(at, cut, self.names)
         return self._first
 
     def singles(self) -> list[Fit]:
         """Every effect alone, the best first."""
-        cut, found = self._guesses()
+        cut, starts, found = self._guesses()
         rough = []
         for name in list(dict.fromkeys(guess.name for guess in found))[: self.settings.singles]:
-            own = [guess for guess in found if guess.name == name][: self.problem.fit.starts]
-            rough.append(self._rough(name, own, cut))
+            own = self._apart([guess for guess in found if guess.name == name])
+            rough.append(self._rough(name, own, cut, starts))
         rough.sort(key=lambda fit: fit.cost)
-        for fit in rough[: self.settings.contenders + 1]:
+        hopeful = [fit for i, fit in enumerate(rough) if i < 2 or fit.cost < _HOPEFUL * rough[0].cost]
+        for fit in hopeful[: self.settings.contenders + 1]:
             theory, theta, starts = fit.theory, fit.theta, fit.starts
             if cut is not self.train:
                 first = {run.name: fit.starts[f"{run.name}#0"] for run in self.train}
@@ -97,10 +100,28 @@ class Search:
                 self._keep_from(name, self.fits[(plainer,)])
         return self._resettled([self.fits[(name,)] for name in self.names if (name,) in self.fits])
 
-    def _rough(self, name: str, own: list[Guess], cut: tuple[FitRun, ...]) -> Fit:
+    def _apart(self, own: list[Guess]) -> list[Guess]:
+        """The best first guesses of one effect that differ: neighbours on the grid lead to the same fit."""
+        kept: list[Guess] = []
+        for guess in own:
+            if len(kept) < self.problem.fit.starts and not any(self._alike(guess, other) for other in kept):
+                kept.append(guess)
+        return kept
+
+    def _alike(self, first: Guess, second: Guess) -> bool:
+        """Whether all but the sizes of two guesses are about the same: places within a tenth of the way moved through,
+        widths and speeds within a factor of 2."""
+        reach = 0.1 * (self.problem.q_high - self.problem.q_low)
+        own = [r for r in Theory(self.problem, (first.name,)).ranges() if r.owner == first.name]
+        for r in own[1:]:
+            a, b = first.point[r.name], second.point[r.name]
+            if abs(a - b) > reach if r.lower < 0 else max(a, b) > 2 * min(a, b):
+                return False
+        return True
+
+    def _rough(self, name: str, own: list[Guess], cut: tuple[FitRun, ...], starts: Starts) -> Fit:
         """The effect on the stretches, from the best of its first guesses."""
         theory, base = Theory(self.problem, (name,)), self.base()
-        starts = base.starts if cut is self.train else None
         tried = [fitted(theory, cut, joined(theory, base, {name: guess.point}), starts, 4) for guess in own]
         return min(tried, key=lambda fit: fit.cost)
 

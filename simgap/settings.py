@@ -21,14 +21,17 @@ class FitSettings:
     """Output-error fits."""
 
     max_iterations: int = 15
-    starts: int = 2
+    starts: int = 3
     """Starting points of an effect with a place, a width or a speed to find."""
     tilt_rad: float = 7e-3
     """How far the base may lean in the plane of the motion without being called an effect; a usual mounting is 0.3
     degrees off."""
     form_tolerance: float = 0.2
     """By how much of itself a real effect may differ from the library's formula over the range of speeds, and over that
-    of positions in two ways, and still have its name."""
+    of positions in two ways, and still have its name; of an effect with a speed or a place of its own, over those."""
+    rebound_tolerance: float = 0.6
+    """The same of what comes back from a stop, which no law describes well: with the speed of the impact, and where a
+    drive's inertia comes back though its formula has none of it."""
 
 
 @dataclass(frozen=True)

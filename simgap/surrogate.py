@@ -134,7 +134,8 @@ def numbers_of(
         effects: all effects, those of the asset among them.
         nuisance: how the asset is off.
         forms: name of an effect to how its size departs from its formula with speed, position and position squared.
-        reference: largest speed, middle and half range of position, to which `forms` refer.
+        reference: largest speed, middle and half range of position, to which `forms` refer where an effect has no
+            speed or place of its own.
     """
     mechanics = plant.mechanics
     head = np.zeros(kernel.HEAD)
@@ -154,12 +155,27 @@ def numbers_of(
     head[kernel.READING_DELAY] = sum(effect.delay() for effect in effects if effect.kind == "sensing")
     head[kernel.STIFFNESS], head[kernel.DAMPING] = plant.stiffness, plant.damping
     head[kernel.LOWER], head[kernel.UPPER] = plant.lower, plant.upper
-    head[kernel.SPEED_REF], head[kernel.Q_MID], head[kernel.Q_HALF] = reference
     parts = [head]
     for effect in effects:
         if effect.name in kernel.LAWS:
-            parts += [np.array((forms or {}).get(effect.name, (0.0, 0.0, 0.0))), np.array(effect.values())]
+            form = (forms or {}).get(effect.name, (0.0, 0.0, 0.0))
+            parts += [np.array((*form, *_around(effect, reference))), np.array(effect.values())]
     return np.concatenate(parts)
+
+
+def _around(effect: Effect, reference: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Speed, middle and half width of the range over which an effect departs from its formula: its own, if it has."""
+    speed, middle, half = reference
+    place: float | None = None
+    for name, spec in effect.parameters().items():
+        value = float(getattr(effect, name))
+        if spec.revolute_unit == "rad/s":
+            speed = max(2 * value, 1e-9)
+        elif spec.revolute_unit == "rad" and spec.lower < 0:
+            place = value
+        elif spec.revolute_unit == "rad" and place is not None:
+            middle, half = place, max(1.5 * value, 1e-9)
+    return speed, middle, half
 
 
 def _load_terms(mechanics: JointMechanics) -> tuple[float, float, float, float]:

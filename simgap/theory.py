@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
+from freeart21.effects.end_stop_bounce import EndStopBounce
 from freeart21.se3 import Array
 from simgap import kernel
 from simgap.settings import FitSettings, SurrogateSettings
@@ -95,11 +96,20 @@ class Theory:
         for cls in self.classes:
             found += [self._range(cls, name) for name in cls.parameters(problem.plant.joint_type)]
         if self.relaxed:
-            r = problem.fit.form_tolerance
             for cls in self.classes:
-                if cls.name in kernel.LAWS:
-                    found += [Range(f"{cls.name} form", k, -r, r, r, r) for k in ("speed", "position", "curve")]
+                found += self._form(cls)
         return tuple(found)
+
+    def _form(self, cls: type[Effect]) -> list[Range]:
+        """How the effect may depart from its formula."""
+        owner, r, e = f"{cls.name} form", self.problem.fit.form_tolerance, self.problem.fit.rebound_tolerance
+        if cls.acts == "stop":  # a real stop throws back slow parts better than fast ones
+            return [Range(owner, "speed", -e, e, e, e), Range(owner, "curve", -e, e, e, e)]
+        if cls.name in kernel.LAWS:
+            return [Range(owner, k, -r, r, r, r) for k in ("speed", "position", "curve")]
+        if cls.acts in ("inertia", "slack") and "end_stop_bounce" not in self.names:
+            return [Range(owner, "rebound", 0.0, e, 0.1 * e, e)]  # a body behind an elastic shaft comes back from stops
+        return []
 
     def _range(self, cls: type[Effect], name: str) -> Range:
         """Bounds and size of an effect's parameter on these data: nothing beyond what was moved through."""
@@ -177,12 +187,16 @@ class Reader:
     def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
         """The vector, start left at 0, and all effects."""
         nuisance = self.nuisance(theta)
-        forms = {}
+        forms, rebound = {}, 0.0
         if self.theory.relaxed:
             for cls in self.theory.classes:
+                own = [float(x) for owner, x in zip(self.owners, theta, strict=True) if owner == f"{cls.name} form"]
                 if cls.name in kernel.LAWS:
-                    at = self.owners.index(f"{cls.name} form")
-                    forms[cls.name] = (float(theta[at]), float(theta[at + 1]), float(theta[at + 2]))
+                    forms[cls.name] = (own[0], own[1] if len(own) == 3 else 0.0, own[-1])
+                elif own:
+                    rebound = max(rebound, own[0])
         effects = self.effects(theta)
+        if self.theory.relaxed and any(r.name == "rebound" for r in self.ranges):
+            effects = (*effects, EndStopBounce(rebound))
         problem = self.theory.problem
         return numbers_of(problem.plant, effects, nuisance, forms, problem.reference), effects

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -22,12 +23,17 @@ def verdict(folder: Path, measured: Measured, lower: float = -3.0, upper: float 
     return find_gap(read_asset(asset_of(folder, lower, upper), "j"), measured)
 
 
+@pytest.fixture(scope="module")
+def damped(tmp_path_factory: pytest.TempPathFactory) -> Verdict:
+    """On runs with a loss that goes almost with speed."""
+    return verdict(tmp_path_factory.mktemp("damped"), measured_of(11, viscous=0.12, power=0.9))
+
+
 def names(found: Verdict) -> set[str]:
     return {named.effect.name for named in found.effects}
 
 
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("servo", [False, True])
+@pytest.mark.parametrize("seed, servo", [(0, False), (1, True)])
 def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path, seed: int, servo: bool):
     found = verdict(tmp_path, measured_of(seed, servo=servo))
     assert found.verdict == "no_gap" and not found.effects and not found.rivals
@@ -37,14 +43,26 @@ def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path, seed: int, se
 @pytest.mark.parametrize(
     "hidden, expected",
     [
-        ({"viscous": 0.12, "power": 0.9}, "viscous_damping"),
         ({"dry": 0.15}, "coulomb_friction"),
         ({"drag": 0.06}, "quadratic_drag"),
         ({"spring": 2.0, "rest": 0.3}, "return_spring"),
     ],
 )
 def test_a_clear_effect_is_named(tmp_path: Path, hidden: dict[str, float], expected: str):
-    found = verdict(tmp_path, measured_of(11, **hidden))
+    agrees(verdict(tmp_path, measured_of(11, **hidden)), expected)
+
+
+def test_a_loss_is_named_and_written_as_it_stands(damped: Verdict, tmp_path: Path):
+    agrees(damped, "viscous_damping")
+    damped.write(tmp_path / "verdict.json", "revolute")
+    said = json.loads((tmp_path / "verdict.json").read_text())
+    assert said["verdict"] == "named" and said["effects"][0]["name"] == "viscous_damping"
+    coefficient = said["effects"][0]["parameters"]["coefficient"]
+    assert coefficient["unit"] == "N*m*s/rad" and coefficient["low"] < coefficient["value"] < coefficient["high"]
+    assert [gap["held_out"] for gap in said["gap"]] == [False] * 3 + [True] * 2
+
+
+def agrees(found: Verdict, expected: str) -> None:
     assert (found.verdict, names(found)) == ("named", {expected})
     held = [gap for gap in found.gaps if gap.held_out]
     assert len(held) == 2 and all(gap.after < 0.2 * gap.before for gap in held)
@@ -116,18 +134,6 @@ def test_noise_is_no_evidence(tmp_path: Path):
         best = min((noise - move for move in moves), key=lambda r: r @ r)
         alarms += p_value(base, SimpleNamespace(strict={"a": best}), tried) < 0.05  # type: ignore[arg-type]
     assert alarms <= 0.05 * 400
-
-
-def test_a_verdict_is_written_as_it_stands(tmp_path: Path):
-    import json
-
-    found = verdict(tmp_path, measured_of(11, viscous=0.12))
-    found.write(tmp_path / "verdict.json", "revolute")
-    said = json.loads((tmp_path / "verdict.json").read_text())
-    assert said["verdict"] == "named" and said["effects"][0]["name"] == "viscous_damping"
-    coefficient = said["effects"][0]["parameters"]["coefficient"]
-    assert coefficient["unit"] == "N*m*s/rad" and coefficient["low"] < coefficient["value"] < coefficient["high"]
-    assert [gap["held_out"] for gap in said["gap"]] == [False] * 3 + [True] * 2
 
 
 def test_the_wrong_joint_costs_one_line(tmp_path: Path):

@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from hidden import effects, poses
 from hidden.body import Body, draw_body
 from hidden.nuisance import (
-    GRAVITY_VECTOR,
-    LEAD,
     Nuisance,
-    Reading,
     draw_nuisance,
-    drive_of,
-    floor,
     nominal_times,
-    true_world,
-    with_servo,
 )
-from hidden.ode import World, longest_step, simulate
 from hidden.rig import RUNS, Plan, Servo, draw_plans, draw_servo
+from hidden.strength import Gap, Hidden
 
 PAIRS = (
     ("coulomb_friction", "quadratic_drag"),
@@ -52,15 +43,6 @@ CLEAR, WEAK = (6.0, 40.0), (1.3, 4.0)
 LEAST_CLEAR = 5.0
 PASSABLE = 2.5
 """Floors that must remain beyond plainer effects for a clear case."""
-
-
-@dataclass(frozen=True)
-class Hidden:
-    """One hidden effect."""
-
-    name: str
-    seed: int
-    size: float
 
 
 @dataclass(frozen=True)
@@ -119,17 +101,6 @@ def _said(hidden: Hidden, body: Body) -> dict[str, float]:
     return {} if hidden.name in poses.KINEMATIC else effects.parameters(hidden.name, hidden.seed, hidden.size, body)
 
 
-def changed(world: World, body: Body, hidden: tuple[Hidden, ...]) -> tuple[World, Reading]:
-    """The true world and reading with all that is hidden."""
-    reading = Reading()
-    for h in hidden:
-        if h.name in poses.KINEMATIC:
-            continue
-        world, read = effects.applied(h.name, h.seed, h.size, body, world)
-        reading = reading if read == Reading() else read
-    return world, reading
-
-
 def draw_case(wish: Wish, seed: int, search: bool = True) -> Case:
     """The case that a wish and a seed make. Sizes are searched until the gap is as strong as wished.
 
@@ -145,13 +116,13 @@ def draw_case(wish: Wish, seed: int, search: bool = True) -> Case:
     seeds = [int(s) for s in rng.integers(1 << 30, size=2)]
     case = Case(wish, seed, body, servo, nuisance, plans, ())
     if not wish.names:
-        return replace(case, floor=_Gap(case).floor if wish.rig != "poses" and search else 0.0)
+        return replace(case, floor=Gap(case).floor if wish.rig != "poses" and search else 0.0)
     if wish.stratum == "kinematic":
         low, high = poses.KINEMATIC[wish.names[0]]
         size = float(np.exp(rng.uniform(np.log(low), np.log(high))))
         return replace(case, hidden=(Hidden(wish.names[0], seeds[0], size),), ratio=np.nan, distinct=np.nan)
     target = float(np.exp(rng.uniform(*np.log(WEAK if wish.strength == "weak" else CLEAR))))
-    gap = _Gap(case) if search else None
+    gap = Gap(case) if search else None
     table = {**effects.START, **effects.STRANGE}
     found = []
     for name, own in zip(wish.names, seeds, strict=False):
@@ -163,7 +134,7 @@ def draw_case(wish: Wish, seed: int, search: bool = True) -> Case:
     hidden = tuple(found)
     if gap is None:
         return replace(case, hidden=hidden, ratio=np.nan, distinct=np.nan)
-    total = gap.ratio(hidden)
+    total = gap.ratio(hidden, closely=True)
     if wish.stratum == "pair":
         alone = min(gap.ratio((h,), beside=(other,)) for h, other in zip(hidden, hidden[::-1], strict=True))
     else:
@@ -174,129 +145,6 @@ def draw_case(wish: Wish, seed: int, search: bool = True) -> Case:
         )
         alone = gap.ratio(hidden, beside=rivals) if rivals else total
     return replace(case, hidden=hidden, floor=gap.floor, ratio=total, distinct=alone)
-
-
-@dataclass
-class _Gap:
-    """How much of a change of the readings nuisance can not explain, in floors; linear in the nuisance."""
-
-    case: Case
-    base: World = field(init=False)
-    floor: float = field(init=False)
-    _kept: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.base = with_servo(true_world(self.case.body, self.case.nuisance), self.case.servo)
-        self._q, speeds = self._trace(self.base)
-        self.floor = floor(self.case.nuisance, float(np.sqrt((speeds**2).mean())))
-
-    def _trace(self, world: World, reading: Reading | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(13, n) readings and speeds without noise, on the nominal times."""
-        rows = [self._run(world, plan, i) for i, plan in enumerate(self.case.plans)]
-        q, v = np.array([r[:, 0] for r in rows]), np.array([r[:, 1] for r in rows])
-        if reading is not None and reading != Reading():
-            if reading.late:
-                q = q - reading.late * v
-            q = reading.factor * q + reading.curve * q**3 + reading.offset
-            q = q + reading.ripple * np.sin(reading.ripple_count * q)
-        return q, v
-
-    def _run(self, world: World, plan: Plan, i: int, dq: float = 0.0, dv: float = 0.0) -> NDArray[np.float64]:
-        times = nominal_times()
-        drive = drive_of(plan, times, self.case.wish.rig == "effort")
-        asked = np.concatenate([[-LEAD], times])
-        step = 2 * longest_step(world)
-        return simulate(world, plan.q0 + dq, plan.v0 + dv, asked, drive, clock=8.0 * i, step=step)[1:]
-
-    def _explainable(self) -> tuple[NDArray[np.float64], list[tuple[float, float]]]:
-        """(rows, k) what nuisance does to the readings, and how far each may go from where it is.
-
-        What may be off is off already: an effect that takes it back may be as large as both together.
-        """
-        if "columns" in self._kept:
-            return self._kept["columns"]
-        body, w = self.case.body, self.base
-        g = GRAVITY_VECTOR[body.family] * body.mass * 9.81 * (body.arm if body.revolute else 1.0)
-        off = self.case.nuisance.inertia - 1
-        moves = [(w._replace(inertia=1.02 * w.inertia), 0.02)]
-        bounds = [(-0.1 - off, 0.1 - off)]
-        for name in ("gravity_cosine", "gravity_sine") if body.revolute else ("gravity_constant",):
-            moves.append((w._replace(**{name: getattr(w, name) + 0.05 * g}), 0.05))
-            off = (getattr(w, name) - getattr(body.world(), name)) / g
-            bounds.append((-1.1 - off, 1.1 - off))
-        columns = [(self._trace(world)[0] - self._q).ravel() / step for world, step in moves]
-        for i, plan in enumerate(self.case.plans):
-            for dq, dv in ((1e-3 * body.range, 0.0), (0.0, 1e-3 * body.speed)):
-                column = np.zeros_like(self._q)
-                sign = -1.0 if plan.q0 > body.upper - 2e-3 * body.range else 1.0
-                column[i] = (self._run(w, plan, i, sign * dq, dv)[:, 0] - self._q[i]) * sign
-                columns.append(column.ravel())
-                bounds.append((-np.inf, np.inf))
-        self._kept["columns"] = np.array(columns).T, bounds
-        return self._kept["columns"]
-
-    def ratio(self, hidden: tuple[Hidden, ...], beside: tuple[Hidden, ...] = ()) -> float:
-        """Root mean square of what remains, over the floor, with the effects `beside` free to help explaining."""
-        columns, bounds = self._explainable()
-        change = self._change(hidden)
-        lower, upper = [low for low, _ in bounds], [high for _, high in bounds]
-        for rival in beside:
-            columns = np.column_stack([columns, self._change((rival,))])
-            lower, upper = [*lower, 0.0], [*upper, np.inf]
-        scale = np.linalg.norm(columns, axis=0)
-        keep = scale > 1e-12
-        basis, R = np.linalg.qr(columns[:, keep] / scale[keep])
-        at, rest, best = np.zeros(len(scale)), change, np.inf
-        for _ in range(8):  # what nuisance explains, and again of what is left when it truly is so
-            before = best
-            inside = basis.T @ rest
-            room = [(np.array(ends) - at)[keep] * scale[keep] for ends in (lower, upper)]
-            found = lsq_linear(R, inside, (np.minimum(room[0], -1e-12), np.maximum(room[1], 1e-12)), method="bvls")
-            best = min(best, float(rest @ rest - inside @ inside + 2 * found.cost))
-            if beside:
-                break
-            at[keep] += found.x / scale[keep]
-            rest = change - self._shift(at)
-            best = min(best, float(rest @ rest))
-            if best > 0.8 * before:
-                break
-        return float(np.sqrt(max(best, 0.0) / len(change)) / self.floor)
-
-    def _shift(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(rows,) what nuisance of this size, in the units of the columns, truly does to the readings."""
-        body, w = self.case.body, self.base
-        g = GRAVITY_VECTOR[body.family] * body.mass * 9.81 * (body.arm if body.revolute else 1.0)
-        names = ("gravity_cosine", "gravity_sine") if body.revolute else ("gravity_constant",)
-        moved = {name: getattr(w, name) + x * g for name, x in zip(names, at[1:], strict=False)}
-        world = w._replace(inertia=(1 + at[0]) * w.inertia, **moved)
-        starts = at[1 + len(names) :].reshape(-1, 2) * 1e-3 * np.array([body.range, body.speed])
-        rows = []
-        for i, (plan, (dq, dv)) in enumerate(zip(self.case.plans, starts, strict=True)):
-            dq = float(np.clip(dq, body.lower - plan.q0, body.upper - plan.q0))
-            rows.append(self._run(world, plan, i, dq, float(dv))[:, 0])
-        return np.asarray((np.array(rows) - self._q).ravel())
-
-    def _change(self, hidden: tuple[Hidden, ...]) -> NDArray[np.float64]:
-        world, reading = changed(self.base, self.case.body, hidden)
-        return np.asarray((self._trace(world, reading)[0] - self._q).ravel())
-
-    def sized(self, name: str, seed: int, start: float, target: float, gauge: bool) -> Hidden:
-        """The effect at a size that makes a gap of `target` floors, within the sizes that it may have."""
-        low, high = effects.SMALLEST.get(name, 1e-6), effects.LARGEST.get(name, 1e3)
-        size = best = start
-        off, below, above = np.inf, None, None
-        for _ in range(1 if gauge else 8):
-            found = max(self.ratio((Hidden(name, seed, size),)), 1e-3)
-            if abs(np.log(found / target)) < off:
-                best, off = size, abs(np.log(found / target))
-            if off < 0.3:
-                break
-            below, above = (size, above) if found < target else (below, size)
-            if below is not None and above is not None:
-                size = float(np.sqrt(below * above))
-            else:
-                size = float(np.clip(size * np.clip(target / found, 0.1, 8.0), low, high))
-        return Hidden(name, seed, best)
 
 
 def wishes(seed: int, share: float = 1.0) -> list[Wish]:

@@ -36,7 +36,7 @@ START: dict[str, tuple[float, float]] = {
 LARGEST = {"end_stop_bounce": 0.85, "actuator_delay": 0.12, "time_offset": 0.1, "backlash": 0.15, "actuator_gain": 0.6,
            "encoder_offset": 0.3, "gravity_offset": 0.9, "armature": 4.0, "encoder_scale": 0.3}  # fmt: skip
 """Sizes that are not exceeded in making an effect clear."""
-SMALLEST = {"armature": 0.2, "end_stop_bounce": 0.02, "backlash": 0.002, "belt_elasticity": 0.05}
+SMALLEST = {"armature": 0.2, "end_stop_bounce": 0.1, "backlash": 0.002, "belt_elasticity": 0.05}
 """Nor gone below: there the asset's own uncertainty begins, or there is next to nothing."""
 STRANGE: dict[str, tuple[float, float]] = {
     "cogging": (0.1, 0.3),
@@ -180,8 +180,8 @@ def _actuator_gain(rng, s, body: Body, w: World) -> World:
 
 
 def _armature(rng, s, body: Body, w: World) -> World:
-    """A rotor behind a stiff shaft."""
-    return _shaft(w, s * body.inertia, rng.uniform(45, 70), 0.08)
+    """A rotor behind a stiff shaft with losses: without them it would come back from every stop, another effect."""
+    return _shaft(w, s * body.inertia, rng.uniform(45, 70), 0.5)
 
 
 def _shaft(w: World, inertia: float, hertz: float, ratio: float) -> World:

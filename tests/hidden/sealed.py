@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from hidden import mujoco_world, poses
-from hidden.cases import Case, changed
+from hidden.cases import Case
 from hidden.nuisance import (
     GRAVITY_RELATIVE,
     INERTIA_RELATIVE,
@@ -37,6 +37,7 @@ from hidden.nuisance import (
 )
 from hidden.ode import simulate
 from hidden.rig import OTHER, SAME
+from hidden.strength import changed
 
 LOST_FRAMES = 3
 

@@ -1,0 +1,243 @@
+"""How strong a case is: the gap in floors that is left when nuisance has explained what it can."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from hidden import effects, poses
+from hidden.body import Body
+from hidden.nuisance import GRAVITY_VECTOR, LEAD, Reading, drive_of, floor, nominal_times, true_world, with_servo
+from hidden.ode import ELASTIC, World, longest_step, simulate
+from hidden.rig import RUNS, Plan
+
+if TYPE_CHECKING:
+    from hidden.cases import Case
+
+HAIR = 2
+"""Runs, those with the largest gaps, that do not count."""
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One hidden effect."""
+
+    name: str
+    seed: int
+    size: float
+
+
+def changed(world: World, body: Body, hidden: tuple[Hidden, ...]) -> tuple[World, Reading]:
+    """The true world and reading with all that is hidden."""
+    reading = Reading()
+    for h in hidden:
+        if h.name in poses.KINEMATIC:
+            continue
+        world, read = effects.applied(h.name, h.seed, h.size, body, world)
+        reading = reading if read == Reading() else read
+    return world, reading
+
+
+@dataclass
+class Gap:
+    """How much of a change of the readings nuisance can not explain, in floors; linear in the nuisance."""
+
+    case: Case
+    base: World = field(init=False)
+    floor: float = field(init=False)
+    _kept: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.base = with_servo(true_world(self.case.body, self.case.nuisance), self.case.servo)
+        self._q, speeds = self._trace(self.base)
+        self.floor = floor(self.case.nuisance, float(np.sqrt((speeds**2).mean())))
+
+    def _trace(self, world: World, reading: Reading | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(13, n) readings and speeds without noise, on the nominal times."""
+        rows = [self._run(world, plan, i) for i, plan in enumerate(self.case.plans)]
+        q, v = np.array([r[:, 0] for r in rows]), np.array([r[:, 1] for r in rows])
+        if reading is not None and reading != Reading():
+            if reading.late:
+                q = q - reading.late * v
+            q = reading.factor * q + reading.curve * q**3 + reading.offset
+            q = q + reading.ripple * np.sin(reading.ripple_count * q)
+        return q, v
+
+    def _run(self, world: World, plan: Plan, i: int, dq: float = 0.0, dv: float = 0.0) -> NDArray[np.float64]:
+        times = nominal_times()
+        drive = drive_of(plan, times, self.case.wish.rig == "effort")
+        asked = np.concatenate([[-LEAD], times])
+        step = 2 * longest_step(world)
+        return simulate(world, plan.q0 + dq, plan.v0 + dv, asked, drive, clock=8.0 * i, step=step)[1:]
+
+    def _ways(self) -> NDArray[np.float64]:
+        """(k, 2) unit directions of gravity's (cosine, sine): along the asset's own pull, and across."""
+        if not self.case.body.revolute:
+            return np.zeros((0, 2))
+        cosine, sine, _ = self.case.body.gravity_terms()
+        angle = np.arctan2(sine, cosine)
+        return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+
+    @property
+    def _pull(self) -> float:
+        """What gravity's force on the joint is counted in, N*m or N: the uncertainty's own measure."""
+        body = self.case.body
+        return GRAVITY_VECTOR[body.family] * body.mass * 9.81 * (body.arm if body.revolute else 1.0)
+
+    def _moved(self, at: NDArray[np.float64]) -> World:
+        """The world whose inertia and gravity are off by `at` (1 + k,) more than they are."""
+        w = self.base
+        if self.case.body.revolute:
+            c, s = self._pull * at[1:3] @ self._ways()
+            return w._replace(
+                inertia=(1 + at[0]) * w.inertia, gravity_cosine=w.gravity_cosine + c, gravity_sine=w.gravity_sine + s
+            )
+        return w._replace(inertia=(1 + at[0]) * w.inertia, gravity_constant=w.gravity_constant + self._pull * at[1])
+
+    def _told(self, world: World) -> NDArray[np.float64]:
+        """(1 + k,) by how much a world's inertia and gravity differ from this one's, in the units of `_moved`."""
+        w, own = self.base, world.inertia
+        own = own + (world.link_inertia if world.link == ELASTIC and w.link != ELASTIC else 0.0)
+        if self.case.body.revolute:
+            off = np.array([world.gravity_cosine - w.gravity_cosine, world.gravity_sine - w.gravity_sine])
+            return np.append(own / w.inertia - 1, self._ways() @ off / self._pull)
+        return np.array([own / w.inertia - 1, (world.gravity_constant - w.gravity_constant) / self._pull])
+
+    def _bounds(self) -> NDArray[np.float64]:
+        """(1 + k, 2) how far inertia and gravity may go from where they are.
+
+        What may be off is off already: an effect that takes it back may be as large as both together. A little more
+        than the asset says is let pass: a clear effect is no matter of a tenth.
+        """
+        off = -self._told(self.case.body.world())
+        most = np.append(0.105, np.full(len(off) - 1, 1.2))
+        return np.stack([-most - off, most - off], 1)
+
+    def _explainable(self, at: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """(rows, 1 + k + 26) what a unit of nuisance does to the readings, about `at`, or about what is."""
+        if at is None and "columns" in self._kept:
+            return self._kept["columns"]
+        body, k = self.case.body, len(self._bounds())
+        here = np.zeros(k + 2 * RUNS) if at is None else at
+        world = self._moved(here[:k])
+        starts = self._starts(here[k:])
+        now = np.array([self._run(world, plan, i, *starts[i])[:, 0] for i, plan in enumerate(self.case.plans)])
+        columns = []
+        for j, step in enumerate((0.02, *np.full(k - 1, 0.05))):
+            to = here[:k].copy()
+            to[j] += step
+            there = self._moved(to)
+            rows = [self._run(there, plan, i, *starts[i])[:, 0] for i, plan in enumerate(self.case.plans)]
+            columns.append((np.array(rows) - now).ravel() / step)
+        for i, plan in enumerate(self.case.plans):
+            for dq, dv in ((1e-3 * body.range, 0.0), (0.0, 1e-3 * body.speed)):
+                column = np.zeros_like(now)
+                sign = -1.0 if plan.q0 + starts[i, 0] > body.upper - 2e-3 * body.range else 1.0
+                there_q = self._run(world, plan, i, starts[i, 0] + sign * dq, starts[i, 1] + sign * dv)[:, 0]
+                column[i] = (there_q - now[i]) * sign
+                columns.append(column.ravel())
+        found = np.array(columns).T
+        if at is None:
+            self._kept["columns"] = found
+        return found
+
+    def ratio(self, hidden: tuple[Hidden, ...], beside: tuple[Hidden, ...] = (), closely: bool = False) -> float:
+        """Root mean square of what remains, over the floor, with the effects `beside` free to help explaining.
+
+        With `closely` the nuisance that explains most is followed with slopes of its own at every step: far from what
+        is, those from here mislead.
+        """
+        change = self._change(hidden)
+        box = self._bounds()
+
+        def size(left: NDArray[np.float64]) -> float:
+            """What most runs show: one whose course hangs on a hair tells nothing."""
+            powers = np.sort((left.reshape(RUNS, -1) ** 2).mean(1))
+            return float(np.sqrt(powers[:-HAIR].mean()) / self.floor)
+
+        lower, upper = np.append(box[:, 0], [-np.inf] * 2 * RUNS), np.append(box[:, 1], [np.inf] * 2 * RUNS)
+        if beside:
+            columns = np.column_stack([self._explainable(), *(self._change((rival,)) for rival in beside)])
+            more = np.zeros(len(beside))
+            move = _bounded(columns, change, np.append(lower, more), np.append(upper, more + np.inf))
+            return size(change - columns @ move)
+        same = self._told(changed(self.base, self.case.body, hidden)[0])
+        nothing = np.zeros(len(lower))
+        says = np.append(np.clip(same, box[:, 0], box[:, 1]), nothing[len(box) :])
+        best = np.inf
+        for at in (nothing, says) if np.any(same) else (nothing,):
+            rest = change - self._shift(at)
+            least = size(rest)
+            for _ in range(
+                5 if closely else 2
+            ):  # what nuisance explains, and again of what is left when it truly is so
+                columns = self._explainable(at if closely and np.any(at) else None)
+                move = _bounded(columns, rest, lower - at, upper - at)
+                for part in (1.0, 0.3):
+                    left = change - self._shift(at + part * move)
+                    if size(left) < least:
+                        break
+                before, least = least, min(least, size(left))
+                if least > 0.95 * before:
+                    break
+                at, rest = at + part * move, left
+            best = min(best, least)
+            if best < 1:
+                break
+        return best
+
+    def _starts(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(runs, 2) by how much start states differ, within the limits."""
+        body = self.case.body
+        starts = at.reshape(-1, 2) * 1e-3 * np.array([body.range, body.speed])
+        q0 = np.array([plan.q0 for plan in self.case.plans])
+        starts[:, 0] = np.clip(starts[:, 0], body.lower - q0, body.upper - q0)
+        return starts
+
+    def _shift(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(rows,) what nuisance of this size, in the units of the columns, truly does to the readings."""
+        if not np.any(at):
+            return np.zeros(self._q.size)
+        k = len(self._bounds())
+        world, starts = self._moved(at[:k]), self._starts(at[k:])
+        rows = [self._run(world, plan, i, *map(float, starts[i]))[:, 0] for i, plan in enumerate(self.case.plans)]
+        return np.asarray((np.array(rows) - self._q).ravel())
+
+    def _change(self, hidden: tuple[Hidden, ...]) -> NDArray[np.float64]:
+        world, reading = changed(self.base, self.case.body, hidden)
+        return np.asarray((self._trace(world, reading)[0] - self._q).ravel())
+
+    def sized(self, name: str, seed: int, start: float, target: float, gauge: bool) -> Hidden:
+        """The effect at a size that makes a gap of `target` floors, within the sizes that it may have."""
+        low, high = effects.SMALLEST.get(name, 1e-6), effects.LARGEST.get(name, 1e3)
+        size = best = start
+        off, below, above = np.inf, None, None
+        for _ in range(1 if gauge else 8):
+            found = max(self.ratio((Hidden(name, seed, size),)), 1e-3)
+            if abs(np.log(found / target)) < off:
+                best, off = size, abs(np.log(found / target))
+            if off < 0.3:
+                break
+            below, above = (size, above) if found < target else (below, size)
+            if below is not None and above is not None:
+                size = float(np.sqrt(below * above))
+            else:
+                size = float(np.clip(size * np.clip(target / found, 0.1, 8.0), low, high))
+        return Hidden(name, seed, best)
+
+
+def _bounded(
+    columns: NDArray[np.float64], rest: NDArray[np.float64], lower: NDArray[np.float64], upper: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(k,) the least squares solution of columns @ x = rest within the bounds."""
+    scale = np.linalg.norm(columns, axis=0)
+    keep = scale > 1e-12
+    basis, R = np.linalg.qr(columns[:, keep] / scale[keep])
+    ends = [np.minimum(lower[keep] * scale[keep], -1e-12), np.maximum(upper[keep] * scale[keep], 1e-12)]
+    found = np.zeros(len(scale))
+    found[keep] = lsq_linear(R, basis.T @ rest, ends, method="bvls").x / scale[keep]
+    return found
