@@ -140,9 +140,23 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     if standing:
         missing = {names for j in standing for names in _plainer(j.names)} - {j.names for j in standing}
         standing += [judged(search.of(names), folds) for names in sorted(missing)]
+        standing += twins(standing, search, folds)
         found = rivals([earned(j, search, folds, bar, settings) for j in standing], settings)
         return Choice(base, p, found, found[0], bar, True, tuple(tried))
     return Choice(base, p, (), min(tried, key=lambda j: j.floors), bar, True, tuple(tried))
+
+
+def twins(standing: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:
+    """What differs from a standing set by an effect's twin, judged by the same measure."""
+    known = {j.names for j in standing}
+    found: list[Judged] = []
+    for j in standing:
+        for fit in search.twins(j.fit):
+            if fit.theory.names not in known:
+                known.add(fit.theory.names)
+                other = judged(fit, folds)
+                found.append(other if j.loose is None else loosened(other, folds))
+    return found
 
 
 def earned(judgement: Judged, search: Search, folds: tuple[Fold, ...], bar: float, settings: ChoiceSettings) -> Judged:

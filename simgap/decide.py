@@ -11,9 +11,11 @@ from simgap.fit import Fit, Problem
 from simgap.floor import Floor
 from simgap.settings import ChoiceSettings
 from simgap.verdict import Named, RunGap, Verdict
-from simgap.words import amount, effect_words, plain
+from simgap.words import amount, closed_text, effect_words, plain
 
 _NORMAL_90 = 1.645
+_NEAR = 0.5
+"""Part of the gap that the best try may leave and still be told of where nothing explains it."""
 
 
 def moves_enough(runs: tuple[FitRun, ...], floor: Floor, settings: ChoiceSettings) -> bool:
@@ -21,8 +23,13 @@ def moves_enough(runs: tuple[FitRun, ...], floor: Floor, settings: ChoiceSetting
     return max(float(np.ptp(run.q)) for run in runs) > settings.least_motion * floor.still
 
 
-def still_verdict(runs: tuple[FitRun, ...], floor: Floor) -> Verdict:
-    """Nothing moved: nothing is known."""
+def says_enough(runs: tuple[FitRun, ...], settings: ChoiceSettings) -> bool:
+    """Whether there are readings enough to fit some and hold out others."""
+    return sum(len(run.q) for run in runs) >= settings.least_readings
+
+
+def silent_verdict(runs: tuple[FitRun, ...], floor: Floor, moved: bool) -> Verdict:
+    """Nothing moved, or hardly anything was read: nothing is known."""
     gaps = tuple(RunGap(r.name, floor.still, floor.still, floor.still, bool(r.held_out), r.regime) for r in runs)
     return Verdict(
         "not_excited",
@@ -30,8 +37,11 @@ def still_verdict(runs: tuple[FitRun, ...], floor: Floor) -> Verdict:
         (),
         gaps,
         (),
-        "Let it go from far off its rest position, or push it through its whole range, and record again.",
-        "The joint hardly moved: these runs cannot tell whether anything is missing in the simulation.",
+        "Record some runs of a few seconds each, from all over its range."
+        if moved
+        else "Let it go from far off its rest position, or push it through its whole range, and record again.",
+        f"{'There are too few readings' if moved else 'The joint hardly moved'}: these runs cannot tell whether "
+        "anything is missing in the simulation.",
     )
 
 
@@ -47,9 +57,12 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
     if not choice.explaining:
         said = (
             f"Simulation and measurement differ by {_length(before.floors * floor.still, problem)}, and no effect of "
-            f"the library explains it; the nearest, {_listed(choice.best)}, leaves "
-            f"{_length(choice.best.floors * floor.still, problem)}."
+            "the library explains it"
         )
+        if choice.best.names and choice.best.floors < _NEAR * before.floors:
+            said += f"; the nearest, {_listed(choice.best)}, leaves "
+            said += _length(choice.best.floors * floor.still, problem)
+        said += "."
         return Verdict("unexplained", (), (), _gaps(runs, before, before, floor), (), None, said)
     best = choice.explaining[0]
     named = named_effects(best)
@@ -66,8 +79,8 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
         said = f"Something is missing, perhaps {words}, but these runs do not move enough of it to say how much."
         wider = "Record larger and smaller motions over the whole range, with pushes of known size."
         return Verdict("not_excited", named, (), gaps, (), wider, said)
-    closed = 1 - best.floors / before.floors
-    said = f"The simulation misses this: {words}. With it {closed:.0%} of the gap on runs that were not fitted is gone."
+    closed = (before.floors - best.floors) / max(before.floors - 1.0, 1e-9)
+    said = f"The simulation misses this: {words}. {closed_text(float(np.clip(closed, 0.0, 1.0)))}"
     return Verdict("named", named, (), gaps, (), None, said)
 
 

@@ -30,13 +30,14 @@ from simgap.show import (
     Replayed,
     ReplayGap,
     Shown,
+    closed_alike,
     helps,
     show,
 )
 from simgap.surrogate import Nuisance, Plant
 from simgap.track_geometry import lever_of, middle_of
 from simgap.verdict import Named, RunGap, Verdict
-from simgap.words import plain
+from simgap.words import plain, with_closed
 from simgap.writeback import repaired
 
 MOST_REPLAYS = 6
@@ -211,7 +212,11 @@ def _judged(
         bad = [n for n in tried if n.effect.kind != "kinematics"]
         notes.append(f"SAPIEN could not replay {_names(bad or tried)}: {why}")
         return _rolled_back(verdict, certain, bad or list(tried)), _without(certain, bad or list(tried)), notes
+    fitted = {gap.regime for gap in verdict.gaps if not gap.held_out}
     verdict = replace(verdict, gaps=_measured_gaps(verdict.gaps, shown))
+    same = closed_alike(shown, fitted)[0] if shown.runs else None
+    if same is not None:
+        verdict = replace(verdict, sentence=with_closed(verdict.sentence, same))
     if shown.given_up:
         done = len(shown.runs)
         notes.append(

@@ -16,7 +16,7 @@ from freeart21.view.tables import table_section
 from simgap.finding import KinematicsFinding
 from simgap.localise import LEVEL, ResidualMap
 from simgap.report_plots import AFTER, BEFORE, Line, chart, interval_drawing, map_drawing, p_text, run_drawings
-from simgap.show import ReplayGap, Shown
+from simgap.show import ReplayGap, Shown, closed_alike
 from simgap.track_geometry import TrackGeometry
 from simgap.verdict import RunGap, Verdict
 from simgap.words import capital, effect_words, number_text, plain
@@ -148,11 +148,11 @@ def _closed(gap: Gap) -> list[str]:
     assert gap.shown is not None
     fitted = {r.regime for r in gap.verdict.gaps if not r.held_out}
     regimes = {r.regime for r in gap.shown.runs}
-    same, other = gap.shown.closed(regimes & fitted or regimes), gap.shown.closed(regimes - fitted)
+    same, other = closed_alike(gap.shown, fitted)
     tiles = []
     if same is not None:
         tiles.append(_tile(f"{100 * same:.0f} %", "of the gap closed", "same kind of motion as was fitted"))
-    if other is not None and regimes & fitted and regimes - fitted:
+    if other is not None:
         tiles.append(_tile(f"{100 * other:.0f} %", "closed in other motion", ", ".join(sorted(regimes - fitted))))
     return tiles
 

@@ -23,14 +23,15 @@ _FAR = 2.0
 
 PLAINER = {
     "stribeck_friction": "coulomb_friction",
-    "load_friction": "coulomb_friction",
     "backlash": "armature",
 }
 """Effect to the one that it becomes in a special case: the plainer one has the name unless it does worse."""
+TWINS = {"coulomb_friction": ("level", "load_friction"), "load_friction": ("coefficient", "coulomb_friction")}
+"""Effect to its size's name and to the effect that does the same where the load on the bearing stays as it is."""
 
 
-def candidates(problem: Problem, runs: tuple[FitRun, ...]) -> tuple[str, ...]:
-    """Names of the effects that these runs could show at all."""
+def candidates(problem: Problem, runs: tuple[FitRun, ...], encoder: bool = True) -> tuple[str, ...]:
+    """Names of the effects that these runs could show at all; without an `encoder` part poses told the positions."""
     commanded = any(np.any(run.inputs.effort) or np.isfinite(run.inputs.command).any() for run in runs)
     span = problem.q_high - problem.q_low
     near = problem.q_low < problem.plant.lower + 0.02 * span or problem.q_high > problem.plant.upper - 0.02 * span
@@ -39,6 +40,8 @@ def candidates(problem: Problem, runs: tuple[FitRun, ...]) -> tuple[str, ...]:
 
     def possible(cls: type[Effect]) -> bool:
         if problem.plant.joint_type not in cls.joint_types or cls.kind == "kinematics":
+            return False
+        if cls.name in ("encoder_offset", "encoder_scale") and not encoder:
             return False
         if cls.acts == "command" or cls.acts == "slack":
             return commanded and not (slack and cls.acts == "slack")
@@ -189,6 +192,21 @@ class Search:
             at = placed(parent, cut) if cut is not self.train else parent
             self._started(parent, guesses(at, cut, new)[0])
         return self.fits[names]
+
+    def twins(self, fit: Fit) -> list[Fit]:
+        """The sets with an effect's twin in its place, started where both do the same under the usual load."""
+        found = []
+        for name in fit.theory.names:
+            size, twin = TWINS.get(name, ("", ""))
+            if twin not in self.names or twin in fit.theory.names:
+                continue
+            names = tuple(sorted({*fit.theory.names, twin} - {name}))
+            value = getattr(next(e for e in fit.effects if e.name == name), size)
+            usual = value * self.problem.load if name == "load_friction" else value / self.problem.load
+            theory = Theory(self.problem, names)
+            start = joined(theory, fit, {twin: {TWINS[twin][0]: usual}})
+            found.append(self._keep(fitted(theory, self.train, start, fit.starts)))
+        return found
 
     def without(self, fit: Fit, name: str) -> Fit:
         """The set of `fit` without one effect, started from `fit`."""

@@ -40,6 +40,9 @@ class ChoiceSettings:
 
     least_motion: float = 15.0
     """Floors that the joint must move through for anything to be said."""
+    least_readings: int = 60
+    """Readings, of all runs together, below which nothing is said: three stretches, each with a start of its own, and
+    the asset's own doubts leave none to spare."""
     max_effects: int = 3
     singles: int = 7
     """Effects that are fitted alone: those of the best first-order guesses."""

@@ -139,6 +139,14 @@ class Shown:
         return (before - after) / (before - floor) if before > floor else None
 
 
+def closed_alike(shown: Shown, fitted: Iterable[str]) -> tuple[float | None, float | None]:
+    """Closed part of the gap in motion of the `fitted` regimes (in all where none of those was replayed), and in other
+    motion."""
+    regimes = {r.regime for r in shown.runs}
+    like = regimes & set(fitted)
+    return shown.closed(like or regimes), shown.closed(regimes - like) if like and regimes - like else None
+
+
 def show(
     before: Asset,
     after: Asset,

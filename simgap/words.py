@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from freeart21.effects.base import Effect
@@ -71,6 +73,19 @@ def span_text(quantity: str, low: float, high: float, joint_type: JointType) -> 
     digits = max(0, 1 - int(np.floor(np.log10(max(factor * (high - low), 1e-6)))))
     ends = [f"{round(factor * v, digits) + 0.0:.{digits}f}" for v in (low, high)]
     return f"{ends[0]} to {ends[1]}{unit}{per}"
+
+
+_CLOSED = re.compile(r"With it -?\d+% of the gap")
+
+
+def closed_text(part: float) -> str:
+    """How much of the gap beyond the sensor's noise an answer closes."""
+    return f"With it {part:.0%} of the gap on runs that were not fitted is gone."
+
+
+def with_closed(sentence: str, part: float) -> str:
+    """The sentence with another closed part."""
+    return _CLOSED.sub(f"With it {part:.0%} of the gap", sentence)
 
 
 def number_text(value: float, unit: str) -> str:

@@ -18,7 +18,7 @@ from freeart21.joint import JointType
 from freeart21.measured import Measured
 from simgap.choose import Choice, Judged, chosen, folds_of, p_value
 from simgap.data import FitRun, fit_runs
-from simgap.decide import moves_enough, still_verdict, verdict_of
+from simgap.decide import moves_enough, says_enough, silent_verdict, verdict_of
 from simgap.finding import KinematicsFinding
 from simgap.fit import Fit, Problem, Reader, placed
 from simgap.floor import Floor
@@ -52,8 +52,9 @@ def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) 
     positions = with_positions(measured, geometry)
     plant = plant_of(asset, measured)
     runs, floor = as_tracked(*fit_runs(positions, plant), geometry)
-    if not moves_enough(runs, floor, settings.choice):
-        motion = still_verdict(runs, floor)
+    moved = moves_enough(runs, floor, settings.choice)
+    if not moved or not says_enough(runs, settings.choice):
+        motion = silent_verdict(runs, floor, moved)
         return Draft(
             joined(motion, geometry, measured.joint_type),
             geometry=geometry,
@@ -63,7 +64,8 @@ def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) 
     problem = problem_of(plant, measured, runs, floor, settings)
     folds = folds_of(runs)
     fitted_runs = folds[0].train if len(folds) == 1 else runs
-    search = Search(problem, fitted_runs, settings.choice, candidates(problem, fitted_runs))
+    encoder = any(run.poses is None for run in measured.runs)
+    search = Search(problem, fitted_runs, settings.choice, candidates(problem, fitted_runs, encoder))
     choice = chosen(search, folds, settings.choice)
     motion = verdict_of(choice, runs, floor, problem)
     before, after = choice.base, (choice.explaining[0] if choice.explaining else choice.base)

@@ -13,6 +13,7 @@ from hidden.nuisance import (
     Nuisance,
     draw_nuisance,
     nominal_times,
+    true_world,
 )
 from hidden.rig import RUNS, Plan, Servo, draw_plans, draw_servo
 from hidden.strength import Gap, Hidden
@@ -31,12 +32,14 @@ PAIRS = (
     ("backlash", "viscous_damping"),
     ("armature", "coulomb_friction"),
 )
+CONSTANT_LOAD = ("load_friction", "coulomb_friction")
+"""One and the same where the bearing always carries the same: on all but a hinge that lies."""
 GAUGES = (  # effect, rig, families, what cannot be told apart
     ("encoder_offset", "swing", ("pendulum",), ("encoder_offset", "gravity_offset")),
     ("armature", "swing", ("pendulum",), ("armature", "gravity_offset")),
     ("actuator_gain", "servo", ("drawer",), ("actuator_gain", "armature")),
     ("actuator_delay", "effort", ("pendulum", "door", "drawer"), ("actuator_delay", "time_offset")),
-    ("load_friction", "full", ("drawer", "slope"), ("load_friction", "coulomb_friction")),
+    ("load_friction", "full", ("drawer", "slope"), CONSTANT_LOAD),
 )
 CLEAR, WEAK = (6.0, 40.0), (1.3, 4.0)
 """Floors of the gap that nuisance cannot explain."""
@@ -112,7 +115,8 @@ def draw_case(wish: Wish, seed: int, search: bool = True) -> Case:
         body = replace(body, damping=0.0, friction=0.0)  # a known force would set the scale
     servo = draw_servo(rng, body)
     nuisance = draw_nuisance(rng, body)
-    plans = draw_plans(rng, body, wish.rig, servo, nominal_times())
+    at_rest = lying_still(body, nuisance) if wish.rig == "still" else body
+    plans = draw_plans(rng, at_rest, wish.rig, servo, nominal_times())
     seeds = [int(s) for s in rng.integers(1 << 30, size=2)]
     case = Case(wish, seed, body, servo, nuisance, plans, ())
     if not wish.names:
@@ -147,6 +151,16 @@ def draw_case(wish: Wish, seed: int, search: bool = True) -> Case:
     return replace(case, hidden=hidden, floor=gap.floor, ratio=total, distinct=alone)
 
 
+def lying_still(body: Body, nuisance: Nuisance) -> Body:
+    """The hinge's body as it really hangs: who wants it still does not lift it to where its asset says it rests."""
+    true = true_world(body, nuisance)
+    angle = np.arctan2(true.gravity_cosine, -true.gravity_sine)
+    g = body.gravity - (body.gravity @ body.axis) * body.axis
+    down, across = g / np.linalg.norm(g), np.cross(body.axis, g / np.linalg.norm(g))
+    along = (body.com @ body.axis) * body.axis
+    return replace(body, com=along + body.arm * (np.cos(angle) * down - np.sin(angle) * across))
+
+
 def wishes(seed: int, share: float = 1.0) -> list[Wish]:
     """All cases of a benchmark, shuffled; `share` makes fewer of each stratum. Nulls are 400 of about 950."""
     rng = np.random.default_rng([seed, 2])
@@ -166,11 +180,16 @@ def wishes(seed: int, share: float = 1.0) -> list[Wish]:
         for name in effects.START:
             for i in range(count(8)):
                 kind = "pendulum" if name == "load_friction" else family()
+                sets: tuple[str, ...] = ()
+                if name == "coulomb_friction" and strength == "weak":
+                    kind = "pendulum"
+                if name == "coulomb_friction" and kind != "pendulum":
+                    sets = CONSTANT_LOAD
                 if i % 4 == 3 and name in ("viscous_damping", "coulomb_friction", "quadratic_drag", "return_spring"):
                     rig = str(rng.choice(["free", "push", "servo"]))
                 else:
                     rig = "full"
-                found.append(Wish("single", (name,), rig, kind, strength))
+                found.append(Wish("gauge" if sets else "single", (name,), rig, kind, strength, sets))
     for name in ("viscous_damping", "quadratic_drag", "return_spring"):
         found += [Wish("single", (name,), "swing", "pendulum") for _ in range(count(6))]
     for name in poses.KINEMATIC:
@@ -180,7 +199,8 @@ def wishes(seed: int, share: float = 1.0) -> list[Wish]:
                 Wish("kinematic", (name,), "poses", str(rng.choice(["pendulum", "door"])) if hinge else family())
             )
     for pair in PAIRS:
-        found += [Wish("pair", pair, "full", family()) for _ in range(count(5))]
+        kinds = ["pendulum" if "coulomb_friction" in pair else family() for _ in range(count(5))]
+        found += [Wish("pair", pair, "full", kind) for kind in kinds]
     for name in effects.STRANGE:
         for _ in range(count(8)):
             kind = "pendulum" if name == "asymmetric_friction" else family()

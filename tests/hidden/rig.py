@@ -77,6 +77,7 @@ def _plan(
         return Plan(q0, v0, None, None)
     if kind in "RPE":
         q0, v0, effort = _push(rng, body, kind, i, wild, times)
+        q0 = q0 if small == 1 else body.rest + small * (q0 - body.rest)
         return Plan(q0, small * v0, None, small * effort)
     command = _command(rng, body, kind, wild, times, small)
     q0 = command[0] + small * 0.05 * body.range * rng.uniform(-1, 1)
@@ -139,7 +140,7 @@ def _command(
     """Commanded positions: S steps, C a chirp, X a fast and wide chirp."""
     centre = body.lower + 0.5 * body.range
     if body.family == "pendulum":
-        centre = body.rest + 0.15 * body.range
+        centre = body.rest + (0.15 * body.range if small == 1 else 0.0)
     if kind == "S":
         levels = centre + small * 0.24 * body.range * rng.uniform(0.5, 1, 5) * np.array([-1, 1, -1, 1, -1])
         return levels[np.minimum((times / times[-1] * 5).astype(int), 4)]
