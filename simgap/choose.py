@@ -13,11 +13,15 @@ from itertools import pairwise
 import numpy as np
 from scipy.stats import norm
 
+from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
 from simgap.data import FitRun
 from simgap.fit import Fit, fitted, foretold
 from simgap.search import PLAINER, Search, relaxed
 from simgap.settings import ChoiceSettings
+
+_EDGE = 0.02
+"""Part of a range that counts as its end."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     first = [judged(fit, folds) for fit in level[: settings.contenders]]
     tried = list(first)
     best = min(first, key=lambda j: j.floors)
-    p = p_value(base, first[0], len(search.names))
+    p = p_value(base, first[0], search.tries)
     closed = np.sqrt(max(base.floors**2 - best.floors**2, 0.0))
     bar = float(np.hypot(settings.explained, settings.explained_part * base.floors))
     gap = bool((p < settings.p_value and closed > settings.least_gap) or base.floors > settings.plain_gap)
@@ -120,13 +124,20 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         contenders = [
             loosened(j, folds) if settings.explained < j.floors < settings.form_factor * bar else j for j in contenders
         ]
-        standing = [j for j in contenders if j.reach <= bar]
+        standing = [j for j in contenders if j.reach <= bar and not at_bound(j.fit)]
         reach = min((j.reach for j in standing), default=np.inf)
         plain = min((j.floors for j in standing), default=np.inf)
         well = reach <= max(settings.explained, settings.well_explained * bar)
         if (well and plain <= settings.form_doubt) or size == settings.max_effects:
             break
-        level = search.larger(level[: settings.parents])
+        nearest = min(j.reach for j in (*tried, *contenders))
+        if size > 1 and not standing and nearest > settings.hopeless * bar:
+            break  # nor would a third bring it there
+        parents = level[: settings.parents if size == 1 or well else 1]
+        if standing and not well:  # is there more beside it?
+            names = {j.names for j in standing}
+            parents = [fit for fit in level if fit.theory.names in names][:1] or parents
+        level = search.larger(parents)
         contenders = [judged(fit, folds) for fit in level[: settings.contenders]]
         tried += contenders
         if well:  # by its form alone: others that need none of it stand instead, more effects beside it do not
@@ -144,6 +155,18 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         found = rivals([earned(j, search, folds, bar, settings) for j in standing], settings)
         return Choice(base, p, found, found[0], bar, True, tuple(tried))
     return Choice(base, p, (), min(tried, key=lambda j: j.floors), bar, True, tuple(tried))
+
+
+def at_bound(fit: Fit) -> bool:
+    """Whether a place or a width of an effect lies at the end of what it may be: it stands for something else."""
+    for r, x in zip(fit.theory.ranges(), fit.theta, strict=True):
+        spec = EFFECTS[r.owner].parameters().get(r.name) if r.owner in EFFECTS else None
+        if spec is None or spec.revolute_unit != "rad" or EFFECTS[r.owner].acts != "force":
+            continue
+        width = r.lower >= 0
+        if x > r.upper - _EDGE * (r.upper - r.lower) or (not width and x < r.lower + _EDGE * (r.upper - r.lower)):
+            return True
+    return False
 
 
 def twins(standing: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:

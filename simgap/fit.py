@@ -75,10 +75,12 @@ class Fit:
 class _Model:
     """A theory before runs, as the solver asks of it."""
 
-    def __init__(self, theory: Theory, runs: tuple[FitRun, ...], step: float):
-        self.reader, self.runs, self.step = Reader(theory), runs, step
+    def __init__(self, theory: Theory, runs: tuple[FitRun, ...], at: Array):
+        self.reader, self.runs = Reader(theory), runs
         self.problem = theory.problem
         self._kept: tuple[bytes, Array, tuple[Effect, ...]] | None = None
+        effects, settings = self.numbers(at)[1], theory.problem.surrogate
+        self.steps = {held: step_of(self.problem.plant, effects, settings, held) for held in (True, False)}
 
     def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
         """Vector and effects at parameters (p,); the last ones are kept."""
@@ -87,13 +89,13 @@ class _Model:
             self._kept = (key, *self.reader.numbers(theta))
         return self._kept[1], self._kept[2]
 
-    def look(self, i: int, starts: Array, theta: Array) -> Array:
-        """(m, n) residuals of run i from starts (m, 2)."""
+    def look(self, i: int, starts: Array, theta: Array, seen: int | None = None) -> Array:
+        """(m, n) residuals of run i, or of the first readings that are `seen` of it, from starts (m, 2)."""
         numbers, effects = self.numbers(theta)
         table = np.repeat(numbers[None], len(starts), 0)
         table[:, kernel.Q0], table[:, kernel.QD0] = starts[:, 0], starts[:, 1]
-        run = self.runs[i]
-        q = sweep(table, terms_of(effects), run.times_s, run.inputs, self.step)
+        run = self.runs[i] if seen is None else self.runs[i].between(0, seen)
+        q = sweep(table, terms_of(effects), run.times_s, run.inputs, self.steps[run.inputs.held])
         return np.asarray((run.q - (readings_of(effects, q) if self.reader.sensing else q)) / run.sigma)
 
     def slopes(self, starts: Array, theta: Array, parts: list[Array], free: bool) -> list[Array]:
@@ -114,7 +116,7 @@ class _Model:
             moves[0] = abs(moves[0]) * (-1.0 if starts[i, 0] + abs(moves[0]) > problem.plant.upper else 1.0)
             table[0, kernel.Q0] += moves[0]
             table[1, kernel.QD0] += moves[1]
-            q = sweep(table, terms, run.times_s, run.inputs, self.step)
+            q = sweep(table, terms, run.times_s, run.inputs, self.steps[run.inputs.held])
             if self.reader.sensing:
                 q = np.stack([readings_of(its, row) for (_, its), row in zip(made, q, strict=True)])
             found.append((q - (run.q - parts[i] * run.sigma)) / run.sigma / moves[:, None])
@@ -150,8 +152,7 @@ def fitted(
     if known is not None:
         neutral, weight = known.theta, known.normal
     at = np.clip(theory.neutral() if theta is None else theta, low, high)
-    model = _Model(theory, runs, 0.0)
-    model.step = step_of(plant, model.numbers(at)[1], theory.problem.surrogate)
+    model = _Model(theory, runs, at)
     given = starts or {}
     begin = np.array([given[r.name] if r.name in given else _start(model, i, at) for i, r in enumerate(runs)])
     begin[:, 0] = np.clip(begin[:, 0], plant.lower, plant.upper)
@@ -176,9 +177,7 @@ def _start(model: _Model, i: int, theta: Array) -> Array:
     rows = np.array([*told[1:], *((q, v) for q in (told[0][0], run.q[0]) for v in speeds)])
     rows[:, 0] = np.clip(rows[:, 0], plant.lower, plant.upper)
     seen = max(8, int(np.searchsorted(run.times_s, run.times_s[0] + _SEEN_S)))
-    short = _Model(model.reader.theory, (run.between(0, seen),), model.step)
-    short._kept = model._kept
-    left = short.look(0, rows, theta)
+    left = model.look(i, rows, theta, seen)
     return np.asarray(rows[int(np.argmin((left * left).sum(1)))])
 
 
@@ -243,7 +242,7 @@ def predicted(fit: Fit, run: FitRun, times_s: Array | None = None) -> Array:
     numbers, effects = reader.numbers(fit.theta)
     numbers[kernel.Q0], numbers[kernel.QD0] = fit.starts[run.name]
     times = run.times_s if times_s is None else times_s
-    step = step_of(fit.theory.problem.plant, effects, fit.theory.problem.surrogate)
+    step = step_of(fit.theory.problem.plant, effects, fit.theory.problem.surrogate, run.inputs.held)
     return readings_of(effects, sweep(numbers[None], terms_of(effects), times, run.inputs, step)[0])
 
 
@@ -262,11 +261,7 @@ def tangent(fit: Fit, runs: tuple[FitRun, ...]) -> tuple[list[Array], list[Array
     """Of every run: residuals (n,), and what a unit of start (2, n) and of each parameter (p, n) does to the readings,
     all in floors. The fit must have starts for the runs.
     """
-    model = _Model(
-        fit.theory,
-        runs,
-        step_of(fit.theory.problem.plant, Reader(fit.theory).effects(fit.theta), fit.theory.problem.surrogate),
-    )
+    model = _Model(fit.theory, runs, fit.theta)
     starts = np.array([fit.starts[run.name] for run in runs])
     parts = [model.look(i, starts[i : i + 1], fit.theta)[0] for i in range(len(runs))]
     slopes = model.slopes(starts, fit.theta, parts, True)

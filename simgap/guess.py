@@ -154,11 +154,11 @@ class _Linear:
         reader = Reader(theory)
         made = [reader.numbers(joined(theory, self.fit, {name: point})) for point in points]
         table = np.array([numbers for numbers, _ in made])
-        step = step_of(self.problem.plant, made[0][1], self.problem.surrogate)
+        steps = {held: step_of(self.problem.plant, made[0][1], self.problem.surrogate, held) for held in (True, False)}
         terms, parts = terms_of(made[0][1]), []
         for i, run in enumerate(self.runs):
             table[:, kernel.Q0], table[:, kernel.QD0] = self.fit.starts[run.name]
-            q = sweep(table, terms, run.times_s, run.inputs, step)
+            q = sweep(table, terms, run.times_s, run.inputs, steps[run.inputs.held])
             if reader.sensing:
                 q = np.stack([readings_of(effects, row) for (_, effects), row in zip(made, q, strict=True)])
             parts.append(self._freed(i, (q - self.now[i]) / run.sigma))

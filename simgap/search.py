@@ -15,6 +15,8 @@ from simgap.settings import ChoiceSettings
 _CROSSINGS = 2.5
 """Crossings of the range at top speed that a stretch lasts for, in which a first-order look sees an effect whole."""
 _SCREEN = 2
+_SLACKS = (0.003, 0.01, 0.03)
+"""Parts of the way moved through that a slack is tried at."""
 _HOPEFUL = 6.0
 """Times the least sum of squares on stretches that another effect may leave there and still be fitted to whole runs."""
 _FAR = 2.0
@@ -82,6 +84,12 @@ class Search:
             self._first = cut, at.starts, guesses(at, cut, self.names)
         return self._first
 
+    @property
+    def tries(self) -> int:
+        """Effects at all their places, widths and speeds that were looked at: any of them might be the best by
+        chance."""
+        return max(len(self._guesses()[2]), len(self.names))
+
     def singles(self) -> list[Fit]:
         """Every effect alone, the best first."""
         cut, starts, found = self._guesses()
@@ -101,7 +109,22 @@ class Search:
         for name, plainer in PLAINER.items():
             if (name,) in self.fits and (plainer,) in self.fits:
                 self._keep_from(name, self.fits[(plainer,)])
+        if ("armature",) in self.fits and ("backlash",) in self.fits:
+            self._with_slack(self.fits[("armature",)])
         return self._resettled([self.fits[(name,)] for name in self.names if (name,) in self.fits])
+
+    def _with_slack(self, armature: Fit) -> None:
+        """Backlash from an armature of its drive's inertia, with a slack so narrow that it hardly makes a difference:
+        through a wide one far from the true one all impacts fall elsewhere."""
+        theory, span = Theory(self.problem, ("backlash",)), self.problem.q_high - self.problem.q_low
+        inertia = next(iter(armature.effects)).inertia()
+        if self.fits[("backlash",)].cost < armature.cost or inertia <= 0:
+            return
+        points = [{"width": part * span, "drive_inertia": inertia} for part in _SLACKS]
+        starts = [joined(theory, armature, {"backlash": point}) for point in points]
+        tried = [fitted(theory, self.train, theta, armature.starts, _SCREEN) for theta in starts]
+        best = min(tried, key=lambda fit: fit.cost)
+        self._keep(fitted(theory, self.train, best.theta, best.starts))
 
     def _apart(self, own: list[Guess]) -> list[Guess]:
         """The best first guesses of one effect that differ: neighbours on the grid lead to the same fit."""

@@ -70,6 +70,8 @@ class ChoiceSettings:
     """Floors that a plain formula may leave before sets of other effects are tried, though its form explains it."""
     form_factor: float = 8.0
     """Bars of error beyond which no departure from a formula is tried."""
+    hopeless: float = 3.0
+    """Bars of error that the best set may leave for a third effect to be looked for."""
     much_better: float = 0.6
     """A larger set must leave less than this part of what a smaller one leaves."""
     rival: float = 1.15

@@ -97,6 +97,11 @@ class Inputs:
     push: Array = field(default_factory=_nothing)
     """External efforts: they act on the part."""
 
+    @cached_property
+    def held(self) -> bool:
+        """Whether a position law is at work."""
+        return bool(np.isfinite(self.command).any())
+
 
 @dataclass(frozen=True)
 class Nuisance:
@@ -194,9 +199,10 @@ def step_of(
     plant: Plant,
     effects: tuple[Effect, ...],
     settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
+    held: bool = True,
 ) -> float:
-    """Longest step, s, at which the fastest oscillation is stepped finely."""
-    gain = float(np.prod([effect.gain() for effect in effects]))
+    """Longest step, s, at which the fastest oscillation is stepped finely; with the position law off unless `held`."""
+    gain = float(np.prod([effect.gain() for effect in effects])) if held else 0.0
     inertia = plant.mechanics.inertia
     stiffness = float(np.hypot(*plant.gravity_terms[0, :2])) + sum(effect.steepness() for effect in effects)
     slack = next((effect for effect in effects if isinstance(effect, Backlash)), None)

@@ -140,14 +140,14 @@ def draw_case(wish: Wish, seed: int, search: bool = True) -> Case:
         return replace(case, hidden=hidden, ratio=np.nan, distinct=np.nan)
     total = gap.ratio(hidden, closely=True)
     if wish.stratum == "pair":
-        alone = min(gap.ratio((h,), beside=(other,)) for h, other in zip(hidden, hidden[::-1], strict=True))
+        alone = min(total, *(gap.ratio(hidden, beside=(other,)) for other in hidden))
     else:
         rivals = tuple(
             Hidden(name, 5, effects.START[name][0])
             for name in effects.RIVALS_OF.get(wish.names[0], ())
             if wish.stratum != "still"
         )
-        alone = gap.ratio(hidden, beside=rivals) if rivals else total
+        alone = min(total, gap.ratio(hidden, beside=rivals)) if rivals else total
     return replace(case, hidden=hidden, floor=gap.floor, ratio=total, distinct=alone)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,6 +50,7 @@ class Gap:
     case: Case
     base: World = field(init=False)
     floor: float = field(init=False)
+    _beside: tuple[Hidden, ...] = ()
     _kept: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -93,10 +95,12 @@ class Gap:
         w = self.base
         if self.case.body.revolute:
             c, s = self._pull * at[1:3] @ self._ways()
-            return w._replace(
+            w = w._replace(
                 inertia=(1 + at[0]) * w.inertia, gravity_cosine=w.gravity_cosine + c, gravity_sine=w.gravity_sine + s
             )
-        return w._replace(inertia=(1 + at[0]) * w.inertia, gravity_constant=w.gravity_constant + self._pull * at[1])
+            return changed(w, self.case.body, self._beside)[0]
+        w = w._replace(inertia=(1 + at[0]) * w.inertia, gravity_constant=w.gravity_constant + self._pull * at[1])
+        return changed(w, self.case.body, self._beside)[0]
 
     def _told(self, world: World) -> NDArray[np.float64]:
         """(1 + k,) by how much a world's inertia and gravity differ from this one's, in the units of `_moved`."""
@@ -160,11 +164,13 @@ class Gap:
             return float(np.sqrt(powers[:-HAIR].mean()) / self.floor)
 
         lower, upper = np.append(box[:, 0], [-np.inf] * 2 * RUNS), np.append(box[:, 1], [np.inf] * 2 * RUNS)
-        if beside:
+        if any(rival.name in effects.SENSING for rival in beside):
             columns = np.column_stack([self._explainable(), *(self._change((rival,)) for rival in beside)])
             more = np.zeros(len(beside))
             move = _bounded(columns, change, np.append(lower, more), np.append(upper, more + np.inf))
             return size(change - columns @ move)
+        if beside:
+            return self._beyond(change, beside, (lower, upper), size)
         same = self._told(changed(self.base, self.case.body, hidden)[0])
         nothing = np.zeros(len(lower))
         says = np.append(np.clip(same, box[:, 0], box[:, 1]), nothing[len(box) :])
@@ -172,9 +178,7 @@ class Gap:
         for at in (nothing, says) if np.any(same) else (nothing,):
             rest = change - self._shift(at)
             least = size(rest)
-            for _ in range(
-                5 if closely else 2
-            ):  # what nuisance explains, and again of what is left when it truly is so
+            for _ in range(5 if closely else 2):  # and again of what is left when it truly is so
                 columns = self._explainable(at if closely and np.any(at) else None)
                 move = _bounded(columns, rest, lower - at, upper - at)
                 for part in (1.0, 0.3):
@@ -190,6 +194,42 @@ class Gap:
                 break
         return best
 
+    def _beyond(
+        self,
+        change: NDArray[np.float64],
+        beside: tuple[Hidden, ...],
+        box: tuple[NDArray[np.float64], NDArray[np.float64]],
+        size: Callable[[NDArray[np.float64]], float],
+    ) -> float:
+        """What remains beyond nuisance and plainer effects of any size, slopes taken anew at every step."""
+        k, n = len(box[0]), len(beside)
+        ends = [-np.inf if rival.name == "gravity_offset" else 0.0 for rival in beside]
+        lower, upper = np.append(box[0], ends), np.append(box[1], np.full(n, np.inf))
+        at, rest = np.zeros(k + n), change
+        least = size(rest)
+
+        def shift(x: NDArray[np.float64]) -> NDArray[np.float64]:
+            self._beside = tuple(replace(h, size=float(s)) for h, s in zip(beside, x[k:], strict=True) if s)
+            return self._shift(x[:k])
+
+        for _ in range(4):
+            now = shift(at)
+            columns = [self._explainable(at[:k] if np.any(at) else None)]
+            for j, rival in enumerate(beside):
+                step = 0.2 * rival.size * np.eye(k + n)[k + j]
+                columns.append(((shift(at + step) - now) / (0.2 * rival.size))[:, None])
+            move = _bounded(np.concatenate(columns, 1), rest, lower - at, upper - at)
+            for part in (1.0, 0.3):
+                left = change - shift(at + part * move)
+                if size(left) < least:
+                    break
+            before, least = least, min(least, size(left))
+            if least > 0.95 * before:
+                break
+            at, rest = at + part * move, left
+        self._beside = ()
+        return least
+
     def _starts(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
         """(runs, 2) by how much start states differ, within the limits."""
         body = self.case.body
@@ -200,7 +240,7 @@ class Gap:
 
     def _shift(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
         """(rows,) what nuisance of this size, in the units of the columns, truly does to the readings."""
-        if not np.any(at):
+        if not np.any(at) and not self._beside:
             return np.zeros(self._q.size)
         k = len(self._bounds())
         world, starts = self._moved(at[:k]), self._starts(at[k:])
