@@ -17,7 +17,7 @@ from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
 from simgap.data import FitRun
 from simgap.fit import Fit, fitted, foretold
-from simgap.search import PLAINER, Search, relaxed
+from simgap.search import PLAINER, TWINS, Search, relaxed
 from simgap.settings import ChoiceSettings
 
 _EDGE = 0.02
@@ -133,11 +133,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         nearest = min(j.reach for j in (*tried, *contenders))
         if size > 1 and not standing and nearest > settings.hopeless * bar:
             break  # nor would a third bring it there
-        parents = level[: settings.parents if size == 1 or well else 1]
-        if standing and not well:  # is there more beside it?
-            names = {j.names for j in standing}
-            parents = [fit for fit in level if fit.theory.names in names][:1] or parents
-        level = search.larger(parents)
+        level = search.larger(level[: settings.parents if size == 1 else settings.parents - 1])
         contenders = [judged(fit, folds) for fit in level[: settings.contenders]]
         tried += contenders
         if well:  # by its form alone: others that need none of it stand instead, more effects beside it do not
@@ -245,7 +241,10 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
 
     def alike(j: Judged) -> bool:
         more = sum(float((j.strict[run] ** 2).sum() - (best.strict[run] ** 2).sum()) for run in best.strict)
-        return j.floors < settings.rival * best.floors or more < settings.rival_sum * unit
+        if more < settings.rival_sum * unit:
+            return True
+        # what the formulas of twins leave they leave alike: only where they differ counts
+        return j.floors < settings.rival * best.floors and (j is best or _plain_load(j) != _plain_load(best))
 
     first: dict[tuple[str, ...], Judged] = {}
     for j in order:
@@ -256,6 +255,11 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
     names = {j.names for j in kept}
     plain = [j for j in kept if not any(p in names for p in _plainer(j.names))]
     return tuple(plain)
+
+
+def _plain_load(judgement: Judged) -> set[str]:
+    """The names, with the one of twins in the place of the other."""
+    return {"coulomb_friction" if name in TWINS else name for name in judgement.names}
 
 
 def _plainer(names: tuple[str, ...]) -> list[tuple[str, ...]]:
