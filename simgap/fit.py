@@ -169,12 +169,21 @@ def fitted(
     )
 
 
+def misfit(theory: Theory, runs: tuple[FitRun, ...], theta: Array, starts: Starts) -> float:
+    """Sum of squared residuals of these very parameters and starts."""
+    model = _Model(theory, runs, theta)
+    rows = [model.look(i, np.array([starts[run.name]]), theta)[0] for i, run in enumerate(runs)]
+    return float(sum(row @ row for row in rows))
+
+
 def _start(model: _Model, i: int, theta: Array) -> Array:
     """(2,) the start, of those about the first guess, from which run i begins most like its readings."""
     run, plant = model.runs[i], model.problem.plant
     told = run.starts
     speeds = (*(told[0][1] + model.problem.speed * np.array(_SPEEDS)), *(qd0 for _, qd0 in told[1:]), 0.0)
     rows = np.array([*told[1:], *((q, v) for q in (told[0][0], run.q[0]) for v in speeds)])
+    sensing = [effect for effect in model.numbers(theta)[1] if effect.kind == "sensing"]
+    rows[:, 0] -= sum((effect.reading_error(rows[:, 0]) for effect in sensing), np.zeros(len(rows)))
     rows[:, 0] = np.clip(rows[:, 0], plant.lower, plant.upper)
     seen = max(8, int(np.searchsorted(run.times_s, run.times_s[0] + _SEEN_S)))
     left = model.look(i, rows, theta, seen)

@@ -19,6 +19,8 @@ from simgap.fit import Fit, Problem, Range, Reader, Theory, joined, tangent
 from simgap.surrogate import readings_of, step_of, sweep, terms_of
 
 _PLACES = 13
+_REBOUNDS = (0.15, 0.5)
+"""Restitutions that are tried."""
 _MILD = 0.05
 """Part of the forces at work that a force is switched on with."""
 
@@ -49,12 +51,30 @@ def off(problem: Problem, name: str) -> dict[str, float]:
 
 def guesses(fit: Fit, runs: tuple[FitRun, ...], names: tuple[str, ...]) -> list[Guess]:
     """Starting points of all sets of one effect more than `fit`, the most promising first; `runs` must have starts."""
-    linear = _Linear(fit, runs)
+    linear = Linear(fit, runs)
     found = [guess for name in names if name not in fit.theory.names for guess in linear.guesses(name)]
     return sorted(found, key=lambda guess: guess.cost)
 
 
-class _Linear:
+@dataclass(frozen=True)
+class _Grid:
+    """An effect switched on a little at all its places, widths and speeds."""
+
+    theory: Theory
+    own: list[Range]
+    """Of the effect."""
+    sizes: list[Range]
+    """Those that it is linear in."""
+    others: list[str]
+    grid: list[tuple[float, ...]]
+    """Values of the others."""
+    zero: dict[str, float]
+    """The effect switched off."""
+    columns: Array
+    """(grid x sizes, N)"""
+
+
+class Linear:
     """The readings about a fit, the directions of its starts and parameters taken out."""
 
     def __init__(self, fit: Fit, runs: tuple[FitRun, ...]):
@@ -62,9 +82,9 @@ class _Linear:
         residuals, starts, parameters = tangent(fit, runs)
         self.now = [run.q - r * run.sigma for run, r in zip(runs, residuals, strict=True)]
         self.bases = [np.linalg.qr(J.T)[0] for J in starts]
-        left = np.concatenate([self._freed(i, r[None])[0] for i, r in enumerate(residuals)])
+        self.freed = left = np.concatenate([self._freed(i, r[None])[0] for i, r in enumerate(residuals)])
         rest = np.concatenate([self._freed(i, J) for i, J in enumerate(parameters)], 1)
-        rest = rest[self._free(rest @ left)]
+        self.rest = rest = rest[self._free(rest @ left)]
         size = np.linalg.norm(rest, axis=1) if len(rest) else np.zeros(0)
         self.span = np.linalg.qr(rest[size > 1e-9].T)[0] if (size > 1e-9).any() else np.zeros((len(left), 0))
         self.left = left - self.span @ (self.span.T @ left)
@@ -82,9 +102,13 @@ class _Linear:
         """(m, n) changes of run i, its start being free."""
         return np.asarray(rows - (rows @ self.bases[i]) @ self.bases[i].T)
 
-    def guesses(self, name: str) -> list[Guess]:
-        """All points of the effect's grid."""
-        theory = Theory(self.problem, tuple(sorted((*self.fit.theory.names, name))))
+    def columns(self, name: str) -> Array:
+        """(m, N) what a unit of the effect's sizes does to all readings, at all points of its grid."""
+        return self._gridded(name).columns
+
+    def _gridded(self, name: str) -> _Grid:
+        names = tuple(sorted((*self.fit.theory.names, name)))
+        theory = Theory(self.problem, names, self.fit.theory.relaxed)
         own = [r for r in theory.ranges() if r.owner == name]
         sizes = [r for r in own if _is_size(r, own)]
         grid = list(product(*[_grid(r, self.problem) for r in own if r not in sizes]))
@@ -99,7 +123,13 @@ class _Linear:
         columns = (
             self._responses(theory, name, [point for point, _ in trials]) / np.array([s for _, s in trials])[:, None]
         )
-        columns = columns - (columns @ self.span) @ self.span.T
+        return _Grid(theory, own, sizes, others, grid, zero, columns)
+
+    def guesses(self, name: str) -> list[Guess]:
+        """All points of the effect's grid."""
+        at = self._gridded(name)
+        theory, own, sizes, others, grid, zero = at.theory, at.own, at.sizes, at.others, at.grid, at.zero
+        columns = at.columns - (at.columns @ self.span) @ self.span.T
         found = []
         for i in range(len(grid)):
             rows = slice(i * len(sizes), (i + 1) * len(sizes))
@@ -113,10 +143,18 @@ class _Linear:
             }
             taken = self.left - A @ np.array([values[r.name] - point[r.name] for r in sizes])
             found.append(Guess(name, {**point, **values}, float(taken @ taken)))
-        if len(own) == 2 and len(sizes) == 1 and len(grid) == _PLACES:
+        if EFFECTS[name].acts == "stop":  # what hardly comes back stays: a small change tells little
+            found += self._straight(theory, name, [{**zero, sizes[0].name: value} for value in _REBOUNDS])
+        elif len(own) == 2 and len(sizes) == 1 and len(grid) == _PLACES:
             found += self._between(name, own, columns[0], columns[-1], float(grid[0][0]), float(grid[-1][0]))
         found.sort(key=lambda guess: guess.cost)
         return [self._nudged(guess, sizes) for guess in found]
+
+    def _straight(self, theory: Theory, name: str, points: list[dict[str, float]]) -> list[Guess]:
+        """These very points."""
+        taken = self._responses(theory, name, points)
+        taken = self.left - (taken - (taken @ self.span) @ self.span.T)
+        return [Guess(name, point, float(row @ row)) for point, row in zip(points, taken, strict=True)]
 
     def _between(self, name: str, own: list[Range], first: Array, last: Array, low: float, high: float) -> list[Guess]:
         """The point of a law that is linear in its place, too, such as a spring's: between two places, or beyond."""
@@ -177,7 +215,7 @@ def _grid(r: Range, problem: Problem) -> list[float]:
     """Values of a place, a width, a speed or a ratio that are worth trying."""
     span = problem.q_high - problem.q_low
     unit = EFFECTS[r.owner].parameters()[r.name].unit(problem.plant.joint_type)
-    if r.lower < problem.q_low and r.upper > problem.q_high:
+    if unit in ("rad", "m") and r.lower < problem.q_low and r.upper > problem.q_high:
         return list(np.linspace(problem.q_low, problem.q_high, _PLACES))
     if unit in ("rad", "m"):
         return [float(np.clip(part * span, r.lower, r.upper)) for part in (0.02, 0.06, 0.15)]
@@ -185,4 +223,6 @@ def _grid(r: Range, problem: Problem) -> list[float]:
         return [0.05 * r.upper, 0.2 * r.upper]
     if unit in ("kg*m^2", "kg"):
         return [0.2 * problem.plant.mechanics.inertia]
+    if unit in ("s/rad", "s/m"):
+        return [r.lower]
     return [0.5 * min(r.upper, 1.0)]

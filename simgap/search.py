@@ -2,25 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
+from freeart21.se3 import Array
 from simgap.data import FitRun
-from simgap.fit import Fit, Problem, Starts, Theory, fitted, grown, joined, pieces, placed, resettled
+from simgap.fit import Fit, Problem, Starts, Theory, fitted, grown, joined, misfit, pieces, placed, resettled
+from simgap.force_guess import LocalForce, local_force, places
 from simgap.guess import Guess, guesses, off
 from simgap.settings import ChoiceSettings
+from simgap.surrogate import is_local
 
-_CROSSINGS = 2.5
-"""Crossings of the range at top speed that a stretch lasts for, in which a first-order look sees an effect whole."""
+_CROSSINGS = (0.25, 0.8, 2.5, 6.0)
+"""Crossings of the range at top speed that stretches last for; a first-order look needs them short where much is
+missing, and fits grow through all longer ones to whole runs."""
+_USUAL = 2
+"""Which of these it begins with."""
 _SCREEN = 2
+_PLACES = 2
+"""Starting points that the missing force tells, for an effect with a place."""
+_TRAVELS, _CAPTURES, _CATCHES = (0.5, 0.65, 0.8, 1.0, 1.25), (0.3, 0.5, 0.7), 3
+"""Parts of the way over which a catch holds, and of that way where it takes hold, that are tried; how many are
+fitted."""
 _SLACKS = (0.003, 0.01, 0.03)
 """Parts of the way moved through that a slack is tried at."""
 _HOPEFUL = 6.0
 """Times the least sum of squares on stretches that another effect may leave there and still be fitted to whole runs."""
-_FAR = 2.0
-"""Floors of error beyond which a run is looked at in stretches."""
+_FAR, _WILD = 2.0, 4.0
+"""Floors of error beyond which a run is looked at in stretches, and a stretch in shorter ones."""
+_GROWING = 4
+"""Iterations of a fit to stretches."""
 
 
 PLAINER = {
@@ -63,7 +77,8 @@ class Search:
     settings: ChoiceSettings
     names: tuple[str, ...]
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
-    _first: tuple[tuple[FitRun, ...], Starts, list[Guess]] | None = None
+    _first: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
+    _forces: dict[tuple[str, ...], LocalForce] = field(default_factory=dict)
 
     def base(self) -> Fit:
         """Nothing missing but what the asset may be off by."""
@@ -76,12 +91,12 @@ class Search:
         fall = self.base().rss - min((guess.cost for guess in self._guesses()[2]), default=np.inf)
         return float(np.sqrt(max(fall, 0.0) / sum(len(run.q) for run in self.train)))
 
-    def _guesses(self) -> tuple[tuple[FitRun, ...], Starts, list[Guess]]:
-        """Stretches that a first-order look can span, their starts, and first guesses of every effect alone by them."""
+    def _guesses(self) -> tuple[tuple[FitRun, ...], Fit, list[Guess]]:
+        """Stretches that a first-order look can span, the asset alone fitted to them, and first guesses of every effect
+        alone by them."""
         if self._first is None:
-            base, cut = self.base(), self._cut(self.base())
-            at = base if cut is self.train else fitted(base.theory, cut, base.theta, iterations=4, robust=True)
-            self._first = cut, at.starts, guesses(at, cut, self.names)
+            cut, at = self._cut(self.base(), True)
+            self._first = cut, at, guesses(at, cut, self.names)
         return self._first
 
     @property
@@ -92,20 +107,17 @@ class Search:
 
     def singles(self) -> list[Fit]:
         """Every effect alone, the best first."""
-        cut, starts, found = self._guesses()
+        cut, at, found = self._guesses()
         rough = []
         for name in list(dict.fromkeys(guess.name for guess in found))[: self.settings.singles]:
             own = self._apart([guess for guess in found if guess.name == name])
-            rough.append(self._rough(name, own, cut, starts))
-        rough.sort(key=lambda fit: fit.cost)
-        hopeful = [fit for i, fit in enumerate(rough) if i < 2 or fit.cost < _HOPEFUL * rough[0].cost]
-        for fit in hopeful[: self.settings.contenders + 1]:
-            theory, theta, starts = fit.theory, fit.theta, fit.starts
-            if cut is not self.train:
-                first = {run.name: fit.starts[f"{run.name}#0"] for run in self.train}
-                ways = [fitted(theory, self.train, theta, at, _SCREEN) for at in (first, self.base().starts)]
-                theta, starts = (best := min(ways, key=lambda way: way.cost)).theta, best.starts
-            self._keep(fitted(theory, self.train, theta, starts))
+            points = [guess.point for guess in own] + (self._places(name) if cut is not self.train else [])
+            rough.append(self._best(name, points, cut, at))
+        most = self.settings.contenders + 1
+        for fewer, runs in enumerate(self._longer(cut)):
+            rough = [self._stretched(fit, runs) for fit in _hopeful(rough)[: most - fewer]]
+        for fit in _hopeful(rough)[:most]:
+            self._keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
         for name, plainer in PLAINER.items():
             if (name,) in self.fits and (plainer,) in self.fits:
                 self._keep_from(name, self.fits[(plainer,)])
@@ -145,11 +157,72 @@ class Search:
                 return False
         return True
 
-    def _rough(self, name: str, own: list[Guess], cut: tuple[FitRun, ...], starts: Starts) -> Fit:
-        """The effect on the stretches, from the best of its first guesses."""
-        theory, base = Theory(self.problem, (name,)), self.base()
-        tried = [fitted(theory, cut, joined(theory, base, {name: guess.point}), starts, 4) for guess in own]
-        return min(tried, key=lambda fit: fit.cost)
+    def _best(self, name: str, points: list[dict[str, float]], cut: tuple[FitRun, ...], at: Fit) -> Fit:
+        """`at`, a fit to stretches, with the effect, from the best of these points of it."""
+        theory = Theory(self.problem, tuple(sorted((*at.theory.names, name))))
+        return self._tried(theory, [joined(theory, at, {name: point}) for point in points], cut, at.starts)
+
+    def _places(self, name: str, beside: tuple[Effect, ...] = ()) -> list[dict[str, float]]:
+        """First guesses of an effect with a place by the force that is missing there."""
+        key = tuple(effect.name for effect in beside)
+        if key not in self._forces:
+            self._forces[key] = local_force(self.problem, self.train, beside)
+        return places(self.problem, self._forces[key], name, _PLACES)
+
+    def _tried(
+        self, theory: Theory, points: list[Array], runs: tuple[FitRun, ...], starts: Starts, iterations: int = _GROWING
+    ) -> Fit:
+        """The best of a few iterations from each of the points."""
+        return min((fitted(theory, runs, point, starts, iterations) for point in points), key=lambda fit: fit.cost)
+
+    def _longer(self, cut: tuple[FitRun, ...]) -> list[tuple[FitRun, ...]]:
+        """The runs in stretches longer than these, ever longer, whole ones left out."""
+        found, count = [], len(cut)
+        for crossings in _CROSSINGS:
+            runs = pieces(self.train, crossings * self.problem.crossing_s)
+            if len(self.train) < len(runs) < count:
+                found.append(runs)
+                count = len(runs)
+        return found
+
+    def _stretched(self, fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+        """The fit on longer stretches."""
+        longer = fitted(fit.theory, runs, fit.theta, fit.starts, _GROWING, robust=True)
+        return self._caught(longer, runs)
+
+    def _whole(self, fit: Fit, parent: Fit) -> Fit:
+        """The fit to stretches on whole runs, from its own starts or those of a smaller set's fit to them."""
+        first = {run.name: fit.starts[f"{run.name}#0"] for run in self.train}
+        ways = [fitted(fit.theory, self.train, fit.theta, at, _SCREEN) for at in (first, parent.starts)]
+        return self._finished(self._caught(min(ways, key=lambda way: way.cost), self.train))
+
+    def _caught(self, fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+        """The fit with the way over which a catch holds tried anew, as stiff as it is: it shows in when the catch lets
+        go and when it takes hold alone, and no slope tells of that."""
+        ranges, tried = fit.theory.ranges(), [(fit.rss, fit.theta)]
+        for cls in fit.theory.classes:
+            if cls.remember is Effect.remember:
+                continue
+            kind = self.problem.plant.joint_type
+            own = {i: cls.parameters()[r.name] for i, r in enumerate(ranges) if r.owner == cls.name}
+            size = min(own)
+            width = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower >= 0)
+            ratio = next(i for i, spec in own.items() if spec.unit(kind) == "1")
+            for part, share in product(_TRAVELS, _CAPTURES):
+                theta = fit.theta.copy()
+                theta[[size, width]] *= part
+                theta[ratio] = share
+                theta = np.clip(theta, [r.lower for r in ranges], [r.upper for r in ranges])
+                tried.append((misfit(fit.theory, runs, theta, fit.starts), theta))
+        if len(tried) == 1:
+            return fit
+        best = sorted(tried, key=lambda entry: entry[0])[:_CATCHES]
+        points = [theta for _, theta in best]
+        return min(fit, self._tried(fit.theory, points, runs, fit.starts, _SCREEN), key=lambda f: f.cost)
+
+    def _finished(self, fit: Fit) -> Fit:
+        """The fit to whole runs to its end."""
+        return fitted(fit.theory, self.train, fit.theta, fit.starts)
 
     def _keep_from(self, name: str, plainer: Fit) -> None:
         """A general effect fits no worse than the plainer one that it may become, where their parameters agree."""
@@ -165,20 +238,24 @@ class Search:
     def larger(self, parents: list[Fit]) -> list[Fit]:
         """The most promising sets of one effect more than some of `parents`, fitted; of every parent's at least one:
         the best single effect is often none of a pair."""
-        rough: dict[tuple[str, ...], tuple[float, Fit, Guess]] = {}
+        rough: dict[tuple[str, ...], tuple[float, Fit, Guess, Fit, tuple[FitRun, ...]]] = {}
         for parent in parents:
-            cut = self._cut(parent)
-            at = placed(parent, cut) if cut is not self.train else parent
+            cut, at = self._cut(parent)
             scale = parent.cost / max(at.cost, 1e-9)  # costs of stretches and of whole runs, made alike
             for guess in guesses(at, cut, self.names):
                 names = tuple(sorted((*parent.theory.names, guess.name)))
                 cost = guess.cost * scale
                 if names not in self.fits and (names not in rough or cost < rough[names][0]):
-                    rough[names] = (cost, parent, guess)
+                    rough[names] = (cost, parent, guess, at, cut)
         order = sorted(rough.values(), key=lambda entry: entry[0])
         firsts = [next(e for e in order if e[1] is parent) for parent in parents if any(e[1] is parent for e in order)]
         best = (firsts + [e for e in order if not any(e is f for f in firsts)])[: self.settings.shortlist]
-        return self._resettled([self._started(parent, guess) for _, parent, guess in best])
+        for entry in tuple(best):
+            plainer = PLAINER.get(entry[2].name)
+            other = rough.get(tuple(sorted((*entry[1].theory.names, plainer)))) if plainer else None
+            if other is not None and not any(e is other for e in best):
+                best.append(other)  # which has the name when it does as well
+        return self._resettled([self._started(*entry[1:]) for entry in best])
 
     def _resettled(self, level: list[Fit]) -> list[Fit]:
         """The best ones with a new look at their starts; all of them sorted."""
@@ -187,20 +264,23 @@ class Search:
             self.fits[fit.theory.names] = resettled(fit, self.train)
         return sorted((self.fits[fit.theory.names] for fit in level), key=lambda fit: fit.cost)
 
-    def _started(self, parent: Fit, guess: Guess) -> Fit:
-        """The set of `parent` and the guessed effect, from the parent's fit."""
+    def _started(self, parent: Fit, guess: Guess, at: Fit, cut: tuple[FitRun, ...]) -> Fit:
+        """The set of `parent` and the guessed effect, from the parent's fit, which is `at` on stretches."""
         theory = Theory(self.problem, tuple(sorted((*parent.theory.names, guess.name))))
         points = [guess.point]
         alone = self.fits.get((guess.name,))
         if alone is not None:
             values = zip(alone.theory.ranges(), alone.theta, strict=True)
             points.append({r.name: float(x) for r, x in values if r.owner == guess.name})
-        tried = [
-            fitted(theory, self.train, joined(theory, parent, {guess.name: point}), parent.starts, _SCREEN)
-            for point in points
-        ]
-        best = min(tried, key=lambda fit: fit.cost)
-        return self._keep(fitted(theory, self.train, best.theta, best.starts))
+        cls = EFFECTS[guess.name]
+        sudden = cls.acts == "stop" or is_local(cls)
+        if cut is self.train or not sudden:  # what acts smoothly is found from the smaller set's own course
+            points_at = [joined(theory, parent, {guess.name: point}) for point in points]
+            return self._keep(self._finished(self._tried(theory, points_at, self.train, parent.starts, _SCREEN)))
+        fit = self._best(guess.name, points + self._places(guess.name, parent.effects), cut, at)
+        for runs in self._longer(cut):
+            fit = self._stretched(fit, runs)
+        return self._keep(self._whole(fit, parent))
 
     def of(self, names: tuple[str, ...]) -> Fit:
         """The fit of this very set, started from its best subset."""
@@ -211,9 +291,8 @@ class Search:
             if len(new) > 1:
                 parent = self.of(names[:-1])
                 new = names[-1:]
-            cut = self._cut(parent)
-            at = placed(parent, cut) if cut is not self.train else parent
-            self._started(parent, guesses(at, cut, new)[0])
+            cut, at = self._cut(parent)
+            self._started(parent, guesses(at, cut, new)[0], at, cut)
         return self.fits[names]
 
     def twins(self, fit: Fit) -> list[Fit]:
@@ -248,11 +327,36 @@ class Search:
         self.fits[fit.theory.names] = fit if kept is None or fit.cost < kept.cost else kept
         return self.fits[fit.theory.names]
 
-    def _cut(self, fit: Fit) -> tuple[FitRun, ...]:
-        """The runs as they are where a first-order look may span them, else in stretches."""
-        readings = sum(len(run.q) for run in self.train)
-        near = fit.rss < _FAR**2 * readings
-        return self.train if near else pieces(self.train, _CROSSINGS * self.problem.crossing_s)
+    def _cut(self, fit: Fit, free: bool = False) -> tuple[tuple[FitRun, ...], Fit]:
+        """The runs as they are where a first-order look may span them, else in stretches short enough; and the fit
+        there, its parameters fitted anew where `free`."""
+        if fit.level < _FAR:
+            return self.train, stilled(fit)
+        for crossings in _CROSSINGS[_USUAL::-1]:
+            cut = pieces(self.train, crossings * self.problem.crossing_s)
+            at = fitted(fit.theory, cut, fit.theta, None, _GROWING, robust=True) if free else placed(fit, cut)
+            if at.level < _WILD:
+                break
+        return cut, stilled(at)
+
+
+def stilled(fit: Fit) -> Fit:
+    """The fit with starts that run into a limit from next to it at rest there: a dead stop makes no difference between
+    them, any other does."""
+    plant, near = fit.theory.problem.plant, 2 * fit.theory.problem.sigma
+    if "end_stop_bounce" in fit.theory.names:
+        return fit
+    starts = {}
+    for name, (q, v) in fit.starts.items():
+        below, above = q < plant.lower + near and v < 0, q > plant.upper - near and v > 0
+        starts[name] = (plant.lower, 0.0) if below else ((plant.upper, 0.0) if above else (q, v))
+    return replace(fit, starts=starts)
+
+
+def _hopeful(fits: list[Fit]) -> list[Fit]:
+    """The fits to the same runs, best first, without those far behind."""
+    order = sorted(fits, key=lambda fit: fit.cost)
+    return [fit for i, fit in enumerate(order) if i < 2 or fit.cost < _HOPEFUL * order[0].cost]
 
 
 def relaxed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:

@@ -12,8 +12,11 @@ class SurrogateSettings:
 
     phase_per_step: float = 0.15
     """rad of the fastest oscillation a step: the fourth-order step is then late by 4e-6 of the way."""
+    local_phase_per_step: float = 0.4
+    """The same of what is stiff at a place only: little of a run is spent there."""
     max_step_s: float = 0.02
-    min_step_s: float = 1e-4
+    min_step_s: float = 5e-4
+    """What swings so fast that this is coarse, readings at usual rates do not show."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,8 @@ class FitSettings:
     rebound_tolerance: float = 0.6
     """The same of what comes back from a stop, which no law describes well: with the speed of the impact, and where a
     drive's inertia comes back though its formula has none of it."""
+    give_tolerance: float = 0.1
+    """By what part of itself a drive may be softer because the flanks of its slack give way under load."""
 
 
 @dataclass(frozen=True)

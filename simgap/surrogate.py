@@ -204,11 +204,19 @@ def step_of(
     """Longest step, s, at which the fastest oscillation is stepped finely; with the position law off unless `held`."""
     gain = float(np.prod([effect.gain() for effect in effects])) if held else 0.0
     inertia = plant.mechanics.inertia
-    stiffness = float(np.hypot(*plant.gravity_terms[0, :2])) + sum(effect.steepness() for effect in effects)
+    local = (settings.phase_per_step / settings.local_phase_per_step) ** 2
+    stiffness = float(np.hypot(*plant.gravity_terms[0, :2])) + sum(
+        effect.steepness() * (local if is_local(type(effect)) else 1.0) for effect in effects
+    )
     slack = next((effect for effect in effects if isinstance(effect, Backlash)), None)
     driven = min(inertia, slack.drive_inertia) if slack else inertia
     rate = np.sqrt(stiffness / inertia + gain * plant.stiffness / driven) + 0.1 * gain * plant.damping / driven
     return float(np.clip(settings.phase_per_step / max(rate, 1e-9), settings.min_step_s, settings.max_step_s))
+
+
+def is_local(cls: type[Effect]) -> bool:
+    """Whether an effect has a place and a width, beyond which it does nothing."""
+    return cls.acts == "force" and any(s.revolute_unit == "rad" and s.lower >= 0 for s in cls.parameters().values())
 
 
 def sweep(numbers: Array, terms: NDArray[np.int64], times_s: Array, inputs: Inputs, step_s: float) -> Array:

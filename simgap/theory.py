@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
+from freeart21.effects.actuator_gain import ActuatorGain
+from freeart21.effects.encoder_offset import EncoderOffset
+from freeart21.effects.encoder_scale import EncoderScale
 from freeart21.effects.end_stop_bounce import EndStopBounce
 from freeart21.se3 import Array
 from simgap import kernel
@@ -107,9 +110,15 @@ class Theory:
             return [Range(owner, "speed", -e, e, e, e), Range(owner, "curve", -e, e, e, e)]
         if cls.name in kernel.LAWS:
             return [Range(owner, k, -r, r, r, r) for k in ("speed", "position", "curve")]
+        found = []
         if cls.acts in ("inertia", "slack") and "end_stop_bounce" not in self.names:
-            return [Range(owner, "rebound", 0.0, e, 0.1 * e, e)]  # a body behind an elastic shaft comes back from stops
-        return []
+            found.append(Range(owner, "rebound", 0.0, e, 0.1 * e, e))  # a body behind an elastic shaft comes back
+        if cls.acts == "slack" and "actuator_gain" not in self.names:  # flanks that give way make the drive softer
+            g = self.problem.fit.give_tolerance
+            found.append(Range(owner, "give", 0.0, g, 0.1 * g, g))
+        if cls.name == "encoder_offset" and "encoder_scale" not in self.names:  # a zero that is not all the same
+            found.append(Range(owner, "tilt", -r, r, r, r))
+        return found
 
     def _range(self, cls: type[Effect], name: str) -> Range:
         """Bounds and size of an effect's parameter on these data: nothing beyond what was moved through."""
@@ -133,6 +142,10 @@ class Theory:
             size = 0.1 * problem.plant.mechanics.inertia
             low = 1e-3 * size if cls.acts == "inertia" else 0.2 * size  # a lighter drive side moves no otherwise
             low, high = max(spec.lower, low), 1e3 * size
+        elif unit in ("s/rad", "s/m"):
+            # impacts of one speed do not tell it: without need it is none
+            usual = 1 / problem.speed
+            return Range(cls.name, name, low, 50 * usual, 0.5 * usual, usual)
         elif unit == "1":
             high = min(spec.upper, 10.0)
         return Range(cls.name, name, max(low, spec.lower), min(high, spec.upper), size)
@@ -187,16 +200,19 @@ class Reader:
     def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
         """The vector, start left at 0, and all effects."""
         nuisance = self.nuisance(theta)
-        forms, rebound = {}, 0.0
+        forms, effects = {}, self.effects(theta)
         if self.theory.relaxed:
             for cls in self.theory.classes:
                 own = [float(x) for owner, x in zip(self.owners, theta, strict=True) if owner == f"{cls.name} form"]
                 if cls.name in kernel.LAWS:
                     forms[cls.name] = (own[0], own[1] if len(own) == 3 else 0.0, own[-1])
-                elif own:
-                    rebound = max(rebound, own[0])
-        effects = self.effects(theta)
-        if self.theory.relaxed and any(r.name == "rebound" for r in self.ranges):
-            effects = (*effects, EndStopBounce(rebound))
+            free = {r.name: float(x) for r, x in zip(self.ranges, theta, strict=True) if "form" in r.owner}
+            if "rebound" in free:
+                effects = (*effects, EndStopBounce(free["rebound"]))
+            if "give" in free:
+                effects = (*effects, ActuatorGain(1 - free["give"]))
+            if "tilt" in free:
+                offset = next(e for e in effects if isinstance(e, EncoderOffset)).offset
+                effects = (*effects, EncoderScale(1 + free["tilt"] * offset / self.theory.problem.reference[2]))
         problem = self.theory.problem
         return numbers_of(problem.plant, effects, nuisance, forms, problem.reference), effects

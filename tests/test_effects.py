@@ -176,6 +176,7 @@ def test_formulas_by_hand():
         held.append(float(latch.force(q, 0.0, 0.0, memory)))
     assert held == pytest.approx([0, 0, -0.9, -1.9, 1.99, 0, 0])
     assert EndStopBounce(0.5).rebound(-3.0) == 1.5
+    assert EndStopBounce(0.5, 2.0).rebound(-0.5) == pytest.approx(0.125)  # half of it at 1 / fading
     assert (ActuatorDelay(0.02).delay(), ActuatorGain(0.8).gain(), Armature(0.05).inertia()) == (0.02, 0.8, 0.05)
     slack = Backlash.meeting
     assert [slack(0, 0.31, v, 0.2, 1.0, 0.0, 0.2) for v in (2.0, 0.5)] == [1, 0]
@@ -369,10 +370,18 @@ def test_effects_json_holds_the_whole_library(tmp_path: Path, kind: JointType):
         entry["parameters"] = {name: {"value": value, "unit": "1"}}
         path.write_text(json.dumps(broken))
         with pytest.raises(
-            FreeArtError, match=f"end_stop_bounce.*({name} is 1.5, expected 0 to 1|expected \\['rest)"
+            FreeArtError, match=f"end_stop_bounce.*({name} is 1.5, expected 0 to 1|expected \\['fading)"
         ) as e:
             read_asset(tmp_path)
         assert "\n" not in str(e.value)
+
+
+def test_a_file_may_leave_out_what_has_a_usual_value():
+    said = {"effect": "end_stop_bounce", "parameters": {"restitution": {"value": 0.4, "unit": "1"}}}
+    assert effect_from_json(said, "prismatic", "here") == EndStopBounce(0.4)
+    lacking = {"effect": "gravity_offset", "parameters": {"cosine": {"value": 0.4, "unit": "N*m"}}}
+    with pytest.raises(FreeArtError, match="expected \\['cosine', 'sine'\\]"):
+        effect_from_json(lacking, "revolute", "here")
 
 
 def test_effects_json_of_another_urdf_is_refused(tmp_path: Path):

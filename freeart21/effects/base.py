@@ -57,6 +57,7 @@ def parameter(
     """A dataclass field that is a parameter of an effect: SI units for both joint types, closed bounds, meaning, size.
 
     A unit of None says that joints of that type do not have the parameter; it then needs a `default` that does nothing.
+    A file may leave out what both types have and has a `default`.
     """
     spec = Parameter(revolute_unit, prismatic_unit, lower, upper, meaning, scale)
     if default is None:
@@ -215,17 +216,24 @@ class Effect(ABC):
         """The effect of one effects.json entry; FreeArtError on a missing or unknown parameter, unit or joint type."""
         cls.check_joint_type(joint_type, where)
         given, specs = data.get("parameters"), cls.parameters(joint_type)
-        if not isinstance(given, dict) or set(given) != set(specs):
+        if not isinstance(given, dict) or not set(specs) - cls._spare() <= set(given) <= set(specs):
             got = sorted(given) if isinstance(given, dict) else given
             raise FreeArtError(f"{where}: effect '{cls.name}' has parameters {got}, expected {sorted(specs)}")
-        for name, spec in specs.items():
-            entry = given[name]
+        for name in given:
+            entry, spec = given[name], specs[name]
             unit = entry.get("unit") if isinstance(entry, dict) else None
             if unit != spec.unit(joint_type):
                 raise FreeArtError(
                     f"{where}: effect '{cls.name}' {name} has unit '{unit}', expected '{spec.unit(joint_type)}'"
                 )
-        return cls(**{name: given[name].get("value") for name in specs})
+        return cls(**{name: entry.get("value") for name, entry in given.items()})
+
+    @classmethod
+    def _spare(cls) -> set[str]:
+        """Names of the parameters that a file may leave out."""
+        fields = [f for f in dataclasses.fields(cls) if f.default is not dataclasses.MISSING]  # type: ignore[arg-type]
+        specs = cls.parameters()
+        return {f.name for f in fields if specs[f.name].revolute_unit and specs[f.name].prismatic_unit}
 
 
 def perpendiculars(axis: ArrayLike) -> tuple[Array, Array]:

@@ -173,22 +173,14 @@ class Gap:
             return self._beyond(change, beside, (lower, upper), size)
         same = self._told(changed(self.base, self.case.body, hidden)[0])
         nothing = np.zeros(len(lower))
+
+        def slopes(at: NDArray[np.float64]) -> NDArray[np.float64]:
+            return self._explainable(at if closely and np.any(at) else None)
+
         says = np.append(np.clip(same, box[:, 0], box[:, 1]), nothing[len(box) :])
         best = np.inf
         for at in (nothing, says) if np.any(same) else (nothing,):
-            rest = change - self._shift(at)
-            least = size(rest)
-            for _ in range(5 if closely else 2):  # and again of what is left when it truly is so
-                columns = self._explainable(at if closely and np.any(at) else None)
-                move = _bounded(columns, rest, lower - at, upper - at)
-                for part in (1.0, 0.3):
-                    left = change - self._shift(at + part * move)
-                    if size(left) < least:
-                        break
-                before, least = least, min(least, size(left))
-                if least > 0.95 * before:
-                    break
-                at, rest = at + part * move, left
+            least = _least(at, change, self._shift, slopes, (lower, upper), size, 5 if closely else 2)
             best = min(best, least)
             if best < 1:
                 break
@@ -205,28 +197,20 @@ class Gap:
         k, n = len(box[0]), len(beside)
         ends = [-np.inf if rival.name == "gravity_offset" else 0.0 for rival in beside]
         lower, upper = np.append(box[0], ends), np.append(box[1], np.full(n, np.inf))
-        at, rest = np.zeros(k + n), change
-        least = size(rest)
 
         def shift(x: NDArray[np.float64]) -> NDArray[np.float64]:
             self._beside = tuple(replace(h, size=float(s)) for h, s in zip(beside, x[k:], strict=True) if s)
             return self._shift(x[:k])
 
-        for _ in range(4):
+        def slopes(at: NDArray[np.float64]) -> NDArray[np.float64]:
             now = shift(at)
             columns = [self._explainable(at[:k] if np.any(at) else None)]
             for j, rival in enumerate(beside):
                 step = 0.2 * rival.size * np.eye(k + n)[k + j]
                 columns.append(((shift(at + step) - now) / (0.2 * rival.size))[:, None])
-            move = _bounded(np.concatenate(columns, 1), rest, lower - at, upper - at)
-            for part in (1.0, 0.3):
-                left = change - shift(at + part * move)
-                if size(left) < least:
-                    break
-            before, least = least, min(least, size(left))
-            if least > 0.95 * before:
-                break
-            at, rest = at + part * move, left
+            return np.concatenate(columns, 1)
+
+        least = _least(np.zeros(k + n), change, shift, slopes, (lower, upper), size, 4)
         self._beside = ()
         return least
 
@@ -268,6 +252,32 @@ class Gap:
             else:
                 size = float(np.clip(size * np.clip(target / found, 0.1, 8.0), low, high))
         return Hidden(name, seed, best)
+
+
+def _least(
+    at: NDArray[np.float64],
+    change: NDArray[np.float64],
+    shift: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    slopes: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    box: tuple[NDArray[np.float64], NDArray[np.float64]],
+    size: Callable[[NDArray[np.float64]], float],
+    most: int,
+) -> float:
+    """The least size of `change` that steps from `at` (k,), at most so many, leave: `shift` truly does it, `slopes`
+    are its derivative, `box` bounds it. A step that overshoots is tried shorter, once."""
+    rest = change - shift(at)
+    least = size(rest)
+    for _ in range(most):  # and again of what is left when it truly is so
+        move = _bounded(slopes(at), rest, box[0] - at, box[1] - at)
+        for part in (1.0, 0.3):
+            left = change - shift(at + part * move)
+            if size(left) < least:
+                break
+        before, least = least, min(least, size(left))
+        if least > 0.95 * before:
+            break
+        at, rest = at + part * move, left
+    return least
 
 
 def _bounded(
