@@ -22,6 +22,8 @@ NEAR = 1e-6
 POINT, DEPTH, NORMAL, FEATURE, OUTSIDE = 0, 2, 3, 6, 9
 """Where the fields of a pixel's record begin: see `Scene.pixels`. A point's depth is its third coordinate."""
 
+EDGE_ON = 0.1
+"""Cosine between normal and view of a surface that is neither turned to the camera nor away from it."""
 HIDDEN = 0.8
 """Cost of a pixel that is hidden: see `pixel_costs`."""
 
@@ -249,8 +251,9 @@ def pixel_costs(  # pragma: no cover
 ):
     """What `places` begin to end (p, 2: row, column) of `frame` cost under motions T (s, k, 4, 4) to `others`.
 
-    Outside the mask: the distance to it. In front of the surface there: a violation of free space. Behind it, or
-    behind what is not the object: hidden, a constant. On it: point-to-plane, normal and colour differences, and
+    Outside the mask: the distance to it. In front of the surface there: a violation of free space, but for a surface
+    turned edge-on, whose depth there a hair's breadth decides. Behind it, or behind what is not the object: hidden, a
+    constant. On it: point-to-plane, normal and colour differences, and
     `label_weight` times the disagreement of the hypothesis k (0 reference, 1 moving) with the other frame's `logodds`
     (> 0: moving). Fills costs (p, s, k).
     """
@@ -285,9 +288,9 @@ def pixel_costs(  # pragma: no cover
                 n0, n1, n2 = pixels[at, NORMAL], pixels[at, NORMAL + 1], pixels[at, NORMAL + 2]
                 r = n0 * (Y0 - pixels[at, POINT]) + n1 * (Y1 - pixels[at, POINT + 1]) + n2 * (Y2 - z)
                 facing = -(M0 * Y0 + M1 * Y1 + M2 * Y2) / math.sqrt(Y0 * Y0 + Y1 * Y1 + Y2 * Y2)
-                if facing < 0.1:
+                if facing < EDGE_ON:
                     behind = (Y2 - z) / sigma
-                    costs[p, s, k] = 0.5 if behind > -3 else min(cap, 0.5 * behind * behind)
+                    costs[p, s, k] = 0.5 if behind > -3 or facing > -EDGE_ON else min(cap, 0.5 * behind * behind)
                     continue
                 if z + 6 * sigma < Y2 and r < -3 * sigma:
                     costs[p, s, k] = HIDDEN
@@ -312,7 +315,8 @@ def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no
     """The graph of like neighbours of one frame, as compressed rows over the valid pixels in reading order.
 
     Neighbours stand 1, 3 and 6 steps up, down, right and left. An edge's weight in [0, 1] falls with distance (over
-    `reach`), bend, distance from the common plane (over `flatness`) and colour, and halves with each longer step.
+    `reach`), bend, distance from the common plane (over `flatness`) and colour, and halves with each longer step. The
+    colours of next neighbours are compared one pixel further out, for an edge in a picture is some pixels wide.
     Returns starts (p + 1,), ends and weights of the edges worth keeping.
     """
     h, w = valid.shape
@@ -338,6 +342,13 @@ def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no
                 xx = x + (step if side == 2 else (-step if side == 3 else 0))
                 if yy < 0 or xx < 0 or yy >= h or xx >= w or number[yy, xx] < 0:
                     continue
+                ya, xa, yb, xb = y, x, yy, xx
+                if step == 1:
+                    ya, xa, yb, xb = 2 * y - yy, 2 * x - xx, 2 * yy - y, 2 * xx - x
+                    if ya < 0 or xa < 0 or ya >= h or xa >= w or number[ya, xa] < 0:
+                        ya, xa = y, x
+                    if yb < 0 or xb < 0 or yb >= h or xb >= w or number[yb, xb] < 0:
+                        yb, xb = yy, xx
                 distance = bend = colour = 0.0
                 off = off2 = 0.0
                 for c in range(3):
@@ -346,7 +357,7 @@ def neighbours(valid, points, normals, features, reach, flatness):  # pragma: no
                     bend += normals[y, x, c] * normals[yy, xx, c]
                     off += normals[y, x, c] * d
                     off2 += normals[yy, xx, c] * d
-                    e = features[yy, xx, c] - features[y, x, c]
+                    e = features[yb, xb, c] - features[ya, xa, c]
                     colour += e * e
                 off = max(abs(off), abs(off2)) / flatness
                 exponent = distance / (reach * reach) + (1 - bend) / 0.35 + colour / 120.0 + off * off

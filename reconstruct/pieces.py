@@ -55,6 +55,14 @@ def lost_stretches(growth: Growth) -> list[Frames]:
     return sorted(wider, key=lambda run: -float(np.nansum(costs[run])))
 
 
+def is_doubtful(growth: Growth) -> bool:
+    """Whether many frames cost far more than the best quarter does, and half as much as if all of them were hidden."""
+    s, costs = growth.settings.pieces, growth.costs[np.isfinite(growth.costs)]
+    if len(costs) == 0:
+        return False
+    return bool((costs > max(0.5 * HIDDEN, s.lost_cost * np.percentile(costs, 25))).mean() > s.doubtful)
+
+
 def _sound(growth: Growth) -> NDArray[np.bool_]:
     """(n,) the frames done that cost no more than is usual."""
     surprising = growth.settings.growth.surprising_cost * np.nanmedian(growth.costs)

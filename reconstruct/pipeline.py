@@ -181,7 +181,7 @@ def _segmentation(video: _Video, known: Known, settings: ReconstructSettings, rn
         video.tracker = None
         return Known(grown)
     seeds = find_seeds(video.evidence, video.tracker, settings.seeds, rng)
-    grown = grow(video.evidence, video.tracker, seeds[0], settings, rng)
+    grown = grow(video.evidence, video.tracker, seeds, settings, rng)
     video.tracker = None  # a gigabyte perhaps, and no later stage looks at it
     return Known(grown)
 

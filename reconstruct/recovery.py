@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +13,12 @@ from freeart21.se3 import Array
 from reconstruct import rigid
 from reconstruct.evidence import Pixels, draw
 from reconstruct.growth import Growth
+
+_PATCH = 8
+"""Sampled pixels in a patch that follows one motion."""
+
+_AS_GOOD = 1.1
+"""Times the cost of another explanation at which one is as good."""
 
 
 def is_lost(growth: Growth, frame: int) -> bool:
@@ -21,8 +30,8 @@ def is_lost(growth: Growth, frame: int) -> bool:
 def found_anew(growth: Growth, frame: int, neighbour: int, T: Array, q: float) -> tuple[Array, float, bool]:
     """Reference pose and state that explain the pixels of `frame` best at any state met so far, without labels.
 
-    A pixel follows the motion that explains it better. Beyond the states met so far the parts might be taken for
-    each other: a lid that opens looks like a box that closes past its lid. `T` and `q` come back, and False, when
+    A patch of pixels follows the motion that explains it better. Beyond the states met so far the parts might be taken
+    for each other: a lid that opens looks like a box that closes past its lid. `T` and `q` come back, and False, when
     little is gained. After a frame whose labels were in doubt growth goes on so, at least at rest.
     """
     assert growth.joint is not None
@@ -36,76 +45,124 @@ def found_anew(growth: Growth, frame: int, neighbour: int, T: Array, q: float) -
     )
     turn += np.where(np.abs(known - frame) < settings.look_back, 1.0, 0)  # a joint that starts to move is slow
     others = np.sort(known[np.argsort(turn, kind="stable")[: 2 * settings.references : 2]])
+    look = _Look(growth, frame, others, pixels, _patches(pixels, int(growth.evidence.scene.valid[frame].sum())))
+    blank = growth.open[neighbour] and not growth.seen[neighbour].all()  # no labels led to `q`
+    rest = float(growth.states[neighbour]) if blank else q
+    found = still = look.refined(T, rest, at_rest=True)
+    before = best = look.cost(*still)
     low, high = np.percentile(growth.states[known], [1, 99])
     grid = np.linspace(float(low), float(high), settings.searched_states)
-    found = still = _refined_freely(growth, frame, others, pixels, T, q, at_rest=True)
-    before = best = float(_freely(growth, frame, others, pixels, found[0][None], np.array([q])).min(2).mean())
     turned = growth.joint.transform(q) @ se3.inverse(growth.joint.transform(grid))
+    starts = [(T, q)] if q != rest else []
     for Ts in (np.tile(T, (len(grid), 1, 1)), T @ turned):  # either part stands still
-        explained = _freely(growth, frame, others, pixels, Ts, grid).min(2).mean(0)
-        for g in np.argsort(explained, kind="stable")[:2]:
-            start = _refined_freely(growth, frame, others, pixels, Ts[g], float(grid[g]))
-            cost = float(_freely(growth, frame, others, pixels, start[0][None], np.array([start[1]])).min(2).mean())
-            if cost < best:
-                best, found = cost, start
+        starts += [(Ts[g], float(grid[g])) for g in np.argsort(look.explained(Ts, grid), kind="stable")[:2]]
+    for start in starts:
+        refined = look.refined(*start)
+        if (cost := look.cost(*refined)) < best:
+            best, found = cost, refined
     gained = best < settings.found_cost * before and best < before - growth.settings.seeds.min_gain
-    if growth.open[neighbour] and not growth.jumped(found[1] - q):  # labels say little: go on without
-        gained = settings.rest_cost * best < before
-    if gained and _same_parts(growth, frame, neighbour, others, pixels, *found):
+    if growth.open[neighbour] and not growth.jumped(found[1] - rest):  # labels say little: go on without
+        gained = (settings.rest_cost_freely if blank else settings.rest_cost) * best < before
+    if gained and blank:
+        found = look.within_range(*found, rest, best)
+    if gained and look.same_parts(neighbour, *found):
         return *found, True
     return (*still, True) if growth.open[neighbour] else (T, q, False)
 
 
-def _same_parts(
-    growth: Growth, frame: int, neighbour: int, others: NDArray[np.int64], pixels: Pixels, T: Array, q: float
-) -> bool:
-    """Whether the labels that flow carried here agree with what `T` and `q` say: else the parts are exchanged.
+@dataclass(frozen=True)
+class _Look:
+    """One frame's pixels and the frames that they are compared with, whatever the labels there."""
 
-    Of a part that was hidden flow carries nothing: most pixels, at least, are the other's still. Where all was in
-    doubt either part may be either, and nothing speaks against.
-    """
-    costs = _freely(growth, frame, others, pixels, T[None], np.array([q]))[:, 0]
-    carried = growth.labels[frame, pixels[:, 0], pixels[:, 1]]
-    told = (carried > 0) & (np.abs(costs[:, 1] - costs[:, 0]) > 0.3)
-    agree = (costs.argmin(1) + 1 == carried)[told]
-    if len(agree) < growth.settings.growth.min_jointed_pixels:
-        return bool(growth.open[neighbour])
-    return bool(agree.mean() > (0.8 if growth.seen[neighbour].all() else 0.5))
+    growth: Growth
+    frame: int
+    others: NDArray[np.int64]
+    pixels: Pixels
+    patches: NDArray[np.int64]
+    """(p,) the patch that each pixel belongs to."""
+
+    def costs(self, Ts: Array, states: Array) -> Array:
+        """(p, m, 2) costs of the pixels as either part's, for m reference poses and states."""
+        growth, others = self.growth, self.others
+        assert growth.joint is not None
+        here = np.stack([Ts, Ts @ growth.joint.transform(states)], 1)
+        there = np.swapaxes(growth.Ts[:, others], 0, 1)[:, None]
+        motions = (there @ se3.inverse(here)[None]).reshape(len(others), -1, 4, 4)
+        costs = growth.evidence.costs(self.frame, others, motions, self.pixels).mean(1)
+        return costs.reshape(len(self.pixels), len(Ts), 2)
+
+    def explained(self, Ts: Array, states: Array) -> Array:
+        """(m,) mean cost when every patch follows the motion that explains it better.
+
+        Not every pixel: of two motions, chosen pixel by pixel, the wrong one is taken wherever it fits the noise, so
+        that a joint at rest would seem to move.
+        """
+        sums = np.zeros((self.patches.max() + 1, len(Ts), 2))
+        np.add.at(sums, self.patches, self.costs(Ts, states))
+        return np.asarray(sums.min(2).sum(0) / len(self.pixels))
+
+    def cost(self, T: Array, q: float) -> float:
+        """The same for one pose and state."""
+        return float(self.explained(T[None], np.array([q]))[0])
+
+    def refined(self, T: Array, q: float, at_rest: bool = False) -> tuple[Array, float]:
+        """Reference pose and state after Gauss-Newton on pixels that choose their part anew in every round."""
+        growth, others = self.growth, self.others
+        assert growth.joint is not None
+        most = growth.longest_step()
+        for gate in (12.0, 8.0, 6.0, 5.0):
+            second = self.costs(T[None], np.array([q]))[:, 0].argmin(1) == 1
+            A, b = np.zeros((7, 7)), np.zeros(7)
+            for k, T_k in enumerate(growth.both(T, q)):
+                mine = {self.frame: self.pixels[second == bool(k)]}
+                motions = growth.Ts[k, others] @ se3.inverse(T_k)
+                H, g, _ = growth.evidence.register(np.full(len(others), self.frame), others, motions, mine, gate)
+                back = -se3.adjoint(motions)
+                M = np.eye(6, 7)
+                M[:, 6] = se3.adjoint(T) @ growth.joint.screw if k else 0
+                M = back @ M
+                A += np.einsum("pia,pij,pjb->ab", M, H, M)
+                b += np.einsum("pia,pi->a", M, g)
+            if at_rest:
+                A[6], A[:, 6], b[6] = 0, 0, 0
+            T, q = growth.stepped_jointed(T, q, A, b, most)
+        return T, q
+
+    def within_range(self, T: Array, q: float, rest: float, cost: float) -> tuple[Array, float]:
+        """`T` and `q`, that cost so much, or what they are with the parts exchanged where they stood at `rest`.
+
+        Both explain the pixels alike as long as no label tells. Then the state goes back to where it has been before: a
+        joint mostly rests at its limits.
+        """
+        growth = self.growth
+        assert growth.joint is not None
+        states, other = growth.states[growth.measured()], 2 * rest - q
+        if states.min() <= q <= states.max() or not states.min() <= other <= states.max():
+            return T, q
+        exchanged = self.refined(T @ growth.joint.transform(q - rest), other)
+        return exchanged if self.cost(*exchanged) < _AS_GOOD * cost else (T, q)
+
+    def same_parts(self, neighbour: int, T: Array, q: float) -> bool:
+        """Whether the labels that flow carried here agree with what `T` and `q` say: else the parts are exchanged.
+
+        Of a part that was hidden flow carries nothing: most pixels, at least, are the other's still. Where all was in
+        doubt either part may be either, and nothing speaks against.
+        """
+        growth = self.growth
+        costs = self.costs(T[None], np.array([q]))[:, 0]
+        carried = growth.labels[self.frame, self.pixels[:, 0], self.pixels[:, 1]]
+        told = (carried > 0) & (np.abs(costs[:, 1] - costs[:, 0]) > 0.3)
+        agree = (costs.argmin(1) + 1 == carried)[told]
+        if len(agree) < growth.settings.growth.min_jointed_pixels:
+            return bool(growth.open[neighbour])
+        return bool(agree.mean() > (0.8 if growth.seen[neighbour].all() else 0.5))
 
 
-def _freely(growth: Growth, frame: int, others: NDArray[np.int64], pixels: Pixels, Ts: Array, states: Array) -> Array:
-    """(p, m, 2) costs of `pixels` of `frame` as either part's, for m reference poses and states; no labels."""
-    assert growth.joint is not None
-    here = np.stack([Ts, Ts @ growth.joint.transform(states)], 1)
-    there = np.swapaxes(growth.Ts[:, others], 0, 1)[:, None]
-    motions = (there @ se3.inverse(here)[None]).reshape(len(others), -1, 4, 4)
-    costs = growth.evidence.costs(frame, others, motions, pixels).mean(1)
-    return costs.reshape(len(pixels), len(Ts), 2)
-
-
-def _refined_freely(
-    growth: Growth, frame: int, others: NDArray[np.int64], pixels: Pixels, T: Array, q: float, at_rest: bool = False
-) -> tuple[Array, float]:
-    """Reference pose and state after Gauss-Newton on pixels that choose their part anew in every round."""
-    assert growth.joint is not None
-    most = growth.longest_step()
-    for gate in (12.0, 8.0, 6.0, 5.0):
-        second = _freely(growth, frame, others, pixels, T[None], np.array([q]))[:, 0].argmin(1) == 1
-        A, b = np.zeros((7, 7)), np.zeros(7)
-        for k, T_k in enumerate(growth.both(T, q)):
-            mine = {frame: pixels[second == bool(k)]}
-            motions = growth.Ts[k, others] @ se3.inverse(T_k)
-            H, g, _ = growth.evidence.register(np.full(len(others), frame), others, motions, mine, gate)
-            back = -se3.adjoint(motions)
-            M = np.eye(6, 7)
-            M[:, 6] = se3.adjoint(T) @ growth.joint.screw if k else 0
-            M = back @ M
-            A += np.einsum("pia,pij,pjb->ab", M, H, M)
-            b += np.einsum("pia,pi->a", M, g)
-        if at_rest:
-            A[6], A[:, 6], b[6] = 0, 0, 0
-        T, q = growth.stepped_jointed(T, q, A, b, most)
-    return T, q
+def _patches(pixels: Pixels, area: int) -> NDArray[np.int64]:
+    """(p,) numbers of the square patches that `pixels`, drawn evenly from an `area`, fall into, some eight to each."""
+    side = max(1.0, math.sqrt(_PATCH * area / len(pixels)))
+    _, patches = np.unique(np.floor(pixels / side), axis=0, return_inverse=True)
+    return np.asarray(patches.reshape(-1))
 
 
 def doubted_frames(growth: Growth, frame: int, back: int) -> NDArray[np.int64]:

@@ -77,10 +77,7 @@ def find_seeds(
     found = candidates(evidence, tracker, settings, rng, within)
     if not found:
         raise HopelessError("segmentation", "no window has enough tracks for two motions")
-    chosen: list[Candidate] = []
-    for c in found:
-        if len(chosen) < settings.refined and all(abs(c.frame - o.frame) + abs(c.gap - o.gap) > 2 for o in chosen):
-            chosen.append(c)
+    chosen = [c for gap in settings.gaps for c in [c for c in found if c.gap == gap][: settings.refined]]
     seeds = sorted((_dense_seed(evidence, c, settings, rng) for c in chosen), key=lambda s: -s.gain)
     if seeds[0].gain < settings.min_gain:
         raise HopelessError(

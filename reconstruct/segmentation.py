@@ -6,6 +6,7 @@ one degrees of freedom. Labels of a frame come from all its pixels: under both m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from freeart21.se3 import Array
 from reconstruct.evidence import Evidence
 from reconstruct.growth import Grown, Growth, body_points
 from reconstruct.labels import Frames, label_frames
-from reconstruct.pieces import join, lost_stretches
+from reconstruct.pieces import is_doubtful, join, lost_stretches
 from reconstruct.poses import joint_adjustment
 from reconstruct.recovery import doubted_frames, found_anew, is_lost
 from reconstruct.scene import HopelessError
@@ -148,13 +149,14 @@ def go_back(growth: Growth, frame: int, neighbour: int) -> bool:
 
 
 def grow(
-    evidence: Evidence, tracker: Tracker, seed: Seed, settings: ReconstructSettings, rng: np.random.Generator
+    evidence: Evidence, tracker: Tracker, seeds: Sequence[Seed], settings: ReconstructSettings, rng: np.random.Generator
 ) -> Grown:
-    """Labels, poses and joint of the whole recording from one seed, and from others where that was lost for long.
+    """Labels, poses and joint of the whole recording from one of `seeds`, best first, and from others where that was
+    lost for long.
 
     Raises HopelessError when the second part never moves against the first.
     """
-    growth = _grow_piece(evidence, tracker, seed, settings, rng)
+    growth = _best_grown(evidence, tracker, seeds, settings, rng)
     given_up: set[int] = set()
     for _ in range(settings.pieces.most):
         stretch = next((run for run in lost_stretches(growth) if int(run[0]) not in given_up), None)
@@ -165,34 +167,96 @@ def grow(
     return Grown(growth.jointed(), growth.labels, growth.logodds, growth.seen)
 
 
-def _grow_piece(
+def _best_grown(
+    evidence: Evidence, tracker: Tracker, seeds: Sequence[Seed], settings: ReconstructSettings, rng: np.random.Generator
+) -> Growth:
+    """All frames, grown from one of `seeds`, and from others if much of that is in doubt: the least cost decides."""
+    best, failure = None, HopelessError("segmentation", "no second part")
+    for _ in range(settings.growth.attempts):
+        try:
+            growth, seed = _grown_piece(evidence, tracker, seeds, settings, rng)
+        except HopelessError as error:
+            failure = error
+            break
+        if best is None or np.nanmean(growth.costs) < np.nanmean(best.costs):
+            best = growth
+        if not is_doubtful(growth):
+            break
+        seeds = [other for other in seeds if abs(other.frame - seed.frame) >= settings.growth.beginnings_apart]
+    if best is None:
+        raise failure
+    return best
+
+
+def _grown_piece(
     evidence: Evidence,
     tracker: Tracker,
-    seed: Seed,
+    seeds: Sequence[Seed],
     settings: ReconstructSettings,
     rng: np.random.Generator,
     span: tuple[int, int] | None = None,
-) -> Growth:
-    """All frames, or those from the first to the last of `span`, grown from one seed."""
-    growth = Growth(evidence, tracker, seed, settings, rng, span)
-    for j, T in zip(seed.others, seed.Ts, strict=True):
-        step_free(growth, int(j), int(j) - 1, ([T[0]], [T[1]]))
-    s = settings.growth
-    add_frames(growth, s.bootstrap_frames - int(growth.done.sum()))
-    enough = s.bootstrap_motion * evidence.scene.diagonal
-    while growth.relative_motion() < enough and growth.done.sum() < s.bootstrap_most and frontier(growth):
-        add_frames(growth, 4)
-    if (growth.done & growth.seen.all(1)).sum() < 4:
-        raise HopelessError("segmentation", "no second part: fewer than 4 frames show two parts")
-    growth.adopt(growth.try_joint())
+) -> tuple[Growth, Seed]:
+    """All frames, or those from the first to the last of `span`, grown from the returned one of `seeds`."""
+    growth, seed = _begun(evidence, tracker, seeds, settings, rng, span)
     while frontier(growth):
-        add_frames(growth, s.adjust_every)
+        add_frames(growth, settings.growth.adjust_every)
         found, growth.found_again = growth.found_again, []
         for pair in found:
             go_back(growth, *pair)
         growth.found_again.clear()  # what the way back found leads nowhere new
         growth.relabel_doubtful()
         _adjust(growth, rng)
+    return growth, seed
+
+
+def _begun(
+    evidence: Evidence,
+    tracker: Tracker,
+    seeds: Sequence[Seed],
+    settings: ReconstructSettings,
+    rng: np.random.Generator,
+    span: tuple[int, int] | None = None,
+) -> tuple[Growth, Seed]:
+    """Grown until the joint is known, from the first of some `seeds` far apart that leads to one without doubt.
+
+    If all leave doubt, from that whose joint explains its frames best; of those with motion enough, if there are any.
+    """
+    s, chosen = settings.growth, list[Seed]()
+    for seed in seeds:
+        if all(abs(seed.frame - other.frame) >= s.beginnings_apart for other in chosen):
+            chosen.append(seed)
+    best, least, failure = None, (True, np.inf), HopelessError("segmentation", "no second part")
+    for seed in chosen[: s.beginnings]:
+        try:
+            growth = _with_joint(Growth(evidence, tracker, seed, settings, rng, span), seed)
+        except HopelessError as error:
+            failure = error
+            continue
+        still = growth.relative_motion() < s.bootstrap_motion * evidence.scene.diagonal
+        frames = np.flatnonzero(growth.done & growth.seen.all(1))
+        costs = [growth.jointed_cost(int(i), growth.Ts[0, i], growth.states[i]) for i in frames]
+        quality = still, float(np.mean(costs))
+        if best is None or quality < least:
+            best, least = (growth, seed), quality
+        if least < (False, s.sure_cost):
+            break
+    if best is None:
+        raise failure
+    return best
+
+
+def _with_joint(growth: Growth, seed: Seed) -> Growth:
+    """`growth` from `seed` on, free at first, until the relative motion says what the joint is."""
+    for j, T in zip(seed.others, seed.Ts, strict=True):
+        step_free(growth, int(j), int(j) - 1, ([T[0]], [T[1]]))
+    s = growth.settings.growth
+    add_frames(growth, s.bootstrap_frames - int(growth.done.sum()))
+    enough = s.bootstrap_motion * growth.evidence.scene.diagonal
+    while growth.relative_motion() < enough and growth.done.sum() < s.bootstrap_most and frontier(growth):
+        add_frames(growth, 4)
+    if (growth.done & growth.seen.all(1)).sum() < 4:
+        raise HopelessError("segmentation", "no second part: fewer than 4 frames show two parts")
+    growth.adopt(growth.try_joint())
     return growth
 
 
@@ -209,8 +273,8 @@ def _mended(growth: Growth, stretch: Frames, rng: np.random.Generator) -> bool:
     span = max(0, int(stretch[0]) - settings.pieces.margin), min(last, int(stretch[-1]) + settings.pieces.margin)
     try:
         within = int(stretch[0]), int(stretch[-1])
-        seed = find_seeds(growth.evidence, growth.tracker, settings.seeds, rng, within)[0]
-        piece = _grow_piece(growth.evidence, growth.tracker, seed, settings, rng, span)
+        seeds = find_seeds(growth.evidence, growth.tracker, settings.seeds, rng, within)
+        piece, _ = _grown_piece(growth.evidence, growth.tracker, seeds, settings, rng, span)
     except HopelessError:
         return False
     if not join(growth, piece, stretch):

@@ -48,7 +48,7 @@ class SeedSettings:
 
     every: int = 4
     """Frames between candidate windows."""
-    gaps: tuple[int, ...] = (3, 6)
+    gaps: tuple[int, ...] = (3, 6, 12)
     """Frame distances over which two rigid motions are sought in the tracks."""
     hypotheses: int = 120
     """RANSAC samples per window, each from a small neighbourhood."""
@@ -60,7 +60,7 @@ class SeedSettings:
     em_rounds: int = 4
     """EM rounds of the pair of transforms (supplement, Transformation Initialization)."""
     refined: int = 8
-    """Windows whose motions are refined densely before the best is chosen."""
+    """Windows of each gap whose motions are refined densely before the best is chosen."""
     window: int = 6
     """Frames, each way, of the dense refinement."""
     min_gain: float = 0.03
@@ -148,6 +148,8 @@ class GrowthSettings:
     """Weight of that prior, as a number of independent pixels: it only counts where a part is nearly hidden."""
     rest_cost: float = 1.02
     """The joint is taken to rest in a frame that costs no more than so many times what it costs with a motion."""
+    rest_cost_freely: float = 1.12
+    """The same where labels say little, and pixels are free to choose their part: that fits noise as well."""
     surprising_cost: float = 1.6
     """A frame that costs so many times the usual is lost: the states of the whole range are tried in the next."""
     searched_states: int = 41
@@ -173,6 +175,14 @@ class GrowthSettings:
     """Relative displacement of the moving part, in object diagonals, that makes a joint worth trying."""
     bootstrap_most: int = 48
     """The joint is tried after so many frames in any case."""
+    attempts: int = 3
+    """Growths from seeds far apart, at most, as long as much of each is in doubt: the cheapest stays."""
+    beginnings: int = 3
+    """Seeds that growth begins from, at most, until one leads to a joint without doubt;"""
+    beginnings_apart: int = 20
+    """they lie as many frames apart, at least."""
+    sure_cost: float = 0.15
+    """Mean cost of a beginning's frames under its joint below which no other is tried."""
     adjust_every: int = 16
     """Frames between joint adjustments while growing."""
     adjust_samples: int = 250
@@ -189,6 +199,8 @@ class PieceSettings:
     """Stretches that are tried, at most."""
     lost_cost: float = 2.5
     """A frame that costs so many times the usual shows that growth was lost."""
+    doubtful: float = 0.15
+    """Share of frames that cost so much against the best quarter at which a whole growth is in doubt."""
     shortest: int = 8
     """Fewer such frames on end are left as they are."""
     margin: int = 40

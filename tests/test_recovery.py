@@ -13,8 +13,9 @@ from freeart21.recording import Frame, Recording
 from reconstruct.growth import Growth
 from reconstruct.paper_segmentation import PartWeights, part_poses
 from reconstruct.pipeline import reconstruct
+from reconstruct.recovery import _Look, _patches
 from reconstruct.seeds import Seed, find_seeds
-from reconstruct.segmentation import add_frames, go_back, grow
+from reconstruct.segmentation import _begun, add_frames, go_back, grow
 from reconstruct.tracks import DisTracker
 
 SIZE = (160, 120)
@@ -86,7 +87,7 @@ def test_growth_holds_a_resting_joint_still_and_lets_it_go_on(resting):
 def test_a_joint_that_rests_and_goes_on_is_followed(resting):
     clip, evidence, true, tracker = resting
     rng = RNG(0)
-    grown = grow(evidence, tracker, find_seeds(evidence, tracker, QUIET.seeds, rng)[0], QUIET, rng)
+    grown = grow(evidence, tracker, find_seeds(evidence, tracker, QUIET.seeds, rng), QUIET, rng)
     off = state_errors(grown.poses.states, clip)
     assert grown.poses.joint.type == "revolute"
     assert np.ptp(off[REST]) < 0.028 and np.abs(off).mean() < 0.006 and np.abs(off).max() < 0.015
@@ -162,3 +163,64 @@ def test_papers_poses_bear_a_part_that_appears_late():
     assert grown.seen[:, 0].all() and np.array_equal(grown.seen[:, 1], np.arange(12) >= late)
     assert grown.poses.joint.type == "revolute"
     assert np.abs(state_errors(grown.poses.states, clip)[late:]).max() < 0.016
+
+
+# ---- what is found anew ----------------------------------------------------------------------------------------------
+
+
+class Noisy(_Look):
+    """Two parts on the left and right half of a picture; costs come with noise, of motions with what they lack."""
+
+    def costs(self, Ts, states):
+        noise = RNG(0).normal(0, 0.05, (len(self.pixels), len(Ts), 2))
+        noise[:, 0, 1] = noise[:, 0, 0]  # at rest both parts move alike
+        right = self.pixels[:, 1] >= 50
+        lack = np.stack([np.ones((len(right), 2)), np.stack([right, ~right], 1)], 1)
+        return 0.2 + noise + lack * states[:, None]
+
+
+def test_noise_is_not_taken_for_a_motion_but_a_motion_is():
+    grid = np.stack(np.meshgrid(np.arange(0, 100, 4), np.arange(0, 100, 4), indexing="ij"), -1).reshape(-1, 2)
+    look = Noisy(None, 0, np.zeros(0, np.int64), grid, _patches(grid, 100 * 100))
+    assert 60 < look.patches.max() < 100
+    twice = np.broadcast_to(np.eye(4), (2, 4, 4))
+    pixelwise = look.costs(twice, np.zeros(2)).min(2).mean(0)
+    assert pixelwise[1] < 0.9 * pixelwise[0], "pixel by pixel the noise would be explained"
+    rest, moved = look.explained(twice, np.zeros(2))
+    assert rest < QUIET.growth.rest_cost_freely * moved
+    rest, moved = look.explained(twice, np.array([0.05, 0.3]))
+    assert rest > QUIET.growth.rest_cost_freely * moved
+
+
+def test_without_labels_the_joint_goes_back_where_it_was_and_not_beyond(resting):
+    evidence = resting[1]
+    growth = half_grown(done=20, resting=resting, settings=QUIET)
+    rest, pixels = 19, np.argwhere(evidence.scene.valid[19])[::20].astype(np.int32)
+    others = np.arange(8, 19, 2)  # all of them at rest
+    look = _Look(growth, rest, others, pixels, _patches(pixels, 20 * len(pixels)))
+    T, q, top = growth.Ts[0, rest], growth.states[rest], growth.states[:20].max()
+    assert q == pytest.approx(top)
+    within = look.within_range(T, q + 0.02, q, np.inf)
+    assert within[1] < q, "the parts are exchanged, and the state goes back"
+    assert look.within_range(T, q + 0.02, q, 0.0)[1] == q + 0.02, "not when that explains less"
+    assert look.within_range(T, q - 0.02, q, np.inf)[1] == q - 0.02
+
+
+def test_of_several_beginnings_the_one_that_explains_its_frames_is_taken(resting):
+    _, evidence, true, tracker = resting
+    good = find_seeds(evidence, tracker, QUIET.seeds, RNG(0))
+    at = 9  # the joint rests: halves of the picture are taken for parts
+    halves = np.where(np.arange(true.labels.shape[2]) < true.labels.shape[2] // 2, -3, 3)
+    others = np.arange(at + 1, at + 7)
+    Ts = true.poses.Ts[others] @ se3.inverse(true.poses.Ts[at])
+    bad = Seed(at, others, np.stack([Ts, Ts], 1), np.where(true.labels[at] > 0, halves, 0).astype(np.float32), 1.0)
+    settings = replace(QUIET, growth=replace(QUIET.growth, beginnings_apart=1))
+
+    def begun(*seeds):
+        return _begun(evidence, tracker, seeds, settings, RNG(0))[0]
+
+    def right(growth):
+        return right_labels(growth.labels[growth.done], true.labels[growth.done]).mean()
+
+    assert right(begun(bad)) < 0.8 < 0.93 < right(begun(bad, *good))
+    assert right(begun(good[0], bad)) > 0.93

@@ -1,0 +1,55 @@
+"""What single pixels say of a motion, and which neighbours look alike."""
+
+import numpy as np
+import pytest
+
+from reconstruct import kernels
+
+SIGMA = 0.001
+
+
+def cost_before_a_wall(normal, distance):
+    """What a point with this normal costs that stands `distance` (m) before a wall, which fills the other frame."""
+    h = w = 9
+    pixels = np.zeros((2, h, w, 12), np.float32)
+    y, x = np.mgrid[:h, :w]
+    pixels[1, ..., kernels.POINT : kernels.POINT + 3] = np.stack([(x - 4) / 100, (y - 4) / 100, np.ones((h, w))], -1)
+    pixels[..., kernels.NORMAL : kernels.NORMAL + 3] = 0, 0, -1
+    pixels[0, 4, 4, kernels.POINT : kernels.POINT + 3] = 0, 0, 1 - distance
+    pixels[0, 4, 4, kernels.NORMAL : kernels.NORMAL + 3] = np.divide(normal, np.linalg.norm(normal))
+    centre, found = np.full(2, 4.0), np.zeros((1, 1, 1))
+    asked = 0, np.array([1]), np.eye(4)[None, None], np.array([[4, 4]]), pixels.reshape(-1, 12), h, w
+    kernels.pixel_costs(
+        0, 1, *asked, np.zeros(1, np.float32), 0.0, 100.0, 100.0, centre, centre, SIGMA, 3.0, 6.0, found
+    )
+    return float(found[0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("normal", "cost"),
+    [((0, 0, -1), 3.6), ((0, 1, 0), 0.5), ((0, 1, 0.05), 0.5), ((0, 1, -0.05), 0.5), ((0, 1, 0.5), 6.0)],
+)
+def test_before_a_surface_there_is_no_object_but_for_one_edge_on(normal, cost):
+    assert cost_before_a_wall(normal, 20 * SIGMA) == pytest.approx(cost)
+
+
+def test_behind_a_surface_all_is_hidden():
+    assert cost_before_a_wall((0, 0, -1), -20 * SIGMA) == pytest.approx(kernels.HIDDEN)
+    assert cost_before_a_wall((0, 1, 0.5), -20 * SIGMA) == pytest.approx(0.5)
+
+
+def held_across(ramp):
+    """Least weight of the edges between next neighbours along a row that is dark, then a `ramp`, then bright."""
+    row = np.concatenate([np.zeros(8), ramp, np.full(8, 24.0)])
+    h, w = 1, len(row)
+    points = np.stack([np.arange(w) / 1000.0, np.zeros(w), np.ones(w)], -1)[None].astype(np.float32)
+    normals = np.broadcast_to(np.array([0, 0, -1], np.float32), (h, w, 3)).copy()
+    features = np.stack([row, 0 * row, 0 * row], -1)[None].astype(np.float32)
+    starts, ends, weights = kernels.neighbours(np.ones((h, w), bool), points, normals, features, 0.1, 0.001)
+    return min(weights[starts[i] : starts[i + 1]][ends[starts[i] : starts[i + 1]] == i + 1].sum() for i in range(w - 1))
+
+
+def test_an_edge_of_the_picture_parts_neighbours_however_soft_it_is():
+    assert held_across(np.full(3, 0.0)) == 0, "no ramp: a step"
+    assert held_across(np.array([8.0, 16.0])) < 0.02, "next pixels differ by a third of it"
+    assert held_across(np.linspace(0, 24, 40)) > 0.9, "shading is no edge"
