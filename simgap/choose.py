@@ -15,6 +15,7 @@ from scipy.stats import norm
 
 from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
+from simgap.ceiling import ceiling
 from simgap.data import FitRun
 from simgap.fit import Fit, fitted, foretold
 from simgap.search import PLAINER, TWINS, Search, relaxed
@@ -119,7 +120,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     gap = bool((p < settings.p_value and closed > settings.least_gap) or base.floors > settings.plain_gap)
     if not gap:
         return Choice(base, p, (), best, bar, False, tuple(tried))
-    contenders = first
+    contenders = first + springs(first, search, folds)
     for size in range(1, settings.max_effects + 1):
         contenders = [
             loosened(j, folds) if settings.explained < j.floors < settings.form_factor * bar else j for j in contenders
@@ -135,6 +136,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
             break  # nor would a third bring it there
         level = search.larger(level[: settings.parents if size == 1 else settings.parents - 1])
         contenders = [judged(fit, folds) for fit in level[: settings.contenders]]
+        contenders += springs(contenders, search, folds)
         tried += contenders
         if well:  # by its form alone: others that need none of it stand instead, more effects beside it do not
             named = [set(j.names) for j in standing]
@@ -149,6 +151,8 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         standing += [judged(search.of(names), folds) for names in sorted(missing)]
         standing += twins(standing, search, folds)
         found = rivals([earned(j, search, folds, bar, settings) for j in standing], settings)
+        if len(found) == 1 and surpassed(found[0], search, base.floors, settings):
+            return Choice(base, p, (), found[0], bar, True, tuple(tried))
         return Choice(base, p, found, found[0], bar, True, tuple(tried))
     return Choice(base, p, (), min(tried, key=lambda j: j.floors), bar, True, tuple(tried))
 
@@ -163,6 +167,21 @@ def at_bound(fit: Fit) -> bool:
         if x > r.upper - _EDGE * (r.upper - r.lower) or (not width and x < r.lower + _EDGE * (r.upper - r.lower)):
             return True
     return False
+
+
+def surpassed(judgement: Judged, search: Search, gap: float, settings: ChoiceSettings) -> bool:
+    """Whether a force without a name explains much that the set leaves, its sizes free: then the name is not right."""
+    least = max(settings.nameless, settings.nameless_part * gap)
+    if judgement.fit.level <= np.hypot(1.0, least):
+        return False
+    free = relaxed(judgement.fit, search.train)
+    return bool(free.level**2 - ceiling(free, search.train) ** 2 > least**2)
+
+
+def springs(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:
+    """What the sets with a place at its bound become with a spring instead."""
+    wide = [j.fit for j in contenders if at_bound(j.fit)]
+    return [judged(fit, folds) for one in wide for fit in search.narrowed(one)]
 
 
 def twins(standing: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:

@@ -120,7 +120,7 @@ def unmoved(judgement: Judged) -> list[str]:
     fit, unit, found = judgement.fit, unit_of(judgement.left), []
     ranges = fit.theory.ranges()
     for effect in fit.effects:
-        own = [i for i, r in enumerate(ranges) if r.owner == effect.name]
+        own = [i for i, r in enumerate(ranges) if r.owner == effect.name and not np.isfinite(r.prior)]
         about = 1.0 if effect.name in ("actuator_gain", "encoder_scale") else 0.0
         block = fit.normal[np.ix_(own, own)] / unit
         scale = np.sqrt(np.maximum(np.diag(block), 1e-300))

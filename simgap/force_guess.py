@@ -15,13 +15,15 @@ from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
 from simgap.data import FitRun
 from simgap.surrogate import Plant, is_local
-from simgap.theory import Problem
+from simgap.theory import Problem, Theory
 
 _READINGS = 7
 """Of a window whose parabola tells speed and acceleration."""
 _PLACES, _WIDTHS = 41, (0.012, 0.02, 0.03, 0.045, 0.065, 0.1, 0.15)
 """Places over the way moved through, and parts of it that a width may have."""
 _RATIOS = (0.25, 0.5, 0.8)
+_SURE = 1e9
+"""One over the standard deviation of what is beyond doubt."""
 _BESIDE = 0.02
 """Part of the way moved through next to a limit where the contact's own force is unknown."""
 
@@ -40,13 +42,18 @@ class LocalForce:
     """(n, k) what the asset may be off by, and what any friction would make."""
     first: Array
     """Whether a run begins here."""
+    sure: Array
+    """(k,) one over the standard deviation of what is known of the factors of `smooth` beforehand."""
 
 
 def local_force(problem: Problem, runs: tuple[FitRun, ...], effects: tuple[Effect, ...] = ()) -> LocalForce:
     """The force that the asset's equation lacks in the runs with `effects` added."""
     plant = replace(problem.plant, effects=(*problem.plant.effects, *effects))
     parts = [_of_run(problem, plant, run) for run in runs if len(run.q) >= _READINGS]
-    return LocalForce(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    doubts = {r.name: 1 / r.prior for r in Theory(problem, ()).ranges()}
+    sure = np.array([doubts.get(name, _SURE) for name in ("inertia", "gravity", "lean_1", "lean_2")] + 4 * [0.0])
+    q, qd, force, weight, smooth, first = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return LocalForce(q, qd, force, weight, smooth, first, sure)
 
 
 def _of_run(problem: Problem, plant: Plant, run: FitRun) -> tuple[Array, ...]:
@@ -83,7 +90,12 @@ def _known(plant: Plant, q: Array, qd: Array, qdd: Array) -> Array:
     load = plant.mechanics.load(q, qd, qdd)
     total = np.zeros(len(q))
     for effect in plant.effects:
-        total += effect.force(q, qd) - np.sign(qd) * effect.drive_limit(q, qd, load)
+        memory: float | Array = 0.0
+        if type(effect).remember is not Effect.remember:
+            memory, now = np.zeros(len(q)), 0.0
+            for i, at in enumerate(q):
+                now = memory[i] = float(effect.remember(at, now, *effect.values()))
+        total += effect.force(q, qd, 0.0, memory) - np.sign(qd) * effect.drive_limit(q, qd, load)
     return total
 
 
@@ -133,11 +145,13 @@ def _memory(cls: type[Effect], seen: LocalForce, values: Array) -> Array:
 
 def _left(seen: LocalForce, columns: Array) -> tuple[Array, Array]:
     """(g,) sums of squares with each of the columns (g, n) and all that is smooth at their best, and their sizes."""
-    smooth = seen.smooth * seen.weight[:, None]
+    k = len(seen.sure)
+    smooth = np.concatenate([seen.smooth * seen.weight[:, None], np.diag(seen.sure)])  # as if read besides, as zeros
     scale = np.linalg.norm(smooth, axis=0)
     basis = np.linalg.svd(smooth[:, scale > 1e-9] / scale[scale > 1e-9], full_matrices=False)[0]
-    force = seen.force * seen.weight
+    force = np.append(seen.force * seen.weight, np.zeros(k))
     force = force - basis @ (basis.T @ force)
+    columns = np.concatenate([columns, np.zeros((len(columns), k))], 1)
     columns = columns - (columns @ basis) @ basis.T
     power = np.maximum((columns**2).sum(1), 1e-12)
     along = columns @ force

@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
+from freeart21.effects.detent import Detent
 from freeart21.se3 import Array
 from simgap.data import FitRun
 from simgap.fit import Fit, Problem, Starts, Theory, fitted, grown, joined, misfit, pieces, placed, resettled
@@ -17,10 +18,11 @@ from simgap.settings import ChoiceSettings
 from simgap.surrogate import is_local
 
 _CROSSINGS = (0.25, 0.8, 2.5, 6.0)
-"""Crossings of the range at top speed that stretches last for; a first-order look needs them short where much is
-missing, and fits grow through all longer ones to whole runs."""
+"""Crossings of the range at top speed that stretches last for: fits grow from some through all longer ones to whole
+runs."""
 _USUAL = 2
-"""Which of these it begins with."""
+"""Which of these a first-order look sees all effects in. In shorter ones it finds what catches or throws back, where
+the asset alone is lost; they hardly tell what acts all along."""
 _SCREEN = 2
 _PLACES = 2
 """Starting points that the missing force tells, for an effect with a place."""
@@ -32,7 +34,9 @@ _SLACKS = (0.003, 0.01, 0.03)
 _HOPEFUL = 6.0
 """Times the least sum of squares on stretches that another effect may leave there and still be fitted to whole runs."""
 _FAR, _WILD = 2.0, 4.0
-"""Floors of error beyond which a run is looked at in stretches, and a stretch in shorter ones."""
+"""Floors of error beyond which runs are looked at in stretches, and stretches in shorter ones."""
+_LOST = 8.0
+"""Floors of error of a set beyond which what is added to it is first fitted to stretches, whatever it is."""
 _GROWING = 4
 """Iterations of a fit to stretches."""
 
@@ -110,9 +114,9 @@ class Search:
         cut, at, found = self._guesses()
         rough = []
         for name in list(dict.fromkeys(guess.name for guess in found))[: self.settings.singles]:
-            own = self._apart([guess for guess in found if guess.name == name])
-            points = [guess.point for guess in own] + (self._places(name) if cut is not self.train else [])
+            points = [guess.point for guess in self._apart([guess for guess in found if guess.name == name])]
             rough.append(self._best(name, points, cut, at))
+        rough = self._with_sudden(rough, cut, at)
         most = self.settings.contenders + 1
         for fewer, runs in enumerate(self._longer(cut)):
             rough = [self._stretched(fit, runs) for fit in _hopeful(rough)[: most - fewer]]
@@ -156,6 +160,28 @@ class Search:
             if abs(a - b) > reach if r.lower < 0 else max(a, b) > 2 * min(a, b):
                 return False
         return True
+
+    def _with_sudden(self, rough: list[Fit], cut: tuple[FitRun, ...], at: Fit) -> list[Fit]:
+        """Fits of effects to stretches, those of what catches or throws back begun in shorter ones."""
+        short = self._short(self.base(), at, True)
+        if short is None:
+            return rough
+        found = guesses(short[1], short[0], tuple(name for name in self.names if is_sudden(EFFECTS[name])))
+        best = {fit.theory.names: fit for fit in rough}
+        for name in dict.fromkeys(guess.name for guess in found):
+            own = self._apart([guess for guess in found if guess.name == name])
+            fit = self._best(name, [guess.point for guess in own] + self._places(name), *short)
+            fit = self._lengthened(fit, short[0], len(cut))
+            fit = min(fit, best.get((name,), fit), key=lambda f: f.cost)
+            best[(name,)] = fit
+        return list(best.values())
+
+    def _lengthened(self, fit: Fit, cut: tuple[FitRun, ...], fewest: int = 0) -> Fit:
+        """The fit on ever longer stretches, down to the fewest."""
+        for runs in self._longer(cut):
+            if len(runs) >= fewest:
+                fit = self._stretched(fit, runs)
+        return fit
 
     def _best(self, name: str, points: list[dict[str, float]], cut: tuple[FitRun, ...], at: Fit) -> Fit:
         """`at`, a fit to stretches, with the effect, from the best of these points of it."""
@@ -272,15 +298,14 @@ class Search:
         if alone is not None:
             values = zip(alone.theory.ranges(), alone.theta, strict=True)
             points.append({r.name: float(x) for r, x in values if r.owner == guess.name})
-        cls = EFFECTS[guess.name]
-        sudden = cls.acts == "stop" or is_local(cls)
-        if cut is self.train or not sudden:  # what acts smoothly is found from the smaller set's own course
+        sudden = is_sudden(EFFECTS[guess.name])
+        if cut is self.train or not (sudden or parent.level > _LOST):
+            # what acts smoothly is found from the smaller set's own course
             points_at = [joined(theory, parent, {guess.name: point}) for point in points]
             return self._keep(self._finished(self._tried(theory, points_at, self.train, parent.starts, _SCREEN)))
-        fit = self._best(guess.name, points + self._places(guess.name, parent.effects), cut, at)
-        for runs in self._longer(cut):
-            fit = self._stretched(fit, runs)
-        return self._keep(self._whole(fit, parent))
+        begin = (self._short(parent, at, False) if sudden else None) or (cut, at)
+        fit = self._best(guess.name, points + self._places(guess.name, parent.effects), *begin)
+        return self._keep(self._whole(self._lengthened(fit, begin[0]), parent))
 
     def of(self, names: tuple[str, ...]) -> Fit:
         """The fit of this very set, started from its best subset."""
@@ -310,6 +335,15 @@ class Search:
             found.append(self._keep(fitted(theory, self.train, start, fit.starts)))
         return found
 
+    def narrowed(self, fit: Fit) -> list[Fit]:
+        """The set with a spring in the place of a notch so wide that nothing of it but its slope is seen."""
+        names = tuple(sorted({*fit.theory.names, "return_spring"} - {"detent"}))
+        if "detent" not in fit.theory.names or len(names) < len(fit.theory.names) or names in self.fits:
+            return []
+        notch = next(e for e in fit.effects if isinstance(e, Detent))
+        theory, spring = Theory(self.problem, names), {"stiffness": notch.steepness(), "rest": notch.centre}
+        return [self._keep(fitted(theory, self.train, joined(theory, fit, {"return_spring": spring}), fit.starts))]
+
     def without(self, fit: Fit, name: str) -> Fit:
         """The set of `fit` without one effect, started from `fit`."""
         theory = Theory(self.problem, tuple(n for n in fit.theory.names if n != name))
@@ -328,16 +362,30 @@ class Search:
         return self.fits[fit.theory.names]
 
     def _cut(self, fit: Fit, free: bool = False) -> tuple[tuple[FitRun, ...], Fit]:
-        """The runs as they are where a first-order look may span them, else in stretches short enough; and the fit
-        there, its parameters fitted anew where `free`."""
+        """The runs as they are where a first-order look may span them, else in stretches; and the fit there, its
+        parameters fitted anew where `free`."""
         if fit.level < _FAR:
             return self.train, stilled(fit)
-        for crossings in _CROSSINGS[_USUAL::-1]:
-            cut = pieces(self.train, crossings * self.problem.crossing_s)
-            at = fitted(fit.theory, cut, fit.theta, None, _GROWING, robust=True) if free else placed(fit, cut)
-            if at.level < _WILD:
+        return self._pieces(fit, _CROSSINGS[_USUAL], free)
+
+    def _short(self, fit: Fit, at: Fit, free: bool) -> tuple[tuple[FitRun, ...], Fit] | None:
+        """Stretches that a fit, `at` the usual ones, is not lost in, and the fit there; None where it is not lost."""
+        found = None
+        for crossings in _CROSSINGS[:_USUAL][::-1]:
+            if (found[1] if found else at).level < _WILD:
                 break
+            found = self._pieces(fit, crossings, free)
+        return found
+
+    def _pieces(self, fit: Fit, crossings: float, free: bool) -> tuple[tuple[FitRun, ...], Fit]:
+        cut = pieces(self.train, crossings * self.problem.crossing_s)
+        at = fitted(fit.theory, cut, fit.theta, None, _GROWING, robust=True) if free else placed(fit, cut)
         return cut, stilled(at)
+
+
+def is_sudden(cls: type[Effect]) -> bool:
+    """Whether an effect catches or throws back: a course with it differs from one without it at once."""
+    return cls.acts == "stop" or is_local(cls)
 
 
 def stilled(fit: Fit) -> Fit:

@@ -71,6 +71,10 @@ class ChoiceSettings:
     """Part of a large gap that it may leave besides."""
     well_explained: float = 0.2
     """Part of a large bar at which no larger set is looked for."""
+    nameless: float = 0.6
+    """Floors of what is left that a force without a name may explain beside an explanation, its sizes free; and"""
+    nameless_part: float = 0.05
+    """... the part of the gap that it may."""
     form_doubt: float = 2.0
     """Floors that a plain formula may leave before sets of other effects are tried, though its form explains it."""
     form_factor: float = 8.0

@@ -9,16 +9,19 @@ import numpy as np
 import pytest
 from gap_case import INERTIA, asset_of, measured_of
 
+from freeart21.effects.latch import Latch
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
+from simgap.ceiling import ceiling
 from simgap.choose import folds_of
 from simgap.data import fit_runs
 from simgap.fit import Problem, Theory, fitted, foretold, pieces, placed, predicted, tangent
 from simgap.floor import floor_of
-from simgap.search import Search, candidates
+from simgap.force_guess import local_force, places
+from simgap.search import Search, candidates, relaxed, stilled
 from simgap.settings import GapSettings
-from simgap.surrogate import plant_of
+from simgap.surrogate import plant_of, simulate
 from simgap.workflow import problem_of
 
 SETTINGS = GapSettings()
@@ -143,3 +146,40 @@ def test_what_runs_leave_open_is_open_before_others_too(tmp_path: Path):
     assert free.level < 1.3 < 3 < alone.level
     away = free.theta - told.theta
     assert away @ told.normal @ away < 25
+
+
+def test_the_missing_force_tells_where_a_catch_is(tmp_path: Path):
+    """Runs that stay in it: a simulation without it swings away, so no small change of that one tells anything."""
+    setup, runs = problem(tmp_path, measured_of(6, exact=True))
+    catch, rng = Latch(9.0, 0.3, 0.12, 0.5), np.random.default_rng(6)
+    starts = ((0.27, 0.3), (1.1, 0.0), (0.33, -0.2), (-0.9, 0.0), (0.34, 0.1))
+    caught = tuple(
+        replace(run, q=simulate(setup.plant, (catch,), run.times_s, *start) + rng.normal(0, 7e-4, len(run.q)))
+        for run, start in zip(runs, starts, strict=True)
+    )
+    found = places(setup, local_force(setup, caught), "latch", 2)
+    assert len(found) == 2
+    assert found[0]["position"] == pytest.approx(0.3, abs=0.03)
+    assert found[0]["travel"] == pytest.approx(0.12, rel=0.25)
+    assert found[0]["hold"] / found[0]["travel"] == pytest.approx(9.0 / 0.12, rel=0.15)
+    beside = places(setup, local_force(setup, caught, (catch,)), "latch", 1)
+    assert not beside or beside[0]["hold"] < 0.2 * 9.0  # nothing is missing with it
+    assert places(setup, local_force(setup, caught), "viscous_damping", 2) == []
+
+
+@pytest.mark.parametrize("ripple, surpassed", [(0.0, False), (0.08, True)])
+def test_a_force_without_a_name_shows_what_a_name_leaves(tmp_path: Path, ripple: float, surpassed: bool):
+    setup, runs = problem(tmp_path, measured_of(7, dry=0.15, cog=ripple, count=6.0))
+    train = folds_of(runs)[0].train
+    fit = relaxed(fitted(Theory(setup, ("coulomb_friction",)), train), train)
+    beyond = np.sqrt(max(fit.level**2 - ceiling(fit, train) ** 2, 0.0))
+    assert bool(beyond > SETTINGS.choice.nameless) == surpassed
+
+
+def test_a_start_that_presses_into_a_dead_stop_rests_there(tmp_path: Path):
+    setup, runs = problem(tmp_path, measured_of(8))
+    plant = replace(setup.plant, upper=float(max(run.q.max() for run in runs)))
+    fit = placed(fitted(Theory(replace(setup, plant=plant), ()), runs[:2], iterations=2), runs[:2])
+    first, second = (run.name for run in runs[:2])
+    pressed = replace(fit, starts={first: (plant.upper, 0.7), second: (0.1, 0.7)})
+    assert stilled(pressed).starts == {first: (plant.upper, 0.0), second: (0.1, 0.7)}

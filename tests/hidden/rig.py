@@ -67,7 +67,8 @@ def _plan(
     wild = 1.0 if i in OTHER else 0.0
     if kind == "W":
         size = (0.9, 0.75, 0.5, 0.3, 0.12, 0.6, 0.4, 0.8, 0.7, 0.45, 0.2, 0.97, 0.96)[i]
-        room = min(body.upper - body.rest, body.rest - body.lower) - 0.02
+        # no sensor's zero that is off puts a reading beyond a stop: that would tell it from a leaning base
+        room = min(body.upper - body.rest, body.rest - body.lower) - 0.09 * body.range
         return Plan(body.rest + (-1) ** i * size * room * rng.uniform(0.97, 1), 0.0, None, None)
     if kind == "F":
         q0, v0 = _release(rng, body, i, wild)
