@@ -164,6 +164,7 @@ def record_jobs(
     label = label or _label(out)
     with _only_writer(out):
         try:
+            _sweep(out)
             _begin(out, jobs, label)
             todo = _missing(out, jobs)
             try:
@@ -223,6 +224,13 @@ def _missing(out: Path, jobs: Sequence[Job]) -> list[Job]:
                 f"{there} exists{different}; choose another place or seed, or remove the sequence and its truth first"
             )
     return todo
+
+
+def _sweep(out: Path) -> None:
+    """Remove the files that a recorder left aside when it was killed while it wrote one of the whole."""
+    for folder in (out, out / WORK):
+        for left in folder.glob(f".*{atomic.ASIDE}"):
+            left.unlink(missing_ok=True)
 
 
 def _difference(job: Job, header: Path) -> str:
