@@ -70,15 +70,19 @@ def find_seeds(
 ) -> list[Seed]:
     """The windows whose dense refinement gains most from a second motion, best first; all, or those of a stretch.
 
-    They lie from the first to the last frame `within`, but may look a few frames beyond.
+    They lie from the first to the last frame `within`, but may look a few frames beyond. Where there is little texture
+    tracks gain most by their noise, so they only say which window of every few frames is tried: all pixels of its two
+    frames choose those that are refined on the frames between as well.
 
     Raises HopelessError when no window gains: nothing moves against anything else, or there is no second part.
     """
     found = candidates(evidence, tracker, settings, rng, within)
     if not found:
         raise HopelessError("segmentation", "no window has enough tracks for two motions")
-    chosen = [c for gap in settings.gaps for c in [c for c in found if c.gap == gap][: settings.refined]]
-    seeds = sorted((_dense_seed(evidence, c, settings, rng) for c in chosen), key=lambda s: -s.gain)
+    tried = _best_of_stretches(found, settings.stretch)
+    gains = [_dense_seed(evidence, c, np.array([c.frame + c.gap]), settings, rng).gain for c in tried]
+    chosen = [tried[c] for c in np.argsort(-np.array(gains), kind="stable")[: settings.refined]]
+    seeds = sorted((_dense_seed(evidence, c, _window(evidence, c, settings), settings, rng) for c in chosen), key=_rank)
     if seeds[0].gain < settings.min_gain:
         raise HopelessError(
             "segmentation",
@@ -86,6 +90,25 @@ def find_seeds(
             f"at least {settings.min_gain} is needed",
         )
     return [s for s in seeds if s.gain >= settings.min_gain]
+
+
+def _best_of_stretches(found: list[Candidate], frames: int) -> list[Candidate]:
+    """Of every stretch of so many `frames`, the first of `found` of each gap."""
+    best: dict[tuple[int, int], Candidate] = {}
+    for candidate in found:
+        best.setdefault((candidate.frame // frames, candidate.gap), candidate)
+    return list(best.values())
+
+
+def _window(evidence: Evidence, candidate: Candidate, settings: SeedSettings) -> NDArray[np.int64]:
+    """The frames after the candidate's own on which it is refined."""
+    first = candidate.frame + 1
+    return np.arange(first, min(first + max(settings.window, candidate.gap), len(evidence.scene)))
+
+
+def _rank(seed: Seed) -> float:
+    """Less is better."""
+    return -seed.gain
 
 
 def _two_motions(
@@ -156,13 +179,17 @@ def _errors(Ts: Array, X: Array, Y: Array, normals: Array, evidence: Evidence) -
     return np.minimum((along / (1.5 * evidence.sigma)) ** 2 + slide / (4 * evidence.unit) ** 2, 9.0)
 
 
-def _dense_seed(evidence: Evidence, candidate: Candidate, settings: SeedSettings, rng: np.random.Generator) -> Seed:
-    """Labels and motions of one window, refined in turn on all the evidence; compared with a single motion."""
+def _dense_seed(
+    evidence: Evidence,
+    candidate: Candidate,
+    others: NDArray[np.int64],
+    settings: SeedSettings,
+    rng: np.random.Generator,
+) -> Seed:
+    """Labels and motions to the frames `others`, refined in turn on all the evidence; compared with a single motion."""
     scene, t = evidence.scene, candidate.frame
-    last = min(t + max(settings.window, candidate.gap), len(scene) - 1)
-    others = np.arange(t + 1, last + 1)
     Ts = np.stack([_fraction(candidate.Ts, (j - t) / candidate.gap) for j in others])
-    at = candidate.gap - 1
+    at = int(np.searchsorted(others, t + candidate.gap))
     logodds = evidence.pixel_logodds(t, others[at : at + 1], Ts[at : at + 1])
     for round_ in range(3):
         for s in range(len(others)):

@@ -46,7 +46,7 @@ class TrackSettings:
 class SeedSettings:
     """Where two motions explain a window far better than one."""
 
-    every: int = 4
+    every: int = 6
     """Frames between candidate windows."""
     gaps: tuple[int, ...] = (3, 6, 12)
     """Frame distances over which two rigid motions are sought in the tracks."""
@@ -59,8 +59,10 @@ class SeedSettings:
     max_tracks: int = 1200
     em_rounds: int = 4
     """EM rounds of the pair of transforms (supplement, Transformation Initialization)."""
-    refined: int = 8
-    """Windows of each gap whose motions are refined densely before the best is chosen."""
+    stretch: int = 12
+    """Frames of which the window with the best tracks, of each gap, is tried on all pixels of its two frames."""
+    refined: int = 12
+    """Windows whose motions are refined on all their frames before the best is chosen."""
     window: int = 6
     """Frames, each way, of the dense refinement."""
     min_gain: float = 0.03

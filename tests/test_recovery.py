@@ -10,6 +10,7 @@ from test_reconstruct import GENTLE, QUIET, true_growth
 from freeart21 import se3
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Frame, Recording
+from reconstruct import seeds
 from reconstruct.growth import Growth
 from reconstruct.paper_segmentation import PartWeights, part_poses
 from reconstruct.pipeline import reconstruct
@@ -204,6 +205,19 @@ def test_without_labels_the_joint_goes_back_where_it_was_and_not_beyond(resting)
     assert within[1] < q, "the parts are exchanged, and the state goes back"
     assert look.within_range(T, q + 0.02, q, 0.0)[1] == q + 0.02, "not when that explains less"
     assert look.within_range(T, q - 0.02, q, np.inf)[1] == q - 0.02
+
+
+def test_all_pixels_choose_the_windows_whatever_the_tracks_noise_says(resting, monkeypatch):
+    _, evidence, _, tracker = resting
+    found = seeds.candidates(evidence, tracker, QUIET.seeds, RNG(0))
+    at_rest = [c for c in found if REST.start <= c.frame and c.frame + c.gap < REST.stop]
+    noisy = [replace(c, gain=c.gain + 100) if c in at_rest else c for c in found]
+    monkeypatch.setattr(seeds, "candidates", lambda *_: sorted(noisy, key=lambda c: -c.gain))
+    few = replace(QUIET.seeds, refined=2, stretch=6)
+    assert len(at_rest) >= 2 and len(noisy) > len(at_rest)
+    assert not any(
+        REST.start <= s.frame and s.others[-1] < REST.stop for s in find_seeds(evidence, tracker, few, RNG(0))
+    )
 
 
 def test_of_several_beginnings_the_one_that_explains_its_frames_is_taken(resting):
