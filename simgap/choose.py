@@ -15,14 +15,17 @@ from scipy.stats import norm
 
 from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
+from simgap import alike
 from simgap.ceiling import ceiling
 from simgap.data import FitRun
 from simgap.fit import Fit, fitted, foretold
-from simgap.search import PLAINER, TWINS, Search, relaxed
+from simgap.search import PLAINER, Search, prompt, relaxed
 from simgap.settings import ChoiceSettings
 
 _EDGE = 0.02
 """Part of a range that counts as its end."""
+_ANEW = 0.5
+"""Part of its sum of squares to which a set must fall to be looked at again."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         level = search.larger(level[: settings.parents if size == 1 else settings.parents - 1])
         contenders = [judged(fit, folds) for fit in level[: settings.contenders]]
         contenders += springs(contenders, search, folds)
+        contenders += fewer(contenders, search, folds, bar)
         tried += contenders
         if well:  # by its form alone: others that need none of it stand instead, more effects beside it do not
             named = [set(j.names) for j in standing]
@@ -153,8 +157,15 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         found = rivals([earned(j, search, folds, bar, settings) for j in standing], settings)
         if len(found) == 1 and surpassed(found[0], search, base.floors, settings):
             return Choice(base, p, (), found[0], bar, True, tuple(tried))
+        found = tuple(as_added(j, search, folds) for j in found)
         return Choice(base, p, found, found[0], bar, True, tuple(tried))
     return Choice(base, p, (), min(tried, key=lambda j: j.floors), bar, True, tuple(tried))
+
+
+def as_added(judgement: Judged, search: Search, folds: tuple[Fold, ...]) -> Judged:
+    """The set with the parameters that make a simulator come nearest, which knows no build-up of friction."""
+    fit = prompt(judgement.fit, search.train)
+    return judgement if fit is judgement.fit else judged(fit, folds)
 
 
 def at_bound(fit: Fit) -> bool:
@@ -181,15 +192,28 @@ def surpassed(judgement: Judged, search: Search, gap: float, settings: ChoiceSet
 def springs(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:
     """What the sets with a place at its bound become with a spring instead."""
     wide = [j.fit for j in contenders if at_bound(j.fit)]
-    return [judged(fit, folds) for one in wide for fit in search.narrowed(one)]
+    return [judged(fit, folds) for one in wide for fit in alike.narrowed(search, one)]
+
+
+def fewer(contenders: list[Judged], search: Search, folds: tuple[Fold, ...], bar: float) -> list[Judged]:
+    """The nearest set without each of its members, where that fits far better than it did when it was begun from less:
+    what helped the search there need not be there."""
+    best = min(contenders, key=lambda j: j.floors)
+    found = []
+    for name in best.names if best.floors <= bar else ():
+        before = search.fits.get(tuple(n for n in best.names if n != name))
+        fit = search.without(best.fit, name)
+        if before is not None and fit.cost < _ANEW * before.cost:
+            found.append(judged(fit, folds))
+    return found
 
 
 def twins(standing: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:
-    """What differs from a standing set by an effect's twin, judged by the same measure."""
+    """What differs from a standing set by an effect's twin, or by a gauge, judged by the same measure."""
     known = {j.names for j in standing}
     found: list[Judged] = []
     for j in standing:
-        for fit in search.twins(j.fit):
+        for fit in (*alike.twins(search, j.fit), *alike.turned(search, j.fit)):
             if fit.theory.names not in known:
                 known.add(fit.theory.names)
                 other = judged(fit, folds)
@@ -258,7 +282,7 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
     order = sorted(standing, key=lambda j: j.floors)
     best, unit = order[0], unit_of(order[0].strict)
 
-    def alike(j: Judged) -> bool:
+    def near(j: Judged) -> bool:
         more = sum(float((j.strict[run] ** 2).sum() - (best.strict[run] ** 2).sum()) for run in best.strict)
         if more < settings.rival_sum * unit:
             return True
@@ -268,7 +292,7 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
     first: dict[tuple[str, ...], Judged] = {}
     for j in order:
         first.setdefault(j.names, j)
-    kept = [j for j in first.values() if alike(j)]
+    kept = [j for j in first.values() if near(j)]
     fewest = min(len(j.names) for j in kept)
     kept = [j for j in kept if len(j.names) == fewest]
     names = {j.names for j in kept}
@@ -278,7 +302,7 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
 
 def _plain_load(judgement: Judged) -> set[str]:
     """The names, with the one of twins in the place of the other."""
-    return {"coulomb_friction" if name in TWINS else name for name in judgement.names}
+    return {"coulomb_friction" if name in alike.TWINS else name for name in judgement.names}
 
 
 def _plainer(names: tuple[str, ...]) -> list[tuple[str, ...]]:

@@ -6,91 +6,39 @@ two sides of a slack that meet or part, and an input that jumps. A step in which
 
 from __future__ import annotations
 
-import hashlib
-import inspect
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-from freeart21.effects import EFFECTS, Effect
+from simgap.laws import ACTS as ACTS
+from simgap.laws import DRIVE, FORCE, STAMP, STOP
+from simgap.laws import LAWS as LAWS
+from simgap.laws import jit as _jit
+from simgap.laws import law as _law
+from simgap.laws import remember as _remember
 
 INERTIA, GRAVITY_COS, GRAVITY_SIN, GRAVITY_CONST = 0, 1, 2, 3
 LOAD_ARM2, LOAD_WEIGHT2, LOAD_ACROSS, LOAD_TURNED = 4, 5, 6, 7
 GAIN, COMMAND_DELAY, STIFFNESS, DAMPING = 8, 9, 10, 11
 LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
-READING_DELAY, Q0, QD0 = 16, 17, 18
-HEAD = 19
+READING_DELAY, Q0, QD0, TRAVEL, GRIPPING = 16, 17, 18, 19, 20
+HEAD = 21
 """Places in the vector of numbers that describes one simulation; behind them each effect has FORM, then parameters."""
 FORM = 6
 """How the size of an effect may depart from its formula: with speed, with position, with position squared; and the
 speed, the middle and the half width by which it does."""
-FORCE, DRIVE, STOP = 0, 1, 2
-ACTS = {"force": FORCE, "drive": DRIVE, "stop": STOP}
 
 _BISECTIONS = 25
 _SPARE_STEPS = 4000
 """Steps cut short by events that a simulation may have besides twice its whole ones."""
 _FALSI = 7
+_BENDING = 0.02
+"""Part of the friction level that may still build up unseen."""
+_YIELD = 0.98
+"""Of the friction level: beyond, a part at rest gives way no further before it slides."""
 _STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
-
-LAWS: dict[str, int] = {name: i for i, name in enumerate(n for n in EFFECTS if EFFECTS[n].acts in ACTS)}
-"""Number of each law that the kernel knows."""
-
-
-_jit = njit(error_model="numpy", fastmath={"contract"}, _nrt=False)  # type: ignore[call-overload]  # no arrays are made
-
-_TAKEN = {  # a slice would cost more than the formula
-    1: _jit(lambda p, at: (p[at],)),
-    2: _jit(lambda p, at: (p[at], p[at + 1])),
-    3: _jit(lambda p, at: (p[at], p[at + 1], p[at + 2])),
-    4: _jit(lambda p, at: (p[at], p[at + 1], p[at + 2], p[at + 3])),
-    5: _jit(lambda p, at: (p[at], p[at + 1], p[at + 2], p[at + 3], p[at + 4])),
-    6: _jit(lambda p, at: (p[at], p[at + 1], p[at + 2], p[at + 3], p[at + 4], p[at + 5])),
-}
-
-
-def _law_among(names: list[str]) -> Any:
-    """A compiled choice among the laws of the effects `names`."""
-    number, law, taken = _pieces(names[0], "law")
-    others = _law_among(names[1:]) if len(names) > 1 else _jit(lambda which, q, qd, load, memory, p, at: 0.0)
-
-    @_jit
-    def choose(which, q, qd, load, memory, p, at):  # pragma: no cover
-        if which == number:
-            return 1.0 * law(q, qd, load, memory, *taken(p, at))
-        return others(which, q, qd, load, memory, p, at)
-
-    return choose
-
-
-def _memory_among(names: list[str]) -> Any:
-    """A compiled choice among the memories of the effects `names`; 0 for all others."""
-    if not names:
-        return _jit(lambda which, q, memory, p, at: 0.0)
-    number, remember, taken = _pieces(names[0], "remember")
-    others = _memory_among(names[1:])
-
-    @_jit
-    def choose(which, q, memory, p, at):  # pragma: no cover
-        if which == number:
-            return 1.0 * remember(q, memory, *taken(p, at))
-        return others(which, q, memory, p, at)
-
-    return choose
-
-
-def _pieces(name: str, formula: str) -> tuple[int, Any, Any]:
-    return LAWS[name], _jit(getattr(EFFECTS[name], formula)), _TAKEN[len(EFFECTS[name].parameters())]
-
-
-_law = _law_among(list(LAWS))
-_remember = _memory_among([n for n in LAWS if EFFECTS[n].remember is not Effect.remember])
-_stamp = int.from_bytes(
-    hashlib.sha256(b"".join(Path(inspect.getfile(EFFECTS[n])).read_bytes() for n in LAWS)).digest()[:7], "big"
-)
 
 
 @_jit
@@ -151,25 +99,44 @@ def _level(terms, p, memory, q, v, qdd):  # pragma: no cover
 
 
 @_jit
-def _acceleration(terms, p, memory, q, v, slide, side, push, position, effort, loaded):  # pragma: no cover
+def _bristle(p, slide, grip, q):  # pragma: no cover
+    """How far friction has built up at `q`, -1 to 1: `grip` is that where a motion in direction `slide` began, and
+    where it did."""
+    if p[TRAVEL] == 0.0:
+        return 1.0 * slide
+    return slide + (grip[0] - slide) * math.exp(-abs(q - grip[1]) / p[TRAVEL])
+
+
+@_jit
+def _friction(level, p, q, v, slide, grip):  # pragma: no cover
+    """Force against the motion: LuGre's, whose bristles bend over TRAVEL and damp by GRIPPING times the usual (Canudas
+    de Wit, Olsson, Astrom and Lischinsky 1995); the level at once without TRAVEL."""
+    if p[TRAVEL] == 0.0:
+        return slide * level
+    bent = _bristle(p, slide, grip, q)
+    return level * bent + p[GRIPPING] * math.sqrt(level * p[INERTIA] / p[TRAVEL]) * abs(v) * (slide - bent)
+
+
+@_jit
+def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Of a moving part; `slide` is the direction in which it slides against friction, 0 without friction."""
     inertia = p[INERTIA] + (p[SLACK_INERTIA] if side != 0 else 0.0)
     free = _acting(terms, p, memory, q, v, side, push, position, effort) / inertia
     if slide == 0:
         return free
-    qdd = free - slide * _level(terms, p, memory, q, v, free) / inertia
+    qdd = free - _friction(_level(terms, p, memory, q, v, free), p, q, v, slide, grip) / inertia
     if loaded:
         for _ in range(4):  # the load depends on the acceleration that friction changes
-            qdd = free - slide * _level(terms, p, memory, q, v, qdd) / inertia
+            qdd = free - _friction(_level(terms, p, memory, q, v, qdd), p, q, v, slide, grip) / inertia
     return qdd
 
 
 @_jit
-def _slopes(y, terms, p, memory, frozen, slide, side, push, position, effort, loaded):  # pragma: no cover
+def _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Accelerations of part and drive side at y = (q, v, x, w)."""
     a = 0.0
     if not frozen:
-        a = _acceleration(terms, p, memory, y[0], y[1], slide, side, push, position, effort, loaded)
+        a = _acceleration(terms, p, memory, y[0], y[1], slide, grip, side, push, position, effort, loaded)
     b = 0.0
     if p[SLACK_WIDTH] > 0.0:
         b = a if side != 0 else _actuator(p, y[2], y[3], position, effort) / p[SLACK_INERTIA]
@@ -177,19 +144,19 @@ def _slopes(y, terms, p, memory, frozen, slide, side, push, position, effort, lo
 
 
 @_jit
-def _advanced(y, h, terms, p, memory, frozen, slide, side, push, position, effort, loaded):  # pragma: no cover
+def _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """State after `h` by the classical Runge-Kutta step, nothing changing but the state."""
     q, v, x, w = y
-    a1, b1 = _slopes(y, terms, p, memory, frozen, slide, side, push, position, effort, loaded)
+    a1, b1 = _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
     v2, w2 = v + 0.5 * h * a1, w + 0.5 * h * b1
     y2 = (q + 0.5 * h * v, v2, x + 0.5 * h * w, w2)
-    a2, b2 = _slopes(y2, terms, p, memory, frozen, slide, side, push, position, effort, loaded)
+    a2, b2 = _slopes(y2, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
     v3, w3 = v + 0.5 * h * a2, w + 0.5 * h * b2
     y3 = (q + 0.5 * h * v2, v3, x + 0.5 * h * w2, w3)
-    a3, b3 = _slopes(y3, terms, p, memory, frozen, slide, side, push, position, effort, loaded)
+    a3, b3 = _slopes(y3, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
     v4, w4 = v + h * a3, w + h * b3
     y4 = (q + h * v3, v4, x + h * w3, w4)
-    a4, b4 = _slopes(y4, terms, p, memory, frozen, slide, side, push, position, effort, loaded)
+    a4, b4 = _slopes(y4, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
     q1 = q + h * (v + 2 * v2 + 2 * v3 + v4) / 6
     v1 = v + h * (a1 + 2 * a2 + 2 * a3 + a4) / 6
     if side != 0:
@@ -198,14 +165,14 @@ def _advanced(y, h, terms, p, memory, frozen, slide, side, push, position, effor
 
 
 @_jit
-def _contact(y, terms, p, memory, frozen, slide, side, push, position, effort, loaded):  # pragma: no cover
+def _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Force of the drive side on the part while they touch."""
-    a, _ = _slopes(y, terms, p, memory, frozen, slide, side, push, position, effort, loaded)
+    a, _ = _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
     return _actuator(p, y[2], y[3], position, effort) - p[SLACK_INERTIA] * a
 
 
 @_jit
-def _events(y, terms, p, memory, frozen, slide, side, push, position, effort, loaded):  # pragma: no cover
+def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """What has happened by the state `y`, as bits."""
     found = 0
     q, v, x, w = y
@@ -222,9 +189,21 @@ def _events(y, terms, p, memory, frozen, slide, side, push, position, effort, lo
             apart = x - q
             if abs(apart) >= 0.5 * p[SLACK_WIDTH] and apart * (w - v) > 0:
                 found |= _MET
-        elif side * _contact(y, terms, p, memory, frozen, slide, side, push, position, effort, loaded) < 0:
+        elif side * _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded) < 0:
             found |= _PARTED
     return found
+
+
+@_jit
+def _settled(y, p, load, part, side):  # pragma: no cover
+    """State and grip of a part at rest that gives way to a `load`, over the friction level, until friction bears it."""
+    load = min(max(load, -_YIELD), _YIELD)
+    if abs(load - part) < 1e-9:
+        return y, (part, y[0])
+    way = 1.0 if load > part else -1.0
+    q = y[0] + way * p[TRAVEL] * math.log((way - part) / (way - load))
+    q = min(max(q, p[LOWER]), p[UPPER])
+    return (q, 0.0, q + 0.5 * side * p[SLACK_WIDTH] if side != 0 else y[2], y[3]), (load, q)
 
 
 @_jit
@@ -257,6 +236,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
     end = times[n - 1] - p[READING_DELAY]
     late = early = 0  # the inputs that act now, through the actuator and directly
     side, done, resting = 0, 0, 0
+    grip = (0.0 if y[1] == 0.0 else math.copysign(1.0, y[1]), y[0])
     most = _SPARE_STEPS + 2 * (int((end - now) / step) + 2 * inputs)
     for _ in range(most):
         if done == n:
@@ -276,21 +256,32 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
         h = max(min(step, until - now), 1e-9)
         # what holds the part
         q, v = y[0], y[1]
-        frozen, slide = False, 0
+        frozen, slide, F = False, 0, 0.0
         if v == 0.0 and (dry or resting != 0):
             F = _acting(terms, p, memory, q, 0.0, side, push, position, asked)
             held = _level(terms, p, memory, q, 0.0, 0.0) if dry else 0.0
             if abs(F) <= held or (resting != 0 and resting * F >= -held):
                 frozen = True
+                if p[TRAVEL] > 0.0 and resting == 0 and held > 0.0:
+                    y, grip = _settled(y, p, F / held, grip[0], side)
+                    q = y[0]
             else:
                 slide, resting = (1 if F > 0 else -1) if dry else 0, 0
         elif dry:
             slide, resting = 1 if v > 0 else -1, 0
         else:
             resting = 0
+        if p[TRAVEL] > 0.0 and slide != 0:
+            grip = (grip[0], q)
+            if abs(slide - grip[0]) > _BENDING:  # steps that see the bristles bend
+                if v == 0.0:
+                    h = min(h, math.sqrt(p[TRAVEL] * p[INERTIA] / max(abs(F), 1e-12)))
+                else:
+                    h = min(h, 0.5 * p[TRAVEL] / abs(v))
+                h = max(h, 0.01 * step)
         # a step, cut where something happens
-        after = _advanced(y, h, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
-        found = _events(after, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
+        after = _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+        found = _events(after, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
         if found in (_STOPPED, _LIMIT):  # where a smooth number passes zero: regula falsi (Illinois)
             aim = 0.0 if found == _STOPPED else (p[LOWER] if after[0] < p[LOWER] else p[UPPER])
             which = 1 if found == _STOPPED else 0
@@ -299,7 +290,9 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
                 kept = 0
                 for _ in range(_FALSI):
                     mid = (low * f_high - high * f_low) / (f_high - f_low)
-                    there = _advanced(y, mid, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
+                    there = _advanced(
+                        y, mid, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded
+                    )
                     f_mid = there[which] - aim
                     if f_mid * f_high > 0.0:
                         high, f_high, after = mid, f_mid, there
@@ -317,8 +310,8 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
             low, high = 0.0, h
             for _ in range(_BISECTIONS):
                 mid = 0.5 * (low + high)
-                there = _advanced(y, mid, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
-                at_mid = _events(there, terms, p, memory, frozen, slide, side, push, position, asked, loaded)
+                there = _advanced(y, mid, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+                at_mid = _events(there, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
                 if at_mid:
                     high, after, found = mid, there, at_mid
                 else:
@@ -337,6 +330,8 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
             done += 1
         now += h
         y = after
+        if slide != 0:
+            grip = (_bristle(p, slide, grip, y[0]), y[0])
         # what the event changes
         if found & _MEMORY:
             for k in range(len(terms)):
@@ -379,7 +374,7 @@ def _made(stamp: int) -> Any:
     return sweep
 
 
-sweep = _made(_stamp)
+sweep = _made(STAMP)
 """sweep(numbers (m, k), terms (t, 3), times (n,), t_in (i,), command (i,), effort (i,), pushes (i,), step, out (m, n)):
 m simulations of one run. `terms` are law, what it does (FORCE, DRIVE, STOP), and where its numbers begin. Inputs last
 from `t_in` to the next; none are arrays of length 0. A run that leaves all bounds reads 1e6; one with events without

@@ -8,7 +8,6 @@ from itertools import product
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
-from freeart21.effects.detent import Detent
 from freeart21.se3 import Array
 from simgap.data import FitRun
 from simgap.fit import Fit, Problem, Starts, Theory, fitted, grown, joined, misfit, pieces, placed, resettled
@@ -46,8 +45,6 @@ PLAINER = {
     "backlash": "armature",
 }
 """Effect to the one that it becomes in a special case: the plainer one has the name unless it does worse."""
-TWINS = {"coulomb_friction": ("level", "load_friction"), "load_friction": ("coefficient", "coulomb_friction")}
-"""Effect to its size's name and to the effect that does the same where the load on the bearing stays as it is."""
 
 
 def candidates(problem: Problem, runs: tuple[FitRun, ...], encoder: bool = True) -> tuple[str, ...]:
@@ -121,7 +118,7 @@ class Search:
         for fewer, runs in enumerate(self._longer(cut)):
             rough = [self._stretched(fit, runs) for fit in _hopeful(rough)[: most - fewer]]
         for fit in _hopeful(rough)[:most]:
-            self._keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
+            self.keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
         for name, plainer in PLAINER.items():
             if (name,) in self.fits and (plainer,) in self.fits:
                 self._keep_from(name, self.fits[(plainer,)])
@@ -140,7 +137,7 @@ class Search:
         starts = [joined(theory, armature, {"backlash": point}) for point in points]
         tried = [fitted(theory, self.train, theta, armature.starts, _SCREEN) for theta in starts]
         best = min(tried, key=lambda fit: fit.cost)
-        self._keep(fitted(theory, self.train, best.theta, best.starts))
+        self.keep(fitted(theory, self.train, best.theta, best.starts))
 
     def _apart(self, own: list[Guess]) -> list[Guess]:
         """The best first guesses of one effect that differ: neighbours on the grid lead to the same fit."""
@@ -259,7 +256,7 @@ class Search:
         if fit.cost > plainer.cost and set(shared) <= set(EFFECTS[name].parameters()):
             point = {**off(self.problem, name), **shared}
             theta = joined(fit.theory, plainer, {name: point})
-            self._keep(fitted(fit.theory, self.train, theta, plainer.starts))
+            self.keep(fitted(fit.theory, self.train, theta, plainer.starts))
 
     def larger(self, parents: list[Fit]) -> list[Fit]:
         """The most promising sets of one effect more than some of `parents`, fitted; of every parent's at least one:
@@ -302,10 +299,10 @@ class Search:
         if cut is self.train or not (sudden or parent.level > _LOST):
             # what acts smoothly is found from the smaller set's own course
             points_at = [joined(theory, parent, {guess.name: point}) for point in points]
-            return self._keep(self._finished(self._tried(theory, points_at, self.train, parent.starts, _SCREEN)))
+            return self.keep(self._finished(self._tried(theory, points_at, self.train, parent.starts, _SCREEN)))
         begin = (self._short(parent, at, False) if sudden else None) or (cut, at)
         fit = self._best(guess.name, points + self._places(guess.name, parent.effects), *begin)
-        return self._keep(self._whole(self._lengthened(fit, begin[0]), parent))
+        return self.keep(self._whole(self._lengthened(fit, begin[0]), parent))
 
     def of(self, names: tuple[str, ...]) -> Fit:
         """The fit of this very set, started from its best subset."""
@@ -320,36 +317,12 @@ class Search:
             self._started(parent, guesses(at, cut, new)[0], at, cut)
         return self.fits[names]
 
-    def twins(self, fit: Fit) -> list[Fit]:
-        """The sets with an effect's twin in its place, started where both do the same under the usual load."""
-        found = []
-        for name in fit.theory.names:
-            size, twin = TWINS.get(name, ("", ""))
-            if twin not in self.names or twin in fit.theory.names:
-                continue
-            names = tuple(sorted({*fit.theory.names, twin} - {name}))
-            value = getattr(next(e for e in fit.effects if e.name == name), size)
-            usual = value * self.problem.load if name == "load_friction" else value / self.problem.load
-            theory = Theory(self.problem, names)
-            start = joined(theory, fit, {twin: {TWINS[twin][0]: usual}})
-            found.append(self._keep(fitted(theory, self.train, start, fit.starts)))
-        return found
-
-    def narrowed(self, fit: Fit) -> list[Fit]:
-        """The set with a spring in the place of a notch so wide that nothing of it but its slope is seen."""
-        names = tuple(sorted({*fit.theory.names, "return_spring"} - {"detent"}))
-        if "detent" not in fit.theory.names or len(names) < len(fit.theory.names) or names in self.fits:
-            return []
-        notch = next(e for e in fit.effects if isinstance(e, Detent))
-        theory, spring = Theory(self.problem, names), {"stiffness": notch.steepness(), "rest": notch.centre}
-        return [self._keep(fitted(theory, self.train, joined(theory, fit, {"return_spring": spring}), fit.starts))]
-
     def without(self, fit: Fit, name: str) -> Fit:
         """The set of `fit` without one effect, started from `fit`."""
         theory = Theory(self.problem, tuple(n for n in fit.theory.names if n != name))
-        return self._keep(fitted(theory, self.train, joined(theory, fit, {}), fit.starts))
+        return self.keep(fitted(theory, self.train, joined(theory, fit, {}), fit.starts))
 
-    def _keep(self, fit: Fit) -> Fit:
+    def keep(self, fit: Fit) -> Fit:
         """Remember a fit, after making sure that it is no worse than any of a smaller set."""
         for name in fit.theory.names:
             smaller = self.fits.get(tuple(n for n in fit.theory.names if n != name))
@@ -411,3 +384,11 @@ def relaxed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The same effects, their sizes free to depart from their formulas within the form tolerance."""
     theory = Theory(fit.theory.problem, fit.theory.names, relaxed=True)
     return fitted(theory, runs, joined(theory, fit, {}), fit.starts, iterations=8)
+
+
+def prompt(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The same effects as a simulator has them: dry friction is there at once after a reversal."""
+    theory = Theory(fit.theory.problem, fit.theory.names, prompt=True)
+    if len(theory.ranges()) == len(fit.theta):
+        return fit
+    return resettled(fitted(theory, runs, joined(theory, fit, {}), fit.starts), runs)

@@ -35,6 +35,9 @@ class FitSettings:
     rebound_tolerance: float = 0.6
     """The same of what comes back from a stop, which no law describes well: with the speed of the impact, and where a
     drive's inertia comes back though its formula has none of it."""
+    travel_tolerance: float = 1e-3
+    """Part of the way moved through over which dry friction may build up after a reversal: no real one does at once,
+    and small swings are the faster for it."""
     give_tolerance: float = 0.1
     """By what part of itself a drive may be softer because the flanks of its slack give way under load."""
 

@@ -16,6 +16,9 @@ from simgap import kernel
 from simgap.settings import FitSettings, SurrogateSettings
 from simgap.surrogate import Nuisance, Plant, numbers_of
 
+_FRICTION = "friction form"
+"""Owner of how all dry friction that is missing builds up."""
+
 
 @dataclass(frozen=True)
 class Range:
@@ -72,6 +75,8 @@ class Theory:
     names: tuple[str, ...]
     relaxed: bool = False
     """Whether the sizes of the effects may depart from their formulas, within the form tolerance."""
+    prompt: bool = False
+    """Whether dry friction is there at once after a reversal, as in simulators; else it builds up, as real one does."""
 
     @property
     def classes(self) -> tuple[type[Effect], ...]:
@@ -98,6 +103,9 @@ class Theory:
                 found.append(Range("asset", f"lean_{i}", -lean, lean, lean, lean))
         for cls in self.classes:
             found += [self._range(cls, name) for name in cls.parameters(problem.plant.joint_type)]
+        if not self.prompt and any(cls.acts == "drive" for cls in self.classes):
+            found.append(Range(_FRICTION, "travel_root", 0.1, 1.0, 0.3, 0.5, 0.3))
+            found.append(Range(_FRICTION, "gripping", 0.0, 2.0, 0.3, 0.5, 0.5))
         if self.relaxed:
             for cls in self.classes:
                 found += self._form(cls)
@@ -215,4 +223,9 @@ class Reader:
                 offset = next(e for e in effects if isinstance(e, EncoderOffset)).offset
                 effects = (*effects, EncoderScale(1 + free["tilt"] * offset / self.theory.problem.reference[2]))
         problem = self.theory.problem
-        return numbers_of(problem.plant, effects, nuisance, forms, problem.reference), effects
+        numbers = numbers_of(problem.plant, effects, nuisance, forms, problem.reference)
+        if _FRICTION in self.owners:
+            root, gripping = theta[(at := self.owners.index(_FRICTION)) : at + 2]
+            numbers[kernel.TRAVEL] = problem.fit.travel_tolerance * (problem.q_high - problem.q_low) * root**2
+            numbers[kernel.GRIPPING] = gripping
+        return numbers, effects

@@ -70,7 +70,7 @@ def test_a_held_out_run_only_gets_a_start(tmp_path: Path):
 
 def test_slopes_are_what_small_changes_do(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(4, viscous=0.12, dry=0.05))
-    theory = Theory(setup, ("coulomb_friction", "viscous_damping"))
+    theory = Theory(setup, ("coulomb_friction", "viscous_damping"), prompt=True)
     fit = fitted(theory, runs[:1], np.array([1.0, 1.0, 0.0, 0.05, 0.1]))
     _, starts, parameters = tangent(fit, runs[:1])
     run, j = runs[0], len(fit.theta) - 1

@@ -15,7 +15,7 @@ from freeart21.measured import Measured
 from freeart21.mechanics import Actuator, held
 from generator.simulate import roll_out
 from simgap import kernel
-from simgap.surrogate import Inputs, Nuisance, plant_of, simulate
+from simgap.surrogate import Inputs, Nuisance, numbers_of, plant_of, simulate, step_of, sweep, terms_of
 
 MASS, ARM, G = 1.6, 0.5, 9.81
 GRAVITY = np.array([0.0, 0.0, -G])
@@ -161,6 +161,30 @@ def test_steps_make_no_difference(tmp_path: Path):
     times = np.arange(500) * 0.01
     fine = simulate(plant, effects, times, 1.5, settings=SurrogateSettings(0.01, 1e-3))
     assert np.abs(simulate(plant, effects, times, 1.5) - fine).max() < 1e-5
+
+
+def test_friction_that_builds_up_is_lugres(tmp_path: Path):
+    """Small swings of a pendulum whose friction bends bristles first: against a stiff solver on the textbook's form."""
+    from scipy.integrate import solve_ivp
+
+    plant = plant_of(asset_at(tmp_path, "revolute"), measured_of("revolute"))
+    level, travel, inertia, weight = 0.03, 2e-3, plant.mechanics.inertia, MASS * G * ARM
+    effects = (made("coulomb_friction", level=level),)
+    stiff, damp = level / travel, np.sqrt(level * inertia / travel)
+
+    def slopes(t, y):
+        q, v, z = y
+        bend = v - abs(v) / travel * z
+        return v, (-weight * np.sin(q) - stiff * z - damp * bend) / inertia, bend
+
+    times = np.arange(400) * 0.01
+    true = solve_ivp(slopes, (0, 4), (0.2, 0.0, 0.0), "LSODA", times, rtol=1e-9, atol=1e-12).y[0]
+    numbers = numbers_of(plant, effects, Nuisance())
+    numbers[kernel.Q0] = 0.2
+    at_once = sweep(numbers[None], terms_of(effects), times, Inputs(), step_of(plant, effects))[0]
+    numbers[[kernel.TRAVEL, kernel.GRIPPING]] = travel, 1.0
+    ours = sweep(numbers[None], terms_of(effects), times, Inputs(), step_of(plant, effects))[0]
+    assert np.abs(ours - true).max() < 0.03 * np.abs(at_once - true).max()
 
 
 def test_five_seconds_take_less_than_a_millisecond(tmp_path: Path):
