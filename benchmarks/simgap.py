@@ -60,24 +60,25 @@ def main(
         work: Where cases, answers and labels are kept.
         out: The JSON file.
     """
-    began = time.perf_counter()
     place = work / f"{seed}-{share:g}"
     vault = sealed.Vault(place / "seen", place / "vault")
-    seconds = {"cases": _build(vault, seed, share, workers)}
+    spent = place / "seconds.json"
+    _add(spent, "cases", _build(vault, seed, share, workers))
     answers = place / "answers"
-    seconds["answers"] = _ask(vault.out / "cases", answers, workers)
+    _add(spent, "answers", _ask(vault.out / "cases", answers, workers))
     labels, rows = _opened(vault, answers)
     jobs = _left_out(rows, leave_out)
     (place / "jobs.json").write_text(json.dumps(jobs))
-    seconds["leave_one_out"] = _ask(vault.out / "cases", place / "without", workers, place / "jobs.json")
+    _add(spent, "leave_one_out", _ask(vault.out / "cases", place / "without", workers, place / "jobs.json"))
     alone = [_refused(place / "without" / name, job, labels) for name, job in jobs.items()]
-    compared, seconds["baselines"] = _compared(vault, rows, baseline_cases, workers, place / "baselines.json")
+    compared, took = _compared(vault, rows, baseline_cases, workers, place / "baselines.json")
+    seconds = _add(spent, "baselines", took)
     leaks = _leaks(vault, rows)
     found = {
         **score.summary(rows, alone),
         "leak_p_values": leaks,
         "baselines": baselines.summary(compared, rows),
-        "minutes": (time.perf_counter() - began) / 60,
+        "minutes": sum(seconds.values()) / 60,
     }
     score.picture(rows, ROOT / "out" / "simgap_confusion.png")
     _print(found, rows)
@@ -94,6 +95,14 @@ def main(
             "settings": {"share": share, "seed": seed, "workers": workers, "baseline_cases": baseline_cases},
         },
     )
+
+
+def _add(file: Path, stage: str, seconds: float) -> dict[str, float]:
+    """Seconds of every stage, this run's added to those of earlier ones; what a kill cut short is not counted."""
+    known = json.loads(file.read_text()) if file.is_file() else {}
+    known[stage] = known.get(stage, 0.0) + seconds
+    write_json(file, known)
+    return dict(known)
 
 
 def _seal(job: tuple[str, str, Any, str, int]) -> None:
