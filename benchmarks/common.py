@@ -13,10 +13,17 @@ RESULTS = ROOT / "benchmarks" / "results"
 
 
 def commit() -> str:
-    """The commit that is checked out, with '-dirty' when tracked files differ from it; 'unknown' outside git."""
-    command = ["git", "describe", "--always", "--dirty", "--exclude", "*"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    return done.stdout.strip() or "unknown"
+    """The commit that is checked out, with '-dirty' when tracked files differ from it, its results apart.
+
+    'unknown' outside git.
+    """
+
+    def said(*command: str) -> str:
+        return subprocess.run(["git", *command], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+
+    name = said("describe", "--always", "--exclude", "*")
+    changed = said("status", "--porcelain", "--untracked-files=no", "--", ".", ":!benchmarks/results")
+    return f"{name}-dirty" if name and changed else name or "unknown"
 
 
 def machine() -> dict[str, Any]:
