@@ -99,10 +99,10 @@ def main(
 
 def _add(file: Path, stage: str, seconds: float) -> dict[str, float]:
     """Seconds of every stage, this run's added to those of earlier ones; what a kill cut short is not counted."""
-    known = json.loads(file.read_text()) if file.is_file() else {}
+    known: dict[str, float] = json.loads(file.read_text()) if file.is_file() else {}
     known[stage] = known.get(stage, 0.0) + seconds
     write_json(file, known)
-    return dict(known)
+    return known
 
 
 def _seal(job: tuple[str, str, Any, str, int]) -> None:

@@ -12,12 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from simgap.laws import ACTS as ACTS
-from simgap.laws import DRIVE, FORCE, STAMP, STOP
-from simgap.laws import LAWS as LAWS
-from simgap.laws import jit as _jit
-from simgap.laws import law as _law
-from simgap.laws import remember as _remember
+from simgap.laws import DRIVE, FORCE, STAMP, STOP, jit, law, remember
 
 INERTIA, GRAVITY_COS, GRAVITY_SIN, GRAVITY_CONST = 0, 1, 2, 3
 LOAD_ARM2, LOAD_WEIGHT2, LOAD_ACROSS, LOAD_TURNED = 4, 5, 6, 7
@@ -41,7 +36,7 @@ _YIELD = 0.98
 _STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
 
 
-@_jit
+@jit
 def _form(p, at, q, v):  # pragma: no cover
     """By what factor the size of the effect at `at` departs from its formula."""
     a, b, c = p[at], p[at + 1], p[at + 2]
@@ -52,18 +47,18 @@ def _form(p, at, q, v):  # pragma: no cover
     return max(1.0 + a * speed + b * x + c * (2.0 * x * x - 1.0), 0.0)
 
 
-@_jit
+@jit
 def _sum(acts, terms, p, memory, q, v, load):  # pragma: no cover
     """Sum of all forces, or of all friction levels."""
     total = 0.0
     for k in range(len(terms)):
         if terms[k, 1] == acts:
             at = terms[k, 2]
-            total += _form(p, at, q, v) * _law(terms[k, 0], q, v, load, memory[k], p, at + FORM)
+            total += _form(p, at, q, v) * law(terms[k, 0], q, v, load, memory[k], p, at + FORM)
     return total
 
 
-@_jit
+@jit
 def _actuator(p, q, v, position, effort):  # pragma: no cover
     """Force of the actuator at the position and speed that it sees; `position` is NaN without a position law."""
     asked = effort
@@ -72,7 +67,7 @@ def _actuator(p, q, v, position, effort):  # pragma: no cover
     return p[GAIN] * asked
 
 
-@_jit
+@jit
 def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no cover
     """All forces on the part but friction."""
     F = p[GRAVITY_CONST] + push
@@ -86,7 +81,7 @@ def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no
     return F
 
 
-@_jit
+@jit
 def _level(terms, p, memory, q, v, qdd):  # pragma: no cover
     """Friction level, under the load that the bearing carries at this acceleration; the load may be left out."""
     if p[LOAD_WEIGHT2] == 0.0 and p[LOAD_ARM2] == 0.0:
@@ -98,7 +93,7 @@ def _level(terms, p, memory, q, v, qdd):  # pragma: no cover
     return _sum(DRIVE, terms, p, memory, q, v, math.sqrt(max(load2, 0.0)))
 
 
-@_jit
+@jit
 def _bristle(p, slide, grip, q):  # pragma: no cover
     """How far friction has built up at `q`, -1 to 1: `grip` is that where a motion in direction `slide` began, and
     where it did."""
@@ -107,7 +102,7 @@ def _bristle(p, slide, grip, q):  # pragma: no cover
     return slide + (grip[0] - slide) * math.exp(-abs(q - grip[1]) / p[TRAVEL])
 
 
-@_jit
+@jit
 def _friction(level, p, q, v, slide, grip):  # pragma: no cover
     """Force against the motion: LuGre's, whose bristles bend over TRAVEL and damp by GRIPPING times the usual (Canudas
     de Wit, Olsson, Astrom and Lischinsky 1995); the level at once without TRAVEL."""
@@ -117,7 +112,7 @@ def _friction(level, p, q, v, slide, grip):  # pragma: no cover
     return level * bent + p[GRIPPING] * math.sqrt(level * p[INERTIA] / p[TRAVEL]) * abs(v) * (slide - bent)
 
 
-@_jit
+@jit
 def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Of a moving part; `slide` is the direction in which it slides against friction, 0 without friction."""
     inertia = p[INERTIA] + (p[SLACK_INERTIA] if side != 0 else 0.0)
@@ -131,7 +126,7 @@ def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, eff
     return qdd
 
 
-@_jit
+@jit
 def _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Accelerations of part and drive side at y = (q, v, x, w)."""
     a = 0.0
@@ -143,7 +138,7 @@ def _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
     return a, b
 
 
-@_jit
+@jit
 def _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """State after `h` by the classical Runge-Kutta step, nothing changing but the state."""
     q, v, x, w = y
@@ -164,14 +159,14 @@ def _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position,
     return q1, v1, x + h * (w + 2 * w2 + 2 * w3 + w4) / 6, w + h * (b1 + 2 * b2 + 2 * b3 + b4) / 6
 
 
-@_jit
+@jit
 def _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Force of the drive side on the part while they touch."""
     a, _ = _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
     return _actuator(p, y[2], y[3], position, effort) - p[SLACK_INERTIA] * a
 
 
-@_jit
+@jit
 def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """What has happened by the state `y`, as bits."""
     found = 0
@@ -182,7 +177,7 @@ def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
         if q < p[LOWER] or q > p[UPPER]:
             found |= _LIMIT
         for k in range(len(terms)):
-            if terms[k, 1] == FORCE and _remember(terms[k, 0], q, memory[k], p, terms[k, 2] + FORM) != memory[k]:
+            if terms[k, 1] == FORCE and remember(terms[k, 0], q, memory[k], p, terms[k, 2] + FORM) != memory[k]:
                 found |= _MEMORY
     if p[SLACK_WIDTH] > 0.0:
         if side == 0:
@@ -194,7 +189,7 @@ def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
     return found
 
 
-@_jit
+@jit
 def _settled(y, p, load, part, side):  # pragma: no cover
     """State and grip of a part at rest that gives way to a `load`, over the friction level, until friction bears it."""
     load = min(max(load, -_YIELD), _YIELD)
@@ -206,7 +201,7 @@ def _settled(y, p, load, part, side):  # pragma: no cover
     return (q, 0.0, q + 0.5 * side * p[SLACK_WIDTH] if side != 0 else y[2], y[3]), (load, q)
 
 
-@_jit
+@jit
 def _rebound(terms, p, v):  # pragma: no cover
     """Speed after an impact that came in with `v`."""
     after = 0.0
@@ -215,13 +210,13 @@ def _rebound(terms, p, v):  # pragma: no cover
             at = terms[k, 2]
             s = min(2.0 * abs(v) / p[at + 3], 2.0) - 1.0
             form = max(1.0 + p[at] * s + p[at + 2] * (2.0 * s * s - 1.0), 0.0)
-            speed = form * _law(terms[k, 0], 0.0, v, 0.0, 0.0, p, at + FORM)
+            speed = form * law(terms[k, 0], 0.0, v, 0.0, 0.0, p, at + FORM)
             if abs(speed) > abs(after):
                 after = speed
     return min(abs(after), abs(v)) * (1.0 if after > 0 else -1.0)
 
 
-@_jit
+@jit
 def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  # pragma: no cover
     """Positions `out` (n,) as read at `times` (n,), for one vector of numbers."""
     n, inputs = len(times), len(t_in)
@@ -231,7 +226,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
     y = (p[Q0], p[QD0], p[Q0], p[QD0])
     for k in range(len(terms)):
         if terms[k, 1] == FORCE:
-            memory[k] = _remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + FORM)
+            memory[k] = remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + FORM)
     delayed, now = p[COMMAND_DELAY], times[0] - p[READING_DELAY]
     end = times[n - 1] - p[READING_DELAY]
     late = early = 0  # the inputs that act now, through the actuator and directly
@@ -336,7 +331,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
         if found & _MEMORY:
             for k in range(len(terms)):
                 if terms[k, 1] == FORCE:
-                    memory[k] = _remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + FORM)
+                    memory[k] = remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + FORM)
         if found & _PARTED and not found & (_STOPPED | _LIMIT):  # what stops takes its drive side with it
             side = 0
         if found & _MET:

@@ -20,7 +20,7 @@ from freeart21.measured import Measured
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
 from generator.simulate import load
-from simgap import kernel
+from simgap import kernel, laws
 from simgap.placing import place
 from simgap.settings import SurrogateSettings
 
@@ -119,8 +119,8 @@ def terms_of(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[
     """(t, 3) what the kernel needs to know of those effects that have a law there."""
     rows, at = [], kernel.HEAD
     for effect in effects:
-        if effect.name in kernel.LAWS:
-            rows.append((kernel.LAWS[effect.name], kernel.ACTS[effect.acts], at))
+        if effect.name in laws.LAWS:
+            rows.append((laws.LAWS[effect.name], laws.ACTS[effect.acts], at))
             at += kernel.FORM + len(effect.parameters())
     return np.array(rows, np.int64).reshape(-1, 3)
 
@@ -162,7 +162,7 @@ def numbers_of(
     head[kernel.LOWER], head[kernel.UPPER] = plant.lower, plant.upper
     parts = [head]
     for effect in effects:
-        if effect.name in kernel.LAWS:
+        if effect.name in laws.LAWS:
             form = (forms or {}).get(effect.name, (0.0, 0.0, 0.0))
             parts += [np.array((*form, *_around(effect, reference))), np.array(effect.values())]
     return np.concatenate(parts)

@@ -12,7 +12,7 @@ from freeart21.effects.encoder_offset import EncoderOffset
 from freeart21.effects.encoder_scale import EncoderScale
 from freeart21.effects.end_stop_bounce import EndStopBounce
 from freeart21.se3 import Array
-from simgap import kernel
+from simgap import kernel, laws
 from simgap.settings import FitSettings, SurrogateSettings
 from simgap.surrogate import Nuisance, Plant, numbers_of
 
@@ -116,7 +116,7 @@ class Theory:
         owner, r, e = f"{cls.name} form", self.problem.fit.form_tolerance, self.problem.fit.rebound_tolerance
         if cls.acts == "stop":  # a real stop throws back slow parts better than fast ones
             return [Range(owner, "speed", -e, e, e, e), Range(owner, "curve", -e, e, e, e)]
-        if cls.name in kernel.LAWS:
+        if cls.name in laws.LAWS:
             return [Range(owner, k, -r, r, r, r) for k in ("speed", "position", "curve")]
         found = []
         if cls.acts in ("inertia", "slack") and "end_stop_bounce" not in self.names:
@@ -212,7 +212,7 @@ class Reader:
         if self.theory.relaxed:
             for cls in self.theory.classes:
                 own = [float(x) for owner, x in zip(self.owners, theta, strict=True) if owner == f"{cls.name} form"]
-                if cls.name in kernel.LAWS:
+                if cls.name in laws.LAWS:
                     forms[cls.name] = (own[0], own[1] if len(own) == 3 else 0.0, own[-1])
             free = {r.name: float(x) for r, x in zip(self.ranges, theta, strict=True) if "form" in r.owner}
             if "rebound" in free:

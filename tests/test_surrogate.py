@@ -14,7 +14,7 @@ from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from freeart21.mechanics import Actuator, held
 from generator.simulate import roll_out
-from simgap import kernel
+from simgap import kernel, laws
 from simgap.surrogate import Inputs, Nuisance, numbers_of, plant_of, simulate, step_of, sweep, terms_of
 
 MASS, ARM, G = 1.6, 0.5, 9.81
@@ -56,15 +56,15 @@ FREE = {
 
 def test_the_kernel_has_every_law_of_the_library():
     lawful = {name for name, cls in EFFECTS.items() if cls.acts in ("force", "drive", "stop")}
-    assert set(kernel.LAWS) == lawful
+    assert set(laws.LAWS) == lawful
     rng = np.random.default_rng(0)
     for name in lawful:
         cls = EFFECTS[name]
         numbers = rng.uniform(0.1, 0.9, len(cls.parameters()))
         q, qd, load, memory = *rng.uniform(-1, 1, 2).tolist(), 2.0, 1.0
-        got = kernel._law(kernel.LAWS[name], q, qd, load, memory, numbers, 0)
+        got = laws.law(laws.LAWS[name], q, qd, load, memory, numbers, 0)
         assert got == pytest.approx(float(cls.law(q, qd, load, memory, *numbers)), rel=1e-12), name
-        caught = kernel._remember(kernel.LAWS[name], q, 1.0, numbers, 0)
+        caught = laws.remember(laws.LAWS[name], q, 1.0, numbers, 0)
         assert caught == float(cls.remember(q, 1.0, *numbers)), name
 
 
