@@ -78,14 +78,14 @@ def _viscous_damping(rng, s, body: Body, w: World) -> World:
 
 
 def _coulomb_friction(rng, s, body: Body, w: World) -> World:
-    return w._replace(friction=s * body.force, bristle=body.range * rng.uniform(2e-4, 6e-4))
+    return w._replace(friction=s * body.force, travel=body.range * rng.uniform(2e-4, 6e-4))
 
 
 def _stribeck_friction(rng, s, body: Body, w: World) -> World:
     return w._replace(
         friction=0.5 * s * body.force, friction_rise=s * body.force * rng.uniform(0.8, 1.4),
         friction_speed=body.speed * rng.uniform(0.1, 0.25), friction_power=1.0,
-        bristle=body.range * rng.uniform(2e-4, 6e-4),
+        travel=body.range * rng.uniform(2e-4, 6e-4),
     )  # fmt: skip
 
 
@@ -96,7 +96,7 @@ def _quadratic_drag(rng, s, body: Body, w: World) -> World:
 
 def _load_friction(rng, s, body: Body, w: World) -> World:
     usual = body.mass * 9.81 if body.revolute else max(w.load_axial, 1e-9)
-    return w._replace(friction_load=s * body.force / usual, bristle=body.range * rng.uniform(2e-4, 6e-4))
+    return w._replace(friction_load=s * body.force / usual, travel=body.range * rng.uniform(2e-4, 6e-4))
 
 
 def _return_spring(rng, s, body: Body, w: World) -> World:

@@ -15,7 +15,7 @@ STEP = 1e-4
 _ABLE = {
     "inertia", "gravity_cosine", "gravity_sine", "gravity_constant", "lower", "upper", "viscous", "known_viscous",
     "drag", "dry", "spring", "spring_rest", "hardening", "mass", "arm", "load_axial", "stiffness", "damping", "gain",
-    "link", "link_width", "link_inertia", "link_stiffness", "link_damping", "bristle",
+    "link", "link_width", "link_inertia", "link_stiffness", "link_damping", "travel",
 }  # fmt: skip
 
 
