@@ -7,7 +7,7 @@ that size that do as well by their plain formulas are rivals. When none does, no
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -103,8 +103,6 @@ def folds_of(runs: tuple[FitRun, ...]) -> tuple[Fold, ...]:
 
 
 def _stretch(run: FitRun, begin: int, end: int) -> FitRun:
-    from dataclasses import replace
-
     return replace(run.between(begin, end), name=f"{run.name}#{begin}")
 
 
