@@ -146,7 +146,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
             others = [j for j in others if j.floors <= min(settings.explained, settings.much_better * plain)]
             standing = others or standing
             break
-        if standing and min(j.floors for j in contenders) > settings.much_better * reach:
+        if standing and excess(min(j.floors for j in contenders)) > settings.much_better * excess(reach):
             break  # not even a larger set does much better: the rest is form
     if standing:
         missing = {names for j in standing for names in _plainer(j.names)} - {j.names for j in standing}
@@ -223,9 +223,15 @@ def earned(judgement: Judged, search: Search, folds: tuple[Fold, ...], bar: floa
     """The set without the members that do not earn their places: the rest, fitted from here, predicts about as well."""
     for name in judgement.names if len(judgement.names) > 1 else ():
         smaller = loosened(judged(search.without(judgement.fit, name), folds), folds)
-        if smaller.reach <= max(settings.explained, judgement.floors / settings.much_better) and smaller.reach <= bar:
+        well = smaller.reach <= settings.explained
+        if smaller.reach <= bar and (well or settings.much_better * excess(smaller.reach) <= excess(judgement.floors)):
             return earned(smaller, search, folds, bar, settings)
     return judgement
+
+
+def excess(floors: float) -> float:
+    """What of an error, in floors, is more than noise."""
+    return float(np.sqrt(max(floors**2 - 1.0, 0.0)))
 
 
 def judged(fit: Fit, folds: tuple[Fold, ...]) -> Judged:

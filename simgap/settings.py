@@ -85,7 +85,7 @@ class ChoiceSettings:
     hopeless: float = 3.0
     """Bars of error that the best set may leave for a third effect to be looked for."""
     much_better: float = 0.6
-    """A larger set must leave less than this part of what a smaller one leaves."""
+    """A larger set must leave less than this part of what a smaller one leaves, both beyond noise."""
     rival: float = 1.15
     """A set whose held-out error is within this factor of the best is its rival,"""
     rival_sum: float = 9.0
