@@ -6,6 +6,8 @@ import numpy as np
 
 from freeart21.effects.detent import Detent
 from freeart21.effects.encoder_offset import EncoderOffset
+from freeart21.effects.quadratic_drag import QuadraticDrag
+from freeart21.effects.viscous_damping import ViscousDamping
 from simgap import kernel
 from simgap.fit import Fit, Reader, Theory, fitted, joined
 from simgap.search import Search
@@ -25,6 +27,18 @@ def twins(search: Search, fit: Fit) -> list[Fit]:
         load = search.problem.load
         usual = value * load if name == "load_friction" else value / load
         found.append(_instead(search, fit, name, twin, {TWINS[twin][0]: usual}))
+    return found
+
+
+def losses(search: Search, fit: Fit) -> list[Fit]:
+    """The set with drag in the place of damping, or damping in that of drag, started where half the top speed takes the
+    same force: beside dry friction a first-order guess may take one for the other."""
+    found = []
+    half = 0.5 * search.problem.speed
+    for old, new, ratio in ((QuadraticDrag, ViscousDamping, half), (ViscousDamping, QuadraticDrag, 1 / half)):
+        if new.name in search.names and new.name not in fit.theory.names:
+            sizes = [effect.coefficient for effect in fit.effects if isinstance(effect, old)]
+            found += [_instead(search, fit, old.name, new.name, {"coefficient": size * ratio}) for size in sizes]
     return found
 
 

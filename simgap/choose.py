@@ -128,9 +128,9 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         ]
         standing = [j for j in contenders if j.reach <= bar and not at_bound(j.fit)]
         reach = min((j.reach for j in standing), default=np.inf)
-        plain = min((j.floors for j in standing), default=np.inf)
-        well = reach <= max(settings.explained, settings.well_explained * bar)
-        if (well and plain <= settings.form_doubt) or size == settings.max_effects:
+        well = [j for j in standing if j.reach <= max(settings.explained, settings.well_explained * bar)]
+        plain = min((j.floors for j in well), default=np.inf)
+        if plain <= settings.form_doubt or size == settings.max_effects:
             break
         nearest = min(j.reach for j in (*tried, *contenders))
         if size > 1 and not standing and nearest > settings.hopeless * bar:
@@ -138,20 +138,21 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         level = search.larger(level[: settings.parents if size == 1 else settings.parents - 1])
         contenders = [judged(fit, folds) for fit in level[: settings.contenders]]
         contenders += springs(contenders, search, folds)
+        contenders += other_losses(contenders, search, folds)
         contenders += fewer(contenders, search, folds, bar)
         tried += contenders
-        if well:  # by its form alone: others that need none of it stand instead, more effects beside it do not
-            named = [set(j.names) for j in standing]
-            others = [j for j in contenders if not any(names <= set(j.names) for names in named)]
-            others = [j for j in others if j.floors <= min(settings.explained, settings.much_better * plain)]
-            standing = others or standing
+        if well:  # by its form alone: others that need none of it stand instead
+            others = [j for j in contenders if j.floors <= min(settings.explained, settings.much_better * plain)]
+            standing = [j for j in others if not any(_is_within(n, j, settings) for n in standing)] or standing
             break
-        if standing and excess(min(j.floors for j in contenders)) > settings.much_better * excess(reach):
+        if standing and not beats(min(j.floors for j in contenders), reach, settings):
             break  # not even a larger set does much better: the rest is form
     if standing:
         missing = {names for j in standing for names in _plainer(j.names)} - {j.names for j in standing}
-        standing += [judged(search.of(names), folds) for names in sorted(missing)]
+        standing += [loosened(judged(search.of(names), folds), folds) for names in sorted(missing)]
         standing += twins(standing, search, folds)
+        reach = min(j.reach for j in standing)
+        standing = [j for j in standing if j.reach <= settings.explained or not beats(reach, j.reach, settings)]
         found = rivals([earned(j, search, folds, bar, settings) for j in standing], settings)
         if len(found) == 1 and surpassed(found[0], search, base.floors, settings):
             return Choice(base, p, (), found[0], bar, True, tuple(tried))
@@ -193,6 +194,12 @@ def springs(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -
     return [judged(fit, folds) for one in wide for fit in alike.narrowed(search, one)]
 
 
+def other_losses(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:
+    """What the nearest set becomes with damping for its drag, or the reverse, unless that is known."""
+    best, known = min(contenders, key=lambda j: j.floors), {j.names for j in contenders}
+    return [judged(fit, folds) for fit in alike.losses(search, best.fit) if fit.theory.names not in known]
+
+
 def fewer(contenders: list[Judged], search: Search, folds: tuple[Fold, ...], bar: float) -> list[Judged]:
     """The nearest set without each of its members, where that fits far better than it did when it was begun from less:
     what helped the search there need not be there."""
@@ -224,7 +231,7 @@ def earned(judgement: Judged, search: Search, folds: tuple[Fold, ...], bar: floa
     for name in judgement.names if len(judgement.names) > 1 else ():
         smaller = loosened(judged(search.without(judgement.fit, name), folds), folds)
         well = smaller.reach <= settings.explained
-        if smaller.reach <= bar and (well or settings.much_better * excess(smaller.reach) <= excess(judgement.floors)):
+        if smaller.reach <= bar and (well or not beats(judgement.floors, smaller.reach, settings)):
             return earned(smaller, search, folds, bar, settings)
     return judgement
 
@@ -232,6 +239,17 @@ def earned(judgement: Judged, search: Search, folds: tuple[Fold, ...], bar: floa
 def excess(floors: float) -> float:
     """What of an error, in floors, is more than noise."""
     return float(np.sqrt(max(floors**2 - 1.0, 0.0)))
+
+
+def beats(floors: float, others: float, settings: ChoiceSettings) -> bool:
+    """Whether an error, in floors, is much less than another's, both beyond noise."""
+    return excess(floors) <= settings.much_better * excess(others)
+
+
+def _is_within(smaller: Judged, larger: Judged, settings: ChoiceSettings) -> bool:
+    """Whether the larger set is but the smaller one with more beside it, and not even much better than its form."""
+    more = smaller.reach > settings.explained and beats(larger.floors, smaller.reach, settings)
+    return set(smaller.names) <= set(larger.names) and not more
 
 
 def judged(fit: Fit, folds: tuple[Fold, ...]) -> Judged:

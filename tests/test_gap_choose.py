@@ -83,6 +83,12 @@ def test_a_pair_is_named_that_no_single_effect_is_part_of(tmp_path: Path):
     assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "quadratic_drag"})
 
 
+def test_friction_with_oil_is_no_friction_under_load(tmp_path: Path):
+    """Load goes with speed squared on a swing: beside a gap of 300 floors that form would do for a little oil."""
+    found = verdict(tmp_path, measured_of(24, dry=0.5, viscous=0.1))
+    assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "viscous_damping"})
+
+
 def test_a_zero_that_is_off_may_be_a_leaning_base(tmp_path: Path):
     found = verdict(tmp_path, measured_of(14, offset=0.15))
     assert found.verdict == "ambiguous"
