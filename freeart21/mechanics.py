@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -95,7 +96,22 @@ class Actuator:
         return asked
 
 
-def held(times_s: ArrayLike, values: ArrayLike) -> Callable[[float], float]:
-    """A recorded series (n,), times rising, as a function of time: each value lasts until the next one."""
-    times, series = np.asarray(times_s, float), np.asarray(values, float)
-    return lambda t: float(series[max(int(np.searchsorted(times, t, side="right")) - 1, 0)])
+def held(times_s: ArrayLike, values: ArrayLike, over_s: float = 0.0) -> Callable[[float], float]:
+    """A recorded series (n,), times rising, as a function of time: each value lasts until the next one.
+
+    With `over_s` its mean over so many seconds, half of them on either side: what a simulator that takes one force a
+    step of that length must be given for the impulse to be right.
+    """
+    times, series = [float(t) for t in np.asarray(times_s)], [float(v) for v in np.asarray(values)]
+    passed = [0.0, *np.cumsum(np.diff(times) * series[:-1]).tolist()]
+
+    def value(t: float) -> float:
+        return series[max(bisect_right(times, t) - 1, 0)]
+
+    def integral(t: float) -> float:
+        i = max(bisect_right(times, t) - 1, 0)
+        return passed[i] + series[i] * (t - times[i])
+
+    if over_s <= 0:
+        return value
+    return lambda t: (integral(t + 0.5 * over_s) - integral(t - 0.5 * over_s)) / over_s

@@ -30,8 +30,9 @@ from simgap.track_geometry import at_point, displacement
 HALVINGS = 3
 SHARE = 0.4
 """Of the seconds that there are, for the choice of the time step."""
-ENOUGH = 0.1
-"""Floors that a halving of the time step may change."""
+ENOUGH, SMALL = 0.1, 0.05
+"""Floors that a halving of the time step may change a replay by, and the part of what that replay is off by anyway: a
+free swing far from the measured one may differ by more at any step, and tells the same."""
 
 
 class _Stage:
@@ -72,15 +73,15 @@ class _Stage:
         begin = first - sum(effect.delay() for effect in sensing)
         effort, command = (data.get(f"{name}_{i}") for name in ("effort", "q_command"))
         law = self.job["actuator"]
-        follows = held(clock - begin, command) if command is not None and law else None
-        commanded = held(clock - begin, effort) if effort is not None and self.job["effort"] == "commanded" else None
-        push = held(clock - begin, effort) if effort is not None and self.job["effort"] == "external" else None
+        h = loaded.timestep_s
+        follows = held(clock - begin, command, h) if command is not None and law else None
+        told = held(clock - begin, effort, h) if effort is not None else None
+        commanded, push = (told if self.job["effort"] == kind else None for kind in ("commanded", "external"))
         actuator = None
         if follows is not None or commanded is not None:
             stiffness, damping = law or (0.0, 0.0)
             actuator = Actuator(follows, stiffness, damping, commanded)
         q0 = float(np.clip(start[0], self.lower, self.upper))
-        h = loaded.timestep_s
         seconds = float(np.ceil((times[-1] - first) / h) * h) + h
         rolled = simulate.roll_out(loaded, q0, start[1], duration_s=seconds, force=push, actuator=actuator)
         q = np.interp(times - first, rolled.times_s, rolled.q)
@@ -141,8 +142,12 @@ def _timestep(
             coarse, numerics = stage.replay(stage.load(h), data, i, starts[i][k]), np.inf
             for _ in range(HALVINGS):
                 fine = stage.replay(stage.load(h / 2), data, i, starts[i][k])
-                numerics = float(np.sqrt(np.mean((fine - coarse) ** 2))) / float(job["floors"][i])
-                if numerics < ENOUGH or h <= float(job["timestep_s"]) / 2**HALVINGS or time.monotonic() > end:
+                numerics, gap = (
+                    float(np.sqrt(np.mean((fine - other) ** 2))) / float(job["floors"][i])
+                    for other in (coarse, data[f"q_{i}"])
+                )
+                fine_enough = numerics < max(ENOUGH, SMALL * gap)
+                if fine_enough or h <= float(job["timestep_s"]) / 2**HALVINGS or time.monotonic() > end:
                     break
                 h, coarse = h / 2, fine
             worst = max(worst, numerics)

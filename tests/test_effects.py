@@ -330,6 +330,8 @@ def test_a_recorded_series_is_held():
     actuator = Actuator(series, 10.0, 2.0, lambda t: 0.5)
     assert actuator.force(1.0, 3.0, 0.2) == pytest.approx(10 * (6 - 1) - 2 * 3 + 0.5)
     assert Actuator(effort=series).force(1.0, 3.0, 0.2) == 6.0
+    mean = held([0.0, 0.1, 0.3], [5.0, 6.0, 7.0], 0.1)
+    assert [mean(t) for t in (-1, 0.05, 0.1, 0.2, 0.325, 9)] == pytest.approx([5, 5, 5.5, 6, 6.75, 7])
 
 
 def test_words_of_urdf_and_mjcf():
