@@ -406,15 +406,18 @@ def load(
     return SimulatedAsset(asset, scene, articulation, joint, timestep_s)
 
 
-def joint_motion(asset: Asset, states: ArrayLike, times_s: ArrayLike = 0.0) -> Array:
+def joint_motion(
+    asset: Asset, states: ArrayLike, times_s: ArrayLike = 0.0, gravity: ArrayLike = GRAVITY
+) -> Array:
     """What the loaded joint does: (n, 4, 4) displacements of the moving part, in the asset's canonical frame.
 
     Each maps the moving part from canonical state zero to one of the canonical `states` (n,), rad or m; states beyond
     the limits are allowed. Measured from the link poses of the loaded asset, not read from the URDF; the engine's poses
     are single precision (1e-7 of the distances). Kinematic effects are in it, as at `times_s` (n,) or one for
-    all; displacements are from where the ideal joint has the part at state zero.
+    all, under `gravity` (3,), m/s^2 in the world frame; displacements are from where the ideal joint has the part at
+    state zero.
     """
-    simulated = load(asset)
+    simulated = load(asset, gravity=gravity)
     C = asset.T_canonical_reference
 
     def displaced(state: float, time_s: float) -> Array:

@@ -158,7 +158,7 @@ def _pose_gaps(stages: list[_Stage], data: Any, i: int, said: dict[str, Any]) ->
     """m: how far measured poses of run `i` are from where either asset has the part."""
     gaps = []
     for k, stage in enumerate(stages):
-        motion = simulate.joint_motion(stage.asset, data[f"states_{k}_{i}"], data[f"pose_times_{i}"])
+        motion = simulate.joint_motion(stage.asset, data[f"states_{k}_{i}"], data[f"pose_times_{i}"], stage.gravity)
         off = se3.log_se3(se3.inverse(motion) @ data[f"poses_{k}_{i}"])
         gaps.append(displacement(at_point(np.array(said["middle"]), off), float(said["lever"])))
     return gaps

@@ -21,6 +21,7 @@ from freeart21.effects.detent import Detent
 from freeart21.effects.encoder_offset import EncoderOffset
 from freeart21.effects.pivot_offset import PivotOffset
 from freeart21.effects.return_spring import ReturnSpring
+from freeart21.effects.sag import Sag
 from freeart21.effects.time_offset import TimeOffset
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.effects.wobble import Wobble
@@ -402,23 +403,23 @@ def test_a_fits_nuisance_is_what_replays_are_off_by(tmp_path: Path):
     assert abs(off.gravity[0]) == pytest.approx(0.9 * 0.01 * weight, rel=1e-6)
 
 
-def filmed(asset: Asset, seed: int = 0, runs: int = 4, fps: float = 30.0):
+def filmed(asset: Asset, seed: int = 0, runs: int = 4, fps: float = 30.0, gravity: tuple[float, ...] = (0, 0, -G)):
     """Our own loop: SAPIEN lets the joint go, a tracker follows the part, its errors last from frame to frame."""
     rng, made, true = np.random.default_rng(seed), [], []
     for r in range(runs):
-        rolled = roll_out(asset, rng.uniform(0.8, 1.4), 0.0, duration_s=4.0, timestep_s=1 / 300)
+        rolled = roll_out(asset, rng.uniform(0.8, 1.4), 0.0, duration_s=4.0, timestep_s=1 / 300, gravity=gravity)
         q, t = rolled.q[::10], rolled.times_s[::10]
         error = np.zeros((len(t), 6))
         for i in range(len(t)):
             error[i] = 0.8 * error[i - 1] + 0.6 * rng.normal(size=6) * 1e-3
         centre = se3.pose(np.eye(3), [0, 0, 1 - ARM])
         shaken = centre @ se3.exp_se3(error) @ se3.inverse(centre)
-        poses = joint_motion(asset, q, t) @ shaken
+        poses = joint_motion(asset, q, t, gravity) @ shaken
         made.append(
             Run(f"take_{r}", t, np.full(len(t), np.nan), None, None, poses, np.ones(len(t), bool), r == runs - 1)
         )
         true.append((q, (float(rolled.q[0]), 0.0)))
-    return Measured("j", "revolute", np.array([0, 0, -G]), fps, "recorded", runs=tuple(made)), true
+    return Measured("j", "revolute", np.array(gravity, float), fps, "recorded", runs=tuple(made)), true
 
 
 def test_our_own_release_is_understood_from_part_poses(tmp_path: Path):
@@ -459,6 +460,20 @@ def test_rocking_is_shown_with_each_runs_own_phase(tmp_path: Path):
     out.mkdir()
     told = replace(draft(measured, ((1.0, 0.0),) * 4, *geometry.effects, geometry=geometry), starts={})
     verdict = publish(asset, measured, told, out, "rocking")
+    gap = next(gap for gap in verdict.gaps if gap.regime == GEOMETRY)
+    assert verdict.verdict == "named"
+    assert gap.before > 1.8 * gap.floor and gap.after < 1.25 * gap.floor
+
+
+def test_sagging_follows_the_gravity_that_was_measured(tmp_path: Path):
+    """Its weight pulls as the measured set says, not down the asset's own z."""
+    asset, out = bob(tmp_path / "a"), tmp_path / "out"
+    measured, _ = filmed(replace(asset, effects={"j": (Sag(0.02),)}), gravity=(0, 0.8 * G, 0.6 * G))
+    geometry = find_geometry_of(asset, measured)
+    assert geometry is not None and [e.name for e in geometry.effects] == ["sag"]
+    out.mkdir()
+    told = replace(draft(measured, ((1.0, 0.0),) * 4, *geometry.effects, geometry=geometry), starts={})
+    verdict = publish(asset, measured, told, out, "sagging")
     gap = next(gap for gap in verdict.gaps if gap.regime == GEOMETRY)
     assert verdict.verdict == "named"
     assert gap.before > 1.8 * gap.floor and gap.after < 1.25 * gap.floor
