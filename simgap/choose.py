@@ -8,6 +8,7 @@ that size that do as well by their plain formulas are rivals. When none does, no
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -18,12 +19,16 @@ from freeart21.se3 import Array
 from simgap import alike
 from simgap.ceiling import ceiling
 from simgap.data import FitRun
-from simgap.fit import Fit, fitted, foretold
+from simgap.fit import Fit, fitted, foretold, steady, tempered, unit_of
 from simgap.search import PLAINER, Search, prompt, relaxed
 from simgap.settings import ChoiceSettings
 
 _EDGE = 0.02
 """Part of a range that counts as its end."""
+_FREE = 0.1
+"""The same of a catch's way."""
+_RUNS = 4
+"""Held-out runs of which one may be missed."""
 _ANEW = 0.5
 """Part of its sum of squares to which a set must fall to be looked at again."""
 
@@ -56,15 +61,32 @@ class Judged:
         """Root mean square of the held-out residuals, in floors."""
         return _rms(self.strict)
 
-    @property
+    @cached_property
+    def error(self) -> float:
+        """The same, runs that are missed by far counting for less: what sets are compared by."""
+        return _rms(tempered(self.strict))
+
+    @cached_property
+    def learned(self) -> float:
+        """The same of the runs that it was fitted to."""
+        return _rms(self.fit.tempered)
+
+    @cached_property
     def reach(self) -> float:
-        """The same with the sizes free, or without, whichever is less."""
-        return _rms(self.left)
+        """The error with the sizes free, or without, whichever is less."""
+        return _rms(tempered(self.left))
+
+    @property
+    def borne(self) -> float:
+        """What is left in floors, without the run that is met worst, of four or more: what grazes a stop or just passes
+        a notch hangs on a hair, and no formula is that near."""
+        runs = sorted(self.left.items(), key=lambda item: float(np.mean(item[1] ** 2)))
+        return _rms(dict(runs[:-1] if len(runs) >= _RUNS else runs))
 
     @property
     def left(self) -> dict[str, Array]:
         """What is left with the sizes free, or without, whichever is less: form that is explained is no noise."""
-        return self.strict if self.loose is None or _rms(self.loose) > self.floors else self.loose
+        return self.strict if self.loose is None or _rms(tempered(self.loose)) > self.error else self.loose
 
 
 @dataclass(frozen=True)
@@ -109,27 +131,26 @@ def _stretch(run: FitRun, begin: int, end: int) -> FitRun:
 def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Choice:
     """The smallest explanation, or none."""
     base = judged(search.base(), folds)
-    if base.floors < settings.explained and search.hinted() < settings.hint * settings.least_gap:
+    if base.error < settings.explained and search.hinted() < settings.hint * settings.least_gap:
         return Choice(base, 1.0, (), base, settings.explained, False)
     level = search.singles()
     first = [judged(fit, folds) for fit in level[: settings.contenders]]
     tried = list(first)
-    best = min(first, key=lambda j: j.floors)
+    best = min(first, key=lambda j: j.error)
     p = p_value(base, first[0], search.tries)
-    closed = np.sqrt(max(base.floors**2 - best.floors**2, 0.0))
+    closed = np.sqrt(max(base.error**2 - best.error**2, 0.0))
     bar = float(np.hypot(settings.explained, settings.explained_part * base.floors))
-    gap = bool((p < settings.p_value and closed > settings.least_gap) or base.floors > settings.plain_gap)
+    gap = bool((p < settings.p_value and closed > settings.least_gap) or base.error > settings.plain_gap)
     if not gap:
         return Choice(base, p, (), best, bar, False, tuple(tried))
     contenders = first + springs(first, search, folds)
     for size in range(1, settings.max_effects + 1):
-        contenders = [
-            loosened(j, folds) if settings.explained < j.floors < settings.form_factor * bar else j for j in contenders
-        ]
-        standing = [j for j in contenders if j.reach <= bar and not at_bound(j.fit)]
+        doubtful = [j.error > settings.explained and j.borne < settings.form_factor * bar for j in contenders]
+        contenders = [loosened(j, folds) if it else j for j, it in zip(contenders, doubtful, strict=True)]
+        standing = [j for j in contenders if j.borne <= bar and not at_bound(j.fit)]
         reach = min((j.reach for j in standing), default=np.inf)
         well = [j for j in standing if j.reach <= max(settings.explained, settings.well_explained * bar)]
-        plain = min((j.floors for j in well), default=np.inf)
+        plain = min((j.error for j in well), default=np.inf)
         if plain <= settings.form_doubt or size == settings.max_effects:
             break
         nearest = min(j.reach for j in (*tried, *contenders))
@@ -142,15 +163,16 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         contenders += fewer(contenders, search, folds, bar)
         tried += contenders
         if well:  # by its form alone: others that need none of it stand instead
-            others = [j for j in contenders if j.floors <= min(settings.explained, settings.much_better * plain)]
+            others = [j for j in contenders if j.error <= min(settings.explained, settings.much_better * plain)]
             standing = [j for j in others if not any(_is_within(n, j, settings) for n in standing)] or standing
             break
-        if standing and not beats(min(j.floors for j in contenders), reach, settings):
+        if standing and not beats(min(j.error for j in contenders), reach, settings):
             break  # not even a larger set does much better: the rest is form
     if standing:
         missing = {names for j in standing for names in _plainer(j.names)} - {j.names for j in standing}
         standing += [loosened(judged(search.of(names), folds), folds) for names in sorted(missing)]
         standing += twins(standing, search, folds)
+        standing = [j for j in standing if not at_bound(j.fit)]
         reach = min(j.reach for j in standing)
         standing = [j for j in standing if j.reach <= settings.explained or not beats(reach, j.reach, settings)]
         found = rivals([earned(j, search, folds, bar, settings) for j in standing], settings)
@@ -158,7 +180,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
             return Choice(base, p, (), found[0], bar, True, tuple(tried))
         found = tuple(as_added(j, search, folds) for j in found)
         return Choice(base, p, found, found[0], bar, True, tuple(tried))
-    return Choice(base, p, (), min(tried, key=lambda j: j.floors), bar, True, tuple(tried))
+    return Choice(base, p, (), min(tried, key=lambda j: j.error), bar, True, tuple(tried))
 
 
 def as_added(judgement: Judged, search: Search, folds: tuple[Fold, ...]) -> Judged:
@@ -168,13 +190,14 @@ def as_added(judgement: Judged, search: Search, folds: tuple[Fold, ...]) -> Judg
 
 
 def at_bound(fit: Fit) -> bool:
-    """Whether a place or a width of an effect lies at the end of what it may be: it stands for something else."""
+    """Whether a place or a width of an effect lies at the end of what it may be, or a catch takes hold where it lets
+    go: it stands for something else."""
     for r, x in zip(fit.theory.ranges(), fit.theta, strict=True):
         spec = EFFECTS[r.owner].parameters().get(r.name) if r.owner in EFFECTS else None
-        if spec is None or spec.revolute_unit != "rad" or EFFECTS[r.owner].acts != "force":
+        if spec is None or spec.revolute_unit not in ("rad", "1") or EFFECTS[r.owner].acts != "force":
             continue
-        width = r.lower >= 0
-        if x > r.upper - _EDGE * (r.upper - r.lower) or (not width and x < r.lower + _EDGE * (r.upper - r.lower)):
+        place, edge = r.lower < 0, _EDGE if spec.revolute_unit == "rad" else _FREE
+        if x > r.upper - edge * (r.upper - r.lower) or (place and x < r.lower + _EDGE * (r.upper - r.lower)):
             return True
     return False
 
@@ -185,7 +208,9 @@ def surpassed(judgement: Judged, search: Search, gap: float, settings: ChoiceSet
     if judgement.fit.level <= np.hypot(1.0, least):
         return False
     free = relaxed(judgement.fit, search.train)
-    return bool(free.level**2 - ceiling(free, search.train) ** 2 > least**2)
+    weights = steady(free.residuals)
+    left = _rms({run: r * np.sqrt(weights[run]) for run, r in free.residuals.items()})
+    return bool(left**2 - ceiling(free, search.train) ** 2 > least**2)
 
 
 def springs(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:
@@ -196,16 +221,16 @@ def springs(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -
 
 def other_losses(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:
     """What the nearest set becomes with damping for its drag, or the reverse, unless that is known."""
-    best, known = min(contenders, key=lambda j: j.floors), {j.names for j in contenders}
+    best, known = min(contenders, key=lambda j: j.error), {j.names for j in contenders}
     return [judged(fit, folds) for fit in alike.losses(search, best.fit) if fit.theory.names not in known]
 
 
 def fewer(contenders: list[Judged], search: Search, folds: tuple[Fold, ...], bar: float) -> list[Judged]:
     """The nearest set without each of its members, where that fits far better than it did when it was begun from less:
     what helped the search there need not be there."""
-    best = min(contenders, key=lambda j: j.floors)
+    best = min(contenders, key=lambda j: j.error)
     found = []
-    for name in best.names if best.floors <= bar else ():
+    for name in best.names if best.borne <= bar else ():
         before = search.fits.get(tuple(n for n in best.names if n != name))
         fit = search.without(best.fit, name)
         if before is not None and fit.cost < _ANEW * before.cost:
@@ -231,7 +256,7 @@ def earned(judgement: Judged, search: Search, folds: tuple[Fold, ...], bar: floa
     for name in judgement.names if len(judgement.names) > 1 else ():
         smaller = loosened(judged(search.without(judgement.fit, name), folds), folds)
         well = smaller.reach <= settings.explained
-        if smaller.reach <= bar and (well or not beats(judgement.floors, smaller.reach, settings)):
+        if smaller.borne <= bar and (well or not beats(judgement.error, smaller.reach, settings)):
             return earned(smaller, search, folds, bar, settings)
     return judgement
 
@@ -243,12 +268,12 @@ def excess(floors: float) -> float:
 
 def beats(floors: float, others: float, settings: ChoiceSettings) -> bool:
     """Whether an error, in floors, is much less than another's, both beyond noise."""
-    return excess(floors) <= settings.much_better * excess(others)
+    return excess(floors) < settings.much_better * excess(others)
 
 
 def _is_within(smaller: Judged, larger: Judged, settings: ChoiceSettings) -> bool:
     """Whether the larger set is but the smaller one with more beside it, and not even much better than its form."""
-    more = smaller.reach > settings.explained and beats(larger.floors, smaller.reach, settings)
+    more = smaller.reach > settings.explained and beats(larger.error, smaller.reach, settings)
     return set(smaller.names) <= set(larger.names) and not more
 
 
@@ -281,35 +306,34 @@ def p_value(base: Judged, best: Judged, tried: int) -> float:
     a probability of at most that of a normal number above sqrt(x) (the likelihood ratio of two points); times the
     number of sets. x is counted in what the better set leaves, and in independent readings.
     """
-    fall = sum(float((base.strict[run] ** 2).sum() - (best.strict[run] ** 2).sum()) for run in base.strict)
-    return float(min(1.0, tried * norm.sf(np.sqrt(max(fall, 0.0) / unit_of(best.strict)))))
-
-
-def unit_of(left: dict[str, Array]) -> float:
-    """Variance of a sum of squares' independent part: what is left (residuals in floors, by run), times how far it is
-    correlated."""
-    power = max(np.mean([np.mean(r * r) for r in left.values()]), 1e-12)
-    summed = 0.0
-    for r in left.values():
-        for lag in range(1, min(len(r) // 4, 200)):
-            c = float(r[:-lag] @ r[lag:]) / len(r) / power / len(left)
-            if c < 0.02:
-                break
-            summed += c
-    return float(max(power, 1.0) * (1 + 2 * summed))
+    before, after = tempered(base.strict), tempered(best.strict)
+    fall = sum(float((before[run] ** 2).sum() - (after[run] ** 2).sum()) for run in before)
+    return float(min(1.0, tried * norm.sf(np.sqrt(max(fall, 0.0) / unit_of(after)))))
 
 
 def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ...]:
-    """Those that the held-out runs do not tell from the best, the best first; a general effect yields to a plainer."""
-    order = sorted(standing, key=lambda j: j.floors)
-    best, unit = order[0], unit_of(order[0].strict)
+    """Those that the held-out runs do not tell from the best, the best first; a general effect yields to a plainer.
+
+    What another set of the same size beats on the runs that both were fitted to is none of them.
+    """
+    order = sorted(standing, key=lambda j: j.error)
+
+    def beaten(j: Judged) -> bool:
+        own = [o for o in order if len(o.names) == len(j.names)]
+        return j.learned > settings.explained and any(beats(o.learned, j.learned, settings) for o in own)
+
+    order = [j for j in order if not beaten(j)]
+    best, least = order[0], tempered(order[0].strict)
+    unit = unit_of(least)
 
     def near(j: Judged) -> bool:
-        more = sum(float((j.strict[run] ** 2).sum() - (best.strict[run] ** 2).sum()) for run in best.strict)
+        own = tempered(j.strict)
+        more = sum(float((own[run] ** 2).sum() - (least[run] ** 2).sum()) for run in least)
         if more < settings.rival_sum * unit:
             return True
         # what the formulas of twins leave they leave alike: only where they differ counts
-        return j.floors < settings.rival * best.floors and (j is best or _plain_load(j) != _plain_load(best))
+        own_kind = j is best or j.names in _plainer(best.names) or _plain_load(j) != _plain_load(best)
+        return j.error < settings.rival * best.error and own_kind
 
     first: dict[tuple[str, ...], Judged] = {}
     for j in order:
@@ -323,8 +347,8 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
 
 
 def _plain_load(judgement: Judged) -> set[str]:
-    """The names, with the one of twins in the place of the other."""
-    return {"coulomb_friction" if name in alike.TWINS else name for name in judgement.names}
+    """The names, with the one of twins in the place of the other, and of what it becomes in a special case."""
+    return {"coulomb_friction" if PLAINER.get(name, name) in alike.TWINS else name for name in judgement.names}
 
 
 def _plainer(names: tuple[str, ...]) -> list[tuple[str, ...]]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from simgap.choose import Choice, Judged, unit_of
+from simgap.choose import Choice, Judged
 from simgap.data import FitRun
 from simgap.experiment import next_experiment
-from simgap.fit import Fit, Problem
+from simgap.fit import Fit, Problem, information, tempered, unit_of
 from simgap.floor import Floor
 from simgap.settings import ChoiceSettings
 from simgap.verdict import Named, RunGap, Verdict
@@ -88,7 +88,7 @@ def named_effects(judgement: Judged) -> tuple[Named, ...]:
     """The effects with 90 % intervals, strongest first: the one without which most would be left."""
     fit = judgement.fit
     ranges = fit.theory.ranges()
-    spread = _NORMAL_90 * np.sqrt(np.diag(_covariance(fit, unit_of(judgement.left))))
+    spread = _NORMAL_90 * np.sqrt(np.diag(_covariance(fit, unit_of(tempered(judgement.left)))))
     found = []
     for effect in fit.effects:
         own = {r.name: i for i, r in enumerate(ranges) if r.owner == effect.name}
@@ -105,9 +105,8 @@ def named_effects(judgement: Judged) -> tuple[Named, ...]:
 
 
 def _covariance(fit: Fit, unit: float) -> np.ndarray:
-    """(p, p) of the parameters: what the readings say is counted in units of noise, what was known before in full."""
-    known = np.diag([1 / r.prior**2 for r in fit.theory.ranges()])
-    normal = (fit.normal - known) / unit + known
+    """(p, p) of the parameters; `unit` is that of noise."""
+    normal = information(fit, unit)
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
 
@@ -117,7 +116,7 @@ def unmoved(judgement: Judged) -> list[str]:
 
     What an effect shares with the asset's own doubts is no lack of motion, and more of the same would not part them.
     """
-    fit, unit, found = judgement.fit, unit_of(judgement.left), []
+    fit, unit, found = judgement.fit, unit_of(tempered(judgement.left)), []
     ranges = fit.theory.ranges()
     for effect in fit.effects:
         own = [i for i, r in enumerate(ranges) if r.owner == effect.name and not np.isfinite(r.prior)]

@@ -16,7 +16,7 @@ from freeart21.effects import Effect
 from freeart21.se3 import Array
 from simgap import kernel
 from simgap.data import FitRun
-from simgap.least_squares import Prior, solve
+from simgap.least_squares import Prior, charge, solve, weight
 from simgap.surrogate import readings_of, step_of, sweep, terms_of
 from simgap.theory import Problem as Problem
 from simgap.theory import Range as Range
@@ -48,7 +48,8 @@ class Fit:
     residuals: dict[str, Array]
     """Reading less simulation over the floor, by run."""
     cost: float
-    """Sum of squares of all residuals and of what was known beforehand."""
+    """Of all residuals, those of runs that are missed by far for less than their squares, and of what was known
+    beforehand."""
     normal: Array
     """(p, p) information of the parameters, the starts being free."""
 
@@ -61,6 +62,11 @@ class Fit:
     def rss(self) -> float:
         """Sum of squared residuals."""
         return float(sum((r * r).sum() for r in self.residuals.values()))
+
+    @property
+    def tempered(self) -> dict[str, Array]:
+        """Residuals, those of runs that are missed by far made less: their squares are what they cost."""
+        return tempered(self.residuals)
 
     @property
     def level(self) -> float:
@@ -142,7 +148,7 @@ def fitted(
         starts: first guesses of start states; looked for in the readings where not given.
         iterations: at most; as the settings say when not given.
         free: whether the parameters move; without, only the starts do.
-        robust: whether runs that are missed by far count for less.
+        robust: for stretches: they count in full up to some times the usual error, not up to some floors.
         known: an earlier fit, to other runs: its parameters are known beforehand as well as those runs told them.
     """
     ranges, plant = theory.ranges(), theory.problem.plant
@@ -219,10 +225,47 @@ def placed(fit: Fit, runs: tuple[FitRun, ...], starts: Starts | None = None) -> 
 
 def foretold(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The fit before runs that it was not fitted to: their starts are free, and its parameters as free as the runs that
-    it was fitted to leave them. A wild run may hang on the fourth digit of a parameter of which three are known.
+    it was fitted to leave them, by what they leave of those. A wild run may hang on the fourth digit of a parameter of
+    which three are known.
     """
     there = placed(fit, runs)
-    return fitted(fit.theory, runs, fit.theta, there.starts, iterations=5, known=fit)
+    known = replace(fit, normal=information(fit, unit_of(fit.tempered)))
+    return fitted(fit.theory, runs, fit.theta, there.starts, iterations=5, known=known)
+
+
+def information(fit: Fit, unit: float) -> Array:
+    """(p, p) of the parameters, the starts being free: what the readings say is counted in units of noise, what was
+    known before in full."""
+    known = np.diag([1 / r.prior**2 for r in fit.theory.ranges()])
+    return np.asarray((fit.normal - known) / unit + known)
+
+
+def tempered(residuals: dict[str, Array]) -> dict[str, Array]:
+    """Residuals in floors, by run, with sums of squares that are what the runs cost (`least_squares.charge`)."""
+    found = {}
+    for run, r in residuals.items():
+        power = max(float(np.mean(r * r)), 1e-12)
+        found[run] = r * float(np.sqrt(charge(np.array(power)) / power))
+    return found
+
+
+def steady(residuals: dict[str, Array]) -> dict[str, float]:
+    """By run, how far its residuals count in a fit."""
+    return {run: float(weight(np.array(np.mean(r * r)))) for run, r in residuals.items()}
+
+
+def unit_of(left: dict[str, Array]) -> float:
+    """Variance of a sum of squares' independent part: what is left (residuals in floors, by run), times how far it is
+    correlated."""
+    power = max(np.mean([np.mean(r * r) for r in left.values()]), 1e-12)
+    summed = 0.0
+    for r in left.values():
+        for lag in range(1, min(len(r) // 4, 200)):
+            c = float(r[:-lag] @ r[lag:]) / len(r) / power / len(left)
+            if c < 0.02:
+                break
+            summed += c
+    return float(max(power, 1.0) * (1 + 2 * summed))
 
 
 def settled(theory: Theory, theta: Array, runs: tuple[FitRun, ...]) -> Starts:

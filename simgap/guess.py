@@ -77,8 +77,9 @@ class _Grid:
 class Linear:
     """The readings about a fit, the directions of its starts and parameters taken out."""
 
-    def __init__(self, fit: Fit, runs: tuple[FitRun, ...]):
+    def __init__(self, fit: Fit, runs: tuple[FitRun, ...], weights: dict[str, float] | None = None):
         self.fit, self.runs, self.problem = fit, runs, fit.theory.problem
+        self._roots = np.sqrt([(weights or {}).get(run.name, 1.0) for run in runs])
         residuals, starts, parameters = tangent(fit, runs)
         self.now = [run.q - r * run.sigma for run, r in zip(runs, residuals, strict=True)]
         self.bases = [np.linalg.qr(J.T)[0] for J in starts]
@@ -99,8 +100,8 @@ class Linear:
         return np.asarray(~((low & (downhill < 0)) | (high & (downhill > 0))))
 
     def _freed(self, i: int, rows: Array) -> Array:
-        """(m, n) changes of run i, its start being free."""
-        return np.asarray(rows - (rows @ self.bases[i]) @ self.bases[i].T)
+        """(m, n) changes of run i, its start being free, by its weight."""
+        return np.asarray(rows - (rows @ self.bases[i]) @ self.bases[i].T) * self._roots[i]
 
     def columns(self, name: str) -> Array:
         """(m, N) what a unit of the effect's sizes does to all readings, at all points of its grid."""

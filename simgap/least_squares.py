@@ -22,7 +22,7 @@ start and of every parameter takes from its residuals."""
 
 _TRIALS = 6
 _OUTLIER = 3.0
-"""Times the usual error of a run beyond which a robust fit holds it back."""
+"""Floors of error of a run, or times the usual error in a robust fit, beyond which it counts for less."""
 
 
 @dataclass
@@ -69,7 +69,9 @@ def solve(
 ) -> State:
     """The least sum of squares from `theta` (p,) and `starts` (r, 2); `lower`, `upper` bound start positions.
 
-    Without `free` only the starts move. A `robust` fit counts runs that it misses by far for less.
+    Without `free` only the starts move. A run that is missed by more than some floors has an error of its own that no
+    formula is near enough to meet, unknown but for what is left of it: its part of the cost is `charge`. A `robust` fit
+    is one to stretches, which count in full up to some times the usual error.
     """
     p, runs = len(theta), len(starts)
     parts = [look(i, starts[i : i + 1], theta)[0] for i in range(runs)]
@@ -77,12 +79,12 @@ def solve(
     sizes = np.array([len(part) for part in parts])
     damping, own, normal = 1e-3, np.full(runs, 1e-3), np.zeros((p, p))
     for _ in range(iterations):
-        weights = _weights(costs / sizes) if robust else np.ones(runs)
+        weights = _relative(costs / sizes) if robust else weight(costs / sizes)
         total = float(weights @ costs) + prior.cost(theta)
         table = slopes(starts, theta, parts, free)
         blocks = [J @ J.T for J in table]
         rights = [J @ part for J, part in zip(table, parts, strict=True)]
-        normal = _information(blocks, prior, p) if free else normal
+        normal = _information(blocks, weights, prior, p) if free else normal
         gain, moved = 0.0, False
         for _ in range(_TRIALS):
             shift, moves = _step(theta, blocks, rights, weights, damping, own, prior, free)
@@ -107,20 +109,33 @@ def solve(
             damping *= 8
         if not moved or gain < 1e-4 * total + 1e-2:
             break
-    return State(theta, starts, parts, float(costs.sum()) + prior.cost(theta), normal)
+    total = float(costs.sum() if robust else sizes @ charge(costs / sizes))
+    return State(theta, starts, parts, total + prior.cost(theta), normal)
 
 
-def _weights(powers: Array) -> Array:
+def charge(powers: Array) -> Array:
+    """(r,) what each reading of runs costs that are missed by mean squares `powers` (r,), floors squared: those, up to
+    some floors, and beyond as their logarithm, the likelihood of an error whose size is unknown."""
+    most = _OUTLIER**2
+    return np.asarray(np.where(powers <= most, powers, most * (1 + np.log(np.maximum(powers, most) / most))))
+
+
+def weight(powers: Array) -> Array:
+    """(r,) slope of `charge`."""
+    return np.asarray(np.minimum(1.0, _OUTLIER**2 / np.maximum(powers, 1e-12)))
+
+
+def _relative(powers: Array) -> Array:
     usual = max(float(np.median(powers)), 1.0)
     return np.asarray(np.minimum(1.0, _OUTLIER**2 * usual / np.maximum(powers, 1e-12)))
 
 
-def _information(blocks: list[Array], prior: Prior, p: int) -> Array:
+def _information(blocks: list[Array], weights: Array, prior: Prior, p: int) -> Array:
     """(p, p) of the parameters, all starts free and undamped."""
     total = prior.weight
-    for block in blocks:
+    for w, block in zip(weights, blocks, strict=True):
         inner = block[:2, :2] + np.diag(1e-9 * np.diag(block[:2, :2]) + 1e-12)
-        total = total + block[2:, 2:] - block[2:, :2] @ np.linalg.solve(inner, block[:2, 2:])
+        total = total + w * (block[2:, 2:] - block[2:, :2] @ np.linalg.solve(inner, block[:2, 2:]))
     return total
 
 

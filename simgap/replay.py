@@ -112,7 +112,7 @@ def _replay(folder: Path) -> None:
     atomic.write_json(folder / "poses.json", {"poses": off})
     starts = [[(float(q), float(qd)) for q, qd in pair] for pair in job["starts"]]
     if not starts:
-        atomic.write_json(folder / "steps.json", {"numerics": 0.0, "timestep_s": float(job["timestep_s"])})
+        atomic.write_json(folder / "steps.json", {"numerics": [0.0, 0.0], "timestep_s": float(job["timestep_s"])})
         return
     h, numerics = _timestep(stages, data, job, starts)
     atomic.write_json(folder / "steps.json", {"numerics": numerics, "timestep_s": h})
@@ -128,15 +128,15 @@ def _replay(folder: Path) -> None:
 
 def _timestep(
     stages: list[_Stage], data: Any, job: dict[str, Any], starts: list[list[tuple[float, float]]]
-) -> tuple[float, float]:
-    """Time step, s, and by how many floors its halving still changes a replay at most.
+) -> tuple[float, list[float]]:
+    """Time step, s, and by how many floors its halving still changes a replay at most, of either asset.
 
     Tried on the runs of the widest and of the fastest motion, with either asset: what was added may be stiffer than all
     that was there.
     """
     wide = max(range(len(starts)), key=lambda i: float(np.ptp(data[f"q_{i}"])))
     fast = max(range(len(starts)), key=lambda i: float(np.abs(np.diff(data[f"q_{i}"])).max() / job["floors"][i]))
-    h, worst, end = float(job["timestep_s"]), 0.0, time.monotonic() + SHARE * float(job["seconds"])
+    h, worst, end = float(job["timestep_s"]), [0.0, 0.0], time.monotonic() + SHARE * float(job["seconds"])
     for i in sorted({wide, fast}):
         for k, stage in enumerate(stages):
             coarse, numerics = stage.replay(stage.load(h), data, i, starts[i][k]), np.inf
@@ -150,7 +150,7 @@ def _timestep(
                 if fine_enough or h <= float(job["timestep_s"]) / 2**HALVINGS or time.monotonic() > end:
                     break
                 h, coarse = h / 2, fine
-            worst = max(worst, numerics)
+            worst[k] = max(worst[k], numerics)
     return h, worst
 
 

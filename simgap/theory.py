@@ -120,7 +120,7 @@ class Theory:
             return [Range(owner, k, -r, r, r, r) for k in ("speed", "position", "curve")]
         found = []
         if cls.acts in ("inertia", "slack") and "end_stop_bounce" not in self.names:
-            found.append(Range(owner, "rebound", 0.0, e, 0.1 * e, e))  # a body behind an elastic shaft comes back
+            found.append(Range(owner, "rebound", 0.0, e, 0.1 * e, e, 0.05 * e))  # an elastic shaft throws its body back
         if cls.acts == "slack" and "actuator_gain" not in self.names:  # flanks that give way make the drive softer
             g = self.problem.fit.give_tolerance
             found.append(Range(owner, "give", 0.0, g, 0.1 * g, g))
