@@ -406,9 +406,7 @@ def load(
     return SimulatedAsset(asset, scene, articulation, joint, timestep_s)
 
 
-def joint_motion(
-    asset: Asset, states: ArrayLike, times_s: ArrayLike = 0.0, gravity: ArrayLike = GRAVITY
-) -> Array:
+def joint_motion(asset: Asset, states: ArrayLike, times_s: ArrayLike = 0.0, gravity: ArrayLike = GRAVITY) -> Array:
     """What the loaded joint does: (n, 4, 4) displacements of the moving part, in the asset's canonical frame.
 
     Each maps the moving part from canonical state zero to one of the canonical `states` (n,), rad or m; states beyond

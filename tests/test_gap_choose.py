@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,22 @@ def test_friction_with_oil_is_no_friction_under_load(tmp_path: Path):
     assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "viscous_damping"})
 
 
+def test_runs_that_hang_on_a_hair_do_not_decide(tmp_path: Path):
+    """One run to fit and one held out go another way from the middle on, as if someone had bumped the table."""
+    measured = measured_of(25, runs=9, viscous=0.12)
+    bumped = []
+    for i, run in enumerate(measured.runs):
+        half = len(run.q) // 2
+        q = np.concatenate([run.q[:half], 0.7 * run.q[half:] + 0.3]) if i in (1, 6) else run.q
+        bumped.append(replace(run, q=q, held_out=i >= 5))
+    found = verdict(tmp_path, replace(measured, runs=tuple(bumped)))
+    assert (found.verdict, names(found)) == ("named", {"viscous_damping"})
+    whole = verdict(
+        tmp_path, replace(measured, runs=tuple(replace(run, held_out=i >= 5) for i, run in enumerate(measured.runs)))
+    )
+    assert found.effects[0].effect.coefficient == pytest.approx(whole.effects[0].effect.coefficient, rel=0.05)
+
+
 def test_a_zero_that_is_off_may_be_a_leaning_base(tmp_path: Path):
     found = verdict(tmp_path, measured_of(14, offset=0.15))
     assert found.verdict == "ambiguous"
@@ -143,8 +160,6 @@ def test_noise_is_no_evidence(tmp_path: Path):
 
 
 def test_the_wrong_joint_costs_one_line(tmp_path: Path):
-    from dataclasses import replace
-
     asset = read_asset(asset_of(tmp_path), "j")
     for wrong, said in (({"joint": "k"}, "it has no movable joint 'k'"), ({"joint_type": "prismatic"}, "is revolute")):
         with pytest.raises(FreeArtError, match=said) as caught:

@@ -19,6 +19,7 @@ from simgap.data import fit_runs
 from simgap.fit import Problem, Theory, fitted, foretold, pieces, placed, predicted, tangent
 from simgap.floor import floor_of
 from simgap.force_guess import local_force, places
+from simgap.least_squares import charge, weight
 from simgap.search import Search, candidates, relaxed, stilled
 from simgap.settings import GapSettings
 from simgap.surrogate import plant_of, simulate
@@ -183,3 +184,22 @@ def test_a_start_that_presses_into_a_dead_stop_rests_there(tmp_path: Path):
     first, second = (run.name for run in runs[:2])
     pressed = replace(fit, starts={first: (plant.upper, 0.7), second: (0.1, 0.7)})
     assert stilled(pressed).starts == {first: (plant.upper, 0.0), second: (0.1, 0.7)}
+
+
+def test_what_a_run_costs_is_a_likelihood_of_its_own_error():
+    """Squares up to some floors, their logarithm beyond; a fit's weights are the slope."""
+    powers = np.array([0.5, 1.0, 8.99, 9.01, 100.0, 1e4])
+    slope = (charge(powers * 1.0001) - charge(powers)) / (1e-4 * powers)
+    np.testing.assert_allclose(slope, weight(powers), rtol=1e-3)
+    assert charge(powers[:3]).tolist() == powers[:3].tolist()
+    assert charge(np.array([9e4]))[0] - charge(np.array([9e2]))[0] == pytest.approx(9 * np.log(100))
+
+
+def test_one_run_that_goes_another_way_moves_no_parameter(tmp_path: Path):
+    setup, runs = problem(tmp_path, measured_of(26, viscous=0.12))
+    theory = Theory(setup, ("viscous_damping",))
+    astray = (replace(runs[0], q=runs[0].q + 0.4 * (runs[0].times_s > 2)), *runs[1:])
+    right, held = fitted(theory, runs), fitted(theory, astray)
+    spread = np.sqrt(np.diag(np.linalg.inv(right.normal)))
+    assert np.abs((held.theta - right.theta) / spread).max() < 4
+    assert held.floors(runs[0].name) > 50

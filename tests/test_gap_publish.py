@@ -158,7 +158,9 @@ def test_the_time_step_suits_either_asset(which: int):
     h, numerics = replay._timestep(stages, data, job, [[(0, 0), (0, 0)]] * 2)
     assert h == 5e-4 and max(numerics) < replay.ENOUGH
     assert replay._timestep([_Stage(1e-3)] * 2, data, job, [[(0, 0), (0, 0)]] * 2)[0] == 2e-3
-    assert replay._timestep([_Stage(1e9)] * 2, data, job, [[(0, 0), (0, 0)]] * 2)[1][1] > 1  # and does not go on for ever
+    assert (
+        replay._timestep([_Stage(1e9)] * 2, data, job, [[(0, 0), (0, 0)]] * 2)[1][1] > 1
+    )  # and does not go on for ever
     far = {**data, "q_0": data["q_0"] + 1e3, "q_1": data["q_1"] + 1e3}  # off by so much that no step matters
     assert replay._timestep(stages, far, job, [[(0, 0), (0, 0)]] * 2)[0] == 2e-3
 
