@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/simgap.py [--share 1.0] [--workers 2] [--seed 20260]
 
-draws and seals some 950 cases (tests/hidden: a world that shares no code with the product), lets a child process answer
+draws and seals some 700 cases (tests/hidden: a world that shares no code with the product), lets a child process answer
 that sees only the measured files, fixes the hash of every answer, and only then opens the labels. Prints tables and
 writes benchmarks/results/simgap.json, and a picture of the confusion matrix to out/simgap_confusion.png.
 

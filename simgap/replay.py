@@ -1,7 +1,7 @@
 """The fresh process of `simgap.show`: `python -m simgap.replay FOLDER` reads FOLDER/job.json and job.npz.
 
-Results appear one by one, so that those in time count when the others are not: FOLDER/steps.json (time step, and what
-its halving changes), poses.json, and run_0.npz, run_1.npz, ... with the readings of both assets.
+Results appear one by one, so that those in time count when the others are not: FOLDER/steps.json (time steps, and what
+their halving changes), poses.json, and run_0.npz, run_1.npz, ... with the readings of both assets.
 """
 
 from __future__ import annotations
@@ -112,11 +112,12 @@ def _replay(folder: Path) -> None:
     atomic.write_json(folder / "poses.json", {"poses": off})
     starts = [[(float(q), float(qd)) for q, qd in pair] for pair in job["starts"]]
     if not starts:
-        atomic.write_json(folder / "steps.json", {"numerics": [0.0, 0.0], "timestep_s": float(job["timestep_s"])})
+        h = float(job["timestep_s"])
+        atomic.write_json(folder / "steps.json", {"numerics": [0.0, 0.0], "timesteps_s": [h, h]})
         return
-    h, numerics = _timestep(stages, data, job, starts)
-    atomic.write_json(folder / "steps.json", {"numerics": numerics, "timestep_s": h})
-    loaded = [stage.load(h) for stage in stages]
+    steps, numerics = _timesteps(stages, data, job, starts)
+    atomic.write_json(folder / "steps.json", {"numerics": numerics, "timesteps_s": steps})
+    loaded = [stage.load(h) for stage, h in zip(stages, steps, strict=True)]
     for i in range(len(starts)):
         before, after = (
             s.replay(on, data, i, starts[i][k]) for k, (s, on) in enumerate(zip(stages, loaded, strict=True))
@@ -126,32 +127,33 @@ def _replay(folder: Path) -> None:
         aside.replace(folder / f"run_{i}.npz")
 
 
-def _timestep(
+def _timesteps(
     stages: list[_Stage], data: Any, job: dict[str, Any], starts: list[list[tuple[float, float]]]
-) -> tuple[float, list[float]]:
-    """Time step, s, and by how many floors its halving still changes a replay at most, of either asset.
+) -> tuple[list[float], list[float]]:
+    """Time step of either asset, s, and by how many floors its halving still changes a replay at most.
 
-    Tried on the runs of the widest and of the fastest motion, with either asset: what was added may be stiffer than all
-    that was there.
+    Tried on the runs of the widest and of the fastest motion, with each asset by itself: what was added may be stiffer
+    than all that was there.
     """
     wide = max(range(len(starts)), key=lambda i: float(np.ptp(data[f"q_{i}"])))
     fast = max(range(len(starts)), key=lambda i: float(np.abs(np.diff(data[f"q_{i}"])).max() / job["floors"][i]))
-    h, worst, end = float(job["timestep_s"]), [0.0, 0.0], time.monotonic() + SHARE * float(job["seconds"])
-    for i in sorted({wide, fast}):
-        for k, stage in enumerate(stages):
-            coarse, numerics = stage.replay(stage.load(h), data, i, starts[i][k]), np.inf
-            for _ in range(HALVINGS):
-                fine = stage.replay(stage.load(h / 2), data, i, starts[i][k])
+    first, end = float(job["timestep_s"]), time.monotonic() + SHARE * float(job["seconds"])
+    steps, worst = [first] * len(stages), [0.0] * len(stages)
+    for k, stage in enumerate(stages):
+        for i in sorted({wide, fast}):
+            coarse = stage.replay(stage.load(steps[k]), data, i, starts[i][k])
+            while True:
+                fine = stage.replay(stage.load(steps[k] / 2), data, i, starts[i][k])
                 numerics, gap = (
                     float(np.sqrt(np.mean((fine - other) ** 2))) / float(job["floors"][i])
                     for other in (coarse, data[f"q_{i}"])
                 )
                 fine_enough = numerics < max(ENOUGH, SMALL * gap)
-                if fine_enough or h <= float(job["timestep_s"]) / 2**HALVINGS or time.monotonic() > end:
+                if fine_enough or steps[k] <= first / 2**HALVINGS or time.monotonic() > end:
                     break
-                h, coarse = h / 2, fine
+                steps[k], coarse = steps[k] / 2, fine
             worst[k] = max(worst[k], numerics)
-    return h, worst
+    return steps, worst
 
 
 def _pose_gaps(stages: list[_Stage], data: Any, i: int, said: dict[str, Any]) -> list[float]:

@@ -122,6 +122,7 @@ class Shown:
     unsure: float
     """The same of the repaired asset."""
     timestep_s: float
+    """The finer one of both assets'."""
     helps: bool | None
     """Whether the repaired asset is nearer to what was measured, and in no regime further away; None: not one run of
     these was replayed in time."""
@@ -168,8 +169,8 @@ def show(
         measured: circumstances: gravity, actuator, what efforts are.
         replays: runs with start states.
         off: for each asset by how much it is off by its own fit.
-        timestep_s: first choice; halved until that changes the widest and the fastest run, with either asset, by less
-            than a tenth of their floors.
+        timestep_s: first choice; halved for each asset by itself until that changes the widest and the fastest run by
+            less than a tenth of their floors, or by little of what they are off by.
         poses: runs of poses, whose geometry is compared too.
         seconds: when this is over, what was replayed counts and the rest is given up.
         progress: told how many runs are replayed.
@@ -299,7 +300,7 @@ def _read_answer(
         with np.load(folder / f"run_{i}.npz") as data:
             runs.append(_gap(replays[i], data["before"], data["after"]))
     steps, off = folder / "steps.json", folder / "poses.json"
-    said: dict[str, Any] = {"numerics": [np.nan, np.nan], "timestep_s": timestep_s}
+    said: dict[str, Any] = {"numerics": [np.nan, np.nan], "timesteps_s": [timestep_s, timestep_s]}
     said = checked.read_json(steps) if steps.is_file() else said
     before, after = said["numerics"]
     pairs = checked.read_json(off)["poses"] if off.is_file() else []
@@ -311,7 +312,7 @@ def _read_answer(
         tuple(runs),
         max(before, after),
         after,
-        float(said["timestep_s"]),
+        float(min(said["timesteps_s"])),
         helps(tuple(runs), tracks, after) if runs or tracks else None,
         tracks,
         tuple(replay.run.name for i, replay in enumerate(replays) if i not in done),

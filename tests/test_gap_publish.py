@@ -155,14 +155,13 @@ def test_the_time_step_suits_either_asset(which: int):
     stages[which] = _Stage(5e2)
     data = {f"{name}_{i}": np.linspace(0, 1e-6 * (1 + i), 20) for i in range(2) for name in ("q", "times")}
     job = {"timestep_s": 2e-3, "floors": [1e-3, 1e-3], "seconds": 60}
-    h, numerics = replay._timestep(stages, data, job, [[(0, 0), (0, 0)]] * 2)
-    assert h == 5e-4 and max(numerics) < replay.ENOUGH
-    assert replay._timestep([_Stage(1e-3)] * 2, data, job, [[(0, 0), (0, 0)]] * 2)[0] == 2e-3
-    assert (
-        replay._timestep([_Stage(1e9)] * 2, data, job, [[(0, 0), (0, 0)]] * 2)[1][1] > 1
-    )  # and does not go on for ever
+    at_rest = [[(0, 0), (0, 0)]] * 2
+    steps, numerics = replay._timesteps(stages, data, job, at_rest)
+    assert steps[which] == 5e-4 and steps[1 - which] == 2e-3 and max(numerics) < replay.ENOUGH
+    numerics = replay._timesteps([_Stage(1e-3), _Stage(1e9)], data, job, at_rest)[1]
+    assert numerics[0] < replay.ENOUGH and numerics[1] > 1  # and does not go on for ever
     far = {**data, "q_0": data["q_0"] + 1e3, "q_1": data["q_1"] + 1e3}  # off by so much that no step matters
-    assert replay._timestep(stages, far, job, [[(0, 0), (0, 0)]] * 2)[0] == 2e-3
+    assert replay._timesteps(stages, far, job, at_rest)[0] == [2e-3, 2e-3]
 
 
 def test_a_sets_of_coulomb_and_oil_are_two_effects():
