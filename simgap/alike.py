@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from freeart21.effects import Effect
+from freeart21.effects.armature import Armature
+from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.detent import Detent
 from freeart21.effects.encoder_offset import EncoderOffset
+from freeart21.effects.load_friction import LoadFriction
 from freeart21.effects.quadratic_drag import QuadraticDrag
 from freeart21.effects.viscous_damping import ViscousDamping
 from simgap import kernel
@@ -31,14 +35,20 @@ def twins(search: Search, fit: Fit) -> list[Fit]:
 
 
 def losses(search: Search, fit: Fit) -> list[Fit]:
-    """The set with drag in the place of damping, or damping in that of drag, started where half the top speed takes the
-    same force: beside dry friction a first-order guess may take one for the other."""
+    """The set with damping in the place of another loss, or drag in that of damping, started where half the top speed
+    takes the same force: beside dry friction or slack a first-order guess may take one for the other."""
     found = []
-    half = 0.5 * search.problem.speed
-    for old, new, ratio in ((QuadraticDrag, ViscousDamping, half), (ViscousDamping, QuadraticDrag, 1 / half)):
+    half, load = 0.5 * search.problem.speed, search.problem.load
+    swaps: tuple[tuple[type[Effect], str, type[Effect], float], ...] = (
+        (QuadraticDrag, "coefficient", ViscousDamping, half),
+        (ViscousDamping, "coefficient", QuadraticDrag, 1 / half),
+        (CoulombFriction, "level", ViscousDamping, 1 / half),
+        (LoadFriction, "coefficient", ViscousDamping, load / half),
+    )
+    for old, size, new, ratio in swaps:
         if new.name in search.names and new.name not in fit.theory.names:
-            sizes = [effect.coefficient for effect in fit.effects if isinstance(effect, old)]
-            found += [_instead(search, fit, old.name, new.name, {"coefficient": size * ratio}) for size in sizes]
+            sizes = [getattr(effect, size) for effect in fit.effects if isinstance(effect, old)]
+            found += [_instead(search, fit, old.name, new.name, {"coefficient": x * ratio}) for x in sizes]
     return found
 
 
@@ -54,6 +64,20 @@ def turned(search: Search, fit: Fit) -> list[Fit]:
     change = pull * complex(np.exp(1j * by)) - pull
     point = {"cosine": change.real, "sine": change.imag}
     return [_instead(search, fit, "encoder_offset", "gravity_offset", point, by)]
+
+
+def lighter(search: Search, fit: Fit) -> list[Fit]:
+    """The set with gravity that pulls less in the place of a drive's inertia: the same motion, where no other force is
+    known."""
+    names = fit.theory.names
+    if "armature" not in names or "gravity_offset" in names or "gravity_offset" not in search.names:
+        return []
+    numbers = Reader(fit.theory).numbers(fit.theta)[0]
+    added = next(e.inertia() for e in fit.effects if isinstance(e, Armature))
+    less = -added / numbers[kernel.INERTIA]
+    pulls = {"cosine": kernel.GRAVITY_COS, "sine": kernel.GRAVITY_SIN, "constant": kernel.GRAVITY_CONST}
+    point = {name: float(less * numbers[at]) for name, at in pulls.items()}
+    return [_instead(search, fit, "armature", "gravity_offset", point)]
 
 
 def narrowed(search: Search, fit: Fit) -> list[Fit]:

@@ -50,6 +50,8 @@ class Judged:
     """Held-out residuals over the floor by run, by the plain formulas."""
     loose: dict[str, Array] | None = None
     """The same with the sizes free within the form tolerance."""
+    free: Fit | None = None
+    """To the runs that were fitted, with the sizes free so."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -147,7 +149,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     for size in range(1, settings.max_effects + 1):
         doubtful = [j.error > settings.explained and j.borne < settings.form_factor * bar for j in contenders]
         contenders = [loosened(j, folds) if it else j for j, it in zip(contenders, doubtful, strict=True)]
-        standing = [j for j in contenders if j.borne <= bar and not at_bound(j.fit)]
+        standing = [j for j in contenders if stands(j, bar, settings)]
         reach = min((j.reach for j in standing), default=np.inf)
         well = [j for j in standing if j.reach <= max(settings.explained, settings.well_explained * bar)]
         plain = min((j.error for j in well), default=np.inf)
@@ -163,7 +165,8 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         contenders += fewer(contenders, search, folds, bar)
         tried += contenders
         if well:  # by its form alone: others that need none of it stand instead
-            others = [j for j in contenders if j.error <= min(settings.explained, settings.much_better * plain)]
+            most = min(settings.explained, settings.much_better * plain)
+            others = [j for j in contenders if j.error <= most and not at_bound(j.fit)]
             standing = [j for j in others if not any(_is_within(n, j, settings) for n in standing)] or standing
             break
         if standing and not beats(min(j.error for j in contenders), reach, settings):
@@ -187,6 +190,21 @@ def as_added(judgement: Judged, search: Search, folds: tuple[Fold, ...]) -> Judg
     """The set with the parameters that make a simulator come nearest, which knows no build-up of friction."""
     fit = prompt(judgement.fit, search.train)
     return judgement if fit is judgement.fit else judged(fit, folds)
+
+
+def stands(judgement: Judged, bar: float, settings: ChoiceSettings) -> bool:
+    """Whether the set explains the held-out runs, or all but one: then its sizes must be about the same with and
+    without the form tolerance, or what they are fitted to is another effect."""
+    if at_bound(judgement.fit) or judgement.borne > bar:
+        return False
+    free = judgement.free
+    if _rms(judgement.left) <= bar or free is None:
+        return True
+    sizes = [
+        (effect.values()[0], other.values()[0])
+        for effect, other in zip(judgement.fit.effects, free.effects, strict=True)
+    ]
+    return all(max(abs(a), abs(b)) <= settings.same_size * min(abs(a), abs(b)) for a, b in sizes)
 
 
 def at_bound(fit: Fit) -> bool:
@@ -220,7 +238,7 @@ def springs(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -
 
 
 def other_losses(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:
-    """What the nearest set becomes with damping for its drag, or the reverse, unless that is known."""
+    """What the nearest set becomes with damping for another loss, or drag for damping, unless that is known."""
     best, known = min(contenders, key=lambda j: j.error), {j.names for j in contenders}
     return [judged(fit, folds) for fit in alike.losses(search, best.fit) if fit.theory.names not in known]
 
@@ -243,7 +261,7 @@ def twins(standing: list[Judged], search: Search, folds: tuple[Fold, ...]) -> li
     known = {j.names for j in standing}
     found: list[Judged] = []
     for j in standing:
-        for fit in (*alike.twins(search, j.fit), *alike.turned(search, j.fit)):
+        for fit in (*alike.twins(search, j.fit), *alike.turned(search, j.fit), *alike.lighter(search, j.fit)):
             if fit.theory.names not in known:
                 known.add(fit.theory.names)
                 other = judged(fit, folds)
@@ -255,8 +273,9 @@ def earned(judgement: Judged, search: Search, folds: tuple[Fold, ...], bar: floa
     """The set without the members that do not earn their places: the rest, fitted from here, predicts about as well."""
     for name in judgement.names if len(judgement.names) > 1 else ():
         smaller = loosened(judged(search.without(judgement.fit, name), folds), folds)
+        about = stands(smaller, max(bar, settings.rival * judgement.borne), settings)
         well = smaller.reach <= settings.explained
-        if smaller.borne <= bar and (well or not beats(judgement.error, smaller.reach, settings)):
+        if about and (well or not beats(judgement.error, smaller.reach, settings)):
             return earned(smaller, search, folds, bar, settings)
     return judgement
 
@@ -288,9 +307,10 @@ def judged(fit: Fit, folds: tuple[Fold, ...]) -> Judged:
 def loosened(judgement: Judged, folds: tuple[Fold, ...]) -> Judged:
     """The same with the sizes of the effects free within the form tolerance."""
     residuals: dict[str, Array] = {}
-    for fold in folds:
-        residuals.update(foretold(relaxed(_refitted(judgement.fit, fold), fold.train), fold.test).residuals)
-    return Judged(judgement.fit, judgement.strict, residuals)
+    free = [relaxed(_refitted(judgement.fit, fold), fold.train) for fold in folds]
+    for fold, fit in zip(folds, free, strict=True):
+        residuals.update(foretold(fit, fold.test).residuals)
+    return Judged(judgement.fit, judgement.strict, residuals, free[0])
 
 
 def _refitted(fit: Fit, fold: Fold) -> Fit:
@@ -331,9 +351,9 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
         more = sum(float((own[run] ** 2).sum() - (least[run] ** 2).sum()) for run in least)
         if more < settings.rival_sum * unit:
             return True
-        # what the formulas of twins leave they leave alike: only where they differ counts
+        # what the formulas of twins leave they leave alike: only where they differ counts, or what the fitted runs say
         own_kind = j is best or j.names in _plainer(best.names) or _plain_load(j) != _plain_load(best)
-        return j.error < settings.rival * best.error and own_kind
+        return j.error < settings.rival * best.error and (own_kind or j.learned <= best.learned)
 
     first: dict[tuple[str, ...], Judged] = {}
     for j in order:

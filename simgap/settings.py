@@ -68,10 +68,12 @@ class ChoiceSettings:
     plain_gap: float = 2.5
     """Floors of error at which there is a gap, whether anything explains it or not."""
     p_value: float = 0.01
-    explained: float = 1.25
+    explained: float = 1.35
     """Floors of error on held-out runs that an explanation of a small gap may leave; the floor is an estimate."""
     explained_part: float = 0.06
     """Part of a large gap that it may leave besides."""
+    same_size: float = 1.6
+    """Times by which the sizes of a set that misses a run may change when they are free within the form tolerance."""
     well_explained: float = 0.2
     """Part of a large bar at which no larger set is looked for."""
     nameless: float = 0.6

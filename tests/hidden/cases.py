@@ -141,6 +141,10 @@ def draw_case(wish: Wish, seed: int, search: bool = True) -> Case:
     total = gap.ratio(hidden, closely=True)
     if wish.stratum == "pair":
         alone = min(total, *(gap.ratio(hidden, beside=(other,)) for other in hidden))
+        if "coulomb_friction" in wish.names:  # which might be friction under load
+            load = Hidden("load_friction", 5, effects.START["load_friction"][0])
+            other = next(h for h in hidden if h.name != "coulomb_friction")
+            alone = min(alone, gap.ratio(hidden, beside=(load, other)))
     else:
         rivals = tuple(
             Hidden(name, 5, effects.START[name][0])
