@@ -136,7 +136,6 @@ def fitted(
     starts: Starts | None = None,
     iterations: int | None = None,
     free: bool = True,
-    robust: bool = False,
     known: Fit | None = None,
 ) -> Fit:
     """The theory fitted to the runs from `theta` (p,) within its bounds.
@@ -148,7 +147,6 @@ def fitted(
         starts: first guesses of start states; looked for in the readings where not given.
         iterations: at most; as the settings say when not given.
         free: whether the parameters move; without, only the starts do.
-        robust: for stretches: they count in full up to some times the usual error, not up to some floors.
         known: an earlier fit, to other runs: its parameters are known beforehand as well as those runs told them.
     """
     ranges, plant = theory.ranges(), theory.problem.plant
@@ -164,7 +162,7 @@ def fitted(
     begin[:, 0] = np.clip(begin[:, 0], plant.lower, plant.upper)
     most = theory.problem.fit.max_iterations if iterations is None else iterations
     prior = Prior(low, high, neutral, weight)
-    state = solve(at, begin, model.look, model.slopes, prior, plant.lower, plant.upper, most, free, robust)
+    state = solve(at, begin, model.look, model.slopes, prior, plant.lower, plant.upper, most, free)
     return Fit(
         theory,
         state.theta,
@@ -213,7 +211,7 @@ def stretched(
 ) -> tuple[Array, Starts]:
     """Parameters from stretches of the runs, and the starts of stretches and of runs."""
     cut = pieces(runs, crossings * theory.problem.crossing_s)
-    rough = fitted(theory, cut, theta, known, iterations, robust=True)
+    rough = fitted(theory, cut, theta, known, iterations)
     return rough.theta, {**rough.starts, **{run.name: rough.starts[f"{run.name}#0"] for run in runs}}
 
 
@@ -242,16 +240,15 @@ def information(fit: Fit, unit: float) -> Array:
 
 def tempered(residuals: dict[str, Array]) -> dict[str, Array]:
     """Residuals in floors, by run, with sums of squares that are what the runs cost (`least_squares.charge`)."""
-    found = {}
-    for run, r in residuals.items():
-        power = max(float(np.mean(r * r)), 1e-12)
-        found[run] = r * float(np.sqrt(charge(np.array(power)) / power))
-    return found
+    powers = np.array([max(float(np.mean(r * r)), 1e-12) for r in residuals.values()])
+    factors = np.sqrt(charge(powers) / powers)
+    return {run: factor * r for factor, (run, r) in zip(factors, residuals.items(), strict=True)}
 
 
 def steady(residuals: dict[str, Array]) -> dict[str, float]:
     """By run, how far its residuals count in a fit."""
-    return {run: float(weight(np.array(np.mean(r * r)))) for run, r in residuals.items()}
+    found = weight(np.array([float(np.mean(r * r)) for r in residuals.values()]))
+    return {run: float(w) for run, w in zip(residuals, found, strict=True)}
 
 
 def unit_of(left: dict[str, Array]) -> float:

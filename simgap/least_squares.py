@@ -22,7 +22,7 @@ start and of every parameter takes from its residuals."""
 
 _TRIALS = 6
 _OUTLIER = 3.0
-"""Floors of error of a run, or times the usual error in a robust fit, beyond which it counts for less."""
+"""Times the usual error, or floors where that is less than the floor, beyond which a run counts for less."""
 
 
 @dataclass
@@ -65,13 +65,11 @@ def solve(
     upper: float,
     iterations: int,
     free: bool = True,
-    robust: bool = False,
 ) -> State:
     """The least sum of squares from `theta` (p,) and `starts` (r, 2); `lower`, `upper` bound start positions.
 
-    Without `free` only the starts move. A run that is missed by more than some floors has an error of its own that no
-    formula is near enough to meet, unknown but for what is left of it: its part of the cost is `charge`. A `robust` fit
-    is one to stretches, which count in full up to some times the usual error.
+    Without `free` only the starts move. A run that is missed by far more than the others has an error of its own, which
+    no formula is near enough to meet and of which only its size is known: its part of the cost is `charge`.
     """
     p, runs = len(theta), len(starts)
     parts = [look(i, starts[i : i + 1], theta)[0] for i in range(runs)]
@@ -79,7 +77,7 @@ def solve(
     sizes = np.array([len(part) for part in parts])
     damping, own, normal = 1e-3, np.full(runs, 1e-3), np.zeros((p, p))
     for _ in range(iterations):
-        weights = _relative(costs / sizes) if robust else weight(costs / sizes)
+        weights = weight(costs / sizes)
         total = float(weights @ costs) + prior.cost(theta)
         table = slopes(starts, theta, parts, free)
         blocks = [J @ J.T for J in table]
@@ -109,25 +107,23 @@ def solve(
             damping *= 8
         if not moved or gain < 1e-4 * total + 1e-2:
             break
-    total = float(costs.sum() if robust else sizes @ charge(costs / sizes))
-    return State(theta, starts, parts, total + prior.cost(theta), normal)
+    return State(theta, starts, parts, float(sizes @ charge(costs / sizes)) + prior.cost(theta), normal)
 
 
 def charge(powers: Array) -> Array:
     """(r,) what each reading of runs costs that are missed by mean squares `powers` (r,), floors squared: those, up to
-    some floors, and beyond as their logarithm, the likelihood of an error whose size is unknown."""
-    most = _OUTLIER**2
+    some times the usual one, and beyond as their logarithm, the likelihood of an error whose size is unknown."""
+    most = _most(powers)
     return np.asarray(np.where(powers <= most, powers, most * (1 + np.log(np.maximum(powers, most) / most))))
 
 
 def weight(powers: Array) -> Array:
-    """(r,) slope of `charge`."""
-    return np.asarray(np.minimum(1.0, _OUTLIER**2 / np.maximum(powers, 1e-12)))
+    """(r,) slope of `charge`, the usual error held."""
+    return np.asarray(np.minimum(1.0, _most(powers) / np.maximum(powers, 1e-12)))
 
 
-def _relative(powers: Array) -> Array:
-    usual = max(float(np.median(powers)), 1.0)
-    return np.asarray(np.minimum(1.0, _OUTLIER**2 * usual / np.maximum(powers, 1e-12)))
+def _most(powers: Array) -> float:
+    return _OUTLIER**2 * max(float(np.median(powers)), 1.0)
 
 
 def _information(blocks: list[Array], weights: Array, prior: Prior, p: int) -> Array:

@@ -210,7 +210,7 @@ class Search:
 
     def _stretched(self, fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
         """The fit on longer stretches."""
-        longer = fitted(fit.theory, runs, fit.theta, fit.starts, _GROWING, robust=True)
+        longer = fitted(fit.theory, runs, fit.theta, fit.starts, _GROWING)
         return self._caught(longer, runs)
 
     def _whole(self, fit: Fit, parent: Fit) -> Fit:
@@ -352,7 +352,7 @@ class Search:
 
     def _pieces(self, fit: Fit, crossings: float, free: bool) -> tuple[tuple[FitRun, ...], Fit]:
         cut = pieces(self.train, crossings * self.problem.crossing_s)
-        at = fitted(fit.theory, cut, fit.theta, None, _GROWING, robust=True) if free else placed(fit, cut)
+        at = fitted(fit.theory, cut, fit.theta, None, _GROWING) if free else placed(fit, cut)
         return cut, stilled(at)
 
 
