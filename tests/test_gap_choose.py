@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gap_case import asset_of, measured_of
+from gap_case import INERTIA, asset_of, measured_of
 
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
@@ -111,6 +111,12 @@ def test_a_zero_that_is_off_may_be_a_leaning_base(tmp_path: Path):
     assert found.verdict == "ambiguous"
     assert {("encoder_offset",), ("gravity_offset",)} <= set(found.rivals)
     assert found.next_experiment and "the explanations then differ by" in found.next_experiment
+
+
+def test_a_heavier_drive_may_be_a_weaker_pull(tmp_path: Path):
+    """Half as much inertia again swings as under two thirds of the weight, where no other force is known."""
+    found = verdict(tmp_path, measured_of(27, inertia=1.5 * INERTIA))
+    assert found.verdict == "ambiguous" and {("armature",), ("gravity_offset",)} <= set(found.rivals)
 
 
 def test_a_late_drive_may_be_a_late_clock(tmp_path: Path):
