@@ -82,8 +82,7 @@ class Judged:
     def borne(self) -> float:
         """What is left in floors, without the run that is met worst, of four or more: what grazes a stop or just passes
         a notch hangs on a hair, and no formula is that near."""
-        runs = sorted(self.left.items(), key=lambda item: float(np.mean(item[1] ** 2)))
-        return _rms(dict(runs[:-1] if len(runs) >= _RUNS else runs))
+        return _rms(_but_worst(self.left))
 
     @property
     def left(self) -> dict[str, Array]:
@@ -133,7 +132,8 @@ def _stretch(run: FitRun, begin: int, end: int) -> FitRun:
 def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Choice:
     """The smallest explanation, or none."""
     base = judged(search.base(), folds)
-    if base.error < settings.explained and search.hinted() < settings.hint * settings.least_gap:
+    quiet = max(base.error, base.learned) < settings.explained
+    if quiet and search.hinted() < settings.hint * settings.least_gap:
         return Choice(base, 1.0, (), base, settings.explained, False)
     level = search.singles()
     first = [judged(fit, folds) for fit in level[: settings.contenders]]
@@ -142,7 +142,8 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     p = p_value(base, first[0], search.tries)
     closed = np.sqrt(max(base.error**2 - best.error**2, 0.0))
     bar = float(np.hypot(settings.explained, settings.explained_part * base.floors))
-    gap = bool((p < settings.p_value and closed > settings.least_gap) or base.error > settings.plain_gap)
+    clear = max(base.borne, _rms(_but_worst(base.fit.residuals))) > settings.plain_gap
+    gap = bool((p < settings.p_value and closed > settings.least_gap) or clear)
     if not gap:
         return Choice(base, p, (), best, bar, False, tuple(tried))
     contenders = first + springs(first, search, folds)
@@ -343,7 +344,9 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
         return j.learned > settings.explained and any(beats(o.learned, j.learned, settings) for o in own)
 
     order = [j for j in order if not beaten(j)]
-    best, least = order[0], tempered(order[0].strict)
+    plainer = [j for j in order if j.names in _plainer(order[0].names) and j.error < settings.rival * order[0].error]
+    best = (plainer or order)[0]
+    least = tempered(best.strict)
     unit = unit_of(least)
 
     def near(j: Judged) -> bool:
@@ -352,7 +355,7 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
         if more < settings.rival_sum * unit:
             return True
         # what the formulas of twins leave they leave alike: only where they differ counts, or what the fitted runs say
-        own_kind = j is best or j.names in _plainer(best.names) or _plain_load(j) != _plain_load(best)
+        own_kind = j is best or _plain_load(j) != _plain_load(best)
         return j.error < settings.rival * best.error and (own_kind or j.learned <= best.learned)
 
     first: dict[tuple[str, ...], Judged] = {}
@@ -379,6 +382,12 @@ def _plainer(names: tuple[str, ...]) -> list[tuple[str, ...]]:
             rest = {n for n in names if n != name}
             found.append(tuple(sorted({*rest, PLAINER[name]})))
     return found
+
+
+def _but_worst(residuals: dict[str, Array]) -> dict[str, Array]:
+    """Residuals by run without those of the run that is met worst, of four or more."""
+    runs = sorted(residuals.items(), key=lambda item: float(np.mean(item[1] ** 2)))
+    return dict(runs[:-1] if len(runs) >= _RUNS else runs)
 
 
 def _rms(residuals: dict[str, Array]) -> float:

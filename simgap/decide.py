@@ -13,6 +13,8 @@ from simgap.settings import ChoiceSettings
 from simgap.verdict import Named, RunGap, Verdict
 from simgap.words import amount, closed_text, effect_words, plain
 
+_ODD = 3.0
+"""Times what the other runs are off by at which a run is spoken of."""
 _NORMAL_90 = 1.645
 _NEAR = 0.5
 """Part of the gap that the best try may leave and still be told of where nothing explains it."""
@@ -50,9 +52,12 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
     before = choice.base
     if not choice.gap:
         said = (
-            f"Simulation and measurement agree: what is left ({_length(before.floors * floor.still, problem)}) "
+            f"Simulation and measurement agree: what is left ({_length(before.borne * floor.still, problem)}) "
             "is the sensor's noise and what the asset is known to be off by."
         )
+        odd, far = max(((run, float(np.sqrt(np.mean(r * r)))) for run, r in before.strict.items()), key=lambda e: e[1])
+        if far > _ODD * before.borne:
+            said += f" But run {odd} goes another way, and nothing explains that one alone: record it again."
         return Verdict("no_gap", (), (), _gaps(runs, before, before, floor), (), None, said)
     if not choice.explaining:
         said = (

@@ -66,7 +66,8 @@ class ChoiceSettings:
     """Part of the least gap that some effect must promise to explain, to first order, for any to be fitted when the
     asset alone leaves no more than an explanation may."""
     plain_gap: float = 2.5
-    """Floors of error at which there is a gap, whether anything explains it or not."""
+    """Floors of error, of all runs but one of four or more, at which there is a gap, whether anything explains it or
+    not."""
     p_value: float = 0.01
     explained: float = 1.35
     """Floors of error on held-out runs that an explanation of a small gap may leave; the floor is an estimate."""

@@ -118,6 +118,8 @@ def draw_case(wish: Wish, seed: int, search: bool = True) -> Case:
     at_rest = lying_still(body, nuisance) if wish.rig == "still" else body
     plans = draw_plans(rng, at_rest, wish.rig, servo, nominal_times())
     seeds = [int(s) for s in rng.integers(1 << 30, size=2)]
+    while wish.stratum == "gauge" and wish.names == ("actuator_gain",) and effects.stronger(seeds[0]):
+        seeds[0] += 1  # only a weaker drive may be a heavier one
     case = Case(wish, seed, body, servo, nuisance, plans, ())
     if not wish.names:
         return replace(case, floor=Gap(case).floor if wish.rig != "poses" and search else 0.0)

@@ -60,6 +60,8 @@ RIVALS_OF = {
     "repelling_magnet": ("gravity_offset", "return_spring"),
     "cogging": ("coulomb_friction", "viscous_damping"),
     "latch": ("detent",),
+    "gravity_offset": ("return_spring",),
+    "return_spring": ("gravity_offset",),
 }
 """Plainer effects that might pass for it: what is left beyond these must show, too."""
 
@@ -177,6 +179,11 @@ def _actuator_gain(rng, s, body: Body, w: World) -> World:
     weaker = rng.uniform() < 0.6
     full = max(0.4 * w.stiffness * body.range, body.force)
     return w._replace(gain=1 - s if weaker else 1 + s, compression=rng.uniform(0.01, 0.03), force_full=full)
+
+
+def stronger(seed: int) -> bool:
+    """Whether the drive of an actuator_gain of this seed is stronger than told."""
+    return bool(np.random.default_rng([seed, 77]).uniform() >= 0.6)
 
 
 def _armature(rng, s, body: Body, w: World) -> World:
