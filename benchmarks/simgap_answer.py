@@ -28,8 +28,8 @@ os.environ["NUMBA_NUM_THREADS"] = "1"
 
 def answer(case: Path, out: Path, without: str | None) -> None:
     """One verdict, and how long it took; a crash is an answer, too."""
-    from freeart21.effects import EFFECTS
     from simgap import workflow
+    from simgap.settings import GapSettings
 
     took: list[float] = []
     ask = workflow.explain
@@ -40,20 +40,18 @@ def answer(case: Path, out: Path, without: str | None) -> None:
         took.append(time.perf_counter() - began)
         return found
 
-    left_out = EFFECTS.pop(without) if without else None
     workflow.explain = timed
     began = time.perf_counter()
     aside = out.parent / f".{out.name}.part"
     try:
-        workflow.gap_folder(case / "asset", case / "measured", aside)
+        settings = GapSettings(without=(without,) if without else ())
+        workflow.gap_folder(case / "asset", case / "measured", aside, settings)
     except Exception:
         aside.mkdir(parents=True, exist_ok=True)
         failed = {"verdict": "crashed", "effects": [], "gap": [], "rivals": [], "error": traceback.format_exc()[-2000:]}
         (aside / "verdict.json").write_text(json.dumps(failed))
     finally:
         workflow.explain = ask
-        if without and left_out:
-            EFFECTS[without] = left_out
     whole = time.perf_counter() - began
     (aside / "seconds.json").write_text(json.dumps({"verdict": took[0] if took else whole, "whole": whole}))
     (aside / "index.html").unlink(missing_ok=True)  # a megabyte a case

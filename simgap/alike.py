@@ -83,7 +83,7 @@ def lighter(search: Search, fit: Fit) -> list[Fit]:
 def narrowed(search: Search, fit: Fit) -> list[Fit]:
     """The set with a spring in the place of a notch so wide that nothing of it but its slope is seen."""
     names = fit.theory.names
-    if "detent" not in names or "return_spring" in names:
+    if "detent" not in names or "return_spring" in names or "return_spring" not in search.names:
         return []
     known = search.fits.get(tuple(sorted({*names, "return_spring"} - {"detent"})))
     if known is not None and known.cost <= fit.cost:

@@ -173,7 +173,8 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         if standing and not beats(min(j.error for j in contenders), reach, settings):
             break  # not even a larger set does much better: the rest is form
     if standing:
-        missing = {names for j in standing for names in _plainer(j.names)} - {j.names for j in standing}
+        missing = {names for j in standing for names in _plainer(j.names) if set(names) <= set(search.names)}
+        missing -= {j.names for j in standing}
         standing += [loosened(judged(search.of(names), folds), folds) for names in sorted(missing)]
         standing += twins(standing, search, folds)
         standing = [j for j in standing if not at_bound(j.fit)]
@@ -188,9 +189,11 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
 
 
 def as_added(judgement: Judged, search: Search, folds: tuple[Fold, ...]) -> Judged:
-    """The set with the parameters that make a simulator come nearest, which knows no build-up of friction."""
+    """The set with the parameters that make a simulator come nearest, which knows no build-up of friction; and what
+    they become when its sizes are free."""
+    free = judgement.free or relaxed(judgement.fit, search.train)
     fit = prompt(judgement.fit, search.train)
-    return judgement if fit is judgement.fit else judged(fit, folds)
+    return replace(judgement if fit is judgement.fit else judged(fit, folds), free=free)
 
 
 def stands(judgement: Judged, bar: float, settings: ChoiceSettings) -> bool:

@@ -90,10 +90,16 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
 
 
 def named_effects(judgement: Judged) -> tuple[Named, ...]:
-    """The effects with 90 % intervals, strongest first: the one without which most would be left."""
+    """The effects with 90 % intervals, strongest first: the one without which most would be left.
+
+    What a parameter becomes when the sizes are free within the form tolerance is as good an estimate of it.
+    """
     fit = judgement.fit
     ranges = fit.theory.ranges()
-    spread = _NORMAL_90 * np.sqrt(np.diag(_covariance(fit, unit_of(tempered(judgement.left)))))
+    told = {} if judgement.free is None else judgement.free.values
+    formed = np.array([told.get((r.owner, r.name), x) - x for r, x in zip(ranges, fit.theta, strict=True)])
+    variance = np.diag(_covariance(fit, unit_of(tempered(judgement.left))))
+    spread = _NORMAL_90 * np.sqrt(variance + formed**2)
     found = []
     for effect in fit.effects:
         own = {r.name: i for i, r in enumerate(ranges) if r.owner == effect.name}

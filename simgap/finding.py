@@ -18,6 +18,8 @@ GeometryVerdict = Literal["no_gap", "named", "ambiguous", "unexplained", "not_ex
 class KinematicsSettings:
     """How geometry is looked for and when it is believed."""
 
+    without: tuple[str, ...] = ()
+    """Effects that are left out of the library."""
     most_effects: int = 3
     """Effects that may be named together."""
     level: float = 0.01

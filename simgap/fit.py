@@ -54,6 +54,11 @@ class Fit:
     """(p, p) information of the parameters, the starts being free."""
 
     @property
+    def values(self) -> dict[tuple[str, str], float]:
+        """Parameters by owner and name."""
+        return {(r.owner, r.name): float(x) for r, x in zip(self.theory.ranges(), self.theta, strict=True)}
+
+    @property
     def effects(self) -> tuple[Effect, ...]:
         """The added effects."""
         return self.theory.effects(self.theta)
@@ -319,7 +324,7 @@ def tangent(fit: Fit, runs: tuple[FitRun, ...]) -> tuple[list[Array], list[Array
 
 def joined(theory: Theory, parent: Fit, points: dict[str, dict[str, float]]) -> Array:
     """(p,) start of a theory: what the parent has, and `points` for effects that it has not."""
-    values = {(r.owner, r.name): float(x) for r, x in zip(parent.theory.ranges(), parent.theta, strict=True)}
+    values = parent.values
     for owner, point in points.items():
         values.update({(owner, name): value for name, value in point.items()})
     return np.array([values.get((r.owner, r.name), r.neutral) for r in theory.ranges()])

@@ -86,11 +86,14 @@ def find_geometry(
     weighting = _first_weighting(problem.model, settings)
     if max(float(np.ptp(q[problem.model.run == r])) for r in range(len(train))) < least:
         return _nothing(tracks, flags, mechanics, weighting)
-    names = tuple(n for n in STATIC if mechanics.joint.type in _class_types(n))
+    names = tuple(n for n in STATIC if mechanics.joint.type in _class_types(n) and n not in settings.without)
     weighting, full, lin = _full_fit(problem, names, weighting)
     left = pose_search.free_residual(lin, priors((), weighting))
     frequencies = pose_search.rocking_frequency(lin, left, problem.folds, problem.rate_hz)
-    candidates = (*names, *((ROCK,) if all(f is not None for f in frequencies) else ()))
+    candidates = (
+        *names,
+        *((ROCK,) if all(f is not None for f in frequencies) and ROCK not in settings.without else ()),
+    )
     losses = pose_search.held_out_losses(
         lin,
         names,

@@ -47,8 +47,11 @@ PLAINER = {
 """Effect to the one that it becomes in a special case: the plainer one has the name unless it does worse."""
 
 
-def candidates(problem: Problem, runs: tuple[FitRun, ...], encoder: bool = True) -> tuple[str, ...]:
-    """Names of the effects that these runs could show at all; without an `encoder` part poses told the positions."""
+def candidates(
+    problem: Problem, runs: tuple[FitRun, ...], encoder: bool = True, without: tuple[str, ...] = ()
+) -> tuple[str, ...]:
+    """Names of the effects, `without` some, that these runs could show at all; without an `encoder` part poses told the
+    positions."""
     commanded = any(np.any(run.inputs.effort) or np.isfinite(run.inputs.command).any() for run in runs)
     span = problem.q_high - problem.q_low
     near = problem.q_low < problem.plant.lower + 0.02 * span or problem.q_high > problem.plant.upper - 0.02 * span
@@ -66,7 +69,7 @@ def candidates(problem: Problem, runs: tuple[FitRun, ...], encoder: bool = True)
             return near
         return cls.name != "time_offset" or driven or near
 
-    return tuple(name for name, cls in EFFECTS.items() if possible(cls))
+    return tuple(name for name, cls in EFFECTS.items() if possible(cls) and name not in without)
 
 
 @dataclass

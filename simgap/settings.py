@@ -104,6 +104,8 @@ class GapSettings:
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
     seed: int = 0
     """Of permutations."""
+    without: tuple[str, ...] = ()
+    """Effects that are left out of the library."""
 
     def to_json(self) -> dict[str, Any]:
         """All settings as plain data."""

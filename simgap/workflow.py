@@ -22,7 +22,7 @@ from simgap.decide import moves_enough, says_enough, silent_verdict, verdict_of
 from simgap.finding import KinematicsFinding
 from simgap.fit import Fit, Problem, Reader, placed
 from simgap.floor import Floor
-from simgap.kinematics import find_geometry_of
+from simgap.kinematics import KinematicsSettings, find_geometry_of
 from simgap.publish import Draft, off_of, publish, with_positions
 from simgap.report import Ranked
 from simgap.search import Search, candidates
@@ -48,7 +48,7 @@ def find_gap(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS)
 def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) -> Draft:
     """Measure, tell geometry from dynamics, name: all but what SAPIEN has to show."""
     check_match(asset, measured)
-    geometry = find_geometry_of(asset, measured)
+    geometry = find_geometry_of(asset, measured, KinematicsSettings(without=settings.without))
     positions = with_positions(measured, geometry)
     plant = plant_of(asset, measured)
     runs, floor = as_tracked(*fit_runs(positions, plant), geometry)
@@ -65,7 +65,7 @@ def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) 
     folds = folds_of(runs)
     fitted_runs = folds[0].train if len(folds) == 1 else runs
     encoder = any(run.poses is None for run in measured.runs)
-    search = Search(problem, fitted_runs, settings.choice, candidates(problem, fitted_runs, encoder))
+    search = Search(problem, fitted_runs, settings.choice, candidates(problem, fitted_runs, encoder, settings.without))
     choice = chosen(search, folds, settings.choice)
     motion = verdict_of(choice, runs, floor, problem)
     before, after = choice.base, (choice.explaining[0] if choice.explaining else choice.base)

@@ -15,6 +15,7 @@ from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap.choose import folds_of, p_value
 from simgap.data import fit_runs
+from simgap.settings import GapSettings
 from simgap.surrogate import plant_of
 from simgap.verdict import Verdict
 from simgap.workflow import find_gap
@@ -128,6 +129,13 @@ def test_a_late_drive_may_be_a_late_clock(tmp_path: Path):
 def test_what_is_in_no_library_has_no_name(tmp_path: Path, strange: dict[str, float]):
     found = verdict(tmp_path, measured_of(16, **strange))
     assert found.verdict == "unexplained" and not found.effects
+
+
+def test_an_effect_that_is_left_out_of_the_library_is_not_named(tmp_path: Path):
+    asset, measured = read_asset(asset_of(tmp_path), "j"), measured_of(11, spring=2.0, rest=0.3)
+    found = find_gap(asset, measured, GapSettings(without=("return_spring",)))
+    assert found.verdict != "no_gap"
+    assert "return_spring" not in names(found) | {name for names in found.rivals for name in names}
 
 
 def test_a_joint_that_hardly_moves_says_nothing(tmp_path: Path):
