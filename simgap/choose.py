@@ -25,7 +25,7 @@ from simgap.settings import ChoiceSettings
 
 _EDGE = 0.02
 """Part of a range that counts as its end."""
-_FREE = 0.1
+_CAPTURE = 0.1
 """The same of a catch's way."""
 _RUNS = 4
 """Held-out runs of which one may be missed."""
@@ -218,7 +218,7 @@ def at_bound(fit: Fit) -> bool:
         spec = EFFECTS[r.owner].parameters().get(r.name) if r.owner in EFFECTS else None
         if spec is None or spec.revolute_unit not in ("rad", "1") or EFFECTS[r.owner].acts != "force":
             continue
-        place, edge = r.lower < 0, _EDGE if spec.revolute_unit == "rad" else _FREE
+        place, edge = r.lower < 0, _EDGE if spec.revolute_unit == "rad" else _CAPTURE
         if x > r.upper - edge * (r.upper - r.lower) or (place and x < r.lower + _EDGE * (r.upper - r.lower)):
             return True
     return False

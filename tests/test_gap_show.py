@@ -449,34 +449,30 @@ def test_our_own_release_is_understood_from_part_poses(tmp_path: Path):
     assert "Off its joint: Run take_3" in (out / "index.html").read_text()
 
 
+def mended(asset: Asset, measured: Measured, name: str, out: Path) -> None:
+    """Only this effect of the geometry is found, written, and shown to bring the part back onto its joint."""
+    geometry = find_geometry_of(asset, measured)
+    assert geometry is not None and [e.name for e in geometry.effects] == [name]
+    out.mkdir()
+    told = replace(draft(measured, ((1.0, 0.0),) * 4, *geometry.effects, geometry=geometry), starts={})
+    verdict = publish(asset, measured, told, out, name)
+    gap = next(gap for gap in verdict.gaps if gap.regime == GEOMETRY)
+    assert verdict.verdict == "named"
+    assert gap.before > 1.8 * gap.floor and gap.after < 1.25 * gap.floor
+
+
 def test_rocking_is_shown_with_each_runs_own_phase(tmp_path: Path):
     asset = bob(tmp_path / "a")
     measured, _ = filmed(replace(asset, effects={"j": (Wobble(0.012, 2.3, 0.4, 0.9),)}))
     late = tuple(replace(run, times_s=run.times_s + 0.11 * i) for i, run in enumerate(measured.runs))
-    measured = replace(measured, runs=late)
-    geometry = find_geometry_of(asset, measured)
-    assert geometry is not None and [e.name for e in geometry.effects] == ["wobble"]
-    out = tmp_path / "out"
-    out.mkdir()
-    told = replace(draft(measured, ((1.0, 0.0),) * 4, *geometry.effects, geometry=geometry), starts={})
-    verdict = publish(asset, measured, told, out, "rocking")
-    gap = next(gap for gap in verdict.gaps if gap.regime == GEOMETRY)
-    assert verdict.verdict == "named"
-    assert gap.before > 1.8 * gap.floor and gap.after < 1.25 * gap.floor
+    mended(asset, replace(measured, runs=late), "wobble", tmp_path / "out")
 
 
 def test_sagging_follows_the_gravity_that_was_measured(tmp_path: Path):
     """Its weight pulls as the measured set says, not down the asset's own z."""
-    asset, out = bob(tmp_path / "a"), tmp_path / "out"
+    asset = bob(tmp_path / "a")
     measured, _ = filmed(replace(asset, effects={"j": (Sag(0.02),)}), gravity=(0, 0.8 * G, 0.6 * G))
-    geometry = find_geometry_of(asset, measured)
-    assert geometry is not None and [e.name for e in geometry.effects] == ["sag"]
-    out.mkdir()
-    told = replace(draft(measured, ((1.0, 0.0),) * 4, *geometry.effects, geometry=geometry), starts={})
-    verdict = publish(asset, measured, told, out, "sagging")
-    gap = next(gap for gap in verdict.gaps if gap.regime == GEOMETRY)
-    assert verdict.verdict == "named"
-    assert gap.before > 1.8 * gap.floor and gap.after < 1.25 * gap.floor
+    mended(asset, measured, "sag", tmp_path / "out")
 
 
 def test_only_an_older_answer_is_replaced(tmp_path: Path):
