@@ -10,16 +10,16 @@ from __future__ import annotations
 import numpy as np
 
 from simgap.data import FitRun
-from simgap.fit import Fit, steady
+from simgap.fit import Fit
 from simgap.guess import Linear
 
 _FREE = ("coulomb_friction", "detent", "quadratic_drag", "return_spring", "stribeck_friction", "viscous_damping")
 """Effects whose forces at all places and speeds together make about any force."""
 
 
-def ceiling(fit: Fit, runs: tuple[FitRun, ...]) -> float:
-    """Floors that a free force beside the fit would leave of the runs that it was fitted to, each by its weight."""
-    linear = Linear(fit, runs, steady(fit.residuals))
+def ceiling(fit: Fit, runs: tuple[FitRun, ...], weights: dict[str, float]) -> float:
+    """Floors that a free force beside the fit would leave of runs that it was fitted to, each by its weight."""
+    linear = Linear(fit, runs, weights)
     names = [name for name in _FREE if name not in fit.theory.names]
     columns = np.concatenate([linear.rest, *(linear.columns(name) for name in names)])
     size = np.linalg.norm(columns, axis=1)

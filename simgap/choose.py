@@ -225,14 +225,17 @@ def at_bound(fit: Fit) -> bool:
 
 
 def surpassed(judgement: Judged, search: Search, gap: float, settings: ChoiceSettings) -> bool:
-    """Whether a force without a name explains much that the set leaves, its sizes free: then the name is not right."""
+    """Whether a force without a name explains much that the set leaves, its sizes free, of all runs that it was fitted
+    to but the one that is met worst: then the name is not right."""
     least = max(settings.nameless, settings.nameless_part * gap)
     if judgement.fit.level <= np.hypot(1.0, least):
         return False
     free = relaxed(judgement.fit, search.train)
-    weights = steady(free.residuals)
-    left = _rms({run: r * np.sqrt(weights[run]) for run, r in free.residuals.items()})
-    return bool(left**2 - ceiling(free, search.train) ** 2 > least**2)
+    kept = _but_worst(free.residuals)
+    weights = steady(kept)
+    left = _rms({run: r * np.sqrt(weights[run]) for run, r in kept.items()})
+    runs = tuple(run for run in search.train if run.name in kept)
+    return bool(left**2 - ceiling(free, runs, weights) ** 2 > least**2)
 
 
 def springs(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:
@@ -338,13 +341,15 @@ def p_value(base: Judged, best: Judged, tried: int) -> float:
 def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ...]:
     """Those that the held-out runs do not tell from the best, the best first; a general effect yields to a plainer.
 
-    What another set of the same size beats on the runs that both were fitted to is none of them.
+    What another set of the same size beats on the runs that both were fitted to is none of them, when that is much, or
+    the other does better on held-out runs, too.
     """
     order = sorted(standing, key=lambda j: j.error)
 
     def beaten(j: Judged) -> bool:
-        own = [o for o in order if len(o.names) == len(j.names)]
-        return j.learned > settings.explained and any(beats(o.learned, j.learned, settings) for o in own)
+        own = [o for o in order if len(o.names) == len(j.names) and beats(o.learned, j.learned, settings)]
+        both = any(o.error <= j.error and j.learned**2 - o.learned**2 > settings.rival_power for o in own)
+        return bool(own and j.learned > settings.explained) or both
 
     order = [j for j in order if not beaten(j)]
     plainer = [j for j in order if j.names in _plainer(order[0].names) and j.error < settings.rival * order[0].error]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from freeart21.effects import Effect
 from simgap.choose import Choice, Judged
 from simgap.data import FitRun
 from simgap.experiment import next_experiment
 from simgap.fit import Fit, Problem, information, tempered, unit_of
 from simgap.floor import Floor
+from simgap.guess import neutral_value
 from simgap.settings import ChoiceSettings
+from simgap.theory import FORM_WAYS
 from simgap.verdict import Named, RunGap, Verdict
 from simgap.words import amount, closed_text, effect_words, plain
 
@@ -92,27 +95,42 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
 def named_effects(judgement: Judged) -> tuple[Named, ...]:
     """The effects with 90 % intervals, strongest first: the one without which most would be left.
 
-    What a parameter becomes when the sizes are free within the form tolerance is as good an estimate of it.
+    What a parameter becomes when the sizes are free to depart from their formulas is as good an estimate of it, as far
+    as the runs tell it beside these departures; and the size of an effect that departs from its formula by some part of
+    itself is known to that part only.
     """
-    fit = judgement.fit
-    ranges = fit.theory.ranges()
-    told = {} if judgement.free is None else judgement.free.values
-    formed = np.array([told.get((r.owner, r.name), x) - x for r, x in zip(ranges, fit.theta, strict=True)])
-    variance = np.diag(_covariance(fit, unit_of(tempered(judgement.left))))
-    spread = _NORMAL_90 * np.sqrt(variance + formed**2)
+    fit, unit = judgement.fit, unit_of(tempered(judgement.left))
+    ranges, free = fit.theory.ranges(), judgement.free or fit
+    errors = dict(zip(free.values, np.sqrt(np.diag(_covariance(free, unit))), strict=True))
     found = []
     for effect in fit.effects:
         own = {r.name: i for i, r in enumerate(ranges) if r.owner == effect.name}
-        specs = effect.parameters()
-        low = {n: float(max(fit.theta[i] - spread[i], specs[n].lower)) for n, i in own.items()}
-        high = {n: float(min(fit.theta[i] + spread[i], specs[n].upper)) for n, i in own.items()}
+        specs, part, ends = effect.parameters(), _departure(effect, free, errors), {}
+        for name, i in own.items():
+            x, key = fit.theta[i], (effect.name, name)
+            size = 0.0 if is_place(effect, name) else x - neutral_value(type(effect)) * (i == min(own.values()))
+            spread = _NORMAL_90 * np.sqrt(errors[key] ** 2 + (free.values[key] - x) ** 2 + (part * size) ** 2)
+            ends[name] = max(x - spread, specs[name].lower), min(x + spread, specs[name].upper)
+        low, high = ({name: float(end[k]) for name, end in ends.items()} for k in (0, 1))
         i = min(own.values())
-        weight = (fit.theta[i] - (1.0 if effect.name in ("actuator_gain", "encoder_scale") else 0.0)) ** 2 * fit.normal[
-            i, i
-        ]
+        weight = (fit.theta[i] - neutral_value(type(effect))) ** 2 * fit.normal[i, i]
         found.append((float(weight), Named(effect, low, high)))
     found.sort(key=lambda pair: -pair[0])
     return tuple(named for _, named in found)
+
+
+def is_place(effect: Effect, name: str) -> bool:
+    """Whether a parameter of a force is a position."""
+    spec = effect.parameters()[name]
+    return effect.acts == "force" and spec.revolute_unit == "rad" and spec.lower < 0
+
+
+def _departure(effect: Effect, free: Fit, errors: dict[tuple[str, str], float]) -> float:
+    """Part of itself by which an effect departs from its formula in a fit in which it may, as far as that is known;
+    what its kind usually does where the fit has no way for it."""
+    ways = [key for key in free.values if key[0] == f"{effect.name} form" and key[1] in FORM_WAYS]
+    told = np.sqrt(sum(free.values[key] ** 2 + errors[key] ** 2 for key in ways))
+    return float(min(told, max(effect.departs))) if ways else max(effect.departs)
 
 
 def _covariance(fit: Fit, unit: float) -> np.ndarray:
@@ -131,7 +149,7 @@ def unmoved(judgement: Judged) -> list[str]:
     ranges = fit.theory.ranges()
     for effect in fit.effects:
         own = [i for i, r in enumerate(ranges) if r.owner == effect.name and not np.isfinite(r.prior)]
-        about = 1.0 if effect.name in ("actuator_gain", "encoder_scale") else 0.0
+        about = neutral_value(type(effect))
         block = fit.normal[np.ix_(own, own)] / unit
         scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
         inverse = np.linalg.pinv(block / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)

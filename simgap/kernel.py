@@ -18,8 +18,8 @@ INERTIA, GRAVITY_COS, GRAVITY_SIN, GRAVITY_CONST = 0, 1, 2, 3
 LOAD_ARM2, LOAD_WEIGHT2, LOAD_ACROSS, LOAD_TURNED = 4, 5, 6, 7
 GAIN, COMMAND_DELAY, STIFFNESS, DAMPING = 8, 9, 10, 11
 LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
-READING_DELAY, Q0, QD0, TRAVEL, GRIPPING = 16, 17, 18, 19, 20
-HEAD = 21
+READING_DELAY, Q0, QD0, TRAVEL, GRIPPING, SPRINGY, GIVE = 16, 17, 18, 19, 20, 21, 22
+HEAD = 23
 """Places in the vector of numbers that describes one simulation; behind them each effect has FORM, then parameters."""
 FORM = 6
 """How the size of an effect may depart from its formula: with speed, with position, with position squared; and the
@@ -68,6 +68,18 @@ def _actuator(p, q, v, position, effort):  # pragma: no cover
 
 
 @jit
+def _pushed(p, x, v, position, effort):  # pragma: no cover
+    """Force of an actuator whose flank touches at x: as far as that gives way under the force, GIVE times it to the
+    power of 2/3 (Hertz), the actuator is ahead."""
+    F = _actuator(p, x, v, position, effort)
+    if p[GIVE] == 0.0 or np.isnan(position) or F == 0.0:
+        return F
+    ahead = math.copysign(p[GIVE] * abs(F) ** (2.0 / 3.0), F)
+    faster = -2.0 / 3.0 * ahead / F * p[GAIN] * p[STIFFNESS] * v
+    return F - p[GAIN] * (p[STIFFNESS] * ahead + p[DAMPING] * faster) / (1.0 + p[GAIN] * p[STIFFNESS] * ahead / F)
+
+
+@jit
 def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no cover
     """All forces on the part but friction."""
     F = p[GRAVITY_CONST] + push
@@ -77,7 +89,7 @@ def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no
     if p[SLACK_WIDTH] == 0.0:
         F += _actuator(p, q, v, position, effort)
     elif side != 0:
-        F += _actuator(p, q + 0.5 * side * p[SLACK_WIDTH], v, position, effort)
+        F += _pushed(p, q + 0.5 * side * p[SLACK_WIDTH], v, position, effort)
     return F
 
 
@@ -163,7 +175,7 @@ def _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position,
 def _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Force of the drive side on the part while they touch."""
     a, _ = _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
-    return _actuator(p, y[2], y[3], position, effort) - p[SLACK_INERTIA] * a
+    return _pushed(p, y[2], y[3], position, effort) - p[SLACK_INERTIA] * a
 
 
 @jit
@@ -214,6 +226,15 @@ def _rebound(terms, p, v):  # pragma: no cover
             if abs(speed) > abs(after):
                 after = speed
     return min(abs(after), abs(v)) * (1.0 if after > 0 else -1.0)
+
+
+@jit
+def _parting(p, meeting):  # pragma: no cover
+    """Speed at which the sides of a slack part that met with `meeting` (of the part, seen from the drive side): slow
+    ones come back (Hunt and Crossley 1975), at SPRINGY half of it."""
+    if p[SPRINGY] == 0.0:
+        return 0.0
+    return -meeting / (1.0 + abs(meeting) / p[SPRINGY])
 
 
 @jit
@@ -336,8 +357,17 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
             side = 0
         if found & _MET:
             side = 1 if y[2] > y[0] else -1
-            together = (p[INERTIA] * y[1] + p[SLACK_INERTIA] * y[3]) / (p[INERTIA] + p[SLACK_INERTIA])
-            y = (y[0], together, y[0] + 0.5 * side * p[SLACK_WIDTH], together)
+            back = _parting(p, y[1] - y[3])
+            a, b = _slopes(y, terms, p, memory, frozen, slide, grip, 0, push, position, asked, loaded)
+            press = side * (b - a)
+            both = p[INERTIA] + p[SLACK_INERTIA]
+            together = (p[INERTIA] * y[1] + p[SLACK_INERTIA] * y[3]) / both
+            at = y[0] + 0.5 * side * p[SLACK_WIDTH]
+            if abs(back) > 0.5 * step * max(press, 0.0):
+                y = (y[0], together + back * p[SLACK_INERTIA] / both, at, together - back * p[INERTIA] / both)
+                side = 0
+            else:  # they would meet again within a step: they stay together
+                y = (y[0], together, at, together)
         if found & _LIMIT:
             towards = 1 if y[0] - p[LOWER] > p[UPPER] - y[0] else -1
             limit = p[UPPER] if towards > 0 else p[LOWER]

@@ -290,7 +290,7 @@ def _finding(
     gaps = [np.sqrt(losses.mean(s) / noise) for s in ((), chosen)]
     closed = (gaps[0] - gaps[1]) / max(gaps[0] - 1.0, 1e-9)
     rivals = _rivals(losses, chosen, settings)
-    if more and (not chosen or closed < settings.closed):
+    if more and (closed < settings.closed if chosen else remainder > settings.tracker_floors):
         verdict: GeometryVerdict = "unexplained"
     elif not chosen:
         verdict = "no_gap"

@@ -29,17 +29,17 @@ class FitSettings:
     tilt_rad: float = 7e-3
     """How far the base may lean in the plane of the motion without being called an effect; a usual mounting is 0.3
     degrees off."""
-    form_tolerance: float = 0.2
-    """By how much of itself a real effect may differ from the library's formula over the range of speeds, and over that
-    of positions in two ways, and still have its name; of an effect with a speed or a place of its own, over those."""
     rebound_tolerance: float = 0.6
-    """The same of what comes back from a stop, which no law describes well: with the speed of the impact, and where a
-    drive's inertia comes back though its formula has none of it."""
+    """By how much of itself (`Effect.departs`) what comes back from a stop may differ from its formula, which no law
+    describes well: with the speed of the impact, and where a drive's inertia comes back though its formula has none of
+    it."""
     travel_tolerance: float = 1e-3
     """Part of the way moved through over which dry friction may build up after a reversal: no real one does at once,
     and small swings are the faster for it."""
-    give_tolerance: float = 0.1
-    """By what part of itself a drive may be softer because the flanks of its slack give way under load."""
+    springy_tolerance: float = 0.2
+    """Part of the top speed up to which half of the speed at which the flanks of a slack meet may come back."""
+    give_tolerance: float = 0.01
+    """Part of the way moved through by which the flanks of a slack may give way under the forces at work."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,10 @@ class ChoiceSettings:
     rival: float = 1.15
     """A set whose held-out error is within this factor of the best is its rival,"""
     rival_sum: float = 9.0
-    """... and so is one whose sum of squares is not larger by this many units of noise."""
+    """... and so is one whose sum of squares is not larger by this many units of noise,"""
+    rival_power: float = 0.2
+    """... unless another beats it on held-out runs and, by this part of noise's power, on those that both were fitted
+    to."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
-from freeart21.effects.actuator_gain import ActuatorGain
 from freeart21.effects.encoder_offset import EncoderOffset
 from freeart21.effects.encoder_scale import EncoderScale
 from freeart21.effects.end_stop_bounce import EndStopBounce
@@ -18,6 +17,10 @@ from simgap.surrogate import Nuisance, Plant, numbers_of
 
 _FRICTION = "friction form"
 """Owner of how all dry friction that is missing builds up."""
+
+
+FORM_WAYS = ("speed", "position", "curve", "tilt")
+"""Along what the size of an effect departs from its formula: see `kernel.FORM`; the last one is a sensor's."""
 
 
 @dataclass(frozen=True)
@@ -113,19 +116,20 @@ class Theory:
 
     def _form(self, cls: type[Effect]) -> list[Range]:
         """How the effect may depart from its formula."""
-        owner, r, e = f"{cls.name} form", self.problem.fit.form_tolerance, self.problem.fit.rebound_tolerance
+        owner, (fast, far), e = f"{cls.name} form", cls.departs, self.problem.fit.rebound_tolerance
         if cls.acts == "stop":  # a real stop throws back slow parts better than fast ones
             return [Range(owner, "speed", -e, e, e, e), Range(owner, "curve", -e, e, e, e)]
         if cls.name in laws.LAWS:
-            return [Range(owner, k, -r, r, r, r) for k in ("speed", "position", "curve")]
+            return [Range(owner, k, -r, r, r, r) for k, r in zip(FORM_WAYS, (fast, far, far), strict=False) if r > 0]
         found = []
         if cls.acts in ("inertia", "slack") and "end_stop_bounce" not in self.names:
             found.append(Range(owner, "rebound", 0.0, e, 0.1 * e, e, 0.05 * e))  # an elastic shaft throws its body back
-        if cls.acts == "slack" and "actuator_gain" not in self.names:  # flanks that give way make the drive softer
-            g = self.problem.fit.give_tolerance
-            found.append(Range(owner, "give", 0.0, g, 0.1 * g, g))
+        if cls.acts == "slack":  # its flanks give way, and throw back what meets them slowly
+            give, springy = self.problem.fit.give_tolerance, self.problem.fit.springy_tolerance
+            found.append(Range(owner, "give", 0.0, give, 0.1 * give, give))
+            found.append(Range(owner, "springy", 0.0, springy, 0.1 * springy, springy))
         if cls.name == "encoder_offset" and "encoder_scale" not in self.names:  # a zero that is not all the same
-            found.append(Range(owner, "tilt", -r, r, r, r))
+            found.append(Range(owner, "tilt", -far, far, far, far))
         return found
 
     def _range(self, cls: type[Effect], name: str) -> Range:
@@ -210,20 +214,22 @@ class Reader:
         nuisance = self.nuisance(theta)
         forms, effects = {}, self.effects(theta)
         if self.theory.relaxed:
-            for cls in self.theory.classes:
-                own = [float(x) for owner, x in zip(self.owners, theta, strict=True) if owner == f"{cls.name} form"]
-                if cls.name in laws.LAWS:
-                    forms[cls.name] = (own[0], own[1] if len(own) == 3 else 0.0, own[-1])
-            free = {r.name: float(x) for r, x in zip(self.ranges, theta, strict=True) if "form" in r.owner}
+            told = {(r.owner, r.name): float(x) for r, x in zip(self.ranges, theta, strict=True) if "form" in r.owner}
+            for name in self.theory.names:
+                if name in laws.LAWS:
+                    speed, position, curve = (told.get((f"{name} form", way), 0.0) for way in FORM_WAYS[:3])
+                    forms[name] = (speed, position, curve)
+            free = {name: x for (_, name), x in told.items()}
             if "rebound" in free:
                 effects = (*effects, EndStopBounce(free["rebound"]))
-            if "give" in free:
-                effects = (*effects, ActuatorGain(1 - free["give"]))
             if "tilt" in free:
                 offset = next(e for e in effects if isinstance(e, EncoderOffset)).offset
                 effects = (*effects, EncoderScale(1 + free["tilt"] * offset / self.theory.problem.reference[2]))
         problem = self.theory.problem
         numbers = numbers_of(problem.plant, effects, nuisance, forms, problem.reference)
+        if self.theory.relaxed:
+            numbers[kernel.SPRINGY] = free.get("springy", 0.0) * problem.speed
+            numbers[kernel.GIVE] = free.get("give", 0.0) * (problem.q_high - problem.q_low) / problem.force ** (2 / 3)
         if _FRICTION in self.owners:
             root, gripping = theta[(at := self.owners.index(_FRICTION)) : at + 2]
             numbers[kernel.TRAVEL] = problem.fit.travel_tolerance * (problem.q_high - problem.q_low) * root**2

@@ -16,7 +16,7 @@ from freeart21.measured import Measured
 from simgap.ceiling import ceiling
 from simgap.choose import folds_of
 from simgap.data import fit_runs
-from simgap.fit import Problem, Theory, fitted, foretold, pieces, placed, predicted, tangent
+from simgap.fit import Problem, Theory, fitted, foretold, pieces, placed, predicted, steady, tangent
 from simgap.floor import floor_of
 from simgap.force_guess import local_force, places
 from simgap.least_squares import charge, weight
@@ -173,8 +173,19 @@ def test_a_force_without_a_name_shows_what_a_name_leaves(tmp_path: Path, ripple:
     setup, runs = problem(tmp_path, measured_of(7, dry=0.15, cog=ripple, count=6.0))
     train = folds_of(runs)[0].train
     fit = relaxed(fitted(Theory(setup, ("coulomb_friction",)), train), train)
-    beyond = np.sqrt(max(fit.level**2 - ceiling(fit, train) ** 2, 0.0))
+    beyond = np.sqrt(max(fit.level**2 - ceiling(fit, train, steady(fit.residuals)) ** 2, 0.0))
     assert bool(beyond > SETTINGS.choice.nameless) == surpassed
+
+
+def test_an_effect_departs_from_its_formula_as_real_ones_do(tmp_path: Path):
+    """A spring may harden by a tenth and knows no speed; oil may thin with speed by a fifth."""
+    setup, _ = problem(tmp_path, measured_of(9))
+    ways = {}
+    for name in ("return_spring", "viscous_damping"):
+        ranges = Theory(setup, (name,), relaxed=True).ranges()
+        ways[name] = {r.name: (r.lower, r.upper) for r in ranges if r.owner == f"{name} form"}
+    assert ways["return_spring"] == {"position": (-0.1, 0.1), "curve": (-0.1, 0.1)}
+    assert ways["viscous_damping"] == {"speed": (-0.2, 0.2), "position": (-0.1, 0.1), "curve": (-0.1, 0.1)}
 
 
 def test_a_start_that_presses_into_a_dead_stop_rests_there(tmp_path: Path):

@@ -206,3 +206,40 @@ def test_a_loose_drive_side_comes_to_rest_with_a_part_that_leans_on_its_stop(tmp
     times = np.arange(500) / 100
     q = simulate(plant, effects, times, 0.3, -0.4)
     assert q.min() == 0.0 and np.all(q[times > 1.5] == 0.0)
+
+
+def test_flanks_give_way_and_throw_back_as_hertz_contacts_do(tmp_path: Path):
+    """A servo through a slack whose flanks are Hunt and Crossley's, by a stiff solver: what the kernel adds to the
+    library's hard flanks is most of the difference."""
+    from scipy.integrate import solve_ivp
+
+    width, drive, contact, loss = 0.03, 0.04, 4e4, 2.0
+    plant = plant_of(asset_at(tmp_path, "revolute"), measured_of("revolute", Actuator(stiffness=60.0, damping=4.0)))
+    inertia, weight = plant.mechanics.inertia, MASS * G * ARM
+    times = np.arange(400) * 0.01
+    command = np.where(times % 2 < 1, 0.6, -0.3)
+
+    def push(depth: float, rate: float) -> float:
+        return contact * depth**1.5 * max(0.0, 1 + loss * rate) if depth > 0 else 0.0
+
+    def slopes(t, y, asked):
+        q, v, x, w = y
+        between = push(x - q - width / 2, w - v) - push(q - x - width / 2, v - w)
+        return v, (-weight * np.sin(q) + between) / inertia, w, (60 * (asked - x) - 4 * w - between) / drive
+
+    true, state = [], np.array([0.1, 0.0, 0.1, 0.0])
+    for i, t in enumerate(times):
+        true.append(state[0])
+        state = solve_ivp(slopes, (t, t + 0.01), state, "LSODA", args=(command[i],), rtol=1e-8, atol=1e-11).y[:, -1]
+    effects = (made("backlash", width=width, drive_inertia=drive),)
+    inputs = Inputs(times, command, np.zeros(400), np.zeros(400))
+    numbers = numbers_of(plant, effects, Nuisance())
+    numbers[kernel.Q0] = 0.1
+
+    def off() -> float:
+        q = sweep(numbers[None], terms_of(effects), times, inputs, step_of(plant, effects))[0]
+        return float(np.sqrt(np.mean((q - np.array(true)) ** 2)))
+
+    hard = off()
+    numbers[kernel.GIVE], numbers[kernel.SPRINGY] = contact ** (-2 / 3), 1 / loss
+    assert off() < 0.6 * hard

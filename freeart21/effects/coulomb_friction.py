@@ -15,6 +15,7 @@ class CoulombFriction(Effect):
 
     name: ClassVar[str] = "coulomb_friction"
     acts: ClassVar[Acts] = "drive"
+    departs: ClassVar[tuple[float, float]] = (0.1, 0.1)  # a level is what it is
 
     level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force", scale=0.1)
 

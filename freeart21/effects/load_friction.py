@@ -18,6 +18,7 @@ class LoadFriction(Effect):
     name: ClassVar[str] = "load_friction"
     acts: ClassVar[Acts] = "drive"
     needs_load: ClassVar[bool] = True
+    departs: ClassVar[tuple[float, float]] = (0.1, 0.1)  # as Coulomb's
 
     coefficient: float = parameter("m", "1", 0.0, 10.0, "friction force per bearing force", scale=0.01)
 

@@ -12,6 +12,7 @@ class ReturnSpring(Effect):
 
     name: ClassVar[str] = "return_spring"
     acts: ClassVar[Acts] = "force"
+    departs: ClassVar[tuple[float, float]] = (0.0, 0.1)  # it may harden; it knows no speed
 
     stiffness: float = parameter("N*m/rad", "N/m", 0.0, 1e6, "force per displacement", scale=1.0)
     rest: float = parameter("rad", "m", -100.0, 100.0, "position without force", scale=0.1)

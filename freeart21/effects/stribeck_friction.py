@@ -19,6 +19,7 @@ class StribeckFriction(Effect):
 
     name: ClassVar[str] = "stribeck_friction"
     acts: ClassVar[Acts] = "drive"
+    departs: ClassVar[tuple[float, float]] = (0.2, 0.1)  # curves of many powers are measured
 
     level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force in fast motion", scale=0.1)
     rise: float = parameter("N*m", "N", 0.0, 1e4, "how much larger it is at rest", scale=0.1)

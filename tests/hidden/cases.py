@@ -143,18 +143,19 @@ def draw_case(wish: Wish, seed: int, search: bool = True) -> Case:
     total = gap.ratio(hidden, closely=True)
     if wish.stratum == "pair":
         alone = min(total, *(gap.ratio(hidden, beside=(other,)) for other in hidden))
-        if "coulomb_friction" in wish.names:  # which might be friction under load
-            load = Hidden("load_friction", 5, effects.START["load_friction"][0])
-            other = next(h for h in hidden if h.name != "coulomb_friction")
-            alone = min(alone, gap.ratio(hidden, beside=(load, other)))
+        for one, other in (hidden, hidden[::-1]):
+            if one.name in effects.TWINS:
+                alone = min(alone, gap.ratio(hidden, beside=(*any_of(effects.TWINS[one.name]), other)))
     else:
-        rivals = tuple(
-            Hidden(name, 5, effects.START[name][0])
-            for name in effects.RIVALS_OF.get(wish.names[0], ())
-            if wish.stratum != "still"
-        )
+        names = effects.RIVALS_OF.get(wish.names[0], ()) if wish.stratum != "still" else ()
+        rivals = tuple(rival for name in names for rival in any_of(name))
         alone = min(total, gap.ratio(hidden, beside=rivals)) if rivals else total
     return replace(case, hidden=hidden, floor=gap.floor, ratio=total, distinct=alone)
+
+
+def any_of(name: str) -> tuple[Hidden, ...]:
+    """Effects of this name that together make any of them, at sizes to be found."""
+    return tuple(Hidden(name, seed, effects.START[name][0]) for seed in effects.DRAWS.get(name, (5,)))
 
 
 def lying_still(body: Body, nuisance: Nuisance) -> Body:

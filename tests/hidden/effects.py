@@ -49,6 +49,7 @@ STRANGE: dict[str, tuple[float, float]] = {
 }
 """Effects of no library."""
 RIVALS_OF = {
+    "viscous_damping": ("quadratic_drag",),
     "stribeck_friction": ("coulomb_friction",),
     "load_friction": ("coulomb_friction",),
     "quadratic_drag": ("viscous_damping",),
@@ -63,7 +64,17 @@ RIVALS_OF = {
     "gravity_offset": ("return_spring",),
     "return_spring": ("gravity_offset",),
 }
-"""Plainer effects that might pass for it: what is left beyond these must show, too."""
+"""Other effects that might pass for it: what is left beyond these must show, too."""
+TWINS = {
+    "coulomb_friction": "load_friction",
+    "viscous_damping": "quadratic_drag",
+    "quadratic_drag": "viscous_damping",
+    "gravity_offset": "return_spring",
+    "return_spring": "gravity_offset",
+}
+"""The one that might pass for it beside another effect."""
+DRAWS = {"return_spring": (7, 14), "gravity_offset": (6, 18)}
+"""Seeds whose effects together make any of the kind: springs that rest at either end, pulls in two directions."""
 
 
 def applied(name: str, seed: int, size: float, body: Body, world: World) -> tuple[World, Reading]:
@@ -278,7 +289,6 @@ def parameters(name: str, seed: int, size: float, body: Body) -> dict[str, float
         "detent": {"peak": w.detent, "centre": w.detent_centre, "width": w.detent_width},
         "latch": {"hold": w.latch, "position": w.latch_position, "travel": w.latch_travel},
         "backlash": {"width": w.link_width, "drive_inertia": w.link_inertia},
-        "end_stop_bounce": {"restitution": size},
         "actuator_delay": {"seconds": size},
         "actuator_gain": {"factor": w.gain},
         "armature": {"value": w.link_inertia},

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 HAIR = 2
 """Runs, those with the largest gaps, that do not count."""
+_DAMPINGS = (0.0, 1e-3, 1e-2, 0.1, 1.0)
 
 
 @dataclass(frozen=True)
@@ -180,7 +181,7 @@ class Gap:
         says = np.append(np.clip(same, box[:, 0], box[:, 1]), nothing[len(box) :])
         best = np.inf
         for at in (nothing, says) if np.any(same) else (nothing,):
-            least = _least(at, change, self._shift, slopes, (lower, upper), size, 5 if closely else 2)
+            least = _least(at, change, self._shift, slopes, (lower, upper), size, 12 if closely else 2, len(box))
             best = min(best, least)
             if best < 1:
                 break
@@ -199,7 +200,7 @@ class Gap:
         lower, upper = np.append(box[0], ends), np.append(box[1], np.full(n, np.inf))
 
         def shift(x: NDArray[np.float64]) -> NDArray[np.float64]:
-            self._beside = tuple(replace(h, size=float(s)) for h, s in zip(beside, x[k:], strict=True) if s)
+            self._beside = tuple(replace(h, size=float(s)) for h, s in zip(beside, x[k:], strict=True) if abs(s) > 1e-9)
             return self._shift(x[:k])
 
         def slopes(at: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -210,7 +211,7 @@ class Gap:
                 columns.append(((shift(at + step) - now) / (0.2 * rival.size))[:, None])
             return np.concatenate(columns, 1)
 
-        least = _least(np.zeros(k + n), change, shift, slopes, (lower, upper), size, 4)
+        least = _least(np.zeros(k + n), change, shift, slopes, (lower, upper), size, 12, len(self._bounds()))
         self._beside = ()
         return least
 
@@ -262,32 +263,55 @@ def _least(
     box: tuple[NDArray[np.float64], NDArray[np.float64]],
     size: Callable[[NDArray[np.float64]], float],
     most: int,
+    first: int,
 ) -> float:
     """The least size of `change` that steps from `at` (k,), at most so many, leave: `shift` truly does it, `slopes`
-    are its derivative, `box` bounds it. A step that overshoots is tried shorter, once."""
+    are its derivative, `box` bounds it. Of every step several lengths are tried (Levenberg and Marquardt's damping),
+    and the runs that do not count for the size do not lead it. From `first` on are two numbers of every run's start,
+    which go back to 0 where that leaves less of their run: an impact may lead them astray."""
+    own = slice(first, first + 2 * RUNS)
+
+    def tried(to: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        back = to.copy()
+        back[own] = 0.0
+        ways = [(change - shift(there)).reshape(RUNS, -1) for there in (to, back)]
+        better = (ways[1] ** 2).mean(1) < (ways[0] ** 2).mean(1)
+        to = to.copy()
+        to[own] = np.where(np.repeat(better, 2), 0.0, to[own])
+        return to, np.where(better[:, None], ways[1], ways[0]).ravel()
+
     rest = change - shift(at)
-    least = size(rest)
+    least, idle = size(rest), 0
     for _ in range(most):  # and again of what is left when it truly is so
-        move = _bounded(slopes(at), rest, box[0] - at, box[1] - at)
-        for part in (1.0, 0.3):
-            left = change - shift(at + part * move)
+        powers = (rest.reshape(RUNS, -1) ** 2).mean(1)
+        counts = np.repeat(powers <= np.sort(powers)[-HAIR - 1], len(rest) // RUNS)
+        J, before, found = slopes(at), least, None
+        for damping in _DAMPINGS:
+            move = _bounded(J * counts[:, None], rest * counts, box[0] - at, box[1] - at, damping)
+            to, left = tried(at + move)
             if size(left) < least:
-                break
-        before, least = least, min(least, size(left))
-        if least > 0.95 * before:
+                least, found = size(left), (to, left)
+        if found is None or least < 1:
             break
-        at, rest = at + part * move, left
+        (at, rest), idle = found, idle + 1 if least > 0.97 * before else 0
+        if idle == 2:
+            break
     return least
 
 
 def _bounded(
-    columns: NDArray[np.float64], rest: NDArray[np.float64], lower: NDArray[np.float64], upper: NDArray[np.float64]
+    columns: NDArray[np.float64],
+    rest: NDArray[np.float64],
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+    damping: float = 0.0,
 ) -> NDArray[np.float64]:
-    """(k,) the least squares solution of columns @ x = rest within the bounds."""
+    """(k,) the least squares solution of columns @ x = rest within the bounds; `damping` of every scaled column."""
     scale = np.linalg.norm(columns, axis=0)
     keep = scale > 1e-12
     basis, R = np.linalg.qr(columns[:, keep] / scale[keep])
     ends = [np.minimum(lower[keep] * scale[keep], -1e-12), np.maximum(upper[keep] * scale[keep], 1e-12)]
+    A, b = np.vstack([R, np.sqrt(damping) * np.eye(len(R))]), np.append(basis.T @ rest, np.zeros(len(R)))
     found = np.zeros(len(scale))
-    found[keep] = lsq_linear(R, basis.T @ rest, ends, method="bvls").x / scale[keep]
+    found[keep] = lsq_linear(A, b, ends, method="bvls").x / scale[keep]
     return found
