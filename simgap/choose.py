@@ -176,8 +176,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         missing = {names for j in standing for names in _plainer(j.names) if set(names) <= set(search.names)}
         missing -= {j.names for j in standing}
         standing += [loosened(judged(search.of(names), folds), folds) for names in sorted(missing)]
-        standing += twins(standing, search, folds)
-        standing = [j for j in standing if not at_bound(j.fit)]
+        standing = [j for j in twins(standing, search, folds) if not at_bound(j.fit)]
         reach = min(j.reach for j in standing)
         standing = [j for j in standing if j.reach <= settings.explained or not beats(reach, j.reach, settings)]
         found = rivals([earned(j, search, folds, bar, settings) for j in standing], settings)
@@ -264,16 +263,16 @@ def fewer(contenders: list[Judged], search: Search, folds: tuple[Fold, ...], bar
 
 
 def twins(standing: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:
-    """What differs from a standing set by an effect's twin, or by a gauge, judged by the same measure."""
-    known = {j.names for j in standing}
-    found: list[Judged] = []
+    """The standing sets and what differs from them by an effect's twin, or by a gauge, judged by the same measure; of
+    twins that both stand the worse one is begun anew from the other."""
+    found = {j.names: j for j in standing}
     for j in standing:
         for fit in (*alike.twins(search, j.fit), *alike.turned(search, j.fit), *alike.lighter(search, j.fit)):
-            if fit.theory.names not in known:
-                known.add(fit.theory.names)
+            known = found.get(fit.theory.names)
+            if known is None or fit.cost < known.fit.cost - 1.0:
                 other = judged(fit, folds)
-                found.append(other if j.loose is None else loosened(other, folds))
-    return found
+                found[other.names] = other if j.loose is None else loosened(other, folds)
+    return list(found.values())
 
 
 def earned(judgement: Judged, search: Search, folds: tuple[Fold, ...], bar: float, settings: ChoiceSettings) -> Judged:
@@ -348,7 +347,12 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
 
     def beaten(j: Judged) -> bool:
         own = [o for o in order if len(o.names) == len(j.names) and beats(o.learned, j.learned, settings)]
-        both = any(o.error <= j.error and j.learned**2 - o.learned**2 > settings.rival_power for o in own)
+        both = any(
+            _plain_load(o) != _plain_load(j)
+            and o.error <= j.error
+            and j.learned**2 - o.learned**2 > settings.rival_power
+            for o in own
+        )
         return bool(own and j.learned > settings.explained) or both
 
     order = [j for j in order if not beaten(j)]

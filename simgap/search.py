@@ -125,6 +125,7 @@ class Search:
         for name, plainer in PLAINER.items():
             if (name,) in self.fits and (plainer,) in self.fits:
                 self._keep_from(name, self.fits[(plainer,)])
+                self._keep_plain(self.fits[(name,)], plainer)
         if ("armature",) in self.fits and ("backlash",) in self.fits:
             self._with_slack(self.fits[("armature",)])
         return self._resettled([self.fits[(name,)] for name in self.names if (name,) in self.fits])
@@ -260,6 +261,14 @@ class Search:
             point = {**off(self.problem, name), **shared}
             theta = joined(fit.theory, plainer, {name: point})
             self.keep(fitted(fit.theory, self.train, theta, plainer.starts))
+
+    def _keep_plain(self, general: Fit, plainer: str) -> None:
+        """A plainer effect that fits worse is fitted again from where the general one is: that may be its special
+        case."""
+        theory = Theory(self.problem, (plainer,))
+        point = {name: value for (_, name), value in general.values.items() if name in EFFECTS[plainer].parameters()}
+        if point and general.cost < self.fits[(plainer,)].cost:
+            self.keep(fitted(theory, self.train, joined(theory, general, {plainer: point}), general.starts))
 
     def larger(self, parents: list[Fit]) -> list[Fit]:
         """The most promising sets of one effect more than some of `parents`, fitted; of every parent's at least one:

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 HAIR = 2
 """Runs, those with the largest gaps, that do not count."""
-_DAMPINGS = (0.0, 1e-3, 1e-2, 0.1, 1.0)
+_STEPS = ((0.0, 1.0), (1e-3, 1.0), (1e-2, 1.0), (0.1, 1.0), (1.0, 1.0), (0.0, 0.4), (1e-2, 0.3), (1e-2, 0.1))
+"""Damping of a step, and the part of it that is gone, of all that are tried."""
 
 
 @dataclass(frozen=True)
@@ -286,11 +287,13 @@ def _least(
         powers = (rest.reshape(RUNS, -1) ** 2).mean(1)
         counts = np.repeat(powers <= np.sort(powers)[-HAIR - 1], len(rest) // RUNS)
         J, before, found = slopes(at), least, None
-        for damping in _DAMPINGS:
+        for damping, part in _STEPS:
             move = _bounded(J * counts[:, None], rest * counts, box[0] - at, box[1] - at, damping)
-            to, left = tried(at + move)
+            to, left = tried(at + part * move)
             if size(left) < least:
                 least, found = size(left), (to, left)
+            elif least < 0.7 * before:  # well on the way
+                break
         if found is None or least < 1:
             break
         (at, rest), idle = found, idle + 1 if least > 0.97 * before else 0
