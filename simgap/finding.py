@@ -33,7 +33,7 @@ class KinematicsSettings:
     unexplained_floors: float = 0.5
     """Floors of displacement, besides the named effects, that a free function of the joint's position explains."""
     tracker_floors: float = 2.0
-    """The same without any named effect: so far a tracker's own errors may go with the joint's position."""
+    """The same without any effect, where none explains it: so far a tracker's own errors go with the position."""
     closed: float = 0.75
     """Part of the gap that must be closed for a name to be given while something remains."""
     least_span: tuple[float, float] = (0.05, 0.005)

@@ -290,6 +290,9 @@ def _finding(
     gaps = [np.sqrt(losses.mean(s) / noise) for s in ((), chosen)]
     closed = (gaps[0] - gaps[1]) / max(gaps[0] - 1.0, 1e-9)
     rivals = _rivals(losses, chosen, settings)
+    plain, _ = problem.model.fit(Geometry.zero(()), weighting)
+    if more and closed < settings.closed and chosen and gaps[0] ** 2 - 1 < settings.tracker_floors**2:
+        return _finding(tracks, flags, mechanics, weighting, problem, losses, (), (), plain, settings)
     if more and (closed < settings.closed if chosen else remainder > settings.tracker_floors):
         verdict: GeometryVerdict = "unexplained"
     elif not chosen:
@@ -304,7 +307,6 @@ def _finding(
 
         q = problem.model.positions(point, weighting)
         ends = intervals(problem.model.linear(point, q, weighting), point, weighting, problem.units)
-    plain, _ = problem.model.fit(Geometry.zero(()), weighting)
     ranking = [
         (s, losses.mean(s) / noise, losses.gain(losses.of(()), losses.of(s))[1] if s else 1.0) for s in losses.subsets
     ]
