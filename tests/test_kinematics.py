@@ -241,7 +241,7 @@ def test_what_the_library_does_not_have_is_not_named(tmp_path: Path, size: float
         return slid(shift) @ ideal("revolute")(q, t)
 
     found = found_in(tmp_path, "revolute", cam, span=1.1)
-    assert found.verdict == verdict and not found.effects, found.remainder_floors
+    assert found.verdict == verdict, (found.effects, found.remainder_floors)
     assert found.remainder_floors > (1 if verdict == "unexplained" else 0.5)
 
 
