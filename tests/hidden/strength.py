@@ -287,7 +287,7 @@ def _least(
         powers = (rest.reshape(RUNS, -1) ** 2).mean(1)
         counts = np.repeat(powers <= np.sort(powers)[-HAIR - 1], len(rest) // RUNS)
         J, before, found = slopes(at), least, None
-        for damping, part in _STEPS:
+        for damping, part in _STEPS if most > 2 else _STEPS[::2]:
             move = _bounded(J * counts[:, None], rest * counts, box[0] - at, box[1] - at, damping)
             to, left = tried(at + part * move)
             if size(left) < least:
