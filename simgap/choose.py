@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import norm
 
 from freeart21.effects import EFFECTS
+from freeart21.effects.stribeck_friction import StribeckFriction
 from freeart21.se3 import Array
 from simgap import alike
 from simgap.ceiling import ceiling
@@ -29,6 +30,8 @@ _CAPTURE = 0.1
 """The same of a catch's way."""
 _RUNS = 4
 """Held-out runs of which one may be missed."""
+_RISE = 0.1
+"""Part of the level of dry friction below which a rise at rest is none."""
 _ANEW = 0.5
 """Part of its sum of squares to which a set must fall to be looked at again."""
 
@@ -177,6 +180,8 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         missing -= {j.names for j in standing}
         standing += [loosened(judged(search.of(names), folds), folds) for names in sorted(missing)]
         standing = [j for j in twins(standing, search, folds) if not at_bound(j.fit)]
+        known = {j.names for j in standing}
+        standing = [j for j in standing if known.isdisjoint(_plainer(j.names)) or not hollow(j, search)]
         reach = min(j.reach for j in standing)
         standing = [j for j in standing if j.reach <= settings.explained or not beats(reach, j.reach, settings)]
         found = rivals([earned(j, search, folds, bar, settings) for j in standing], settings)
@@ -221,6 +226,13 @@ def at_bound(fit: Fit) -> bool:
         if x > r.upper - edge * (r.upper - r.lower) or (place and x < r.lower + _EDGE * (r.upper - r.lower)):
             return True
     return False
+
+
+def hollow(judgement: Judged, search: Search) -> bool:
+    """Whether a general effect of the set is but a plainer one when dry friction is there at once, as simulators have
+    it: what it adds stood for how friction builds up."""
+    fit = prompt(judgement.fit, search.train)
+    return any(e.rise < _RISE * e.level for e in fit.effects if isinstance(e, StribeckFriction))
 
 
 def surpassed(judgement: Judged, search: Search, gap: float, settings: ChoiceSettings) -> bool:

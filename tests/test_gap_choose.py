@@ -13,12 +13,15 @@ from gap_case import INERTIA, asset_of, measured_of
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
+from simgap import choose
 from simgap.choose import folds_of, p_value
 from simgap.data import fit_runs
-from simgap.settings import GapSettings
+from simgap.fit import Theory, fitted
+from simgap.search import Search
+from simgap.settings import ChoiceSettings, GapSettings
 from simgap.surrogate import plant_of
 from simgap.verdict import Verdict
-from simgap.workflow import find_gap
+from simgap.workflow import find_gap, problem_of
 
 
 def verdict(folder: Path, measured: Measured, lower: float = -3.0, upper: float = 3.0) -> Verdict:
@@ -136,6 +139,22 @@ def test_an_effect_that_is_left_out_of_the_library_is_not_named(tmp_path: Path):
     found = find_gap(asset, measured, GapSettings(without=("return_spring",)))
     assert found.verdict != "no_gap"
     assert "return_spring" not in names(found) | {name for names in found.rivals for name in names}
+
+
+@pytest.mark.parametrize("rise, hollow", [(0.001, True), (0.05, False)])
+def test_friction_that_hardly_sticks_more_at_rest_is_plain(tmp_path: Path, rise: float, hollow: bool):
+    """At rest it is larger only while it builds up, as the library's friction does not."""
+    measured = measured_of(28, dry=0.1)
+    plant = plant_of(read_asset(asset_of(tmp_path), "j"), measured)
+    runs, floor = fit_runs(measured, plant)
+    search = Search(problem_of(plant, measured, runs, floor, GapSettings()), runs[:3], ChoiceSettings(), ())
+    theory = Theory(search.problem, ("stribeck_friction",))
+    point = {"level": 0.1, "rise": rise, "speed": 0.3}
+    theta = np.array([point.get(r.name, r.neutral) for r in theory.ranges()])
+    fit = fitted(theory, runs[:3], theta, iterations=0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(choose, "prompt", lambda fit, runs: fit)
+        assert choose.hollow(choose.Judged(fit, fit.residuals), search) == hollow
 
 
 def test_a_joint_that_hardly_moves_says_nothing(tmp_path: Path):
