@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.stats import norm
 
-from freeart21.effects import EFFECTS
+from freeart21.effects import EFFECTS, Effect
 from freeart21.effects.stribeck_friction import StribeckFriction
 from freeart21.se3 import Array
 from simgap import alike
@@ -202,10 +202,13 @@ def as_added(judgement: Judged, search: Search, folds: tuple[Fold, ...]) -> Judg
 
 def stands(judgement: Judged, bar: float, settings: ChoiceSettings) -> bool:
     """Whether the set explains the held-out runs, or all but one: then its sizes must be about the same with and
-    without the form tolerance, or what they are fitted to is another effect."""
+    without its departures from formulas, or what they are fitted to is another effect. Nor may it miss the runs that it
+    was fitted to."""
     if at_bound(judgement.fit) or judgement.borne > bar:
         return False
     free = judgement.free
+    if _rms(_but_worst(tempered((free or judgement.fit).residuals))) > settings.missed * bar:
+        return False
     if _rms(judgement.left) <= bar or free is None:
         return True
     sizes = [
@@ -217,7 +220,9 @@ def stands(judgement: Judged, bar: float, settings: ChoiceSettings) -> bool:
 
 def at_bound(fit: Fit) -> bool:
     """Whether a place or a width of an effect lies at the end of what it may be, or a catch takes hold where it lets
-    go: it stands for something else."""
+    go: it stands for something else; or whether an effect has no size, and stands for nothing."""
+    if any(_is_nothing(effect) for effect in fit.effects):
+        return True
     for r, x in zip(fit.theory.ranges(), fit.theta, strict=True):
         spec = EFFECTS[r.owner].parameters().get(r.name) if r.owner in EFFECTS else None
         if spec is None or spec.revolute_unit not in ("rad", "1") or EFFECTS[r.owner].acts != "force":
@@ -226,6 +231,14 @@ def at_bound(fit: Fit) -> bool:
         if x > r.upper - edge * (r.upper - r.lower) or (place and x < r.lower + _EDGE * (r.upper - r.lower)):
             return True
     return False
+
+
+def _is_nothing(effect: Effect) -> bool:
+    """Whether a force or a friction has no size."""
+    specs = effect.parameters()
+    unit = next(iter(specs.values())).revolute_unit
+    sizes = [getattr(effect, name) for name, spec in specs.items() if spec.revolute_unit == unit]
+    return effect.acts in ("force", "drive") and not any(sizes)
 
 
 def hollow(judgement: Judged, search: Search) -> bool:

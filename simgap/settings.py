@@ -73,6 +73,8 @@ class ChoiceSettings:
     """Floors of error on held-out runs that an explanation of a small gap may leave; the floor is an estimate."""
     explained_part: float = 0.06
     """Part of a large gap that it may leave besides."""
+    missed: float = 2.0
+    """Times what an explanation may leave of held-out runs that it may leave of the runs that it was fitted to."""
     same_size: float = 1.6
     """Times by which the sizes of a set that misses a run may change when they are free within the form tolerance."""
     well_explained: float = 0.2

@@ -13,6 +13,8 @@ import measured_sources
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 from generator.simulate import roll_out
+from simgap.surrogate import plant_of
+from simgap.workflow import find_gap
 
 SOURCES = measured_sources.sources()
 pytestmark = pytest.mark.skipif(not SOURCES, reason="recordings of others are not at hand")
@@ -45,6 +47,17 @@ def test_the_free_arm_swings_at_the_rate_of_its_asset(sets: Path):
     alone = roll_out(asset, amplitude, duration_s=2.0)
     crossings = np.flatnonzero(np.diff(np.sign(alone.q)) > 0)
     assert float(np.diff(alone.times_s[crossings])[0]) == pytest.approx(period, rel=0.03)
+
+
+def test_the_free_arm_loses_by_dry_friction_and_drag(sets: Path):
+    """As a fit of another kind found, over the inertia; its authors' simulator has oil alone."""
+    measured = read_measured(sets / "multiarm" / "measured")
+    asset = read_asset(sets / "multiarm" / "asset", measured.joint)
+    found = {named.effect.name: named.effect for named in find_gap(asset, measured).effects}
+    inertia = plant_of(asset, measured).mechanics.inertia
+    assert set(found) == {"coulomb_friction", "quadratic_drag"}
+    assert found["coulomb_friction"].level / inertia == pytest.approx(0.148, rel=0.1)
+    assert found["quadratic_drag"].coefficient / inertia == pytest.approx(0.0044, rel=0.1)
 
 
 def test_a_servo_that_was_switched_off_makes_a_run_without_commands(sets: Path):
