@@ -236,9 +236,8 @@ def at_bound(fit: Fit) -> bool:
 def _is_nothing(effect: Effect) -> bool:
     """Whether a force or a friction has no size."""
     specs = effect.parameters()
-    unit = next(iter(specs.values())).revolute_unit
-    sizes = [getattr(effect, name) for name, spec in specs.items() if spec.revolute_unit == unit]
-    return effect.acts in ("force", "drive") and not any(sizes)
+    forces = {name for name, spec in specs.items() if spec.revolute_unit == "N*m" or spec.prismatic_unit == "N"}
+    return effect.acts in ("force", "drive") and not any(getattr(effect, name) for name in {next(iter(specs)), *forces})
 
 
 def hollow(judgement: Judged, search: Search) -> bool:

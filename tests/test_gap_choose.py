@@ -10,6 +10,12 @@ import numpy as np
 import pytest
 from gap_case import INERTIA, asset_of, measured_of
 
+from freeart21.effects import Effect
+from freeart21.effects.actuator_delay import ActuatorDelay
+from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects.detent import Detent
+from freeart21.effects.gravity_offset import GravityOffset
+from freeart21.effects.stribeck_friction import StribeckFriction
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
@@ -139,6 +145,20 @@ def test_an_effect_that_is_left_out_of_the_library_is_not_named(tmp_path: Path):
     found = find_gap(asset, measured, GapSettings(without=("return_spring",)))
     assert found.verdict != "no_gap"
     assert "return_spring" not in names(found) | {name for names in found.rivals for name in names}
+
+
+@pytest.mark.parametrize(
+    "effect, nothing",
+    [
+        (CoulombFriction(0.0), True),
+        (GravityOffset(constant=0.1), False),
+        (StribeckFriction(0.0, 0.1, 0.2), False),
+        (Detent(0.0, 0.3, 0.1), True),
+        (ActuatorDelay(0.0), False),
+    ],
+)
+def test_an_effect_without_size_is_nothing(effect: Effect, nothing: bool):
+    assert choose._is_nothing(effect) == nothing
 
 
 @pytest.mark.parametrize("rise, hollow", [(0.001, True), (0.05, False)])
