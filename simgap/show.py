@@ -220,7 +220,8 @@ def _run(folder: Path, count: int, seconds: float, progress: Progress | None) ->
 
 
 def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = (), unsure: float = 0.0) -> bool:
-    """Whether the gap, in floors, is smaller in all, and in no regime (nor off the joint) wider by a quarter floor.
+    """Whether the gap, in floors, is smaller in all, and in no regime (nor off the joint) wider by a quarter floor and
+    a twentieth of all of it.
 
     Held-out runs are judged; all when there is none. What the time step makes of the repaired asset's replay, `unsure`,
     floors, is no wider gap, up to half a floor.
@@ -231,11 +232,11 @@ def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = (), unsure: 
     for track in [p for p in poses if p.held_out] or poses:
         groups.setdefault(" off the joint", []).append((track.before / track.floor, track.after / track.floor))
     sizes = [np.sqrt(np.mean(np.square(group), axis=0)) for group in groups.values()]
-    wider = 0.25 + (min(unsure, 0.5) if np.isfinite(unsure) else 0.0)
+    whole, left = np.sqrt(np.mean(np.square([pair for group in groups.values() for pair in group]), axis=0))
+    wider = 0.25 + 0.05 * whole + (min(unsure, 0.5) if np.isfinite(unsure) else 0.0)
     if not np.isfinite(sizes).all() or any(after > before + wider for before, after in sizes):
         return False
-    before, after = np.sum(np.square([pair for group in groups.values() for pair in group]), axis=0)
-    return bool(after < before)
+    return bool(left < whole)
 
 
 # ---------------------------------------------------------------- the two ends of the door

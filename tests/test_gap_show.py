@@ -262,8 +262,15 @@ def test_a_wrong_repair_is_no_help(tmp_path: Path):
     good = show(
         asset, repaired(asset, (ViscousDamping(0.03),), tmp_path / "c"), measured, replays(measured, STARTS[:2])
     )
-    wider = replace(good.runs[1], gap_after=good.runs[1].gap_before + 0.3 * good.runs[1].floor, regime="slow")
-    assert good.helps and not helps((good.runs[0], wider))  # nor one that harms another regime
+    first, second = good.runs
+    for part, fine in (
+        (0.04, True),
+        (0.1, False),
+    ):  # nor one that harms another regime by a part of the gap that counts
+        whole = float(np.hypot(20.0, 10.0) / np.sqrt(2))
+        before, after = 10.0 * second.floor, (10.25 + part * whole) * second.floor
+        slow = replace(second, gap_before=before, gap_after=after, regime="slow")
+        assert good.helps and helps((replace(first, gap_before=20 * first.floor), slow)) == fine
 
 
 def test_what_the_asset_is_off_by_itself_is_in_both_replays(tmp_path: Path):
