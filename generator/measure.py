@@ -113,10 +113,12 @@ def _check_one_object(folders: list[Path], truths: list[Truth]) -> None:
 
 
 def _gravity(folder: Path, truth: Truth) -> Array:
-    """(3,) m/s^2 in the reference part's frame."""
+    """(3,) m/s^2 in the canonical frame of the part that stands still: the reference part's, but where that is the one
+    that swings; both are one frame at state zero."""
     world = checked.read_npz(folder / "world.npz", ("T_camera_world",))["T_camera_world"]
-    R = truth.Ts_camera_reference[0][:3, :3].T @ world[0][:3, :3]
-    return np.asarray(R @ np.array(simulate.GRAVITY))
+    sides = [se3.inverse(world) @ Ts for Ts in (truth.Ts_camera_reference, truth.Ts_camera_moving)]
+    still = min(sides, key=lambda Ts: float(np.ptp(Ts, axis=0).max()))
+    return np.asarray(still[0, :3, :3].T @ np.array(simulate.GRAVITY))
 
 
 def _run(truth: Truth, take: int, noise: TrackerNoise) -> Run:

@@ -19,6 +19,9 @@ from freeart21.reconstruction import Failure
 UNSURE = 0.3
 """Part of themselves by which inertia and weight of a reconstructed part may be off: its density is a guess."""
 
+_STILL = 0.1
+"""Part of the other's motion before the camera below which a part stood still."""
+
 
 def measure_result(result: Path, out: Path, gravity: ArrayLike, rate_hz: float) -> None:
     """Write `out/measured`, for `freeart21 gap` with the result's own exported asset: one run, none held out.
@@ -29,7 +32,8 @@ def measure_result(result: Path, out: Path, gravity: ArrayLike, rate_hz: float) 
         gravity: (3,) m/s^2 in the result's canonical frame, which for our own is the camera's of the first frame.
         rate_hz: frames a second.
 
-    Raises FreeArtError when the result is a failure, has no asset, or one of another joint.
+    Raises FreeArtError when the result is a failure, has no asset, or one of another joint, or when the part that stood
+    still before the camera is not the reference part, which is the asset's base.
     """
     result = Path(result)
     read = read_result(result)
@@ -38,6 +42,12 @@ def measure_result(result: Path, out: Path, gravity: ArrayLike, rate_hz: float) 
     if not (result / "asset").is_dir():
         raise FreeArtError(f"{result} has no asset; make one by `freeart21 export {result} --out {result / 'asset'}`")
     asset = read_asset(result / "asset")
+    moved = [float(np.ptp(Ts, axis=0).max()) for Ts in (read.Ts_camera_reference, read.Ts_camera_moving)]
+    if moved[1] < _STILL * moved[0]:
+        raise FreeArtError(
+            f"{result} has for its moving part the one that stood still before the camera, expected that the reference "
+            "part stands fixed: the asset's base is the part that swung"
+        )
     joint = read.articulation.joint
     n = len(read)
     run = Run(

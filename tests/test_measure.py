@@ -36,8 +36,8 @@ def effects_file(folder: Path, *effects) -> Path:
 
 def settings(folder: Path, *effects, **more) -> RecordSettings:
     return RecordSettings(
-        frames=45, seed=3, width=64, height=36, queries=0, motion="release", shader="trivial", visible_every=20,
-        edge=0.5, effects=effects_file(folder, *effects), **more,
+        frames=45, seed=more.pop("seed", 3), width=64, height=36, queries=0, motion="release", shader="trivial",
+        visible_every=20, edge=0.5, effects=effects_file(folder, *effects), **more,
     )  # fmt: skip
 
 
@@ -49,7 +49,18 @@ def film(tmp_path_factory) -> Path:
     return folder / "data/truth" / name
 
 
-def test_the_measured_set_is_the_film_and_its_asset_moves_as_the_film_does(tmp_path: Path, film: Path):
+@pytest.fixture(scope="module")
+def lid_film(tmp_path_factory) -> Path:
+    """The truth of a stapler of which the part that swings is the larger one, and so the reference."""
+    folder = tmp_path_factory.mktemp("lid")
+    name = record("stapler", folder / "data", settings(folder, OIL, let_go=0.9, seed=83))
+    assert "link_1" in read_truth(folder / "data/truth" / name).source["reference_links"]
+    return folder / "data/truth" / name
+
+
+@pytest.mark.parametrize("of", ["film", "lid_film"])
+def test_the_measured_set_is_the_film_and_its_asset_moves_as_the_film_does(tmp_path: Path, of: str, request):
+    film = request.getfixturevalue(of)
     truth = read_truth(film)
     measure_truths([film, film], tmp_path / "out", TrackerNoise(seed=1))
     asset, measured = read_asset(tmp_path / "out/asset"), read_measured(tmp_path / "out/measured")
@@ -126,3 +137,20 @@ def test_a_result_becomes_one_run(tmp_path: Path, film: Path):
     (run,) = measured.runs
     np.testing.assert_allclose(run.poses, joint_motion(read_asset(result / "asset"), truth.states), atol=1e-5)
     assert np.flatnonzero(~run.seen).tolist() == [7] and measured.rate_hz == 30
+
+
+def test_a_result_whose_reference_part_swung_costs_one_line(tmp_path: Path, film: Path):
+    from freeart21.files.result import write_result
+    from freeart21.reconstruction import Reconstruction
+
+    truth, n = read_truth(film), 45
+    masks = np.stack([truth.part_mask(i) for i in range(n)])
+    poses = truth.Ts_camera_moving, truth.Ts_camera_reference
+    write_result(
+        tmp_path / "seq", Reconstruction(truth.articulation, truth.states, *poses, masks, np.ones((n, 2), bool))
+    )
+    measure_truths([film], tmp_path / "truths")
+    shutil.copytree(tmp_path / "truths/asset", tmp_path / "seq/asset")
+    with pytest.raises(FreeArtError, match="the one that stood still before the camera, expected that the reference"):
+        measure_result(tmp_path / "seq", tmp_path / "out", (0, 9.81, 0), 30.0)
+    assert not (tmp_path / "out").exists()
