@@ -128,7 +128,7 @@ class SimulatedAsset:
         self._recalls = [(i, e.remember, e.values()) for i, e in recalling]
         self._drives = [(e.law, e.values()) for e in effects if e.acts == "drive"]
         self._needs_load = any(e.needs_load for e in effects)
-        self._stops = [e for e in effects if e.acts == "stop"]
+        self._stops = [e for e in effects if e.acts in ("stop", "inertia")]
         self._poses = [e for e in effects if e.acts == "pose"]
         self._gain = float(np.prod([e.gain() for e in effects]))
         self._delay = float(np.sum([e.delay() for e in effects if e.acts == "command"]))

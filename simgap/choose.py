@@ -23,9 +23,12 @@ from simgap.data import FitRun
 from simgap.fit import Fit, fitted, foretold, steady, tempered, unit_of
 from simgap.search import PLAINER, Search, prompt, relaxed
 from simgap.settings import ChoiceSettings
+from simgap.theory import SHAFT
 
 _EDGE = 0.02
 """Part of a range that counts as its end."""
+_NARROW = 0.5
+"""Part by which a slack must be wider than the narrowest that can be told from a shaft that twists."""
 _CAPTURE = 0.1
 """The same of a catch's way."""
 _RUNS = 4
@@ -153,7 +156,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     for size in range(1, settings.max_effects + 1):
         doubtful = [j.error > settings.explained and j.borne < settings.form_factor * bar for j in contenders]
         contenders = [loosened(j, folds) if it else j for j, it in zip(contenders, doubtful, strict=True)]
-        standing = [j for j in contenders if stands(j, bar, settings)]
+        standing = [j for j in contenders if stands(j, base, bar, settings)]
         reach = min((j.reach for j in standing), default=np.inf)
         well = [j for j in standing if j.reach <= max(settings.explained, settings.well_explained * bar)]
         plain = min((j.error for j in well), default=np.inf)
@@ -184,7 +187,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         standing = [j for j in standing if known.isdisjoint(_plainer(j.names)) or not hollow(j, search)]
         reach = min(j.reach for j in standing)
         standing = [j for j in standing if j.reach <= settings.explained or not beats(reach, j.reach, settings)]
-        found = rivals([earned(j, search, folds, bar, settings) for j in standing], settings)
+        found = rivals([earned(j, base, search, folds, bar, settings) for j in standing], settings)
         if len(found) == 1 and surpassed(found[0], search, base.floors, settings):
             return Choice(base, p, (), found[0], bar, True, tuple(tried))
         found = tuple(as_added(j, search, folds) for j in found)
@@ -200,11 +203,11 @@ def as_added(judgement: Judged, search: Search, folds: tuple[Fold, ...]) -> Judg
     return replace(judgement if fit is judgement.fit else judged(fit, folds), free=free)
 
 
-def stands(judgement: Judged, bar: float, settings: ChoiceSettings) -> bool:
+def stands(judgement: Judged, base: Judged, bar: float, settings: ChoiceSettings) -> bool:
     """Whether the set explains the held-out runs, or all but one: then its sizes must be about the same with and
     without its departures from formulas, or what they are fitted to is another effect. Nor may it miss the runs that it
-    was fitted to."""
-    if at_bound(judgement.fit) or judgement.borne > bar:
+    was fitted to, or explain only few of those that `base` misses."""
+    if at_bound(judgement.fit) or judgement.borne > bar or explained_runs(judgement, base, settings) < settings.most:
         return False
     free = judgement.free
     if _rms(_but_worst(tempered((free or judgement.fit).residuals))) > settings.missed * bar:
@@ -218,12 +221,31 @@ def stands(judgement: Judged, bar: float, settings: ChoiceSettings) -> bool:
     return all(max(abs(a), abs(b)) <= settings.same_size * min(abs(a), abs(b)) for a, b in sizes)
 
 
+def explained_runs(judgement: Judged, base: Judged, settings: ChoiceSettings) -> float:
+    """Part of the runs with a gap of their own, held out or fitted, in which the set halves it, or does better; 1 when
+    there is none."""
+    before = {**base.fit.residuals, **base.strict}
+    after = {**(judgement.free or judgement.fit).residuals, **judgement.left}
+    gaps = {run: _rms({run: before[run]}) for run in before if run in after}
+    halved = [
+        excess(_rms({run: after[run]})) < 0.5 * excess(floors)
+        for run, floors in gaps.items()
+        if floors > settings.plain_gap
+    ]
+    return float(np.mean(halved)) if halved else 1.0
+
+
 def at_bound(fit: Fit) -> bool:
-    """Whether a place or a width of an effect lies at the end of what it may be, or a catch takes hold where it lets
-    go: it stands for something else; or whether an effect has no size, and stands for nothing."""
+    """Whether a place or a width of an effect lies at the end of what it may be, a catch takes hold where it lets go,
+    a slack is as narrow as can be, or a shaft throws back all that it may: it stands for something else; or whether an
+    effect has no size, and stands for nothing."""
     if any(_is_nothing(effect) for effect in fit.effects):
         return True
     for r, x in zip(fit.theory.ranges(), fit.theta, strict=True):
+        if r.owner == SHAFT and x > (1 - _EDGE) * r.upper:
+            return True
+        if (r.owner, r.name) == ("backlash", "width") and x < (1 + _NARROW) * r.lower:
+            return True
         spec = EFFECTS[r.owner].parameters().get(r.name) if r.owner in EFFECTS else None
         if spec is None or spec.revolute_unit not in ("rad", "1") or EFFECTS[r.owner].acts != "force":
             continue
@@ -249,12 +271,12 @@ def hollow(judgement: Judged, search: Search) -> bool:
 
 def surpassed(judgement: Judged, search: Search, gap: float, settings: ChoiceSettings) -> bool:
     """Whether a force without a name explains much that the set leaves, its sizes free, of all runs that it was fitted
-    to but the one that is met worst: then the name is not right."""
+    to but one of every four, those that are met worst: then the name is not right."""
     least = max(settings.nameless, settings.nameless_part * gap)
     if judgement.fit.level <= np.hypot(1.0, least):
         return False
     free = relaxed(judgement.fit, search.train)
-    kept = _but_worst(free.residuals)
+    kept = _but_worst(free.residuals, len(free.residuals) // _RUNS)
     weights = steady(kept)
     left = _rms({run: r * np.sqrt(weights[run]) for run, r in kept.items()})
     runs = tuple(run for run in search.train if run.name in kept)
@@ -299,14 +321,16 @@ def twins(standing: list[Judged], search: Search, folds: tuple[Fold, ...]) -> li
     return list(found.values())
 
 
-def earned(judgement: Judged, search: Search, folds: tuple[Fold, ...], bar: float, settings: ChoiceSettings) -> Judged:
+def earned(
+    judgement: Judged, base: Judged, search: Search, folds: tuple[Fold, ...], bar: float, settings: ChoiceSettings
+) -> Judged:
     """The set without the members that do not earn their places: the rest, fitted from here, predicts about as well."""
     for name in judgement.names if len(judgement.names) > 1 else ():
         smaller = loosened(judged(search.without(judgement.fit, name), folds), folds)
-        about = stands(smaller, max(bar, settings.rival * judgement.borne), settings)
+        about = stands(smaller, base, max(bar, settings.rival * judgement.borne), settings)
         well = smaller.reach <= settings.explained
         if about and (well or not beats(judgement.error, smaller.reach, settings)):
-            return earned(smaller, search, folds, bar, settings)
+            return earned(smaller, base, search, folds, bar, settings)
     return judgement
 
 
@@ -321,9 +345,11 @@ def beats(floors: float, others: float, settings: ChoiceSettings) -> bool:
 
 
 def _is_within(smaller: Judged, larger: Judged, settings: ChoiceSettings) -> bool:
-    """Whether the larger set is but the smaller one with more beside it, and not even much better than its form."""
+    """Whether the larger set, or what it becomes in special cases, is but the smaller one with more beside it, and not
+    even much better than its form."""
     more = smaller.reach > settings.explained and beats(larger.error, smaller.reach, settings)
-    return set(smaller.names) <= set(larger.names) and not more
+    within = any(set(smaller.names) <= set(names) for names in (larger.names, *_plainer(larger.names)))
+    return within and not more
 
 
 def judged(fit: Fit, folds: tuple[Fold, ...]) -> Judged:
@@ -420,10 +446,10 @@ def _plainer(names: tuple[str, ...]) -> list[tuple[str, ...]]:
     return found
 
 
-def _but_worst(residuals: dict[str, Array]) -> dict[str, Array]:
-    """Residuals by run without those of the run that is met worst, of four or more."""
+def _but_worst(residuals: dict[str, Array], out: int = 1) -> dict[str, Array]:
+    """Residuals by run without those of the `out` runs that are met worst, of four or more."""
     runs = sorted(residuals.items(), key=lambda item: float(np.mean(item[1] ** 2)))
-    return dict(runs[:-1] if len(runs) >= _RUNS else runs)
+    return dict(runs[: len(runs) - out] if len(runs) >= _RUNS else runs)
 
 
 def _rms(residuals: dict[str, Array]) -> float:

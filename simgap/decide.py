@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from freeart21.effects import Effect
+from freeart21.effects.armature import Armature
 from simgap.choose import Choice, Judged
 from simgap.data import FitRun
 from simgap.experiment import next_experiment
@@ -12,7 +13,7 @@ from simgap.fit import Fit, Problem, information, tempered, unit_of
 from simgap.floor import Floor
 from simgap.guess import neutral_value
 from simgap.settings import ChoiceSettings
-from simgap.theory import FORM_WAYS
+from simgap.theory import FORM_WAYS, SHAFT, Reader
 from simgap.verdict import Named, RunGap, Verdict
 from simgap.words import amount, closed_text, effect_words, plain
 
@@ -111,12 +112,25 @@ def named_effects(judgement: Judged) -> tuple[Named, ...]:
             size = 0.0 if is_place(effect, name) else x - neutral_value(type(effect)) * (i == min(own.values()))
             spread = _NORMAL_90 * np.sqrt(errors[key] ** 2 + (free.values[key] - x) ** 2 + (part * size) ** 2)
             ends[name] = max(x - spread, specs[name].lower), min(x + spread, specs[name].upper)
+        if isinstance(effect, Armature):
+            ends["throw_back"] = _thrown_back(fit, errors)
         low, high = ({name: float(end[k]) for name, end in ends.items()} for k in (0, 1))
         i = min(own.values())
         weight = (fit.theta[i] - neutral_value(type(effect))) ** 2 * fit.normal[i, i]
         found.append((float(weight), Named(effect, low, high)))
     found.sort(key=lambda pair: -pair[0])
     return tuple(named for _, named in found)
+
+
+def _thrown_back(fit: Fit, errors: dict[tuple[str, str], float]) -> tuple[float, float]:
+    """90 % interval of what an armature's shaft throws back; nothing where stops bounce by themselves."""
+    at = next((i for i, r in enumerate(fit.theory.ranges()) if r.owner == SHAFT), None)
+    if at is None:
+        return 0.0, 0.0
+    r, whole = fit.theory.ranges()[at], fit.theta.copy()
+    whole[at] = 1.0
+    share, spread = Reader(fit.theory).throw_back(whole, fit.effects), _NORMAL_90 * errors[r.owner, r.name]
+    return share * max(fit.theta[at] - spread, r.lower), share * min(fit.theta[at] + spread, r.upper)
 
 
 def is_place(effect: Effect, name: str) -> bool:

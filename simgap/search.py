@@ -53,8 +53,7 @@ def candidates(
     """Names of the effects, `without` some, that these runs could show at all; without an `encoder` part poses told the
     positions."""
     commanded = any(np.any(run.inputs.effort) or np.isfinite(run.inputs.command).any() for run in runs)
-    span = problem.q_high - problem.q_low
-    near = problem.q_low < problem.plant.lower + 0.02 * span or problem.q_high > problem.plant.upper - 0.02 * span
+    near = problem.near_stop
     driven = commanded or any(np.any(run.inputs.push) for run in runs)
     slack = any(effect.acts == "slack" for effect in problem.plant.effects)
 
@@ -254,9 +253,7 @@ class Search:
     def _keep_from(self, name: str, plainer: Fit) -> None:
         """A general effect fits no worse than the plainer one that it may become, where their parameters agree."""
         fit = self.fits[(name,)]
-        shared = {
-            r.name: float(x) for r, x in zip(plainer.theory.ranges(), plainer.theta, strict=True) if r.owner != "asset"
-        }
+        shared = {key: float(x) for (owner, key), x in plainer.values.items() if owner in plainer.theory.names}
         if fit.cost > plainer.cost and set(shared) <= set(EFFECTS[name].parameters()):
             point = {**off(self.problem, name), **shared}
             theta = joined(fit.theory, plainer, {name: point})

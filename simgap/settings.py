@@ -30,9 +30,11 @@ class FitSettings:
     """How far the base may lean in the plane of the motion without being called an effect; a usual mounting is 0.3
     degrees off."""
     rebound_tolerance: float = 0.6
-    """By how much of itself (`Effect.departs`) what comes back from a stop may differ from its formula, which no law
-    describes well: with the speed of the impact, and where a drive's inertia comes back though its formula has none of
-    it."""
+    """By how much of itself what comes back from a stop may differ from its formula, which no law describes well: with
+    the speed of the impact."""
+    shaft_tolerance: float = 0.4
+    """Part of its speed with which a drive's inertia may come back when the part stops dead, the shaft between them
+    twisting: its damping ratio is 0.35 or more. What loses less is an elastic drive, not an armature."""
     travel_tolerance: float = 1e-3
     """Part of the way moved through over which dry friction may build up after a reversal: no real one does at once,
     and small swings are the faster for it."""
@@ -75,6 +77,8 @@ class ChoiceSettings:
     """Part of a large gap that it may leave besides."""
     missed: float = 2.0
     """Times what an explanation may leave of held-out runs that it may leave of the runs that it was fitted to."""
+    most: float = 0.67
+    """Part of the runs with a plain gap of their own in which an explanation must halve it."""
     same_size: float = 1.6
     """Times by which the sizes of a set that misses a run may change when they are free within the form tolerance."""
     well_explained: float = 0.2

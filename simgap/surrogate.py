@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from freeart21.asset import Asset
 from freeart21.effects import Effect
+from freeart21.effects.armature import Armature
 from freeart21.effects.backlash import Backlash
+from freeart21.effects.end_stop_bounce import EndStopBounce
 from freeart21.joint import JointType
 from freeart21.measured import Measured
 from freeart21.mechanics import JointMechanics
@@ -113,6 +115,11 @@ class Nuisance:
     """True over the asset's gravity force."""
     lean: tuple[float, float] = (0.0, 0.0)
     """rad by which the base leans, see `Plant.gravity_terms`."""
+
+
+def with_stops(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    """The effects, and what shafts throw back at a limit as a stop's bounce, of which the kernel takes the larger."""
+    return (*effects, *(EndStopBounce(e.throw_back) for e in effects if isinstance(e, Armature)))
 
 
 def terms_of(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[np.int64]:
@@ -243,6 +250,7 @@ def simulate(
     settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
 ) -> Array:
     """(n,) readings at `times_s` (n,), rising; the state (q0, qd0) is that of the first reading's instant."""
+    effects = with_stops(effects)
     numbers = numbers_of(plant, effects, nuisance)
     numbers[kernel.Q0], numbers[kernel.QD0] = q0, qd0
     times = np.ascontiguousarray(times_s, float)

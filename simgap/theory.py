@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
+from freeart21.effects.armature import Armature
+from freeart21.effects.backlash import Backlash
 from freeart21.effects.encoder_offset import EncoderOffset
 from freeart21.effects.encoder_scale import EncoderScale
 from freeart21.effects.end_stop_bounce import EndStopBounce
 from freeart21.se3 import Array
 from simgap import kernel, laws
 from simgap.settings import FitSettings, SurrogateSettings
-from simgap.surrogate import Nuisance, Plant, numbers_of
+from simgap.surrogate import Nuisance, Plant, numbers_of, with_stops
 
 _FRICTION = "friction form"
 """Owner of how all dry friction that is missing builds up."""
+SHAFT = "shaft form"
+"""Owner of how a drive's inertia comes back when the part stops dead: no shaft is stiff."""
 
 
 FORM_WAYS = ("speed", "position", "curve", "tilt")
@@ -65,6 +70,12 @@ class Problem:
         return self.speed, 0.5 * (self.q_low + self.q_high), max(0.5 * (self.q_high - self.q_low), 1e-9)
 
     @property
+    def near_stop(self) -> bool:
+        """Whether any run comes to a limit."""
+        near = 0.02 * (self.q_high - self.q_low)
+        return self.q_low < self.plant.lower + near or self.q_high > self.plant.upper - near
+
+    @property
     def crossing_s(self) -> float:
         """Seconds in which the range moved through is crossed at top speed: how fast all goes here."""
         return (self.q_high - self.q_low) / max(self.speed, 1e-9)
@@ -79,7 +90,8 @@ class Theory:
     relaxed: bool = False
     """Whether the sizes of the effects may depart from their formulas, within the form tolerance."""
     prompt: bool = False
-    """Whether dry friction is there at once after a reversal, as in simulators; else it builds up, as real one does."""
+    """Whether dry friction is there at once after a reversal and what is behind a slack never comes back, as in
+    simulators; else friction builds up and shafts twist, as real ones do."""
 
     @property
     def classes(self) -> tuple[type[Effect], ...]:
@@ -105,14 +117,22 @@ class Theory:
             if lean > 0 and column > 1e-6 * np.linalg.norm(terms):
                 found.append(Range("asset", f"lean_{i}", -lean, lean, lean, lean))
         for cls in self.classes:
-            found += [self._range(cls, name) for name in cls.parameters(problem.plant.joint_type)]
+            found += [self._range(cls, name) for name in self.fitted_of(cls)]
         if not self.prompt and any(cls.acts == "drive" for cls in self.classes):
             found.append(Range(_FRICTION, "travel_root", 0.1, 1.0, 0.3, 0.5, 0.3))
             found.append(Range(_FRICTION, "gripping", 0.0, 2.0, 0.3, 0.5, 0.5))
+        behind = any(cls.acts == "inertia" or (cls.acts == "slack" and not self.prompt) for cls in self.classes)
+        if behind and problem.near_stop and "end_stop_bounce" not in self.names:
+            e = problem.fit.shaft_tolerance
+            found.append(Range(SHAFT, "rebound", 0.0, e, 0.1 * e, e, 0.05 * e))
         if self.relaxed:
             for cls in self.classes:
                 found += self._form(cls)
         return tuple(found)
+
+    def fitted_of(self, cls: type[Effect]) -> list[str]:
+        """The parameters of an effect that are its own: what a shaft gives back is fitted in its place."""
+        return [name for name in cls.parameters(self.problem.plant.joint_type) if name != "throw_back"]
 
     def _form(self, cls: type[Effect]) -> list[Range]:
         """How the effect may depart from its formula."""
@@ -122,8 +142,6 @@ class Theory:
         if cls.name in laws.LAWS:
             return [Range(owner, k, -r, r, r, r) for k, r in zip(FORM_WAYS, (fast, far, far), strict=False) if r > 0]
         found = []
-        if cls.acts in ("inertia", "slack") and "end_stop_bounce" not in self.names:
-            found.append(Range(owner, "rebound", 0.0, e, 0.1 * e, e, 0.05 * e))  # an elastic shaft throws its body back
         if cls.acts == "slack":  # its flanks give way, and throw back what meets them slowly
             give, springy = self.problem.fit.give_tolerance, self.problem.fit.springy_tolerance
             found.append(Range(owner, "give", 0.0, give, 0.1 * give, give))
@@ -173,13 +191,7 @@ class Theory:
 
     def effects(self, theta: Array) -> tuple[Effect, ...]:
         """The added effects at parameters (p,)."""
-        ranges, joint_type = self.ranges(), self.problem.plant.joint_type
-        made = []
-        for cls in self.classes:
-            names = list(cls.parameters(joint_type))
-            values = {r.name: float(x) for r, x in zip(ranges, theta, strict=True) if r.owner == cls.name}
-            made.append(cls(**{name: values[name] for name in names}))
-        return tuple(made)
+        return Reader(self).added(theta)
 
 
 class Reader:
@@ -190,17 +202,30 @@ class Reader:
         self.ranges = theory.ranges()
         self.base = theory.problem.plant.effects
         self.owners = [r.owner for r in self.ranges]
+        self.fitted = [(cls, theory.fitted_of(cls)) for cls in theory.classes]
         self.sensing = any(e.kind == "sensing" for e in self.base) or any(c.kind == "sensing" for c in theory.classes)
 
     def effects(self, theta: Array) -> tuple[Effect, ...]:
         """The asset's own effects and the added ones."""
-        kind = self.theory.problem.plant.joint_type
+        return (*self.base, *self.added(theta))
+
+    def added(self, theta: Array) -> tuple[Effect, ...]:
+        """The added effects at parameters (p,)."""
         made: list[Effect] = []
-        for cls in self.theory.classes:
+        for cls, names in self.fitted:
             at = self.owners.index(cls.name)
-            names = list(cls.parameters(kind))
             made.append(cls(**dict(zip(names, map(float, theta[at : at + len(names)]), strict=True))))
-        return (*self.base, *made)
+        back = self.throw_back(theta, made)
+        return tuple(replace(e, throw_back=back) if isinstance(e, Armature) else e for e in made)
+
+    def throw_back(self, theta: Array, added: Sequence[Effect]) -> float:
+        """Part of the speed of an impact that a drive's shaft gives back: what it gives its own inertia, by its share
+        of all, as large as it may be: the asset's doubt hides some of it."""
+        if SHAFT not in self.owners:
+            return 0.0
+        own, doubt = self.theory.problem.plant.mechanics.inertia, self.theory.problem.inertia_relative
+        drive = sum(e.drive_inertia if isinstance(e, Backlash) else e.inertia() for e in added) + doubt * own
+        return float(theta[self.owners.index(SHAFT)] * drive / (own + drive))
 
     def nuisance(self, theta: Array) -> Nuisance:
         """How the asset is off."""
@@ -220,11 +245,12 @@ class Reader:
                     speed, position, curve = (told.get((f"{name} form", way), 0.0) for way in FORM_WAYS[:3])
                     forms[name] = (speed, position, curve)
             free = {name: x for (_, name), x in told.items()}
-            if "rebound" in free:
-                effects = (*effects, EndStopBounce(free["rebound"]))
             if "tilt" in free:
                 offset = next(e for e in effects if isinstance(e, EncoderOffset)).offset
                 effects = (*effects, EncoderScale(1 + free["tilt"] * offset / self.theory.problem.reference[2]))
+        effects = with_stops(effects)
+        if SHAFT in self.owners and "armature" not in self.theory.names:  # behind a slack, where no effect has it
+            effects = (*effects, EndStopBounce(self.throw_back(theta, self.added(theta))))
         problem = self.theory.problem
         numbers = numbers_of(problem.plant, effects, nuisance, forms, problem.reference)
         if self.theory.relaxed:

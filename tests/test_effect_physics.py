@@ -329,6 +329,35 @@ def test_bounces_rise_to_e_squared_each(tmp_path: Path, e: float, timestep_s: fl
         assert np.ptp(run.energy_j) < 1e-3 * MASS * G
 
 
+def test_a_rotor_behind_a_shaft_throws_its_links_back(tmp_path: Path):
+    """Links of mass m and a rotor of mass J on a shaft of damping ratio z, by a stiff solver: what comes back from a
+    stop that gives nothing back itself is the rotor's share of all inertia, times what such a shaft gives back."""
+    from scipy.integrate import solve_ivp
+
+    m, J, z, speed = 1.0, 0.4, 0.2, 1.0
+    k, c = J * (2 * np.pi * 60) ** 2, 2 * z * 2 * np.pi * 60 * J
+
+    def shaft(y):  # force on the links
+        return k * (y[2] - y[0]) + c * (y[3] - y[1])
+
+    def leaves(t, y):
+        return shaft([0.0, 0.0, y[0], y[1]]) + 1e-12
+
+    leaves.terminal, leaves.direction = True, 1
+    held = solve_ivp(  # the links stand at the stop, which is below them, the rotor goes on
+        lambda t, y: (y[1], -shaft([0.0, 0.0, y[0], y[1]]) / J), (0, 1), [0.0, -speed], events=leaves, rtol=1e-10
+    )
+    y0 = [0.0, 0.0, held.y[0, -1], held.y[1, -1]]
+    free = solve_ivp(lambda t, y: (y[1], shaft(y) / m, y[3], -shaft(y) / J), (0, 0.5), y0, rtol=1e-10)
+    back = (m * free.y[1, -1] + J * free.y[3, -1]) / (m + J)
+    share = J / (m + J) * np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z))
+    assert back / speed == pytest.approx(share, rel=1e-3)
+    asset = asset_with(tmp_path, "prismatic", Armature(J, share), axis="0 0 1", limit=limits(0, 9))
+    run = roll_out(asset, 0.5, -speed, duration_s=2, gravity=WEIGHTLESS)
+    assert run.qd[0] == pytest.approx(-speed) and run.qd[-1] == pytest.approx(share * speed, rel=1e-3)
+    assert run.q.min() >= 0
+
+
 def test_a_lid_bounces_at_both_limits_of_a_hinge(tmp_path: Path):
     asset = asset_with(tmp_path, "revolute", EndStopBounce(0.5), limit=limits(-0.4, 0.4))
     run = roll_out(asset, 0.0, 3.0, duration_s=1, gravity=WEIGHTLESS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -38,6 +39,13 @@ def verdict(folder: Path, measured: Measured, lower: float = -3.0, upper: float 
 def damped(tmp_path_factory: pytest.TempPathFactory) -> Verdict:
     """On runs with a loss that goes almost with speed."""
     return verdict(tmp_path_factory.mktemp("damped"), measured_of(11, viscous=0.12, power=0.9))
+
+
+def search_on(folder: Path, measured: Measured, upper: float = 3.0) -> Search:
+    """Over no effects, on the first three runs."""
+    plant = plant_of(read_asset(asset_of(folder, upper=upper), "j"), measured)
+    runs, floor = fit_runs(measured, plant)
+    return Search(problem_of(plant, measured, runs, floor, GapSettings()), runs[:3], ChoiceSettings(), ())
 
 
 def names(found: Verdict) -> set[str]:
@@ -161,17 +169,53 @@ def test_an_effect_without_size_is_nothing(effect: Effect, nothing: bool):
     assert choose._is_nothing(effect) == nothing
 
 
+def _run_by_run(**floors: float) -> dict[str, np.ndarray]:
+    return {run: np.full(50, level) for run, level in floors.items()}
+
+
+@pytest.mark.parametrize("after, part", [((3.0, 1.2, 4.0), 2 / 3), ((1.5, 8.0, 4.0), 1 / 3), ((1.0, 1.0, 1.0), 1.0)])
+def test_what_helps_few_of_the_runs_with_a_gap_explains_nothing(after: tuple[float, ...], part: float):
+    """Of fitted run a and held-out runs b and c; d has no gap that could close."""
+    before = choose.Judged(SimpleNamespace(residuals=_run_by_run(a=9.0)), _run_by_run(b=9.0, c=5.0, d=1.1))
+    found = choose.Judged(
+        SimpleNamespace(residuals=_run_by_run(a=after[0])), _run_by_run(b=after[1], c=after[2], d=1.1)
+    )
+    assert choose.explained_runs(found, before, ChoiceSettings()) == pytest.approx(part)
+    assert choose.explained_runs(found, found, ChoiceSettings(plain_gap=99.0)) == 1.0
+
+
+@pytest.mark.parametrize(
+    "effects, where, bound",
+    [
+        (("armature",), {("shaft form", "rebound"): 0.2}, False),
+        (("armature",), {("shaft form", "rebound"): 0.4}, True),  # that is no shaft, but a spring
+        (("backlash",), {("backlash", "width"): 0.05, ("shaft form", "rebound"): 0.1}, False),
+        (("backlash",), {("backlash", "width"): 0.0, ("shaft form", "rebound"): 0.1}, True),  # a twisting shaft
+    ],
+)
+def test_what_throws_back_as_no_shaft_does_is_no_drive(tmp_path: Path, effects, where, bound: bool):
+    search = search_on(tmp_path, measured_of(12, servo=True), 0.3)
+    theory = Theory(search.problem, effects)
+    theta = np.array([np.clip(where.get((r.owner, r.name), x), r.lower, r.upper)
+                      for r, x in zip(theory.ranges(), theory.neutral(), strict=True)])  # fmt: skip
+    fit = replace(search.base(), theory=theory, theta=theta)
+    assert choose.at_bound(fit) is bound
+    if effects == ("armature",):
+        (armature,) = fit.effects
+        own, doubt = search.problem.plant.mechanics.inertia, search.problem.inertia_relative
+        behind = armature.value + doubt * own
+        share = where["shaft form", "rebound"] * behind / (own + behind)
+        assert armature.throw_back == pytest.approx(share)
+
+
 @pytest.mark.parametrize("rise, hollow", [(0.001, True), (0.05, False)])
 def test_friction_that_hardly_sticks_more_at_rest_is_plain(tmp_path: Path, rise: float, hollow: bool):
     """At rest it is larger only while it builds up, as the library's friction does not."""
-    measured = measured_of(28, dry=0.1)
-    plant = plant_of(read_asset(asset_of(tmp_path), "j"), measured)
-    runs, floor = fit_runs(measured, plant)
-    search = Search(problem_of(plant, measured, runs, floor, GapSettings()), runs[:3], ChoiceSettings(), ())
+    search = search_on(tmp_path, measured_of(28, dry=0.1))
     theory = Theory(search.problem, ("stribeck_friction",))
     point = {"level": 0.1, "rise": rise, "speed": 0.3}
     theta = np.array([point.get(r.name, r.neutral) for r in theory.ranges()])
-    fit = fitted(theory, runs[:3], theta, iterations=0)
+    fit = fitted(theory, search.train, theta, iterations=0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(choose, "prompt", lambda fit, runs: fit)
         assert choose.hollow(choose.Judged(fit, fit.residuals), search) == hollow

@@ -87,9 +87,16 @@ def test_free_motion_is_sapiens(tmp_path: Path, kind: str, name: str):
     )
 
 
-@pytest.mark.parametrize("restitution", [0.0, 0.6])
-def test_impacts_are_sapiens(tmp_path: Path, restitution: float):
-    effects = (made("end_stop_bounce", restitution=restitution), made("viscous_damping", coefficient=0.05))
+@pytest.mark.parametrize(
+    "bounce",
+    [
+        ("end_stop_bounce", {"restitution": 0.0}),
+        ("end_stop_bounce", {"restitution": 0.6}),
+        ("armature", {"value": 0.05, "throw_back": 0.3}),
+    ],
+)
+def test_impacts_are_sapiens(tmp_path: Path, bounce: tuple[str, dict[str, float]]):
+    effects = (made(bounce[0], **bounce[1]), made("viscous_damping", coefficient=0.05))
     asset = asset_at(tmp_path, "revolute", *effects, lower=-0.4, upper=1.5)
     theirs = roll_out(asset, 1.2, 0.0, duration_s=4)
     ours = simulate(plant_of(asset, measured_of("revolute")), effects, theirs.times_s, 1.2)
