@@ -23,10 +23,12 @@ from simgap.data import FitRun
 from simgap.fit import Fit, fitted, foretold, steady, tempered, unit_of
 from simgap.search import PLAINER, Search, prompt, relaxed
 from simgap.settings import ChoiceSettings
-from simgap.theory import SHAFT
+from simgap.theory import SHAFT, Reader
 
 _EDGE = 0.02
 """Part of a range that counts as its end."""
+_SPRINGY = 0.05
+"""The same of what a shaft gives back."""
 _NARROW = 0.5
 """Part by which a slack must be wider than the narrowest that can be told from a shaft that twists."""
 _CAPTURE = 0.1
@@ -152,7 +154,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     gap = bool((p < settings.p_value and closed > settings.least_gap) or clear)
     if not gap:
         return Choice(base, p, (), best, bar, False, tuple(tried))
-    contenders = first + springs(first, search, folds)
+    contenders = first + instead(first, search, folds)
     for size in range(1, settings.max_effects + 1):
         doubtful = [j.error > settings.explained and j.borne < settings.form_factor * bar for j in contenders]
         contenders = [loosened(j, folds) if it else j for j, it in zip(contenders, doubtful, strict=True)]
@@ -167,7 +169,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
             break  # nor would a third bring it there
         level = search.larger(level[: settings.parents if size == 1 else settings.parents - 1])
         contenders = [judged(fit, folds) for fit in level[: settings.contenders]]
-        contenders += springs(contenders, search, folds)
+        contenders += instead(contenders, search, folds)
         contenders += other_losses(contenders, search, folds)
         contenders += fewer(contenders, search, folds, bar)
         tried += contenders
@@ -239,10 +241,10 @@ def at_bound(fit: Fit) -> bool:
     """Whether a place or a width of an effect lies at the end of what it may be, a catch takes hold where it lets go,
     a slack is as narrow as can be, or a shaft throws back all that it may: it stands for something else; or whether an
     effect has no size, and stands for nothing."""
-    if any(_is_nothing(effect) for effect in fit.effects):
+    if any(_is_nothing(effect) for effect in fit.effects) or _may_be_a_spring(fit):
         return True
     for r, x in zip(fit.theory.ranges(), fit.theta, strict=True):
-        if r.owner == SHAFT and x > (1 - _EDGE) * r.upper:
+        if r.owner == SHAFT and x > (1 - _SPRINGY) * r.upper:
             return True
         if (r.owner, r.name) == ("backlash", "width") and x < (1 + _NARROW) * r.lower:
             return True
@@ -253,6 +255,17 @@ def at_bound(fit: Fit) -> bool:
         if x > r.upper - edge * (r.upper - r.lower) or (place and x < r.lower + _EDGE * (r.upper - r.lower)):
             return True
     return False
+
+
+def _may_be_a_spring(fit: Fit) -> bool:
+    """Whether stops throw a driven part back no more than its drive would behind a shaft without losses: an elastic
+    drive, which is in no library."""
+    stops = [e for e in fit.effects if e.acts == "stop"]
+    if not stops or not any(e.acts in ("inertia", "slack") for e in fit.effects):
+        return False
+    speed = fit.theory.problem.speed
+    back = max(abs(float(e.rebound(speed))) for e in stops)
+    return back < Reader(fit.theory).behind(fit.theta, fit.effects) * speed
 
 
 def _is_nothing(effect: Effect) -> bool:
@@ -283,10 +296,16 @@ def surpassed(judgement: Judged, search: Search, gap: float, settings: ChoiceSet
     return bool(left**2 - ceiling(free, runs, weights) ** 2 > least**2)
 
 
-def springs(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:
-    """What the sets with a place at its bound become with a spring instead."""
-    wide = [j.fit for j in contenders if at_bound(j.fit)]
-    return [judged(fit, folds) for one in wide for fit in alike.narrowed(search, one)]
+def instead(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:
+    """What sets at a bound become: with a spring in the place of a wide notch, single ones with a plainer effect."""
+    known, found = {j.names for j in contenders}, []
+    for j in contenders:
+        if at_bound(j.fit):
+            own = _plainer(j.names) if len(j.names) == 1 else []
+            plain = {names for names in own if set(names) <= set(search.names)} - known
+            known |= plain
+            found += [*alike.narrowed(search, j.fit), *(search.of(names) for names in sorted(plain))]
+    return [judged(fit, folds) for fit in found]
 
 
 def other_losses(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -> list[Judged]:

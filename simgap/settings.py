@@ -32,9 +32,9 @@ class FitSettings:
     rebound_tolerance: float = 0.6
     """By how much of itself what comes back from a stop may differ from its formula, which no law describes well: with
     the speed of the impact."""
-    shaft_tolerance: float = 0.4
+    shaft_tolerance: float = 0.35
     """Part of its speed with which a drive's inertia may come back when the part stops dead, the shaft between them
-    twisting: its damping ratio is 0.35 or more. What loses less is an elastic drive, not an armature."""
+    twisting: its damping ratio is 0.4 or more. What loses less is an elastic drive, not an armature."""
     travel_tolerance: float = 1e-3
     """Part of the way moved through over which dry friction may build up after a reversal: no real one does at once,
     and small swings are the faster for it."""

@@ -123,8 +123,8 @@ class Theory:
             found.append(Range(_FRICTION, "gripping", 0.0, 2.0, 0.3, 0.5, 0.5))
         behind = any(cls.acts == "inertia" or (cls.acts == "slack" and not self.prompt) for cls in self.classes)
         if behind and problem.near_stop and "end_stop_bounce" not in self.names:
-            e = problem.fit.shaft_tolerance
-            found.append(Range(SHAFT, "rebound", 0.0, e, 0.1 * e, e, 0.05 * e))
+            e = problem.fit.shaft_tolerance  # where no run tells, as if anything up to that were as likely
+            found.append(Range(SHAFT, "rebound", 0.0, e, 0.1 * e, e / np.sqrt(12), 0.5 * e))
         if self.relaxed:
             for cls in self.classes:
                 found += self._form(cls)
@@ -219,13 +219,16 @@ class Reader:
         return tuple(replace(e, throw_back=back) if isinstance(e, Armature) else e for e in made)
 
     def throw_back(self, theta: Array, added: Sequence[Effect]) -> float:
-        """Part of the speed of an impact that a drive's shaft gives back: what it gives its own inertia, by its share
-        of all, as large as it may be: the asset's doubt hides some of it."""
-        if SHAFT not in self.owners:
-            return 0.0
+        """Part of the speed of an impact that a drive's shaft gives back: of its own inertia's, by its share of all."""
+        return float(theta[self.owners.index(SHAFT)] * self.behind(theta, added)) if SHAFT in self.owners else 0.0
+
+    def behind(self, theta: Array, added: Sequence[Effect]) -> float:
+        """Part of all inertia that is a drive's, as large as it may be: what is taken for the part's own inertia beyond
+        the least that this may be is the drive's as well."""
         own, doubt = self.theory.problem.plant.mechanics.inertia, self.theory.problem.inertia_relative
-        drive = sum(e.drive_inertia if isinstance(e, Backlash) else e.inertia() for e in added) + doubt * own
-        return float(theta[self.owners.index(SHAFT)] * drive / (own + drive))
+        drive = sum(e.drive_inertia if isinstance(e, Backlash) else e.inertia() for e in added)
+        taken = self.nuisance(theta).inertia
+        return float((drive + (taken - 1 + doubt) * own) / (taken * own + drive))
 
     def nuisance(self, theta: Array) -> Nuisance:
         """How the asset is off."""

@@ -188,7 +188,9 @@ def test_what_helps_few_of_the_runs_with_a_gap_explains_nothing(after: tuple[flo
     "effects, where, bound",
     [
         (("armature",), {("shaft form", "rebound"): 0.2}, False),
-        (("armature",), {("shaft form", "rebound"): 0.4}, True),  # that is no shaft, but a spring
+        (("armature",), {("shaft form", "rebound"): 0.35}, True),  # that is no shaft, but a spring
+        (("armature", "end_stop_bounce"), {("end_stop_bounce", "restitution"): 0.6}, False),
+        (("armature", "end_stop_bounce"), {("end_stop_bounce", "restitution"): 0.01}, True),  # a lossless shaft's, too
         (("backlash",), {("backlash", "width"): 0.05, ("shaft form", "rebound"): 0.1}, False),
         (("backlash",), {("backlash", "width"): 0.0, ("shaft form", "rebound"): 0.1}, True),  # a twisting shaft
     ],
@@ -203,9 +205,8 @@ def test_what_throws_back_as_no_shaft_does_is_no_drive(tmp_path: Path, effects, 
     if effects == ("armature",):
         (armature,) = fit.effects
         own, doubt = search.problem.plant.mechanics.inertia, search.problem.inertia_relative
-        behind = armature.value + doubt * own
-        share = where["shaft form", "rebound"] * behind / (own + behind)
-        assert armature.throw_back == pytest.approx(share)
+        share = (armature.value + doubt * own) / (own + armature.value)
+        assert armature.throw_back == pytest.approx(where["shaft form", "rebound"] * share)
 
 
 @pytest.mark.parametrize("rise, hollow", [(0.001, True), (0.05, False)])
