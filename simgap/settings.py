@@ -77,7 +77,7 @@ class ChoiceSettings:
     """Part of a large gap that it may leave besides."""
     missed: float = 2.0
     """Times what an explanation may leave of held-out runs that it may leave of the runs that it was fitted to."""
-    most: float = 0.67
+    most: float = 0.65
     """Part of the runs with a plain gap of their own in which an explanation must halve it."""
     same_size: float = 1.6
     """Times by which the sizes of a set that misses a run may change when they are free within the form tolerance."""

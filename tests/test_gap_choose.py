@@ -181,6 +181,7 @@ def test_what_helps_few_of_the_runs_with_a_gap_explains_nothing(after: tuple[flo
         SimpleNamespace(residuals=_run_by_run(a=after[0])), _run_by_run(b=after[1], c=after[2], d=1.1)
     )
     assert choose.explained_runs(found, before, ChoiceSettings()) == pytest.approx(part)
+    assert (part > ChoiceSettings().most) == (part > 0.5)  # two of three do
     assert choose.explained_runs(found, found, ChoiceSettings(plain_gap=99.0)) == 1.0
 
 
