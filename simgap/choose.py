@@ -21,7 +21,7 @@ from simgap import alike
 from simgap.ceiling import ceiling
 from simgap.data import FitRun
 from simgap.fit import Fit, fitted, foretold, steady, tempered, unit_of
-from simgap.search import PLAINER, Search, prompt, relaxed
+from simgap.search import PLAINER, Search, is_sudden, prompt, relaxed
 from simgap.settings import ChoiceSettings
 from simgap.theory import SHAFT, Reader
 
@@ -284,12 +284,14 @@ def hollow(judgement: Judged, search: Search) -> bool:
 
 def surpassed(judgement: Judged, search: Search, gap: float, settings: ChoiceSettings) -> bool:
     """Whether a force without a name explains much that the set leaves, its sizes free, of all runs that it was fitted
-    to but one of every four, those that are met worst: then the name is not right."""
+    to but the one that is met worst, or one of every four where an effect catches or throws back, and leaves more on a
+    hair: then the name is not right."""
     least = max(settings.nameless, settings.nameless_part * gap)
     if judgement.fit.level <= np.hypot(1.0, least):
         return False
     free = relaxed(judgement.fit, search.train)
-    kept = _but_worst(free.residuals, len(free.residuals) // _RUNS)
+    sudden = any(is_sudden(cls) or cls.acts == "slack" for cls in free.theory.classes)
+    kept = _but_worst(free.residuals, len(free.residuals) // _RUNS if sudden else 1)
     weights = steady(kept)
     left = _rms({run: r * np.sqrt(weights[run]) for run, r in kept.items()})
     runs = tuple(run for run in search.train if run.name in kept)

@@ -220,11 +220,11 @@ def _run(folder: Path, count: int, seconds: float, progress: Progress | None) ->
 
 
 def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = (), unsure: float = 0.0) -> bool:
-    """Whether the gap, in floors, is smaller in all, and in no regime (nor off the joint) wider by a quarter floor and
-    a twentieth of all of it.
+    """Whether the gap, in floors, is smaller in all, and in no regime (nor off the joint) wider by a quarter floor, or
+    a twentieth of all of it where that is more.
 
-    Held-out runs are judged; all when there is none. What the time step makes of the repaired asset's replay, `unsure`,
-    floors, is no wider gap, up to half a floor.
+    Held-out runs are judged; all when there is none. Where the time step changes the repaired asset's replay by a floor
+    or more, `unsure`, it is a tenth, and by less in between.
     """
     groups: dict[str, list[tuple[float, float]]] = {}
     for run in [r for r in runs if r.held_out] or runs:
@@ -233,7 +233,7 @@ def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = (), unsure: 
         groups.setdefault(" off the joint", []).append((track.before / track.floor, track.after / track.floor))
     sizes = [np.sqrt(np.mean(np.square(group), axis=0)) for group in groups.values()]
     whole, left = np.sqrt(np.mean(np.square([pair for group in groups.values() for pair in group]), axis=0))
-    wider = 0.25 + 0.05 * whole + (min(unsure, 0.5) if np.isfinite(unsure) else 0.0)
+    wider = max(0.25, 0.05 * (1 + (min(unsure, 1.0) if np.isfinite(unsure) else 0.0)) * whole)
     if not np.isfinite(sizes).all() or any(after > before + wider for before, after in sizes):
         return False
     return bool(left < whole)

@@ -263,14 +263,19 @@ def test_a_wrong_repair_is_no_help(tmp_path: Path):
         asset, repaired(asset, (ViscousDamping(0.03),), tmp_path / "c"), measured, replays(measured, STARTS[:2])
     )
     first, second = good.runs
-    for part, fine in (
-        (0.04, True),
-        (0.1, False),
-    ):  # nor one that harms another regime by a part of the gap that counts
-        whole = float(np.hypot(20.0, 10.0) / np.sqrt(2))
-        before, after = 10.0 * second.floor, (10.25 + part * whole) * second.floor
-        slow = replace(second, gap_before=before, gap_after=after, regime="slow")
-        assert good.helps and helps((replace(first, gap_before=20 * first.floor), slow)) == fine
+    # nor one that harms another regime by a part of the gap that counts, or by a quarter floor where that is small
+    for fast, quiet, wider, fine in (
+        (20, 10, 0.6, True),
+        (20, 10, 1.6, False),
+        (2, 1.3, 0.2, True),
+        (2, 1.3, 0.3, False),
+    ):
+        slow = replace(second, gap_before=quiet * second.floor, gap_after=(quiet + wider) * second.floor, regime="slow")
+        quick = replace(first, gap_before=fast * first.floor, gap_after=first.floor)
+        assert good.helps and helps((quick, slow)) == fine
+    assert not helps((quick, slow), unsure=2.0)
+    rough = replace(slow, gap_before=10 * second.floor, gap_after=11.2 * second.floor)
+    assert helps((replace(quick, gap_before=20 * first.floor), rough), unsure=2.0)
 
 
 def test_what_the_asset_is_off_by_itself_is_in_both_replays(tmp_path: Path):
