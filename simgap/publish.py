@@ -226,7 +226,7 @@ def _judged(
         if not done:
             unsure = "SAPIEN has not confirmed it: the replay took too long."
             verdict = replace(verdict, sentence=f"{verdict.sentence} {unsure}")
-    motion = helps(shown.runs, unsure=shown.unsure) if shown.runs else None
+    motion = helps(shown.runs) if shown.runs else None
     geometry = helps((), shown.poses) if shown.poses else None
     bad = [n for n in tried if (geometry if n.effect.kind == "kinematics" else motion) is False]
     if bad:

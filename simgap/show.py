@@ -119,8 +119,6 @@ class Shown:
     runs: tuple[ReplayGap, ...]
     numerics: float
     """Floors by which the last halving of the time step changed a replay; NaN when it was never reached."""
-    unsure: float
-    """The same of the repaired asset."""
     timestep_s: float
     """The finer one of both assets'."""
     helps: bool | None
@@ -219,12 +217,11 @@ def _run(folder: Path, count: int, seconds: float, progress: Progress | None) ->
         progress(count, count)
 
 
-def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = (), unsure: float = 0.0) -> bool:
+def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = ()) -> bool:
     """Whether the gap, in floors, is smaller in all, and in no regime (nor off the joint) wider by a quarter floor, or
-    a twentieth of all of it where that is more.
+    a tenth of all of it where that is more.
 
-    Held-out runs are judged; all when there is none. Where the time step changes the repaired asset's replay by a floor
-    or more, `unsure`, it is a tenth, and by less in between.
+    Held-out runs are judged; all when there is none.
     """
     groups: dict[str, list[tuple[float, float]]] = {}
     for run in [r for r in runs if r.held_out] or runs:
@@ -233,7 +230,7 @@ def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = (), unsure: 
         groups.setdefault(" off the joint", []).append((track.before / track.floor, track.after / track.floor))
     sizes = [np.sqrt(np.mean(np.square(group), axis=0)) for group in groups.values()]
     whole, left = np.sqrt(np.mean(np.square([pair for group in groups.values() for pair in group]), axis=0))
-    wider = max(0.25, 0.05 * (1 + (min(unsure, 1.0) if np.isfinite(unsure) else 0.0)) * whole)
+    wider = max(0.25, 0.1 * whole)
     if not np.isfinite(sizes).all() or any(after > before + wider for before, after in sizes):
         return False
     return bool(left < whole)
@@ -303,7 +300,6 @@ def _read_answer(
     steps, off = folder / "steps.json", folder / "poses.json"
     said: dict[str, Any] = {"numerics": [np.nan, np.nan], "timesteps_s": [timestep_s, timestep_s]}
     said = checked.read_json(steps) if steps.is_file() else said
-    before, after = said["numerics"]
     pairs = checked.read_json(off)["poses"] if off.is_file() else []
     tracks = tuple(
         PoseGap(track.name, float(pair[0]), float(pair[1]), track.floor, track.held_out)
@@ -311,10 +307,9 @@ def _read_answer(
     )
     return Shown(
         tuple(runs),
-        max(before, after),
-        after,
+        max(said["numerics"]),
         float(min(said["timesteps_s"])),
-        helps(tuple(runs), tracks, after) if runs or tracks else None,
+        helps(tuple(runs), tracks) if runs or tracks else None,
         tracks,
         tuple(replay.run.name for i, replay in enumerate(replays) if i not in done),
     )

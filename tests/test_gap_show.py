@@ -265,17 +265,14 @@ def test_a_wrong_repair_is_no_help(tmp_path: Path):
     first, second = good.runs
     # nor one that harms another regime by a part of the gap that counts, or by a quarter floor where that is small
     for fast, quiet, wider, fine in (
-        (20, 10, 0.6, True),
-        (20, 10, 1.6, False),
+        (20, 10, 1.4, True),
+        (20, 10, 1.8, False),
         (2, 1.3, 0.2, True),
         (2, 1.3, 0.3, False),
     ):
         slow = replace(second, gap_before=quiet * second.floor, gap_after=(quiet + wider) * second.floor, regime="slow")
         quick = replace(first, gap_before=fast * first.floor, gap_after=first.floor)
         assert good.helps and helps((quick, slow)) == fine
-    assert not helps((quick, slow), unsure=2.0)
-    rough = replace(slow, gap_before=10 * second.floor, gap_after=11.2 * second.floor)
-    assert helps((replace(quick, gap_before=20 * first.floor), rough), unsure=2.0)
 
 
 def test_what_the_asset_is_off_by_itself_is_in_both_replays(tmp_path: Path):
