@@ -290,7 +290,7 @@ def surpassed(judgement: Judged, search: Search, gap: float, settings: ChoiceSet
     if judgement.fit.level <= np.hypot(1.0, least):
         return False
     free = relaxed(judgement.fit, search.train)
-    sudden = any(is_sudden(cls) or cls.acts == "slack" for cls in free.theory.classes)
+    sudden = any(is_sudden(cls) or cls.acts in ("slack", "inertia") for cls in free.theory.classes)
     kept = _but_worst(free.residuals, len(free.residuals) // _RUNS if sudden else 1)
     weights = steady(kept)
     left = _rms({run: r * np.sqrt(weights[run]) for run, r in kept.items()})
