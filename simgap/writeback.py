@@ -23,7 +23,8 @@ from generator import simulate
 from simgap.asset_files import copied, mjcf_beside, parsed, written
 
 _ONE_SIZE = ("viscous_damping", "coulomb_friction", "quadratic_drag", "load_friction", "armature")
-"""Effects whose first number is a size, and all that counts: two of them are one with the sum."""
+"""Effects whose first number is a size: two of them are one with the sum; of what their shafts throw back the larger
+counts, as in a simulation."""
 _POSE_TOLERANCE = 1e-6  # single precision of the engine, metres and rotation entries
 
 
@@ -59,8 +60,10 @@ def joined_effects(had: tuple[Effect, ...], new: tuple[Effect, ...]) -> tuple[Ef
     for effect in new:
         same = next((i for i, e in enumerate(out) if e.name == effect.name), None)
         if same is not None and effect.name in _ONE_SIZE:
-            field = next(iter(effect.parameters()))
-            out[same] = dataclasses.replace(effect, **{field: getattr(out[same], field) + getattr(effect, field)})  # type: ignore[type-var]
+            pairs = {name: (getattr(out[same], name), getattr(effect, name)) for name in effect.parameters()}
+            size = next(iter(pairs))
+            both = {name: sum(pair) if name == size else max(pair) for name, pair in pairs.items()}
+            out[same] = dataclasses.replace(effect, **both)  # type: ignore[type-var]
         elif same is not None and isinstance(effect, ReturnSpring):
             out[same] = _one_spring(out[same], effect)
         elif same is not None and isinstance(effect, Backlash):

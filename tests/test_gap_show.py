@@ -108,6 +108,14 @@ def test_urdf_says_what_it_can_and_effects_json_says_all(tmp_path: Path):
     np.testing.assert_array_equal(run.q, told.q)
 
 
+def test_two_armatures_are_one_that_throws_back_as_the_springier_does(tmp_path: Path):
+    had = repaired(bob(tmp_path / "a"), (Armature(0.002, 0.2),), tmp_path / "b")
+    for more, share in ((Armature(0.003), 0.2), (Armature(0.003, 0.3), 0.3)):
+        again = repaired(had, (more,), tmp_path / f"c{share}")
+        assert again.effects["j"] == (Armature(0.005, share),)
+        assert read_asset(tmp_path / f"c{share}").effects["j"] == again.effects["j"]
+
+
 def test_mjcf_beside_the_urdf_says_it_too(tmp_path: Path):
     mujoco = pytest.importorskip("mujoco")
     asset = bob(tmp_path / "a")
