@@ -20,6 +20,7 @@ from freeart21.se3 import Array
 from simgap import alike
 from simgap.ceiling import ceiling
 from simgap.data import FitRun
+from simgap.drift import Drift, drift_of
 from simgap.fit import Fit, fitted, foretold, steady, tempered, unit_of
 from simgap.search import PLAINER, Search, is_sudden, prompt, relaxed
 from simgap.settings import ChoiceSettings
@@ -35,6 +36,8 @@ _CAPTURE = 0.1
 """The same of a catch's way."""
 _RUNS = 4
 """Held-out runs of which one may be missed."""
+_NEAR = 0.5
+"""Part of the gap that a single effect may leave and still be asked whether it changes over the session."""
 _RISE = 0.1
 """Part of the level of dry friction below which a rise at rest is none."""
 _ANEW = 0.5
@@ -113,6 +116,8 @@ class Choice:
     """Floors that an explanation may leave."""
     gap: bool
     tried: tuple[Judged, ...] = ()
+    drift: Drift | None = None
+    """What speaks against the best set, or would against the nearest single effect."""
 
 
 def folds_of(runs: tuple[FitRun, ...]) -> tuple[Fold, ...]:
@@ -192,9 +197,20 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         found = rivals([earned(j, base, search, folds, bar, settings) for j in standing], settings)
         if len(found) == 1 and surpassed(found[0], search, base.floors, settings):
             return Choice(base, p, (), found[0], bar, True, tuple(tried))
-        found = tuple(as_added(j, search, folds) for j in found)
+        drifts = [drifting(j, folds, settings) for j in found]
+        if all(drifts):
+            return Choice(base, p, (), found[0], bar, True, tuple(tried), drifts[0])
+        found = tuple(as_added(j, search, folds) for j, drift in zip(found, drifts, strict=True) if not drift)
         return Choice(base, p, found, found[0], bar, True, tuple(tried))
-    return Choice(base, p, (), min(tried, key=lambda j: j.error), bar, True, tuple(tried))
+    alone = min((j for j in tried if len(j.names) == 1), key=lambda j: j.error)
+    drift = drifting(alone, folds, settings) if alone.floors < _NEAR * base.floors else None
+    return Choice(base, p, (), min(tried, key=lambda j: j.error), bar, True, tuple(tried), drift)
+
+
+def drifting(judgement: Judged, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Drift | None:
+    """The effect of the set that is not the same all the session."""
+    runs = {run.name: run for fold in folds for run in (*fold.train, *fold.test)}
+    return drift_of(judgement.free or judgement.fit, tuple(runs.values()), settings)
 
 
 def as_added(judgement: Judged, search: Search, folds: tuple[Fold, ...]) -> Judged:

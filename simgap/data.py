@@ -38,6 +38,8 @@ class FitRun:
     inputs: Inputs
     held_out: bool | None
     regime: str = ""
+    turn: int = 0
+    """Its place in the order of recording."""
 
     @property
     def start(self) -> tuple[float, float]:
@@ -75,7 +77,7 @@ def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floo
     _check_units(measured, plant, series)
     floor = floor_of(series)
     runs = []
-    for run, (times, q) in zip(measured.runs, series, strict=True):
+    for turn, (run, (times, q)) in enumerate(zip(measured.runs, series, strict=True)):
         stride = -(-len(times) // MAX_SAMPLES)
         speed = rough_speed(times, q)
         runs.append(
@@ -87,6 +89,7 @@ def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floo
                 speed[::stride],
                 inputs_of(run, measured),
                 run.held_out,
+                turn=turn,
             )
         )
     return _with_regimes(runs), floor

@@ -8,6 +8,7 @@ from freeart21.effects import Effect
 from freeart21.effects.armature import Armature
 from simgap.choose import Choice, Judged
 from simgap.data import FitRun
+from simgap.drift import Drift
 from simgap.experiment import next_experiment
 from simgap.fit import Fit, Problem, information, tempered, unit_of
 from simgap.floor import Floor
@@ -15,7 +16,7 @@ from simgap.guess import neutral_value
 from simgap.settings import ChoiceSettings
 from simgap.theory import FORM_WAYS, SHAFT, Reader
 from simgap.verdict import Named, RunGap, Verdict
-from simgap.words import amount, closed_text, effect_words, plain
+from simgap.words import amount, capital, closed_text, effect_words, plain
 
 _ODD = 3.0
 """Times what the other runs are off by at which a run is spoken of."""
@@ -71,8 +72,12 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
         if choice.best.names and choice.best.floors < _NEAR * before.floors:
             said += f"; the nearest, {_listed(choice.best)}, leaves "
             said += _length(choice.best.floors * floor.still, problem)
+        later = None
+        if choice.drift:
+            said += f". {changing(choice.drift)}"
+            later = "Move it for some minutes, then record these runs again, the last ones first."
         said += "."
-        return Verdict("unexplained", (), (), _gaps(runs, before, before, floor), (), None, said)
+        return Verdict("unexplained", (), (), _gaps(runs, before, before, floor), (), later, said)
     best = choice.explaining[0]
     named = named_effects(best)
     gaps = _gaps(runs, before, best, floor)
@@ -91,6 +96,15 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
     closed = (before.floors - best.floors) / max(before.floors - 1.0, 1e-9)
     said = f"The simulation misses this: {words}. {closed_text(float(np.clip(closed, 0.0, 1.0)))}"
     return Verdict("named", named, (), gaps, (), None, said)
+
+
+def changing(drift: Drift) -> str:
+    """How an effect's size changes over the session."""
+    way = "grows" if drift.last > drift.first else "falls"
+    return (
+        f"{capital(plain(drift.name))} is not the same all the session: its size {way} from {drift.first:.2g} times "
+        f"the usual in the first run to {drift.last:.2g} in the last, as of what warms up, wears or slips"
+    )
 
 
 def named_effects(judgement: Judged) -> tuple[Named, ...]:

@@ -87,6 +87,8 @@ class ChoiceSettings:
     """Floors of what is left that a force without a name may explain beside an explanation, its sizes free; and"""
     nameless_part: float = 0.05
     """... the part of the gap that it may."""
+    drift: float = 0.2
+    """Part of itself by which the size of an effect must change over the session for it not to be a constant."""
     form_doubt: float = 2.0
     """Floors that a plain formula may leave before sets of other effects are tried, though its form explains it."""
     form_factor: float = 8.0

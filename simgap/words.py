@@ -79,13 +79,13 @@ _CLOSED = re.compile(r"With it -?\d+% of the gap")
 
 
 def closed_text(part: float) -> str:
-    """How much of the gap beyond the sensor's noise an answer closes."""
-    return f"With it {part:.0%} of the gap on runs that were not fitted is gone."
+    """How much of the gap beyond the sensor's noise an answer closes; nobody closes more than all of it."""
+    return f"With it {min(part, 1.0):.0%} of the gap on runs that were not fitted is gone."
 
 
 def with_closed(sentence: str, part: float) -> str:
     """The sentence with another closed part."""
-    return _CLOSED.sub(f"With it {part:.0%} of the gap", sentence)
+    return _CLOSED.sub(f"With it {min(part, 1.0):.0%} of the gap", sentence)
 
 
 def number_text(value: float, unit: str) -> str:

@@ -115,18 +115,27 @@ def _load_friction(rng, s, body: Body, w: World) -> World:
 
 def _return_spring(rng, s, body: Body, w: World) -> World:
     rest = body.lower + body.range * rng.uniform(0.0, 1.0)
-    hardening = rng.uniform(0.05, 0.15) / body.range**2
-    return w._replace(spring=s * body.force / body.range, spring_rest=rest, hardening=hardening)
+    return _sprung(w, s * body.force / body.range, rest, rng.uniform(0.05, 0.15) / body.range**2)
+
+
+def _sprung(w: World, stiffness: float, rest: float, hardening: float) -> World:
+    """The world with a spring more: beside another the two are one, but for how each hardens."""
+    both = w.spring + stiffness
+    if both == 0.0:
+        return w
+    share = stiffness / both
+    return w._replace(
+        spring=both, spring_rest=(1 - share) * w.spring_rest + share * rest,
+        hardening=(1 - share) * w.hardening + share * hardening,
+    )  # fmt: skip
 
 
 def _gravity_offset(rng, s, body: Body, w: World) -> World:
     """A hinge's base leans and its mass is off; a drawer stands on a slope whose rails bend."""
     way = rng.choice([-1.0, 1.0])
     if not body.revolute:
-        bend = rng.uniform(0.02, 0.06) * s * body.force / body.range
-        return w._replace(
-            gravity_constant=w.gravity_constant + way * s * body.force, spring=bend, spring_rest=body.rest
-        )
+        bend = rng.uniform(0.02, 0.06) * abs(s) * body.force / body.range
+        return _sprung(w._replace(gravity_constant=w.gravity_constant + way * s * body.force), bend, body.rest, 0.0)
     share = rng.uniform(-0.8, 0.8)
     c, m = way * s * body.force * np.array([np.sqrt(1 - share**2), share])
     return w._replace(
