@@ -1,8 +1,8 @@
 """Levenberg and Marquardt's method for many runs that share parameters and have a start state each.
 
 A start state touches its own run only. It is taken out of the normal equations (variable projection: Golub and Pereyra
-1973), damped by itself, and kept where its move makes its run worse: so one run that meets a stop otherwise than its
-linear picture says holds up nothing but itself.
+1973), damped by itself, and moves less, or stays, where its move makes its run worse: so one run that meets a stop
+otherwise than its linear picture says holds up nothing but itself.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ Slopes = Callable[[Array, Array, list[Array], bool], list[Array]]
 start and of every parameter takes from its residuals."""
 
 _TRIALS = 6
+_SHORTER = np.array([0.3, 0.1, 0.03])
+"""Parts of a start's move that are tried where all of it makes its run worse."""
 _OUTLIER = 3.0
 """Times the usual error, or floors where that is less than the floor, beyond which a run counts for less."""
 
@@ -91,11 +93,17 @@ def solve(
             for i in range(runs):
                 there = starts[i] + moves[i]
                 there[0] = min(max(there[0], lower), upper)
-                rows = look(i, np.stack([there, starts[i]]), trial)
+                ways = np.stack([there, starts[i]])
+                rows = look(i, ways, trial)
                 at_costs = (rows * rows).sum(1)
                 taken[i] = at_costs[0] <= at_costs[1]
-                new_starts[i] = there if taken[i] else starts[i]
-                new_parts.append(rows[0 if taken[i] else 1])
+                if not taken[i]:
+                    ways = np.concatenate([ways[1:], starts[i] + _SHORTER[:, None] * (there - starts[i])])
+                    rows = np.concatenate([rows[1:], look(i, ways[1:], trial)])
+                    at_costs = (rows * rows).sum(1)
+                best = 0 if taken[i] else int(np.argmin(at_costs))
+                new_starts[i] = ways[best]
+                new_parts.append(rows[best])
             new_costs = np.array([part @ part for part in new_parts])
             new_total = float(weights @ new_costs) + prior.cost(trial)
             own = np.where(taken, np.maximum(own / 10, 1e-9), np.minimum(own * 10, 1e3))

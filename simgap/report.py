@@ -153,7 +153,9 @@ def _closed(gap: Gap) -> list[str]:
     if same is not None:
         tiles.append(_tile(f"{100 * min(same, 1.0):.0f} %", "of the gap closed", "same kind of motion as was fitted"))
     if other is not None:
-        tiles.append(_tile(f"{100 * min(other, 1.0):.0f} %", "closed in other motion", ", ".join(sorted(regimes - fitted))))
+        tiles.append(
+            _tile(f"{100 * min(other, 1.0):.0f} %", "closed in other motion", ", ".join(sorted(regimes - fitted)))
+        )
     return tiles
 
 

@@ -19,7 +19,7 @@ from simgap.data import fit_runs
 from simgap.fit import Problem, Theory, fitted, foretold, pieces, placed, predicted, steady, tangent
 from simgap.floor import floor_of
 from simgap.force_guess import local_force, places
-from simgap.least_squares import charge, weight
+from simgap.least_squares import Prior, charge, solve, weight
 from simgap.search import Search, candidates, relaxed, stilled
 from simgap.settings import GapSettings
 from simgap.surrogate import plant_of, simulate
@@ -137,6 +137,22 @@ def test_one_stretch_that_cannot_be_met_holds_up_nothing_else(tmp_path: Path):
     cut = pieces((*runs, broken), 1.5)
     fit = fitted(theory, cut, np.array([0.9, 0.9, 0.0, 0.02]))
     assert fit.effects[0].coefficient == pytest.approx(0.12, rel=0.15)
+
+
+def test_a_start_that_oversteps_goes_on_beside_one_that_is_there():
+    """The first run's start is where it should be after one step; the second one's full step makes its run worse."""
+
+    def look(i: int, starts: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        off = starts[:, 0] - 1.0
+        return np.stack([-9 * np.arctan(3 * off) if i else -off, -starts[:, 1]], 1)
+
+    def slopes(starts, theta, parts, free):
+        steep = [1.0, 27 / (1 + 9 * (starts[1, 0] - 1.0) ** 2)]
+        return [np.diag([s, 1.0]) for s in steep]
+
+    prior, begin = Prior(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 0))), np.array([[2.0, 0.1], [3.0, 0.1]])
+    found = solve(np.zeros(0), begin, look, slopes, prior, -np.inf, np.inf, 12, free=False)
+    assert np.allclose(found.starts, [[1.0, 0.0], [1.0, 0.0]], atol=1e-3)
 
 
 def test_what_runs_leave_open_is_open_before_others_too(tmp_path: Path):

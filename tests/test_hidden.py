@@ -18,7 +18,7 @@ from hidden import cases, effects, leak, mujoco_world, nuisance, ode, poses, sea
 from hidden.body import FAMILIES, draw_body
 from hidden.cases import Wish
 from hidden.ode import COMMANDED, ELASTIC, EXTERNAL, GAP, Drive, World, nothing, simulate
-from hidden.strength import Gap, Hidden
+from hidden.strength import Gap, Hidden, changed
 
 HIDDEN = Path(__file__).parent / "hidden"
 TIMES = np.linspace(0.0, 4.0, 401)
@@ -282,6 +282,21 @@ def test_what_nuisance_may_be_is_no_gap(gaps: dict[str, Gap]):
     weak = cases.draw_case(Wish("single", ("viscous_damping",), "full", "drawer", "weak"), 3)
     clear = cases.draw_case(Wish("single", ("viscous_damping",), "full", "drawer"), 3)
     assert weak.hidden[0].size < clear.hidden[0].size and weak.ratio < 5 <= clear.ratio
+
+
+@pytest.mark.parametrize("family", ["pendulum", "drawer"])
+def test_springs_pull_together(gaps: dict[str, Gap], family: str):
+    """Also with rails that bend: none takes the place of another when rivals are tried side by side."""
+    body, base = gaps[family].case.body, gaps[family].base
+    both = (*cases.any_of("return_spring"), *cases.any_of("gravity_offset"))
+    world, places = changed(base, body, both)[0], np.linspace(body.lower, body.upper, 5)
+
+    def pull(w: World) -> np.ndarray:
+        fall = w.gravity_constant + w.gravity_cosine * np.cos(places) + w.gravity_sine * np.sin(places)
+        return np.asarray(fall - w.spring * (places - w.spring_rest))
+
+    alone = sum(pull(changed(base, body, (one,))[0]) - pull(base) for one in both)
+    assert np.allclose(pull(world) - pull(base), alone) and np.ptp(alone) > 0.1 * body.force
 
 
 def test_nuisance_is_always_on_and_nothing_else_in_a_null():
