@@ -6,13 +6,14 @@ import numpy as np
 
 from freeart21.effects import Effect
 from freeart21.effects.armature import Armature
-from simgap.choose import Choice, Judged
+from simgap.choose import Choice
 from simgap.data import FitRun
 from simgap.drift import Drift
 from simgap.experiment import next_experiment
 from simgap.fit import Fit, Problem, information, tempered, unit_of
 from simgap.floor import Floor
 from simgap.guess import neutral_value
+from simgap.judge import Judged
 from simgap.settings import ChoiceSettings
 from simgap.theory import FORM_WAYS, SHAFT, Reader
 from simgap.verdict import Named, RunGap, Verdict

@@ -16,12 +16,13 @@ from freeart21.files.atomic import new_folder
 from freeart21.files.measured import read_measured
 from freeart21.joint import JointType
 from freeart21.measured import Measured
-from simgap.choose import Choice, Judged, chosen, folds_of, p_value
+from simgap.choose import Choice, chosen
 from simgap.data import FitRun, fit_runs
 from simgap.decide import moves_enough, says_enough, silent_verdict, verdict_of
 from simgap.finding import KinematicsFinding
 from simgap.fit import Fit, Problem, Reader, placed
 from simgap.floor import Floor
+from simgap.judge import Judged, folds_of, p_value
 from simgap.kinematics import KinematicsSettings, find_geometry_of
 from simgap.publish import Draft, off_of, publish, with_positions
 from simgap.report import Ranked

@@ -20,10 +20,10 @@ from freeart21.effects.stribeck_friction import StribeckFriction
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
-from simgap import choose
-from simgap.choose import folds_of, p_value
+from simgap import objections
 from simgap.data import fit_runs
 from simgap.fit import Theory, fitted
+from simgap.judge import Judged, folds_of, p_value
 from simgap.search import Search
 from simgap.settings import ChoiceSettings, GapSettings
 from simgap.surrogate import plant_of
@@ -166,7 +166,7 @@ def test_an_effect_that_is_left_out_of_the_library_is_not_named(tmp_path: Path):
     ],
 )
 def test_an_effect_without_size_is_nothing(effect: Effect, nothing: bool):
-    assert choose._is_nothing(effect) == nothing
+    assert objections._is_nothing(effect) == nothing
 
 
 def _run_by_run(**floors: float) -> dict[str, np.ndarray]:
@@ -176,13 +176,11 @@ def _run_by_run(**floors: float) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("after, part", [((3.0, 1.2, 4.0), 2 / 3), ((1.5, 8.0, 4.0), 1 / 3), ((1.0, 1.0, 1.0), 1.0)])
 def test_what_helps_few_of_the_runs_with_a_gap_explains_nothing(after: tuple[float, ...], part: float):
     """Of fitted run a and held-out runs b and c; d has no gap that could close."""
-    before = choose.Judged(SimpleNamespace(residuals=_run_by_run(a=9.0)), _run_by_run(b=9.0, c=5.0, d=1.1))
-    found = choose.Judged(
-        SimpleNamespace(residuals=_run_by_run(a=after[0])), _run_by_run(b=after[1], c=after[2], d=1.1)
-    )
-    assert choose.explained_runs(found, before, ChoiceSettings()) == pytest.approx(part)
+    before = Judged(SimpleNamespace(residuals=_run_by_run(a=9.0)), _run_by_run(b=9.0, c=5.0, d=1.1))
+    found = Judged(SimpleNamespace(residuals=_run_by_run(a=after[0])), _run_by_run(b=after[1], c=after[2], d=1.1))
+    assert objections.explained_runs(found, before, ChoiceSettings()) == pytest.approx(part)
     assert (part > ChoiceSettings().most) == (part > 0.5)  # two of three do
-    assert choose.explained_runs(found, found, ChoiceSettings(plain_gap=99.0)) == 1.0
+    assert objections.explained_runs(found, found, ChoiceSettings(plain_gap=99.0)) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -202,7 +200,7 @@ def test_what_throws_back_as_no_shaft_does_is_no_drive(tmp_path: Path, effects, 
     theta = np.array([np.clip(where.get((r.owner, r.name), x), r.lower, r.upper)
                       for r, x in zip(theory.ranges(), theory.neutral(), strict=True)])  # fmt: skip
     fit = replace(search.base(), theory=theory, theta=theta)
-    assert choose.at_bound(fit) is bound
+    assert objections.at_bound(fit) is bound
     if effects == ("armature",):
         (armature,) = fit.effects
         own, doubt = search.problem.plant.mechanics.inertia, search.problem.inertia_relative
@@ -219,8 +217,8 @@ def test_friction_that_hardly_sticks_more_at_rest_is_plain(tmp_path: Path, rise:
     theta = np.array([point.get(r.name, r.neutral) for r in theory.ranges()])
     fit = fitted(theory, search.train, theta, iterations=0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(choose, "prompt", lambda fit, runs: fit)
-        assert choose.hollow(choose.Judged(fit, fit.residuals), search) == hollow
+        patch.setattr(objections, "prompt", lambda fit, runs: fit)
+        assert objections.hollow(Judged(fit, fit.residuals), search) == hollow
 
 
 def test_a_joint_that_hardly_moves_says_nothing(tmp_path: Path):

@@ -14,11 +14,11 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap.ceiling import ceiling
-from simgap.choose import folds_of
 from simgap.data import fit_runs
 from simgap.fit import Problem, Theory, fitted, foretold, pieces, placed, predicted, steady, tangent
 from simgap.floor import floor_of
 from simgap.force_guess import local_force, places
+from simgap.judge import folds_of
 from simgap.least_squares import Prior, charge, solve, weight
 from simgap.search import Search, candidates, relaxed, stilled
 from simgap.settings import GapSettings

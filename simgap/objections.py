@@ -1,0 +1,126 @@
+"""What speaks against an explanation, however little it leaves: a number at its bound, runs that it does not help, a
+force without a name that does better, a size that changes over the session."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from freeart21.effects import EFFECTS, Effect
+from freeart21.effects.stribeck_friction import StribeckFriction
+from simgap.ceiling import ceiling
+from simgap.drift import Drift, drift_of
+from simgap.fit import Fit, steady, tempered
+from simgap.judge import RUNS, Fold, Judged, but_worst, excess, rms
+from simgap.search import Search, is_sudden, prompt, relaxed
+from simgap.settings import ChoiceSettings
+from simgap.theory import SHAFT, Reader
+
+_EDGE = 0.02
+"""Part of a range that counts as its end."""
+_SPRINGY = 0.05
+"""The same of what a shaft gives back."""
+_NARROW = 0.5
+"""Part by which a slack must be wider than the narrowest that can be told from a shaft that twists."""
+_CAPTURE = 0.1
+"""The same of a catch's way."""
+_RISE = 0.1
+"""Part of the level of dry friction below which a rise at rest is none."""
+
+
+def stands(judgement: Judged, base: Judged, bar: float, settings: ChoiceSettings) -> bool:
+    """Whether the set explains the held-out runs, or all but one: then its sizes must be about the same with and
+    without its departures from formulas, or what they are fitted to is another effect. Nor may it miss the runs that it
+    was fitted to, or explain only few of those that `base` misses."""
+    if at_bound(judgement.fit) or judgement.borne > bar or explained_runs(judgement, base, settings) < settings.most:
+        return False
+    free = judgement.free
+    if rms(but_worst(tempered((free or judgement.fit).residuals))) > settings.missed * bar:
+        return False
+    if rms(judgement.left) <= bar or free is None:
+        return True
+    sizes = [
+        (effect.values()[0], other.values()[0])
+        for effect, other in zip(judgement.fit.effects, free.effects, strict=True)
+    ]
+    return all(max(abs(a), abs(b)) <= settings.same_size * min(abs(a), abs(b)) for a, b in sizes)
+
+
+def explained_runs(judgement: Judged, base: Judged, settings: ChoiceSettings) -> float:
+    """Part of the runs with a gap of their own, held out or fitted, in which the set halves it, or does better; 1 when
+    there is none."""
+    before = {**base.fit.residuals, **base.strict}
+    after = {**(judgement.free or judgement.fit).residuals, **judgement.left}
+    gaps = {run: rms({run: before[run]}) for run in before if run in after}
+    halved = [
+        excess(rms({run: after[run]})) < 0.5 * excess(floors)
+        for run, floors in gaps.items()
+        if floors > settings.plain_gap
+    ]
+    return float(np.mean(halved)) if halved else 1.0
+
+
+def at_bound(fit: Fit) -> bool:
+    """Whether a place or a width of an effect lies at the end of what it may be, a catch takes hold where it lets go,
+    a slack is as narrow as can be, or a shaft throws back all that it may: it stands for something else; or whether an
+    effect has no size, and stands for nothing."""
+    if any(_is_nothing(effect) for effect in fit.effects) or _may_be_a_spring(fit):
+        return True
+    for r, x in zip(fit.theory.ranges(), fit.theta, strict=True):
+        if r.owner == SHAFT and x > (1 - _SPRINGY) * r.upper:
+            return True
+        if (r.owner, r.name) == ("backlash", "width") and x < (1 + _NARROW) * r.lower:
+            return True
+        spec = EFFECTS[r.owner].parameters().get(r.name) if r.owner in EFFECTS else None
+        if spec is None or spec.revolute_unit not in ("rad", "1") or EFFECTS[r.owner].acts != "force":
+            continue
+        place, edge = r.lower < 0, _EDGE if spec.revolute_unit == "rad" else _CAPTURE
+        if x > r.upper - edge * (r.upper - r.lower) or (place and x < r.lower + _EDGE * (r.upper - r.lower)):
+            return True
+    return False
+
+
+def _may_be_a_spring(fit: Fit) -> bool:
+    """Whether stops throw a driven part back no more than its drive would behind a shaft without losses: an elastic
+    drive, which is in no library."""
+    stops = [e for e in fit.effects if e.acts == "stop"]
+    if not stops or not any(e.acts in ("inertia", "slack") for e in fit.effects):
+        return False
+    speed = fit.theory.problem.speed
+    back = max(abs(float(e.rebound(speed))) for e in stops)
+    return back < Reader(fit.theory).behind(fit.theta, fit.effects) * speed
+
+
+def _is_nothing(effect: Effect) -> bool:
+    """Whether a force or a friction has no size."""
+    specs = effect.parameters()
+    forces = {name for name, spec in specs.items() if spec.revolute_unit == "N*m" or spec.prismatic_unit == "N"}
+    return effect.acts in ("force", "drive") and not any(getattr(effect, name) for name in {next(iter(specs)), *forces})
+
+
+def hollow(judgement: Judged, search: Search) -> bool:
+    """Whether a general effect of the set is but a plainer one when dry friction is there at once, as simulators have
+    it: what it adds stood for how friction builds up."""
+    fit = prompt(judgement.fit, search.train)
+    return any(e.rise < _RISE * e.level for e in fit.effects if isinstance(e, StribeckFriction))
+
+
+def surpassed(judgement: Judged, search: Search, gap: float, settings: ChoiceSettings) -> bool:
+    """Whether a force without a name explains much that the set leaves, its sizes free, of all runs that it was fitted
+    to but the one that is met worst, or one of every four where an effect catches or throws back, and leaves more on a
+    hair: then the name is not right."""
+    least = max(settings.nameless, settings.nameless_part * gap)
+    if judgement.fit.level <= np.hypot(1.0, least):
+        return False
+    free = relaxed(judgement.fit, search.train)
+    sudden = any(is_sudden(cls) or cls.acts in ("slack", "inertia") for cls in free.theory.classes)
+    kept = but_worst(free.residuals, len(free.residuals) // RUNS if sudden else 1)
+    weights = steady(kept)
+    left = rms({run: r * np.sqrt(weights[run]) for run, r in kept.items()})
+    runs = tuple(run for run in search.train if run.name in kept)
+    return bool(left**2 - ceiling(free, runs, weights) ** 2 > least**2)
+
+
+def drifting(judgement: Judged, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Drift | None:
+    """The effect of the set that is not the same all the session."""
+    runs = {run.name: run for fold in folds for run in (*fold.train, *fold.test)}
+    return drift_of(judgement.free or judgement.fit, tuple(runs.values()), settings)
