@@ -15,7 +15,7 @@ from simgap import alike
 from simgap.drift import Drift
 from simgap.fit import tempered, unit_of
 from simgap.judge import Fold, Judged, beats, but_worst, judged, loosened, p_value, rms
-from simgap.objections import at_bound, drifting, hollow, stands, surpassed
+from simgap.objections import at_bound, drifting, hollow, may_be_nothing, stands, surpassed
 from simgap.search import PLAINER, Search, prompt, relaxed
 from simgap.settings import ChoiceSettings
 
@@ -103,7 +103,7 @@ def last(
     standing: list[Judged], base: Judged, search: Search, folds: tuple[Fold, ...], bar: float, settings: ChoiceSettings
 ) -> tuple[Judged, ...]:
     """Those of the standing sets, of their plainer forms and of their twins between which the runs do not decide; none
-    where all become sets at a bound."""
+    where all become sets at a bound, or have catches that may as well be nothing."""
     missing = {names for j in standing for names in _plainer(j.names) if set(names) <= set(search.names)}
     missing -= {j.names for j in standing}
     standing = standing + [loosened(judged(search.of(names), folds), folds) for names in sorted(missing)]
@@ -112,7 +112,8 @@ def last(
     standing = [j for j in standing if known.isdisjoint(_plainer(j.names)) or not hollow(j, search)]
     reach = min((j.reach for j in standing), default=np.inf)
     standing = [j for j in standing if j.reach <= settings.explained or not beats(reach, j.reach, settings)]
-    return rivals([earned(j, base, search, folds, bar, settings) for j in standing], settings) if standing else ()
+    found = rivals([earned(j, base, search, folds, bar, settings) for j in standing], settings) if standing else ()
+    return tuple(j for j in found if len(j.names) == 1 or not may_be_nothing(j))
 
 
 def as_added(judgement: Judged, search: Search, folds: tuple[Fold, ...]) -> Judged:

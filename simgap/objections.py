@@ -10,8 +10,9 @@ from freeart21.effects.stribeck_friction import StribeckFriction
 from simgap.ceiling import ceiling
 from simgap.drift import Drift, drift_of
 from simgap.fit import Fit, steady, tempered
+from simgap.intervals import is_force, with_intervals
 from simgap.judge import RUNS, Fold, Judged, but_worst, excess, rms
-from simgap.search import Search, is_sudden, prompt, relaxed
+from simgap.search import Search, is_local, is_sudden, prompt, relaxed
 from simgap.settings import ChoiceSettings
 from simgap.theory import SHAFT, Reader
 
@@ -23,8 +24,8 @@ _NARROW = 0.5
 """Part by which a slack must be wider than the narrowest that can be told from a shaft that twists."""
 _CAPTURE = 0.1
 """The same of a catch's way."""
-_RISE = 0.1
-"""Part of the level of dry friction below which a rise at rest is none."""
+_RISE, _SURE_RISE = 0.1, 0.5
+"""Parts of the level of dry friction below which a rise at rest is none; and where it may be none."""
 
 
 def stands(judgement: Judged, base: Judged, bar: float, settings: ChoiceSettings) -> bool:
@@ -92,16 +93,25 @@ def _may_be_a_spring(fit: Fit) -> bool:
 
 def _is_nothing(effect: Effect) -> bool:
     """Whether a force or a friction has no size."""
-    specs = effect.parameters()
-    forces = {name for name, spec in specs.items() if spec.revolute_unit == "N*m" or spec.prismatic_unit == "N"}
-    return effect.acts in ("force", "drive") and not any(getattr(effect, name) for name in {next(iter(specs)), *forces})
+    names = list(effect.parameters())
+    sizes = {names[0], *(name for name in names if is_force(effect, name))}
+    return effect.acts in ("force", "drive") and not any(getattr(effect, name) for name in sizes)
+
+
+def may_be_nothing(judgement: Judged) -> bool:
+    """Whether a notch or a catch of the set is as good as none: it but bends what another force does."""
+    return any(
+        is_local(type(named.effect)) and named.low[next(iter(named.low))] <= 0 for named in with_intervals(judgement)
+    )
 
 
 def hollow(judgement: Judged, search: Search) -> bool:
     """Whether a general effect of the set is but a plainer one when dry friction is there at once, as simulators have
     it: what it adds stood for how friction builds up."""
     fit = prompt(judgement.fit, search.train)
-    return any(e.rise < _RISE * e.level for e in fit.effects if isinstance(e, StribeckFriction))
+    known = {named.effect.name: named.low for named in with_intervals(judgement)}
+    rises = [(e.rise, e.level, known[e.name]["rise"]) for e in fit.effects if isinstance(e, StribeckFriction)]
+    return any(rise < (_RISE if low > 0 else _SURE_RISE) * level for rise, level, low in rises)
 
 
 def surpassed(judgement: Judged, search: Search, gap: float, settings: ChoiceSettings) -> bool:
