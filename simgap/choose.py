@@ -15,7 +15,7 @@ from simgap import alike
 from simgap.drift import Drift
 from simgap.fit import tempered, unit_of
 from simgap.judge import Fold, Judged, beats, but_worst, judged, loosened, p_value, rms
-from simgap.objections import at_bound, drifting, hollow, may_be_nothing, stands, surpassed
+from simgap.objections import at_bound, drifting, hollow, may_be_a_shaft, may_be_nothing, stands, surpassed
 from simgap.search import PLAINER, Search, prompt, relaxed
 from simgap.settings import ChoiceSettings
 
@@ -113,6 +113,7 @@ def last(
     reach = min((j.reach for j in standing), default=np.inf)
     standing = [j for j in standing if j.reach <= settings.explained or not beats(reach, j.reach, settings)]
     found = rivals([earned(j, base, search, folds, bar, settings) for j in standing], settings) if standing else ()
+    found = tuple(j for j in found if not may_be_a_shaft(j, search))
     return tuple(j for j in found if len(j.names) == 1 or not may_be_nothing(j))
 
 

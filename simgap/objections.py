@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
+from freeart21.effects.end_stop_bounce import EndStopBounce
 from freeart21.effects.stribeck_friction import StribeckFriction
 from simgap.ceiling import ceiling
 from simgap.drift import Drift, drift_of
@@ -103,6 +104,15 @@ def may_be_nothing(judgement: Judged) -> bool:
     return any(
         is_local(type(named.effect)) and named.low[next(iter(named.low))] <= 0 for named in with_intervals(judgement)
     )
+
+
+def may_be_a_shaft(judgement: Judged, search: Search) -> bool:
+    """Whether what stops throw back, slow as fast, may be a drive's inertia behind its shaft that is taken for the
+    part's own: of an asset whose inertia is known to a tenth that is a sixth or less of the speed."""
+    fit = judgement.fit
+    driven = any(np.any(run.inputs.effort) or np.isfinite(run.inputs.command).any() for run in search.train)
+    back = [e.restitution for e in fit.effects if isinstance(e, EndStopBounce)]
+    return driven and bool(back) and max(back) < Reader(fit.theory).behind(fit.theta, fit.effects)
 
 
 def hollow(judgement: Judged, search: Search) -> bool:

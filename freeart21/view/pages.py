@@ -194,7 +194,7 @@ def _result_page(
     if camera is not None:
         axes.append(AxisLine("found", AXIS, axis_in_pictures(result.articulation, states, Ts, camera)))
     series = StateSeries(joint.type, *_abscissa(recording, len(result)), states, result.state_std, result.seen[:, 1])
-    place: Literal["right", "small"] = "small" if extra else "right"
+    place: Literal["left", "right"] = "left" if extra else "right"
     facts = table_section("Joint", joint_rows(joint, states), place=place)
     if true is not None:
         alignment = align(result, true)
