@@ -121,9 +121,10 @@ class Search:
             rough = [self._stretched(fit, runs) for fit in _hopeful(rough)[: most - fewer]]
         for fit in _hopeful(rough)[:most]:
             self.keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
-        for name in self.names:  # in stretches a start of its own does what the stop before it should have done
-            if EFFECTS[name].acts == "stop":
-                self.of((name,))
+        if min((fit.level for fit in self.fits.values()), default=np.inf) > self.settings.explained:
+            for name in self.names:  # in stretches a start of its own did what the stop before it should have done
+                if EFFECTS[name].acts == "stop":
+                    self.of((name,))
         for name, plainer in PLAINER.items():
             if (name,) in self.fits and (plainer,) in self.fits:
                 self._keep_from(name, self.fits[(plainer,)])
