@@ -61,3 +61,4 @@ class Measured:
     gravity_relative: float = 0.0
     """How far the asset's gravity torque (or force) may be off, as a part of it; 0 is exact."""
     runs: tuple[Run, ...] = field(default_factory=tuple)
+    """In the order of recording: what changes over the session shows in it."""

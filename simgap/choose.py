@@ -90,10 +90,11 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     found = last(standing, base, search, folds, bar, settings) if standing else ()
     if found:
         drifts = [drifting(j, folds, settings) for j in found]
-        if all(drifts) or (len(found) == 1 and surpassed(found[0], search, base.floors, settings)):
-            return Choice(base, p, (), found[0], bar, True, tuple(tried), drifts[0])
-        found = tuple(as_added(j, search, folds) for j, drift in zip(found, drifts, strict=True) if not drift)
-        return Choice(base, p, found, found[0], bar, True, tuple(tried))
+        lasting = tuple(j for j, drift in zip(found, drifts, strict=True) if not drift)
+        if not lasting or (len(lasting) == 1 and surpassed(lasting[0], search, base.floors, settings)):
+            return Choice(base, p, (), (lasting or found)[0], bar, True, tuple(tried), None if lasting else drifts[0])
+        lasting = tuple(as_added(j, search, folds) for j in lasting)
+        return Choice(base, p, lasting, lasting[0], bar, True, tuple(tried))
     alone = min((j for j in tried if len(j.names) == 1), key=lambda j: j.error)
     drift = drifting(alone, folds, settings) if alone.floors < _NEAR * base.floors else None
     return Choice(base, p, (), min(tried, key=lambda j: j.error), bar, True, tuple(tried), drift)
