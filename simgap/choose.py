@@ -15,12 +15,15 @@ from simgap import alike
 from simgap.drift import Drift
 from simgap.fit import tempered, unit_of
 from simgap.judge import Fold, Judged, beats, but_worst, judged, loosened, p_value, rms
-from simgap.objections import at_bound, drifting, hollow, may_be_a_shaft, may_be_nothing, stands, surpassed
+from simgap.objections import bounded, drifting, hollow, may_be_a_shaft, may_be_nothing, stands, surpassed
 from simgap.search import PLAINER, Search, prompt, relaxed
 from simgap.settings import ChoiceSettings
 
 _NEAR = 0.5
 """Part of the gap that a single effect may leave and still be asked whether it changes over the session."""
+_AS_WELL = 1.1
+"""Times its sum of squares below which a plainer set fits the same runs as well as a more general one: less than what
+a gap is, in floors."""
 _ANEW = 0.5
 """Part of its sum of squares to which a set must fall to be looked at again."""
 
@@ -82,12 +85,12 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         tried += contenders
         if well:  # by its form alone: others that need none of it stand instead
             most = min(settings.explained, settings.much_better * plain)
-            others = [j for j in contenders if j.error <= most and not at_bound(j.fit)]
+            others = [j for j in contenders if j.error <= most and not bounded(j)]
             standing = [j for j in others if not any(_is_within(n, j, settings) for n in standing)] or standing
             break
         if standing and not beats(min(j.error for j in contenders), reach, settings):
             break  # not even a larger set does much better: the rest is form
-    found = last(standing, base, search, folds, bar, settings) if standing else ()
+    found = last(standing, tried, base, search, folds, bar, settings) if standing else ()
     if found:
         drifts = [drifting(j, folds, settings) for j in found]
         lasting = tuple(j for j, drift in zip(found, drifts, strict=True) if not drift)
@@ -101,19 +104,33 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
 
 
 def last(
-    standing: list[Judged], base: Judged, search: Search, folds: tuple[Fold, ...], bar: float, settings: ChoiceSettings
+    standing: list[Judged],
+    tried: list[Judged],
+    base: Judged,
+    search: Search,
+    folds: tuple[Fold, ...],
+    bar: float,
+    settings: ChoiceSettings,
 ) -> tuple[Judged, ...]:
     """Those of the standing sets, of their plainer forms and of their twins between which the runs do not decide; none
     where all become sets at a bound, or have catches that may as well be nothing."""
     missing = {names for j in standing for names in _plainer(j.names) if set(names) <= set(search.names)}
     missing -= {j.names for j in standing}
     standing = standing + [loosened(judged(search.of(names), folds), folds) for names in sorted(missing)]
-    standing = [j for j in twins(standing, search, folds) if not at_bound(j.fit)]
-    known = {j.names for j in standing}
-    standing = [j for j in standing if known.isdisjoint(_plainer(j.names)) or not hollow(j, search)]
+    standing = [j for j in twins(standing, search, folds) if not bounded(j)]
+    costs = {j.names: j.fit.cost for j in standing}
+    plain = {j.names: min((costs[n] for n in _plainer(j.names) if n in costs), default=np.inf) for j in standing}
+    more = {j.names: plain[j.names] > _AS_WELL * j.fit.cost and not hollow(j, search) for j in standing}
+    standing = [j for j in standing if more[j.names] or np.isinf(plain[j.names])]
     reach = min((j.reach for j in standing), default=np.inf)
     standing = [j for j in standing if j.reach <= settings.explained or not beats(reach, j.reach, settings)]
-    found = rivals([earned(j, base, search, folds, bar, settings) for j in standing], settings) if standing else ()
+    needed = [earned(j, base, search, folds, bar, settings) for j in standing]
+    if any(j.names not in costs for j in needed):  # what is left has rivals and twins of its own
+        names, most = {j.names for j in needed}, settings.rival * min(j.error for j in needed)
+        like = [j for j in tried if len(j.names) in map(len, names - costs.keys()) and j.error < most]
+        needed += [loosened(j, folds) for j in like if j.names not in names]
+        needed = [j for j in twins(needed, search, folds) if not bounded(j)]
+    found = rivals(needed, settings) if needed else ()
     found = tuple(j for j in found if not may_be_a_shaft(j, search))
     return tuple(j for j in found if len(j.names) == 1 or not may_be_nothing(j))
 
@@ -130,7 +147,7 @@ def instead(contenders: list[Judged], search: Search, folds: tuple[Fold, ...]) -
     """What sets at a bound become: with a spring in the place of a wide notch, single ones with a plainer effect."""
     known, found = {j.names for j in contenders}, []
     for j in contenders:
-        if at_bound(j.fit):
+        if bounded(j):
             own = _plainer(j.names) if len(j.names) == 1 else []
             plain = {names for names in own if set(names) <= set(search.names)} - known
             known |= plain
@@ -222,6 +239,8 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
             return True
         # what the formulas of twins leave they leave alike: only where they differ counts, or what the fitted runs say
         own_kind = j is best or _plain_load(j) != _plain_load(best)
+        if j.learned <= best.learned and j.borne <= best.borne:
+            return True  # but for one run on a hair
         return j.error < settings.rival * best.error and (own_kind or j.learned <= best.learned)
 
     first: dict[tuple[str, ...], Judged] = {}

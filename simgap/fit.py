@@ -17,7 +17,7 @@ from freeart21.se3 import Array
 from simgap import kernel
 from simgap.data import FitRun
 from simgap.least_squares import Prior, charge, solve, weight
-from simgap.surrogate import readings_of, step_of, sweep, terms_of
+from simgap.surrogate import creeping, readings_of, step_of, sweep, terms_of
 from simgap.theory import Problem as Problem
 from simgap.theory import Range as Range
 from simgap.theory import Reader as Reader
@@ -100,13 +100,17 @@ class _Model:
             self._kept = (key, *self.reader.numbers(theta))
         return self._kept[1], self._kept[2]
 
+    def step(self, run: FitRun, effects: tuple[Effect, ...]) -> float:
+        """s; the same for all parameters but where they make the joint creep."""
+        return creeping(self.problem.plant, effects, self.steps[run.inputs.held], self.problem.surrogate)
+
     def look(self, i: int, starts: Array, theta: Array, seen: int | None = None) -> Array:
         """(m, n) residuals of run i, or of the first readings that are `seen` of it, from starts (m, 2)."""
         numbers, effects = self.numbers(theta)
         table = np.repeat(numbers[None], len(starts), 0)
         table[:, kernel.Q0], table[:, kernel.QD0] = starts[:, 0], starts[:, 1]
         run = self.runs[i] if seen is None else self.runs[i].between(0, seen)
-        q = sweep(table, terms_of(effects), run.times_s, run.inputs, self.steps[run.inputs.held])
+        q = sweep(table, terms_of(effects), run.times_s, run.inputs, self.step(run, effects))
         return np.asarray((run.q - (readings_of(effects, q) if self.reader.sensing else q)) / run.sigma)
 
     def slopes(self, starts: Array, theta: Array, parts: list[Array], free: bool) -> list[Array]:
@@ -127,7 +131,7 @@ class _Model:
             moves[0] = abs(moves[0]) * (-1.0 if starts[i, 0] + abs(moves[0]) > problem.plant.upper else 1.0)
             table[0, kernel.Q0] += moves[0]
             table[1, kernel.QD0] += moves[1]
-            q = sweep(table, terms, run.times_s, run.inputs, self.steps[run.inputs.held])
+            q = sweep(table, terms, run.times_s, run.inputs, self.step(run, effects))
             if self.reader.sensing:
                 q = np.stack([readings_of(its, row) for (_, its), row in zip(made, q, strict=True)])
             found.append((q - (run.q - parts[i] * run.sigma)) / run.sigma / moves[:, None])

@@ -25,6 +25,8 @@ _NARROW = 0.5
 """Part by which a slack must be wider than the narrowest that can be told from a shaft that twists."""
 _CAPTURE = 0.1
 """The same of a catch's way."""
+_FEW = 2
+"""Runs of which none may be missed."""
 _RISE, _SURE_RISE = 0.1, 0.5
 """Parts of the level of dry friction below which a rise at rest is none; and where it may be none."""
 
@@ -33,7 +35,7 @@ def stands(judgement: Judged, base: Judged, bar: float, settings: ChoiceSettings
     """Whether the set explains the held-out runs, or all but one: then its sizes must be about the same with and
     without its departures from formulas, or what they are fitted to is another effect. Nor may it miss the runs that it
     was fitted to, or explain only few of those that `base` misses."""
-    if at_bound(judgement.fit) or judgement.borne > bar or explained_runs(judgement, base, settings) < settings.most:
+    if bounded(judgement) or judgement.borne > bar or not helps(judgement, base, settings):
         return False
     free = judgement.free
     if rms(but_worst(tempered((free or judgement.fit).residuals))) > settings.missed * bar:
@@ -47,18 +49,22 @@ def stands(judgement: Judged, base: Judged, bar: float, settings: ChoiceSettings
     return all(max(abs(a), abs(b)) <= settings.same_size * min(abs(a), abs(b)) for a, b in sizes)
 
 
-def explained_runs(judgement: Judged, base: Judged, settings: ChoiceSettings) -> float:
-    """Part of the runs with a gap of their own, held out or fitted, in which the set halves it, or does better; 1 when
-    there is none."""
+def helps(judgement: Judged, base: Judged, settings: ChoiceSettings) -> bool:
+    """Whether the set halves the gap, or does better, in all runs that have a plain one of their own, held out or
+    fitted, but a few: one of three or more may hang on a hair."""
     before = {**base.fit.residuals, **base.strict}
     after = {**(judgement.free or judgement.fit).residuals, **judgement.left}
     gaps = {run: rms({run: before[run]}) for run in before if run in after}
-    halved = [
-        excess(rms({run: after[run]})) < 0.5 * excess(floors)
-        for run, floors in gaps.items()
-        if floors > settings.plain_gap
-    ]
-    return float(np.mean(halved)) if halved else 1.0
+    wide = {run: floors for run, floors in gaps.items() if floors > settings.plain_gap}
+    missed = sum(excess(rms({run: after[run]})) >= 0.5 * excess(floors) for run, floors in wide.items())
+    return missed <= max(len(wide) > _FEW, int(settings.spared * len(wide)))
+
+
+def bounded(judgement: Judged) -> bool:
+    """Whether the set is one at a bound; where a slack is in it, with its sizes free if they were freed: flanks that
+    do not give way leave it to the shaft what real ones give back."""
+    slack = any(effect.acts == "slack" for effect in judgement.fit.effects)
+    return at_bound(judgement.free if slack and judgement.free else judgement.fit)
 
 
 def at_bound(fit: Fit) -> bool:

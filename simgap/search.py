@@ -28,6 +28,8 @@ _PLACES = 2
 _TRAVELS, _CAPTURES, _CATCHES = (0.5, 0.65, 0.8, 1.0, 1.25), (0.3, 0.5, 0.7), 3
 """Parts of the way over which a catch holds, and of that way where it takes hold, that are tried; how many are
 fitted."""
+_LOSSES = ("coulomb_friction", "load_friction", "quadratic_drag", "viscous_damping")
+"""Effects that only take energy."""
 _SLACKS = (0.003, 0.01, 0.03)
 """Parts of the way moved through that a slack is tried at."""
 _HOPEFUL = 6.0
@@ -36,6 +38,10 @@ _FAR, _WILD = 2.0, 4.0
 """Floors of error beyond which runs are looked at in stretches, and stretches in shorter ones."""
 _LOST = 8.0
 """Floors of error of a set beyond which what is added to it is first fitted to stretches, whatever it is."""
+_RELAXING = 8
+"""Iterations of a fit whose sizes are freed."""
+_GIVE = 0.3
+"""Part of the most that the flanks of a slack may give way."""
 _GROWING = 4
 """Iterations of a fit to stretches."""
 
@@ -122,8 +128,10 @@ class Search:
         for fit in _hopeful(rough)[:most]:
             self.keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
         if min((fit.level for fit in self.fits.values()), default=np.inf) > self.settings.explained:
-            for name in self.names:  # in stretches a start of its own did what the stop before it should have done
-                if EFFECTS[name].acts == "stop":
+            for name in self.names:
+                # in stretches a start of its own did what the stop before it should have done, and a joint that creeps
+                # is so far from one that falls that first guesses tell nothing of its losses
+                if EFFECTS[name].acts == "stop" or name in _LOSSES:
                     self.of((name,))
         for name, plainer in PLAINER.items():
             if (name,) in self.fits and (plainer,) in self.fits:
@@ -291,6 +299,8 @@ class Search:
             other = rough.get(tuple(sorted((*entry[1].theory.names, plainer)))) if plainer else None
             if other is not None and not any(e is other for e in best):
                 best.append(other)  # which has the name when it does as well
+        damped = [e for e in order if _hides_damping(e[1]) and e[2].name == "viscous_damping"]
+        best += [entry for entry in damped if not any(e is entry for e in best)]
         return self._resettled([self._started(*entry[1:]) for entry in best])
 
     def _resettled(self, level: list[Fit]) -> list[Fit]:
@@ -369,6 +379,12 @@ class Search:
         return cut, stilled(at)
 
 
+def _hides_damping(fit: Fit) -> bool:
+    """Whether a drive comes and goes: where its inertia and its slack are off, first guesses of damping are worth
+    nothing, and it looks like a delay."""
+    return any(cls.acts in ("slack", "inertia") for cls in fit.theory.classes)
+
+
 def is_sudden(cls: type[Effect]) -> bool:
     """Whether an effect catches or throws back: a course with it differs from one without it at once."""
     return cls.acts == "stop" or is_local(cls)
@@ -394,9 +410,17 @@ def _hopeful(fits: list[Fit]) -> list[Fit]:
 
 
 def relaxed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The same effects, their sizes free to depart from their formulas within the form tolerance."""
+    """The same effects, their sizes free to depart from their formulas within the form tolerance.
+
+    Flanks that do not give way at all hide that they could, so theirs begin from some give, too.
+    """
     theory = Theory(fit.theory.problem, fit.theory.names, relaxed=True)
-    return fitted(theory, runs, joined(theory, fit, {}), fit.starts, iterations=8)
+    points = [joined(theory, fit, {})]
+    gives = np.array([r.owner == "backlash form" and r.name == "give" for r in theory.ranges()])
+    if gives.any():
+        points.append(np.where(gives, _GIVE * fit.theory.problem.fit.give_tolerance, points[0]))
+    found = [fitted(theory, runs, point, fit.starts, _RELAXING) for point in points]
+    return min(found, key=lambda way: way.cost)
 
 
 def prompt(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:

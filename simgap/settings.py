@@ -32,9 +32,9 @@ class FitSettings:
     rebound_tolerance: float = 0.6
     """By how much of itself what comes back from a stop may differ from its formula, which no law describes well: with
     the speed of the impact."""
-    shaft_tolerance: float = 0.35
-    """Part of its speed with which a drive's inertia may come back when the part stops dead, the shaft between them
-    twisting: its damping ratio is 0.4 or more. What loses less is an elastic drive, not an armature."""
+    shaft_damping: float = 0.44
+    """Least damping ratio with which a drive's inertia and the part's own swing about the shaft between them. What
+    loses less is an elastic drive, not an armature."""
     travel_tolerance: float = 1e-3
     """Part of the way moved through over which dry friction may build up after a reversal: no real one does at once,
     and small swings are the faster for it."""
@@ -77,8 +77,8 @@ class ChoiceSettings:
     """Part of a large gap that it may leave besides."""
     missed: float = 2.0
     """Times what an explanation may leave of held-out runs that it may leave of the runs that it was fitted to."""
-    most: float = 0.65
-    """Part of the runs with a plain gap of their own in which an explanation must halve it."""
+    spared: float = 0.24
+    """Part of the runs with a plain gap of their own in which an explanation need not halve it."""
     same_size: float = 1.6
     """Times by which the sizes of a set that misses a run may change when they are free within the form tolerance."""
     well_explained: float = 0.2

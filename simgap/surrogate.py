@@ -208,7 +208,8 @@ def step_of(
     settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
     held: bool = True,
 ) -> float:
-    """Longest step, s, at which the fastest oscillation is stepped finely; with the position law off unless `held`."""
+    """Longest step, s, at which the fastest oscillation is stepped finely, with the position law off unless `held`, and
+    none blows up."""
     gain = float(np.prod([effect.gain() for effect in effects])) if held else 0.0
     inertia = plant.mechanics.inertia
     local = (settings.phase_per_step / settings.local_phase_per_step) ** 2
@@ -218,7 +219,14 @@ def step_of(
     slack = next((effect for effect in effects if isinstance(effect, Backlash)), None)
     driven = min(inertia, slack.drive_inertia) if slack else inertia
     rate = np.sqrt(stiffness / inertia + gain * plant.stiffness / driven) + 0.1 * gain * plant.damping / driven
-    return float(np.clip(settings.phase_per_step / max(rate, 1e-9), settings.min_step_s, settings.max_step_s))
+    fine = float(np.clip(settings.phase_per_step / max(rate, 1e-9), settings.min_step_s, settings.max_step_s))
+    return creeping(plant, effects, fine, settings)
+
+
+def creeping(plant: Plant, effects: tuple[Effect, ...], step_s: float, settings: SurrogateSettings) -> float:
+    """The step, s, or a shorter one at which a joint in thick oil creeps and does not blow up."""
+    damping = sum(effect.damping() for effect in effects)
+    return max(min(step_s, plant.mechanics.inertia / max(damping, 1e-12)), settings.min_step_s)
 
 
 def is_local(cls: type[Effect]) -> bool:

@@ -123,8 +123,8 @@ class Theory:
             found.append(Range(_FRICTION, "gripping", 0.0, 2.0, 0.3, 0.5, 0.5))
         behind = any(cls.acts == "inertia" or (cls.acts == "slack" and not self.prompt) for cls in self.classes)
         if behind and problem.near_stop and "end_stop_bounce" not in self.names:
-            e = problem.fit.shaft_tolerance  # where no run tells, as if anything up to that were as likely
-            found.append(Range(SHAFT, "rebound", 0.0, e, 0.1 * e, e / np.sqrt(12), 0.5 * e))
+            # part of the most that a shaft gives back; where no run tells, as if all of that were as likely
+            found.append(Range(SHAFT, "rebound", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
         if self.relaxed:
             for cls in self.classes:
                 found += self._form(cls)
@@ -219,8 +219,17 @@ class Reader:
         return tuple(replace(e, throw_back=back) if isinstance(e, Armature) else e for e in made)
 
     def throw_back(self, theta: Array, added: Sequence[Effect]) -> float:
-        """Part of the speed of an impact that a drive's shaft gives back: of its own inertia's, by its share of all."""
-        return float(theta[self.owners.index(SHAFT)] * self.behind(theta, added)) if SHAFT in self.owners else 0.0
+        """Part of the speed of an impact that a drive's shaft gives back: of its own inertia's, by its share of all.
+
+        Of the drive's inertia alone on a shaft that stops at the other end, a damping ratio z is left of that of both:
+        see `Armature`.
+        """
+        if SHAFT not in self.owners:
+            return 0.0
+        share = self.behind(theta, added)
+        z = self.theory.problem.fit.shaft_damping * np.sqrt(1 - share)
+        most = np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z))
+        return float(theta[self.owners.index(SHAFT)] * most * share)
 
     def behind(self, theta: Array, added: Sequence[Effect]) -> float:
         """Part of all inertia that is a drive's, as large as it may be: what is taken for the part's own inertia beyond

@@ -156,6 +156,10 @@ class Effect(ABC):
         """Largest -dF/dq that the force can have, N*m/rad or N/m."""
         return 0.0
 
+    def damping(self) -> float:
+        """Force against the motion per speed, N*m*s/rad or N*s/m."""
+        return 0.0
+
     def gain(self) -> float:
         """Part of the actuator's force that arrives."""
         return 1.0

@@ -20,6 +20,9 @@ class ViscousDamping(Effect):
     def law(q: Any, qd: Any, load: Any, memory: Any, coefficient: Any) -> Any:
         return -coefficient * qd
 
+    def damping(self) -> float:
+        return self.coefficient
+
     def urdf_dynamics(self) -> dict[str, float]:
         return {"damping": self.coefficient}
 
