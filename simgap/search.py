@@ -40,8 +40,8 @@ _LOST = 8.0
 """Floors of error of a set beyond which what is added to it is first fitted to stretches, whatever it is."""
 _RELAXING = 8
 """Iterations of a fit whose sizes are freed."""
-_GIVE = 0.3
-"""Part of the most that the flanks of a slack may give way."""
+_GIVES = (0.15, 0.45)
+"""Parts of the most that the flanks of a slack may give way, and throw back, that freed sizes begin from."""
 _GROWING = 4
 """Iterations of a fit to stretches."""
 
@@ -412,13 +412,14 @@ def _hopeful(fits: list[Fit]) -> list[Fit]:
 def relaxed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The same effects, their sizes free to depart from their formulas within the form tolerance.
 
-    Flanks that do not give way at all hide that they could, so theirs begin from some give, too.
+    Flanks that do not give way at all hide that they could: such fits begin from some give, too.
     """
     theory = Theory(fit.theory.problem, fit.theory.names, relaxed=True)
     points = [joined(theory, fit, {})]
-    gives = np.array([r.owner == "backlash form" and r.name == "give" for r in theory.ranges()])
-    if gives.any():
-        points.append(np.where(gives, _GIVE * fit.theory.problem.fit.give_tolerance, points[0]))
+    flanks = np.array([r.owner == "backlash form" for r in theory.ranges()])
+    if flanks.any():
+        most = np.array([r.upper for r in theory.ranges()])
+        points += [np.where(flanks, part * most, points[0]) for part in _GIVES]
     found = [fitted(theory, runs, point, fit.starts, _RELAXING) for point in points]
     return min(found, key=lambda way: way.cost)
 

@@ -208,8 +208,8 @@ def wishes(seed: int, share: float = 1.0) -> list[Wish]:
     for pair in PAIRS:
         kinds = ["pendulum" if "coulomb_friction" in pair else family() for _ in range(count(3))]
         found += [Wish("pair", pair, "full", kind) for kind in kinds]
-    for name in effects.STRANGE:
-        for _ in range(count(4)):
+    for name in effects.STRANGE:  # some two thirds become clear: of fewer, one is more than 5 %
+        for _ in range(count(6)):
             kind = "pendulum" if name == "asymmetric_friction" else family()
             found.append(Wish("strange", (name,), "full", kind))
     for name, rig, families, sets in GAUGES:
