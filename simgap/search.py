@@ -127,19 +127,27 @@ class Search:
             rough = [self._stretched(fit, runs) for fit in _hopeful(rough)[: most - fewer]]
         for fit in _hopeful(rough)[:most]:
             self.keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
-        if min((fit.level for fit in self.fits.values()), default=np.inf) > self.settings.explained:
-            for name in self.names:
-                # in stretches a start of its own did what the stop before it should have done, and a joint that creeps
-                # is so far from one that falls that first guesses tell nothing of its losses
-                if EFFECTS[name].acts == "stop" or name in _LOSSES:
-                    self.of((name,))
+        far = self._left_out()
         for name, plainer in PLAINER.items():
             if (name,) in self.fits and (plainer,) in self.fits:
                 self._keep_from(name, self.fits[(plainer,)])
                 self._keep_plain(self.fits[(name,)], plainer)
         if ("armature",) in self.fits and ("backlash",) in self.fits:
             self._with_slack(self.fits[("armature",)])
-        return self._resettled([self.fits[(name,)] for name in self.names if (name,) in self.fits])
+        return self._resettled([self.fits[(name,)] for name in self.names if (name,) in self.fits and name not in far])
+
+    def _left_out(self) -> list[str]:
+        """Where no effect alone explains the runs, fits of those that first guesses tell nothing of: in stretches a
+        start of its own did what the stop before it should have done, and a joint that creeps is far from one that
+        falls. Gives the losses of them that are not even nearer than all that were guessed."""
+        if min((fit.level for fit in self.fits.values()), default=np.inf) <= self.settings.explained:
+            return []
+        for name in self.names:
+            if EFFECTS[name].acts == "stop":
+                self.of((name,))
+        new = [name for name in _LOSSES if name in self.names and (name,) not in self.fits]
+        least = min(fit.cost for fit in self.fits.values())
+        return [name for name in new if self.of((name,)).cost >= least]
 
     def _with_slack(self, armature: Fit) -> None:
         """Backlash from an armature of its drive's inertia, with a slack so narrow that it hardly makes a difference:
