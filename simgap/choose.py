@@ -94,7 +94,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     if found:
         drifts = [drifting(j, folds, settings) for j in found]
         lasting = tuple(j for j, drift in zip(found, drifts, strict=True) if not drift)
-        if not lasting or (len(lasting) == 1 and surpassed(lasting[0], search, base.floors, settings)):
+        if not lasting or (len(lasting) == 1 and surpassed(lasting[0], search, base, settings)):
             return Choice(base, p, (), (lasting or found)[0], bar, True, tuple(tried), None if lasting else drifts[0])
         lasting = tuple(as_added(j, search, folds) for j in lasting)
         return Choice(base, p, lasting, lasting[0], bar, True, tuple(tried))

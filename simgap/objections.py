@@ -130,11 +130,12 @@ def hollow(judgement: Judged, search: Search) -> bool:
     return any(rise < (_RISE if low > 0 else _SURE_RISE) * level for rise, level, low in rises)
 
 
-def surpassed(judgement: Judged, search: Search, gap: float, settings: ChoiceSettings) -> bool:
+def surpassed(judgement: Judged, search: Search, base: Judged, settings: ChoiceSettings) -> bool:
     """Whether a force without a name explains much that the set leaves, its sizes free, of all runs that it was fitted
     to but the one that is met worst, or one of every four where an effect catches or throws back, and leaves more on a
-    hair: then the name is not right."""
-    least = max(settings.nameless, settings.nameless_part * gap)
+    hair: then the name is not right. Much is a part of the gap, and a larger one of the gap without its worst run."""
+    usual = min(settings.nameless_part * base.floors, settings.nameless_usual * base.borne)
+    least = max(settings.nameless, usual)
     if judgement.fit.level <= np.hypot(1.0, least):
         return False
     free = relaxed(judgement.fit, search.train)

@@ -86,7 +86,9 @@ class ChoiceSettings:
     nameless: float = 0.6
     """Floors of what is left that a force without a name may explain beside an explanation, its sizes free; and"""
     nameless_part: float = 0.05
-    """... the part of the gap that it may."""
+    """... the part of the gap that it may,"""
+    nameless_usual: float = 0.15
+    """... but no more than this part of the gap without the run that is widest."""
     drift: float = 0.2
     """Part of itself by which the size of an effect must change over the session for it not to be a constant."""
     form_doubt: float = 2.0
