@@ -24,7 +24,7 @@ from simgap import objections
 from simgap.data import fit_runs
 from simgap.fit import Theory, fitted
 from simgap.judge import Judged, folds_of, p_value
-from simgap.search import Search
+from simgap.search import Search, relaxed
 from simgap.settings import ChoiceSettings, GapSettings
 from simgap.surrogate import plant_of
 from simgap.verdict import Verdict
@@ -223,6 +223,26 @@ def test_what_throws_back_as_no_shaft_does_is_no_drive(tmp_path: Path, effects, 
         swing = np.sqrt(1 - z * z)
         lasting = np.exp(-2 * z * np.arctan2(swing, z) / swing)
         assert armature.throw_back == pytest.approx(where["shaft form", "rebound"] * lasting * share)
+
+
+def test_flanks_that_give_way_are_found(tmp_path: Path):
+    """Of a slack as wide as told, in motions of one whose flanks do: a fit begun from flanks that do not stays there."""
+    search = search_on(tmp_path, measured_of(12, servo=True))
+    theory = Theory(search.problem, ("backlash",), relaxed=True)
+    real = {"width": 0.05, "drive_inertia": 0.5 * INERTIA, "give": 0.006, "springy": 0.1}
+
+    def at(theory: Theory) -> np.ndarray:
+        return np.array([real.get(r.name, x) for r, x in zip(theory.ranges(), theory.neutral(), strict=True)])
+
+    truth = fitted(theory, search.train, at(theory), iterations=0)
+    rng = np.random.default_rng(0)
+    told = {run.name: run.q - run.sigma * (truth.residuals[run.name] - rng.normal(size=len(run.q)))
+            for run in search.train}  # fmt: skip
+    runs = tuple(replace(run, q=told[run.name]) for run in search.train)
+    stiff = fitted(Theory(search.problem, ("backlash",)), runs, at(Theory(search.problem, ("backlash",))), truth.starts)
+    free = relaxed(stiff, runs)
+    assert stiff.level > 2.0 and free.level == pytest.approx(1.0, abs=0.2)
+    assert free.values["backlash form", "give"] == pytest.approx(0.006, rel=0.3)
 
 
 @pytest.mark.parametrize("rise, hollow", [(0.001, True), (0.05, False)])
