@@ -226,7 +226,7 @@ def test_what_throws_back_as_no_shaft_does_is_no_drive(tmp_path: Path, effects, 
 
 
 def test_flanks_that_give_way_are_found(tmp_path: Path):
-    """Of a slack as wide as told, in motions of one whose flanks do: a fit begun from flanks that do not stays there."""
+    """Begun from flanks of a slack that give way not at all, a fit of motions in which they do stays there."""
     search = search_on(tmp_path, measured_of(12, servo=True))
     theory = Theory(search.problem, ("backlash",), relaxed=True)
     real = {"width": 0.05, "drive_inertia": 0.5 * INERTIA, "give": 0.006, "springy": 0.1}
