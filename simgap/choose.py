@@ -16,7 +16,7 @@ from simgap.drift import Drift
 from simgap.fit import tempered, unit_of
 from simgap.judge import Fold, Judged, beats, but_worst, judged, loosened, p_value, rms
 from simgap.objections import bounded, drifting, hollow, may_be_a_shaft, may_be_nothing, stands, surpassed
-from simgap.search import PLAINER, Search, prompt, relaxed
+from simgap.search import PLAINER, Search, beside, prompt, relaxed
 from simgap.settings import ChoiceSettings
 
 _NEAR = 0.5
@@ -65,6 +65,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     if not gap:
         return Choice(base, p, (), best, bar, False, tuple(tried))
     contenders = first + instead(first, search, folds)
+    stood: list[Judged] = []
     for size in range(1, settings.max_effects + 1):
         doubtful = [j.error > settings.explained and j.borne < settings.form_factor * bar for j in contenders]
         contenders = [loosened(j, folds) if it else j for j, it in zip(contenders, doubtful, strict=True)]
@@ -90,13 +91,15 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
             break
         if standing and not beats(min(j.error for j in contenders), reach, settings):
             break  # not even a larger set does much better: the rest is form
+        stood = standing or stood
+    standing = standing or stood
     found = last(standing, tried, base, search, folds, bar, settings) if standing else ()
     if found:
         drifts = [drifting(j, folds, settings) for j in found]
         lasting = tuple(j for j, drift in zip(found, drifts, strict=True) if not drift)
         if not lasting or (len(lasting) == 1 and surpassed(lasting[0], search, base, settings)):
             return Choice(base, p, (), (lasting or found)[0], bar, True, tuple(tried), None if lasting else drifts[0])
-        lasting = tuple(as_added(j, search, folds) for j in lasting)
+        lasting = tuple(as_added(j, search, folds, settings) for j in lasting)
         return Choice(base, p, lasting, lasting[0], bar, True, tuple(tried))
     alone = min((j for j in tried if len(j.names) == 1), key=lambda j: j.error)
     drift = drifting(alone, folds, settings) if alone.floors < _NEAR * base.floors else None
@@ -135,11 +138,13 @@ def last(
     return tuple(j for j in found if len(j.names) == 1 or not may_be_nothing(j))
 
 
-def as_added(judgement: Judged, search: Search, folds: tuple[Fold, ...]) -> Judged:
-    """The set with the parameters that make a simulator come nearest, which knows no build-up of friction; and what
-    they become when its sizes are free."""
+def as_added(judgement: Judged, search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Judged:
+    """The set with the parameters that make a simulator come nearest, which knows no build-up of friction and nothing
+    but formulas; and what they become when its sizes are free."""
     free = judgement.free or relaxed(judgement.fit, search.train)
     fit = prompt(judgement.fit, search.train)
+    if beats(free.level, fit.level, settings):
+        fit = beside(fit, free, search.train)
     return replace(judgement if fit is judgement.fit else judged(fit, folds), free=free)
 
 
@@ -241,6 +246,10 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
         own_kind = j is best or _plain_load(j) != _plain_load(best)
         if j.learned <= best.learned and j.borne <= best.borne:
             return True  # but for one run on a hair
+        if j.error**2 - best.error**2 > settings.rival_power and all(
+            beats(of_best, of_it, settings) for of_best, of_it in ((best.error, j.error), (best.learned, j.learned))
+        ):
+            return False  # the best leaves next to nothing, and this more, of all runs
         return j.error < settings.rival * best.error and (own_kind or j.learned <= best.learned)
 
     first: dict[tuple[str, ...], Judged] = {}

@@ -92,7 +92,7 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
     if idle:
         said = f"Something is missing, perhaps {words}, but these runs do not move enough of it to say how much."
         wider = "Record larger and smaller motions over the whole range, with pushes of known size."
-        return Verdict("not_excited", named, (), gaps, (), wider, said)
+        return Verdict("not_excited", named, (), _gaps(runs, before, before, floor), (), wider, said)
     closed = (before.floors - best.floors) / max(before.floors - 1.0, 1e-9)
     said = f"The simulation misses this: {words}. {closed_text(float(np.clip(closed, 0.0, 1.0)))}"
     if best.borne > _REMAINS:

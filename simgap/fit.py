@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from freeart21.effects import Effect
 from freeart21.se3 import Array
 from simgap import kernel
 from simgap.data import FitRun
 from simgap.least_squares import Prior, charge, solve, weight
-from simgap.surrogate import creeping, readings_of, step_of, sweep, terms_of
+from simgap.surrogate import Batch, creeping, readings_of, step_of, sweep, terms_of
 from simgap.theory import Problem as Problem
 from simgap.theory import Range as Range
 from simgap.theory import Reader as Reader
@@ -89,9 +90,14 @@ class _Model:
     def __init__(self, theory: Theory, runs: tuple[FitRun, ...], at: Array):
         self.reader, self.runs = Reader(theory), runs
         self.problem = theory.problem
+        self.batch = Batch.of([(run.times_s, run.inputs) for run in runs])
+        self.q, self.sigma = (np.concatenate([getattr(run, k) for run in runs]) for k in ("q", "sigma"))
+        self.lengths = np.diff(self.batch.begins)
         self._kept: tuple[bytes, Array, tuple[Effect, ...]] | None = None
+        self._chosen: tuple[bytes, NDArray[np.int64]] | None = None
         effects, settings = self.numbers(at)[1], theory.problem.surrogate
-        self.steps = {held: step_of(self.problem.plant, effects, settings, held) for held in (True, False)}
+        self.terms = terms_of(effects)
+        self.step = {held: step_of(self.problem.plant, effects, settings, held) for held in (True, False)}
 
     def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
         """Vector and effects at parameters (p,); the last ones are kept."""
@@ -100,18 +106,39 @@ class _Model:
             self._kept = (key, *self.reader.numbers(theta))
         return self._kept[1], self._kept[2]
 
-    def step(self, run: FitRun, effects: tuple[Effect, ...]) -> float:
-        """s; the same for all parameters but where they make the joint creep."""
-        return creeping(self.problem.plant, effects, self.steps[run.inputs.held], self.problem.surrogate)
+    def steps(self, effects: tuple[Effect, ...]) -> Array:
+        """(r,) s; the same for all parameters but where they make the joint creep."""
+        plant, settings = self.problem.plant, self.problem.surrogate
+        held, loose = (creeping(plant, effects, self.step[it], settings) for it in (True, False))
+        return np.where(self.batch.held, held, loose)
 
-    def look(self, i: int, starts: Array, theta: Array, seen: int | None = None) -> Array:
-        """(m, n) residuals of run i, or of the first readings that are `seen` of it, from starts (m, 2)."""
+    def look(self, which: NDArray[np.int64], starts: Array, theta: Array) -> list[Array]:
+        """Residuals of the runs `which` (m,) from starts (m, 2)."""
+        numbers, effects = self.numbers(theta)
+        table = np.repeat(numbers[None], len(which), 0)
+        table[:, kernel.Q0], table[:, kernel.QD0] = starts[:, 0], starts[:, 1]
+        q = self.batch.sweep(table, self.terms, which, self.steps(effects))
+        q = readings_of(effects, q) if self.reader.sensing else q
+        at = self._readings(which)
+        flat, ends = (self.q[at] - q) / self.sigma[at], np.cumsum(self.lengths[which])
+        return [flat[end - n : end] for end, n in zip(ends, self.lengths[which], strict=True)]
+
+    def begun(self, i: int, starts: Array, theta: Array, seen: int) -> Array:
+        """(m, n) residuals of the first readings, as many as are `seen`, of run i from starts (m, 2)."""
         numbers, effects = self.numbers(theta)
         table = np.repeat(numbers[None], len(starts), 0)
         table[:, kernel.Q0], table[:, kernel.QD0] = starts[:, 0], starts[:, 1]
-        run = self.runs[i] if seen is None else self.runs[i].between(0, seen)
-        q = sweep(table, terms_of(effects), run.times_s, run.inputs, self.step(run, effects))
+        run = self.runs[i].between(0, seen)
+        q = sweep(table, self.terms, run.times_s, run.inputs, float(self.steps(effects)[i]))
         return np.asarray((run.q - (readings_of(effects, q) if self.reader.sensing else q)) / run.sigma)
+
+    def _readings(self, which: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Where the readings of these runs lie, one behind the other; the last ones are kept."""
+        key = which.tobytes()
+        if self._chosen is None or self._chosen[0] != key:
+            begins = self.batch.begins
+            self._chosen = (key, np.concatenate([np.arange(begins[i], begins[i + 1]) for i in which]))
+        return self._chosen[1]
 
     def slopes(self, starts: Array, theta: Array, parts: list[Array], free: bool) -> list[Array]:
         """Of every run (2 + p, n): what a unit of its start and of every parameter does to its readings, in floors."""
@@ -124,17 +151,23 @@ class _Model:
             moved = theta.copy()
             moved[j] += delta
             made.append(self.reader.numbers(moved))
-        table, terms, found = np.array([row for row, _ in made]), terms_of(effects), []
-        moves = np.append([_PROBE * 0.1 * problem.reference[2], _PROBE * 0.1 * problem.speed], deltas)
-        for i, run in enumerate(self.runs):
-            table[:, kernel.Q0], table[:, kernel.QD0] = starts[i]
-            moves[0] = abs(moves[0]) * (-1.0 if starts[i, 0] + abs(moves[0]) > problem.plant.upper else 1.0)
-            table[0, kernel.Q0] += moves[0]
-            table[1, kernel.QD0] += moves[1]
-            q = sweep(table, terms, run.times_s, run.inputs, self.step(run, effects))
+        count, rows = len(self.runs), len(made)
+        of_starts = (_PROBE * 0.1 * problem.reference[2], _PROBE * 0.1 * problem.speed)
+        moves = np.tile(np.append(of_starts, deltas), (count, 1))
+        moves[starts[:, 0] + moves[:, 0] > problem.plant.upper, 0] *= -1.0
+        table = np.tile(np.array([row for row, _ in made]), (count, 1, 1))
+        table[:, :, kernel.Q0], table[:, :, kernel.QD0] = starts[:, :1], starts[:, 1:]
+        table[:, 0, kernel.Q0] += moves[:, 0]
+        table[:, 1, kernel.QD0] += moves[:, 1]
+        which = np.repeat(np.arange(count), rows)
+        flat = self.batch.sweep(table.reshape(count * rows, -1), self.terms, which, self.steps(effects))
+        found, done = [], 0
+        for run, part, move, n in zip(self.runs, parts, moves, self.lengths, strict=True):
+            q = flat[done : done + rows * n].reshape(rows, n)
+            done += rows * n
             if self.reader.sensing:
                 q = np.stack([readings_of(its, row) for (_, its), row in zip(made, q, strict=True)])
-            found.append((q - (run.q - parts[i] * run.sigma)) / run.sigma / moves[:, None])
+            found.append((q - (run.q - part * run.sigma)) / run.sigma / move[:, None])
         return found
 
 
@@ -185,7 +218,7 @@ def fitted(
 def misfit(theory: Theory, runs: tuple[FitRun, ...], theta: Array, starts: Starts) -> float:
     """Sum of squared residuals of these very parameters and starts."""
     model = _Model(theory, runs, theta)
-    rows = [model.look(i, np.array([starts[run.name]]), theta)[0] for i, run in enumerate(runs)]
+    rows = model.look(np.arange(len(runs)), np.array([starts[run.name] for run in runs]), theta)
     return float(sum(row @ row for row in rows))
 
 
@@ -199,7 +232,7 @@ def _start(model: _Model, i: int, theta: Array) -> Array:
     rows[:, 0] -= sum((effect.reading_error(rows[:, 0]) for effect in sensing), np.zeros(len(rows)))
     rows[:, 0] = np.clip(rows[:, 0], plant.lower, plant.upper)
     seen = max(8, int(np.searchsorted(run.times_s, run.times_s[0] + _SEEN_S)))
-    left = model.look(i, rows, theta, seen)
+    left = model.begun(i, rows, theta, seen)
     return np.asarray(rows[int(np.argmin((left * left).sum(1)))])
 
 
@@ -321,7 +354,7 @@ def tangent(fit: Fit, runs: tuple[FitRun, ...]) -> tuple[list[Array], list[Array
     """
     model = _Model(fit.theory, runs, fit.theta)
     starts = np.array([fit.starts[run.name] for run in runs])
-    parts = [model.look(i, starts[i : i + 1], fit.theta)[0] for i in range(len(runs))]
+    parts = model.look(np.arange(len(runs)), starts, fit.theta)
     slopes = model.slopes(starts, fit.theta, parts, True)
     return parts, [J[:2] for J in slopes], [J[2:] for J in slopes]
 

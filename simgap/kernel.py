@@ -21,9 +21,9 @@ LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
 READING_DELAY, Q0, QD0, TRAVEL, GRIPPING, SPRINGY, GIVE = 16, 17, 18, 19, 20, 21, 22
 HEAD = 23
 """Places in the vector of numbers that describes one simulation; behind them each effect has FORM, then parameters."""
-FORM = 6
-"""How the size of an effect may depart from its formula: with speed, with position, with position squared; and the
-speed, the middle and the half width by which it does."""
+FORM = 7
+"""How the size of an effect may depart from its formula: with speed, with position, with a power of position; and the
+speed, the middle and the half width by which it does, and that power, 2 or 4."""
 
 _BISECTIONS = 25
 _SPARE_STEPS = 4000
@@ -44,7 +44,8 @@ def _form(p, at, q, v):  # pragma: no cover
         return 1.0
     speed = min(2.0 * abs(v) / p[at + 3], 2.0) - 1.0
     x = min(max((q - p[at + 4]) / p[at + 5], -1.2), 1.2)
-    return max(1.0 + a * speed + b * x + c * (2.0 * x * x - 1.0), 0.0)
+    curve = x * x * x * x if p[at + 6] > 2.0 else x * x
+    return max(1.0 + a * speed + b * x + c * (2.0 * curve - 1.0), 0.0)
 
 
 @jit
@@ -69,13 +70,14 @@ def _actuator(p, q, v, position, effort):  # pragma: no cover
 
 @jit
 def _pushed(p, x, v, position, effort):  # pragma: no cover
-    """Force of an actuator whose flank touches at x: as far as that gives way under the force, GIVE times it to the
-    power of 2/3 (Hertz), the actuator is ahead."""
+    """Force of an actuator whose flank touches at x, or whose shaft's far end is there: as far as that gives way under
+    the force, GIVE times it, of a flank times it to the power of 2/3 (Hertz), the actuator is ahead."""
     F = _actuator(p, x, v, position, effort)
     if p[GIVE] == 0.0 or np.isnan(position) or F == 0.0:
         return F
-    ahead = math.copysign(p[GIVE] * abs(F) ** (2.0 / 3.0), F)
-    faster = -2.0 / 3.0 * ahead / F * p[GAIN] * p[STIFFNESS] * v
+    power = 1.0 if p[SLACK_WIDTH] == 0.0 else 2.0 / 3.0
+    ahead = math.copysign(p[GIVE] * abs(F) ** power, F)
+    faster = -power * ahead / F * p[GAIN] * p[STIFFNESS] * v
     return F - p[GAIN] * (p[STIFFNESS] * ahead + p[DAMPING] * faster) / (1.0 + p[GAIN] * p[STIFFNESS] * ahead / F)
 
 
@@ -87,7 +89,7 @@ def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no
         F += p[GRAVITY_COS] * math.cos(q) + p[GRAVITY_SIN] * math.sin(q)
     F += _sum(FORCE, terms, p, memory, q, v, 0.0)
     if p[SLACK_WIDTH] == 0.0:
-        F += _actuator(p, q, v, position, effort)
+        F += _pushed(p, q, v, position, effort)
     elif side != 0:
         F += _pushed(p, q + 0.5 * side * p[SLACK_WIDTH], v, position, effort)
     return F
@@ -388,19 +390,38 @@ def _made(stamp: int) -> Any:
     """The door, as a closure over the formulas' stamp: so numba's cache on disk knows when one has changed."""
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def sweep(numbers, terms, times, t_in, command, effort, pushes, step, out):  # pragma: no cover
+    def sweep(
+        numbers, terms, which, times, begins, t_in, command, effort, pushes, enters, steps, out
+    ):  # pragma: no cover
         if stamp < 0:
             return
-        memory = np.zeros(len(terms))
+        memory, done = np.zeros(len(terms)), 0
         for row in range(len(numbers)):
+            run = which[row]
+            first, last = enters[run], enters[run + 1]
+            own = times[begins[run] : begins[run + 1]]
             memory[:] = 0.0
-            _roll(numbers[row], terms, memory, times, t_in, command, effort, pushes, step, out[row])
+            _roll(
+                numbers[row],
+                terms,
+                memory,
+                own,
+                t_in[first:last],
+                command[first:last],
+                effort[first:last],
+                pushes[first:last],
+                steps[run],
+                out[done : done + len(own)],
+            )
+            done += len(own)
 
     return sweep
 
 
 sweep = _made(STAMP)
-"""sweep(numbers (m, k), terms (t, 3), times (n,), t_in (i,), command (i,), effort (i,), pushes (i,), step, out (m, n)):
-m simulations of one run. `terms` are law, what it does (FORCE, DRIVE, STOP), and where its numbers begin. Inputs last
-from `t_in` to the next; none are arrays of length 0. A run that leaves all bounds reads 1e6; one with events without
-end stays where they begin."""
+"""sweep(numbers (m, k), terms (t, 3), which (m,), times, begins, t_in, command, effort, pushes, enters, steps, out):
+m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r] to
+begins[r + 1], its inputs from enters[r] to enters[r + 1]; its step is steps[r]. `terms` are law, what it does (FORCE,
+DRIVE, STOP), and where its numbers begin. Inputs last from `t_in` to the next. Into `out`, one behind the other, the
+positions of every row at the times of its run. A run that leaves all bounds reads 1e6; one with events without end
+stays where they begin."""

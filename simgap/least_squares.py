@@ -11,11 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from freeart21.se3 import Array
 
-Look = Callable[[int, Array, Array], Array]
-"""(run, starts (m, 2), parameters (p,)) to residuals (m, n), in floors."""
+Look = Callable[[NDArray[np.int64], Array, Array], list[Array]]
+"""(runs (m,), starts (m, 2), parameters (p,)) to the residuals of each of these runs, in floors."""
 Slopes = Callable[[Array, Array, list[Array], bool], list[Array]]
 """(starts (r, 2), parameters, residuals, whether the parameters move) to (2 [+ p], n) of every run: what a unit of its
 start and of every parameter takes from its residuals."""
@@ -74,7 +75,8 @@ def solve(
     no formula is near enough to meet and of which only its size is known: its part of the cost is `charge`.
     """
     p, runs = len(theta), len(starts)
-    parts = [look(i, starts[i : i + 1], theta)[0] for i in range(runs)]
+    every = np.arange(runs)
+    parts = look(every, starts, theta)
     costs = np.array([part @ part for part in parts])
     sizes = np.array([len(part) for part in parts])
     damping, own, normal = 1e-3, np.full(runs, 1e-3), np.zeros((p, p))
@@ -82,29 +84,27 @@ def solve(
         weights = weight(costs / sizes)
         total = float(weights @ costs) + prior.cost(theta)
         table = slopes(starts, theta, parts, free)
-        blocks = [J @ J.T for J in table]
-        rights = [J @ part for J, part in zip(table, parts, strict=True)]
+        blocks = np.array([J @ J.T for J in table])
+        rights = np.array([J @ part for J, part in zip(table, parts, strict=True)])
         normal = _information(blocks, weights, prior, p) if free else normal
         gain, moved = 0.0, False
         for _ in range(_TRIALS):
             shift, moves = _step(theta, blocks, rights, weights, damping, own, prior, free)
             trial = np.clip(theta + shift, prior.low, prior.high)
-            new_starts, new_parts, taken = starts.copy(), [], np.zeros(runs, bool)
-            for i in range(runs):
-                there = starts[i] + moves[i]
-                there[0] = min(max(there[0], lower), upper)
-                ways = np.stack([there, starts[i]])
-                rows = look(i, ways, trial)
-                at_costs = (rows * rows).sum(1)
-                taken[i] = at_costs[0] <= at_costs[1]
-                if not taken[i]:
-                    ways = np.concatenate([ways[1:], starts[i] + _SHORTER[:, None] * (there - starts[i])])
-                    rows = np.concatenate([rows[1:], look(i, ways[1:], trial)])
-                    at_costs = (rows * rows).sum(1)
-                best = 0 if taken[i] else int(np.argmin(at_costs))
-                new_starts[i] = ways[best]
-                new_parts.append(rows[best])
-            new_costs = np.array([part @ part for part in new_parts])
+            there = starts + moves
+            there[:, 0] = np.clip(there[:, 0], lower, upper)
+            rows = look(np.concatenate([every, every]), np.concatenate([there, starts]), trial)
+            at_costs = np.array([row @ row for row in rows])
+            taken = at_costs[:runs] <= at_costs[runs:]
+            new_starts = np.where(taken[:, None], there, starts)
+            new_parts = [rows[i if taken[i] else runs + i] for i in every]
+            new_costs = np.where(taken, at_costs[:runs], at_costs[runs:])
+            which = np.repeat(every[~taken], len(_SHORTER))
+            if len(which):
+                ways = starts[which] + np.tile(_SHORTER, runs - taken.sum())[:, None] * (there - starts)[which]
+                for i, way, row in zip(which, ways, look(which, ways, trial), strict=True):
+                    if (cost := row @ row) < new_costs[i]:
+                        new_starts[i], new_parts[i], new_costs[i] = way, row, cost
             new_total = float(weights @ new_costs) + prior.cost(trial)
             own = np.where(taken, np.maximum(own / 10, 1e-9), np.minimum(own * 10, 1e3))
             if new_total < total:
@@ -134,19 +134,26 @@ def _most(powers: Array) -> float:
     return _OUTLIER**2 * max(float(np.median(powers)), 1.0)
 
 
-def _information(blocks: list[Array], weights: Array, prior: Prior, p: int) -> Array:
+def _information(blocks: Array, weights: Array, prior: Prior, p: int) -> Array:
     """(p, p) of the parameters, all starts free and undamped."""
-    total = prior.weight
-    for w, block in zip(weights, blocks, strict=True):
-        inner = block[:2, :2] + np.diag(1e-9 * np.diag(block[:2, :2]) + 1e-12)
-        total = total + w * (block[2:, 2:] - block[2:, :2] @ np.linalg.solve(inner, block[:2, 2:]))
-    return total
+    return np.asarray(prior.weight + _beyond_starts(blocks, weights, 1e-9)[0])
+
+
+def _beyond_starts(blocks: Array, weights: Array, ridge: Array | float) -> tuple[Array, Array, Array]:
+    """What runs tell of the parameters (p, p), their starts taken out; what a unit of a run's start stands for in them
+    (r, p, 2); inverses of the starts' own blocks (r, 2, 2), their diagonals larger by the part `ridge` (r,)."""
+    inner = blocks[:, :2, :2].copy()
+    inner[:, (0, 1), (0, 1)] = inner[:, (0, 1), (0, 1)] * (1 + np.broadcast_to(ridge, len(blocks))[:, None]) + 1e-12
+    inverses = np.linalg.inv(inner)
+    cross = blocks[:, 2:, :2] @ inverses
+    told = blocks[:, 2:, 2:] - cross @ blocks[:, :2, 2:]
+    return np.tensordot(weights, told, 1), cross, np.asarray(inverses)
 
 
 def _step(
     theta: Array,
-    blocks: list[Array],
-    rights: list[Array],
+    blocks: Array,
+    rights: Array,
     weights: Array,
     damping: float,
     own: Array,
@@ -154,24 +161,15 @@ def _step(
     free: bool,
 ) -> tuple[Array, Array]:
     """Moves of the parameters (p,) and of the starts (r, 2)."""
-    inner = np.array([block[:2, :2] for block in blocks])
-    inner[:, (0, 1), (0, 1)] = inner[:, (0, 1), (0, 1)] * (1 + own[:, None] + 1e-9) + 1e-12
-    inverses = np.linalg.inv(inner)
-    shift = np.zeros(len(theta))
+    told, cross, inverses = _beyond_starts(blocks, weights, own + 1e-9)
+    shift, of_starts = np.zeros(len(theta)), rights[:, :2]
     if free and len(theta):
-        A, g = prior.weight.copy(), -prior.weight @ (theta - prior.neutral)
-        size = np.diag(A).copy()
-        for w, block, right, inverse in zip(weights, blocks, rights, inverses, strict=True):
-            cross = block[2:, :2] @ inverse
-            A += w * (block[2:, 2:] - cross @ block[:2, 2:])
-            g += w * (right[2:] - cross @ right[:2])
-            size += w * np.diag(block[2:, 2:])
-        shift = _bounded(theta, A, g, damping * size, prior)
-    moves = [
-        inverse @ (right[:2] - (block[:2, 2:] @ shift if free else 0.0))
-        for block, right, inverse in zip(blocks, rights, inverses, strict=True)
-    ]
-    return shift, np.array(moves)
+        beyond = rights[:, 2:] - (cross @ rights[:, :2, None])[..., 0]
+        g = weights @ beyond - prior.weight @ (theta - prior.neutral)
+        size = np.diag(prior.weight) + weights @ np.diagonal(blocks[:, 2:, 2:], axis1=1, axis2=2)
+        shift = _bounded(theta, prior.weight + told, g, damping * size, prior)
+        of_starts = of_starts - blocks[:, :2, 2:] @ shift
+    return shift, (inverses @ of_starts[..., None])[..., 0]
 
 
 def _bounded(theta: Array, A: Array, g: Array, ridge: Array, prior: Prior) -> Array:

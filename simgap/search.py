@@ -25,9 +25,11 @@ the asset alone is lost; they hardly tell what acts all along."""
 _SCREEN = 2
 _PLACES = 2
 """Starting points that the missing force tells, for an effect with a place."""
-_TRAVELS, _CAPTURES, _CATCHES = (0.5, 0.65, 0.8, 1.0, 1.25), (0.3, 0.5, 0.7), 3
-"""Parts of the way over which a catch holds, and of that way where it takes hold, that are tried; how many are
-fitted."""
+_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES = (-0.3, 0.0, 0.3), (0.6, 1.0, 1.6), (0.65, 0.8, 1.0, 1.25), (0.3, 0.5, 0.7)
+"""Of the way over which a catch holds: parts by which it may lie elsewhere; how much stiffer it may be; parts of that
+way which are tried, and of those where it takes hold."""
+_CATCHES = 3
+"""How many of these are fitted."""
 _LOSSES = ("coulomb_friction", "load_friction", "quadratic_drag", "viscous_damping")
 """Effects that only take energy."""
 _SLACKS = (0.003, 0.01, 0.03)
@@ -42,6 +44,10 @@ _RELAXING = 8
 """Iterations of a fit whose sizes are freed."""
 _GIVES = (0.15, 0.45)
 """Parts of the most that the flanks of a slack may give way, and throw back, that freed sizes begin from."""
+_ENDING = {"peak": 0.8, "width": 1.3, "curve": -0.75}
+"""Of a notch that ends, beside one that fades away: parts of size and width, and of the most by which it may end."""
+_SURE = 1e8
+"""Times how well an asset is known beforehand, for what is as good as fixed."""
 _GROWING = 4
 """Iterations of a fit to stretches."""
 
@@ -243,8 +249,8 @@ class Search:
         return self._finished(self._caught(min(ways, key=lambda way: way.cost), self.train))
 
     def _caught(self, fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-        """The fit with the way over which a catch holds tried anew, as stiff as it is: it shows in when the catch lets
-        go and when it takes hold alone, and no slope tells of that."""
+        """The fit with the place of a catch and the way over which it holds tried anew: they show in when it lets go
+        and when it takes hold, and no slope tells of that."""
         ranges, tried = fit.theory.ranges(), [(fit.rss, fit.theta)]
         for cls in fit.theory.classes:
             if cls.remember is Effect.remember:
@@ -253,10 +259,13 @@ class Search:
             own = {i: cls.parameters()[r.name] for i, r in enumerate(ranges) if r.owner == cls.name}
             size = min(own)
             width = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower >= 0)
+            place = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower < 0)
             ratio = next(i for i, spec in own.items() if spec.unit(kind) == "1")
-            for part, share in product(_TRAVELS, _CAPTURES):
+            for shift, stiffer, part, share in product(_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES):
                 theta = fit.theta.copy()
+                theta[place] += shift * theta[width]
                 theta[[size, width]] *= part
+                theta[size] *= stiffer
                 theta[ratio] = share
                 theta = np.clip(theta, [r.lower for r in ranges], [r.upper for r in ranges])
                 tried.append((misfit(fit.theory, runs, theta, fit.starts), theta))
@@ -420,7 +429,8 @@ def _hopeful(fits: list[Fit]) -> list[Fit]:
 def relaxed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The same effects, their sizes free to depart from their formulas within the form tolerance.
 
-    Flanks that do not give way at all hide that they could: such fits begin from some give, too.
+    Flanks that do not give way at all hide that they could, and a narrow notch that it could be a wide one that ends:
+    such fits begin from there, too.
     """
     theory = Theory(fit.theory.problem, fit.theory.names, relaxed=True)
     points = [joined(theory, fit, {})]
@@ -428,8 +438,27 @@ def relaxed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     if flanks.any():
         most = np.array([r.upper for r in theory.ranges()])
         points += [np.where(flanks, part * most, points[0]) for part in _GIVES]
+    if "detent" in theory.names:
+        own = {r.name: i for i, r in enumerate(theory.ranges()) if r.owner in ("detent", "detent form")}
+        ending = points[0].copy()
+        ending[own["peak"]] *= _ENDING["peak"]
+        ending[own["width"]] *= _ENDING["width"]
+        ending[own["curve"]] = _ENDING["curve"] * theory.ranges()[own["curve"]].upper
+        points.append(ending)
     found = [fitted(theory, runs, point, fit.starts, _RELAXING) for point in points]
     return min(found, key=lambda way: way.cost)
+
+
+def beside(fit: Fit, free: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The same effects fitted beside an asset that is off as in `free`, where the sizes are free to depart from their
+    formulas: else the asset's doubts stand in for these departures, in quiet runs too."""
+    ranges, asset = fit.theory.ranges(), free.values
+    own = [r.owner == "asset" for r in ranges]
+    theta = np.array([asset[r.owner, r.name] if it else x for r, x, it in zip(ranges, fit.theta, own, strict=True)])
+    about = np.array([x if it else r.neutral for r, x, it in zip(ranges, theta, own, strict=True)])
+    sure = np.diag([(_SURE if it else 1.0) / r.prior**2 for r, it in zip(ranges, own, strict=True)])
+    known = replace(fit, theta=about, normal=sure)
+    return replace(fitted(fit.theory, runs, theta, fit.starts, known=known), normal=fit.normal)
 
 
 def prompt(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -145,7 +146,7 @@ def numbers_of(
         plant: the joint.
         effects: all effects, those of the asset among them.
         nuisance: how the asset is off.
-        forms: name of an effect to how its size departs from its formula with speed, position and position squared.
+        forms: name of an effect to how its size departs from its formula with speed, position and a power of position.
         reference: largest speed, middle and half range of position, to which `forms` refer where an effect has no
             speed or place of its own.
     """
@@ -175,9 +176,11 @@ def numbers_of(
     return np.concatenate(parts)
 
 
-def _around(effect: Effect, reference: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Speed, middle and half width of the range over which an effect departs from its formula: its own, if it has."""
+def _around(effect: Effect, reference: tuple[float, float, float]) -> tuple[float, float, float, float]:
+    """Speed, middle and half width of the range over which an effect departs from its formula, and the power with
+    which it does: its own, if it has."""
     speed, middle, half = reference
+    power = 2
     place: float | None = None
     for name, spec in effect.parameters().items():
         value = float(getattr(effect, name))
@@ -186,8 +189,9 @@ def _around(effect: Effect, reference: tuple[float, float, float]) -> tuple[floa
         elif spec.revolute_unit == "rad" and spec.lower < 0:
             place = value
         elif spec.revolute_unit == "rad" and place is not None:
-            middle, half = place, max(1.5 * value, 1e-9)
-    return speed, middle, half
+            (widths, power), middle = effect.tails, place
+            half = max(widths * value, 1e-9)
+    return speed, middle, half, float(power)
 
 
 def _load_terms(mechanics: JointMechanics) -> tuple[float, float, float, float]:
@@ -234,12 +238,46 @@ def is_local(cls: type[Effect]) -> bool:
     return cls.acts == "force" and any(s.revolute_unit == "rad" and s.lower >= 0 for s in cls.parameters().values())
 
 
+@dataclass(frozen=True)
+class Batch:
+    """Runs one behind the other, as the kernel takes them."""
+
+    times_s: Array
+    begins: NDArray[np.int64]
+    """(r + 1,) where the times of each run begin, and where they all end."""
+    series: tuple[Array, Array, Array, Array]
+    """Times, commands, efforts and pushes of all inputs."""
+    enters: NDArray[np.int64]
+    """(r + 1,) where the inputs of each run begin, and where they all end."""
+    held: NDArray[np.bool_]
+    """(r,) whether a position law is at work."""
+
+    @staticmethod
+    def of(runs: Sequence[tuple[Array, Inputs]]) -> Batch:
+        """Of the times and the inputs of some runs."""
+        told = [(i.times_s, i.command, i.effort, i.push) for _, i in runs]
+        first, second, third, fourth = (np.concatenate([t[k] for t in told]).astype(float) for k in range(4))
+        return Batch(
+            np.concatenate([times for times, _ in runs]).astype(float),
+            np.cumsum([0, *(len(times) for times, _ in runs)]),
+            (first, second, third, fourth),
+            np.cumsum([0, *(len(i.times_s) for _, i in runs)]),
+            np.array([i.held for _, i in runs]),
+        )
+
+    def sweep(self, numbers: Array, terms: NDArray[np.int64], which: NDArray[np.int64], steps_s: Array) -> Array:
+        """True positions, as late as they are read, of m vectors of numbers (m, k), each at the times of run `which`
+        (m,), one behind the other; `steps_s` (r,) are the runs' steps."""
+        out = np.empty(int((self.begins[which + 1] - self.begins[which]).sum()))
+        kernel.sweep(numbers, terms, which, self.times_s, self.begins, *self.series, self.enters, steps_s, out)
+        return out
+
+
 def sweep(numbers: Array, terms: NDArray[np.int64], times_s: Array, inputs: Inputs, step_s: float) -> Array:
     """(m, n) true positions, as late as they are read, at `times_s` (n,), of m vectors of numbers (m, k)."""
-    out = np.empty((len(numbers), len(times_s)))
-    series = (times_s, inputs.times_s, inputs.command, inputs.effort, inputs.push)
-    kernel.sweep(numbers, terms, *(np.ascontiguousarray(values, float) for values in series), step_s, out)
-    return out
+    which = np.zeros(len(numbers), np.int64)
+    flat = Batch.of([(times_s, inputs)]).sweep(numbers, terms, which, np.array([step_s]))
+    return flat.reshape(len(numbers), len(times_s))
 
 
 def readings_of(effects: tuple[Effect, ...], q: Array) -> Array:

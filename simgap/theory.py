@@ -142,6 +142,9 @@ class Theory:
         if cls.name in laws.LAWS:
             return [Range(owner, k, -r, r, r, r) for k, r in zip(FORM_WAYS, (fast, far, far), strict=False) if r > 0]
         found = []
+        if cls.acts == "inertia" and not any(other.acts == "slack" for other in self.classes):
+            twist = self.problem.fit.twist_tolerance
+            found.append(Range(owner, "give", 0.0, twist, 0.1 * twist, twist))
         if cls.acts == "slack":  # its flanks give way, and throw back what meets them slowly
             give, springy = self.problem.fit.give_tolerance, self.problem.fit.springy_tolerance
             found.append(Range(owner, "give", 0.0, give, 0.1 * give, give))
@@ -267,7 +270,8 @@ class Reader:
         numbers = numbers_of(problem.plant, effects, nuisance, forms, problem.reference)
         if self.theory.relaxed:
             numbers[kernel.SPRINGY] = free.get("springy", 0.0) * problem.speed
-            numbers[kernel.GIVE] = free.get("give", 0.0) * (problem.q_high - problem.q_low) / problem.force ** (2 / 3)
+            power = 2 / 3 if numbers[kernel.SLACK_WIDTH] else 1
+            numbers[kernel.GIVE] = free.get("give", 0.0) * (problem.q_high - problem.q_low) / problem.force**power
         if _FRICTION in self.owners:
             root, gripping = theta[(at := self.owners.index(_FRICTION)) : at + 2]
             numbers[kernel.TRAVEL] = problem.fit.travel_tolerance * (problem.q_high - problem.q_low) * root**2

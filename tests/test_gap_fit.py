@@ -142,9 +142,9 @@ def test_one_stretch_that_cannot_be_met_holds_up_nothing_else(tmp_path: Path):
 def test_a_start_that_oversteps_goes_on_beside_one_that_is_there():
     """The first run's start is where it should be after one step; the second one's full step makes its run worse."""
 
-    def look(i: int, starts: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    def look(which: np.ndarray, starts: np.ndarray, theta: np.ndarray) -> list[np.ndarray]:
         off = starts[:, 0] - 1.0
-        return np.stack([-9 * np.arctan(3 * off) if i else -off, -starts[:, 1]], 1)
+        return list(np.stack([np.where(which, -9 * np.arctan(3 * off), -off), -starts[:, 1]], 1))
 
     def slopes(starts, theta, parts, free):
         steep = [1.0, 27 / (1 + 9 * (starts[1, 0] - 1.0) ** 2)]

@@ -19,7 +19,8 @@ class Detent(Effect):
 
     name: ClassVar[str] = "detent"
     acts: ClassVar[Acts] = "force"
-    departs: ClassVar[tuple[float, float]] = (0.2, 0.3)  # grooves and catches have all shapes
+    departs: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
+    tails: ClassVar[tuple[float, int]] = (1.9, 4)  # and a groove ends somewhere, which a Gaussian does not
 
     peak: float = parameter("N*m", "N", 0.0, 1e4, "largest holding force", scale=0.1)
     centre: float = parameter("rad", "m", -100.0, 100.0, "position that it holds", scale=0.1)
