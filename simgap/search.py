@@ -46,7 +46,7 @@ _GIVES = (0.15, 0.45)
 """Parts of the most that the flanks of a slack may give way, and throw back, that freed sizes begin from."""
 _ENDING = {"peak": 0.8, "width": 1.3, "curve": -0.75}
 """Of a notch that ends, beside one that fades away: parts of size and width, and of the most by which it may end."""
-_SURE = 1e8
+_SURE = 1e12
 """Times how well an asset is known beforehand, for what is as good as fixed."""
 _GROWING = 4
 """Iterations of a fit to stretches."""

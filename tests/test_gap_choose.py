@@ -21,8 +21,8 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap import objections
-from simgap.data import fit_runs
-from simgap.fit import Theory, fitted
+from simgap.data import FitRun, fit_runs
+from simgap.fit import Fit, Theory, fitted
 from simgap.judge import Judged, folds_of, p_value
 from simgap.search import Search, relaxed
 from simgap.settings import ChoiceSettings, GapSettings
@@ -225,24 +225,44 @@ def test_what_throws_back_as_no_shaft_does_is_no_drive(tmp_path: Path, effects, 
         assert armature.throw_back == pytest.approx(where["shaft form", "rebound"] * lasting * share)
 
 
+def at(theory: Theory, **real: float) -> np.ndarray:
+    """The neutral point, but for these parameters."""
+    return np.array([real.get(r.name, x) for r, x in zip(theory.ranges(), theory.neutral(), strict=True)])
+
+
+def told_by(truth: Fit, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
+    """The runs with readings that a fit's own motion makes."""
+    rng = np.random.default_rng(0)
+    return tuple(
+        replace(run, q=run.q - run.sigma * (truth.residuals[run.name] - rng.normal(size=len(run.q)))) for run in runs
+    )
+
+
 def test_flanks_that_give_way_are_found(tmp_path: Path):
     """Begun from flanks of a slack that give way not at all, a fit of motions in which they do stays there."""
     search = search_on(tmp_path, measured_of(12, servo=True))
     theory = Theory(search.problem, ("backlash",), relaxed=True)
     real = {"width": 0.05, "drive_inertia": 0.5 * INERTIA, "give": 0.006, "springy": 0.1}
-
-    def at(theory: Theory) -> np.ndarray:
-        return np.array([real.get(r.name, x) for r, x in zip(theory.ranges(), theory.neutral(), strict=True)])
-
-    truth = fitted(theory, search.train, at(theory), iterations=0)
-    rng = np.random.default_rng(0)
-    told = {run.name: run.q - run.sigma * (truth.residuals[run.name] - rng.normal(size=len(run.q)))
-            for run in search.train}  # fmt: skip
-    runs = tuple(replace(run, q=told[run.name]) for run in search.train)
-    stiff = fitted(Theory(search.problem, ("backlash",)), runs, at(Theory(search.problem, ("backlash",))), truth.starts)
+    truth = fitted(theory, search.train, at(theory, **real), iterations=0)
+    runs = told_by(truth, search.train)
+    plain = Theory(search.problem, ("backlash",))
+    stiff = fitted(plain, runs, at(plain, **real), truth.starts)
     free = relaxed(stiff, runs)
     assert stiff.level > 2.0 and free.level == pytest.approx(1.0, abs=0.2)
     assert free.values["backlash form", "give"] == pytest.approx(0.006, rel=0.3)
+
+
+def test_a_catch_that_was_looked_for_beside_its_place_is_found(tmp_path: Path):
+    """Where it holds shows in when it lets go alone: no slope leads there."""
+    search = search_on(tmp_path, measured_of(15))
+    theory, real = Theory(search.problem, ("latch",)), {"hold": 0.6, "position": 0.2, "travel": 0.12, "capture": 0.5}
+    truth = fitted(theory, search.train, at(theory, **real), iterations=0)
+    search.train = told_by(truth, search.train)
+    beside = at(theory, **(real | {"hold": 0.7, "position": 0.24, "travel": 0.16, "capture": 0.3}))
+    stuck = fitted(theory, search.train, beside, truth.starts)
+    found = search._finished(search._caught(stuck, search.train))
+    assert stuck.level > 3 and found.level < 1.1
+    assert found.values["latch", "position"] == pytest.approx(0.2, abs=0.01)
 
 
 @pytest.mark.parametrize("rise, hollow", [(0.001, True), (0.05, False)])

@@ -20,7 +20,7 @@ from simgap.floor import floor_of
 from simgap.force_guess import local_force, places
 from simgap.judge import folds_of
 from simgap.least_squares import Prior, charge, solve, weight
-from simgap.search import Search, candidates, relaxed, stilled
+from simgap.search import Search, beside, candidates, relaxed, stilled
 from simgap.settings import GapSettings
 from simgap.surrogate import plant_of, simulate
 from simgap.workflow import problem_of
@@ -202,6 +202,31 @@ def test_an_effect_departs_from_its_formula_as_real_ones_do(tmp_path: Path):
         ways[name] = {r.name: (r.lower, r.upper) for r in ranges if r.owner == f"{name} form"}
     assert ways["return_spring"] == {"position": (-0.1, 0.1), "curve": (-0.1, 0.1)}
     assert ways["viscous_damping"] == {"speed": (-0.2, 0.2), "position": (-0.1, 0.1), "curve": (-0.1, 0.1)}
+
+
+def test_a_groove_that_ends_is_a_form_of_a_notch(tmp_path: Path):
+    """From the narrow notch with long tails that fits best by its formula, freed sizes come to the wide one."""
+    setup, runs = problem(tmp_path, measured_of(31, groove=3.0, centre=0.25, width=0.15))
+    train = folds_of(runs)[0].train
+    notch = fitted(Theory(setup, ("detent",)), train, np.array([1.0, 1.0, 0.0, 0.6, 0.2, 0.1]))
+    free = relaxed(notch, train)
+    assert notch.level > 4 and free.level < 1.35
+    assert free.values["detent", "width"] == pytest.approx(0.15, rel=0.2)
+    assert {r.name for r in free.theory.ranges() if r.owner == "detent form"} == {"position", "curve"}
+
+
+def test_a_repair_is_fitted_beside_the_asset_that_freed_sizes_tell(tmp_path: Path):
+    """Oil that thins with speed, taken for the formula's, bends the asset's inertia and weight; freed it does not."""
+    setup, runs = problem(tmp_path, measured_of(32, viscous=0.3, power=0.8))
+    train = folds_of(runs)[0].train
+    plain = fitted(Theory(setup, ("viscous_damping",)), train)
+    free = relaxed(plain, train)
+    added = beside(plain, free, train)
+    for name in ("inertia", "gravity", "lean_1"):
+        assert added.values["asset", name] == pytest.approx(free.values["asset", name], abs=1e-5)
+    assert abs(plain.values["asset", "inertia"] - free.values["asset", "inertia"]) > 2e-3
+    assert added.values["viscous_damping", "coefficient"] != plain.values["viscous_damping", "coefficient"]
+    assert np.array_equal(added.normal, plain.normal) and plain.level < added.level < 2 * plain.level
 
 
 def test_a_start_that_presses_into_a_dead_stop_rests_there(tmp_path: Path):

@@ -33,7 +33,7 @@ PAIRS = (
     ("armature", "coulomb_friction"),
 )
 CONSTANT_LOAD = ("load_friction", "coulomb_friction")
-"""One and the same where the bearing always carries the same: on all but a hinge that lies."""
+"""One and the same where the bearing always carries the same: of what slides."""
 GAUGES = (  # effect, rig, families, what cannot be told apart
     ("encoder_offset", "swing", ("pendulum",), ("encoder_offset", "gravity_offset")),
     ("armature", "swing", ("pendulum",), ("armature", "gravity_offset")),
@@ -190,6 +190,8 @@ def wishes(seed: int, share: float = 1.0) -> list[Wish]:
                 sets: tuple[str, ...] = ()
                 if name == "coulomb_friction" and strength == "weak":
                     kind = "pendulum"
+                if name == "coulomb_friction" and kind == "door":
+                    kind = "drawer"  # a door's bearing carries the more the faster it swings
                 if name == "coulomb_friction" and kind != "pendulum":
                     sets = CONSTANT_LOAD
                 if i % 4 == 3 and name in ("viscous_damping", "coulomb_friction", "quadratic_drag", "return_spring"):
