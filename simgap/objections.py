@@ -6,7 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
+from freeart21.effects.detent import Detent
 from freeart21.effects.end_stop_bounce import EndStopBounce
+from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.stribeck_friction import StribeckFriction
 from simgap.ceiling import ceiling
 from simgap.drift import Drift, drift_of
@@ -25,6 +27,8 @@ _NARROW = 0.5
 """Part by which a slack must be wider than the narrowest that can be told from a shaft that twists."""
 _CAPTURE = 0.1
 """The same of a catch's way."""
+_FLANK = 2 * np.exp(-1.0)
+"""Of a notch: the steepest way out of it, times its width over its largest force."""
 _FEW = 2
 """Runs of which none may be missed."""
 _RISE, _SURE_RISE = 0.1, 0.5
@@ -106,7 +110,12 @@ def _is_nothing(effect: Effect) -> bool:
 
 
 def may_be_nothing(judgement: Judged) -> bool:
-    """Whether a notch or a catch of the set is as good as none: it but bends what another force does."""
+    """Whether a notch or a catch of the set is as good as none: it but bends what another force does, as a notch does
+    whose spring pulls out of it everywhere."""
+    effects = judgement.fit.effects
+    spring = sum(e.stiffness for e in effects if isinstance(e, ReturnSpring))
+    if any(isinstance(e, Detent) and _FLANK * e.peak / e.width < spring for e in effects):
+        return True
     return any(
         is_local(type(named.effect)) and named.low[next(iter(named.low))] <= 0 for named in with_intervals(judgement)
     )
