@@ -66,7 +66,10 @@ def helps(judgement: Judged, base: Judged, settings: ChoiceSettings) -> bool:
 
 def bounded(judgement: Judged) -> bool:
     """Whether the set is one at a bound; where a slack is in it, with its sizes free if they were freed: flanks that
-    do not give way leave it to the shaft what real ones give back."""
+    do not give way leave it to the shaft what real ones give back. Nor may a freed shaft twist all that it may."""
+    told = zip(judgement.free.theory.ranges(), judgement.free.theta, strict=True) if judgement.free else ()
+    if any((r.owner, r.name) == ("armature form", "give") and x > (1 - _SPRINGY) * r.upper for r, x in told):
+        return True
     slack = any(effect.acts == "slack" for effect in judgement.fit.effects)
     return at_bound(judgement.free if slack and judgement.free else judgement.fit)
 

@@ -40,7 +40,7 @@ class FitSettings:
     and small swings are the faster for it."""
     springy_tolerance: float = 0.2
     """Part of the top speed up to which half of the speed at which the flanks of a slack meet may come back."""
-    twist_tolerance: float = 2e-3
+    twist_tolerance: float = 1e-3
     """Part of the way moved through by which the shaft of a drive may twist under the forces at work: what twists more
     is an elastic drive, not an armature."""
     give_tolerance: float = 0.01
