@@ -143,9 +143,12 @@ def hollow(judgement: Judged, search: Search) -> bool:
 
 
 def surpassed(judgement: Judged, search: Search, base: Judged, settings: ChoiceSettings) -> bool:
-    """Whether a force without a name explains much that the set leaves, its sizes free, of all runs that it was fitted
-    to but the one that is met worst, or one of every four where an effect catches or throws back, and leaves more on a
-    hair: then the name is not right. Much is a part of the gap, and a larger one of the gap without its worst run."""
+    """Whether a force without a name explains much of what the set leaves, its sizes free: then the name is not right.
+
+    Asked of all runs that it was fitted to but the one that is met worst, or one of every four where an effect catches
+    or throws back, since more of those hang on a hair. Much is a part of the gap, or a larger part of the gap without
+    the run that is widest, whichever is less.
+    """
     usual = min(settings.nameless_part * base.floors, settings.nameless_usual * base.borne)
     least = max(settings.nameless, usual)
     if judgement.fit.level <= np.hypot(1.0, least):

@@ -21,6 +21,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap import objections
+from simgap.choose import rivals
 from simgap.data import FitRun, fit_runs
 from simgap.fit import Fit, Theory, fitted
 from simgap.judge import Judged, folds_of, p_value
@@ -236,6 +237,50 @@ def told_by(truth: Fit, runs: tuple[FitRun, ...]) -> tuple[FitRun, ...]:
     return tuple(
         replace(run, q=run.q - run.sigma * (truth.residuals[run.name] - rng.normal(size=len(run.q)))) for run in runs
     )
+
+
+def test_a_shaft_that_twists_all_that_it_may_is_no_drives(tmp_path: Path):
+    search = search_on(tmp_path, measured_of(12, servo=True))
+    fit = search.base()
+    plain, free = (Theory(search.problem, ("armature",), relaxed=it) for it in (False, True))
+    most = next(r.upper for r in free.ranges() if r.name == "give")
+    own = replace(fit, theory=plain, theta=at(plain))
+    for part, bound in ((0.5, False), (1.0, True)):
+        freed = replace(fit, theory=free, theta=at(free, give=part * most))
+        assert objections.bounded(Judged(own, {}, {}, freed)) is bound
+    both = Theory(search.problem, ("armature", "backlash"), relaxed=True)
+    assert [r.owner for r in both.ranges() if r.name == "give"] == ["backlash form"]
+
+
+@pytest.mark.parametrize("width, bends", [(0.05, False), (0.3, True)])
+def test_a_notch_that_nowhere_overcomes_its_spring_is_a_bend_of_it(tmp_path: Path, width: float, bends: bool):
+    search = search_on(tmp_path, measured_of(16))
+    theory = Theory(search.problem, ("detent", "return_spring"))
+    theta = at(theory, peak=0.5, centre=0.1, width=width, stiffness=2.0, rest=0.2)
+    noise = {run.name: np.random.default_rng(0).normal(size=len(run.q)) for run in search.train}
+    fit = replace(
+        search.base(), theory=theory, theta=theta, residuals=noise, normal=np.diag([1e9 / x for x in theta**2 + 1e-9])
+    )
+    notch, spring = (next(e for e in fit.effects if e.name == name) for name in theory.names)
+    q = np.linspace(-1.5, 1.5, 3001)
+    falls = np.all(np.diff(notch.force(q, 0.0 * q) + spring.force(q, 0.0 * q)) < 0)
+    assert bool(falls) is bends and objections.may_be_nothing(Judged(fit, noise)) is bends
+
+
+def test_what_leaves_nothing_has_no_rival_that_leaves_plainly_more(tmp_path: Path):
+    """Both leave little; the one is at the noise, of fitted and of held-out runs alike, and the other is not."""
+    search = search_on(tmp_path, measured_of(17))
+    rng = np.random.default_rng(2)
+
+    def entry(name: str, learned: float, error: float) -> Judged:
+        theory = Theory(search.problem, (name,))
+        fit = replace(search.base(), theory=theory, theta=at(theory), residuals={"a": learned * rng.normal(size=2000)})
+        return Judged(fit, {"b": error * rng.normal(size=2000)})
+
+    best, settings = entry("quadratic_drag", 1.0, 1.0), ChoiceSettings()
+    for learned, error, found in ((1.08, 1.14, 1), (1.0, 1.05, 2), (1.08, 1.03, 2)):
+        others = rivals([entry("viscous_damping", learned, error), best], settings)
+        assert others[0] is best and len(others) == found
 
 
 def test_flanks_that_give_way_are_found(tmp_path: Path):
