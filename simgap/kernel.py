@@ -398,7 +398,7 @@ def _made(stamp: int) -> Any:
         memory, done = np.zeros(len(terms)), 0
         for row in range(len(numbers)):
             run = which[row]
-            first, last = enters[run], enters[run + 1]
+            first, last = enters[run, 0], enters[run, 1]
             own = times[begins[run] : begins[run + 1]]
             memory[:] = 0.0
             _roll(
@@ -421,7 +421,7 @@ def _made(stamp: int) -> Any:
 sweep = _made(STAMP)
 """sweep(numbers (m, k), terms (t, 3), which (m,), times, begins, t_in, command, effort, pushes, enters, steps, out):
 m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r] to
-begins[r + 1], its inputs from enters[r] to enters[r + 1]; its step is steps[r]. `terms` are law, what it does (FORCE,
+begins[r + 1], its inputs from enters[r, 0] to enters[r, 1]; its step is steps[r]. `terms` are law, what it does (FORCE,
 DRIVE, STOP), and where its numbers begin. Inputs last from `t_in` to the next. Into `out`, one behind the other, the
 positions of every row at the times of its run. A run that leaves all bounds reads 1e6; one with events without end
 stays where they begin."""

@@ -248,20 +248,22 @@ class Batch:
     series: tuple[Array, Array, Array, Array]
     """Times, commands, efforts and pushes of all inputs."""
     enters: NDArray[np.int64]
-    """(r + 1,) where the inputs of each run begin, and where they all end."""
+    """(r, 2) where the inputs of each run begin and end: stretches of one run share them."""
     held: NDArray[np.bool_]
     """(r,) whether a position law is at work."""
 
     @staticmethod
     def of(runs: Sequence[tuple[Array, Inputs]]) -> Batch:
         """Of the times and the inputs of some runs."""
-        told = [(i.times_s, i.command, i.effort, i.push) for _, i in runs]
+        own = {id(i): i for _, i in runs}
+        told = [(i.times_s, i.command, i.effort, i.push) for i in own.values()]
         first, second, third, fourth = (np.concatenate([t[k] for t in told]).astype(float) for k in range(4))
+        ends = dict(zip(own, np.cumsum([len(i.times_s) for i in own.values()]), strict=True))
         return Batch(
             np.concatenate([times for times, _ in runs]).astype(float),
             np.cumsum([0, *(len(times) for times, _ in runs)]),
             (first, second, third, fourth),
-            np.cumsum([0, *(len(i.times_s) for _, i in runs)]),
+            np.array([(ends[id(i)] - len(i.times_s), ends[id(i)]) for _, i in runs]),
             np.array([i.held for _, i in runs]),
         )
 

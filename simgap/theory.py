@@ -142,8 +142,8 @@ class Theory:
         if cls.name in laws.LAWS:
             return [Range(owner, k, -r, r, r, r) for k, r in zip(FORM_WAYS, (fast, far, far), strict=False) if r > 0]
         found = []
-        slack = any(e.acts == "slack" for e in (*self.classes, *self.problem.plant.effects))
-        if cls.acts == "inertia" and not slack:
+        acting = {*(cls.acts for cls in self.classes), *(effect.acts for effect in self.problem.plant.effects)}
+        if cls.acts == "inertia" and "slack" not in acting:
             twist = self.problem.fit.twist_tolerance
             found.append(Range(owner, "give", 0.0, twist, 0.1 * twist, twist))
         if cls.acts == "slack":  # its flanks give way, and throw back what meets them slowly
