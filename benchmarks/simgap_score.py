@@ -79,13 +79,13 @@ def judged(label: dict[str, Any], verdict: dict[str, Any], seconds: dict[str, fl
 
 
 def closed(verdict: dict[str, Any], runs: tuple[int, ...]) -> tuple[float | None, bool]:
-    """Part of the gap beyond the floor that is closed on these runs, and whether it is wider than before."""
+    """Part of the gap beyond the floor that is closed on these runs, and whether what was written widens it."""
     wanted = {f"run_{i:02d}" for i in runs}
     here = [g for g in verdict.get("gap") or [] if g["run"] in wanted and g.get("after") is not None]
     if not here:
         return None, False
     before, after, floor = (np.sqrt(np.mean([g[k] ** 2 for g in here])) for k in ("before", "after", "floor"))
-    hurt = bool(after > before + 0.25 * floor)
+    hurt = bool(verdict.get("added")) and bool(after > before + 0.25 * floor)
     return (float((before - after) / (before - floor)) if before > 1.5 * floor else None), hurt
 
 

@@ -15,7 +15,7 @@ from simgap import alike
 from simgap.drift import Drift
 from simgap.fit import tempered, unit_of
 from simgap.judge import Fold, Judged, beats, but_worst, judged, loosened, p_value, rms
-from simgap.objections import bounded, drifting, hollow, may_be_a_shaft, may_be_nothing, stands, surpassed
+from simgap.objections import bounded, drifting, helps, hollow, may_be_a_shaft, may_be_nothing, stands, surpassed
 from simgap.search import PLAINER, Search, beside, prompt, relaxed
 from simgap.settings import ChoiceSettings
 
@@ -132,7 +132,7 @@ def last(
         names, most = {j.names for j in needed}, settings.rival * min(j.error for j in needed)
         like = [j for j in tried if len(j.names) in map(len, names - costs.keys()) and j.error < most]
         needed += [loosened(j, folds) for j in like if j.names not in names]
-        needed = [j for j in twins(needed, search, folds) if not bounded(j)]
+        needed = [j for j in twins(needed, search, folds) if not bounded(j) and helps(j, base, settings)]
     found = rivals(needed, settings) if needed else ()
     found = tuple(j for j in found if not may_be_a_shaft(j, search))
     return tuple(j for j in found if len(j.names) == 1 or not may_be_nothing(j))

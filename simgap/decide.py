@@ -14,7 +14,7 @@ from simgap.guess import neutral_value
 from simgap.intervals import NORMAL_90, with_intervals
 from simgap.judge import Judged
 from simgap.settings import ChoiceSettings
-from simgap.verdict import RunGap, Verdict
+from simgap.verdict import RunGap, Verdict, unseen
 from simgap.words import amount, capital, closed_text, effect_words, plain
 
 _ODD = 3.0
@@ -93,8 +93,10 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
         said = f"Something is missing, perhaps {words}, but these runs do not move enough of it to say how much."
         wider = "Record larger and smaller motions over the whole range, with pushes of known size."
         return Verdict("not_excited", named, (), _gaps(runs, before, before, floor), (), wider, said)
-    closed = (before.floors - best.floors) / max(before.floors - 1.0, 1e-9)
-    said = f"The simulation misses this: {words}. {closed_text(float(np.clip(closed, 0.0, 1.0)))}"
+    alone = unseen(gaps)
+    was, now = (j.fit.level if alone else j.floors for j in (before, best))
+    closed = float(np.clip((was - now) / max(was - 1.0, 1e-9), 0.0, 1.0))
+    said = f"The simulation misses this: {words}. {closed_text(closed, alone)}"
     if best.borne > _REMAINS:
         rest = _length(best.borne * floor.still, problem)
         said += f" What remains, {rest} or {best.borne:.2g} times the sensor's noise, has no name."

@@ -36,7 +36,7 @@ from simgap.show import (
 )
 from simgap.surrogate import Nuisance, Plant
 from simgap.track_geometry import lever_of, middle_of
-from simgap.verdict import Named, RunGap, Verdict
+from simgap.verdict import Named, RunGap, Verdict, unseen
 from simgap.words import plain, with_closed
 from simgap.writeback import repaired
 
@@ -173,7 +173,7 @@ class Trial:
         """What SAPIEN shows, or why it cannot; None for nothing to show."""
         draft, runs = self.draft, self.runs
         moving = any(n.effect.kind != "kinematics" for n in self.tried)
-        picked = _picked([run for run in runs.runs if run.name in draft.starts], draft.regimes) if moving else []
+        picked = _picked([run for run in runs.runs if run.name in draft.starts], draft) if moving else []
         replays = tuple(
             Replayed(run, *draft.starts[run.name], draft.floor, draft.regimes.get(run.name, ""), bool(run.held_out))
             for run in picked
@@ -242,8 +242,8 @@ def _judged(
         )
     if np.isfinite(shown.numerics) and shown.numerics > 0.25:
         notes.append(
-            f"Halving SAPIEN's time step of {1e3 * shown.timestep_s:g} ms still changes a run by {shown.numerics:.2g} "
-            "floors: gaps are no surer than that."
+            f"Halving SAPIEN's time step down to {1e3 * shown.timestep_s:g} ms still changed a run by "
+            f"{shown.numerics:.2g} floors: such a run hangs on a hair, and its gap is no surer than that."
         )
     return verdict, certain, notes
 
@@ -279,12 +279,16 @@ def _limits(asset: Asset) -> tuple[float, float]:
     return joint.lower, joint.upper
 
 
-def _picked(runs: list[Run], regimes: dict[str, str]) -> list[Run]:
-    """Runs to replay: held out ones, all when none is; the regimes in turn."""
-    pool = [run for run in runs if run.held_out] or runs
+def _picked(runs: list[Run], draft: Draft) -> list[Run]:
+    """Runs to replay: held out ones, the regimes in turn; all when none is, or when none of them shows a gap, those of
+    the widest gaps first."""
+    gaps = {gap.run: gap.before / gap.floor for gap in draft.verdict.gaps}
+    pool = [run for run in runs if run.held_out]
+    if not pool or unseen(draft.verdict.gaps):
+        pool = sorted(runs, key=lambda run: -gaps.get(run.name, 0.0)) if pool else runs
     by_regime: dict[str, list[Run]] = {}
     for run in pool:
-        by_regime.setdefault(regimes.get(run.name, ""), []).append(run)
+        by_regime.setdefault(draft.regimes.get(run.name, ""), []).append(run)
     turns = [group[k] for k in range(len(pool)) for group in by_regime.values() if k < len(group)]
     return turns[:MOST_REPLAYS]
 

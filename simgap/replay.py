@@ -1,7 +1,7 @@
 """The fresh process of `simgap.show`: `python -m simgap.replay FOLDER` reads FOLDER/job.json and job.npz.
 
-Results appear one by one, so that those in time count when the others are not: FOLDER/steps.json (time steps, and what
-their halving changes), poses.json, and run_0.npz, run_1.npz, ... with the readings of both assets.
+Results appear one by one, so that those in time count when the others are not: FOLDER/poses.json, run_0.npz, run_1.npz,
+... with the readings of both assets, and steps.json (the finest time step of either, and what its halving changed).
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from simgap.track_geometry import at_point, displacement
 
 HALVINGS = 3
 SHARE = 0.4
-"""Of the seconds that there are, for the choice of the time step."""
-ENOUGH, SMALL = 0.1, 0.05
+"""Of the seconds that there are, beyond which no time step is halved twice."""
+ENOUGH, SMALL = 0.1, 0.02
 """Floors that a halving of the time step may change a replay by, and the part of what that replay is off by anyway: a
 free swing far from the measured one may differ by more at any step, and tells the same."""
 
@@ -111,49 +111,40 @@ def _replay(folder: Path) -> None:
     off = [_pose_gaps(stages, data, i, said) for i, said in enumerate(job["poses"])]
     atomic.write_json(folder / "poses.json", {"poses": off})
     starts = [[(float(q), float(qd)) for q, qd in pair] for pair in job["starts"]]
+    end = time.monotonic() + SHARE * float(job["seconds"])
+    steps, worst = [float(job["timestep_s"])] * 2, [0.0] * 2
     if not starts:
-        h = float(job["timestep_s"])
-        atomic.write_json(folder / "steps.json", {"numerics": [0.0, 0.0], "timesteps_s": [h, h]})
-        return
-    steps, numerics = _timesteps(stages, data, job, starts)
-    atomic.write_json(folder / "steps.json", {"numerics": numerics, "timesteps_s": steps})
-    loaded = [stage.load(h) for stage, h in zip(stages, steps, strict=True)]
+        atomic.write_json(folder / "steps.json", {"numerics": worst, "timesteps_s": steps})
     for i in range(len(starts)):
-        before, after = (
-            s.replay(on, data, i, starts[i][k]) for k, (s, on) in enumerate(zip(stages, loaded, strict=True))
-        )
+        pair = []
+        for k, stage in enumerate(stages):
+            q, h, numerics = _converged(stage, data, job, i, starts[i][k], end)
+            pair.append(q)
+            steps[k], worst[k] = min(steps[k], h), max(worst[k], numerics)
+        atomic.write_json(folder / "steps.json", {"numerics": worst, "timesteps_s": steps})
         aside = folder / f"aside_{i}.npz"
-        np.savez(aside, before=before, after=after)
+        np.savez(aside, before=pair[0], after=pair[1])
         aside.replace(folder / f"run_{i}.npz")
 
 
-def _timesteps(
-    stages: list[_Stage], data: Any, job: dict[str, Any], starts: list[list[tuple[float, float]]]
-) -> tuple[list[float], list[float]]:
-    """Time step of either asset, s, and by how many floors its halving still changes a replay at most.
+def _converged(
+    stage: _Stage, data: Any, job: dict[str, Any], i: int, start: tuple[float, float], end: float
+) -> tuple[Array, float, float]:
+    """Readings of one run, the time step that they needed, s, and by how many floors its last halving changed them.
 
-    Tried on the runs of the widest and of the fastest motion, with each asset by itself: what was added may be stiffer
-    than all that was there.
+    Each run with each asset by itself: what was added may be stiffer than all that was there, and a run that just
+    passes a notch, or does not, needs far finer steps than one that only swings wider and faster.
     """
-    wide = max(range(len(starts)), key=lambda i: float(np.ptp(data[f"q_{i}"])))
-    fast = max(range(len(starts)), key=lambda i: float(np.abs(np.diff(data[f"q_{i}"])).max() / job["floors"][i]))
-    first, end = float(job["timestep_s"]), time.monotonic() + SHARE * float(job["seconds"])
-    steps, worst = [first] * len(stages), [0.0] * len(stages)
-    for k, stage in enumerate(stages):
-        for i in sorted({wide, fast}):
-            coarse = stage.replay(stage.load(steps[k]), data, i, starts[i][k])
-            while True:
-                fine = stage.replay(stage.load(steps[k] / 2), data, i, starts[i][k])
-                numerics, gap = (
-                    float(np.sqrt(np.mean((fine - other) ** 2))) / float(job["floors"][i])
-                    for other in (coarse, data[f"q_{i}"])
-                )
-                fine_enough = numerics < max(ENOUGH, SMALL * gap)
-                if fine_enough or steps[k] <= first / 2**HALVINGS or time.monotonic() > end:
-                    break
-                steps[k], coarse = steps[k] / 2, fine
-            worst[k] = max(worst[k], numerics)
-    return steps, worst
+    floor, h = float(job["floors"][i]), float(job["timestep_s"])
+    least = h / 2**HALVINGS
+    coarse = stage.replay(stage.load(h), data, i, start)
+    while True:
+        h /= 2
+        fine = stage.replay(stage.load(h), data, i, start)
+        numerics, gap = (float(np.sqrt(np.mean((fine - q) ** 2))) / floor for q in (coarse, data[f"q_{i}"]))
+        if numerics < max(ENOUGH, SMALL * gap) or h <= least or time.monotonic() > end:
+            return fine, h, numerics
+        coarse = fine
 
 
 def _pose_gaps(stages: list[_Stage], data: Any, i: int, said: dict[str, Any]) -> list[float]:

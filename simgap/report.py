@@ -348,8 +348,9 @@ def _gaps(gap: Gap) -> list[Section]:
     note = ""
     if gap.shown is not None and gap.shown.runs:
         note = (
-            f"Replayed in a fresh process in SAPIEN at {1e3 * gap.shown.timestep_s:g} ms; halving that changes the "
-            f"widest and the fastest run, before and after, by no more than {gap.shown.numerics:.2g} floors."
+            "Replayed in a fresh process in SAPIEN, each run at the time step that it needs, "
+            f"{1e3 * gap.shown.timestep_s:g} ms at the finest; the last halving changed a run, before or after, by no "
+            f"more than {gap.shown.numerics:.2g} floors."
         )
     return [table_section("Runs", rows, ("", "", "motion", "gap before", "after", "floor"), "full", note)]
 

@@ -10,7 +10,7 @@ import numpy as np
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
 from simgap.data import FitRun
-from simgap.fit import Fit, Problem, Starts, Theory, fitted, grown, joined, misfit, pieces, placed, resettled
+from simgap.fit import SURE, Fit, Problem, Starts, Theory, fitted, grown, joined, misfit, pieces, placed, resettled
 from simgap.force_guess import LocalForce, local_force, places
 from simgap.guess import Guess, guesses, off
 from simgap.settings import ChoiceSettings
@@ -46,8 +46,6 @@ _GIVES = (0.15, 0.45)
 """Parts of the most that the flanks of a slack may give way, and throw back, that freed sizes begin from."""
 _ENDING = {"peak": 0.8, "width": 1.3, "curve": -0.75}
 """Of a notch that ends, beside one that fades away: parts of size and width, and of the most by which it may end."""
-_SURE = 1e12
-"""Times how well an asset is known beforehand, for what is as good as fixed."""
 _GROWING = 4
 """Iterations of a fit to stretches."""
 
@@ -456,7 +454,7 @@ def beside(fit: Fit, free: Fit, runs: tuple[FitRun, ...]) -> Fit:
     own = [r.owner == "asset" for r in ranges]
     theta = np.array([asset[r.owner, r.name] if it else x for r, x, it in zip(ranges, fit.theta, own, strict=True)])
     about = np.array([x if it else r.neutral for r, x, it in zip(ranges, theta, own, strict=True)])
-    sure = np.diag([(_SURE if it else 1.0) / r.prior**2 for r, it in zip(ranges, own, strict=True)])
+    sure = np.diag([(SURE if it else 1.0) / r.prior**2 for r, it in zip(ranges, own, strict=True)])
     known = replace(fit, theta=about, normal=sure)
     return replace(fitted(fit.theory, runs, theta, fit.starts, known=known), normal=fit.normal)
 

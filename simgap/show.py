@@ -24,6 +24,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
+from simgap.verdict import SHOWS
 
 SECONDS = 120.0
 """What is not replayed by then is given up."""
@@ -118,9 +119,9 @@ class Shown:
 
     runs: tuple[ReplayGap, ...]
     numerics: float
-    """Floors by which the last halving of the time step changed a replay; NaN when it was never reached."""
+    """Floors by which the last halving of the time step changed a replay at most; NaN when it was never reached."""
     timestep_s: float
-    """The finer one of both assets'."""
+    """The finest one of any run."""
     helps: bool | None
     """Whether the repaired asset is nearer to what was measured, and in no regime further away; None: not one run of
     these was replayed in time."""
@@ -167,8 +168,8 @@ def show(
         measured: circumstances: gravity, actuator, what efforts are.
         replays: runs with start states.
         off: for each asset by how much it is off by its own fit.
-        timestep_s: first choice; halved for each asset by itself until that changes the widest and the fastest run by
-            less than a tenth of their floors, or by little of what they are off by.
+        timestep_s: first choice; halved for every run and each asset by itself until that changes the run by less than
+            a tenth of its floor, or by little of what it is off by.
         poses: runs of poses, whose geometry is compared too.
         seconds: when this is over, what was replayed counts and the rest is given up.
         progress: told how many runs are replayed.
@@ -221,10 +222,12 @@ def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = ()) -> bool:
     """Whether the gap, in floors, is smaller in all, and in no regime (nor off the joint) wider by a quarter floor, or
     a tenth of all of it where that is more.
 
-    Held-out runs are judged; all when there is none.
+    Held-out runs are judged; all when there is none that shows a gap.
     """
+    told = [r for r in runs if r.held_out and r.gap_before > SHOWS * r.floor]
+    judged = [r for r in runs if r.held_out] if told else runs
     groups: dict[str, list[tuple[float, float]]] = {}
-    for run in [r for r in runs if r.held_out] or runs:
+    for run in judged:
         groups.setdefault(run.regime, []).append((run.gap_before / run.floor, run.gap_after / run.floor))
     for track in [p for p in poses if p.held_out] or poses:
         groups.setdefault(" off the joint", []).append((track.before / track.floor, track.after / track.floor))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -48,6 +49,16 @@ class RunGap:
     held_out: bool
     regime: str
     """Which kind of motion the run is, such as 'small' or 'large' swings."""
+
+
+SHOWS = 1.25
+"""Floors from which on a run shows a gap of its own."""
+
+
+def unseen(gaps: Sequence[RunGap]) -> bool:
+    """Whether none of the runs that were not fitted shows a gap; what was fitted alone must tell then."""
+    held_out = [gap for gap in gaps if gap.held_out]
+    return bool(held_out) and all(gap.before <= SHOWS * gap.floor for gap in held_out)
 
 
 @dataclass(frozen=True)

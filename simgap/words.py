@@ -78,9 +78,11 @@ def span_text(quantity: str, low: float, high: float, joint_type: JointType) -> 
 _CLOSED = re.compile(r"With it -?\d+% of the gap")
 
 
-def closed_text(part: float) -> str:
-    """How much of the gap beyond the sensor's noise an answer closes; nobody closes more than all of it."""
-    return f"With it {min(part, 1.0):.0%} of the gap on runs that were not fitted is gone."
+def closed_text(part: float, fitted: bool = False) -> str:
+    """How much of the gap beyond the sensor's noise an answer closes, on runs that were not fitted or that were; nobody
+    closes more than all of it."""
+    where = "the fitted runs is gone; no other run shows any" if fitted else "runs that were not fitted is gone"
+    return f"With it {min(part, 1.0):.0%} of the gap on {where}."
 
 
 def with_closed(sentence: str, part: float) -> str:

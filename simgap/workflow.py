@@ -20,9 +20,9 @@ from simgap.choose import Choice, chosen
 from simgap.data import FitRun, fit_runs
 from simgap.decide import moves_enough, says_enough, silent_verdict, verdict_of
 from simgap.finding import KinematicsFinding
-from simgap.fit import Fit, Problem, Reader, placed
+from simgap.fit import Fit, Problem, Reader, Starts, confirmed, placed
 from simgap.floor import Floor
-from simgap.judge import Judged, folds_of, p_value
+from simgap.judge import Fold, Judged, folds_of, p_value
 from simgap.kinematics import KinematicsSettings, find_geometry_of
 from simgap.publish import Draft, off_of, publish, with_positions
 from simgap.report import Ranked
@@ -69,11 +69,12 @@ def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) 
     search = Search(problem, fitted_runs, settings.choice, candidates(problem, fitted_runs, encoder, settings.without))
     choice = chosen(search, folds, settings.choice)
     motion = verdict_of(choice, runs, floor, problem)
-    before, after = choice.base, (choice.explaining[0] if choice.explaining else choice.base)
+    before = replayed_of(choice.base.fit, folds, runs)
+    after = replayed_of(choice.explaining[0].fit, folds, runs) if choice.explaining else before
     return Draft(
         joined(motion, geometry, measured.joint_type),
-        starts_of(before.fit, after.fit, runs),
-        (off_of(plant, nuisance_of(before.fit)), off_of(plant, nuisance_of(after.fit))),
+        {run.name: (before[1][run.name], after[1][run.name]) for run in runs},
+        (off_of(plant, before[0]), off_of(plant, after[0])),
         ranking_of(choice),
         geometry,
         {run.name: run.regime for run in runs},
@@ -116,20 +117,14 @@ def curves_of(choice: Choice, runs: tuple[FitRun, ...]) -> tuple[ReplayGap, ...]
     return tuple(found)
 
 
-def nuisance_of(fit: Fit) -> Nuisance:
-    """How the asset is off in a fit."""
-    return Reader(fit.theory).nuisance(fit.theta)
-
-
-def starts_of(
-    before: Fit, after: Fit, runs: tuple[FitRun, ...]
-) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
-    """Start states of every run without and with the effects."""
-    first, second = (
-        fit.starts if all(run.name in fit.starts for run in runs) else {**placed(fit, runs).starts, **fit.starts}
-        for fit in (before, after)
-    )
-    return {run.name: (first[run.name], second[run.name]) for run in runs}
+def replayed_of(fit: Fit, folds: tuple[Fold, ...], runs: tuple[FitRun, ...]) -> tuple[Nuisance, Starts]:
+    """How the asset is off and where every run starts, for a replay with the effects of a fit just as they are."""
+    reader = Reader(fit.theory)
+    if len(folds) == 1:
+        there = confirmed(fit, folds[0].test)
+        return reader.nuisance(there.theta), {**fit.starts, **there.starts}
+    known = all(run.name in fit.starts for run in runs)
+    return reader.nuisance(fit.theta), fit.starts if known else {**placed(fit, runs).starts, **fit.starts}
 
 
 def ranking_of(choice: Choice) -> tuple[Ranked, ...]:

@@ -15,7 +15,18 @@ from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap.ceiling import ceiling
 from simgap.data import fit_runs
-from simgap.fit import Problem, Theory, fitted, foretold, pieces, placed, predicted, steady, tangent
+from simgap.fit import (
+    Problem,
+    Theory,
+    confirmed,
+    fitted,
+    foretold,
+    pieces,
+    placed,
+    predicted,
+    steady,
+    tangent,
+)
 from simgap.floor import floor_of
 from simgap.force_guess import local_force, places
 from simgap.judge import folds_of
@@ -227,6 +238,18 @@ def test_a_repair_is_fitted_beside_the_asset_that_freed_sizes_tell(tmp_path: Pat
     assert abs(plain.values["asset", "inertia"] - free.values["asset", "inertia"]) > 2e-3
     assert added.values["viscous_damping", "coefficient"] != plain.values["viscous_damping", "coefficient"]
     assert np.array_equal(added.normal, plain.normal) and plain.level < added.level < 2 * plain.level
+
+
+def test_a_replay_has_the_effect_as_it_is_and_the_asset_as_its_own_runs_tell(tmp_path: Path):
+    """Oil that thins a little with speed bends the asset's doubts; other runs put these right, never the oil's size."""
+    setup, runs = problem(tmp_path, measured_of(32, viscous=0.3, power=0.97))
+    fold = folds_of(runs)[0]
+    plain = fitted(Theory(setup, ("viscous_damping",)), fold.train)
+    there = confirmed(plain, fold.test)
+    told = ("viscous_damping", "coefficient")
+    assert there.values[told] == pytest.approx(plain.values[told], rel=1e-6)
+    assert there.level < 0.6 * placed(plain, fold.test).level
+    assert set(there.starts) == {run.name for run in fold.test}
 
 
 def test_a_start_that_presses_into_a_dead_stop_rests_there(tmp_path: Path):

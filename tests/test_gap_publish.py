@@ -25,7 +25,7 @@ from simgap.localise import residual_maps
 from simgap.placing import place
 from simgap.publish import GEOMETRY, _as_fitted, publish
 from simgap.show import Off
-from simgap.verdict import Verdict
+from simgap.verdict import RunGap, Verdict
 from simgap.workflow import certain_of, joined
 
 TILT = AxisTilt(0.02, -0.015)
@@ -129,6 +129,22 @@ def test_a_replay_that_takes_too_long_keeps_the_answer_and_says_so(tmp_path: Pat
     assert told_of[0] == (0, 2) and told_of[-1] == (2, 2)
 
 
+def test_runs_that_were_fitted_are_replayed_where_no_other_shows_the_gap(tmp_path: Path):
+    """A pendulum that hardly moves in the runs held out: of oil these tell nothing."""
+    starts = ((0.9, 0.0), (0.0, 0.0), (0.0, 0.0))
+    asset, measured = bob(tmp_path / "a"), held_out(pendulum(starts, damped), 1, 2)
+    gaps = tuple(RunGap(f"run_{i}", 1e-3 if i else 0.2, np.nan, 1e-3, i > 0, "all") for i in range(3))
+
+    def answer(effect, folder):
+        told = draft(measured, starts, effect)
+        return publish(asset, measured, replace(told, verdict=replace(told.verdict, gaps=gaps)), folder, "quiet")
+
+    verdict = answer(ViscousDamping(0.03), tmp_path / "out")
+    assert verdict.added == ("viscous_damping",)
+    assert verdict.gaps[0].before > 0.03 and verdict.gaps[0].after < 0.1 * verdict.gaps[0].before
+    assert answer(ReturnSpring(3.0, 0.0), tmp_path / "wrong").added == ()
+
+
 def test_what_sapien_cannot_step_is_not_written(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), held_out(pendulum(STARTS[:2], damped, seconds=1.0), 1)
     told = draft(measured, STARTS[:2], Detent(1e4, 0.3, 1e-5))
@@ -139,29 +155,30 @@ def test_what_sapien_cannot_step_is_not_written(tmp_path: Path):
 
 class _Stage:
     def __init__(self, stiff: float):
-        self.stiff, self.asked = stiff, []
+        self.stiff = stiff
 
     def load(self, h: float) -> float:
-        self.asked.append(h)
         return h
 
     def replay(self, h, data, i, start):
         return np.full(20, self.stiff * h**2)
 
 
-@pytest.mark.parametrize("which", [0, 1])
-def test_the_time_step_suits_either_asset(which: int):
-    stages = [_Stage(1e-3), _Stage(1e-3)]
-    stages[which] = _Stage(5e2)
-    data = {f"{name}_{i}": np.linspace(0, 1e-6 * (1 + i), 20) for i in range(2) for name in ("q", "times")}
-    job = {"timestep_s": 2e-3, "floors": [1e-3, 1e-3], "seconds": 60}
-    at_rest = [[(0, 0), (0, 0)]] * 2
-    steps, numerics = replay._timesteps(stages, data, job, at_rest)
-    assert steps[which] == 5e-4 and steps[1 - which] == 2e-3 and max(numerics) < replay.ENOUGH
-    numerics = replay._timesteps([_Stage(1e-3), _Stage(1e9)], data, job, at_rest)[1]
-    assert numerics[0] < replay.ENOUGH and numerics[1] > 1  # and does not go on for ever
-    far = {**data, "q_0": data["q_0"] + 1e3, "q_1": data["q_1"] + 1e3}  # off by so much that no step matters
-    assert replay._timesteps(stages, far, job, at_rest)[0] == [2e-3, 2e-3]
+def test_every_run_is_replayed_at_the_time_step_that_it_needs():
+    data = {"q_0": np.zeros(20), "q_1": np.full(20, 1e3)}  # the second is off by so much that no step matters
+    job = {"timestep_s": 2e-3, "floors": [1e-3, 1e-3]}
+
+    def needed(stiff: float, i: int = 0, end: float = np.inf) -> tuple[float, float]:
+        q, h, numerics = replay._converged(_Stage(stiff), data, job, i, (0.0, 0.0), end)
+        np.testing.assert_allclose(q, stiff * h**2)  # the finest that was tried
+        return h, numerics
+
+    (smooth, at_once), (stiff, later) = needed(1e-3), needed(1e2)
+    assert smooth == 1e-3 and stiff == 5e-4 and max(at_once, later) < replay.ENOUGH
+    h, numerics = needed(1e9)  # and does not go on for ever
+    assert h == 2e-3 / 2**replay.HALVINGS and numerics > 1
+    assert needed(1e6, i=1)[0] == 1e-3
+    assert needed(1e9, end=-np.inf)[0] == 1e-3
 
 
 def test_a_sets_of_coulomb_and_oil_are_two_effects():

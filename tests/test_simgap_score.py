@@ -64,7 +64,9 @@ def test_what_is_right_depends_on_what_was_hidden():
 def test_the_closed_part_is_that_beyond_the_floor():
     assert score.closed(verdict("named", "detent", after=1.0), score.SAME) == (1.0, False)
     assert score.closed(verdict("named", "detent", after=5.5), score.OTHER) == (0.5, False)
-    assert score.closed(verdict("named", "detent", after=10.3), score.SAME)[1]
+    wider = verdict("named", "detent", after=10.3)
+    assert score.closed({**wider, "added": ["detent"]}, score.SAME)[1]
+    assert not score.closed({**wider, "added": []}, score.SAME)[1]  # nothing was written, so nothing hurts
     assert score.closed({"verdict": "crashed"}, score.SAME) == (None, False)
 
 
