@@ -28,7 +28,7 @@ _PROBE = 1e-4
 """Part of a parameter's size by which it is changed to see what it does."""
 _SEEN_S = 0.3
 """Of a run that decides where its start is looked for."""
-_SPEEDS = (0.0, -0.3, 0.3, -1.0, 1.0)
+_SPEEDS = (0.0, *(s * part for part in (0.05, 0.1, 0.2, 0.3, 1.0) for s in (-1, 1)))
 """Parts of the largest speed by which a start may differ from its first guess."""
 
 SURE = 1e12

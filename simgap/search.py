@@ -210,7 +210,7 @@ class Search:
     def _best(self, name: str, points: list[dict[str, float]], cut: tuple[FitRun, ...], at: Fit) -> Fit:
         """`at`, a fit to stretches, with the effect, from the best of these points of it."""
         theory = Theory(self.problem, tuple(sorted((*at.theory.names, name))))
-        return self._tried(theory, [joined(theory, at, {name: point}) for point in points], cut, at.starts)
+        return tried_of(theory, [joined(theory, at, {name: point}) for point in points], cut, at.starts)
 
     def _places(self, name: str, beside: tuple[Effect, ...] = ()) -> list[dict[str, float]]:
         """First guesses of an effect with a place by the force that is missing there."""
@@ -218,12 +218,6 @@ class Search:
         if key not in self._forces:
             self._forces[key] = local_force(self.problem, self.train, beside)
         return places(self.problem, self._forces[key], name, _PLACES)
-
-    def _tried(
-        self, theory: Theory, points: list[Array], runs: tuple[FitRun, ...], starts: Starts, iterations: int = _GROWING
-    ) -> Fit:
-        """The best of a few iterations from each of the points."""
-        return min((fitted(theory, runs, point, starts, iterations) for point in points), key=lambda fit: fit.cost)
 
     def _longer(self, cut: tuple[FitRun, ...]) -> list[tuple[FitRun, ...]]:
         """The runs in stretches longer than these, ever longer, whole ones left out."""
@@ -238,40 +232,13 @@ class Search:
     def _stretched(self, fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
         """The fit on longer stretches."""
         longer = fitted(fit.theory, runs, fit.theta, fit.starts, _GROWING)
-        return self._caught(longer, runs)
+        return caught(longer, runs)
 
     def _whole(self, fit: Fit, parent: Fit) -> Fit:
         """The fit to stretches on whole runs, from its own starts or those of a smaller set's fit to them."""
         first = {run.name: fit.starts[f"{run.name}#0"] for run in self.train}
         ways = [fitted(fit.theory, self.train, fit.theta, at, _SCREEN) for at in (first, parent.starts)]
-        return self._finished(self._caught(min(ways, key=lambda way: way.cost), self.train))
-
-    def _caught(self, fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-        """The fit with the place of a catch and the way over which it holds tried anew: they show in when it lets go
-        and when it takes hold, and no slope tells of that."""
-        ranges, tried = fit.theory.ranges(), [(fit.rss, fit.theta)]
-        for cls in fit.theory.classes:
-            if cls.remember is Effect.remember:
-                continue
-            kind = self.problem.plant.joint_type
-            own = {i: cls.parameters()[r.name] for i, r in enumerate(ranges) if r.owner == cls.name}
-            size = min(own)
-            width = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower >= 0)
-            place = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower < 0)
-            ratio = next(i for i, spec in own.items() if spec.unit(kind) == "1")
-            for shift, stiffer, part, share in product(_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES):
-                theta = fit.theta.copy()
-                theta[place] += shift * theta[width]
-                theta[[size, width]] *= part
-                theta[size] *= stiffer
-                theta[ratio] = share
-                theta = np.clip(theta, [r.lower for r in ranges], [r.upper for r in ranges])
-                tried.append((misfit(fit.theory, runs, theta, fit.starts), theta))
-        if len(tried) == 1:
-            return fit
-        best = sorted(tried, key=lambda entry: entry[0])[:_CATCHES]
-        points = [theta for _, theta in best]
-        return min(fit, self._tried(fit.theory, points, runs, fit.starts, _SCREEN), key=lambda f: f.cost)
+        return self._finished(caught(min(ways, key=lambda way: way.cost), self.train))
 
     def _finished(self, fit: Fit) -> Fit:
         """The fit to whole runs to its end."""
@@ -337,7 +304,7 @@ class Search:
         if cut is self.train or not (sudden or parent.level > _LOST):
             # what acts smoothly is found from the smaller set's own course
             points_at = [joined(theory, parent, {guess.name: point}) for point in points]
-            return self.keep(self._finished(self._tried(theory, points_at, self.train, parent.starts, _SCREEN)))
+            return self.keep(self._finished(tried_of(theory, points_at, self.train, parent.starts, _SCREEN)))
         begin = (self._short(parent, at, False) if sudden else None) or (cut, at)
         fit = self._best(guess.name, points + self._places(guess.name, parent.effects), *begin)
         return self.keep(self._whole(self._lengthened(fit, begin[0]), parent))
@@ -394,6 +361,41 @@ class Search:
         return cut, stilled(at)
 
 
+def tried_of(
+    theory: Theory, points: list[Array], runs: tuple[FitRun, ...], starts: Starts, iterations: int = _GROWING
+) -> Fit:
+    """The best of a few iterations from each of the points."""
+    return min((fitted(theory, runs, point, starts, iterations) for point in points), key=lambda fit: fit.cost)
+
+
+def caught(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The fit with the place of a catch and the way over which it holds tried anew: they show in when it lets go
+    and when it takes hold, and no slope tells of that."""
+    ranges, tried = fit.theory.ranges(), [(fit.rss, fit.theta)]
+    for cls in fit.theory.classes:
+        if cls.remember is Effect.remember:
+            continue
+        kind = fit.theory.problem.plant.joint_type
+        own = {i: cls.parameters()[r.name] for i, r in enumerate(ranges) if r.owner == cls.name}
+        size = min(own)
+        width = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower >= 0)
+        place = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower < 0)
+        ratio = next(i for i, spec in own.items() if spec.unit(kind) == "1")
+        for shift, stiffer, part, share in product(_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES):
+            theta = fit.theta.copy()
+            theta[place] += shift * theta[width]
+            theta[[size, width]] *= part
+            theta[size] *= stiffer
+            theta[ratio] = share
+            theta = np.clip(theta, [r.lower for r in ranges], [r.upper for r in ranges])
+            tried.append((misfit(fit.theory, runs, theta, fit.starts), theta))
+    if len(tried) == 1:
+        return fit
+    best = sorted(tried, key=lambda entry: entry[0])[:_CATCHES]
+    points = [theta for _, theta in best]
+    return min(fit, tried_of(fit.theory, points, runs, fit.starts, _SCREEN), key=lambda f: f.cost)
+
+
 def _hides_damping(fit: Fit) -> bool:
     """Whether a drive comes and goes: where its inertia and its slack are off, first guesses of damping are worth
     nothing, and it looks like a delay."""
@@ -444,7 +446,7 @@ def relaxed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
         ending[own["curve"]] = _ENDING["curve"] * theory.ranges()[own["curve"]].upper
         points.append(ending)
     found = [fitted(theory, runs, point, fit.starts, _RELAXING) for point in points]
-    return min(found, key=lambda way: way.cost)
+    return caught(min(found, key=lambda way: way.cost), runs)
 
 
 def beside(fit: Fit, free: Fit, runs: tuple[FitRun, ...]) -> Fit:

@@ -20,12 +20,12 @@ from freeart21.effects.stribeck_friction import StribeckFriction
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
-from simgap import objections
-from simgap.choose import rivals
+from simgap import choose, objections
+from simgap.choose import last, rivals
 from simgap.data import FitRun, fit_runs
 from simgap.fit import Fit, Theory, fitted
 from simgap.judge import Judged, folds_of, p_value
-from simgap.search import Search, relaxed
+from simgap.search import Search, caught, relaxed
 from simgap.settings import ChoiceSettings, GapSettings
 from simgap.surrogate import plant_of
 from simgap.verdict import Verdict
@@ -283,6 +283,27 @@ def test_what_leaves_nothing_has_no_rival_that_leaves_plainly_more(tmp_path: Pat
         assert others[0] is best and len(others) == found
 
 
+def test_a_rival_must_help_the_runs_that_show_the_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Runs that were held out show none of it: there an effect that does nothing is as good as the right one."""
+    search = search_on(tmp_path, measured_of(17))
+
+    def entry(names: tuple[str, ...], learned: float) -> Judged:
+        theory = Theory(search.problem, names)
+        wide = {f"r{i}": np.full(50, learned) for i in range(3)}
+        fit = replace(search.base(), theory=theory, theta=at(theory), residuals=wide, cost=learned)
+        return Judged(fit, {"quiet": np.full(50, 0.9)})
+
+    base, right, idle = entry((), 9.0), entry(("latch",), 4.0), entry(("armature",), 6.0)
+    larger = entry(("detent", "latch"), 1.0)
+    for name in ("hollow", "bounded", "may_be_a_shaft", "may_be_nothing"):
+        monkeypatch.setattr(choose, name, lambda *given: False)
+    monkeypatch.setattr(choose, "twins", lambda standing, *given: standing)
+    monkeypatch.setattr(choose, "loosened", lambda j, folds: j)
+    monkeypatch.setattr(choose, "earned", lambda *given: right)
+    found = last([larger], [right, idle, larger], base, search, (), 1.35, ChoiceSettings())
+    assert [j.names for j in found] == [("latch",)]
+
+
 def test_flanks_that_give_way_are_found(tmp_path: Path):
     """Begun from flanks of a slack that give way not at all, a fit of motions in which they do stays there."""
     search = search_on(tmp_path, measured_of(12, servo=True))
@@ -305,8 +326,9 @@ def test_a_catch_that_was_looked_for_beside_its_place_is_found(tmp_path: Path):
     search.train = told_by(truth, search.train)
     beside = at(theory, **(real | {"hold": 0.7, "position": 0.24, "travel": 0.16, "capture": 0.3}))
     stuck = fitted(theory, search.train, beside, truth.starts)
-    found = search._finished(search._caught(stuck, search.train))
-    assert stuck.level > 3 and found.level < 1.1
+    found = search._finished(caught(stuck, search.train))
+    free = relaxed(stuck, search.train)
+    assert stuck.level > 3 and found.level < 1.1 and free.level < 1.2
     assert found.values["latch", "position"] == pytest.approx(0.2, abs=0.01)
 
 
