@@ -240,10 +240,15 @@ def _judged(
         notes.append(
             f"The asset was not given {_names(rest)}: that is not certain. Curves and gaps after show what it would do."
         )
+    if shown.unsure:
+        notes.append(
+            f"Not judged by its replay: {', '.join(shown.unsure)}. Such a run hangs on a hair, and the fineness of "
+            "SAPIEN's time steps changes its course: its gaps are the fits' own."
+        )
     if np.isfinite(shown.numerics) and shown.numerics > 0.25:
         notes.append(
             f"Halving SAPIEN's time step down to {1e3 * shown.timestep_s:g} ms still changed a run by "
-            f"{shown.numerics:.2g} floors: such a run hangs on a hair, and its gap is no surer than that."
+            f"{shown.numerics:.2g} floors: gaps are no surer than that."
         )
     return verdict, certain, notes
 

@@ -1,7 +1,7 @@
 """The fresh process of `simgap.show`: `python -m simgap.replay FOLDER` reads FOLDER/job.json and job.npz.
 
-Results appear one by one, so that those in time count when the others are not: FOLDER/poses.json, run_0.npz, run_1.npz,
-... with the readings of both assets, and steps.json (the finest time step of either, and what its halving changed).
+Results appear one by one, so that those in time count when the others are not: FOLDER/poses.json, then run_0.npz,
+run_1.npz, ... with the readings of both assets, the time step of each and what its last halving changed, in floors.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from generator import simulate
 from simgap.placing import place
 from simgap.track_geometry import at_point, displacement
 
-HALVINGS = 3
+HALVINGS = 4
 SHARE = 0.4
 """Of the seconds that there are, beyond which no time step is halved twice."""
-ENOUGH, SMALL = 0.1, 0.02
+ENOUGH, SMALL = 0.1, 0.005
 """Floors that a halving of the time step may change a replay by, and the part of what that replay is off by anyway: a
 free swing far from the measured one may differ by more at any step, and tells the same."""
 
@@ -112,18 +112,11 @@ def _replay(folder: Path) -> None:
     atomic.write_json(folder / "poses.json", {"poses": off})
     starts = [[(float(q), float(qd)) for q, qd in pair] for pair in job["starts"]]
     end = time.monotonic() + SHARE * float(job["seconds"])
-    steps, worst = [float(job["timestep_s"])] * 2, [0.0] * 2
-    if not starts:
-        atomic.write_json(folder / "steps.json", {"numerics": worst, "timesteps_s": steps})
     for i in range(len(starts)):
-        pair = []
-        for k, stage in enumerate(stages):
-            q, h, numerics = _converged(stage, data, job, i, starts[i][k], end)
-            pair.append(q)
-            steps[k], worst[k] = min(steps[k], h), max(worst[k], numerics)
-        atomic.write_json(folder / "steps.json", {"numerics": worst, "timesteps_s": steps})
+        told = [_converged(stage, data, job, i, starts[i][k], end) for k, stage in enumerate(stages)]
         aside = folder / f"aside_{i}.npz"
-        np.savez(aside, before=pair[0], after=pair[1])
+        (before, *first), (after, *second) = told
+        np.savez(aside, before=before, after=after, steps=np.array([first, second]))
         aside.replace(folder / f"run_{i}.npz")
 
 
@@ -136,8 +129,14 @@ def _converged(
     passes a notch, or does not, needs far finer steps than one that only swings wider and faster.
     """
     floor, h = float(job["floors"][i]), float(job["timestep_s"])
-    least = h / 2**HALVINGS
-    coarse = stage.replay(stage.load(h), data, i, start)
+    least, coarse = h / 2**HALVINGS, None
+    while coarse is None:
+        try:
+            coarse = stage.replay(stage.load(h), data, i, start)
+        except FreeArtError:  # too stiff for such a step
+            if h < 4 * least:
+                raise
+            h /= 2
     while True:
         h /= 2
         fine = stage.replay(stage.load(h), data, i, start)

@@ -28,6 +28,8 @@ from simgap.verdict import SHOWS
 
 SECONDS = 120.0
 """What is not replayed by then is given up."""
+SURE, SURE_PART = 1.0, 0.05
+"""Floors by which halving the finest time step may change a replay that tells something, and the part of its gap."""
 Progress = Callable[[int, int], None]
 """Called with the number of runs replayed and their total."""
 
@@ -128,6 +130,8 @@ class Shown:
     poses: tuple[PoseGap, ...] = ()
     given_up: tuple[str, ...] = ()
     """Runs that were not replayed in time."""
+    unsure: tuple[str, ...] = ()
+    """Runs whose replays hang on a hair: time steps however fine change them, so they tell nothing."""
 
     def closed(self, regimes: Iterable[str] | None = None) -> float | None:
         """Part of the gap beyond the floor that is closed in these regimes (all for None); None without any gap."""
@@ -155,7 +159,7 @@ def show(
     measured: Measured,
     replays: tuple[Replayed, ...],
     off: tuple[Off, Off] = (Off(), Off()),
-    timestep_s: float = 2e-3,
+    timestep_s: float = 4e-3,
     poses: tuple[PosesReplayed, ...] = (),
     seconds: float = SECONDS,
     progress: Progress | None = None,
@@ -296,26 +300,34 @@ def _read_answer(
 ) -> Shown:
     """What there is."""
     done = [i for i in range(len(replays)) if (folder / f"run_{i}.npz").is_file()]
-    runs = []
+    runs, steps = [], []
     for i in done:
         with np.load(folder / f"run_{i}.npz") as data:
             runs.append(_gap(replays[i], data["before"], data["after"]))
-    steps, off = folder / "steps.json", folder / "poses.json"
-    said: dict[str, Any] = {"numerics": [np.nan, np.nan], "timesteps_s": [timestep_s, timestep_s]}
-    said = checked.read_json(steps) if steps.is_file() else said
+            steps.append(data["steps"])
+    off = folder / "poses.json"
     pairs = checked.read_json(off)["poses"] if off.is_file() else []
     tracks = tuple(
         PoseGap(track.name, float(pair[0]), float(pair[1]), track.floor, track.held_out)
         for track, pair in zip(poses, pairs, strict=False)
     )
+    sure = [k for k, run in enumerate(runs) if _is_sure(run, steps[k])] or list(range(len(runs)))
+    told = tuple(runs[k] for k in sure)
     return Shown(
-        tuple(runs),
-        max(said["numerics"]),
-        float(min(said["timesteps_s"])),
-        helps(tuple(runs), tracks) if runs or tracks else None,
+        told,
+        max((float(steps[k][:, 1].max()) for k in sure), default=np.nan if replays else 0.0),
+        min((float(steps[k][:, 0].min()) for k in sure), default=timestep_s),
+        helps(told, tracks) if told or tracks else None,
         tracks,
         tuple(replay.run.name for i, replay in enumerate(replays) if i not in done),
+        tuple(run.run for k, run in enumerate(runs) if k not in sure),
     )
+
+
+def _is_sure(run: ReplayGap, steps: Array) -> bool:
+    """Whether halving the time step changes neither replay by much."""
+    gaps = (run.gap_before / run.floor, run.gap_after / run.floor)
+    return all(change < max(SURE, SURE_PART * gap) for (_, change), gap in zip(steps, gaps, strict=True))
 
 
 def _gap(replay: Replayed, before: Array, after: Array) -> ReplayGap:

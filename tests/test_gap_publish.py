@@ -16,6 +16,7 @@ from freeart21.effects.detent import Detent
 from freeart21.effects.pivot_offset import PivotOffset
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
+from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from simgap import replay
 from simgap.equation_error import missing_force
@@ -24,7 +25,7 @@ from simgap.kinematics import find_geometry_of
 from simgap.localise import residual_maps
 from simgap.placing import place
 from simgap.publish import GEOMETRY, _as_fitted, publish
-from simgap.show import Off
+from simgap.show import Off, Replayed, _read_answer
 from simgap.verdict import RunGap, Verdict
 from simgap.workflow import certain_of, joined
 
@@ -179,6 +180,39 @@ def test_every_run_is_replayed_at_the_time_step_that_it_needs():
     assert h == 2e-3 / 2**replay.HALVINGS and numerics > 1
     assert needed(1e6, i=1)[0] == 1e-3
     assert needed(1e9, end=-np.inf)[0] == 1e-3
+
+
+class _StiffStage(_Stage):
+    def load(self, h: float) -> float:
+        if h > self.stiff:
+            raise FreeArtError("shorten timestep_s")
+        return h
+
+    def replay(self, h, data, i, start):
+        return np.zeros(20)
+
+
+def test_what_is_too_stiff_for_a_step_is_stepped_finer():
+    data, job = {"q_0": np.zeros(20)}, {"timestep_s": 4e-3, "floors": [1e-3]}
+    assert replay._converged(_StiffStage(1.5e-3), data, job, 0, (0.0, 0.0), np.inf)[1] == 5e-4
+    with pytest.raises(FreeArtError, match="shorten"):
+        replay._converged(_StiffStage(1e-4), data, job, 0, (0.0, 0.0), np.inf)
+
+
+@pytest.mark.parametrize("change, told", [(0.9, ["run_0", "run_1"]), (40.0, ["run_0"]), (None, ["run_1"])])
+def test_a_run_that_hangs_on_a_hair_tells_nothing(tmp_path: Path, change: float | None, told: list[str]):
+    """Its gap is 100 floors after, and halving the time step changes that by `change`; None: the other one's, too."""
+    measured = pendulum(STARTS[:2], damped, seconds=1.0)
+    runs = tuple(Replayed(run, (0, 0), (0, 0), 1e-3, "all", True) for run in measured.runs)
+    for i, run in enumerate(measured.runs):
+        sure = np.array([[1e-3, 0.02], [1e-3, 0.05]])
+        steps = sure if i == 0 and change else np.array([[1e-3, 0.02], [2.5e-4, change or 0.03]])
+        if change is None and i == 0:
+            steps = np.array([[1e-3, 7.0], [1e-3, 0.05]])
+        np.savez(tmp_path / f"run_{i}.npz", before=run.q, after=run.q + 0.1 * i, steps=steps)
+    shown = _read_answer(tmp_path, runs, (), 4e-3)
+    assert [run.run for run in shown.runs] == told
+    assert sorted([*told, *shown.unsure]) == ["run_0", "run_1"] and shown.numerics < 1
 
 
 def test_a_sets_of_coulomb_and_oil_are_two_effects():
