@@ -116,9 +116,7 @@ class _Model:
 
     def look(self, which: NDArray[np.int64], starts: Array, theta: Array) -> list[Array]:
         """Residuals of the runs `which` (m,) from starts (m, 2)."""
-        numbers, effects = self.numbers(theta)
-        table = np.repeat(numbers[None], len(which), 0)
-        table[:, kernel.Q0], table[:, kernel.QD0] = starts[:, 0], starts[:, 1]
+        table, effects = self._table(starts, theta)
         q = self.batch.sweep(table, self.terms, which, self.steps(effects))
         q = readings_of(effects, q) if self.reader.sensing else q
         at = self._readings(which)
@@ -127,12 +125,17 @@ class _Model:
 
     def begun(self, i: int, starts: Array, theta: Array, seen: int) -> Array:
         """(m, n) residuals of the first readings, as many as are `seen`, of run i from starts (m, 2)."""
-        numbers, effects = self.numbers(theta)
-        table = np.repeat(numbers[None], len(starts), 0)
-        table[:, kernel.Q0], table[:, kernel.QD0] = starts[:, 0], starts[:, 1]
+        table, effects = self._table(starts, theta)
         run = self.runs[i].between(0, seen)
         q = sweep(table, self.terms, run.times_s, run.inputs, float(self.steps(effects)[i]))
         return np.asarray((run.q - (readings_of(effects, q) if self.reader.sensing else q)) / run.sigma)
+
+    def _table(self, starts: Array, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
+        """(m, n) vectors of numbers that differ in their starts (m, 2), and all effects."""
+        numbers, effects = self.numbers(theta)
+        table = np.repeat(numbers[None], len(starts), 0)
+        table[:, kernel.Q0], table[:, kernel.QD0] = starts[:, 0], starts[:, 1]
+        return table, effects
 
     def _readings(self, which: NDArray[np.int64]) -> NDArray[np.int64]:
         """Where the readings of these runs lie, one behind the other; the last ones are kept."""

@@ -218,7 +218,7 @@ def _judged(
     if same is not None:
         verdict = replace(verdict, sentence=with_closed(verdict.sentence, same))
     if shown.given_up:
-        done = len(shown.runs)
+        done = len(shown.runs) + len(shown.unsure)
         notes.append(
             f"SAPIEN's replay took more than {seconds:g} s and was given up: {done} of {done + len(shown.given_up)} "
             "runs are replayed. " + ("" if done else "Gaps of the motion are the fits' own, not SAPIEN's.")
