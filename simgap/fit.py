@@ -281,8 +281,10 @@ def foretold(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
 def confirmed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The same effects, just as they are, before runs that they were not fitted to: the starts are free, and so is by
     how much the asset is off, beside what the fitted runs say of that. A law that is not quite right turns small doubts
-    of the asset a little beside the mark, and quiet runs tell them better than those do in which it acts."""
+    of the asset a little beside the mark, and quiet runs tell them better than those do in which it acts: a run counts
+    by what it is missed by."""
     there = placed(fit, runs)
+    runs = tuple(replace(run, sigma=run.sigma * max(1.0, there.floors(run.name))) for run in runs)
     known = information(fit, unit_of(fit.tempered))
     own = np.array([r.owner != "asset" for r in fit.theory.ranges()])
     known[own, own] += SURE * np.maximum(np.diag(known)[own], 1.0)
