@@ -15,7 +15,7 @@ from simgap import alike
 from simgap.drift import Drift
 from simgap.fit import tempered, unit_of
 from simgap.judge import Fold, Judged, beats, but_worst, judged, loosened, p_value, rms
-from simgap.objections import bounded, drifting, helps, hollow, may_be_a_shaft, may_be_nothing, stands, surpassed
+from simgap.objections import bounded, drifting, helps, hollow, may_be_else, stands, surpassed
 from simgap.search import PLAINER, Search, beside, prompt, relaxed
 from simgap.settings import ChoiceSettings
 
@@ -59,7 +59,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     best = min(first, key=lambda j: j.error)
     p = p_value(base, first[0], search.tries)
     closed = np.sqrt(max(base.error**2 - best.error**2, 0.0))
-    bar = float(np.hypot(settings.explained, settings.explained_part * base.floors))
+    bar = float(np.hypot(settings.explained, settings.explained_part * base.borne))
     clear = max(base.borne, rms(but_worst(base.fit.residuals))) > settings.plain_gap
     gap = bool((p < settings.p_value and closed > settings.least_gap) or clear)
     if not gap:
@@ -134,8 +134,7 @@ def last(
         needed += [loosened(j, folds) for j in like if j.names not in names]
         needed = [j for j in twins(needed, search, folds) if not bounded(j) and helps(j, base, settings)]
     found = rivals(needed, settings) if needed else ()
-    found = tuple(j for j in found if not may_be_a_shaft(j, search))
-    return tuple(j for j in found if len(j.names) == 1 or not may_be_nothing(j))
+    return tuple(j for j in found if not may_be_else(j, search, folds, settings))
 
 
 def as_added(judgement: Judged, search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Judged:

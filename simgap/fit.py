@@ -31,6 +31,9 @@ _SEEN_S = 0.3
 _SPEEDS = (0.0, *(s * part for part in (0.05, 0.1, 0.2, 0.3, 1.0) for s in (-1, 1)))
 """Parts of the largest speed by which a start may differ from its first guess."""
 
+_MET = 2.0
+"""Floors of error up to which a run is met, wherever it begins."""
+
 SURE = 1e12
 """Times how well a parameter is known beforehand, for what is as good as fixed."""
 _SHORT, _LONG = 1.5, 5.0
@@ -268,14 +271,26 @@ def placed(fit: Fit, runs: tuple[FitRun, ...], starts: Starts | None = None) -> 
     return fitted(fit.theory, runs, fit.theta, starts, iterations=12, free=False)
 
 
-def foretold(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+def foretold(fit: Fit, runs: tuple[FitRun, ...], near: Starts | None = None) -> Fit:
     """The fit before runs that it was not fitted to: their starts are free, and its parameters as free as the runs that
     it was fitted to leave them, by what they leave of those. A wild run may hang on the fourth digit of a parameter of
     which three are known.
+
+    Starts are looked for `near` those given, of runs that are not met from there and where none are given, anew.
     """
-    there = placed(fit, runs)
+    starts = _placed_near(fit, runs, near) if near else placed(fit, runs).starts
     known = replace(fit, normal=information(fit, unit_of(fit.tempered)))
-    return fitted(fit.theory, runs, fit.theta, there.starts, iterations=5, known=known)
+    return fitted(fit.theory, runs, fit.theta, starts, iterations=5, known=known)
+
+
+def _placed_near(fit: Fit, runs: tuple[FitRun, ...], near: Starts) -> Starts:
+    there = placed(fit, runs, near)
+    missed = tuple(run for run in runs if there.floors(run.name) > _MET)
+    if not missed:
+        return there.starts
+    again = placed(fit, missed)
+    better = {run.name for run in missed if again.floors(run.name) < there.floors(run.name)}
+    return {name: (again if name in better else there).starts[name] for name in there.starts}
 
 
 def confirmed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
@@ -337,7 +352,7 @@ def settled(theory: Theory, theta: Array, runs: tuple[FitRun, ...]) -> Starts:
 def resettled(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The fit after a new look at the starts of runs that it misses: an impact may have led them astray."""
     usual = float(np.median([fit.floors(run.name) for run in runs]))
-    missed = tuple(run for run in runs if fit.floors(run.name) > max(2.0, 1.5 * usual))
+    missed = tuple(run for run in runs if fit.floors(run.name) > max(_MET, 1.5 * usual))
     if not missed:
         return fit
     again = placed(fit, missed)

@@ -3,7 +3,7 @@ their sizes free within the form tolerance."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from freeart21.se3 import Array
 from simgap.data import FitRun
-from simgap.fit import Fit, fitted, foretold, tempered, unit_of
+from simgap.fit import Fit, Starts, fitted, foretold, tempered, unit_of
 from simgap.search import relaxed
 from simgap.settings import ChoiceSettings
 
@@ -39,6 +39,8 @@ class Judged:
     """The same with the sizes free within the form tolerance."""
     free: Fit | None = None
     """To the runs that were fitted, with the sizes free so."""
+    starts: Starts = field(default_factory=dict)
+    """Of held-out runs, by the plain formulas."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -101,19 +103,18 @@ def _stretch(run: FitRun, begin: int, end: int) -> FitRun:
 
 def judged(fit: Fit, folds: tuple[Fold, ...]) -> Judged:
     """How the set predicts what it was not fitted to."""
-    residuals: dict[str, Array] = {}
-    for fold in folds:
-        residuals.update(foretold(_refitted(fit, fold), fold.test).residuals)
-    return Judged(fit, residuals)
+    there = [foretold(_refitted(fit, fold), fold.test) for fold in folds]
+    residuals = {run: r for fit in there for run, r in fit.residuals.items()}
+    return Judged(fit, residuals, starts={run: at for fit in there for run, at in fit.starts.items()})
 
 
-def loosened(judgement: Judged, folds: tuple[Fold, ...]) -> Judged:
-    """The same with the sizes of the effects free within the form tolerance."""
+def loosened(judgement: Judged, folds: tuple[Fold, ...], bent: bool = False) -> Judged:
+    """The same with the sizes of the effects free within the form tolerance; if `bent`, springs by far more."""
     residuals: dict[str, Array] = {}
-    free = [relaxed(_refitted(judgement.fit, fold), fold.train) for fold in folds]
+    free = [relaxed(_refitted(judgement.fit, fold), fold.train, bent) for fold in folds]
     for fold, fit in zip(folds, free, strict=True):
-        residuals.update(foretold(fit, fold.test).residuals)
-    return Judged(judgement.fit, judgement.strict, residuals, free[0])
+        residuals.update(foretold(fit, fold.test, judgement.starts).residuals)
+    return replace(judgement, loose=residuals, free=free[0])
 
 
 def _refitted(fit: Fit, fold: Fold) -> Fit:

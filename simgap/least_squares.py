@@ -24,6 +24,9 @@ start and of every parameter takes from its residuals."""
 _TRIALS = 6
 _SHORTER = np.array([0.3, 0.1, 0.03])
 """Parts of a start's move that are tried where all of it makes its run worse."""
+_ENOUGH = 0.3
+"""Part of a gain that is not worth another step, below which the first-order look must promise one for any to be
+taken."""
 _OUTLIER = 3.0
 """Times the usual error, or floors where that is less than the floor, beyond which a run counts for less."""
 
@@ -87,18 +90,21 @@ def solve(
         blocks = np.array([J @ J.T for J in table])
         rights = np.array([J @ part for J, part in zip(table, parts, strict=True)])
         normal = _information(blocks, weights, prior, p) if free else normal
-        gain, moved = 0.0, False
-        for _ in range(_TRIALS):
+        gain, moved, enough = 0.0, False, 1e-4 * total + 1e-2
+        for trials in range(_TRIALS):
             shift, moves = _step(theta, blocks, rights, weights, damping, own, prior, free)
+            if not trials and _promised(shift, moves, theta, blocks, rights, weights, prior, free) < _ENOUGH * enough:
+                break
             trial = np.clip(theta + shift, prior.low, prior.high)
             there = starts + moves
             there[:, 0] = np.clip(there[:, 0], lower, upper)
-            rows = look(np.concatenate([every, every]), np.concatenate([there, starts]), trial)
-            at_costs = np.array([row @ row for row in rows])
-            taken = at_costs[:runs] <= at_costs[runs:]
-            new_starts = np.where(taken[:, None], there, starts)
-            new_parts = [rows[i if taken[i] else runs + i] for i in every]
-            new_costs = np.where(taken, at_costs[:runs], at_costs[runs:])
+            new_starts, new_parts = there.copy(), look(every, there, trial)
+            new_costs = np.array([part @ part for part in new_parts])
+            taken = np.full(runs, True)
+            worse = np.flatnonzero(new_costs > costs)
+            for i, row in zip(worse, look(worse, starts[worse], trial) if len(worse) else (), strict=True):
+                if (cost := row @ row) < new_costs[i]:
+                    new_starts[i], new_parts[i], new_costs[i], taken[i] = starts[i], row, cost, False
             which = np.repeat(every[~taken], len(_SHORTER))
             if len(which):
                 ways = starts[which] + np.tile(_SHORTER, runs - taken.sum())[:, None] * (there - starts)[which]
@@ -113,7 +119,7 @@ def solve(
                 damping = max(damping / 10, 1e-9)
                 break
             damping *= 8
-        if not moved or gain < 1e-4 * total + 1e-2:
+        if not moved or gain < enough:
             break
     return State(theta, starts, parts, float(sizes @ charge(costs / sizes)) + prior.cost(theta), normal)
 
@@ -170,6 +176,22 @@ def _step(
         shift = _bounded(theta, prior.weight + told, g, damping * size, prior)
         of_starts = of_starts - blocks[:, :2, 2:] @ shift
     return shift, (inverses @ of_starts[..., None])[..., 0]
+
+
+def _promised(
+    shift: Array,
+    moves: Array,
+    theta: Array,
+    blocks: Array,
+    rights: Array,
+    weights: Array,
+    prior: Prior,
+    free: bool,
+) -> float:
+    """By how much the cost would fall, were all as linear as it looks."""
+    steps = np.hstack([moves, np.tile(shift, (len(moves), 1))]) if free else moves
+    falls = 2 * (steps * rights).sum(1) - np.einsum("ri,rij,rj->r", steps, blocks, steps)
+    return float(weights @ falls) + prior.cost(theta) - prior.cost(theta + shift)
 
 
 def _bounded(theta: Array, A: Array, g: Array, ridge: Array, prior: Prior) -> Array:

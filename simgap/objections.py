@@ -14,7 +14,7 @@ from simgap.ceiling import ceiling
 from simgap.drift import Drift, drift_of
 from simgap.fit import Fit, steady, tempered
 from simgap.intervals import is_force, with_intervals
-from simgap.judge import RUNS, Fold, Judged, but_worst, excess, rms
+from simgap.judge import RUNS, Fold, Judged, beats, but_worst, excess, judged, loosened, rms
 from simgap.search import Search, is_local, is_sudden, prompt, relaxed
 from simgap.settings import ChoiceSettings
 from simgap.theory import SHAFT, Reader
@@ -29,6 +29,8 @@ _CAPTURE = 0.1
 """The same of a catch's way."""
 _FLANK = 2 * np.exp(-1.0)
 """Of a notch: the steepest way out of it, times its width over its largest force."""
+_ALIKE = 1 / 3
+"""Part of a spring's largest pull, wherever the part goes, above which its least one is about alike."""
 _FEW = 2
 """Runs of which none may be missed."""
 _RISE, _SURE_RISE = 0.1, 0.5
@@ -112,6 +114,13 @@ def _is_nothing(effect: Effect) -> bool:
     return effect.acts in ("force", "drive") and not any(getattr(effect, name) for name in sizes)
 
 
+def may_be_else(judgement: Judged, search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> bool:
+    """Whether something that has no name may be all that the set stands for."""
+    if len(judgement.names) > 1 and (may_be_nothing(judgement) or may_be_one_way(judgement)):
+        return True
+    return may_be_a_shaft(judgement, search) or may_be_bent(judgement, search, folds, settings)
+
+
 def may_be_nothing(judgement: Judged) -> bool:
     """Whether a notch or a catch of the set is as good as none: it but bends what another force does, as a notch does
     whose spring pulls out of it everywhere."""
@@ -131,6 +140,26 @@ def may_be_a_shaft(judgement: Judged, search: Search) -> bool:
     driven = any(np.any(run.inputs.effort) or np.isfinite(run.inputs.command).any() for run in search.train)
     back = [e.restitution for e in fit.effects if isinstance(e, EndStopBounce)]
     return driven and bool(back) and max(back) < Reader(fit.theory).behind(fit.theta, fit.effects)
+
+
+def may_be_bent(judgement: Judged, search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> bool:
+    """Whether a lone spring that is bent by far more than springs are does about as well as a larger set of which one
+    member, too, is a force of position: such a force, which has no name, may be all that is there."""
+    if len(judgement.names) == 1 or not {"return_spring", "gravity_offset"} & set(judgement.names):
+        return False
+    if "return_spring" not in search.names:
+        return False
+    spring = loosened(judged(search.of(("return_spring",)), folds), folds, bent=True)
+    return not beats(judgement.reach, spring.reach, settings)
+
+
+def may_be_one_way(judgement: Judged) -> bool:
+    """Whether a spring beside dry friction pulls one way wherever the part goes, and about alike: friction that differs
+    by direction does so, too."""
+    problem, effects = judgement.fit.theory.problem, judgement.fit.effects
+    pulls = [[e.force(q, 0.0) for q in (problem.q_low, problem.q_high)] for e in effects if isinstance(e, ReturnSpring)]
+    dry = any(e.acts == "drive" for e in effects)
+    return dry and any(low * high > 0 and min(low / high, high / low) > _ALIKE for low, high in pulls)
 
 
 def hollow(judgement: Judged, search: Search) -> bool:

@@ -426,13 +426,14 @@ def _hopeful(fits: list[Fit]) -> list[Fit]:
     return [fit for i, fit in enumerate(order) if i < 2 or fit.cost < _HOPEFUL * order[0].cost]
 
 
-def relaxed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The same effects, their sizes free to depart from their formulas within the form tolerance.
+def relaxed(fit: Fit, runs: tuple[FitRun, ...], bent: bool = False) -> Fit:
+    """The same effects, their sizes free to depart from their formulas within the form tolerance; if `bent`, springs by
+    far more.
 
     Flanks that do not give way at all hide that they could, and a narrow notch that it could be a wide one that ends:
     such fits begin from there, too.
     """
-    theory = Theory(fit.theory.problem, fit.theory.names, relaxed=True)
+    theory = Theory(fit.theory.problem, fit.theory.names, relaxed=True, bent=bent)
     points = [joined(theory, fit, {})]
     flanks = np.array([r.owner == "backlash form" for r in theory.ranges()])
     if flanks.any():

@@ -43,6 +43,8 @@ class FitSettings:
     twist_tolerance: float = 1e-3
     """Part of the way moved through by which the shaft of a drive may twist under the forces at work: what twists more
     is an elastic drive, not an armature."""
+    bend_tolerance: float = 0.4
+    """Part of itself by which a force of position may differ from a spring's, that is no spring's."""
     give_tolerance: float = 0.01
     """Part of the way moved through by which the flanks of a slack may give way under the forces at work."""
 

@@ -89,6 +89,8 @@ class Theory:
     names: tuple[str, ...]
     relaxed: bool = False
     """Whether the sizes of the effects may depart from their formulas, within the form tolerance."""
+    bent: bool = False
+    """Whether effects that keep to their formulas may depart from them, too, and by far more than any does."""
     prompt: bool = False
     """Whether dry friction is there at once after a reversal and what is behind a slack never comes back, as in
     simulators; else friction builds up and shafts twist, as real ones do."""
@@ -137,6 +139,8 @@ class Theory:
     def _form(self, cls: type[Effect]) -> list[Range]:
         """How the effect may depart from its formula."""
         owner, (fast, far), e = f"{cls.name} form", cls.departs, self.problem.fit.rebound_tolerance
+        if cls.keeps:
+            far = self.problem.fit.bend_tolerance if self.bent else 0.0
         if cls.acts == "stop":  # a real stop throws back slow parts better than fast ones
             return [Range(owner, "speed", -e, e, e, e), Range(owner, "curve", -e, e, e, e)]
         if cls.name in laws.LAWS:

@@ -18,12 +18,13 @@ WORLD = {
     "inertia": INERTIA, "weight": MASS * G * ARM, "lean": 0.0, "viscous": 0.0, "power": 1.0, "dry": 0.0,
     "drag": 0.0, "spring": 0.0, "rest": 0.0, "cog": 0.0, "count": 0.0, "lower": -3.0, "upper": 3.0, "bounce": 0.0,
     "gain": 1.0, "delay": 0.0, "warming": 0.0, "groove": 0.0, "centre": 0.0, "width": 1.0,
+    "hardens": 0.05,
 }  # fmt: skip
 
 
 @njit
 def _course(q, v, n, command, inertia, weight, lean, viscous, power, dry, drag, spring, rest, cog, count, lower, upper,
-            bounce, gain, delay, warming, groove, centre, width):  # fmt: skip
+            bounce, gain, delay, warming, groove, centre, width, hardens):  # fmt: skip
     every = round(1 / (STEP * RATE))
     out = np.empty(n)
     for i in range(n * every):
@@ -32,7 +33,7 @@ def _course(q, v, n, command, inertia, weight, lean, viscous, power, dry, drag, 
         t = i * STEP
         q += 0.5 * STEP * v
         force = (
-            -weight * np.sin(q + lean) - spring * (q - rest) * (1 + 0.05 * (q - rest) ** 2) + cog * np.sin(count * q)
+            -weight * np.sin(q + lean) - spring * (q - rest) * (1 + hardens * (q - rest) ** 2) + cog * np.sin(count * q)
         )
         away = (q - centre) / width
         if away**2 < 3:  # a groove with an end

@@ -16,6 +16,7 @@ from freeart21.effects.actuator_delay import ActuatorDelay
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.detent import Detent
 from freeart21.effects.gravity_offset import GravityOffset
+from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.stribeck_friction import StribeckFriction
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
@@ -149,6 +150,25 @@ def test_a_late_drive_may_be_a_late_clock(tmp_path: Path):
 def test_what_is_in_no_library_has_no_name(tmp_path: Path, strange: dict[str, float]):
     found = verdict(tmp_path, measured_of(16, **strange))
     assert found.verdict == "unexplained" and not found.effects
+
+
+@pytest.mark.parametrize("hardens", [0.15, 0.3])
+def test_what_hardens_as_no_spring_does_is_none(tmp_path: Path, hardens: float):
+    found = verdict(tmp_path, measured_of(11, spring=2.0, rest=0.3, hardens=hardens))
+    assert found.verdict == "unexplained" and not found.effects
+
+
+@pytest.mark.parametrize("rest, one_way", [(-1.0, False), (0.3, False), (1.6, False), (2.9, True), (-9.0, True)])
+def test_a_spring_that_pulls_alike_everywhere_may_be_friction_that_differs_by_direction(
+    tmp_path: Path, rest: float, one_way: bool
+):
+    problem = replace(search_on(tmp_path, measured_of(11)).problem, q_low=-1.4, q_high=1.4)
+    for effects, told in (
+        ((CoulombFriction(0.1), ReturnSpring(0.1, rest)), one_way),
+        ((ReturnSpring(0.1, rest),), False),
+    ):
+        fit = SimpleNamespace(effects=effects, theory=SimpleNamespace(problem=problem))
+        assert objections.may_be_one_way(SimpleNamespace(fit=fit)) is told
 
 
 def test_an_effect_that_is_left_out_of_the_library_is_not_named(tmp_path: Path):
@@ -295,7 +315,7 @@ def test_a_rival_must_help_the_runs_that_show_the_gap(tmp_path: Path, monkeypatc
 
     base, right, idle = entry((), 9.0), entry(("latch",), 4.0), entry(("armature",), 6.0)
     larger = entry(("detent", "latch"), 1.0)
-    for name in ("hollow", "bounded", "may_be_a_shaft", "may_be_nothing"):
+    for name in ("hollow", "bounded", "may_be_else"):
         monkeypatch.setattr(choose, name, lambda *given: False)
     monkeypatch.setattr(choose, "twins", lambda standing, *given: standing)
     monkeypatch.setattr(choose, "loosened", lambda j, folds: j)

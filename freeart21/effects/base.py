@@ -101,6 +101,9 @@ class Effect(ABC):
     """By what part of itself a real one may differ from its formula: over the range of speeds, and over that of
     positions, there once as a slope and once between middle and ends. What has a speed or a place of its own, over
     those."""
+    keeps: ClassVar[bool] = False
+    """Whether it keeps to its formula so well that the sizes it departs by explain nothing: they only tell how well it
+    can be known."""
     tails: ClassVar[tuple[float, int]] = (1.5, 2)
     """Of an effect with a place: how many widths from there its ends are, and the power, 2 or 4, of the distance with
     which they differ from the middle."""
