@@ -57,12 +57,18 @@ def stands(judgement: Judged, base: Judged, bar: float, settings: ChoiceSettings
 
 def helps(judgement: Judged, base: Judged, settings: ChoiceSettings) -> bool:
     """Whether the set halves the gap, or does better, in all runs that have a plain one of their own, held out or
-    fitted, but a few: one of three or more may hang on a hair."""
+    fitted, but a few: one of three or more may hang on a hair. But hardly the widest of both kinds."""
+    fitted = base.fit.residuals.keys()
     before = {**base.fit.residuals, **base.strict}
     after = {**(judgement.free or judgement.fit).residuals, **judgement.left}
     gaps = {run: rms({run: before[run]}) for run in before if run in after}
     wide = {run: floors for run, floors in gaps.items() if floors > settings.plain_gap}
-    missed = sum(excess(rms({run: after[run]})) >= 0.5 * excess(floors) for run, floors in wide.items())
+    left = {run: excess(rms({run: after[run]})) / excess(floors) for run, floors in wide.items()}
+    missed = sum(part >= 0.5 for part in left.values())
+    kinds = (base.strict.keys(), fitted - base.strict.keys())
+    widest = [max(own & wide.keys(), key=lambda run: wide[run], default="") for own in kinds]
+    if all(left.get(run, 0.0) > settings.widest for run in widest):
+        return False
     return missed <= max(len(wide) > _FEW, int(settings.spared * len(wide)))
 
 

@@ -267,7 +267,7 @@ class Search:
         rough: dict[tuple[str, ...], tuple[float, Fit, Guess, Fit, tuple[FitRun, ...]]] = {}
         for parent in parents:
             cut, at = self._cut(parent)
-            scale = parent.cost / max(at.cost, 1e-9)  # costs of stretches and of whole runs, made alike
+            scale = parent.cost / max(at.rss, 1e-9)  # of what is left in stretches, to that of whole runs
             for guess in guesses(at, cut, self.names):
                 names = tuple(sorted((*parent.theory.names, guess.name)))
                 cost = guess.cost * scale

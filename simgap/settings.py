@@ -84,6 +84,8 @@ class ChoiceSettings:
     """Times what an explanation may leave of held-out runs that it may leave of the runs that it was fitted to."""
     spared: float = 0.24
     """Part of the runs with a plain gap of their own in which an explanation need not halve it."""
+    widest: float = 1 / 3
+    """Part of its gap that it may leave of the run with the widest one, held out or fitted; of one of them more."""
     same_size: float = 1.6
     """Times by which the sizes of a set that misses a run may change when they are free within the form tolerance."""
     well_explained: float = 0.2

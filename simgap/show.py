@@ -30,6 +30,8 @@ SECONDS = 120.0
 """What is not replayed by then is given up."""
 SURE, SURE_PART = 1.0, 0.05
 """Floors by which halving the finest time step may change a replay that tells something, and the part of its gap."""
+WIDER = 0.25
+"""Floors by which a repair may widen the gap of a regime."""
 Progress = Callable[[int, int], None]
 """Called with the number of runs replayed and their total."""
 
@@ -223,8 +225,7 @@ def _run(folder: Path, count: int, seconds: float, progress: Progress | None) ->
 
 
 def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = ()) -> bool:
-    """Whether the gap, in floors, is smaller in all, and in no regime (nor off the joint) wider by a quarter floor, or
-    a tenth of all of it where that is more.
+    """Whether the gap, in floors, is smaller in all, and in no regime (nor off the joint) wider by a quarter floor.
 
     Held-out runs are judged; all when there is none that shows a gap.
     """
@@ -237,8 +238,7 @@ def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = ()) -> bool:
         groups.setdefault(" off the joint", []).append((track.before / track.floor, track.after / track.floor))
     sizes = [np.sqrt(np.mean(np.square(group), axis=0)) for group in groups.values()]
     whole, left = np.sqrt(np.mean(np.square([pair for group in groups.values() for pair in group]), axis=0))
-    wider = max(0.25, 0.1 * whole)
-    if not np.isfinite(sizes).all() or any(after > before + wider for before, after in sizes):
+    if not np.isfinite(sizes).all() or any(after > before + WIDER for before, after in sizes):
         return False
     return bool(left < whole)
 
