@@ -232,7 +232,7 @@ def _judged(
     if bad:
         notes.append(
             f"A repair with {_names(bad)} was tried and rolled back: replayed in SAPIEN it did not help on runs that "
-            "were not fitted."
+            "were not fitted, or made some of their motion worse."
         )
         return _rolled_back(verdict, certain, bad), _without(certain, bad), notes
     rest = [n for n in tried if n not in certain]
@@ -350,7 +350,7 @@ def _rolled_back(verdict: Verdict, certain: tuple[Named, ...], bad: Sequence[Nam
     gaps = tuple(
         replace(gap, after=gap.before) if (bent if gap.regime == GEOMETRY else moved) else gap for gap in verdict.gaps
     )
-    what = "the best repair of it did not help"
+    what = "the best repair of it did not help, or made some motion worse"
     if kept:
         words = ", ".join(plain(named.effect.name) for named in kept)
         sentence = f"This is mended: {words}. What else simulation and measurement differ by is not known: {what}."
