@@ -30,7 +30,7 @@ from simgap.search import Search, candidates
 from simgap.settings import GapSettings
 from simgap.show import SECONDS, Progress, ReplayGap
 from simgap.surrogate import Nuisance, Plant, plant_of
-from simgap.verdict import Named, Verdict
+from simgap.verdict import Named, Verdict, unseen
 from simgap.words import amount, effect_words, plain
 
 DEFAULTS = GapSettings()
@@ -69,8 +69,9 @@ def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) 
     search = Search(problem, fitted_runs, settings.choice, candidates(problem, fitted_runs, encoder, settings.without))
     choice = chosen(search, folds, settings.choice)
     motion = verdict_of(choice, runs, floor, problem)
-    before = replayed_of(choice.base.fit, folds, runs)
-    after = replayed_of(choice.explaining[0].fit, folds, runs) if choice.explaining else before
+    anew = unseen(motion.gaps)
+    before = replayed_of(choice.base.fit, folds, runs, anew)
+    after = replayed_of(choice.explaining[0].fit, folds, runs, anew) if choice.explaining else before
     return Draft(
         joined(motion, geometry, measured.joint_type),
         {run.name: (before[1][run.name], after[1][run.name]) for run in runs},
@@ -117,12 +118,16 @@ def curves_of(choice: Choice, runs: tuple[FitRun, ...]) -> tuple[ReplayGap, ...]
     return tuple(found)
 
 
-def replayed_of(fit: Fit, folds: tuple[Fold, ...], runs: tuple[FitRun, ...]) -> tuple[Nuisance, Starts]:
-    """How the asset is off and where every run starts, for a replay with the effects of a fit just as they are."""
+def replayed_of(
+    fit: Fit, folds: tuple[Fold, ...], runs: tuple[FitRun, ...], anew: bool = False
+) -> tuple[Nuisance, Starts]:
+    """How the asset is off and where every run starts, for a replay with the effects of a fit just as they are; `anew`
+    if fitted runs will be replayed, too, whose starts suit the asset as those tell it that were fitted."""
     reader = Reader(fit.theory)
     if len(folds) == 1:
         there = confirmed(fit, folds[0].test)
-        return reader.nuisance(there.theta), {**fit.starts, **there.starts}
+        own = placed(there, folds[0].train, fit.starts).starts if anew else fit.starts
+        return reader.nuisance(there.theta), {**own, **there.starts}
     known = all(run.name in fit.starts for run in runs)
     return reader.nuisance(fit.theta), fit.starts if known else {**placed(fit, runs).starts, **fit.starts}
 

@@ -13,6 +13,7 @@ from freeart21.effects.latch import Latch
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
+from simgap import workflow
 from simgap.ceiling import ceiling
 from simgap.data import fit_runs
 from simgap.fit import (
@@ -21,6 +22,7 @@ from simgap.fit import (
     confirmed,
     fitted,
     foretold,
+    misfit,
     pieces,
     placed,
     predicted,
@@ -29,7 +31,7 @@ from simgap.fit import (
 )
 from simgap.floor import floor_of
 from simgap.force_guess import local_force, places
-from simgap.judge import folds_of
+from simgap.judge import Fold, folds_of
 from simgap.least_squares import Prior, charge, solve, weight
 from simgap.search import Search, beside, candidates, relaxed, stilled
 from simgap.settings import GapSettings
@@ -184,6 +186,20 @@ def test_runs_that_are_not_met_from_starts_nearby_are_looked_for_anew(tmp_path: 
     for near in (anew.starts, wrong):
         assert foretold(fit, runs[3:], near).level == pytest.approx(anew.level, rel=0.01)
     assert placed(fit, runs[3:], wrong).level > 5 * anew.level
+
+
+def test_fitted_runs_begin_where_the_replayed_asset_has_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The replayed asset is as held-out runs tell it; no effect moves with it."""
+    setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
+    fit = fitted(Theory(setup, ("viscous_damping",)), runs[:3])
+    off = np.where([r.name == "lean_1" for r in fit.theory.ranges()], 5e-3, 0.0)
+    monkeypatch.setattr(workflow, "confirmed", lambda fit, runs: replace(placed(fit, runs), theta=fit.theta + off))
+    folds = (Fold(runs[:3], runs[3:]),)
+    left = [
+        misfit(fit.theory, runs[:3], fit.theta + off, workflow.replayed_of(fit, folds, runs, anew)[1])
+        for anew in (False, True)
+    ]
+    assert left[1] < 0.95 * left[0]
 
 
 def test_where_nothing_is_to_be_gained_nothing_is_tried():
