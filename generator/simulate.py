@@ -79,6 +79,7 @@ class SimulatedAsset:
         self._substeps = 1
         self._q = self._qd = self._qdd = self._engine_q = 0.0
         self._forces: list[tuple[Any, tuple[float, ...]]] = []
+        self._dampers: list[tuple[Any, tuple[float, ...]]] = []
         self._recalls: list[tuple[int, Any, tuple[float, ...]]] = []
         self._slack: Backlash | None = None
         self._actuator: Actuator | None = None
@@ -124,6 +125,7 @@ class SimulatedAsset:
         self.effects = effects
         self._forces = [(e.law, e.values()) for e in effects if e.acts == "force"]
         forces = [e for e in effects if e.acts == "force"]
+        self._dampers = [(e.law, e.values()) for e in forces if e.knows_speed]
         recalling = [(i, e) for i, e in enumerate(forces) if type(e).remember is not Effect.remember]
         self._recalls = [(i, e.remember, e.values()) for i, e in recalling]
         self._drives = [(e.law, e.values()) for e in effects if e.acts == "drive"]
@@ -222,7 +224,7 @@ class SimulatedAsset:
             self._put(q)
             self._recall(q)
             self._set_drive(q, qd0)
-            self._set_armature(q, qd0, t, h)
+            self._set_armature(q, qd0, h)
             acting = self._acting_force(q, qd0, t) + (force(t) if force else 0.0)
             self.articulation.set_qf(np.array([acting], np.float32))
             self._system.step()
@@ -305,6 +307,15 @@ class SimulatedAsset:
             return acting + self._actuator_force(q + 0.5 * self._side * self._slack.width, qd, t)
         return acting
 
+    def _damping_slope(self, q: float, qd: float) -> float:
+        """What the forces that act change by with speed, N*m*s/rad or N*s/m."""
+        slope, dv = 0.0, 1e-3 * max(abs(qd), 1e-3)
+        for law, values in self._dampers:
+            slope += (law(q, qd + dv, 0.0, 0.0, *values) - law(q, qd - dv, 0.0, 0.0, *values)) / (2 * dv)
+        if self._actuator and self._actuator.q_command is not None and (self._slack is None or self._side):
+            slope -= self._gain * self._actuator.damping
+        return slope
+
     def _set_drive(self, q: float, qd: float) -> None:
         """The saturated damper: force -D qd cut at the limit, so stiff that it sticks (facts: exact, no chatter)."""
         if not self._drives:
@@ -317,7 +328,7 @@ class SimulatedAsset:
             )
             self._drive_limit = limit
 
-    def _set_armature(self, q: float, qd: float, t: float, h: float) -> None:
+    def _set_armature(self, q: float, qd: float, h: float) -> None:
         """Make the engine's explicit step exponential: speed v' = v + h phi1(z) F / I with z = h (dF/dv) / I.
 
         Scaling every force by phi1(z) = (exp(z) - 1) / z is the same as an inertia I / phi1(z), which the joint's
@@ -326,10 +337,9 @@ class SimulatedAsset:
         """
         inertia = self._inertia + (self._drive_inertia if self._side else 0.0)
         inverse_phi1 = 1.0
-        if self._forces or self._actuator:
-            dv = 1e-3 * max(abs(qd), 1e-3)
-            slope = (self._acting_force(q, qd + dv, t) - self._acting_force(q, qd - dv, t)) / (2 * dv)
-            z = max(-min(slope, 0.0) * h / inertia, 0.0)
+        slope = self._damping_slope(q, qd)
+        if slope < 0:
+            z = -slope * h / inertia
             inverse_phi1 = z / -np.expm1(-z) if z > 1e-9 else 1.0
         armature = inertia * inverse_phi1 - self.joint_inertia
         if abs(armature - self._armature) > 1e-9 * self.joint_inertia:

@@ -97,6 +97,8 @@ class Effect(ABC):
     """The types of joint that can have this effect."""
     needs_load: ClassVar[bool] = False
     """Whether `law` looks at the load."""
+    knows_speed: ClassVar[bool] = True
+    """Whether the force of one that acts as "force" changes with speed."""
     departs: ClassVar[tuple[float, float]] = (0.2, 0.2)
     """By what part of itself a real one may differ from its formula: over the range of speeds, and over that of
     positions, there once as a slope and once between middle and ends. What has a speed or a place of its own, over

@@ -19,6 +19,7 @@ class Detent(Effect):
 
     name: ClassVar[str] = "detent"
     acts: ClassVar[Acts] = "force"
+    knows_speed: ClassVar[bool] = False
     departs: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
     tails: ClassVar[tuple[float, int]] = (1.9, 4)  # and a groove ends somewhere, which a Gaussian does not
 

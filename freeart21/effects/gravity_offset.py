@@ -19,6 +19,7 @@ class GravityOffset(Effect):
 
     name: ClassVar[str] = "gravity_offset"
     acts: ClassVar[Acts] = "force"
+    knows_speed: ClassVar[bool] = False
     departs: ClassVar[tuple[float, float]] = (0.0, 0.1)  # base or rails bend a little
 
     cosine: float = parameter("N*m", None, -1e4, 1e4, "torque at q = 0", scale=0.1, default=0.0)

@@ -21,6 +21,7 @@ class Latch(Effect):
 
     name: ClassVar[str] = "latch"
     acts: ClassVar[Acts] = "force"
+    knows_speed: ClassVar[bool] = False
     departs: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
     tails: ClassVar[tuple[float, int]] = (1.0, 2)  # and ease before they let go
 

@@ -12,6 +12,7 @@ class ReturnSpring(Effect):
 
     name: ClassVar[str] = "return_spring"
     acts: ClassVar[Acts] = "force"
+    knows_speed: ClassVar[bool] = False
     departs: ClassVar[tuple[float, float]] = (0.0, 0.05)  # it may harden a little; it knows no speed
     keeps: ClassVar[bool] = True  # what hardens as much as it pleases is a cable, a magnet, a belt
 

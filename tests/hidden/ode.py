@@ -14,6 +14,7 @@ slack are Hunt and Crossley's (1975), power laws stand for viscous and quadratic
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -383,16 +384,25 @@ def simulate(
         clock: seconds since the session began at time 0 of this run: what is warm by then.
         step: longest step, s; 0 for one that fits the world.
     """
-    changes = np.concatenate([drive.times, drive.times + world.delay]) if world.delay else drive.times
+    breaks, sample = _breaks(times.tobytes(), drive.times.tobytes(), world.delay)
+    found = _run(
+        world, float(q0), float(v0), breaks, sample, drive.times, drive.command, drive.has_command, drive.effort,
+        drive.effort_kind, float(clock), step or longest_step(world), len(times),
+    )  # fmt: skip
+    return np.asarray(found)
+
+
+@lru_cache(64)
+def _breaks(asked: bytes, driven: bytes, delay: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Times, s, at which something changes or is asked for, and which of them are asked for; of the same runs again and
+    again."""
+    times, changes = np.frombuffer(asked), np.frombuffer(driven)
+    changes = np.concatenate([changes, changes + delay]) if delay else changes
     inside = changes[(changes > times[0]) & (changes < times[-1])]
     breaks = np.unique(np.concatenate([times, inside]))
     keep = np.concatenate([[True], np.diff(breaks) > 1e-12])
     sample = np.isin(breaks, times)
-    found = _run(
-        world, float(q0), float(v0), breaks[keep | sample], sample[keep | sample], drive.times, drive.command,
-        drive.has_command, drive.effort, drive.effort_kind, float(clock), step or longest_step(world), len(times),
-    )  # fmt: skip
-    return np.asarray(found)
+    return breaks[keep | sample], sample[keep | sample]
 
 
 def nothing(times: NDArray[np.float64]) -> Drive:

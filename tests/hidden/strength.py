@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 from hidden import effects, poses
 from hidden.body import Body
 from hidden.nuisance import GRAVITY_VECTOR, LEAD, Reading, drive_of, floor, nominal_times, true_world, with_servo
-from hidden.ode import ELASTIC, World, longest_step, simulate
+from hidden.ode import ELASTIC, Drive, World, longest_step, simulate
 from hidden.rig import RUNS, Plan
 
 if TYPE_CHECKING:
@@ -52,10 +52,15 @@ class Gap:
     case: Case
     base: World = field(init=False)
     floor: float = field(init=False)
+    _asked: NDArray[np.float64] = field(init=False)
+    _drives: list[Drive] = field(init=False)
     _beside: tuple[Hidden, ...] = ()
     _kept: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        times = nominal_times()
+        self._asked = np.concatenate([[-LEAD], times])
+        self._drives = [drive_of(plan, times, self.case.wish.rig == "effort") for plan in self.case.plans]
         self.base = with_servo(true_world(self.case.body, self.case.nuisance), self.case.servo)
         self._q, speeds = self._trace(self.base)
         self.floor = floor(self.case.nuisance, float(np.sqrt((speeds**2).mean())))
@@ -72,11 +77,8 @@ class Gap:
         return q, v
 
     def _run(self, world: World, plan: Plan, i: int, dq: float = 0.0, dv: float = 0.0) -> NDArray[np.float64]:
-        times = nominal_times()
-        drive = drive_of(plan, times, self.case.wish.rig == "effort")
-        asked = np.concatenate([[-LEAD], times])
         step = 2 * longest_step(world)
-        return simulate(world, plan.q0 + dq, plan.v0 + dv, asked, drive, clock=8.0 * i, step=step)[1:]
+        return simulate(world, plan.q0 + dq, plan.v0 + dv, self._asked, self._drives[i], clock=8.0 * i, step=step)[1:]
 
     def _ways(self) -> NDArray[np.float64]:
         """(k, 2) unit directions of gravity's (cosine, sine): along the asset's own pull, and across."""
