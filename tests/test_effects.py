@@ -212,7 +212,7 @@ def test_no_force_is_steeper_than_it_says(effect, kind):
     assert steepest >= 0.9 * effect.steepness()
 
 
-@pytest.mark.parametrize("effect, kind", [pair for pair in ON_BOTH_TYPES if pair[0].acts == "force"])
+@pytest.mark.parametrize("effect, kind", [param for param in ON_BOTH_TYPES if param.values[0].acts == "force"])
 def test_a_force_changes_with_speed_if_it_says_so(effect, kind):
     q = np.linspace(-1, 1, 101)
     slow, fast = (effect.force(q, qd, 0.0, 1.0) + 0.0 * q for qd in (0.3, 2.0))
