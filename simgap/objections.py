@@ -57,7 +57,8 @@ def stands(judgement: Judged, base: Judged, bar: float, settings: ChoiceSettings
 
 def helps(judgement: Judged, base: Judged, settings: ChoiceSettings) -> bool:
     """Whether the set halves the gap, or does better, in all runs that have a plain one of their own, held out or
-    fitted, but a few: one of three or more may hang on a hair. But hardly the widest of both kinds."""
+    fitted, but a few: one of three or more may hang on a hair. But hardly one of each kind that has
+    nearly all of the gap."""
     fitted = base.fit.residuals.keys()
     before = {**base.fit.residuals, **base.strict}
     after = {**(judgement.free or judgement.fit).residuals, **judgement.left}
@@ -66,10 +67,18 @@ def helps(judgement: Judged, base: Judged, settings: ChoiceSettings) -> bool:
     left = {run: excess(rms({run: after[run]})) / excess(floors) for run, floors in wide.items()}
     missed = sum(part >= 0.5 for part in left.values())
     kinds = (base.strict.keys(), fitted - base.strict.keys())
-    widest = [max(own & wide.keys(), key=lambda run: wide[run], default="") for own in kinds]
-    if all(left.get(run, 0.0) > settings.widest for run in widest):
+    if all(_misses_most({run: gaps[run] for run in own & gaps.keys()}, left, settings) for own in kinds):
         return False
     return missed <= max(len(wide) > _FEW, int(settings.spared * len(wide)))
+
+
+def _misses_most(gaps: dict[str, float], left: dict[str, float], settings: ChoiceSettings) -> bool:
+    """Whether much is left (parts of gaps) of a run whose gap, in floors, is many times that of all the others."""
+    if len(gaps) < _FEW:
+        return False
+    run = max(gaps, key=lambda run: gaps[run])
+    others = float(np.sqrt(np.mean([floors**2 for name, floors in gaps.items() if name != run])))
+    return gaps[run] > settings.wild * others and left.get(run, 0.0) > settings.widest
 
 
 def bounded(judgement: Judged) -> bool:

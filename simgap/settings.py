@@ -85,7 +85,10 @@ class ChoiceSettings:
     spared: float = 0.24
     """Part of the runs with a plain gap of their own in which an explanation need not halve it."""
     widest: float = 1 / 3
-    """Part of its gap that it may leave of the run with the widest one, held out or fitted; of one of them more."""
+    """Part of its gap that an explanation may leave of a run that is far wider than all others, held out or fitted; of
+    one of them more."""
+    wild: float = 5.0
+    """Times the gap of the others of its kind from which on a run is far wider."""
     same_size: float = 1.6
     """Times by which the sizes of a set that misses a run may change when they are free within the form tolerance."""
     well_explained: float = 0.2
