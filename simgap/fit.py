@@ -112,10 +112,10 @@ class _Model:
         return self._kept[1], self._kept[2]
 
     def steps(self, effects: tuple[Effect, ...]) -> Array:
-        """(r,) s; the same for all parameters but where they make the joint creep."""
+        """(r, 2) s; the same for all parameters but where they make the joint creep."""
         plant, settings = self.problem.plant, self.problem.surrogate
         held, loose = (creeping(plant, effects, self.step[it], settings) for it in (True, False))
-        return np.where(self.batch.held, held, loose)
+        return np.where(self.batch.held[:, None], held, loose)
 
     def look(self, which: NDArray[np.int64], starts: Array, theta: Array) -> list[Array]:
         """Residuals of the runs `which` (m,) from starts (m, 2)."""
@@ -130,7 +130,7 @@ class _Model:
         """(m, n) residuals of the first readings, as many as are `seen`, of run i from starts (m, 2)."""
         table, effects = self._table(starts, theta)
         run = self.runs[i].between(0, seen)
-        q = sweep(table, self.terms, run.times_s, run.inputs, float(self.steps(effects)[i]))
+        q = sweep(table, self.terms, run.times_s, run.inputs, self.steps(effects)[i])
         return np.asarray((run.q - (readings_of(effects, q) if self.reader.sensing else q)) / run.sigma)
 
     def _table(self, starts: Array, theta: Array) -> tuple[Array, tuple[Effect, ...]]:

@@ -33,6 +33,8 @@ _BENDING = 0.02
 """Part of the friction level that may still build up unseen."""
 _YIELD = 0.98
 """Of the friction level: beyond, a part at rest gives way no further before it slides."""
+_REACH = 2.0
+"""Half widths about its middle within which an effect that has a place is stepped finely."""
 _STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
 
 
@@ -204,6 +206,18 @@ def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
 
 
 @jit
+def _passes(terms, p, a, b):  # pragma: no cover
+    """Whether a way from a to b comes near the place of an effect that has one."""
+    for k in range(len(terms)):
+        if terms[k, 3]:
+            at = terms[k, 2]
+            reach = _REACH * p[at + 5]
+            if min(a, b) <= p[at + 4] + reach and max(a, b) >= p[at + 4] - reach:
+                return True
+    return False
+
+
+@jit
 def _settled(y, p, load, part, side):  # pragma: no cover
     """State and grip of a part at rest that gives way to a `load`, over the friction level, until friction bears it."""
     load = min(max(load, -_YIELD), _YIELD)
@@ -240,8 +254,9 @@ def _parting(p, meeting):  # pragma: no cover
 
 
 @jit
-def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  # pragma: no cover
-    """Positions `out` (n,) as read at `times` (n,), for one vector of numbers."""
+def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, out):  # pragma: no cover
+    """Positions `out` (n,) as read at `times` (n,), for one vector of numbers, by steps that are `coarse` but near the
+    place of an effect that has one."""
     n, inputs = len(times), len(t_in)
     dry, loaded = False, p[LOAD_ARM2] > 0
     for k in range(len(terms)):
@@ -253,9 +268,9 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
     delayed, now = p[COMMAND_DELAY], times[0] - p[READING_DELAY]
     end = times[n - 1] - p[READING_DELAY]
     late = early = 0  # the inputs that act now, through the actuator and directly
-    side, done, resting = 0, 0, 0
+    side, done, resting, passed = 0, 0, 0, -np.inf
     grip = (0.0 if y[1] == 0.0 else math.copysign(1.0, y[1]), y[0])
-    most = _SPARE_STEPS + 2 * (int((end - now) / step) + 2 * inputs)
+    most = _SPARE_STEPS + 2 * (int((end - now) / fine) + 2 * inputs)
     for _ in range(most):
         if done == n:
             return
@@ -271,6 +286,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
                 until = t_in[late + 1] + delayed
             if early + 1 < inputs:
                 until = min(until, t_in[early + 1])
+        step = fine if fine < coarse and (now < passed or _passes(terms, p, y[0], y[0])) else coarse
         h = max(min(step, until - now), 1e-9)
         # what holds the part
         q, v = y[0], y[1]
@@ -297,8 +313,13 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, step, out):  #
                 else:
                     h = min(h, 0.5 * p[TRAVEL] / abs(v))
                 h = max(h, 0.01 * step)
+        if frozen and p[SLACK_WIDTH] == 0.0:
+            h = max(min(until, end) - now, 1e-9)  # until something else acts
         # a step, cut where something happens
         after = _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+        if step > fine and _passes(terms, p, q, after[0]):
+            passed = now + h
+            continue
         found = _events(after, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
         if found in (_STOPPED, _LIMIT):  # where a smooth number passes zero: regula falsi (Illinois)
             aim = 0.0 if found == _STOPPED else (p[LOWER] if after[0] < p[LOWER] else p[UPPER])
@@ -410,7 +431,8 @@ def _made(stamp: int) -> Any:
                 command[first:last],
                 effort[first:last],
                 pushes[first:last],
-                steps[run],
+                steps[run, 0],
+                steps[run, 1],
                 out[done : done + len(own)],
             )
             done += len(own)
@@ -419,9 +441,9 @@ def _made(stamp: int) -> Any:
 
 
 sweep = _made(STAMP)
-"""sweep(numbers (m, k), terms (t, 3), which (m,), times, begins, t_in, command, effort, pushes, enters, steps, out):
+"""sweep(numbers (m, k), terms (t, 4), which (m,), times, begins, t_in, command, effort, pushes, enters, steps, out):
 m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r] to
-begins[r + 1], its inputs from enters[r, 0] to enters[r, 1]; its step is steps[r]. `terms` are law, what it does (FORCE,
-DRIVE, STOP), and where its numbers begin. Inputs last from `t_in` to the next. Into `out`, one behind the other, the
-positions of every row at the times of its run. A run that leaves all bounds reads 1e6; one with events without end
-stays where they begin."""
+begins[r + 1], its inputs from enters[r, 0] to enters[r, 1]; its steps are steps[r], coarse and fine. `terms` are law,
+what it does (FORCE, DRIVE, STOP), where its numbers begin, and whether it has a place, near which steps are fine.
+Inputs last from `t_in` to the next. Into `out`, one behind the other, the positions of every row at the times of its
+run. A run that leaves all bounds reads 1e6; one with events without end stays where they begin."""

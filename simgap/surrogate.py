@@ -27,6 +27,9 @@ from simgap import kernel, laws
 from simgap.placing import place
 from simgap.settings import SurrogateSettings
 
+Steps = tuple[float, float]
+"""Time steps, s: away from the places of effects that have one, and near them."""
+
 
 @dataclass(frozen=True)
 class Plant:
@@ -124,13 +127,14 @@ def with_stops(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
 
 
 def terms_of(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[np.int64]:
-    """(t, 3) what the kernel needs to know of those effects that have a law there."""
+    """(t, 4) what the kernel needs to know of those effects that have a law there."""
     rows, at = [], kernel.HEAD
     for effect in effects:
         if effect.name in laws.LAWS:
-            rows.append((laws.LAWS[effect.name], laws.ACTS[effect.acts], at))
+            place = is_local(effect if isinstance(effect, type) else type(effect))
+            rows.append((laws.LAWS[effect.name], laws.ACTS[effect.acts], at, place))
             at += kernel.FORM + len(effect.parameters())
-    return np.array(rows, np.int64).reshape(-1, 3)
+    return np.array(rows, np.int64).reshape(-1, 4)
 
 
 def numbers_of(
@@ -211,26 +215,33 @@ def step_of(
     effects: tuple[Effect, ...],
     settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
     held: bool = True,
-) -> float:
-    """Longest step, s, at which the fastest oscillation is stepped finely, with the position law off unless `held`, and
-    none blows up."""
+) -> Steps:
+    """Longest steps, s, at which the fastest oscillation is stepped finely, with the position law off unless `held`,
+    and none blows up: away from the places of effects that have one, and near them."""
     gain = float(np.prod([effect.gain() for effect in effects])) if held else 0.0
     inertia = plant.mechanics.inertia
     local = (settings.phase_per_step / settings.local_phase_per_step) ** 2
-    stiffness = float(np.hypot(*plant.gravity_terms[0, :2])) + sum(
-        effect.steepness() * (local if is_local(type(effect)) else 1.0) for effect in effects
-    )
     slack = next((effect for effect in effects if isinstance(effect, Backlash)), None)
     driven = min(inertia, slack.drive_inertia) if slack else inertia
-    rate = np.sqrt(stiffness / inertia + gain * plant.stiffness / driven) + 0.1 * gain * plant.damping / driven
-    fine = float(np.clip(settings.phase_per_step / max(rate, 1e-9), settings.min_step_s, settings.max_step_s))
-    return creeping(plant, effects, fine, settings)
+    weight = float(np.hypot(*plant.gravity_terms[0, :2]))
+
+    def longest(stiffness: float) -> float:
+        rate = np.sqrt(stiffness / inertia + gain * plant.stiffness / driven) + 0.1 * gain * plant.damping / driven
+        return float(np.clip(settings.phase_per_step / max(rate, 1e-9), settings.min_step_s, settings.max_step_s))
+
+    away = weight + sum(effect.steepness() for effect in effects if not is_local(type(effect)))
+    near = away + sum(effect.steepness() * local for effect in effects if is_local(type(effect)))
+    if near > away:  # what a place does next hangs on how it is met
+        away = min(4 * away, near)
+    return creeping(plant, effects, (longest(away), longest(near)), settings)
 
 
-def creeping(plant: Plant, effects: tuple[Effect, ...], step_s: float, settings: SurrogateSettings) -> float:
-    """The step, s, or a shorter one at which a joint in thick oil creeps and does not blow up."""
+def creeping(plant: Plant, effects: tuple[Effect, ...], steps_s: Steps, settings: SurrogateSettings) -> Steps:
+    """The steps, s, or shorter ones at which a joint in thick oil creeps and does not blow up."""
     damping = sum(effect.damping() for effect in effects)
-    return max(min(step_s, plant.mechanics.inertia / max(damping, 1e-12)), settings.min_step_s)
+    most = plant.mechanics.inertia / max(damping, 1e-12)
+    coarse, fine = (max(min(step, most), settings.min_step_s) for step in steps_s)
+    return coarse, fine
 
 
 def is_local(cls: type[Effect]) -> bool:
@@ -269,16 +280,16 @@ class Batch:
 
     def sweep(self, numbers: Array, terms: NDArray[np.int64], which: NDArray[np.int64], steps_s: Array) -> Array:
         """True positions, as late as they are read, of m vectors of numbers (m, k), each at the times of run `which`
-        (m,), one behind the other; `steps_s` (r,) are the runs' steps."""
+        (m,), one behind the other; `steps_s` (r, 2) are the runs' steps."""
         out = np.empty(int((self.begins[which + 1] - self.begins[which]).sum()))
         kernel.sweep(numbers, terms, which, self.times_s, self.begins, *self.series, self.enters, steps_s, out)
         return out
 
 
-def sweep(numbers: Array, terms: NDArray[np.int64], times_s: Array, inputs: Inputs, step_s: float) -> Array:
+def sweep(numbers: Array, terms: NDArray[np.int64], times_s: Array, inputs: Inputs, steps_s: Steps) -> Array:
     """(m, n) true positions, as late as they are read, at `times_s` (n,), of m vectors of numbers (m, k)."""
     which = np.zeros(len(numbers), np.int64)
-    flat = Batch.of([(times_s, inputs)]).sweep(numbers, terms, which, np.array([step_s]))
+    flat = Batch.of([(times_s, inputs)]).sweep(numbers, terms, which, np.array([steps_s]))
     return flat.reshape(len(numbers), len(times_s))
 
 

@@ -273,16 +273,30 @@ def test_a_shaft_that_twists_lags_behind_its_drive(tmp_path: Path):
     assert off(0.7) < 0.5 * off(0.0)
 
 
+def test_a_narrow_place_is_stepped_finely_only_there(tmp_path: Path):
+    """As by fine steps throughout, where coarse ones throughout are as wrong as none of it."""
+    plant = plant_of(asset_at(tmp_path, "revolute"), measured_of("revolute"))
+    effects, times = (made("detent", peak=20.0, centre=0.2, width=0.01),), np.arange(200) / 100
+    coarse, fine = step_of(plant, effects)
+    numbers = numbers_of(plant, effects)
+    for numbers[kernel.Q0], numbers[kernel.QD0] in ((-0.6, 0.0), (-0.6, 3.0)):
+        ours, throughout, coarsely = (
+            sweep(numbers[None], terms_of(effects), times, Inputs(), steps)[0]
+            for steps in ((coarse, fine), (fine, fine), (coarse, coarse))
+        )
+        assert np.abs(ours - throughout).max() < 0.03 * np.abs(coarsely - throughout).max()
+
+
 def test_runs_side_by_side_are_as_each_alone(tmp_path: Path):
     effects = (made("coulomb_friction", level=0.2), made("latch", hold=2.0, position=0.1, travel=0.1, capture=0.4))
     plant = plant_of(asset_at(tmp_path, "revolute"), measured_of("revolute", Actuator(stiffness=60.0, damping=4.0)))
     command = np.full(100, 0.3)
     driven = Inputs(np.arange(100) * 0.02, command, 0.1 * command, -command)
     runs = [(np.arange(300) / 100, Inputs()), (np.arange(50) / 25, driven), (np.arange(7) / 50, Inputs())]
-    which, steps = np.array([1, 0, 2, 1]), np.array([2e-3, 1e-3, 3e-3])
+    which, steps = np.array([1, 0, 2, 1]), np.array([(2e-3, 1e-3), (1e-3, 1e-3), (3e-3, 5e-4)])
     numbers = np.tile(numbers_of(plant, effects), (4, 1))
     numbers[:, kernel.Q0] = [0.5, -0.7, 0.2, 0.05]
-    alone = [sweep(numbers[k : k + 1], terms_of(effects), *runs[i], float(steps[i]))[0] for k, i in enumerate(which)]
+    alone = [sweep(numbers[k : k + 1], terms_of(effects), *runs[i], steps[i])[0] for k, i in enumerate(which)]
     together = Batch.of(runs).sweep(numbers, terms_of(effects), which, steps)
     assert np.array_equal(together, np.concatenate(alone))
     assert np.ptp(alone[3]) > 0.1 and abs(alone[0] - alone[3]).max() > 0.1
