@@ -1,7 +1,8 @@
 """One joint under any effects, compiled: classical Runge-Kutta steps between events, each at its own time.
 
 Events are: friction stops the joint (it then sticks, or slides back), an impact at a limit, a memory that changes, the
-two sides of a slack that meet or part, and an input that jumps. A step in which one happens is cut there by bisection.
+two sides of a slack that meet or part, and an input that jumps. A step in which one happens is cut there, by regula
+falsi or by bisection.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ _BISECTIONS = 25
 _SPARE_STEPS = 4000
 """Steps cut short by events that a simulation may have besides twice its whole ones."""
 _FALSI = 7
+_HAIR = 2.0**-25
+"""Of a step, beyond which an event that was just found has surely happened: as close as bisection comes."""
 _BENDING = 0.02
 """Part of the friction level that may still build up unseen."""
 _YIELD = 0.98
@@ -206,6 +209,14 @@ def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
 
 
 @jit
+def _apart(what, y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+    """What is left until the sides of a slack part meet (how far they are apart), or part (the force between them)."""
+    if what == _MET:
+        return 0.5 * p[SLACK_WIDTH] - abs(y[2] - y[0])
+    return side * _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
+
+
+@jit
 def _passes(terms, p, a, b):  # pragma: no cover
     """Whether a way from a to b comes near the place of an effect that has one."""
     for k in range(len(terms)):
@@ -345,6 +356,35 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
                     if abs(f_mid) < 1e-12:
                         break
                 found |= _SURE
+        elif found in (_MET, _PARTED):  # the same, and a hair beyond, where it has happened
+            low, high, root = 0.0, h, 0.0
+            f_low = _apart(found, y, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+            f_high = _apart(found, after, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+            if f_low * f_high < 0.0:
+                kept = 0
+                for _ in range(_FALSI):
+                    root = (low * f_high - high * f_low) / (f_high - f_low)
+                    there = _advanced(
+                        y, root, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded
+                    )
+                    f_root = _apart(
+                        found, there, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded
+                    )
+                    if f_root * f_high > 0.0:
+                        high, f_high = root, f_root
+                        f_low = 0.5 * f_low if kept == 1 else f_low
+                        kept = 1
+                    else:
+                        low, f_low = root, f_root
+                        f_high = 0.5 * f_high if kept == -1 else f_high
+                        kept = -1
+                    if abs(f_root) < 1e-12:
+                        break
+            root = min(root + _HAIR * h, h)
+            there = _advanced(y, root, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+            beyond = _events(there, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+            if beyond:
+                after, found, h = there, beyond | _SURE, root
         if found and not found & _SURE:
             low, high = 0.0, h
             for _ in range(_BISECTIONS):
