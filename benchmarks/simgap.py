@@ -44,7 +44,7 @@ def main(
     share: float = 1.0,
     seed: int = 20260,
     workers: int = 2,
-    baseline_cases: int = 48,
+    baseline_cases: int = 60,
     leave_out: int = 2,
     work: Path = ROOT / "out" / "simgap_bench",
     out: Path = RESULTS / "simgap.json",
