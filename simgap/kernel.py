@@ -301,7 +301,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
         h = max(min(step, until - now), 1e-9)
         # what holds the part
         q, v = y[0], y[1]
-        frozen, slide, F = False, 0, 0.0
+        frozen, still, slide, F = False, True, 0, 0.0
         if v == 0.0 and (dry or resting != 0):
             F = _acting(terms, p, memory, q, 0.0, side, push, position, asked)
             held = _level(terms, p, memory, q, 0.0, 0.0) if dry else 0.0
@@ -309,7 +309,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
                 frozen = True
                 if p[TRAVEL] > 0.0 and resting == 0 and held > 0.0:
                     y, grip = _settled(y, p, F / held, grip[0], side)
-                    q = y[0]
+                    still, q = y[0] == q, y[0]
             else:
                 slide, resting = (1 if F > 0 else -1) if dry else 0, 0
         elif dry:
@@ -324,7 +324,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
                 else:
                     h = min(h, 0.5 * p[TRAVEL] / abs(v))
                 h = max(h, 0.01 * step)
-        if frozen and p[SLACK_WIDTH] == 0.0:
+        if frozen and still and p[SLACK_WIDTH] == 0.0:
             h = max(min(until, end) - now, 1e-9)  # until something else acts
         # a step, cut where something happens
         after = _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
