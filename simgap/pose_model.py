@@ -15,13 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3
-from freeart21.effects import perpendiculars
-from freeart21.effects.axis_tilt import AxisTilt
+from freeart21.effects import EFFECTS, perpendiculars
 from freeart21.effects.base import Effect
 from freeart21.effects.eccentricity import Eccentricity
-from freeart21.effects.pivot_offset import PivotOffset
-from freeart21.effects.sag import Sag
-from freeart21.effects.screw_pitch import ScrewPitch
 from freeart21.effects.wobble import Wobble
 from freeart21.joint import Joint
 from freeart21.mechanics import JointMechanics
@@ -31,6 +27,7 @@ STATIC: dict[str, int] = {"axis_tilt": 2, "pivot_offset": 2, "screw_pitch": 1, "
 """Effects that depend on the joint's position alone, and how many coordinates each has; first one outermost."""
 _STEP = 1e-5  # of a coordinate's scale in central differences
 _SCALES = {"axis_tilt": 0.02, "pivot_offset": 0.005, "screw_pitch": 0.005, "sag": 1e-3, "eccentricity": 0.002}
+_PARTS = (1.0, 0.5, 0.25, 0.125)  # of a step that are tried
 _DONE = 1e-3  # scales by which the last round moved a coordinate
 _MOST_REGISTRATION = 3.0  # standard deviations: beyond, it is no longer the tracker
 _WIDE = 100.0  # scales: standard deviation of the prior that keeps unexcited coordinates finite
@@ -87,15 +84,19 @@ class Geometry:
 
 def effect_of(name: str, values: Array) -> Effect:
     """A static effect from its coordinates; what lies beyond a bound is put on it."""
-    if name == "axis_tilt":
-        return AxisTilt(*np.clip(values, -0.8, 0.8).tolist())
-    if name == "pivot_offset":
-        return PivotOffset(*np.clip(values, -10, 10).tolist())
-    if name == "screw_pitch":
-        return ScrewPitch(float(np.clip(values[0], -100, 100)))
-    if name == "sag":
-        return Sag(float(np.clip(values[0], 0, 1)))
-    return Eccentricity(float(min(np.hypot(*values), 1.0)), float(np.arctan2(values[1], values[0])))
+    values = np.clip(values, *_ends(name))
+    if name == "eccentricity":
+        most = _ends(name)[1][0]
+        return Eccentricity(float(min(np.hypot(*values), most)), float(np.arctan2(values[1], values[0])))
+    return EFFECTS[name](*values.tolist())
+
+
+def _ends(name: str) -> tuple[Array, Array]:
+    """(k,) lowest and highest of every coordinate of a static effect, as the library bounds its parameters."""
+    specs = list(EFFECTS[name].parameters().values())
+    if name == "eccentricity":
+        return np.full(2, -specs[0].upper), np.full(2, specs[0].upper)
+    return np.array([p.lower for p in specs]), np.array([p.upper for p in specs])
 
 
 def coordinate_scales(names: tuple[str, ...]) -> Array:
@@ -213,20 +214,35 @@ class PoseModel:
     ) -> tuple[Geometry, Array]:
         """Coordinates and registration (rocking as it is) of least weighted squares, by Gauss-Newton; positions (n,).
 
-        `frames` (n,) says which frames count; all have their position found.
+        Steps that make the squares larger are halved. `frames` (n,) says which frames count; all have their position
+        found.
         """
         q = self.positions(point, weighting)
         prior = priors(point.names, weighting)
+        k = len(point.values)
+
+        def squares(at: Geometry, q: Array) -> float:
+            left = self.residuals(at, q) @ weighting.whitening.T
+            size = np.concatenate([at.values, at.registration])
+            return float((left**2).sum(-1)[... if frames is None else frames].sum() + prior @ size**2)
+
+        least = squares(point, q)
         for _ in range(rounds):
             lin = self.linear(point, q, weighting)
             A, b = normal_equations(lin.columns, lin.data - self.rocking(lin, point), frames)
             found = solved_within(A + np.diag(prior), b, *bounds(point.names, weighting))
-            k = len(point.values)
-            moved = replace(point, values=found[:k], registration=found[k:])
-            change = np.abs((moved.values - point.values) / coordinate_scales(point.names)).max(initial=0.0)
-            point = moved
-            q = self.positions(point, weighting, q, rounds=2)
-            if change < _DONE:
+            step = found - np.concatenate([point.values, point.registration])
+            for part in _PARTS:
+                here = part * step
+                moved = replace(point, values=point.values + here[:k], registration=point.registration + here[k:])
+                q_moved = self.positions(moved, weighting, q, rounds=2)
+                now = squares(moved, q_moved)
+                if now <= least:
+                    break
+            else:
+                break
+            point, q, least = moved, q_moved, now
+            if np.abs(here[:k] / coordinate_scales(point.names)).max(initial=0.0) < _DONE:
                 break
         return point, q
 
@@ -258,8 +274,8 @@ class PoseModel:
         for name, values in point.split():
             to_outer = se3.adjoint(before)
             h = _STEP * _SCALES[name]
-            # a one-sided difference where the other side does not exist
-            base = np.maximum(values, h) if name == "sag" else values
+            low, high = _ends(name)
+            base = np.clip(values, low + h, high - h)  # a one-sided difference where the other side does not exist
             for i in range(len(values)):
                 ends = [
                     effect_of(name, base + s * h * np.eye(len(values))[i]).displacement(q, self.times_s, self.mechanics)
@@ -272,10 +288,10 @@ class PoseModel:
 
 def bounds(names: tuple[str, ...], weighting: Weighting) -> tuple[Array, Array]:
     """(k + 6,) twice: what coordinates and registration can be at all: no sag upwards, a tracker not far off."""
-    low = np.concatenate([np.full(STATIC[name], 0.0 if name == "sag" else -np.inf) for name in names] or [np.zeros(0)])
     metres, radians = weighting.registration_std
     box = _MOST_REGISTRATION * np.repeat([metres, radians], 3)
-    return np.concatenate([low, -box]), np.concatenate([np.full(len(low), np.inf), box])
+    ends = [*(_ends(name) for name in names), (-box, box)]
+    return np.concatenate([low for low, _ in ends]), np.concatenate([high for _, high in ends])
 
 
 def solved_within(A: Array, b: Array, low: Array, high: Array) -> Array:

@@ -46,11 +46,11 @@ def slid(ways):
     return T
 
 
-def asset(folder: Path, kind: str, axis: str = "0 1 0") -> Asset:
-    """A part of 1.5 kg, its middle at ARM from a hinge along y (or on a slider along y)."""
+def asset(folder: Path, kind: str, axis: str = "0 1 0", mass: float = 1.5) -> Asset:
+    """A part of `mass` kg, its middle at ARM from a hinge along y (or on a slider along y)."""
     path = folder / "part.urdf"
     path.write_text(f"""<robot name="part"><link name="base"/><link name="part"><inertial>
-        <origin xyz="{ARM[0]} {ARM[1]} {ARM[2]}"/><mass value="1.5"/>
+        <origin xyz="{ARM[0]} {ARM[1]} {ARM[2]}"/><mass value="{mass}"/>
         <inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
         <joint name="j" type="{kind}"><parent link="base"/><child link="part"/>
         <origin xyz="{PIVOT[0]} {PIVOT[1]} {PIVOT[2]}" rpy="0 0 0"/><axis xyz="{axis}"/>
@@ -100,9 +100,9 @@ def measured(
     return Measured("j", kind, np.asarray(gravity, float), 30.0, "recorded", runs=tuple(made)), true  # type: ignore[arg-type]
 
 
-def found_in(folder: Path, kind: str, motion: Shape, **more) -> KinematicsFinding:
+def found_in(folder: Path, kind: str, motion: Shape, mass: float = 1.5, **more) -> KinematicsFinding:
     data, _ = measured(kind, motion, **more)
-    found = find_geometry_of(asset(folder, kind), data)
+    found = find_geometry_of(asset(folder, kind, mass=mass), data)
     assert found is not None
     return found
 
@@ -122,11 +122,11 @@ def helix(kind):
     return lambda q, t: about(PIVOT, turn(Y, 0.3 * (q + 0.1 * q**2))) @ ideal(kind)(q, t)
 
 
-def sagging(kind, compliance=0.02):
+def sagging(kind, compliance=0.02, mass=1.5):
     def motion(q, t):
         plain = ideal(kind)(q, t)
         arm = (plain @ [*(PIVOT + ARM), 1.0])[:, :3] - PIVOT
-        moment = np.cross(arm, [0, 0, -1.5 * 9.81])
+        moment = np.cross(arm, [0, 0, -mass * 9.81])
         across = moment - np.outer(moment @ Y, Y)
         size = np.linalg.norm(across, axis=1)
         size = compliance * size * (1 + 0.05 * size)  # gives way a little more under more load
@@ -173,10 +173,12 @@ def test_every_effect_is_named(tmp_path: Path, kind: str, name: str, shape):
     assert found.p_values[0] < 0.01
 
 
-def test_a_slider_that_sags_is_named(tmp_path: Path):
-    found = found_in(tmp_path, "prismatic", sagging("prismatic"))
+@pytest.mark.parametrize("mass", [1.5, 0.015])
+def test_a_slider_that_sags_is_named_be_it_heavy_or_light(tmp_path: Path, mass: float):
+    compliance = 0.03 / mass
+    found = found_in(tmp_path, "prismatic", sagging("prismatic", compliance, mass), mass)
     assert (found.verdict, [e.name for e in found.effects]) == ("named", ["sag"]), found.ranking[:4]
-    assert found.effects[0].compliance == pytest.approx(0.02, rel=0.15)  # type: ignore[attr-defined]
+    assert found.effects[0].compliance == pytest.approx(compliance, rel=0.15)  # type: ignore[attr-defined]
 
 
 @TYPES

@@ -21,7 +21,7 @@ class Sag(Effect):
     kind: ClassVar[Kind] = "kinematics"
     acts: ClassVar[Acts] = "pose"
 
-    compliance: float = parameter("rad/(N*m)", "rad/(N*m)", 0.0, 1.0, "turn per moment", scale=1e-3)
+    compliance: float = parameter("rad/(N*m)", "rad/(N*m)", 0.0, 1000.0, "turn per moment", scale=1e-3)
 
     def displacement(self, q: ArrayLike, t: ArrayLike, mechanics: JointMechanics) -> Array:
         joint = mechanics.joint
