@@ -17,7 +17,9 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.asset import Asset
+from freeart21.effects.base import Effect
 from freeart21.effects.gravity_offset import GravityOffset
+from freeart21.effects.load_friction import LoadFriction
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import movable_joint, read_asset
@@ -53,7 +55,8 @@ class _Stage:
             own_force = float(placed.mechanics.gravity_force(0.0))
             offset = GravityOffset(constant=constant - (inertia - 1) * own_force)
         self.asset = _scaled(asset, inertia, folder)
-        self.effects = (*asset.effects.get(asset.joint, ()), *((offset,) if any(offset.values()) else ()))
+        own_effects = tuple(_under_scaled(e, inertia) for e in asset.effects.get(asset.joint, ()))
+        self.effects = (*own_effects, *((offset,) if any(offset.values()) else ()))
         self.gravity, self.job = placed.gravity, job
 
     def load(self, timestep_s: float) -> simulate.SimulatedAsset:
@@ -102,6 +105,11 @@ def _scaled(asset: Asset, factor: float, folder: Path) -> Asset:
     path = folder / f"scaled_{asset.urdf.parent.name}_{factor:.9g}.urdf"
     path.write_bytes(ET.tostring(root))
     return replace(asset, urdf=path)
+
+
+def _under_scaled(effect: Effect, factor: float) -> Effect:
+    """The effect that does under masses times `factor` what this one does under the asset's own."""
+    return replace(effect, coefficient=effect.coefficient / factor) if isinstance(effect, LoadFriction) else effect
 
 
 def _replay(folder: Path) -> None:

@@ -19,6 +19,7 @@ from freeart21.effects.backlash import Backlash
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.detent import Detent
 from freeart21.effects.encoder_offset import EncoderOffset
+from freeart21.effects.load_friction import LoadFriction
 from freeart21.effects.pivot_offset import PivotOffset
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.sag import Sag
@@ -37,7 +38,7 @@ from simgap.placing import place
 from simgap.publish import GEOMETRY, Draft, off_of, publish, with_positions
 from simgap.report import Ranked
 from simgap.show import Off, Replayed, helps, show
-from simgap.surrogate import Nuisance, plant_of
+from simgap.surrogate import Nuisance, plant_of, simulate
 from simgap.verdict import Named, RunGap, Verdict
 from simgap.workflow import check_place
 from simgap.writeback import repaired
@@ -293,6 +294,18 @@ def test_what_the_asset_is_off_by_itself_is_in_both_replays(tmp_path: Path):
     assert plain.runs[0].gap_after > 10e-3
     assert known.runs[0].gap_after < 1.5e-3
     assert known.runs[0].gap_before > 30e-3
+
+
+def test_masses_that_are_off_leave_friction_under_load_as_it_was_fitted(tmp_path: Path):
+    asset, nuisance, friction = bob(tmp_path / "a"), Nuisance(0.8), LoadFriction(0.005)
+    measured = pendulum(STARTS[:1], damped)
+    plant, run = plant_of(asset, measured), measured.runs[0]
+    q = simulate(plant, (friction,), run.times_s, *STARTS[0], nuisance=nuisance)
+    measured = replace(measured, runs=(replace(run, q=q),))
+    again, off = repaired(asset, (friction,), tmp_path / "b"), off_of(plant, nuisance)
+    shown = show(asset, again, measured, replays(measured, STARTS[:1]), (off, off))
+    assert shown.runs[0].gap_before > 50e-3
+    assert shown.runs[0].gap_after < 1e-3
 
 
 @pytest.mark.parametrize("late", [0.04, -0.04])
