@@ -29,7 +29,7 @@ from generator import simulate
 from simgap.placing import place
 from simgap.track_geometry import at_point, displacement
 
-HALVINGS = 4
+HALVINGS = 6
 SHARE = 0.4
 """Of the seconds that there are, beyond which no time step is halved twice."""
 ENOUGH, SMALL = 0.1, 0.005

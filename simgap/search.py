@@ -30,8 +30,15 @@ _SHIFTS, _STIFFER, _TRAVELS, _CAPTURES = (-0.3, 0.0, 0.3), (0.6, 1.0, 1.6), (0.6
 way which are tried, and of those where it takes hold."""
 _CATCHES = 3
 """How many of these are fitted."""
-_LOSSES = ("coulomb_friction", "load_friction", "quadratic_drag", "viscous_damping")
-"""Effects that only take energy."""
+_ALL_ALONG = (
+    "coulomb_friction",
+    "gravity_offset",
+    "load_friction",
+    "quadratic_drag",
+    "return_spring",
+    "viscous_damping",
+)
+"""Effects that take energy, and forces without a place: they act wherever the joint is."""
 _SLACKS = (0.003, 0.01, 0.03)
 """Parts of the way moved through that a slack is tried at."""
 _HOPEFUL = 6.0
@@ -142,14 +149,15 @@ class Search:
 
     def _left_out(self) -> list[str]:
         """Where no effect alone explains the runs, fits of those that first guesses tell nothing of: in stretches a
-        start of its own did what the stop before it should have done, and a joint that creeps is far from one that
-        falls. Gives the losses of them that are not even nearer than all that were guessed."""
+        start of its own did what the stop before it should have done, a joint that creeps is far from one that falls,
+        and one that friction holds tells nothing of what would have moved it. Gives those of them that act all along
+        and are not even nearer than all that were guessed."""
         if min((fit.level for fit in self.fits.values()), default=np.inf) <= self.settings.explained:
             return []
         for name in self.names:
             if EFFECTS[name].acts == "stop":
                 self.of((name,))
-        new = [name for name in _LOSSES if name in self.names and (name,) not in self.fits]
+        new = [name for name in _ALL_ALONG if name in self.names and (name,) not in self.fits]
         least = min(fit.cost for fit in self.fits.values())
         return [name for name in new if self.of((name,)).cost >= least]
 

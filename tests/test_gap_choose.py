@@ -171,6 +171,15 @@ def test_a_spring_that_pulls_alike_everywhere_may_be_friction_that_differs_by_di
         assert objections.may_be_one_way(SimpleNamespace(fit=fit)) is told
 
 
+def test_a_force_that_first_guesses_miss_is_fitted_all_the_same(tmp_path: Path):
+    """A door that friction holds for most of the time tells nothing, to first order, of what would have moved it."""
+    search = replace(search_on(tmp_path, measured_of(11, lean=0.3)), names=("detent", "gravity_offset"))
+    cut, at, found = search._guesses()
+    search._first = cut, at, [guess for guess in found if guess.name == "detent"]
+    best = search.singles()[0]
+    assert best.theory.names == ("gravity_offset",) and best.level < 1.2
+
+
 def test_an_effect_that_is_left_out_of_the_library_is_not_named(tmp_path: Path):
     asset, measured = read_asset(asset_of(tmp_path), "j"), measured_of(11, spring=2.0, rest=0.3)
     found = find_gap(asset, measured, GapSettings(without=("return_spring",)))
