@@ -30,8 +30,8 @@ SECONDS = 120.0
 """What is not replayed by then is given up."""
 SURE, SURE_PART = 1.0, 0.05
 """Floors by which halving the finest time step may change a replay that tells something, and the part of its gap."""
-WIDER = 0.25
-"""Floors by which a repair may widen the gap of a regime."""
+WIDER, RUN_WIDER = 0.25, 0.5
+"""Floors by which a repair may widen the gap of a regime, and of any one run in it."""
 Progress = Callable[[int, int], None]
 """Called with the number of runs replayed and their total."""
 
@@ -225,7 +225,8 @@ def _run(folder: Path, count: int, seconds: float, progress: Progress | None) ->
 
 
 def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = ()) -> bool:
-    """Whether the gap, in floors, is smaller in all, and in no regime (nor off the joint) wider by a quarter floor.
+    """Whether the gap, in floors, is smaller in all, in no regime (nor off the joint) wider by a quarter floor, and in
+    no run by half a floor: runs of one regime may be of different kinds all the same.
 
     Held-out runs are judged; all when there is none that shows a gap.
     """
@@ -239,6 +240,8 @@ def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = ()) -> bool:
     sizes = [np.sqrt(np.mean(np.square(group), axis=0)) for group in groups.values()]
     whole, left = np.sqrt(np.mean(np.square([pair for group in groups.values() for pair in group]), axis=0))
     if not np.isfinite(sizes).all() or any(after > before + WIDER for before, after in sizes):
+        return False
+    if any(after > before + RUN_WIDER for group in groups.values() for before, after in group):
         return False
     return bool(left < whole)
 

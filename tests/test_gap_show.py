@@ -281,6 +281,10 @@ def test_a_wrong_repair_is_no_help(tmp_path: Path):
         slow = replace(second, gap_before=quiet * second.floor, gap_after=(quiet + wider) * second.floor, regime="slow")
         quick = replace(first, gap_before=fast * first.floor, gap_after=first.floor)
         assert good.helps and helps((quick, slow)) == fine
+    for wider, fine in ((0.4, True), (0.6, False)):  # nor one run by half a floor, however well the others do
+        one = replace(second, gap_before=second.floor, gap_after=(1 + wider) * second.floor, regime="all")
+        most = replace(first, gap_before=20 * first.floor, gap_after=first.floor, regime="all")
+        assert helps((most, one)) == fine
 
 
 def test_what_the_asset_is_off_by_itself_is_in_both_replays(tmp_path: Path):
