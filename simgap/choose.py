@@ -197,11 +197,19 @@ def earned(
     """The set without the members that do not earn their places: the rest, fitted from here, predicts about as well."""
     for name in judgement.names if len(judgement.names) > 1 else ():
         smaller = loosened(judged(search.without(judgement.fit, name), folds), folds)
-        about = stands(smaller, base, max(bar, settings.rival * judgement.borne), settings)
+        most = max(bar, settings.rival * judgement.borne)
+        if _freed(smaller) <= settings.rival * _freed(judgement):  # the member does but what the form of the rest does
+            most = max(most, settings.rival * bar)
+        about = stands(smaller, base, most, settings)
         well = smaller.reach <= settings.explained
         if about and (well or not beats(judgement.error, smaller.reach, settings)):
             return earned(smaller, base, search, folds, bar, settings)
     return judgement
+
+
+def _freed(judgement: Judged) -> float:
+    """Floors that are left of the runs that it was fitted to, its sizes free if they were freed."""
+    return (judgement.free or judgement.fit).level
 
 
 def _is_within(smaller: Judged, larger: Judged, settings: ChoiceSettings) -> bool:

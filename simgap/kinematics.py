@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.measured import Measured
@@ -41,6 +42,8 @@ from simgap.track_geometry import track_geometry
 _NOISELESS = np.repeat([1e-12, 1e-12], 3)  # m^2 and rad^2: least noise of any pose
 _STRAYS = 5.0
 """Floors off its joint at which a part that stands still along it has moved otherwise."""
+_ASTRAY = 1.0
+"""rad across the joint's axis by which no joint turns its part, crooked as it may be."""
 _ONE_ERROR = 0.16  # chance of more than one standard error upwards
 
 
@@ -69,7 +72,8 @@ def find_geometry(
         held_out: for each run whether it may only be used to measure the gap; None holds out none, and cross-validation
             alone decides.
 
-    Raises FreeArtError when there is no run to fit, or a run has fewer than 10 poses.
+    Raises FreeArtError when there is no run to fit, a run has fewer than 10 poses, or turns the part as no such joint
+    does.
     """
     settings = settings or KinematicsSettings()
     flags = [False] * len(tracks) if held_out is None else list(held_out)
@@ -80,6 +84,12 @@ def find_geometry(
     for t in tracks:
         if len(t.times_s) < 10:
             raise FreeArtError(f"run '{t.name}' has {len(t.times_s)} poses, expected 10 or more")
+        turned = float(np.quantile(_swing(t.motions, mechanics.joint.axis), 0.9))
+        if turned > _ASTRAY:
+            raise FreeArtError(
+                f"run '{t.name}' turns the part by {turned:.3g} rad across the axis of joint '{mechanics.joint.name}', "
+                f"expected less than {_ASTRAY:g}: is this the joint that was moved, are asset and poses in one frame?"
+            )
     problem = _problem(train, mechanics, settings)
     q = problem.model.q0
     least = settings.least_span[0 if mechanics.joint.type == "revolute" else 1]
@@ -110,6 +120,12 @@ def find_geometry(
     if point.rock is not None:  # what rocked was taken for noise so far
         weighting = _weighting_over(problem.model, point, weighting)
     return _finding(tracks, flags, mechanics, weighting, problem, losses, chosen, p_values, point, settings)
+
+
+def _swing(motions: Array, axis: Array) -> Array:
+    """(n,) rad of the motions (n, 4, 4) when their turn about the axis (3,) is left out."""
+    q = se3.wxyz(motions)
+    return 2 * np.arccos(np.clip(np.hypot(q[:, 0], q[:, 1:] @ axis), 0.0, 1.0))
 
 
 def _class_types(name: str) -> tuple[str, ...]:

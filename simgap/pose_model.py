@@ -182,12 +182,15 @@ class PoseModel:
         return se3.log_se3(se3.inverse(self.poses(point, q)) @ self.motions)
 
     def positions(self, point: Geometry, weighting: Weighting, q: Array | None = None, rounds: int = 3) -> Array:
-        """(n,) the position in every frame that leaves the least residual."""
+        """(n,) the position in every frame that leaves the least residual; a step that leaves more is not gone."""
         q = self.q0 if q is None else q
         along = self._tangents(point, q) @ weighting.whitening.T
+        y = self.residuals(point, q) @ weighting.whitening.T
         for _ in range(rounds):
-            y = self.residuals(point, q) @ weighting.whitening.T
-            q = q + (along * y).sum(-1) / (along * along).sum(-1)
+            moved = q + (along * y).sum(-1) / (along * along).sum(-1)
+            left = self.residuals(point, moved) @ weighting.whitening.T
+            less = (left**2).sum(-1) < (y**2).sum(-1)
+            q, y = np.where(less, moved, q), np.where(less[:, None], left, y)
         return q
 
     def linear(self, point: Geometry, q: Array, weighting: Weighting) -> Linear:

@@ -22,7 +22,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap import choose, objections
-from simgap.choose import last, rivals
+from simgap.choose import earned, last, rivals
 from simgap.data import FitRun, fit_runs
 from simgap.fit import Fit, Theory, fitted
 from simgap.judge import Judged, folds_of, p_value
@@ -347,6 +347,30 @@ def test_a_rival_must_help_the_runs_that_show_the_gap(tmp_path: Path, monkeypatc
     monkeypatch.setattr(choose, "earned", lambda *given: right)
     found = last([larger], [right, idle, larger], base, search, (), 1.35, ChoiceSettings())
     assert [j.names for j in found] == [("latch",)]
+
+
+@pytest.mark.parametrize("free, kept", [(1.4, ("latch",)), (1.0, ("latch", "return_spring"))])
+def test_a_member_that_does_but_what_the_form_of_the_rest_does_is_dropped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: float, kept: tuple[str, ...]
+):
+    """The catch alone leaves a hair too much; with its form free as little as both together, or plainly more."""
+    search = search_on(tmp_path, measured_of(17))
+
+    def entry(names: tuple[str, ...], left: float, formed: float) -> Judged:
+        theory = Theory(search.problem, names)
+        fit = replace(search.base(), theory=theory, theta=at(theory))
+        residuals = {f"r{i}": np.full(50, formed) for i in range(4)}
+        freed = replace(fit, residuals=residuals)
+        return Judged(fit, {f"h{i}": np.full(50, left) for i in range(4)}, free=freed)
+
+    base, both, catch = entry((), 9.0, 9.0), entry(("latch", "return_spring"), 1.3, free), entry(("latch",), 1.5, 1.45)
+    spring = entry(("return_spring",), 8.0, 8.0)
+    alone = {"latch": catch, "return_spring": spring}
+    monkeypatch.setattr(search, "without", lambda fit, name: next(n for n in fit.theory.names if n != name))
+    monkeypatch.setattr(choose, "judged", lambda name, folds: alone[name])
+    monkeypatch.setattr(choose, "loosened", lambda j, folds: j)
+    monkeypatch.setattr(objections, "bounded", lambda j: False)
+    assert earned(both, base, search, (), 1.4, ChoiceSettings()).names == kept
 
 
 def test_flanks_that_give_way_are_found(tmp_path: Path):

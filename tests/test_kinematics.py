@@ -9,12 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured, Run
 from simgap.finding import KinematicsFinding
 from simgap.kinematics import find_geometry_of
+from simgap.placing import place
+from simgap.pose_model import Geometry, PoseModel, Track, Weighting
 
 PIVOT = np.array([0.1, -0.2, 0.3])
 ARM = np.array([0.25, 0.0, -0.1])  # from the pivot to the middle of the part at q = 0
@@ -286,6 +289,31 @@ def test_the_other_side_may_be_the_moving_one(tmp_path: Path):
     assert found is not None
     assert [e.name for e in found.effects] == ["pivot_offset"]
     assert np.abs(found.tracks[0].q - true[0]).max() < 0.02
+
+
+def test_a_part_that_tumbles_costs_one_line(tmp_path: Path):
+    """A part that turns as no joint of the kind lets it: the wrong joint, or frames that do not agree."""
+
+    def tumbles(q, t):
+        T = ideal("prismatic")(q, t)
+        T[:, :3, :3] = turn(X, 8.0 * q)
+        return T
+
+    data, _ = measured("prismatic", tumbles)
+    said = r"run 'r0' turns the part by \S+ rad across the axis of joint 'j\w*', expected less than 1"
+    with pytest.raises(FreeArtError, match=said):
+        find_geometry_of(asset(tmp_path, "prismatic"), data)
+
+
+def test_a_position_is_not_moved_to_where_more_is_left(tmp_path: Path):
+    """Far from the model a step along the joint may lead anywhere."""
+    rng = np.random.default_rng(4)
+    motions = se3.exp_se3(np.concatenate([rng.normal(size=(200, 3)), 2.5 * rng.normal(size=(200, 3))], -1))
+    placed = place(asset(tmp_path, "prismatic"), (0.0, 0.0, -9.81))
+    model = PoseModel((Track("far", np.arange(200) / 50, motions),), placed.mechanics)
+    point, weighting = Geometry.zero(()), Weighting(np.eye(6))
+    before, after = ((model.residuals(point, q) ** 2).sum(-1) for q in (model.q0, model.positions(point, weighting)))
+    assert (after <= before).all() and (after < before).any()
 
 
 def test_too_few_poses_cost_one_line(tmp_path: Path):

@@ -95,8 +95,8 @@ def seen_motion(name: str | None, seed: int, size: float, body: Body, q: Array, 
         return _about(_turn(angle[:, None] * across), body.origin) @ ideal
     if name == "sag":  # softer one way than the other
         moment = _bending(body, ideal)
-        middle = motion(body, np.array([0.5 * (max(body.lower, -1.0) + min(body.upper, 1.0))]))
-        usual = max(float(np.linalg.norm(_bending(body, middle))), 1e-9)  # of the body, the same in every run
+        about = motion(body, np.linspace(max(body.lower, -1.0), min(body.upper, 1.0), 3))
+        usual = float(np.linalg.norm(_bending(body, about), axis=1).max())  # of the body, the same in every run
         soft = moment + 0.1 * (moment @ across)[:, None] * across
         return _about(_turn(size / usual * soft), body.origin) @ ideal
     if name == "eccentricity":
