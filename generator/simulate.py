@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from freeart21 import se3
 from freeart21.asset import Asset
+from freeart21.effects.armature import Armature, thrown
 from freeart21.effects.backlash import Backlash
 from freeart21.effects.base import Effect, readings
 from freeart21.errors import FreeArtError
@@ -130,7 +131,9 @@ class SimulatedAsset:
         self._recalls = [(i, e.remember, e.values()) for i, e in recalling]
         self._drives = [(e.law, e.values()) for e in effects if e.acts == "drive"]
         self._needs_load = any(e.needs_load for e in effects)
-        self._stops = [e for e in effects if e.acts in ("stop", "inertia")]
+        self._stops = [e for e in effects if e.acts == "stop"]
+        shafts = [e for e in effects if isinstance(e, Armature)]
+        self._shaft = max(shafts, key=lambda e: e.throw_back * e.value, default=None)
         self._poses = [e for e in effects if e.acts == "pose"]
         self._gain = float(np.prod([e.gain() for e in effects]))
         self._delay = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
@@ -156,6 +159,8 @@ class SimulatedAsset:
         self._memories = [0.0] * len(self._forces)
         self._recall(self._q)
         self._side, self._drive_q, self._drive_qd = 0, self._q, self._qd
+        self._leaving: tuple[float, float, float] | None = None
+        """Time, s, at which a drive takes the part away from a limit, and the speed and acceleration with which."""
 
     def set_state(self, q: float, qd: float = 0.0) -> None:
         """Put the joint at position `q`, rad or m, and velocity `qd`. `q` may lie beyond the limits.
@@ -218,6 +223,9 @@ class SimulatedAsset:
             )
         h = self._system.timestep = self.timestep_s / self._substeps
         for _ in range(self._substeps):
+            if self._leaving:
+                self._leave(self._leaving, h)
+                continue
             q0, qd0 = self._q, self._qd
             low, high = min(self.lower, q0), max(self.upper, q0)
             q, t = min(max(q0 + 0.5 * h * qd0, low), high), self.time_s + 0.5 * h
@@ -231,32 +239,68 @@ class SimulatedAsset:
             qd = float(self.articulation.qvel[0])
             self._engine_q = float(self.articulation.qpos[0])
             self._qdd = (qd - qd0) / h
-            self._q, self._qd = self._moved(q0, qd0, h, low, high)
+            self._q, self._qd = self._moved(q0, qd0, h, low, high, force(t) if force else 0.0)
             if self._slack:
                 self._move_drive_side(self._slack, q, qd0, t, h)
             if self._qd != qd:
                 self.articulation.set_qvel(np.array([self._qd], np.float32))
             self.time_s += h
 
-    def _moved(self, q: float, qd: float, h: float, low: float, high: float) -> tuple[float, float]:
-        """Position and velocity after `h` at the constant acceleration of this step, with an impact at a limit."""
+    def _moved(self, q: float, qd: float, h: float, low: float, high: float, push: float) -> tuple[float, float]:
+        """Position and velocity after `h` at the constant acceleration of this step, with an impact at a limit; `push`
+        is the external force on the part."""
         a = self._qdd
         after = q + h * (qd + 0.5 * h * a)
-        if low <= after <= high:
+        farthest = q - 0.5 * qd * qd / a if qd * (qd + h * a) < 0 else after
+        if low <= farthest <= high and low <= after <= high:
             return after, qd + h * a
-        limit, towards = (low, -1.0) if after < low else (high, 1.0)
+        limit, towards = (low, -1.0) if min(after, farthest) < low else (high, 1.0)
         impact = towards * np.sqrt(max(qd * qd + 2 * a * (limit - q), 0.0))
         if qd * impact > 0:
             before = 2 * (limit - q) / (qd + impact)
         else:
             before = (impact - qd) / a if a else 0.0
-        rest = h - min(max(before, 0.0), h)
+        before = min(max(before, 0.0), h)
         qd = max((float(e.rebound(impact)) for e in self._stops), key=abs, default=0.0)
+        stays, taken, pulled = self._taken_back(limit, towards, abs(impact), self.time_s + before, push)
+        if taken > abs(qd):
+            qd, before, a = -towards * taken, before + stays, pulled if stays else a
+            if before > h:
+                self._qdd, self._leaving = 0.0, (self.time_s + before, qd, a)
+                return limit, 0.0
+        rest = h - before
         after = limit + rest * (qd + 0.5 * rest * a)
         if low <= after <= high and towards * (qd + 0.5 * rest * a) < 0:
             return after, qd + rest * a
         self._qdd = 0.0
         return limit, 0.0  # it would come back within the step: it stays
+
+    def _taken_back(
+        self, limit: float, towards: float, speed: float, t: float, push: float
+    ) -> tuple[float, float, float]:
+        """Seconds at the limit, and speed and acceleration after them, of a part whose drive takes it back."""
+        shaft = self._shaft
+        if shaft is None or not shaft.throw_back:
+            return 0.0, 0.0, 0.0
+        whole = self._inertia + self._drive_inertia
+        if self._slack:
+            return 0.0, *thrown(speed, 0.0, 0.0, self._inertia, self._drive_inertia, shaft.throw_back, 0.0)[1:], 0.0
+        friction = sum(law(limit, 0.0, self._bearing_load(limit, 0.0), 0.0, *v) for law, v in self._drives)
+        pull = float(self.mechanics.gravity_force(limit)) + self._effect_force(limit, 0.0) + push
+        drive, press = towards * self._actuator_force(limit, 0.0, t), towards * pull + friction
+        stays, taken = thrown(speed, press, drive, whole - shaft.value, shaft.value, shaft.throw_back, shaft.swing)
+        return stays, taken, towards * (drive + press) / whole
+
+    def _leave(self, leaving: tuple[float, float, float], h: float) -> None:
+        """Advance by `h` a part that stays at a limit until its drive takes it away."""
+        when, speed, a = leaving
+        self.time_s += h
+        rest = self.time_s - when
+        if rest <= 0:
+            return
+        self._q += rest * (speed + 0.5 * rest * a)
+        self._qd, self._leaving = speed + rest * a, None
+        self.articulation.set_qvel(np.array([self._qd], np.float32))
 
     def _move_drive_side(self, slack: Backlash, q: float, qd: float, t: float, h: float) -> None:
         """Advance the body on the actuator's side of a slack, after the part; forces acted at `q`, `qd`, `t`."""
@@ -316,11 +360,15 @@ class SimulatedAsset:
             slope -= self._gain * self._actuator.damping
         return slope
 
+    def _bearing_load(self, q: float, qd: float) -> float:
+        """N, as far as an effect looks at it."""
+        return float(self.mechanics.load(q, qd, self._qdd)) if self._needs_load else 0.0
+
     def _set_drive(self, q: float, qd: float) -> None:
         """The saturated damper: force -D qd cut at the limit, so stiff that it sticks (facts: exact, no chatter)."""
         if not self._drives:
             return
-        load = float(self.mechanics.load(q, qd, self._qdd)) if self._needs_load else 0.0
+        load = self._bearing_load(q, qd)
         limit = float(sum(law(q, qd, load, 0.0, *values) for law, values in self._drives))
         if limit != self._drive_limit:
             self._joint.set_drive_properties(

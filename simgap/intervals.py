@@ -9,7 +9,7 @@ from freeart21.effects.armature import Armature
 from simgap.fit import Fit, information, tempered, unit_of
 from simgap.guess import neutral_value
 from simgap.judge import Judged
-from simgap.theory import FORM_WAYS, SHAFT, Reader
+from simgap.theory import FORM_WAYS, SHAFT
 from simgap.verdict import Named
 
 NORMAL_90 = 1.645
@@ -35,7 +35,8 @@ def with_intervals(judgement: Judged) -> tuple[Named, ...]:
             spread = NORMAL_90 * np.sqrt(errors[key] ** 2 + (free.values[key] - x) ** 2 + (part * size) ** 2)
             ends[name] = max(x - spread, specs[name].lower), min(x + spread, specs[name].upper)
         if isinstance(effect, Armature):
-            ends["throw_back"] = _thrown_back(fit, errors)
+            ends["throw_back"] = _of_shaft(fit, errors, "rebound", effect.throw_back)
+            ends["swing"] = _of_shaft(fit, errors, "swing", effect.swing)
         low, high = ({name: float(end[k]) for name, end in ends.items()} for k in (0, 1))
         i = min(own.values())
         weight = (fit.theta[i] - neutral_value(type(effect))) ** 2 * fit.normal[i, i]
@@ -44,15 +45,16 @@ def with_intervals(judgement: Judged) -> tuple[Named, ...]:
     return tuple(named for _, named in found)
 
 
-def _thrown_back(fit: Fit, errors: dict[tuple[str, str], float]) -> tuple[float, float]:
-    """90 % interval of what an armature's shaft throws back; nothing where stops bounce by themselves."""
-    at = next((i for i, r in enumerate(fit.theory.ranges()) if r.owner == SHAFT), None)
+def _of_shaft(fit: Fit, errors: dict[tuple[str, str], float], name: str, own: float) -> tuple[float, float]:
+    """90 % interval of a number of an armature that is its shaft's, fitted as `name`, and is `own` now; nothing where
+    stops bounce by themselves."""
+    ranges = fit.theory.ranges()
+    at = next((i for i, r in enumerate(ranges) if (r.owner, r.name) == (SHAFT, name)), None)
     if at is None:
         return 0.0, 0.0
-    r, whole = fit.theory.ranges()[at], fit.theta.copy()
-    whole[at] = 1.0
-    share, spread = Reader(fit.theory).throw_back(whole, fit.effects), NORMAL_90 * errors[r.owner, r.name]
-    return share * max(fit.theta[at] - spread, r.lower), share * min(fit.theta[at] + spread, r.upper)
+    x, r, spread = fit.theta[at], ranges[at], NORMAL_90 * errors[SHAFT, name]
+    low, high = max(x - spread, r.lower), min(x + spread, r.upper)
+    return (own * low / x, own * high / x) if x > 0 else (0.0, 0.0)
 
 
 def is_place(effect: Effect, name: str) -> bool:

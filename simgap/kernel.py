@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from simgap.laws import DRIVE, FORCE, STAMP, STOP, jit, law, remember
+from simgap.laws import DRIVE, FORCE, STAMP, STOP, jit, law, remember, thrown
 
 INERTIA, GRAVITY_COS, GRAVITY_SIN, GRAVITY_CONST = 0, 1, 2, 3
 LOAD_ARM2, LOAD_WEIGHT2, LOAD_ACROSS, LOAD_TURNED = 4, 5, 6, 7
 GAIN, COMMAND_DELAY, STIFFNESS, DAMPING = 8, 9, 10, 11
 LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
 READING_DELAY, Q0, QD0, TRAVEL, GRIPPING, SPRINGY, GIVE = 16, 17, 18, 19, 20, 21, 22
-HEAD = 23
+SHAFT_INERTIA, SHAFT_BACK, SHAFT_SWING = 23, 24, 25
+HEAD = 26
 """Places in the vector of numbers that describes one simulation; behind them each effect has FORM, then parameters."""
 FORM = 7
 """How the size of an effect may depart from its formula: with speed, with position, with a power of position; and the
@@ -256,6 +257,19 @@ def _rebound(terms, p, v):  # pragma: no cover
 
 
 @jit
+def _taken_back(terms, p, memory, limit, towards, v, side, push, position, effort):  # pragma: no cover
+    """Seconds at a limit, and speed after them, of a part that came in with `v` and whose drive takes it back."""
+    others = p[INERTIA] + (p[SLACK_INERTIA] if p[SLACK_WIDTH] > 0.0 else 0.0) - p[SHAFT_INERTIA]
+    drive, press = 0.0, 0.0
+    if p[SHAFT_SWING] > 0.0:
+        drive = towards * _actuator(p, limit, 0.0, position, effort)
+        press = towards * _acting(terms, p, memory, limit, 0.0, side, push, position, effort) - drive
+        press += _level(terms, p, memory, limit, 0.0, 0.0)
+    stays, speed = thrown(abs(v), press, drive, others, p[SHAFT_INERTIA], p[SHAFT_BACK], p[SHAFT_SWING])
+    return stays, -towards * speed
+
+
+@jit
 def _parting(p, meeting):  # pragma: no cover
     """Speed at which the sides of a slack part that met with `meeting` (of the part, seen from the drive side): slow
     ones come back (Hunt and Crossley 1975), at SPRINGY half of it."""
@@ -280,6 +294,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
     end = times[n - 1] - p[READING_DELAY]
     late = early = 0  # the inputs that act now, through the actuator and directly
     side, done, resting, passed = 0, 0, 0, -np.inf
+    waits, leaves = -np.inf, 0.0  # until when a drive keeps the part at a limit, and with what speed it goes then
     grip = (0.0 if y[1] == 0.0 else math.copysign(1.0, y[1]), y[0])
     most = _SPARE_STEPS + 2 * (int((end - now) / fine) + 2 * inputs)
     for _ in range(most):
@@ -302,7 +317,9 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
         # what holds the part
         q, v = y[0], y[1]
         frozen, still, slide, F = False, True, 0, 0.0
-        if v == 0.0 and (dry or resting != 0):
+        if now < waits:
+            frozen, h = True, min(h, waits - now)
+        elif v == 0.0 and (dry or resting != 0):
             F = _acting(terms, p, memory, q, 0.0, side, push, position, asked)
             held = _level(terms, p, memory, q, 0.0, 0.0) if dry else 0.0
             if abs(F) <= held or (resting != 0 and resting * F >= -held):
@@ -325,6 +342,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
                     h = min(h, 0.5 * p[TRAVEL] / abs(v))
                 h = max(h, 0.01 * step)
         if frozen and still and p[SLACK_WIDTH] == 0.0:
+            until = min(until, waits) if now < waits else until
             h = max(min(until, end) - now, 1e-9)  # until something else acts
         # a step, cut where something happens
         after = _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
@@ -332,6 +350,14 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
             passed = now + h
             continue
         found = _events(after, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+        if v * after[1] < 0.0 and not found & _LIMIT:  # it turns within the step: was it at a limit there?
+            turn = v / (v - after[1]) * h
+            peak = q + 0.55 * turn * v
+            if peak < p[LOWER] or peak > p[UPPER]:
+                there = _advanced(y, turn, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+                if there[0] < p[LOWER] or there[0] > p[UPPER]:
+                    after, h = there, turn
+                    found = _events(after, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
         if found in (_STOPPED, _LIMIT):  # where a smooth number passes zero: regula falsi (Illinois)
             aim = 0.0 if found == _STOPPED else (p[LOWER] if after[0] < p[LOWER] else p[UPPER])
             which = 1 if found == _STOPPED else 0
@@ -409,6 +435,8 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
             done += 1
         now += h
         y = after
+        if waits > -np.inf and now >= waits - 1e-12:
+            y, resting, waits = (y[0], leaves, y[2], y[3]), 0, -np.inf
         if slide != 0:
             grip = (_bristle(p, slide, grip, y[0]), y[0])
         # what the event changes
@@ -434,10 +462,16 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
         if found & _LIMIT:
             towards = 1 if y[0] - p[LOWER] > p[UPPER] - y[0] else -1
             limit = p[UPPER] if towards > 0 else p[LOWER]
-            back = _rebound(terms, p, y[1])
+            back, stays = _rebound(terms, p, y[1]), 0.0
+            if p[SHAFT_BACK] > 0.0:
+                seconds, taken = _taken_back(terms, p, memory, limit, towards, y[1], side, push, position, asked)
+                if abs(taken) > abs(back):
+                    back, stays = taken, seconds
             inward = towards * _acting(terms, p, memory, limit, 0.0, side, push, position, asked) / p[INERTIA]
             if back * towards >= 0 or (inward > 0 and abs(back) < 0.25 * step * inward):
-                back, resting = 0.0, towards  # it would come back within half a step: it stays
+                back, resting, stays = 0.0, towards, 0.0  # it would come back within half a step: it stays
+            if stays > 1e-9:
+                waits, leaves, back, resting = now + stays, back, 0.0, towards
             y = (limit, back, y[2], y[3])
             if side != 0:
                 y = (limit, back, limit + 0.5 * side * p[SLACK_WIDTH], back)

@@ -9,7 +9,7 @@ from typing import Any
 
 from numba import njit
 
-from freeart21.effects import EFFECTS, Effect
+from freeart21.effects import EFFECTS, Effect, armature
 
 FORCE, DRIVE, STOP = 0, 1, 2
 ACTS = {"force": FORCE, "drive": DRIVE, "stop": STOP}
@@ -66,6 +66,7 @@ def _pieces(name: str, formula: str) -> tuple[int, Any, Any]:
 
 law = _law_among(list(LAWS))
 remember = _memory_among([n for n in LAWS if EFFECTS[n].remember is not Effect.remember])
-_files = (__file__, *(inspect.getfile(EFFECTS[n]) for n in LAWS))
+thrown = jit(armature.thrown)
+_files = (__file__, armature.__file__, *(inspect.getfile(EFFECTS[n]) for n in LAWS))
 STAMP = int.from_bytes(hashlib.sha256(b"".join(Path(file).read_bytes() for file in _files)).digest()[:7], "big")
 """Of all these formulas: another one when any of them changes."""

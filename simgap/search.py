@@ -15,6 +15,7 @@ from simgap.force_guess import LocalForce, local_force, places
 from simgap.guess import Guess, guesses, off
 from simgap.settings import ChoiceSettings
 from simgap.surrogate import is_local
+from simgap.theory import SHAFT
 
 _CROSSINGS = (0.25, 0.8, 2.5, 6.0)
 """Crossings of the range at top speed that stretches last for: fits grow from some through all longer ones to whole
@@ -28,6 +29,9 @@ _PLACES = 2
 _SHIFTS, _STIFFER, _TRAVELS, _CAPTURES = (-0.3, 0.0, 0.3), (0.6, 1.0, 1.6), (0.65, 0.8, 1.0, 1.25), (0.3, 0.5, 0.7)
 """Of the way over which a catch holds: parts by which it may lie elsewhere; how much stiffer it may be; parts of that
 way which are tried, and of those where it takes hold."""
+_PARTS, _BACK, _SWINGS = (None, -0.5, 0.0, 0.5), (0.3, 0.85), (0.2, 0.5, 0.8)
+"""Of a drive on its shaft: how much of the doubt in the part's own inertia is the drive's instead; what comes back, and
+how fast, as parts of what may be."""
 _CATCHES = 3
 """How many of these are fitted."""
 _ALL_ALONG = (
@@ -246,10 +250,11 @@ class Search:
         """The fit to stretches on whole runs, from its own starts or those of a smaller set's fit to them."""
         first = {run.name: fit.starts[f"{run.name}#0"] for run in self.train}
         ways = [fitted(fit.theory, self.train, fit.theta, at, _SCREEN) for at in (first, parent.starts)]
-        return self._finished(caught(min(ways, key=lambda way: way.cost), self.train))
+        return self._finished(min(ways, key=lambda way: way.cost))
 
     def _finished(self, fit: Fit) -> Fit:
         """The fit to whole runs to its end."""
+        fit = caught(fit, self.train)
         return fitted(fit.theory, self.train, fit.theta, fit.starts)
 
     def _keep_from(self, name: str, plainer: Fit) -> None:
@@ -377,9 +382,22 @@ def tried_of(
 
 
 def caught(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The fit with the place of a catch and the way over which it holds tried anew: they show in when it lets go
-    and when it takes hold, and no slope tells of that."""
-    ranges, tried = fit.theory.ranges(), [(fit.rss, fit.theta)]
+    """The fit with what no slope leads to tried anew: the place of a catch and the way over which it holds, which show
+    in when it lets go and when it takes hold, and how a drive comes back from a limit, after which all goes on sooner
+    or later."""
+    points = [*_catches(fit), *_shafts(fit)]
+    if not points:
+        return fit
+    low, high = (np.array([getattr(r, k) for r in fit.theory.ranges()]) for k in ("lower", "upper"))
+    tried = [np.clip(theta, low, high) for theta in points]
+    order = np.argsort([misfit(fit.theory, runs, theta, fit.starts) for theta in tried])
+    best = [tried[i] for i in order[:_CATCHES]]
+    return min(fit, tried_of(fit.theory, best, runs, fit.starts, _SCREEN), key=lambda f: f.cost)
+
+
+def _catches(fit: Fit) -> list[Array]:
+    """(p,) points about a fit at which its catch holds elsewhere, or over another way; none without one."""
+    ranges, found = fit.theory.ranges(), []
     for cls in fit.theory.classes:
         if cls.remember is Effect.remember:
             continue
@@ -395,13 +413,26 @@ def caught(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
             theta[[size, width]] *= part
             theta[size] *= stiffer
             theta[ratio] = share
-            theta = np.clip(theta, [r.lower for r in ranges], [r.upper for r in ranges])
-            tried.append((misfit(fit.theory, runs, theta, fit.starts), theta))
-    if len(tried) == 1:
-        return fit
-    best = sorted(tried, key=lambda entry: entry[0])[:_CATCHES]
-    points = [theta for _, theta in best]
-    return min(fit, tried_of(fit.theory, points, runs, fit.starts, _SCREEN), key=lambda f: f.cost)
+            found.append(theta)
+    return found
+
+
+def _shafts(fit: Fit) -> list[Array]:
+    """(p,) points about a fit of the same inertia in all, at which its drive has another part of it and comes back from
+    limits otherwise; none without a drive on a shaft that swings."""
+    at = {(r.owner, r.name): i for i, r in enumerate(fit.theory.ranges())}
+    if (SHAFT, "swing") not in at:
+        return []
+    own, drive = fit.theory.problem.plant.mechanics.inertia, at["armature", "value"]
+    part, doubt, found = at.get(("asset", "inertia")), fit.theory.problem.inertia_relative, []
+    for taken, back, swing in product(_PARTS if part is not None else _PARTS[:1], _BACK, _SWINGS):
+        theta = fit.theta.copy()
+        theta[[at[SHAFT, "rebound"], at[SHAFT, "swing"]]] = back, swing
+        if taken is not None:
+            theta[drive] += (theta[part] - (1 + taken * doubt)) * own
+            theta[part] = 1 + taken * doubt
+        found.append(theta)
+    return found
 
 
 def _hides_damping(fit: Fit) -> bool:

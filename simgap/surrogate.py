@@ -17,7 +17,6 @@ from freeart21.asset import Asset
 from freeart21.effects import Effect
 from freeart21.effects.armature import Armature
 from freeart21.effects.backlash import Backlash
-from freeart21.effects.end_stop_bounce import EndStopBounce
 from freeart21.joint import JointType
 from freeart21.measured import Measured
 from freeart21.mechanics import JointMechanics
@@ -121,11 +120,6 @@ class Nuisance:
     """rad by which the base leans, see `Plant.gravity_terms`."""
 
 
-def with_stops(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
-    """The effects, and what shafts throw back at a limit as a stop's bounce, of which the kernel takes the larger."""
-    return (*effects, *(EndStopBounce(e.throw_back) for e in effects if isinstance(e, Armature)))
-
-
 def terms_of(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[np.int64]:
     """(t, 4) what the kernel needs to know of those effects that have a law there."""
     rows, at = [], kernel.HEAD
@@ -161,6 +155,11 @@ def numbers_of(
     head[kernel.INERTIA] = nuisance.inertia * mechanics.inertia + (0.0 if slack else added)
     if slack:
         head[kernel.SLACK_WIDTH], head[kernel.SLACK_INERTIA] = slack.width, slack.drive_inertia + added
+    shafts = [effect for effect in effects if isinstance(effect, Armature)]
+    if shafts:
+        shaft = max(shafts, key=lambda effect: effect.throw_back * effect.value)
+        drive, swing = (head[kernel.SLACK_INERTIA], 0.0) if slack else (shaft.value, shaft.swing)
+        head[kernel.SHAFT_INERTIA : kernel.SHAFT_SWING + 1] = drive, shaft.throw_back, swing
     terms = plant.gravity_terms
     head[kernel.GRAVITY_COS : kernel.GRAVITY_CONST + 1] = nuisance.gravity * (
         terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2]
@@ -309,7 +308,6 @@ def simulate(
     settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
 ) -> Array:
     """(n,) readings at `times_s` (n,), rising; the state (q0, qd0) is that of the first reading's instant."""
-    effects = with_stops(effects)
     numbers = numbers_of(plant, effects, nuisance)
     numbers[kernel.Q0], numbers[kernel.QD0] = q0, qd0
     times = np.ascontiguousarray(times_s, float)

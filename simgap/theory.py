@@ -12,11 +12,10 @@ from freeart21.effects.armature import Armature
 from freeart21.effects.backlash import Backlash
 from freeart21.effects.encoder_offset import EncoderOffset
 from freeart21.effects.encoder_scale import EncoderScale
-from freeart21.effects.end_stop_bounce import EndStopBounce
 from freeart21.se3 import Array
 from simgap import kernel, laws
 from simgap.settings import FitSettings, SurrogateSettings
-from simgap.surrogate import Nuisance, Plant, numbers_of, with_stops
+from simgap.surrogate import Nuisance, Plant, numbers_of
 
 _FRICTION = "friction form"
 """Owner of how all dry friction that is missing builds up."""
@@ -127,14 +126,16 @@ class Theory:
         if behind and problem.near_stop and "end_stop_bounce" not in self.names:
             # part of the most that a shaft gives back; where no run tells, as if all of that were as likely
             found.append(Range(SHAFT, "rebound", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
+            if "armature" in self.names and not any(cls.acts == "slack" for cls in self.classes):
+                found.append(Range(SHAFT, "swing", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
         if self.relaxed:
             for cls in self.classes:
                 found += self._form(cls)
         return tuple(found)
 
     def fitted_of(self, cls: type[Effect]) -> list[str]:
-        """The parameters of an effect that are its own: what a shaft gives back is fitted in its place."""
-        return [name for name in cls.parameters(self.problem.plant.joint_type) if name != "throw_back"]
+        """The parameters of an effect that are its own: what a shaft gives back, and when, is fitted in their place."""
+        return [n for n in cls.parameters(self.problem.plant.joint_type) if n not in ("throw_back", "swing")]
 
     def _form(self, cls: type[Effect]) -> list[Range]:
         """How the effect may depart from its formula."""
@@ -223,21 +224,31 @@ class Reader:
         for cls, names in self.fitted:
             at = self.owners.index(cls.name)
             made.append(cls(**dict(zip(names, map(float, theta[at : at + len(names)]), strict=True))))
-        back = self.throw_back(theta, made)
-        return tuple(replace(e, throw_back=back) if isinstance(e, Armature) else e for e in made)
+        return tuple(self._on_shaft(theta, e) if isinstance(e, Armature) else e for e in made)
 
-    def throw_back(self, theta: Array, added: Sequence[Effect]) -> float:
-        """Part of the speed of an impact that a drive's shaft gives back: of its own inertia's, by its share of all.
+    def _on_shaft(self, theta: Array, effect: Armature) -> Armature:
+        """The rotor on the shaft that was fitted, by its own share of all inertia."""
+        if SHAFT not in self.owners:
+            return effect
+        part = self.nuisance(theta).inertia * self.theory.problem.plant.mechanics.inertia
+        share = effect.value / (part + effect.value)
+        return replace(effect, throw_back=self.throw_back(theta, share), swing=self.swing(theta, share))
+
+    def throw_back(self, theta: Array, share: float) -> float:
+        """Part of its speed that a drive comes back with, whose `share` of all inertia is known.
 
         Of the drive's inertia alone on a shaft that stops at the other end, a damping ratio z is left of that of both:
         see `Armature`.
         """
-        if SHAFT not in self.owners:
-            return 0.0
-        share = self.behind(theta, added)
         z = self.theory.problem.fit.shaft_damping * np.sqrt(1 - share)
         most = np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z))
-        return float(theta[self.owners.index(SHAFT)] * most * share)
+        return float(theta[self.owners.index(SHAFT)] * most)
+
+    def swing(self, theta: Array, share: float) -> float:
+        """Seconds in which the drive alone swings by a radian on its shaft, slower than it and the part together."""
+        found = [x for r, x in zip(self.ranges, theta, strict=True) if (r.owner, r.name) == (SHAFT, "swing")]
+        most = self.theory.problem.fit.swing_tolerance * self.theory.problem.crossing_s
+        return float(found[0] * most / np.sqrt(1 - share)) if found else 0.0
 
     def behind(self, theta: Array, added: Sequence[Effect]) -> float:
         """Part of all inertia that is a drive's, as large as it may be: what is taken for the part's own inertia beyond
@@ -268,11 +279,12 @@ class Reader:
             if "tilt" in free:
                 offset = next(e for e in effects if isinstance(e, EncoderOffset)).offset
                 effects = (*effects, EncoderScale(1 + free["tilt"] * offset / self.theory.problem.reference[2]))
-        effects = with_stops(effects)
-        if SHAFT in self.owners and "armature" not in self.theory.names:  # behind a slack, where no effect has it
-            effects = (*effects, EndStopBounce(self.throw_back(theta, self.added(theta))))
         problem = self.theory.problem
         numbers = numbers_of(problem.plant, effects, nuisance, forms, problem.reference)
+        if SHAFT in self.owners and numbers[kernel.SLACK_WIDTH]:  # behind a slack, where no effect has it
+            share = self.behind(theta, self.added(theta))
+            drive = share * (numbers[kernel.INERTIA] + numbers[kernel.SLACK_INERTIA])
+            numbers[kernel.SHAFT_INERTIA : kernel.SHAFT_SWING + 1] = drive, self.throw_back(theta, share), 0.0
         if self.theory.relaxed:
             numbers[kernel.SPRINGY] = free.get("springy", 0.0) * problem.speed
             power = 2 / 3 if numbers[kernel.SLACK_WIDTH] else 1

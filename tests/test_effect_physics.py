@@ -18,7 +18,7 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.effects.actuator_delay import ActuatorDelay
 from freeart21.effects.actuator_gain import ActuatorGain
-from freeart21.effects.armature import Armature
+from freeart21.effects.armature import Armature, thrown
 from freeart21.effects.axis_tilt import AxisTilt
 from freeart21.effects.backlash import Backlash
 from freeart21.effects.coulomb_friction import CoulombFriction
@@ -303,6 +303,37 @@ def test_armature_slows_but_has_no_weight(tmp_path: Path, kind: str):
     assert pushed.qd[-1] == pytest.approx(3.0 - 1.0 / (1.7 * I), rel=2e-3)
 
 
+@pytest.mark.parametrize("speed", [0.05, 0.5, 3.0])
+@pytest.mark.parametrize("press", [-20.0, -3.0, 5.0])
+@pytest.mark.parametrize("push", [0.0, -2.0])
+def test_what_a_rotor_does_at_a_limit_is_a_spring_and_a_dashpots(speed: float, press: float, push: float):
+    """Part and rotor in steps of 2 microseconds, for 60 ms after the part stopped dead."""
+    part, drive, rate, ratio = 1.0, 0.3, 2 * np.pi * 50, 0.5
+    light = part * drive / (part + drive)
+    k, c, h = light * rate**2, 2 * ratio * rate * light, 2e-6
+    p, v, x, w, touched = 0.0, 0.0, 0.0, speed, 0.0
+    for i in range(30_000):
+        between = k * (x - p) + c * (w - v)
+        v, w = v + h * (between + press) / part, w + h * (push - between) / drive
+        p, x = p + h * v, x + h * w
+        if p >= 0.0:
+            p, v, touched = 0.0, 0.0, i * h
+    z = c / (2 * np.sqrt(k * drive))
+    back = float(np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z)))
+    stays, leaves = thrown(speed, press, push, part, drive, back, float(np.sqrt(drive / k)))
+    whole, together = part + drive, 30_000 * h - stays
+    if leaves == 0.0 or together <= 0:
+        assert touched > 0.05  # it stays
+        return
+    middle = -leaves * together + 0.5 * (press + push) / whole * together**2
+    if middle > 0:
+        assert touched > stays  # pressed in again
+    else:
+        assert middle == pytest.approx((part * p + drive * x) / whole, abs=2e-5 + 0.01 * abs(middle))
+    assert thrown(speed, press, push, part, drive, back, 0.0) == (0.0, pytest.approx(back * speed * drive / whole))
+    assert thrown(speed, press, push, part, drive, 0.0, 0.01) == (0.0, 0.0)
+
+
 @pytest.mark.parametrize("timestep_s", [1e-3, 7e-3])
 @pytest.mark.parametrize("e", [0.0, 0.6, 0.9, 1.0])
 def test_bounces_rise_to_e_squared_each(tmp_path: Path, e: float, timestep_s: float):
@@ -334,7 +365,7 @@ def test_a_rotor_behind_a_shaft_throws_its_links_back(tmp_path: Path):
     stop that gives nothing back itself is the rotor's share of all inertia, times what such a shaft gives back."""
     from scipy.integrate import solve_ivp
 
-    m, J, z, speed = 1.0, 0.4, 0.2, 1.0
+    m, J, z, speed = MASS, 0.4, 0.2, 1.0
     k, c = J * (2 * np.pi * 60) ** 2, 2 * z * 2 * np.pi * 60 * J
 
     def shaft(y):  # force on the links
@@ -350,12 +381,18 @@ def test_a_rotor_behind_a_shaft_throws_its_links_back(tmp_path: Path):
     y0 = [0.0, 0.0, held.y[0, -1], held.y[1, -1]]
     free = solve_ivp(lambda t, y: (y[1], shaft(y) / m, y[3], -shaft(y) / J), (0, 0.5), y0, rtol=1e-10)
     back = (m * free.y[1, -1] + J * free.y[3, -1]) / (m + J)
-    share = J / (m + J) * np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z))
+    lasting = float(np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z)))
+    share = J / (m + J) * lasting
     assert back / speed == pytest.approx(share, rel=1e-3)
-    asset = asset_with(tmp_path, "prismatic", Armature(J, share), axis="0 0 1", limit=limits(0, 9))
-    run = roll_out(asset, 0.5, -speed, duration_s=2, gravity=WEIGHTLESS)
-    assert run.qd[0] == pytest.approx(-speed) and run.qd[-1] == pytest.approx(share * speed, rel=1e-3)
-    assert run.q.min() >= 0
+    behind = float(m * free.y[0, -1] + J * free.y[2, -1]) / (m + J) - back * (held.t[-1] + free.t[-1])
+    assert behind < -5e-4
+    for swing in (0.0, float(np.sqrt(J / k))):
+        asset = asset_with(tmp_path, "prismatic", Armature(J, lasting, swing), axis="0 0 1", limit=limits(0, 9))
+        run = roll_out(asset, 0.5, -speed, duration_s=2, gravity=WEIGHTLESS)
+        assert run.qd[0] == pytest.approx(-speed) and run.qd[-1] == pytest.approx(share * speed, rel=1e-3)
+        assert run.q.min() >= 0
+        since = run.times_s[-1] - 0.5 / speed
+        assert run.q[-1] == pytest.approx(back * since + (behind if swing else 0.0), abs=1e-4)
 
 
 def test_a_lid_bounces_at_both_limits_of_a_hinge(tmp_path: Path):

@@ -22,6 +22,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap import choose, objections
+from simgap import search as search_module
 from simgap.choose import earned, last, rivals
 from simgap.data import FitRun, fit_runs
 from simgap.fit import Fit, Theory, fitted
@@ -248,6 +249,7 @@ def test_what_has_nearly_all_of_the_gap_is_spared_once(fitted: float, held: floa
     [
         (("armature",), {("shaft form", "rebound"): 0.2}, False),
         (("armature",), {("shaft form", "rebound"): 1.0}, True),  # that is no shaft, but a spring
+        (("armature",), {("shaft form", "swing"): 1.0}, True),  # nor is what swings as slowly as a belt
         (("armature", "end_stop_bounce"), {("end_stop_bounce", "restitution"): 0.6}, False),
         (("armature", "end_stop_bounce"), {("end_stop_bounce", "restitution"): 0.01}, True),  # a lossless shaft's, too
         (("backlash",), {("backlash", "width"): 0.05, ("shaft form", "rebound"): 0.1}, False),
@@ -263,12 +265,29 @@ def test_what_throws_back_as_no_shaft_does_is_no_drive(tmp_path: Path, effects, 
     assert objections.at_bound(fit) is bound
     if effects == ("armature",):
         (armature,) = fit.effects
-        own, doubt = search.problem.plant.mechanics.inertia, search.problem.inertia_relative
-        share = (armature.value + doubt * own) / (own + armature.value)
+        share = armature.value / (search.problem.plant.mechanics.inertia + armature.value)
         z = search.problem.fit.shaft_damping * np.sqrt(1 - share)  # of the drive's inertia alone
         swing = np.sqrt(1 - z * z)
         lasting = np.exp(-2 * z * np.arctan2(swing, z) / swing)
-        assert armature.throw_back == pytest.approx(where["shaft form", "rebound"] * lasting * share)
+        back, swing = (where.get(("shaft form", name), 0.5) for name in ("rebound", "swing"))
+        assert armature.throw_back == pytest.approx(back * lasting)
+        slowest = search.problem.fit.swing_tolerance * search.problem.crossing_s  # of both about the shaft
+        assert armature.swing == pytest.approx(swing * slowest / np.sqrt(1 - share))
+
+
+def test_a_drive_is_tried_with_other_parts_of_the_same_inertia(tmp_path: Path):
+    """Else a fit stays where the part is too heavy, its drive too light, and nothing that comes back is right."""
+    search = search_on(tmp_path, measured_of(12, servo=True), 0.3)
+    theory = Theory(search.problem, ("armature",))
+    own, at = search.problem.plant.mechanics.inertia, {r.name: i for i, r in enumerate(theory.ranges())}
+    theta = theory.neutral()
+    theta[at["inertia"]] = 1.02
+    fit = replace(search.base(), theory=theory, theta=theta)
+    points = np.array(search_module._shafts(fit))
+    whole = points[:, at["inertia"]] * own + points[:, at["value"]]
+    np.testing.assert_allclose(whole, fit.theta[at["inertia"]] * own + fit.theta[at["value"]])
+    assert len(np.unique(points[:, at["inertia"]])) == 4 and len(np.unique(points[:, at["swing"]])) == 3
+    assert search_module._shafts(search.base()) == []
 
 
 def at(theory: Theory, **real: float) -> np.ndarray:

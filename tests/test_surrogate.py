@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from freeart21.measured import Measured
 from freeart21.mechanics import Actuator, held
 from generator.simulate import roll_out
 from simgap import kernel, laws
+from simgap.settings import SurrogateSettings
 from simgap.surrogate import Batch, Inputs, Nuisance, numbers_of, plant_of, simulate, step_of, sweep, terms_of
 
 MASS, ARM, G = 1.6, 0.5, 9.81
@@ -91,7 +94,8 @@ def test_free_motion_is_sapiens(tmp_path: Path, kind: str, name: str):
     [
         ("end_stop_bounce", {"restitution": 0.0}),
         ("end_stop_bounce", {"restitution": 0.6}),
-        ("armature", {"value": 0.05, "throw_back": 0.3}),
+        ("armature", {"value": 0.05, "throw_back": 0.6}),
+        ("armature", {"value": 0.1, "throw_back": 0.4, "swing": 0.01}),
     ],
 )
 def test_impacts_are_sapiens(tmp_path: Path, bounce: tuple[str, dict[str, float]]):
@@ -101,6 +105,56 @@ def test_impacts_are_sapiens(tmp_path: Path, bounce: tuple[str, dict[str, float]
     ours = simulate(plant_of(asset, measured_of("revolute")), effects, theirs.times_s, 1.2)
     assert np.abs(ours - theirs.q).max() < 4e-3
     assert ours.min() >= -0.4 - 1e-12
+
+
+@pytest.mark.parametrize("deep", [2e-3, 2e-2])
+def test_an_impact_that_begins_and_ends_within_a_step_is_one(tmp_path: Path, deep: float):
+    """A swing that just reaches its limit: in the kernel's coarse steps, in fine ones, and in SAPIEN."""
+    effects = (made("end_stop_bounce", restitution=0.3),)
+    asset = asset_at(tmp_path, "revolute", *effects, lower=-1.2 + deep, upper=2.0)
+    plant = plant_of(asset, measured_of("revolute"))
+    times = np.arange(601) / 100
+    coarse = simulate(plant, effects, times, 1.2)
+    assert coarse.min() == pytest.approx(-1.2 + deep, abs=1e-4) and coarse.min() >= plant.lower
+    fine = SurrogateSettings(phase_per_step=0.01, max_step_s=5e-4)
+    np.testing.assert_allclose(coarse, simulate(plant, effects, times, 1.2, settings=fine), atol=5e-4)
+    theirs = roll_out(asset, 1.2, duration_s=6, timestep_s=4e-3)
+    assert theirs.q.min() >= plant.lower - 1e-12
+    assert np.abs(theirs.q - simulate(plant, effects, theirs.times_s, 1.2)).max() < 4e-3
+    free = simulate(replace(plant, lower=-50.0), effects, times, 1.2)
+    assert np.abs(coarse - free).max() > 5 * deep
+
+
+def test_a_rotor_takes_its_part_back_from_a_limit_as_a_shaft_does(tmp_path: Path):
+    """A pendulum and a rotor behind a damped shaft that meet a dead stop, fast and slowly, in steps of 5 us."""
+    rotor, stiffness, damping, limit = 0.12, 7000.0, 28.0, -0.5
+    plant = plant_of(asset_at(tmp_path, "revolute", lower=limit), measured_of("revolute"))
+    inertia, weight = plant.mechanics.inertia, MASS * G * ARM
+    times = np.arange(300) / 100
+
+    @numba.njit
+    def course(h, per, n):
+        q, v, x, w, out = 1.1, 0.0, 1.1, 0.0, np.empty(n)
+        for i in range(n):
+            out[i] = q
+            for _ in range(per):
+                shaft = stiffness * (x - q) + damping * (w - v)
+                v += h * (shaft - weight * math.sin(q)) / inertia
+                w -= h * shaft / rotor
+                q, x = q + h * v, x + h * w
+                if q < limit:
+                    q, v = limit, 0.0
+        return out
+
+    true = course(5e-6, 2000, 300)
+    z = damping / (2 * np.sqrt(stiffness * rotor))
+    back = float(np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z)))
+
+    def off(**shaft: float) -> float:
+        return float(np.abs(simulate(plant, (made("armature", value=rotor, **shaft),), times, 1.1) - true).max())
+
+    assert off() > 0.015 and off(throw_back=back) > 0.015
+    assert off(throw_back=back, swing=float(np.sqrt(rotor / stiffness))) < 2e-3
 
 
 @pytest.mark.parametrize("names", [(), ("actuator_gain",), ("actuator_delay",), ("backlash",), ("coulomb_friction",)])
