@@ -159,6 +159,8 @@ class SimulatedAsset:
         self._memories = [0.0] * len(self._forces)
         self._recall(self._q)
         self._side, self._drive_q, self._drive_qd = 0, self._q, self._qd
+        self._struck = 0.0
+        """Speed of an impact at a limit in this step; 0 for none."""
         self._leaving: tuple[float, float, float] | None = None
         """Time, s, at which a drive takes the part away from a limit, and the speed and acceleration with which."""
 
@@ -238,7 +240,7 @@ class SimulatedAsset:
             self._system.step()
             qd = float(self.articulation.qvel[0])
             self._engine_q = float(self.articulation.qpos[0])
-            self._qdd = (qd - qd0) / h
+            self._qdd, self._struck = (qd - qd0) / h, 0.0
             self._q, self._qd = self._moved(q0, qd0, h, low, high, force(t) if force else 0.0)
             if self._slack:
                 self._move_drive_side(self._slack, q, qd0, t, h)
@@ -261,6 +263,7 @@ class SimulatedAsset:
         else:
             before = (impact - qd) / a if a else 0.0
         before = min(max(before, 0.0), h)
+        self._struck = float(impact)
         qd = max((float(e.rebound(impact)) for e in self._stops), key=abs, default=0.0)
         stays, taken, pulled = self._taken_back(limit, towards, abs(impact), self.time_s + before, push)
         if taken > abs(qd):
@@ -280,16 +283,14 @@ class SimulatedAsset:
     ) -> tuple[float, float, float]:
         """Seconds at the limit, and speed and acceleration after them, of a part whose drive takes it back."""
         shaft = self._shaft
-        if shaft is None or not shaft.throw_back:
+        if shaft is None or not shaft.throw_back or self._slack:
             return 0.0, 0.0, 0.0
-        whole = self._inertia + self._drive_inertia
-        if self._slack:
-            return 0.0, *thrown(speed, 0.0, 0.0, self._inertia, self._drive_inertia, shaft.throw_back, 0.0)[1:], 0.0
         friction = sum(law(limit, 0.0, self._bearing_load(limit, 0.0), 0.0, *v) for law, v in self._drives)
         pull = float(self.mechanics.gravity_force(limit)) + self._effect_force(limit, 0.0) + push
         drive, press = towards * self._actuator_force(limit, 0.0, t), towards * pull + friction
-        stays, taken = thrown(speed, press, drive, whole - shaft.value, shaft.value, shaft.throw_back, shaft.swing)
-        return stays, taken, towards * (drive + press) / whole
+        links = self._inertia - shaft.value
+        stays, taken = thrown(speed, press, drive, links, shaft.value, shaft.throw_back, shaft.swing)
+        return stays, taken, towards * (drive + press) / self._inertia
 
     def _leave(self, leaving: tuple[float, float, float], h: float) -> None:
         """Advance by `h` a part that stays at a limit until its drive takes it away."""
@@ -303,8 +304,16 @@ class SimulatedAsset:
         self.articulation.set_qvel(np.array([self._qd], np.float32))
 
     def _move_drive_side(self, slack: Backlash, q: float, qd: float, t: float, h: float) -> None:
-        """Advance the body on the actuator's side of a slack, after the part; forces acted at `q`, `qd`, `t`."""
-        J, side = self._drive_inertia, self._side
+        """Advance the body on the actuator's side of a slack, after the part; forces acted at `q`, `qd`, `t`.
+
+        When the part stops dead at a limit, a drive side that it dragged along goes on through the slack. One that
+        pushed it on, or that comes upon a part at rest there, comes back as far as its armature's shaft throws it.
+        """
+        J, side, back = self._drive_inertia, self._side, self._shaft.throw_back if self._shaft else 0.0
+        if side and self._struck and (side * self._struck < 0 or back):
+            self._drive_q, self._side = self._q + 0.5 * side * slack.width, 0
+            self._drive_qd = self._struck if side * self._struck < 0 else -back * self._struck
+            return
         if side:
             push = self._actuator_force(q + 0.5 * side * slack.width, qd, t) - J * self._qdd
             self._drive_q, self._drive_qd = self._q + 0.5 * side * slack.width, self._qd
@@ -315,7 +324,10 @@ class SimulatedAsset:
             self._drive_qd += h * asked / (J + h * damping)
             self._drive_q += 0.5 * h * (before + self._drive_qd)
         self._side = slack.meeting(side, self._drive_q, self._drive_qd, self._q, self._qd, push, slack.width)
-        if self._side and not side:
+        if self._side and not side and self._qd == 0.0 and self._q == (self.upper if self._side > 0 else self.lower):
+            self._drive_q, self._drive_qd = self._q + 0.5 * self._side * slack.width, -back * self._drive_qd
+            self._side = 0 if self._drive_qd else self._side
+        elif self._side and not side:
             together = (self._inertia * self._qd + J * self._drive_qd) / (self._inertia + J)
             self._drive_q, self._drive_qd = self._q + 0.5 * self._side * slack.width, together
             self._qd = together

@@ -251,13 +251,14 @@ def rivals(standing: list[Judged], settings: ChoiceSettings) -> tuple[Judged, ..
             return True
         # what the formulas of twins leave they leave alike: only where they differ counts, or what the fitted runs say
         own_kind = j is best or _plain_load(j) != _plain_load(best)
-        if j.learned <= best.learned and j.borne <= best.borne:
+        as_well = j.learned <= best.learned or (not own_kind and j.fit.cost < best.fit.cost + settings.rival_sum * unit)
+        if as_well and j.borne <= best.borne:
             return True  # but for one run on a hair
         if j.error**2 - best.error**2 > settings.rival_power and all(
             beats(of_best, of_it, settings) for of_best, of_it in ((best.error, j.error), (best.learned, j.learned))
         ):
             return False  # the best leaves next to nothing, and this more, of all runs
-        return j.error < settings.rival * best.error and (own_kind or j.learned <= best.learned)
+        return j.error < settings.rival * best.error and (own_kind or as_well)
 
     first: dict[tuple[str, ...], Judged] = {}
     for j in order:

@@ -259,8 +259,7 @@ def _rebound(terms, p, v):  # pragma: no cover
 @jit
 def _taken_back(terms, p, memory, limit, towards, v, side, push, position, effort):  # pragma: no cover
     """Seconds at a limit, and speed after them, of a part that came in with `v` and whose drive takes it back."""
-    others = p[INERTIA] + (p[SLACK_INERTIA] if p[SLACK_WIDTH] > 0.0 else 0.0) - p[SHAFT_INERTIA]
-    drive, press = 0.0, 0.0
+    drive, press, others = 0.0, 0.0, p[INERTIA] - p[SHAFT_INERTIA]
     if p[SHAFT_SWING] > 0.0:
         drive = towards * _actuator(p, limit, 0.0, position, effort)
         press = towards * _acting(terms, p, memory, limit, 0.0, side, push, position, effort) - drive
@@ -449,6 +448,14 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
         if found & _MET:
             side = 1 if y[2] > y[0] else -1
             back = _parting(p, y[1] - y[3])
+        if found & _MET and frozen and resting * side > 0:  # the part is pressed on its limit, and gives way no further
+            at, w1 = y[0] + 0.5 * side * p[SLACK_WIDTH], max(abs(back), p[SHAFT_BACK] * abs(y[3]))
+            pressed = side * _actuator(p, y[2], y[3], position, asked) / p[SLACK_INERTIA]
+            if w1 > 0.5 * step * max(pressed, 0.0):
+                y, side = (y[0], 0.0, at, -side * w1), 0
+            else:
+                y = (y[0], 0.0, at, 0.0)
+        elif found & _MET:
             a, b = _slopes(y, terms, p, memory, frozen, slide, grip, 0, push, position, asked, loaded)
             press = side * (b - a)
             both = p[INERTIA] + p[SLACK_INERTIA]
@@ -463,7 +470,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
             towards = 1 if y[0] - p[LOWER] > p[UPPER] - y[0] else -1
             limit = p[UPPER] if towards > 0 else p[LOWER]
             back, stays = _rebound(terms, p, y[1]), 0.0
-            if p[SHAFT_BACK] > 0.0:
+            if p[SHAFT_BACK] > 0.0 and p[SLACK_WIDTH] == 0.0:
                 seconds, taken = _taken_back(terms, p, memory, limit, towards, y[1], side, push, position, asked)
                 if abs(taken) > abs(back):
                     back, stays = taken, seconds
@@ -472,9 +479,14 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
                 back, resting, stays = 0.0, towards, 0.0  # it would come back within half a step: it stays
             if stays > 1e-9:
                 waits, leaves, back, resting = now + stays, back, 0.0, towards
+            v = y[1]
             y = (limit, back, y[2], y[3])
-            if side != 0:
-                y = (limit, back, limit + 0.5 * side * p[SLACK_WIDTH], back)
+            if side * towards < 0:  # the drive goes on through the slack
+                y, side = (limit, back, limit + 0.5 * side * p[SLACK_WIDTH], v), 0
+            elif side != 0:
+                own = back if p[SHAFT_BACK] == 0.0 else -p[SHAFT_BACK] * v
+                y = (limit, back, limit + 0.5 * side * p[SLACK_WIDTH], own)
+                side = 0 if own != back else side
         elif found & _STOPPED:
             y = (y[0], 0.0, y[2], 0.0 if side != 0 else y[3])
     for i in range(done, n):  # ever more events in ever less time: it comes to rest here

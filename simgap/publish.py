@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -34,6 +35,7 @@ from simgap.show import (
     helps,
     show,
 )
+from simgap.stretches import Stretch, as_replays, at_fault, judged_so, said_of
 from simgap.surrogate import Nuisance, Plant
 from simgap.track_geometry import lever_of, middle_of
 from simgap.verdict import Named, RunGap, Verdict, unseen
@@ -67,6 +69,8 @@ class Draft:
     """Effects that are named without doubt, whatever is said of the rest: only these go into the asset."""
     curves: tuple[ReplayGap, ...] = ()
     """Held-out runs as the fits' own simulation has them, by the asset as it is and by the best that was found."""
+    stretches: Callable[[str], tuple[Stretch, ...]] | None = None
+    """Run name to the run in stretches: takes seconds, for a run that hangs on a hair."""
 
 
 def off_of(plant: Plant, nuisance: Nuisance) -> Off:
@@ -131,9 +135,13 @@ def publish(
     shown, kept = None, draft.certain
     notes: list[str] = []
     if tried:
-        trial = Trial(asset, measured, runs, draft, placed, tried)
+        trial, began = Trial(asset, measured, runs, draft, placed, tried), time.monotonic()
         shown, why = trial.replayed(replay_seconds, progress)
+        hair = ""
+        if shown is not None:
+            shown, hair = trial.judged_in_stretches(shown, replay_seconds - (time.monotonic() - began))
         verdict, kept, notes = _judged(verdict, draft.certain, tried, shown, why, replay_seconds)
+        notes = [hair, *notes] if hair else notes
     source = {"verdict": verdict.verdict, "effects": [n.effect.name for n in kept]} if kept else None
     repaired(asset, tuple(n.effect for n in kept), folder / "asset", source)
     verdict = replace(verdict, added=tuple(n.effect.name for n in kept))
@@ -174,26 +182,52 @@ class Trial:
         draft, runs = self.draft, self.runs
         moving = any(n.effect.kind != "kinematics" for n in self.tried)
         picked = _picked([run for run in runs.runs if run.name in draft.starts], draft) if moving else []
-        replays = tuple(
-            Replayed(run, *draft.starts[run.name], draft.floor, draft.regimes.get(run.name, ""), bool(run.held_out))
-            for run in picked
-        )
+        replays = tuple(self._whole(run) for run in picked)
         tracks: tuple[PosesReplayed, ...] = ()
         if draft.geometry is not None and any(n.effect.kind == "kinematics" for n in self.tried):
             tracks = _tracks(self.measured, draft.geometry, self.placed, self.asset.state_zero)
         if not replays and not tracks:
             return None, ""
+        try:
+            return self._shown(replays, tracks, seconds, progress), ""
+        except CannotReplay as error:
+            return None, str(error)
+
+    def judged_in_stretches(self, shown: Shown, seconds: float) -> tuple[Shown, str]:
+        """What was shown with the one run in stretches that alone speaks against the repair, if it does not do so any
+        more then, and what must be said of it; else what was shown, and nothing."""
+        whole, stretches = at_fault(shown.runs), self.draft.stretches
+        if whole is None or stretches is None or seconds <= 0:
+            return shown, ""
+        run = next(run for run in self.runs.runs if run.name == whole.run)
+        pieces = as_replays(self._whole(run), stretches(run.name))
+        try:
+            parts = self._shown(pieces, (), seconds, None)
+        except CannotReplay:
+            return shown, ""
+        if parts.given_up or parts.unsure:
+            return shown, ""
+        again = judged_so(shown, whole, parts)
+        if not helps(again.runs):
+            return shown, ""
+        joined = next(gap for gap in again.runs if gap.run == whole.run)
+        return again, said_of(whole, joined, len(pieces))
+
+    def _whole(self, run: Run) -> Replayed:
+        draft = self.draft
+        return Replayed(run, *draft.starts[run.name], draft.floor, draft.regimes.get(run.name, ""), bool(run.held_out))
+
+    def _shown(
+        self,
+        replays: tuple[Replayed, ...],
+        tracks: tuple[PosesReplayed, ...],
+        seconds: float,
+        progress: Progress | None,
+    ) -> Shown:
         with tempfile.TemporaryDirectory(prefix="freeart21-") as place_:
             mended = repaired(self.asset, tuple(n.effect for n in self.tried), Path(place_) / "asset")
-            try:
-                return (
-                    show(
-                        self.asset, mended, runs, replays, draft.off, poses=tracks, seconds=seconds, progress=progress
-                    ),
-                    "",
-                )
-            except CannotReplay as error:
-                return None, str(error)
+            off = self.draft.off
+            return show(self.asset, mended, self.runs, replays, off, poses=tracks, seconds=seconds, progress=progress)
 
 
 def _judged(

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -224,16 +224,20 @@ def _run(folder: Path, count: int, seconds: float, progress: Progress | None) ->
         progress(count, count)
 
 
-def helps(runs: tuple[ReplayGap, ...], poses: tuple[PoseGap, ...] = ()) -> bool:
+def judged_runs(runs: Sequence[ReplayGap]) -> list[ReplayGap]:
+    """Held-out runs; all when there is none of these that shows a gap."""
+    told = any(run.held_out and run.gap_before > SHOWS * run.floor for run in runs)
+    return [run for run in runs if run.held_out or not told]
+
+
+def helps(runs: Sequence[ReplayGap], poses: tuple[PoseGap, ...] = ()) -> bool:
     """Whether the gap, in floors, is smaller in all, in no regime (nor off the joint) wider by a quarter floor, and in
     no run by half a floor: runs of one regime may be of different kinds all the same.
 
-    Held-out runs are judged; all when there is none that shows a gap.
+    Of the runs, those of `judged_runs` count.
     """
-    told = [r for r in runs if r.held_out and r.gap_before > SHOWS * r.floor]
-    judged = [r for r in runs if r.held_out] if told else runs
     groups: dict[str, list[tuple[float, float]]] = {}
-    for run in judged:
+    for run in judged_runs(runs):
         groups.setdefault(run.regime, []).append((run.gap_before / run.floor, run.gap_after / run.floor))
     for track in [p for p in poses if p.held_out] or poses:
         groups.setdefault(" off the joint", []).append((track.before / track.floor, track.after / track.floor))

@@ -158,8 +158,7 @@ def numbers_of(
     shafts = [effect for effect in effects if isinstance(effect, Armature)]
     if shafts:
         shaft = max(shafts, key=lambda effect: effect.throw_back * effect.value)
-        drive, swing = (head[kernel.SLACK_INERTIA], 0.0) if slack else (shaft.value, shaft.swing)
-        head[kernel.SHAFT_INERTIA : kernel.SHAFT_SWING + 1] = drive, shaft.throw_back, swing
+        head[kernel.SHAFT_INERTIA : kernel.SHAFT_SWING + 1] = shaft.value, shaft.throw_back, shaft.swing
     terms = plant.gravity_terms
     head[kernel.GRAVITY_COS : kernel.GRAVITY_CONST + 1] = nuisance.gravity * (
         terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2]

@@ -282,9 +282,7 @@ class Reader:
         problem = self.theory.problem
         numbers = numbers_of(problem.plant, effects, nuisance, forms, problem.reference)
         if SHAFT in self.owners and numbers[kernel.SLACK_WIDTH]:  # behind a slack, where no effect has it
-            share = self.behind(theta, self.added(theta))
-            drive = share * (numbers[kernel.INERTIA] + numbers[kernel.SLACK_INERTIA])
-            numbers[kernel.SHAFT_INERTIA : kernel.SHAFT_SWING + 1] = drive, self.throw_back(theta, share), 0.0
+            numbers[kernel.SHAFT_BACK] = self.throw_back(theta, self.behind(theta, self.added(theta)))
         if self.theory.relaxed:
             numbers[kernel.SPRINGY] = free.get("springy", 0.0) * problem.speed
             power = 2 / 3 if numbers[kernel.SLACK_WIDTH] else 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from simgap.report import Ranked
 from simgap.search import Search, candidates
 from simgap.settings import GapSettings
 from simgap.show import SECONDS, Progress, ReplayGap
+from simgap.stretches import stretches_of
 from simgap.surrogate import Nuisance, Plant, plant_of
 from simgap.verdict import Named, Verdict, unseen
 from simgap.words import amount, effect_words, plain
@@ -75,7 +77,7 @@ def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) 
     return Draft(
         joined(motion, geometry, measured.joint_type),
         {run.name: (before[1][run.name], after[1][run.name]) for run in runs},
-        (off_of(plant, before[0]), off_of(plant, after[0])),
+        (off_of(plant, nuisance_of(before[0])), off_of(plant, nuisance_of(after[0]))),
         ranking_of(choice),
         geometry,
         {run.name: run.regime for run in runs},
@@ -83,6 +85,7 @@ def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) 
         motion.verdict != "no_gap",
         certain_of(motion, geometry),
         curves_of(choice, runs),
+        partial(stretches_of, runs, before[0], after[0]),
     )
 
 
@@ -118,18 +121,21 @@ def curves_of(choice: Choice, runs: tuple[FitRun, ...]) -> tuple[ReplayGap, ...]
     return tuple(found)
 
 
-def replayed_of(
-    fit: Fit, folds: tuple[Fold, ...], runs: tuple[FitRun, ...], anew: bool = False
-) -> tuple[Nuisance, Starts]:
-    """How the asset is off and where every run starts, for a replay with the effects of a fit just as they are; `anew`
-    if fitted runs will be replayed, too, whose starts suit the asset as those tell it that were fitted."""
-    reader = Reader(fit.theory)
+def replayed_of(fit: Fit, folds: tuple[Fold, ...], runs: tuple[FitRun, ...], anew: bool = False) -> tuple[Fit, Starts]:
+    """The fit as it is replayed, with its effects just as they are and the asset off as the replayed runs tell, and
+    where every run starts; `anew` if fitted runs will be replayed, too, whose starts suit the asset as those tell it
+    that were fitted."""
     if len(folds) == 1:
         there = confirmed(fit, folds[0].test)
         own = placed(there, folds[0].train, fit.starts).starts if anew else fit.starts
-        return reader.nuisance(there.theta), {**own, **there.starts}
+        return there, {**own, **there.starts}
     known = all(run.name in fit.starts for run in runs)
-    return reader.nuisance(fit.theta), fit.starts if known else {**placed(fit, runs).starts, **fit.starts}
+    return fit, fit.starts if known else {**placed(fit, runs).starts, **fit.starts}
+
+
+def nuisance_of(fit: Fit) -> Nuisance:
+    """How the asset is off by this fit."""
+    return Reader(fit.theory).nuisance(fit.theta)
 
 
 def ranking_of(choice: Choice) -> tuple[Ranked, ...]:

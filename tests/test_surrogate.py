@@ -256,6 +256,30 @@ def test_a_loose_drive_side_comes_to_rest_with_a_part_that_leans_on_its_stop(tmp
     assert q.min() == 0.0 and np.all(q[times > 1.5] == 0.0)
 
 
+@pytest.mark.parametrize("back", [0.0, 0.5])
+def test_a_drive_side_goes_on_when_its_part_stops_dead(tmp_path: Path, back: float):
+    """A drawer that drags its drive along stops; a second later it is pulled off, and the drive, which has come to the
+    other end of its slack, or back from there, is felt at once or after the slack; here and in SAPIEN."""
+    width, drive, speed, pull = 0.02, 0.4, 0.5, 0.3
+    effects = (made("backlash", width=width, drive_inertia=drive), made("armature", value=1e-6, throw_back=back))
+    asset = asset_at(tmp_path, "prismatic", *effects, axis="1 0 0", lower=-2.0, upper=0.3)
+    plant = plant_of(asset, measured_of("prismatic", gravity=np.zeros(3)))
+    times, ticks = np.arange(2001) * 1e-3, np.array([0.0, 0.1, 1.0])
+    pushes = np.array([4.0, 0.0, -pull])  # the push takes the part ahead of its drive, up to the end of the slack
+    inputs = Inputs(ticks, np.full(3, np.nan), np.zeros(3), pushes)
+    ours = simulate(plant, effects, times, 0.0, speed, inputs)
+    after = times[times >= 1.0] - 1.0
+    at_once = 0.3 - 0.5 * pull / (MASS + drive) * after**2
+    if back == 0.0:
+        np.testing.assert_allclose(ours[times >= 1.0], at_once, atol=1e-5)
+    else:
+        assert np.abs(ours[times >= 1.0] - at_once).max() > 1e-3
+    theirs = roll_out(
+        asset, 0.0, speed, duration_s=2, timestep_s=1e-3, force=lambda t: pushes[np.searchsorted(ticks, t, "right") - 1]
+    )
+    assert np.abs(theirs.q - np.interp(theirs.times_s, times, ours)).max() < 1e-3
+
+
 def test_flanks_give_way_and_throw_back_as_hertz_contacts_do(tmp_path: Path):
     """A servo through a slack whose flanks are Hunt and Crossley's, by a stiff solver: what the kernel adds to the
     library's hard flanks is most of the difference."""

@@ -15,7 +15,8 @@ class Backlash(Effect):
     `drive_inertia` and any armature together:
       apart (|x - q| < width / 2): J x'' = actuator's force, and the part moves without it;
       touching (|x - q| = width / 2): (I + J) q'' = all forces, for as long as the drive side pushes, not pulls;
-      meeting: both go on at the speed that keeps the momentum.
+      meeting: both go on at the speed that keeps the momentum; a part that is pressed on its limit stays there, and so
+      does what meets it. A part that stops dead at a limit is left by a drive side that it was dragging along.
     An actuator's law sees the drive side's position and speed, as a servo's encoder does; `q` stays the part's.
     Friction and all else act on the part. At the start the drive side is in the middle, as fast as the part. A joint
     without an actuator only carries a loose body along. URDF and MJCF's joint have no word for it.
