@@ -306,10 +306,9 @@ class SimulatedAsset:
     def _move_drive_side(self, slack: Backlash, q: float, qd: float, t: float, h: float) -> None:
         """Advance the body on the actuator's side of a slack, after the part; forces acted at `q`, `qd`, `t`.
 
-        When the part stops dead at a limit, a drive side that it dragged along goes on through the slack. One that
-        pushed it on, or that comes upon a part at rest there, comes back as far as its armature's shaft throws it.
+        What happens at limits is said in `Backlash`.
         """
-        J, side, back = self._drive_inertia, self._side, self._shaft.throw_back if self._shaft else 0.0
+        J, side, back = self._drive_inertia, self._side, slack.throw_back
         if side and self._struck and (side * self._struck < 0 or back):
             self._drive_q, self._side = self._q + 0.5 * side * slack.width, 0
             self._drive_qd = self._struck if side * self._struck < 0 else -back * self._struck

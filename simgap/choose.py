@@ -15,7 +15,7 @@ from simgap import alike
 from simgap.drift import Drift
 from simgap.fit import tempered, unit_of
 from simgap.judge import Fold, Judged, beats, but_worst, judged, loosened, p_value, rms
-from simgap.objections import bounded, drifting, helps, hollow, may_be_else, stands, surpassed
+from simgap.objections import bounded, drifting, helps, hollow, may_be_else, springs_back, stands, surpassed
 from simgap.search import PLAINER, Search, beside, prompt, relaxed
 from simgap.settings import ChoiceSettings
 
@@ -67,7 +67,10 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
     contenders = first + instead(first, search, folds)
     stood: list[Judged] = []
     for size in range(1, settings.max_effects + 1):
-        doubtful = [j.error > settings.explained and j.borne < settings.form_factor * bar for j in contenders]
+        doubtful = [
+            (j.error > settings.explained or springs_back(j.fit)) and j.borne < settings.form_factor * bar
+            for j in contenders
+        ]
         contenders = [loosened(j, folds) if it else j for j, it in zip(contenders, doubtful, strict=True)]
         standing = [j for j in contenders if stands(j, base, bar, settings)]
         reach = min((j.reach for j in standing), default=np.inf)

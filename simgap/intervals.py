@@ -6,6 +6,7 @@ import numpy as np
 
 from freeart21.effects import Effect
 from freeart21.effects.armature import Armature
+from freeart21.effects.backlash import Backlash
 from simgap.fit import Fit, information, tempered, unit_of
 from simgap.guess import neutral_value
 from simgap.judge import Judged
@@ -34,8 +35,9 @@ def with_intervals(judgement: Judged) -> tuple[Named, ...]:
             size = 0.0 if is_place(effect, name) else x - neutral_value(type(effect)) * (i == min(own.values()))
             spread = NORMAL_90 * np.sqrt(errors[key] ** 2 + (free.values[key] - x) ** 2 + (part * size) ** 2)
             ends[name] = max(x - spread, specs[name].lower), min(x + spread, specs[name].upper)
-        if isinstance(effect, Armature):
+        if isinstance(effect, Armature | Backlash):
             ends["throw_back"] = _of_shaft(fit, errors, "rebound", effect.throw_back)
+        if isinstance(effect, Armature):
             ends["swing"] = _of_shaft(fit, errors, "swing", effect.swing)
         low, high = ({name: float(end[k]) for name, end in ends.items()} for k in (0, 1))
         i = min(own.values())
@@ -46,7 +48,7 @@ def with_intervals(judgement: Judged) -> tuple[Named, ...]:
 
 
 def _of_shaft(fit: Fit, errors: dict[tuple[str, str], float], name: str, own: float) -> tuple[float, float]:
-    """90 % interval of a number of an armature that is its shaft's, fitted as `name`, and is `own` now; nothing where
+    """90 % interval of a number of a drive that is its shaft's, fitted as `name`, and is `own` now; nothing where
     stops bounce by themselves."""
     ranges = fit.theory.ranges()
     at = next((i for i, r in enumerate(ranges) if (r.owner, r.name) == (SHAFT, name)), None)

@@ -82,24 +82,29 @@ def _misses_most(gaps: dict[str, float], left: dict[str, float], settings: Choic
 
 
 def bounded(judgement: Judged) -> bool:
-    """Whether the set is one at a bound; where a slack is in it, with its sizes free if they were freed: flanks that
-    do not give way leave it to the shaft what real ones give back. Nor may a freed shaft twist all that it may."""
+    """Whether the set is one at a bound; where a drive is in it, with its sizes free if they were freed: flanks that do
+    not give way, and shafts that do not twist, leave it to what comes back from limits. Nor may a freed shaft twist all
+    that it may."""
     told = zip(judgement.free.theory.ranges(), judgement.free.theta, strict=True) if judgement.free else ()
     if any((r.owner, r.name) == ("armature form", "give") and x > (1 - _SPRINGY) * r.upper for r, x in told):
         return True
-    slack = any(effect.acts == "slack" for effect in judgement.fit.effects)
-    return at_bound(judgement.free if slack and judgement.free else judgement.fit)
+    drive = any(effect.acts in ("slack", "inertia") for effect in judgement.fit.effects)
+    return at_bound(judgement.free if drive and judgement.free else judgement.fit)
+
+
+def springs_back(fit: Fit) -> bool:
+    """Whether a shaft throws back all that it may, or swings as slowly: it stands for a spring."""
+    told = zip(fit.theory.ranges(), fit.theta, strict=True)
+    return any(r.owner == SHAFT and x > (1 - _SPRINGY) * r.upper for r, x in told)
 
 
 def at_bound(fit: Fit) -> bool:
     """Whether a place or a width of an effect lies at the end of what it may be, a catch takes hold where it lets go,
     a slack is as narrow as can be, or a shaft throws back all that it may: it stands for something else; or whether an
     effect has no size, and stands for nothing."""
-    if any(_is_nothing(effect) for effect in fit.effects) or _may_be_a_spring(fit):
+    if any(_is_nothing(effect) for effect in fit.effects) or _may_be_a_spring(fit) or springs_back(fit):
         return True
     for r, x in zip(fit.theory.ranges(), fit.theta, strict=True):
-        if r.owner == SHAFT and x > (1 - _SPRINGY) * r.upper:
-            return True
         if (r.owner, r.name) == ("backlash", "width") and x < (1 + _NARROW) * r.lower:
             return True
         spec = EFFECTS[r.owner].parameters().get(r.name) if r.owner in EFFECTS else None

@@ -33,7 +33,7 @@ _PARTS, _BACK, _SWINGS = (None, -0.5, 0.0, 0.5), (0.3, 0.85), (0.2, 0.5, 0.8)
 """Of a drive on its shaft: how much of the doubt in the part's own inertia is the drive's instead; what comes back, and
 how fast, as parts of what may be."""
 _CATCHES = 3
-"""How many of these are fitted."""
+"""How many of these are fitted, beside what was found."""
 _ALL_ALONG = (
     "coulomb_friction",
     "gravity_offset",
@@ -390,8 +390,8 @@ def caught(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
         return fit
     low, high = (np.array([getattr(r, k) for r in fit.theory.ranges()]) for k in ("lower", "upper"))
     tried = [np.clip(theta, low, high) for theta in points]
-    order = np.argsort([misfit(fit.theory, runs, theta, fit.starts) for theta in tried])
-    best = [tried[i] for i in order[:_CATCHES]]
+    order = np.argsort([misfit(fit.theory, runs, theta, fit.starts) for theta in tried], kind="stable")
+    best = [fit.theta, *(tried[i] for i in order[:_CATCHES])]
     return min(fit, tried_of(fit.theory, best, runs, fit.starts, _SCREEN), key=lambda f: f.cost)
 
 

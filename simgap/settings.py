@@ -32,10 +32,10 @@ class FitSettings:
     rebound_tolerance: float = 0.6
     """By how much of itself what comes back from a stop may differ from its formula, which no law describes well: with
     the speed of the impact."""
-    shaft_damping: float = 0.25
+    shaft_damping: float = 0.35
     """Least damping ratio with which a drive's inertia and the part's own swing about the shaft between them. What
     loses less is an elastic drive, not an armature."""
-    swing_tolerance: float = 0.025
+    swing_tolerance: float = 0.02
     """Part of the time of a crossing at top speed in which a drive's inertia and the part's own swing by a radian about
     the shaft between them, at most: what swings slower is an elastic drive."""
     travel_tolerance: float = 1e-3

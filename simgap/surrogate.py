@@ -155,8 +155,9 @@ def numbers_of(
     head[kernel.INERTIA] = nuisance.inertia * mechanics.inertia + (0.0 if slack else added)
     if slack:
         head[kernel.SLACK_WIDTH], head[kernel.SLACK_INERTIA] = slack.width, slack.drive_inertia + added
+        head[kernel.SHAFT_BACK] = slack.throw_back
     shafts = [effect for effect in effects if isinstance(effect, Armature)]
-    if shafts:
+    if shafts and not slack:
         shaft = max(shafts, key=lambda effect: effect.throw_back * effect.value)
         head[kernel.SHAFT_INERTIA : kernel.SHAFT_SWING + 1] = shaft.value, shaft.throw_back, shaft.swing
     terms = plant.gravity_terms

@@ -91,8 +91,8 @@ class Theory:
     bent: bool = False
     """Whether effects that keep to their formulas may depart from them, too, and by far more than any does."""
     prompt: bool = False
-    """Whether dry friction is there at once after a reversal and what is behind a slack never comes back, as in
-    simulators; else friction builds up and shafts twist, as real ones do."""
+    """Whether dry friction is there at once after a reversal, as in simulators; else it builds up, as real friction
+    does."""
 
     @property
     def classes(self) -> tuple[type[Effect], ...]:
@@ -122,8 +122,11 @@ class Theory:
         if not self.prompt and any(cls.acts == "drive" for cls in self.classes):
             found.append(Range(_FRICTION, "travel_root", 0.1, 1.0, 0.3, 0.5, 0.3))
             found.append(Range(_FRICTION, "gripping", 0.0, 2.0, 0.3, 0.5, 0.5))
-        behind = any(cls.acts == "inertia" or (cls.acts == "slack" and not self.prompt) for cls in self.classes)
-        if behind and problem.near_stop and "end_stop_bounce" not in self.names:
+        if (
+            any(cls.acts in ("inertia", "slack") for cls in self.classes)
+            and problem.near_stop
+            and "end_stop_bounce" not in self.names
+        ):
             # part of the most that a shaft gives back; where no run tells, as if all of that were as likely
             found.append(Range(SHAFT, "rebound", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
             if "armature" in self.names and not any(cls.acts == "slack" for cls in self.classes):
@@ -224,11 +227,15 @@ class Reader:
         for cls, names in self.fitted:
             at = self.owners.index(cls.name)
             made.append(cls(**dict(zip(names, map(float, theta[at : at + len(names)]), strict=True))))
-        return tuple(self._on_shaft(theta, e) if isinstance(e, Armature) else e for e in made)
+        return tuple(self._thrown(theta, e, made) for e in made) if SHAFT in self.owners else tuple(made)
 
-    def _on_shaft(self, theta: Array, effect: Armature) -> Armature:
-        """The rotor on the shaft that was fitted, by its own share of all inertia."""
-        if SHAFT not in self.owners:
+    def _thrown(self, theta: Array, effect: Effect, added: Sequence[Effect]) -> Effect:
+        """The effect, if it is a drive, as it comes back from limits: a rotor on its shaft by its own share of all
+        inertia, but behind a slack the drive side."""
+        slack = any(e.acts == "slack" for e in (*self.base, *added))
+        if isinstance(effect, Backlash):
+            return replace(effect, throw_back=self.throw_back(theta, self.behind(theta, added)))
+        if not isinstance(effect, Armature) or slack:
             return effect
         part = self.nuisance(theta).inertia * self.theory.problem.plant.mechanics.inertia
         share = effect.value / (part + effect.value)
@@ -281,8 +288,6 @@ class Reader:
                 effects = (*effects, EncoderScale(1 + free["tilt"] * offset / self.theory.problem.reference[2]))
         problem = self.theory.problem
         numbers = numbers_of(problem.plant, effects, nuisance, forms, problem.reference)
-        if SHAFT in self.owners and numbers[kernel.SLACK_WIDTH]:  # behind a slack, where no effect has it
-            numbers[kernel.SHAFT_BACK] = self.throw_back(theta, self.behind(theta, self.added(theta)))
         if self.theory.relaxed:
             numbers[kernel.SPRINGY] = free.get("springy", 0.0) * problem.speed
             power = 2 / 3 if numbers[kernel.SLACK_WIDTH] else 1

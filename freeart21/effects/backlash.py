@@ -15,8 +15,9 @@ class Backlash(Effect):
     `drive_inertia` and any armature together:
       apart (|x - q| < width / 2): J x'' = actuator's force, and the part moves without it;
       touching (|x - q| = width / 2): (I + J) q'' = all forces, for as long as the drive side pushes, not pulls;
-      meeting: both go on at the speed that keeps the momentum; a part that is pressed on its limit stays there, and so
-      does what meets it. A part that stops dead at a limit is left by a drive side that it was dragging along.
+      meeting: both go on at the speed that keeps the momentum.
+    When the part stops dead at a limit, a drive side that it was dragging along goes on through the slack; one that was
+    pushing it on, or that comes upon the part at rest there, comes back with `throw_back` of its speed.
     An actuator's law sees the drive side's position and speed, as a servo's encoder does; `q` stays the part's.
     Friction and all else act on the part. At the start the drive side is in the middle, as fast as the part. A joint
     without an actuator only carries a loose body along. URDF and MJCF's joint have no word for it.
@@ -27,6 +28,7 @@ class Backlash(Effect):
 
     width: float = parameter("rad", "m", 0.0, 10.0, "free travel from one end of the slack to the other", scale=0.02)
     drive_inertia: float = parameter("kg*m^2", "kg", 1e-9, 1e4, "inertia of the drive side", scale=0.01)
+    throw_back: float = parameter("1", "1", 0.0, 1.0, "part of its speed that it comes back with", default=0.0)
 
     @staticmethod
     def meeting(side: Any, x: Any, v: Any, q: Any, qd: Any, push: Any, width: Any) -> Any:
