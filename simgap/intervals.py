@@ -36,9 +36,9 @@ def with_intervals(judgement: Judged) -> tuple[Named, ...]:
             spread = NORMAL_90 * np.sqrt(errors[key] ** 2 + (free.values[key] - x) ** 2 + (part * size) ** 2)
             ends[name] = max(x - spread, specs[name].lower), min(x + spread, specs[name].upper)
         if isinstance(effect, Armature | Backlash):
-            ends["throw_back"] = _of_shaft(fit, errors, "rebound", effect.throw_back)
+            ends["throw_back"] = _of_shaft(fit, errors, effect, "rebound")
         if isinstance(effect, Armature):
-            ends["swing"] = _of_shaft(fit, errors, "swing", effect.swing)
+            ends["swing"] = _of_shaft(fit, errors, effect, "swing")
         low, high = ({name: float(end[k]) for name, end in ends.items()} for k in (0, 1))
         i = min(own.values())
         weight = (fit.theta[i] - neutral_value(type(effect))) ** 2 * fit.normal[i, i]
@@ -47,16 +47,19 @@ def with_intervals(judgement: Judged) -> tuple[Named, ...]:
     return tuple(named for _, named in found)
 
 
-def _of_shaft(fit: Fit, errors: dict[tuple[str, str], float], name: str, own: float) -> tuple[float, float]:
-    """90 % interval of a number of a drive that is its shaft's, fitted as `name`, and is `own` now; nothing where
-    stops bounce by themselves."""
-    ranges = fit.theory.ranges()
+def _of_shaft(fit: Fit, errors: dict[tuple[str, str], float], effect: Effect, name: str) -> tuple[float, float]:
+    """90 % interval of what a drive has of its shaft, fitted as SHAFT's `name`; nothing where stops bounce by
+    themselves."""
+    ranges, told = fit.theory.ranges(), {"rebound": "throw_back", "swing": "swing"}[name]
     at = next((i for i, r in enumerate(ranges) if (r.owner, r.name) == (SHAFT, name)), None)
     if at is None:
         return 0.0, 0.0
-    x, r, spread = fit.theta[at], ranges[at], NORMAL_90 * errors[SHAFT, name]
-    low, high = max(x - spread, r.lower), min(x + spread, r.upper)
-    return (own * low / x, own * high / x) if x > 0 else (0.0, 0.0)
+    spread, ends = NORMAL_90 * errors[SHAFT, name], []
+    for x in (fit.theta[at] - spread, fit.theta[at] + spread):
+        theta = fit.theta.copy()
+        theta[at] = np.clip(x, ranges[at].lower, ranges[at].upper)
+        ends.append(float(next(getattr(e, told) for e in fit.theory.effects(theta) if e.name == effect.name)))
+    return ends[0], ends[1]
 
 
 def is_place(effect: Effect, name: str) -> bool:

@@ -21,7 +21,7 @@ from freeart21.effects.stribeck_friction import StribeckFriction
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
-from simgap import choose, objections
+from simgap import choose, intervals, objections
 from simgap import search as search_module
 from simgap.choose import earned, last, rivals
 from simgap.data import FitRun, fit_runs
@@ -273,6 +273,23 @@ def test_what_throws_back_as_no_shaft_does_is_no_drive(tmp_path: Path, effects, 
         assert armature.throw_back == pytest.approx(back * lasting)
         slowest = search.problem.fit.swing_tolerance * search.problem.crossing_s  # of both about the shaft
         assert armature.swing == pytest.approx(swing * slowest / np.sqrt(1 - share))
+
+
+def test_what_a_drive_has_of_its_shaft_is_as_sure_as_what_was_fitted(tmp_path: Path):
+    search = search_on(tmp_path, measured_of(12, servo=True), 0.3)
+    theory = Theory(search.problem, ("armature",))
+    at = {r.name: i for i, r in enumerate(theory.ranges())}
+    errors = {("shaft form", "rebound"): 0.05, ("shaft form", "swing"): 0.5}
+    for rebound in (0.0, 0.4):
+        theta = theory.neutral()
+        theta[at["rebound"]] = rebound
+        fit = replace(search.base(), theory=theory, theta=theta)
+        (armature,) = fit.effects
+        low, high = intervals._of_shaft(fit, errors, armature, "rebound")
+        assert low <= armature.throw_back < high and (low > 0) == (rebound > 0)
+        low, high = intervals._of_shaft(fit, errors, armature, "swing")
+        assert low == 0.0 and high == pytest.approx(2 * armature.swing)  # from one end of what may be to the other
+    assert intervals._of_shaft(search.base(), errors, armature, "swing") == (0.0, 0.0)
 
 
 def test_a_drive_is_tried_with_other_parts_of_the_same_inertia(tmp_path: Path):
