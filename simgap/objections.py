@@ -136,9 +136,23 @@ def _is_nothing(effect: Effect) -> bool:
 
 def may_be_else(judgement: Judged, search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> bool:
     """Whether something that has no name may be all that the set stands for."""
+    if strained(judgement):
+        return True
     if len(judgement.names) > 1 and (may_be_nothing(judgement) or may_be_one_way(judgement)):
         return True
     return may_be_a_shaft(judgement, search) or may_be_bent(judgement, search, folds, settings)
+
+
+def strained(judgement: Judged) -> bool:
+    """Whether the set needs the asset to be off by all that it may, in two ways or more: what strains it so pulls
+    otherwise than the set does."""
+    fits = (judgement.fit, judgement.free or judgement.fit)
+    told = [zip(fit.theory.ranges(), fit.theta, strict=True) for fit in fits]
+    ends = [
+        {r.name for r, x in own if r.owner == "asset" and min(x - r.lower, r.upper - x) < _EDGE * (r.upper - r.lower)}
+        for own in told
+    ]
+    return len(ends[0] & ends[1]) > 1
 
 
 def may_be_nothing(judgement: Judged) -> bool:

@@ -275,6 +275,29 @@ def test_what_throws_back_as_no_shaft_does_is_no_drive(tmp_path: Path, effects, 
         assert armature.swing == pytest.approx(swing * slowest / np.sqrt(1 - share))
 
 
+@pytest.mark.parametrize(
+    "plain, free, strained",
+    [
+        ({"inertia": "upper", "gravity": "upper"}, None, True),
+        ({"inertia": "upper", "lean_1": "lower"}, {"inertia": "upper", "lean_1": "lower", "gravity": "upper"}, True),
+        ({"inertia": "upper", "gravity": "upper"}, {"inertia": "upper"}, False),  # that is the formula's doing
+        ({"inertia": "upper"}, None, False),
+        ({}, {"inertia": "upper", "gravity": "upper"}, False),
+    ],
+)
+def test_what_needs_an_asset_that_is_off_in_every_way_has_no_name(tmp_path: Path, plain, free, strained: bool):
+    search = search_on(tmp_path, measured_of(12), 0.3)
+    theory = Theory(search.problem, ("viscous_damping",))
+
+    def fit_at(ends: dict[str, str]) -> Fit:
+        values = [getattr(r, ends[r.name]) if r.name in ends else x
+                  for r, x in zip(theory.ranges(), theory.neutral(), strict=True)]  # fmt: skip
+        return replace(search.base(), theory=theory, theta=np.array(values))
+
+    judgement = Judged(fit_at(plain), {}, free=None if free is None else fit_at(free))
+    assert objections.strained(judgement) is strained
+
+
 def test_what_a_drive_has_of_its_shaft_is_as_sure_as_what_was_fitted(tmp_path: Path):
     search = search_on(tmp_path, measured_of(12, servo=True), 0.3)
     theory = Theory(search.problem, ("armature",))
