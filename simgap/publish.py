@@ -211,7 +211,7 @@ class Trial:
         if not helps(again.runs):
             return shown, ""
         joined = next(gap for gap in again.runs if gap.run == whole.run)
-        return again, said_of(whole, joined, len(pieces))
+        return again, said_of(whole, joined)
 
     def _whole(self, run: Run) -> Replayed:
         draft = self.draft
@@ -367,7 +367,12 @@ def _measured_gaps(gaps: tuple[RunGap, ...], shown: Shown) -> tuple[RunGap, ...]
     """Gaps with those that SAPIEN measured in their places, and those of the geometry."""
     replayed = {run.run: run for run in shown.runs}
     out = [
-        replace(gap, before=replayed[gap.run].gap_before, after=replayed[gap.run].gap_after)
+        replace(
+            gap,
+            before=replayed[gap.run].gap_before,
+            after=replayed[gap.run].gap_after,
+            stretches=replayed[gap.run].stretches,
+        )
         if gap.run in replayed
         else gap
         for gap in gaps

@@ -229,7 +229,8 @@ def _runs(gap: Gap) -> list[Section]:
     sections = []
     for run in sorted(runs, key=lambda r: not r.held_out)[:most]:
         figures, data = run_drawings(run, gap.joint_type, names)
-        facts = ", ".join(w for w in ("held out" if run.held_out else "fitted", run.regime, where) if w)
+        pieces = f"in {run.stretches} stretches" if run.stretches > 1 else ""
+        facts = ", ".join(w for w in ("held out" if run.held_out else "fitted", run.regime, where, pieces) if w)
         sizes = [length_text(v, gap.joint_type) for v in (run.gap_before, run.gap_after)]
         title = f"Run {run.run}, {facts}: {' → '.join(sizes if names[1] else sizes[:1])}"
         sections.append(Section(title, f'<div class="charts">{"".join(figures)}</div>', "curves", data, "full"))

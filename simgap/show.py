@@ -115,6 +115,8 @@ class ReplayGap:
     floor: float
     regime: str
     held_out: bool
+    stretches: int = 1
+    """How many the run was judged in, each from a start of its own."""
 
 
 @dataclass(frozen=True)

@@ -79,6 +79,7 @@ def judged_so(shown: Shown, whole: ReplayGap, parts: Shown) -> Shown:
         after=after,
         gap_before=gap_before,
         gap_after=gap_after,
+        stretches=len(parts.runs),
     )
     runs = tuple(joined if run is whole else run for run in shown.runs)
     return replace(
@@ -90,9 +91,9 @@ def judged_so(shown: Shown, whole: ReplayGap, parts: Shown) -> Shown:
     )
 
 
-def said_of(whole: ReplayGap, joined: ReplayGap, count: int) -> str:
-    """For the page: that the run was judged in `count` stretches, and what its gap is as a whole and so."""
-    seconds = float(joined.times_s[-1] - joined.times_s[0]) / count
+def said_of(whole: ReplayGap, joined: ReplayGap) -> str:
+    """For the page: that the run was judged in stretches, and what its gap is as a whole and so."""
+    seconds = float(joined.times_s[-1] - joined.times_s[0]) / joined.stretches
     (whole_after, whole_before), (after, before) = (
         (run.gap_after / run.floor, run.gap_before / run.floor) for run in (whole, joined)
     )

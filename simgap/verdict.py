@@ -49,6 +49,8 @@ class RunGap:
     held_out: bool
     regime: str
     """Which kind of motion the run is, such as 'small' or 'large' swings."""
+    stretches: int = 1
+    """How many it was judged in, each from a start of its own: more than 1 for one that hangs on a hair."""
 
 
 SHOWS = 1.25

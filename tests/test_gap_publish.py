@@ -308,7 +308,12 @@ def test_one_run_that_hangs_on_a_hair_is_judged_in_stretches(tmp_path: Path, odd
     gap = next(gap for gap in verdict.gaps if gap.run == "run_4")
     assert 5 * gap.floor < gap.before < 50 * gap.floor and gap.after < 1.3 * gap.floor
     assert "run_4 hangs on a hair: as a whole its gap is" in page and "in stretches of 0.4 s" in page
-    assert f"Run run_4, held out, fast, in SAPIEN: {length_text(gap.before, 'revolute')} →" in page
+    count = len(stretches("run_4"))
+    said = {gap["run"]: gap["stretches"] for gap in json.loads((tmp_path / "out/verdict.json").read_text())["gap"]}
+    assert count > 1 and said == {run: count if run == "run_4" else 1 for run in said}
+    assert (
+        f"Run run_4, held out, fast, in SAPIEN, in {count} stretches: {length_text(gap.before, 'revolute')} →" in page
+    )
     without = replace(told, stretches=None)
     assert publish(asset, measured, without, tmp_path / "whole", "a hair").verdict == "unexplained"
 
