@@ -3,6 +3,8 @@ force without a name that does better, a size that changes over the session."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
@@ -15,12 +17,15 @@ from simgap.drift import Drift, drift_of
 from simgap.fit import Fit, steady, tempered
 from simgap.intervals import is_force, with_intervals
 from simgap.judge import RUNS, Fold, Judged, beats, but_worst, excess, judged, loosened, rms
-from simgap.search import Search, is_local, is_sudden, prompt, relaxed
+from simgap.search import Search, beside, is_local, is_sudden, prompt, relaxed
 from simgap.settings import ChoiceSettings
 from simgap.theory import SHAFT, Reader
 
 _EDGE = 0.02
 """Part of a range that counts as its end."""
+_WAYS, _NO_WORSE = 2, 1.1
+"""Ways in which an asset may not be off by all that it may; times its sum of squares that a fit beside one that is not
+may have."""
 _SPRINGY = 0.05
 """The same of what a shaft gives back."""
 _NARROW = 0.5
@@ -136,23 +141,33 @@ def _is_nothing(effect: Effect) -> bool:
 
 def may_be_else(judgement: Judged, search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> bool:
     """Whether something that has no name may be all that the set stands for."""
-    if strained(judgement):
+    if strained(judgement, search):
         return True
     if len(judgement.names) > 1 and (may_be_nothing(judgement) or may_be_one_way(judgement)):
         return True
     return may_be_a_shaft(judgement, search) or may_be_bent(judgement, search, folds, settings)
 
 
-def strained(judgement: Judged) -> bool:
-    """Whether the set needs the asset to be off by all that it may, in two ways or more: what strains it so pulls
-    otherwise than the set does."""
-    fits = (judgement.fit, judgement.free or judgement.fit)
-    told = [zip(fit.theory.ranges(), fit.theta, strict=True) for fit in fits]
-    ends = [
-        {r.name for r, x in own if r.owner == "asset" and min(x - r.lower, r.upper - x) < _EDGE * (r.upper - r.lower)}
-        for own in told
-    ]
-    return len(ends[0] & ends[1]) > 1
+def strained(judgement: Judged, search: Search) -> bool:
+    """Whether the set needs the asset to be off by all that it may, in two ways or more, and fits worse beside one that
+    is off by half of that: what strains it so pulls otherwise than the set does."""
+    fit = judgement.fit
+    ends = [set(_at_ends(own)) for own in (fit, judgement.free or fit)]
+    shared = ends[0] & ends[1]
+    if len(shared) < _WAYS:
+        return False
+    halfway = fit.theta.copy()
+    for i, r in enumerate(fit.theory.ranges()):
+        if r.owner == "asset" and r.name in shared:
+            halfway[i] = 0.5 * (halfway[i] + r.neutral)
+    again = beside(fit, replace(fit, theta=halfway), search.train)
+    return again.cost > _NO_WORSE * fit.cost
+
+
+def _at_ends(fit: Fit) -> list[str]:
+    """Of the numbers by which the asset is off, those at an end of what they may be."""
+    told = [(r, x) for r, x in zip(fit.theory.ranges(), fit.theta, strict=True) if r.owner == "asset"]
+    return [r.name for r, x in told if min(x - r.lower, r.upper - x) < _EDGE * (r.upper - r.lower)]
 
 
 def may_be_nothing(judgement: Judged) -> bool:

@@ -276,16 +276,19 @@ def test_what_throws_back_as_no_shaft_does_is_no_drive(tmp_path: Path, effects, 
 
 
 @pytest.mark.parametrize(
-    "plain, free, strained",
+    "plain, free, worse, strained",
     [
-        ({"inertia": "upper", "gravity": "upper"}, None, True),
-        ({"inertia": "upper", "lean_1": "lower"}, {"inertia": "upper", "lean_1": "lower", "gravity": "upper"}, True),
-        ({"inertia": "upper", "gravity": "upper"}, {"inertia": "upper"}, False),  # that is the formula's doing
-        ({"inertia": "upper"}, None, False),
-        ({}, {"inertia": "upper", "gravity": "upper"}, False),
+        ({"inertia": "upper", "gravity": "upper"}, None, 1.5, True),
+        ({"inertia": "upper", "gravity": "upper"}, None, 1.05, False),  # as well without: a gauge
+        ({"inertia": "upper", "lean_1": "lower"}, {"inertia": "upper", "lean_1": "lower", "gravity": "upper"}, 2, True),
+        ({"inertia": "upper", "gravity": "upper"}, {"inertia": "upper"}, 2, False),  # that is the formula's doing
+        ({"inertia": "upper"}, None, 2, False),
+        ({}, {"inertia": "upper", "gravity": "upper"}, 2, False),
     ],
 )
-def test_what_needs_an_asset_that_is_off_in_every_way_has_no_name(tmp_path: Path, plain, free, strained: bool):
+def test_what_needs_an_asset_that_is_off_in_every_way_has_no_name(
+    tmp_path: Path, monkeypatch, plain, free, worse: float, strained: bool
+):
     search = search_on(tmp_path, measured_of(12), 0.3)
     theory = Theory(search.problem, ("viscous_damping",))
 
@@ -294,8 +297,14 @@ def test_what_needs_an_asset_that_is_off_in_every_way_has_no_name(tmp_path: Path
                   for r, x in zip(theory.ranges(), theory.neutral(), strict=True)]  # fmt: skip
         return replace(search.base(), theory=theory, theta=np.array(values))
 
+    def half_way(fit: Fit, held: Fit, runs) -> Fit:
+        for r, x, end in zip(theory.ranges(), held.theta, fit.theta, strict=True):
+            assert x == (pytest.approx(0.5 * (end + r.neutral)) if r.owner == "asset" else end)
+        return replace(fit, cost=worse * fit.cost)
+
+    monkeypatch.setattr(objections, "beside", half_way)
     judgement = Judged(fit_at(plain), {}, free=None if free is None else fit_at(free))
-    assert objections.strained(judgement) is strained
+    assert objections.strained(judgement, search) is strained
 
 
 def test_what_a_drive_has_of_its_shaft_is_as_sure_as_what_was_fitted(tmp_path: Path):
