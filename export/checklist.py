@@ -12,12 +12,11 @@ import numpy as np
 import trimesh
 
 from export.inertia import Inertial, unphysical
-from export.urdf_numbers import numbers, origin_pose, told
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
-from freeart21.joint import Joint, JointType
+from freeart21.files.urdf import link_poses, numbers, origin_pose, parsed, read_urdf_joints, told
 from freeart21.se3 import Array
 from generator.simulate import joint_motion
 
@@ -49,7 +48,7 @@ def check_asset(folder: Path) -> list[Finding]:
     folder = Path(folder)
     try:
         asset = read_asset(folder)
-        robot = ET.fromstring(asset.urdf.read_bytes())
+        robot = parsed(asset.urdf)
     except FreeArtError as error:
         return [Finding("asset", str(error))]
     findings = [*_tree(robot), *_names(robot), *_paths(robot, asset.urdf.parent)]
@@ -116,7 +115,7 @@ def _inertial(link: ET.Element, folder: Path, robot: ET.Element) -> Iterator[Fin
         return
     rows = ("ixx ixy ixz", "ixy iyy iyz", "ixz iyz izz")
     inertia = np.array([[_number(link, "inertial/inertia", key, "0") for key in row.split()] for row in rows])
-    centre = numbers(told(link, "inertial/origin", "xyz", "0 0 0"))
+    centre = numbers(told(link, "inertial/origin", "xyz", "0 0 0"), 3, f"link '{name}' has xyz")
     wrong = unphysical(Inertial(_number(link, "inertial/mass", "value", "0"), centre, inertia))
     if wrong:
         yield Finding("inertia", f"link '{name}': {wrong}")
@@ -161,9 +160,10 @@ def _textures(link: ET.Element, folder: Path) -> Iterator[Finding]:
 def _axis(joint: ET.Element) -> Iterator[Finding]:
     if joint.get("type") == "fixed":
         return
-    length = float(np.linalg.norm(numbers(told(joint, "axis", "xyz", "1 0 0"))))
+    name = joint.get("name")
+    length = float(np.linalg.norm(numbers(told(joint, "axis", "xyz", "1 0 0"), 3, f"joint '{name}' has axis")))
     if abs(length - 1) > 1e-6:
-        yield Finding("axis", f"joint '{joint.get('name')}' has an axis of length {length:.6g}, expected 1")
+        yield Finding("axis", f"joint '{name}' has an axis of length {length:.6g}, expected 1")
 
 
 def _limits(joint: ET.Element) -> Iterator[Finding]:
@@ -189,8 +189,8 @@ def _reload(asset: Asset, robot: ET.Element) -> Iterator[Finding]:
     joint = next(j for j in robot.findall("joint") if j.get("name") == asset.joint)
     lower, upper = (_number(joint, "limit", key, default) for key, default in (("lower", "-1"), ("upper", "1")))
     positions = np.linspace(lower, upper, 7)
-    said = np.stack([_T_reference_moving(asset, robot, q) for q in positions])
-    zero = _T_reference_moving(asset, robot, asset.state_zero)
+    said = np.stack([_T_reference_moving(asset, q) for q in positions])
+    zero = _T_reference_moving(asset, asset.state_zero)
     C = asset.T_canonical_reference
     expected = C @ said @ se3.inverse(zero) @ se3.inverse(C)
     try:
@@ -229,23 +229,10 @@ def _reload_mujoco(asset: Asset, mjcf: Path, positions: Array, said: Array) -> I
         yield Finding("mujoco", f"MuJoCo puts '{asset.moving_link}' {worst:.2g} from where the URDF says")
 
 
-def _T_reference_moving(asset: Asset, robot: ET.Element, q: float) -> Array:
-    """Forward kinematics from the URDF's text alone, other joints as held."""
-    above = {told(j, "child", "link"): j for j in robot.findall("joint")}
-
-    def T_root_link(link: str) -> Array:
-        if link not in above:
-            return np.eye(4)
-        joint = above[link]
-        position = q if joint.get("name") == asset.joint else asset.held.get(joint.get("name", ""), 0.0)
-        T: Array = T_root_link(told(joint, "parent", "link")) @ origin_pose(joint)
-        if joint.get("type") == "fixed":
-            return T
-        axis = numbers(told(joint, "axis", "xyz", "1 0 0"))
-        kind: JointType = "prismatic" if joint.get("type") == "prismatic" else "revolute"
-        return T @ Joint("", kind, axis, np.zeros(3), -np.inf, np.inf).transform(position)
-
-    return se3.inverse(T_root_link(asset.reference_link)) @ T_root_link(asset.moving_link)
+def _T_reference_moving(asset: Asset, q: float) -> Array:
+    """Forward kinematics from the URDF's numbers alone, other joints as held."""
+    Ts = link_poses(read_urdf_joints(asset.urdf), {**asset.held, asset.joint: q})
+    return se3.inverse(Ts[asset.reference_link]) @ Ts[asset.moving_link]
 
 
 def _meshes(link: ET.Element, tag: str, folder: Path) -> list[tuple[Array, trimesh.Trimesh]]:
@@ -259,7 +246,7 @@ def _meshes(link: ET.Element, tag: str, folder: Path) -> list[tuple[Array, trime
                 loaded = trimesh.load_mesh(path, process=False)
             except Exception as error:
                 raise FreeArtError(f"{path} is not a readable mesh: {error}") from error
-            found.append((origin_pose(element), loaded))
+            found.append((origin_pose(element, f"link '{link.get('name')}'"), loaded))
     return found
 
 
@@ -270,4 +257,5 @@ def _words(path: Path, key: str) -> list[str]:
 
 
 def _number(element: ET.Element, path: str, attribute: str, default: str) -> float:
-    return float(numbers(told(element, path, attribute, default), 1)[0])
+    what = f"{element.tag} '{element.get('name')}' has {attribute}"
+    return float(numbers(told(element, path, attribute, default), 1, what)[0])

@@ -19,19 +19,16 @@ What such folders are like (each point has a test, `test_quirk_NN_...`):
 
 from __future__ import annotations
 
-import contextlib
-import xml.etree.ElementTree as ET
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.asset import UrdfJoint, movable_joint, read_semantics, read_urdf_joints
+from freeart21.files.asset import movable_joint, read_semantics
+from freeart21.files.urdf import Urdf, UrdfJoint, UrdfLink, children, read_urdf
 from freeart21.joint import Joint
 from freeart21.se3 import Array
 from generator.motion import motion_range
@@ -116,7 +113,8 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
     if not urdf.is_file():
         raise FreeArtError(f"{folder} is not a PartNet-Mobility object: it has no {URDF_NAME}")
     meta = _meta(folder)
-    root, joints = _read_tree(urdf)
+    read = _read_tree(urdf)
+    joints = read.joints
     scored = movable_joint(urdf, joint or meta.get("scored_joint"))
     if not scored.lower < scored.upper:
         raise FreeArtError(
@@ -125,21 +123,20 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
     held = {
         j.name: float(np.clip(0.0, j.lower, j.upper)) for j in joints.values() if j.joint_type and j.name != scored.name
     }
-    motions = read_motions(root, joints, urdf)
-    Ts = link_poses(joints, motions, held)
-    visuals = {element.get("name", ""): _visuals(element, folder, urdf) for element in root.findall("link")}
+    Ts = read.link_poses(held)
+    visuals = {link.name: _visuals(link, folder, urdf) for link in read.links.values()}
     gaps = Gaps()
     absent = _absent(visuals, folder, urdf, skip_missing or folder.resolve().name in INCOMPLETE)
     gaps.meshes.update(absent)
     below = _below(joints, scored.child)
     child = _side(scored, tuple(name for name in visuals if name in below), visuals, Ts, folder, gaps)
     parent = _side(scored, tuple(name for name in visuals if name not in below), visuals, Ts, folder, gaps)
-    T_object_joint = Ts[scored.parent] @ motions[scored.name].T_parent_joint
+    T_object_joint = Ts[scored.parent] @ scored.T_parent_joint
     assert scored.joint_type is not None
     moving = Joint(
         scored.name,
         scored.joint_type,
-        T_object_joint[:3, :3] @ motions[scored.name].axis,
+        T_object_joint[:3, :3] @ scored.axis,
         T_object_joint[:3, 3],
         scored.lower + 0.0,
         scored.upper + 0.0,
@@ -178,78 +175,29 @@ def _meta_notes(meta: dict, folder: Path) -> list[str]:
     return [] if ours or said == folder.name else [f"meta.json calls the object {said}; the folder's name is kept"]
 
 
-def _read_tree(urdf: Path) -> tuple[ET.Element, dict[str, UrdfJoint]]:
-    """The URDF's element and its joints; FreeArtError when it is not one tree of links, or a joint is not understood.
+def _read_tree(urdf: Path) -> Urdf:
+    """The URDF; FreeArtError when it is not one tree of links, or a joint is not understood.
 
     (SAPIEN would take an unknown type for a fixed joint, and fails without saying where for much else.)
     """
-    joints = read_urdf_joints(urdf)
-    data = urdf.read_bytes()
+    read = read_urdf(urdf)
     try:
-        data.decode("utf-8")
+        urdf.read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:
         raise FreeArtError(f"{urdf} is not UTF-8 text: {error}") from error
-    root = ET.fromstring(data)
-    links = [element.get("name", "") for element in root.findall("link")]
-    known = Counter(links)
-    for name, times in known.items():
-        if times > 1:
-            raise FreeArtError(f"{urdf} has link '{name}' {times} times, expected names of their own")
-    limited = {e.get("name", "") for e in root.findall("joint") if e.find("limit") is not None}
-    hung: dict[str, str] = {}
-    for j in joints.values():
-        for link in (j.parent, j.child):
-            if link not in known:
-                raise FreeArtError(f"{urdf}: joint '{j.name}' names link '{link}', which does not exist")
-        if j.child in hung:
-            raise FreeArtError(f"{urdf}: link '{j.child}' hangs on both joints '{hung[j.child]}' and '{j.name}'")
-        hung[j.child] = j.name
+    for j in read.joints.values():
         if j.joint_type is None and j.type != "fixed":
             raise FreeArtError(
                 f"{urdf}: joint '{j.name}' has type '{j.type}', expected fixed, revolute, continuous or prismatic"
             )
-        if j.joint_type and j.type != "continuous" and j.name not in limited:
+        if j.joint_type and j.type != "continuous" and not j.limited:
             raise FreeArtError(f"{urdf}: joint '{j.name}' is {j.type} and has no <limit>, expected lower and upper")
         if j.lower > j.upper:
             raise FreeArtError(
                 f"{urdf}: joint '{j.name}' has limits [{j.lower:g}, {j.upper:g}], expected lower <= upper"
             )
-    roots = [link for link in links if link not in hung]
-    if len(roots) != 1:
-        raise FreeArtError(f"{urdf} has the root links {', '.join(roots) or 'none'}, expected one")
-    reached = {roots[0]} | _below(joints, roots[0])
-    for j in joints.values():
-        if j.child not in reached:
-            raise FreeArtError(f"{urdf}: its joints form a loop at link '{j.child}'")
-    return root, joints
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Where a joint sits and which way it moves."""
-
-    T_parent_joint: Array
-    """(4, 4) parent link's frame from the joint's frame at position zero."""
-    axis: Array
-    """(3,) unit vector in the joint's frame."""
-
-
-def link_poses(joints: dict[str, UrdfJoint], motions: dict[str, Motion], q: dict[str, float]) -> dict[str, Array]:
-    """Link name to T_root_link (4, 4) at joint positions `q`, rad or m; joints not named stand at zero.
-
-    The joints must form one tree, as `load` makes sure.
-    """
-    hung = {j.child for j in joints.values()}
-    Ts = {j.parent: np.eye(4) for j in joints.values() if j.parent not in hung}
-    below, at = _children(joints), list(Ts)
-    while at:
-        for j in below.get(at.pop(), ()):
-            Ts[j.child] = Ts[j.parent] @ motions[j.name].T_parent_joint
-            if j.joint_type is not None:
-                free = Joint(j.name, j.joint_type, motions[j.name].axis, np.zeros(3), -np.inf, np.inf)
-                Ts[j.child] = Ts[j.child] @ free.transform(q.get(j.name, 0.0))
-            at.append(j.child)
-    return Ts
+    read.root  # noqa: B018  raises unless there is one
+    return read
 
 
 def _meta(folder: Path) -> dict:
@@ -260,34 +208,18 @@ def _meta(folder: Path) -> dict:
     return meta
 
 
-def read_motions(root: ET.Element, joints: dict[str, UrdfJoint], urdf: Path) -> dict[str, Motion]:
-    """Joint name to where it sits and which way it moves, of the URDF element `root`."""
-    motions = {}
-    for element in root.findall("joint"):
-        name = element.get("name", "")
-        axis = _numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"{urdf}: joint '{name}' axis")
-        length = float(np.linalg.norm(axis))
-        if joints[name].joint_type is not None and length < 1e-9:
-            raise FreeArtError(f"{urdf}: joint '{name}' has axis {axis.tolist()}, expected a direction")
-        motions[name] = Motion(_origin(element, f"{urdf}: joint '{name}'"), axis / max(length, 1e-9))
-    return motions
-
-
-def _visuals(link: ET.Element, folder: Path, urdf: Path) -> list[Visual]:
+def _visuals(link: UrdfLink, folder: Path, urdf: Path) -> list[Visual]:
     visuals = []
-    for element in link.findall("visual"):
-        mesh = element.find("geometry/mesh")
-        where = f"{urdf}: link '{link.get('name')}'"
-        if mesh is None or not mesh.get("filename"):
+    for shape in link.visuals:
+        where = f"{urdf}: link '{link.name}'"
+        if shape.kind != "mesh" or not shape.filename:
             raise FreeArtError(f"{where} has a visual that is not a mesh; expected <mesh filename=...>")
-        name = mesh.get("filename", "")
-        if not name.lower().endswith(".obj"):
-            raise FreeArtError(f"{where} has the mesh '{name}', expected an .obj file")
-        path = inside(folder, name, f"{where} has the mesh")
-        scale = _numbers(mesh, "scale", (1.0, 1.0, 1.0), where)
-        if not scale.all():
-            raise FreeArtError(f"{where} has a mesh of scale {scale.tolist()}, expected none to be zero")
-        visuals.append(Visual(path, _origin(element, where), scale))
+        if not shape.filename.lower().endswith(".obj"):
+            raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected an .obj file")
+        path = inside(folder, shape.filename, f"{where} has the mesh")
+        if not shape.size.all():
+            raise FreeArtError(f"{where} has a mesh of scale {shape.size.tolist()}, expected none to be zero")
+        visuals.append(Visual(path, shape.T_link_shape, shape.size))
     return visuals
 
 
@@ -327,40 +259,12 @@ def _side(
     return Side(links, surface)
 
 
-def _children(joints: dict[str, UrdfJoint]) -> dict[str, list[UrdfJoint]]:
-    """Link name to the joints that hang on it."""
-    children: dict[str, list[UrdfJoint]] = {}
-    for j in joints.values():
-        children.setdefault(j.parent, []).append(j)
-    return children
-
-
 def _below(joints: dict[str, UrdfJoint], link: str) -> set[str]:
     """`link` and every link that hangs on it."""
-    children, found, at = _children(joints), {link}, [link]
+    hanging, found, at = children(joints.values()), {link}, [link]
     while at:
-        for j in children.get(at.pop(), ()):
+        for j in hanging.get(at.pop(), ()):
             if j.child not in found:
                 found.add(j.child)
                 at.append(j.child)
     return found
-
-
-def _origin(element: ET.Element, where: str) -> Array:
-    origin = element.find("origin")
-    roll, pitch, yaw = _numbers(origin, "rpy", (0.0, 0.0, 0.0), where)
-    x, y, z = np.eye(3)
-    R = se3.exp_so3(yaw * z) @ se3.exp_so3(pitch * y) @ se3.exp_so3(roll * x)
-    return se3.pose(R, _numbers(origin, "xyz", (0.0, 0.0, 0.0), where))
-
-
-def _numbers(element: ET.Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
-    text = None if element is None else element.get(key)
-    if text is None:
-        return np.array(default)
-    values = np.array([np.nan])
-    with contextlib.suppress(ValueError):
-        values = np.array([float(word) for word in text.split()])
-    if values.shape != (3,) or not np.isfinite(values).all():
-        raise FreeArtError(f"{where}: {key} is '{text}', expected three numbers")
-    return values

@@ -27,6 +27,7 @@ from trimesh.geometry import triangulate_quads
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
+from freeart21.files.urdf import parsed
 from freeart21.se3 import Array
 from generator.surface import Paint, Surface, srgb
 
@@ -258,7 +259,7 @@ def sapien_urdf(urdf: Path) -> Iterator[Path]:
     without absent pictures, and meshes that their scale mirrors have their faces turned round (SAPIEN would show them
     from within). Only OBJ files are looked into.
     """
-    root = ET.fromstring(urdf.read_bytes())
+    root = parsed(urdf)
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
         changed = False
         for link in root.iter("link"):

@@ -17,6 +17,7 @@ import trimesh
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
+from freeart21.files.urdf import parsed
 from freeart21.se3 import Array
 from generator import simulate
 from generator.model import Link, ObjectModel
@@ -77,7 +78,7 @@ def released_states(
 
 def weighed(asset: Asset, model: ObjectModel, folder: Path, shapes: bool = False) -> Asset:
     """`asset`, written from `model`, with a URDF in `folder` that has inertia by the materials, and maybe shapes."""
-    root = ET.fromstring(asset.urdf.read_bytes())
+    root = parsed(asset.urdf)
     for element in root.findall("link"):
         for shape in () if shapes else (*element.findall("visual"), *element.findall("collision")):
             element.remove(shape)

@@ -31,7 +31,8 @@ from freeart21.effects.armature import Armature, thrown
 from freeart21.effects.backlash import Backlash
 from freeart21.effects.base import Effect, readings
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import UrdfJoint, movable_joint, read_urdf_joints
+from freeart21.files.asset import movable_joint
+from freeart21.files.urdf import UrdfJoint, parsed, read_urdf_joints
 from freeart21.joint import Joint, JointType
 from freeart21.mechanics import Actuator, JointMechanics
 from freeart21.se3 import Array
@@ -665,7 +666,7 @@ def _check_sides(asset: Asset, joints: dict[str, UrdfJoint], joint: UrdfJoint) -
 
 def _readable_urdf(asset: Asset, joints: dict[str, UrdfJoint], visuals: bool, keep_collisions: bool) -> ET.Element:
     """The URDF as SAPIEN can read it from anywhere: absolute file names, full limits, no more than it needs."""
-    root = ET.fromstring(asset.urdf.read_bytes())
+    root = parsed(asset.urdf)
     for element in list(root):
         if element.tag not in ("link", "joint", "material"):
             root.remove(element)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,9 @@ from numpy.typing import ArrayLike
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
-from freeart21.files.asset import MAX_URDF_BYTES, movable_joint, read_asset
+from freeart21.files.asset import movable_joint, read_asset
 from freeart21.files.joint_json import joint_from_json, joint_to_json
+from freeart21.files.urdf import named_inside, parsed
 from freeart21.joint import Joint
 from freeart21.se3 import Array
 
@@ -76,19 +75,9 @@ def check_files(folder: Path) -> None:
     if size > MAX_ASSET_BYTES:
         raise FreeArtError(f"{folder} has {size} bytes, at most {MAX_ASSET_BYTES} are read")
     for urdf in sorted(folder.rglob("*.urdf")):
-        try:
-            root = ET.fromstring(checked.require_file(urdf, MAX_URDF_BYTES).read_bytes())
-        except ET.ParseError as error:
-            raise FreeArtError(f"{urdf} is not XML: {error}") from error
-        for element in root.iter():
+        for element in parsed(urdf).iter():
             if "filename" in element.attrib:
-                inside_asset(folder, urdf, element.attrib["filename"])
-
-
-def inside_asset(folder: Path, urdf: Path, name: str) -> None:
-    """FreeArtError when the file `name` of a URDF leads out of the asset's folder."""
-    relative = urdf.parent.relative_to(folder) / name.removeprefix("file://").removeprefix("package://")
-    checked.inside(folder, str(relative))
+                named_inside(urdf, element.attrib["filename"], folder)
 
 
 def drive(asset: Asset, states: ArrayLike) -> tuple[Joint, Array]:

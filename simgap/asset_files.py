@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from freeart21.errors import FreeArtError
+from freeart21.files.urdf import parsed_xml
 from generator import simulate
 
 MAX_FILE_BYTES = 512 << 20
@@ -89,14 +90,14 @@ def copied(urdf: Path, folder: Path) -> dict[str, bytes]:
     home = Path(os.path.normpath(urdf.absolute().parent))
     copy = _Copy(home, folder)
     out = {}
-    robot = parsed(urdf.read_bytes(), urdf)
+    robot = parsed_xml(urdf.read_bytes(), urdf, comments=True)
     for element in _naming(robot, "filename"):
         name = element.get("filename", "")
         element.set("filename", copy.take(simulate.named_file(urdf, name), str(urdf)))
     out[urdf.name] = written(robot, declared=True)
     mjcf = mjcf_beside(urdf)
     if mjcf.is_file():
-        model = parsed(mjcf.read_bytes(), mjcf)
+        model = parsed_xml(mjcf.read_bytes(), mjcf, comments=True)
         if model.tag == "mujoco":  # else it is something of the same name
             out[mjcf.name] = _mjcf(mjcf, model, copy)
     if (home / "semantics.txt").is_file():
@@ -107,14 +108,6 @@ def copied(urdf: Path, folder: Path) -> dict[str, bytes]:
 def mjcf_beside(urdf: Path) -> Path:
     """Where the MJCF of a URDF stands."""
     return urdf.with_suffix(".mjcf" if urdf.suffix == ".xml" else ".xml")
-
-
-def parsed(text: bytes, where: Path) -> ET.Element:
-    """XML with its comments; FreeArtError when it is none."""
-    try:
-        return ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
-    except ET.ParseError as error:
-        raise FreeArtError(f"{where} is not XML: {error}") from error
 
 
 def written(root: ET.Element, declared: bool = False) -> bytes:

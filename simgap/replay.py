@@ -23,6 +23,7 @@ from freeart21.effects.load_friction import LoadFriction
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import movable_joint, read_asset
+from freeart21.files.urdf import parsed
 from freeart21.mechanics import Actuator, held
 from freeart21.se3 import Array
 from generator import simulate
@@ -95,7 +96,7 @@ def _scaled(asset: Asset, factor: float, folder: Path) -> Asset:
     """The asset with all its masses and inertias times `factor`, from a URDF in `folder`."""
     if factor == 1.0:
         return asset
-    root = ET.fromstring(asset.urdf.read_bytes())
+    root = parsed(asset.urdf)
     for inertial in root.iter("inertial"):
         for element in (*inertial.findall("mass"), *inertial.findall("inertia")):
             for key, value in element.attrib.items():

@@ -19,8 +19,9 @@ from freeart21.effects.return_spring import ReturnSpring
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, write_asset_json
+from freeart21.files.urdf import parsed_xml
 from generator import simulate
-from simgap.asset_files import copied, mjcf_beside, parsed, written
+from simgap.asset_files import copied, mjcf_beside, written
 
 _ONE_SIZE = ("viscous_damping", "coulomb_friction", "quadratic_drag", "load_friction", "armature")
 """Effects whose first number is a size: two of them are one with the sum; of what their shafts throw back the larger
@@ -83,7 +84,7 @@ def _one_spring(a: Effect, b: Effect) -> ReturnSpring:
 
 def urdf_with_effects(text: bytes, effects: dict[str, tuple[Effect, ...]], where: Path) -> bytes:
     """The URDF with `<dynamics>` of every joint as its effects say; everything else, comments too, stays."""
-    root = parsed(text, where)
+    root = parsed_xml(text, where, comments=True)
     for joint in root.findall("joint"):
         acting = effects.get(joint.get("name", ""), ())
         said = [effect.urdf_dynamics() for effect in acting]
@@ -99,7 +100,7 @@ def urdf_with_effects(text: bytes, effects: dict[str, tuple[Effect, ...]], where
 
 def mjcf_with_effects(text: bytes, joint: str, effects: dict[str, tuple[Effect, ...]], where: Path) -> bytes:
     """The MJCF with the words of its joint as the effects say; FreeArtError when it has no such joint."""
-    root = parsed(text, where)
+    root = parsed_xml(text, where, comments=True)
     element = next((e for e in root.iter("joint") if e.get("name") == joint), None)
     if element is None:
         names = ", ".join(e.get("name", "") for e in root.iter("joint"))

@@ -21,7 +21,7 @@ from freeart21.camera import Camera
 from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.asset import read_urdf_joints
+from freeart21.files.urdf import link_poses, read_urdf_joints
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from generator import objects, partnet
@@ -223,19 +223,14 @@ def _scene(loaded: partnet.PartNetObject) -> Scene:
     return Scene(loaded.asset.urdf, [s.links for s in loaded.sides], _CAMERA, 0.1, 20, "trivial")
 
 
-def _tree(urdf: Path) -> tuple:
-    joints = read_urdf_joints(urdf)
-    return joints, partnet.read_motions(ET.fromstring(urdf.read_bytes()), joints, urdf)
-
-
 def _poses_agree(loaded: partnet.PartNetObject, seed: int) -> None:
     """SAPIEN and our own reading place every link alike, all joints somewhere within their limits."""
     scene, rng = _scene(loaded), np.random.default_rng(seed)
-    joints, motions = _tree(loaded.asset.urdf)
+    joints = read_urdf_joints(loaded.asset.urdf)
     for _ in range(4):
         q = {j.name: float(rng.uniform(max(j.lower, -3), min(j.upper, 3))) for j in joints.values() if j.joint_type}
         scene.render(_T_CAMERA, q)
-        theirs, ours = scene.link_poses(), partnet.link_poses(joints, motions, q)
+        theirs, ours = scene.link_poses(), link_poses(joints, q)
         assert set(theirs) == set(ours)
         for link, T in ours.items():
             assert np.allclose(theirs[link], _T_CAMERA @ T, atol=3e-6), link
@@ -678,15 +673,18 @@ def test_the_choice_of_joints_of_a_real_object() -> None:
         (_LID + _SLIDE.replace("0.5", "0.0") + _BODY, r"'joint_0' cannot move: its limits are \[0, 0\]"),
         (_LID + _SLIDE.replace("0.5", "-1") + _BODY, r"'joint_0' has limits \[0, -1\], expected lower <= upper"),
         (_LID + _SLIDE.replace("0.5", "nan") + _BODY, "'joint_0' has upper 'nan', expected a finite number"),
-        (_LID + _SLIDE.replace("0 1 0", "0 nan 0") + _BODY, "xyz is '0 nan 0', expected three numbers"),
-        (_link("link_0", "textured_objs/b.obj", origin="0 0") + _SLIDE + _BODY, "xyz is '0 0', expected three numbers"),
+        (_LID + _SLIDE.replace("0 1 0", "0 nan 0") + _BODY, "has axis '0 nan 0', expected 3 finite numbers"),
+        (
+            _link("link_0", "textured_objs/b.obj", origin="0 0") + _SLIDE + _BODY,
+            "has xyz '0 0', expected 3 finite numbers",
+        ),
         (
             _link("link_0", "textured_objs/b.obj", scale=' scale="1 0 1"') + _SLIDE + _BODY,
             "scale .* expected none to be zero",
         ),
         (_link("link_0") + _SLIDE + _BODY, "no surface on the side of links link_0$"),
         (_LID + _LID + _SLIDE + _BODY, "has link 'link_0' 2 times"),
-        (_SLIDE + _BODY, "joint 'joint_0' names link 'link_0', which does not exist"),
+        (_SLIDE + _BODY, "joint 'joint_0' names link 'link_0'; links: base, link_9"),
         (_LID + _SLIDE + _BODY + _link("lost"), "has the root links base, lost, expected one"),
         (
             _LID + _SLIDE + _BODY + _joint("j", "fixed", "link_0", "base"),
@@ -707,7 +705,10 @@ def test_the_choice_of_joints_of_a_real_object() -> None:
         (_link("link_0", "package://toy/b.obj") + _SLIDE + _BODY, "'package://toy/b.obj', expected a path inside"),
         (_link("link_0", "textured_objs/b.dae") + _SLIDE + _BODY, "'textured_objs/b.dae', expected an .obj file"),
         (_link("link_0", "b" * 5000 + ".obj") + _SLIDE + _BODY, "cannot be looked up: "),
-        (_LID.replace("mesh filename", "box size") + _SLIDE + _BODY, "a visual that is not a mesh"),
+        (
+            _LID.replace('mesh filename="textured_objs/b.obj"', 'box size="1 1 1"') + _SLIDE + _BODY,
+            "a visual that is not a mesh",
+        ),
         ("<link", "is not XML"),
     ],
 )

@@ -12,7 +12,8 @@ from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import read_asset, read_urdf_joints, write_effects
+from freeart21.files.asset import read_asset, write_effects
+from freeart21.files.urdf import read_urdf_joints
 from freeart21.joint import Joint
 from generator.simulate import joint_motion, load, roll_out
 

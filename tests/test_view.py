@@ -32,13 +32,13 @@ from freeart21.truth import Truth
 from freeart21.view import page, write_page
 from freeart21.view.asset_scene import asset_scene
 from freeart21.view.document import Section, document, embed_array, embed_json, extract_array
+from freeart21.view.link_shapes import read_shown
 from freeart21.view.obj import read_obj
 from freeart21.view.parts import align, articulation_scene, exchanged, matched, with_truth
 from freeart21.view.plot import StateSeries, plot_section
 from freeart21.view.scene import Link, link_poses, scene_section, slider_range
 from freeart21.view.simplify import box, cylinder, simplified, sphere
 from freeart21.view.tables import score_section
-from freeart21.view.urdf import read_urdf
 from freeart21.view.video import VideoSettings, shown_frames, video_section
 
 N, WIDTH, HEIGHT = 6, 48, 32
@@ -450,7 +450,7 @@ def test_asset_page_has_a_slider_over_the_limits_and_says_what_acts(tmp_path: Pa
 
 def test_urdf_link_moves_about_its_joint(tmp_path: Path) -> None:
     """The hinge stands at x = 0.1 with its z turned to x, so a quarter turn carries the child's y to world z."""
-    scene = asset_scene(read_urdf(write_urdf(tmp_path)))
+    scene = asset_scene(read_shown(write_urdf(tmp_path)))
     T = link_poses(scene.links, [np.pi / 2])[-1]
     assert se3.transform(T, [[0, 1, 0], [0, 0, 1], [1, 0, 0]]) == pytest.approx(
         np.array([[0.1, 0, 1], [1.1, 0, 0], [0.1, 1, 0]]), abs=1e-12
@@ -462,7 +462,7 @@ def test_urdf_rpy_turns_about_the_fixed_x_then_y_then_z(tmp_path: Path) -> None:
     quarter = "1.5707963267948966"
     body = f"""<link name="tip"/><joint name="odd" type="fixed"><origin rpy="{quarter} {quarter} {quarter}"/>
       <parent link="base"/><child link="tip"/></joint>"""
-    turn = read_urdf(write_urdf(tmp_path, body=body)).origins["odd"][:3, :3]
+    turn = read_shown(write_urdf(tmp_path, body=body)).urdf.joints["odd"].T_parent_joint[:3, :3]
     assert turn @ [0, 1, 0] == pytest.approx([0, 1, 0], abs=1e-12)
     assert turn @ [1, 0, 0] == pytest.approx([0, 0, -1], abs=1e-12)
 
@@ -472,7 +472,7 @@ def test_mimic_joint_follows_its_leader_and_missing_mesh_is_told(tmp_path: Path)
       <joint name="second" type="prismatic"><parent link="lid"/><child link="tip"/><axis xyz="1 0 0"/>
       <limit lower="0" upper="1"/><mimic joint="hinge" multiplier="-2" offset="0.5"/></joint>"""
     path = write_urdf(tmp_path, body=body)
-    scene = asset_scene(read_urdf(path))
+    scene = asset_scene(read_shown(path))
     assert [slider.name for slider in scene.sliders] == ["hinge"]
     poses = link_poses(scene.links, [0.2])
     assert (se3.inverse(poses[1]) @ poses[2])[:3, 3] == pytest.approx([0.1, 0, 0])
@@ -482,15 +482,15 @@ def test_mimic_joint_follows_its_leader_and_missing_mesh_is_told(tmp_path: Path)
 @pytest.mark.skipif(not PARTNET.is_dir(), reason="the PartNet-Mobility object is not beside this checkout")
 def test_real_partnet_object_stands_upright_and_closed() -> None:
     """Every visual's origin undoes its joint's, so at zero all meshes are their OBJ files turned from y up to z up."""
-    model = read_urdf(PARTNET / "mobility.urdf")
+    model = read_shown(PARTNET / "mobility.urdf")
     scene = asset_scene(model)
     assert [s.type for s in scene.sliders] == ["revolute", "revolute", "prismatic", "prismatic"]
-    assert len(model.links) == 6 and sum(len(link.visuals) for link in model.links.values()) > 200 and not model.missing
+    assert len(model.visuals) == 6 and sum(map(len, model.visuals.values())) > 200 and not model.missing
     R = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])
     poses = link_poses(scene.links, [0.0] * 4)
     obj = {tuple(np.round(p.mesh.vertices[0], 6)) for f in PARTNET.glob("*/*.obj") for p in read_obj(f, PARTNET)}
-    for link, T in zip(model.links.values(), poses, strict=True):
-        for piece in link.visuals:
+    for pieces, T in zip(model.visuals.values(), poses, strict=True):
+        for piece in pieces:
             corner = se3.transform(T, piece.mesh.vertices[0]) @ R
             assert min(np.abs(corner - np.array(known)).max() for known in obj) < 1e-5
     parsed = Parsed(page(PARTNET)).data[0]

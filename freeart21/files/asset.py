@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +12,11 @@ from freeart21.effects import Effect, effect_from_json, effects_from_urdf_dynami
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import file_sha256
+from freeart21.files.urdf import MAX_URDF_BYTES, UrdfJoint, read_urdf_joints
 from freeart21.joint import JointType
 
 ASSET_SCHEMA = "freeart21/asset/1"
 EFFECTS_SCHEMA = "freeart21/effects/1"
-MAX_URDF_BYTES = 16 << 20
 NEUTRAL_BASELINE = {
     "joint_friction": 0.0,
     "link_linear_damping": 0.0,
@@ -26,57 +24,6 @@ NEUTRAL_BASELINE = {
     "sleep_threshold": 0.0,
 }
 """What an effect is measured against: a simulator with every loss of its own switched off."""
-
-_MOVABLE: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
-
-
-@dataclass(frozen=True)
-class UrdfJoint:
-    """One joint of a URDF, as far as this layer needs it."""
-
-    name: str
-    type: str
-    """As the URDF says: fixed, revolute, continuous, prismatic, ..."""
-    parent: str
-    child: str
-    lower: float
-    upper: float
-    damping: float
-    friction: float
-
-    @property
-    def joint_type(self) -> JointType | None:
-        """'revolute' or 'prismatic' when it moves with one degree of freedom, else None."""
-        return _MOVABLE.get(self.type)
-
-
-def read_urdf_joints(urdf: Path) -> dict[str, UrdfJoint]:
-    """Joint name to joint, in file order. Raises FreeArtError when the file is not a URDF or a number is not one."""
-    try:
-        root = ET.fromstring(checked.require_file(urdf, MAX_URDF_BYTES).read_bytes())
-    except ET.ParseError as error:
-        raise FreeArtError(f"{urdf} is not XML: {error}") from error
-    if root.tag != "robot":
-        raise FreeArtError(f"{urdf} is not a URDF: its root is <{root.tag}>, expected <robot>")
-    joints: dict[str, UrdfJoint] = {}
-    for element in root.findall("joint"):
-        name, kind = element.get("name", ""), element.get("type", "")
-        parent, child = element.find("parent"), element.find("child")
-        if not name or name in joints or parent is None or child is None:
-            raise FreeArtError(f"{urdf}: joint '{name}' needs a name of its own, a parent and a child")
-        limit, dynamics = element.find("limit"), element.find("dynamics")
-        unlimited = kind == "continuous" or limit is None
-        joints[name] = UrdfJoint(
-            name,
-            kind,
-            parent.get("link", ""),
-            child.get("link", ""),
-            -np.inf if unlimited else _number(limit, "lower", urdf, name),
-            np.inf if unlimited else _number(limit, "upper", urdf, name),
-            _number(dynamics, "damping", urdf, name),
-            _number(dynamics, "friction", urdf, name),
-        )
-    return joints
 
 
 def movable_joint(urdf: Path, name: str | None = None) -> UrdfJoint:
@@ -230,14 +177,3 @@ def _type_of(joints: dict[str, UrdfJoint], name: str, path: Path) -> JointType:
             f"{path}: effects for joint '{name}', which is not a movable joint of the URDF; movable joints: {movable}"
         )
     return kind
-
-
-def _number(element: ET.Element | None, attribute: str, urdf: Path, joint: str) -> float:
-    text = "0" if element is None else element.get(attribute, "0")
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise FreeArtError(f"{urdf}: joint '{joint}' has {attribute} '{text}', expected a finite number")
-    return value

@@ -32,7 +32,7 @@ from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.asset import read_urdf_joints
+from freeart21.files.urdf import read_urdf_joints
 from freeart21.formats import foreign
 from freeart21.formats.foreign import Foreign, Image, Known, Progress
 from freeart21.recording import Frame, Recording

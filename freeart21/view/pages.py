@@ -25,6 +25,7 @@ from freeart21.view.asset_scene import asset_scene
 from freeart21.view.benchmark_page import benchmark_page
 from freeart21.view.diagnosis import diagnosis_section, remarks_section
 from freeart21.view.document import TRUTH, Section, document
+from freeart21.view.link_shapes import read_shown
 from freeart21.view.parts import AXIS, align, articulation_scene, axis_in_pictures, matched, with_truth
 from freeart21.view.plot import StateSeries, plot_section
 from freeart21.view.scene import scene_section
@@ -39,7 +40,6 @@ from freeart21.view.tables import (
     seconds_section,
     table_section,
 )
-from freeart21.view.urdf import read_urdf
 from freeart21.view.video import AxisLine, PartMasks, VideoSettings, shown_frames, video_section
 
 ALIGNMENT_NOTE = (
@@ -273,9 +273,10 @@ def _asset_sections(path: Path, T_camera_canonical: Array | None) -> tuple[list[
         urdf = asset.urdf
     else:
         urdf = _one_urdf(path)
-    model = read_urdf(urdf)
+    shown = read_shown(urdf)
+    model = shown.urdf
     effects = asset.effects if asset is not None else read_effects(urdf)
-    missing, notices = model.missing, []
+    missing, notices = shown.missing, []
     if missing:
         some = ", ".join(missing[:5]) + " ..." * (len(missing) > 5)
         notices = [f"{len(missing)} mesh files that {urdf.name} names are missing: {some}"]
@@ -289,7 +290,7 @@ def _asset_sections(path: Path, T_camera_canonical: Array | None) -> tuple[list[
         *([f"{sum(masses):.3g} kg"] if masses else []),
     ]
     sections = [
-        scene_section(asset_scene(model, asset, T_camera_canonical), "Asset", "full"),
+        scene_section(asset_scene(shown, asset, T_camera_canonical), "Asset", "full"),
         joint_section(model, effects),
         link_section(model),
     ]

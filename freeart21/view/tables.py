@@ -9,12 +9,11 @@ from typing import Any, Literal
 import numpy as np
 
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import UrdfJoint
+from freeart21.files.urdf import Urdf, UrdfJoint
 from freeart21.joint import Joint
 from freeart21.recording import Recording
 from freeart21.view.document import Section, escape
 from freeart21.view.plot import display_unit
-from freeart21.view.urdf import UrdfModel
 
 ARROWS = {"up": ("↑", "more is better"), "down": ("↓", "less is better")}
 
@@ -113,23 +112,22 @@ def score_section(
     return Section(title, f'<div class="table scores"><table><tbody>{"".join(rows)}</tbody></table></div>', place=place)
 
 
-def link_section(model: UrdfModel) -> Section:
+def link_section(urdf: Urdf) -> Section:
     """Mass properties of every link that has any shape or mass."""
     rows = []
-    for link in model.links.values():
+    for link in (urdf.links[name] for name in urdf.parents_first):
         if link.inertial is None and not link.visuals and not link.collisions:
             continue
         shapes = f"{len(link.visuals)} / {len(link.collisions)}"
         if link.inertial is None:
             rows.append((link.name, "not given", "", "", shapes))
             continue
-        inertia = link.inertial.inertia
         rows.append(
             (
                 link.name,
                 f"{link.inertial.mass:.4g} kg",
                 f"{_vector(link.inertial.centre)} m",
-                ", ".join(f"{inertia[k]:.3g}" for k in (0, 3, 5)),
+                ", ".join(f"{moment:.3g}" for moment in np.diag(link.inertial.inertia)),
                 shapes,
             )
         )
@@ -138,13 +136,12 @@ def link_section(model: UrdfModel) -> Section:
     )
 
 
-def joint_section(model: UrdfModel, effects: Mapping[str, Sequence[Any]]) -> Section:
+def joint_section(urdf: Urdf, effects: Mapping[str, Sequence[Any]]) -> Section:
     """Every movable joint: limits, effort, velocity, and the effects that act on it."""
     rows = []
-    for name, joint in model.joints.items():
+    for name, joint in urdf.joints.items():
         if joint.joint_type is None:
             continue
-        effort, velocity = model.efforts[name]
         unit = ("N m", "rad/s") if joint.joint_type == "revolute" else ("N", "m/s")
         acting = "; ".join(effect_text(effect, joint) for effect in effects.get(name, ())) or "none"
         rows.append(
@@ -152,10 +149,10 @@ def joint_section(model: UrdfModel, effects: Mapping[str, Sequence[Any]]) -> Sec
                 name,
                 joint.type,
                 f"{joint.parent} → {joint.child}",
-                _vector(model.axes[name]),
+                _vector(joint.axis),
                 limits_text(joint.joint_type, joint.lower, joint.upper),
-                "-" if effort is None else f"{effort:g} {unit[0]}",
-                "-" if velocity is None else f"{velocity:g} {unit[1]}",
+                "-" if joint.effort is None else f"{joint.effort:g} {unit[0]}",
+                "-" if joint.velocity is None else f"{joint.velocity:g} {unit[1]}",
                 acting,
             )
         )

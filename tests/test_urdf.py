@@ -1,0 +1,171 @@
+"""The one reader of URDFs: against yourdfpy, a reader of others, and against files that mean harm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_export import reconstruction
+
+from export.exporter import export_result
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset
+from freeart21.files.urdf import UrdfShape, named_inside, parsed, read_urdf, read_urdf_joints
+
+PARTNET = Path(__file__).resolve().parents[2] / "shared" / "partnet_mobility"
+
+URDF = """<?xml version="1.0"?>
+<robot name="odd">
+  <material name="sea"><color rgba="0 0.5 1 1"/></material>
+  <link name="lid">
+    <inertial><origin xyz="0.1 0 0" rpy="0 0 1.5707963267948966"/><mass value="2"/>
+      <inertia ixx="1" iyy="2" izz="3" ixy="0.1" ixz="0" iyz="0"/></inertial>
+    <visual name="v"><origin xyz="1 2 3" rpy="0.3 -0.4 0.5"/><geometry><box size="1 2 3"/></geometry>
+      <material name="sea"/></visual>
+    <visual name="v"><geometry><sphere radius="0.5"/></geometry></visual>
+    <collision><origin rpy="0 0.7 0"/><geometry><cylinder radius="0.2" length="0.9"/></geometry></collision>
+  </link>
+  <link name="base"><visual><geometry><capsule radius="0.1" length="0.4"/></geometry></visual></link>
+  <link name="tip"/>
+  <joint name="slide" type="prismatic"><origin xyz="0 0.2 0" rpy="-1.1 0.2 0.9"/><parent link="lid"/>
+    <child link="tip"/><axis xyz="1 2 -2"/><limit lower="-0.1" upper="0.4" effort="7"/></joint>
+  <joint name="hinge" type="revolute"><origin xyz="0.5 0 0.1" rpy="0.2 0.3 -2.5"/><parent link="base"/>
+    <child link="lid"/><axis xyz="0 3 4"/><limit lower="-1" upper="2"/><dynamics damping="0.3" friction="0.1"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture
+def odd(tmp_path: Path) -> Path:
+    """A URDF with turned frames, its links not in the order of its tree."""
+    path = tmp_path / "odd.urdf"
+    path.write_text(URDF)
+    return path
+
+
+def _agrees(path: Path, shapes: int) -> None:
+    """All poses of links and of visual shapes as yourdfpy has them, joints somewhere within their limits."""
+    yourdfpy = pytest.importorskip("yourdfpy")
+    theirs = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=True)
+    ours, rng = read_urdf(path), np.random.default_rng(1)
+    assert set(ours.links) == set(theirs.link_map) and set(ours.joints) == set(theirs.joint_map)
+    compared = 0
+    for _ in range(3):
+        q = {
+            j.name: float(rng.uniform(max(j.lower, -3), min(j.upper, 3))) for j in ours.joints.values() if j.joint_type
+        }
+        theirs.update_cfg(q)
+        for name, T in ours.link_poses(q).items():
+            np.testing.assert_allclose(T, theirs.get_transform(name, ours.root), atol=1e-9, err_msg=name)
+    for name, link in ours.links.items():
+        for mine, other in zip(link.visuals, theirs.link_map[name].visuals, strict=True):
+            origin = np.eye(4) if other.origin is None else other.origin
+            np.testing.assert_allclose(mine.T_link_shape, origin, atol=1e-9)
+            if other.geometry.mesh is not None:
+                assert mine.filename == other.geometry.mesh.filename
+            compared += 1
+    for joint in ours.joints.values():
+        if joint.joint_type:
+            np.testing.assert_allclose(joint.axis, theirs.joint_map[joint.name].axis, atol=1e-9)
+    assert compared >= shapes
+
+
+def test_links_and_shapes_stand_where_yourdfpy_puts_them(odd: Path) -> None:
+    """yourdfpy knows no capsule, and takes an axis as it is."""
+    text = URDF.replace('<axis xyz="1 2 -2"/>', '<axis xyz="0.6 0 -0.8"/>').replace("0 3 4", "0 0.6 0.8")
+    odd.write_text(text.replace("capsule", "cylinder"))
+    _agrees(odd, 2)
+
+
+def test_an_exported_asset_is_read_as_yourdfpy_reads_it(tmp_path: Path) -> None:
+    _agrees(export_result(reconstruction(), tmp_path / "a").urdf, 2)
+
+
+@pytest.mark.parametrize("name", ["45940", "101450", "40147"])
+def test_real_objects_are_read_as_yourdfpy_reads_them(name: str) -> None:
+    urdf = PARTNET / name / "mobility.urdf"
+    if not urdf.is_file():
+        pytest.skip("the PartNet-Mobility objects are not beside this checkout")
+    _agrees(urdf, 10)
+
+
+def test_every_number_of_a_urdf(odd: Path) -> None:
+    read = read_urdf(odd)
+    assert list(read.links) == ["lid", "base", "tip"] and read.parents_first == ("base", "lid", "tip")
+    assert read.root == "base" and read.name == "odd"
+    hinge, slide = read.joints["hinge"], read.joints["slide"]
+    assert (hinge.lower, hinge.upper, hinge.damping, hinge.friction) == (-1, 2, 0.3, 0.1)
+    assert (hinge.effort, hinge.velocity, slide.effort) == (None, None, 7)
+    np.testing.assert_allclose(hinge.axis, [0, 0.6, 0.8])
+    lid = read.links["lid"]
+    assert lid.inertial is not None and lid.inertial.mass == 2
+    np.testing.assert_allclose(lid.inertial.centre, [0.1, 0, 0])
+    np.testing.assert_allclose(lid.inertial.inertia, [[2, -0.1, 0], [-0.1, 1, 0], [0, 0, 3]], atol=1e-12)
+    box, sphere = lid.visuals
+    assert isinstance(box, UrdfShape) and box.kind == "box" and box.size.tolist() == [1, 2, 3]
+    assert box.rgba is not None and box.rgba.tolist() == [0, 0.5, 1, 1]
+    assert sphere.size.tolist() == [0.5] and sphere.rgba is None
+    assert lid.collisions[0].size.tolist() == [0.2, 0.9]
+    assert read.links["base"].visuals[0].kind == "capsule"
+
+
+FAULTS = {
+    "declares a document type 'robot'": ("<robot", '<!DOCTYPE robot [<!ENTITY a "b">]><robot'),
+    "is not XML": ("</robot>", ""),
+    "link 'tip' 2 times": ('<link name="tip"/>', '<link name="tip"/><link name="tip"/>'),
+    "joint 'hinge' has axis '0 x 4', expected 3 finite numbers": ("0 3 4", "0 x 4"),
+    r"joint 'hinge' has axis \[0.0, 0.0, 0.0\], expected a direction": ("0 3 4", "0 0 0"),
+    "joint 'slide' has effort 'inf', expected a finite number": ('effort="7"', 'effort="inf"'),
+    "link 'lid': a visual has size '1 2', expected 3": ('1 2 3"/></geom', '1 2"/></geom'),
+    "link 'tip' hangs on both joints": (
+        "</robot>",
+        '<joint name="again" type="fixed"><parent link="base"/><child link="tip"/></joint></robot>',
+    ),
+}
+
+
+@pytest.mark.parametrize("said", FAULTS)
+def test_faults_are_one_line(odd: Path, said: str) -> None:
+    assert URDF.count(FAULTS[said][0]) >= 1
+    odd.write_text(URDF.replace(*FAULTS[said]))
+    with pytest.raises(FreeArtError, match=said) as caught:
+        read_urdf(odd)
+    assert "\n" not in str(caught.value) and str(odd) in str(caught.value)
+
+
+def test_entities_are_refused_whoever_reads(odd: Path) -> None:
+    """A billion laughs, and the same hidden in another encoding: refused where the type is declared."""
+    laughs = "".join(f'<!ENTITY l{k + 1} "{f"&l{k};" * 10}">' for k in range(9))
+    bomb = f'<!DOCTYPE robot [<!ENTITY l0 "ha">{laughs}]><robot name="&l9;"><link name="base"/></robot>'
+    for data in (bomb.encode(), bomb.encode("utf-16")):
+        odd.write_bytes(data)
+        for read in (parsed, read_urdf, read_urdf_joints, read_asset):
+            with pytest.raises(FreeArtError, match="declares a document type 'robot', which is not read"):
+                read(odd)
+
+
+def test_a_very_long_chain_of_links_is_read_in_no_time(odd: Path) -> None:
+    """Twenty thousand links in a row: neither recursion nor the square of their number."""
+    n = 20_000
+    links = "".join(f'<link name="{k}"/>' for k in range(n))
+    joints = "".join(
+        f'<joint name="{k}" type="fixed"><parent link="{k}"/><child link="{k + 1}"/></joint>' for k in range(n - 1)
+    )
+    odd.write_text(f'<robot name="chain">{links}{joints}</robot>')
+    assert list(read_urdf(odd).parents_first) == [str(k) for k in range(n)]
+
+
+def test_files_are_looked_for_inside_the_folder_only(odd: Path) -> None:
+    (odd.parent / "meshes").mkdir()
+    mesh = odd.parent / "meshes" / "a.obj"
+    mesh.write_text("")
+    for name in ("meshes/a.obj", "file://meshes/a.obj", "package://odd/meshes/a.obj", "package://meshes/a.obj"):
+        assert named_inside(odd, name) == mesh.resolve()
+    assert named_inside(odd, "no.obj") == (odd.parent / "no.obj").resolve()
+    assert named_inside(odd, "../x.obj", odd.parent.parent).name == "x.obj"
+    for name in ("../x.obj", "/etc/passwd", "package://../../x.obj", "file:///etc/passwd"):
+        with pytest.raises(FreeArtError, match="leads out of the folder"):
+            named_inside(odd, name)
+    with pytest.raises(FreeArtError, match="which cannot be looked up"):
+        named_inside(odd, "a" * 5000)
