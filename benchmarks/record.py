@@ -1,6 +1,6 @@
 """How fast the recorder is: frames a second beside a bare SAPIEN loop, shaders, workers, and room on disk.
 
-    .venv/bin/python benchmarks/record.py [--objects ...] [--frames 40] [--blocks 6]
+    .venv/bin/python -m benchmarks.record [--objects ...] [--frames 40] [--blocks 6]
 
 prints tables and writes benchmarks/results/record.json (commit, machine, settings, summary, a row an object and kind).
 

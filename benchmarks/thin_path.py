@@ -1,6 +1,6 @@
 """The whole path on several objects: record, reconstruct, export, reload, score by strict-1.
 
-    .venv/bin/python benchmarks/thin_path.py --partnet-root DIR
+    .venv/bin/python -m benchmarks.thin_path --partnet-root DIR
 
 prints the table and writes benchmarks/results/thin_path.json (commit, machine, settings, summary, a row a sequence).
 Finished stages are kept in --work and not repeated.
@@ -9,11 +9,8 @@ Finished stages are kept in --work and not repeated.
 from __future__ import annotations
 
 import itertools
-import sys
 from dataclasses import asdict
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # else reconstruct.py here hides the package of that name
 
 import tyro
 

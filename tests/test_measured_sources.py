@@ -1,14 +1,10 @@
 """Recordings of real pendula come through the reader as they are; skipped where they are not at hand."""
 
-import sys
 from pathlib import Path
 
+import measured_sources
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-import measured_sources
 
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured

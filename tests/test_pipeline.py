@@ -1,12 +1,10 @@
 """A stopped reconstruction goes on to the same bytes; the reconstruction's benchmark counts as it says."""
 
-import importlib.util
 import json
 import multiprocessing
 import os
 import shutil
 import signal
-import sys
 import time
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -15,6 +13,7 @@ import numpy as np
 import pytest
 from reconstruct_clip import make_clip
 
+from benchmarks import solve as bench
 from freeart21.cli import reconstruct as command
 from freeart21.errors import FreeArtError
 from freeart21.files.sequence import write_sequence
@@ -27,19 +26,6 @@ from reconstruct.settings import ReconstructSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 QUIET = ReconstructSettings(progress=False)
-
-
-def load_benchmark():
-    """benchmarks/reconstruct.py, which is no module of a package."""
-    place = ROOT / "benchmarks" / "reconstruct.py"
-    spec = importlib.util.spec_from_file_location("benchmark_of_reconstruct", place)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-bench = load_benchmark()
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hidden.body import Body
-from hidden.ode import COMMANDED, EXTERNAL, NO_EFFORT, Drive, World, simulate
-from hidden.rig import Plan, Servo
+from benchmarks.hidden_world.body import Body
+from benchmarks.hidden_world.ode import COMMANDED, EXTERNAL, NO_EFFORT, Drive, World, simulate
+from benchmarks.hidden_world.rig import Plan, Servo
 
 RATE = 100.0
 """Hz, nominal."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,15 +11,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-sys.path.insert(0, str(Path(__file__).parent))
+from benchmarks.hidden_world import cases, effects, leak, mujoco_world, nuisance, ode, poses, sealed
+from benchmarks.hidden_world.body import FAMILIES, draw_body
+from benchmarks.hidden_world.cases import Wish
+from benchmarks.hidden_world.ode import COMMANDED, ELASTIC, EXTERNAL, GAP, Drive, World, nothing, simulate
+from benchmarks.hidden_world.strength import Gap, Hidden, changed
 
-from hidden import cases, effects, leak, mujoco_world, nuisance, ode, poses, sealed
-from hidden.body import FAMILIES, draw_body
-from hidden.cases import Wish
-from hidden.ode import COMMANDED, ELASTIC, EXTERNAL, GAP, Drive, World, nothing, simulate
-from hidden.strength import Gap, Hidden, changed
-
-HIDDEN = Path(__file__).parent / "hidden"
+HIDDEN = Path(__file__).parents[1] / "benchmarks" / "hidden_world"
 TIMES = np.linspace(0.0, 4.0, 401)
 PENDULUM = World(inertia=0.2, gravity_sine=-6.0, gravity_cosine=0.3)
 

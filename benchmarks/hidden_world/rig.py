@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hidden.body import Body
+from benchmarks.hidden_world.body import Body
 
 RIGS = ("full", "free", "swing", "push", "servo", "effort", "poses", "still")
 SAME, OTHER = (8, 9, 10), (11, 12)

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from hidden import mujoco_world, poses
-from hidden.cases import Case
-from hidden.nuisance import (
+from benchmarks.hidden_world import mujoco_world, poses
+from benchmarks.hidden_world.cases import Case
+from benchmarks.hidden_world.nuisance import (
     GRAVITY_RELATIVE,
     INERTIA_RELATIVE,
     LEAD,
@@ -35,9 +35,9 @@ from hidden.nuisance import (
     true_world,
     with_servo,
 )
-from hidden.ode import simulate
-from hidden.rig import OTHER, SAME
-from hidden.strength import changed
+from benchmarks.hidden_world.ode import simulate
+from benchmarks.hidden_world.rig import OTHER, SAME
+from benchmarks.hidden_world.strength import changed
 
 LOST_FRAMES = 3
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hidden.body import Body
-from hidden.nuisance import Reading
-from hidden.ode import ELASTIC, GAP, World
+from benchmarks.hidden_world.body import Body
+from benchmarks.hidden_world.nuisance import Reading
+from benchmarks.hidden_world.ode import ELASTIC, GAP, World
 
 START: dict[str, tuple[float, float]] = {
     "viscous_damping": (0.1, 0.5),

@@ -1,13 +1,12 @@
 """What verdicts are worth: the benchmark's figures on verdicts made by hand."""
 
-import sys
+import json
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from benchmarks import simgap_score as score
+from benchmarks import gap_draws
+from benchmarks import gap_score as score
 
 
 def label(stratum: str, *names: str, sets: tuple[str, ...] = (), strength: str = "clear") -> dict:
@@ -99,3 +98,40 @@ def test_the_confusion_matrix_is_drawn(tmp_path: Path):
     assert truths == ["latch", "nothing"] and counts.sum() == 2 and counts[0][answers.index("detent")] == 1
     score.picture(rows, tmp_path / "confusion.png")
     assert (tmp_path / "confusion.png").stat().st_size > 500
+
+
+def drawn(seed: int, right: int, n: int = 10, commit: str = "abc") -> dict:
+    """A draw as the benchmark writes it: `n` clear springs of which `right` are named, and a null."""
+    cases = [label("single", "return_spring") for _ in range(n)]
+    rows = [row(c, verdict("named", "return_spring" if k < right else "sag")) for k, c in enumerate(cases)]
+    rows.append(row(label("null"), verdict("no_gap")))
+    settings = {"seed": seed, "share": 1.0}
+    return {
+        "summary": {**score.summary(rows, []), "minutes": 1.0},
+        "rows": rows,
+        "commit": commit,
+        "settings": settings,
+    }
+
+
+def test_draws_add_up_to_one_table_and_none_counts_twice(tmp_path: Path):
+    file = tmp_path / "draws.json"
+    for draw in (drawn(1, 4), drawn(2, 9), drawn(1, 5), drawn(2, 9, commit="def")):
+        gap_draws.append(draw, file)
+    table = json.loads(file.read_text())
+    assert [(r["seed"], r["commit"], r["counts"]["clear_singles_top1"]) for r in table["rows"]] == [
+        (2, "abc", [9, 10]), (1, "abc", [5, 10]), (2, "def", [9, 10])
+    ]  # fmt: skip
+    together = table["summary"]
+    assert (together["draws"], together["nulls"], together["false_alarms"]) == (3, 3, 0)
+    singles = together["clear_singles_top1"]
+    assert (singles["k"], singles["n"], singles["share"]) == (23, 30, pytest.approx(23 / 30))
+    assert singles["wilson95"] == pytest.approx(score.wilson(23, 30))
+    assert together["clear_by_effect"]["return_spring"]["k"] == 23
+
+
+def test_the_newest_draw_is_the_last_row_of_the_table():
+    newest = json.loads((gap_draws.RESULTS / "simgap.json").read_text())
+    table = json.loads(gap_draws.DRAWS.read_text())
+    assert table["rows"][-1] == gap_draws.row_of(newest)
+    assert table["summary"] == gap_draws.pooled(table["rows"])

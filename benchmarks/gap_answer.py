@@ -1,6 +1,6 @@
 """A predictor under seal: answers cases in a folder, and sees nothing but that folder.
 
-    .venv/bin/python benchmarks/simgap_answer.py CASES ANSWERS [--workers 2] [--jobs JOBS.json]
+    .venv/bin/python benchmarks/gap_answer.py CASES ANSWERS [--workers 2] [--jobs JOBS.json]
 
 CASES/ID/{asset,measured} becomes ANSWERS/ID/verdict.json, by the function behind `freeart21 gap`, and ANSWERS/ID/
 seconds.json: `verdict`, from trajectories to the draft of a verdict, and `whole`, with SAPIEN's replay and the page.
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import time
 import traceback
 from concurrent.futures import ProcessPoolExecutor
@@ -20,7 +19,6 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # else simgap.py here hides the package of that name
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core a process
 os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["NUMBA_NUM_THREADS"] = "1"

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from hidden import effects, poses
-from hidden.body import Body, draw_body
-from hidden.nuisance import (
+from benchmarks.hidden_world import effects, poses
+from benchmarks.hidden_world.body import Body, draw_body
+from benchmarks.hidden_world.nuisance import (
     Nuisance,
     draw_nuisance,
     nominal_times,
     true_world,
 )
-from hidden.rig import RUNS, Plan, Servo, draw_plans, draw_servo
-from hidden.strength import Gap, Hidden
+from benchmarks.hidden_world.rig import RUNS, Plan, Servo, draw_plans, draw_servo
+from benchmarks.hidden_world.strength import Gap, Hidden
 
 PAIRS = (
     ("coulomb_friction", "quadratic_drag"),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from hidden.body import Body
+from benchmarks.hidden_world.body import Body
 
 Array = NDArray[np.float64]
 RATE = 30.0

@@ -10,14 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from hidden import effects, poses
-from hidden.body import Body
-from hidden.nuisance import GRAVITY_VECTOR, LEAD, Reading, drive_of, floor, nominal_times, true_world, with_servo
-from hidden.ode import ELASTIC, Drive, World, longest_step, simulate
-from hidden.rig import RUNS, Plan
+from benchmarks.hidden_world import effects, poses
+from benchmarks.hidden_world.body import Body
+from benchmarks.hidden_world.nuisance import (
+    GRAVITY_VECTOR,
+    LEAD,
+    Reading,
+    drive_of,
+    floor,
+    nominal_times,
+    true_world,
+    with_servo,
+)
+from benchmarks.hidden_world.ode import ELASTIC, Drive, World, longest_step, simulate
+from benchmarks.hidden_world.rig import RUNS, Plan
 
 if TYPE_CHECKING:
-    from hidden.cases import Case
+    from benchmarks.hidden_world.cases import Case
 
 HAIR = 2
 """Runs, those with the largest gaps, that do not count."""

@@ -1,10 +1,11 @@
 """How well `freeart21 gap` names what is missing: sealed cases with hidden effects, and baselines on the same data.
 
-    .venv/bin/python benchmarks/simgap.py [--share 1.0] [--workers 2] [--seed 20260]
+    .venv/bin/python -m benchmarks.gap_names [--share 1.0] [--workers 2] [--seed 20260]
 
-draws and seals some 700 cases (tests/hidden: a world that shares no code with the product), lets a child process answer
-that sees only the measured files, fixes the hash of every answer, and only then opens the labels. Prints tables and
-writes benchmarks/results/simgap.json, and a picture of the confusion matrix to out/simgap_confusion.png.
+draws and seals some 700 cases (benchmarks/hidden_world: a world that shares no code with the product), lets a child
+process answer that sees only the measured files, fixes the hash of every answer, and only then opens the labels. Prints
+tables, writes benchmarks/results/simgap.json, adds the draw to simgap-draws.json (not when --out is given) and draws
+the confusion matrix to out/simgap_confusion.png.
 
 Finished work is kept in --work and not repeated: cases, answers, baselines. `seconds_per_verdict_median` is the time of
 the function that goes from trajectories to a verdict, on one core, with `workers` of them side by side.
@@ -22,21 +23,20 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # else this file hides the package of its name
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core a process
 os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["NUMBA_NUM_THREADS"] = "1"
 
 import numpy as np
 import tyro
-from hidden import cases, leak, sealed
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import simgap_baselines as baselines
-from benchmarks import simgap_score as score
+from benchmarks import gap_baselines as baselines
+from benchmarks import gap_draws
+from benchmarks import gap_score as score
 from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.hidden_world import cases, leak, sealed
 from freeart21.files.atomic import write_json
 
 
@@ -82,19 +82,19 @@ def main(
     }
     score.picture(rows, ROOT / "out" / "simgap_confusion.png")
     _print(found, rows)
-    write_json(
-        out,
-        {
-            "summary": found,
-            "smallest_nameable": score.smallest_nameable(rows),
-            "rows": rows,
-            "leave_one_out": alone,
-            "seconds": seconds,
-            "commit": commit(),
-            "machine": machine(),
-            "settings": {"share": share, "seed": seed, "workers": workers, "baseline_cases": baseline_cases},
-        },
-    )
+    result = {
+        "summary": found,
+        "smallest_nameable": score.smallest_nameable(rows),
+        "rows": rows,
+        "leave_one_out": alone,
+        "seconds": seconds,
+        "commit": commit(),
+        "machine": machine(),
+        "settings": {"share": share, "seed": seed, "workers": workers, "baseline_cases": baseline_cases},
+    }
+    write_json(out, result)
+    if out == RESULTS / "simgap.json":
+        gap_draws.append(result)
 
 
 def _add(file: Path, stage: str, seconds: float) -> dict[str, float]:
@@ -130,7 +130,7 @@ def _build(vault: sealed.Vault, seed: int, share: float, workers: int) -> float:
 def _ask(folder: Path, answers: Path, workers: int, jobs: Path | None = None) -> float:
     """Let a child answer that is told of no other place than these two; seconds."""
     began = time.perf_counter()
-    command = [sys.executable, str(ROOT / "benchmarks" / "simgap_answer.py")]
+    command = [sys.executable, str(ROOT / "benchmarks" / "gap_answer.py")]
     command += ["--cases", str(folder), "--answers", str(answers), "--workers", str(workers)]
     command += ["--jobs", str(jobs)] if jobs else []
     subprocess.run(command, check=True, cwd=folder)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hidden.ode import World
+from benchmarks.hidden_world.ode import World
 
 G = 9.81
 FAMILIES = ("pendulum", "door", "drawer", "slope")

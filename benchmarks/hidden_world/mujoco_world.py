@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hidden.ode import COMMANDED, ELASTIC, EXTERNAL, GAP, Drive, World
+from benchmarks.hidden_world.ode import COMMANDED, ELASTIC, EXTERNAL, GAP, Drive, World
 
 STEP = 1e-4
 _ABLE = {

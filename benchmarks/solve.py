@@ -1,6 +1,6 @@
 """How well the geometry solver solves FreeArt-21 v1: strict-1 scores, seconds and memory, object by object.
 
-    .venv/bin/python benchmarks/reconstruct.py [--tier seven|full] [--sensor noise2] [--settings.joint.type-rule paper]
+    .venv/bin/python -m benchmarks.solve [--tier seven|full] [--sensor noise2] [--settings.joint.type-rule paper]
 
 records what is missing of the data, solves each object in a process of its own, exports, reloads and scores it, prints
 the tables (worst first) and writes benchmarks/results/reconstruct.json (summary, by_type, rows, commit, settings,
@@ -27,8 +27,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Thread
 from typing import Any, Literal
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # else this file hides the package `reconstruct`
 
 import tyro
 from rich.console import Console

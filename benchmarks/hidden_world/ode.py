@@ -5,7 +5,7 @@
 `World` holds every number of it; a field's default does nothing. Smooth stretches go by the classical Runge-Kutta
 formula of fourth order, the springs of dry friction exactly half a step before and half a step after (Strang's
 splitting). Impacts, sticking, release and catch of a latch are found by bisection, and the step goes on from there.
-tests/test_hidden.py holds it to `scipy.integrate.solve_ivp`.
+tests/test_hidden_world.py holds it to `scipy.integrate.solve_ivp`.
 
 Laws are this module's own: friction is Maxwell slip, four springs side by side of which each slides at its own force
 (Iwan 1966; with the level of Lampaert, Al-Bender and Swevers 2003 that falls with speed), stops and the flanks of a
