@@ -15,7 +15,7 @@ from simgap.intervals import NORMAL_90, with_intervals
 from simgap.judge import Judged
 from simgap.settings import ChoiceSettings
 from simgap.verdict import RunGap, Verdict, unseen
-from simgap.words import amount, capital, closed_text, effect_words, plain
+from simgap.words import amount, capital, closed_text, effect_words, plain, runs_text
 
 _ODD = 3.0
 """Times what the other runs are off by at which a run is spoken of."""
@@ -96,7 +96,9 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
     alone = unseen(gaps)
     was, now = (j.fit.level if alone else j.floors for j in (before, best))
     closed = float(np.clip((was - now) / max(was - 1.0, 1e-9), 0.0, 1.0))
-    said = f"The simulation misses this: {words}. {closed_text(closed, alone)}"
+    flags = [bool(run.held_out) for run in runs]
+    of = runs_text([out for out in flags if out != alone], not any(flags))
+    said = f"The simulation misses this: {words}. {closed_text(closed, of)}{'; no other run shows any' * alone}."
     if best.borne > _REMAINS:
         rest = _length(best.borne * floor.still, problem)
         said += f" What remains, {rest} or {best.borne:.2g} times the sensor's noise, has no name."

@@ -31,15 +31,17 @@ from simgap.show import (
     Replayed,
     ReplayGap,
     Shown,
+    alike,
     closed_alike,
     helps,
+    judged_runs,
     show,
 )
 from simgap.stretches import Stretch, as_replays, at_fault, judged_so, said_of
 from simgap.surrogate import Nuisance, Plant
 from simgap.track_geometry import lever_of, middle_of
 from simgap.verdict import Named, RunGap, Verdict, unseen
-from simgap.words import plain, with_closed
+from simgap.words import plain, runs_text, with_closed
 from simgap.writeback import repaired
 
 MOST_REPLAYS = 6
@@ -250,7 +252,8 @@ def _judged(
     verdict = replace(verdict, gaps=_measured_gaps(verdict.gaps, shown))
     same = closed_alike(shown, fitted)[0] if shown.runs else None
     if same is not None:
-        verdict = replace(verdict, sentence=with_closed(verdict.sentence, same))
+        of = runs_text([run.held_out for run in alike(shown, fitted)])
+        verdict = replace(verdict, sentence=with_closed(verdict.sentence, same, f"{of}, replayed in SAPIEN,"))
     if shown.given_up:
         done = len(shown.runs) + len(shown.unsure)
         notes.append(
@@ -264,9 +267,10 @@ def _judged(
     geometry = helps((), shown.poses) if shown.poses else None
     bad = [n for n in tried if (geometry if n.effect.kind == "kinematics" else motion) is False]
     if bad:
+        of = runs_text([run.held_out for run in judged_runs(shown.runs)] or [p.held_out for p in shown.poses])
         notes.append(
-            f"A repair with {_names(bad)} was tried and rolled back: replayed in SAPIEN it did not help on runs that "
-            "were not fitted, or made some of their motion worse."
+            f"A repair with {_names(bad)} was tried and rolled back: replayed in SAPIEN it did not help on {of}, or "
+            "made some of their motion worse."
         )
         return _rolled_back(verdict, certain, bad), _without(certain, bad), notes
     rest = [n for n in tried if n not in certain]

@@ -16,10 +16,10 @@ from freeart21.view.tables import table_section
 from simgap.finding import KinematicsFinding
 from simgap.localise import LEVEL, ResidualMap
 from simgap.report_plots import AFTER, BEFORE, Line, chart, interval_drawing, map_drawing, p_text, run_drawings
-from simgap.show import ReplayGap, Shown, closed_alike
+from simgap.show import ReplayGap, Shown, alike, closed_alike
 from simgap.track_geometry import TrackGeometry
-from simgap.verdict import RunGap, Verdict
-from simgap.words import capital, effect_words, number_text, plain
+from simgap.verdict import RunGap, Verdict, unseen
+from simgap.words import capital, effect_words, number_text, plain, runs_text
 
 GEOMETRY = "geometry"
 """Regime of a gap that is counted in metres off the joint."""
@@ -88,6 +88,11 @@ def page(gap: Gap) -> str:
     return document(gap.title, [*sections, *_ranking(gap), *_gaps(gap)], "gap", chips)
 
 
+def _in_turn(gap: Gap) -> bool:
+    """Whether none of the runs of motion is held out for good: the fits then hold out each in turn."""
+    return not any(g.held_out for g in gap.verdict.gaps if g.regime != GEOMETRY)
+
+
 def _moves_otherwise(gap: Gap) -> bool:
     """Whether the answer is (also) about the motion, not about the joint's geometry alone."""
     kinds = [named.effect.kind for named in gap.verdict.effects]
@@ -113,7 +118,8 @@ def _tiles(gap: Gap) -> list[str]:
     motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY]
     if _moves_otherwise(gap) and motion:
         replayed = gap.shown is not None and bool(gap.shown.runs)
-        tiles += _sizes(motion, lambda v: length_text(v, gap.joint_type), "", _with(gap) if replayed else None)
+        after = _with(gap) if replayed else None
+        tiles += _sizes(motion, lambda v: length_text(v, gap.joint_type), "", after, _in_turn(gap) and not replayed)
         tiles += _closed(gap) if replayed and _with(gap) != ROLLED_BACK else []
     off = [g for g in gap.verdict.gaps if g.regime == GEOMETRY]
     if off:
@@ -129,33 +135,40 @@ def _with(gap: Gap) -> str:
     return "after" if moved else ROLLED_BACK
 
 
-def _sizes(gaps: list[RunGap], text: Callable[[float], str], what: str, after_is: str | None) -> list[str]:
-    """Tiles of the gap before and, if SAPIEN replayed it, after, and of the floor."""
-    held = [g for g in gaps if g.held_out]
-    where = "on runs never fitted" if held else "on the fitted runs"
-    judged = [g for g in held or gaps if not after_is or np.isfinite(g.after)] or held or gaps
+def _sizes(
+    gaps: list[RunGap], text: Callable[[float], str], what: str, after_is: str | None, in_turn: bool = False
+) -> list[str]:
+    """Tiles of the gap before and, if SAPIEN replayed it, after, and of the floor, each with the runs that it is of.
+
+    These are the held-out runs; where there is none, or none of them shows a gap, the fitted ones.
+    """
+    told = [g for g in gaps if g.held_out] if not unseen(gaps) else [g for g in gaps if not g.held_out]
+    judged = [g for g in told or gaps if not after_is or np.isfinite(g.after)] or told or gaps
+    where = runs_text([g.held_out for g in judged], in_turn)
     before, after, floor = (
         float(np.sqrt(np.mean([getattr(g, name) ** 2 for g in judged]))) for name in ("before", "after", "floor")
     )
-    tiles = [_tile(text(before), f"gap before, {what}{where}", f"{before / floor:.1f} floors")]
+    tiles = [_tile(text(before), f"gap before, {what}on {where}", f"{before / floor:.1f} floors")]
     if after_is and after_is != ROLLED_BACK and np.isfinite(after):
-        tiles.append(_tile(text(after), f"gap {after_is}, {what}in SAPIEN", f"{after / floor:.1f} floors"))
-    return [*tiles, _tile(text(floor), f"floor, {what}the sensor's noise", "")]
+        tiles.append(_tile(text(after), f"gap {after_is}, {what}on the same, in SAPIEN", f"{after / floor:.1f} floors"))
+    return [*tiles, _tile(text(floor), f"floor, {what}the sensor's noise in the same", "")]
 
 
 def _closed(gap: Gap) -> list[str]:
     """Tiles of the part of the gap that is closed, in motion as was fitted and in other."""
     assert gap.shown is not None
     fitted = {r.regime for r in gap.verdict.gaps if not r.held_out}
-    regimes = {r.regime for r in gap.shown.runs}
     same, other = closed_alike(gap.shown, fitted)
+    near = alike(gap.shown, fitted)
+    far = [run for run in gap.shown.runs if run not in near]
     tiles = []
     if same is not None:
-        tiles.append(_tile(f"{100 * min(same, 1.0):.0f} %", "of the gap closed", "same kind of motion as was fitted"))
+        what = f"of the gap closed, on {runs_text([run.held_out for run in near])}"
+        kind = "same kind of motion as was fitted" if {r.regime for r in near} <= fitted else "other motion"
+        tiles.append(_tile(f"{100 * min(same, 1.0):.0f} %", what, kind))
     if other is not None:
-        tiles.append(
-            _tile(f"{100 * min(other, 1.0):.0f} %", "closed in other motion", ", ".join(sorted(regimes - fitted)))
-        )
+        what = f"closed in other motion, on {runs_text([run.held_out for run in far])}"
+        tiles.append(_tile(f"{100 * min(other, 1.0):.0f} %", what, ", ".join(sorted({run.regime for run in far}))))
     return tiles
 
 
@@ -176,14 +189,15 @@ def _parameters(gap: Gap) -> list[Section]:
             )
             rows.append(
                 f"<tr><th scope=row>{head}</th><td>{escape(name)}<br><small>{escape(spec.meaning)}</small></td>"
-                f"<td><b>{escape(number_text(value, unit))}</b></td>"
-                f"<td>{escape(number_text(low, unit))} to {escape(number_text(high, unit))}</td>"
+                f"<td class=number><b>{escape(number_text(value, unit))}</b></td>"
+                f"<td class=number>{escape(number_text(low, unit))} to {escape(number_text(high, unit))}</td>"
                 f"<td>{interval_drawing(value, low, high)}</td></tr>"
             )
     if not rows:
         return []
     head = "".join(f"<th scope=col>{cell}</th>" for cell in ("", "parameter", "value", "90 % interval", ""))
     html = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+    html += f'<p class="note">Fitted to {escape(_fitted_text(gap))}.</p>'
     here = [named.effect.name in gap.verdict.added for named in gap.verdict.effects]
     if all(here):
         title = "What was added to the asset"
@@ -192,6 +206,12 @@ def _parameters(gap: Gap) -> list[Section]:
     else:
         title = "The best explanation, not certain, and not added to the asset"
     return [Section(title, html, place="full")]
+
+
+def _fitted_text(gap: Gap) -> str:
+    """The runs that the answer's numbers are fitted to: those that are not held out."""
+    names = list(dict.fromkeys(g.run for g in gap.verdict.gaps if not g.held_out))
+    return f"run {names[0]}" if len(names) == 1 else f"{len(names)} runs: {', '.join(names)}"
 
 
 def _doubt(gap: Gap) -> list[Section]:
@@ -212,7 +232,9 @@ def _doubt(gap: Gap) -> list[Section]:
             f"<li>{escape(w.text)} <small>p = {escape(p_text(w.p_value))}</small></li>" for w in verdict.where[:8]
         )
         more = f'<p class="note">And {len(verdict.where) - 8} more.</p>' if len(verdict.where) > 8 else ""
-        found.append(Section("Where it shows", f'<ul class="remarks two">{spots}</ul>{more}', place="full"))
+        every = {g.run: g.held_out for g in gap.verdict.gaps}
+        title = f"Where it shows, in {runs_text(list(every.values()))}"
+        found.append(Section(title, f'<ul class="remarks two">{spots}</ul>{more}', place="full"))
     return found
 
 
@@ -230,7 +252,8 @@ def _runs(gap: Gap) -> list[Section]:
     for run in sorted(runs, key=lambda r: not r.held_out)[:most]:
         figures, data = run_drawings(run, gap.joint_type, names)
         pieces = f"in {run.stretches} stretches" if run.stretches > 1 else ""
-        facts = ", ".join(w for w in ("held out" if run.held_out else "fitted", run.regime, where, pieces) if w)
+        role = "held out" if run.held_out else "fitted" if replayed else "held out in turn"
+        facts = ", ".join(w for w in (role, run.regime, where, pieces) if w)
         sizes = [length_text(v, gap.joint_type) for v in (run.gap_before, run.gap_after)]
         title = f"Run {run.run}, {facts}: {' → '.join(sizes if names[1] else sizes[:1])}"
         sections.append(Section(title, f'<div class="charts">{"".join(figures)}</div>', "curves", data, "full"))
@@ -245,7 +268,8 @@ def _maps(gap: Gap) -> list[Section]:
     drawn = "".join(map_drawing(m, gap.joint_type) for m in maps)
     told = sum(m.adjusted <= LEVEL for m in maps)
     note = (
-        "What force the asset's equation lacks, by the accelerations in all runs; bars with standard errors. "
+        "What force the asset's equation lacks, by the accelerations in "
+        f"{runs_text([*{g.run: g.held_out for g in gap.verdict.gaps}.values()])}; bars with standard errors. "
         f"{told} of {len(maps)} maps differ from nothing beyond chance (half-swings flipped at random, corrected for "
         "the number of maps); where, is on colour. These maps point; the fits decide."
     )
@@ -283,13 +307,14 @@ def _geometry(gap: Gap) -> list[Section]:
         )
         for names, loss, p in shown
     ]
-    what = f"Run {track.name}" + (", held out" if track.held_out else "")
+    what = f"Run {track.name}, {'held out' if track.held_out else 'fitted'}"
     note = (
         "The position along the joint is free in every frame here, so no dynamics is in it: what remains is geometry. "
         + capital("; ".join(effect_words(e, gap.joint_type) for e in g.effects))
     )
     table = table_section(
-        "Explanations of the geometry, by held-out poses",
+        f"Explanations of the geometry, by poses of {runs_text([t.held_out for t in g.tracks if not t.held_out])}, "
+        "left out in turn",
         rows,
         ("", "", "error, in floors", "p of no gain", ""),
         "full",
@@ -326,15 +351,15 @@ def _ranking(gap: Gap) -> list[Section]:
         spread = "" if r.spread is None else f"{r.spread[0]:.2f} to {r.spread[1]:.2f}"
         rows.append(
             f"<tr><th scope=row>{escape(names)}<br><small>{escape(', '.join(r.names))}</small></th>"
-            f'<td class="bar"><i style="width:{share:.1f}%"></i></td><td>{r.floors:.2f}</td>'
-            f"<td>{escape(spread)}</td>"
-            f"<td>{escape(p)}</td><td>{escape(r.note)}</td></tr>"
+            f'<td class="bar"><i style="width:{share:.1f}%"></i></td><td class=number>{r.floors:.2f}</td>'
+            f"<td class=number>{escape(spread)}</td>"
+            f"<td class=number>{escape(p)}</td><td>{escape(r.note)}</td></tr>"
         )
-    head = "".join(
-        f"<th scope=col>{cell}</th>" for cell in ("", "held-out error (log)", "floors", "run by run", "p", "")
-    )
+    head = "".join(f"<th scope=col>{cell}</th>" for cell in ("", "error (log)", "floors", "run by run", "p", ""))
     html = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
-    return [Section("Explanations, by held-out error", html, place="full")]
+    motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY]
+    of = runs_text([g.held_out for g in motion if g.held_out or _in_turn(gap)], _in_turn(gap))
+    return [Section(f"Explanations, by their error on {of}", html, place="full")]
 
 
 def _gaps(gap: Gap) -> list[Section]:
@@ -345,7 +370,9 @@ def _gaps(gap: Gap) -> list[Section]:
             "-" if not np.isfinite(v) else metres_text(v) if g.regime == GEOMETRY else length_text(v, gap.joint_type)
             for v in (g.before, g.after, g.floor)
         ]
-        rows.append((g.run, "held out" if g.held_out else "fitted", g.regime, *sizes))
+        replayed = g.regime == GEOMETRY or (gap.shown is not None and any(r.run == g.run for r in gap.shown.runs))
+        fitted = "fitted" if replayed or not _in_turn(gap) else "held out in turn"
+        rows.append((g.run, "held out" if g.held_out else fitted, g.regime, *sizes))
     note = ""
     if gap.shown is not None and gap.shown.runs:
         note = (

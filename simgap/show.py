@@ -149,6 +149,12 @@ class Shown:
         return (before - after) / (before - floor) if before > floor else None
 
 
+def alike(shown: Shown, fitted: Iterable[str]) -> list[ReplayGap]:
+    """The replayed runs that move as the `fitted` regimes do; all where none does."""
+    of = set(fitted)
+    return [run for run in shown.runs if run.regime in of] or list(shown.runs)
+
+
 def closed_alike(shown: Shown, fitted: Iterable[str]) -> tuple[float | None, float | None]:
     """Closed part of the gap in motion of the `fitted` regimes (in all where none of those was replayed), and in other
     motion."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -75,19 +76,38 @@ def span_text(quantity: str, low: float, high: float, joint_type: JointType) -> 
     return f"{ends[0]} to {ends[1]}{unit}{per}"
 
 
-_CLOSED = re.compile(r"With it -?\d+% of the gap")
+_CLOSED = re.compile(r"With it -?\d+% of the gap on [^.;]* is gone(?:; no other run shows any)?")
 
 
-def closed_text(part: float, fitted: bool = False) -> str:
-    """How much of the gap beyond the sensor's noise an answer closes, on runs that were not fitted or that were; nobody
-    closes more than all of it."""
-    where = "the fitted runs is gone; no other run shows any" if fitted else "runs that were not fitted is gone"
-    return f"With it {min(part, 1.0):.0%} of the gap on {where}."
+def runs_text(held_out: Sequence[bool], in_turn: bool = False) -> str:
+    """Which runs a figure is of, such as '2 runs that were not fitted' or '1 fitted run and 2 that were not fitted'.
+
+    `held_out` says it of each run; `in_turn` is for runs of which none is held out for good, but each from the fit that
+    it is judged by.
+    """
+    out, n = sum(map(bool, held_out)), len(held_out)
+    if in_turn:
+        return f"{_runs(n)}, each held out in turn" if n != 1 else "1 run, its stretches held out in turn"
+    verb = "was" if out == 1 else "were"
+    if out == n:
+        return f"{_runs(n)} that {verb} not fitted"
+    fitted = f"{n - out} fitted run{'s' * (n - out != 1)}"
+    return f"{fitted} and {out} that {verb} not fitted" if out else fitted
 
 
-def with_closed(sentence: str, part: float) -> str:
-    """The sentence with another closed part."""
-    return _CLOSED.sub(f"With it {min(part, 1.0):.0%} of the gap", sentence)
+def _runs(count: int) -> str:
+    return f"{count} run{'s' * (count != 1)}"
+
+
+def closed_text(part: float, which: str) -> str:
+    """How much of the gap beyond the sensor's noise an answer closes, and on `which` runs; nobody closes more than all
+    of it."""
+    return f"With it {min(part, 1.0):.0%} of the gap on {which} is gone"
+
+
+def with_closed(sentence: str, part: float, which: str) -> str:
+    """The sentence with another closed part, of other runs."""
+    return _CLOSED.sub(closed_text(part, which), sentence)
 
 
 def number_text(value: float, unit: str) -> str:

@@ -40,6 +40,7 @@ from simgap.report import Ranked
 from simgap.show import Off, Replayed, helps, show
 from simgap.surrogate import Nuisance, plant_of, simulate
 from simgap.verdict import Named, RunGap, Verdict
+from simgap.words import closed_text, runs_text, with_closed
 from simgap.workflow import check_place
 from simgap.writeback import repaired
 
@@ -406,6 +407,73 @@ def test_a_verdict_is_published_with_the_gaps_that_sapien_measured(tmp_path: Pat
     assert "http://" not in page.replace("http://www.w3.org", "") and "src=" not in page
 
 
+@pytest.mark.parametrize(
+    ("held", "in_turn", "said"),
+    [
+        ((True, True), False, "2 runs that were not fitted"),
+        ((True,), False, "1 run that was not fitted"),
+        ((False,), False, "1 fitted run"),
+        ((False, False, True), False, "2 fitted runs and 1 that was not fitted"),
+        ((False, False, False), True, "3 runs, each held out in turn"),
+        ((False,), True, "1 run, its stretches held out in turn"),
+    ],
+)
+def test_runs_are_called_what_they_are(held: tuple[bool, ...], in_turn: bool, said: str):
+    assert runs_text(held, in_turn) == said
+
+
+def test_a_closed_part_is_told_with_the_runs_that_it_is_of():
+    told = f"Oil. {closed_text(0.9, '2 runs, each held out in turn')}; no other run shows any. More."
+    again = with_closed(told, 0.812, "1 fitted run, replayed in SAPIEN,")
+    assert again == "Oil. With it 81% of the gap on 1 fitted run, replayed in SAPIEN, is gone. More."
+
+
+def _page_of(folder: Path, which: tuple[int, ...], quiet: bool = False) -> str:
+    """The page of oil that is missing, of three runs of which some are held out; `quiet` if those held out stand."""
+    starts = ((0.9, 0.0), (0.0, 0.0), (0.0, 0.0)) if quiet else STARTS
+    asset, measured = bob(folder / "a"), held_out(pendulum(starts, damped), *which)
+    told = draft(measured, starts, ViscousDamping(0.03))
+    if quiet:
+        gaps = (replace(told.verdict.gaps[0], before=0.2), *(replace(g, before=1e-3) for g in told.verdict.gaps[1:]))
+        told = replace(told, verdict=replace(told.verdict, gaps=gaps))
+    (folder / "out").mkdir()
+    publish(asset, measured, told, folder / "out", "oil")
+    return (folder / "out/index.html").read_text()
+
+
+def test_every_figure_says_that_its_runs_were_held_out(tmp_path: Path):
+    page = _page_of(tmp_path, (1, 2))
+    for said in (
+        "gap before, on 2 runs that were not fitted",
+        "of the gap closed, on 1 run that was not fitted",
+        "closed in other motion, on 1 run that was not fitted",
+        "Explanations, by their error on 2 runs that were not fitted",
+        "Fitted to run run_0.",
+        "by the accelerations in 1 fitted run and 2 that were not fitted",
+        "Run run_1, held out,",
+    ):
+        assert said in page, said
+
+
+def test_nothing_is_said_of_held_out_runs_where_all_were_fitted(tmp_path: Path):
+    page = _page_of(tmp_path, ())
+    for said in (
+        "gap before, on 3 fitted runs",
+        "of the gap closed, on 3 fitted runs",
+        "Explanations, by their error on 3 runs, each held out in turn",
+        "Fitted to 3 runs: run_0, run_1, run_2.",
+        "Run run_0, fitted,",
+    ):
+        assert said in page, said
+    assert "not fitted" not in page and "never fitted" not in page and "held-out" not in page
+
+
+def test_a_gap_that_fitted_runs_alone_show_is_told_of_these(tmp_path: Path):
+    """Held-out runs in which the part stands still: 'no gap before and 100 % of it closed' was said of them."""
+    page = _page_of(tmp_path, (1, 2), quiet=True)
+    assert "gap before, on 1 fitted run" in page and "of the gap closed, on 1 fitted run" in page
+
+
 def test_what_does_not_help_is_rolled_back(tmp_path: Path):
     asset, measured = bob(tmp_path / "a", '<dynamics damping="0.01"/>'), held_out(pendulum(STARTS, damped), 1)
     out = tmp_path / "out"
@@ -414,7 +482,8 @@ def test_what_does_not_help_is_rolled_back(tmp_path: Path):
     assert (verdict.verdict, verdict.effects) == ("unexplained", ())
     assert all(gap.after == gap.before for gap in verdict.gaps)
     assert read_asset(out / "asset").effects == {"j": (ViscousDamping(0.01),)}
-    assert "rolled back" in (out / "index.html").read_text()
+    page = (out / "index.html").read_text()
+    assert "rolled back: replayed in SAPIEN it did not help on 1 run that was not fitted, or" in page
 
 
 def test_without_a_gap_the_asset_stays_as_it_is(tmp_path: Path):
