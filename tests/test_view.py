@@ -38,7 +38,7 @@ from freeart21.view.parts import align, articulation_scene, exchanged, matched, 
 from freeart21.view.plot import StateSeries, plot_section
 from freeart21.view.scene import Link, link_poses, scene_section, slider_range
 from freeart21.view.simplify import box, cylinder, simplified, sphere
-from freeart21.view.tables import score_section
+from freeart21.view.tables import score_section, source_rows, table_cell
 from freeart21.view.video import VideoSettings, shown_frames, video_section
 
 N, WIDTH, HEIGHT = 6, 48, 32
@@ -395,10 +395,62 @@ def test_page_of_a_truth_and_of_a_sequence_with_its_truth(folders: dict[str, Pat
     assert both[0]["states"] == pytest.approx(make_truth().states.tolist())
 
 
+@pytest.mark.parametrize(
+    ("id", "entry", "label", "said"),
+    [
+        ("pose_translation", {"value": 0.07377, "unit": "%"}, "Pose translation", "0.074 %"),
+        ("iou_moving", {"value": 0.98765, "unit": "fraction"}, "IoU moving", "0.988"),
+        ("psnr", {"value": 31.4159, "unit": "dB", "label": "Held-out views, PSNR"}, "Held-out views, PSNR", "31.4 dB"),
+        ("state", {"value": 123.456, "unit": "deg"}, "State", "123°"),
+        ("state", {"value": 2e-5, "unit": "cm"}, "State", "below 0.001 cm"),
+        ("zero", {"value": 0.0, "unit": "%"}, "Zero", "0 %"),
+        ("plain", 7, "Plain", "7"),
+        ("none", None, "None", "-"),
+    ],
+)
+def test_a_score_has_a_name_for_people_and_no_more_digits_than_count(id, entry, label, said) -> None:
+    html = score_section({id: entry}).html
+    assert f"<th scope=row>{label} </th><td class=number>{said}</td>" in html
+
+
+def test_where_an_asset_came_from_is_told_without_python() -> None:
+    source = {
+        "method": "ours",
+        "length_unit": "m",
+        "parts": {"reference": {"faces": 20, "faces_turned_outwards": False, "reason": None}},
+        "settings": {"density": 600.0, "up": [0.0, -1.0, 0.0], "meshes": {"texels": 4}},
+        "steps": [{"by": "a", "at": 1}],
+    }
+    assert source_rows(source) == [
+        ("method", "ours"),
+        ("length unit", "m"),
+        ("parts, reference, faces", "20"),
+        ("parts, reference, faces turned outwards", "no"),
+        ("settings, density", "600"),
+        ("settings, up", "0, -1, 0"),
+        ("settings, meshes, texels", "4"),
+        ("steps", "by a; at 1"),
+    ]
+
+
+def test_cells_of_numbers_are_kept_on_one_line() -> None:
+    for text in ("-61.4° to 11.3°", "3.52e-05, 7.71e-05", "-0.002, 0.003, -0.005 m", "10 rad/s", "0.0542 kg"):
+        assert table_cell(text).startswith("<td class=number>"), text
+    for text in ("revolute", "viscous_damping (coefficient 0.02 N m s/rad)", "2 sequences of 3", "none"):
+        assert table_cell(text).startswith("<td>"), text
+
+
+def test_the_3d_view_is_reached_and_turned_by_keys(folders: dict[str, Path]) -> None:
+    text = page(folders["result"])
+    assert "tabindex: 0" in text and "arrow keys turn" in text and ".view canvas:focus-visible" in text
+    for key in ("ArrowLeft", "ArrowUp", "Home", '"+"', '"-"'):
+        assert key in text, key
+
+
 def test_scores_stand_in_the_page(folders: dict[str, Path]) -> None:
     scores = {"axis": {"value": 1.23456, "unit": "deg", "better": "down", "beside": "4 cm"}, "plain": 0.5, "none": None}
     text = page(folders["result"], scores=scores)
-    assert re.search(r"axis <abbr[^>]*>↓</abbr></th><td>1.235</td><td>deg</td><td>4 cm</td>", text)
+    assert re.search(r"Axis <abbr[^>]*>↓</abbr></th><td class=number>1.23°</td><td class=number>4 cm</td>", text)
     with pytest.raises(FreeArtError, match="score 'axis'"):
         score_section({"axis": {"value": 1, "better": "sideways"}})
 

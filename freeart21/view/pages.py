@@ -38,6 +38,7 @@ from freeart21.view.tables import (
     recording_rows,
     score_section,
     seconds_section,
+    source_rows,
     table_section,
 )
 from freeart21.view.video import AxisLine, PartMasks, VideoSettings, shown_frames, video_section
@@ -160,7 +161,7 @@ def _sequence_page(name: str, recording: Recording | None, true: Truth | None, e
             ),
             plot_section(StateSeries(joint.type, *_abscissa(recording, len(true)), truth=states)),
             table_section("True joint", joint_rows(joint, states), place="right"),
-            table_section("Source", _source_rows(true.source)),
+            table_section("Source", source_rows(true.source)),
         ]
         chips.append(f"{joint.type} joint")
     if recording is not None:
@@ -295,7 +296,7 @@ def _asset_sections(path: Path, T_camera_canonical: Array | None) -> tuple[list[
         link_section(model),
     ]
     if asset is not None and asset.source:
-        sections.append(table_section("Where the asset came from", _source_rows(asset.source)))
+        sections.append(table_section("Where the asset came from", source_rows(asset.source)))
     return sections, chips, notices
 
 
@@ -336,10 +337,3 @@ def _recording_chips(recording: Recording | None) -> list[str]:
         return []
     span = float(recording.times_s[-1] - recording.times_s[0])
     return [f"{len(recording)} frames", f"{span:.3g} s", f"{recording.camera.width} x {recording.camera.height}"]
-
-
-def _source_rows(source: Mapping[str, Any]) -> list[tuple[str, str]]:
-    return [
-        (str(key), ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, Mapping) else str(value))
-        for key, value in source.items()
-    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -28,11 +29,44 @@ def table_section(
     """A table of texts, all escaped here; the first cell of a row is its heading."""
     header = f"<thead><tr>{''.join(f'<th scope=col>{escape(cell)}</th>' for cell in head)}</tr></thead>" if head else ""
     body = "".join(
-        f"<tr><th scope=row>{escape(first)}</th>{''.join(f'<td>{escape(cell)}</td>' for cell in rest)}</tr>"
-        for first, *rest in rows
+        f"<tr><th scope=row>{escape(first)}</th>{''.join(map(table_cell, rest))}</tr>" for first, *rest in rows
     )
     below = f'<p class="note">{escape(note)}</p>' if note else ""
     return Section(title, f'<div class="table"><table>{header}<tbody>{body}</tbody></table></div>{below}', place=place)
+
+
+def table_cell(text: str) -> str:
+    """A cell; one of numbers is never broken, so that a narrow page scrolls the table in its box instead."""
+    figures = any(c.isdigit() for c in text) and not _WORDS.search(text)
+    return f"<td{' class=number' * figures}>{escape(text)}</td>"
+
+
+_WORDS = re.compile(r"[^\W\d_]{4,}")
+"""A word of four letters or more: what has one is text, not numbers with their units."""
+
+
+def source_rows(source: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Where an asset came from, one line for each thing: nested entries by their path, and nothing for None."""
+    rows: list[tuple[str, str]] = []
+    for key, value in source.items():
+        name = str(key).replace("_", " ")
+        if isinstance(value, Mapping):
+            rows += [(f"{name}, {inner}", text) for inner, text in source_rows(value)]
+        elif value is not None:
+            rows.append((name, _plain(value)))
+    return rows
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(_plain(entry) for entry in value) or "none"
+    if isinstance(value, Mapping):
+        return "; ".join(f"{name} {text}" for name, text in source_rows(value))
+    return str(value)
 
 
 def recording_rows(recording: Recording) -> list[tuple[str, str]]:
@@ -95,8 +129,9 @@ def score_section(
 ) -> Section:
     """The score table.
 
-    `scores` maps a metric's id to its value, or to {"value", "unit", "better" ('up' or 'down'), "beside"}; `beside` is
-    a second figure as text, such as '0.4 cm'. Raises FreeArtError on anything else.
+    `scores` maps a metric's id to its value, or to {"value", "unit", "better" ('up' or 'down'), "beside", "label"};
+    `beside` is a second figure as text, such as '0.4 cm', and `label` the metric's name for people, without which it is
+    made of the id. Raises FreeArtError on anything else.
     """
     rows = []
     for name, entry in scores.items():
@@ -106,8 +141,9 @@ def score_section(
             raise FreeArtError(f"score '{name}' is {entry!r}, expected a value, and better 'up' or 'down'")
         arrow = '<abbr title="{1}">{0}</abbr>'.format(*ARROWS[better]) if better else ""
         rows.append(
-            f"<tr><th scope=row>{escape(name)} {arrow}</th><td>{escape(_value(value))}</td>"
-            f"<td>{escape(entry.get('unit') or '')}</td><td>{escape(entry.get('beside') or '')}</td></tr>"
+            f"<tr><th scope=row>{escape(entry.get('label') or _label(name))} {arrow}</th>"
+            f"<td class=number>{escape(_score(value, entry.get('unit')))}</td>"
+            f"<td class=number>{escape(entry.get('beside') or '')}</td></tr>"
         )
     return Section(title, f'<div class="table scores"><table><tbody>{"".join(rows)}</tbody></table></div>', place=place)
 
@@ -186,7 +222,29 @@ def _vector(values: np.ndarray) -> str:
     return ", ".join(f"{value:.3f}" for value in np.round(np.asarray(values), 3) + 0.0)
 
 
-def _value(value: object) -> str:
+_ACRONYMS = {"iou": "IoU", "psnr": "PSNR", "ssim": "SSIM", "lpips": "LPIPS", "fps": "frames per second"}
+
+
+def _label(id: str) -> str:
+    """A metric's id as people read it, such as 'Mask IoU, moving'."""
+    words = [_ACRONYMS.get(word, word) for word in id.split("_")]
+    text = " ".join(words)
+    return text[:1].upper() + text[1:]
+
+
+_UNITS = {"deg": "°", "fraction": "", "": ""}
+
+
+def _score(value: float | str | None, unit: str | None) -> str:
+    """A score with its unit, to three significant digits, and to no more than three decimals; tiny is 'below 0.001'."""
     if value is None:
         return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    if isinstance(value, str):
+        return value
+    sign = _UNITS.get(unit or "", f" {unit}")
+    if isinstance(value, int) or not np.isfinite(value):
+        return f"{value}{sign}"
+    if 0 < abs(value) < 0.001:
+        return f"below 0.001{sign}" if value > 0 else f"above -0.001{sign}"
+    digits = 0 if value == 0 else min(3, max(0, 2 - int(np.floor(np.log10(abs(value))))))
+    return f"{value:.{digits}f}{sign}"

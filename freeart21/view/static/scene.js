@@ -267,12 +267,27 @@ FreeArt.orbit = (canvas, data, changed) => {
     eye.yaw = yaw;
     eye.pitch = FreeArt.clamp(pitch, -1.55, 1.55);
   };
+  /* Arrows turn, with shift they move, + and - zoom, Home resets; what else is pressed is the page's. */
+  canvas.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    if (step) (event.shiftKey ? shift : turn)(...step.map((x) => 20 * x));
+    else if (event.key === "+" || event.key === "=") zoom(0.9);
+    else if (event.key === "-" || event.key === "_") zoom(1 / 0.9);
+    else if (event.key === "Home") home();
+    else return;
+    event.preventDefault();
+    changed();
+  });
   return { home, view, projection, look };
 };
 
 FreeArt.kinds.scene = (section, data, bus) => {
   const { element } = FreeArt;
-  const canvas = element("canvas", { "aria-label": "3D view; drag to turn, right-drag to shift, wheel to zoom" });
+  const canvas = element("canvas", {
+    tabindex: 0, role: "application",
+    "aria-label": "3D view; drag or arrow keys turn, right-drag or shift and arrows move, wheel or + and - zoom, Home resets",
+  });
   const frameBox = element("div", { class: "view" }, canvas);
   const legend = element("div", { class: "layers", role: "group", "aria-label": "what is shown" });
   const sliders = element("div", { class: "sliders" });
