@@ -249,14 +249,15 @@ def _runs(gap: Gap) -> list[Section]:
         nearest = "with the nearest try, which is no answer" if gap.verdict.verdict == "unexplained" else None
         runs, where, names = gap.curves, "in the fits' own simulation", ("as the asset is", nearest)
     sections = []
-    for run in sorted(runs, key=lambda r: not r.held_out)[:most]:
+    alone = unseen([g for g in gap.verdict.gaps if g.regime != GEOMETRY])
+    for run in sorted(runs, key=lambda r: r.held_out == alone)[:most]:  # first those that tell
         figures, data = run_drawings(run, gap.joint_type, names)
         pieces = f"in {run.stretches} stretches" if run.stretches > 1 else ""
         role = "held out" if run.held_out else "fitted" if replayed else "held out in turn"
         facts = ", ".join(w for w in (role, run.regime, where, pieces) if w)
         sizes = [length_text(v, gap.joint_type) for v in (run.gap_before, run.gap_after)]
         title = f"Run {run.run}, {facts}: {' → '.join(sizes if names[1] else sizes[:1])}"
-        sections.append(Section(title, f'<div class="charts">{"".join(figures)}</div>', "curves", data, "full"))
+        sections.append(Section(title, f'<div class="charts wide">{"".join(figures)}</div>', "curves", data, "full"))
     return sections
 
 
@@ -323,7 +324,7 @@ def _geometry(gap: Gap) -> list[Section]:
     drawing = Section(
         f"Off its joint: {what}, {1e3 * track.gap_before:.2g} mm → {1e3 * track.gap_after:.2g} mm "
         f"(noise {1e3 * track.floor:.2g} mm)",
-        f'<div class="charts">{figures}</div><p class="note">{escape(note)}</p>',
+        f'<div class="charts wide">{figures}</div><p class="note">{escape(note)}</p>',
         place="full",
     )
     return [drawing, table]

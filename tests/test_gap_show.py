@@ -472,6 +472,7 @@ def test_a_gap_that_fitted_runs_alone_show_is_told_of_these(tmp_path: Path):
     """Held-out runs in which the part stands still: 'no gap before and 100 % of it closed' was said of them."""
     page = _page_of(tmp_path, (1, 2), quiet=True)
     assert "gap before, on 1 fitted run" in page and "of the gap closed, on 1 fitted run" in page
+    assert page.index("Run run_0, fitted,") < page.index("Run run_1, held out,")  # first the one that tells
 
 
 def test_what_does_not_help_is_rolled_back(tmp_path: Path):

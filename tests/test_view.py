@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from freeart21 import se3
+from freeart21 import se3, view
 from freeart21.articulation import Articulation
 from freeart21.asset import Asset
 from freeart21.camera import Camera
@@ -438,6 +438,26 @@ def test_cells_of_numbers_are_kept_on_one_line() -> None:
         assert table_cell(text).startswith("<td class=number>"), text
     for text in ("revolute", "viscous_damping (coefficient 0.02 N m s/rad)", "2 sequences of 3", "none"):
         assert table_cell(text).startswith("<td>"), text
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_texts_stand_out_from_what_is_under_them(theme: str) -> None:
+    """Contrast of 4.5 or more (WCAG 2.1, 1.4.3) of every ink on every ground, in both themes."""
+    css = (Path(view.__file__).parent / "static" / "page.css").read_text()
+    blocks = re.findall(r":root \{(.*?)\}", css, re.S)
+    colours = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})[;\s]", blocks[theme == "dark"]))
+
+    def luminance(colour: str) -> float:
+        parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+        linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+        return float(np.dot(linear, [0.2126, 0.7152, 0.0722]))
+
+    pairs = [(ink, ground) for ink in ("ink", "soft", "accent") for ground in ("card", "ground")] + [
+        ("accent", "press")
+    ]
+    for ink, ground in pairs:
+        low, high = sorted((luminance(colours[ink]), luminance(colours[ground])))
+        assert (high + 0.05) / (low + 0.05) >= 4.5, (ink, ground)
 
 
 def test_the_3d_view_is_reached_and_turned_by_keys(folders: dict[str, Path]) -> None:

@@ -65,7 +65,12 @@ def benchmark_page(folder: Path, title: str) -> str:
     frames = sum(s.frames for s in statistics)
     chips = [f"{len(statistics)} sequences", f"{frames} frames", f"version {benchmark.version}", benchmark.split]
     sections = [
-        table_section("Summary", summary_rows(statistics), place="full", note=_NOTE),
+        table_section(
+            f"Summary of {len(statistics)} sequences, {frames} frames",
+            summary_rows(statistics),
+            place="full",
+            note=_NOTE,
+        ),
         _table(statistics),
         *(_card(s, strip) for s, strip in shown),
     ]
