@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
 import os
 import platform
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from functools import wraps
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
+import freeart21
 from freeart21.errors import FreeArtError
 from reconstruct.settings import ReconstructSettings
 
 Positional = tyro.conf.Positional
+DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
 
 
 def doctor(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
@@ -256,6 +262,7 @@ def reconstruct(
     until: Literal["segmentation", "joint", "poses", "surfaces"] | None = None,
     keep_work: bool = False,
     segmentation: Literal["ours", "paper"] | None = None,
+    settings_file: Annotated[Path | None, tyro.conf.arg(name="settings", metavar="FILE.json")] = None,
     settings: ReconstructSettings = ReconstructSettings(),  # noqa: B008 (frozen)
 ) -> int:
     """Solve one sequence: two parts, their poses, the joint between them, and meshes, from the video alone.
@@ -268,9 +275,10 @@ def reconstruct(
         until: Stop after this stage; what it found is kept for the next call.
         keep_work: Keep what the stages found when the result is written, too, for calls with other settings.
         segmentation: Short for --settings.segmentation: ours, or the paper's with features made by hand.
-        settings: Of every stage.
+        settings_file: Settings of every stage to start from; what the file does not name keeps its default. The
+            `settings` of a method.json, or such a file itself.
+        settings: One setting, such as --settings.joint.type-rule paper; --settings.help lists them all.
     """
-    import freeart21
     from freeart21.files.result import Method, write_method
     from freeart21.reconstruction import Failure
     from reconstruct import VERSION
@@ -429,7 +437,7 @@ def view(
     truth: Path | None = None,
     sequence: Path | None = None,
 ) -> None:
-    """Write a self-contained page to look at a sequence, a result, an asset or a whole data folder.
+    """Write a self-contained page of a sequence, a result, an asset or a data folder.
 
     Args:
         path: A sequence, result, asset or data folder, or a URDF.
@@ -495,20 +503,59 @@ def main() -> None:
     """Run a command; every known fault is one line on standard error and exit code 1."""
     commands = {
         f.__name__: f
-        for f in (doctor, demo, objects, record, verify, reconstruct, export, score, measure, gap, view, convert)
+        for f in (doctor, demo, objects, record, verify, convert, reconstruct, export, view, score, measure, gap)
     }
+    if _told(sys.argv[1:], commands):
+        return
     try:
         code = tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog="freeart21",
-            description="FreeArt-21: from RGB-D videos "
-            "of articulated objects to simulation-ready assets, and their score.",
+            _with_settings_file(commands, sys.argv), prog="freeart21", description=DESCRIPTION
         )
     except FreeArtError as error:
         sys.exit(f"freeart21: {error}")
     except KeyboardInterrupt:
         sys.exit(130)
     sys.exit(code or 0)
+
+
+def _told(argv: list[str], commands: dict[str, Callable[..., Any]]) -> bool:
+    """Answer `--version` and `--help`, if that is what was asked for."""
+    from freeart21.help import command_help, top_help
+
+    if argv[:1] == ["--version"]:
+        print(f"freeart21 {freeart21.__version__}")
+    elif argv[:1] in (["--help"], ["-h"]):
+        print(top_help(commands, DESCRIPTION))
+    elif argv and argv[0] in commands and {"--help", "-h"} & set(argv):
+        print(command_help(argv[0], commands[argv[0]]))
+    else:
+        return False
+    return True
+
+
+def _with_settings_file(commands: dict[str, Callable[..., Any]], argv: list[str]) -> dict[str, Callable[..., Any]]:
+    """`commands`, in which `reconstruct` starts from the settings of the file that `argv` names; `--settings.help` is
+    turned into what prints them all."""
+    if argv[1:2] != ["reconstruct"]:
+        return commands
+    if "--settings.help" in argv:
+        argv[:] = [*argv[:2], "--help"]
+        return commands
+    named = [after for word, after in pairwise(argv) if word == "--settings"]
+    named += [word.partition("=")[2] for word in argv if word.startswith("--settings=")]
+    if not named:
+        return commands
+    from reconstruct.settings import read_settings
+
+    @wraps(reconstruct)
+    def started(*arguments: Any, **options: Any) -> int:
+        return reconstruct(*arguments, **options)
+
+    signature = inspect.signature(reconstruct)
+    start = signature.parameters["settings"].replace(default=read_settings(Path(named[-1])))
+    parameters = [start if p.name == "settings" else p for p in signature.parameters.values()]
+    started.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return commands | {"reconstruct": started}
 
 
 def _hardware() -> str:
