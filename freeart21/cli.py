@@ -359,28 +359,86 @@ def score(
 def measure(
     sources: Annotated[tuple[Path, ...], Positional],
     out: Path,
+    gravity: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
+    rate_hz: float | None = None,
+    asset: Path | None = None,
+    joint: str | None = None,
+    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=NAME...")] = (),
+    unit_t: Annotated[Literal["s", "ms", "us", "ns"] | None, tyro.conf.arg(metavar="UNIT")] = None,
+    unit_q: Annotated[Literal["rad", "deg", "turns", "m", "cm", "mm"] | None, tyro.conf.arg(metavar="UNIT")] = None,
+    unit_effort: Annotated[Literal["N*m", "N*cm", "mN*m", "N", "mN"] | None, tyro.conf.arg(metavar="UNIT")] = None,
+    zero: float = 0.0,
+    reverse: bool = False,
+    effort: Literal["commanded", "external"] | None = None,
+    actuator: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="STIFFNESS DAMPING")] = None,
+    inertia_relative: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None,
+    gravity_relative: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None,
+    held_out: tuple[str, ...] = (),
     noise_mm: float = 0.5,
     noise_deg: float = 0.2,
     seed: int = 0,
     partnet_root: Path | None = None,
-    gravity: tuple[float, float, float] | None = None,
-    rate_hz: float = 30.0,
 ) -> None:
-    """Make a measured set for `gap` from recordings of a joint that was let go, or from one reconstructed video.
+    """Make a measured set for `gap`: from CSV, JSON or MAT files, a filmed result, or recorded truths.
 
     Args:
-        sources: Truth folders of one object (DATA/truth/SEQ, recorded with --motion release, each a run): their part
-            poses get a tracker's errors. Or one result folder (RESULTS/SEQ) whose reference part stood fixed.
+        sources: Files of a joint's position against time (each a run), with --asset; or one result folder
+            (RESULTS/SEQ) whose reference part stood fixed, with --gravity; or truth folders of one object
+            (DATA/truth/SEQ, each recorded with --motion release).
         out: Folder for the measured set (OUT/measured) and, of truths, the object without effects (OUT/asset).
-        noise_mm: Standard deviation of a tracker's shifts, for truths.
-        noise_deg: Standard deviation of a tracker's turns, for truths.
+        gravity: Gravity, m/s^2. Of files: in the frame of the asset's reference link, 0 0 -9.81 when not given. Of a
+            result: in the camera's axes (right, down, forward) of the first frame, 0 9.81 0 of a level camera.
+        rate_hz: Rows a second of files without a time; frames a second of a result, 30 when not given.
+        asset: Asset folder or URDF that the recordings are of.
+        joint: Joint of the URDF; may be left out when only one can move.
+        columns: Which column is what: t, q (position), effort, q_command, or enabled (0 where the drive was off), such
+            as t=time q=angle; or a JSON file of such. A column without a header is 1, 2, ...
+        unit_t: Of times: s, ms, us or ns; guessed when not given.
+        unit_q: Of positions and commands: rad, deg or turns, m, cm or mm; guessed when not given.
+        unit_effort: Of efforts: N*m, N*cm or mN*m, N or mN; N*m or N when not given.
+        zero: Position as recorded, in its unit, at which the URDF's joint is at 0.
+        reverse: The recording counts against the URDF's joint axis.
+        effort: Efforts were asked of the actuator, or pushed the moving part from outside.
+        actuator: Of the law force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad, or N/m and N*s/m.
+        inertia_relative: By which the asset's inertia may be off; 0 is exact, 0.1 when not given.
+        gravity_relative: By which its weight's torque or force may be off.
+        held_out: Runs that a fit must never see: names, numbers from 1, or files.
+        noise_mm: Standard deviation, mm, of a tracker's shifts.
+        noise_deg: Standard deviation, degrees, of a tracker's turns.
         seed: Seed of the tracker's errors.
         partnet_root: Folder that holds PartNet-Mobility objects, for truths of such.
-        gravity: Of a result: gravity, m/s^2, in the camera's axes (right, down, forward) of the first frame; a level
-            camera has 0 9.81 0.
-        rate_hz: Of a result: frames a second.
     """
+    files = [source for source in sources if source.is_file()]
     results = [source for source in sources if (source / "prediction.json").is_file()]
+    if not sources or (files and len(files) < len(sources)):
+        missing = ", ".join(str(source) for source in sources if source not in files) or "nothing"
+        raise FreeArtError(f"measure: expected files, or one result, or truth folders; got {missing}")
+    if files:
+        from freeart21.formats.measured_series import SeriesSettings, columns_from, measure_series
+
+        if asset is None:
+            raise FreeArtError("measure: files need --asset FOLDER or URDF: whose joint was measured?")
+        told = SeriesSettings(
+            columns_from(columns),
+            unit_t,
+            unit_q,
+            unit_effort,
+            zero,
+            reverse,
+            rate_hz,
+            gravity,
+            effort,
+            actuator,
+            inertia_relative,
+            gravity_relative,
+            held_out,
+        )
+        for note in measure_series(files, out, asset, joint, told):
+            print(f"- {note}")
+        _say_next(asset, out)
+        return
+    if asset is not None or columns or unit_q is not None:
+        raise FreeArtError(f"measure: --asset, --columns and --unit-q are of files; {sources[0]} is none")
     if results and (len(sources) > 1 or gravity is None):
         raise FreeArtError(
             "measure: a result stands alone and needs --gravity X Y Z in the camera's axes of its first frame "
@@ -389,14 +447,13 @@ def measure(
     if results and gravity is not None:
         from simgap.measure import measure_result
 
-        measure_result(results[0], out, gravity, rate_hz)
-        asset = results[0] / "asset"
+        measure_result(results[0], out, gravity, 30.0 if rate_hz is None else rate_hz)
+        _say_next(results[0] / "asset", out)
     else:
         from generator.measure import TrackerNoise, measure_truths
 
         measure_truths(sources, out, TrackerNoise(1e-3 * noise_mm, math.radians(noise_deg), seed=seed), partnet_root)
-        asset = out / "asset"
-    print(f"{out / 'measured'}: now `freeart21 gap {asset} {out / 'measured'} --out GAP`")
+        _say_next(out / "asset", out)
 
 
 def gap(
@@ -516,6 +573,11 @@ def main() -> None:
     except KeyboardInterrupt:
         sys.exit(130)
     sys.exit(code or 0)
+
+
+def _say_next(asset: Path, out: Path) -> None:
+    """How a measured set is used."""
+    print(f"{out / 'measured'}: now `freeart21 gap {asset} {out / 'measured'} --out GAP`")
 
 
 def _told(argv: list[str], commands: dict[str, Callable[..., Any]]) -> bool:

@@ -24,6 +24,11 @@ _GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
         "how it moves": ("motion", "seed", "effects", "let_go"),
         "how it is filmed": ("frames", "preset", "sensor", "queries", "width", "height", "shader"),
     },
+    "measure": {
+        "of files": ("asset", "joint", "columns", "unit_t", "unit_q", "unit_effort", "zero", "reverse", "held_out"),
+        "what drove it, and how sure the asset is": ("effort", "actuator", "inertia_relative", "gravity_relative"),
+        "of truths, the errors of a tracker": ("noise_mm", "noise_deg", "seed", "partnet_root"),
+    },
 }
 """Command to headings and their options; what is in none comes first."""
 
