@@ -315,17 +315,29 @@ def reconstruct(
     return 0
 
 
-def export(result: Annotated[Path, Positional], out: Path) -> int:
+def export(
+    result: Annotated[Path, Positional],
+    out: Path,
+    density: float | None = None,
+    mass: float | None = None,
+    scale: float = 1.0,
+    up: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, -1.0, 0.0),
+) -> int:
     """Write a result as a simulation-ready asset (URDF, MJCF, meshes), reload it, and check it.
 
     Args:
         result: A result folder (with prediction.json).
         out: Asset folder to write.
+        density: kg/m^3 of both parts, 600 (wood) when not given: video tells no mass.
+        mass: kg of the whole object instead; the parts share it by the volumes of their collision hulls.
+        scale: Factor for all lengths. An asset of another scale than 1 is not scored: it is not the video's object.
+        up: Direction in the result's canonical frame (ours: the camera's of the first frame, right, down, forward)
+            that becomes z.
     """
     from export.checklist import check_asset
     from export.exporter import ExportSettings, export_result
 
-    asset = export_result(result, out, ExportSettings())
+    asset = export_result(result, out, ExportSettings(density=density, mass=mass, scale=scale, up=up))
     print(asset.urdf)
     findings = check_asset(out)
     for finding in findings:
