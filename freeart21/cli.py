@@ -413,7 +413,7 @@ def measure(
         effort: Efforts were asked of the actuator, or pushed the moving part from outside.
         actuator: Of the law force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad, or N/m and N*s/m.
         inertia_relative: By which the asset's inertia may be off; 0 is exact, 0.1 when not given.
-        gravity_relative: By which its weight's torque or force may be off.
+        gravity_relative: By which its weight's torque or force may be off, 0.05 when not given.
         held_out: Runs that a fit must never see: names, numbers from 1, or files.
         noise_mm: Standard deviation, mm, of a tracker's shifts.
         noise_deg: Standard deviation, degrees, of a tracker's turns.

@@ -78,8 +78,15 @@ def test_one_swing_is_the_same_whatever_the_form_of_its_text(form: str, tmp_path
     assert (measured.joint, measured.joint_type, measured.timestamps) == ("j", "revolute", "nominal")
     assert measured.rate_hz == pytest.approx(100, rel=1e-4)
     np.testing.assert_array_equal(measured.gravity, [0, 0, -9.81])
-    assert (measured.inertia_relative, measured.gravity_relative) == (0.1, 0.1)
-    for word in ("the time", "the joint's position", "times are in", "positions are in", "gravity 0 0 -9.81", "10%"):
+    assert (measured.inertia_relative, measured.gravity_relative) == (0.1, 0.05)
+    for word in (
+        "the time",
+        "the joint's position",
+        "times are in",
+        "positions are in",
+        "gravity 0 0 -9.81",
+        "by 10% and its weight by 5%",
+    ):
         assert word in said
     assert ("times are in ms" in said) == form.startswith("milli") and ("in deg" in said) == form.startswith("degrees")
 
@@ -291,8 +298,9 @@ def test_files_of_strangers_cost_one_line(name: str, content: bytes, said: str, 
     assert "\n" not in str(told.value)
 
 
-def test_a_mat_file_that_swells_is_not_unpacked(tmp_path: Path):
-    packed = zlib.compress(bytes(300 << 20), 9)
+def test_a_mat_file_that_swells_is_not_unpacked(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr("freeart21.formats.time_series.MAX_BYTES", 1 << 20)
+    packed = zlib.compress(bytes(2 << 20))
     header = b"MATLAB 5.0".ljust(124) + b"\0\1IM"
     (tmp_path / "bomb.mat").write_bytes(header + b"\x0f\0\0\0" + len(packed).to_bytes(4, "little") + packed)
     with pytest.raises(FreeArtError, match="unpacks to more than"):
@@ -321,6 +329,13 @@ def test_files_of_one_joint_are_runs_of_their_own_names(tmp_path: Path, asset: P
     files = [tmp_path / folder / "run 1.csv" for folder in ("a", "b")]
     measure_series(files, tmp_path / "out", asset, None, SeriesSettings())
     assert [run.name for run in read_measured(tmp_path / "out/measured").runs] == ["run_1", "run_1_2"]
+
+
+def test_files_in_different_units_are_not_one_set(tmp_path: Path, asset: Path):
+    for name, unit in (("a", "deg"), ("b", "rad")):
+        (tmp_path / f"{name}.csv").write_text(text(TABLE, f"time,angle [{unit}]"))
+    with pytest.raises(FreeArtError, match=r"b.csv: q is in rad, but in deg in a.csv; expected one for all"):
+        measure_series([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "out", asset, None, SeriesSettings())
 
 
 def command(monkeypatch, *words: object) -> object:
@@ -355,14 +370,14 @@ def test_the_command_line_goes_by_what_its_sources_are(tmp_path: Path, asset: Pa
 
 def test_gap_takes_the_set_as_it_is(tmp_path: Path, asset: Path):
     """A bench with oil in its hinge, logged in degrees by somebody: measure, then gap, as a user would."""
-    for run in measured_of(3, runs=4, viscous=0.12).runs:
+    for run in measured_of(3, runs=3, viscous=0.12, seconds=2.5).runs:
         (tmp_path / f"{run.name}.csv").write_text(
             text(np.column_stack([run.times_s, np.degrees(run.q)]), "time;angle_deg", ";")
         )
     code = [sys.executable, "-c", "from freeart21.cli import main; main()"]
     files = sorted(map(str, tmp_path.glob("run_*.csv")))
     for words in (
-        ["measure", *files, "--asset", asset, "--held-out", "run_2", "run_3", "--out", tmp_path / "set"],
+        ["measure", *files, "--asset", asset, "--held-out", "run_2", "--out", tmp_path / "set"],
         ["gap", asset, tmp_path / "set/measured", "--out", tmp_path / "gap"],
     ):
         done = subprocess.run([*code, *map(str, words)], capture_output=True, text=True, check=False)

@@ -39,8 +39,9 @@ PositionUnit = Literal["rad", "deg", "turns", "m", "cm", "mm"]
 EffortUnit = Literal["N*m", "N*cm", "mN*m", "N", "mN"]
 GRAVITY = (0.0, 0.0, -9.81)
 """m/s^2, z up."""
-UNSURE = 0.1
-"""Part of themselves by which inertia and weight of an asset may be off when nobody says: as of a model by drawings."""
+UNSURE = (0.1, 0.05)
+"""Part of itself by which an asset's inertia, and its weight's torque or force, may be off when nobody says: what the
+benchmark of `simgap` takes a bench to be worth. Larger ones explain away what they should not, smaller ones invent."""
 
 _NAMES = {
     "t": "t time times timestamp timestamps stamp elapsed clock",
@@ -118,28 +119,17 @@ def measure_series(
         roles.append(found)
         notes += [note for note in said if note not in notes]
     raw = [run for series, role in zip(all_series, roles, strict=True) for run in _raw_runs(series, role, settings)]
-    said_units = {role: all_series[0].units.get(name) for role, name in roles[0].items()}
+    said_units = _said_units(all_series, roles)
     raw, rate, clock = _timed(raw, settings, said_units.get("t"), roles[0].get("t"), notes)
     runs = _scaled(raw, kind, scored, settings, (said_units, roles[0]), notes)
-    gravity = np.asarray(GRAVITY if settings.gravity is None else settings.gravity, float)
-    if not np.isfinite(gravity).all():
-        raise FreeArtError(f"--gravity {' '.join(map(str, gravity))}: expected three numbers, m/s^2")
-    if settings.gravity is None:
-        notes.append(f"gravity 0 0 -9.81 m/s^2, z of link '{chosen.reference_link}' being up (else --gravity)")
-    unsure = [UNSURE if v is None else v for v in (settings.inertia_relative, settings.gravity_relative)]
-    if settings.inertia_relative is None or settings.gravity_relative is None:
-        notes.append(
-            f"the asset's inertia may be off by {unsure[0]:.0%} and its weight by {unsure[1]:.0%} (else "
-            "--inertia-relative, --gravity-relative)"
-        )
+    gravity, unsure = _circumstances(settings, chosen.reference_link, notes)
     if drives:
         held = " and ".join(d for d in ("effort", "q_command") if d in roles[0])
         notes.append(f"{held}: every value is held until the next row, as by a digital drive")
     marked = _held_out(runs, files, settings.held_out)
     if not settings.held_out and len(runs) > 1:
-        notes.append(
-            f"no run is held out, all are fitted: runs {listed([run.name for run in runs])}; --held-out NAME..."
-        )
+        names = listed([run.name for run in runs])
+        notes.append(f"no run is held out: `gap` leaves each out in turn: {names} (else --held-out)")
     measured = Measured(
         scored.name,
         kind,
@@ -148,8 +138,7 @@ def measure_series(
         "recorded" if clock else "nominal",
         settings.effort if "effort" in roles[0] else None,
         Actuator(None, *settings.actuator) if settings.actuator is not None else None,
-        unsure[0],
-        unsure[1],
+        *unsure,
         marked,
     )
     with atomic.new_folder(out) as aside:
@@ -161,6 +150,39 @@ def measure_series(
                 str(error).replace(str(aside.resolve()), str(out)).replace(str(aside), str(out))
             ) from error
     return notes
+
+
+def _circumstances(settings: SeriesSettings, link: str, notes: list[str]) -> tuple[Array, tuple[float, float]]:
+    """(3,) gravity in the frame of `link`, and how far inertia and weight of the asset may be off."""
+    gravity = np.asarray(GRAVITY if settings.gravity is None else settings.gravity, float)
+    if not np.isfinite(gravity).all():
+        raise FreeArtError(f"--gravity {' '.join(map(str, gravity))}: expected three numbers, m/s^2")
+    if settings.gravity is None:
+        notes.append(f"gravity 0 0 -9.81 m/s^2, z of link '{link}' being up (else --gravity)")
+    inertia, weight = settings.inertia_relative, settings.gravity_relative
+    unsure = (UNSURE[0] if inertia is None else inertia, UNSURE[1] if weight is None else weight)
+    if inertia is None or weight is None:
+        notes.append(
+            f"the asset's inertia may be off by {unsure[0]:.0%} and its weight by {unsure[1]:.0%} (else "
+            "--inertia-relative, --gravity-relative)"
+        )
+    return gravity, unsure
+
+
+def _said_units(all_series: list[Series], roles: list[dict[str, str]]) -> dict[str, str | None]:
+    """Role to the unit that the files write; FreeArtError when one writes another than the first."""
+    first, *others = [
+        {role: _unit_of(series.units.get(name), name) for role, name in found.items()}
+        for series, found in zip(all_series, roles, strict=True)
+    ]
+    for series, units in zip(all_series[1:], others, strict=True):
+        for role, unit in units.items():
+            if unit != first.get(role, unit):
+                raise FreeArtError(
+                    f"{series.path}: {role} is in {unit or 'a unit that is not written'}, but in "
+                    f"{first[role] or 'one that is not written'} in {all_series[0].path.name}; expected one for all"
+                )
+    return first
 
 
 def columns_from(words: tuple[str, ...]) -> dict[str, str]:
@@ -345,7 +367,7 @@ def _timed(
     step = float(np.median(steps))
     unit: str | None = settings.unit_t
     if unit is None:
-        unit = _unit_of(said, name)
+        unit = said
         unit, why = (unit, "as it says") if unit in TIME_UNITS else _time_unit(step)
         notes.append(f"times are in {unit}, {why}: {1 / (step * TIME_UNITS[unit]):.4g} rows a second (else --unit-t)")
     scale = TIME_UNITS[unit]
@@ -401,7 +423,7 @@ def _scaled(
     sizes = ANGLES if kind == "revolute" else LENGTHS
     unit: str | None = settings.unit_q
     if unit is None:
-        unit = _unit_of(units.get("q"), names["q"])
+        unit = units.get("q")
         unit, why = (unit, "as it says") if unit in sizes else _position_unit(runs, kind, joint, settings.zero)
         low, high = _range(runs)
         notes.append(f"positions are in {unit}, {why}: {low:.4g} to {high:.4g} (else --unit-q)")
@@ -409,7 +431,7 @@ def _scaled(
         raise FreeArtError(f"--unit-q {unit}: joint '{joint.name}' is {kind}, expected {', '.join(sizes)}")
     assert unit is not None
     sign = -1.0 if settings.reverse else 1.0
-    written = _unit_of(units.get("effort"), names.get("effort"))
+    written = units.get("effort")
     effort_unit: str | None = settings.unit_effort or (written if written in EFFORTS else None)
     expected = "N*m" if kind == "revolute" else "N"
     if "effort" in names and effort_unit is None:
