@@ -420,11 +420,18 @@ def measure(
         seed: Seed of the tracker's errors.
         partnet_root: Folder that holds PartNet-Mobility objects, for truths of such.
     """
+    given = dict(locals())
     files = [source for source in sources if source.is_file()]
     results = [source for source in sources if (source / "prediction.json").is_file()]
+    for source in sources:
+        if not source.exists():
+            raise FreeArtError(f"measure: {source} does not exist")
     if not sources or (files and len(files) < len(sources)):
-        missing = ", ".join(str(source) for source in sources if source not in files) or "nothing"
-        raise FreeArtError(f"measure: expected files, or one result, or truth folders; got {missing}")
+        got = ", ".join(str(source) for source in sources if source not in files)
+        raise FreeArtError(
+            f"measure: expected files, or one result, or truth folders; got {f'{got} among files' if got else 'nothing'}"
+        )
+    _check_options("files" if files else "a result" if results else "truths", given)
     if files:
         from freeart21.formats.measured_series import SeriesSettings, columns_from, measure_series
 
@@ -449,8 +456,6 @@ def measure(
             print(f"- {note}")
         _say_next(asset, out)
         return
-    if asset is not None or columns or unit_q is not None:
-        raise FreeArtError(f"measure: --asset, --columns and --unit-q are of files; {sources[0]} is none")
     if results and (len(sources) > 1 or gravity is None):
         raise FreeArtError(
             "measure: a result stands alone and needs --gravity X Y Z in the camera's axes of its first frame "
@@ -509,8 +514,8 @@ def view(
     """Write a self-contained page of a sequence, a result, an asset or a data folder.
 
     Args:
-        path: A sequence, result, asset or data folder, or a URDF.
-        out: The page; next to the working folder as NAME.html when not given.
+        path: A sequence, result, truth, asset or data folder, or a URDF.
+        out: The page; NAME.html in the working folder when not given.
         truth: Truth folder to show beside a sequence or a result.
         sequence: Sequence folder of a result, for its video.
     """
@@ -585,6 +590,21 @@ def main() -> None:
     except KeyboardInterrupt:
         sys.exit(130)
     sys.exit(code or 0)
+
+
+def _check_options(kind: str, given: dict[str, Any]) -> None:
+    """FreeArtError when `measure` was given an option that is not of its kind of source."""
+    from freeart21.help import OPTION_GROUPS
+
+    defaults = inspect.signature(measure).parameters
+    for heading, names in OPTION_GROUPS["measure"].items():
+        whose = "truths" if "truths" in heading else "files"
+        for name in names:
+            if whose != kind and given[name] != defaults[name].default:
+                sources = ", ".join(str(source) for source in given["sources"])
+                raise FreeArtError(
+                    f"measure: --{name.replace('_', '-')} is of {whose}, but this was taken for {kind}: {sources}"
+                )
 
 
 def _say_next(asset: Path, out: Path) -> None:

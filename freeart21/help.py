@@ -18,7 +18,7 @@ WIDTH = 100
 """Columns that a help text has at most."""
 _COLUMN = 27
 _METAVARS = {int: "N", float: "NUMBER", str: "NAME", Path: "PATH"}
-_GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
+OPTION_GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
     "record": {
         "what is filmed": ("procedural", "count", "split", "partnet_root", "joint", "skip_missing"),
         "how it moves": ("motion", "seed", "effects", "let_go"),
@@ -68,7 +68,7 @@ def command_help(name: str, f: Callable[..., Any]) -> str:
         lines += [*textwrap.wrap(paragraph, _width()), ""]
     for p in positional:
         lines += _entry(_positional(p, hints[p.name]).strip("[]"), said.get(p.name, ""), p.default)
-    groups = _GROUPS.get(name, {})
+    groups = OPTION_GROUPS.get(name, {})
     grouped = {option for names in groups.values() for option in names}
     headed = {"options": tuple(p.name for p in options if p.name not in grouped), **groups}
     by_name = {p.name: p for p in options}

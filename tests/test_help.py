@@ -10,7 +10,7 @@ import pytest
 
 from freeart21 import cli
 from freeart21.errors import FreeArtError
-from freeart21.help import _GROUPS, command_help
+from freeart21.help import OPTION_GROUPS, command_help
 from reconstruct.settings import ReconstructSettings, read_settings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -62,9 +62,9 @@ def test_the_help_of_a_command_fits_a_screen_and_tells_every_option(name: str):
         assert known in text or parameter.name.upper() in text, parameter.name
 
 
-@pytest.mark.parametrize("name", _GROUPS)
+@pytest.mark.parametrize("name", OPTION_GROUPS)
 def test_groups_of_options_name_options_once_each(name: str):
-    options = [option for group in _GROUPS[name].values() for option in group]
+    options = [option for group in OPTION_GROUPS[name].values() for option in group]
     assert len(set(options)) == len(options)
     assert set(options) <= set(inspect.signature(getattr(cli, name)).parameters)
 
@@ -78,6 +78,23 @@ def test_an_option_that_has_no_text_would_be_seen():
         for line in bare:
             after = following[following.index(line) + 1]
             assert after.startswith(" " * 20), f"{name}: {line}"
+
+
+def test_what_the_help_lists_is_what_there_is():
+    from export.exporter import DENSITY
+    from freeart21.formats.measured_series import ANGLES, EFFORTS, LENGTHS, ROLES, TIME_UNITS, UNSURE
+    from generator.motion import MOTIONS, PRESETS
+    from generator.sensor import SENSORS
+    from generator.session import SHADERS
+
+    lists = {
+        "record": [*MOTIONS, *PRESETS, *SENSORS, *SHADERS],
+        "measure": [*ROLES, *ANGLES, *LENGTHS, *EFFORTS, *TIME_UNITS, f"{UNSURE[0]:g} when", f"{UNSURE[1]:g} when"],
+        "export": [f"{DENSITY:g} (wood)"],
+    }
+    for name, words in lists.items():
+        text = " ".join(command_help(name, getattr(cli, name)).split())
+        assert [word for word in words if word not in text] == [], name
 
 
 def test_the_version_is_the_packages():
