@@ -429,7 +429,7 @@ def measure(
     if not sources or (files and len(files) < len(sources)):
         got = ", ".join(str(source) for source in sources if source not in files)
         raise FreeArtError(
-            f"measure: expected files, or one result, or truth folders; got {f'{got} among files' if got else 'nothing'}"
+            f"measure: expected files, one result, or truth folders; got {f'{got} among files' if got else 'nothing'}"
         )
     _check_options("files" if files else "a result" if results else "truths", given)
     if files:

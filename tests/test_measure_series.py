@@ -247,7 +247,7 @@ REFUSED = {
     "no such column": (FORMS["commas"], {"columns": {"q": "x"}}, "run.csv has no column 'x'; columns: time, angle"),
     "no such joint": (FORMS["commas"], {"joint": "lid"}, "no movable joint 'lid'; movable joints: j"),
     "no such run": (FORMS["commas"], {"held_out": ("b",)}, "--held-out: there is no run 'b'; runs: run"),
-    "all held out": (FORMS["commas"], {"held_out": ("run",)}, "out/measured/measured.json: all 1 runs are held out"),
+    "all held out": (FORMS["commas"], {"held_out": ("run",)}, "^measured.json: all 1 runs are held out"),
     "metres of a hinge": (FORMS["commas"], {"unit_q": "mm"}, "--unit-q mm: joint 'j' is revolute, expected rad, deg"),
     "newtons of a hinge": (
         text(DRIVEN[:, [0, 1, 3]], "time,q,tau"),
@@ -260,7 +260,22 @@ REFUSED = {
     "nothing": ("", {}, "has no rows"),
     "ragged": (text(TABLE, "time,angle") + "1,2,3\n" * 9, {}, "9 of 89 rows have another number of cells than 2"),
     "not text": (b"\0\1\2" * 50, {}, "is not text: it has NUL bytes"),
-    "gravity": (FORMS["commas"], {"gravity": (0.0, np.nan, 0.0)}, "--gravity 0.0 nan 0.0: expected three numbers"),
+    "gravity": (
+        FORMS["commas"],
+        {"gravity": (0.0, np.nan, 0.0)},
+        "--gravity 0.0 nan 0.0: expected a finite number each",
+    ),
+    "an endless law": (
+        FORMS["commas"],
+        {"actuator": (np.inf, 1.0)},
+        "--actuator inf 1.0: expected a finite number each",
+    ),
+    "no reading": (
+        text(np.column_stack([T, np.nan * Q]), "time,q"),
+        {},
+        "^run.csv has 0 readings of q that are numbers",
+    ),
+    "no rate": (text(Q[:, None], "angle"), {"rate_hz": 0.0}, "--rate-hz 0: expected above 0"),
     "heavy gravity": (FORMS["commas"], {"gravity": (0.0, 0.0, -981.0)}, "'gravity' is 981 long, expected m/s"),
     "a law without a column": (FORMS["commas"], {"actuator": (1.0, 1.0)}, "which column is q_command\\?"),
     "a column without a law": (
@@ -298,8 +313,19 @@ def test_files_of_strangers_cost_one_line(name: str, content: bytes, said: str, 
     assert "\n" not in str(told.value)
 
 
+def test_a_mat_file_that_ends_its_reader_costs_one_line(tmp_path: Path, monkeypatch):
+    """SciPy's reader falls (SIGSEGV) on some broken files; here any does it."""
+    content = mat(tmp_path, t=T, q=Q)
+    monkeypatch.setattr("freeart21.formats.mat_file.sys.executable", str(tmp_path / "python"))
+    (tmp_path / "python").write_text("#!/bin/sh\nkill -SEGV $$\n")
+    (tmp_path / "python").chmod(0o755)
+    (tmp_path / "a.mat").write_bytes(content)
+    with pytest.raises(FreeArtError, match=r"a\.mat is not a readable MAT file: the reader crashed on it"):
+        read_series(tmp_path / "a.mat")
+
+
 def test_a_mat_file_that_swells_is_not_unpacked(tmp_path: Path, monkeypatch):
-    monkeypatch.setattr("freeart21.formats.time_series.MAX_BYTES", 1 << 20)
+    monkeypatch.setattr("freeart21.formats.mat_file.MAX_BYTES", 1 << 20)
     packed = zlib.compress(bytes(2 << 20))
     header = b"MATLAB 5.0".ljust(124) + b"\0\1IM"
     (tmp_path / "bomb.mat").write_bytes(header + b"\x0f\0\0\0" + len(packed).to_bytes(4, "little") + packed)
@@ -358,11 +384,11 @@ def test_the_command_line_goes_by_what_its_sources_are(tmp_path: Path, asset: Pa
     assert read_measured(tmp_path / "lid/measured").gravity[2] == -1.62
     for words, line in (
         ((run,), "files need --asset FOLDER or URDF"),
-        ((run, tmp_path, "--asset", asset), "expected files, or one result, or truth folders; got .* among files"),
+        ((run, tmp_path, "--asset", asset), "expected files, one result, or truth folders; got .* among files"),
         ((tmp_path / "none.csv", "--asset", asset), "none.csv does not exist"),
         ((asset.parent, "--asset", asset), "--asset is of files, but this was taken for truths: .*asset"),
         ((run, "--asset", asset, "--noise-mm", 1), "--noise-mm is of truths, but this was taken for files: .*run.csv"),
-        ((), "expected files, or one result, or truth folders; got nothing"),
+        ((), "expected files, one result, or truth folders; got nothing"),
     ):
         code = command(monkeypatch, "measure", *words, "--out", tmp_path / "no")
         assert isinstance(code, str) and code.startswith("freeart21: measure: ")

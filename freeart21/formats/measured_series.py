@@ -100,6 +100,7 @@ def measure_series(
     Raises FreeArtError, in one line, when the files cannot be read, do not say which column is which, or make no
     measured set; nothing is then written.
     """
+    _check_numbers(settings)
     files = [Path(file) for file in files]
     chosen = read_asset(Path(asset), joint)
     scored = movable_joint(chosen.urdf, chosen.joint)
@@ -145,18 +146,29 @@ def measure_series(
         write_measured(aside / "measured", measured)
         try:
             read_measured(aside / "measured")
-        except FreeArtError as error:
+        except FreeArtError as error:  # of files that nobody will see: by their names alone
             raise FreeArtError(
-                str(error).replace(str(aside.resolve()), str(out)).replace(str(aside), str(out))
+                re.sub(rf"{re.escape(str(aside.resolve()))}/\S*/|{re.escape(str(aside))}/\S*/", "", str(error))
             ) from error
     return notes
+
+
+def _check_numbers(settings: SeriesSettings) -> None:
+    """FreeArtError when a number that was told cannot be one."""
+    for name in ("rate_hz", "zero", "gravity", "actuator", "inertia_relative", "gravity_relative"):
+        value = getattr(settings, name)
+        if value is not None and not np.isfinite(value).all():
+            said = " ".join(map(str, np.atleast_1d(value)))
+            raise FreeArtError(f"--{name.replace('_', '-')} {said}: expected a finite number each")
+    if settings.rate_hz is not None and not 0 < settings.rate_hz <= MAX_RATE_HZ:
+        raise FreeArtError(
+            f"--rate-hz {settings.rate_hz:g}: expected above 0 and at most {MAX_RATE_HZ:g} rows a second"
+        )
 
 
 def _circumstances(settings: SeriesSettings, link: str, notes: list[str]) -> tuple[Array, tuple[float, float]]:
     """(3,) gravity in the frame of `link`, and how far inertia and weight of the asset may be off."""
     gravity = np.asarray(GRAVITY if settings.gravity is None else settings.gravity, float)
-    if not np.isfinite(gravity).all():
-        raise FreeArtError(f"--gravity {' '.join(map(str, gravity))}: expected three numbers, m/s^2")
     if settings.gravity is None:
         notes.append(f"gravity 0 0 -9.81 m/s^2, z of link '{link}' being up (else --gravity)")
     inertia, weight = settings.inertia_relative, settings.gravity_relative
@@ -355,10 +367,6 @@ def _timed(
     runs: list[_Raw], settings: SeriesSettings, said: str | None, name: str | None, notes: list[str]
 ) -> tuple[list[_Raw], float, bool]:
     """Runs with times in seconds from 0, their rate, and whether their times were read from a clock."""
-    if settings.rate_hz is not None and not 0 < settings.rate_hz <= MAX_RATE_HZ:
-        raise FreeArtError(
-            f"--rate-hz {settings.rate_hz:g}: expected above 0 and at most {MAX_RATE_HZ:g} rows a second"
-        )
     if name is None:
         assert settings.rate_hz is not None
         return runs, settings.rate_hz, False

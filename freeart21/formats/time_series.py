@@ -16,8 +16,6 @@ import csv
 import io
 import json
 import re
-import struct
-import zlib
 from collections import Counter
 from dataclasses import dataclass
 from datetime import datetime
@@ -29,13 +27,11 @@ import numpy as np
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.measured import MAX_BYTES, MAX_CSV_BYTES, MAX_SAMPLES
+from freeart21.files.measured import MAX_CSV_BYTES, MAX_SAMPLES
+from freeart21.formats.mat_file import MAX_MATRIX_COLUMNS, read_mat
 from freeart21.se3 import Array
 
 MAX_COLUMNS = 1000
-MAX_RUNS = 1000
-MAX_MATRIX_COLUMNS = 64
-"""A matrix with more is no table of columns."""
 _SAMPLE = 200
 """Lines at the end of a text by which its separator is told."""
 _MOST_ODD = 0.01
@@ -313,67 +309,10 @@ def _is_json_number(value: Any) -> bool:
 
 
 def _read_mat(path: Path) -> Series:
-    from scipy.io import loadmat
-
-    data = checked.require_file(path, MAX_CSV_BYTES).read_bytes()
-    if data[:8] == b"\x89HDF\r\n\x1a\n" or data[:10] == b"MATLAB 7.3":
-        raise FreeArtError(f"{path} is a MAT file of version 7.3 (HDF5): save it by save(..., '-v7')")
-    _check_unpacked(path, data)
-    try:
-        variables = loadmat(io.BytesIO(data))
-    except Exception as error:
-        raise FreeArtError(f"{path} is not a readable MAT file: {_short(str(error))}") from error
-    columns: dict[str, tuple[Array, ...]] = {}
-    for name, value in variables.items():
-        if not name.startswith("__"):
-            columns |= _flat(name, value, 3)
+    columns = read_mat(path)
     sizes = [f"{name} ({_size(runs)})" for name, runs in columns.items()]
     return Series(path, columns, {}, (f"MAT file; columns {listed(sizes)}",))
 
 
 def _size(runs: tuple[Array, ...]) -> str:
     return f"{len(runs)} runs" if len(runs) > 1 else str(len(runs[0]))
-
-
-def _flat(name: str, value: Any, depth: int) -> dict[str, tuple[Array, ...]]:
-    """A variable as columns; what is no series of numbers is left out."""
-    value = np.asarray(value)
-    if value.dtype.names and depth:  # structures
-        if not 1 <= value.size <= MAX_RUNS:
-            return {}
-        fields = {field: value[field] if value.size > 1 else value[field].ravel()[0] for field in value.dtype.names}
-        return {k: v for field, inner in fields.items() for k, v in _flat(f"{name}.{field}", inner, depth - 1).items()}
-    if value.dtype == object and depth:  # cells, a run in each
-        if not 1 <= value.size <= MAX_RUNS:
-            return {}
-        cells = [_flat(name, cell, depth - 1) for cell in value.ravel()]
-        return {
-            key: tuple(run for cell in cells for run in cell[key]) for key in cells[0] if all(key in c for c in cells)
-        }
-    if value.dtype.kind not in "fiub" or value.ndim != 2 or max(value.shape) < 2:
-        return {}
-    table = np.asarray(value if value.shape[0] >= value.shape[1] else value.T, float)
-    if table.shape[1] == 1:
-        return {name: (table[:, 0],)}
-    if table.shape[1] > MAX_MATRIX_COLUMNS:
-        return {}
-    return {f"{name}:{k + 1}": (np.ascontiguousarray(table[:, k]),) for k in range(table.shape[1])}
-
-
-def _check_unpacked(path: Path, data: bytes) -> None:
-    """FreeArtError when a MAT file of version 5 unpacks to more than a measured set may hold."""
-    if len(data) < 128 or data[126:128] not in (b"IM", b"MI"):
-        return  # version 4 packs nothing
-    order = "<" if data[126:128] == b"IM" else ">"
-    place, unpacked = 128, 0
-    while place + 8 <= len(data):
-        kind, size = struct.unpack_from(f"{order}II", data, place)
-        if kind == 15:
-            try:
-                packed = zlib.decompressobj()
-                unpacked += len(packed.decompress(data[place + 8 : place + 8 + size], MAX_BYTES + 1 - unpacked))
-            except zlib.error as error:
-                raise FreeArtError(f"{path} is not a readable MAT file: {error}") from error
-        if unpacked > MAX_BYTES:
-            raise FreeArtError(f"{path} unpacks to more than {MAX_BYTES} bytes, which are not read")
-        place += 8 + size
