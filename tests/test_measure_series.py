@@ -324,6 +324,14 @@ def test_a_mat_file_that_ends_its_reader_costs_one_line(tmp_path: Path, monkeypa
         read_series(tmp_path / "a.mat")
 
 
+def test_what_lies_beside_a_mat_file_is_not_run(tmp_path: Path, monkeypatch):
+    content = mat(tmp_path, t=T, q=Q)
+    (tmp_path / "numpy.py").write_text("raise SystemExit('imported')")
+    (tmp_path / "a.mat").write_bytes(content)
+    monkeypatch.chdir(tmp_path)
+    assert set(read_series(Path("a.mat")).columns) == {"t", "q"}
+
+
 def test_a_mat_file_that_swells_is_not_unpacked(tmp_path: Path, monkeypatch):
     monkeypatch.setattr("freeart21.formats.mat_file.MAX_BYTES", 1 << 20)
     packed = zlib.compress(bytes(2 << 20))

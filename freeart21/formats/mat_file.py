@@ -1,6 +1,6 @@
 """Columns of numbers in a MATLAB file, of version 5 to 7 (or 4).
 
-SciPy's reader ends the process on some broken files: it has one of its own (`python -m freeart21.formats.mat_file`).
+SciPy's reader ends the process on some broken files: it has one of its own.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from freeart21.se3 import Array
 MAX_MATRIX_COLUMNS = 64
 """A matrix with more is no table of columns."""
 MAX_CELLS = 1000
+_PROGRAM = "import sys; sys.path[:] = {places!r}; from freeart21.formats.mat_file import main; main()"
+"""The folder that one stands in is not searched: a `numpy.py` beside somebody's data must not be imported."""
 TIME_LIMIT_S = 120.0
 """64 MB, the most that is read, take some 2 s."""
 
@@ -39,7 +41,7 @@ def read_mat(path: Path) -> dict[str, tuple[Array, ...]]:
         out = Path(place) / "columns.npz"
         try:
             done = subprocess.run(
-                [sys.executable, "-m", "freeart21.formats.mat_file", str(out)],
+                [sys.executable, "-c", _PROGRAM.format(places=[place for place in sys.path if place]), str(out)],
                 input=data,
                 capture_output=True,
                 timeout=TIME_LIMIT_S,
@@ -56,8 +58,8 @@ def read_mat(path: Path) -> dict[str, tuple[Array, ...]]:
     return {name: tuple(runs[f"{k}_{i}"] for i in range(n)) for k, (name, n) in enumerate(names.items())}
 
 
-def _main(out: Path) -> None:
-    """MAT bytes from standard input: the runs of all columns to `out`, how many each has to standard output."""
+def main() -> None:
+    """MAT bytes from standard input: runs of all columns to the .npz that is named, how many to standard output."""
     from scipy.io import loadmat
 
     columns: dict[str, tuple[Array, ...]] = {}
@@ -68,7 +70,7 @@ def _main(out: Path) -> None:
     except Exception as error:
         sys.exit(str(error))
     named: dict[str, Any] = {f"{k}_{i}": run for k, runs in enumerate(columns.values()) for i, run in enumerate(runs)}
-    np.savez(out, **named)
+    np.savez(sys.argv[1], **named)
     print(json.dumps({name: len(runs) for name, runs in columns.items()}))
 
 
@@ -114,7 +116,3 @@ def _check_unpacked(path: Path, data: bytes) -> None:
         if unpacked > MAX_BYTES:
             raise FreeArtError(f"{path} unpacks to more than {MAX_BYTES} bytes, which are not read")
         place += 8 + size
-
-
-if __name__ == "__main__":
-    _main(Path(sys.argv[1]))
