@@ -10,7 +10,7 @@ from typing import Any
 
 import freeart21
 from export.checklist import check_asset
-from export.collision import CollisionSettings, convex_parts
+from export.collision import Collision, CollisionSettings, convex_parts
 from export.inertia import inertial_of
 from export.meshes import MeshSettings, cleaned, inside_out, turned, write_hull, write_visual
 from export.mjcf import mjcf_text
@@ -29,12 +29,25 @@ from freeart21.reconstruction import Failure, Reconstruction
 URDF, MJCF, MESHES = "object.urdf", "object.xml", "meshes"
 
 
+DENSITY = 600.0
+"""kg/m^3 when nobody says, as of wood: video tells no mass."""
+_DENSITIES = (1e-3, 1e5)
+"""kg/m^3 of matter on earth, with room."""
+_MASSES = (1e-6, 1e6)
+"""kg that single precision and the engines bear."""
+_SCALES = (1e-4, 1e4)
+
+
 @dataclass(frozen=True)
 class ExportSettings:
     """How a reconstruction is written as an asset."""
 
-    density: float = 600.0
-    """kg/m^3 of the collision hulls, as of wood: video tells no mass."""
+    density: float | None = None
+    """kg/m^3 of the collision hulls; None is `DENSITY`, unless `mass` is given."""
+    mass: float | None = None
+    """kg of the whole object, which the parts share by the volumes of their hulls; not together with `density`."""
+    scale: float = 1.0
+    """Lengths of the asset (meshes, pivot, travel, T_canonical_reference) over those of the video."""
     up: tuple[float, float, float] = (0.0, -1.0, 0.0)
     """Direction in the canonical frame that becomes z of the links: ours is a camera frame, whose y points down."""
     limit_margin: float = 0.02
@@ -51,6 +64,19 @@ class ExportSettings:
     """Visual meshes."""
     collision: CollisionSettings = field(default_factory=CollisionSettings)
     """Collision hulls."""
+
+    def check(self) -> None:
+        """FreeArtError when a number cannot be."""
+        if self.density is not None and self.mass is not None:
+            raise FreeArtError(f"density {self.density:g} kg/m^3 and mass {self.mass:g} kg: give one of them")
+        for name, unit, (low, high) in (
+            ("density", " kg/m^3", _DENSITIES),
+            ("mass", " kg", _MASSES),
+            ("scale", "", _SCALES),
+        ):
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise FreeArtError(f"{name} is {value:g}{unit}, expected {low:g} to {high:g}")
 
 
 def export_result(
@@ -70,20 +96,25 @@ def export_result(
         effects: what acts on the joint; without any there is no effects.json.
         replace_old: replace a folder that is there.
 
-    Raises FreeArtError on a failed result, an empty part, a joint that was not seen to move, an `out` that exists, and
-    when the asset does not pass its own check.
+    Raises FreeArtError on a setting that cannot be, a failed result, an empty part, a joint that was not seen to move,
+    an `out` that exists, and when the asset does not pass its own check.
     """
     settings = settings or ExportSettings()
+    settings.check()
     reconstruction, source = _reconstruction(result)
     placement = placed(
-        reconstruction,
+        scaled(reconstruction, settings.scale),
         settings.up,
         settings.limit_margin,
-        {"revolute": settings.min_range_rad, "prismatic": settings.min_range_m},
+        {"revolute": settings.min_range_rad, "prismatic": settings.min_range_m * settings.scale},
     )
     with atomic.new_folder(out, replace_old) as aside:
-        reference, said_reference = _write_link(aside, "reference", placement.reference, settings)
-        moving, said_moving = _write_link(aside, "moving", placement.moving, settings)
+        shapes = {name: _shape(name, getattr(placement, name), settings) for name in ("reference", "moving")}
+        density = DENSITY if settings.density is None else settings.density
+        if settings.mass is not None:
+            density = settings.mass / sum(inertial_of(shape.collision.hulls, 1.0).mass for shape in shapes.values())
+        reference, said_reference = _write_link(aside, "reference", shapes["reference"], density, settings)
+        moving, said_moving = _write_link(aside, "moving", shapes["moving"], density, settings)
         joint = replace(placement.joint, name=_word(placement.joint.name, "joint"))
         model = AssetModel(
             _word(str(source.get("sequence") or "object"), "object"),
@@ -103,7 +134,7 @@ def export_result(
             "exporter": f"freeart21 {freeart21.__version__}",
             "settings": dataclasses.asdict(settings),
         }
-        write_asset_json(aside, _asset(aside, model, placement, source))
+        write_asset_json(aside, _asset(aside, model, placement, source, settings.scale))
         findings = check_asset(aside)
         if findings:
             raise FreeArtError(f"the asset for {out} does not pass its own check: {findings[0]}")
@@ -122,32 +153,71 @@ def _reconstruction(result: Path | Reconstruction) -> tuple[Reconstruction, dict
     return read, {"method": read_method(place.parent).name, "sequence": place.name}
 
 
-def _write_link(folder: Path, name: str, part: Mesh, settings: ExportSettings) -> tuple[LinkModel, dict[str, Any]]:
-    """Write the meshes of one link; also what asset.json says about them."""
+def scaled(reconstruction: Reconstruction, scale: float) -> Reconstruction:
+    """The reconstruction with the lengths of its parts and joint, and travel of a prismatic one, times `scale`.
+
+    What was seen in the camera stays: its poses are then of another object, and no longer fit.
+    """
+    if scale == 1.0:
+        return reconstruction
+    whole, joint = reconstruction.articulation, reconstruction.articulation.joint
+    travel = scale if joint.type == "prismatic" else 1.0
+    return replace(
+        reconstruction,
+        articulation=replace(
+            whole,
+            joint=replace(joint, pivot=scale * joint.pivot, lower=travel * joint.lower, upper=travel * joint.upper),
+            reference=replace(whole.reference, vertices=scale * whole.reference.vertices),
+            moving=replace(whole.moving, vertices=scale * whole.moving.vertices),
+        ),
+        states=travel * reconstruction.states,
+    )
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """A part for the eye and for contact."""
+
+    visual: Mesh
+    collision: Collision
+    faces_before: int
+    turned: bool
+
+
+def _shape(name: str, part: Mesh, settings: ExportSettings) -> _Shape:
     try:
         visual = cleaned(part, settings.meshes)
         wrong_way = inside_out(visual)
         visual = turned(visual) if wrong_way else visual
-        collision = convex_parts(visual, settings.collision)
-        inertial = inertial_of(collision.hulls, settings.density)
+        shape = _Shape(visual, convex_parts(visual, settings.collision), len(part.faces), wrong_way)
+        inertial_of(shape.collision.hulls, 1.0)  # there is a volume
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error
+    return shape
+
+
+def _write_link(
+    folder: Path, name: str, shape: _Shape, density: float, settings: ExportSettings
+) -> tuple[LinkModel, dict[str, Any]]:
+    """Write the meshes of one link; also what asset.json says about them."""
+    visual, collision = shape.visual, shape.collision
     texture = write_visual(folder / MESHES, name, visual, settings.meshes)
     hulls = tuple(f"{MESHES}/{name}_hull_{k:02d}.obj" for k in range(len(collision.hulls)))
     for file, hull in zip(hulls, collision.hulls, strict=True):
         write_hull(folder / file, hull)
     said = {
-        "faces_before": len(part.faces),
+        "faces_before": shape.faces_before,
         "faces": len(visual.faces),
-        "faces_turned_outwards": wrong_way,
+        "faces_turned_outwards": shape.turned,
         "collision": collision.method,
         "hulls": len(hulls),
         "collision_fallback_reason": collision.reason,
     }
+    inertial = inertial_of(collision.hulls, density)
     return LinkModel(name, f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}", hulls, inertial), said
 
 
-def _asset(folder: Path, model: AssetModel, placement: Placement, source: dict[str, Any]) -> Asset:
+def _asset(folder: Path, model: AssetModel, placement: Placement, source: dict[str, Any], scale: float) -> Asset:
     return Asset(
         folder / URDF,
         model.joint.name,
@@ -158,6 +228,7 @@ def _asset(folder: Path, model: AssetModel, placement: Placement, source: dict[s
         {model.joint.name: model.effects} if model.effects else {},
         {},
         source,
+        scale,
     )
 
 

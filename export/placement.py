@@ -94,8 +94,8 @@ def _middle(mesh: Mesh) -> NDArray[np.float64]:
 def _rotation_with_z(up: tuple[float, float, float]) -> Array:
     """(3, 3) with columns x, y, z, z along `up` and x as near to the canonical x axis as it can be."""
     z = np.asarray(up, float)
-    if z.shape != (3,) or not np.linalg.norm(z) > 0:
-        raise FreeArtError(f"up is {up}, expected three numbers that are not all zero")
+    if z.shape != (3,) or not np.isfinite(z).all() or not np.linalg.norm(z) > 0:
+        raise FreeArtError(f"up is {up}, expected three finite numbers that are not all zero")
     z = z / np.linalg.norm(z)
     first = np.eye(3)[0] if abs(z[0]) < 0.9 else np.eye(3)[2]
     x = first - z * (z @ first)

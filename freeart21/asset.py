@@ -34,6 +34,9 @@ class Asset:
     """Other joints and the positions, rad or m, at which they are held: they are frozen into the part they hang on."""
     source: dict[str, Any] = field(default_factory=dict)
     """Where the asset came from."""
+    scale: float = 1.0
+    """Lengths of the asset, of its canonical frame and of a prismatic joint's states over those of the video that it
+    came from: 1 unless it was exported at another size."""
 
     def __post_init__(self) -> None:
         object.__setattr__(

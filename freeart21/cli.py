@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
 import os
 import platform
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from functools import wraps
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
+import freeart21
 from freeart21.errors import FreeArtError
 from reconstruct.settings import ReconstructSettings
 
 Positional = tyro.conf.Positional
+DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
 
 
 def doctor(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
@@ -256,6 +262,7 @@ def reconstruct(
     until: Literal["segmentation", "joint", "poses", "surfaces"] | None = None,
     keep_work: bool = False,
     segmentation: Literal["ours", "paper"] | None = None,
+    settings_file: Annotated[Path | None, tyro.conf.arg(name="settings", metavar="FILE.json")] = None,
     settings: ReconstructSettings = ReconstructSettings(),  # noqa: B008 (frozen)
 ) -> int:
     """Solve one sequence: two parts, their poses, the joint between them, and meshes, from the video alone.
@@ -268,9 +275,10 @@ def reconstruct(
         until: Stop after this stage; what it found is kept for the next call.
         keep_work: Keep what the stages found when the result is written, too, for calls with other settings.
         segmentation: Short for --settings.segmentation: ours, or the paper's with features made by hand.
-        settings: Of every stage.
+        settings_file: Settings of every stage to start from; what the file does not name keeps its default. The
+            `settings` of a method.json, or such a file itself.
+        settings: One setting, such as --settings.joint.type-rule paper; --settings.help lists them all.
     """
-    import freeart21
     from freeart21.files.result import Method, write_method
     from freeart21.reconstruction import Failure
     from reconstruct import VERSION
@@ -307,17 +315,29 @@ def reconstruct(
     return 0
 
 
-def export(result: Annotated[Path, Positional], out: Path) -> int:
+def export(
+    result: Annotated[Path, Positional],
+    out: Path,
+    density: float | None = None,
+    mass: float | None = None,
+    scale: float = 1.0,
+    up: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, -1.0, 0.0),
+) -> int:
     """Write a result as a simulation-ready asset (URDF, MJCF, meshes), reload it, and check it.
 
     Args:
         result: A result folder (with prediction.json).
         out: Asset folder to write.
+        density: kg/m^3 of both parts, 600 (wood) when not given: video tells no mass.
+        mass: kg of the whole object instead; the parts share it by the volumes of their collision hulls.
+        scale: Factor for all lengths. An asset of another scale than 1 is not scored: it is not the video's object.
+        up: Direction in the result's canonical frame (ours: the camera's of the first frame, right, down, forward)
+            that becomes z.
     """
     from export.checklist import check_asset
     from export.exporter import ExportSettings, export_result
 
-    asset = export_result(result, out, ExportSettings())
+    asset = export_result(result, out, ExportSettings(density=density, mass=mass, scale=scale, up=up))
     print(asset.urdf)
     findings = check_asset(out)
     for finding in findings:
@@ -351,28 +371,91 @@ def score(
 def measure(
     sources: Annotated[tuple[Path, ...], Positional],
     out: Path,
+    gravity: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
+    rate_hz: float | None = None,
+    asset: Path | None = None,
+    joint: str | None = None,
+    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=NAME...")] = (),
+    unit_t: Annotated[Literal["s", "ms", "us", "ns"] | None, tyro.conf.arg(metavar="UNIT")] = None,
+    unit_q: Annotated[Literal["rad", "deg", "turns", "m", "cm", "mm"] | None, tyro.conf.arg(metavar="UNIT")] = None,
+    unit_effort: Annotated[Literal["N*m", "N*cm", "mN*m", "N", "mN"] | None, tyro.conf.arg(metavar="UNIT")] = None,
+    zero: float = 0.0,
+    reverse: bool = False,
+    effort: Literal["commanded", "external"] | None = None,
+    actuator: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="STIFFNESS DAMPING")] = None,
+    inertia_relative: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None,
+    gravity_relative: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None,
+    held_out: tuple[str, ...] = (),
     noise_mm: float = 0.5,
     noise_deg: float = 0.2,
     seed: int = 0,
     partnet_root: Path | None = None,
-    gravity: tuple[float, float, float] | None = None,
-    rate_hz: float = 30.0,
 ) -> None:
-    """Make a measured set for `gap` from recordings of a joint that was let go, or from one reconstructed video.
+    """Make a measured set for `gap`: from CSV, JSON or MAT files, a filmed result, or recorded truths.
 
     Args:
-        sources: Truth folders of one object (DATA/truth/SEQ, recorded with --motion release, each a run): their part
-            poses get a tracker's errors. Or one result folder (RESULTS/SEQ) whose reference part stood fixed.
+        sources: Files of a joint's position against time (each a run), with --asset; or one result folder
+            (RESULTS/SEQ) whose reference part stood fixed, with --gravity; or truth folders of one object
+            (DATA/truth/SEQ, each recorded with --motion release).
         out: Folder for the measured set (OUT/measured) and, of truths, the object without effects (OUT/asset).
-        noise_mm: Standard deviation of a tracker's shifts, for truths.
-        noise_deg: Standard deviation of a tracker's turns, for truths.
+        gravity: Gravity, m/s^2. Of files: in the frame of the asset's reference link, 0 0 -9.81 when not given. Of a
+            result: in the camera's axes (right, down, forward) of the first frame, 0 9.81 0 of a level camera.
+        rate_hz: Rows a second of files without a time; frames a second of a result, 30 when not given.
+        asset: Asset folder or URDF that the recordings are of.
+        joint: Joint of the URDF; may be left out when only one can move.
+        columns: Which column is what: t, q (position), effort, q_command, or enabled (0 where the drive was off), such
+            as t=time q=angle; or a JSON file of such. A column without a header is 1, 2, ...
+        unit_t: Of times: s, ms, us or ns; guessed when not given.
+        unit_q: Of positions and commands: rad, deg or turns, m, cm or mm; guessed when not given.
+        unit_effort: Of efforts: N*m, N*cm or mN*m, N or mN; N*m or N when not given.
+        zero: Position as recorded, in its unit, at which the URDF's joint is at 0.
+        reverse: The recording counts against the URDF's joint axis.
+        effort: Efforts were asked of the actuator, or pushed the moving part from outside.
+        actuator: Of the law force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad, or N/m and N*s/m.
+        inertia_relative: By which the asset's inertia may be off; 0 is exact, 0.1 when not given.
+        gravity_relative: By which its weight's torque or force may be off, 0.05 when not given.
+        held_out: Runs that a fit must never see: names, numbers from 1, or files.
+        noise_mm: Standard deviation, mm, of a tracker's shifts.
+        noise_deg: Standard deviation, degrees, of a tracker's turns.
         seed: Seed of the tracker's errors.
         partnet_root: Folder that holds PartNet-Mobility objects, for truths of such.
-        gravity: Of a result: gravity, m/s^2, in the camera's axes (right, down, forward) of the first frame; a level
-            camera has 0 9.81 0.
-        rate_hz: Of a result: frames a second.
     """
+    given = dict(locals())
+    files = [source for source in sources if source.is_file()]
     results = [source for source in sources if (source / "prediction.json").is_file()]
+    for source in sources:
+        if not source.exists():
+            raise FreeArtError(f"measure: {source} does not exist")
+    if not sources or (files and len(files) < len(sources)):
+        got = ", ".join(str(source) for source in sources if source not in files)
+        raise FreeArtError(
+            f"measure: expected files, one result, or truth folders; got {f'{got} among files' if got else 'nothing'}"
+        )
+    _check_options("files" if files else "a result" if results else "truths", given)
+    if files:
+        from freeart21.formats.measured_series import SeriesSettings, columns_from, measure_series
+
+        if asset is None:
+            raise FreeArtError("measure: files need --asset FOLDER or URDF: whose joint was measured?")
+        told = SeriesSettings(
+            columns_from(columns),
+            unit_t,
+            unit_q,
+            unit_effort,
+            zero,
+            reverse,
+            rate_hz,
+            gravity,
+            effort,
+            actuator,
+            inertia_relative,
+            gravity_relative,
+            held_out,
+        )
+        for note in measure_series(files, out, asset, joint, told):
+            print(f"- {note}")
+        _say_next(asset, out)
+        return
     if results and (len(sources) > 1 or gravity is None):
         raise FreeArtError(
             "measure: a result stands alone and needs --gravity X Y Z in the camera's axes of its first frame "
@@ -381,14 +464,13 @@ def measure(
     if results and gravity is not None:
         from simgap.measure import measure_result
 
-        measure_result(results[0], out, gravity, rate_hz)
-        asset = results[0] / "asset"
+        measure_result(results[0], out, gravity, 30.0 if rate_hz is None else rate_hz)
+        _say_next(results[0] / "asset", out)
     else:
         from generator.measure import TrackerNoise, measure_truths
 
         measure_truths(sources, out, TrackerNoise(1e-3 * noise_mm, math.radians(noise_deg), seed=seed), partnet_root)
-        asset = out / "asset"
-    print(f"{out / 'measured'}: now `freeart21 gap {asset} {out / 'measured'} --out GAP`")
+        _say_next(out / "asset", out)
 
 
 def gap(
@@ -429,11 +511,11 @@ def view(
     truth: Path | None = None,
     sequence: Path | None = None,
 ) -> None:
-    """Write a self-contained page to look at a sequence, a result, an asset or a whole data folder.
+    """Write a self-contained page of a sequence, a result, an asset or a data folder.
 
     Args:
-        path: A sequence, result, asset or data folder, or a URDF.
-        out: The page; next to the working folder as NAME.html when not given.
+        path: A sequence, result, truth, asset or data folder, or a URDF.
+        out: The page; NAME.html in the working folder when not given.
         truth: Truth folder to show beside a sequence or a result.
         sequence: Sequence folder of a result, for its video.
     """
@@ -495,20 +577,79 @@ def main() -> None:
     """Run a command; every known fault is one line on standard error and exit code 1."""
     commands = {
         f.__name__: f
-        for f in (doctor, demo, objects, record, verify, reconstruct, export, score, measure, gap, view, convert)
+        for f in (doctor, demo, objects, record, verify, convert, reconstruct, export, view, score, measure, gap)
     }
+    if _told(sys.argv[1:], commands):
+        return
     try:
         code = tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog="freeart21",
-            description="FreeArt-21: from RGB-D videos "
-            "of articulated objects to simulation-ready assets, and their score.",
+            _with_settings_file(commands, sys.argv), prog="freeart21", description=DESCRIPTION
         )
     except FreeArtError as error:
         sys.exit(f"freeart21: {error}")
     except KeyboardInterrupt:
         sys.exit(130)
     sys.exit(code or 0)
+
+
+def _check_options(kind: str, given: dict[str, Any]) -> None:
+    """FreeArtError when `measure` was given an option that is not of its kind of source."""
+    from freeart21.help import OPTION_GROUPS
+
+    defaults = inspect.signature(measure).parameters
+    for heading, names in OPTION_GROUPS["measure"].items():
+        whose = "truths" if "truths" in heading else "files"
+        for name in names:
+            if whose != kind and given[name] != defaults[name].default:
+                sources = ", ".join(str(source) for source in given["sources"])
+                raise FreeArtError(
+                    f"measure: --{name.replace('_', '-')} is of {whose}, but this was taken for {kind}: {sources}"
+                )
+
+
+def _say_next(asset: Path, out: Path) -> None:
+    """How a measured set is used."""
+    print(f"{out / 'measured'}: now `freeart21 gap {asset} {out / 'measured'} --out GAP`")
+
+
+def _told(argv: list[str], commands: dict[str, Callable[..., Any]]) -> bool:
+    """Answer `--version` and `--help`, if that is what was asked for."""
+    from freeart21.help import command_help, top_help
+
+    if argv[:1] == ["--version"]:
+        print(f"freeart21 {freeart21.__version__}")
+    elif argv[:1] in (["--help"], ["-h"]):
+        print(top_help(commands, DESCRIPTION))
+    elif argv and argv[0] in commands and {"--help", "-h"} & set(argv):
+        print(command_help(argv[0], commands[argv[0]]))
+    else:
+        return False
+    return True
+
+
+def _with_settings_file(commands: dict[str, Callable[..., Any]], argv: list[str]) -> dict[str, Callable[..., Any]]:
+    """`commands`, in which `reconstruct` starts from the settings of the file that `argv` names; `--settings.help` is
+    turned into what prints them all."""
+    if argv[1:2] != ["reconstruct"]:
+        return commands
+    if "--settings.help" in argv:
+        argv[:] = [*argv[:2], "--help"]
+        return commands
+    named = [after for word, after in pairwise(argv) if word == "--settings"]
+    named += [word.partition("=")[2] for word in argv if word.startswith("--settings=")]
+    if not named:
+        return commands
+    from reconstruct.settings import read_settings
+
+    @wraps(reconstruct)
+    def started(*arguments: Any, **options: Any) -> int:
+        return reconstruct(*arguments, **options)
+
+    signature = inspect.signature(reconstruct)
+    start = signature.parameters["settings"].replace(default=read_settings(Path(named[-1])))
+    parameters = [start if p.name == "settings" else p for p in signature.parameters.values()]
+    started.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return commands | {"reconstruct": started}
 
 
 def _hardware() -> str:

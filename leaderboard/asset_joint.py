@@ -87,6 +87,8 @@ def drive(asset: Asset, states: ArrayLike) -> tuple[Joint, Array]:
     """
     from generator.simulate import joint_motion
 
+    if asset.scale != 1.0:
+        raise FreeArtError(f"{asset.urdf.parent} has {asset.scale:g} times the video's lengths (its scale), expected 1")
     states = np.asarray(states, float)
     limits = movable_joint(asset.urdf, asset.joint)
     lower, upper = limits.lower - asset.state_zero, limits.upper - asset.state_zero

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+import math
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+from freeart21.errors import FreeArtError
+
+_Settings = TypeVar("_Settings")
+_KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
 
 
 @dataclass(frozen=True)
@@ -417,3 +424,53 @@ class ReconstructSettings:
     def to_json(self) -> dict[str, Any]:
         """All settings as plain data, to be saved with a result."""
         return asdict(self)
+
+
+def read_settings(path: Path) -> ReconstructSettings:
+    """Settings from JSON: as `to_json` says them, or the `settings` of a method.json or prediction.json.
+
+    What the file does not name keeps its default. FreeArtError names a setting that does not exist, or a value of
+    another type.
+    """
+    from freeart21.files import checked
+
+    data = checked.read_json(Path(path))
+    if "schema" in data and isinstance(data.get("settings"), dict):
+        data = {name: value for name, value in data["settings"].items() if name != "solver"}
+    return _filled(ReconstructSettings(), data, Path(path), "")
+
+
+def _filled(settings: _Settings, data: dict[str, Any], path: Path, within: str) -> _Settings:
+    """`settings` with what `data` says of them."""
+    assert is_dataclass(settings) and not isinstance(settings, type)
+    kinds, known = get_type_hints(type(settings)), [f.name for f in fields(settings)]
+    changed: dict[str, Any] = {}
+    for name, value in data.items():
+        if name not in known:
+            raise FreeArtError(
+                f"{path}: there is no setting '{within}{name}'; {within or 'settings'}: {', '.join(known)}"
+            )
+        now = getattr(settings, name)
+        if is_dataclass(now):
+            if not isinstance(value, dict):
+                raise FreeArtError(f"{path}: setting '{within}{name}' is {value!r}, expected an object")
+            changed[name] = _filled(now, value, path, f"{within}{name}.")
+        else:
+            changed[name] = _checked(kinds[name], value, f"{path}: setting '{within}{name}'")
+    return replace(settings, **changed)
+
+
+def _checked(kind: Any, value: Any, what: str) -> Any:
+    """`value` as a setting of the type `kind`."""
+    if get_origin(kind) is Literal:
+        if value in get_args(kind):
+            return value
+        raise FreeArtError(f"{what} is {value!r}, expected {' or '.join(map(str, get_args(kind)))}")
+    if get_origin(kind) is tuple and isinstance(value, list):
+        return tuple(_checked(get_args(kind)[0], entry, what) for entry in value)
+    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if kind is float and number:
+        return float(value)
+    if kind in (int, bool, str) and type(value) is kind:
+        return value
+    raise FreeArtError(f"{what} is {value!r}, expected {_KINDS.get(kind, 'a list of numbers')}")

@@ -50,11 +50,13 @@ def measure_result(result: Path, out: Path, gravity: ArrayLike, rate_hz: float) 
         )
     joint = read.articulation.joint
     n = len(read)
+    poses = se3.inverse(read.Ts_camera_reference) @ read.Ts_camera_moving
+    poses[:, :3, 3] *= asset.scale
     run = Run(
         "take_0",
         np.arange(n) / rate_hz,
         np.full(n, np.nan),
-        poses=se3.inverse(read.Ts_camera_reference) @ read.Ts_camera_moving,
+        poses=poses,
         seen=np.asarray(read.seen.all(1)),
     )
     measured = Measured(

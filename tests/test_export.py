@@ -129,6 +129,112 @@ def test_root_stands_in_the_middle_of_the_reference_part_with_z_up(tmp_path: Pat
     np.testing.assert_allclose(T[:3, 2], [0, -1, 0], atol=1e-12)
 
 
+def masses(folder: Path) -> dict[str, float]:
+    """Link name to kg, as SAPIEN has loaded it."""
+    simulated = load(read_asset(folder))
+    return {link.name: float(link.mass) for link in simulated.articulation.links}
+
+
+def test_density_and_mass_are_those_asked_for_in_every_simulator(tmp_path: Path):
+    mujoco = pytest.importorskip("mujoco")
+    volumes = np.array([0.2 * 0.15 * 0.04, 0.2 * 0.15 * 0.03])
+    for name, settings, expected in (
+        ("wood", ExportSettings(), 600 * volumes),
+        ("steel", ExportSettings(density=7850.0), 7850 * volumes),
+        ("weighed", ExportSettings(mass=0.35), 0.35 * volumes / volumes.sum()),
+    ):
+        export_result(reconstruction(), tmp_path / name, settings)
+        loaded = masses(tmp_path / name)
+        assert [loaded["reference"], loaded["moving"]] == pytest.approx(expected, rel=1e-5)
+        model = mujoco.MjModel.from_xml_path(str(tmp_path / name / "object.xml"))
+        assert [model.body(n).mass[0] for n in ("reference", "moving")] == pytest.approx(expected, rel=1e-5)
+        assert check_asset(tmp_path / name) == []
+    bodies = [
+        ET.parse(tmp_path / n / "object.urdf").find("link/inertial/inertia").get("ixx") for n in ("wood", "steel")
+    ]
+    assert float(bodies[1]) / float(bodies[0]) == pytest.approx(7850 / 600)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_scaled_asset_is_the_scaled_object_and_moves_as_it(tmp_path: Path, kind: str):
+    mujoco = pytest.importorskip("mujoco")
+    answer, k = reconstruction(kind, (0.1, 0.4, 1.1), frame=3), 0.25
+    plain, small = (export_result(answer, tmp_path / str(s), ExportSettings(scale=s)) for s in (1.0, k))
+    assert (plain.scale, small.scale) == (1.0, k)
+    assert json.loads((tmp_path / "0.25" / "asset.json").read_text())["scale"] == k
+    travel = k if kind == "prismatic" else 1.0
+    asked = np.array([0.0, 0.1, 0.7, 1.2])
+    shrunk = joint_motion(plain, asked)
+    shrunk[:, :3, 3] *= k
+    np.testing.assert_allclose(joint_motion(small, travel * asked), shrunk, atol=1e-6)
+    limits = [ET.parse(asset.urdf).find("joint/limit") for asset in (plain, small)]
+    for key in ("lower", "upper"):
+        assert float(limits[1].get(key)) == pytest.approx(travel * float(limits[0].get(key)))
+    sizes = [trimesh.load_mesh(tmp_path / s / "meshes/moving.obj", process=False).extents for s in ("1.0", "0.25")]
+    np.testing.assert_allclose(sizes[1], k * sizes[0], rtol=1e-5)
+    assert sum(masses(tmp_path / "0.25").values()) == pytest.approx(
+        k**3 * sum(masses(tmp_path / "1.0").values()), rel=1e-4
+    )
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "0.25" / "object.xml"))
+    np.testing.assert_allclose(model.jnt_range[0], [float(limits[1].get(key)) for key in ("lower", "upper")])
+    assert check_asset(tmp_path / "0.25") == []
+
+
+def test_a_scaled_asset_is_not_scored(tmp_path: Path):
+    from leaderboard.asset_joint import measured_joint
+
+    export_result(reconstruction(), tmp_path / "a", ExportSettings(scale=2.0))
+    with pytest.raises(FreeArtError, match="has 2 times the video's lengths"):
+        measured_joint(tmp_path / "a", [0.0, 0.5])
+
+
+def test_up_becomes_z(tmp_path: Path):
+    asset = export_result(reconstruction(), tmp_path / "a", ExportSettings(up=(2.0, 0.0, 0.0)))
+    np.testing.assert_allclose(asset.T_canonical_reference[:3, 2], [1, 0, 0], atol=1e-12)
+    assert check_asset(tmp_path / "a") == []
+
+
+@pytest.mark.parametrize(
+    "settings, said",
+    [
+        ({"density": 0.0}, r"density is 0 kg/m\^3, expected 0.001 to 100000"),
+        ({"density": -5.0}, "density is -5"),
+        ({"density": np.nan}, "density is nan"),
+        ({"mass": 0.0}, "mass is 0 kg, expected 1e-06 to 1e\\+06"),
+        ({"mass": np.inf}, "mass is inf"),
+        ({"mass": 1.0, "density": 600.0}, r"density 600 kg/m\^3 and mass 1 kg: give one of them"),
+        ({"scale": 0.0}, "scale is 0, expected 0.0001 to 10000"),
+        ({"scale": -1.0}, "scale is -1"),
+        ({"scale": np.nan}, "scale is nan"),
+        ({"up": (0.0, 0.0, 0.0)}, "up is .*, expected three finite numbers that are not all zero"),
+        ({"up": (0.0, np.inf, 0.0)}, "up is .*, expected three finite numbers"),
+    ],
+)
+def test_settings_out_of_bounds_cost_one_line_and_leave_nothing(tmp_path: Path, settings: dict, said: str):
+    with pytest.raises(FreeArtError, match=said):
+        export_result(reconstruction(), tmp_path / "a", ExportSettings(**settings))
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_line_hands_all_of_them_through(tmp_path: Path, monkeypatch, capsys):
+    import sys
+
+    from freeart21 import cli
+
+    write_result(tmp_path / "ours/s1", reconstruction())
+    (tmp_path / "ours/method.json").write_text('{"schema": "freeart21/method/1", "name": "ours"}')
+    words = ["--mass", "0.2", "--scale", "0.5", "--up", "0", "0", "-1"]
+    monkeypatch.setattr(
+        sys, "argv", ["freeart21", "export", str(tmp_path / "ours/s1"), "--out", str(tmp_path / "a"), *words]
+    )
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert not end.value.code
+    asset = read_asset(tmp_path / "a")
+    assert asset.scale == 0.5 and asset.T_canonical_reference[2, 2] == pytest.approx(-1)
+    assert sum(masses(tmp_path / "a").values()) == pytest.approx(0.2, rel=1e-5)
+
+
 def test_what_cannot_be_exported_says_why_and_leaves_nothing(tmp_path: Path):
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
     flat = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))

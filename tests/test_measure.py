@@ -137,6 +137,12 @@ def test_a_result_becomes_one_run(tmp_path: Path, film: Path):
     (run,) = measured.runs
     np.testing.assert_allclose(run.poses, joint_motion(read_asset(result / "asset"), truth.states), atol=1e-5)
     assert np.flatnonzero(~run.seen).tolist() == [7] and measured.rate_hz == 30
+    header = result / "asset/asset.json"
+    header.write_text(json.dumps({**json.loads(header.read_text()), "scale": 2.0}))
+    measure_result(result, tmp_path / "twice", (0, 9.81, 0), 30.0)
+    (twice,) = read_measured(tmp_path / "twice/measured").runs  # in the lengths of the asset
+    np.testing.assert_allclose(twice.poses[:, :3, 3], 2 * run.poses[:, :3, 3], atol=1e-9)
+    np.testing.assert_allclose(twice.poses[:, :3, :3], run.poses[:, :3, :3], atol=1e-9)
 
 
 def test_a_result_whose_reference_part_swung_costs_one_line(tmp_path: Path, film: Path):

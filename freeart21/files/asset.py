@@ -91,6 +91,7 @@ def write_asset_json(folder: Path, asset: Asset) -> None:
             "T_canonical_reference": asset.T_canonical_reference,
             "state_zero": asset.state_zero,
             "held": asset.held,
+            "scale": asset.scale,
             "source": asset.source,
         },
     )
@@ -156,6 +157,9 @@ def _read_described(folder: Path, data: dict[str, Any], header: Path, joint: str
     state_zero = data.get("state_zero", 0.0)
     if not isinstance(held, dict) or not all(isinstance(v, int | float) for v in [state_zero, *held.values()]):
         raise FreeArtError(f"{header}: state_zero is {state_zero!r} and held is {held!r}, expected numbers")
+    scale = data.get("scale", 1.0)
+    if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < np.inf:
+        raise FreeArtError(f"{header}: scale is {scale!r}, expected a number above 0")
     return Asset(
         urdf,
         scored.name,
@@ -166,6 +170,7 @@ def _read_described(folder: Path, data: dict[str, Any], header: Path, joint: str
         read_effects(urdf),
         {str(k): float(v) for k, v in held.items()},
         data.get("source") or {},
+        float(scale),
     )
 
 

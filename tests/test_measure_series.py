@@ -1,0 +1,422 @@
+"""Recordings as people have them become a measured set: what is guessed is right and told, what cannot be is asked."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_case import asset_of, measured_of
+from scipy.io import savemat
+
+from freeart21 import cli
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset, write_asset_json
+from freeart21.files.measured import read_measured
+from freeart21.formats.measured_series import SeriesSettings, columns_from, measure_series
+from freeart21.formats.time_series import read_series
+
+T = 0.01 * np.arange(80)
+Q = 0.8 * np.cos(7 * T) * np.exp(-0.3 * T)
+
+
+@pytest.fixture
+def asset(tmp_path: Path) -> Path:
+    return asset_of(tmp_path / "asset")
+
+
+def text(rows: np.ndarray, header: str = "", separator: str = ",", decimal: str = ".") -> str:
+    lines = [separator.join(f"{v:.7f}".replace(".", decimal) for v in row) for row in rows]
+    return "\n".join([*([header] if header else []), *lines]) + "\n"
+
+
+def imported(folder: Path, asset: Path, content: str | bytes, name: str = "run.csv", **told):
+    """The one measured set of one file, and the lines that were said."""
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    joint = told.pop("joint", None)
+    notes = measure_series([path], folder / "out", asset, joint, SeriesSettings(**told))
+    return read_measured(folder / "out" / "measured"), "\n".join(notes)
+
+
+TABLE = np.column_stack([T, Q])
+FORMS = {
+    "commas": text(TABLE, "time,angle"),
+    "spaces after commas": text(TABLE, "timestamp, angle", ", "),
+    "semicolons and decimal commas": text(TABLE, "t;pos", ";", ","),
+    "tabs, no header": text(TABLE, "", "\t"),
+    "white space": text(TABLE, "Time   Position", "    "),
+    "a header in a comment": "# made by hand\n# time q\n" + text(TABLE, "", " "),
+    "quotes and a unit": text(TABLE, '"Time [s]","Joint Angle (rad)"'),
+    "a line of units": text(TABLE, "time,position\ns,rad"),
+    "milliseconds": text(np.column_stack([1e3 * T, Q]), "time,q"),
+    "milliseconds by name": text(np.column_stack([1e3 * T, Q]), "time_ms,q"),
+    "nanoseconds since 1970": "\n".join(["stamp,q", *(f"{10**18 + round(1e9 * t)},{q:.7f}" for t, q in TABLE)]),
+    "degrees by the limits": text(np.column_stack([T, np.degrees(Q)]), "time,angle"),
+    "degrees by name": text(np.column_stack([T, np.degrees(Q)]), "time,angle_deg"),
+    "degrees by a bracket": text(np.column_stack([T, np.degrees(Q)]), "time,angle [deg]"),
+    "more columns": text(np.column_stack([T, Q, np.gradient(Q, T), 20 + 0 * T]), "time,position,velocity,temperature"),
+    "a byte order mark": "\ufeff" + text(TABLE, "time,angle"),
+    "dates": "\n".join(["time,angle", *(f"2024-05-01T12:00:00.{round(1e6 * t):06d},{q:.7f}" for t, q in TABLE)]),
+    "words beside": "\n".join(["time,state,angle", *(f"{t:.7f},RUN,{q:.7f}" for t, q in TABLE)]),
+    "lines before the header": "Logger 3000\nserial,17,a,b\n\n" + text(TABLE, "time,angle"),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_one_swing_is_the_same_whatever_the_form_of_its_text(form: str, tmp_path: Path, asset: Path):
+    measured, said = imported(tmp_path, asset, FORMS[form])
+    (run,) = measured.runs
+    np.testing.assert_allclose(run.times_s, T, atol=2e-7)
+    np.testing.assert_allclose(run.q, Q, atol=2e-7)
+    assert (measured.joint, measured.joint_type, measured.timestamps) == ("j", "revolute", "nominal")
+    assert measured.rate_hz == pytest.approx(100, rel=1e-4)
+    np.testing.assert_array_equal(measured.gravity, [0, 0, -9.81])
+    assert (measured.inertia_relative, measured.gravity_relative) == (0.1, 0.05)
+    for word in (
+        "the time",
+        "the joint's position",
+        "times are in",
+        "positions are in",
+        "gravity 0 0 -9.81",
+        "by 10% and its weight by 5%",
+    ):
+        assert word in said
+    assert ("times are in ms" in said) == form.startswith("milli") and ("in deg" in said) == form.startswith("degrees")
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {
+            "about": {"mass": 0.5},
+            "entries": [{"time": t, "angle": q, "on": True, "who": "me"} for t, q in TABLE.tolist()],
+        },
+        {"time": T.tolist(), "angle": Q.tolist(), "mass": 0.5, "tags": [1, 2]},
+        TABLE.tolist(),
+        {"log": {"data": [{"t": t, "q": [q, 0.0]} for t, q in TABLE.tolist()]}},
+    ],
+)
+def test_json_has_its_table_anywhere(data, tmp_path: Path, asset: Path):
+    told = {"columns": {"q": "q:1"}} if isinstance(data, dict) and "log" in data else {}
+    measured, _ = imported(tmp_path, asset, json.dumps(data), "log.json", **told)
+    np.testing.assert_allclose(measured.runs[0].q, Q, rtol=1e-15)
+
+
+def mat(folder: Path, **variables) -> bytes:
+    savemat(folder / "made.mat", variables, do_compression=True)
+    return (folder / "made.mat").read_bytes()
+
+
+def test_mat_columns_are_vectors_matrices_and_fields(tmp_path: Path, asset: Path):
+    row = np.stack([Q, np.gradient(Q, T)])
+    content = mat(tmp_path, t=T[:, None], log={"theta": Q}, both=row, J=0.1)
+    assert set(read_series(tmp_path / "made.mat").columns) == {"t", "log.theta", "both:1", "both:2"}
+    for q in ("log.theta", "both:1"):
+        folder = tmp_path / q.replace(":", "")
+        folder.mkdir()
+        measured, _ = imported(folder, asset, content, "log.mat", columns={"q": q})
+        np.testing.assert_array_equal(measured.runs[0].q, Q)
+
+
+def test_a_cell_array_is_a_run_a_cell_and_further_ones_follow(tmp_path: Path, asset: Path):
+    cells, more = np.empty((2, 1), object), np.empty((1, 1), object)
+    times, later = np.empty((2, 1), object), np.empty((1, 1), object)
+    for k, (a, b) in enumerate(((cells, times), (cells, times), (more, later))):
+        a[k % 2, 0], b[k % 2, 0] = np.stack([Q + np.pi + 0.01 * k, Q]), T[:, None] + 5
+    content = mat(tmp_path, Y=cells, Time=times, Yv=more, Timev=later)
+    columns = {"t": "Time+Timev", "q": "Y:1+Yv:1"}
+    measured, _ = imported(tmp_path, asset, content, "log.mat", columns=columns, zero=np.pi, held_out=("3",))
+    assert [(r.name, r.held_out) for r in measured.runs] == [("log_1", False), ("log_2", False), ("log_3", True)]
+    for k, run in enumerate(measured.runs):
+        np.testing.assert_allclose(run.q, Q + 0.01 * k, atol=1e-12)
+        np.testing.assert_allclose(run.times_s, T, atol=1e-12)
+
+
+def test_the_zero_and_the_sense_of_a_recording_are_those_told(tmp_path: Path, asset: Path):
+    table = np.column_stack([T, 90 - np.degrees(Q)])
+    measured, _ = imported(tmp_path, asset, text(table, "time,angle"), zero=90.0, reverse=True, unit_q="deg")
+    np.testing.assert_allclose(measured.runs[0].q, Q, atol=2e-9)
+
+
+def test_rows_without_times_have_the_rate_that_is_told(tmp_path: Path, asset: Path):
+    measured, said = imported(tmp_path, asset, text(Q[:, None], "angle"), rate_hz=100.0)
+    np.testing.assert_allclose(measured.runs[0].times_s, T, atol=1e-12)
+    assert measured.rate_hz == 100 and "rows come 100 times a second" in said
+
+
+def test_a_turn_that_a_sensor_leaps_over_is_undone(tmp_path: Path):
+    urdf = asset_of(tmp_path / "asset")
+    urdf.write_text(urdf.read_text().replace('type="revolute"', 'type="continuous"'))
+    wound = 12 * T
+    wrapped = np.degrees((wound + np.pi) % (2 * np.pi) - np.pi)
+    measured, said = imported(tmp_path, urdf, text(np.column_stack([T, wrapped]), "time,angle"))
+    np.testing.assert_allclose(measured.runs[0].q, wound, atol=1e-6)
+    assert "positions are in deg, by their range" in said and "2 jumps of the position by a whole turn" in said
+
+
+def test_rows_that_say_nothing_are_left_out_and_told(tmp_path: Path, asset: Path):
+    lines = text(TABLE, "time,angle").splitlines()
+    lines[10:10] = [lines[9]]  # a reading sent twice
+    lines[30] = lines[30].split(",")[0] + ","  # a reading lost
+    lines.append("0.8")  # cut off
+    measured, said = imported(tmp_path, asset, "\n".join(lines))
+    (run,) = measured.runs
+    assert len(run.q) == len(Q) and np.isnan(run.q).sum() == 1
+    assert "1 rows whose time is missing or not a new one" in said
+    assert "1 rows with another number of cells than 2" in said
+
+
+def test_gravity_is_told_in_the_frame_of_the_reference_link(tmp_path: Path, asset: Path):
+    plain = read_asset(asset)
+    turned = np.array([[1.0, 0, 0, 0.3], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    write_asset_json(asset.parent, replace(plain, T_canonical_reference=turned))
+    measured, _ = imported(tmp_path, asset.parent, text(TABLE, "time,angle"))
+    np.testing.assert_allclose(measured.gravity, [0, 9.81, 0], atol=1e-12)
+
+
+DRIVEN = np.column_stack([T, Q, np.degrees(np.sin(T)), np.sin(3 * T), (T < 0.4).astype(float)])
+
+
+def test_commands_come_with_their_law_and_stop_where_the_drive_is_off(tmp_path: Path, asset: Path):
+    rows = DRIVEN[:, [0, 1, 2, 4]].copy()
+    rows[:, 1] = np.degrees(rows[:, 1])
+    content = text(rows, "timestamp,position,goal_position,torque_enable")
+    measured, said = imported(tmp_path, asset, content, actuator=(60.0, 4.0))
+    on, off = measured.runs
+    assert (on.name, off.name) == ("run_on_1", "run_off_2") and off.q_command is None
+    np.testing.assert_allclose(on.q_command, np.sin(T[:40]), atol=1e-8)
+    assert measured.actuator is not None and (measured.actuator.stiffness, measured.actuator.damping) == (60, 4)
+    assert "q_command: every value is held until the next row" in said and "runs are cut there" in said
+
+
+def test_efforts_say_how_they_act_and_in_what_unit(tmp_path: Path, asset: Path):
+    content = text(DRIVEN[:, [0, 1, 3]], "time,position,torque")
+    measured, said = imported(tmp_path, asset, content, effort="external", unit_effort="mN*m", reverse=True)
+    np.testing.assert_allclose(measured.runs[0].effort, -1e-3 * np.sin(3 * T), atol=1e-9)
+    np.testing.assert_allclose(measured.runs[0].q, -Q, atol=1e-7)
+    assert measured.effort_kind == "external" and "effort: every value is held" in said
+
+
+def test_an_empty_cell_of_a_drive_holds_the_value_before_it(tmp_path: Path, asset: Path):
+    lines = text(DRIVEN[:, [0, 1, 3]], "time,position,torque").splitlines()
+    lines[6] = lines[6].rsplit(",", 1)[0] + ","
+    measured, said = imported(tmp_path, asset, "\n".join(lines), effort="commanded")
+    assert measured.runs[0].effort[5] == measured.runs[0].effort[4] and "1 empty cells of drives hold" in said
+
+
+def test_a_column_that_is_said_to_drive_nothing_is_left_out_aloud(tmp_path: Path, asset: Path):
+    content = text(DRIVEN[:, [0, 1, 3]], "time,position,torque")
+    measured, said = imported(tmp_path, asset, content, columns={"t": "time", "q": "position"})
+    assert measured.runs[0].effort is None and "column 'torque' is left out" in said
+
+
+BACK = np.vstack([TABLE, TABLE])
+REFUSED = {
+    "a drive": (
+        text(DRIVEN[:, [0, 1, 3]], "time,position,torque"),
+        {},
+        "column 'torque' looks like an effort: say --effort",
+    ),
+    "a command": (
+        text(DRIVEN[:, [0, 1, 2]], "time,pos,setpoint"),
+        {},
+        "column 'setpoint' looks like a command: say --act",
+    ),
+    "no time": (
+        text(np.column_stack([Q, -Q]), "a,b"),
+        {},
+        "which column is the time. --columns t=NAME.*; columns: a, b",
+    ),
+    "no position": (
+        text(np.column_stack([T, Q, Q]), "time,a,b"),
+        {},
+        "which column.* --columns q=NAME; columns: time, a, b",
+    ),
+    "two positions": (
+        text(np.column_stack([T, Q, Q]), "time,theta,phi"),
+        {},
+        "is theta or phi.*columns: time, theta, phi",
+    ),
+    "no such column": (FORMS["commas"], {"columns": {"q": "x"}}, "run.csv has no column 'x'; columns: time, angle"),
+    "no such joint": (FORMS["commas"], {"joint": "lid"}, "no movable joint 'lid'; movable joints: j"),
+    "no such run": (FORMS["commas"], {"held_out": ("b",)}, "--held-out: there is no run 'b'; runs: run"),
+    "all held out": (FORMS["commas"], {"held_out": ("run",)}, "^measured.json: all 1 runs are held out"),
+    "metres of a hinge": (FORMS["commas"], {"unit_q": "mm"}, "--unit-q mm: joint 'j' is revolute, expected rad, deg"),
+    "newtons of a hinge": (
+        text(DRIVEN[:, [0, 1, 3]], "time,q,tau"),
+        {"effort": "external", "unit_effort": "N"},
+        r"--unit-effort N: joint 'j' is revolute, expected N\*m",
+    ),
+    "time goes back": (text(BACK, "time,angle"), {}, "time goes back from 0.79 to 0 in row 81"),
+    "too short": (text(TABLE[:12], "time,angle"), {}, "has 12 rows of different times, expected 20 or more"),
+    "no numbers": ("dear diary,\nhello", {}, "has no rows of numbers; it begins with 'dear diary,'"),
+    "nothing": ("", {}, "has no rows"),
+    "ragged": (text(TABLE, "time,angle") + "1,2,3\n" * 9, {}, "9 of 89 rows have another number of cells than 2"),
+    "not text": (b"\0\1\2" * 50, {}, "is not text: it has NUL bytes"),
+    "gravity": (
+        FORMS["commas"],
+        {"gravity": (0.0, np.nan, 0.0)},
+        "--gravity 0.0 nan 0.0: expected a finite number each",
+    ),
+    "an endless law": (
+        FORMS["commas"],
+        {"actuator": (np.inf, 1.0)},
+        "--actuator inf 1.0: expected a finite number each",
+    ),
+    "no reading": (
+        text(np.column_stack([T, np.nan * Q]), "time,q"),
+        {},
+        "^run.csv has 0 readings of q that are numbers",
+    ),
+    "no rate": (text(Q[:, None], "angle"), {"rate_hz": 0.0}, "--rate-hz 0: expected above 0"),
+    "heavy gravity": (FORMS["commas"], {"gravity": (0.0, 0.0, -981.0)}, "'gravity' is 981 long, expected m/s"),
+    "a law without a column": (FORMS["commas"], {"actuator": (1.0, 1.0)}, "which column is q_command\\?"),
+    "a column without a law": (
+        FORMS["commas"],
+        {"columns": {"q_command": "angle"}},
+        "q_command=angle needs --actuator",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_read_or_guessed_costs_one_line_and_writes_nothing(what: str, tmp_path: Path, asset: Path):
+    content, told, said = REFUSED[what]
+    with pytest.raises(FreeArtError, match=said) as told_line:
+        imported(tmp_path, asset, content, **told)
+    assert "\n" not in str(told_line.value) and ".part" not in str(told_line.value)
+    assert {p.name for p in tmp_path.iterdir()} == {"asset", "run.csv"}
+
+
+@pytest.mark.parametrize(
+    "name, content, said",
+    [
+        ("a.json", b"[" * 100_000, "is not JSON"),
+        ("a.json", b"{}", "has no table: expected a list of objects"),
+        ("a.mat", b"MATLAB 7.3 MAT-file" + b" " * 500, "of version 7.3"),
+        ("a.mat", b"MATLAB 5.0" + bytes(200), "is not a readable MAT file"),
+        ("a.mat", b"x" * 124 + b"\0\1IM" + b"\x0f\0\0\0\4\0\0\0abcd", "is not a readable MAT file"),
+        ("a.xlsx", b"PK", "is a .xlsx file, expected text"),
+        ("a.npz", b"PK", "is a .npz file, expected text"),
+    ],
+)
+def test_files_of_strangers_cost_one_line(name: str, content: bytes, said: str, tmp_path: Path, asset: Path):
+    with pytest.raises(FreeArtError, match=said) as told:
+        imported(tmp_path, asset, content, name)
+    assert "\n" not in str(told.value)
+
+
+def test_a_mat_file_that_ends_its_reader_costs_one_line(tmp_path: Path, monkeypatch):
+    """SciPy's reader falls (SIGSEGV) on some broken files; here any does it."""
+    content = mat(tmp_path, t=T, q=Q)
+    monkeypatch.setattr("freeart21.formats.mat_file.sys.executable", str(tmp_path / "python"))
+    (tmp_path / "python").write_text("#!/bin/sh\nkill -SEGV $$\n")
+    (tmp_path / "python").chmod(0o755)
+    (tmp_path / "a.mat").write_bytes(content)
+    with pytest.raises(FreeArtError, match=r"a\.mat is not a readable MAT file: the reader crashed on it"):
+        read_series(tmp_path / "a.mat")
+
+
+def test_what_lies_beside_a_mat_file_is_not_run(tmp_path: Path, monkeypatch):
+    content = mat(tmp_path, t=T, q=Q)
+    (tmp_path / "numpy.py").write_text("raise SystemExit('imported')")
+    (tmp_path / "a.mat").write_bytes(content)
+    monkeypatch.chdir(tmp_path)
+    assert set(read_series(Path("a.mat")).columns) == {"t", "q"}
+
+
+def test_a_mat_file_that_swells_is_not_unpacked(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr("freeart21.formats.mat_file.MAX_BYTES", 1 << 20)
+    packed = zlib.compress(bytes(2 << 20))
+    header = b"MATLAB 5.0".ljust(124) + b"\0\1IM"
+    (tmp_path / "bomb.mat").write_bytes(header + b"\x0f\0\0\0" + len(packed).to_bytes(4, "little") + packed)
+    with pytest.raises(FreeArtError, match="unpacks to more than"):
+        read_series(tmp_path / "bomb.mat")
+
+
+def test_columns_are_told_by_words_or_by_a_file(tmp_path: Path):
+    (tmp_path / "map.json").write_text('{"t": "time", "q": "angle"}')
+    assert (
+        columns_from(("t=time", "q=angle"))
+        == columns_from((str(tmp_path / "map.json"),))
+        == {"t": "time", "q": "angle"}
+    )
+    for words, said in (
+        (("t=time", "angle"), "angle: expected ROLE=NAME"),
+        (("x=time",), "no role 'x'; roles: t, q, eff"),
+    ):
+        with pytest.raises(FreeArtError, match=said):
+            columns_from(words)
+
+
+def test_files_of_one_joint_are_runs_of_their_own_names(tmp_path: Path, asset: Path):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "run 1.csv").write_text(text(np.column_stack([T, Q + 0.01 * (folder == "b")]), "t,q"))
+    files = [tmp_path / folder / "run 1.csv" for folder in ("a", "b")]
+    measure_series(files, tmp_path / "out", asset, None, SeriesSettings())
+    assert [run.name for run in read_measured(tmp_path / "out/measured").runs] == ["run_1", "run_1_2"]
+
+
+def test_files_in_different_units_are_not_one_set(tmp_path: Path, asset: Path):
+    for name, unit in (("a", "deg"), ("b", "rad")):
+        (tmp_path / f"{name}.csv").write_text(text(TABLE, f"time,angle [{unit}]"))
+    with pytest.raises(FreeArtError, match=r"b.csv: q is in rad, but in deg in a.csv; expected one for all"):
+        measure_series([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "out", asset, None, SeriesSettings())
+
+
+def command(monkeypatch, *words: object) -> object:
+    monkeypatch.setattr(sys, "argv", ["freeart21", *map(str, words)])
+    try:
+        cli.main()
+    except SystemExit as end:
+        return end.code or 0
+    return 0
+
+
+def test_the_command_line_goes_by_what_its_sources_are(tmp_path: Path, asset: Path, monkeypatch, capsys):
+    run = tmp_path / "run.csv"
+    run.write_text(text(TABLE, "time,angle"))
+    assert command(monkeypatch, "measure", run, "--asset", asset, "--joint", "j", "--gravity", 0, 0, -1.62, "--out",
+                   tmp_path / "lid") == 0  # fmt: skip
+    said = capsys.readouterr().out.splitlines()
+    assert said[-1].endswith(f"now `freeart21 gap {asset} {tmp_path / 'lid/measured'} --out GAP`")
+    assert all(line.startswith("- ") for line in said[:-1]) and len(said) > 5
+    assert read_measured(tmp_path / "lid/measured").gravity[2] == -1.62
+    for words, line in (
+        ((run,), "files need --asset FOLDER or URDF"),
+        ((run, tmp_path, "--asset", asset), "expected files, one result, or truth folders; got .* among files"),
+        ((tmp_path / "none.csv", "--asset", asset), "none.csv does not exist"),
+        ((asset.parent, "--asset", asset), "--asset is of files, but this was taken for truths: .*asset"),
+        ((run, "--asset", asset, "--noise-mm", 1), "--noise-mm is of truths, but this was taken for files: .*run.csv"),
+        ((), "expected files, one result, or truth folders; got nothing"),
+    ):
+        code = command(monkeypatch, "measure", *words, "--out", tmp_path / "no")
+        assert isinstance(code, str) and code.startswith("freeart21: measure: ")
+        assert re.search(line, code), code
+        assert not (tmp_path / "no").exists()
+
+
+def test_gap_takes_the_set_as_it_is(tmp_path: Path, asset: Path):
+    """A bench with oil in its hinge, logged in degrees by somebody: measure, then gap, as a user would."""
+    for run in measured_of(3, runs=3, viscous=0.12, seconds=2.5).runs:
+        (tmp_path / f"{run.name}.csv").write_text(
+            text(np.column_stack([run.times_s, np.degrees(run.q)]), "time;angle_deg", ";")
+        )
+    code = [sys.executable, "-c", "from freeart21.cli import main; main()"]
+    files = sorted(map(str, tmp_path.glob("run_*.csv")))
+    for words in (
+        ["measure", *files, "--asset", asset, "--held-out", "run_2", "--out", tmp_path / "set"],
+        ["gap", asset, tmp_path / "set/measured", "--out", tmp_path / "gap"],
+    ):
+        done = subprocess.run([*code, *map(str, words)], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    verdict = json.loads((tmp_path / "gap/verdict.json").read_text())
+    assert verdict["verdict"] == "named" and [e["name"] for e in verdict["effects"]] == ["viscous_damping"]
