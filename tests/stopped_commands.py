@@ -2,10 +2,10 @@
 
     python tests/stopped_commands.py FOLDER --moments 20 [--commands record demo ...] [--data DATA --results RESULTS]
 
-DATA and RESULTS (RESULTS/SEQ with its asset) are made, small, in FOLDER when they are not given. Every second signal goes
-to the command alone, the others, as from a terminal, to all of its processes; every fourth comes twice. Prints one JSON
-list: for every moment, the command, when it was told, its exit code, what it said, how long it took to go, and what was
-wrong: not one line, processes or files left, or (once a command) the same command failing when run again.
+DATA and RESULTS (RESULTS/SEQ with its asset) are made, small, in FOLDER when they are not given. Every second signal
+goes to the command alone, the others, as from a terminal, to all of its processes; every fourth comes twice. Prints one
+JSON list: for every moment, the command, when it was told, its exit code, what it said, how long it took to go, and
+what was wrong: not one line, processes or files left, or (once a command) the same command failing when run again.
 """
 
 from __future__ import annotations
