@@ -31,18 +31,19 @@ _told_at: float = 0.0
 _listening = _dropped = _missed = False
 _deferred: int = 0
 _hints: list[Callable[[], str]] = []
+_hook: Callable[[Any], Any] = sys.unraisablehook
 
 
 def listen() -> None:
     """Take stop signals as this module says, from now to the process's end; those that are ignored stay ignored."""
-    global _listening
+    global _listening, _hook
     if _listening:
         return
     _listening = True
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as of `nohup`, or of a shell's '&'
             signal.signal(number, _heed)
-    sys.unraisablehook = _dropped_somewhere
+    _hook, sys.unraisablehook = sys.unraisablehook, _dropped_somewhere
 
 
 def told() -> int:
@@ -78,13 +79,18 @@ def explained(hint: Callable[[], str]) -> Iterator[None]:
     _hints.remove(hint)
 
 
+def kept() -> str:
+    """What the innermost of the blocks `explained` says that was left by an interrupt; '' when none says anything."""
+    return next((said for hint in reversed(_hints) if (said := hint())), "")
+
+
 def leave() -> NoReturn:
     """End this process as one that was told to stop: one line, and exit code 128 + the signal's number."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-    kept = next((f"; {said}" for hint in reversed(_hints) if (said := hint())), "")
+    said = kept()
     with contextlib.suppress(OSError, ValueError):  # the terminal may be gone
-        print(f"freeart21: stopped{kept}", file=sys.stderr)
+        print(f"freeart21: stopped{f'; {said}' if said else ''}", file=sys.stderr)
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
@@ -120,7 +126,7 @@ def _dropped_somewhere(unraisable: Any) -> None:
     """Python's hook for exceptions that it cannot raise: an interrupt among them is raised again, a moment later."""
     global _dropped
     if not _told:
-        sys.__unraisablehook__(unraisable)
+        _hook(unraisable)
     elif isinstance(unraisable.exc_value, KeyboardInterrupt):
         _dropped = True
         signal.signal(signal.SIGALRM, _heed)

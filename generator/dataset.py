@@ -40,6 +40,9 @@ from generator.session import ACCESS, RecordSettings, partnet_folder, record_obj
 
 __all__ = ["WORK", "Job", "Label", "is_unfinished", "jobs_of", "official_names", "procedural_jobs", "record_jobs"]
 
+MOST_OBJECTS = 1000
+"""Of a category, drawn at once: three digits."""
+MOST_WORKERS = 64
 _MADE_WITH = ("freeart21", "sapien", "numpy", "opencv-python-headless", "embreex", "manifold3d", "scipy")
 _PATIENCE_S = 3.0
 """How long the lock is waited for: the workers of a killed recorder need a moment to notice."""
@@ -124,8 +127,11 @@ def procedural_jobs(category: str, count: int, seed: int, settings: RecordSettin
     wanted = next((known for known in designs if known.lower() == category.lower()), None)
     if wanted is None:
         raise FreeArtError(f"unknown category '{category}'; procedural categories: {', '.join(designs)}")
-    if count < 1:
-        raise FreeArtError(f"cannot record {count} objects of category {wanted}; expected 1 or more")
+    if not 1 <= count <= MOST_OBJECTS:
+        raise FreeArtError(
+            f"cannot record {count} objects of category {wanted}; expected 1 to {MOST_OBJECTS}: their names end in "
+            "three digits"
+        )
     settings.check()
     jobs = []
     for k in range(count):
@@ -183,8 +189,10 @@ def record_jobs(
 
 
 def _check(jobs: Sequence[Job], workers: int) -> None:
-    if workers < 1:
-        raise FreeArtError(f"cannot record with {workers} workers; expected 1 or more")
+    if not 1 <= workers <= MOST_WORKERS:
+        raise FreeArtError(
+            f"cannot record with {workers} workers; expected 1 to {MOST_WORKERS}: each loads a simulator of its own"
+        )
     seen: set[str] = set()
     for job in jobs:
         job.settings.check()

@@ -171,8 +171,8 @@ def again(name: str, place: Place, out: Path) -> list[str]:
     return [] if done.returncode in (0, 3) else [f"again: exit code {done.returncode}: {errors[-1000:]}"]
 
 
-def prepared(folder: Path, data: Path | None, results: Path | None) -> Place:
-    """The inputs, made where they are not given."""
+def prepared(folder: Path, data: Path | None, results: Path | None, commands: list[str]) -> Place:
+    """The inputs of `commands`, made where they are not given."""
     from export.exporter import export_result
     from freeart21.files.result import write_result
     from freeart21.files.sequence import read_sequence
@@ -200,7 +200,7 @@ def prepared(folder: Path, data: Path | None, results: Path | None) -> Place:
         )
         write_result(place.results / name, answer, renders=[truth.query_rgb(i) for i in range(views)])
         export_result(place.results / name, place.results / name / "asset")
-    if not place.measured.is_dir():
+    if not place.measured.is_dir() and {"gap", "measure"} & set(commands):
         swung = RecordSettings(
             frames=90, width=160, height=120, queries=0, shader="trivial", edge=0.5, motion="release"
         )
@@ -224,7 +224,7 @@ def main() -> None:
     given = parser.parse_args()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's '&' would have the commands ignore it
     folder, rng = given.folder.resolve(), np.random.default_rng(given.seed)
-    place = prepared(folder, given.data, given.results)
+    place = prepared(folder, given.data, given.results, given.commands)
     moments: list[dict[str, object]] = []
     for name in given.commands:
         for k in range(given.moments):

@@ -79,7 +79,7 @@ _DATA = Output("data folder", _json("benchmark"), "benchmark.json")
 _UNDER_WAY = Output("unfinished recording", _json("recording-job"), ".recording/job.json")
 _CLOSED = (_SEQUENCE, _TRUTH, _DATA, _UNDER_WAY, RESULT, ASSET, ANSWER)
 """Folders that hold what one command wrote, and into which no other one writes."""
-_GROWING = ("benchmark.json", ".recording", "sequences", "truth", "examples", "data")
+_GROWING = ("benchmark.json", ".recording", "sequences", "examples")
 """What a folder holds to which recordings are added."""
 
 
