@@ -22,6 +22,8 @@ from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, write_asset_json
+from freeart21.files.lock import only_writer
+from freeart21.files.places import ASSET, check_place
 from freeart21.files.result import read_method, read_result
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
@@ -85,20 +87,21 @@ def export_result(
     settings: ExportSettings | None = None,
     *,
     effects: tuple[Effect, ...] = (),
-    replace_old: bool = False,
 ) -> Asset:
     """Write a result as an asset folder, reload and check it, and give it back as read from disk.
 
     Args:
         result: a result folder, or a reconstruction.
-        out: the folder to make; it appears whole or not at all.
+        out: the folder to make; it appears whole or not at all, and replaces an older asset.
         settings: None takes the defaults.
         effects: what acts on the joint; without any there is no effects.json.
-        replace_old: replace a folder that is there.
 
     Raises FreeArtError on a setting that cannot be, a failed result, an empty part, a joint that was not seen to move,
-    an `out` that exists, and when the asset does not pass its own check.
+    an `out` that is anything but an older asset, and when the asset does not pass its own check.
     """
+    given = () if isinstance(result, Reconstruction) else (Path(result),)
+    own = (folder for folder in given if (folder / "asset").resolve() == Path(out).resolve())
+    check_place(out, ASSET, given, into=next(own, None))
     settings = settings or ExportSettings()
     settings.check()
     reconstruction, source = _reconstruction(result)
@@ -108,7 +111,7 @@ def export_result(
         settings.limit_margin,
         {"revolute": settings.min_range_rad, "prismatic": settings.min_range_m * settings.scale},
     )
-    with atomic.new_folder(out, replace_old) as aside:
+    with only_writer(out), atomic.new_folder(out, ASSET) as aside:
         shapes = {name: _shape(name, getattr(placement, name), settings) for name in ("reference", "moving")}
         density = DENSITY if settings.density is None else settings.density
         if settings.mass is not None:

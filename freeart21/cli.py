@@ -18,6 +18,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 import freeart21
+from freeart21 import stopping
+from freeart21.ending import in_one_line
 from freeart21.errors import FreeArtError
 from reconstruct.settings import ReconstructSettings
 
@@ -72,18 +74,23 @@ def demo(
         joint: Joint of a PartNet-Mobility object that moves.
     """
     from export.exporter import export_result
-    from freeart21.files.atomic import new_folder
+    from freeart21.files.atomic import new_folder, write_json
+    from freeart21.files.lock import only_writer
+    from freeart21.files.places import DEMO, check_place
     from freeart21.reconstruction import Failure
     from freeart21.view import write_page
+    from generator.dataset import jobs_of
     from generator.recorder import RecordSettings, record
     from leaderboard.score import score_results, write_scores
     from leaderboard.tables import page_entries, print_scores
     from reconstruct.pipeline import reconstruct_folder
 
-    with new_folder(out, replace=True) as aside:
+    check_place(out, DEMO)
+    settings = RecordSettings(frames=frames, seed=seed, partnet_root=partnet_root, joint=joint)
+    jobs_of((name,), settings)  # what cannot be recorded is said before anything is made
+    with only_writer(out), new_folder(out, DEMO) as aside:
         data, results = aside / "data", aside / "results" / "ours"
         print(f"Recording {frames} frames of {name} in the simulator", flush=True)
-        settings = RecordSettings(frames=frames, seed=seed, partnet_root=partnet_root, joint=joint)
         sequence = record(name, data, settings)
         print("Reconstructing it from the video alone", flush=True)
         answer = reconstruct_folder(data / "sequences" / sequence, results / sequence)
@@ -103,6 +110,8 @@ def demo(
             sequence=data / "sequences" / sequence,
             scores=page_entries(scores.rows[0], scores.protocol),
         )
+        files = sorted(path.relative_to(aside).as_posix() for path in aside.rglob("*") if path.is_file())
+        write_json(aside / DEMO.marker, {"schema": "freeart21/demo/1", "object": name, "files": files})
     print_scores(scores)
     print(f"Everything is in {out}; open {out / 'index.html'} to look at it.")
 
@@ -223,12 +232,10 @@ def record(
     for job in jobs:
         for note in job.notes:
             print(f"{job.name}: {note}", file=sys.stderr)
-    try:
+    with stopping.explained(
+        lambda: f"what is done is kept in {out}: the same command goes on" if is_unfinished(out) else ""
+    ):
         made = record_jobs(out, jobs, workers, label, lambda sequence: print(out / "sequences" / sequence, flush=True))
-    except KeyboardInterrupt:
-        kept = f"; what is done is kept in {out}: the same command goes on" if is_unfinished(out) else ""
-        print(f"freeart21: stopped{kept}", file=sys.stderr)
-        return 130
     if not made:
         print(f"{out} holds {'this sequence' if len(jobs) == 1 else f'these {len(jobs)} sequences'} already")
     return 0
@@ -267,7 +274,8 @@ def reconstruct(
 ) -> int:
     """Solve one sequence: two parts, their poses, the joint between them, and meshes, from the video alone.
 
-    May be stopped at any moment: the same command goes on after the last finished stage, to the same result.
+    May be stopped at any moment: the same command goes on after the last finished stage, to the same result. An older
+    result at --out is replaced, and with it the asset that was made of it; anything else there is left alone.
 
     Args:
         sequence: A sequence folder (with sequence.json).
@@ -279,7 +287,9 @@ def reconstruct(
             `settings` of a method.json, or such a file itself.
         settings: One setting, such as --settings.joint.type-rule paper; --settings.help lists them all.
     """
-    from freeart21.files.result import Method, write_method
+    from freeart21.files.lock import only_writer
+    from freeart21.files.places import RESULT, check_place
+    from freeart21.files.result import Method, write_own_method
     from freeart21.reconstruction import Failure
     from reconstruct import VERSION
     from reconstruct.cache import work_folder
@@ -287,7 +297,10 @@ def reconstruct(
 
     if segmentation is not None:
         settings = replace(settings, segmentation=segmentation)
-    try:
+    check_place(out, RESULT, (sequence,))
+    work = work_folder(out)
+    kept_too = f"finished stages are kept in {work}: the same command goes on"
+    with stopping.explained(lambda: kept_too if work.is_dir() else ""), only_writer(out):
         if until is not None:
             kept = reconstruct_until(sequence, out, until, settings)
             if isinstance(kept, Path):
@@ -299,13 +312,9 @@ def reconstruct(
             print(f"{out}: failed in {kept.stage}: {kept.reason}", file=sys.stderr)
             return 1
         result = reconstruct_folder(sequence, out, settings, keep_work)
-    except KeyboardInterrupt:
-        work = work_folder(out)
-        kept_too = f"; finished stages are kept in {work}: the same command goes on" if work.is_dir() else ""
-        print(f"freeart21: stopped{kept_too}", file=sys.stderr)
-        return 130
     code = f"freeart21 {freeart21.__version__}, solver {VERSION}"
-    write_method(out.parent, Method(out.parent.name, code, settings.to_json(), _hardware()))
+    home = out.absolute().parent
+    write_own_method(home, Method(home.name, code, settings.to_json(), _hardware()))
     if isinstance(result, Failure):
         print(f"{out}: failed in {result.stage}: {result.reason}", file=sys.stderr)
         return 1
@@ -359,9 +368,12 @@ def score(
         protocol: Named protocol: what each number means.
         out: Write every number as JSON here, too.
     """
+    from freeart21.files.places import SCORES, check_place
     from leaderboard.score import score_results, write_scores
     from leaderboard.tables import print_scores
 
+    if out is not None:
+        check_place(out, SCORES, (data,))
     scores = score_results(results, data, protocol)
     print_scores(scores)
     if out is not None:
@@ -574,21 +586,18 @@ def convert(
 
 
 def main() -> None:
-    """Run a command; every known fault is one line on standard error and exit code 1."""
+    """Run a command; every fault is one line on standard error (`in_one_line`), a known one with exit code 1."""
     commands = {
         f.__name__: f
         for f in (doctor, demo, objects, record, verify, convert, reconstruct, export, view, score, measure, gap)
     }
     if _told(sys.argv[1:], commands):
         return
-    try:
+    stopping.listen()
+    with in_one_line():
         code = tyro.extras.subcommand_cli_from_dict(
             _with_settings_file(commands, sys.argv), prog="freeart21", description=DESCRIPTION
         )
-    except FreeArtError as error:
-        sys.exit(f"freeart21: {error}")
-    except KeyboardInterrupt:
-        sys.exit(130)
     sys.exit(code or 0)
 
 

@@ -11,11 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from freeart21 import catalog, se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
+from freeart21.files.places import SHEET, check_place
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
@@ -55,6 +57,7 @@ def contact_sheet(
     A card has the object's category and name above three tiles of `tile` pixels. The file has a palette of 256 colours,
     which keeps it small. Raises FreeArtError when an object is unknown or this machine cannot render.
     """
+    check_place(path, SHEET)
     if not names:
         raise FreeArtError("a contact sheet needs at least one object")
     cards = [_card(name, tiles(name, seed, tile, shader)) for name in names]
@@ -66,8 +69,10 @@ def contact_sheet(
         y, x = _MARGIN + k // columns * step_y, _MARGIN + k % columns * step_x
         sheet[y : y + high, x : x + wide] = card
     data = io.BytesIO()
+    ours = PngInfo()
+    ours.add_text("Software", SHEET.mark.decode())
     Image.fromarray(sheet).quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
-        data, "PNG", optimize=True
+        data, "PNG", optimize=True, pnginfo=ours
     )
     atomic.write_bytes(path, data.getvalue())
 

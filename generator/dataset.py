@@ -27,19 +27,22 @@ from typing import Any
 
 import numpy as np
 
-from freeart21 import catalog
+from freeart21 import catalog, stopping
 from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.benchmark import read_benchmark, write_benchmark
+from freeart21.files.benchmark import JOB_SCHEMA, WORK, is_unfinished, read_benchmark, write_benchmark
+from freeart21.files.lock import release, take
+from freeart21.files.places import check_growing
 from generator import partnet
 from generator.progress import Board, progress_board
 from generator.session import ACCESS, RecordSettings, partnet_folder, record_object
 
-WORK = ".recording"
-"""Folder of what is under way, in the data folder."""
+__all__ = ["WORK", "Job", "Label", "is_unfinished", "jobs_of", "official_names", "procedural_jobs", "record_jobs"]
 
-JOB_SCHEMA = "freeart21/recording-job/1"
+MOST_OBJECTS = 1000
+"""Of a category, drawn at once: three digits."""
+MOST_WORKERS = 64
 _MADE_WITH = ("freeart21", "sapien", "numpy", "opencv-python-headless", "embreex", "manifold3d", "scipy")
 _PATIENCE_S = 3.0
 """How long the lock is waited for: the workers of a killed recorder need a moment to notice."""
@@ -124,8 +127,11 @@ def procedural_jobs(category: str, count: int, seed: int, settings: RecordSettin
     wanted = next((known for known in designs if known.lower() == category.lower()), None)
     if wanted is None:
         raise FreeArtError(f"unknown category '{category}'; procedural categories: {', '.join(designs)}")
-    if count < 1:
-        raise FreeArtError(f"cannot record {count} objects of category {wanted}; expected 1 or more")
+    if not 1 <= count <= MOST_OBJECTS:
+        raise FreeArtError(
+            f"cannot record {count} objects of category {wanted}; expected 1 to {MOST_OBJECTS}: their names end in "
+            "three digits"
+        )
     settings.check()
     jobs = []
     for k in range(count):
@@ -157,6 +163,7 @@ def record_jobs(
     the same call goes on). KeyboardInterrupt stops all workers and keeps what is done, too.
     """
     out = Path(out)
+    check_growing(out)
     _check(jobs, workers)
     require_rendering()
     if not jobs or (not (out / WORK).is_dir() and not _missing(out, jobs)):
@@ -171,7 +178,7 @@ def record_jobs(
                 _run(out, todo, workers, on_done)
             except atomic.CannotWrite:
                 raise
-            except FreeArtError:
+            except Exception:  # of whatever kind: what is done stays, and the folder is as before
                 _finish(out, label)
                 raise
             _finish(out, label)
@@ -181,14 +188,11 @@ def record_jobs(
     return [job.sequence for job in todo]
 
 
-def is_unfinished(out: Path) -> bool:
-    """Whether an interrupted recording waits in `out`."""
-    return (out / WORK / "job.json").is_file()
-
-
 def _check(jobs: Sequence[Job], workers: int) -> None:
-    if workers < 1:
-        raise FreeArtError(f"cannot record with {workers} workers; expected 1 or more")
+    if not 1 <= workers <= MOST_WORKERS:
+        raise FreeArtError(
+            f"cannot record with {workers} workers; expected 1 to {MOST_WORKERS}: each loads a simulator of its own"
+        )
     seen: set[str] = set()
     for job in jobs:
         job.settings.check()
@@ -303,7 +307,7 @@ def _only_writer(out: Path) -> Iterator[None]:
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
     lock = out / WORK / "lock"
     deadline = time.monotonic() + _PATIENCE_S
-    while (handle := _lock(lock)) is None:
+    while (handle := take(lock)) is None:
         if time.monotonic() > deadline:
             if not lock.is_file():
                 raise FreeArtError(f"cannot write {lock}: its folder cannot be made")
@@ -312,32 +316,10 @@ def _only_writer(out: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        if not is_unfinished(out):
-            lock.unlink(missing_ok=True)
-            for folder in (lock.parent, out / "sequences", out / "truth", *made):
-                with contextlib.suppress(OSError):  # what is not empty stays
-                    folder.rmdir()
-        os.close(handle)
-
-
-def _lock(path: Path) -> int | None:
-    """A handle that holds the lock file `path`, shared after nobody else had it; None when somebody has."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-    except FileNotFoundError:  # its folder went, with the recorder that made it
-        return None
-    except OSError as error:
-        raise atomic.cannot_write(path, error) from error
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if path.exists() and os.fstat(handle).st_ino == path.stat().st_ino:
-            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            return handle
-    except OSError:
-        pass
-    os.close(handle)
-    return None
+        if is_unfinished(out):  # a worker that ends a moment later has it still
+            os.close(handle)
+        else:
+            release(lock, handle, [lock.parent, out / "sequences", out / "truth", *made])
 
 
 # --- one after the other, or side by side -----------------------------------------------------------------------------
@@ -383,10 +365,7 @@ _reports: Any = None
 
 def _start_worker(lock: Path, life: Connection, reports: Any) -> None:
     """Hold the lock as long as this worker lives, and end when the recorder ends (or closes its side of `life`)."""
-    import signal
-
     global _reports
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the recorder says when to stop
 
     def end_with_the_recorder() -> None:
         with contextlib.suppress(EOFError, OSError):
@@ -422,7 +401,8 @@ def _run_beside(out: Path, jobs: list[Job], workers: int, board: Board, on_done:
     with _renderer_threads(workers):
         pool = ProcessPoolExecutor(workers, context, _start_worker, (out / WORK / "lock", theirs, reports))
         try:
-            futures: list[Future[str]] = [pool.submit(_work, out, job) for job in jobs]
+            with stopping.unheard():  # from their birth: the recorder says when to stop
+                futures: list[Future[str]] = [pool.submit(_work, out, job) for job in jobs]
             for future in as_completed(futures):
                 board.finished(future.result())
                 on_done(future.result())

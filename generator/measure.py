@@ -19,6 +19,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import write_asset_json
 from freeart21.files.measured_writer import write_measured
+from freeart21.files.places import check_place
 from freeart21.files.truth import read_truth
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
@@ -67,6 +68,7 @@ def measure_truths(
     of the motion release, or they are not all of one object and joint.
     """
     folders = [Path(folder) for folder in truths]
+    check_place(out, None, folders)
     loaded = [read_truth(folder) for folder in folders]
     _check_one_object(folders, loaded)
     with atomic.new_folder(out) as aside:

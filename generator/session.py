@@ -18,7 +18,7 @@ from freeart21.effects import Effect, effect_from_json
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import EFFECTS_SCHEMA
-from freeart21.files.sequence import encode_depth, write_header, write_queries
+from freeart21.files.sequence import MAX_SIDE, encode_depth, write_header, write_queries
 from freeart21.files.truth import write_truth
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal
@@ -47,6 +47,11 @@ _PICTURES = ("sequence/rgb", "sequence/depth", "sequence/mask", "side")
 
 SHADERS = ("default", "trivial")
 """SAPIEN's camera shaders that give all the recorder needs."""
+
+MOST_PICTURES = 100_000
+"""Frames, and held-out views: their files are numbered by five digits."""
+MOST_PIXELS = 1 << 24
+"""Of a picture, 4096 x 4096: as 3 bytes each they stay below the 64 MiB that `checked` reads of one file."""
 
 _END_OF_PNG = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 
@@ -104,6 +109,16 @@ class RecordSettings:
                 f"cannot record {self.frames} frames of {self.width} x {self.height} at {self.fps:g} a second with "
                 f"{self.queries} held-out views; expected at least 2 frames of 16 x 16, more than 0 a second and 0 "
                 "views or more"
+            )
+        if max(self.frames, self.queries) > MOST_PICTURES:
+            raise FreeArtError(
+                f"cannot record {self.frames} frames and {self.queries} held-out views; expected at most "
+                f"{MOST_PICTURES} each: their files are numbered by five digits"
+            )
+        if max(self.width, self.height) > MAX_SIDE or self.width * self.height > MOST_PIXELS:
+            raise FreeArtError(
+                f"cannot record pictures of {self.width} x {self.height}; expected at most {MAX_SIDE} a side and "
+                f"{MOST_PIXELS} pixels (4096 x 4096) in all: readers take no larger ones"
             )
         named = ("motion", self.motion, MOTIONS), ("preset", self.preset, PRESETS), ("shader", self.shader, SHADERS)
         for what, value, known in named:

@@ -15,6 +15,7 @@ from freeart21.articulation import Articulation
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.benchmark import file_sha256, read_benchmark
+from freeart21.files.places import SCORES, require_replaceable
 from freeart21.files.result import Method, read_method
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
@@ -271,7 +272,11 @@ def statistic(values: list[float], direction: Literal["up", "down"]) -> Statisti
 
 
 def write_scores(path: Path, scores: Scores) -> None:
-    """Write `scores` as JSON, with the protocol's text, units, directions and prices beside the numbers."""
+    """Write `scores` as JSON, with the protocol's text, units, directions and prices beside the numbers.
+
+    Raises FreeArtError unless only an older table of scores stands at `path`.
+    """
+    require_replaceable(Path(path), SCORES)
     rules = protocol_named(scores.protocol)
     metrics = [
         {

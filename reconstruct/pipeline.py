@@ -27,6 +27,7 @@ from threadpoolctl import threadpool_limits
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.files.diagnostics import Diagnostics
+from freeart21.files.places import RESULT, require_replaceable
 from freeart21.files.result import write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.reconstruction import Failure, Reconstruction
@@ -74,9 +75,10 @@ def reconstruct_folder(
 
     Finished stages are kept beside `out` (`cache.work_folder`) until the result is written, and longer with
     `keep_work`: a call that was killed may be repeated, to the same result. Its seconds are those of the solving.
-    Raises FreeArtError when `sequence` is not a sequence, and CannotWrite.
+    Raises FreeArtError when `sequence` is not a sequence or `out` is anything but an older result, and CannotWrite.
     """
     settings = settings or ReconstructSettings()
+    require_replaceable(Path(out), RESULT)
     recording, out = read_sequence(Path(sequence)), Path(out)
     work = Work(Path(sequence), out, settings)
     with _Clock(settings.progress) as clock:

@@ -12,6 +12,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset
 from freeart21.files.measured_writer import write_measured
+from freeart21.files.places import check_place
 from freeart21.files.result import read_result
 from freeart21.measured import Measured, Run
 from freeart21.reconstruction import Failure
@@ -36,6 +37,7 @@ def measure_result(result: Path, out: Path, gravity: ArrayLike, rate_hz: float) 
     still before the camera is not the reference part, which is the asset's base.
     """
     result = Path(result)
+    check_place(out, None, (result,))
     read = read_result(result)
     if isinstance(read, Failure):
         raise FreeArtError(f"{result} is a failure, nothing to measure: {read.stage}: {read.reason}")

@@ -14,7 +14,9 @@ from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import movable_joint, read_asset
 from freeart21.files.atomic import new_folder
+from freeart21.files.lock import only_writer
 from freeart21.files.measured import read_measured
+from freeart21.files.places import ANSWER, check_place
 from freeart21.joint import JointType
 from freeart21.measured import Measured
 from simgap.choose import Choice, chosen
@@ -250,16 +252,6 @@ def force_at_work(plant: Plant, runs: tuple[FitRun, ...]) -> float:
     return max(float(plant.mechanics.inertia * np.sqrt(np.mean(squares))), 1e-9)
 
 
-def check_place(out: Path, asset: Path, measured: Path) -> None:
-    """Raise FreeArtError when writing `out` would destroy anything but an older answer."""
-    place = out.resolve()
-    for what, path in (("asset", asset.resolve()), ("measured set", measured.resolve())):
-        if path.is_relative_to(place) or (path.is_dir() and place.is_relative_to(path)):
-            raise FreeArtError(f"{out} and the {what} {path} lie in each other; choose another place")
-    if out.exists() and not (out.is_dir() and ((out / "verdict.json").is_file() or not any(out.iterdir()))):
-        raise FreeArtError(f"{out} exists and is no answer of an earlier run; choose another place or remove it first")
-
-
 def gap_folder(
     asset: Path,
     measured: Path,
@@ -273,10 +265,10 @@ def gap_folder(
     Only an older answer is replaced. SAPIEN's replay is given up after `replay_seconds`; `progress` is told how many
     runs are replayed. Raises FreeArtError when `out` holds anything else, or asset or measurement.
     """
-    check_place(Path(out), Path(asset), Path(measured))
+    check_place(out, ANSWER, (asset, measured))
     runs = read_measured(measured)
     loaded = read_asset(asset, runs.joint)
-    with new_folder(out, replace=True) as aside:
+    with only_writer(out), new_folder(out, ANSWER) as aside:
         began = time.perf_counter()
         draft = explain(loaded, runs, settings)
         seconds = time.perf_counter() - began

@@ -28,12 +28,14 @@ def test_no_object_lists_the_known(tmp_path):
 
 
 def test_a_folder_that_is_no_sequence(tmp_path):
-    assert "is not a sequence" in fails("reconstruct", tmp_path, "--out", tmp_path / "out")
+    (tmp_path / "in").mkdir()
+    assert "is not a sequence" in fails("reconstruct", tmp_path / "in", "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_a_folder_that_is_no_result(tmp_path):
-    assert "is not a result" in fails("export", tmp_path, "--out", tmp_path / "out")
+    (tmp_path / "in").mkdir()
+    assert "is not a result" in fails("export", tmp_path / "in", "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -47,13 +49,15 @@ def test_an_unknown_protocol_lists_the_known(tmp_path):
 
 @pytest.mark.parametrize("name", ["nothing", "."])
 def test_a_thing_that_cannot_be_viewed(tmp_path, name):
-    fails("view", tmp_path / name, "--out", tmp_path / "page.html")
+    (tmp_path / "in").mkdir()
+    fails("view", tmp_path / "in" / name, "--out", tmp_path / "page.html")
     assert not (tmp_path / "page.html").exists()
 
 
 def test_a_urdf_without_a_movable_joint_cannot_be_viewed_as_an_asset(tmp_path):
-    (tmp_path / "a.urdf").write_text('<robot name="a"><link name="base"/></robot>')
-    assert "no movable joint" in fails("view", tmp_path, "--out", tmp_path / "page.html")
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.urdf").write_text('<robot name="a"><link name="base"/></robot>')
+    assert "no movable joint" in fails("view", tmp_path / "in", "--out", tmp_path / "page.html")
 
 
 def test_without_a_vulkan_device_the_recorder_says_so_in_one_line(tmp_path, monkeypatch):

@@ -255,8 +255,10 @@ def test_what_cannot_be_exported_says_why_and_leaves_nothing(tmp_path: Path):
         export_result(reconstruction(), tmp_path / "a", ExportSettings(effort=0))
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "a").mkdir()
-    with pytest.raises(FreeArtError, match="exists"):
+    (tmp_path / "a" / "notes.txt").write_text("mine")
+    with pytest.raises(FreeArtError, match="exists and is no older asset"):
         export_result(reconstruction(), tmp_path / "a")
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["notes.txt"]
 
 
 def test_result_folder_is_exported_with_its_origin_and_a_failure_is_refused(tmp_path: Path):

@@ -14,7 +14,7 @@ from freeart21.asset import Asset
 from freeart21.camera import Camera
 from freeart21.effects import CoulombFriction, ReturnSpring, ViscousDamping
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic, checked
+from freeart21.files import atomic, checked, places
 from freeart21.files.asset import movable_joint, read_asset, write_asset_json
 from freeart21.files.benchmark import read_benchmark, write_benchmark
 from freeart21.files.mesh_file import read_ply, write_ply
@@ -310,10 +310,10 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
 
 def test_an_old_folder_survives_a_failed_replacement(tmp_path):
     (tmp_path / "a").mkdir()
-    (tmp_path / "a" / "old").write_text("x")
-    with pytest.raises(RuntimeError), atomic.new_folder(tmp_path / "a", replace=True):
+    (tmp_path / "a" / "asset.json").write_text('{"schema": "freeart21/asset/1"}')
+    with pytest.raises(RuntimeError), atomic.new_folder(tmp_path / "a", places.ASSET):
         raise RuntimeError
-    assert (tmp_path / "a" / "old").read_text() == "x" and len(list(tmp_path.iterdir())) == 1
+    assert (tmp_path / "a" / "asset.json").is_file() and len(list(tmp_path.iterdir())) == 1
     with pytest.raises(FreeArtError, match="exists"), atomic.new_folder(tmp_path / "a"):
         pass
 

@@ -14,6 +14,7 @@ import pytest
 from reconstruct_clip import make_clip
 
 from benchmarks import solve as bench
+from freeart21 import stopping
 from freeart21.cli import reconstruct as command
 from freeart21.errors import FreeArtError
 from freeart21.files.sequence import write_sequence
@@ -159,10 +160,13 @@ def test_a_hopeless_video_fails_with_until_too(tmp_path):
     assert not (tmp_path / "out").exists() and not cache.work_folder(tmp_path / "out").exists()
 
 
-def test_interrupted_the_command_says_what_is_kept(sequence, tmp_path, monkeypatch, capsys):
+def test_interrupted_the_command_says_what_is_kept(sequence, tmp_path, monkeypatch):
+    monkeypatch.setattr(stopping, "_hints", [])
     Calls(monkeypatch, "bridge_gaps")
-    assert command(sequence, tmp_path / "ours" / "x", settings=QUIET) == 130
-    assert str(cache.work_folder(tmp_path / "ours" / "x")) in capsys.readouterr().err
+    with pytest.raises(KeyboardInterrupt):
+        command(sequence, tmp_path / "ours" / "x", settings=QUIET)
+    assert str(cache.work_folder(tmp_path / "ours" / "x")) in stopping.kept() and "goes on" in stopping.kept()
+    assert [path.name for path in (tmp_path / "ours").iterdir()] == [".x.work"]
 
 
 # ---- what makes a kept stage invalid -------------------------------------------------------------------------------

@@ -10,6 +10,10 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 
 SCHEMA = "freeart21/benchmark/1"
+WORK = ".recording"
+"""Folder of what is under way, in a data folder that is being recorded."""
+JOB_SCHEMA = "freeart21/recording-job/1"
+"""Of job.json there: what is being made, in full."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +65,31 @@ def write_benchmark(folder: Path, name: str, version: str, split: str) -> Benchm
     return Benchmark(folder, name, version, split, sequences)
 
 
+def is_unfinished(folder: Path) -> bool:
+    """Whether an interrupted (or running) recording waits in `folder`."""
+    return (folder / WORK / "job.json").is_file()
+
+
+def unfinished(folder: Path) -> FreeArtError:
+    """The error of a data folder that is not whole yet: how far it is, and how to go on."""
+    try:
+        jobs = checked.read_json(folder / WORK / "job.json", JOB_SCHEMA).get("jobs")
+    except FreeArtError:
+        jobs = None
+    names = [str(job.get("sequence")) for job in jobs if isinstance(job, dict)] if isinstance(jobs, list) else []
+    done = sum((folder / "sequences" / name / "sequence.json").is_file() for name in names)
+    return FreeArtError(
+        f"{folder} is an unfinished recording ({done} of {len(names)} sequences are done): the `freeart21 record` "
+        f"command that began it goes on; to give it up remove {folder / WORK}"
+    )
+
+
 def read_benchmark(folder: Path) -> Benchmark:
     """The benchmark in `folder`."""
     folder = Path(folder)
     path = folder / "benchmark.json"
+    if not path.is_file() and is_unfinished(folder):
+        raise unfinished(folder)
     if not path.is_file():
         raise FreeArtError(f"{folder} is not a benchmark: it has no benchmark.json")
     data = checked.read_json(path, SCHEMA)

@@ -15,6 +15,7 @@ from freeart21.files import atomic, checked
 from freeart21.files.diagnostics import Diagnostics, write_diagnostics
 from freeart21.files.joint_json import joint_from_json, joint_to_json
 from freeart21.files.mesh_file import read_ply, write_ply
+from freeart21.files.places import RESULT
 from freeart21.reconstruction import Failure, Reconstruction
 
 SCHEMA = "freeart21/prediction/1"
@@ -47,6 +48,25 @@ def write_method(folder: Path, method: Method) -> None:
     )
 
 
+def write_own_method(folder: Path, method: Method) -> bool:
+    """Write method.json if `folder` is a folder of this method's results; whether it did.
+
+    It is when the method.json there says the same of who wrote it (`code` up to the version) or, without one, when
+    nothing lies there but results and hidden files. Whatever else a parent of a result may hold stays as it is.
+    """
+    if (folder / "method.json").exists():
+        try:
+            ours = read_method(folder).code.split(" ")[0] == method.code.split(" ")[0]
+        except FreeArtError:
+            ours = False
+    else:
+        seen = [path for path in folder.iterdir() if not path.name.startswith(".")]
+        ours = all((path / "prediction.json").is_file() for path in seen)
+    if ours:
+        write_method(folder, method)
+    return ours
+
+
 def read_method(folder: Path) -> Method:
     """The method of a results folder; one without method.json is named after the folder."""
     path = folder / "method.json"
@@ -65,11 +85,11 @@ def write_result(
     renders: list[NDArray[np.uint8]] | None = None,
     diagnostics: Diagnostics | None = None,
 ) -> None:
-    """Write one result folder, replacing an older one whole.
+    """Write one result folder, replacing an older one whole, with its asset; FreeArtError when anything else is there.
 
     `renders` are the held-out views (height, width, 3); `diagnostics` are of a reconstruction, and may be left out.
     """
-    with atomic.new_folder(folder, replace=True) as aside:
+    with atomic.new_folder(folder, RESULT) as aside:
         if isinstance(result, Failure):
             atomic.write_json(
                 aside / "prediction.json",

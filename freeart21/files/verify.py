@@ -12,7 +12,7 @@ import numpy as np
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.benchmark import file_sha256, read_benchmark
+from freeart21.files.benchmark import file_sha256, is_unfinished, read_benchmark, unfinished
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.recording import Recording
@@ -35,8 +35,10 @@ class Report:
 
 
 def verify(data: Path) -> Report:
-    """Look through the data folder `data`. Raises FreeArtError when it has no readable benchmark.json."""
+    """Look through the data folder `data`. Raises FreeArtError when it has no readable benchmark.json, or not yet."""
     data = Path(data)
+    if is_unfinished(data):
+        raise unfinished(data)
     benchmark = read_benchmark(data)
     listed = checked.read_json(data / "benchmark.json").get("sha256")
     if not isinstance(listed, dict):

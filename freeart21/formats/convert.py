@@ -13,7 +13,8 @@ import numpy as np
 
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
-from freeart21.files.benchmark import write_benchmark
+from freeart21.files.benchmark import is_unfinished, read_benchmark, unfinished, write_benchmark
+from freeart21.files.places import check_growing
 from freeart21.files.sequence import read_sequence, write_frame, write_header, write_queries
 from freeart21.files.truth import read_truth, write_truth
 from freeart21.formats import freeart21_official, rgbd_folder, video2articulation
@@ -111,6 +112,8 @@ def convert(
     Raises FreeArtError, in one line; what was written before stays, and is whole.
     """
     out = Path(out)
+    check_growing(out, (source,))
+    label = _label(out) if to == "native" else None
     for kind, folder in find_sources(source, layout):
         if kind == to:
             raise FreeArtError(f"{folder} is of the layout {to} already")
@@ -125,8 +128,18 @@ def convert(
             else:
                 files = _object_folder(kind, folder, recording, partnet_root)
                 yield _write_official(out, recording, files, hold_out, tick)
-    if to == "native" and _all_have_truth(out):
-        write_benchmark(out, out.resolve().name, "1", "public")
+    if label is not None and _all_have_truth(out):
+        write_benchmark(out, *label)
+
+
+def _label(out: Path) -> tuple[str, str, str]:
+    """Name, version and split of the data folder: as it has them, if it is one already."""
+    if is_unfinished(out):
+        raise unfinished(out)
+    if not (out / "benchmark.json").exists():
+        return out.resolve().name, "1", "public"
+    known = read_benchmark(out)
+    return known.name, known.version, known.split
 
 
 def _read(kind: Layout, folder: Path, meta: Path | None, partnet_root: Path | None) -> Foreign:

@@ -15,6 +15,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from freeart21 import __version__
+
 SCRIPTS = ("base.js", "kinematics.js", "video.js", "plot.js", "curves.js", "scene.js", "table.js", "start.js")
 """Files of `static/`, in the order in which they run."""
 
@@ -86,6 +88,7 @@ def document(
             f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             '<meta name="color-scheme" content="light dark">',
+            f'<meta name="generator" content="freeart21 {__version__}">',  # by which `files.places` knows our pages
             f"<title>{escape(title)} · FreeArt-21</title>",
             '<link rel="icon" href="data:,">',
             f"<style>{_static('page.css')}</style>",

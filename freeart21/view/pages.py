@@ -13,7 +13,9 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, read_effects
+from freeart21.files.benchmark import is_unfinished, unfinished
 from freeart21.files.diagnostics import Diagnostics, confidence_file, read_confidence, read_diagnostics
+from freeart21.files.places import PAGE, check_place
 from freeart21.files.result import read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
@@ -101,7 +103,9 @@ def write_page(
     asset: Path | None = None,
     title: str | None = None,
 ) -> None:
-    """Write `page(...)` to the file `out`, whole or not at all."""
+    """Write `page(...)` to the file `out`, whole or not at all; FreeArtError unless only an older page stands there."""
+    inputs = [given for given in (path, truth, sequence, asset) if given is not None]
+    check_place(out, PAGE, inputs)
     atomic.write_bytes(Path(out), page(path, truth, sequence, scores, asset, title).encode())
 
 
@@ -126,6 +130,8 @@ def recognised(path: Path) -> str:
             return kind
     if list(path.glob("*.urdf")):
         return "asset"
+    if is_unfinished(path):
+        raise unfinished(path)
     names = sorted(p.name + "/" * p.is_dir() for p in path.iterdir())
     there = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "") or "nothing"
     patterns = ("*/sequence.json", "*/*/sequence.json", "*/prediction.json", "*/asset.json")

@@ -1,0 +1,440 @@
+"""Nothing is lost: a command replaces an older output of its own and nothing else, and two never write one place."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from synthetic_case import make_recording, make_truth, truth_as_answer
+
+from freeart21 import cli
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, places
+from freeart21.files.benchmark import write_benchmark
+from freeart21.files.lock import only_writer
+from freeart21.files.result import Method, write_own_method, write_result
+from freeart21.files.sequence import write_sequence
+from freeart21.files.truth import write_truth
+from freeart21.files.verify import verify
+from freeart21.reconstruction import Failure
+from freeart21.view import write_page
+from generator import dataset
+from reconstruct.settings import ReconstructSettings
+
+ROOT = Path(__file__).resolve().parents[1]
+QUIET = ReconstructSettings(progress=False)
+
+
+def bytes_of(folder: Path) -> dict[str, bytes]:
+    """File name to content of all in a folder, links and hidden ones too."""
+    return {
+        str(path.relative_to(folder)): os.readlink(path).encode() if path.is_symlink() else path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_symlink() or path.is_file()
+    }
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """A data folder of one sequence, the results of a method for it, and somebody's thesis."""
+    truth = make_truth()
+    write_sequence(tmp_path / "data" / "sequences" / "a", make_recording(truth, "a"), 1e-4)
+    write_truth(tmp_path / "data" / "truth" / "a", truth, 2)
+    write_benchmark(tmp_path / "data", "d", "1", "public")
+    write_result(tmp_path / "results" / "ours" / "a", truth_as_answer(truth))
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter1.tex").write_text("years of work")
+    (tmp_path / "thesis.pdf").write_bytes(b"%PDF years of work")
+    (tmp_path / "link").symlink_to(tmp_path / "thesis")
+    (tmp_path / "shortcut").symlink_to(tmp_path / "thesis.pdf")
+    return tmp_path
+
+
+COMMANDS: dict[str, Callable[[Path, Path], object]] = {
+    "demo": lambda home, out: cli.demo(out=out),
+    "record": lambda home, out: cli.record(("stapler",), out),
+    "reconstruct": lambda home, out: cli.reconstruct(home / "data/sequences/a", out, settings=QUIET),
+    "export": lambda home, out: cli.export(home / "results/ours/a", out),
+    "gap": lambda home, out: cli.gap(home / "data", home / "results", out),
+    "measure": lambda home, out: cli.measure((home / "data/truth/a",), out),
+    "convert": lambda home, out: cli.convert(home / "data/sequences/a", out, "official"),
+    "view": lambda home, out: cli.view(home / "results/ours/a", out),
+    "score": lambda home, out: cli.score(home / "results/ours", home / "data", out=out),
+}
+FILES = ("view", "score")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "out",
+    ["thesis", "thesis.pdf", "thesis.pdf/below", "link", "shortcut", "data/sequences/a", "data/sequences/new", "."],
+)
+def test_what_is_no_older_output_is_refused_and_left_as_it_is(home: Path, command: str, out: str) -> None:
+    before = bytes_of(home)
+    with pytest.raises(FreeArtError) as caught:
+        COMMANDS[command](home, home / out)
+    assert "\n" not in str(caught.value) and str(home / out) in str(caught.value)
+    assert bytes_of(home) == before
+
+
+@pytest.mark.parametrize(
+    "command, out",
+    [
+        ("reconstruct", "data/sequences"),
+        ("reconstruct", "data"),
+        ("reconstruct", "data/sequences/a/result"),
+        ("convert", "data/sequences/a/official"),
+        ("export", "results/ours/a"),
+        ("export", "results/ours/a/parts"),
+        ("export", "results/ours/a/urdf"),
+        ("measure", "data/truth/a/set"),
+        ("gap", "data/gap"),
+        ("view", "results/ours/a/page.html"),
+        ("view", "results/ours/a/prediction.json"),
+        ("score", "data/scores.json"),
+        ("score", "data/benchmark.json"),
+    ],
+)
+def test_nothing_is_written_over_around_or_into_what_is_read(home: Path, command: str, out: str) -> None:
+    before = bytes_of(home)
+    with pytest.raises(FreeArtError):
+        COMMANDS[command](home, home / out)
+    assert bytes_of(home) == before
+
+
+def test_a_folder_that_may_not_be_written_is_one_line(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shut = home / "shut"
+    shut.mkdir()
+    own = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != shut and own(path, mode))  # root may write all
+    for name, command in COMMANDS.items():
+        with pytest.raises(FreeArtError, match="may not be written"):
+            command(home, shut / "out" / ("x.json" if name in FILES else "x"))
+    assert not list(shut.iterdir())
+
+
+def test_an_older_result_is_replaced_with_its_asset(home: Path) -> None:
+    result = home / "results" / "ours" / "a"
+    (result / "asset" / "meshes").mkdir(parents=True)
+    (result / "asset" / "asset.json").write_text("{}")
+    (result / "asset" / "meshes" / "moving_hull_00.obj").write_text("")
+    write_result(result, Failure("tracks", "too dark"))
+    assert [path.name for path in result.iterdir()] == ["prediction.json"]
+    assert [path.name for path in result.parent.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize("notes", ["notes.txt", "parts/moving.blend", "part_mask/mine.png", "asset/robot.urdf"])
+def test_an_older_result_that_holds_something_of_the_users_is_kept(home: Path, notes: str) -> None:
+    result = home / "results" / "ours" / "a"
+    (result / notes).parent.mkdir(exist_ok=True)
+    (result / notes).write_text("mine")
+    before = bytes_of(home)
+    with pytest.raises(FreeArtError, match=f"older result, but {notes} in it would be lost"):
+        cli.reconstruct(home / "data/sequences/a", result, settings=QUIET)
+    assert bytes_of(home) == before
+
+
+def test_a_link_in_an_older_result_is_something_of_the_users(home: Path) -> None:
+    result = home / "results" / "ours" / "a"
+    (result / "renders").symlink_to(home / "thesis")
+    with pytest.raises(FreeArtError, match="renders in it would be lost"):
+        write_result(result, Failure("tracks", "too dark"))
+
+
+def test_a_demo_is_known_file_by_file(tmp_path: Path) -> None:
+    demo = tmp_path / "demo"
+    (demo / "data").mkdir(parents=True)
+    (demo / "data" / "x.png").write_text("")
+    atomic.write_json(demo / "demo.json", {"schema": "freeart21/demo/1", "files": ["data/x.png"]})
+    places.check_place(demo, places.DEMO)
+    (demo / "data" / "y.png").write_text("added later")
+    with pytest.raises(FreeArtError, match=r"data/y\.png in it would be lost"):
+        places.check_place(demo, places.DEMO)
+
+
+def test_pages_and_tables_replace_only_their_like(home: Path) -> None:
+    page, table = home / "page.html", home / "scores.json"
+    for _ in range(2):
+        write_page(home / "results/ours/a", page)
+    for _ in range(2):
+        cli.score(home / "results/ours", home / "data", out=table)
+    assert json.loads(table.read_text())["schema"] == "freeart21/scores/1"
+    for one, other in ((page, table), (table, page)):
+        kept = one.read_bytes()
+        shutil.copy(one, other)
+        with pytest.raises(FreeArtError, match="exists and is no older"):
+            COMMANDS["score" if one is page else "view"](home, other)
+        assert other.read_bytes() == kept
+        write_page(home / "results/ours/a", home / "fresh.html")
+        shutil.copy(home / "fresh.html", page)
+        table.unlink()
+        cli.score(home / "results/ours", home / "data", out=table)
+
+
+def test_what_changed_while_a_command_ran_is_seen_at_its_end(tmp_path: Path) -> None:
+    with pytest.raises(FreeArtError, match="is no older result"), atomic.new_folder(tmp_path / "r", places.RESULT) as a:
+        (a / "new").write_text("")
+        (tmp_path / "r").mkdir()
+        (tmp_path / "r" / "mine").write_text("x")
+    assert bytes_of(tmp_path) == {"r/mine": b"x"}
+
+
+# --- method.json ------------------------------------------------------------------------------------------------------
+
+OURS = Method("ours", "freeart21 0.1.0, solver 1")
+
+
+def test_method_json_is_written_beside_results_alone(home: Path) -> None:
+    assert write_own_method(home / "results" / "ours", OURS)
+    assert write_own_method(home / "results" / "ours", OURS)  # over our own
+    for folder in (home, home / "thesis"):
+        before = bytes_of(folder)
+        assert not write_own_method(folder, OURS)
+        assert bytes_of(folder) == before
+
+
+def test_the_method_json_of_another_method_stays(home: Path) -> None:
+    said = home / "results" / "ours" / "method.json"
+    atomic.write_json(said, {"schema": "freeart21/method/1", "name": "theirs", "code": "https://example.org 2"})
+    kept = said.read_bytes()
+    assert not write_own_method(said.parent, OURS) and said.read_bytes() == kept
+    said.write_text("mine")
+    assert not write_own_method(said.parent, OURS) and said.read_text() == "mine"
+
+
+# --- one writer -------------------------------------------------------------------------------------------------------
+
+HOLD = (
+    "import sys, time; from pathlib import Path; from freeart21.files.lock import only_writer\n"
+    "with only_writer(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
+)
+
+
+@pytest.mark.parametrize("command, out", [("reconstruct", "results/ours/a"), ("export", "asset"), ("gap", "gap")])
+def test_a_second_writer_of_one_folder_is_refused_and_a_killed_one_leaves_no_lock(
+    home: Path, command: str, out: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from simgap import workflow
+
+    for name in ("read_measured", "read_asset", "explain"):
+        monkeypatch.setattr(workflow, name, lambda *_: pytest.fail("began") if name == "explain" else OURS)
+    monkeypatch.setattr(workflow, "read_measured", lambda *_: type("M", (), {"joint": "j"}))
+    before = bytes_of(home)
+    first = subprocess.Popen(
+        [sys.executable, "-c", HOLD, home / out], env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE
+    )
+    assert first.stdout is not None and first.stdout.readline() == b"held\n"
+    try:
+        with pytest.raises(FreeArtError, match=f"another process is writing .*{out}; wait for it"):
+            COMMANDS[command](home, home / out)
+    finally:
+        first.send_signal(signal.SIGKILL)
+        first.wait()
+    with only_writer(home / out):
+        pass
+    assert bytes_of(home) == before
+
+
+def test_what_a_killed_writer_left_is_cleared_up_and_the_old_folder_gets_its_name_back(home: Path) -> None:
+    result = home / "results" / "ours" / "a"
+    before = bytes_of(result)
+    old, aside = result.parent / ".a.0123abcd.old", result.parent / ".a.zyxw9876.part"
+    other = result.parent / ".a.b.0123abcd.part"
+    for folder in (old, aside, other):
+        folder.mkdir()
+    result.replace(old / "a")  # killed between the two renames
+    (aside / "half").write_text("")
+    with only_writer(result):
+        assert bytes_of(result) == before
+    assert sorted(path.name for path in result.parent.iterdir()) == [".a.b.0123abcd.part", "a"]
+
+
+def test_an_old_folder_comes_back_when_the_new_one_cannot_take_its_name(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = home / "results" / "ours" / "a"
+    before, rename = bytes_of(home), Path.replace
+
+    def failing(self: Path, target: Path) -> Path:
+        if self.name.endswith(atomic.ASIDE) and Path(target) == result:
+            raise KeyboardInterrupt
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "replace", failing)
+    with pytest.raises(KeyboardInterrupt):
+        write_result(result, Failure("tracks", "too dark"))
+    assert bytes_of(home) == before
+
+
+# --- unfinished, and faults of our own --------------------------------------------------------------------------------
+
+
+def unfinished(folder: Path) -> Path:
+    """A data folder as a stopped recorder leaves it: one of two sequences is done."""
+    work = folder / ".recording"
+    work.mkdir(parents=True)
+    jobs = [{"sequence": "a"}, {"sequence": "b"}]
+    atomic.write_json(work / "job.json", {"schema": "freeart21/recording-job/1", "jobs": jobs})
+    write_sequence(folder / "sequences" / "a", make_recording(make_truth(), "a"), 1e-4)
+    return folder
+
+
+@pytest.mark.parametrize("look", ["verify", "view", "score"])
+def test_an_unfinished_recording_is_called_so_with_how_to_go_on(home: Path, look: str) -> None:
+    data = unfinished(home / "half")
+    with pytest.raises(
+        FreeArtError, match=r"half is an unfinished recording \(1 of 2 sequences are done\): .* goes on"
+    ):
+        if look == "verify":
+            verify(data)
+        elif look == "view":
+            cli.view(data, home / "page.html")
+        else:
+            cli.score(home / "results/ours", data)
+
+
+def test_a_fault_of_the_recorders_own_leaves_the_folder_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise TypeError("a fault of ours")
+
+    monkeypatch.setattr(dataset, "require_rendering", lambda: None)
+    monkeypatch.setattr(dataset, "record_object", broken)
+    with pytest.raises(TypeError):
+        dataset.record_jobs(tmp_path / "data", dataset.jobs_of(["stapler"], dataset.RecordSettings(frames=2)))
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"width": 100_000}, "100000 x 360; expected at most 16384 a side"),
+        ({"width": 16384, "height": 16384}, "16777216 pixels"),
+        ({"frames": 10**9}, "expected at most 100000 each"),
+        ({"queries": 10**9}, "expected at most 100000 each"),
+        ({"workers": 10**6}, "expected 1 to 64"),
+        ({"procedural": "stapler", "names": (), "count": 10**9}, "expected 1 to 1000"),
+    ],
+)
+def test_settings_beyond_all_bounds_are_one_line(tmp_path: Path, changes: dict[str, object], said: str) -> None:
+    with pytest.raises(FreeArtError, match=said):
+        cli.record(**{"names": ("stapler",), "out": tmp_path / "data", **changes})  # type: ignore[arg-type]
+    assert not (tmp_path / "data").exists()
+
+
+def test_a_demo_that_cannot_be_recorded_says_nothing_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(FreeArtError, match="cannot record 0 frames"):
+        cli.demo(out=tmp_path / "demo", frames=0)
+    assert capsys.readouterr().out == "" and not list(tmp_path.iterdir())
+
+
+ENDING = "from freeart21.ending import in_one_line\nwith in_one_line():\n    "
+
+
+@pytest.mark.parametrize(
+    "code, status, said",
+    [
+        ("raise TypeError('one\\ntwo')", 70, "freeart21: internal error: TypeError: one two"),
+        ("raise MemoryError", 1, "freeart21: out of memory"),
+        ("open('/nonexistent/x')", 1, "freeart21: /nonexistent/x: No such file or directory"),
+        (
+            "import shutil; raise shutil.Error([('/a', '/b', \"[Errno 28] No space left on device: '/b'\")] * 900)",
+            1,
+            "freeart21: No space left on device (/b and 899 more files)",
+        ),
+        ("raise KeyboardInterrupt", 130, "freeart21: stopped"),
+    ],
+)
+def test_whatever_happens_is_one_line(code: str, status: int, said: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", ENDING + code],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == status and len(done.stderr.splitlines()) == 1 and done.stderr.startswith(said)
+    if status == 70:
+        shown = subprocess.run(
+            [sys.executable, "-c", ENDING + code],
+            env={**os.environ, "PYTHONPATH": str(ROOT), "FREEART21_TRACEBACK": "1"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert "Traceback" in shown.stderr
+
+
+# --- told to stop -----------------------------------------------------------------------------------------------------
+
+HIDDEN = """
+import os, signal, sys, time
+from freeart21 import stopping
+from freeart21.ending import in_one_line
+stopping.listen()
+class Dropping:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+def native():
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+    except KeyboardInterrupt as error:
+        raise SystemError("returned a result with an exception set") from error
+with in_one_line():
+    {code}
+"""
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "native()",  # as compiled code does
+        "x = Dropping(); del x; time.sleep(5)",  # raised where Python drops it
+        "os.kill(os.getpid(), signal.SIGTERM); time.sleep(5)",
+        # dropped by everybody, and then something is to be written
+        "from pathlib import Path; from freeart21.files import atomic\n"
+        "    try: native()\n    except SystemError: atomic.write_bytes(Path(sys.argv[1]), b'wrong')",
+    ],
+)
+def test_an_interrupt_arrives_whatever_became_of_it(tmp_path: Path, code: str) -> None:
+    began = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-c", HIDDEN.format(code=code), tmp_path / "x"],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert done.returncode == (143 if "SIGTERM" in code else 130), done.stderr
+    assert done.stderr == "freeart21: stopped\n" and not list(tmp_path.iterdir())
+    assert time.monotonic() - began < 4
+
+
+def test_commands_told_to_stop_leave_nothing_half_done_and_go_on(tmp_path: Path) -> None:
+    commands = ["record", "reconstruct", "score", "convert"]
+    done = subprocess.run(
+        [
+            *(sys.executable, ROOT / "tests" / "stopped_commands.py", tmp_path, "--moments", "2"),
+            *("--commands", *commands),
+        ],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    moments = json.loads(done.stdout.splitlines()[-1])
+    assert [moment["wrong"] for moment in moments] == [[]] * (3 * len(commands)), moments
+    assert sum(moment.get("code") == 130 for moment in moments) >= 4
