@@ -7,7 +7,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from leaderboard.protocols import Metric, protocol_named
-from leaderboard.score import Row, Scores, Statistic
+from leaderboard.rows import Row, Scores, Statistic
 
 _DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
 
