@@ -213,7 +213,6 @@ STRICT_1 = Protocol(
             0.0,
             "whole object: harmonic mean of precision and recall of the same samples within 1 % of the diagonal",
             label="F-score, whole object",
-            column="F",
         ),
         Metric(
             "psnr",

@@ -36,15 +36,15 @@ def score_results(
     results: Path,
     data: Path,
     protocol: str = DEFAULT,
-    progress: Callable[[Row], None] | None = None,
+    progress: Callable[[Row, int], None] | None = None,
     limit_s: float | None = ROW_LIMIT_S,
 ) -> Scores:
     """Score the results folder of one method against the benchmark folder `data`: every sequence of it, found or not.
 
-    `progress` is called with each row. Rows are scored in a process of their own, and one that takes more than
-    `limit_s` seconds is priced; None: in this process, without a limit. Raises FreeArtError when the protocol is
-    unknown, `results` is not a folder of results, or the benchmark is broken; whatever is wrong with one result is
-    priced in its row.
+    `progress` is called with each row and how many there will be. Rows are scored in a process of their own, and one
+    that takes more than `limit_s` seconds is priced; None: in this process, without a limit. Raises FreeArtError when
+    the protocol is unknown, `results` is not a folder of results, or the benchmark is broken; whatever is wrong with
+    one result is priced in its row.
     """
     begun, results = time.perf_counter(), Path(results)
     rules = protocol_named(protocol)
@@ -65,7 +65,7 @@ def score_results(
                     row = Case(rules, read_sequence(where[1]), read_truth(where[2])).priced("failed", str(reason))
             rows.append(row)
             if progress:
-                progress(row)
+                progress(row, len(benchmark.sequences))
     facts = {
         "name": benchmark.name,
         "version": benchmark.version,
@@ -106,7 +106,8 @@ def score_sequence(result_folder: Path, sequence_folder: Path, truth_folder: Pat
         return case.priced("unreadable", str(error))
     if isinstance(answer, Failure):
         return case.priced("failed", f"{answer.stage}: {answer.reason}", answer.seconds)
-    source, shape = "files", None
+    source: Source = "files"
+    shape: Shape | None = None
     if (folder / "asset").exists():
         try:
             answer, shape, found = with_asset(answer, folder / "asset", case.rules.whole_asset)
@@ -123,7 +124,8 @@ def with_asset(
 
     When the `whole` asset counts, also its visual meshes as they move, and a line about each thing that is wrong.
     """
-    shape, notes = None, ()
+    shape: Shape | None = None
+    notes: tuple[str, ...] = ()
     if whole:
         asset = measured_asset(folder, answer.states)
         joint, states, shape = asset.joint, asset.states, asset.shape

@@ -64,7 +64,7 @@ class Fault:
 
     def __str__(self) -> str:
         field = f": {self.field}" if self.field else ""
-        frame = "" if self.frame is None else f" (frame {self.frame})"
+        frame = "" if self.frame is None or not self.field else f" (frame {self.frame})"  # a picture's name says it
         expected = f", expected {self.expected}" if self.expected else ""
         return printable(f"{self.file}{field}{frame} {self.found}{expected}")
 
@@ -92,7 +92,8 @@ def read_with_notes(
     folder: Path, frames: int, height: int, width: int
 ) -> tuple[Reconstruction | Failure, tuple[str, ...]]:
     """As `read_submission`, and a line about each fault that does not keep the answer from being scored."""
-    looking, notes = look_through(Path(folder), frames, height, width), []
+    looking = look_through(Path(folder), frames, height, width)
+    notes: list[str] = []
     while True:
         try:
             fault = next(looking)

@@ -425,7 +425,10 @@ BREAKS = {
     "limits: joint 'lid_joint' has velocity -1": (' velocity="', ' velocity="-1" was="'),
     "inertia: link 'reference': mass is -1 kg": ('<mass value="', '<mass value="-1" was="'),
     "inertia: link 'reference': principal moments": (' ixx="', ' ixx="10" was="'),
-    "numbers and meshes: 'many' is not 1 finite numbers": (' ixx="', ' ixx="many" was="'),
+    "inertia: link 'reference': mass, centre or inertia cannot be read: 'many' is not 1 finite numbers": (
+        ' ixx="',
+        ' ixx="many" was="',
+    ),
     "inertia: link 'reference' has its centre of mass outside": (
         '<inertial>\n      <origin xyz="',
         '<inertial>\n      <origin xyz="9 9 9" was="',
