@@ -1,4 +1,4 @@
-"""How well the geometry solver solves FreeArt-21 v1: strict-1 scores, seconds and memory, object by object.
+"""How well the geometry solver solves FreeArt-21 v1: strict-2 scores, seconds and memory, object by object.
 
     .venv/bin/python -m benchmarks.solve [--tier seven|full] [--sensor noise2] [--settings.joint.type-rule paper]
 
@@ -43,12 +43,13 @@ from generator import v1
 from generator.dataset import Job, Label, record_jobs
 from generator.session import RecordSettings
 from leaderboard.protocols import Group, protocol_named
-from leaderboard.score import Case, Row, score_sequence, summarise
+from leaderboard.rows import Row
+from leaderboard.score import Case, score_sequence, summarise
 from reconstruct import VERSION
 from reconstruct.cache import code_digest
 from reconstruct.settings import ReconstructSettings
 
-PROTOCOL = "strict-1"
+PROTOCOL = "strict-2"
 SCHEMA = "freeart21/benchmark-reconstruct/1"
 
 
@@ -493,7 +494,7 @@ def _print(outcomes: list[Outcome], goals: Sequence[Goal], title: str) -> None:
 
 def _object_table(outcomes: list[Outcome], title: str) -> Table:
     shown = ("axis", "position", "state", "miou", "chamfer_w", "chamfer_m")
-    table = Table(title=f"strict-1, {title}: worst first")
+    table = Table(title=f"{PROTOCOL}, {title}: worst first")
     for head in ("sequence", "motion", "", *shown, "worst", "s", "GB"):
         table.add_column(head, justify="left" if head in ("sequence", "motion", "", "worst") else "right")
     for o in outcomes:

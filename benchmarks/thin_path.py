@@ -1,4 +1,4 @@
-"""The whole path on several objects: record, reconstruct, export, reload, score by strict-1.
+"""The whole path on several objects: record, reconstruct, export, reload, score by strict-2.
 
     .venv/bin/python -m benchmarks.thin_path --partnet-root DIR
 
@@ -56,7 +56,7 @@ def main(
             and cli.reconstruct(benchmark.sequence(name), results / name) == 0
         ):
             cli.export(results / name, results / name / "asset")
-    scores = score_results(results, data, "strict-1")
+    scores = score_results(results, data, "strict-2")
     print_scores(scores)
     write_json(
         out,

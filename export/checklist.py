@@ -15,6 +15,7 @@ from export.inertia import Inertial, unphysical
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
+from freeart21.files import checked
 from freeart21.files.asset import read_asset
 from freeart21.files.urdf import link_poses, numbers, origin_pose, parsed, read_urdf_joints, told
 from freeart21.se3 import Array
@@ -22,6 +23,8 @@ from generator.simulate import joint_motion
 
 MAX_HULLS = 64
 """Collision meshes a link may have."""
+MAX_MESH_BYTES = 256 << 20
+"""Bytes of a mesh or material file that is looked through."""
 FK_TOLERANCE = 1e-6
 """Rotation entries and metres by which two simulators may disagree on where a link is."""
 
@@ -34,6 +37,8 @@ class Finding:
     """The point of the checklist, such as 'limits'."""
     detail: str
     """What is wrong, got and expected."""
+    broken: bool = False
+    """Whether the asset is no body at all (a mass or inertia that none has), rather than a poor one."""
 
     def __str__(self) -> str:
         return f"{self.item}: {self.detail}"
@@ -49,21 +54,26 @@ def check_asset(folder: Path) -> list[Finding]:
     try:
         asset = read_asset(folder)
         robot = parsed(asset.urdf)
-    except FreeArtError as error:
+    except (FreeArtError, ValueError, OverflowError, RecursionError) as error:
         return [Finding("asset", str(error))]
+    masses = [finding for link in robot.findall("link") for finding in _masses(link, robot)]
     findings = [*_tree(robot), *_names(robot), *_paths(robot, asset.urdf.parent)]
     if findings:  # what follows needs a tree with all its files
-        return findings
+        return [*findings, *masses]
+    findings = masses
     try:
         for link in robot.findall("link"):
-            findings += _inertial(link, asset.urdf.parent, robot)
+            if not any(finding.broken for finding in masses):
+                findings += _mass_centre(link, asset.urdf.parent)
             findings += _collisions(link, asset.urdf.parent)
             findings += _textures(link, asset.urdf.parent)
         for joint in robot.findall("joint"):
             findings += [*_axis(joint), *_limits(joint)]
-    except FreeArtError as error:
-        return [*findings, Finding("numbers and meshes", str(error))]
-    return findings or [*_reload(asset, robot)]
+        return findings or [*_reload(asset, robot)]
+    except Exception as error:  # hostile numbers reach parsers and geometry of many libraries
+        lines = str(error).splitlines() or [""]
+        said = lines[0] if isinstance(error, FreeArtError) else f"{type(error).__name__}: {lines[0]}"
+        return [*findings, Finding("numbers and meshes", said)]
 
 
 def _tree(robot: ET.Element) -> Iterator[Finding]:
@@ -107,23 +117,34 @@ def _paths(robot: ET.Element, folder: Path) -> Iterator[Finding]:
             yield Finding("paths", f"file '{name}' does not exist")
 
 
-def _inertial(link: ET.Element, folder: Path, robot: ET.Element) -> Iterator[Finding]:
+def _masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:
+    """Mass and inertia as numbers alone: what no body can have is broken."""
     name = link.get("name")
     if link.find("inertial") is None:
         if any(told(j, "child", "link") == name for j in robot.findall("joint") if j.get("type") != "fixed"):
-            yield Finding("inertia", f"link '{name}' moves and has no <inertial>")
+            yield Finding("inertia", f"link '{name}' moves and has no <inertial>", broken=True)
         return
     rows = ("ixx ixy ixz", "ixy iyy iyz", "ixz iyz izz")
-    inertia = np.array([[_number(link, "inertial/inertia", key, "0") for key in row.split()] for row in rows])
-    centre = numbers(told(link, "inertial/origin", "xyz", "0 0 0"), 3, f"link '{name}' has xyz")
-    wrong = unphysical(Inertial(_number(link, "inertial/mass", "value", "0"), centre, inertia))
+    try:
+        inertia = np.array([[_number(link, "inertial/inertia", key, "0") for key in row.split()] for row in rows])
+        wrong = unphysical(Inertial(_number(link, "inertial/mass", "value", "0"), _mass_place(link), inertia))
+    except (FreeArtError, np.linalg.LinAlgError) as error:
+        wrong = f"mass, centre or inertia cannot be read: {error}"
     if wrong:
-        yield Finding("inertia", f"link '{name}': {wrong}")
+        yield Finding("inertia", f"link '{name}': {wrong}", broken=True)
+
+
+def _mass_centre(link: ET.Element, folder: Path) -> Iterator[Finding]:
+    """The centre of mass, which lies among the link's collision geometry."""
     points = [se3.transform(T, mesh.vertices) for T, mesh in _meshes(link, "collision", folder)]
-    if points:
-        box = np.concatenate(points)
+    if points and link.find("inertial") is not None:
+        box, centre = np.concatenate(points), _mass_place(link)
         if (centre < box.min(0) - 1e-6).any() or (centre > box.max(0) + 1e-6).any():
-            yield Finding("inertia", f"link '{name}' has its centre of mass outside of its collision box")
+            yield Finding("inertia", f"link '{link.get('name')}' has its centre of mass outside of its collision box")
+
+
+def _mass_place(link: ET.Element) -> Array:
+    return numbers(told(link, "inertial/origin", "xyz", "0 0 0"), 3, f"link '{link.get('name')}' has xyz")
 
 
 def _collisions(link: ET.Element, folder: Path) -> Iterator[Finding]:
@@ -148,7 +169,7 @@ def _textures(link: ET.Element, folder: Path) -> Iterator[Finding]:
         if path.suffix.lower() != ".obj":
             continue
         for library in _words(path, "mtllib"):
-            material = path.parent / library
+            material = checked.inside(folder, str((path.parent / library).resolve()))
             if not material.is_file():
                 yield Finding("textures", f"{path.name} names {library}, which does not exist")
                 continue
@@ -243,7 +264,7 @@ def _meshes(link: ET.Element, tag: str, folder: Path) -> list[tuple[Array, trime
         if mesh is not None:
             path = folder / mesh.get("filename", "")
             try:
-                loaded = trimesh.load_mesh(path, process=False)
+                loaded = trimesh.load_mesh(checked.require_file(path, MAX_MESH_BYTES), process=False)
             except Exception as error:
                 raise FreeArtError(f"{path} is not a readable mesh: {error}") from error
             found.append((origin_pose(element, f"link '{link.get('name')}'"), loaded))
@@ -252,8 +273,8 @@ def _meshes(link: ET.Element, tag: str, folder: Path) -> list[tuple[Array, trime
 
 def _words(path: Path, key: str) -> list[str]:
     """What follows `key` on the lines of an OBJ or MTL file that begin with it."""
-    with path.open(encoding="utf-8", errors="replace") as file:
-        return [line.split(maxsplit=1)[1].strip() for line in file if line.startswith(key + " ")]
+    with checked.require_file(path, MAX_MESH_BYTES).open(encoding="utf-8", errors="replace") as file:
+        return [line[len(key) :].strip() for line in file if line.startswith(key + " ")]
 
 
 def _number(element: ET.Element, path: str, attribute: str, default: str) -> float:

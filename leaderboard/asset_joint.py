@@ -1,7 +1,7 @@
-"""The joint of an asset as it moves once loaded: type, axis, pivot and states, read from link poses.
+"""An asset as it is once loaded: its joint, its visual meshes where the simulator puts them, and what is wrong with it.
 
 Assets come from anywhere and are read by native code, so scoring drives them in a Python of their own
-(`python -m leaderboard.asset_joint`): one that crashes the simulator costs its own row, not the whole table.
+(`leaderboard.child`): one that crashes the simulator costs its own row, not the whole table.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +20,22 @@ from numpy.typing import ArrayLike
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
+from freeart21.files import checked
 from freeart21.files.asset import movable_joint, read_asset
 from freeart21.files.joint_json import joint_from_json, joint_to_json
-from freeart21.files.urdf import named_inside, parsed
+from freeart21.files.urdf import named_inside, parsed, read_urdf_joints
 from freeart21.joint import Joint
+from freeart21.mesh import Mesh
 from freeart21.se3 import Array
+from leaderboard import child
+from leaderboard.strict1 import Shape
+from leaderboard.submission import LARGEST, MAX_FACES
+from leaderboard.surface import Surface
 
 DRIVEN_STATES = 33
 """States, spread over the joint's range, at which the link poses are read."""
-TIME_LIMIT_S = 120.0
-"""How long an asset may take to load and move."""
+TIME_LIMIT_S = 90.0
+"""How long an asset may take to load, move and be checked: ours take 2 to 5 s on two cores."""
 MAX_ASSET_BYTES = 1 << 30
 LEAST_TURN = 1e-4
 """Radians over the whole range below which a joint does not turn (SAPIEN's poses are float32: 1e-6)."""
@@ -37,18 +45,56 @@ LOOSEST_FIT = 1e-3
 """Largest entry, per metre of travel, by which the motion may differ from that of one hinge or slider."""
 
 
+@dataclass(frozen=True)
+class MeasuredAsset:
+    """What an asset is once loaded, in its canonical frame."""
+
+    joint: Joint
+    states: Array
+    """(n,) what the joint makes of the states that it was asked for, rad or m."""
+    shape: Shape | None
+    """Its visual meshes as the link poses place them, moved as the joint moves; None when only the joint was asked."""
+    findings: tuple[str, ...]
+    """What `export.checklist.check_asset` finds, one line each; empty when only the joint was asked."""
+
+
 def measured_joint(folder: Path, states: ArrayLike) -> tuple[Joint, Array]:
     """The joint of the asset in `folder`, canonical frame, and what it makes of the canonical `states` (n,), rad or m.
 
     Drives the asset in a process of its own. Raises FreeArtError with one reason when it does not load, does not move,
     or crashes the simulator.
     """
+    asset = _measured(folder, states, whole=False)
+    return asset.joint, asset.states
+
+
+def measured_asset(folder: Path, states: ArrayLike) -> MeasuredAsset:
+    """The asset in `folder` as it is once loaded and put at the canonical `states` (n,), rad or m.
+
+    Raises FreeArtError as `measured_joint` does, and when a mesh or a mass is broken: empty, not finite, of no size, or
+    one that no body has.
+    """
+    return _measured(folder, states, whole=True)
+
+
+def _measured(folder: Path, states: ArrayLike, whole: bool) -> MeasuredAsset:
     check_files(folder)
-    request = json.dumps({"asset": str(folder.resolve()), "states": np.asarray(states, float).tolist()})
+    with tempfile.TemporaryDirectory() as place:
+        shape = Path(place) / "shape.npz"
+        request = {"asset": str(folder.resolve()), "states": np.asarray(states, float).tolist()}
+        if whole:
+            request["shape"] = str(shape)
+        said = _ask(folder, request)
+        joint = joint_from_json(said["joint"], folder)
+        found = _read_shape(shape) if whole else None
+    return MeasuredAsset(joint, np.array(said["states"], float), found, tuple(said["findings"]))
+
+
+def _ask(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "leaderboard.asset_joint"],
-            input=request,
+            child.command("leaderboard.asset_joint"),
+            input=json.dumps(request),
             capture_output=True,
             text=True,
             errors="replace",
@@ -66,7 +112,19 @@ def measured_joint(folder: Path, states: ArrayLike) -> tuple[Joint, Array]:
     answer: dict[str, Any] = json.loads(lines[-1])
     if "error" in answer:
         raise FreeArtError(answer["error"])
-    return joint_from_json(answer["joint"], folder), np.array(answer["states"], float)
+    return answer
+
+
+def _write_shape(path: Path, shape: Shape) -> None:
+    named = {f"{key}_{k}": getattr(m, key) for k, m in enumerate(shape.parts) for key in ("vertices", "faces")}
+    np.savez(path, motions=shape.motions, **named)
+
+
+def _read_shape(path: Path) -> Shape:
+    keys = ("vertices_0", "faces_0", "vertices_1", "faces_1", "motions")
+    data = checked.read_npz(path, keys)
+    reference, moving = (Mesh(data[f"vertices_{k}"], data[f"faces_{k}"]) for k in (0, 1))
+    return Shape((reference, moving), data["motions"])
 
 
 def check_files(folder: Path) -> None:
@@ -80,10 +138,11 @@ def check_files(folder: Path) -> None:
                 named_inside(urdf, element.attrib["filename"], folder)
 
 
-def drive(asset: Asset, states: ArrayLike) -> tuple[Joint, Array]:
-    """Load `asset` in SAPIEN, drive its joint over its range, and read joint and states from the link poses.
+def drive(asset: Asset, states: ArrayLike) -> tuple[Joint, Array, Array]:
+    """Load `asset` in SAPIEN, drive its joint over its range, and read joint, states and motions from the link poses.
 
-    States beyond the URDF's limits are driven to the limit: an asset shows what it can do.
+    The motions (n, 4, 4) displace the moving part from canonical state zero to `states` (n,). States beyond the URDF's
+    limits are driven to the limit: an asset shows what it can do.
     """
     from generator.simulate import joint_motion
 
@@ -98,7 +157,62 @@ def drive(asset: Asset, states: ArrayLike) -> tuple[Joint, Array]:
     driven = np.linspace(low, high, DRIVEN_STATES)
     motion = joint_motion(asset, np.concatenate([driven, reachable]))
     joint = joint_of_motion(asset.joint, driven, motion[: len(driven)])
-    return joint, states_of_motion(joint, motion[len(driven) :])
+    motions = motion[len(driven) :]
+    return joint, states_of_motion(joint, motions), motions
+
+
+def visual_parts(asset: Asset) -> tuple[Mesh, Mesh]:
+    """All visual meshes on the reference link's side of the joint, and all on the moving link's, at state zero.
+
+    In the canonical frame, each link where SAPIEN has it. Raises FreeArtError when a mesh cannot be read, has no
+    surface or numbers beyond LARGEST, or a side shows nothing at all.
+    """
+    from freeart21.view.link_shapes import read_shown
+    from generator.simulate import load
+
+    shown, simulated = read_shown(asset.urdf), load(asset)
+    if shown.missing:
+        raise FreeArtError(f"mesh: {asset.urdf.name} names {shown.missing[0]}, which does not exist")
+    simulated.set_effects(())
+    simulated.set_state(asset.state_zero)
+    T_canonical_world = asset.T_canonical_reference @ se3.inverse(simulated.link_pose(asset.reference_link))
+    beyond = _beyond(asset)
+    sides: dict[bool, list[Mesh]] = {False: [], True: []}
+    for name, pieces in shown.visuals.items():
+        T_canonical_link = T_canonical_world @ simulated.link_pose(name)
+        for piece in pieces:
+            _check_visual(piece.mesh, name)
+            sides[name in beyond].append(piece.mesh.moved(T_canonical_link))
+    moving = asset.moving_link in beyond
+    for side, link_name in ((not moving, asset.reference_link), (moving, asset.moving_link)):
+        if not sides[side]:
+            raise FreeArtError(f"mesh: no link on the side of '{link_name}' has a visual with a surface")
+    return _joined(sides[not moving]), _joined(sides[moving])
+
+
+def _beyond(asset: Asset) -> set[str]:
+    """The child link of the scored joint and all links that hang on it."""
+    joints = read_urdf_joints(asset.urdf)
+    found = {joints[asset.joint].child}
+    while more := {j.child for j in joints.values() if j.parent in found} - found:
+        found |= more
+    return found
+
+
+def _check_visual(mesh: Mesh, link: str) -> None:
+    largest = float(np.abs(mesh.vertices).max(initial=0.0))
+    if largest > LARGEST:
+        raise FreeArtError(f"mesh: a visual of link '{link}' reaches {largest:.3g} m, expected below {LARGEST:g}")
+    if len(mesh.faces) > MAX_FACES:
+        raise FreeArtError(f"mesh: a visual of link '{link}' has {len(mesh.faces)} faces, at most {MAX_FACES} are read")
+    if Surface(mesh).empty:
+        raise FreeArtError(f"mesh: a visual of link '{link}' has no surface (empty, or of scale 0)")
+
+
+def _joined(meshes: list[Mesh]) -> Mesh:
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    return Mesh(vertices, np.concatenate([m.faces + start for m, start in zip(meshes, starts[:-1], strict=True)]))
 
 
 def joint_of_motion(name: str, states: Array, motion: Array) -> Joint:
@@ -137,16 +251,28 @@ def states_of_motion(joint: Joint, motion: Array) -> Array:
     return se3.log_so3(motion[:, :3, :3]) @ joint.axis
 
 
-def _main() -> None:
+def _examined(folder: Path, states: Array, shape: Path | None) -> dict[str, Any]:
+    asset, findings = read_asset(folder), []
+    if shape is not None:
+        from export.checklist import check_asset
+
+        findings = check_asset(folder)
+        for finding in findings:
+            if finding.broken:
+                raise FreeArtError(str(finding))
+    joint, moved_states, motions = drive(asset, states)
+    if shape is not None:
+        _write_shape(shape, Shape(visual_parts(asset), motions))
+    return {"joint": joint_to_json(joint), "states": moved_states.tolist(), "findings": [str(f) for f in findings]}
+
+
+def main() -> None:
+    """Answer the request on standard input: what the asset is, or the one error that it has."""
     request = json.loads(sys.stdin.read())
+    shape = request.get("shape")
     try:
-        joint, states = drive(read_asset(Path(request["asset"])), request["states"])
-        answer: dict[str, Any] = {"joint": joint_to_json(joint), "states": states.tolist()}
-    except (FreeArtError, RuntimeError, ValueError, OSError) as error:
-        lines = str(error).splitlines() or [type(error).__name__]
-        answer = {"error": lines[0]}
-    print("\n" + json.dumps(answer))
-
-
-if __name__ == "__main__":
-    _main()
+        found = _examined(Path(request["asset"]), np.array(request["states"], float), shape and Path(shape))
+    except Exception as error:  # hostile files reach parsers of many libraries; each has exceptions of its own
+        child.answer(error=child.one_line(error))
+    else:
+        child.answer(**found)

@@ -16,111 +16,57 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.benchmark import file_sha256, read_benchmark
 from freeart21.files.places import SCORES, require_replaceable
-from freeart21.files.result import Method, read_method
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
-from freeart21.joint import JointType
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Recording
 from freeart21.truth import Truth
-from leaderboard.asset_joint import measured_joint
-from leaderboard.protocols import Group, Protocol, protocol_named
-from leaderboard.strict1 import Render
-from leaderboard.submission import read_submission, read_submitted_render
+from leaderboard.asset_joint import measured_asset, measured_joint
+from leaderboard.protocols import DEFAULT, Group, Protocol, protocol_named
+from leaderboard.rows import Row, Scores, Source, Statistic, Status, Summary
+from leaderboard.strict1 import Render, Shape
+from leaderboard.submission import method_of, printable, read_with_notes, render_faults, shortened
+from leaderboard.worker import ROW_LIMIT_S, RowEnded, worker
 
 SCHEMA = "freeart21/scores/1"
-Status = Literal["ok", "failed", "missing", "unreadable"]
-Source = Literal["asset", "files", "nothing"]
-
-
-@dataclass(frozen=True)
-class Row:
-    """The score of one sequence."""
-
-    sequence: str
-    joint_type: JointType
-    """Of the truth."""
-    status: Status
-    """'ok' was measured; 'failed' says so itself or has an asset that does not load; all but 'ok' are priced."""
-    reason: str
-    """Why it was not measured; empty when it was."""
-    measured_from: Source
-    """What the joint figures were measured from."""
-    swapped: bool
-    """Whether the answer's parts went by each other's names."""
-    diagonal_m: float
-    """Of the truth: what lengths in % are shares of."""
-    values: dict[str, float | None]
-    """Every metric of the protocol in its unit; None where it does not exist for this sequence."""
-    values_cm: dict[str, float]
-    """Those that are shares of the diagonal, in cm."""
-    notes: tuple[str, ...] = ()
-    """What the reader should know: a wrong joint type, a picture that could not be read."""
-    seconds: float | None = None
-    """What the method says it took, all stages together; None when it does not say."""
-
-
-@dataclass(frozen=True)
-class Statistic:
-    """One metric over a group of sequences."""
-
-    mean: float
-    std: float | None
-    """Sample standard deviation (ddof 1); None for one sequence."""
-    median: float
-    worst: float
-    sequences: int
-    """How many have this number: all, but for position (revolute only) and pictures (where there are queries)."""
-
-
-@dataclass(frozen=True)
-class Summary:
-    """All sequences of a joint type, or all of them; failures and missing ones at their price."""
-
-    group: Group
-    sequences: int
-    failures: int
-    """Sequences that were not measured: failed, missing or unreadable."""
-    coverage: float
-    """Fraction that was measured."""
-    statistics: dict[str, Statistic]
-    """Metric id, or id_cm, to its statistic; only those with one unit in the group."""
-
-
-@dataclass(frozen=True)
-class Scores:
-    """A whole table."""
-
-    protocol: str
-    method: Method
-    benchmark: dict[str, str]
-    """name, version, split, and sha256 of benchmark.json, which holds the hash of every file of the truth."""
-    rows: tuple[Row, ...]
-    summaries: tuple[Summary, ...]
-    seconds: float
-    """What scoring took."""
+LONGEST_RUN_S = 1e9
+"""Seconds (30 years) beyond which what a method says it took is no time."""
 
 
 def score_results(
-    results: Path, data: Path, protocol: str = "strict-1", progress: Callable[[Row], None] | None = None
+    results: Path,
+    data: Path,
+    protocol: str = DEFAULT,
+    progress: Callable[[Row, int], None] | None = None,
+    limit_s: float | None = ROW_LIMIT_S,
 ) -> Scores:
     """Score the results folder of one method against the benchmark folder `data`: every sequence of it, found or not.
 
-    `progress` is called with each row. Raises FreeArtError when the protocol is unknown, `results` is not a folder of
-    results, or the benchmark is broken; whatever is wrong with one result is priced in its row.
+    `progress` is called with each row and how many there will be. Rows are scored in a process of their own, and one
+    that takes more than `limit_s` seconds is priced; None: in this process, without a limit. Raises FreeArtError when
+    the protocol is unknown, `results` is not a folder of results, or the benchmark is broken; whatever is wrong with
+    one result is priced in its row.
     """
     begun, results = time.perf_counter(), Path(results)
     rules = protocol_named(protocol)
     benchmark = read_benchmark(data)
-    if not results.is_dir():
-        raise FreeArtError(f"{results} is not a folder of results")
-    if (results / "prediction.json").is_file():
-        raise FreeArtError(f"{results} is the result of one sequence, expected the folder that holds all of a method")
+    check_results_folder(results, benchmark.sequences)
+    method, faults = method_of(results)
     rows = []
-    for name in benchmark.sequences:
-        rows.append(score_sequence(results / name, benchmark.sequence(name), benchmark.truth(name), rules.name))
-        if progress:
-            progress(rows[-1])
+    with worker() as scorer:
+        for name in benchmark.sequences:
+            where = results / name, benchmark.sequence(name), benchmark.truth(name)
+            if limit_s is None:
+                row = score_sequence(*where, rules.name)
+            else:
+                request = dict(zip(("result", "sequence", "truth"), map(str, where), strict=True))
+                try:
+                    row = scorer.score({**request, "protocol": rules.name}, limit_s)
+                except RowEnded as reason:
+                    row = Case(rules, read_sequence(where[1]), read_truth(where[2])).priced("failed", str(reason))
+            rows.append(row)
+            if progress:
+                progress(row, len(benchmark.sequences))
     facts = {
         "name": benchmark.name,
         "version": benchmark.version,
@@ -128,35 +74,67 @@ def score_results(
         "sha256": file_sha256(benchmark.folder / "benchmark.json"),
     }
     summaries, seconds = summarise(rows, rules), time.perf_counter() - begun
-    return Scores(rules.name, read_method(results), facts, tuple(rows), summaries, seconds)
+    return Scores(rules.name, method, facts, tuple(rows), summaries, seconds, tuple(str(fault) for fault in faults))
 
 
-def score_sequence(result_folder: Path, sequence_folder: Path, truth_folder: Path, protocol: str = "strict-1") -> Row:
+def check_results_folder(results: Path, sequences: tuple[str, ...]) -> None:
+    """FreeArtError unless `results` may be the folder of one method; one level too high or too low names the other."""
+    if not results.is_dir():
+        raise FreeArtError(f"{results} is not a folder of results")
+    if (results / "prediction.json").is_file():
+        raise FreeArtError(
+            f"{results} is the result of one sequence, expected the folder that holds all of a method: did you mean "
+            f"{results.resolve().parent}?"
+        )
+    below = [child for child in sorted(results.iterdir()) if child.is_dir() and child.name not in sequences]
+    methods = [child for child in below if any((child / name / "prediction.json").is_file() for name in sequences)]
+    if methods and not any((results / name).exists() for name in sequences):
+        raise FreeArtError(
+            f"{results} holds results of methods rather than of sequences: did you mean "
+            f"{' or '.join(str(method) for method in methods[:5])}?"
+        )
+
+
+def score_sequence(result_folder: Path, sequence_folder: Path, truth_folder: Path, protocol: str = DEFAULT) -> Row:
     """Score one result folder. Raises FreeArtError for a broken sequence or truth; a broken result is priced."""
     case = Case(protocol_named(protocol), read_sequence(sequence_folder), read_truth(truth_folder))
     camera, folder = case.recording.camera, Path(result_folder)
-    if not folder.is_dir():
+    if not folder.is_dir() and not folder.is_symlink():
         return case.priced("missing", f"there is no {folder.name} among the results")
     try:
-        answer = read_submission(folder, len(case.recording), camera.height, camera.width)
+        answer, notes = read_with_notes(folder, len(case.recording), camera.height, camera.width)
     except FreeArtError as error:
         return case.priced("unreadable", str(error))
     if isinstance(answer, Failure):
         return case.priced("failed", f"{answer.stage}: {answer.reason}", answer.seconds)
     source: Source = "files"
+    shape: Shape | None = None
     if (folder / "asset").exists():
         try:
-            answer, source = with_asset_joint(answer, folder / "asset"), "asset"
+            answer, shape, found = with_asset(answer, folder / "asset", case.rules.whole_asset)
         except FreeArtError as error:
             return case.priced("failed", f"asset: {error}", answer.seconds)
-    return case.measured(answer, source, *_renders(folder, case.recording))
+        source, notes = "asset", (*notes, *found)
+    return case.measured(answer, folder, source, shape, notes)
 
 
-def with_asset_joint(answer: Reconstruction, folder: Path) -> Reconstruction:
-    """`answer` with joint and states as the asset in `folder` moves when loaded; FreeArtError when it does not."""
-    joint, states = measured_joint(folder, answer.states)
+def with_asset(
+    answer: Reconstruction, folder: Path, whole: bool
+) -> tuple[Reconstruction, Shape | None, tuple[str, ...]]:
+    """`answer` with joint and states as the asset in `folder` moves when loaded; FreeArtError when it does not.
+
+    When the `whole` asset counts, also its visual meshes as they move, and a line about each thing that is wrong.
+    """
+    shape: Shape | None = None
+    notes: tuple[str, ...] = ()
+    if whole:
+        asset = measured_asset(folder, answer.states)
+        joint, states, shape = asset.joint, asset.states, asset.shape
+        notes = tuple(f"asset: {finding}" for finding in asset.findings)
+    else:
+        joint, states = measured_joint(folder, answer.states)
     parts = answer.articulation
-    return replace(answer, articulation=Articulation(joint, parts.reference, parts.moving), states=states)
+    return replace(answer, articulation=Articulation(joint, parts.reference, parts.moving), states=states), shape, notes
 
 
 @dataclass(frozen=True)
@@ -189,19 +167,40 @@ class Case:
         return prices
 
     def measured(
-        self, answer: Reconstruction, source: Source, renders: list[Render], notes: tuple[str, ...] = ()
+        self,
+        answer: Reconstruction,
+        folder: Path,
+        source: Source,
+        asset: Shape | None = None,
+        notes: tuple[str, ...] = (),
     ) -> Row:
-        """The row of an answer that can be measured; single figures that it lacks are priced."""
-        found = self.rules.measure(self.truth, answer, renders)
-        given, expected = answer.articulation.joint.type, self.truth.articulation.joint.type
-        if given != expected:
-            notes = (f"the joint is {given}, expected {expected}", *notes)
-        values = {id: None if price is None else found.values.get(id, price) for id, price in self.prices().items()}
-        return self._row(values, "ok", "", source, found.swapped, notes, answer.seconds)
+        """The row of an answer that can be measured, its pictures read from `folder`; what it lacks is priced.
+
+        `asset` is the shape of its asset, for protocols by which that counts.
+        """
+        renders, faults = _renders(folder, "renders", self.recording)
+        if self.rules.whole_asset:
+            others, other_faults = _renders(folder, "renders_other", self.recording)
+            given = others if (folder / "renders_other").is_dir() else None
+            found = self.rules.measure(self.truth, answer, renders, asset=asset, renders_other=given)
+            if found.other_views:
+                faults = other_faults
+            elif found.swapped and any(render is not None for render in renders):
+                faults = (*faults, "its parts go by each other's names: held-out views of renders/, no renders_other/")
+        else:
+            found = self.rules.measure(self.truth, answer, renders)
+        given_type, expected = answer.articulation.joint.type, self.truth.articulation.joint.type
+        if given_type != expected:
+            notes = (f"the joint is {given_type}, expected {expected}", *notes)
+        values: dict[str, float | None] = {}
+        for id, price in self.prices().items():
+            value = found.values.get(id, price)
+            values[id] = None if price is None or value is None else self.rules.capped_value(id, value, price)
+        return self._row(values, "ok", "", source, found.swapped, (*notes, *faults), answer.seconds)
 
     def priced(self, status: Status, reason: str, seconds: dict[str, float] | None = None) -> Row:
         """The row of an answer that cannot be measured: every number at its price."""
-        return self._row(self.prices(), status, " ".join(reason.split())[:300], "nothing", False, (), seconds or {})
+        return self._row(self.prices(), status, shortened(reason), "nothing", False, (), seconds or {})
 
     def _row(
         self,
@@ -220,6 +219,7 @@ class Case:
             if value is not None and self.rules.metric(id).unit(kind) == "%"
         }
         total = float(sum(seconds.values()))
+        timed = bool(seconds) and 0 <= total <= LONGEST_RUN_S  # neither is NaN
         return Row(
             self.recording.name,
             kind,
@@ -230,8 +230,8 @@ class Case:
             diagonal,
             values,
             centimetres,
-            notes,
-            total if seconds and np.isfinite(total) else None,
+            tuple(printable(note) for note in notes),
+            total if timed else None,
         )
 
 
@@ -281,6 +281,7 @@ def write_scores(path: Path, scores: Scores) -> None:
     metrics = [
         {
             "id": m.id,
+            "label": m.label,
             "unit": {"revolute": m.revolute_unit, "prismatic": m.prismatic_unit},
             "direction": m.direction,
             "price": "range of motion" if m.price is None else m.price,
@@ -294,16 +295,14 @@ def write_scores(path: Path, scores: Scores) -> None:
     atomic.write_json(Path(path), {"schema": SCHEMA, **body})
 
 
-def _renders(folder: Path, recording: Recording) -> tuple[list[Render], tuple[str, ...]]:
-    """The picture of every query, None where there is none or it is not one, and a note on what is wrong."""
+def _renders(folder: Path, pictures: str, recording: Recording) -> tuple[list[Render], tuple[str, ...]]:
+    """The picture of every query in the subfolder `pictures`, None where there is none, and what is wrong with them."""
     renders: list[Render] = []
     notes = []
     for i in range(len(recording.queries)):
-        try:
-            renders.append(read_submitted_render(folder, i, recording.camera.height, recording.camera.width))
-        except FreeArtError as error:
-            renders.append(None)
-            notes.append(str(error))
+        render, faults = render_faults(folder, pictures, i, recording.camera.height, recording.camera.width)
+        renders.append(render)
+        notes += [str(fault) for fault in faults]
     absent = sum(render is None for render in renders) - len(notes)
     if absent:
         notes.append(f"{absent} of {len(renders)} held-out views have no render")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
+from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
@@ -49,6 +50,51 @@ class Measured:
     that is missing: the answer has nothing to measure (no surface, another joint type), which the protocol prices."""
     swapped: bool
     """Whether the answer's moving part was matched to the true reference part."""
+    other_views: bool = False
+    """Whether the pictures were those of the other choice of reference part (`renders_other`)."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What an answer's two parts look like, in its canonical frame, and how its moving part goes."""
+
+    parts: tuple[Mesh, Mesh]
+    """Reference and moving part at state zero."""
+    motions: Array
+    """(n, 4, 4) displacement of the moving part from state zero in every frame."""
+
+    def moved(self, T_new_canonical: Array) -> Shape:
+        """The same shape written in another canonical frame."""
+        T = T_new_canonical
+        reference, moving = (part.moved(T) for part in self.parts)
+        return Shape((reference, moving), T @ self.motions @ se3.inverse(T))
+
+    def swapped(self) -> Shape:
+        """The same shape with the names of its parts exchanged."""
+        return Shape(self.parts[::-1], se3.inverse(self.motions))
+
+
+@dataclass(frozen=True)
+class Matched:
+    """An answer brought to the truth: parts by the truth's names, canonical frame that of the truth."""
+
+    answer: Reconstruction
+    swapped: bool
+    """Whether the answer's moving part was matched to the true reference part."""
+    T_truth_pred: Array
+    """(4, 4) the alignment that is already in `answer`."""
+    miou: float
+    outer: tuple[Surface, Surface]
+    """Outer surface of the true reference and moving part."""
+    diagonal: float
+    """Of the true object, metres."""
+
+    @property
+    def shape(self) -> Shape:
+        """What the answer's files say: its part meshes, and its joint at its states."""
+        parts = self.answer.articulation
+        motions = np.stack([parts.joint.transform(q) for q in self.answer.states])
+        return Shape((parts.reference, parts.moving), motions)
 
 
 def measure(
@@ -59,29 +105,48 @@ def measure(
     `renders` holds the answer's picture of each held-out query, or None where it has none.
     """
     c = constants or Strict1()
+    matched = match(truth, answer)
+    values = {
+        **answer_values(truth, matched, c),
+        **surface_values(truth, matched, matched.shape, c),
+        **picture_values(truth, renders),
+    }
+    return Measured(plain(values), matched.swapped)
+
+
+def match(truth: Truth, answer: Reconstruction) -> Matched:
+    """`answer` with its parts matched to the truth's and its canonical frame aligned by the reference part's poses."""
     outer = tuple(Surface(truth.articulation.part(name), faces) for name, faces in zip(PARTS, truth.outer, strict=True))
     if outer[0].empty or outer[1].empty:
         raise FreeArtError("the truth has a part without an outer surface")
     centre, diagonal = outer[0].centre, truth.diagonal
     swapped, same, other = match_parts(truth, answer, centre, diagonal)
-    matched = with_parts_swapped(answer) if swapped else answer
-    T_truth_pred = metrics.align(truth.Ts_camera_reference, matched.Ts_camera_reference, centre)
+    named = with_parts_swapped(answer) if swapped else answer
+    T_truth_pred = metrics.align(truth.Ts_camera_reference, named.Ts_camera_reference, centre)
     aligned = replace(
-        matched,
-        articulation=matched.articulation.moved(T_truth_pred),
-        Ts_camera_reference=matched.Ts_camera_reference @ se3.inverse(T_truth_pred),
-        Ts_camera_moving=matched.Ts_camera_moving @ se3.inverse(T_truth_pred),
+        named,
+        articulation=named.articulation.moved(T_truth_pred),
+        Ts_camera_reference=named.Ts_camera_reference @ se3.inverse(T_truth_pred),
+        Ts_camera_moving=named.Ts_camera_moving @ se3.inverse(T_truth_pred),
     )
-    angle, shift = metrics.pose_error(truth.Ts_camera_reference, aligned.Ts_camera_reference, centre)
-    values: dict[str, float | None] = {
-        **_joint_values(truth, aligned, outer[1].centre, diagonal, c),
-        "miou": other if swapped else same,
+    return Matched(aligned, swapped, T_truth_pred, other if swapped else same, (outer[0], outer[1]), diagonal)
+
+
+def answer_values(truth: Truth, matched: Matched, c: Strict1) -> dict[str, float | None]:
+    """The numbers of joint, masks and the reference part's poses."""
+    outer, diagonal = matched.outer, matched.diagonal
+    angle, shift = metrics.pose_error(truth.Ts_camera_reference, matched.answer.Ts_camera_reference, outer[0].centre)
+    return {
+        **_joint_values(truth, matched.answer, outer[1].centre, diagonal, c),
+        "miou": matched.miou,
         "pose_rotation": np.rad2deg(angle),
         "pose_translation": 100 * shift / diagonal,
-        **_surface_values(truth, aligned, (outer[0], outer[1]), diagonal, c),
-        **_picture_values(truth, renders),
     }
-    return Measured({id: None if value is None else float(value) for id, value in values.items()}, swapped)
+
+
+def plain(values: dict[str, float | None]) -> dict[str, float | None]:
+    """`values` as Python's own numbers."""
+    return {id: None if value is None else float(value) for id, value in values.items()}
 
 
 def match_parts(truth: Truth, answer: Reconstruction, centre: Array, diagonal: float) -> tuple[bool, float, float]:
@@ -161,23 +226,23 @@ def _joint_values(
     return values
 
 
-def _surface_values(
-    truth: Truth, aligned: Reconstruction, outer: tuple[Surface, Surface], diagonal: float, c: Strict1
-) -> dict[str, float | None]:
+def surface_values(truth: Truth, matched: Matched, shape: Shape, c: Strict1) -> dict[str, float | None]:
     """Chamfer distances and F-score, averaged over the chosen frames; no entry where the answer has no surface.
 
-    A true part of which the video shows nothing is sampled over its outer surface.
+    `shape` is in the matched answer's canonical frame. A true part of which the video shows nothing is sampled over its
+    outer surface.
     """
+    outer, diagonal = matched.outer, matched.diagonal
     visible = [Surface(truth.articulation.part(name), faces) for name, faces in zip(PARTS, truth.visible, strict=True)]
     shown = [v if not v.empty else o for v, o in zip(visible, outer, strict=True)]
-    found = Surface(aligned.articulation.reference), Surface(aligned.articulation.moving)
+    found = Surface(shape.parts[0]), Surface(shape.parts[1])
     true_points, true_counts = _samples((shown[0], shown[1]), c, 0)
     found_points, found_counts = _samples(found, c, 1)
     sums: dict[str, list[float]] = {}
     for frame in spread_frames(truth.states, c.poses):
         true_poses = truth.Ts_camera_reference[frame], truth.Ts_camera_moving[frame]
-        reference = aligned.Ts_camera_reference[frame]
-        found_poses = reference, reference @ aligned.articulation.joint.transform(aligned.states[frame])
+        reference = matched.answer.Ts_camera_reference[frame]
+        found_poses = reference, reference @ shape.motions[frame]
         forward = _distances(true_points, true_counts, true_poses, found, found_poses)
         backward = _distances(found_points, found_counts, found_poses, outer, true_poses)
         for id, there, back in zip(("chamfer_s", "chamfer_m", "chamfer_w"), forward, backward, strict=True):
@@ -213,7 +278,7 @@ def _distances(
     return own[0], own[1], np.concatenate(whole)
 
 
-def _picture_values(truth: Truth, renders: Sequence[Render]) -> dict[str, float | None]:
+def picture_values(truth: Truth, renders: Sequence[Render]) -> dict[str, float | None]:
     """PSNR and SSIM, averaged over the queries that show the object; none when there is no such query."""
     ratios, similarities = [], []
     for i, render in enumerate(renders):

@@ -1,111 +1,139 @@
-"""Printing scores: a table of sequences and a table by joint type."""
+"""Printing scores: sequences as rows, the ranking numbers as columns, means by joint type below."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from leaderboard.protocols import Metric, protocol_named
-from leaderboard.score import Row, Scores, Statistic
+from leaderboard.rows import Row, Scores, Statistic, Summary
+from leaderboard.submission import printable
 
+WIDTH = 100
+"""Columns of characters that the table of ranking numbers fits."""
+COLUMNS_AT_ONCE = 5
+"""Metrics a table when all are shown."""
 _DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
+_SIGNS = {"deg": "°", "%": "%", "dB": "", "fraction": ""}
 
 
-def print_scores(scores: Scores, console: Console | None = None) -> None:
-    """Print a table of sequences, a line for each that needs a word, and means by joint type when there are several."""
+def print_scores(scores: Scores, console: Console | None = None, everything: bool = False) -> None:
+    """Print the table of sequences with means by joint type, then a line for each row that needs a word.
+
+    `everything`: every metric of the protocol, in as many tables as it takes, lengths with cm beside.
+    """
     console = console or Console()
-    if not console.is_terminal:  # a file or a pipe has room for every column
-        console.width = max(console.width, 22 + 20 * max(len(scores.rows), 2))
-    console.print(sequence_table(scores))
+    if not console.is_terminal:  # a file or a pipe has no width of its own
+        console.width = max(console.width, WIDTH)
+    for table in all_tables(scores) if everything else [score_table(scores)]:
+        console.print(table)
+    for note in scores.notes:
+        console.print(f"  {escape(note)}", style="yellow", soft_wrap=True)
     for row in scores.rows:
         for line in (*([f"{row.status}: {row.reason}"] if row.reason else []), *row.notes):
-            console.print(f"  {escape(row.sequence)}: {escape(line)}", style="red" if row.status != "ok" else "yellow")
-    if len(scores.rows) > 1:
-        console.print(group_table(scores))
+            style = "red" if row.status != "ok" else "yellow"
+            console.print(f"  {escape(f'{row.sequence}: {line}')}", style=style, soft_wrap=True)
+    console.print(f"  {scores.measured} of {len(scores.rows)} sequences were measured", style="dim")
+    if any(row.measured_from == "files" for row in scores.rows):
+        console.print("  'files': there is no asset; joint and surfaces are read from the files.", style="dim")
 
 
-def sequence_table(scores: Scores) -> Table:
-    """A row a metric, a column a sequence; lengths in % of the diagonal with cm beside; failures flagged and priced."""
-    rules = protocol_named(scores.protocol)
-    table = Table(title=escape(f"{scores.method.name} by {rules.name}, sequences of {scores.benchmark['name']}"))
-    table.add_column("metric")
-    for row in scores.rows:
-        style = None if row.status == "ok" else "red"
-        table.add_column(escape(f"{row.sequence}\n{row.joint_type}"), justify="right", style=style)
-    table.add_row("status", *(_status(row) for row in scores.rows))
-    table.add_row("joint from", *(row.measured_from for row in scores.rows), end_section=True)
-    for metric in rules.metrics:
-        cells = (
-            _cell(row.values[metric.id], metric.unit(row.joint_type), row.values_cm.get(metric.id))
-            for row in scores.rows
-        )
-        table.add_row(_label(metric), *cells)
-    table.add_section()
-    table.add_row("seconds", *("-" if row.seconds is None else f"{row.seconds:.0f}" for row in scores.rows))
-    return table
+def score_table(scores: Scores) -> Table:
+    """A row a sequence, a column for each ranking number that has one, then statistics of the joint types."""
+    return _table(scores, [m for m in protocol_named(scores.protocol).metrics if m.column], False)
 
 
-def group_table(scores: Scores) -> Table:
-    """A row a metric, a column a joint type: mean ± standard deviation, then median and worst."""
-    rules = protocol_named(scores.protocol)
-    table = Table(title=escape(f"{scores.method.name} by {rules.name}: mean ± std (median, worst), failures priced"))
-    table.add_column("metric")
-    for summary in scores.summaries:
-        table.add_column(summary.group, justify="right")
-    table.add_row("sequences", *(str(s.sequences) for s in scores.summaries))
-    table.add_row("failures", *(f"[red]{s.failures}[/red]" if s.failures else "0" for s in scores.summaries))
-    table.add_row("coverage", *(f"{100 * s.coverage:.0f} %" for s in scores.summaries), end_section=True)
-    for metric in rules.metrics:
-        table.add_row(
-            _label(metric),
-            *(
-                _statistic(s.statistics.get(metric.id), s.statistics.get(f"{metric.id}_cm"), metric.unit(s.group))
-                for s in scores.summaries
-            ),
-        )
-    return table
+def all_tables(scores: Scores) -> Iterator[Table]:
+    """Every metric of the protocol, COLUMNS_AT_ONCE a table."""
+    metrics = protocol_named(scores.protocol).metrics
+    for at in range(0, len(metrics), COLUMNS_AT_ONCE):
+        yield _table(scores, list(metrics[at : at + COLUMNS_AT_ONCE]), True)
 
 
 def page_entries(row: Row, protocol: str) -> dict[str, dict[str, object]]:
-    """A row for a page: metric id to its value, unit, better ('up' or 'down') and the value in cm beside; no None."""
+    """A row for a page: metric id to label, value, unit, better ('up' or 'down') and the value in cm beside.
+
+    Numbers that do not exist for the row are left out.
+    """
     entries: dict[str, dict[str, object]] = {}
     for metric in protocol_named(protocol).metrics:
         value, centimetres = row.values[metric.id], row.values_cm.get(metric.id)
         if value is not None:
-            entries[metric.id] = {"value": value, "unit": metric.unit(row.joint_type), "better": metric.direction}
+            entries[metric.id] = {
+                "label": metric.label,
+                "value": value,
+                "unit": metric.unit(row.joint_type),
+                "better": metric.direction,
+            }
             if centimetres is not None:
-                entries[metric.id]["beside"] = _number(centimetres, "cm")
+                entries[metric.id]["beside"] = f"{centimetres:.{_DIGITS['cm']}f} cm"
     return entries
 
 
-def _label(metric: Metric) -> str:
-    arrow = "↑" if metric.direction == "up" else "↓"
-    return f"  {metric.id} {arrow}" if metric.beside else f"{metric.id} {arrow}"
+def _table(scores: Scores, metrics: list[Metric], whole: bool) -> Table:
+    rules = protocol_named(scores.protocol)
+    title = f"{scores.method.name} by {rules.name}, sequences of {scores.benchmark['name']}; failures priced"
+    table = Table(title=escape(printable(title)), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("sequence", overflow="fold", min_width=10)
+    table.add_column("", overflow="fold")
+    for metric in metrics:
+        head = metric.id.replace("_", "\n") if whole else metric.column
+        table.add_column(f"{head}\n{_unit(metric, whole)}", justify="right", no_wrap=True)
+    table.add_column("s", justify="right", no_wrap=True)
+    for row in scores.rows:
+        cells = [_cell(row, metric, whole) for metric in metrics]
+        style = None if row.status == "ok" else "red"
+        seconds = "-" if row.seconds is None else f"{row.seconds:.0f}"
+        table.add_row(escape(row.sequence), _status(row), *cells, seconds, style=style)
+    groups = scores.summaries if len(scores.summaries) > 2 else scores.summaries[:1]  # one type is all there is
+    for summary in groups if len(scores.rows) > 1 else ():
+        table.add_section()
+        for name, style in (("mean", None), ("std", "dim"), ("median", "dim"), ("worst", "dim")):
+            head, failed = f"  {name}", ""
+            if name == "mean":
+                head = f"{summary.group} mean"
+                failed = f"{summary.failures}/{summary.sequences} fail" if summary.failures else f"{summary.sequences}"
+            cells = [_statistic(summary, metric, name, whole) for metric in metrics]
+            table.add_row(head, failed, *cells, "", style=style)
+    return table
 
 
 def _status(row: Row) -> str:
+    """What became of a row, in a word."""
     if row.status != "ok":
         return row.status.upper()
-    return "wrong type" if row.values["joint_type"] == 0 else "ok"
+    if row.values["joint_type"] == 0:
+        return "wrong type"
+    return "files" if row.measured_from == "files" else "ok"
 
 
-def _cell(value: float | None, unit: str | None, value_cm: float | None) -> str:
-    if value is None or unit is None:
-        return "-"
-    beside = "" if value_cm is None else f" ({_number(value_cm, 'cm')})"
-    return f"{_number(value, unit)}{beside}"
+def _cell(row: Row, metric: Metric, whole: bool) -> str:
+    value, unit = row.values[metric.id], metric.unit(row.joint_type)
+    return "-" if value is None or unit is None else _number(value, unit, metric, row.values_cm.get(metric.id), whole)
 
 
-def _statistic(value: Statistic | None, in_cm: Statistic | None, unit: str | None) -> str:
-    if value is None or unit is None:
-        return "-"
-    digits = _DIGITS[unit]
-    std = "" if value.std is None else f" ± {value.std:.{digits}f}"
-    beside = "" if in_cm is None else f" ({_number(in_cm.mean, 'cm')})"
-    shown = "" if unit == "fraction" else f" {unit}"
-    return f"{value.mean:.{digits}f}{std}{shown}{beside}, {value.median:.{digits}f}, {value.worst:.{digits}f}"
+def _statistic(summary: Summary, metric: Metric, name: str, whole: bool) -> str:
+    def of(id: str) -> float | None:
+        found: Statistic | None = summary.statistics.get(id)
+        return None if found is None else getattr(found, name)
+
+    value, unit = of(metric.id), metric.unit(summary.group)
+    return "-" if value is None or unit is None else _number(value, unit, metric, of(f"{metric.id}_cm"), whole)
 
 
-def _number(value: float, unit: str) -> str:
-    return f"{value:.{_DIGITS[unit]}f}" + ("" if unit == "fraction" else f" {unit}")
+def _unit(metric: Metric, whole: bool) -> str:
+    """The foot of a column's head: the unit where all sequences have one, and which way is better."""
+    unit = metric.unit("all") or ""
+    unit = f"{unit} (cm)" if unit == "%" and whole else unit if _SIGNS.get(unit) else ""
+    return f"{unit} {'↑' if metric.direction == 'up' else '↓'}".strip()
+
+
+def _number(value: float, unit: str, metric: Metric, centimetres: float | None, whole: bool) -> str:
+    """`value` in three digits or as many as it has before the point, its unit only where the column has no one unit."""
+    digits = _DIGITS[unit] if abs(value) < 10 or unit in ("dB", "fraction") else 1 if abs(value) < 99.95 else 0
+    beside = f" ({centimetres:.{_DIGITS['cm']}f})" if whole and centimetres is not None else ""
+    return f"{value:.{digits}f}{'' if metric.unit('all') else _SIGNS[unit]}{beside}"

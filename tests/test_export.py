@@ -533,7 +533,10 @@ BREAKS = {
     "limits: joint 'lid_joint' has velocity -1": (' velocity="', ' velocity="-1" was="'),
     "inertia: link 'reference': mass is -1 kg": ('<mass value="', '<mass value="-1" was="'),
     "inertia: link 'reference': principal moments": (' ixx="', ' ixx="10" was="'),
-    "numbers and meshes: link 'reference' has ixx 'many', expected a finite number": (' ixx="', ' ixx="many" was="'),
+    "inertia: link 'reference': mass, centre or inertia cannot be read: link 'reference' has ixx 'many', expected a": (
+        ' ixx="',
+        ' ixx="many" was="',
+    ),
     "inertia: link 'reference' has its centre of mass outside": (
         '<inertial>\n      <origin xyz="',
         '<inertial>\n      <origin xyz="9 9 9" was="',

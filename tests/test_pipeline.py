@@ -20,7 +20,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.sequence import write_sequence
 from freeart21.joint import Joint
 from freeart21.reconstruction import Failure, Reconstruction
-from leaderboard.score import Row
+from leaderboard.rows import Row
 from reconstruct import VERSION, cache, pipeline
 from reconstruct.pipeline import reconstruct_folder, reconstruct_until
 from reconstruct.settings import ReconstructSettings
@@ -266,7 +266,7 @@ def test_the_code_digest_sees_code_alone(tmp_path):
 def outcome(name, kind, seconds, peak, status="ok", **values):
     """A hand-made outcome."""
     own = {"joint_type": 1.0, "axis": 0.0, "position": 0.0, "state": 0.0, "miou": 1.0, "chamfer_w": 0.0}
-    every = dict.fromkeys((m.id for m in bench.protocol_named("strict-1").metrics), 0.0)
+    every = dict.fromkeys((m.id for m in bench.protocol_named(bench.PROTOCOL).metrics), 0.0)
     every |= {"psnr": None, "ssim": None, "chamfer_m": 0.0, **own, **values}
     if kind == "prismatic":
         every["position"] = None

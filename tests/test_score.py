@@ -1,23 +1,27 @@
 """Scoring from files: prices, coverage, untrusted submissions, and the joint read from the reloaded asset."""
 
-import functools
 import io
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
+from score_case import (
+    assert_priced,
+    few_samples,
+    score_one,
+    score_results,
+    submit,
+    truths,
+    write_asset,
+    write_data,
+)
 from synthetic_case import (
     HEIGHT,
-    QUERIES,
     WIDTH,
     in_frame,
-    make_recording,
-    make_truth,
     noisy_answer,
-    pictures,
     random_pose,
     truth_as_answer,
     with_joint,
@@ -25,20 +29,14 @@ from synthetic_case import (
 )
 
 from freeart21 import se3
-from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.asset import write_asset_json
-from freeart21.files.benchmark import write_benchmark
 from freeart21.files.result import Method, write_method, write_result
-from freeart21.files.sequence import write_sequence
-from freeart21.files.truth import write_truth
 from freeart21.joint import Joint
 from freeart21.reconstruction import Failure
 from leaderboard.asset_joint import joint_of_motion, measured_joint
-from leaderboard.protocols import PROTOCOLS, STRICT_1, protocol_named
-from leaderboard.score import score_results, score_sequence, statistic, write_scores
-from leaderboard.strict1 import Strict1, measure
+from leaderboard.protocols import PROTOCOLS, STRICT_2, protocol_named
+from leaderboard.score import statistic, write_scores
 from leaderboard.tables import page_entries, print_scores
 
 KINDS = ("revolute", "prismatic")
@@ -48,64 +46,18 @@ KINDS = ("revolute", "prismatic")
 def quick(request, monkeypatch):
     """Few samples, but where a test asks for the protocol as it is."""
     if "whole_protocol" not in request.fixturenames:
-        few = functools.partial(measure, constants=Strict1(samples=2000))
-        monkeypatch.setitem(PROTOCOLS, "strict-1", replace(STRICT_1, measure=few))
+        few_samples(monkeypatch)
 
 
 @pytest.fixture
 def whole_protocol():
-    return STRICT_1
+    return STRICT_2
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
     """Two revolute sequences and one prismatic, on disk."""
-    folder = tmp_path_factory.mktemp("data")
-    for name, kind, seed in (("a", "revolute", 0), ("b", "prismatic", 1), ("c", "revolute", 2)):
-        truth = make_truth(kind, seed)
-        write_sequence(folder / "sequences" / name, make_recording(truth, name), 1e-4)
-        write_truth(folder / "truth" / name, truth, QUERIES)
-    write_benchmark(folder, "made-up", "1", "test")
-    return folder
-
-
-def truths():
-    return {"a": make_truth("revolute", 0), "b": make_truth("prismatic", 1), "c": make_truth("revolute", 2)}
-
-
-def score_one(data, folder, name="a"):
-    return score_sequence(folder, data / "sequences" / name, data / "truth" / name)
-
-
-def submit(folder, truth, answer=None, renders=True):
-    write_result(folder, answer or truth_as_answer(truth), renders=pictures(truth) if renders else None)
-    return folder
-
-
-def assert_priced(row, truth):
-    revolute = truth.articulation.joint.type == "revolute"
-    motion = np.ptp(truth.states) * (np.rad2deg(1) if revolute else 100 / truth.diagonal)
-    expected = {
-        "joint_type": 0,
-        "axis": 90,
-        "position": 100,
-        "position_line": 100,
-        "state": motion,
-        "state_all": motion,
-        "miou": 0,
-        "pose_rotation": 180,
-        "pose_translation": 100,
-        "chamfer_w": 100,
-        "chamfer_m": 100,
-        "chamfer_s": 100,
-        "fscore": 0,
-        "psnr": 0,
-        "ssim": 0,
-    }
-    if not revolute:
-        expected |= {"position": None, "position_line": None}
-    assert row.values == pytest.approx(expected)
-    assert row.values_cm["chamfer_w"] == pytest.approx(100 * truth.diagonal)
+    return write_data(tmp_path_factory.mktemp("data"))
 
 
 # ---- whole tables
@@ -116,7 +68,7 @@ def test_the_truth_handed_in_is_perfect_and_the_table_complete(data, tmp_path, w
         submit(tmp_path / name, truth)
     write_method(tmp_path, Method("oracle"))
     told = []
-    scores = score_results(tmp_path, data, progress=told.append)
+    scores = score_results(tmp_path, data, progress=lambda row, of: told.append(row))
     assert [row.sequence for row in scores.rows] == ["a", "b", "c"] and told == list(scores.rows)
     for row in scores.rows:
         assert row.status == "ok" and row.measured_from == "files" and row.notes == () and not row.swapped
@@ -128,7 +80,7 @@ def test_the_truth_handed_in_is_perfect_and_the_table_complete(data, tmp_path, w
                 assert 0 <= value < 1e-6, metric.id
             else:
                 assert value == pytest.approx(100 if metric.id == "psnr" else 1), metric.id
-    assert scores.method.name == "oracle" and scores.protocol == "strict-1"
+    assert scores.method.name == "oracle" and scores.protocol == "strict-2"
     assert all(s.failures == 0 and s.coverage == 1 for s in scores.summaries)
 
 
@@ -181,21 +133,25 @@ def test_scores_are_json_with_units_prices_and_no_nan(data, tmp_path):
 def test_tables_show_every_metric_and_flag_failures(data, tmp_path):
     submit(tmp_path / "a", truths()["a"])
     write_result(tmp_path / "b", Failure("tracks", "[red]no[/red] texture"))
-    console = Console(record=True, width=200, file=io.StringIO())
     scores = score_results(tmp_path, data)
-    print_scores(scores, console)
-    text = console.export_text()
-    for metric in STRICT_1.metrics:
-        assert text.count(metric.id) >= 2
-    for said in ("FAILED", "MISSING", "tracks: [red]no[/red] texture", "cm", "±", "coverage", "33 %"):
-        assert said in text, said
-    entries = page_entries(scores.rows[0], "strict-1")
-    assert entries["psnr"] == {"value": 100.0, "unit": "dB", "better": "up"}
+    for everything in (False, True):
+        console = Console(record=True, width=100, file=io.StringIO())
+        print_scores(scores, console, everything)
+        text = console.export_text()
+        assert max(len(line) for line in text.splitlines()) <= 100
+        words = text.split()
+        for metric in STRICT_2.metrics:
+            for word in metric.id.split("_") if everything else metric.column.split():
+                assert word in words, metric.id
+        for said in ("FAILED", "MISSING", "tracks: [red]no[/red] texture", "revolute mean", "1/2 fail", "1 of 3 seq"):
+            assert said in text, said
+    entries = page_entries(scores.rows[0], "strict-2")
+    assert entries["psnr"] == {"label": "held-out views (PSNR)", "value": 100.0, "unit": "dB", "better": "up"}
     assert entries["chamfer_w"]["beside"] == "0.00 cm"
 
 
 def test_unknown_protocols_and_folders_are_one_clear_line(data, tmp_path):
-    with pytest.raises(FreeArtError, match="unknown protocol 'paper-9'; protocols: strict-1"):
+    with pytest.raises(FreeArtError, match="unknown protocol 'paper-9'; protocols: strict-1, strict-2"):
         score_results(tmp_path, data, "paper-9")
     with pytest.raises(FreeArtError, match="not a folder of results"):
         score_results(tmp_path / "nowhere", data)
@@ -348,29 +304,6 @@ def test_seconds_that_are_no_number_are_unknown(data, tmp_path):
 # ---- the joint, measured from the asset
 
 
-def write_asset(folder: Path, joint: Joint, T_canonical_reference=None, state_zero=0.0, limits=(-2.0, 2.0)) -> None:
-    """A base and a lid of boxes, joined as `joint`, whose base link sits in the canonical frame as given."""
-    T = np.eye(4) if T_canonical_reference is None else T_canonical_reference
-    here = joint.moved(se3.inverse(T))
-    link = (
-        '<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-        '</inertial><collision><geometry><box size="0.3 0.2 0.1"/></geometry></collision></link>'
-    )
-    triple = "{:.12g} {:.12g} {:.12g}".format
-    (folder / "made.urdf").parent.mkdir(parents=True, exist_ok=True)
-    (folder / "made.urdf").write_text(
-        f'<robot name="made">{link.format("base")}{link.format("lid")}<joint name="{joint.name}" type="{joint.type}">'
-        f'<parent link="base"/><child link="lid"/><origin xyz="{triple(*here.pivot)}" rpy="0.3 -0.2 0.5"/>'
-        f'<axis xyz="{triple(*_rpy(0.3, -0.2, 0.5).T @ here.axis)}"/>'
-        f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="1"/></joint></robot>'
-    )
-    write_asset_json(folder, Asset(folder / "made.urdf", joint.name, "base", "lid", T, state_zero))
-
-
-def _rpy(r, p, y):
-    return se3.exp_so3([0, 0, y]) @ se3.exp_so3([0, p, 0]) @ se3.exp_so3([r, 0, 0])
-
-
 @pytest.mark.parametrize("name", ["a", "b"])
 def test_the_true_joint_as_an_asset_scores_perfect(data, tmp_path, name):
     truth = truths()[name]
@@ -441,8 +374,8 @@ def test_the_asset_keeps_up_with_exchanged_names_and_moved_frames(data, tmp_path
     T = random_pose(np.random.default_rng(5))
     turned = with_names_exchanged(in_frame(answer, T))
     plain, other = submit(tmp_path / "x" / "a", truth, answer), submit(tmp_path / "y" / "a", truth, turned)
-    write_asset(plain / "asset", answer.articulation.joint)
-    write_asset(other / "asset", turned.articulation.joint, T)
+    write_asset(plain / "asset", answer.articulation.joint, parts=answer.articulation)
+    write_asset(other / "asset", turned.articulation.joint, T, parts=turned.articulation)
     a, b = score_one(data, plain), score_one(data, other)
     assert (a.swapped, b.swapped) == (False, True) and a.measured_from == b.measured_from == "asset"
     assert a.values == pytest.approx(b.values, abs=1e-3)
@@ -488,7 +421,7 @@ def test_an_asset_that_ends_the_simulator_ends_only_itself(data, tmp_path, monke
     crash = tmp_path / "site"
     crash.mkdir()
     (crash / "sapien.py").write_text("import os; os.abort()")
-    monkeypatch.setenv("PYTHONPATH", str(crash))
+    monkeypatch.syspath_prepend(str(crash))
     truth = truths()["a"]
     folder = submit(tmp_path / "a", truth)
     write_asset(folder / "asset", truth.articulation.joint)

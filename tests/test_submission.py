@@ -1,0 +1,531 @@
+"""One submission's fault costs its own row: hostile files, links, assets, and rows without end; all faults at once."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from score_case import assert_priced, few_samples, score_one, score_results, submit, truths, write_asset, write_data
+from synthetic_case import (
+    HEIGHT,
+    WIDTH,
+    box,
+    make_truth,
+    pictures,
+    truth_as_answer,
+    with_names_exchanged,
+)
+
+from freeart21 import se3
+from freeart21.articulation import Articulation
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.files.mesh_file import write_ply
+from freeart21.files.result import Method, write_method, write_result
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import Failure
+from leaderboard import child
+from leaderboard.score import score_results as score_results_apart
+from leaderboard.score import write_scores
+from leaderboard.skeleton import write_skeleton
+from leaderboard.submission import UNREADABLE
+from leaderboard.tables import print_scores
+from leaderboard.validate import validate_results
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    few_samples(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return write_data(tmp_path_factory.mktemp("data"))
+
+
+# ---- assets that are none
+
+ZERO = 'scale="0 0 0"'
+
+
+def _empty(folder):
+    (folder / "meshes" / "lid.ply").write_bytes(b"")
+
+
+def _no_faces(folder):
+    write_ply(folder / "meshes" / "base.ply", Mesh(np.zeros((0, 3)), np.zeros((0, 3), int)))
+
+
+def _garbage(folder):
+    (folder / "meshes" / "lid.ply").write_bytes(os.urandom(5000))
+
+
+def _nan(folder):
+    path = folder / "meshes" / "lid.ply"
+    head, _, body = path.read_bytes().partition(b"end_header\n")
+    path.write_bytes(head + b"end_header\n" + np.full(3, np.nan).tobytes() + body[24:])
+
+
+def _gone(folder):
+    (folder / "meshes" / "lid.ply").unlink()
+
+
+def _text(old, new):
+    def change(folder):
+        path = folder / "made.urdf"
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+
+    return change
+
+
+LID = 'filename="meshes/lid.ply"'
+BROKEN_ASSETS = {
+    "an empty file": (_empty, "lid.ply"),
+    "a mesh without faces": (_no_faces, "no surface"),
+    "garbage": (_garbage, "lid.ply"),
+    "vertices that are NaN": (_nan, "finite"),
+    "a mesh that is not there": (_gone, "does not exist"),
+    "scale 0": (_text(LID, f"{LID} {ZERO}"), "no surface"),
+    "scale 1e300": (_text(LID, f'{LID} scale="1e300 1e300 1e300"'), "m"),
+    "nothing to see": (_text("visual>", "sight>"), "no link on the side"),
+    "mass NaN": (_text('<mass value="1"/>', '<mass value="nan"/>'), "inertia: link 'base'"),
+    "mass 0": (_text('<mass value="1"/>', '<mass value="0"/>'), "mass is 0"),
+    "no mass": (_text("inertial>", "weightless>"), "moves and has no <inertial>"),
+    "no such inertia": (_text('ixx="1"', 'ixx="9"'), "triangle inequality"),
+    "inertia of 1e308": (_text('ixy="0"', 'ixy="1e308"'), "inertia"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN_ASSETS)
+def test_a_broken_mesh_or_mass_is_a_failed_row(data, tmp_path, name):
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    write_asset(folder / "asset", truth.articulation.joint)
+    spoil, said = BROKEN_ASSETS[name]
+    spoil(folder / "asset")
+    row = score_one(data, folder)
+    assert row.status == "failed" and row.reason.startswith("asset: ") and said in row.reason, row.reason
+    assert_priced(row, truth)
+
+
+def test_cubes_for_every_part_score_badly_and_are_not_refused(data, tmp_path):
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    cube = box([0.1, 0.1, 0.1], [0, 0, 0])
+    parts = Articulation(truth.articulation.joint, cube, cube)
+    write_asset(folder / "asset", truth.articulation.joint, parts=parts)
+    row = score_one(data, folder)
+    assert row.status == "ok" and row.values["axis"] < 1e-3
+    for part in "wms":
+        assert row.values[f"chamfer_{part}"] > 5 and row.values[f"chamfer_{part}_parts"] < 1e-2
+    assert row.values["fscore"] < 0.2 and row.values["fscore_parts"] == 1
+
+
+@pytest.mark.parametrize("kind, name", [("revolute", "a"), ("prismatic", "b")])
+def test_a_visual_mesh_shifted_by_its_origin_costs_the_shift(data, tmp_path, kind, name):
+    """The lid is a flat box of 2 cm: lifted by x, its samples are between 0 and x away; a plane's would be x."""
+    truth = make_truth(kind)
+    x = 0.004
+    rows = []
+    for lift in (0.0, x):
+        folder = submit(tmp_path / f"{lift}" / name, truth)
+        moved = replace(
+            truth.articulation,
+            moving=truth.articulation.moving.moved(se3.pose(np.eye(3), [0, 0, lift])),
+        )
+        write_asset(folder / "asset", truth.articulation.joint, state_zero=0.1, parts=moved)
+        rows.append(score_one(data, folder, name))
+    faces = truth.articulation.moving
+    share = faces.areas()[np.abs(_normals(faces)[:, 2]) > 0.5].sum() / faces.areas().sum()
+    assert rows[0].values["chamfer_m"] < 1e-3
+    assert 0.97 * share < rows[1].values["chamfer_m"] / (100 * x / truth.diagonal) < share + 0.05
+    assert rows[1].values["chamfer_s"] < 1e-3 and rows[1].values["chamfer_m_parts"] < 1e-3
+
+
+def _normals(mesh):
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).face_normals
+
+
+def test_what_the_checks_find_is_a_note(data, tmp_path):
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    write_asset(folder / "asset", truth.articulation.joint, urdf=lambda text: text.replace('effort="1"', 'effort="0"'))
+    row = score_one(data, folder)
+    assert row.status == "ok" and any("asset: limits: joint 'lid' has effort 0" in note for note in row.notes)
+
+
+def test_a_material_outside_the_asset_is_not_opened(data, tmp_path):
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    write_asset(folder / "asset", truth.articulation.joint, urdf=lambda text: text.replace("base.ply", "base.obj"))
+    mesh = truth.articulation.reference
+    lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces]
+    (tmp_path / "secret.mtl").write_text("newmtl x\nmap_Kd the_secret\n")
+    (folder / "asset" / "meshes" / "base.obj").write_text("\n".join(["mtllib ../../../secret.mtl", *lines]))
+    row = score_one(data, folder)
+    assert "the_secret" not in f"{row.reason}{row.notes}" and "leads out of the folder" in f"{row.reason}{row.notes}"
+
+
+def test_modules_among_the_results_are_not_imported(data, tmp_path, monkeypatch):
+    """A Python started in the results folder must not take its modules from there."""
+    for name in ("numpy", "json", "leaderboard"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('taken from the results')")
+    monkeypatch.chdir(tmp_path)
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    write_asset(folder / "asset", truth.articulation.joint)
+    assert score_one(data, folder).status == "ok"
+    assert subprocess.run(child.command("leaderboard.worker"), input="", text=True, timeout=60).returncode == 1
+
+
+# ---- held-out views of the other choice
+
+
+def test_views_of_the_other_choice_are_read_when_the_parts_are_swapped(data, tmp_path):
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth, with_names_exchanged(truth_as_answer(truth)), renders=False)
+    for sub, views in (("renders", [np.zeros_like(p) for p in pictures(truth)]), ("renders_other", pictures(truth))):
+        (folder / sub).mkdir()
+        for i, view in enumerate(views):
+            (folder / sub / f"{i:05d}.png").write_bytes(checked.encode_png(view))
+    row = score_one(data, folder)
+    assert row.swapped and row.values["psnr"] == 100 and row.notes == ()
+    (folder / "renders_other" / "00000.png").write_text("no picture")
+    row = score_one(data, folder)
+    assert row.values["psnr"] == 50 and "renders_other/00000.png is not a PNG" in row.notes[0]
+    shutil.rmtree(folder / "renders_other")
+    row = score_one(data, folder)
+    assert row.values["psnr"] < 20 and "no renders_other/" in row.notes[0]
+
+
+# ---- method.json and text
+
+
+def _write(text):
+    return lambda path: path.write_text(text)
+
+
+def _linked(path):
+    path.with_name("elsewhere.json").write_text('{"schema": "freeart21/method/1", "name": "x"}')
+    path.symlink_to(path.with_name("elsewhere.json"))
+
+
+METHODS = {
+    "not JSON": _write("{"),
+    "a list": _write("[1, 2]"),
+    "another schema": _write('{"schema": "x", "name": "y"}'),
+    "a number for a name": _write('{"schema": "freeart21/method/1", "name": 1e300}'),
+    "not UTF-8": lambda path: path.write_bytes(b'{"name": "\xff\xfe"}'),
+    "deep": _write("[" * 100_000),
+    "huge": _write('{"schema": "freeart21/method/1", "name": "' + "x" * (1 << 21) + '"}'),
+    "a link": _linked,
+    "a folder": lambda path: path.mkdir(),
+}
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_broken_method_json_is_a_note_and_loses_no_table(data, tmp_path, name, capsys):
+    submit(tmp_path / "a", truths()["a"])
+    METHODS[name](tmp_path / "method.json")
+    scores = score_results(tmp_path, data)
+    assert scores.method.name == UNREADABLE and len(scores.rows) == 3 and scores.rows[0].status == "ok"
+    assert len(scores.notes) == 1 and scores.notes[0].startswith("method.json")
+    print_scores(scores)
+    assert UNREADABLE in capsys.readouterr().out
+    (report,) = validate_results(tmp_path, data).faults[:1]
+    assert report.file == "method.json" and report.mend
+
+
+HOSTILE = "a\x1b[2Jb\r\nc\ud800d\u202ee\x00" + "y" * 1000
+
+
+def test_hostile_words_and_numbers_are_escaped_wherever_they_are_shown(data, tmp_path, capsys):
+    results = tmp_path / "results"
+    settings = {HOSTILE: [float("inf"), float("nan"), 1e300, HOSTILE], "deep": json.loads("[" * 500 + "]" * 500)}
+    header = {"schema": "freeart21/method/1", "name": HOSTILE, "code": HOSTILE, "hardware": 7, "settings": settings}
+    submit(results / "a", truths()["a"], replace(truth_as_answer(truths()["a"]), seconds={"tracks": 1e300}))
+    (results / "method.json").write_text(json.dumps(header))
+    declared = {"schema": "freeart21/prediction/1", "status": "failed", "stage": HOSTILE, "reason": HOSTILE}
+    (results / "b").mkdir()
+    (results / "b" / "prediction.json").write_text(json.dumps({**declared, "seconds": {"x": 1e308, "y": 1e308}}))
+    scores = score_results(results, data)
+    assert [row.status for row in scores.rows] == ["ok", "failed", "missing"]
+    assert scores.rows[0].seconds is None and scores.rows[1].seconds is None
+    print_scores(scores, everything=True)
+    shown = capsys.readouterr().out
+    write_scores(tmp_path / "scores.json", scores)
+    written = (tmp_path / "scores.json").read_bytes().decode("utf-8")
+    body = json.loads(written, parse_constant=lambda word: pytest.fail(word))
+    assert max(map(len, shown.splitlines())) < 700
+    for text in (shown.replace("\n", ""), scores.method.name, json.dumps(body, ensure_ascii=False)):
+        assert text.isprintable() and "\\x1b[2J" in text.replace("\\\\", "\\")
+        text.encode("utf-8")
+
+
+def test_numbers_beyond_all_floats_are_a_row(data, tmp_path):
+    folder = submit(tmp_path / "a", truths()["a"])
+    text = (folder / "prediction.json").read_text()
+    header = json.loads(text)
+    header["seconds"] = {"x": 10**400}
+    (folder / "prediction.json").write_text(json.dumps(header))
+    row = score_one(data, folder)
+    assert row.status == "unreadable" and "seconds has a number beyond all floats" in row.reason
+
+
+# ---- links
+
+
+@pytest.mark.parametrize("to", ["a folder", "nothing"])
+def test_a_link_in_place_of_a_result_is_refused_as_its_own_fault(data, tmp_path, to):
+    elsewhere = submit(tmp_path / "elsewhere", truths()["a"])
+    results = tmp_path / "results"
+    results.mkdir()
+    (results / "a").symlink_to(elsewhere if to == "a folder" else tmp_path / "nowhere")
+    submit(results / "c", truths()["c"])
+    rows = score_results(results, data).rows
+    assert [row.status for row in rows] == ["unreadable", "missing", "ok"] and "a is a link" in rows[0].reason
+    assert [fault.file for fault in validate_results(results, data).faults] == ["a", "b"]
+
+
+# ---- where the results are
+
+
+def test_one_level_too_high_or_too_low_says_what_was_meant(data, tmp_path):
+    folder = submit(tmp_path / "results" / "ours" / "a", truths()["a"])
+    for check in (score_results, validate_results):
+        with pytest.raises(FreeArtError, match="did you mean .*results/ours"):
+            check(tmp_path / "results", data)
+        with pytest.raises(FreeArtError, match="did you mean .*results/ours"):
+            check(folder, data)
+
+
+# ---- rows in a process of their own
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    """A scorer that sleeps on sequence b and dies on sequence c."""
+    source = (
+        "import sys, os, time, leaderboard.score as s, leaderboard.worker as w\n"
+        "real = s.score_sequence\n"
+        "def slow(result, *rest):\n"
+        "    if result.name == 'b': time.sleep(600)\n"
+        "    if result.name == 'c': os.abort()\n"
+        "    return real(result, *rest)\n"
+        "s.score_sequence = slow\n"
+        "w.main()\n"
+    )
+    places = [place for place in sys.path if place]
+    command = [sys.executable, "-c", f"import sys; sys.path[:] = {places!r}\n{source}"]
+    monkeypatch.setattr(child, "command", lambda module: command)
+
+
+def test_a_row_without_end_and_one_that_crashes_cost_only_themselves(data, tmp_path, impatient):
+    for name in "abc":
+        write_result(tmp_path / name, Failure("tracks", f"declared by {name}"))
+    begun = time.monotonic()
+    rows = score_results_apart(tmp_path, data, limit_s=8.0).rows
+    assert time.monotonic() - begun < 60
+    assert [row.status for row in rows] == ["failed"] * 3
+    assert rows[0].reason == "tracks: declared by a"
+    assert rows[1].reason == "scoring took more than 8 s"
+    assert rows[2].reason == f"scoring ended with exit code {-signal.SIGABRT}"
+    assert_priced(rows[1], truths()["b"])
+
+
+def test_a_row_scored_apart_is_the_row_scored_here(data, tmp_path):
+    write_result(tmp_path / "a", Failure("tracks", "declared", {"tracks": 2.5}))
+    assert score_results_apart(tmp_path, data).rows == score_results(tmp_path, data).rows
+
+
+def test_a_fault_of_the_truth_is_said_and_not_priced(data, tmp_path):
+    shutil.copytree(data, tmp_path / "data")
+    (tmp_path / "data" / "truth" / "b" / "truth.json").unlink()
+    submit(tmp_path / "results" / "a", truths()["a"])
+    with pytest.raises(FreeArtError, match="truth.json"):
+        score_results_apart(tmp_path / "results", tmp_path / "data")
+
+
+def test_workers_die_with_their_parent(data, tmp_path, impatient):
+    """Killed outright, the parent leaves no scorer behind."""
+    write_result(tmp_path / "b", Failure("tracks", "declared"))
+    program = (
+        f"import sys; sys.path[:] = {[p for p in sys.path if p]!r}\n"
+        f"from leaderboard import child, worker\nchild.command = lambda module: {child.command('')!r}\n"
+        "made = worker.Worker(); print(made._running().pid, flush=True)\n"
+        f"made.score(dict(result={str(tmp_path / 'b')!r}, sequence={str(data / 'sequences' / 'b')!r}, "
+        f"truth={str(data / 'truth' / 'b')!r}, protocol='strict-2'), 600)\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    pid = int(parent.stdout.readline())
+    time.sleep(1)
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    for _ in range(100):
+        if not _alive(pid):
+            return
+        time.sleep(0.1)
+    os.kill(pid, signal.SIGKILL)
+    pytest.fail("the worker outlived its parent")
+
+
+def _alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+# ---- validate
+
+
+def spoil_everything(folder: Path) -> None:
+    header = json.loads((folder / "prediction.json").read_text())
+    header["joint"]["axis"] = [0, 0, 2]
+    header["states"][3] = None
+    header["seconds"] = "long"
+    header["seen"] = [[1, 1]]
+    (folder / "prediction.json").write_text(json.dumps(header))
+    Ts = np.repeat(np.eye(4)[None], 16, 0)
+    wrong = Ts.copy()
+    wrong[[4, 9], :3, :3] *= 2
+    np.savez(folder / "poses.npz", T_camera_reference=wrong, T_camera_moving=Ts[:15])
+    for i, picture in ((2, np.zeros((2, 3), np.uint8)), (5, np.full((HEIGHT, WIDTH), 7, np.uint8))):
+        (folder / "part_mask" / f"{i:05d}.png").write_bytes(checked.encode_png(picture))
+    for i in (7, 8):
+        (folder / "part_mask" / f"{i:05d}.png").unlink()
+    (folder / "parts" / "moving.ply").write_text("ply?")
+    (folder / "renders" / "00001.png").write_bytes(checked.encode_png(np.zeros((2, 3, 3), np.uint8)))
+
+
+def test_validate_tells_every_fault_at_once_and_score_the_first_of_them(data, tmp_path):
+    folder = submit(tmp_path / "a", truths()["a"])
+    write_result(tmp_path / "b", Failure("tracks", "declared"))
+    (tmp_path / "extra").mkdir()
+    spoil_everything(folder)
+    report = validate_results(tmp_path, data)
+    found = {(fault.file, fault.field, fault.frame) for fault in report.faults}
+    assert found == {
+        ("a/prediction.json", "seconds", None),
+        ("a/prediction.json", "joint", None),
+        ("a/prediction.json", "states", None),
+        ("a/prediction.json", "seen", None),
+        ("a/poses.npz", "T_camera_reference", 4),
+        ("a/poses.npz", "T_camera_moving", None),
+        ("a/part_mask/00002.png", "", 2),
+        ("a/part_mask/00005.png", "", 5),
+        ("a/part_mask/00007.png", "", 7),
+        ("a/parts/moving.ply", "", None),
+        ("a/renders/00001.png", "", None),
+        ("c", "", None),
+    }
+    told = {fault.file + fault.field: str(fault) for fault in report.faults}
+    assert "2 of 16 frames" in told["a/poses.npzT_camera_reference"]
+    assert "1 more of 16 frames" in told["a/part_mask/00007.png"]
+    assert (
+        "(15, 4, 4)" in told["a/poses.npzT_camera_moving"]
+        and "expected (16, 4, 4)" in told["a/poses.npzT_camera_moving"]
+    )
+    assert any("extra" in note for note in report.notes) and any("method.json" in note for note in report.notes)
+    assert (report.answers, report.failures) == (0, 1)
+    row = score_one(data, folder)
+    assert row.status == "unreadable" and row.reason == str(report.faults[0])
+
+
+def test_validate_and_score_are_of_one_mind(data, tmp_path):
+    """What validate lets through is measured, and what it refuses is not."""
+    for name, truth in truths().items():
+        submit(tmp_path / name, truth)
+    write_method(tmp_path, Method("good"))
+    report = validate_results(tmp_path, data)
+    assert report.faults == () and report.answers == 3
+    assert score_results(tmp_path, data).measured == 3
+
+
+def test_millimetres_are_doubted(data, tmp_path):
+    truth = truths()["a"]
+    answer = truth_as_answer(truth)
+    far = []
+    for Ts in (answer.Ts_camera_reference, answer.Ts_camera_moving):
+        Ts = Ts.copy()
+        Ts[:, :3, 3] *= 1000
+        far.append(Ts)
+    folder = submit(tmp_path / "a", truth, replace(answer, Ts_camera_reference=far[0], Ts_camera_moving=far[1]))
+    (fault,) = [f for f in validate_results(tmp_path, data).faults if f.file.startswith("a/")]
+    assert "millimetres" in fault.mend and fault.file == "a/poses.npz" and not fault.fatal
+    row = score_one(data, folder)
+    assert row.status == "ok" and any("m from the camera" in note for note in row.notes)
+
+
+def test_validate_tells_what_is_wrong_with_an_asset(data, tmp_path):
+    truth = truths()["a"]
+    folder = submit(tmp_path / "a", truth)
+    write_asset(folder / "asset", truth.articulation.joint)
+    BROKEN_ASSETS["mass NaN"][0](folder / "asset")
+    (fault,) = [f for f in validate_results(tmp_path, data).faults if f.file.startswith("a/")]
+    assert fault.file == "a/asset" and "inertia: link 'base'" in fault.found
+
+
+# ---- a skeleton to fill in
+
+
+def test_a_skeleton_is_valid_and_priced_and_its_examples_are_answers(data, tmp_path):
+    out = tmp_path / "mine"
+    assert write_skeleton(data, out) == ("a", "b", "c")
+    report = validate_results(out, data)
+    assert report.faults == () and (report.answers, report.failures) == (0, 3)
+    scores = score_results(out, data)
+    assert {row.status for row in scores.rows} == {"failed"} and scores.measured == 0 and scores.method.name == "mine"
+    for name, truth in truths().items():
+        assert_priced(scores.rows["abc".index(name)], truth)
+        (out / name / "prediction.example.json").replace(out / name / "prediction.json")
+    report = validate_results(out, data)
+    assert report.faults == () and report.answers == 3
+    assert score_results(out, data).measured == 3
+    readme = (out / "README.txt").read_text()
+    for path in (p for p in (out / "a").rglob("*") if p.is_file() and p.name not in ("00000.png",)):
+        told = path.relative_to(out / "a").as_posix()
+        assert path.parent.name == "part_mask" or f"SEQ/{told}" in readme, told
+
+
+def test_a_skeleton_touches_nothing_that_stands(data, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("years of work")
+    with pytest.raises(FreeArtError, match="exists"):
+        write_skeleton(data, tmp_path / "mine")
+    assert [path.name for path in tmp_path.rglob("*")] == ["mine", "thesis.txt"]
+
+
+# ---- commands
+
+
+def run(*arguments):
+    code = "import sys; sys.path[:] = %r; from freeart21.cli import main; main()" % [p for p in sys.path if p]
+    return subprocess.run([sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True)
+
+
+def test_exit_codes_say_whether_anything_was_measured_or_wrong(data, tmp_path):
+    out = tmp_path / "mine"
+    assert run("init-submission", data, "--out", out).returncode == 0
+    assert run("init-submission", data, "--out", out).returncode == 1
+    assert run("validate", out, "--data", data).returncode == 0
+    scored = run("score", out, "--data", data, "--out", tmp_path / "scores.json")
+    assert scored.returncode == 1 and "0 of 3 sequences were measured" in scored.stdout
+    assert max(map(len, scored.stdout.splitlines())) <= 100
+    assert json.loads((tmp_path / "scores.json").read_text())["protocol"]["name"] == "strict-2"
+    (out / "a" / "poses.npz").unlink()
+    (out / "a" / "prediction.example.json").replace(out / "a" / "prediction.json")
+    told = run("validate", out, "--data", data)
+    assert told.returncode == 1 and told.stdout.startswith("a/poses.npz is missing") and "1 fault" in told.stderr
