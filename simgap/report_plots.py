@@ -236,7 +236,8 @@ def _map_ticks(m: ResidualMap, factor: float, unit: str, ends: Array, height: in
             for t in at
         ]
     return [
-        f'<text x="{x:.1f}" y="{height - 6}" text-anchor="middle">{escape(str(label)[:14])}</text>'
+        f'<text x="{x:.1f}" y="{height - 6}" text-anchor="{"end" if x > ends[-1] - 25 and not m.labels else "middle"}">'
+        f"{escape(str(label)[:14])}</text>"
         for x, label in named
     ]
 

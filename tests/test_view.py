@@ -405,6 +405,7 @@ def test_page_of_a_truth_and_of_a_sequence_with_its_truth(folders: dict[str, Pat
         ("state", {"value": 2e-5, "unit": "cm"}, "State", "below 0.001 cm"),
         ("zero", {"value": 0.0, "unit": "%"}, "Zero", "0 %"),
         ("plain", 7, "Plain", "7"),
+        ("miou", {"value": 0.959, "unit": "fraction"}, "Mean IoU", "0.959"),
         ("none", None, "None", "-"),
     ],
 )

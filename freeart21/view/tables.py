@@ -222,7 +222,15 @@ def _vector(values: np.ndarray) -> str:
     return ", ".join(f"{value:.3f}" for value in np.round(np.asarray(values), 3) + 0.0)
 
 
-_ACRONYMS = {"iou": "IoU", "psnr": "PSNR", "ssim": "SSIM", "lpips": "LPIPS", "fps": "frames per second"}
+_ACRONYMS = {
+    "iou": "IoU",
+    "psnr": "PSNR",
+    "miou": "mean IoU",
+    "fscore": "F-score",
+    "ssim": "SSIM",
+    "lpips": "LPIPS",
+    "fps": "frames per second",
+}
 
 
 def _label(id: str) -> str:
