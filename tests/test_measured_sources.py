@@ -8,6 +8,7 @@ import pytest
 
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
+from freeart21.formats.measured_series import SeriesSettings, measure_series
 from generator.simulate import roll_out
 from simgap.surrogate import plant_of
 from simgap.workflow import find_gap
@@ -62,3 +63,37 @@ def test_a_servo_that_was_switched_off_makes_a_run_without_commands(sets: Path):
     assert len(free) == 1 and len(measured.runs) == 5
     assert free[0].times_s[-1] - free[0].times_s[0] == pytest.approx(4.0, abs=0.5)  # let go for four seconds
     assert measured.actuator is not None and 0.1 < measured.actuator.stiffness < 0.3
+
+
+COMMANDS = {  # files, what must be told, runs, rows a second
+    "two headers": ("phy180_pendulum/data31.csv phy180_pendulum/data2_14.csv", {}, 2, 230),
+    "its torque": ("dfki_pendulum/sysid_measured.csv", {"effort": "commanded"}, 1, 300),
+    "JSON logs": ("bam_xl330/kp100_lift_and_drop.json bam_xl330/kp100_sin_sin.json", {"actuator": (0.2, 0.03)}, 3, 189),
+    "cells": (
+        "multiarm_pendulum/SinglePendulumDataForParameterEstimation.mat",
+        {"columns": {"t": "Time_id", "q": "Y_id:1"}, "zero": np.pi},
+        4,
+        1000,
+    ),
+    "a matrix": (
+        "hsm150_motor/idf_pos_0.06_1.mat",
+        {"columns": {"t": "data:1", "q": "data:3"}, "unit_q": "deg"},
+        1,
+        1000,
+    ),
+    "no header": ("directdrive_friction/test2/cin_pos1_01_exp_gan.t", {"unit_q": "deg"}, 1, 66.7),
+    "vectors": ("rotary_and_cart/adip_pend_data.mat", {}, 1, 1000),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_recording_comes_in_with_one_command(name: str, sets: Path, tmp_path: Path):
+    words, told, count, rate_hz = COMMANDS[name]
+    files = [measured_sources.SHARED / word for word in words.split()]
+    if not all(file.is_file() for file in files):
+        pytest.skip("this recording is not at hand")
+    urdf = next((sets / next(iter(SOURCES)) / "asset").glob("*.urdf"))
+    notes = measure_series(files, tmp_path / "out", urdf, None, SeriesSettings(**told))
+    measured = read_measured(tmp_path / "out" / "measured")
+    assert len(measured.runs) == count and measured.rate_hz == pytest.approx(rate_hz, rel=0.1)
+    assert any("times are" in note for note in notes) and all("\n" not in note for note in notes)
