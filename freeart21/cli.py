@@ -9,14 +9,19 @@ import platform
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from freeart21.errors import FreeArtError
 from reconstruct.settings import ReconstructSettings
 
+if TYPE_CHECKING:
+    from freeart21.reconstruction import Reconstruction
+
 Positional = tyro.conf.Positional
+DOUBTFUL = 3
+"""Exit code of `reconstruct` when there is an answer that it does not trust itself."""
 
 
 def doctor(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
@@ -260,7 +265,8 @@ def reconstruct(
 ) -> int:
     """Solve one sequence: two parts, their poses, the joint between them, and meshes, from the video alone.
 
-    May be stopped at any moment: the same command goes on after the last finished stage, to the same result.
+    May be stopped at any moment: the same command goes on after the last finished stage, to the same result. The last
+    line says whether to trust the answer; if it is doubtful, the exit code is 3.
 
     Args:
         sequence: A sequence folder (with sequence.json).
@@ -301,10 +307,26 @@ def reconstruct(
     if isinstance(result, Failure):
         print(f"{out}: failed in {result.stage}: {result.reason}", file=sys.stderr)
         return 1
+    return _told(result, out)
+
+
+def _told(result: Reconstruction, out: Path) -> int:
+    """Prints what was found, how well it is known and, last, whether to trust it; 0 when sound, 3 when doubtful."""
     joint = result.articulation.joint
     low, high = _shown(joint.lower, joint.type), _shown(joint.upper, joint.type)
-    print(f"{out}: {joint.type} joint, {low} to {high}, {len(result)} frames in {sum(result.seconds.values()):.0f} s")
-    return 0
+    known = []
+    if result.axis_std is not None:
+        known.append(f"axis to {math.degrees(result.axis_std):.2g} deg")
+    if result.pivot_std is not None:
+        known.append(f"pivot to {1000 * result.pivot_std:.2g} mm")
+    stds = f" ({', '.join(known)})" if known else ""
+    seconds = sum(result.seconds.values())
+    print(f"{out}: {joint.type} joint{stds}, {low} to {high}, {len(result)} frames in {seconds:.0f} s")
+    if result.trust is None or result.trust.verdict == "sound":
+        print("sound")
+        return 0
+    print(f"doubtful: {'; '.join(result.trust.reasons)}")
+    return DOUBTFUL
 
 
 def export(result: Annotated[Path, Positional], out: Path) -> int:
