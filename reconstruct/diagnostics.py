@@ -245,13 +245,15 @@ def _nearest_rival(costs: Array, tried: Array) -> float:
     """Distance of the nearest of the states `tried` (q,), by `costs` (q,), that is as good as the one at distance 0."""
     own = int(np.argmin(np.abs(tried)))
     enough = max(AS_WELL, 1.2 * float(costs[own]))
-    best = np.inf
+    found = []
     for side in (costs[own::-1], costs[own:]):
         barrier = np.flatnonzero(side > BARRIER * enough)
-        if len(barrier):
-            beyond = barrier[0] + np.flatnonzero(side[barrier[0] :] <= enough)
-            best = min(best, abs(float(tried[own + 1] - tried[own])) * beyond[0] if len(beyond) else np.inf)
-    return best if np.isfinite(best) else 0.0
+        beyond = np.flatnonzero(side <= enough)
+        beyond = beyond[beyond > barrier[0]] if len(barrier) else beyond[:0]
+        if len(beyond):
+            basin = beyond[: int(np.argmax(np.append(np.diff(beyond), 2) > 1)) + 1]
+            found.append(int(basin[np.argmin(side[basin])]))
+    return min(found) * abs(float(tried[own + 1] - tried[own])) if found else 0.0
 
 
 def type_residuals(relative: Array, joint: Joint, body: Array, reach: float, settings: JointSettings) -> Array:

@@ -400,10 +400,10 @@ def test_a_result_that_is_wrong_all_along_is_told_once():
     found = told(replace(result, articulation=replace(result.articulation, joint=tilted)))
     assert [where for where, _ in found] == [""] and "poses lie off the joint by" in found[0][1]
     diagnostics = sample_diagnostics(60)
-    diagnostics.residual_m[:, 0], diagnostics.inliers[:, 1], diagnostics.confidence[:, 1] = 0.002, 0.7, 0.7
+    diagnostics.residual_m[:, 0], diagnostics.inliers[:, 1], diagnostics.confidence[:, 1] = 0.002, 0.7, 0.78
     found = told(long_result(), diagnostics)
     assert [where for where, _ in found] == [""] * 3, found
-    assert ["residual is 2 mm" in found[0][1], "only 70 %" in found[1][1], "only 70 % sure" in found[2][1]] == [
+    assert ["residual is 2 mm" in found[0][1], "only 70 %" in found[1][1], "only 78 % sure" in found[2][1]] == [
         True
     ] * 3
 
