@@ -22,8 +22,9 @@ from freeart21.mesh import bounding_diagonal, middle
 from freeart21.reconstruction import Reconstruction, Trust
 from freeart21.se3 import Array
 
-LEAST_SEEN = 0.5
-"""Share of frames that must show each part."""
+LEAST_SEEN = 0.75
+"""Share of frames that must show each part. Right answers: .88 and more; a lighter whose states are guessed wrong in the
+last third: .67."""
 OFF_JOINT_ANGLE, OFF_JOINT_SHARE = np.radians(4.0), 0.02
 """Median turn, and displacement in sizes, of the moving part's measured poses against the joint. Right answers: up to
 2.8 degrees and 1.1 %, in a hand; two doors taken for one joint: 5.3 degrees and 3.5 %."""
@@ -49,8 +50,9 @@ one frame: beyond half of it, even motion leads to the wrong one. Only a fan has
 the next, and it turns by up to 26 in a frame."""
 TYPE_WORSE = 1.5
 """The other joint type must leave so many times the residual."""
-AXIS_STD, PIVOT_STD_SHARE = np.radians(2.0), 0.02
-"""Standard deviations of axis and, in sizes, pivot that an answer may have."""
+AXIS_STD, PIVOT_STD_SHARE = np.radians(5.0), 0.05
+"""Standard deviations of axis and, in sizes, pivot that an answer may have: what the benchmark calls wrong. Right
+answers: up to 2 degrees, and 2.5 of a hinge that moves by 3; two doors taken for one joint: 22."""
 LITTLE_ANGLE, LITTLE_SHARE = np.radians(10.0), 0.05
 """Motion of the joint, in sizes if it slides, that says little of its axis when the method does not say how much."""
 JUMP, JUMP_ANGLE, JUMP_SHARE = 4.0, np.radians(20.0), 0.1

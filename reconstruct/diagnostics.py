@@ -18,7 +18,7 @@ from freeart21 import se3
 from freeart21.files.diagnostics import Diagnostics
 from freeart21.joint import Joint
 from freeart21.se3 import Array
-from reconstruct.evidence import Evidence, Samples, draw, evenly
+from reconstruct.evidence import Evidence, Pixels, Samples, draw, evenly
 from reconstruct.growth import Grown, body_points
 from reconstruct.joint import JointFit, fit_joint, states_of
 from reconstruct.labels import telling_frames
@@ -187,7 +187,7 @@ def unexplained(
     """(n,) share of a frame's pixels that in a quarter of the frames nearby follow neither part's motion there.
 
     `Ts` (2, n, 4, 4) are T_camera_part, `seen` (n, 2). A third motion leaves all that has it, a right answer next to
-    nothing. NaN where no frame nearby shows the like.
+    nothing. What leaves the picture is not judged. NaN where no frame nearby shows the like.
     """
     n, shares = len(seen), np.full(len(seen), np.nan)
     known = seen.all(1)
@@ -197,9 +197,24 @@ def unexplained(
         pixels = draw(evidence.usable(i, evidence.scene.valid[i]), 6 * SAMPLES, rng)
         if len(others) < 2 or len(pixels) < LEAST:
             continue
-        costs = evidence.costs(i, others, _motions(Ts, i, others), pixels).min(2)
-        shares[i] = (np.percentile(costs, 75, axis=1) > least).mean()
+        T = _motions(Ts, i, others)
+        costs = evidence.costs(i, others, T, pixels).min(2)
+        costs[~_inside(evidence, i, others, T, pixels).all(2)] = np.nan
+        costs = costs[np.isfinite(costs).sum(1) >= 2]
+        if len(costs) >= LEAST:
+            shares[i] = (np.nanpercentile(costs, 75, axis=1) > least).mean()
     return shares
+
+
+def _inside(evidence: Evidence, frame: int, others: NDArray[np.int64], T: Array, pixels: Pixels) -> NDArray[np.bool_]:
+    """(p, s, k) whether `pixels` (p, 2) of `frame`, moved by T (s, k, 4, 4), are inside the pictures of `others`."""
+    scene = evidence.scene
+    h, w = scene.mask.shape[1:]
+    X = se3.transform(T, scene.points[frame][tuple(pixels.T)][None, None]).transpose(2, 0, 1, 3)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = scene.fx * X[..., 0] / X[..., 2] + scene.cx[others][:, None]
+        v = scene.fy * X[..., 1] / X[..., 2] + scene.cy[others][:, None]
+    return np.asarray((X[..., 2] > 0) & (u > -0.5) & (v > -0.5) & (u < w - 0.5) & (v < h - 0.5))
 
 
 def other_motion_cost(evidence: Evidence, grown: Grown, Ts: Array, body: Array, rng: np.random.Generator) -> Array:

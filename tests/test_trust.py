@@ -117,7 +117,7 @@ def test_motion_too_fast_for_the_frame_rate():
 
 
 @pytest.mark.parametrize(
-    "stds, words", [((0.05, 1e-4), ["axis is known to 2.9°"]), ((1e-3, 0.02), ["axis line is known to 20 mm"])]
+    "stds, words", [((0.1, 1e-4), ["axis is known to 5.7°"]), ((1e-3, 0.02), ["axis line is known to 20 mm"])]
 )
 def test_a_joint_that_is_not_well_known(stds, words):
     found = reasons(replace(long_result(N), axis_std=stds[0], pivot_std=stds[1]))
