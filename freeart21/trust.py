@@ -23,8 +23,8 @@ from freeart21.reconstruction import Reconstruction, Trust
 from freeart21.se3 import Array
 
 LEAST_SEEN = 0.75
-"""Share of frames that must show each part. Right answers: .88 and more; a lighter whose states are guessed wrong in the
-last third: .67."""
+"""Share of frames that must show each part. Right answers: .88 and more; a lighter whose states in the last third are
+guessed, and wrong: .67."""
 OFF_JOINT_ANGLE, OFF_JOINT_SHARE = np.radians(4.0), 0.02
 """Median turn, and displacement in sizes, of the moving part's measured poses against the joint. Right answers: up to
 2.8 degrees and 1.1 %, in a hand; two doors taken for one joint: 5.3 degrees and 3.5 %."""

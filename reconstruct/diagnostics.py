@@ -192,8 +192,9 @@ def unexplained(
     n, shares = len(seen), np.full(len(seen), np.nan)
     known = seen.all(1)
     for i in map(int, evenly(np.flatnonzero(known), MOST_FRAMES)):
-        others = np.array([j for d in NEARBY for j in (i - d, i + d) if 0 <= j < n and known[j]], int)
-        others = others[np.minimum(*(view_angle(T[others, :3, :3], T[i, :3, :3]) for T in Ts)) < SAME_VIEW]
+        others = np.array([j for d in NEARBY for j in (i - d, i + d) if 0 <= j < n and known[j]], np.int64)
+        turn = np.min([view_angle(T[others, :3, :3], T[i, :3, :3]) for T in Ts], axis=0)
+        others = others[turn < SAME_VIEW]
         pixels = draw(evidence.usable(i, evidence.scene.valid[i]), 6 * SAMPLES, rng)
         if len(others) < 2 or len(pixels) < LEAST:
             continue

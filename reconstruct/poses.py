@@ -331,7 +331,7 @@ def _systematic_std(clouds: list[Array], unit: float) -> Array:
     """
     extents = [2 * float(np.sqrt(((c - c.mean(0)) ** 2).sum(1).mean())) for c in clouds]
     tilts = [SYSTEMATIC * unit / max(extent, unit) for extent in extents]
-    return np.array([np.hypot(*tilts), np.sqrt(2) * SYSTEMATIC * unit])
+    return np.array([np.hypot(tilts[0], tilts[1]), np.sqrt(2) * SYSTEMATIC * unit])
 
 
 def _joint_std(A: Array, now: JointedPoses, seen: NDArray[np.bool_], centre: Array, reuse: float) -> Array:

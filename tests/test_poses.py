@@ -140,3 +140,11 @@ def test_deviations_of_the_joint_are_those_of_random_solutions_in_the_frame_of_a
     line -= np.outer(line @ now.joint.axis, now.joint.axis)
     assert found[part, 1] == pytest.approx(np.sqrt((line**2).sum(1).mean() / 2), rel=0.05)
     assert poses._joint_std(A, now, seen, centre, 9.0) == pytest.approx(3 * found)
+
+
+def test_a_pose_errs_systematically_by_its_size():
+    ends = np.array([[0.05, 0, 0], [-0.05, 0, 0]])
+    tilt, shift = poses._systematic_std([ends, ends], 0.003)
+    assert shift == pytest.approx(np.sqrt(2) * 0.001) and tilt == pytest.approx(np.sqrt(2) * 0.001 / 0.1)
+    assert poses._systematic_std([ends, ends / 2], 0.003)[0] == pytest.approx(np.hypot(0.01, 0.02))
+    assert np.isfinite(poses._systematic_std([np.zeros((1, 3))] * 2, 0.003)).all()

@@ -1,6 +1,9 @@
 """Whether to trust an answer: each sign on answers that have its fault alone, and what the solver measures for them."""
 
+import importlib.util
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +20,9 @@ from freeart21.reconstruction import Trust
 from freeart21.recording import Frame, Recording
 from freeart21.trust import judge
 from freeart21.view.diagnosis import remarks
+from generator import session
+from generator.motion import Plan
+from leaderboard.score import Row
 from reconstruct.diagnostics import (
     _nearest_rival,
     other_motion_cost,
@@ -287,3 +293,63 @@ def test_a_joint_that_hardly_moves_could_be_of_either_type(kind, share, told):
     body = np.array([0.02, 0.1, 0]) + 0.06 * np.concatenate([np.eye(3), -np.eye(3)])
     own, other = type_residuals(joint.transform(states) @ noise, joint, body, 0.6, JointSettings())
     assert (other > 1.5 * own) == told
+
+
+# ---------------------------------------------------------------- the benchmark
+
+
+def load_benchmark():
+    """benchmarks/trust.py, which is no module of a package."""
+    place = Path(__file__).resolve().parents[1] / "benchmarks" / "trust.py"
+    spec = importlib.util.spec_from_file_location("benchmark_of_trust", place)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def scored(axis=0.1, position=0.1, state=0.5, joint_type=1.0):
+    values = {"joint_type": joint_type, "axis": axis, "position": position, "state": state}
+    return Row("s", "revolute", "ok", "", "files", False, 0.2, values, {})
+
+
+def test_the_benchmark_counts_wrong_and_doubted_answers():
+    bench = load_benchmark()
+    assert not bench.is_wrong(scored(), 60.0)
+    for fault in ({"axis": 6.0}, {"position": 6.0}, {"state": 7.0}, {"joint_type": 0.0}):
+        assert bench.is_wrong(scored(**fault), 60.0), fault
+    rows = [
+        bench.Judged("v", status, wrong, doubtful, (), {}, 60.0, ratio, None, 1.0, held_out)
+        for status, wrong, doubtful, ratio, held_out in [
+            ("ok", True, True, None, False),
+            ("ok", True, False, 9.0, False),
+            ("ok", False, True, 1.0, False),
+            ("ok", False, False, 2.0, False),
+            ("failed", False, True, None, False),
+            ("ok", False, False, 4.0, True),
+        ]
+    ]
+    seen = bench.summary(rows)["seen"]
+    told = [seen[k] for k in ("wrong_doubted", "wrong_unnoticed", "right_doubted", "right_sound", "refused")]
+    assert told == [1, 1, 1, 1, 1]
+    assert seen["axis_error_over_std"] == {"answers": 2, "median": 1.5, "most": 2.0}, "of right answers"
+    assert bench.summary(rows)["held_out"]["right_sound"] == 1
+
+
+def test_a_staged_recording_moves_as_it_says():
+    bench = load_benchmark()
+    plan = Plan(np.tile(np.eye(4), (40, 1, 1)), np.linspace(0, 1, 40), np.tile(np.eye(4), (40, 1, 1)))
+    asked = []
+
+    def planned(loaded, settings, model=None):
+        asked.append(settings.frames)
+        return "camera", plan
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "planned", planned)
+        video = bench.Video("v", "stapler", 1, frames=10, share=0.04, every=4)
+        with bench._staged(video):
+            _, changed = session.planned(None, bench.RecordSettings(frames=10))
+        assert session.planned is planned, "and afterwards nothing is staged"
+    assert asked == [40] and len(changed.states) == 10
+    assert np.ptp(changed.states) == pytest.approx(0.04 * np.ptp(plan.states[::4]))
