@@ -181,16 +181,14 @@ def _signs(
     }
 
 
-def unexplained(
-    evidence: Evidence, Ts: Array, seen: NDArray[np.bool_], rng: np.random.Generator, least: float = MISFIT
-) -> Array:
+def unexplained(evidence: Evidence, Ts: Array, seen: NDArray[np.bool_], rng: np.random.Generator) -> Array:
     """(n,) share of a frame's pixels that in a quarter of the frames nearby follow neither part's motion there.
 
     `Ts` (2, n, 4, 4) are T_camera_part, `seen` (n, 2). A third motion leaves all that has it, a right answer next to
     nothing. What leaves the picture is not judged. NaN where no frame nearby shows the like.
     """
     n, shares = len(seen), np.full(len(seen), np.nan)
-    known = seen.all(1)
+    known = np.asarray(seen.all(1))
     for i in map(int, evenly(np.flatnonzero(known), MOST_FRAMES)):
         others = np.array([j for d in NEARBY for j in (i - d, i + d) if 0 <= j < n and known[j]], np.int64)
         turn = np.min([view_angle(T[others, :3, :3], T[i, :3, :3]) for T in Ts], axis=0)
@@ -203,7 +201,7 @@ def unexplained(
         costs[~_inside(evidence, i, others, T, pixels).all(2)] = np.nan
         costs = costs[np.isfinite(costs).sum(1) >= 2]
         if len(costs) >= LEAST:
-            shares[i] = (np.nanpercentile(costs, 75, axis=1) > least).mean()
+            shares[i] = (np.nanpercentile(costs, 75, axis=1) > MISFIT).mean()
     return shares
 
 
