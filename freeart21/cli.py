@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import wraps
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -23,8 +23,13 @@ from freeart21.ending import in_one_line
 from freeart21.errors import FreeArtError
 from reconstruct.settings import ReconstructSettings
 
+if TYPE_CHECKING:
+    from freeart21.reconstruction import Reconstruction
+
 Positional = tyro.conf.Positional
 DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
+DOUBTFUL = 3
+"""Exit code of `reconstruct` when there is an answer that it does not trust itself."""
 
 
 def doctor(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
@@ -275,7 +280,8 @@ def reconstruct(
     """Solve one sequence: two parts, their poses, the joint between them, and meshes, from the video alone.
 
     May be stopped at any moment: the same command goes on after the last finished stage, to the same result. An older
-    result at --out is replaced, and with it the asset that was made of it; anything else there is left alone.
+    result at --out is replaced, and with it the asset that was made of it; anything else there is left alone. The last
+    line says whether to trust the answer; if it is doubtful, the exit code is 3.
 
     Args:
         sequence: A sequence folder (with sequence.json).
@@ -318,10 +324,26 @@ def reconstruct(
     if isinstance(result, Failure):
         print(f"{out}: failed in {result.stage}: {result.reason}", file=sys.stderr)
         return 1
+    return _say_answer(result, out)
+
+
+def _say_answer(result: Reconstruction, out: Path) -> int:
+    """Prints what was found, how well it is known and, last, whether to trust it; 0 when sound, 3 when doubtful."""
     joint = result.articulation.joint
     low, high = _shown(joint.lower, joint.type), _shown(joint.upper, joint.type)
-    print(f"{out}: {joint.type} joint, {low} to {high}, {len(result)} frames in {sum(result.seconds.values()):.0f} s")
-    return 0
+    known = []
+    if result.axis_std is not None:
+        known.append(f"axis to {math.degrees(result.axis_std):.2g} deg")
+    if result.pivot_std is not None:
+        known.append(f"pivot to {1000 * result.pivot_std:.2g} mm")
+    stds = f" ({', '.join(known)})" if known else ""
+    seconds = sum(result.seconds.values())
+    print(f"{out}: {joint.type} joint{stds}, {low} to {high}, {len(result)} frames in {seconds:.0f} s")
+    if result.trust is None or result.trust.verdict == "sound":
+        print("sound")
+        return 0
+    print(f"doubtful: {'; '.join(result.trust.reasons)}")
+    return DOUBTFUL
 
 
 def export(

@@ -64,3 +64,11 @@ def bounding_diagonal(*meshes: Mesh) -> float:
     """Length, metres, of the diagonal of the axis-aligned box round all meshes; 0 when all are empty."""
     points = [mesh.vertices[np.unique(mesh.faces)] for mesh in meshes if not mesh.empty]
     return float(np.linalg.norm(np.ptp(np.concatenate(points), axis=0))) if points else 0.0
+
+
+def middle(mesh: Mesh) -> NDArray[np.float64]:
+    """(3,) the middle of a mesh's box; the origin when it is empty."""
+    if mesh.empty:
+        return np.zeros(3)
+    used = mesh.vertices[np.unique(mesh.faces)]
+    return (used.min(0) + used.max(0)) / 2

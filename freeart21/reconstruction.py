@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,25 @@ class Failure:
     """One line a person understands."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Seconds per stage until then."""
+
+
+Verdict = Literal["sound", "doubtful"]
+VERDICTS: tuple[str, ...] = get_args(Verdict)
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What a method says of its own answer without knowing the truth."""
+
+    verdict: Verdict
+    reasons: tuple[str, ...] = ()
+    """One line each, why it is doubtful; none when it is sound."""
+
+    def __post_init__(self) -> None:
+        if self.verdict not in VERDICTS:
+            raise FreeArtError(f"trust is '{self.verdict}', expected {' or '.join(VERDICTS)}")
+        if self.verdict == "sound" and self.reasons:
+            raise FreeArtError(f"trust is 'sound' with {len(self.reasons)} reasons for doubt, expected none")
 
 
 @dataclass(frozen=True)
@@ -49,6 +69,13 @@ class Reconstruction:
     """(n, 2, 6, 6) of the left twist (v, w) of each part pose, reference then moving; None when not estimated."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Seconds per stage."""
+    trust: Trust | None = None
+    """None when the method does not say."""
+    axis_std: float | None = None
+    """Standard deviation of the axis's direction, rad: root mean square of its two tilts; None when not estimated."""
+    pivot_std: float | None = None
+    """Standard deviation, metres, of the axis line across itself at the point nearest the moving part's centre: root
+    mean square of both ways; None when not estimated, and for a prismatic joint."""
 
     def __post_init__(self) -> None:
         n = len(self.states)
@@ -67,6 +94,10 @@ class Reconstruction:
             value = getattr(self, name)
             if value is not None and np.shape(value) != expected:
                 raise FreeArtError(f"reconstruction {name} has shape {np.shape(value)}, expected {expected}")
+        for name in ("axis_std", "pivot_std"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < np.inf:
+                raise FreeArtError(f"reconstruction {name} is {value}, expected a finite number, not negative")
         if self.part_masks.ndim != 3 or len(self.part_masks) != n or self.part_masks.max(initial=0) > 2:
             raise FreeArtError(
                 f"reconstruction part_masks has shape {self.part_masks.shape}, expected ({n}, height, width) "

@@ -30,7 +30,7 @@ from freeart21.files import atomic
 from freeart21.files.diagnostics import Diagnostics, diagnostics_from_json, diagnostics_to_json
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
-from freeart21.reconstruction import Reconstruction
+from freeart21.reconstruction import Reconstruction, Trust
 from reconstruct import VERSION
 from reconstruct.growth import Grown
 from reconstruct.poses import FreePoses, JointedPoses
@@ -202,6 +202,8 @@ def _packed(kept: Kept, key: str) -> bytes:
         facts["joint"] = _pack_joint(poses.joint, arrays)
         arrays |= {"labels": grown.labels, "logodds": grown.logodds, "seen": grown.seen, "cost": np.array(poses.cost)}
         arrays |= {"states": poses.states, "Ts": poses.Ts, "state_std": poses.state_std}
+        if poses.joint_std is not None:
+            arrays["joint_std"] = poses.joint_std
     for k, free in enumerate(known.free):
         arrays |= {f"free_{k}_Ts": free.Ts, f"free_{k}_covariances": free.covariances}
     facts["free"] = len(known.free)
@@ -234,7 +236,8 @@ def _read(path: Path, stage: KeptStage, key: str) -> Kept | None:
     grown = None
     if "joint" in facts:
         joint = _unpack_joint(facts["joint"], arrays)
-        poses = JointedPoses(joint, arrays["states"], arrays["Ts"], arrays["state_std"], float(arrays["cost"]))
+        found_poses = arrays["states"], arrays["Ts"], arrays["state_std"], float(arrays["cost"])
+        poses = JointedPoses(joint, *found_poses, arrays.get("joint_std"))
         grown = Grown(poses, arrays["labels"], arrays["logodds"], arrays["seen"])
     free = tuple(FreePoses(arrays[f"free_{k}_Ts"], arrays[f"free_{k}_covariances"]) for k in range(facts["free"]))
     answer = _unpack_answer(facts["answer"], arrays) if "answer" in facts else None
@@ -258,13 +261,18 @@ def _pack_answer(answer: Reconstruction, arrays: dict[str, NDArray[Any]]) -> dic
         arrays |= {f"{part}_vertices": mesh.vertices, f"{part}_faces": mesh.faces}
         if mesh.colours is not None:
             arrays[f"{part}_colours"] = mesh.colours
-    return _pack_joint(answer.articulation.joint, arrays)
+    said = None if answer.trust is None else {"verdict": answer.trust.verdict, "reasons": answer.trust.reasons}
+    stds = {"axis_std": answer.axis_std, "pivot_std": answer.pivot_std}
+    return {**_pack_joint(answer.articulation.joint, arrays), **stds, "trust": said}
 
 
 def _unpack_answer(facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Reconstruction:
     meshes = [Mesh(arrays[f"{p}_vertices"], arrays[f"{p}_faces"], arrays.get(f"{p}_colours")) for p in PARTS]
     articulation = Articulation(_unpack_joint(facts, arrays), meshes[0], meshes[1])
-    return Reconstruction(articulation, **{name: arrays.get(f"answer_{name}") for name in _OF_ANSWER})  # type: ignore[arg-type]
+    answer = Reconstruction(articulation, **{name: arrays.get(f"answer_{name}") for name in _OF_ANSWER})  # type: ignore[arg-type]
+    said = facts["trust"]
+    trust = None if said is None else Trust(said["verdict"], tuple(said["reasons"]))
+    return replace(answer, trust=trust, axis_std=facts["axis_std"], pivot_std=facts["pivot_std"])
 
 
 def _pack_joint(joint: Joint, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:

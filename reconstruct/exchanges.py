@@ -64,7 +64,10 @@ def exchanged(grown: Grown, frames: NDArray[np.bool_], turning: float) -> Grown:
         labels[i] = np.where(labels[i] > 0, 3 - labels[i], 0)
         logodds[i] = -logodds[i]
     seen = np.where(frames[:, None], grown.seen[:, ::-1], grown.seen)
-    return Grown(replace(poses, joint=poses.joint.spanning(states), states=states, Ts=Ts), labels, logodds, seen)
+    std = poses.joint_std
+    std = None if std is None else std[::-1] if frames.all() else std
+    joint = poses.joint.spanning(states)
+    return Grown(replace(poses, joint=joint, states=states, Ts=Ts, joint_std=std), labels, logodds, seen)
 
 
 def _best(

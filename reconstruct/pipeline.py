@@ -33,6 +33,7 @@ from freeart21.files.sequence import read_sequence
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Recording
 from freeart21.se3 import Array
+from freeart21.trust import judge
 from reconstruct import VERSION, cache, paper_segmentation
 from reconstruct.cache import Kept, KeptStage, Known, Work
 from reconstruct.diagnostics import diagnose, peak_bytes
@@ -59,7 +60,8 @@ STAGES = ("tracks", *cache.STAGES, "renders")
 def reconstruct(recording: Recording, settings: ReconstructSettings | None = None) -> Reconstruction | Failure:
     """Solve one recording from RGB, depth, foreground masks and intrinsics alone.
 
-    A `Failure` says that the input is hopeless: too few frames, empty masks, no second part, no relative motion.
+    A `Failure` says that the input is hopeless: too few frames, empty masks, no second part that
+    moves and shows on enough of the pixels.
     """
     settings = settings or ReconstructSettings()
     with _Clock(settings.progress) as clock:
@@ -84,14 +86,14 @@ def reconstruct_folder(
     with _Clock(settings.progress) as clock:
         result, diagnostics = _solve(recording, settings, clock, work)
         assert result is not None
-        renders = []
+        renders: tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]] = [], []
         if isinstance(result, Reconstruction):
             with clock.stage("renders"):
                 renders = render_queries(result, recording)
         result = replace(result, seconds=clock.seconds)
     if diagnostics is not None:
         diagnostics = replace(diagnostics, peak_bytes=peak_bytes())
-    write_result(out, result, {"solver": VERSION, **settings.to_json()}, renders, diagnostics)
+    write_result(out, result, {"solver": VERSION, **settings.to_json()}, renders[0], diagnostics, renders[1])
     if not keep_work:
         work.remove()
     return result
@@ -249,8 +251,9 @@ def _surfaces(video: _Video, known: Known, settings: ReconstructSettings, rng: n
     articulation = Articulation(grown.poses.joint, meshes[0], meshes[1])
     camera = video.recording.camera
     size = (camera.width, camera.height)
-    diagnostics = diagnose(video.evidence, grown, known.free, settings.poses, settings.seed, size)
-    return Known(None, (), _canonical(articulation, grown, known.free, video.scene, video.recording), diagnostics)
+    diagnostics = diagnose(video.evidence, grown, known.free, settings.poses, settings.joint, settings.seed, size)
+    answer = _canonical(articulation, grown, known.free, video.scene, video.recording)
+    return Known(None, (), replace(answer, trust=judge(answer, diagnostics)), diagnostics)
 
 
 _SOLVERS: dict[KeptStage, Callable[[_Video, Known, ReconstructSettings, np.random.Generator], Known]] = {
@@ -284,6 +287,7 @@ def _canonical(
     T_frame0 = free[0].Ts[0]
     Ts_moving = free[1].Ts @ se3.inverse(T_zero)
     back = se3.inverse(T_frame0)
+    axis_std, pivot_std = (None, None) if grown.poses.joint_std is None else grown.poses.joint_std[0]
     return Reconstruction(
         Articulation(joint, articulation.reference, moving).moved(T_frame0),
         grown.poses.states - q0,
@@ -293,11 +297,17 @@ def _canonical(
         grown.seen,
         _finite_or_nan(grown.poses.state_std),
         np.stack([f.covariances for f in free], 1),
+        axis_std=_number_or_none(axis_std),
+        pivot_std=_number_or_none(pivot_std),
     )
 
 
 def _finite_or_nan(std: Array) -> NDArray[np.float64]:
     return np.where(np.isfinite(std), std, np.nan)
+
+
+def _number_or_none(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)
 
 
 class _Clock:

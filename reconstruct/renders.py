@@ -41,12 +41,19 @@ BELIEVED = 0.5
 """Of the frames that look at such a pixel, the share by weight that must see the part there."""
 
 
-def render_queries(result: Reconstruction, recording: Recording) -> list[Image]:
-    """One picture (height, width, 3) for each query of the recording, white where there is nothing."""
+def render_queries(result: Reconstruction, recording: Recording) -> tuple[list[Image], list[Image]]:
+    """One picture (height, width, 3) for each query of the recording, white where there is nothing, twice.
+
+    A query poses the reference part, and where two parts are alike nobody can tell which of them is meant: the
+    first pictures take this result's reference part for it, the second its moving part.
+    """
     if not recording.queries:
-        return []
+        return [], []
     film = _Film.of(result, recording)
-    return [_view(result, film, recording.camera, query) for query in recording.queries]
+    first, second = (
+        [_view(result, film, recording.camera, query, other) for query in recording.queries] for other in (False, True)
+    )
+    return first, second
 
 
 def render(camera: Camera, meshes: list[Mesh]) -> Image:
@@ -216,10 +223,18 @@ def _tolerance(film: _Film, part: int, mesh: Mesh) -> float:
     return float(2 * np.median(np.concatenate(footprints)) + 4 * np.median(np.concatenate(gaps)))
 
 
-def _view(result: Reconstruction, film: _Film, camera: Camera, query: Query) -> Image:
-    state = float(result.states[query.state_of_frame])
+def _posed(result: Reconstruction, query: Query, other: bool) -> tuple[Array, Array]:
+    """Poses (4, 4) of both parts before the new camera: the state's frame b, the pose of one of them in frame a."""
+    J = result.articulation.joint.transform(float(result.states[query.state_of_frame]))
+    if other:
+        T = query.T_newcam_cam @ result.Ts_camera_moving[query.pose_of_frame]
+        return T @ se3.inverse(J), T
     T = query.T_newcam_cam @ result.Ts_camera_reference[query.pose_of_frame]
-    poses = T, T @ result.articulation.joint.transform(state)
+    return T, T @ J
+
+
+def _view(result: Reconstruction, film: _Film, camera: Camera, query: Query, other: bool) -> Image:
+    poses = _posed(result, query, other)
     meshes = [result.articulation.part(name).moved(P) for name, P in zip(PARTS, poses, strict=True)]
     look, rim = _with_rim(_look(camera, meshes), camera)
     picture = np.where(rim[..., None], 255, look.colours)

@@ -15,6 +15,9 @@ from reconstruct.scene import HopelessError
 from reconstruct.settings import SeedSettings
 from reconstruct.tracks import Tracker
 
+FULL_SHARE = 0.12
+"""Of the foreground: a smaller second part must lower the cost of a pixel the more."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -41,6 +44,10 @@ class Seed:
     """(h, w) > 0 where pixels move by the second motion."""
     gain: float
     """Drop of the mean dense cost from one motion to two, less for a small second part."""
+    drop: float = 0.0
+    """The same drop, whatever the second part's size."""
+    share: float = 0.0
+    """Of the foreground, what moves by the motion of the smaller part."""
 
 
 def candidates(
@@ -84,10 +91,13 @@ def find_seeds(
     chosen = [tried[c] for c in np.argsort(-np.array(gains), kind="stable")[: settings.refined]]
     seeds = sorted((_dense_seed(evidence, c, _window(evidence, c, settings), settings, rng) for c in chosen), key=_rank)
     if seeds[0].gain < settings.min_gain:
+        best = max(seeds, key=lambda s: s.drop)
+        small = f", more below {100 * FULL_SHARE:.0f} % of the pixels" if best.share < FULL_SHARE else ""
         raise HopelessError(
             "segmentation",
-            f"no relative motion: a second motion lowers the cost by {seeds[0].gain:.3f} at best, "
-            f"at least {settings.min_gain} is needed",
+            f"no second part was found that moves and shows on more than {100 * settings.min_share:.0f} % of the "
+            f"object's pixels: at best a second motion explains {100 * best.share:.1f} % of them and lowers the mean "
+            f"cost of a pixel by {max(best.drop, 0):.3f}; at least {settings.min_gain} is needed{small}",
         )
     return [s for s in seeds if s.gain >= settings.min_gain]
 
@@ -216,8 +226,8 @@ def _dense_seed(
     ]
     one = min(float(evidence.costs(t, others, T[:, None], pixels).mean()) for T in single)
     share = min(second.mean(), 1 - second.mean())
-    gain = (one - two) * min(1.0, share / 0.12) if share >= settings.min_share else 0.0
-    return Seed(t, others, Ts, logodds, gain)
+    gain = (one - two) * min(1.0, share / FULL_SHARE) if share >= settings.min_share else 0.0
+    return Seed(t, others, Ts, logodds, gain, one - two, float(share))
 
 
 def _refined(

@@ -23,7 +23,7 @@ from freeart21.files.sequence import read_sequence, write_sequence
 from freeart21.files.truth import read_truth, write_truth
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
-from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.reconstruction import Failure, Reconstruction, Trust
 from freeart21.recording import Frame, Query, Recording
 from freeart21.truth import Truth
 
@@ -219,6 +219,29 @@ def test_a_result_round_trips(result):
     assert read_render(result, 1) is None
 
 
+def test_what_a_result_says_of_itself_round_trips(result):
+    before = read_result(result)
+    assert before.trust is None and before.axis_std is None and before.pivot_std is None, "methods need not say"
+    assert read_render(result, 0, other=True) is None
+    trust = Trust("doubtful", ("it jumps", "it \u2013 hides"))
+    said = replace(before, trust=trust, axis_std=0.01)
+    views = [np.full((HEIGHT, WIDTH, 3), k, np.uint8) for k in (1, 2)]
+    write_result(result, said, renders=views[:1], renders_other=views[1:])
+    after = read_result(result)
+    assert after.trust == trust and after.axis_std == 0.01 and after.pivot_std is None
+    written = json.loads((result / "prediction.json").read_text())
+    assert written["trust"] == {"verdict": "doubtful", "reasons": list(trust.reasons)}
+    assert written["joint_std"] == {"axis_rad": 0.01, "pivot_m": None}
+    assert read_render(result, 0).max() == 1 and read_render(result, 0, other=True).max() == 2
+
+
+def test_an_answer_cannot_be_sound_for_reasons_of_doubt():
+    with pytest.raises(FreeArtError, match="'sound' with 1 reasons"):
+        Trust("sound", ("why",))
+    with pytest.raises(FreeArtError, match="expected sound or doubtful"):
+        Trust("certain")
+
+
 def test_a_failure_round_trips_and_replaces_an_older_result(result):
     write_result(result, Failure("segmentation", "only one motion", {"tracks": 2.0}))
     assert read_result(result) == Failure("segmentation", "only one motion", {"tracks": 2.0})
@@ -238,6 +261,15 @@ def test_a_failure_round_trips_and_replaces_an_older_result(result):
             {"joint": {"name": "a", "type": "revolute", "axis": [1, 0, 0], "pivot": [0, 0, 0], "lower": "x"}},
             "limits are 'x'",
         ),
+        ({"trust": "sound"}, "'trust' is 'sound', expected a verdict"),
+        ({"trust": {"verdict": "sure"}}, "expected a verdict, sound or doubtful"),
+        ({"trust": {"verdict": "doubtful", "reasons": "many"}}, "reasons of 'trust' are 'many', expected at most"),
+        ({"trust": {"verdict": "doubtful", "reasons": ["two\nlines"]}}, "expected at most 100 plain lines"),
+        ({"trust": {"verdict": "doubtful", "reasons": ["x" * 5000]}}, "of at most 1000 characters"),
+        ({"trust": {"verdict": "sound", "reasons": ["why"]}}, "sound with 1 reasons for doubt, expected none"),
+        ({"joint_std": [1, 2]}, "expected axis_rad and pivot_m"),
+        ({"joint_std": {"axis_rad": -1}}, "joint_std 'axis_rad' is -1, expected 0 or more"),
+        ({"joint_std": {"pivot_m": "wide"}}, "joint_std 'pivot_m' is 'wide'"),
     ],
 )
 def test_a_bad_prediction_is_one_clear_line(result, change, message):

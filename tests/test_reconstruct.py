@@ -144,6 +144,15 @@ def test_one_rigid_body_is_a_failure():
     assert isinstance(result, Failure) and result.stage == "segmentation" and "motion" in result.reason
 
 
+def test_a_small_part_that_moves_is_not_said_to_be_still():
+    clip = make_clip("handle", 16, spin=GENTLE)
+    share = (clip.part_masks == 2).sum() / (clip.part_masks > 0).sum()
+    assert 0.01 < share < 0.04, "or this tests nothing"
+    result = reconstruct(clip.recording, QUIET)
+    assert isinstance(result, Failure) and "no relative motion" not in result.reason
+    assert "moves and shows on more than 4 % of the object's pixels" in result.reason
+
+
 def test_empty_masks_are_a_failure(hinge):
     source = hinge.recording
     blank = Recording(source.camera, source.times_s, lambda i: _without_mask(source.frame(i)))

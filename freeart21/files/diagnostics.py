@@ -54,6 +54,16 @@ class Diagnostics:
     """Most memory that the process has held, if known."""
     confidence_maps: NDArray[np.uint8] | None = None
     """(n, height, width) probability, in 255ths, of the label that every pixel was given; 0 where it has none."""
+    unexplained: Array | None = None
+    """(n,) share, 0 to 1, of the object's pixels that follow neither part's motion into other frames, if known."""
+    other_motion_cost: Array | None = None
+    """(n, 2) mean cost of each part's pixels under the other part's motion, where the joint moves; 0.5 is a misfit of a
+    standard deviation. If known."""
+    rival_distance: Array | None = None
+    """(n,) how far, rad or m, another state is that explains the frame as well; 0 when none does. If known."""
+    type_residuals_m: Array | None = None
+    """(2,) metres: median misfit of the measured poses to the best joint of this type, and to that of the other. If
+    known."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -63,6 +73,10 @@ class Diagnostics:
                     f"diagnostics {field.name} has shape {np.shape(value)}, expected ({len(self.pixels)}, 2)"
                 )
 
+        for name, shape in _shapes(len(self)).items():
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != shape:
+                raise FreeArtError(f"diagnostics {name} has shape {np.shape(value)}, expected {shape}")
         maps = self.confidence_maps
         if maps is not None and (maps.ndim != 3 or len(maps) != len(self) or maps.dtype != np.uint8):
             raise FreeArtError(
@@ -75,12 +89,20 @@ class Diagnostics:
 
     def exchanged(self) -> Diagnostics:
         """The same with the parts' names exchanged."""
-        return replace(self, **{name: getattr(self, name)[:, ::-1] for name in _OF_FRAMES})
+        turned = {name: getattr(self, name)[:, ::-1] for name in _OF_FRAMES}
+        cost = self.other_motion_cost
+        return replace(self, **turned, other_motion_cost=None if cost is None else cost[:, ::-1])
 
 
 _OF_FRAMES = ("pixels", "confidence", "inliers", "outside", "residual_m", "jointed_residual_m")
-_SHARES = ("confidence", "inliers", "outside")
+_MAY_MISS = ("unexplained", "other_motion_cost", "rival_distance", "type_residuals_m")
+_SHARES = ("confidence", "inliers", "outside", "unexplained")
 _LENGTHS = ("gate_m", "footprint_m", "noise_m", "diagonal_m")
+
+
+def _shapes(n: int) -> dict[str, tuple[int, ...]]:
+    """Of what need not be known."""
+    return dict(zip(_MAY_MISS, ((n,), (n, 2), (n,), (2,)), strict=True))
 
 
 def diagnostics_to_json(diagnostics: Diagnostics) -> dict[str, Any]:
@@ -88,6 +110,11 @@ def diagnostics_to_json(diagnostics: Diagnostics) -> dict[str, Any]:
     data: dict[str, Any] = {"schema": SCHEMA}
     for name in _OF_FRAMES:
         data[name] = [[_six_digits(v) for v in row] for row in np.asarray(getattr(diagnostics, name), float).tolist()]
+    for name in _MAY_MISS:
+        value = getattr(diagnostics, name)
+        if value is not None:
+            flat = [_six_digits(v) for v in np.ravel(value).tolist()]
+            data[name] = flat if np.ndim(value) == 1 else [flat[i : i + 2] for i in range(0, len(flat), 2)]
     return (
         data | {name: float(getattr(diagnostics, name)) for name in _LENGTHS} | {"peak_bytes": diagnostics.peak_bytes}
     )
@@ -97,8 +124,11 @@ def diagnostics_from_json(data: dict[str, Any], path: Path) -> Diagnostics:
     """What `diagnostics_to_json` wrote; raises FreeArtError naming `path`."""
     arrays = {name: checked.numbers(data, name, (None, 2), path, nullable=True) for name in _OF_FRAMES}
     n = len(arrays["pixels"])
+    for name, shape in _shapes(n).items():
+        if data.get(name) is not None:
+            arrays[name] = checked.numbers(data, name, shape, path, nullable=True)
     for name, array in arrays.items():
-        if len(array) != n:
+        if name in _OF_FRAMES and len(array) != n:
             raise FreeArtError(f"{path}: '{name}' has {len(array)} frames, expected {n} as 'pixels'")
         low, high = np.nanmin(array, initial=0.0), np.nanmax(array, initial=0.0)
         most = 1.0 if name in _SHARES else np.inf

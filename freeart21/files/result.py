@@ -16,11 +16,15 @@ from freeart21.files.diagnostics import Diagnostics, write_diagnostics
 from freeart21.files.joint_json import joint_from_json, joint_to_json
 from freeart21.files.mesh_file import read_ply, write_ply
 from freeart21.files.places import RESULT
-from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.reconstruction import VERDICTS, Failure, Reconstruction, Trust
 
 SCHEMA = "freeart21/prediction/1"
 METHOD_SCHEMA = "freeart21/method/1"
 MAX_FRAMES = 100_000
+RENDERS = ("renders", "renders_other")
+"""Folders of the held-out views: posed by the part that the result calls the reference part, and by the other one."""
+MAX_REASONS, MAX_REASON = 100, 1000
+"""Lines, and characters of each, that are read of why an answer is doubtful."""
 
 
 @dataclass(frozen=True)
@@ -84,10 +88,12 @@ def write_result(
     settings: dict[str, Any] | None = None,
     renders: list[NDArray[np.uint8]] | None = None,
     diagnostics: Diagnostics | None = None,
+    renders_other: list[NDArray[np.uint8]] | None = None,
 ) -> None:
     """Write one result folder, replacing an older one whole, with its asset; FreeArtError when anything else is there.
 
-    `renders` are the held-out views (height, width, 3); `diagnostics` are of a reconstruction, and may be left out.
+    `renders` are the held-out views (height, width, 3), `renders_other` the same with the moving part in the reference
+    part's place; `diagnostics` are of a reconstruction. All three may be left out.
     """
     with atomic.new_folder(folder, RESULT) as aside:
         if isinstance(result, Failure):
@@ -106,11 +112,15 @@ def write_result(
         n = len(result)
         std = result.state_std if result.state_std is not None else np.full(n, np.nan)
         joint = result.articulation.joint
+        said = {} if result.trust is None else {"trust": _trust_to_json(result.trust)}
+        if result.axis_std is not None or result.pivot_std is not None:
+            said["joint_std"] = {"axis_rad": result.axis_std, "pivot_m": result.pivot_std}
         atomic.write_json(
             aside / "prediction.json",
             {
                 "schema": SCHEMA,
                 "status": "ok",
+                **said,
                 "joint": joint_to_json(joint),
                 "states": result.states,
                 "state_unit": joint.state_unit,
@@ -134,8 +144,9 @@ def write_result(
             write_ply(aside / "parts" / f"{name}.ply", result.articulation.part(name))
         if diagnostics is not None:
             write_diagnostics(aside, diagnostics)
-        for i, image in enumerate(renders or []):
-            atomic.write_bytes(aside / "renders" / f"{i:05d}.png", checked.encode_png(image))
+        for other, images in enumerate((renders, renders_other)):
+            for i, image in enumerate(images or []):
+                atomic.write_bytes(aside / RENDERS[other] / f"{i:05d}.png", checked.encode_png(image))
 
 
 def read_result(folder: Path) -> Reconstruction | Failure:
@@ -173,13 +184,64 @@ def read_result(folder: Path) -> Reconstruction | Failure:
         std,
         _read_covariances(folder / "poses.npz", n),
         seconds,
+        _read_trust(data, header),
+        *_read_joint_std(data, header),
     )
 
 
-def read_render(folder: Path, index: int) -> NDArray[np.uint8] | None:
-    """The held-out view `index` that the method rendered, (height, width, 3), or None when there is none."""
-    path = folder / "renders" / f"{index:05d}.png"
+def read_render(folder: Path, index: int, other: bool = False) -> NDArray[np.uint8] | None:
+    """The held-out view `index` that the method rendered, (height, width, 3), or None when there is none.
+
+    With `other`, the view that it rendered with its moving part in the reference part's place.
+    """
+    path = folder / RENDERS[other] / f"{index:05d}.png"
     return checked.read_rgb(path) if path.is_file() else None
+
+
+def _trust_to_json(trust: Trust) -> dict[str, Any]:
+    return {"verdict": trust.verdict, "reasons": list(trust.reasons)}
+
+
+def _read_trust(data: dict[str, Any], path: Path) -> Trust | None:
+    """The optional 'trust' of prediction.json; raises FreeArtError naming `path`."""
+    said = data.get("trust")
+    if said is None:
+        return None
+    if not isinstance(said, dict) or said.get("verdict") not in VERDICTS:
+        raise FreeArtError(f"{path}: 'trust' is {_shortened(said)}, expected a verdict, {' or '.join(VERDICTS)}")
+    reasons = said.get("reasons", [])
+    lines = isinstance(reasons, list) and len(reasons) <= MAX_REASONS and all(isinstance(r, str) for r in reasons)
+    if not lines or any(len(r) > MAX_REASON or not r.isprintable() for r in reasons):
+        raise FreeArtError(
+            f"{path}: the reasons of 'trust' are {_shortened(reasons)}, expected at most {MAX_REASONS} plain lines of "
+            f"at most {MAX_REASON} characters"
+        )
+    if said["verdict"] == "sound" and reasons:
+        raise FreeArtError(f"{path}: 'trust' is sound with {len(reasons)} reasons for doubt, expected none")
+    return Trust(said["verdict"], tuple(reasons))
+
+
+def _read_joint_std(data: dict[str, Any], path: Path) -> tuple[float | None, float | None]:
+    """The optional 'joint_std' of prediction.json: axis, rad, and pivot, metres; raises FreeArtError naming `path`."""
+    said = data.get("joint_std")
+    if said is None:
+        return None, None
+    if not isinstance(said, dict):
+        raise FreeArtError(f"{path}: 'joint_std' is {_shortened(said)}, expected axis_rad and pivot_m")
+    found = []
+    for name in ("axis_rad", "pivot_m"):
+        value = said.get(name)
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if value is not None and not (number and 0 <= value < np.inf):
+            raise FreeArtError(f"{path}: joint_std '{name}' is {_shortened(value)}, expected 0 or more, or null")
+        found.append(None if value is None else float(value))
+    return found[0], found[1]
+
+
+def _shortened(value: Any) -> str:
+    """At most sixty characters of a value that came from outside."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _read_masks(folder: Path, n: int) -> NDArray[np.uint8]:

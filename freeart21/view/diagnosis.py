@@ -1,4 +1,7 @@
-"""Why a result is good or bad, judged without the truth: what its parts, poses and joint say of each other."""
+"""Why a result is good or bad, judged without the truth: what its parts, poses and joint say of each other.
+
+Whether to trust it at all is what it says itself, or what `freeart21.trust` makes of it; here are the frames.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21 import se3
 from freeart21.articulation import PARTS
 from freeart21.files.diagnostics import Diagnostics
-from freeart21.mesh import bounding_diagonal
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
+from freeart21.trust import JUMP, Motion, judge, median, motion_of, outstanding, size_of
 from freeart21.view.curves import Chart, Curve, curves_section
 from freeart21.view.document import MOVING, REFERENCE, Section, escape
-from freeart21.view.parts import middle
 from freeart21.view.plot import display_unit, runs
 
 COLOURS = (REFERENCE, MOVING)
@@ -23,20 +24,9 @@ GAP = "#AA3377"
 MOST_REMARKS = 14
 SPIKE = 3.0
 """Medians above which a frame is worth a remark."""
-
-
-@dataclass(frozen=True)
-class Motion:
-    """What the poses of n frames say; NaN where a part was not seen."""
-
-    gap_angle: Array
-    """(n,) rad: turn between where the moving part was measured and where reference part and joint put it."""
-    gap_distance: Array
-    """(n,) metres: displacement of the moving part's middle between the two."""
-    step_angle: Array
-    """(n, 2) rad: turn of each part since the frame before; NaN in frame 0."""
-    step_distance: Array
-    """(n, 2) metres: displacement of each part's middle since the frame before; NaN in frame 0."""
+MATTERS = 0.005
+"""Sizes of the object below which no length is worth a remark. A near-perfect stapler of 19 cm has frames with three
+medians of residual, .3 mm."""
 
 
 @dataclass(frozen=True)
@@ -54,30 +44,6 @@ class Remark:
             return ""
         first, last = self.frames
         return f"frame {first}" if first == last else f"frames {first}-{last}"
-
-
-def motion_of(result: Reconstruction) -> Motion:
-    """Gaps to the joint and steps of both parts, from the poses alone: for a result of any method."""
-    articulation, seen = result.articulation, result.seen
-    Ts = np.stack([result.Ts_camera_reference, result.Ts_camera_moving], 1)
-    centres = [middle(articulation.part(name)) for name in PARTS]
-    gap = se3.inverse(Ts[:, 0] @ articulation.joint.transform(result.states)) @ Ts[:, 1]
-    moved = se3.transform(gap, centres[1][None, None])[:, 0]
-    both = seen.all(1)
-    angle = np.full((len(result), 2), np.nan)
-    distance = angle.copy()
-    for k, centre in enumerate(centres):
-        kept = seen[1:, k] & seen[:-1, k]
-        turn = se3.rotation_angle(Ts[1:, k, :3, :3] @ np.swapaxes(Ts[:-1, k, :3, :3], 1, 2))
-        at = se3.transform(Ts[:, k], centre[None, None])[:, 0]
-        angle[1:, k] = np.where(kept, turn, np.nan)
-        distance[1:, k] = np.where(kept, np.linalg.norm(np.diff(at, axis=0), axis=-1), np.nan)
-    return Motion(
-        np.where(both, se3.rotation_angle(gap[:, :3, :3]), np.nan),
-        np.where(both, np.linalg.norm(moved - centres[1], axis=-1), np.nan),
-        angle,
-        distance,
-    )
 
 
 def diagnosis_section(
@@ -158,15 +124,19 @@ def remarks_section(result: Reconstruction, diagnostics: Diagnostics | None) -> 
 
 
 def remarks(result: Reconstruction, diagnostics: Diagnostics | None = None) -> list[Remark]:
-    """What to distrust, in plain words: first what is about the whole video, then frame by frame."""
+    """What to distrust, in plain words: the reasons to doubt the whole answer, then frame by frame.
+
+    Those of the answer itself (`trust`) when it gives any. Of frames only what matters at the object's size.
+    """
     motion = motion_of(result)
-    found = [*_of_all(result, diagnostics), *_unseen(result)]
+    trust = result.trust or judge(result, diagnostics)
+    found = [*map(Remark, trust.reasons), *_unseen(result)]
     unit, factor = display_unit(result.articulation.joint.type)
-    size = _size(result)
+    size = size_of(result)
     for k, part in enumerate(("reference", "moving")):
         if diagnostics is not None:
             d = diagnostics
-            finest = max(0.5 * d.footprint_m, d.noise_m)
+            finest = max(0.5 * d.footprint_m, d.noise_m, MATTERS * size)
             found += _high(d.residual_m[:, k], finest, 1000, "mm", f"the residual of the {part} part is")
             found += _low_shares(
                 d.inliers[:, k], 0.6, f"only {{:.0f}} % of the {part} part's points meet its surface in other frames"
@@ -181,83 +151,13 @@ def remarks(result: Reconstruction, diagnostics: Diagnostics | None = None) -> l
         found += _jumps(1000 * motion.step_distance[:, k], 20 * size, "mm", f"the {part} part shifts by")
     found += _off_the_joint(motion, size)
     if result.state_std is not None:
-        least = np.radians(1.0) if result.articulation.joint.type == "revolute" else 0.005 * size
+        least = np.radians(1.0) if result.articulation.joint.type == "revolute" else MATTERS * size
         found += _high(result.state_std, least, factor, unit, "the standard deviation of the state is")
     whole, some = [r for r in found if r.frames is None], [r for r in found if r.frames is not None]
     return whole + sorted(some, key=lambda r: r.frames or (0, 0))
 
 
 # ---------------------------------------------------------------- what is worth a remark
-
-
-def _of_all(result: Reconstruction, diagnostics: Diagnostics | None) -> list[Remark]:
-    found = []
-    joint, states, seen = result.articulation.joint, result.states, result.seen
-    unit, factor = display_unit(joint.type)
-    measured = states[seen[:, 1]] if seen[:, 1].any() else states
-    span, few = float(np.ptp(measured)), np.radians(10.0) if joint.type == "revolute" else 0.05 * _size(result)
-    if span < few:
-        found.append(
-            Remark(f"the joint moves by only {factor * span:.1f}{_spaced(unit)}, which says little of its axis")
-        )
-    pixels = _pixels(result)
-    share = float(pixels[:, 1].sum() / max(pixels.sum(), 1))
-    if share < 0.05:
-        found.append(Remark(f"the moving part has only {100 * share:.1f} % of the object's pixels"))
-    for k, part in enumerate(("reference", "moving")):
-        if seen[:, k].mean() < 0.5:
-            found.append(Remark(f"the {part} part was seen in only {int(seen[:, k].sum())} of {len(seen)} frames"))
-    motion = motion_of(result)
-    for gap, most, factor, unit in (
-        (motion.gap_angle, np.radians(2.0), 180 / np.pi, "°"),
-        (motion.gap_distance, 0.01 * _size(result), 1000.0, "mm"),
-    ):
-        usual = _median(gap)
-        if usual > most:
-            found.append(
-                Remark(
-                    f"the moving part's measured poses lie off the joint by {factor * usual:.2g}{_spaced(unit)} in the "
-                    "median: joint, labels or poses are wrong"
-                )
-            )
-    if diagnostics is not None:
-        found += _of_all_measured(diagnostics)
-    return found
-
-
-def _of_all_measured(d: Diagnostics) -> list[Remark]:
-    found, finest = [], max(d.footprint_m, d.noise_m)
-    for k, part in enumerate(("reference", "moving")):
-        residual, met, sure = (_median(values[:, k]) for values in (d.residual_m, d.inliers, d.confidence))
-        if residual > 1.5 * finest:
-            found.append(
-                Remark(
-                    f"the {part} part's residual is {1000 * residual:.2g} mm in the median, a pixel covers "
-                    f"{1000 * d.footprint_m:.2g} mm"
-                )
-            )
-        if met < 0.75:
-            where = "meet its surface in other frames, in the median"
-            found.append(Remark(f"only {100 * met:.0f} % of the {part} part's points {where}"))
-        if sure < 0.85:
-            found.append(Remark(f"the {part} part's labels are only {100 * sure:.0f} % sure in the median"))
-    free, bound = d.residual_m[:, 1], d.jointed_residual_m[:, 1]
-    both = np.isfinite(free) & np.isfinite(bound)
-    a, b = _median(free[both]), _median(bound[both])
-    if b > 1.3 * a and b - a > 0.1 * finest:
-        found.append(
-            Remark(
-                f"under the joint the moving part's residual is {1000 * b:.2f} mm, without it {1000 * a:.2f} mm: "
-                "the joint does not explain the motion"
-            )
-        )
-    return found
-
-
-def _median(values: Array) -> float:
-    """The median of what is known; NaN, which compares with nothing, when nothing is."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else np.nan
 
 
 def _unseen(result: Reconstruction) -> list[Remark]:
@@ -289,8 +189,8 @@ def _high(values: Array, floor: float, factor: float, unit: str, what: str) -> l
 def _off_the_joint(motion: Motion, size: float) -> list[Remark]:
     """A remark a run of frames whose angle or distance off the joint is far beyond the median and one half percent."""
     angle, distance = np.nan_to_num(motion.gap_angle), np.nan_to_num(motion.gap_distance)
-    usual = _median(motion.gap_angle), _median(motion.gap_distance)
-    far = (angle > max(SPIKE * usual[0], np.radians(1.0))) | (distance > max(SPIKE * usual[1], 0.005 * size))
+    usual = median(motion.gap_angle), median(motion.gap_distance)
+    far = (angle > max(SPIKE * usual[0], np.radians(1.0))) | (distance > max(SPIKE * usual[1], MATTERS * size))
     return [
         Remark(
             f"the moving part's measured pose lies off the joint by {'up to ' * (len(run) > 1)}"
@@ -312,19 +212,11 @@ def _low_shares(values: Array, least: float, what: str) -> list[Remark]:
 
 
 def _jumps(values: Array, floor: float, unit: str, what: str) -> list[Remark]:
-    """Steps far larger than those two and three frames before and after, and than `floor`.
-
-    A single bad pose makes two large steps, one there and one back: next neighbours do not count.
-    """
-    found = []
-    padded = np.pad(values, 3, constant_values=np.nan)
-    for i in map(int, np.flatnonzero(np.nan_to_num(values) > floor)):
-        around = padded[[i, i + 1, i + 5, i + 6]]
-        around = around[np.isfinite(around)]
-        if len(around) >= 2 and values[i] > 4 * around.max():
-            text = f"{what} {values[i]:.3g}{_spaced(unit)} in one frame, its neighbours by {around.max():.2g}"
-            found.append(Remark(text + _spaced(unit), (i, i)))
-    return found
+    """A remark a frame whose step, far larger than those around it and than `floor`, is `outstanding`."""
+    return [
+        Remark(f"{what} {values[i]:.3g}{_spaced(unit)} in one frame, far more than before and after", (i, i))
+        for i in map(int, outstanding(values, floor, JUMP))
+    ]
 
 
 def _near_runs(flags: NDArray[np.bool_], bridge: int = 3) -> list[NDArray[np.int64]]:
@@ -350,12 +242,6 @@ def _both(values: Array) -> tuple[Curve, ...]:
 def _pixels(result: Reconstruction) -> Array:
     """(n, 2) pixels of each part."""
     return np.stack([(result.part_masks == k).sum((1, 2)) for k in (1, 2)], 1).astype(float)
-
-
-def _size(result: Reconstruction) -> float:
-    """Metres: diagonal of both parts at the first state, 1 when they are empty."""
-    a = result.articulation
-    return bounding_diagonal(a.reference, a.moving.moved(a.joint.transform(float(result.states[0])))) or 1.0
 
 
 def _spaced(unit: str) -> str:

@@ -11,7 +11,7 @@ from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.camera import Camera
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh, bounding_diagonal
+from freeart21.mesh import Mesh, bounding_diagonal, middle
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
@@ -177,14 +177,6 @@ def _centre(articulation: Articulation, T_moving: Array) -> Array:
         if not mesh.empty:
             return middle(mesh)
     return np.asarray(articulation.joint.pivot, float)
-
-
-def middle(mesh: Mesh) -> Array:
-    """(3,) the middle of a mesh's box; the origin when it is empty."""
-    if mesh.empty:
-        return np.zeros(3)
-    used = mesh.vertices[np.unique(mesh.faces)]
-    return (used.min(0) + used.max(0)) / 2
 
 
 def axis_in_pictures(

@@ -1,0 +1,355 @@
+"""Whether to trust an answer: each sign on answers that have its fault alone, and what the solver measures for them."""
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from reconstruct_clip import OBJECTS, _render, box, make_clip
+from test_diagnostics import long_result, sample_diagnostics
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.cli import DOUBTFUL, _told
+from freeart21.files.diagnostics import diagnostics_from_json, diagnostics_to_json
+from freeart21.joint import Joint
+from freeart21.reconstruction import Trust
+from freeart21.recording import Frame, Recording
+from freeart21.trust import judge
+from freeart21.view.diagnosis import remarks
+from generator import session
+from generator.motion import Plan
+from leaderboard.score import Row
+from reconstruct.diagnostics import (
+    _nearest_rival,
+    other_motion_cost,
+    rival_distance,
+    type_residuals,
+    unexplained,
+)
+from reconstruct.evidence import Evidence
+from reconstruct.growth import Grown, body_points
+from reconstruct.poses import JointedPoses
+from reconstruct.scene import prepare
+from reconstruct.settings import EvidenceSettings, JointSettings, LabelSettings, SceneSettings
+
+N = 60
+
+
+def sound_diagnostics(**changes):
+    """Of a perfect answer, with all that a solver may measure."""
+    known = {
+        "unexplained": np.zeros(N),
+        "other_motion_cost": np.full((N, 2), 2.0),
+        "rival_distance": np.where(np.arange(N) % 3 == 0, 0.0, np.nan),
+        "type_residuals_m": np.array([0.0002, 0.01]),
+    }
+    return replace(sample_diagnostics(N), **{**known, **changes})
+
+
+def reasons(result=None, **changes):
+    trust = judge(long_result(N) if result is None else result, sound_diagnostics(**changes))
+    assert (trust.verdict == "doubtful") == bool(trust.reasons)
+    return list(trust.reasons)
+
+
+# ---------------------------------------------------------------- the signs
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_perfect_answer_is_sound_with_and_without_diagnostics(kind):
+    result = long_result(N, joint_type=kind)
+    assert judge(result) == judge(result, sound_diagnostics()) == Trust("sound")
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"unexplained": np.where(np.arange(N) < 10, 0.03, 0.0)}, "3.0 % of the object's pixels follow neither"),
+        ({"other_motion_cost": np.tile([0.3, 2.0], (N, 1))}, "reference part's pixels follow the other part's motion"),
+        ({"type_residuals_m": np.array([0.001, 0.0012])}, "revolute or prismatic cannot be told"),
+        ({"rival_distance": np.where(np.arange(N) % 3 == 0, 0.1, np.nan)}, "a state 6° away explains 100 %"),
+    ],
+)
+def test_each_measured_sign_alone(changes, words):
+    (found,) = reasons(**changes)
+    assert words in found
+
+
+def test_what_is_not_known_is_no_sign():
+    nothing = np.full(N, np.nan)
+    assert not reasons(unexplained=nothing, other_motion_cost=np.full((N, 2), np.nan), rival_distance=nothing)
+    assert not reasons(unexplained=None, other_motion_cost=None, rival_distance=None, type_residuals_m=None)
+
+
+def test_a_third_motion_in_a_few_frames_is_no_sign():
+    assert not reasons(unexplained=np.where(np.arange(N) < 5, 0.3, 0.0)), "a hand's shadow, or a frame that is lost"
+
+
+def test_states_far_away_do_not_matter_to_a_joint_that_moves_slowly():
+    far = np.where(np.arange(N) % 3 == 0, 1.5, np.nan)
+    assert not reasons(rival_distance=far), "the state moves by 3 degrees a frame at most"
+
+
+def with_states(states):
+    result = long_result(N)
+    moving = result.Ts_camera_reference @ result.articulation.joint.transform(states)
+    return replace(result, states=states, Ts_camera_moving=moving)
+
+
+@pytest.mark.parametrize("degrees, doubted", [(45, True), (122, True), (5, False)])
+def test_a_jump_of_the_state(degrees, doubted):
+    states = long_result(N).states.copy()
+    states[40:] += np.radians(degrees)
+    found = reasons(with_states(states))
+    assert bool(found) == doubted and all("jumps by up to" in text and "(40)" in text for text in found)
+
+
+def test_a_joint_that_rests_and_then_sweeps_has_not_jumped():
+    """As people move them: still for seconds, then 25 degrees a frame."""
+    states = np.radians(25) * np.clip(np.arange(N) - 40.0, 0, 5)
+    assert not [text for text in reasons(with_states(states)) if "jumps" in text]
+
+
+def test_motion_too_fast_for_the_frame_rate():
+    result = long_result(N)
+    fast = se3.pose(se3.exp_so3(np.arange(N)[:, None] * [0, np.radians(35), 0]), result.Ts_camera_reference[:, :3, 3])
+    moving = fast @ result.articulation.joint.transform(result.states)
+    (found,) = reasons(replace(result, Ts_camera_reference=fast, Ts_camera_moving=moving))
+    assert found.startswith("a part turns by 35° from frame to frame")
+
+
+@pytest.mark.parametrize(
+    "stds, words", [((0.1, 1e-4), ["axis is known to 5.7°"]), ((1e-3, 0.02), ["axis line is known to 20 mm"])]
+)
+def test_a_joint_that_is_not_well_known(stds, words):
+    found = reasons(replace(long_result(N), axis_std=stds[0], pivot_std=stds[1]))
+    assert len(found) == len(words) and all(word in text for word, text in zip(words, found, strict=True))
+
+
+def test_a_near_perfect_answer_is_not_warned_of_a_fraction_of_a_millimetre():
+    result, d = long_result(N), sound_diagnostics()
+    d.residual_m[:], d.jointed_residual_m[:] = 0.00005, 0.00007
+    d.residual_m[20:24] = 0.0003  # six medians, and more than half a pixel: of an object of 20 cm
+    d = replace(d, footprint_m=0.0002, noise_m=0.0)
+    assert judge(result, d).verdict == "sound" and not remarks(result, d)
+    d.residual_m[20:24] = 0.004
+    assert [r.where for r in remarks(result, d)] == ["frames 20-23", "frames 20-23"], "of both parts"
+
+
+def test_the_page_lists_what_the_answer_says_of_itself():
+    result = replace(long_result(N), trust=Trust("doubtful", ("because I say so",)))
+    assert [r.text for r in remarks(result, sound_diagnostics(unexplained=np.ones(N)))] == ["because I say so"]
+    untold = replace(result, trust=None)
+    assert [r.text for r in remarks(untold, sound_diagnostics(unexplained=np.ones(N)))] == list(
+        reasons(unexplained=np.ones(N))
+    )
+
+
+def test_the_command_says_it_last_and_in_its_exit_code(tmp_path, capsys):
+    result = replace(long_result(N), axis_std=0.002, pivot_std=0.0003, trust=Trust("sound"))
+    assert _told(result, tmp_path) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "sound" and "(axis to 0.11 deg, pivot to 0.3 mm)" in lines[0]
+    assert _told(replace(result, trust=Trust("doubtful", ("a", "b"))), tmp_path) == DOUBTFUL == 3
+    assert capsys.readouterr().out.splitlines()[-1] == "doubtful: a; b"
+
+
+def test_measured_signs_round_trip(tmp_path):
+    found = diagnostics_from_json(diagnostics_to_json(sound_diagnostics()), tmp_path)
+    for name in ("unexplained", "other_motion_cost", "rival_distance", "type_residuals_m"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(sound_diagnostics(), name))
+    turned = found.exchanged()
+    np.testing.assert_array_equal(turned.other_motion_cost, found.other_motion_cost[:, ::-1])
+
+
+# ---------------------------------------------------------------- what the solver measures
+
+
+def filmed(pictures, Ts, states, joint):
+    """Evidence and the true answer of pictures (rgb, depth, part) of both parts."""
+    frames = [Frame(rgb, depth.astype(np.float32), part > 0) for rgb, depth, part in pictures]
+    size = pictures[0][2].shape[::-1]
+    camera = Camera.from_fov(*size, np.radians(22))
+    scene = prepare(Recording(camera, np.arange(len(Ts)) / 30, lambda i: frames[i]), SceneSettings())
+    h, w = scene.mask.shape[1:]
+    crops = [p[2][y:, x:][:h, :w] for p, (x, y) in zip(pictures, scene.origin, strict=True)]
+    labels = np.stack([np.pad(c, [(0, h - c.shape[0]), (0, w - c.shape[1])]) for c in crops])
+    poses = JointedPoses(joint, states, Ts, np.zeros(len(Ts)), 0.0)
+    logodds = np.where(labels == 2, 3.0, -3.0).astype(np.float32)
+    grown = Grown(poses, labels, logodds, np.ones((len(Ts), 2), bool))
+    return Evidence(scene, EvidenceSettings(), LabelSettings()), grown
+
+
+def film(first, second, joint, states, third=lambda i: [], turn=0.6, size=(160, 120)):
+    """A filmed object whose first part holds, in frame i, the boxes `third(i)` as well."""
+    n, rng = len(states), np.random.default_rng(0)
+    t = np.linspace(0, 1, n)
+    base = se3.exp_so3([0.5, 0.4, 0.1]) @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    Ts = se3.pose(se3.exp_so3(turn * np.sin(3 * t)[:, None] * [0.3, 1, 0.2]) @ base, np.tile([0, 0.02, 1.25], (n, 1)))
+    camera, texture = Camera.from_fov(*size, np.radians(22)), rng.uniform(0.25, 1, (3, 12, 12, 12))
+    pictures = [
+        _render(
+            camera,
+            (trimesh.util.concatenate([*first, *third(i)]), trimesh.util.concatenate(second)),
+            joint,
+            Ts[i],
+            states[i],
+            texture,
+        )
+        for i in range(n)
+    ]
+    return filmed(pictures, Ts, np.asarray(states, float), joint)
+
+
+def unpainted(evidence):
+    """The same without colours."""
+    scene = replace(evidence.scene, pixels=evidence.scene.pixels.copy())
+    scene.features[:] = 0
+    return Evidence(scene, evidence.settings, evidence.label_settings)
+
+
+def both_poses(grown):
+    return np.stack([grown.poses.Ts, grown.poses.Ts_moving])
+
+
+def slider(share):
+    """A block that slides along the hinge's base, by up to 20 cm."""
+    return [box((0.05, 0.04, 0.06), (-0.1 + 0.2 * share, 0.08, 0.0))]
+
+
+def test_a_third_motion_is_left_unexplained():
+    first, second, joint, (low, high) = OBJECTS["hinge"]
+    states = low + (high - low) * (0.5 - 0.5 * np.cos(np.linspace(0, 5, 24)))
+    shares = {}
+    for moves in (False, True):
+        evidence, grown = film(first, second, joint, states, lambda i, moves=moves: slider(moves * i / 24))
+        found = unexplained(evidence, both_poses(grown), grown.seen, np.random.default_rng(0))
+        shares[moves] = np.nanpercentile(found, 90)
+    assert shares[False] < 0.004 and shares[True] > 0.012, shares
+
+
+def test_each_part_follows_its_own_motion_only():
+    first, second, joint, (low, high) = OBJECTS["hinge"]
+    states = low + (high - low) * (0.5 - 0.5 * np.cos(np.linspace(0, 5, 20)))
+    evidence, grown = film(first, second, joint, states)
+    Ts, rng = both_poses(grown), np.random.default_rng(0)
+    body = body_points(evidence, grown.labels, Ts[1], grown.seen[:, 1])
+    assert (np.nanmedian(other_motion_cost(evidence, grown, Ts, body, rng), 0) > 1).all()
+
+
+def test_a_round_part_follows_the_other_one_as_well():
+    """A ball in a fork: how it turns itself cannot be seen, but for its paint; here it has none."""
+    ball = trimesh.creation.icosphere(4, 0.08)
+    arm = [box((0.02, 0.03, 0.2), (0.11, 0, 0.02)), box((0.05, 0.05, 0.03), (0.11, 0.03, 0.12))]
+    joint = Joint("j", "revolute", np.array([0.0, 0, 1]), np.zeros(3), -1, 1)
+    evidence, grown = film([ball], arm, joint, np.sin(np.linspace(0, 5, 20)))
+    evidence = unpainted(evidence)
+    Ts, rng = both_poses(grown), np.random.default_rng(0)
+    body = body_points(evidence, grown.labels, Ts[1], grown.seen[:, 1])
+    round_part, arm_part = np.nanmedian(other_motion_cost(evidence, grown, Ts, body, rng), 0)
+    assert round_part < 0.5 < 1.0 < arm_part
+
+
+def test_a_fan_may_stand_a_wing_further_and_a_lid_may_not():
+    wings = [
+        box((0.16, 0.04, 0.01), (0, 0, 0)).apply_transform(trimesh.transformations.rotation_matrix(a, [0, 0, 1]))
+        for a in np.arange(2) * np.pi / 2
+    ]
+    mast = [box((0.03, 0.03, 0.1), (0, 0, -0.06)), box((0.2, 0.12, 0.02), (0, 0, -0.12))]
+    joint = Joint("j", "revolute", np.array([0.0, 0, 1]), np.zeros(3), -1, 1)
+    evidence, grown = film(mast, wings, joint, np.sin(np.linspace(0, 5, 20)), turn=0.2)
+    found = rival_distance(unpainted(evidence), grown, np.random.default_rng(0))
+    asked = found[np.isfinite(found)]
+    assert (asked > 0).mean() > 0.7 and np.median(asked[asked > 0]) == pytest.approx(np.pi / 2, abs=np.radians(6))
+    clip = make_clip("hinge", 20, (160, 120), spin=0.3)
+    pictures = [(f.rgb, f.depth, m) for f, m in zip(map(clip.recording.frame, range(20)), clip.part_masks, strict=True)]
+    evidence, grown = filmed(pictures, clip.Ts, clip.states, clip.joint)
+    lid = rival_distance(evidence, grown, np.random.default_rng(0))
+    assert np.mean(lid[np.isfinite(lid)] > 0) < 0.25
+
+
+def test_a_rival_lies_beyond_a_barrier():
+    tried = np.linspace(-1, 1, 21)
+    own = np.minimum(20 * tried**2, 2.0)
+    assert _nearest_rival(own, tried) == 0.0
+    assert _nearest_rival(np.where(np.abs(tried - 0.7) < 0.05, 0.2, own), tried) == pytest.approx(0.7)
+    assert _nearest_rival(np.full(21, 0.3), tried) == 0.0, "where all states are alike, evenness decides"
+
+
+@pytest.mark.parametrize(
+    "kind, share, told",
+    [("revolute", 1.0, True), ("prismatic", 1.0, True), ("revolute", 0.005, False), ("prismatic", 0.04, False)],
+)
+def test_a_joint_that_hardly_moves_could_be_of_either_type(kind, share, told):
+    """Of poses that are 0.5 mm and 0.2 degrees off; a part of 12 cm on a hinge by 60 degrees, or out by 15 cm."""
+    rng, n = np.random.default_rng(3), 40
+    joint = Joint("j", kind, np.array([0.0, 0.6, 0.8]), np.array([0.1, 0.0, 0.0]), -1, 1)
+    states = share * (1.05 if kind == "revolute" else 0.15) * np.sin(np.linspace(0, 5, n))
+    noise = se3.exp_se3(rng.normal(size=(n, 6)) * np.repeat([5e-4, np.radians(0.2)], 3))
+    body = np.array([0.02, 0.1, 0]) + 0.06 * np.concatenate([np.eye(3), -np.eye(3)])
+    own, other = type_residuals(joint.transform(states) @ noise, joint, body, 0.6, JointSettings())
+    assert (other > 1.5 * own) == told
+
+
+# ---------------------------------------------------------------- the benchmark
+
+
+def load_benchmark():
+    """benchmarks/trust.py, which is no module of a package."""
+    place = Path(__file__).resolve().parents[1] / "benchmarks" / "trust.py"
+    spec = importlib.util.spec_from_file_location("benchmark_of_trust", place)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def scored(axis=0.1, position=0.1, state=0.5, joint_type=1.0):
+    values = {"joint_type": joint_type, "axis": axis, "position": position, "state": state}
+    return Row("s", "revolute", "ok", "", "files", False, 0.2, values, {})
+
+
+def test_the_benchmark_counts_wrong_and_doubted_answers():
+    bench = load_benchmark()
+    assert not bench.is_wrong(scored(), 60.0)
+    for fault in ({"axis": 6.0}, {"position": 6.0}, {"state": 7.0}, {"joint_type": 0.0}):
+        assert bench.is_wrong(scored(**fault), 60.0), fault
+    rows = [
+        bench.Judged("v", status, wrong, doubtful, (), {}, 60.0, ratio, None, 1.0, held_out)
+        for status, wrong, doubtful, ratio, held_out in [
+            ("ok", True, True, None, False),
+            ("ok", True, False, 9.0, False),
+            ("ok", False, True, 1.0, False),
+            ("ok", False, False, 2.0, False),
+            ("failed", False, True, None, False),
+            ("ok", False, False, 4.0, True),
+        ]
+    ]
+    seen = bench.summary(rows)["seen"]
+    told = [seen[k] for k in ("wrong_doubted", "wrong_unnoticed", "right_doubted", "right_sound", "refused")]
+    assert told == [1, 1, 1, 1, 1]
+    assert seen["axis_error_over_std"] == {"answers": 2, "median": 1.5, "most": 2.0}, "of right answers"
+    assert bench.summary(rows)["held_out"]["right_sound"] == 1
+
+
+def test_a_staged_recording_moves_as_it_says():
+    bench = load_benchmark()
+    plan = Plan(np.tile(np.eye(4), (40, 1, 1)), np.linspace(0, 1, 40), np.tile(np.eye(4), (40, 1, 1)))
+    asked = []
+
+    def planned(loaded, settings, model=None):
+        asked.append(settings.frames)
+        return "camera", plan
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "planned", planned)
+        video = bench.Video("v", "stapler", 1, frames=10, share=0.04, every=4)
+        with bench._staged(video):
+            _, changed = session.planned(None, bench.RecordSettings(frames=10))
+        assert session.planned is planned, "and afterwards nothing is staged"
+    assert asked == [40] and len(changed.states) == 10
+    assert np.ptp(changed.states) == pytest.approx(0.04 * np.ptp(plan.states[::4]))
