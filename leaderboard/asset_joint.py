@@ -7,8 +7,10 @@ Assets come from anywhere and are read by native code, so scoring drives them in
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -47,15 +49,17 @@ def measured_joint(folder: Path, states: ArrayLike) -> tuple[Joint, Array]:
     check_files(folder)
     request = json.dumps({"asset": str(folder.resolve()), "states": np.asarray(states, float).tolist()})
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "leaderboard.asset_joint"],
-            input=request,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=TIME_LIMIT_S,
-            check=False,
-        )
+        with tempfile.TemporaryDirectory(prefix="freeart21-") as place:  # goes, however that process ends
+            done = subprocess.run(
+                [sys.executable, "-m", "leaderboard.asset_joint"],
+                input=request,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=TIME_LIMIT_S,
+                check=False,
+                env={**os.environ, "TMPDIR": place},
+            )
     except subprocess.TimeoutExpired as error:
         raise FreeArtError(f"{folder} did not load and move within {TIME_LIMIT_S:g} s") from error
     lines = done.stdout.splitlines()

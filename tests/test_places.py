@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import types
 from collections.abc import Callable
 from pathlib import Path
 
@@ -36,7 +37,7 @@ QUIET = ReconstructSettings(progress=False)
 def bytes_of(folder: Path) -> dict[str, bytes]:
     """File name to content of all in a folder, links and hidden ones too."""
     return {
-        str(path.relative_to(folder)): os.readlink(path).encode() if path.is_symlink() else path.read_bytes()
+        str(path.relative_to(folder)): str(path.readlink()).encode() if path.is_symlink() else path.read_bytes()
         for path in sorted(folder.rglob("*"))
         if path.is_symlink() or path.is_file()
     }
@@ -224,9 +225,9 @@ def test_a_second_writer_of_one_folder_is_refused_and_a_killed_one_leaves_no_loc
 ) -> None:
     from simgap import workflow
 
-    for name in ("read_measured", "read_asset", "explain"):
-        monkeypatch.setattr(workflow, name, lambda *_: pytest.fail("began") if name == "explain" else OURS)
-    monkeypatch.setattr(workflow, "read_measured", lambda *_: type("M", (), {"joint": "j"}))
+    for name in ("read_measured", "read_asset"):
+        monkeypatch.setattr(workflow, name, lambda *_: types.SimpleNamespace(joint="j"))
+    monkeypatch.setattr(workflow, "explain", lambda *_: pytest.fail("began"))
     before = bytes_of(home)
     first = subprocess.Popen(
         [sys.executable, "-c", HOLD, home / out], env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE
