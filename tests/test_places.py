@@ -424,7 +424,7 @@ def test_an_interrupt_arrives_whatever_became_of_it(tmp_path: Path, code: str) -
 
 
 def test_commands_told_to_stop_leave_nothing_half_done_and_go_on(tmp_path: Path) -> None:
-    commands = ["record", "reconstruct", "score", "convert"]
+    commands = ["record", "convert"]
     done = subprocess.run(
         [
             *(sys.executable, ROOT / "tests" / "stopped_commands.py", tmp_path, "--moments", "2"),
@@ -438,4 +438,4 @@ def test_commands_told_to_stop_leave_nothing_half_done_and_go_on(tmp_path: Path)
     assert done.returncode == 0, done.stdout + done.stderr
     moments = json.loads(done.stdout.splitlines()[-1])
     assert [moment["wrong"] for moment in moments] == [[]] * (3 * len(commands)), moments
-    assert sum(moment.get("code") == 130 for moment in moments) >= 4
+    assert sum(moment.get("code") == 130 for moment in moments) >= 2
