@@ -186,7 +186,7 @@ def prepared(folder: Path, data: Path | None, results: Path | None, commands: li
     place = Place(data or folder / "data", results or folder / "results", folder / "measured")
     if not place.data.is_dir():
         record_jobs(place.data, jobs_of(["drawer_unit"], small))
-    if not place.results.is_dir():
+    if not place.results.is_dir() and {"export", "score", "view"} & set(commands):
         name = place.sequence
         truth = read_truth(place.data / "truth" / name)
         views = len(read_sequence(place.data / "sequences" / name).queries)
