@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
+from typing import Any
 
-from freeart21 import stopping
+
+def _at_once(number: int, frame: Any) -> None:
+    print("freeart21: stopped", file=sys.stderr, flush=True)
+    os._exit(128 + number)
+
+
+if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, _at_once)  # nothing is under way yet; `listen` takes it over
+
+from freeart21 import stopping  # noqa: E402
 
 
 def main() -> None:

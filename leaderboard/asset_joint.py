@@ -7,6 +7,7 @@ Assets come from anywhere and are read by native code, so scoring drives them in
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -84,13 +85,13 @@ def _measured(folder: Path, states: ArrayLike, whole: bool) -> MeasuredAsset:
         request = {"asset": str(folder.resolve()), "states": np.asarray(states, float).tolist()}
         if whole:
             request["shape"] = str(shape)
-        said = _ask(folder, request)
+        said = _ask(folder, request, place)
         joint = joint_from_json(said["joint"], folder)
         found = _read_shape(shape) if whole else None
     return MeasuredAsset(joint, np.array(said["states"], float), found, tuple(said["findings"]))
 
 
-def _ask(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
+def _ask(folder: Path, request: dict[str, Any], place: str) -> dict[str, Any]:
     try:
         done = subprocess.run(
             child.command("leaderboard.asset_joint"),
@@ -100,6 +101,7 @@ def _ask(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
             errors="replace",
             timeout=TIME_LIMIT_S,
             check=False,
+            env={**os.environ, "TMPDIR": place},  # what it leaves there goes, however it ends
         )
     except subprocess.TimeoutExpired as error:
         raise FreeArtError(f"{folder} did not load and move within {TIME_LIMIT_S:g} s") from error

@@ -209,7 +209,7 @@ def _run(folder: Path, count: int, seconds: float, progress: Progress | None) ->
             [sys.executable, "-m", "simgap.replay", str(folder)],
             stdout=subprocess.DEVNULL,
             stderr=stderr,
-            env={**os.environ, "PYTHONPATH": paths},
+            env={**os.environ, "PYTHONPATH": paths, "TMPDIR": str(folder)},  # goes, however that process ends
         )
         try:
             while process.poll() is None and time.monotonic() < end:

@@ -56,22 +56,22 @@ COMMANDS: dict[str, tuple[float, Callable[[Place, Path], list[str]]]] = {
     ),
     "demo": (60, lambda p, out: ["demo", "--frames", "20", "--out", f"{out}/demo"]),
     "reconstruct": (
-        25,
+        8,
         lambda p, out: ["reconstruct", f"{p.data}/sequences/{p.sequence}", "--out", f"{out}/r/{p.sequence}"],
     ),
     "export": (12, lambda p, out: ["export", f"{p.results}/{p.sequence}", "--out", f"{out}/asset"]),
     "score": (12, lambda p, out: ["score", f"{p.results}", "--data", f"{p.data}", "--out", f"{out}/scores.json"]),
     "gap": (
-        30,
+        8,
         lambda p, out: ["gap", f"{p.measured}/asset", f"{p.measured}/measured", "--out", f"{out}/gap"],
     ),
-    "verify": (8, lambda p, out: ["verify", f"{p.data}", "--deep"]),
+    "verify": (4, lambda p, out: ["verify", f"{p.data}", "--deep"]),
     "convert": (
-        6,
+        2.5,
         lambda p, out: ["convert", f"{p.data}/sequences/{p.sequence}", "--to", "official", "--out", f"{out}/official"],
     ),
-    "measure": (4, lambda p, out: ["measure", f"{p.measured}/films/truth/flip_lighter-s0", "--out", f"{out}/set"]),
-    "view": (4, lambda p, out: ["view", f"{p.results}/{p.sequence}", "--out", f"{out}/page.html"]),
+    "measure": (3, lambda p, out: ["measure", f"{p.measured}/films/truth/flip_lighter-s0", "--out", f"{out}/set"]),
+    "view": (2, lambda p, out: ["view", f"{p.results}/{p.sequence}", "--out", f"{out}/page.html"]),
 }
 """Name to how long it takes at most, seconds, and its arguments."""
 
@@ -186,7 +186,7 @@ def prepared(folder: Path, data: Path | None, results: Path | None, commands: li
     place = Place(data or folder / "data", results or folder / "results", folder / "measured")
     if not place.data.is_dir():
         record_jobs(place.data, jobs_of(["drawer_unit"], small))
-    if not place.results.is_dir():
+    if not place.results.is_dir() and {"export", "score", "view"} & set(commands):
         name = place.sequence
         truth = read_truth(place.data / "truth" / name)
         views = len(read_sequence(place.data / "sequences" / name).queries)

@@ -58,7 +58,12 @@ def test_the_help_of_a_command_fits_a_screen_and_tells_every_option(name: str):
     f = getattr(cli, name.replace("-", "_"))
     for parameter in inspect.signature(f).parameters.values():
         flag = "--" + parameter.name.replace("_", "-")
-        known = {"--settings-file": "--settings", "--as-json": "--json", "--everything": "--all", "--layout": "--from"}.get(flag, flag)
+        known = {
+            "--settings-file": "--settings",
+            "--as-json": "--json",
+            "--everything": "--all",
+            "--layout": "--from",
+        }.get(flag, flag)
         assert known in text or parameter.name.upper() in text, parameter.name
 
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import types
 from collections.abc import Callable
 from pathlib import Path
 
@@ -224,9 +225,9 @@ def test_a_second_writer_of_one_folder_is_refused_and_a_killed_one_leaves_no_loc
 ) -> None:
     from simgap import workflow
 
-    for name in ("read_measured", "read_asset", "explain"):
-        monkeypatch.setattr(workflow, name, lambda *_, name=name: pytest.fail("began") if name == "explain" else OURS)
-    monkeypatch.setattr(workflow, "read_measured", lambda *_: type("M", (), {"joint": "j"}))
+    for name in ("read_measured", "read_asset"):
+        monkeypatch.setattr(workflow, name, lambda *_: types.SimpleNamespace(joint="j"))
+    monkeypatch.setattr(workflow, "explain", lambda *_: pytest.fail("began"))
     before = bytes_of(home)
     first = subprocess.Popen(
         [sys.executable, "-c", HOLD, home / out], env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE
@@ -423,7 +424,7 @@ def test_an_interrupt_arrives_whatever_became_of_it(tmp_path: Path, code: str) -
 
 
 def test_commands_told_to_stop_leave_nothing_half_done_and_go_on(tmp_path: Path) -> None:
-    commands = ["record", "reconstruct", "score", "convert"]
+    commands = ["record", "convert"]
     done = subprocess.run(
         [
             *(sys.executable, ROOT / "tests" / "stopped_commands.py", tmp_path, "--moments", "2"),
@@ -437,4 +438,4 @@ def test_commands_told_to_stop_leave_nothing_half_done_and_go_on(tmp_path: Path)
     assert done.returncode == 0, done.stdout + done.stderr
     moments = json.loads(done.stdout.splitlines()[-1])
     assert [moment["wrong"] for moment in moments] == [[]] * (3 * len(commands)), moments
-    assert sum(moment.get("code") == 130 for moment in moments) >= 4
+    assert sum(moment.get("code") == 130 for moment in moments) >= 2
