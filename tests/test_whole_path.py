@@ -11,7 +11,7 @@ from freeart21.reconstruction import Reconstruction
 from generator.recorder import RecordSettings, record
 from leaderboard.score import score_results
 
-DECIMATED = 0.1
+DECIMATED = 0.5
 """% of the diagonal that the export may take off a surface: 20k faces, fragments below 1 % of the area dropped."""
 SETTINGS = RecordSettings(frames=6, seed=11, queries=3, width=320, height=180, shader="trivial")
 
