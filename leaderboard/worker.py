@@ -24,10 +24,10 @@ from leaderboard import child
 from leaderboard.rows import Row
 
 ROW_LIMIT_S = 180.0
-"""Seconds that a row may take: ours (60 frames, 2 parts of 200k faces, an asset beside) took 18 to 28 on two cores that
+"""Seconds that a row may take: ours (60 frames, 2 parts of 200k faces, an asset beside) took 18 to 40 on two cores that
 six other programs were using."""
 ROW_MEMORY = 12 << 30
-"""Bytes of address space that a row's process may have: a normal row has 3 GiB, most of it reserved and never used."""
+"""Bytes of address space that a row's process may have: ours have 1.2 GiB."""
 
 
 class RowEnded(Exception):

@@ -11,6 +11,8 @@ from freeart21.reconstruction import Reconstruction
 from generator.recorder import RecordSettings, record
 from leaderboard.score import score_results
 
+DECIMATED = 0.5
+"""% of the diagonal that the export may take off a surface: 20k faces, fragments below 1 % of the area dropped."""
 SETTINGS = RecordSettings(frames=6, seed=11, queries=3, width=320, height=180, shader="trivial")
 
 
@@ -31,7 +33,7 @@ def test_a_recorded_truth_handed_in_and_reloaded_scores_perfect(name, tmp_path):
     export_result(results / sequence, results / sequence / "asset")
     (row,) = score_results(results, data).rows
     assert (row.status, row.measured_from, row.swapped) == ("ok", "asset", False)
-    assert row.values["joint_type"] == row.values["fscore"] == 1
+    assert row.values["joint_type"] == row.values["fscore_parts"] == 1 and row.values["fscore"] > 0.98
     assert row.values["miou"] == row.values["ssim"] == pytest.approx(1)
     assert row.values["psnr"] == 100
     for metric in (
@@ -40,10 +42,14 @@ def test_a_recorded_truth_handed_in_and_reloaded_scores_perfect(name, tmp_path):
         "state_all",
         "pose_rotation",
         "pose_translation",
-        "chamfer_w",
-        "chamfer_m",
-        "chamfer_s",
+        "pose_moving_rotation",
+        "pose_moving_translation",
+        "chamfer_w_parts",
+        "chamfer_m_parts",
+        "chamfer_s_parts",
     ):
         assert row.values[metric] == pytest.approx(0, abs=1e-3), metric
+    for metric in ("chamfer_w", "chamfer_m", "chamfer_s"):  # the asset's meshes are decimated to 20k faces
+        assert row.values[metric] == pytest.approx(0, abs=DECIMATED), metric
     if name == "flip_lighter":
         assert row.values["position"] == pytest.approx(0, abs=1e-3)
