@@ -20,7 +20,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.files.benchmark import read_benchmark, write_benchmark
 from freeart21.files.checked import read_json
-from freeart21.files.diagnostics import read_diagnostics
+from freeart21.files.diagnostics import read_confidence, read_diagnostics
 from freeart21.files.measured import read_measured
 from freeart21.files.result import read_method, read_render, read_result
 from freeart21.files.sequence import read_sequence
@@ -86,7 +86,8 @@ def test_the_example_of_a_result_is_read(written: Path) -> None:
     assert read_render(folder, 0) is not None and (folder / "renders_other" / "00000.png").is_file()
     assert read_method(folder.parent).name == "mine"
     diagnostics = read_diagnostics(folder, 3)
-    assert diagnostics is not None and diagnostics.confidence_maps is not None
+    confidence = read_confidence(folder, 0, (6, 8))
+    assert diagnostics is not None and confidence is not None and confidence.max() == 240
 
 
 def test_the_example_of_an_answer_that_is_doubted_is_read(written: Path) -> None:
@@ -101,12 +102,18 @@ def test_the_example_of_a_failure_is_read(written: Path) -> None:
     assert isinstance(failure, Failure) and failure.stage == "tracking"
 
 
-def test_the_examples_of_results_are_what_validate_and_score_take(written: Path) -> None:
+def test_the_examples_are_a_right_answer_to_their_own_data(written: Path) -> None:
+    """Every frame, unit and sense of the page goes together: no fault is found, and the scorer finds no error."""
+    from leaderboard.score import score_results
     from leaderboard.validate import validate_results
 
-    report = validate_results(written / "results" / "mine", written / "data")
-    fatal = [fault for fault in report.faults if fault.fatal]
-    assert fatal == [] and report.answers == 1
+    results, data = written / "results" / "mine", written / "data"
+    report = validate_results(results, data)
+    assert report.faults == () and report.answers == 1
+    (row,) = score_results(results, data, "strict-2", limit_s=None).rows
+    assert (row.status, row.measured_from, row.swapped, row.notes) == ("ok", "asset", False, ())
+    right = {"joint_type": 1.0, "miou": 1.0, "fscore": 1.0, "psnr": 100.0, "ssim": 1.0, "fscore_parts": 1.0}
+    assert row.values == pytest.approx(dict.fromkeys(row.values, 0.0) | right, abs=1e-3)
 
 
 def test_the_example_of_an_asset_is_read(written: Path) -> None:
