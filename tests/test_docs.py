@@ -1,4 +1,4 @@
-"""What the documents say holds: their examples are read by the product's readers, links lead somewhere, options exist."""
+"""What the documents say holds: the product's readers take the examples, links lead somewhere, options exist."""
 
 from __future__ import annotations
 
