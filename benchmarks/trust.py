@@ -34,13 +34,13 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.result import read_result
 from freeart21.files.truth import read_truth
-from freeart21.reconstruction import Failure
+from freeart21.reconstruction import Failure, Reconstruction
 from generator import sensor, session
 from generator.motion import Plan
 from generator.recorder import record
 from generator.sensor import Sensor
 from generator.session import RecordSettings
-from leaderboard.score import Row, score_results
+from leaderboard.strict1 import Strict1, measure
 from reconstruct import VERSION
 from reconstruct.pipeline import reconstruct_folder
 from reconstruct.settings import ReconstructSettings
@@ -121,9 +121,9 @@ class Judged:
     doubtful: bool
     reasons: tuple[str, ...]
     values: dict[str, float | None]
-    """strict-1, from the files."""
+    """Of the joint, and miou: strict-1, from the files."""
     state_range: float
-    """Of the truth, deg or cm."""
+    """Of the truth, deg or % of the diagonal."""
     axis_over_std: float | None
     """Error of the axis in its standard deviations; None where the type is wrong or none is given."""
     pivot_over_std: float | None
@@ -220,43 +220,42 @@ def _staged(video: Video) -> Iterator[None]:
 
 
 def _judged(video: Video, data: Path, results: Path, sequence: str) -> Judged:
-    (row,) = score_results(results, data).rows
     answer, truth = read_result(results / sequence), read_truth(data / "truth" / sequence)
     turns = truth.articulation.joint.type == "revolute"
-    span = float(np.ptp(truth.states)) * (180 / np.pi if turns else 100)
+    span = float(np.ptp(truth.states)) * (180 / np.pi if turns else 100 / truth.diagonal)
     seconds = sum(answer.seconds.values())
     if isinstance(answer, Failure):
         return Judged(
-            video.name, "failed", False, True, (answer.reason,), row.values, span, None, None, seconds, video.held_out
+            video.name, "failed", False, True, (answer.reason,), {}, span, None, None, seconds, video.held_out
         )
     trust = answer.trust
     if trust is None:
         raise FreeArtError(f"{results / sequence} does not say whether to trust it")
-    wrong = video.second_joint is not None or is_wrong(row, span)
-    ratios = _over_std(answer, row)
+    values = measure(truth, answer, [], Strict1(samples=500)).values  # of the joint: surfaces are not asked here
+    values = {name: values.get(name) for name in ("joint_type", "axis", "position", "state", "miou")}
+    wrong = video.second_joint is not None or is_wrong(values, span)
+    ratios = _over_std(answer, values, truth.diagonal)
     doubtful = trust.verdict == "doubtful"
-    return Judged(video.name, "ok", wrong, doubtful, trust.reasons, row.values, span, *ratios, seconds, video.held_out)
+    return Judged(video.name, "ok", wrong, doubtful, trust.reasons, values, span, *ratios, seconds, video.held_out)
 
 
-def is_wrong(row: Row, state_range: float) -> bool:
-    """Whether the answer is wrong by the truth; `state_range` in deg or cm."""
-    values, turns = row.values, row.joint_type == "revolute"
-    state = values["state"] if turns else row.values_cm.get("state")
-    off = values["axis"] or 0.0, (values["position"] or 0.0) if turns else 0.0, (state or 0.0) / max(state_range, 1e-9)
-    return values["joint_type"] != 1 or any(
-        error > most for error, most in zip(off, (WRONG_AXIS_DEG, WRONG_PIVOT_PERCENT, WRONG_STATES), strict=True)
+def is_wrong(values: dict[str, float | None], state_range: float) -> bool:
+    """Whether the answer is wrong by the truth; `state_range` in the unit of the state: deg, or % of the diagonal."""
+    if values["joint_type"] != 1:
+        return True
+    off = values["axis"] or 0.0, values["position"] or 0.0, (values["state"] or 0.0) / max(state_range, 1e-9)
+    limits = WRONG_AXIS_DEG, WRONG_PIVOT_PERCENT, WRONG_STATES
+    return any(error > most for error, most in zip(off, limits, strict=True))
+
+
+def _over_std(
+    answer: Reconstruction, values: dict[str, float | None], diagonal: float
+) -> tuple[float | None, float | None]:
+    axis, position = values["axis"], values["position"]
+    return (
+        float(np.radians(axis) / answer.axis_std) if answer.axis_std and axis is not None else None,
+        position / 100 * diagonal / answer.pivot_std if answer.pivot_std and position is not None else None,
     )
-
-
-def _over_std(answer: Any, row: Row) -> tuple[float | None, float | None]:
-    if row.values["joint_type"] != 1:
-        return None, None
-    axis = pivot = None
-    if answer.axis_std and row.values["axis"] is not None:
-        axis = float(np.radians(row.values["axis"]) / answer.axis_std)
-    if answer.pivot_std and row.values_cm.get("position") is not None:
-        pivot = float(row.values_cm["position"] / 100 / answer.pivot_std)
-    return axis, pivot
 
 
 def summary(judged: list[Judged]) -> dict[str, Any]:

@@ -22,7 +22,6 @@ from freeart21.trust import judge
 from freeart21.view.diagnosis import remarks
 from generator import session
 from generator.motion import Plan
-from leaderboard.score import Row
 from reconstruct.diagnostics import (
     _nearest_rival,
     other_motion_cost,
@@ -309,14 +308,13 @@ def load_benchmark():
 
 
 def scored(axis=0.1, position=0.1, state=0.5, joint_type=1.0):
-    values = {"joint_type": joint_type, "axis": axis, "position": position, "state": state}
-    return Row("s", "revolute", "ok", "", "files", False, 0.2, values, {})
+    return {"joint_type": joint_type, "axis": axis, "position": position, "state": state}
 
 
 def test_the_benchmark_counts_wrong_and_doubted_answers():
     bench = load_benchmark()
     assert not bench.is_wrong(scored(), 60.0)
-    for fault in ({"axis": 6.0}, {"position": 6.0}, {"state": 7.0}, {"joint_type": 0.0}):
+    for fault in ({"axis": 6.0}, {"position": 6.0}, {"state": 7.0}, {"joint_type": 0.0, "axis": None}):
         assert bench.is_wrong(scored(**fault), 60.0), fault
     rows = [
         bench.Judged("v", status, wrong, doubtful, (), {}, 60.0, ratio, None, 1.0, held_out)
