@@ -13,12 +13,12 @@ from test_diagnostics import long_result, sample_diagnostics
 
 from freeart21 import se3
 from freeart21.camera import Camera
-from freeart21.cli import DOUBTFUL, _told
+from freeart21.cli import DOUBTFUL, _say_answer
 from freeart21.files.diagnostics import diagnostics_from_json, diagnostics_to_json
 from freeart21.joint import Joint
 from freeart21.reconstruction import Trust
 from freeart21.recording import Frame, Recording
-from freeart21.trust import judge
+from freeart21.trust import judge, motion_of
 from freeart21.view.diagnosis import remarks
 from generator import session
 from generator.motion import Plan
@@ -107,6 +107,38 @@ def test_a_jump_of_the_state(degrees, doubted):
     assert bool(found) == doubted and all("jumps by up to" in text and "(40)" in text for text in found)
 
 
+def test_what_moves_while_hidden_has_not_jumped():
+    states = long_result(N).states.copy()
+    states[40:] += np.radians(45)
+    seen = np.ones((N, 2), bool)
+    seen[25:40, 1] = False
+    assert not reasons(replace(with_states(states), seen=seen)), "fifteen frames lie between"
+
+
+@pytest.mark.parametrize("first, last, doubted", [(0, 13, False), (0, 16, True), (44, 59, True), (20, 45, False)])
+def test_states_beyond_what_was_seen_are_guesses_and_those_between_are_not(first, last, doubted):
+    seen = np.ones((N, 2), bool)
+    seen[first : last + 1, 1] = False
+    found = reasons(replace(long_result(N), seen=seen))
+    assert bool(found) == doubted and all(f"{last + 1 - first} of 60 states are extrapolated" in t for t in found)
+
+
+def test_poses_off_the_joint_count_by_what_they_shift():
+    result = long_result(N)
+    moving = result.articulation.moving
+    used = moving.vertices[np.unique(moving.faces)]
+    turn = se3.exp_so3(np.radians(30) * np.array([0.0, 0.0, 1.0]))
+    gap = se3.pose(turn, used.mean(0) - turn @ used.mean(0))
+    turned = replace(result, Ts_camera_moving=result.Ts_camera_moving @ gap)
+    off = np.sqrt(((se3.transform(gap, used) - used) ** 2).sum(-1).mean())
+    assert motion_of(turned).gap_surface == pytest.approx(off)
+    (found,) = reasons(turned)
+    assert "measured poses lie off the joint" in found
+    thin = replace(moving, vertices=used.mean(0) + 0.01 * (moving.vertices - used.mean(0)))
+    parts = replace(result.articulation, moving=thin)
+    assert not reasons(replace(turned, articulation=parts)), "30 degrees of next to nothing"
+
+
 def test_a_joint_that_rests_and_then_sweeps_has_not_jumped():
     """As people move them: still for seconds, then 25 degrees a frame."""
     states = np.radians(25) * np.clip(np.arange(N) - 40.0, 0, 5)
@@ -150,10 +182,10 @@ def test_the_page_lists_what_the_answer_says_of_itself():
 
 def test_the_command_says_it_last_and_in_its_exit_code(tmp_path, capsys):
     result = replace(long_result(N), axis_std=0.002, pivot_std=0.0003, trust=Trust("sound"))
-    assert _told(result, tmp_path) == 0
+    assert _say_answer(result, tmp_path) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == "sound" and "(axis to 0.11 deg, pivot to 0.3 mm)" in lines[0]
-    assert _told(replace(result, trust=Trust("doubtful", ("a", "b"))), tmp_path) == DOUBTFUL == 3
+    assert _say_answer(replace(result, trust=Trust("doubtful", ("a", "b"))), tmp_path) == DOUBTFUL == 3
     assert capsys.readouterr().out.splitlines()[-1] == "doubtful: a; b"
 
 
