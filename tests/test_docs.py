@@ -125,6 +125,12 @@ def test_the_example_of_an_asset_is_read(written: Path) -> None:
     assert isinstance(answer, Reconstruction) and np.allclose(axis, answer.articulation.joint.axis)
 
 
+def test_the_example_of_settings_is_read(written: Path) -> None:
+    from reconstruct.settings import ReconstructSettings, read_settings
+
+    assert read_settings(written / "settings.json") != ReconstructSettings()
+
+
 def test_the_example_of_effects_for_a_recording_is_read(written: Path) -> None:
     from freeart21.joint import Joint
     from generator.session import _effects
