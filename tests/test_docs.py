@@ -125,6 +125,12 @@ def test_the_example_of_an_asset_is_read(written: Path) -> None:
     assert isinstance(answer, Reconstruction) and np.allclose(axis, answer.articulation.joint.axis)
 
 
+def test_the_example_of_settings_is_read(written: Path) -> None:
+    from reconstruct.settings import ReconstructSettings, read_settings
+
+    assert read_settings(written / "settings.json") != ReconstructSettings()
+
+
 def test_the_example_of_effects_for_a_recording_is_read(written: Path) -> None:
     from freeart21.joint import Joint
     from generator.session import _effects
@@ -138,8 +144,23 @@ def test_the_example_of_a_measured_set_is_read(written: Path) -> None:
     step, filmed = measured.runs
     assert measured.actuator is not None and np.isnan(step.q[12]) and step.q_command is not None
     assert filmed.poses is not None and filmed.held_out
-    turn = filmed.poses[0, :3, :3]  # 0.2 rad about the URDF's axis, (0, 0, -1)
-    assert np.allclose([turn[0, 1] - turn[1, 0]], [2 * np.sin(0.2)])
+    answer = read_result(written / "results" / "mine" / "lid")
+    assert isinstance(answer, Reconstruction), "the set is of that answer's asset, in its canonical frame"
+    assert np.allclose(filmed.poses[0], answer.articulation.joint.transform(0.2))
+    asset = read_asset(written / "results" / "mine" / "lid" / "asset")
+    assert np.allclose(measured.gravity, asset.T_canonical_reference[:3, :3] @ [0, 0, -9.81])
+
+
+def test_the_example_of_a_recording_becomes_a_measured_set(written: Path, tmp_path: Path) -> None:
+    from freeart21.formats.measured_series import SeriesSettings, columns_from, measure_series
+
+    told = SeriesSettings(columns_from((str(written / "columns.json"),)))
+    asset = written / "results" / "mine" / "lid" / "asset"
+    measure_series([written / "swing.csv"], tmp_path / "out", asset, None, told)
+    measured = read_measured(tmp_path / "out" / "measured")
+    (run,) = measured.runs
+    assert run.q.shape == (21,) and np.isclose(run.q[0], np.radians(11.46)) and measured.rate_hz == pytest.approx(50)
+    assert np.allclose(measured.gravity, read_measured(written / "measured").gravity)
 
 
 def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
