@@ -1,5 +1,5 @@
 # Two commands: `make demo` sets up and runs one object all the way; `make test` sets up and passes the tests.
-.PHONY: setup demo test clean
+.PHONY: setup demo test check docs clean
 
 setup:
 	scripts/setup.sh
@@ -13,6 +13,18 @@ test:
 	.venv/bin/ruff format --check --quiet .
 	.venv/bin/mypy
 	.venv/bin/pytest
+
+# What a change needs while it is made, in under a minute; `make test` is what it owes in the end.
+check:
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check --quiet .
+	.venv/bin/mypy
+	.venv/bin/pytest -m quick
+
+# The API's pages, out of the docstrings.
+docs:
+	PYTHONPATH=. .venv/bin/pdoc --output-directory out/docs ./freeart21 ./generator ./reconstruct ./export ./leaderboard ./simgap
+	@echo "out/docs/index.html"
 
 clean:
 	rm -rf .venv out .pytest_cache .mypy_cache .ruff_cache

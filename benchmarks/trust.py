@@ -1,6 +1,6 @@
 """Does an answer say whether to trust it? Good and bad videos, solved, judged by their own signs and by the truth.
 
-    .venv/bin/python benchmarks/trust.py [--partnet-root /data/partnet_mobility]
+    .venv/bin/python -m benchmarks.trust [--partnet-root /data/partnet_mobility]
 
 records what is missing of the videos, solves each, asks the answer (`trust` of prediction.json) and the truth
 (strict-1, from the files), prints the table and writes benchmarks/results/trust.json: how many wrong answers are
@@ -14,15 +14,12 @@ when its states are off by a tenth of their range on average, or when two joints
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # else benchmarks/reconstruct.py hides the package
 
 import numpy as np
 import tyro

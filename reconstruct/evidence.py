@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -22,7 +23,8 @@ Samples = dict[int, NDArray[np.int32]]
 """Frame to its sample pixels (m, 2): row and column."""
 
 
-class Records(NamedTuple):
+@dataclass(frozen=True)
+class Records:
     """What registration reads of samples, gathered once for many calls: see `Evidence.records`."""
 
     pixels: NDArray[np.float32]
@@ -57,14 +59,14 @@ class Evidence:
         either's. Statistics are inliers, projected, cost and outside.
         """
         scene, s = self.scene, self.settings
-        records, offsets = samples if isinstance(samples, Records) else self.records(samples)
+        records = samples if isinstance(samples, Records) else self.records(samples)
         H, g, stats = np.zeros((len(source), 6, 6)), np.zeros((len(source), 6)), np.zeros((len(source), 4))
         arguments = (
             np.asarray(source, np.int64),
             np.asarray(target, np.int64),
             np.ascontiguousarray(T, float),
-            records,
-            offsets,
+            records.pixels,
+            records.offsets,
             scene.pixels.reshape(-1, scene.pixels.shape[-1]),
             *scene.mask.shape[1:],
             _NO_LABELS if labels is None else labels.reshape(-1),

@@ -1,9 +1,6 @@
 """Whether to trust an answer: each sign on answers that have its fault alone, and what the solver measures for them."""
 
-import importlib.util
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +8,7 @@ import trimesh
 from reconstruct_clip import OBJECTS, _render, box, make_clip
 from test_diagnostics import long_result, sample_diagnostics
 
+from benchmarks import trust as trust_benchmark
 from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.cli import DOUBTFUL, _say_answer
@@ -329,22 +327,12 @@ def test_a_joint_that_hardly_moves_could_be_of_either_type(kind, share, told):
 # ---------------------------------------------------------------- the benchmark
 
 
-def load_benchmark():
-    """benchmarks/trust.py, which is no module of a package."""
-    place = Path(__file__).resolve().parents[1] / "benchmarks" / "trust.py"
-    spec = importlib.util.spec_from_file_location("benchmark_of_trust", place)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 def scored(axis=0.1, position=0.1, state=0.5, joint_type=1.0):
     return {"joint_type": joint_type, "axis": axis, "position": position, "state": state}
 
 
 def test_the_benchmark_counts_wrong_and_doubted_answers():
-    bench = load_benchmark()
+    bench = trust_benchmark
     assert not bench.is_wrong(scored(), 60.0)
     for fault in ({"axis": 6.0}, {"position": 6.0}, {"state": 7.0}, {"joint_type": 0.0, "axis": None}):
         assert bench.is_wrong(scored(**fault), 60.0), fault
@@ -367,7 +355,7 @@ def test_the_benchmark_counts_wrong_and_doubted_answers():
 
 
 def test_a_staged_recording_moves_as_it_says():
-    bench = load_benchmark()
+    bench = trust_benchmark
     plan = Plan(np.tile(np.eye(4), (40, 1, 1)), np.linspace(0, 1, 40), np.tile(np.eye(4), (40, 1, 1)))
     asked = []
 

@@ -1,0 +1,33 @@
+"""Which tests are quick: `pytest -m quick`, which `make check` runs."""
+
+from pathlib import Path
+
+import pytest
+
+QUICK = {  # file to CPU seconds alone, imports included, measured on two cores of a shared x86-64 machine
+    "camera": 0.8,
+    "diagnostics": 2.5,
+    "docker": 0.3,
+    "doctor": 1.2,
+    "effects": 3.2,
+    "files": 2.1,
+    "gap_score": 1.3,
+    "joint": 0.8,
+    "kernels": 2.6,
+    "labels": 3.5,
+    "layers": 1.9,
+    "measured": 1.1,
+    "metrics": 2.8,
+    "package": 0.3,
+    "se3": 1.5,
+    "shapes": 0.9,
+    "statistics": 2.5,
+    "view": 3.0,
+    "votes": 2.9,
+}
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if Path(item.path).stem.removeprefix("test_") in QUICK:
+            item.add_marker(pytest.mark.quick)
