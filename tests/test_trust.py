@@ -8,7 +8,7 @@ import trimesh
 from reconstruct_clip import OBJECTS, _render, box, make_clip
 from test_diagnostics import long_result, sample_diagnostics
 
-from benchmarks import trust as trust_benchmark
+from benchmarks import trust as bench
 from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.cli import DOUBTFUL, _say_answer
@@ -332,7 +332,6 @@ def scored(axis=0.1, position=0.1, state=0.5, joint_type=1.0):
 
 
 def test_the_benchmark_counts_wrong_and_doubted_answers():
-    bench = trust_benchmark
     assert not bench.is_wrong(scored(), 60.0)
     for fault in ({"axis": 6.0}, {"position": 6.0}, {"state": 7.0}, {"joint_type": 0.0, "axis": None}):
         assert bench.is_wrong(scored(**fault), 60.0), fault
@@ -355,7 +354,6 @@ def test_the_benchmark_counts_wrong_and_doubted_answers():
 
 
 def test_a_staged_recording_moves_as_it_says():
-    bench = trust_benchmark
     plan = Plan(np.tile(np.eye(4), (40, 1, 1)), np.linspace(0, 1, 40), np.tile(np.eye(4), (40, 1, 1)))
     asked = []
 
