@@ -2,11 +2,11 @@
 
     .venv/bin/python -m benchmarks.trust [--partnet-root /data/partnet_mobility]
 
-records what is missing of the videos, solves each, asks the answer (`trust` of prediction.json) and the truth
-(strict-1, from the files), prints the table and writes benchmarks/results/trust.json: how many wrong answers are
-doubted, how many are not, and how many right ones are doubted all the same; and how large the errors of axis and pivot
-are beside the standard deviations that the answers give them. Videos of PartNet-Mobility objects are left out without
---partnet-root.
+records what is missing of the videos, solves each that was not solved, asks the answer's own signs (`freeart21.trust`)
+and the truth (strict-1, from the files), prints the table and writes benchmarks/results/trust.json: how many wrong
+answers are doubted, how many are not, and how many right ones are doubted all the same; and how large the errors of
+axis and pivot are beside the standard deviations that the answers give them. Videos of PartNet-Mobility objects are
+left out without --partnet-root.
 
 An answer is WRONG when it names the other joint type, when its axis is 5 degrees or its pivot 5 % of the diagonal off,
 when its states are off by a tenth of their range on average, or when two joints moved and it tells of one.
@@ -29,9 +29,11 @@ from rich.table import Table
 from benchmarks.common import RESULTS, ROOT, commit, machine
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
+from freeart21.files.diagnostics import read_diagnostics
 from freeart21.files.result import read_result
 from freeart21.files.truth import read_truth
 from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.trust import judge
 from generator import sensor, session
 from generator.motion import Plan
 from generator.recorder import record
@@ -225,9 +227,9 @@ def _judged(video: Video, data: Path, results: Path, sequence: str) -> Judged:
         return Judged(
             video.name, "failed", False, True, (answer.reason,), {}, span, None, None, seconds, video.held_out
         )
-    trust = answer.trust
-    if trust is None:
-        raise FreeArtError(f"{results / sequence} does not say whether to trust it")
+    trust = judge(
+        answer, read_diagnostics(results / sequence, len(answer))
+    )  # as the solver asks them, by today's signs
     values = measure(truth, answer, [], Strict1(samples=500)).values  # of the joint: surfaces are not asked here
     values = {name: values.get(name) for name in ("joint_type", "axis", "position", "state", "miou")}
     wrong = video.second_joint is not None or is_wrong(values, span)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from freeart21.errors import FreeArtError
+from freeart21.files import checked
 from freeart21.files.mesh_file import read_ply
 from freeart21.files.urdf import Urdf, UrdfShape, named_inside, read_urdf
 from freeart21.mesh import Mesh
-from freeart21.view.obj import PLAIN, Piece, read_obj
+from freeart21.view.obj import MAX_OBJ_BYTES, PLAIN, Piece, read_obj
 from freeart21.view.simplify import box, cylinder, sphere
 
 
@@ -98,7 +100,10 @@ def _read_mesh(file: Path, root: Path) -> list[Piece]:
     import trimesh
 
     try:
-        loaded = trimesh.load_mesh(file)
-    except (ValueError, NotImplementedError, ImportError) as error:
+        data = io.BytesIO(checked.require_file(file, MAX_OBJ_BYTES).read_bytes())
+        loaded = trimesh.load_mesh(data, file_type=file.suffix[1:].lower())  # from memory: it names no other file
+    except FreeArtError:
+        raise
+    except Exception as error:  # hostile bytes reach parsers of many formats
         raise FreeArtError(f"{file} cannot be read as a mesh: {error}") from error
     return [Piece(Mesh(np.asarray(loaded.vertices), np.asarray(loaded.faces)))]
