@@ -200,7 +200,7 @@ def _too_fast(motion: Motion) -> list[str]:
 
 
 def _jumps(result: Reconstruction, size: float) -> list[str]:
-    joint, both = result.articulation.joint, result.seen.all(1)
+    joint, both = result.articulation.joint, np.asarray(result.seen.all(1))
     steps = np.where(np.r_[False, both[:-1]], steps_of(result), np.nan)  # over a gap it is no step of one frame
     found = outstanding(steps, JUMP_ANGLE if joint.type == "revolute" else JUMP_SHARE * size, JUMP)
     if not len(found):

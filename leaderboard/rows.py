@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
+
+import pandas as pd
 
 from freeart21.files.result import Method
 from freeart21.joint import JointType
@@ -91,3 +94,25 @@ class Scores:
     def measured(self) -> int:
         """How many rows were measured rather than priced."""
         return sum(row.status == "ok" for row in self.rows)
+
+    def frame(self) -> pd.DataFrame:
+        """All rows as `frame` gives them."""
+        return frame(self.rows)
+
+
+def frame(rows: Iterable[Row]) -> pd.DataFrame:
+    """A line a sequence, by its name: joint_type, status, reason, measured_from, swapped, seconds, every metric in its
+    unit (NaN where it does not exist) and, as id_cm, those that are shares of the diagonal in cm."""
+    lines = [
+        {
+            **{name: getattr(row, name) for name in ("sequence", "joint_type", "status", "reason", "measured_from")},
+            "swapped": row.swapped,
+            "seconds": row.seconds,
+            **row.values,
+            **{f"{id}_cm": value for id, value in row.values_cm.items()},
+        }
+        for row in rows
+    ]
+    table = pd.DataFrame(lines).set_index("sequence")
+    words = ("joint_type", "status", "reason", "measured_from", "swapped")
+    return table.astype({name: float for name in table if name not in words})

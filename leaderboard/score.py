@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
 
 from freeart21.articulation import Articulation
 from freeart21.errors import FreeArtError
@@ -23,7 +25,7 @@ from freeart21.recording import Recording
 from freeart21.truth import Truth
 from leaderboard.asset_joint import measured_asset, measured_joint
 from leaderboard.protocols import DEFAULT, Group, Protocol, protocol_named
-from leaderboard.rows import Row, Scores, Source, Statistic, Status, Summary
+from leaderboard.rows import Row, Scores, Source, Statistic, Status, Summary, frame
 from leaderboard.strict1 import Render, Shape
 from leaderboard.submission import method_of, printable, read_with_notes, render_faults, shortened
 from leaderboard.worker import ROW_LIMIT_S, RowEnded, worker
@@ -237,38 +239,29 @@ class Case:
 
 def summarise(rows: Iterable[Row], rules: Protocol) -> tuple[Summary, ...]:
     """Statistics over all rows of each joint type, then over all rows, for every metric that has one unit there."""
-    rows, summaries = list(rows), []
+    table, summaries = frame(rows), []
     for group in get_args(Group):
-        chosen = [row for row in rows if group in ("all", row.joint_type)]
-        if not chosen:
+        chosen = table if group == "all" else table[table.joint_type == group]
+        if chosen.empty:
             continue
-        failures = sum(row.status != "ok" for row in chosen)
-        statistics = {}
-        for metric in rules.metrics:
-            if metric.unit(group) is None:
-                continue
-            columns = {
-                metric.id: [row.values[metric.id] for row in chosen],
-                f"{metric.id}_cm": [row.values_cm.get(metric.id) for row in chosen],
-            }
-            for id, column in columns.items():
-                numbers = [value for value in column if value is not None]
-                if numbers:
-                    statistics[id] = statistic(numbers, metric.direction)
+        failures = int((chosen.status != "ok").sum())
+        statistics = {
+            id: statistic(chosen[id].dropna(), metric.direction)
+            for metric in rules.metrics
+            if metric.unit(group) is not None
+            for id in (metric.id, f"{metric.id}_cm")
+            if id in chosen and chosen[id].notna().any()
+        }
         summaries.append(Summary(group, len(chosen), failures, 1 - failures / len(chosen), statistics))
     return tuple(summaries)
 
 
-def statistic(values: list[float], direction: Literal["up", "down"]) -> Statistic:
-    """Mean, sample standard deviation (ddof 1), median and worst of one or more values."""
-    std = float(np.std(values, ddof=1)) if len(values) > 1 else None
-    return Statistic(
-        float(np.mean(values)),
-        std,
-        float(np.median(values)),
-        max(values) if direction == "down" else min(values),
-        len(values),
-    )
+def statistic(values: ArrayLike, direction: Literal["up", "down"]) -> Statistic:
+    """Mean, sample standard deviation (ddof 1), median and worst of one or more values (n,)."""
+    column = pd.Series(values, dtype=float)
+    std = float(column.std()) if len(column) > 1 else None
+    worst = column.max() if direction == "down" else column.min()
+    return Statistic(float(column.mean()), std, float(column.median()), float(worst), len(column))
 
 
 def write_scores(path: Path, scores: Scores) -> None:

@@ -113,6 +113,14 @@ def test_standard_deviation_is_that_of_a_sample():
     assert seven.median == 0 and seven.worst == 90 and statistic([1.0, 3.0], "up").worst == 1
 
 
+def test_rows_are_a_frame_for_whoever_goes_on_with_pandas(data, tmp_path):
+    submit(tmp_path / "results" / "a", truths()["a"])
+    table = score_results(tmp_path / "results", data).frame()
+    assert list(table.index) == ["a", "b", "c"] and list(table.status) == ["ok", "missing", "missing"]
+    assert table.loc["a", "axis"] == pytest.approx(0, abs=1e-6) and np.isnan(table.loc["b", "position"])
+    assert table.loc["c", "chamfer_w_cm"] == pytest.approx(truths()["c"].diagonal * 100)
+
+
 def test_scores_are_json_with_units_prices_and_no_nan(data, tmp_path):
     submit(tmp_path / "results" / "a", truths()["a"], noisy_answer(truths()["a"]), renders=False)
     path = tmp_path / "scores.json"
