@@ -21,10 +21,15 @@ check:
 	.venv/bin/mypy
 	.venv/bin/pytest -m quick
 
-# The API's pages, out of the docstrings.
+# The API's pages, out of the docstrings. Of a package with __all__ pdoc takes that alone: its modules are
+# named beside it, but for view/document.py, by whose name __all__ has a function.
+ROOMS = freeart21 generator reconstruct export leaderboard simgap
+DOCS = out/docs
+PDOC = .venv/bin/python -m pdoc
+WITH_ALL = $(dir $(shell grep -rl --include=__init__.py __all__ $(ROOMS)))
 docs:
-	PYTHONPATH=. .venv/bin/pdoc --output-directory out/docs ./freeart21 ./generator ./reconstruct ./export ./leaderboard ./simgap
-	@echo "out/docs/index.html"
+	@PYTHONPATH=. $(PDOC) --output-directory $(DOCS) $(addprefix ./,$(ROOMS) $(filter-out %/document.py,$(wildcard $(addsuffix [a-z]*.py,$(WITH_ALL)))))
+	@echo "$(DOCS)/index.html"
 
 clean:
 	rm -rf .venv out .pytest_cache .mypy_cache .ruff_cache

@@ -5,6 +5,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
+from conftest import QUICK
 
 try:
     import tomllib
@@ -44,3 +45,7 @@ def test_every_tracked_file_of_a_package_is_shipped():
 
 def test_what_no_pattern_names_is_left_out():
     assert not is_shipped(Path("freeart21/view/static/picture.svg")) and not is_shipped(Path("docs/page.html"))
+
+
+def test_the_quick_tests_are_there():
+    assert [name for name in QUICK if not (ROOT / "tests" / f"test_{name}.py").is_file()] == []
