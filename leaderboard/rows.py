@@ -101,12 +101,14 @@ class Scores:
 
 
 def frame(rows: Iterable[Row]) -> pd.DataFrame:
-    """A line a sequence, by its name: joint_type, status, reason, measured_from, swapped, seconds, every metric in its
+    """A line a sequence, by its name: truth_type, status, reason, measured_from, swapped, seconds, every metric in its
     unit (NaN where it does not exist) and, as id_cm, those that are shares of the diagonal in cm."""
+    words = ("status", "reason", "measured_from", "swapped")
     lines = [
         {
-            **{name: getattr(row, name) for name in ("sequence", "joint_type", "status", "reason", "measured_from")},
-            "swapped": row.swapped,
+            "sequence": row.sequence,
+            "truth_type": row.joint_type,
+            **{name: getattr(row, name) for name in words},
             "seconds": row.seconds,
             **row.values,
             **{f"{id}_cm": value for id, value in row.values_cm.items()},
@@ -114,5 +116,4 @@ def frame(rows: Iterable[Row]) -> pd.DataFrame:
         for row in rows
     ]
     table = pd.DataFrame(lines).set_index("sequence")
-    words = ("joint_type", "status", "reason", "measured_from", "swapped")
-    return table.astype({name: float for name in table if name not in words})
+    return table.astype({name: float for name in table if name not in ("truth_type", *words)})

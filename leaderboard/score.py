@@ -241,7 +241,7 @@ def summarise(rows: Iterable[Row], rules: Protocol) -> tuple[Summary, ...]:
     """Statistics over all rows of each joint type, then over all rows, for every metric that has one unit there."""
     table, summaries = frame(rows), []
     for group in get_args(Group):
-        chosen = table if group == "all" else table[table.joint_type == group]
+        chosen = table if group == "all" else table[table.truth_type == group]
         if chosen.empty:
             continue
         failures = int((chosen.status != "ok").sum())
