@@ -48,7 +48,7 @@ class Measured:
     """Name in the asset's URDF."""
     joint_type: JointType
     gravity: Array
-    """(3,) m/s^2 in the base frame."""
+    """(3,) m/s^2 in the asset's canonical frame, its base at rest (`T_canonical_reference` takes the base link's)."""
     rate_hz: float
     timestamps: Timestamps
     """"recorded" times may jitter and are to be believed; "nominal" ones are even and may be off by the jitter."""

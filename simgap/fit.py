@@ -301,7 +301,7 @@ def confirmed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     there = placed(fit, runs)
     runs = tuple(replace(run, sigma=run.sigma * max(1.0, there.floors(run.name))) for run in runs)
     known = information(fit, unit_of(fit.tempered))
-    own = np.array([r.owner != "asset" for r in fit.theory.ranges()])
+    own = np.array([r.owner != "asset" for r in fit.theory.ranges()], bool)
     known[own, own] += SURE * np.maximum(np.diag(known)[own], 1.0)
     return fitted(fit.theory, runs, fit.theta, there.starts, iterations=5, known=replace(fit, normal=known))
 

@@ -96,8 +96,9 @@ class Verdict:
         }
 
     def write(self, path: Path, joint_type: JointType) -> None:
-        """Write verdict.json whole or not at all."""
-        atomic.write_json(path, self.to_json(joint_type))
+        """Write verdict.json whole or not at all, with the names of the files that lie beside it ("files")."""
+        files = sorted(file.relative_to(path.parent).as_posix() for file in path.parent.rglob("*") if file.is_file())
+        atomic.write_json(path, {**self.to_json(joint_type), "files": files})
 
 
 def _named_to_json(named: Named, joint_type: JointType) -> dict[str, Any]:

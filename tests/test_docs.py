@@ -192,7 +192,8 @@ def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
         said["sentence"],
         tuple(said["added"]),
     )
-    assert verdict.to_json("revolute") == said
+    verdict.write(written / "again" / "verdict.json", "revolute")
+    assert read_json(written / "again" / "verdict.json") == {**said, "files": []}, "nothing lies beside it here"
 
 
 def test_the_example_of_scores_has_the_fields_that_score_writes(written: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -28,6 +29,7 @@ from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.effects.wobble import Wobble
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset, write_asset_json
+from freeart21.files.places import ANSWER, check_place
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator
 from generator.simulate import joint_motion, roll_out
@@ -41,7 +43,6 @@ from simgap.show import Off, Replayed, helps, show
 from simgap.surrogate import Nuisance, plant_of, simulate
 from simgap.verdict import Named, RunGap, Verdict
 from simgap.words import closed_text, runs_text, with_closed
-from simgap.workflow import check_place
 from simgap.writeback import repaired
 
 MASS, ARM, G = 1.2, 0.3, 9.81
@@ -582,12 +583,22 @@ def test_only_an_older_answer_is_replaced(tmp_path: Path):
     asset, measured, out = tmp_path / "asset", tmp_path / "measured", tmp_path / "out"
     for folder in (asset, measured, out):
         folder.mkdir()
+    inputs = (asset, measured)
     for spot in (measured, tmp_path, asset / "gap", asset):
-        with pytest.raises(FreeArtError, match="lie in each other"):
-            check_place(spot, asset, measured)
-    check_place(out, asset, measured)  # empty
+        with pytest.raises(FreeArtError, match="would be read|no older answer"):
+            check_place(spot, ANSWER, inputs)
+    check_place(out, ANSWER, inputs)  # empty
     (out / "notes.txt").write_text("mine")
-    with pytest.raises(FreeArtError, match="no answer of an earlier run"):
-        check_place(out, asset, measured)
-    (out / "verdict.json").write_text("{}")
-    check_place(out, asset, measured)
+    with pytest.raises(FreeArtError, match="no older answer of gap"):
+        check_place(out, ANSWER, inputs)
+    (out / "verdict.json").write_text(json.dumps({"schema": "freeart21/verdict/1"}))
+    with pytest.raises(FreeArtError, match=r"notes\.txt in it would be lost"):
+        check_place(out, ANSWER, inputs)
+    (out / "notes.txt").unlink()
+    check_place(out, ANSWER, inputs)
+    (out / "asset").mkdir()
+    (out / "asset" / "lid.urdf").write_text("<robot/>")
+    with pytest.raises(FreeArtError, match=r"asset/lid\.urdf in it would be lost"):
+        check_place(out, ANSWER, inputs)
+    (out / "verdict.json").write_text(json.dumps({"schema": "freeart21/verdict/1", "files": ["asset/lid.urdf"]}))
+    check_place(out, ANSWER, inputs)

@@ -67,7 +67,7 @@ RESULT = Output(
         *(f"asset/{pattern}" for pattern in ASSET.files),  # derived from the result, and stale with it
     ),
 )
-ANSWER = Output("answer of gap", _json("verdict"), "verdict.json", ("verdict.json", "index.html", "asset/*"))
+ANSWER = Output("answer of gap", _json("verdict"), "verdict.json", ("verdict.json", "index.html"), listed=True)
 DEMO = Output("demo", _json("demo"), "demo.json", ("demo.json",), listed=True)
 PAGE = Output("page", b'<meta name="generator" content="freeart21')
 SCORES = Output("table of scores", _json("scores"))
