@@ -87,7 +87,7 @@ def demo(
     from generator.dataset import jobs_of
     from generator.recorder import RecordSettings, record
     from leaderboard.score import score_results, write_scores
-    from leaderboard.tables import page_entries, print_scores
+    from leaderboard.tables import page_entries, print_scores, score_note
     from reconstruct.pipeline import reconstruct_folder
 
     check_place(out, DEMO)
@@ -114,6 +114,7 @@ def demo(
             truth=data / "truth" / sequence,
             sequence=data / "sequences" / sequence,
             scores=page_entries(scores.rows[0], scores.protocol),
+            score_note=score_note(scores.rows[0], scores.protocol),
         )
         files = sorted(path.relative_to(aside).as_posix() for path in aside.rglob("*") if path.is_file())
         write_json(aside / DEMO.marker, {"schema": "freeart21/demo/1", "object": name, "files": files})

@@ -74,6 +74,19 @@ def page_entries(row: Row, protocol: str) -> dict[str, dict[str, object]]:
     return entries
 
 
+def score_note(row: Row, protocol: str) -> str:
+    """What a page says below a row: by which protocol, of which frames, measured from what."""
+    measured = {
+        "asset": "joint and surfaces of the asset, reloaded and driven in the simulator",
+        "files": "joint and surfaces of the result's files, as there is no asset",
+        "nothing": f"nothing could be measured ({row.reason}), and every number is what a failure costs",
+    }[row.measured_from]
+    return (
+        f"By protocol {protocol}, over all frames of the video (joint state: those that show both parts) and all "
+        f"held-out views; {measured}."
+    )
+
+
 def _table(scores: Scores, metrics: list[Metric], whole: bool) -> Table:
     rules = protocol_named(scores.protocol)
     title = f"{scores.method.name} by {rules.name}, sequences of {scores.benchmark['name']}; failures priced"

@@ -37,7 +37,7 @@ from freeart21.reconstruction import Failure
 from leaderboard.asset_joint import joint_of_motion, measured_joint
 from leaderboard.protocols import PROTOCOLS, STRICT_2, protocol_named
 from leaderboard.score import statistic, write_scores
-from leaderboard.tables import page_entries, print_scores
+from leaderboard.tables import page_entries, print_scores, score_note
 
 KINDS = ("revolute", "prismatic")
 
@@ -153,6 +153,7 @@ def test_tables_show_every_metric_and_flag_failures(data, tmp_path):
                 assert word in words, metric.id
         for said in ("FAILED", "MISSING", "tracks: [red]no[/red] texture", "revolute mean", "1/2 fail", "1 of 3 seq"):
             assert said in text, said
+    assert "strict-2" in score_note(scores.rows[0], "strict-2") and "no asset" in score_note(scores.rows[0], "strict-2")
     entries = page_entries(scores.rows[0], "strict-2")
     assert entries["psnr"] == {"label": "held-out views (PSNR)", "value": 100.0, "unit": "dB", "better": "up"}
     assert entries["chamfer_w"]["beside"] == "0.00 cm"

@@ -58,13 +58,14 @@ def page(
     scores: Mapping[str, Any] | None = None,
     asset: Path | None = None,
     title: str | None = None,
+    score_note: str = "",
 ) -> str:
     """One self-contained HTML page of a sequence, a result, a truth, an asset or a whole data folder.
 
     A result is shown with its asset (`asset`, else its own folder asset/), over the pictures of its `sequence` and
-    beside its `truth` when these folders are given; a sequence is shown with its truth. `scores` is as in
-    `score_section`. Raises FreeArtError in one line when `path` is none of these, or when what is given does not fit
-    together.
+    beside its `truth` when these folders are given; a sequence is shown with its truth. `scores` and
+    their note are as in `score_section`. Raises FreeArtError in one line when `path` is none of these, or when what is
+    given does not fit together.
     """
     path = Path(path)
     kind = recognised(path)
@@ -72,7 +73,7 @@ def page(
     if kind == "data":
         return benchmark_page(path, name)
     true = read_truth(truth) if truth is not None and kind != "truth" else None
-    extra = [score_section(scores, place="small" if kind == "asset" else "right")] if scores else []
+    extra = [score_section(scores, score_note, "small" if kind == "asset" else "right")] if scores else []
     if kind == "sequence":
         return _sequence_page(name, read_sequence(path), true, extra)
     if kind == "truth":
@@ -102,11 +103,12 @@ def write_page(
     scores: Mapping[str, Any] | None = None,
     asset: Path | None = None,
     title: str | None = None,
+    score_note: str = "",
 ) -> None:
     """Write `page(...)` to the file `out`, whole or not at all; FreeArtError unless only an older page stands there."""
     inputs = [given for given in (path, truth, sequence, asset) if given is not None]
     check_place(out, PAGE, inputs)
-    atomic.write_bytes(Path(out), page(path, truth, sequence, scores, asset, title).encode())
+    atomic.write_bytes(Path(out), page(path, truth, sequence, scores, asset, title, score_note).encode())
 
 
 def recognised(path: Path) -> str:

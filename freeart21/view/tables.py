@@ -124,10 +124,8 @@ def seconds_section(seconds: Mapping[str, float], peak_bytes: int | None = None)
     return Section("Time per stage", f'<div class="table"><table><tbody>{rows}{last}</tbody></table></div>')
 
 
-def score_section(
-    scores: Mapping[str, Any], title: str = "Score", place: Literal["right", "small"] = "right"
-) -> Section:
-    """The score table.
+def score_section(scores: Mapping[str, Any], note: str = "", place: Literal["right", "small"] = "right") -> Section:
+    """The score table, and below it `note`: by which protocol, of what.
 
     `scores` maps a metric's id to its value, or to {"value", "unit", "better" ('up' or 'down'), "beside", "label"};
     `beside` is a second figure as text, such as '0.4 cm', and `label` the metric's name for people, without which it is
@@ -145,7 +143,9 @@ def score_section(
             f"<td class=number>{escape(_score(value, entry.get('unit')))}</td>"
             f"<td class=number>{escape(entry.get('beside') or '')}</td></tr>"
         )
-    return Section(title, f'<div class="table scores"><table><tbody>{"".join(rows)}</tbody></table></div>', place=place)
+    below = f'<p class="note">{escape(note)}</p>' if note else ""
+    table = f'<div class="table scores"><table><tbody>{"".join(rows)}</tbody></table></div>'
+    return Section("Score", table + below, place=place)
 
 
 def link_section(urdf: Urdf) -> Section:
