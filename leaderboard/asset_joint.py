@@ -1,7 +1,7 @@
 """An asset as it is once loaded: its joint, its visual meshes where the simulator puts them, and what is wrong with it.
 
 Assets come from anywhere and are read by native code, so scoring drives them in a Python of their own
-(`leaderboard.child`): one that crashes the simulator costs its own row, not the whole table.
+(`freeart21.child`): one that crashes the simulator costs its own row, not the whole table.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from freeart21 import se3
+from freeart21 import child, se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
@@ -28,7 +28,6 @@ from freeart21.files.urdf import named_inside, parsed, read_urdf_joints
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
-from leaderboard import child
 from leaderboard.strict1 import Shape
 from leaderboard.submission import LARGEST, MAX_FACES
 from leaderboard.surface import Surface

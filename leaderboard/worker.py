@@ -19,8 +19,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from freeart21 import child
 from freeart21.errors import FreeArtError
-from leaderboard import child
 from leaderboard.rows import Row
 
 ROW_LIMIT_S = 180.0

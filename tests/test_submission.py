@@ -24,7 +24,7 @@ from synthetic_case import (
     with_names_exchanged,
 )
 
-from freeart21 import se3
+from freeart21 import child, se3
 from freeart21.articulation import Articulation
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
@@ -32,7 +32,6 @@ from freeart21.files.mesh_file import write_ply
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure
-from leaderboard import child
 from leaderboard.score import score_results as score_results_apart
 from leaderboard.score import write_scores
 from leaderboard.skeleton import write_skeleton
@@ -361,7 +360,8 @@ def test_workers_die_with_their_parent(data, tmp_path, impatient):
     write_result(tmp_path / "b", Failure("tracks", "declared"))
     program = (
         f"import sys; sys.path[:] = {[p for p in sys.path if p]!r}\n"
-        f"from leaderboard import child, worker\nchild.command = lambda module: {child.command('')!r}\n"
+        "from freeart21 import child\nfrom leaderboard import worker\n"
+        f"child.command = lambda module: {child.command('')!r}\n"
         "made = worker.Worker(); print(made._running().pid, flush=True)\n"
         f"made.score(dict(result={str(tmp_path / 'b')!r}, sequence={str(data / 'sequences' / 'b')!r}, "
         f"truth={str(data / 'truth' / 'b')!r}, protocol='strict-2'), 600)\n"

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from freeart21 import child
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.measured import MAX_BYTES, MAX_CSV_BYTES
@@ -25,8 +26,7 @@ from freeart21.se3 import Array
 MAX_MATRIX_COLUMNS = 64
 """A matrix with more is no table of columns."""
 MAX_CELLS = 1000
-_PROGRAM = "import sys; sys.path[:] = {places!r}; from freeart21.formats.mat_file import main; main()"
-"""The folder that one stands in is not searched: a `numpy.py` beside somebody's data must not be imported."""
+"""A cell a run: the recordings that were met have six at most."""
 TIME_LIMIT_S = 120.0
 """64 MB, the most that is read, take some 2 s."""
 
@@ -41,7 +41,7 @@ def read_mat(path: Path) -> dict[str, tuple[Array, ...]]:
         out = Path(place) / "columns.npz"
         try:
             done = subprocess.run(
-                [sys.executable, "-c", _PROGRAM.format(places=[place for place in sys.path if place]), str(out)],
+                [*child.command("freeart21.formats.mat_file"), str(out)],
                 input=data,
                 capture_output=True,
                 timeout=TIME_LIMIT_S,
