@@ -21,6 +21,7 @@ import freeart21
 from freeart21 import stopping
 from freeart21.ending import in_one_line
 from freeart21.errors import FreeArtError
+from leaderboard import commands as board
 from reconstruct.settings import ReconstructSettings
 
 if TYPE_CHECKING:
@@ -86,7 +87,8 @@ def demo(
     from freeart21.view import write_page
     from generator.dataset import jobs_of
     from generator.recorder import RecordSettings, record
-    from leaderboard.score import score_results, write_scores
+    from leaderboard.score import score_results
+    from leaderboard.scores_file import write_scores
     from leaderboard.tables import page_entries, print_scores, score_note
     from reconstruct.pipeline import reconstruct_folder
 
@@ -377,93 +379,6 @@ def export(
     return 1 if findings else 0
 
 
-def score(
-    results: Annotated[Path, Positional],
-    data: Path,
-    protocol: str = "strict-2",
-    out: Path | None = None,
-    everything: Annotated[bool, tyro.conf.arg(name="all")] = False,
-) -> int:
-    """Score a folder of results against the truth of a data folder.
-
-    Joint and surfaces are measured from each result's asset/, loaded and driven in SAPIEN; without one, from
-    prediction.json and parts/ and marked `files`. Masks, poses and held-out views are read from the result's files.
-    What each number means: docs/protocols.md. Exit code 1 when no sequence could be measured.
-
-    Args:
-        results: A method's results (RESULTS/SEQ/prediction.json).
-        data: The data folder they answer.
-        protocol: Named protocol, what each number means: strict-2, or strict-1 (joint from the asset, surfaces from
-            parts/).
-        out: Write every number as JSON here, too.
-        everything: Print every number, not only the ranking ones.
-    """
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from freeart21.files.places import SCORES, check_place
-    from leaderboard.rows import Row
-    from leaderboard.score import score_results, write_scores
-    from leaderboard.tables import print_scores
-
-    if out is not None:
-        check_place(out, SCORES, (data,))
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
-        task = bars.add_task("Scoring", total=None)
-
-        def scored(row: Row, of: int) -> None:
-            bars.update(task, description=f"Scored {row.sequence}", advance=1, total=of)
-
-        scores = score_results(results, data, protocol, scored)
-    print_scores(scores, everything=everything)
-    if out is not None:
-        write_scores(out, scores)
-    return 0 if scores.measured else 1
-
-
-def validate(results: Annotated[Path, Positional], data: Path) -> int:
-    """Check a folder of results as `score` will read it, without measuring: every fault, with its place and its cure.
-
-    Exit code 1 when there is a fault. Needs the sequences of the data folder, not their truth.
-
-    Args:
-        results: A method's results (RESULTS/SEQ/prediction.json).
-        data: The data folder they answer.
-    """
-    from leaderboard.validate import validate_results
-
-    report = validate_results(results, data)
-    for fault in report.faults:
-        print(f"{fault}{f'; to mend: {fault.mend}' if fault.mend else ''}")
-    for note in report.notes:
-        print(f"note: {note}")
-    if report.faults:
-        n = len(report.faults)
-        print(f"freeart21: {results} has {n} fault{'s' if n > 1 else ''}", file=sys.stderr)
-        return 1
-    print(f"{results}: {report.sequences} sequences, {report.answers} answers, {report.failures} failures: all well")
-    return 0
-
-
-def init_submission(data: Annotated[Path, Positional], out: Path) -> None:
-    """Write a skeleton of results to fill in: method.json and, for every sequence, each file in its format.
-
-    Every prediction.json declares the failure "not solved yet": what is not filled in is priced, never scored as an
-    answer. Beside it prediction.example.json shows an answer (of the right number of states), and poses.npz, part_mask/
-    and parts/ hold placeholders of the right shapes: replace them, then write prediction.json. `validate` says what is
-    still wrong.
-
-    Args:
-        data: The data folder to answer.
-        out: Results folder to make, such as results/mine; it must not exist.
-    """
-    from leaderboard.skeleton import write_skeleton
-
-    sequences = write_skeleton(data, out)
-    print(f"{out}: {len(sequences)} sequences to fill in; {out / 'README.txt'} says how")
-
-
 def measure(
     sources: Annotated[tuple[Path, ...], Positional],
     out: Path,
@@ -669,27 +584,30 @@ def convert(
                 print(f"{done.name}: {note}", file=sys.stderr)
 
 
+def known_commands() -> dict[str, Callable[..., Any]]:
+    """Every command by its name, in the order in which help names them: those of this file and of the rooms'."""
+    commands = (
+        doctor,
+        demo,
+        objects,
+        record,
+        verify,
+        convert,
+        reconstruct,
+        export,
+        view,
+        board.init_submission,
+        board.validate,
+        board.score,
+        measure,
+        gap,
+    )
+    return {f.__name__.strip("_").replace("_", "-"): f for f in commands}
+
+
 def main() -> None:
     """Run a command; every fault is one line on standard error (`in_one_line`), a known one with exit code 1."""
-    commands = {
-        f.__name__.replace("_", "-"): f
-        for f in (
-            doctor,
-            demo,
-            objects,
-            record,
-            verify,
-            convert,
-            reconstruct,
-            export,
-            view,
-            init_submission,
-            validate,
-            score,
-            measure,
-            gap,
-        )
-    }
+    commands = known_commands()
     if _told(sys.argv[1:], commands):
         return
     stopping.listen()

@@ -25,6 +25,9 @@ class Failure:
     """Seconds per stage until then."""
 
 
+Piece = Literal["states", "poses", "masks", "meshes", "renders"]
+PIECES: tuple[Piece, ...] = get_args(Piece)
+"""What a method may not make at all, and say so in its method.json (`freeart21.files.result.Method.lacks`)."""
 Verdict = Literal["sound", "doubtful"]
 VERDICTS: tuple[str, ...] = get_args(Verdict)
 
@@ -76,6 +79,9 @@ class Reconstruction:
     pivot_std: float | None = None
     """Standard deviation, metres, of the axis line across itself at the point nearest the moving part's centre: root
     mean square of both ways; None when not estimated, and for a prismatic joint."""
+
+    anchor: int = 0
+    """The one frame whose poses are meant, when the method makes no poses of the other frames (it lacks 'poses')."""
 
     def __post_init__(self) -> None:
         n = len(self.states)

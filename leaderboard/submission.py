@@ -22,7 +22,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.joint_json import joint_from_json
 from freeart21.files.mesh_file import read_ply
-from freeart21.files.result import METHOD_SCHEMA, SCHEMA, Method, read_result
+from freeart21.files.result import METHOD_SCHEMA, SCHEMA, Method, lacks_of, read_result
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 
@@ -148,7 +148,9 @@ def method_of(results: Path) -> tuple[Method, list[Fault]]:
             fault = Fault("method.json", found, "an object", "settings", mend=mend, fatal=False)
             return Method(shortened(checked.text(data, "name", path))), [fault]
         words = [shortened(str(data.get(key) or "")) for key in ("code", "hardware")]
-        return Method(shortened(checked.text(data, "name", path)), words[0], _plain(settings), words[1]), []
+        lacks, faults = _tried(results, path, "lacks", partial(lacks_of, data, path))
+        method = Method(shortened(checked.text(data, "name", path)), words[0], _plain(settings), words[1], lacks or ())
+        return method, [replace(fault, fatal=False) for fault in faults]
     except Exception as error:  # as above
         fault = _unreadable("method.json", path, error)
         mend = f'write {{"schema": "{METHOD_SCHEMA}", "name": "..."}}'

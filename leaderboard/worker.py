@@ -41,7 +41,7 @@ class Worker:
         self._process: subprocess.Popen[str] | None = None
 
     def score(self, request: dict[str, str], limit_s: float) -> Row:
-        """The row that `leaderboard.score.score_sequence` makes of `request` (its arguments, paths as text).
+        """The row that `leaderboard.case.score_sequence` makes of `request` (its arguments, paths as text).
 
         Raises RowEnded when it takes more than `limit_s` seconds or ends the process, FreeArtError as it does.
         """
@@ -143,7 +143,7 @@ def main() -> None:
 
 
 def _answer(request: dict[str, str]) -> dict[str, Any]:
-    from leaderboard.score import score_sequence
+    from leaderboard.case import score_sequence
 
     folders = [Path(request[key]) for key in ("result", "sequence", "truth")]
     try:

@@ -199,7 +199,8 @@ def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
 def test_the_example_of_scores_has_the_fields_that_score_writes(written: Path, tmp_path: Path) -> None:
     from freeart21.files.result import Method
     from leaderboard.protocols import protocol_named
-    from leaderboard.score import Row, Scores, Statistic, Summary, write_scores
+    from leaderboard.rows import Row, Scores, Statistic, Summary
+    from leaderboard.scores_file import write_scores
 
     said = read_json(written / "scores.json")
     summaries = tuple(
@@ -296,13 +297,8 @@ def test_options_are_those_of_the_command_line() -> None:
 
 
 def _commands() -> dict[str, set[str]]:
-    """Command to options, from the signatures of the functions of freeart21.cli."""
-    functions = [
-        f
-        for name, f in vars(cli).items()
-        if isinstance(f, FunctionType) and f.__module__ == cli.__name__ and name[0] != "_" and name != "main"
-    ]
-    return {f.__name__.replace("_", "-"): {"--help", *_options_of(f)} for f in functions}
+    """Command to options, from the signatures of the functions."""
+    return {name: {"--help", *_options_of(typing.cast(FunctionType, f))} for name, f in cli.known_commands().items()}
 
 
 def _options_of(function: FunctionType) -> set[str]:

@@ -28,6 +28,7 @@ from freeart21.files.verify import verify
 from freeart21.reconstruction import Failure
 from freeart21.view import write_page
 from generator import dataset
+from leaderboard import commands
 from reconstruct.settings import ReconstructSettings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -68,7 +69,7 @@ COMMANDS: dict[str, Callable[[Path, Path], object]] = {
     "measure": lambda home, out: cli.measure((home / "data/truth/a",), out),
     "convert": lambda home, out: cli.convert(home / "data/sequences/a", out, "official"),
     "view": lambda home, out: cli.view(home / "results/ours/a", out),
-    "score": lambda home, out: cli.score(home / "results/ours", home / "data", out=out),
+    "score": lambda home, out: commands.score(home / "results/ours", home / "data", out=out),
 }
 FILES = ("view", "score")
 
@@ -166,7 +167,7 @@ def test_pages_and_tables_replace_only_their_like(home: Path) -> None:
     for _ in range(2):
         write_page(home / "results/ours/a", page)
     for _ in range(2):
-        cli.score(home / "results/ours", home / "data", out=table)
+        commands.score(home / "results/ours", home / "data", out=table)
     assert json.loads(table.read_text())["schema"] == "freeart21/scores/1"
     for one, other in ((page, table), (table, page)):
         kept = one.read_bytes()
@@ -177,7 +178,7 @@ def test_pages_and_tables_replace_only_their_like(home: Path) -> None:
         write_page(home / "results/ours/a", home / "fresh.html")
         shutil.copy(home / "fresh.html", page)
         table.unlink()
-        cli.score(home / "results/ours", home / "data", out=table)
+        commands.score(home / "results/ours", home / "data", out=table)
 
 
 def test_what_changed_while_a_command_ran_is_seen_at_its_end(tmp_path: Path) -> None:
@@ -299,7 +300,7 @@ def test_an_unfinished_recording_is_called_so_with_how_to_go_on(home: Path, look
         elif look == "view":
             cli.view(data, home / "page.html")
         else:
-            cli.score(home / "results/ours", data)
+            commands.score(home / "results/ours", data)
 
 
 def test_a_fault_of_the_recorders_own_leaves_the_folder_as_it_was(

@@ -36,7 +36,8 @@ from freeart21.joint import Joint
 from freeart21.reconstruction import Failure
 from leaderboard.asset_joint import joint_of_motion, measured_joint
 from leaderboard.protocols import PROTOCOLS, STRICT_2, protocol_named
-from leaderboard.score import statistic, write_scores
+from leaderboard.score import statistic
+from leaderboard.scores_file import write_scores
 from leaderboard.tables import page_entries, print_scores, score_note
 
 KINDS = ("revolute", "prismatic")

@@ -22,8 +22,8 @@ from synthetic_case import (
 from freeart21 import se3
 from freeart21.mesh import Mesh
 from leaderboard import strict1, strict2
+from leaderboard.case import Case
 from leaderboard.protocols import DEFAULT, PROTOCOLS, STRICT_1, STRICT_2
-from leaderboard.score import Case
 from leaderboard.strict1 import Shape, Strict1
 
 KINDS = ("revolute", "prismatic")

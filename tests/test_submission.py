@@ -33,7 +33,7 @@ from freeart21.files.result import Method, write_method, write_result
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure
 from leaderboard.score import score_results as score_results_apart
-from leaderboard.score import write_scores
+from leaderboard.scores_file import write_scores
 from leaderboard.skeleton import write_skeleton
 from leaderboard.submission import UNREADABLE
 from leaderboard.tables import print_scores

@@ -16,7 +16,7 @@ from freeart21.files.diagnostics import Diagnostics, write_diagnostics
 from freeart21.files.joint_json import joint_from_json, joint_to_json
 from freeart21.files.mesh_file import read_ply, write_ply
 from freeart21.files.places import RESULT
-from freeart21.reconstruction import VERDICTS, Failure, Reconstruction, Trust
+from freeart21.reconstruction import PIECES, VERDICTS, Failure, Piece, Reconstruction, Trust
 
 SCHEMA = "freeart21/prediction/1"
 METHOD_SCHEMA = "freeart21/method/1"
@@ -36,6 +36,8 @@ class Method:
     """Address and version of the code."""
     settings: dict[str, Any] | None = None
     hardware: str = ""
+    lacks: tuple[Piece, ...] = ()
+    """What it does not make, for any sequence: its numbers are left out (never priced), and the files hold fillers."""
 
 
 def write_method(folder: Path, method: Method) -> None:
@@ -48,6 +50,7 @@ def write_method(folder: Path, method: Method) -> None:
             "code": method.code,
             "settings": method.settings or {},
             "hardware": method.hardware,
+            **({"lacks": list(method.lacks)} if method.lacks else {}),
         },
     )
 
@@ -77,9 +80,16 @@ def read_method(folder: Path) -> Method:
     if not path.is_file():
         return Method(folder.name)
     data = checked.read_json(path, METHOD_SCHEMA)
-    return Method(
-        checked.text(data, "name", path), str(data.get("code", "")), data.get("settings"), str(data.get("hardware", ""))
-    )
+    words = [str(data.get(key, "")) for key in ("code", "hardware")]
+    return Method(checked.text(data, "name", path), words[0], data.get("settings"), words[1], lacks_of(data, path))
+
+
+def lacks_of(data: dict[str, Any], path: Path) -> tuple[Piece, ...]:
+    """The optional 'lacks' of method.json; raises FreeArtError naming `path`."""
+    said = data.get("lacks", [])
+    if not isinstance(said, list) or not all(piece in PIECES for piece in said):
+        raise FreeArtError(f"{path}: 'lacks' is {_shortened(said)}, expected a list of {', '.join(PIECES)}")
+    return tuple(piece for piece in PIECES if piece in said)
 
 
 def write_result(
@@ -128,6 +138,7 @@ def write_result(
                 "seen": result.seen,
                 "seconds": result.seconds,
                 "settings": settings or {},
+                **({"anchor": result.anchor} if result.anchor else {}),
             },
         )
         covariances = result.covariances if result.covariances is not None else np.full((n, 2, 6, 6), np.nan)
@@ -186,6 +197,7 @@ def read_result(folder: Path) -> Reconstruction | Failure:
         seconds,
         _read_trust(data, header),
         *_read_joint_std(data, header),
+        anchor=_read_anchor(data, n, header),
     )
 
 
@@ -219,6 +231,14 @@ def _read_trust(data: dict[str, Any], path: Path) -> Trust | None:
     if said["verdict"] == "sound" and reasons:
         raise FreeArtError(f"{path}: 'trust' is sound with {len(reasons)} reasons for doubt, expected none")
     return Trust(said["verdict"], tuple(reasons))
+
+
+def _read_anchor(data: dict[str, Any], n: int, path: Path) -> int:
+    """The optional 'anchor' of prediction.json; raises FreeArtError naming `path`."""
+    said = data.get("anchor", 0)
+    if not isinstance(said, int) or isinstance(said, bool) or not 0 <= said < n:
+        raise FreeArtError(f"{path}: 'anchor' is {_shortened(said)}, expected a frame from 0 to {n - 1}")
+    return said
 
 
 def _read_joint_std(data: dict[str, Any], path: Path) -> tuple[float | None, float | None]:
