@@ -315,7 +315,7 @@ def test_one_level_too_high_or_too_low_says_what_was_meant(data, tmp_path):
 def impatient(monkeypatch):
     """A scorer that sleeps on sequence b and dies on sequence c."""
     source = (
-        "import sys, os, time, leaderboard.score as s, leaderboard.worker as w\n"
+        "import sys, os, time, leaderboard.case as s, leaderboard.worker as w\n"
         "real = s.score_sequence\n"
         "def slow(result, *rest):\n"
         "    if result.name == 'b': time.sleep(600)\n"
