@@ -28,7 +28,7 @@ from freeart21.files.urdf import named_inside, parsed, read_urdf_joints
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
-from leaderboard.strict1 import Shape
+from leaderboard.protocol import Shape
 from leaderboard.submission import LARGEST, MAX_FACES
 from leaderboard.surface import Surface
 

@@ -1,4 +1,4 @@
-"""The numbers of strict-1, one function each: arrays in, SI numbers out (radians, metres, fractions, dB).
+"""Numbers of the protocols, one function each: arrays in, SI numbers out (radians, metres, fractions, dB).
 
 Definitions and prices are written in `leaderboard.protocols`; nothing here knows of files, methods or failures.
 """
