@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 Positional = tyro.conf.Positional
+ExecutorName = Literal["local", "ray", "slurm"]
 
 
 def score(
@@ -20,6 +21,8 @@ def score(
     protocol: str = "strict-2",
     out: Path | None = None,
     everything: Annotated[bool, tyro.conf.arg(name="all")] = False,
+    workers: int = 2,
+    executor: ExecutorName = "local",
 ) -> int:
     """Score a folder of results against the truth of a data folder.
 
@@ -34,10 +37,19 @@ def score(
             parts/).
         out: Write every number as JSON here, too.
         everything: Print every number, not only the ranking ones.
+        workers: Sequences that are scored at a time, each by a process of up to 1.2 GiB; the numbers do not depend on
+            it.
+        executor: Where they are scored: local (this machine), ray, or slurm, which need --out on a file system that all
+            their machines see.
     """
+    import shutil
+    import tempfile
+
     from rich.console import Console
     from rich.progress import Progress
 
+    from freeart21.errors import FreeArtError
+    from freeart21.files import atomic
     from freeart21.files.places import SCORES, check_place
     from leaderboard.rows import Row
     from leaderboard.score import score_results
@@ -46,6 +58,12 @@ def score(
 
     if out is not None:
         check_place(out, SCORES, (data,))
+    work = None
+    if executor != "local":
+        if out is None:
+            raise FreeArtError(f"score: --executor {executor} needs --out: rows are gathered beside it")
+        out.parent.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.ASIDE))
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
         task = bars.add_task("Scoring", total=None)
@@ -53,7 +71,12 @@ def score(
         def scored(row: Row, of: int) -> None:
             bars.update(task, description=f"Scored {row.sequence}", advance=1, total=of)
 
-        scores = score_results(results, data, protocol, scored)
+        try:
+            rows = None if work is None else work / "jobs"
+            scores = score_results(results, data, protocol, scored, workers=workers, executor=executor, work=rows)
+        finally:
+            if work is not None:
+                shutil.rmtree(work, ignore_errors=True)
     print_scores(scores, everything=everything)
     if out is not None:
         write_scores(out, scores)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,6 +34,19 @@ class Benchmark:
     def truth(self, name: str) -> Path:
         """The truth folder of `name`."""
         return self.folder / "truth" / name
+
+    def chosen(self, names: Sequence[str] | None) -> tuple[str, ...]:
+        """Those of its sequences that `names` says, in its own order; all when it is None.
+
+        Raises FreeArtError when one is not among them.
+        """
+        if names is None:
+            return self.sequences
+        for name in names:
+            if name not in self.sequences:
+                known = ", ".join(self.sequences[:30]) + (", ..." if len(self.sequences) > 30 else "")
+                raise FreeArtError(f"{self.folder} has no sequence '{name}'; it has {known}")
+        return tuple(name for name in self.sequences if name in names)
 
 
 def file_sha256(path: Path) -> str:
