@@ -9,7 +9,7 @@ from freeart21.view.document import escape
 from leaderboard.protocols import Protocol, protocol_named
 from leaderboard.rows import Scores
 from leaderboard.site.entrant import Entrant
-from leaderboard.site.html import NONE, columns, explained, facts, mark, number, page, section, unit_text
+from leaderboard.site.html import NONE, columns, facts, mark, number, page, section, unit_text
 from leaderboard.site.index_page import sequence_link
 from leaderboard.site.provenance import provenance
 from leaderboard.site.sequence_data import Shown
@@ -86,7 +86,7 @@ def _means(scores: Scores, rules: Protocol) -> str:
             cells.append(f'<td class="number" data-value="{found.mean!r}"><span>{number(found.mean, unit, True)}</span>{std}{rest}</td>')
         if any_value:
             arrow = "↑" if metric.direction == "up" else "↓"
-            name = f'<a href="../definitions.html#{rules.name}.{metric.id}" title="{escape(explained(metric))}">{escape(metric.label or metric.id)}</a>'
+            name = f'<a href="../definitions.html#{rules.name}.{metric.id}">{escape(metric.label or metric.id)}</a>'
             lines.append(f'<tr class="{"beside" if metric.beside else ""}"><th scope="row">{name} <small>{arrow}</small></th>{"".join(cells)}</tr>')
     return (
         '<div class="scroll" tabindex="0" role="region" aria-label="means, scrolls sideways"><table class="numbers means"><thead><tr>'

@@ -9,7 +9,7 @@ from freeart21.view.document import escape
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row
 from leaderboard.site.entrant import Entrant
-from leaderboard.site.html import NONE, explained, facts, method_link, number, page, section, sources
+from leaderboard.site.html import NONE, facts, method_link, number, page, section, sources
 from leaderboard.site.sequence_data import Shown
 
 WORDS = {
@@ -137,7 +137,7 @@ def _numbers(protocol: str, shown: Shown, entrants: Sequence[Entrant], first: bo
             word = f"<small class=failed>{escape(row.status)}: price</small>" if row and row.status != "ok" and value is not None else beside
             cells.append(f'<td class="number{" best" * (best is not None and value == best)}"><span>{number(value, unit, True)}</span>{word}</td>')
         arrow = "↑" if metric.direction == "up" else "↓"
-        name = f'<a href="../definitions.html#{protocol}.{metric.id}" title="{escape(explained(metric))}">{escape(metric.label or metric.id)}</a>'
+        name = f'<a href="../definitions.html#{protocol}.{metric.id}">{escape(metric.label or metric.id)}</a>'
         lines.append(f'<tr class="{"beside" if metric.beside else ""}"><th scope="row">{name} <small>{arrow}</small></th>{"".join(cells)}</tr>')
     table = (
         f'<div class="scroll" tabindex="0" role="region" aria-label="numbers by {protocol}, scrolls sideways"><table class="numbers">'
