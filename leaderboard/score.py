@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -11,11 +12,12 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from freeart21.errors import FreeArtError
-from freeart21.files.benchmark import file_sha256, read_benchmark
+from freeart21.files.benchmark import Benchmark, file_sha256, read_benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from leaderboard.case import Case, score_sequence
 from leaderboard.protocols import DEFAULT, Group, Protocol, protocol_named
+from leaderboard.provenance import traced
 from leaderboard.rows import Row, Scores, Statistic, Summary, frame
 from leaderboard.submission import method_of
 from leaderboard.worker import ROW_LIMIT_S, RowEnded, worker
@@ -55,14 +57,19 @@ def score_results(
             rows.append(row)
             if progress:
                 progress(row, len(benchmark.sequences))
-    facts = {
+    summaries, said = summarise(rows, rules), tuple(str(fault) for fault in faults)
+    scores = Scores(rules.name, method, benchmark_facts(benchmark), tuple(rows), summaries, notes=said)
+    return replace(traced(scores, results, benchmark), seconds=time.perf_counter() - begun)
+
+
+def benchmark_facts(benchmark: Benchmark) -> dict[str, str]:
+    """What a table of scores says of the benchmark that it is of."""
+    return {
         "name": benchmark.name,
         "version": benchmark.version,
         "split": benchmark.split,
         "sha256": file_sha256(benchmark.folder / "benchmark.json"),
     }
-    summaries, seconds = summarise(rows, rules), time.perf_counter() - begun
-    return Scores(rules.name, method, facts, tuple(rows), summaries, seconds, tuple(str(fault) for fault in faults))
 
 
 def check_results_folder(results: Path, sequences: tuple[str, ...]) -> None:

@@ -74,9 +74,9 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def shortened(text: str) -> str:
-    """`text` on one line, printable, of at most LONGEST_TEXT characters."""
-    return printable(" ".join(text[: 20 * LONGEST_TEXT].split()))[:LONGEST_TEXT]
+def shortened(text: str, longest: int = LONGEST_TEXT) -> str:
+    """`text` on one line, printable, of at most `longest` characters."""
+    return printable(" ".join(text[: 20 * longest].split()))[:longest]
 
 
 def read_submission(folder: Path, frames: int, height: int, width: int) -> Reconstruction | Failure:
@@ -149,7 +149,7 @@ def method_of(results: Path) -> tuple[Method, list[Fault]]:
             return Method(shortened(checked.text(data, "name", path))), [fault]
         words = [shortened(str(data.get(key) or "")) for key in ("code", "hardware")]
         lacks, faults = _tried(results, path, "lacks", partial(lacks_of, data, path))
-        method = Method(shortened(checked.text(data, "name", path)), words[0], _plain(settings), words[1], lacks or ())
+        method = Method(shortened(checked.text(data, "name", path)), words[0], plain(settings), words[1], lacks or ())
         return method, [replace(fault, fatal=False) for fault in faults]
     except Exception as error:  # as above
         fault = _unreadable("method.json", path, error)
@@ -383,14 +383,14 @@ def _is_float(value: float) -> bool:
     return True
 
 
-def _plain(value: Any, depth: int = 0) -> Any:
+def plain(value: Any, depth: int = 0) -> Any:
     """JSON that any reader takes: printable words, finite numbers that fit a float, no more than DEEPEST_SETTINGS."""
     if depth > DEEPEST_SETTINGS:
         return "..."
     if isinstance(value, dict):
-        return {printable(str(k)): _plain(v, depth + 1) for k, v in value.items()}
+        return {printable(str(k)): plain(v, depth + 1) for k, v in value.items()}
     if isinstance(value, list):
-        return [_plain(v, depth + 1) for v in value]
+        return [plain(v, depth + 1) for v in value]
     if isinstance(value, str):
         return printable(value)
     if isinstance(value, int | float) and not (_is_float(value) and math.isfinite(value)):

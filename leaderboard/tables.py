@@ -37,7 +37,8 @@ def print_scores(scores: Scores, console: Console | None = None, everything: boo
         for line in (*([f"{row.status}: {row.reason}"] if row.reason else []), *row.notes):
             style = "red" if row.status != "ok" else "yellow"
             console.print(f"  {escape(f'{row.sequence}: {line}')}", style=style, soft_wrap=True)
-    console.print(f"  {scores.measured} of {len(scores.rows)} sequences were measured", style="dim")
+    took = "" if scores.seconds is None else f", in {scores.seconds:.0f} s"
+    console.print(f"  {scores.measured} of {len(scores.rows)} sequences were measured{took}", style="dim")
     if any(row.measured_from == "files" for row in scores.rows):
         console.print("  'files': there is no asset; joint and surfaces are read from the files.", style="dim")
 

@@ -130,7 +130,7 @@ def test_scores_are_json_with_units_prices_and_no_nan(data, tmp_path):
     text = path.read_text()
     body = json.loads(text)
     assert "NaN" not in text and "Infinity" not in text
-    assert body["schema"] == "freeart21/scores/1" and len(body["benchmark"]["sha256"]) == 64
+    assert body["schema"] == "freeart21/scores/2" and len(body["benchmark"]["sha256"]) == 64
     units = {m["id"]: (m["unit"], m["direction"], m["price"]) for m in body["protocol"]["metrics"]}
     assert units["state"] == ({"revolute": "deg", "prismatic": "%"}, "down", "range of motion")
     assert body["rows"][0]["values"]["position"] == pytest.approx(
