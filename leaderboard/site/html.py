@@ -132,7 +132,7 @@ def method_link(entrant: Entrant, deep: bool) -> str:
 
 def sources(entrants: Sequence[Entrant]) -> list[dict[str, Any]]:
     """The truth and the methods as the scripts know them: id, name, colour, shape, dash."""
-    truth = {"id": "truth", "name": "truth", "colour": TRUTH, "shape": TRUTH_PATH, "dash": ""}
+    truth = {"id": "truth", "name": "ground truth", "colour": TRUTH, "shape": TRUTH_PATH, "dash": ""}
     return [
         truth,
         *({"id": e.file, "name": e.name, "colour": e.colour, "shape": e.shape, "dash": e.dash} for e in entrants),

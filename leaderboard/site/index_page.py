@@ -140,7 +140,7 @@ def _best(places: Sequence[Place], heads: Sequence[tuple[Metric, Any]]) -> list[
     best: list[float | None] = []
     for k, (metric, _) in enumerate(heads):
         means = [cell[0] for place in places if (cell := place.cells[k]) is not None]
-        best.append((max if metric.direction == "up" else min)(means) if len(means) > 1 else None)
+        best.append((max if metric.direction == "up" else min)(means) if len(set(means)) > 1 else None)
     return best
 
 

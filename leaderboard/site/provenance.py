@@ -11,17 +11,14 @@ from leaderboard.site.html import NONE
 
 
 def provenance(scores: Scores) -> list[tuple[str, str]]:
-    """Names and values, the values escaped: benchmark and its hash, and whatever else the table says of its making."""
+    """Names and values, the values escaped: benchmark and its hash, code, libraries and machine."""
     benchmark = scores.benchmark
     rows = [
         ("benchmark", escape(f"{benchmark['name']}, version {benchmark['version']}, {benchmark['split']}")),
         ("benchmark.json", _hash(benchmark["sha256"])),
         ("protocol", escape(scores.protocol)),
     ]
-    said: Any = getattr(scores, "provenance", None)
-    if said is not None:
-        rows += _flat("", said if isinstance(said, Mapping) else vars(said))
-    return rows
+    return rows + _flat("", scores.made_with)
 
 
 def _flat(before: str, said: Mapping[str, Any]) -> list[tuple[str, str]]:

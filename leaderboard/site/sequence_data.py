@@ -150,7 +150,7 @@ def _answer(
 
 
 def _masks(packed: Packed, masks: NDArray[np.uint8]) -> dict[str, Any]:
-    """Small label maps (k, height, width); of noise every second, fourth ... frame, the ones between repeated."""
+    """Small label maps (k, height, width): the noisier, the smaller."""
     side = MASK_SIDE
     height, width = masks.shape[1:]
     while True:
@@ -256,6 +256,7 @@ def _scene(
             link["joint"] = {k: v if k == "type" else _round(v) for k, v in link["joint"].items()}
     for slider, made in zip(data["sliders"], sliders, strict=True):
         slider |= {"states": packed.states(made.states), "lower": round(made.lower, 6), "upper": round(made.upper, 6)}
+    data["layers"] = [{"colour": layer["colour"], "style": layer["style"], "shown": True} for layer in data["layers"]]
     for k, layer in enumerate(data["layers"]):
         if k % 2:
             layer["follows"] = k - 1
@@ -288,14 +289,16 @@ def _arrangements(data: dict[str, Any], count: int) -> list[dict[str, Any]]:
     right = np.cross(up, front / np.linalg.norm(front))
     columns = min(count, 2 if count in (2, 4) else 3)
     rows = -(-count // columns)
-    pace = 1.7 * data["radius"]
+    across, down = 1.8 * data["radius"], 1.9 * data["radius"]
     shifts = []
     for k in range(count):
         column, row = k % columns, k // columns
-        shifts.append(_round(pace * ((column - (columns - 1) / 2) * right - (row - (rows - 1) / 2) * up)))
-    beside = {"name": "Side by side", "shifts": shifts, "radius": data["radius"] * (1 + 0.62 * (max(columns, rows) - 1))}
+        place = across * (column - (columns - 1) / 2) * right - down * (row - (rows - 1) / 2) * up
+        shifts.append(_round(place))
+    need = data["radius"] * max(0.95 * (rows - 1) + 0.9, (0.9 * (columns - 1) + 0.9) / 1.6)  # the view is 16 by 9
+    beside = {"name": "Side by side", "shifts": shifts, "radius": _round(need)[0]}
     over = {"name": "Overlaid", "shifts": [[0.0, 0.0, 0.0]] * count, "radius": data["radius"], "ghost": True}
-    return [{**beside, "radius": _round(beside["radius"])[0]}, over] if count > 1 else []
+    return [beside, over] if count > 1 else []
 
 
 def _pale(colour: str) -> str:

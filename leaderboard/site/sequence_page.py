@@ -85,7 +85,7 @@ def sequence_page(
     said = _said(shown, entrants, protocols)
     main = (
         f'<nav class="steps" aria-label="sequences">{steps}</nav><div class="pair">{video}{scene}</div>{states}{numbers}{said}'
-        f"{_source(f)}"
+        f"{_source(f, entrants[0].row(protocols[0], shown.name))}"
     )
     return page(shown.name, main, site, True, lead=lead, kind="Sequence", scripts=[f"../data/{file}.js"])
 
@@ -128,7 +128,7 @@ def _numbers(protocol: str, shown: Shown, entrants: Sequence[Entrant], first: bo
             continue
         values = [None if row is None else row.values.get(metric.id) for row in rows]
         known = [v for v in values if v is not None]
-        best = (max if metric.direction == "up" else min)(known) if len(known) > 1 else None
+        best = (max if metric.direction == "up" else min)(known) if len(set(known)) > 1 else None
         cells = []
         for row, value in zip(rows, values, strict=True):
             beside = ""
@@ -152,6 +152,7 @@ def _said(shown: Shown, entrants: Sequence[Entrant], protocols: Sequence[str]) -
     blocks = []
     for entrant in entrants:
         lines: dict[str, None] = {}
+        hashes: dict[str, None] = {}
         for protocol in protocols:
             row = entrant.row(protocol, shown.name)
             if row is None:
@@ -162,18 +163,23 @@ def _said(shown: Shown, entrants: Sequence[Entrant], protocols: Sequence[str]) -
             lines.update(dict.fromkeys(row.notes))
             if row.seconds is not None:
                 lines[f"It took {row.seconds:.0f} s, by its own word."] = None
+            if row.result_sha256:
+                hashes[row.result_sha256] = None
         for piece in entrant.method.lacks:
             lines[f"{WORDS[piece].capitalize()}: such numbers are left out, never priced."] = None
         if shown.absent.get(entrant.file) and not any(line in shown.absent[entrant.file] for line in lines):
             lines[shown.absent[entrant.file]] = None
         items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+        items += "".join(f'<li>Its files, SHA-256 <code class="hash">{escape(digest)}</code></li>' for digest in hashes)
         blocks.append(f"<div><h3>{method_link(entrant, True)}</h3><ul>{items}</ul></div>")
     return section("What scoring says", f'<div class="said">{"".join(blocks)}</div>')
 
 
-def _source(f: dict[str, Any]) -> str:
+def _source(f: dict[str, Any], row: Row | None) -> str:
     source = f["source"]
     rows = [(key.replace("_", " "), escape(value)) for key, value in source.items() if isinstance(value, str | int | float)]
     if f["licence"]:
         rows.append(("licence", escape(f["licence"])))
+    if row is not None and row.truth_sha256:
+        rows.append(("truth, SHA-256", f'<code class="hash">{escape(row.truth_sha256)}</code>'))
     return section("Where the sequence came from", facts(rows)) if rows else ""

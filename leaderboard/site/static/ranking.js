@@ -46,7 +46,7 @@ FreeArt.kinds.ranking = (section, data) => {
     }
     const best = data.columns.map((column, k) => {
       const means = rows.flatMap((row) => (row.cells[k] ? [row.cells[k].mean] : []));
-      return means.length > 1 ? (column.up ? Math.max(...means) : Math.min(...means)) : null;
+      return new Set(means).size > 1 ? (column.up ? Math.max(...means) : Math.min(...means)) : null;
     });
     return { rows, best, there };
   };
@@ -178,7 +178,7 @@ FreeArt.kinds.ranking = (section, data) => {
       const unit = metric.units[data.sequences[i].type];
       const values = data.methods.map((method) => method.values[i][state.metric]);
       const known = values.filter((value) => value !== null);
-      const best = known.length > 1 ? (metric.up ? Math.max(...known) : Math.min(...known)) : null;
+      const best = new Set(known).size > 1 ? (metric.up ? Math.max(...known) : Math.min(...known)) : null;
       data.methods.forEach((method, m) => {
         const cell = line.children[3 + m];
         cell.querySelector("span").textContent = FreeArt.numberText(values[m], unit, true);

@@ -44,7 +44,7 @@ FreeArt.kinds.states = (section, data, bus) => {
       text.textContent = value;
       svg.append(text);
     };
-    for (const value of ticks(low, high, 4)) {
+    for (const value of ticks(low, high, 6)) {
       svg.append(make("line", { class: "grid", x1: left, x2: width - right, y1: y(value), y2: y(value) }));
       label(value, left - 8, y(value) + 4, "end");
     }
