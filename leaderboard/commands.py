@@ -123,3 +123,41 @@ def init_submission(data: Annotated[Path, Positional], out: Path) -> None:
 
     sequences = write_skeleton(data, out)
     print(f"{out}: {len(sequences)} sequences to fill in; {out / 'README.txt'} says how")
+
+
+def site(
+    results: Annotated[tuple[Path, ...], Positional],
+    data: Path,
+    out: Path,
+    protocol: tuple[str, ...] = ("strict-2",),
+    scores: Path | None = None,
+    title: str | None = None,
+) -> None:
+    """Write a static site: the ranking, a page a method and a sequence, failures, definitions, downloads.
+
+    One folder that opens from disk or from any host and fetches nothing from elsewhere. Methods are scored first, unless
+    their tables are kept in the folder of --scores. An older site at the place is replaced, nothing else.
+
+    Args:
+        results: Folders of results, one a method (RESULTS/SEQ/prediction.json).
+        data: The data folder that they answer, with its truth.
+        out: Folder of the site.
+        protocol: Named protocols, a table each; the first one orders the site.
+        scores: Folder in which tables of scores are kept.
+        title: What the site is called; the name of the data when not given.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from leaderboard.site.build import write_site
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task("Reading", total=None)
+
+        def done(what: str, count: int, of: int) -> None:
+            bars.update(task, description=what, completed=count, total=of)
+
+        command = ["freeart21", *sys.argv[1:]]
+        index = write_site(results, data, out, protocol, scores, title, command, done)
+    print(f"{out}: {len(results)} method{'s' * (len(results) != 1)}; open {index}")

@@ -68,6 +68,7 @@ RESULT = Output(
     ),
 )
 ANSWER = Output("answer of gap", _json("verdict"), "verdict.json", ("verdict.json", "index.html"), listed=True)
+SITE = Output("site", _json("site"), "site.json", ("site.json",), listed=True)
 DEMO = Output("demo", _json("demo"), "demo.json", ("demo.json",), listed=True)
 PAGE = Output("page", b'<meta name="generator" content="freeart21')
 SCORES = Output("table of scores", _json("scores"))
@@ -77,7 +78,7 @@ _SEQUENCE = Output("sequence", _json("sequence"), "sequence.json")
 _TRUTH = Output("truth", _json("truth"), "truth.json")
 _DATA = Output("data folder", _json("benchmark"), "benchmark.json")
 _UNDER_WAY = Output("unfinished recording", _json("recording-job"), ".recording/job.json")
-_CLOSED = (_SEQUENCE, _TRUTH, _DATA, _UNDER_WAY, RESULT, ASSET, ANSWER)
+_CLOSED = (_SEQUENCE, _TRUTH, _DATA, _UNDER_WAY, RESULT, ASSET, ANSWER, SITE)
 """Folders that hold what one command wrote, and into which no other one writes."""
 _GROWING = ("benchmark.json", ".recording", "sequences", "examples")
 """What a folder holds to which recordings are added."""
