@@ -64,7 +64,7 @@ class Metric:
             return self.revolute_unit or self.prismatic_unit
         return self.revolute_unit if self.revolute_unit == self.prismatic_unit else None
 
-    def price_for(self, joint_type: JointType, from_sequence: float) -> float | None:
+    def price_for(self, joint_type: JointType, from_sequence: float | None = None) -> float | None:
         """The price for a sequence, in the metric's unit; `from_sequence` where it depends on the sequence."""
         if self.unit(joint_type) is None:
             return None
@@ -117,12 +117,9 @@ class Shape:
         return Shape(self.parts[::-1], se3.inverse(self.motions))
 
 
-def range_of_motion(truth: Truth) -> float:
-    """What `state` costs by the strict protocols where there is none: deg, or % of the diagonal."""
-    motion = truth.range_of_motion
-    if truth.articulation.joint.type == "revolute":
-        return float(np.rad2deg(motion))
-    return 100 * motion / truth.diagonal
+def no_prices(truth: Truth) -> dict[str, float | None]:
+    """None: every price of the protocol is a constant."""
+    return {}
 
 
 @dataclass(frozen=True)
@@ -143,15 +140,15 @@ class Protocol:
     """Whether a price is a cap, so that no answer costs more than a declared failure."""
     ranking: bool = False
     """Whether methods are ranked by it."""
-    price_from: Callable[[Truth], float] = range_of_motion
-    """What prices are that depend on the sequence."""
+    price_from: Callable[[Truth], dict[str, float | None]] = no_prices
+    """Metric id to price for those whose price depends on the sequence; None where it has no such number."""
     published: tuple[PublishedRow, ...] = ()
     """What others printed by these definitions, of other objects: shown beside, never ranked."""
 
     def prices(self, truth: Truth) -> dict[str, float | None]:
         """Metric id to price, in the metric's unit for this sequence; None for numbers that do not exist for it."""
         kind, from_sequence = truth.articulation.joint.type, self.price_from(truth)
-        return {metric.id: metric.price_for(kind, from_sequence) for metric in self.metrics}
+        return {metric.id: metric.price_for(kind, from_sequence.get(metric.id)) for metric in self.metrics}
 
     def capped_value(self, id: str, value: float, price: float) -> float:
         """`value` of the metric `id`, or its price where the protocol caps it and the value is worse."""

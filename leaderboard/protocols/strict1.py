@@ -186,6 +186,14 @@ def picture_values(truth: Truth, renders: Sequence[Render]) -> dict[str, float |
     return {"psnr": float(np.mean(ratios)), "ssim": float(np.mean(similarities))}
 
 
+def prices(truth: Truth) -> dict[str, float | None]:
+    """What the states cost where there are none: the range of motion, deg, or % of the diagonal."""
+    motion = truth.range_of_motion
+    revolute = truth.articulation.joint.type == "revolute"
+    price = float(np.rad2deg(motion)) if revolute else 100 * motion / truth.diagonal
+    return {"state": price, "state_all": price}
+
+
 def _surface(id: str, what: str, column: str) -> Metric:
     return Metric(
         id,
@@ -356,4 +364,5 @@ STRICT_1 = Protocol(
     ),
     measure,
     asset="joint",
+    price_from=prices,
 )

@@ -17,7 +17,7 @@ from freeart21.truth import Truth
 from leaderboard import metrics
 from leaderboard.matching import Matched, match
 from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, plain
-from leaderboard.protocols.strict1 import STRICT_1, Strict1, answer_values, picture_values, surface_values
+from leaderboard.protocols.strict1 import STRICT_1, Strict1, answer_values, picture_values, prices, surface_values
 
 
 def measure(
@@ -134,4 +134,5 @@ STRICT_2 = Protocol(
     asset="whole",
     capped=True,
     ranking=True,
+    price_from=prices,
 )
