@@ -599,6 +599,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         board.init_submission,
         board.validate,
         board.score,
+        board.compare,
         board.site,
         measure,
         gap,

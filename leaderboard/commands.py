@@ -83,6 +83,51 @@ def score(
     return 0 if scores.measured else 1
 
 
+def compare(
+    results: Annotated[tuple[Path, ...], Positional],
+    data: Path,
+    protocol: str | None = None,
+    scores: Path | None = None,
+    out: Path | None = None,
+    by: Literal["type", "category", "sequence"] = "type",
+) -> None:
+    """Compare methods: mean and spread by joint type, and how sure their differences are, over the same sequences.
+
+    Differences are to the method that is named first, with paired bootstrap intervals of 95 %. Numbers of different
+    protocols, benchmarks or versions of the scoring code are refused, never set side by side.
+
+    Args:
+        results: Results folders, which are scored, or tables of `score --out`.
+        data: The data folder that they answer.
+        protocol: Named protocol; that of the tables, or strict-2, when not given.
+        scores: Keep the tables of scores of results folders here, and score them again only when something changed.
+        out: Write the comparison here, too: .csv, .json (everything), .md, or .tex (booktabs).
+        by: What is summed up together: sequences of a joint type, of a category, or each for itself.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from freeart21.files.places import check_place
+    from leaderboard.compare import compare_results
+    from leaderboard.compare_files import kind_of, write_comparison
+    from leaderboard.compare_tables import print_comparison
+    from leaderboard.rows import Row
+
+    if out is not None:
+        check_place(out, kind_of(out), (data, *results))
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        tasks = {place: bars.add_task(f"Scoring {place.name}", total=None) for place in results if place.is_dir()}
+
+        def scored(place: Path, row: Row, of: int) -> None:
+            bars.update(tasks[place], description=f"Scored {place.name} {row.sequence}", advance=1, total=of)
+
+        comparison = compare_results(results, data, protocol, scores, scored)
+    print_comparison(comparison, by)
+    if out is not None:
+        write_comparison(out, comparison, by)
+
+
 def validate(results: Annotated[Path, Positional], data: Path) -> int:
     """Check a folder of results as `score` will read it, without measuring: every fault, with its place and its cure.
 
