@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from freeart21.errors import FreeArtError
 from leaderboard.adapters import (
+    bundlesdf,
+    foundationpose,
     freeartgs,
     itaco,
+    rsrd,
 )
 from leaderboard.adapters.toolbox import Layout
 
@@ -14,6 +17,9 @@ LAYOUTS: dict[str, Layout] = {
     for module in (
         freeartgs,
         itaco,
+        rsrd,
+        bundlesdf,
+        foundationpose,
     )
 }
 

@@ -285,7 +285,7 @@ def frame_numbers(stems: Sequence[str], frames: int, where: str) -> tuple[NDArra
     numbers = [int(stem) for stem in stems if re.fullmatch(r"[0-9]{1,20}", stem)]
     if len(numbers) == len(stems) and len(set(numbers)) < len(numbers):
         raise FreeArtError(f"{where}: two files have the same number, expected one a frame")
-    if len(numbers) == len(stems) and all(number < frames for number in numbers):
+    if numbers and len(numbers) == len(stems) and max(numbers) < frames:
         return np.array(numbers, np.int64), True
     if len(stems) == frames:
         keys: Sequence[Any] = numbers if len(numbers) == len(stems) else stems
