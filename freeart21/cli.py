@@ -597,6 +597,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         export,
         view,
         board.init_submission,
+        board.import_,
         board.validate,
         board.score,
         board.compare,

@@ -206,3 +206,66 @@ def site(
         command = ["freeart21", *sys.argv[1:]]
         index = write_site(results, data, out, protocol, scores, title, command, done)
     print(f"{out}: {len(results)} method{'s' * (len(results) != 1)}; open {index}")
+
+
+def import_(
+    layout: Annotated[str, Positional],
+    source: Annotated[Path, Positional],
+    data: Path,
+    out: Path,
+    sequence: str | None = None,
+    map: Path | None = None,
+    frame: Annotated[str | None, tyro.conf.arg(metavar="camera|opengl|link|label|zup")] = None,
+    axes: Annotated[str | None, tyro.conf.arg(metavar="opencv|opengl")] = None,
+    anchor: int = 0,
+    scale: float = 1.0,
+    joint: str | None = None,
+    object_poses: Path | None = None,
+    name: str | None = None,
+) -> None:
+    """Make a results folder of what another project wrote, to be scored beside the others.
+
+    Layouts: freeartgs, itaco, rsrd, paris, digitaltwinart, artgs, articulate-anything, bundlesdf, foundationpose,
+    screwsplat. What each gives, lacks and means: docs/adapters.md. Results are looked for in SOURCE/SEQ for every
+    sequence of the data folder, whose truth is not read. What a layout does not give is left out of its score.
+
+    Args:
+        layout: Whose files these are.
+        source: Folder with a result a sequence, or with one result.
+        data: The data folder that they answer.
+        out: Results folder to make, such as results/NAME; an older import of the same layout is replaced.
+        sequence: SOURCE is the result of this one sequence.
+        map: JSON file of {"SEQ": "folder in SOURCE"}, or {"SEQ": {"folder": ..., and any of frame, axes, anchor, scale,
+            joint}}.
+        frame: Where the world of the files stands, if they do not say; else as in the project's own evaluator.
+        axes: Axes of the cameras in the files; else as in the project's own evaluator.
+        anchor: Frame of the video at which a result without poses stands.
+        scale: Metres in one unit of length of the files.
+        joint: Which joint, by name or number, if there are several.
+        object_poses: Official FreeArt-21 examples, for frames that hang on the object.
+        name: Of the method; else as the results folder is called.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from leaderboard.adapters.importer import import_results
+    from leaderboard.adapters.toolbox import Options
+
+    options = Options(frame, axes, anchor, scale, joint, object_poses)  # type: ignore[arg-type]  # checked there
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task("Importing", total=None)
+
+        def begun(sequence: str, done: int, total: int) -> None:
+            bars.update(task, description=f"Importing {sequence}", completed=done, total=total)
+
+        report = import_results(layout, source, data, out, options, sequence, map, name, begun)
+    for key, lines in report.notes.items():
+        for line in lines:
+            print(f"{key}: {line}")
+    if report.missing:
+        some = ", ".join(report.missing[:5]) + (", ..." if len(report.missing) > 5 else "")
+        print(f"nothing of {len(report.missing)} sequences ({some}): the score will price them")
+    lacks = f"; it lacks {', '.join(report.lacks)}" if report.lacks else ""
+    failed = f", {len(report.failures)} declared failures" if report.failures else ""
+    print(f"{out}: {len(report.sequences)} answers{failed}{lacks}")

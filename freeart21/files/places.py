@@ -74,6 +74,13 @@ PAGE = Output("page", b'<meta name="generator" content="freeart21')
 SCORES = Output("table of scores", _json("scores"))
 SHEET = Output("contact sheet", b"freeart21 contact sheet")
 
+
+def import_of(layout: str) -> Output:
+    """The results folder that `freeart21 import` makes of results in `layout`; an older one of that layout only."""
+    files = ("method.json", *(f"*/{pattern}" for pattern in RESULT.files))
+    return Output(f"import of {layout} results", f'"imported": "{layout}"'.encode(), "method.json", files)
+
+
 _SEQUENCE = Output("sequence", _json("sequence"), "sequence.json")
 _TRUTH = Output("truth", _json("truth"), "truth.json")
 _DATA = Output("data folder", _json("benchmark"), "benchmark.json")
