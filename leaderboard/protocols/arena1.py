@@ -217,10 +217,10 @@ ARENA_1 = Protocol(
     "place and limits, blind to the axis's sign and to where the pivot lies along it. Parts are matched and poses "
     "aligned as by strict-2; positions are counted from the truth's state zero, the prediction's offset taken off as "
     "strict-2's `state` does. The joint is measured from the asset, reloaded and driven in SAPIEN, with its own "
-    "limits; without an asset, read from the files and marked so. A failure or a missing sequence costs what their tree "
-    "distance charges for a joint that is not found: its distance to a joint that does not move. That is no cap: a "
-    "joint that moves the part elsewhere may be further from the truth than none. Means and sample standard deviations "
-    "(ddof 1) are over all sequences of a joint type.",
+    "limits; without an asset, read from the files and marked so. A failure or a missing sequence costs what their "
+    "tree distance charges for a joint that is not found: its distance to a joint that does not move. That is no cap: "
+    "a joint that moves the part elsewhere may be further from the truth than none. Means and sample standard "
+    "deviations (ddof 1) are over all sequences of a joint type.",
     (
         Metric(
             "joint_type",
