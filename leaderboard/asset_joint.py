@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from freeart21.files.urdf import named_inside, parsed, read_urdf_joints
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
-from leaderboard.strict1 import Shape
+from leaderboard.protocol import Shape
 from leaderboard.submission import LARGEST, MAX_FACES
 from leaderboard.surface import Surface
 
@@ -157,7 +157,8 @@ def drive(asset: Asset, states: ArrayLike) -> tuple[Joint, Array, Array]:
     high = upper if np.isfinite(upper) else max(reachable.max(), 0.5)
     driven = np.linspace(low, high, DRIVEN_STATES)
     motion = joint_motion(asset, np.concatenate([driven, reachable]))
-    joint = joint_of_motion(asset.joint, driven, motion[: len(driven)])
+    found = joint_of_motion(asset.joint, driven, motion[: len(driven)])
+    joint = replace(found, lower=lower, upper=upper)  # as far as it goes, which may be without end
     motions = motion[len(driven) :]
     return joint, states_of_motion(joint, motions), motions
 

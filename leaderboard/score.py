@@ -15,7 +15,8 @@ from freeart21.files.benchmark import file_sha256, read_benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from leaderboard.case import Case, score_sequence
-from leaderboard.protocols import DEFAULT, Group, Protocol, protocol_named
+from leaderboard.protocol import Group, Protocol
+from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Scores, Statistic, Summary, frame
 from leaderboard.submission import method_of
 from leaderboard.worker import ROW_LIMIT_S, RowEnded, worker
@@ -45,13 +46,16 @@ def score_results(
         for name in benchmark.sequences:
             where = results / name, benchmark.sequence(name), benchmark.truth(name)
             if limit_s is None:
-                row = score_sequence(*where, rules.name)
+                row = score_sequence(*where, rules.name, method.lacks)
             else:
                 request = dict(zip(("result", "sequence", "truth"), map(str, where), strict=True))
+                asked = {**request, "protocol": rules.name, "lacks": list(method.lacks)}
                 try:
-                    row = scorer.score({**request, "protocol": rules.name}, limit_s)
+                    row = scorer.score(asked, limit_s)
                 except RowEnded as reason:
-                    row = Case(rules, read_sequence(where[1]), read_truth(where[2])).priced("failed", str(reason))
+                    row = Case(rules, read_sequence(where[1]), read_truth(where[2]), method.lacks).priced(
+                        "failed", str(reason)
+                    )
             rows.append(row)
             if progress:
                 progress(row, len(benchmark.sequences))

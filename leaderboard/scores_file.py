@@ -27,7 +27,7 @@ def write_scores(path: Path, scores: Scores) -> None:
             "label": m.label,
             "unit": {"revolute": m.revolute_unit, "prismatic": m.prismatic_unit},
             "direction": m.direction,
-            "price": "range of motion" if m.price is None else m.price,
+            "price": m.price_text,
             "beside": m.beside,
             "definition": m.definition,
         }

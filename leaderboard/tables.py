@@ -9,7 +9,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from leaderboard.protocols import Metric, protocol_named
+from leaderboard.protocol import Metric
+from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row, Scores, Statistic, Summary
 from leaderboard.submission import printable
 
@@ -17,8 +18,8 @@ WIDTH = 100
 """Columns of characters that the table of ranking numbers fits."""
 COLUMNS_AT_ONCE = 5
 """Metrics a table when all are shown."""
-_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
-_SIGNS = {"deg": "°", "%": "%", "dB": "", "fraction": ""}
+_DIGITS = {"deg": 2, "%": 2, "cm": 2, "m": 4, "1": 3, "dB": 1, "fraction": 3}
+_SIGNS = {"deg": "°", "%": "%", "cm": " cm", "m": " m", "1": "", "dB": "", "fraction": ""}
 
 
 def print_scores(scores: Scores, console: Console | None = None, everything: bool = False) -> None:
@@ -119,7 +120,7 @@ def _status(row: Row) -> str:
     """What became of a row, in a word."""
     if row.status != "ok":
         return row.status.upper()
-    if row.values["joint_type"] == 0:
+    if row.values.get("joint_type") == 0:
         return "wrong type"
     return "files" if row.measured_from == "files" else "ok"
 
