@@ -1,18 +1,19 @@
 """DigitalTwinArt: `runs/<exp>/results/step_<N>`.
 
-    init_motion.json                     [{axis_direction [3], axis_position [3], theta, rotation 3 x 3, translation [3]}]
+    init_motion.json       a list of {axis_direction [3], axis_position [3], theta, rotation 3 x 3, translation [3]},
+                           one a joint; with several joints init_p<order>_motion.json, of which the first is in order
     init_revolute_motion.json and init_prismatic_motion.json   instead of it, where no truth was at hand
-    init_part_0.obj                      the base, in the first state
-    init_part_<i>.obj                    the part of joint i - 1, in the first state
+    init_part_0.obj        the base, in the first state
+    init_part_<i>.obj      the part of joint i - 1, in the first state
 
 Read in NVlabs/DigitalTwinArt@1a48b402e4bf4bb7731296e8e230f0db3d86fe4f: model.py (export_canonical: names, and lengths
 turned back to the input's), utils/articulation_utils.py (interpret_transforms: rotation and translation take points of
-the first state to the second; theta is in degrees, or the length of the translation, with axis_position zero), readme.md.
-The world is that of its PARIS data (z up). Of several steps the last counts; all that is no part of the chosen joint is
-the reference part.
+the first state to the second; theta is in degrees, or the length of the translation, with axis_position zero). The
+world is that of its PARIS data (z up). Of several steps the last counts; all that is no part of the chosen joint is the
+reference part.
 
-Where a truth was at hand, the type in init_motion.json is the truth's. Where none was, the project writes both joints and
-does not choose: the import does, by the same motion: a slider where it turns by less than 5 degrees.
+Where a truth was at hand, the type in init_motion.json is the truth's. Where none was, the project writes both joints
+and does not choose: the import does, by the same motion: a slider where it turns by less than 5 degrees.
 """
 
 from __future__ import annotations
@@ -23,26 +24,29 @@ from typing import Any
 import numpy as np
 
 from freeart21 import se3
-from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.joint import JointType
-from leaderboard.adapters.toolbox import Found, Layout, Request, chosen, joined, read_list, read_part
+from leaderboard.adapters.toolbox import Found, Layout, Request, chosen, joined, one_number, read_list, read_part
 from leaderboard.adapters.two_states import TOLD, found
 
 LEAST_TURN = np.radians(5)
 _OURS = "the type is not the method's, which writes both: the import took the one that its motion of the part shows"
 
 
+def _known(folder: Path) -> Path | None:
+    """The joints of a run that knew the truth's types."""
+    one = folder / "init_motion.json"
+    return one if one.is_file() else next(iter(sorted(folder.glob("init_p[0-9]*_motion.json"))), None)
+
+
 def _fits(folder: Path) -> bool:
     both = (folder / f"init_{kind}_motion.json" for kind in ("revolute", "prismatic"))
-    return (folder / "init_motion.json").is_file() or all(path.is_file() for path in both)
+    return _known(folder) is not None or all(path.is_file() for path in both)
 
 
 def _read(folder: Path, request: Request) -> Found:
-    path, note = folder / "init_motion.json", TOLD
-    known = path.is_file()
-    if not known:
-        path, note = folder / "init_revolute_motion.json", _OURS
+    known = _known(folder)
+    path, note = known or folder / "init_revolute_motion.json", TOLD if known else _OURS
     entries = read_list(path, "joints")
     which = chosen([str(k) for k in range(len(entries))], request.options.joint, str(path))
     entry = entries[which]
@@ -52,7 +56,7 @@ def _read(folder: Path, request: Request) -> Found:
     motion = se3.orthonormalised(se3.check_poses(f"{path}: rotation of joint {which}", motion, tolerance=1e-3))
     angle = float(se3.rotation_angle(motion[:3, :3]))
     kind: JointType
-    if known:
+    if known is not None:
         kind = "prismatic" if _is_slide(entry, path) else "revolute"
     else:
         kind = "revolute" if angle >= LEAST_TURN else "prismatic"
@@ -63,7 +67,7 @@ def _read(folder: Path, request: Request) -> Found:
     scale = request.options.scale
     axis = checked.numbers(entry, "axis_direction", (3,), path)
     pivot = scale * checked.numbers(entry, "axis_position", (3,), path)
-    theta = float(checked.numbers({"theta": np.ravel(entry.get("theta"))}, "theta", (1,), path)[0])
+    theta = one_number(entry, "theta", path)
     span = float(np.radians(theta)) if kind == "revolute" else scale * theta
     parts = [folder / f"init_part_{k}.obj" for k in range(len(entries) + 1)]
     meshes = None
@@ -75,12 +79,9 @@ def _read(folder: Path, request: Request) -> Found:
 
 def _is_slide(entry: dict[str, Any], path: Path) -> bool:
     """Whether the numbers are those that a prismatic joint gets: no position, and theta the translation's length."""
-    theta = np.ravel(entry.get("theta"))
-    if theta.shape != (1,):
-        raise FreeArtError(f"{path}: theta is {entry.get('theta')!r}, expected a number"[:300])
-    length = np.linalg.norm(checked.numbers(entry, "translation", (3,), path))
+    length = float(np.linalg.norm(checked.numbers(entry, "translation", (3,), path)))
     still = not checked.numbers(entry, "axis_position", (3,), path).any()
-    return bool(still and abs(float(theta[0]) - length) <= 1e-5 * max(1.0, length))
+    return bool(still and abs(one_number(entry, "theta", path) - length) <= 1e-5 * max(1.0, length))
 
 
 LAYOUT = Layout(

@@ -25,7 +25,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.joint import Joint, JointType
 from freeart21.mesh import Mesh
-from leaderboard.adapters.toolbox import Found, Layout, Request, read_part, unit
+from leaderboard.adapters.toolbox import Found, Layout, Request, one_number, read_part, unit
 from leaderboard.adapters.two_states import TOLD, found
 
 _MOTION = re.compile(r"it([0-9]{1,9})_(?:val|test)_motion\.json")
@@ -48,7 +48,7 @@ def _read(folder: Path, request: Request) -> Found:
     kind, key = _TYPES[said]
     axis = unit(checked.numbers(data, "axis_d", (3,), path), f"{path}: axis_d")
     pivot = scale * checked.numbers(data, "axis_o", (3,), path)
-    amount = float(_one(data, key, path))
+    amount = one_number(data, key, path)
     span = float(np.radians(amount)) if kind == "revolute" else scale * amount
     static, moving = _surface(folder, step, "static"), _surface(folder, step, "dyn_t0")
     meshes = None
@@ -59,12 +59,6 @@ def _read(folder: Path, request: Request) -> Found:
         moved: Mesh = read_part(half, folder, scale)[0].moved(joint.transform(-span / 2))
         meshes = read_part(static, folder, scale)[0], moved
     return found(folder, request, "zup", kind, axis, pivot, span, meshes, (TOLD,))
-
-
-def _one(data: dict, key: str, path: Path) -> float:
-    """A number that may be stored as a list of one."""
-    value = np.array(checked.numbers({key: np.ravel(data.get(key))}, key, (1,), path))
-    return float(value[0])
 
 
 def _surface(folder: Path, step: int, what: str) -> Path | None:

@@ -6,15 +6,15 @@
     point_cloud_static.npy        (N, 3) the points that no screw moves, at all thetas zero
     point_cloud_movable_<k>.npy   (N, 3) the points of screw k, counted from 1
 
-Read in seungyeon-k/ScrewSplat-public@d88d7788645238b55bda5b27b19a9084cede7fa2: scene/gaussian_model.py (screw_from_vector:
-v = -w x q; joint angles, canonical at zero), gaussian_renderer/__init__.py (a part moves by exp(theta * screw)),
+Read in seungyeon-k/ScrewSplat-public@d88d7788645238b55bda5b27b19a9084cede7fa2: scene/gaussian_model.py (v = -w x q;
+joint angles, canonical at zero), gaussian_renderer/__init__.py (a part moves by exp(theta * screw)),
 articulated_object/articulated_object_renderer.py (the names, which the project uses for its TRUTH, stored there as a
 pickled dictionary).
 
 The project writes no such file of its predictions: they are in a torch checkpoint (chkpnt*.pth), which is a pickle
 and is not read. So this layout is the project's names and conventions, in arrays that a user saves of it with
-get_screws, get_joint_angles, get_screw_confs and the centres by their largest part index. It cannot be proved by a file of
-the project, only by its conventions. Where T is the number of frames of the video, theta is the state in each.
+get_screws, get_joint_angles, get_screw_confs and the centres by their largest part index. It cannot be proved by a file
+of the project, only by its conventions. Where T is the number of frames of the video, theta is the state in each.
 """
 
 from __future__ import annotations
