@@ -153,7 +153,7 @@ class Found:
     """T_camera_reference and T_camera_moving, (n, 4, 4) each."""
     anchor: int = 0
     anchor_pose: Array | None = None
-    """(4, 4) T_camera_reference in the frame `anchor`, of a layout without poses; without states, it is at state zero."""
+    """(4, 4) T_camera_reference in the frame `anchor`, of a layout without poses; without states, at state zero."""
     masks: NDArray[np.uint8] | None = None
     """(n, height, width): 0 neither, 1 reference, 2 moving."""
     meshes: tuple[Mesh, Mesh] | None = None
