@@ -13,11 +13,12 @@ import numpy as np
 import trimesh
 from plyfile_like import write_cloud
 from scipy.spatial.transform import Rotation
-from score_case import few_samples, score_one, truths, write_data
+from score_case import few_samples, truths, write_data
 
 from freeart21.files.result import read_method
 from leaderboard.adapters.importer import import_results
 from leaderboard.adapters.toolbox import Options
+from leaderboard.case import score_sequence
 
 __all__ = ["few_samples", "write_data"]
 GL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -67,6 +68,30 @@ def write_json(path: Path, data) -> None:
     path.write_text(json.dumps(data))
 
 
+R_LABEL_LINK = Rotation.from_euler("zyx", [90, 0, -90], degrees=True).as_matrix()
+"""PartNet-Mobility's mesh frame (y up) from the URDF's root link (z up), as iTACO's utils.py turns it."""
+R_ZUP_LABEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+"""PARIS's world from that, as its preprocess.py turns it."""
+
+
+def world_of(R) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = R
+    return T
+
+
+def official_example(folder: Path, truth, world_seed=6) -> Path:
+    """What an official FreeArt-21 example says of the object's and the camera's poses in the world."""
+    T_world_camera = rigid(world_seed)
+    poses = []
+    for T in truth.Ts_camera_reference:
+        here = T_world_camera @ T
+        poses.append({"position": here[:3, 3].tolist(), "quaternion": wxyz(here[:3, :3]).tolist()})
+    write_json(folder / "object_poses.json", poses)
+    write_json(folder / "camera_params.json", [{"model_matrix": (T_world_camera @ GL).tolist()}] * len(poses))
+    return folder
+
+
 def evaluation_data(
     folder: Path, truth, *, world, stand, sign, axes, soft=False, wxyz_of=wxyz, unit=1.0, kind=None, zoom=1, noise=0.0
 ) -> Path:
@@ -95,7 +120,7 @@ def imported(data, source, out, layout, **options):
     name = options.pop("name", "a")
     report = import_results(layout, source, data, out, Options(**options))
     assert name in report.sequences
-    return score_one(data, out / name, name)
+    return score_sequence(out / name, data / "sequences" / name, data / "truth" / name, lacks=lacks(out))
 
 
 def lacks(out) -> tuple[str, ...]:

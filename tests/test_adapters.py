@@ -1,6 +1,5 @@
 """Results of other projects: their frames and units proved by a known point, and their faults told in one line."""
 
-
 import numpy as np
 import pytest
 from adapters_case import (

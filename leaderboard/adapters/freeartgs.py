@@ -51,7 +51,8 @@ def _read(folder: Path, request: Request) -> Found:
             raise FreeArtError(f"{path}: every camera needs a file_path and a transform_matrix of numbers") from None
         if cameras.shape[1:] != (4, 4):
             raise FreeArtError(f"{path}: transform_matrix has shape {cameras.shape[1:]}, expected (4, 4)")
-    first, notes = _first_value(folder.parent / "splatfacto-art" / "articulation.json", chosen)
+    trained = checked.inside(folder.parent, "splatfacto-art/articulation.json")
+    first, notes = _first_value(trained, chosen)
     axes = request.options.axes or LAYOUT.axes or "opencv"
     told = found(folder, chosen, request, axes, 1.0, first, names, cameras)
     return Found(**{**vars(told), "notes": (*told.notes, *notes)})

@@ -26,6 +26,7 @@ from leaderboard.adapters.toolbox import (
     lacking,
     reconstruction,
 )
+from leaderboard.submission import MAX_FILES
 
 MOST_FAULTS = 20
 """Faults that are told at once."""
@@ -97,6 +98,7 @@ def _write(
             progress(sequence, done, len(places))
             recording = read_sequence(benchmark.sequence(sequence))
             try:
+                _check_links(place, source)
                 found = rules.read(place, Request(recording, options[sequence]))
                 answer = found if isinstance(found, Failure) else reconstruction(found, recording)
             except FreeArtError as error:
@@ -125,6 +127,18 @@ def _write(
     missing = tuple(name for name in benchmark.sequences if name not in places)
     done_ = tuple(sequence for sequence in places if sequence not in failures)
     return Report(done_, tuple(failures), missing, lacks, notes)
+
+
+def _check_links(place: Path, source: Path) -> None:
+    """FreeArtError for a result that is, or holds, a link that leads out of `source`, or that has too many files."""
+    home = source.resolve()
+    if not place.resolve().is_relative_to(home):
+        raise FreeArtError(f"{place} leads out of {source}")
+    for count, path in enumerate(place.rglob("*")):
+        if count > MAX_FILES:
+            raise FreeArtError(f"{place} has more than {MAX_FILES} files, expected one result")
+        if path.is_symlink() and not path.resolve().is_relative_to(home):
+            raise FreeArtError(f"{path} leads out of {source}")
 
 
 def _plain(options: Options) -> dict[str, Any]:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from freeart21.errors import FreeArtError
 from leaderboard.adapters import (
+    artgs,
+    articulate_anything,
     bundlesdf,
+    digitaltwinart,
     foundationpose,
     freeartgs,
     itaco,
+    paris,
     rsrd,
+    screwsplat,
 )
 from leaderboard.adapters.toolbox import Layout
 
@@ -18,8 +23,13 @@ LAYOUTS: dict[str, Layout] = {
         freeartgs,
         itaco,
         rsrd,
+        paris,
+        digitaltwinart,
+        artgs,
+        articulate_anything,
         bundlesdf,
         foundationpose,
+        screwsplat,
     )
 }
 

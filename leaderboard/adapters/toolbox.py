@@ -153,7 +153,7 @@ class Found:
     """T_camera_reference and T_camera_moving, (n, 4, 4) each."""
     anchor: int = 0
     anchor_pose: Array | None = None
-    """(4, 4) T_camera_reference at the frame `anchor`, at joint state zero, of a layout without poses."""
+    """(4, 4) T_camera_reference in the frame `anchor`, of a layout without poses; without states, at state zero."""
     masks: NDArray[np.uint8] | None = None
     """(n, height, width): 0 neither, 1 reference, 2 moving."""
     meshes: tuple[Mesh, Mesh] | None = None
@@ -208,7 +208,7 @@ def reconstruction(found: Found, recording: Recording) -> Reconstruction:
     joint = joint.spanning(states) if found.states is not None else joint
     if found.poses is None:
         pose = np.eye(4) if found.anchor_pose is None else found.anchor_pose
-        poses = (np.repeat(pose[None], n, 0),) * 2
+        poses = np.repeat(pose[None], n, 0), np.repeat((pose @ joint.transform(states[found.anchor]))[None], n, 0)
     else:
         poses = found.poses
     masks = found.masks
@@ -387,6 +387,13 @@ def read_list(path: Path, of: str) -> list[dict[str, Any]]:
     if not isinstance(data, list) or not data or not all(isinstance(entry, dict) for entry in data):
         raise FreeArtError(f"{path} holds no list of {of}")
     return data
+
+
+def one_number(data: dict[str, Any], key: str, path: Path) -> float:
+    """The finite number `data[key]`, which may be stored as a list of one."""
+    value = data.get(key)
+    listed = value if isinstance(value, list) else [value]
+    return float(checked.numbers({key: np.ravel(np.array(listed, object)).tolist()}, key, (1,), path)[0])
 
 
 def read_vector(path: Path) -> Array:
