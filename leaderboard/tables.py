@@ -20,7 +20,7 @@ COLUMNS_AT_ONCE = 5
 NOTHING = "–"  # noqa: RUF001
 """Stands where there is no number."""
 _DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
-_SIGNS = {"deg": "°", "dB": "", "fraction": ""}
+_SIGNS = {"deg": "°", "%": "%", "dB": "", "fraction": ""}
 
 
 def decimals(unit: str) -> int:
@@ -30,7 +30,7 @@ def decimals(unit: str) -> int:
 
 def sign(unit: str) -> str:
     """What stands behind a number of a unit."""
-    return _SIGNS.get(unit, unit if len(unit) == 1 else f" {unit}")
+    return _SIGNS.get(unit, f" {unit}")
 
 
 def column_foot(metric: Metric, beside: str = "") -> str:
