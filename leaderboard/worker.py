@@ -39,6 +39,7 @@ class Worker:
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
+        self._over = False
 
     def score(self, request: dict[str, str], limit_s: float) -> Row:
         """The row that `leaderboard.case.score_sequence` makes of `request` (its arguments, paths as text).
@@ -80,10 +81,19 @@ class Worker:
                 text=True,
                 start_new_session=True,  # it and the simulator that it starts are ended together, and by us alone
             )
+        if self._over:
+            _kill(self._process)
+            raise RowEnded("scoring was stopped")
         return self._process
 
+    def end(self) -> None:
+        """End the process for good; a thread that waits for its answer sees it ended. Any thread may call this."""
+        self._over = True
+        if (process := self._process) is not None:
+            _kill(process)
+
     def close(self) -> None:
-        """End the process."""
+        """End the process, and give back what it holds here."""
         if self._process is not None:
             _kill(self._process)
             self._process.wait()
