@@ -21,6 +21,7 @@ def score(
     protocol: str = "strict-2",
     out: Path | None = None,
     everything: Annotated[bool, tyro.conf.arg(name="all")] = False,
+    truth: Path | None = None,
     workers: int = 2,
     executor: ExecutorName = "local",
 ) -> int:
@@ -37,6 +38,7 @@ def score(
             parts/).
         out: Write every number as JSON here, too.
         everything: Print every number, not only the ranking ones.
+        truth: Where the truth of a packed data folder lies (`freeart21 pack DATA --truth`).
         workers: Sequences that are scored at a time, each by a process of up to 1.2 GiB; the numbers do not depend on
             it.
         executor: Where they are scored: local (this machine), ray, or slurm, which need --out on a file system that all
@@ -57,7 +59,7 @@ def score(
     from leaderboard.tables import print_scores
 
     if out is not None:
-        check_place(out, SCORES, (data,))
+        check_place(out, SCORES, (data, *([truth] if truth else [])))
     work = None
     if executor != "local":
         if out is None:
@@ -73,7 +75,9 @@ def score(
 
         try:
             rows = None if work is None else work / "jobs"
-            scores = score_results(results, data, protocol, scored, workers=workers, executor=executor, work=rows)
+            scores = score_results(
+                results, data, protocol, scored, workers=workers, executor=executor, work=rows, truth=truth
+            )
         finally:
             if work is not None:
                 shutil.rmtree(work, ignore_errors=True)
@@ -90,6 +94,7 @@ def compare(
     scores: Path | None = None,
     out: Path | None = None,
     by: Literal["type", "category", "sequence"] = "type",
+    truth: Path | None = None,
 ) -> None:
     """Compare methods: mean and spread by joint type, and how sure their differences are, over the same sequences.
 
@@ -103,6 +108,7 @@ def compare(
         scores: Keep the tables of scores of results folders here, and score them again only when something changed.
         out: Write the comparison here, too: .csv, .json (everything), .md, or .tex (booktabs).
         by: What is summed up together: sequences of a joint type, of a category, or each for itself.
+        truth: Where the truth of a packed data folder lies.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -122,7 +128,7 @@ def compare(
         def scored(place: Path, row: Row, of: int) -> None:
             bars.update(tasks[place], description=f"Scored {place.name} {row.sequence}", advance=1, total=of)
 
-        comparison = compare_results(results, data, protocol, scores, scored)
+        comparison = compare_results(results, data, protocol, scores, scored, truth)
     print_comparison(comparison, by)
     if out is not None:
         write_comparison(out, comparison, by)
@@ -350,3 +356,51 @@ def suite(
         f"{out / 'scores'}: every number; `freeart21 compare {out / 'results'}/* --data {data}` sets rows side by side"
     )
     return 1 if outcome.failed or outcome.objections else 0
+
+
+def pack(
+    data: Annotated[Path, Positional],
+    out: Path,
+    public: bool = False,
+    truth: bool = False,
+    keep_names: bool = False,
+    key: Path | None = None,
+) -> None:
+    """Split a data folder: what methods may see, to hand out (--public), or its truth, to score against (--truth).
+
+    The public half holds nothing of the truth: pictures and JSON are written anew from what they show, sequences have
+    names that tell nothing, times are all the same, and benchmark.json has a salted hash of the truth. Score with
+    `freeart21 score RESULTS --data PUBLIC --truth TRUTH`. Names and salt come from a key; both halves need the same.
+    Nothing hides a recording that others can make again: give hidden sets a large seed that nobody knows.
+
+    Args:
+        data: A data folder (with benchmark.json).
+        out: Folder to make, or a ZIP where its name ends in .zip.
+        public: Write what methods may see.
+        truth: Write the truth.
+        keep_names: Leave the names of sequences as they are.
+        key: File with the key, made where there is none; DATA.key beside the data folder when not given.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from freeart21.errors import FreeArtError
+    from freeart21.files.places import check_place
+    from leaderboard.pack import PUBLIC, TRUTH, key_place, pack_public, pack_truth
+
+    if public == truth:
+        raise FreeArtError("pack: say which half, --public or --truth; it takes one of them")
+    key = key or key_place(data)
+    made = not key.exists()
+    check_place(out, None if out.suffix == ".zip" else PUBLIC if public else TRUTH, (data, key))
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task("Packing", total=None)
+
+        def told(done: int, of: int) -> None:
+            bars.update(task, completed=done, total=of)
+
+        (pack_public if public else pack_truth)(data, out, key, keep_names, told)
+    print(out)
+    if made and key.exists():
+        print(f"{key}: the key of both halves; keep it, and hand it to nobody")

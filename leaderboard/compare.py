@@ -15,7 +15,7 @@ import pandas as pd
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import read_benchmark
 from freeart21.joint import JointType
-from leaderboard.categories import category_of
+from leaderboard.categories import UNKNOWN, category_of
 from leaderboard.kept import kept_scores
 from leaderboard.paired import Interval, paired_intervals
 from leaderboard.protocols import DEFAULT, Metric, Protocol, protocol_named
@@ -164,12 +164,13 @@ def compare_results(
     protocol: str | None = None,
     keep: Path | None = None,
     progress: Callable[[Path, Row, int], None] | None = None,
+    truth: Path | None = None,
 ) -> Comparison:
     """The comparison of `results`: results folders, which are scored (`kept_scores`), or tables of `score --out`.
 
     `protocol` None takes that of the tables, or the default when there is none. Raises FreeArtError in one line when
     tables are of another protocol, of another benchmark than `data` or of other truths, or were scored by other code:
-    such numbers are never set side by side.
+    such numbers are never set side by side. `truth` is where a packed data folder's truth lies.
     """
     if not results:
         raise FreeArtError("compare: nothing was named; name results folders, or tables of `freeart21 score --out`")
@@ -178,7 +179,7 @@ def compare_results(
     twice = [place for place, path in zip(places, there, strict=True) if there.count(path) > 1]
     if twice:
         raise FreeArtError(f"{twice[-1]} is named twice; a method is compared with others")
-    benchmark = read_benchmark(data)
+    benchmark = read_benchmark(data, truth)
     tables = {place: read_scores(place) for place in places if place.is_file()}
     name = protocol or next((table.protocol for table in tables.values()), DEFAULT)
     rules = protocol_named(name)
@@ -193,12 +194,13 @@ def compare_results(
         if place in tables:
             return tables[place]
         told = None if progress is None else lambda row, of: progress(place, row, of)
-        return kept_scores(place, data, rules.name, keep, told)
+        return kept_scores(place, data, rules.name, keep, told, truth=truth)
 
     found = [(place, scored(place)) for place in places]
     facts = benchmark_facts(benchmark)
     notes = _checked(found, facts, benchmark.sequences)
-    categories = {name: category_of(benchmark.truth(name)) for name in benchmark.sequences}
+    known = not benchmark.hidden or benchmark.apart is not None  # tables alone can be compared without any truth
+    categories = {name: category_of(benchmark.truth(name)) if known else UNKNOWN for name in benchmark.sequences}
     return Comparison(rules, facts, _entrants(found), categories, notes)
 
 

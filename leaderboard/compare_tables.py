@@ -6,6 +6,7 @@ import html
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from rich import box
 from rich.console import Console
@@ -103,7 +104,7 @@ def _grid(
     sections = []
     for group in groups:
         standings = [comparison.standing(entrant, group) for entrant in comparison.entrants]
-        best = {metric.id: _best(standings, metric) for metric in metrics}
+        best = {metric.id: _best(standings, metric, "median" if cell is _median else "mean") for metric in metrics}
         rows = []
         for k, (entrant, standing) in enumerate(zip(comparison.entrants, standings, strict=True)):
             cells = [Cell(entrant.name), Cell(_measured(comparison, entrant, group, standing, summed))]
@@ -130,13 +131,13 @@ def _measured(comparison: Comparison, entrant: Entrant, group: Group, standing: 
     return NOTHING if row is None else row.status
 
 
-def _best(standings: Sequence[Standing], metric: Metric) -> set[int]:
-    """Which of several methods have the best mean; none when only one has any."""
-    means = {k: s.statistics[metric.id].mean for k, s in enumerate(standings) if metric.id in s.statistics}
-    if len(means) < 2:
+def _best(standings: Sequence[Standing], metric: Metric, by: Literal["mean", "median"]) -> set[int]:
+    """Which of several methods have the best mean (or median); none when only one has any."""
+    found = {k: getattr(s.statistics[metric.id], by) for k, s in enumerate(standings) if metric.id in s.statistics}
+    if len(found) < 2:
         return set()
-    best = max(means.values()) if metric.direction == "up" else min(means.values())
-    return {k for k, mean in means.items() if mean == best}
+    best = max(found.values()) if metric.direction == "up" else min(found.values())
+    return {k for k, value in found.items() if value == best}
 
 
 def _found(standing: Standing, group: Group, metric: Metric) -> tuple[Statistic | None, str, str]:
@@ -154,8 +155,8 @@ def _mean(standing: Standing, group: Group, metric: Metric) -> str:
     found, unit, behind = _found(standing, group, metric)
     if found is None:
         return NOTHING
-    spread = NOTHING if found.std is None else number(found.std, unit)
-    return f"{number(found.mean, unit)} ± {spread}{behind}"
+    spread = "" if found.std is None else f" ± {number(found.std, unit)}"
+    return f"{number(found.mean, unit)}{spread}{behind}"
 
 
 def _median(standing: Standing, group: Group, metric: Metric) -> str:

@@ -61,7 +61,7 @@ def paired_intervals(
         ends: NDArray[np.float64] | None = None
         if n >= fewest(level):
             tail = _tail(n, level)
-            ends = np.quantile(_weights(n, resamples, seed) @ chosen, [tail, 1 - tail], axis=0)
+            ends = np.quantile(_counts(n, resamples, seed) @ chosen / n, [tail, 1 - tail], axis=0)
         for k, column in enumerate(columns):
             low, high = (None, None) if ends is None else (float(ends[0, k]), float(ends[1, k]))
             found[column] = Interval(float(means[k]), low, high, n)
@@ -76,7 +76,7 @@ def _tail(n: int, level: float) -> float:
 
 
 @functools.lru_cache(maxsize=32)
-def _weights(n: int, resamples: int, seed: int) -> NDArray[np.float64]:
-    """(resamples, n) how often each of n sequences is drawn, as shares of 1."""
+def _counts(n: int, resamples: int, seed: int) -> NDArray[np.float64]:
+    """(resamples, n) how often each of n sequences is drawn."""
     rng = np.random.default_rng([seed, n])
-    return rng.multinomial(n, np.full(n, 1 / n), size=resamples) / n
+    return rng.multinomial(n, np.full(n, 1 / n), size=resamples).astype(float)

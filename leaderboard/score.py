@@ -34,6 +34,7 @@ def score_results(
     executor: str = "local",
     work: Path | None = None,
     sequences: Sequence[str] | None = None,
+    truth: Path | None = None,
 ) -> Scores:
     """Score the results folder of one method against the benchmark folder `data`: every sequence of it, found or not.
 
@@ -41,14 +42,15 @@ def score_results(
     own, `workers` at a time, and one that takes more than `limit_s` seconds is priced; None: in this process, without a
     limit. The numbers and the order of the rows do not depend on `workers` and `executor`
     (`freeart21.jobs.EXECUTORS`); another one than 'local' needs a new folder `work` that its machines see. `sequences`
-    chooses some of the benchmark's, and the table says so in a note.
+    chooses some of the benchmark's, and the table says so in a note. `truth` is where the truth of a data folder lies
+    that was packed without (`leaderboard.pack`).
 
     Raises FreeArtError when the protocol or executor is unknown, `results` is not a folder of results, or the benchmark
     is broken; whatever is wrong with one result is priced in its row.
     """
     begun, results = time.perf_counter(), Path(results)
     rules = protocol_named(protocol)
-    benchmark = read_benchmark(data)
+    benchmark = read_benchmark(data, truth)
     check_results_folder(results, benchmark.sequences)
     method, faults = method_of(results)
     chosen = benchmark.chosen(sequences)
@@ -66,8 +68,8 @@ def score_results(
     if limit_s is None:
         rows = []
         for request in requests:
-            result, sequence, truth = (Path(str(request[key])) for key in PLACES)
-            rows.append(score_sequence(result, sequence, truth, rules.name, method.lacks))
+            places = [Path(str(request[key])) for key in PLACES]
+            rows.append(score_sequence(places[0], places[1], places[2], rules.name, method.lacks))
             told(rows[-1])
     elif executor == "local":
         rows = rows_beside(requests, workers, limit_s, told)

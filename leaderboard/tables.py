@@ -31,7 +31,7 @@ def decimals(unit: str) -> int:
 
 def sign(unit: str) -> str:
     """What stands behind a number of a unit."""
-    return _SIGNS.get(unit, unit if len(unit) == 1 else f" {unit}")
+    return _SIGNS.get(unit, f" {unit}")
 
 
 def column_foot(metric: Metric, beside: str = "") -> str:
