@@ -114,7 +114,7 @@ def _curve_order(points, low, extent):
     n = len(points)
     keys, order, other = np.empty(n, np.int64), np.arange(n), np.empty(n, np.int64)
     for i in range(n):
-        key = 0
+        key = np.int64(0)
         for k in range(3):
             bits = np.int64((points[i, k] - low[k]) / extent * 1023)
             bits = (bits | (bits << 16)) & 0x030000FF

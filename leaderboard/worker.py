@@ -21,6 +21,7 @@ from typing import Any
 
 from freeart21 import child
 from freeart21.errors import FreeArtError
+from leaderboard import asset_process
 from leaderboard.rows import Row
 
 ROW_LIMIT_S = 180.0
@@ -79,6 +80,7 @@ class Worker:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 text=True,
+                env={**os.environ, **asset_process.ONE_THREAD},
                 start_new_session=True,  # it and the simulator that it starts are ended together, and by us alone
             )
         if self._over:
