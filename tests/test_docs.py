@@ -272,7 +272,7 @@ def test_modules_exist(document: Path) -> None:
 def test_options_are_those_of_the_command_line() -> None:
     """What is checked above is not vacuous."""
     commands = _commands()
-    assert {"--deep"} == commands["verify"] - {"--help"}
+    assert {"--deep", "--truth"} == commands["verify"] - {"--help"}
     assert "--from" in commands["convert"] and "--layout" not in commands["convert"]
     assert _known("--settings.segmentation", commands["reconstruct"])
     assert not _known("--settings.segmentations", commands["reconstruct"])
