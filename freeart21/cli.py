@@ -166,6 +166,7 @@ def record(
     width: int = 640,
     height: int = 360,
     shader: str = "default",
+    executor: Literal["local", "ray", "slurm"] = "local",
 ) -> int:
     """Record objects in SAPIEN: the video that a method may see, and the truth apart from it.
 
@@ -195,6 +196,7 @@ def record(
         width: Of the pictures, pixels.
         height: Of the pictures, pixels.
         shader: SAPIEN's camera shader: default, or trivial (unlit, fast).
+        executor: Where they record: local (this machine), ray or slurm (--out on a file system that all machines see).
     """
     from generator import v1
     from generator.dataset import is_unfinished, jobs_of, official_names, procedural_jobs, record_jobs
@@ -243,7 +245,9 @@ def record(
     with stopping.explained(
         lambda: f"what is done is kept in {out}: the same command goes on" if is_unfinished(out) else ""
     ):
-        made = record_jobs(out, jobs, workers, label, lambda sequence: print(out / "sequences" / sequence, flush=True))
+        made = record_jobs(
+            out, jobs, workers, label, lambda sequence: print(out / "sequences" / sequence, flush=True), executor
+        )
     if not made:
         print(f"{out} holds {'this sequence' if len(jobs) == 1 else f'these {len(jobs)} sequences'} already")
     return 0
@@ -604,6 +608,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         board.score,
         board.compare,
         board.pack,
+        board.suite,
         measure,
         gap,
     )

@@ -222,3 +222,84 @@ def pack(
     print(out)
     if made and key.exists():
         print(f"{key}: the key of both halves; keep it, and hand it to nobody")
+
+
+def suite(
+    data: Annotated[Path, Positional],
+    out: Path,
+    rows: tuple[str, ...] = (),
+    sequences: tuple[str, ...] = (),
+    protocols: tuple[str, ...] = ("strict-2",),
+    workers: int = 1,
+    executor: ExecutorName = "local",
+    list_rows: Annotated[bool, tyro.conf.arg(name="list")] = False,
+    dry_run: bool = False,
+) -> int:
+    """Run and score reference rows over a data folder: ours, ours without each of its pieces, the paper's segmentation
+    and its ablations, other sensors, the truth, nothing that moves, a dice.
+
+    Says first how long it will take and how much room it needs. May be stopped at any moment: the same command goes on,
+    nothing is done twice. Exit code 1 when a job failed (the others are done, and it is tried again next time), or when
+    the truth does not score perfect, or luck does not score badly.
+
+    Args:
+        data: A data folder (with benchmark.json and its truth).
+        out: Folder of the suite: results/ROW, scores/ROW.PROTOCOL.json, data/SENSOR, jobs.json.
+        rows: Rows or groups of rows (--list names them); all when not given.
+        sequences: Some of the data folder's; all when not given.
+        protocols: By which the rows are scored.
+        workers: Jobs at a time.
+        executor: Where they run: local (this machine), ray (RAY_ADDRESS names a cluster), or slurm (sbatch's variables
+            choose the partition); for these, DATA and --out lie on a file system that all machines see.
+        list_rows: List the rows, and do nothing.
+        dry_run: Say what would be done and what it would cost, and do nothing.
+    """
+    from rich.console import Console
+
+    from freeart21 import stopping
+    from freeart21.jobs.board import job_board, span
+    from freeart21.jobs.executors import executor_named
+    from freeart21.jobs.run import unfinished
+    from leaderboard.suite.rows import chosen_rows
+    from leaderboard.suite.table import print_table
+    from leaderboard.suite.workflow import prepare, print_rows, run_suite
+
+    if list_rows:
+        print_rows(chosen_rows(rows))
+        return 0
+    plan = prepare(data, out, rows, sequences or None, protocols)
+    executor_named(executor, workers, out)
+    kinds: dict[str, list[float]] = {}
+    for job in plan.todo:
+        kinds.setdefault(job.kind, []).append(job.seconds)
+    jobs, done = len(plan.plan.jobs), len(plan.plan.jobs) - len(plan.todo)
+    for row in plan.plan.rows:
+        if row.unbuilt:
+            print(f"{row.name}: not built yet: {row.unbuilt}", file=sys.stderr)
+    built = sum(not row.unbuilt for row in plan.plan.rows)
+    print(
+        f"{built} rows over {len(plan.plan.sequences)} sequences: {jobs} jobs, "
+        f"{done} of them done; the others take about {span(plan.seconds / workers)} and {plan.bytes / 1e9:.2f} GB of "
+        f"{plan.free_bytes / 1e9:.0f} GB free"
+    )
+    for kind, seconds in kinds.items():
+        print(f"  {kind}: {len(seconds)} jobs, about {span(sum(seconds))} of one worker")
+    if dry_run:
+        return 0
+    kept = f"what is done is kept in {out}: the same command goes on"
+    with (
+        stopping.explained(lambda: kept if unfinished(out, plan.plan.jobs) and out.is_dir() else ""),
+        job_board(plan.todo, workers) as listener,
+    ):
+        outcome = run_suite(plan, workers, executor, listener=listener)
+    console = Console()
+    for protocol, tables in outcome.tables.items():
+        print_table(protocol, tables, console)
+    for failed in outcome.failed:
+        print(f"freeart21: {failed.name}: {failed.reason}", file=sys.stderr)
+    for objection in outcome.objections:
+        print(f"freeart21: {objection}", file=sys.stderr)
+    print(
+        f"{out / 'scores'}: every number; `freeart21 compare {out / 'results'}/* --data {data}` sets rows side by side"
+    )
+    return 1 if outcome.failed or outcome.objections else 0

@@ -79,7 +79,7 @@ def ended(name: str, process: subprocess.Popen[str]) -> Ended:
     for pipe in (process.stdin, process.stderr):
         with contextlib.suppress(OSError):
             pipe.close()
-    return Ended(name, code, _last_line(said))
+    return Ended(name, code, last_line(said))
 
 
 def in_a_process(name: str, asked: str) -> tuple[str, int, str]:
@@ -140,7 +140,7 @@ def do(folder: Path, job: Job, digest: str) -> None:
             if not job.resumes:
                 _clear(out)
         began, before = time.monotonic(), _cpu_s()
-        with _aside(out) as place:
+        with _aside(out if "{out}" in json.dumps(job.to_json()) else None) as place:
             words = {"{folder}": str(folder), "{python}": sys.executable, "{out}": str(place)}
             code, line, returned = _run(ledger, job, words)
             if code in job.codes and out is not None and place is not None and place.exists():
@@ -201,9 +201,17 @@ def _command(argv: list[str], folder: Path, out: Any, err: Any) -> int:
     except OSError as error:
         err.write(f"cannot run {argv[0]}: {reason(error)}\n".encode())
         return 127
+    return waited(process)
+
+
+def waited(process: subprocess.Popen[bytes]) -> int:
+    """The exit code of a process that a job has started, when it has ended.
+
+    Told to stop, it was told with us, as it is of our process group: it has PATIENCE_S to clear up.
+    """
     try:
         return process.wait()
-    except KeyboardInterrupt:  # it is of our process group, and was told with us
+    except KeyboardInterrupt:
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(PATIENCE_S)
         process.kill()
@@ -276,10 +284,11 @@ def _cpu_s() -> float:
 def _tail(path: Path) -> str:
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - 20 * _LONGEST_LINE))
-        return _last_line(file.read().decode(errors="replace"))
+        return last_line(file.read().decode(errors="replace"))
 
 
-def _last_line(text: str) -> str:
+def last_line(text: str) -> str:
+    """The last line of `text` that says anything, without what cannot be printed; '' when none does."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     line = "".join(c for c in lines[-1] if c.isprintable()) if lines else ""
     return line if len(line) <= _LONGEST_LINE else f"{line[:_LONGEST_LINE]} ..."
