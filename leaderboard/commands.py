@@ -28,7 +28,7 @@ def score(
     What each number means: docs/protocols.md. Exit code 1 when no sequence could be measured.
 
     Args:
-        results: A method's results (RESULTS/SEQ/prediction.json).
+        results: A method's results (RESULTS/SEQ/prediction.json), or a .zip of them.
         data: The data folder they answer.
         protocol: Named protocol, what each number means: strict-2, or strict-1 (joint from the asset, surfaces from
             parts/).
@@ -39,6 +39,7 @@ def score(
     from rich.progress import Progress
 
     from freeart21.files.places import SCORES, check_place
+    from leaderboard.archive import results_folder
     from leaderboard.rows import Row
     from leaderboard.score import score_results
     from leaderboard.scores_file import write_scores
@@ -47,13 +48,16 @@ def score(
     if out is not None:
         check_place(out, SCORES, (data,))
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+    with (
+        results_folder(results) as folder,
+        Progress(console=console, transient=True, disable=not console.is_terminal) as bars,
+    ):
         task = bars.add_task("Scoring", total=None)
 
         def scored(row: Row, of: int) -> None:
             bars.update(task, description=f"Scored {row.sequence}", advance=1, total=of)
 
-        scores = score_results(results, data, protocol, scored)
+        scores = score_results(folder, data, protocol, scored)
     print_scores(scores, everything=everything)
     if out is not None:
         write_scores(out, scores)
@@ -66,12 +70,14 @@ def validate(results: Annotated[Path, Positional], data: Path) -> int:
     Exit code 1 when there is a fault. Needs the sequences of the data folder, not their truth.
 
     Args:
-        results: A method's results (RESULTS/SEQ/prediction.json).
+        results: A method's results (RESULTS/SEQ/prediction.json), or a .zip of them.
         data: The data folder they answer.
     """
+    from leaderboard.archive import results_folder
     from leaderboard.validate import validate_results
 
-    report = validate_results(results, data)
+    with results_folder(results) as folder:
+        report = validate_results(folder, data)
     for fault in report.faults:
         print(f"{fault}{f'; to mend: {fault.mend}' if fault.mend else ''}")
     for note in report.notes:
