@@ -18,7 +18,8 @@ from freeart21.joint import JointType
 from leaderboard.categories import UNKNOWN, category_of
 from leaderboard.kept import kept_scores
 from leaderboard.paired import Interval, paired_intervals
-from leaderboard.protocols import DEFAULT, Metric, Protocol, protocol_named
+from leaderboard.protocol import Metric, Protocol
+from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Scores, Statistic
 from leaderboard.score import benchmark_facts, statistic
 from leaderboard.scores_file import read_scores

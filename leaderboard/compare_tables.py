@@ -15,7 +15,7 @@ from rich.table import Table
 
 from leaderboard import paired
 from leaderboard.compare import By, Comparison, Difference, Entrant, Group, Standing
-from leaderboard.protocols import Metric
+from leaderboard.protocol import Metric
 from leaderboard.rows import Statistic
 from leaderboard.submission import printable
 from leaderboard.tables import NOTHING, WIDTH, column_foot, column_head, decimals, ranking_metrics, sign

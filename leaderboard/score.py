@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import pandas as pd
 from numpy.typing import ArrayLike
@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import Benchmark, file_sha256, read_benchmark
 from leaderboard.case import score_sequence
-from leaderboard.protocols import DEFAULT, Group, Protocol, protocol_named
+from leaderboard.protocol import Group, Protocol
+from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.provenance import traced
 from leaderboard.rows import Row, Scores, Statistic, Summary, frame
 from leaderboard.rows_apart import PLACES, rows_beside, rows_elsewhere
@@ -53,12 +54,13 @@ def score_results(
     check_results_folder(results, benchmark.sequences)
     method, faults = method_of(results)
     chosen = benchmark.chosen(sequences)
-    requests = [
+    requests: list[dict[str, Any]] = [
         {
             "result": str(results / name),
             "sequence": str(benchmark.sequence(name)),
             "truth": str(benchmark.truth(name)),
             "protocol": rules.name,
+            "lacks": list(method.lacks),
         }
         for name in chosen
     ]
@@ -67,7 +69,7 @@ def score_results(
         rows = []
         for request in requests:
             places = [Path(request[key]) for key in PLACES]
-            rows.append(score_sequence(places[0], places[1], places[2], rules.name))
+            rows.append(score_sequence(places[0], places[1], places[2], rules.name, method.lacks))
             told(rows[-1])
     elif executor == "local":
         rows = rows_beside(requests, workers, limit_s, told)

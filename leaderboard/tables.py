@@ -9,7 +9,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from leaderboard.protocols import Metric, Protocol, protocol_named
+from leaderboard.protocol import Metric, Protocol
+from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row, Scores, Statistic, Summary
 from leaderboard.submission import printable
 
@@ -19,8 +20,8 @@ COLUMNS_AT_ONCE = 5
 """Metrics a table when all are shown."""
 NOTHING = "–"  # noqa: RUF001
 """Stands where there is no number."""
-_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
-_SIGNS = {"deg": "°", "%": "%", "dB": "", "fraction": ""}
+_DIGITS = {"deg": 2, "%": 2, "cm": 2, "m": 4, "1": 3, "dB": 1, "fraction": 3}
+_SIGNS = {"deg": "°", "%": "%", "cm": " cm", "m": " m", "1": "", "dB": "", "fraction": ""}
 
 
 def decimals(unit: str) -> int:
@@ -36,7 +37,7 @@ def sign(unit: str) -> str:
 def column_foot(metric: Metric, beside: str = "") -> str:
     """The foot of a column's head: the unit where all sequences have one, and which way is better."""
     unit = metric.unit("all") or ""
-    shown = "" if unit in ("dB", "fraction") else f"{unit} ({beside})" if beside and unit == "%" else unit
+    shown = "" if unit in ("dB", "fraction", "1") else f"{unit} ({beside})" if beside and unit == "%" else unit
     return f"{shown} {'↑' if metric.direction == 'up' else '↓'}".strip()
 
 
