@@ -121,8 +121,9 @@ def solid_of(mesh: Mesh) -> Solid:
             body = body.convex_hull
         except QhullError:
             return _sheet(mesh)
-        if not body.volume > LEAST_VOLUME:
-            return _sheet(mesh)
+        with np.errstate(invalid="ignore"):  # the centre of no volume is divided by it
+            if not body.volume > LEAST_VOLUME:
+                return _sheet(mesh)
     inertia = 0.5 * (body.moment_inertia + body.moment_inertia.T)
     least = float(np.linalg.eigvalsh(inertia)[0])
     if least <= 0:
