@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import Benchmark, file_sha256, read_benchmark
+from freeart21.reconstruction import Piece
 from leaderboard.case import score_sequence
 from leaderboard.protocol import Group, Protocol
 from leaderboard.protocols import DEFAULT, protocol_named
@@ -75,7 +76,7 @@ def score_results(
         rows = rows_beside(requests, workers, limit_s, told)
     else:
         rows = rows_elsewhere(requests, workers, executor, limit_s, work, told)
-    notes = [str(fault) for fault in faults]
+    notes = [*(str(fault) for fault in faults), *lack_notes(rules, method.lacks)]
     if len(chosen) < len(benchmark.sequences):
         notes.append(f"{len(chosen)} of {len(benchmark.sequences)} sequences were chosen: {', '.join(chosen)}")
     summaries = summarise(rows, rules)
@@ -91,6 +92,15 @@ def benchmark_facts(benchmark: Benchmark) -> dict[str, str]:
         "split": benchmark.split,
         "sha256": file_sha256(benchmark.folder / "benchmark.json"),
     }
+
+
+def lack_notes(rules: Protocol, lacks: tuple[Piece, ...]) -> tuple[str, ...]:
+    """A line that says which numbers there are not, as the method does not make what it `lacks`."""
+    if not lacks:
+        return ()
+    absent = [metric.id for metric in rules.metrics if {*lacks} & {*metric.needs}]
+    said = f"no {', '.join(absent)}" if absent else f"no number of {rules.name} needs it"
+    return (f"the method makes no {', '.join(lacks)}: {said}",)
 
 
 def check_results_folder(results: Path, sequences: tuple[str, ...]) -> None:
