@@ -32,7 +32,7 @@ def score(
     What each number means: docs/protocols.md. Exit code 1 when no sequence could be measured.
 
     Args:
-        results: A method's results (RESULTS/SEQ/prediction.json).
+        results: A method's results (RESULTS/SEQ/prediction.json), or a .zip of them.
         data: The data folder they answer.
         protocol: Named protocol, what each number means: strict-2, or strict-1 (joint from the asset, surfaces from
             parts/).
@@ -53,6 +53,7 @@ def score(
     from freeart21.errors import FreeArtError
     from freeart21.files import atomic
     from freeart21.files.places import SCORES, check_place
+    from leaderboard.archive import results_folder
     from leaderboard.rows import Row
     from leaderboard.score import score_results
     from leaderboard.scores_file import write_scores
@@ -67,7 +68,10 @@ def score(
         out.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.ASIDE))
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+    with (
+        results_folder(results) as folder,
+        Progress(console=console, transient=True, disable=not console.is_terminal) as bars,
+    ):
         task = bars.add_task("Scoring", total=None)
 
         def scored(row: Row, of: int) -> None:
@@ -76,7 +80,7 @@ def score(
         try:
             rows = None if work is None else work / "jobs"
             scores = score_results(
-                results, data, protocol, scored, workers=workers, executor=executor, work=rows, truth=truth
+                folder, data, protocol, scored, workers=workers, executor=executor, work=rows, truth=truth
             )
         finally:
             if work is not None:
@@ -102,7 +106,7 @@ def compare(
     protocols, benchmarks or versions of the scoring code are refused, never set side by side.
 
     Args:
-        results: Results folders, which are scored, or tables of `score --out`.
+        results: Results folders (or .zip of them), which are scored, or tables of `score --out`.
         data: The data folder that they answer.
         protocol: Named protocol; that of the tables, or strict-2, when not given.
         scores: Keep the tables of scores of results folders here, and score them again only when something changed.
@@ -111,7 +115,7 @@ def compare(
         truth: Where the truth of a packed data folder lies.
     """
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import Progress, TaskID
 
     from freeart21.files.places import check_place
     from leaderboard.compare import compare_results
@@ -123,9 +127,11 @@ def compare(
         check_place(out, kind_of(out), (data, *results))
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
-        tasks = {place: bars.add_task(f"Scoring {place.name}", total=None) for place in results if place.is_dir()}
+        tasks: dict[Path, TaskID] = {}
 
         def scored(place: Path, row: Row, of: int) -> None:
+            if place not in tasks:
+                tasks[place] = bars.add_task("", total=of)
             bars.update(tasks[place], description=f"Scored {place.name} {row.sequence}", advance=1, total=of)
 
         comparison = compare_results(results, data, protocol, scores, scored, truth)
@@ -140,12 +146,14 @@ def validate(results: Annotated[Path, Positional], data: Path) -> int:
     Exit code 1 when there is a fault. Needs the sequences of the data folder, not their truth.
 
     Args:
-        results: A method's results (RESULTS/SEQ/prediction.json).
+        results: A method's results (RESULTS/SEQ/prediction.json), or a .zip of them.
         data: The data folder they answer.
     """
+    from leaderboard.archive import results_folder
     from leaderboard.validate import validate_results
 
-    report = validate_results(results, data)
+    with results_folder(results) as folder:
+        report = validate_results(folder, data)
     for fault in report.faults:
         print(f"{fault}{f'; to mend: {fault.mend}' if fault.mend else ''}")
     for note in report.notes:

@@ -1,8 +1,8 @@
 """A data folder in two: what methods may see, to be handed out, and its truth, to score against elsewhere.
 
 The public half is a function of what a video shows: pictures are decoded and encoded anew, JSON is read and written
-anew, sequences get names that tell nothing, all times are one. Names and the salt of the truth's hash come from a key that
-stays with the makers, so both halves can be made at any time, in any order, with the same bytes.
+anew, sequences get names that tell nothing, all times are one. Names and the salt of the truth's hash come from a key
+that stays with the makers, so both halves can be made at any time, in any order, with the same bytes.
 """
 
 from __future__ import annotations

@@ -6,13 +6,14 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import pandas as pd
 from numpy.typing import ArrayLike
 
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import Benchmark, file_sha256, read_benchmark
+from freeart21.reconstruction import Piece
 from leaderboard.case import score_sequence
 from leaderboard.protocol import Group, Protocol
 from leaderboard.protocols import DEFAULT, protocol_named
@@ -54,7 +55,7 @@ def score_results(
     check_results_folder(results, benchmark.sequences)
     method, faults = method_of(results)
     chosen = benchmark.chosen(sequences)
-    requests = [
+    requests: list[dict[str, Any]] = [
         {
             "result": str(results / name),
             "sequence": str(benchmark.sequence(name)),
@@ -68,19 +69,18 @@ def score_results(
     if limit_s is None:
         rows = []
         for request in requests:
-            places = [Path(str(request[key])) for key in PLACES]
+            places = [Path(request[key]) for key in PLACES]
             rows.append(score_sequence(places[0], places[1], places[2], rules.name, method.lacks))
             told(rows[-1])
     elif executor == "local":
         rows = rows_beside(requests, workers, limit_s, told)
     else:
         rows = rows_elsewhere(requests, workers, executor, limit_s, work, told)
-    notes = [str(fault) for fault in faults]
+    notes = [*(str(fault) for fault in faults), *lack_notes(rules, method.lacks)]
     if len(chosen) < len(benchmark.sequences):
         notes.append(f"{len(chosen)} of {len(benchmark.sequences)} sequences were chosen: {', '.join(chosen)}")
-    scores = Scores(
-        rules.name, method, benchmark_facts(benchmark), tuple(rows), summarise(rows, rules), notes=tuple(notes)
-    )
+    summaries = summarise(rows, rules)
+    scores = Scores(rules.name, method, benchmark_facts(benchmark), tuple(rows), summaries, notes=tuple(notes))
     return replace(traced(scores, results, benchmark), seconds=time.perf_counter() - begun)
 
 
@@ -92,6 +92,15 @@ def benchmark_facts(benchmark: Benchmark) -> dict[str, str]:
         "split": benchmark.split,
         "sha256": file_sha256(benchmark.folder / "benchmark.json"),
     }
+
+
+def lack_notes(rules: Protocol, lacks: tuple[Piece, ...]) -> tuple[str, ...]:
+    """A line that says which numbers there are not, as the method does not make what it `lacks`."""
+    if not lacks:
+        return ()
+    absent = [metric.id for metric in rules.metrics if {*lacks} & {*metric.needs}]
+    said = f"no {', '.join(absent)}" if absent else f"no number of {rules.name} needs it"
+    return (f"the method makes no {', '.join(lacks)}: {said}",)
 
 
 def check_results_folder(results: Path, sequences: tuple[str, ...]) -> None:

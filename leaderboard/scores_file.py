@@ -14,7 +14,8 @@ from freeart21.files import atomic, checked
 from freeart21.files.places import SCORES, require_replaceable
 from freeart21.files.result import Method, lacks_of
 from freeart21.joint import JointType
-from leaderboard.protocols import Metric, Protocol, protocol_named
+from leaderboard.protocol import Metric, Protocol
+from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row, Scores, Source, Status, Summary
 from leaderboard.submission import LONGEST_TEXT, plain, printable, shortened
 

@@ -21,7 +21,7 @@ COLUMNS_AT_ONCE = 5
 NOTHING = "–"  # noqa: RUF001
 """Stands where there is no number."""
 _DIGITS = {"deg": 2, "%": 2, "cm": 2, "m": 4, "100 m²": 4, "1": 3, "dB": 1, "fraction": 3}
-_SIGNS = {"deg": "°", "%": "%", "100 m²": "", "1": "", "dB": "", "fraction": ""}
+_SIGNS = {"deg": "°", "%": "%", "cm": " cm", "m": " m", "100 m²": "", "1": "", "dB": "", "fraction": ""}
 
 
 def decimals(unit: str) -> int:
@@ -37,7 +37,7 @@ def sign(unit: str) -> str:
 def column_foot(metric: Metric, beside: str = "") -> str:
     """The foot of a column's head: the unit where all sequences have one, and which way is better."""
     unit = metric.unit("all") or ""
-    shown = "" if unit in ("dB", "fraction") else f"{unit} ({beside})" if beside and unit == "%" else unit
+    shown = "" if unit in ("dB", "fraction", "1") else f"{unit} ({beside})" if beside and unit == "%" else unit
     return f"{shown} {'↑' if metric.direction == 'up' else '↓'}".strip()
 
 
@@ -70,11 +70,6 @@ def print_scores(scores: Scores, console: Console | None = None, everything: boo
             console.print(f"  {escape(f'{row.sequence}: {line}')}", style=style, soft_wrap=True)
     took = "" if scores.seconds is None else f", in {scores.seconds:.0f} s"
     console.print(f"  {scores.measured} of {len(scores.rows)} sequences were measured{took}", style="dim")
-    if scores.method.lacks:
-        lacks = ", ".join(scores.method.lacks)
-        console.print(
-            f"  {NOTHING}: numbers that need what {escape(scores.method.name)} does not make: {lacks}", style="dim"
-        )
     if any(row.measured_from == "files" for row in scores.rows):
         console.print("  'files': there is no asset; joint and surfaces are read from the files.", style="dim")
 

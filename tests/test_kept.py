@@ -67,6 +67,16 @@ def test_scoring_twice_gives_the_same_bytes_and_reading_gives_the_same_table(dat
     assert (tmp_path / "three").read_bytes() == (tmp_path / "one").read_bytes()
 
 
+def test_a_table_is_the_same_wherever_the_results_lie(data, results, tmp_path):
+    """An asset that cannot be read is named from the results folder on."""
+    (results / "a" / "asset").mkdir()
+    (results / "a" / "asset" / "asset.json").write_text("{")
+    shutil.copytree(results, tmp_path / "elsewhere" / "mine")
+    one, two = (score_results(place, data) for place in (results, tmp_path / "elsewhere" / "mine"))
+    assert replace(one, seconds=None) == replace(two, seconds=None)
+    assert "a/asset/asset.json" in one.rows[0].reason and str(tmp_path) not in one.rows[0].reason
+
+
 def test_every_row_says_of_which_bytes_it_is(data, results):
     scores = score_results(results, data)
     rows = {row.sequence: row for row in scores.rows}

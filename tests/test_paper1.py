@@ -164,7 +164,7 @@ def test_a_part_out_of_place_costs_nothing_after_registration_where_strict_2_see
     answer = moving_part_off_by(truth, 0.02)
     assert scored(truth, answer)["cd_m"] == pytest.approx(truth_scored("revolute")["cd_m"], rel=0.1)
     assert scored(truth, answer)["cd_w"] > 1.3 * truth_scored("revolute")["cd_w"]
-    assert strict(truth, answer)["chamfer_m"] > 100 * 0.01 / truth.diagonal
+    assert strict(truth, answer)["chamfer_m"] > 100 * 0.009 / truth.diagonal
     far = moving_part_off_by(truth, 0.3)  # further than three voxels: nothing is matched, and it stays where it is
     assert scored(truth, far)["cd_m"] == pytest.approx(100 * 2 * 0.3**2, rel=0.15)
 
