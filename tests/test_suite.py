@@ -266,7 +266,7 @@ def test_a_forecast_beyond_the_disk_is_refused_before_anything_is_written(data, 
 
 def test_rates_have_a_source_and_follow_what_is_measured():
     rates = read_rates(MEASURED)
-    kinds = {"record", "reconstruct", "reconstruct-paper", "export", "reference", "score"}
+    kinds = {"record", "record-trivial", "reconstruct", "reconstruct-paper", "export", "reference", "score"}
     assert set(rates) == kinds and all(rate.source for rate in rates.values())
     now = measured_rates(rates, [("score", 6.0, 10), ("score", 2.0, 10)], "here")
     assert now["score"].seconds_per_frame == 0.4 and now["score"].source == "here: 2 jobs"
