@@ -167,7 +167,13 @@ def _hinge_axis(motion: Array) -> Array:
     turns = se3.log_so3(few[i] @ np.swapaxes(few[j], -1, -2))
     lengths = np.linalg.norm(turns, axis=1)
     turns = turns[lengths > 0.3 * np.quantile(lengths, 0.9)]
-    return np.asarray(np.linalg.eigh(turns.T @ turns)[1][:, 2])
+    turns = turns / np.linalg.norm(turns, axis=1, keepdims=True)
+    weights = np.ones(len(turns))
+    for _ in range(10):  # pairs with a lost frame turn about anything: they count less the farther they point away
+        axis = np.asarray(np.linalg.eigh((turns * weights[:, None]).T @ turns)[1][:, 2])
+        off = np.linalg.norm(np.cross(turns, axis), axis=1)
+        weights = 1 / (1 + (off / max(float(np.median(off)), 1e-9)) ** 2)
+    return axis
 
 
 def _hinge_pivot(moved: Array, axis: Array, middle: Array, size: float) -> Array:
