@@ -104,6 +104,16 @@ def test_official_names_have_no_underscore(tmp_path, src):
     assert import_results("freeartgs", src, named, tmp_path / "r").sequences == ("cat_1_joint_0",)
 
 
+def test_itacos_own_folders(tmp_path, src):
+    data = write_data(tmp_path / "data")
+    named = "Microwave-7265-joint_0-view_0"
+    (data / "sequences" / "a").rename(data / "sequences" / named)
+    benchmark = json.loads((data / "benchmark.json").read_text())
+    write_json(data / "benchmark.json", benchmark | {"sequences": [named]})
+    itaco(src / "Microwave" / "7265" / "joint_0_bg" / "view_0" / "refinement" / "monst3r" / "chamfer" / "0")
+    assert import_results("itaco", src, data, tmp_path / "r").sequences == (named,)
+
+
 def test_a_map_says_which_is_which_with_options_of_its_own(data, tmp_path, src, official):
     for folder, name in (("7128", "a"), ("45135", "b")):
         paris(src / folder, name)
@@ -276,7 +286,17 @@ BROKEN = {
     "foundationpose": ["reference/ob_in_cam/0000.txt", "moving/mesh.obj"],
     "screwsplat": ["screws.npy", "theta.npy", "point_cloud_static.npy", "screw_confs.npy"],
 }
-JUNK = (b"", b"\x00\xff\xfe junk", b"[[[[", b"null", b"[]", b"{}", b"nan nan\nnan nan", b"\x93NUMPY\x01\x00junk")
+JUNK = (
+    b"",
+    b"\x00\xff\xfe junk",
+    b"[[[[",
+    b"null",
+    b"[]",
+    b"{}",
+    b"nan nan\nnan nan",
+    b"[" * 100_000,
+    b"\x93NUMPY\x01\x00junk",
+)
 
 
 @pytest.mark.parametrize("layout, file", [(layout, file) for layout, files in BROKEN.items() for file in files])
