@@ -140,8 +140,8 @@ class Case:
 
     def _renders(self, folder: Path, pictures: str) -> tuple[list[Render], tuple[str, ...]]:
         """The picture of every query in the subfolder `pictures`, None where there is none, and what is wrong with
-        them; none is looked for where the method makes none."""
-        if "renders" in self.lacks:
+        them; none is looked for where the method makes none, or the protocol has no use for them."""
+        if "renders" in self.lacks or not any("renders" in metric.needs for metric in self.rules.metrics):
             return [None] * len(self.recording.queries), ()
         camera = self.recording.camera
         renders: list[Render] = []

@@ -22,7 +22,7 @@ LEAST_VOXEL = 1e-3
 REACH = 3.0
 """Voxels within which points may be matched."""
 STILL = 1e-6
-"""A level ends when neither the matched share nor the root mean square (metres) changes by more."""
+"""A level ends when neither the matched share nor the root mean square (metres) changes by more, or they come again."""
 NEIGHBOURS = 30
 """Points, within four voxels, that a normal is fitted to."""
 
@@ -54,6 +54,7 @@ def thinned(points: Array, voxel: float) -> Array:
 def _level(source: Array, target: Array, normals: Array | None, T: Array, reach: float, steps: int) -> Array:
     """One level: match, move, until still; to the planes of `normals` (m, 3) where they are given."""
     tree, before = cKDTree(target), (np.inf, np.inf)
+    known: set[tuple[int, float]] = set()  # near the end the matches may go in circles: it is still then, too
     for _ in range(steps):
         here = se3.transform(T, source)
         distances, nearest = tree.query(here, distance_upper_bound=reach)
@@ -63,6 +64,9 @@ def _level(source: Array, target: Array, normals: Array | None, T: Array, reach:
         now = float(matched.mean()), float(np.sqrt(np.mean(distances[matched] ** 2)))
         if abs(now[0] - before[0]) < STILL and abs(now[1] - before[1]) < STILL:
             return T
+        if (state := (int(matched.sum()), round(now[1], 9))) in known:
+            return T
+        known.add(state)
         before = now
         a, b = here[matched], target[nearest[matched]]
         step = _to_points(a, b) if normals is None else _to_planes(a, b, normals[nearest[matched]])
@@ -80,7 +84,7 @@ def _to_points(a: Array, b: Array) -> Array:
 def _to_planes(a: Array, b: Array, normals: Array) -> Array:
     """The small motion (4, 4) that lays `a` (n, 3) on the planes through `b` (n, 3) across `normals` (n, 3)."""
     A = np.concatenate([np.cross(a, normals), normals], axis=1)
-    turn_shift, *_ = np.linalg.lstsq(A, np.sum((b - a) * normals, axis=1), rcond=1e-9)
+    turn_shift, *_ = np.linalg.lstsq(A.T @ A, A.T @ np.sum((b - a) * normals, axis=1), rcond=1e-12)
     return se3.pose(se3.exp_so3(turn_shift[:3]), turn_shift[3:])
 
 

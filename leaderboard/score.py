@@ -14,6 +14,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import file_sha256, read_benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
+from freeart21.reconstruction import Piece
 from leaderboard.case import Case, score_sequence
 from leaderboard.protocol import Group, Protocol
 from leaderboard.protocols import DEFAULT, protocol_named
@@ -66,7 +67,17 @@ def score_results(
         "sha256": file_sha256(benchmark.folder / "benchmark.json"),
     }
     summaries, seconds = summarise(rows, rules), time.perf_counter() - begun
-    return Scores(rules.name, method, facts, tuple(rows), summaries, seconds, tuple(str(fault) for fault in faults))
+    notes = (*(str(fault) for fault in faults), *lack_notes(rules, method.lacks))
+    return Scores(rules.name, method, facts, tuple(rows), summaries, seconds, notes)
+
+
+def lack_notes(rules: Protocol, lacks: tuple[Piece, ...]) -> tuple[str, ...]:
+    """A line that says which numbers there are not, as the method does not make what it `lacks`."""
+    if not lacks:
+        return ()
+    absent = [metric.id for metric in rules.metrics if {*lacks} & {*metric.needs}]
+    said = f"no {', '.join(absent)}" if absent else f"no number of {rules.name} needs it"
+    return (f"the method makes no {', '.join(lacks)}: {said}",)
 
 
 def check_results_folder(results: Path, sequences: tuple[str, ...]) -> None:

@@ -18,8 +18,8 @@ WIDTH = 100
 """Columns of characters that the table of ranking numbers fits."""
 COLUMNS_AT_ONCE = 5
 """Metrics a table when all are shown."""
-_DIGITS = {"deg": 2, "%": 2, "cm": 2, "m": 4, "1": 3, "dB": 1, "fraction": 3}
-_SIGNS = {"deg": "°", "%": "%", "cm": " cm", "m": " m", "1": "", "dB": "", "fraction": ""}
+_DIGITS = {"deg": 2, "%": 2, "cm": 2, "m": 4, "100 m²": 4, "1": 3, "dB": 1, "fraction": 3}
+_SIGNS = {"deg": "°", "%": "%", "cm": " cm", "m": " m", "100 m²": "", "1": "", "dB": "", "fraction": ""}
 
 
 def print_scores(scores: Scores, console: Console | None = None, everything: bool = False) -> None:

@@ -113,19 +113,32 @@ def bounded(joint: Joint) -> bool:
 def solid_of(mesh: Mesh) -> Solid:
     """`mesh` as a body of uniform density: its inside where it is closed, else that of its convex hull.
 
-    Raises FreeArtError when it is flat, and has no inside.
+    A flat mesh, for which theirs has no body, is a sheet of uniform mass.
     """
     body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
     if not (body.is_watertight and body.volume > LEAST_VOLUME):
         try:
             body = body.convex_hull
-        except QhullError as error:
-            raise FreeArtError("the truth's moving part is flat: arena-1 needs a body with an inside") from error
+        except QhullError:
+            return _sheet(mesh)
+        with np.errstate(invalid="ignore"):  # the centre of no volume is divided by it
+            if not body.volume > LEAST_VOLUME:
+                return _sheet(mesh)
     inertia = 0.5 * (body.moment_inertia + body.moment_inertia.T)
     least = float(np.linalg.eigvalsh(inertia)[0])
     if least <= 0:
         inertia = inertia + (1e-9 - least) * np.eye(3)
     return Solid(float(body.mass), np.array(body.center_mass, float), inertia)
+
+
+def _sheet(mesh: Mesh) -> Solid:
+    """The triangles of `mesh` as a thin sheet of mass 1 a square metre."""
+    corners, areas = mesh.vertices[mesh.faces], mesh.areas()
+    centre = np.average(corners.mean(1), axis=0, weights=areas)
+    from_centre = corners - centre
+    sums = from_centre.sum(1)  # a triangle's second moment is A/12 (sum of v v' + sum v sum v')
+    moment = np.einsum("f,fki,fkj->ij", areas, from_centre, from_centre) + np.einsum("f,fi,fj->ij", areas, sums, sums)
+    return Solid(float(areas.sum()), centre, (np.trace(moment) * np.eye(3) - moment) / 12)
 
 
 def ends(joint: Joint, solid: Solid, kappa: float | None = None) -> tuple[Array, Array]:
@@ -217,10 +230,10 @@ ARENA_1 = Protocol(
     "place and limits, blind to the axis's sign and to where the pivot lies along it. Parts are matched and poses "
     "aligned as by strict-2; positions are counted from the truth's state zero, the prediction's offset taken off as "
     "strict-2's `state` does. The joint is measured from the asset, reloaded and driven in SAPIEN, with its own "
-    "limits; without an asset, read from the files and marked so. A failure or a missing sequence costs what their tree "
-    "distance charges for a joint that is not found: its distance to a joint that does not move. That is no cap: a "
-    "joint that moves the part elsewhere may be further from the truth than none. Means and sample standard deviations "
-    "(ddof 1) are over all sequences of a joint type.",
+    "limits; without an asset, read from the files and marked so. A failure or a missing sequence costs what their "
+    "tree distance charges for a joint that is not found: its distance to a joint that does not move. That is no cap: "
+    "a joint that moves the part elsewhere may be further from the truth than none. Means and sample standard "
+    "deviations (ddof 1) are over all sequences of a joint type.",
     (
         Metric(
             "joint_type",

@@ -108,8 +108,8 @@ def _surface_values(truth: Truth, matched: Matched, c: Itaco1) -> dict[str, floa
 def _surface(id: str, name: str, what: str) -> Metric:
     return Metric(
         id,
-        "cm",
-        "cm",
+        "100 m²",
+        "100 m²",
         "down",
         100.0,
         (
@@ -117,7 +117,7 @@ def _surface(id: str, name: str, what: str) -> Metric:
             "prediction to the nearest of 10,000 of the truth (all faces of the mesh), plus that of the truth's to the "
             "prediction's, in the first frame, nothing registered"
         ),
-        label=f'{name} ("cm" as printed: 100 m^2)',
+        label=f'{name} (printed as "cm")',
         column=name,
         needs=("meshes",),
     )

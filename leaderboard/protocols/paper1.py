@@ -161,8 +161,8 @@ def picture_value(truth: Truth, renders: Sequence[Render]) -> float | None:
 def _surface(id: str, name: str, what: str) -> Metric:
     return Metric(
         id,
-        "cm",
-        "cm",
+        "100 m²",
+        "100 m²",
         "down",
         100.0,
         (
@@ -171,7 +171,7 @@ def _surface(id: str, name: str, what: str) -> Metric:
             "of the truth's to the prediction's, in the first frame, after this surface alone was registered to its "
             "truth"
         ),
-        label=f'{name} ("cm" as printed: 100 m^2)',
+        label=f'{name} (printed as "cm")',
         column=name,
         needs=("meshes",),
     )
