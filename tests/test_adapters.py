@@ -166,10 +166,11 @@ def test_itaco(data, tmp_path, name):
     assert lacks(tmp_path / "r") == ("renders",)
 
 
+@pytest.mark.parametrize("layout", ["itaco", "freeartgs"])
 @pytest.mark.parametrize("name", ["a", "b"])
-def test_itaco_by_its_own_protocol(data, tmp_path, src, name):
-    itaco(src / name, name)
-    import_results("itaco", src, data, tmp_path / "r")
+def test_itacos_own_protocol_which_removes_no_offset_of_the_states(data, tmp_path, src, name, layout):
+    {"itaco": itaco, "freeartgs": freeartgs}[layout](src / name, name)
+    import_results(layout, src, data, tmp_path / "r")
     where = tmp_path / "r" / name, data / "sequences" / name, data / "truth" / name
     values = score_sequence(*where, "itaco-1", lacks(tmp_path / "r")).values
     assert values["joint_type"] == 1 and values["miou"] == 1

@@ -89,6 +89,29 @@ def test_missing_sequences_are_priced_and_lacking_numbers_are_not(data, tmp_path
     assert rows["c"].values["axis"] == 90 and rows["c"].values["state"] is None and rows["c"].values["miou"] is None
 
 
+def test_a_row_says_what_the_import_did(data, tmp_path, src, monkeypatch):
+    few_samples(monkeypatch)
+    rsrd(src / "a")
+    import_results("rsrd", src, data, tmp_path / "r")
+    assert any(
+        note.startswith("import: the joint is not the method's: it was fitted") for note in notes_of(data, tmp_path)
+    )
+    path = tmp_path / "r" / "a" / "prediction.json"
+    answer = json.loads(path.read_text())
+    for notes in (["\x1b[31m" + 5000 * "x", 7, None, {}], "text", {"a": 1}, ["y"] * 1000):
+        write_json(path, answer | {"settings": {"import": {"notes": notes}}})
+        said = [note for note in notes_of(data, tmp_path) if note.startswith("import: ")]
+        assert len(said) <= 8 and all(note.isprintable() and len(note) < 400 for note in said)
+    for settings in ([], {"import": 3}, "text"):
+        write_json(path, answer | {"settings": settings})
+        assert not any(note.startswith("import: ") for note in notes_of(data, tmp_path))
+
+
+def notes_of(data, folder):
+    (row,) = (row for row in score_results(folder / "r", data, "itaco-1").rows if row.sequence == "a")
+    return row.notes
+
+
 # Which folder is which sequence
 
 

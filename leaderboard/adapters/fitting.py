@@ -38,7 +38,7 @@ class Fit:
     joint: Joint
     """In the reference part's frame."""
     states: Array
-    """(n,) rad or m; they rise from the first frame to the last on the whole."""
+    """(n,) rad or m from the first frame's; they rise from there to the last on the whole."""
     T_reference_moving: Array
     """(4, 4) where the moving part's own frame stands at state zero."""
     residual: float
@@ -76,6 +76,8 @@ def fit_joint(name: str, motion: Array, centre: Array, size: float) -> Fit:
     states = _states(best.kind, axis, pivot, home, motion, points)
     if np.polyfit(np.arange(len(states)), states, 1)[0] < 0:
         axis, states = -axis, -states
+    zero = Joint(name, best.kind, axis, pivot, -np.inf, np.inf).transform(states[0])
+    home, states = zero @ home, states - states[0]
     joint = Joint(name, best.kind, axis, pivot, float(states.min()), float(states.max()))
     return Fit(joint, states, home, best.residual, min(others, default=np.inf))
 
