@@ -4,7 +4,7 @@
 
 Read in NVlabs/BundleSDF@cf0610e3636bc42535c996f129161f44beeadc56: BundleTrack/src/Bundler.cpp (saveNewframeResult: the
 pose of the object in the camera, ten digits), bundlesdf.py (textured_mesh.obj is put back into the object's frame, in
-metres; mesh_cleaned.obj beside it is still in the field's normalised space, and is not read), offscreen_renderer.py (the
+metres; mesh_cleaned.obj beside it is still in normalised space, and is not read), offscreen_renderer.py (the
 camera is OpenCV's), run_custom.py (names are those of the pictures).
 """
 
