@@ -13,6 +13,7 @@ from freeart21.files.truth import read_truth
 from freeart21.reconstruction import Failure, Piece, Reconstruction
 from freeart21.recording import Recording
 from freeart21.truth import Truth
+from leaderboard.adapters.notes import import_notes
 from leaderboard.asset_joint import measured_asset, measured_joint
 from leaderboard.protocol import Protocol, Render, Shape
 from leaderboard.protocols import DEFAULT, protocol_named
@@ -52,7 +53,7 @@ def score_sequence(
         except FreeArtError as error:
             return case.priced("failed", f"asset: {error}", answer.seconds)
         source, notes = "asset", (*notes, *found)
-    return case.measured(answer, folder, source, shape, notes)
+    return case.measured(answer, folder, source, shape, (*notes, *import_notes(folder)))
 
 
 def with_asset(

@@ -18,6 +18,7 @@ from score_case import score_one
 from freeart21.files.result import read_method, read_result
 from freeart21.reconstruction import Failure
 from leaderboard.adapters.importer import import_results
+from leaderboard.case import score_sequence
 
 CLOUD = 1.0
 """% of the diagonal: what a cloud of a few thousand points leaves of Chamfer distance on the made-up object."""
@@ -106,6 +107,12 @@ def test_freeartgs_written_otherwise_scores_badly(data, tmp_path, wrong, id, lea
     assert imported(data, src, tmp_path / "r", "freeartgs").values[id] > least
 
 
+def test_freeartgs_without_named_frames_has_one_a_frame_of_the_video(data, tmp_path, src):
+    freeartgs(src / "a")
+    (src / "a" / "evaluation_data" / "revolute" / "camera_poses.json").unlink()
+    assert_perfect(imported(data, src, tmp_path / "r", "freeartgs"))
+
+
 def test_freeartgs_with_cameras_of_opengl_scores_badly(data, tmp_path, src):
     freeartgs(src / "a")
     row = imported(data, src, tmp_path / "r", "freeartgs", axes="opengl")
@@ -157,6 +164,18 @@ def test_itaco(data, tmp_path, name):
     row = score_one(data, tmp_path / "r" / name, name)
     assert_perfect(row, position=name == "a")
     assert lacks(tmp_path / "r") == ("renders",)
+
+
+@pytest.mark.parametrize("layout", ["itaco", "freeartgs"])
+@pytest.mark.parametrize("name", ["a", "b"])
+def test_itacos_own_protocol_which_removes_no_offset_of_the_states(data, tmp_path, src, name, layout):
+    {"itaco": itaco, "freeartgs": freeartgs}[layout](src / name, name)
+    import_results(layout, src, data, tmp_path / "r")
+    where = tmp_path / "r" / name, data / "sequences" / name, data / "truth" / name
+    values = score_sequence(*where, "itaco-1", lacks(tmp_path / "r")).values
+    assert values["joint_type"] == 1 and values["miou"] == 1
+    for id in ("axis", "state", "camera_rotation", "camera_position", *(("position",) if name == "a" else ())):
+        assert values[id] < 1e-6, id
 
 
 def test_itaco_turns_the_seen_part_back_to_the_surface(data, tmp_path, src):

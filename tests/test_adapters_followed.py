@@ -173,6 +173,13 @@ def test_bundlesdf_with_the_camera_in_the_object_scores_badly(data, tmp_path, sr
     assert imported(data, src, tmp_path / "r", "bundlesdf").values["pose_rotation"] > 5
 
 
+def test_bundlesdfs_normalised_mesh_is_not_read(data, tmp_path, src):
+    runs_of(src / "a", obj="mesh_cleaned.obj")
+    row = imported(data, src, tmp_path / "r", "bundlesdf")
+    assert lacks(tmp_path / "r") == ("masks", "meshes", "renders")
+    assert row.values["chamfer_w"] is None and row.values["axis"] < 0.01 and row.values["state"] < 0.01
+
+
 def test_foundationpose_with_time_stamps_for_names(data, tmp_path, src):
     stamps = [str(1581120424100262102 + 33333333 * i) for i in range(16)]
     runs_of(src / "a", names=stamps, obj="mesh.obj", savetxt=True)

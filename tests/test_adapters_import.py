@@ -89,6 +89,29 @@ def test_missing_sequences_are_priced_and_lacking_numbers_are_not(data, tmp_path
     assert rows["c"].values["axis"] == 90 and rows["c"].values["state"] is None and rows["c"].values["miou"] is None
 
 
+def test_a_row_says_what_the_import_did(data, tmp_path, src, monkeypatch):
+    few_samples(monkeypatch)
+    rsrd(src / "a")
+    import_results("rsrd", src, data, tmp_path / "r")
+    assert any(
+        note.startswith("import: the joint is not the method's: it was fitted") for note in notes_of(data, tmp_path)
+    )
+    path = tmp_path / "r" / "a" / "prediction.json"
+    answer = json.loads(path.read_text())
+    for notes in (["\x1b[31m" + 5000 * "x", 7, None, {}], "text", {"a": 1}, ["y"] * 1000):
+        write_json(path, answer | {"settings": {"import": {"notes": notes}}})
+        said = [note for note in notes_of(data, tmp_path) if note.startswith("import: ")]
+        assert len(said) <= 8 and all(note.isprintable() and len(note) < 400 for note in said)
+    for settings in ([], {"import": 3}, "text"):
+        write_json(path, answer | {"settings": settings})
+        assert not any(note.startswith("import: ") for note in notes_of(data, tmp_path))
+
+
+def notes_of(data, folder):
+    (row,) = (row for row in score_results(folder / "r", data, "itaco-1").rows if row.sequence == "a")
+    return row.notes
+
+
 # Which folder is which sequence
 
 
@@ -102,6 +125,16 @@ def test_official_names_have_no_underscore(tmp_path, src):
     write_json(named / "benchmark.json", benchmark | {"sequences": ["cat_1_joint_0"]})
     freeartgs(src / "cat-1-joint-0")
     assert import_results("freeartgs", src, named, tmp_path / "r").sequences == ("cat_1_joint_0",)
+
+
+def test_itacos_own_folders(tmp_path, src):
+    data = write_data(tmp_path / "data")
+    named = "Microwave-7265-joint_0-view_0"
+    (data / "sequences" / "a").rename(data / "sequences" / named)
+    benchmark = json.loads((data / "benchmark.json").read_text())
+    write_json(data / "benchmark.json", benchmark | {"sequences": [named]})
+    itaco(src / "Microwave" / "7265" / "joint_0_bg" / "view_0" / "refinement" / "monst3r" / "chamfer" / "0")
+    assert import_results("itaco", src, data, tmp_path / "r").sequences == (named,)
 
 
 def test_a_map_says_which_is_which_with_options_of_its_own(data, tmp_path, src, official):
@@ -276,7 +309,17 @@ BROKEN = {
     "foundationpose": ["reference/ob_in_cam/0000.txt", "moving/mesh.obj"],
     "screwsplat": ["screws.npy", "theta.npy", "point_cloud_static.npy", "screw_confs.npy"],
 }
-JUNK = (b"", b"\x00\xff\xfe junk", b"[[[[", b"null", b"[]", b"{}", b"nan nan\nnan nan", b"\x93NUMPY\x01\x00junk")
+JUNK = (
+    b"",
+    b"\x00\xff\xfe junk",
+    b"[[[[",
+    b"null",
+    b"[]",
+    b"{}",
+    b"nan nan\nnan nan",
+    b"[" * 100_000,
+    b"\x93NUMPY\x01\x00junk",
+)
 
 
 @pytest.mark.parametrize("layout, file", [(layout, file) for layout, files in BROKEN.items() for file in files])

@@ -58,7 +58,7 @@ def found(
 ) -> Found:
     """The hypothesis `kind` in the folder `home`.
 
-    State i of the moving part is `first` + `sign` * joint_value[i] from the state in which the clouds stand. `cameras`
+    State i of the moving part is `sign` * joint_value[i], and the clouds stand at the state -`first`. `cameras`
     (N, 4, 4) stand for camera_poses.npy; `names` are the file names of the N frames that are answered, all of the
     video's, in order, when not given.
     """
@@ -75,7 +75,7 @@ def found(
         raise FreeArtError(f"{folder} has {len(values)} joint values for {len(stems)} named frames")
     at, _ = frame_numbers(stems, n, str(folder))
     metres = scale if kind == "prismatic" else 1.0
-    states = spread_states((first + sign * values) * metres, at, n)
+    states = spread_states(sign * values * metres, at, n)
     axis = unit(read_vector(folder / "joint_axis.npy"), str(folder / "joint_axis.npy"))
     pivot = read_vector(folder / "joint_pos.npy") * scale
     joint = Joint("joint", kind, axis, pivot, -np.inf, np.inf)
@@ -85,6 +85,8 @@ def found(
     if path.is_file():
         masks = part_masks(checked.read_npz(path, ("a",))["a"], at, request, str(path))
     meshes, said = _meshes(folder, home, scale)
+    if meshes is not None and first:
+        meshes = meshes[0], meshes[1].moved(joint.transform(first * metres))
     notes += (*said, "poses of the moving part are those of its joint and states, as the layout has no others")
     return Found(joint, states, (reference, reference @ joint.transform(states)), 0, None, masks, meshes, seen, notes)
 

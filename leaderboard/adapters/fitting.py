@@ -38,7 +38,7 @@ class Fit:
     joint: Joint
     """In the reference part's frame."""
     states: Array
-    """(n,) rad or m; they rise from the first frame to the last on the whole."""
+    """(n,) rad or m from the first frame's; they rise from there to the last on the whole."""
     T_reference_moving: Array
     """(4, 4) where the moving part's own frame stands at state zero."""
     residual: float
@@ -76,6 +76,8 @@ def fit_joint(name: str, motion: Array, centre: Array, size: float) -> Fit:
     states = _states(best.kind, axis, pivot, home, motion, points)
     if np.polyfit(np.arange(len(states)), states, 1)[0] < 0:
         axis, states = -axis, -states
+    zero = Joint(name, best.kind, axis, pivot, -np.inf, np.inf).transform(states[0])
+    home, states = zero @ home, states - states[0]
     joint = Joint(name, best.kind, axis, pivot, float(states.min()), float(states.max()))
     return Fit(joint, states, home, best.residual, min(others, default=np.inf))
 
@@ -167,7 +169,13 @@ def _hinge_axis(motion: Array) -> Array:
     turns = se3.log_so3(few[i] @ np.swapaxes(few[j], -1, -2))
     lengths = np.linalg.norm(turns, axis=1)
     turns = turns[lengths > 0.3 * np.quantile(lengths, 0.9)]
-    return np.asarray(np.linalg.eigh(turns.T @ turns)[1][:, 2])
+    turns = turns / np.linalg.norm(turns, axis=1, keepdims=True)
+    weights = np.ones(len(turns))
+    for _ in range(10):  # pairs with a lost frame turn about anything: they count less the farther they point away
+        axis = np.asarray(np.linalg.eigh((turns * weights[:, None]).T @ turns)[1][:, 2])
+        off = np.linalg.norm(np.cross(turns, axis), axis=1)
+        weights = 1 / (1 + (off / max(float(np.median(off)), 1e-9)) ** 2)
+    return axis
 
 
 def _hinge_pivot(moved: Array, axis: Array, middle: Array, size: float) -> Array:

@@ -61,7 +61,7 @@ def found_of(
     if all(part.mesh is not None for part in parts):
         meshes = _whole(base, sides[0]), _whole(moving, sides[1]).moved(fit.T_reference_moving)
     seen, more = answered(at, frames)
-    said = f"{FITTED} ({fit.joint.type}, {1000 * fit.residual:.2g} mm off in the middle frame; other type "
+    said = f"{FITTED} ({fit.joint.type}, {1000 * fit.residual:.2g} mm off in the median frame; the other type "
     said += f"{1000 * fit.other_residual:.2g} mm)" if np.isfinite(fit.other_residual) else "not looked for)"
     states = spread_states(fit.states, at, frames)
     return Found(fit.joint, states, (reference, carried), 0, None, None, meshes, seen, (said, *more, *notes))

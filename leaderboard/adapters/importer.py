@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import freeart21
+from freeart21 import child
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import Benchmark, read_benchmark
@@ -104,6 +105,9 @@ def _write(
             except FreeArtError as error:
                 faults.append(f"{sequence}: {error}")
                 continue
+            except Exception as error:  # hostile bytes reach parsers of many libraries; each has exceptions of its own
+                faults.append(f"{sequence}: {place} cannot be read ({type(error).__name__}: {child.one_line(error)})")
+                continue
             notes[sequence] = () if isinstance(found, Failure) else found.notes
             own = {"layout": rules.name, "notes": list(notes[sequence])}
             write_result(aside / sequence, answer, {"import": own})
@@ -178,7 +182,8 @@ def _places(
         return {sequence: home}, own
     places = {}
     for name in benchmark.sequences:
-        for folder in dict.fromkeys((source / name, source / name.replace("_", "-"))):
+        for below in dict.fromkeys((name, name.replace("_", "-"), *rules.folders(name))):
+            folder = source / below
             home = _home(rules, folder) if folder.is_dir() else None
             if home is not None:
                 places[name] = home

@@ -1,4 +1,4 @@
-"""iTACO (Video2Articulation): the folder of refined joints, `<results>/{revolute,prismatic}`; see `evaluation_data`.
+"""iTACO (Video2Articulation): the folder of refined joints, `refinement/monst3r/chamfer/<seed>`; see `evaluation_data`.
 
 Read in 3dlg-hcvc/video2articulation@74903b413f3ef3b7f64df166aac4adcd3ac8ebe5: joint_refinement.py (files; a point seen
 in frame i is carried to the scanned surface by the camera, then turned by the right-hand rule by joint_value[i]: from
@@ -15,6 +15,7 @@ in our sequences that `freeart21 convert` makes of their data.
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,15 @@ from leaderboard.adapters.toolbox import Found, Layout, Request, read_vector, un
 
 NO_LOSS = 100.0
 NEAR_M = 0.15
+
+
+_SEQUENCE = re.compile(r"([A-Za-z]+)-([0-9]+)-(joint_[0-9]+)-(view_[A-Za-z0-9]+)")
+
+
+def _folders(sequence: str) -> tuple[str, ...]:
+    """As their data set has it, of a sequence that `freeart21 convert` made of it."""
+    match = _SEQUENCE.fullmatch(sequence)
+    return (f"{match[1]}/{match[2]}/{match[3]}_bg/{match[4]}",) if match else ()
 
 
 def _fits(folder: Path) -> bool:
@@ -71,6 +81,7 @@ LAYOUT = Layout(
     "3dlg-hcvc/video2articulation@74903b413f3ef3b7f64df166aac4adcd3ac8ebe5:joint_refinement.py, extract_mesh.py",
     _fits,
     _read,
-    inside=("chamfer/*", "*"),
+    inside=("refinement/*/*/*", "chamfer/*", "*"),
     axes="opengl",
+    folders=_folders,
 )

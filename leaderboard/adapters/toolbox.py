@@ -198,6 +198,8 @@ class Layout:
     """Axes of its cameras by its own evaluator; None when it has none."""
     joint_choice: bool = False
     """Whether it may hold several joints."""
+    folders: Callable[[str], tuple[str, ...]] = lambda sequence: ()
+    """Where below the source the project itself would put the results of a sequence of that name."""
 
 
 def reconstruction(found: Found, recording: Recording) -> Reconstruction:
