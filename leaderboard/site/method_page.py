@@ -81,7 +81,7 @@ def _means(scores: Scores, rules: Protocol) -> str:
                 cells.append(f'<td class="number" data-value=""><span>{NONE}</span></td>')
                 continue
             any_value = True
-            std = "" if found.std is None else f"<small>± {number(found.std, unit)}</small>"
+            std = "" if found.std is None else f" <small>± {number(found.std, unit)}</small>"
             rest = f"<small>median {number(found.median, unit)}, worst {number(found.worst, unit)}</small>"
             cells.append(f'<td class="number" data-value="{found.mean!r}"><span>{number(found.mean, unit, True)}</span>{std}{rest}</td>')
         if any_value:

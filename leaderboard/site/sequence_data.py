@@ -289,15 +289,16 @@ def _arrangements(data: dict[str, Any], count: int) -> list[dict[str, Any]]:
     right = np.cross(up, front / np.linalg.norm(front))
     columns = min(count, 2 if count in (2, 4) else 3)
     rows = -(-count // columns)
-    across, down = 1.8 * data["radius"], 1.9 * data["radius"]
+    room = 0.75 * data["radius"]  # which reaches as far as the part ever does
+    across, down = 1.8 * room, 1.9 * room
     shifts = []
     for k in range(count):
         column, row = k % columns, k // columns
         place = across * (column - (columns - 1) / 2) * right - down * (row - (rows - 1) / 2) * up
         shifts.append(_round(place))
-    need = data["radius"] * max(0.95 * (rows - 1) + 0.9, (0.9 * (columns - 1) + 0.9) / 1.6)  # the view is 16 by 9
+    need = room * max(0.95 * (rows - 1) + 0.9, (0.9 * (columns - 1) + 0.9) / 1.6)  # the view is 16 by 9
     beside = {"name": "Side by side", "shifts": shifts, "radius": _round(need)[0]}
-    over = {"name": "Overlaid", "shifts": [[0.0, 0.0, 0.0]] * count, "radius": data["radius"], "ghost": True}
+    over = {"name": "Overlaid", "shifts": [[0.0, 0.0, 0.0]] * count, "radius": _round(1.1 * room)[0], "ghost": True}
     return [beside, over] if count > 1 else []
 
 
