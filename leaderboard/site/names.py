@@ -21,7 +21,7 @@ def file_names(names: Iterable[str]) -> list[str]:
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_.-]+", "-", name)[:LONGEST].strip("-.")
         digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()
-        safe = plain == name and plain.split(".")[0].casefold() not in _RESERVED and plain.casefold() not in taken
+        safe = bool(plain) and plain == name and plain.split(".")[0].casefold() not in _RESERVED and plain.casefold() not in taken
         for length in range(8, len(digest) + 1, 8):
             choice = plain if safe else f"{plain or 'name'}-{digest[:length]}"
             if choice.casefold() not in taken:
