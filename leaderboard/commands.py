@@ -112,8 +112,8 @@ def site(
 ) -> None:
     """Write a static site: the ranking, a page a method and a sequence, failures, definitions, downloads.
 
-    One folder that opens from disk or from any host and fetches nothing from elsewhere. Methods are scored first, unless
-    their tables are kept in the folder of --scores. An older site at the place is replaced, nothing else.
+    One folder that opens from disk or from any host and fetches nothing from elsewhere. Methods are scored first,
+    unless their tables are kept in the folder of --scores. An older site at the place is replaced, nothing else.
 
     Args:
         results: Folders of results, one a method (RESULTS/SEQ/prediction.json).

@@ -14,7 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-CHROMIUM = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), "")
+CHROMIUM = next(
+    (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), ""
+)
 PATIENCE_S = 60.0
 
 
@@ -68,7 +70,9 @@ class Browser:
 
     def open(self, page: Path | str, width: int = 1280, height: int = 900, dark: bool = False) -> None:
         """Show a page and wait until its scripts are done."""
-        self.ask("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
+        self.ask(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
+        )
         scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.ask("Emulation.setEmulatedMedia", features=scheme)
         self.ask("Page.navigate", url=page.resolve().as_uri() if isinstance(page, Path) else page)
@@ -105,11 +109,12 @@ def browser() -> Iterator[Browser]:
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as home:
         process = subprocess.Popen(
             [
-                CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--hide-scrollbars",
-                "--no-first-run", "--disable-extensions", "--remote-debugging-pipe", f"--user-data-dir={home}", "about:blank",
+                CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
+                "--hide-scrollbars", "--no-first-run", "--disable-extensions", "--remote-debugging-pipe",
+                f"--user-data-dir={home}", "about:blank",
             ],
             close_fds=False,
-            preexec_fn=place,  # noqa: PLW1509
+            preexec_fn=place,
             pass_fds=(),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -1,4 +1,4 @@
-"""The leaderboard as a static site: whole, self-contained, small, the same every time, and safe from what methods say."""
+"""The leaderboard as a static site: whole, self-contained, small, the same every time, safe from what methods say."""
 
 import html.parser
 import json
@@ -86,7 +86,16 @@ def scores_of(folder: Path, data: Path) -> Scores:
     if method.lacks:
         rows = [replace(row, values={**row.values, **dict.fromkeys(lacking)}, values_cm={}) for row in rows]
     facts = {"name": "made-up", "version": "1", "split": "test", "sha256": "0" * 64}
-    return Scores("strict-2", method, facts, tuple(rows), summarise(rows, STRICT_2), None, (), {"commit": "abc", "machine": {"system": "x"}})
+    return Scores(
+        "strict-2",
+        method,
+        facts,
+        tuple(rows),
+        summarise(rows, STRICT_2),
+        None,
+        (),
+        {"commit": "abc", "machine": {"system": "x"}},
+    )
 
 
 @pytest.fixture(scope="module")
@@ -192,7 +201,9 @@ def test_nothing_runs_but_the_sites_own_files(site):
 def test_words_of_methods_are_words(site):
     for page in pages(site):
         text = page.read_text("utf-8")
-        assert "<script>alert" not in text and "<script>document" not in text and "<img src=https" not in text, page.name
+        assert "<script>alert" not in text and "<script>document" not in text and "<img src=https" not in text, (
+            page.name
+        )
     assert "alert(&quot;x&quot;)" in (site / "index.html").read_text("utf-8")
     for script in (site / "data").glob("*.js"):
         assert re.fullmatch(r'var FreeArtPacked="[A-Za-z0-9+/=]*";\n', script.read_text())
@@ -250,7 +261,14 @@ def test_reasons_stand_where_what_is_missing_would_be(site):
 
 def test_every_number_is_traced(site):
     method = (site / "methods" / "good.html").read_text("utf-8")
-    for fact in ("https://example.org/good 1.0", "one machine", "&quot;threshold&quot;: 0.5", "commit", "abc", "0" * 64):
+    for fact in (
+        "https://example.org/good 1.0",
+        "one machine",
+        "&quot;threshold&quot;: 0.5",
+        "commit",
+        "abc",
+        "0" * 64,
+    ):
         assert fact in method
     assert "freeart21 site &#x27;&lt;script&gt;" in (site / "downloads.html").read_text("utf-8")
 
@@ -275,7 +293,10 @@ def test_two_methods_of_one_name_are_told_apart(world, kept):
     good = kept[world[1][0]]
     board = entrants([(Path("x/one"), {"strict-2": good}), (Path("x/two"), {"strict-2": good})])
     assert [entrant.name for entrant in board] == ["good (one)", "good (two)"]
-    assert len({(e.colour, e.shape, e.dash) for e in entrants([(Path(str(k)), {"strict-2": good}) for k in range(40)])}) == 40
+    assert (
+        len({(e.colour, e.shape, e.dash) for e in entrants([(Path(str(k)), {"strict-2": good}) for k in range(40)])})
+        == 40
+    )
 
 
 def test_whole_numbers_survive_packing():
@@ -334,7 +355,15 @@ def test_an_answer_is_shown_where_scoring_puts_it(world, kind):
 
 
 needs_chromium = pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")
-KINDS = ("index.html", "sequences/a.html", "sequences/b.html", "methods/good.html", "failures.html", "definitions.html", "downloads.html")
+KINDS = (
+    "index.html",
+    "sequences/a.html",
+    "sequences/b.html",
+    "methods/good.html",
+    "failures.html",
+    "definitions.html",
+    "downloads.html",
+)
 
 
 @pytest.fixture(scope="module")
@@ -364,7 +393,9 @@ def test_the_ranking_is_sorted_by_keys_and_filtered(chrome, site):
     first = chrome.run(names)
     assert first[0] == "good" and first[2] == "part"
     assert chrome.run(cells) == written.texts  # the scripts count as the page was written
-    chrome.run("[...document.querySelectorAll('.ranking thead button')].find((b) => b.textContent === 'method').focus()")
+    chrome.run(
+        "[...document.querySelectorAll('.ranking thead button')].find((b) => b.textContent === 'method').focus()"
+    )
     chrome.press("Enter")
     assert chrome.run(names) == sorted(first, key=str.lower)
     chrome.press(" ")
@@ -388,7 +419,7 @@ def test_a_sequence_plays_and_every_source_can_be_shown(chrome, site):
     chrome.run("document.querySelector('.stage canvas').focus()")
     chrome.press("ArrowRight")
     assert "frame 1 " in chrome.run("document.querySelector('.readout').textContent")
-    assert chrome.run("(() => { const { width, height } = document.querySelector('.stage canvas'); return width > 100 && height > 50; })()")
+    assert chrome.run("(({ width, height }) => width > 100 && height > 50)(document.querySelector('.stage canvas'))")
     assert chrome.run("document.querySelectorAll('.view canvas').length") == 1
     assert chrome.run("document.querySelectorAll('.states path').length") >= 3
     assert not chrome.errors

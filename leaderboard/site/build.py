@@ -46,7 +46,7 @@ def write_site(
     """Write the site of some methods' results on one data folder to the folder `out`; returns its front page.
 
     Tables are read from the folder `keep` where they are of these very files, else scored and kept there. An older site
-    at `out` is replaced, anything else is refused before any work. Raises FreeArtError when the protocol is unknown, two
+    at `out` is replaced, anything else is refused before any work. Raises FreeArtError when a protocol is unknown, two
     results are one folder, or the benchmark is broken; what is wrong with one result stands on its page.
     """
     results = [Path(folder) for folder in results]
@@ -64,7 +64,13 @@ def write_site(
         shown = _sequences(aside, benchmark, board, protocols, files, progress)
         _pages(aside, site, board, protocols, shown, files, command)
         written = sorted(path.relative_to(aside).as_posix() for path in aside.rglob("*") if path.is_file())
-        marker = {"schema": SCHEMA, "title": site, "benchmark": benchmark.name, "protocols": protocols, "files": written}
+        marker = {
+            "schema": SCHEMA,
+            "title": site,
+            "benchmark": benchmark.name,
+            "protocols": protocols,
+            "files": written,
+        }
         atomic.write_json(aside / SITE.marker, marker)
     return Path(out) / "index.html"
 

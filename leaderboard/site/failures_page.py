@@ -41,11 +41,14 @@ def failures_page(
     for metric in rules.metrics:
         if metric.beside is None and metric.column and (worst := _worst(metric, measured)):
             cards = [
-                _card(e, row, files, number(row.values[metric.id], metric.unit(row.joint_type), True), "") for e, row in worst
+                _card(e, row, files, number(row.values[metric.id], metric.unit(row.joint_type), True), "")
+                for e, row in worst
             ]
-            sections.append(_cards(f"Worst by {metric.label}", cards, escape(explained(metric)), "", rules.name, metric.id))
+            sections.append(
+                _cards(f"Worst by {metric.label}", cards, escape(explained(metric)), "", rules.name, metric.id)
+            )
     sections.append(_remarks(measured, files))
-    lead = f"<p>The worst rows of every method by {escape(protocol)}, failures first. What a number hides, its page shows.</p>"
+    lead = f"<p>The worst rows by {escape(protocol)}, failures first. What a number hides, its page shows.</p>"
     return page("Failures first", "".join(sections), site, here="failures.html", lead=lead)
 
 
@@ -83,8 +86,9 @@ def _card(entrant: Entrant, row: Row, files: dict[str, str], head: str, text: st
     file = files[row.sequence]
     words = f"<p>{escape(text)}</p>" if text else ""
     return (
-        f'<li class="card"><a href="sequences/{file}.html" tabindex="-1" aria-hidden="true"><img src="thumbs/{file}.jpg" alt="" '
-        f'width="176" height="99" loading="lazy"></a><div><b>{escape(head)}</b><a href="sequences/{file}.html">'
+        f'<li class="card"><a href="sequences/{file}.html" tabindex="-1" aria-hidden="true">'
+        f'<img src="thumbs/{file}.jpg" alt="" width="176" height="99" loading="lazy"></a>'
+        f'<div><b>{escape(head)}</b><a href="sequences/{file}.html">'
         f"{escape(row.sequence)}</a>{method_link(entrant, False)}{words}</div></li>"
     )
 

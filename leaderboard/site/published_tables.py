@@ -12,7 +12,7 @@ from leaderboard.site.html import NONE, section
 def published_rows() -> Sequence[Any]:
     """The rows of `leaderboard.published`, none when this version has no such tables."""
     try:
-        from leaderboard.published import PUBLISHED
+        from leaderboard.published import PUBLISHED  # type: ignore[import-not-found,unused-ignore]
     except ImportError:
         return ()
     return tuple(PUBLISHED)
@@ -42,8 +42,8 @@ def published_section() -> str:
     origins = "; ".join(dict.fromkeys(escape(str(row.source)) for row in rows))
     return section(
         "As published",
-        '<p class="note">Other objects, other videos, protocol as named: copied from the publication, not measured here, '
-        f"and not to be ranked with the tables above. Source: {origins}.</p>{''.join(tables)}",
+        '<p class="note">Other objects, other videos, protocol as named: copied from the publication, not measured '
+        f"here, and not to be ranked with the tables above. Source: {origins}.</p>{''.join(tables)}",
         id="published",
     )
 
