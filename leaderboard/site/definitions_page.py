@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from freeart21.view.document import escape
 from leaderboard.protocols import Protocol, protocol_named
-from leaderboard.site.html import number, page, section, unit_text
+from leaderboard.site.html import page, price_text, section, sentence, unit_text
 
 PRICE = (
     "A price is what a row costs that cannot be measured: a declared failure, a missing or unreadable result, an asset "
@@ -44,18 +44,12 @@ def _protocol(rules: Protocol) -> str:
             if metric.revolute_unit is None
             else ""
         )
-        unit = metric.revolute_unit or metric.prismatic_unit
-        price = "the range of motion" if metric.price is None else number(metric.price, unit, True)
         beside = f" Stands beside {metric.beside} and does not rank." if metric.beside else ""
         better = "larger is better" if metric.direction == "up" else "smaller is better"
         entries.append(
             f'<div id="{escape(rules.name)}.{escape(metric.id)}"><dt>{escape(metric.label or metric.id)} '
             f"<code>{escape(metric.id)}</code></dt>"
-            f"<dd><p>{escape(_sentence(metric.definition))}{escape(beside)}</p>"
-            f'<p class="note">In {escape(told)}{only}; {better}; a failure costs {escape(price)}.</p></dd></div>'
+            f"<dd><p>{escape(sentence(metric.definition))}{escape(beside)}</p>"
+            f'<p class="note">In {escape(told)}{only}; {better}; a failure costs {escape(price_text(metric))}.</p></dd></div>'
         )
     return section(rules.name, f'{paragraphs}<dl class="definitions">{"".join(entries)}</dl>', id=rules.name)
-
-
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:].rstrip('.')}."

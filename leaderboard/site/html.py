@@ -27,8 +27,8 @@ PLACES = (
 )
 TRUTH_PATH = "M1.2 8.6l2.2-2.2l3.1 3.1l6.2-6.4l2.2 2.2l-8.4 8.6z"
 """A tick: the truth's mark."""
-_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
-_SIGNS = {"deg": "°", "%": " %", "dB": " dB", "cm": " cm"}
+_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3, "m": 4, "rad": 3, "1": 3}
+_SIGNS = {"deg": "°", "%": " %", "dB": " dB", "cm": " cm", "m": " m", "rad": " rad", "100 m²": " × 100 m²"}
 NONE = "\N{EN DASH}"
 
 
@@ -156,7 +156,7 @@ def number(value: float | None, unit: str | None, signed: bool = False) -> str:
 
 def unit_text(unit: str | None) -> str:
     """A unit as a heading shows it: empty for fractions."""
-    return {"deg": "°", "fraction": ""}.get(unit or "", unit or "")
+    return {"deg": "°", "fraction": "", "1": ""}.get(unit or "", unit or "")
 
 
 def columns(rules: Protocol) -> list[tuple[Metric, Group]]:
@@ -174,13 +174,23 @@ def columns(rules: Protocol) -> list[tuple[Metric, Group]]:
 
 def explained(metric: Metric) -> str:
     """What a number means, in a sentence or two, unescaped."""
-    better = "larger" if metric.direction == "up" else "smaller"
-    price = (
-        "the range of motion"
-        if metric.price is None
-        else number(metric.price, metric.unit("revolute") or metric.unit("prismatic"), True)
-    )
-    return f"{metric.definition}. {better.capitalize()} is better; a failure costs {price}."
+    better = "Larger" if metric.direction == "up" else "Smaller"
+    return f"{sentence(metric.definition)} {better} is better; a failure costs {price_text(metric)}."
+
+
+def sentence(text: str) -> str:
+    """`text` with a capital at its beginning and one full stop at its end."""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
+def price_text(metric: Metric) -> str:
+    """What a failure costs, in words: a number with its unit, two where the joint types differ, or where it comes from."""
+    told = getattr(metric, "price_text", metric.price)
+    if isinstance(told, str):
+        return told
+    if told is None:
+        return "the range of motion"
+    return number(told, metric.revolute_unit or metric.prismatic_unit, True)
 
 
 def facts(rows: Sequence[tuple[str, str]]) -> str:

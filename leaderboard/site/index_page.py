@@ -57,8 +57,8 @@ def index_page(
     frames = sum(s.facts["frames"] for s in shown)
     lead = (
         f"<p>{len(entrants)} method{'s' * (len(entrants) != 1)} on {len(shown)} videos of articulated objects "
-        "that move freely before a camera: find the two parts, the joint, its state in every frame, and an asset to simulate. "
-        "Failures are priced, never dropped.</p>"
+        "that move freely before a camera: find the two parts, the joint, its state in every frame, and an asset "
+        "to simulate. Failures are priced, never dropped.</p>"
     )
     lead += facts(
         [
@@ -93,9 +93,9 @@ def _board(protocol: str, entrants: Sequence[Entrant], shown: Sequence[Shown], f
     ranking = table("ranking", "ranking", first + head, body)
     intro = (
         '<p class="note">Mean ± standard deviation over all sequences, failures at their price. Ordered by mean '
-        "rank: a method's place by each column, averaged over all columns; only methods with every number have one. No single "
-        f'number decides: sort by the one that you care for. <a href="definitions.html#{protocol}">What each number '
-        "means</a>.</p>"
+        "rank: a method's place by each column, averaged over all columns; only methods with every number have "
+        "one. No single number decides: sort by the one that you care for. "
+        f'<a href="definitions.html#{protocol}">What each number means</a>.</p>'
     )
     explain = (
         f'<p class="explain" id="explain-{protocol}" aria-live="polite">Point at, focus or tap a column to read what '
