@@ -10,7 +10,7 @@ from urllib.parse import unquote, urldefrag
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser
-from score_case import submit, truths, write_data
+from score_case import few_samples, submit, truths, write_data
 from synthetic_case import noisy_answer, static_answer, truth_as_answer, with_names_exchanged
 
 from freeart21.errors import FreeArtError
@@ -19,7 +19,7 @@ from freeart21.files.result import Method, write_method, write_result
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure
 from leaderboard.case import score_sequence
-from leaderboard.protocols import STRICT_2
+from leaderboard.protocols import protocol_named
 from leaderboard.rows import Scores
 from leaderboard.score import summarise
 from leaderboard.site import build
@@ -28,8 +28,11 @@ from leaderboard.site.entrant import entrants
 from leaderboard.site.index_page import ranked
 from leaderboard.site.names import file_names
 from leaderboard.site.packed import Packed, read_script, read_varints, varints
+from leaderboard.submission import method_of
 
+BOARD = "#protocol-strict-2"
 HOSTILE = '<script>alert("x")</script> & <img src=https://evil.example/x onerror=alert(1)>'
+PROTOCOLS_SHOWN = ("strict-2", "strict-1")
 REASON = "</script><script>document.title = 'owned'</script> ' \" --"
 
 
@@ -58,44 +61,26 @@ def world(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def kept(world):
-    """Scores of few samples, made once: what they are is other tests' affair."""
-    import functools
-
-    from leaderboard import strict2
-    from leaderboard.strict1 import Strict1
-
-    data, results = world
+    """Scores of few samples by two protocols, made once: what they are is other tests' affair."""
     patch = pytest.MonkeyPatch()
-    from leaderboard.protocols import PROTOCOLS
-
-    few = functools.partial(strict2.measure, constants=Strict1(samples=200))
-    patch.setitem(PROTOCOLS, "strict-2", replace(STRICT_2, measure=few))
-    tables = {}
-    for folder in results:
-        tables[folder] = scores_of(folder, data)
+    few_samples(patch)
+    data, results = world
+    made = {(folder, protocol): scores_of(folder, data, protocol) for folder in results for protocol in PROTOCOLS_SHOWN}
     patch.undo()
-    return tables
+    return made
 
 
-def scores_of(folder: Path, data: Path) -> Scores:
-    from leaderboard.submission import method_of
-
+def scores_of(folder: Path, data: Path, protocol: str) -> Scores:
+    """The table of one method; numbers that it lacks are left out, as scoring leaves them out."""
     method, _ = method_of(folder)
-    rows = [score_sequence(folder / n, data / "sequences" / n, data / "truth" / n) for n in "abc"]
-    lacking = ("miou", "psnr", "ssim", *(m.id for m in STRICT_2.metrics if "chamfer" in m.id or "fscore" in m.id))
+    rows = [score_sequence(folder / n, data / "sequences" / n, data / "truth" / n, protocol) for n in "abc"]
+    rules = protocol_named(protocol)
+    lacking = {m.id for m in rules.metrics if m.id.startswith(("miou", "psnr", "ssim", "chamfer", "fscore"))}
     if method.lacks:
         rows = [replace(row, values={**row.values, **dict.fromkeys(lacking)}, values_cm={}) for row in rows]
     facts = {"name": "made-up", "version": "1", "split": "test", "sha256": "0" * 64}
-    return Scores(
-        "strict-2",
-        method,
-        facts,
-        tuple(rows),
-        summarise(rows, STRICT_2),
-        None,
-        (),
-        {"commit": "abc", "machine": {"system": "x"}},
-    )
+    made = {"commit": "abc", "machine": {"system": "x"}}
+    return Scores(protocol, method, facts, tuple(rows), summarise(rows, rules), None, (), made)
 
 
 @pytest.fixture(scope="module")
@@ -108,9 +93,10 @@ def site(world, kept, tmp_path_factory):
 def write(world, kept, out, **options):
     data, results = world
     patch = pytest.MonkeyPatch()
-    patch.setattr(build, "kept_scores", lambda folder, *_: kept[folder])
+    patch.setattr(build, "kept_scores", lambda folder, data, protocol, *_: kept[folder, protocol])
     try:
-        return build.write_site(results, data, out, command=["freeart21", "site", HOSTILE], **options)
+        options = {"protocols": PROTOCOLS_SHOWN, "command": ["freeart21", "site", HOSTILE], **options}
+        return build.write_site(results, data, out, **options)
     finally:
         patch.undo()
 
@@ -218,7 +204,7 @@ def test_the_same_results_give_the_same_bytes(world, kept, site, tmp_path):
 
 def test_it_is_small(site):
     sizes = {p: p.stat().st_size for p in site.rglob("*") if p.is_file()}
-    assert sum(size for path, size in sizes.items() if path.parent.name != "video") < 400_000
+    assert sum(size for path, size in sizes.items() if path.parent.name != "video") < 600_000
     assert max(size for path, size in sizes.items() if path.parent.name == "data") < 60_000
 
 
@@ -274,7 +260,7 @@ def test_every_number_is_traced(site):
 
 
 def test_a_method_without_some_numbers_has_no_place_by_mean_rank(world, kept):
-    board = entrants([(folder, {"strict-2": kept[folder]}) for folder in world[1]])
+    board = entrants([(folder, {"strict-2": kept[folder, "strict-2"]}) for folder in world[1]])
     places = ranked("strict-2", board)
     assert [place.entrant.name for place in places] == ["good", HOSTILE, "part"]
     assert places[0].rank < places[1].rank and places[2].rank is None
@@ -290,7 +276,7 @@ def test_names_are_safe_as_names_of_files():
 
 
 def test_two_methods_of_one_name_are_told_apart(world, kept):
-    good = kept[world[1][0]]
+    good = kept[world[1][0], "strict-2"]
     board = entrants([(Path("x/one"), {"strict-2": good}), (Path("x/two"), {"strict-2": good})])
     assert [entrant.name for entrant in board] == ["good (one)", "good (two)"]
     assert (
@@ -386,28 +372,44 @@ def test_no_page_has_an_error_or_reaches_beyond_the_screen(chrome, site):
 @needs_chromium
 def test_the_ranking_is_sorted_by_keys_and_filtered(chrome, site):
     chrome.open(site / "index.html")
-    names = "[...document.querySelectorAll('table.ranking tbody tr')].map((row) => row.querySelector('th').textContent)"
-    cells = "[...document.querySelectorAll('table.ranking tbody td')].map((cell) => cell.textContent)"
+    names = (
+        f"[...document.querySelectorAll('{BOARD} .ranking tbody tr')].map((row) => row.querySelector('th').textContent)"
+    )
+    cells = f"[...document.querySelectorAll('{BOARD} .ranking tbody td')].map((cell) => cell.textContent)"
     written = Cells()
     written.feed((site / "index.html").read_text("utf-8"))
     first = chrome.run(names)
     assert first[0] == "good" and first[2] == "part"
     assert chrome.run(cells) == written.texts  # the scripts count as the page was written
     chrome.run(
-        "[...document.querySelectorAll('.ranking thead button')].find((b) => b.textContent === 'method').focus()"
+        f"[...document.querySelectorAll('{BOARD} .ranking thead button')].find((b) => b.textContent === 'method').focus()"
     )
     chrome.press("Enter")
     assert chrome.run(names) == sorted(first, key=str.lower)
     chrome.press(" ")
     assert chrome.run(names) == sorted(first, key=str.lower)[::-1]
     assert chrome.run("document.querySelector('.ranking th[aria-sort]').getAttribute('aria-sort')") == "descending"
-    axis = "[...document.querySelectorAll('.ranking thead button')].find((b) => b.textContent.startsWith('axis'))"
+    axis = (
+        f"[...document.querySelectorAll('{BOARD} .ranking thead button')].find((b) => b.textContent.startsWith('axis'))"
+    )
     chrome.run(f"{axis}.focus()")
     assert "a failure costs 90" in chrome.run("document.querySelector('.explain').textContent")
-    measured = "[...document.querySelectorAll('td.measured')].map((cell) => cell.lastChild.textContent)"
-    chrome.run("[...document.querySelectorAll('.filters button')].find((b) => b.textContent === 'prismatic').click()")
+    measured = f"[...document.querySelectorAll('{BOARD} td.measured')].map((cell) => cell.lastChild.textContent)"
+    chrome.run(
+        f"[...document.querySelectorAll('{BOARD} .filters button')].find((b) => b.textContent === 'prismatic').click()"
+    )
     assert set(chrome.run(measured)) == {"1 of 1"}
     assert not chrome.errors
+
+
+@needs_chromium
+def test_one_protocol_is_shown_at_a_time(chrome, site):
+    chrome.open(site / "index.html")
+    seen = "[...document.querySelectorAll('section[id^=protocol-]')].filter((s) => !s.hidden).map((s) => s.id)"
+    assert chrome.run(seen) == ["protocol-strict-2"]
+    chrome.run("[...document.querySelectorAll('.protocols button')].find((b) => b.textContent === 'strict-1').focus()")
+    chrome.press("Enter")
+    assert chrome.run(seen) == ["protocol-strict-1"] and not chrome.errors
 
 
 @needs_chromium

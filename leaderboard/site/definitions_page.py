@@ -50,6 +50,7 @@ def _protocol(rules: Protocol) -> str:
             f'<div id="{escape(rules.name)}.{escape(metric.id)}"><dt>{escape(metric.label or metric.id)} '
             f"<code>{escape(metric.id)}</code></dt>"
             f"<dd><p>{escape(sentence(metric.definition))}{escape(beside)}</p>"
-            f'<p class="note">In {escape(told)}{only}; {better}; a failure costs {escape(price_text(metric))}.</p></dd></div>'
+            f'<p class="note">In {escape(told)}{only}; {better}; a failure costs {escape(price_text(metric))}.'
+            "</p></dd></div>"
         )
     return section(rules.name, f'{paragraphs}<dl class="definitions">{"".join(entries)}</dl>', id=rules.name)

@@ -27,8 +27,8 @@ PLACES = (
 )
 TRUTH_PATH = "M1.2 8.6l2.2-2.2l3.1 3.1l6.2-6.4l2.2 2.2l-8.4 8.6z"
 """A tick: the truth's mark."""
-_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3, "m": 4, "rad": 3, "1": 3}
-_SIGNS = {"deg": "°", "%": " %", "dB": " dB", "cm": " cm", "m": " m", "rad": " rad", "100 m²": " × 100 m²"}
+_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3, "m": 4, "rad": 3, "1": 3, "100 m²": 4}
+_SIGNS = {"deg": "°", "%": " %", "dB": " dB", "cm": " cm", "m": " m", "rad": " rad"}
 NONE = "\N{EN DASH}"
 
 
@@ -184,7 +184,7 @@ def sentence(text: str) -> str:
 
 
 def price_text(metric: Metric) -> str:
-    """What a failure costs, in words: a number with its unit, two where the joint types differ, or where it comes from."""
+    """What a failure costs, in words: a number with its unit, two where joint types differ, or where it comes from."""
     told = getattr(metric, "price_text", metric.price)
     if isinstance(told, str):
         return told

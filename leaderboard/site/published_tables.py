@@ -42,8 +42,8 @@ def published_section() -> str:
         )
     return section(
         "As published",
-        '<p class="note">Other objects, other videos: copied from the publication, not measured here, and never ranked with '
-        f"the tables above. The protocol named is the one whose definitions come nearest.</p>{''.join(tables)}",
+        '<p class="note">Other objects, other videos: copied from the publication, not measured here, and never ranked '
+        f"with the tables above. The protocol named is the one whose definitions come nearest.</p>{''.join(tables)}",
         id="published",
     )
 
