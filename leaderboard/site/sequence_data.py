@@ -298,7 +298,7 @@ def _arrangements(data: dict[str, Any], count: int) -> list[dict[str, Any]]:
         column, row = k % columns, k // columns
         place = across * (column - (columns - 1) / 2) * right - down * (row - (rows - 1) / 2) * up
         shifts.append(_round(place))
-    need = room * max(0.95 * (rows - 1) + 0.9, (0.9 * (columns - 1) + 0.9) / 1.6)  # the view is 16 by 9
+    need = 1.12 * room * max(0.95 * (rows - 1) + 0.9, (0.9 * (columns - 1) + 0.9) / 1.6)  # the view is 16 by 9
     beside = {"name": "Side by side", "shifts": shifts, "radius": _round(need)[0]}
     over = {"name": "Overlaid", "shifts": [[0.0, 0.0, 0.0]] * count, "radius": _round(1.1 * room)[0], "ghost": True}
     return [beside, over] if count > 1 else []
