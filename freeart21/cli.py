@@ -166,6 +166,7 @@ def record(
     width: int = 640,
     height: int = 360,
     shader: str = "default",
+    executor: Literal["local", "ray", "slurm"] = "local",
 ) -> int:
     """Record objects in SAPIEN: the video that a method may see, and the truth apart from it.
 
@@ -195,6 +196,7 @@ def record(
         width: Of the pictures, pixels.
         height: Of the pictures, pixels.
         shader: SAPIEN's camera shader: default, or trivial (unlit, fast).
+        executor: Where they record: local (this machine), ray or slurm (--out on a file system that all machines see).
     """
     from generator import v1
     from generator.dataset import is_unfinished, jobs_of, official_names, procedural_jobs, record_jobs
@@ -243,26 +245,31 @@ def record(
     with stopping.explained(
         lambda: f"what is done is kept in {out}: the same command goes on" if is_unfinished(out) else ""
     ):
-        made = record_jobs(out, jobs, workers, label, lambda sequence: print(out / "sequences" / sequence, flush=True))
+        made = record_jobs(
+            out, jobs, workers, label, lambda sequence: print(out / "sequences" / sequence, flush=True), executor
+        )
     if not made:
         print(f"{out} holds {'this sequence' if len(jobs) == 1 else f'these {len(jobs)} sequences'} already")
     return 0
 
 
-def verify(data: Annotated[Path, Positional], deep: bool = False) -> int:
+def verify(data: Annotated[Path, Positional], deep: bool = False, truth: Path | None = None) -> int:
     """Check a data folder: every hash, every format, and that video and truth agree.
+
+    One that was packed without its truth is looked through for traces of it.
 
     Args:
         data: A data folder (with benchmark.json).
+        truth: Where the truth of a packed data folder lies (`freeart21 pack DATA --truth`).
         deep: Also cast the truth's meshes anew and render its objects anew, without trusting the recorder.
     """
     from freeart21.files.verify import verify as look_through
 
-    report = look_through(data)
+    report = look_through(data, truth)
     if deep and not report.findings:
         from generator.golden import verify_deep
 
-        report.findings.extend(verify_deep(data))
+        report.findings.extend(verify_deep(data, apart=truth))
     for finding in report.findings:
         print(finding)
     if report.findings:
@@ -599,7 +606,10 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         board.init_submission,
         board.validate,
         board.score,
+        board.compare,
         board.site,
+        board.pack,
+        board.suite,
         measure,
         gap,
     )

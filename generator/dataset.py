@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib import metadata
 from multiprocessing import get_context
@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from freeart21 import catalog, stopping
+from freeart21 import jobs as jobs_anywhere
 from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
@@ -44,6 +45,10 @@ MOST_OBJECTS = 1000
 """Of a category, drawn at once: three digits."""
 MOST_WORKERS = 64
 _MADE_WITH = ("freeart21", "sapien", "numpy", "opencv-python-headless", "embreex", "manifold3d", "scipy")
+SECONDS_A_PICTURE = 0.25
+"""What a picture takes, about: for the time limits of clusters."""
+_JOBS = ".jobs-elsewhere"
+"""Folder in the work folder where jobs on other machines say how far they are; no sequence is called so."""
 _PATIENCE_S = 3.0
 """How long the lock is waited for: the workers of a killed recorder need a moment to notice."""
 
@@ -151,12 +156,14 @@ def record_jobs(
     workers: int = 1,
     label: Label | None = None,
     on_done: Callable[[str], None] = lambda sequence: None,
+    executor: str = "local",
 ) -> list[str]:
     """Record `jobs` into the data folder `out`; returns the sequences made now: those already there are kept.
 
     Other sequences of a finished data folder stay as they are; benchmark.json is renewed. `label` None keeps what
     benchmark.json says, or takes the folder's name. `on_done` is called with every sequence that takes its place.
-    The bytes do not depend on `workers` (processes), nor on how often the work was interrupted.
+    The bytes do not depend on `workers` (processes), nor on how often the work was interrupted, nor on the `executor`
+    (`freeart21.jobs.EXECUTORS`): by another one than 'local' every sequence is a job, on machines that all see `out`.
 
     Raises FreeArtError, in one line, when a job is unfit, a sequence exists from other settings, another process writes
     to `out`, an unfinished recording there was of something else, or the disk refuses (then what is done is kept, and
@@ -164,7 +171,10 @@ def record_jobs(
     """
     out = Path(out)
     check_growing(out)
-    _check(jobs, workers)
+    _check(jobs, workers if executor == "local" else 1)
+    if executor not in jobs_anywhere.EXECUTORS:
+        known = ", ".join(jobs_anywhere.EXECUTORS)
+        raise FreeArtError(f"unknown executor '{executor}'; executors: {known}")
     require_rendering()
     if not jobs or (not (out / WORK).is_dir() and not _missing(out, jobs)):
         return []
@@ -175,7 +185,7 @@ def record_jobs(
             _begin(out, jobs, label)
             todo = _missing(out, jobs)
             try:
-                _run(out, todo, workers, on_done)
+                _run(out, todo, workers, on_done, executor)
             except atomic.CannotWrite:
                 raise
             except Exception:  # of whatever kind: what is done stays, and the folder is as before
@@ -325,10 +335,12 @@ def _only_writer(out: Path) -> Iterator[None]:
 # --- one after the other, or side by side -----------------------------------------------------------------------------
 
 
-def _run(out: Path, jobs: list[Job], workers: int, on_done: Callable[[str], None]) -> None:
+def _run(out: Path, jobs: list[Job], workers: int, on_done: Callable[[str], None], executor: str) -> None:
     pictures = sum(job.settings.frames + job.settings.queries for job in jobs)
     with progress_board(len(jobs), pictures) as board:
-        if workers == 1 or len(jobs) < 2:
+        if executor != "local":
+            _run_elsewhere(out, jobs, workers, executor, board, on_done)
+        elif workers == 1 or len(jobs) < 2:
             for job in jobs:
                 _record(out, job, partial(board.update, job.sequence))
                 board.finished(job.sequence)
@@ -413,6 +425,53 @@ def _run_beside(out: Path, jobs: list[Job], workers: int, board: Board, on_done:
             pool.shutdown(wait=True, cancel_futures=True)
             reports.put(None)
             listener.join(1)
+
+
+def _run_elsewhere(
+    out: Path, jobs: list[Job], workers: int, executor: str, board: Board, on_done: Callable[[str], None]
+) -> None:
+    """A job a sequence. What is done of a sequence that was lost with its machine is gone on from."""
+    place, by_name = out.resolve(), {f"record/{job.sequence}": job for job in jobs}
+    asked = [
+        jobs_anywhere.Job(
+            name,
+            call="generator.dataset:record_one",
+            arguments={"out": str(place), "name": job.name, "sequence": job.sequence, "settings": _told(job.settings)},
+            seconds=SECONDS_A_PICTURE * (job.settings.frames + job.settings.queries),
+        )
+        for name, job in by_name.items()
+    ]
+
+    def listener(event: str, asked: jobs_anywhere.Job, facts: dict[str, object]) -> None:
+        if event == "finished":
+            job = by_name[asked.name]
+            board.update(job.sequence, *[job.settings.frames + job.settings.queries] * 2)
+            board.finished(job.sequence)
+            on_done(job.sequence)
+
+    report = jobs_anywhere.run_jobs(place / WORK / _JOBS, asked, workers, executor, listener=listener)
+    for failed in report.failed:
+        full = failed.reason.startswith("cannot write")
+        raise (atomic.CannotWrite if full else FreeArtError)(failed.reason)
+
+
+def record_one(out: str, name: str, sequence: str, settings: dict[str, Any]) -> None:
+    """What the job of a sequence does: record it into the data folder `out`, whose recorder waits for it.
+
+    It holds the recorder's lock as long as it works, so that none comes after it to the same folder.
+    """
+    paths = {key: None if settings[key] is None else Path(settings[key]) for key in ("effects", "partnet_root")}
+    handle = os.open(Path(out) / WORK / "lock", os.O_RDWR)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH)
+        _record(Path(out), Job(name, sequence, RecordSettings(**{**settings, **paths})), lambda done, total: None)
+    finally:
+        os.close(handle)
+
+
+def _told(settings: RecordSettings) -> dict[str, Any]:
+    """All fields as JSON, paths from the root."""
+    return {key: str(value.resolve()) if isinstance(value, Path) else value for key, value in asdict(settings).items()}
 
 
 def _listen(reports: Any, board: Board) -> None:

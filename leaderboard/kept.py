@@ -10,7 +10,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import Benchmark, read_benchmark
 from freeart21.files.places import SCORES, check_place
 from leaderboard.protocols import protocol_named
-from leaderboard.provenance import made_with, sha256_or_none
+from leaderboard.provenance import made_with, sha256_or_none, truth_sha256
 from leaderboard.rows import Row, Scores
 from leaderboard.score import benchmark_facts, check_results_folder, score_results
 from leaderboard.scores_file import read_scores, write_scores
@@ -27,15 +27,17 @@ def kept_scores(
     keep: Path | None,
     progress: Callable[[Row, int], None] | None = None,
     workers: int = 2,
+    truth: Path | None = None,
 ) -> Scores:
     """The scores of the results folder of one method, from `keep`/METHOD.PROTOCOL.json when they are of these bytes.
 
     A kept table counts when the results, benchmark.json, the truths, the scoring code and its libraries are what they
-    were, by their hashes; else the results are scored (`progress` as in `score_results`) and the table is written
-    there. `keep` None keeps nothing. Raises FreeArtError as `score_results` does, when something that is no table of
-    scores stands in its place, or when the results changed while they were scored.
+    were, by their hashes; else the results are scored (`progress` and `workers` as in `score_results`) and the table is
+    written there. `keep` None keeps nothing; `truth` is where a packed data folder's truth lies. Raises FreeArtError as
+    `score_results` does, when something that is no table of scores stands in its place, or when the results changed
+    while they were scored.
     """
-    results, rules, benchmark = Path(results), protocol_named(protocol), read_benchmark(data)
+    results, rules, benchmark = Path(results), protocol_named(protocol), read_benchmark(data, truth)
     check_results_folder(results, benchmark.sequences)
     path = None if keep is None else kept_path(results, rules.name, Path(keep))
     if path is not None:
@@ -44,7 +46,7 @@ def kept_scores(
         if found is not None and still_true(found, results, benchmark):
             return found
     before = _fingerprints(results, benchmark)
-    scores = score_results(results, data, rules.name, progress)
+    scores = score_results(results, data, rules.name, progress, workers=workers, truth=truth)
     if before != {row.sequence: (row.result_sha256, row.truth_sha256) for row in scores.rows}:
         raise FreeArtError(f"{results} changed while it was scored: score it again")
     if path is not None:
@@ -74,9 +76,7 @@ def still_true(scores: Scores, results: Path, benchmark: Benchmark) -> bool:
 
 def _fingerprints(results: Path, benchmark: Benchmark) -> dict[str, tuple[str | None, str | None]]:
     """Sequence to the hashes of its result and its truth."""
-    return {
-        name: (sha256_or_none(results / name), sha256_or_none(benchmark.truth(name))) for name in benchmark.sequences
-    }
+    return {name: (sha256_or_none(results / name), truth_sha256(benchmark, name)) for name in benchmark.sequences}
 
 
 def _read(path: Path) -> Scores | None:

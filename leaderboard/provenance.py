@@ -88,13 +88,19 @@ def sha256_or_none(folder: Path) -> str | None:
         return None
 
 
+def truth_sha256(benchmark: Benchmark, sequence: str) -> str | None:
+    """The hash of a sequence's truth folder; salted where the truth is hidden, so that no guess can be confirmed."""
+    found = sha256_or_none(benchmark.truth(sequence))
+    return hashlib.sha256(f"{benchmark.salt} {found}".encode()).hexdigest() if found and benchmark.salt else found
+
+
 def traced(scores: Scores, results: Path, benchmark: Benchmark) -> Scores:
     """`scores` with what they were made with, and the hash of every result and truth that they are of."""
     rows = tuple(
         replace(
             row,
             result_sha256=sha256_or_none(Path(results) / row.sequence),
-            truth_sha256=sha256_or_none(benchmark.truth(row.sequence)),
+            truth_sha256=truth_sha256(benchmark, row.sequence),
         )
         for row in scores.rows
     )

@@ -10,7 +10,7 @@ import pandas as pd
 
 from freeart21.files.result import Method
 from freeart21.joint import JointType
-from leaderboard.protocols import Group
+from leaderboard.protocol import Group
 
 Status = Literal["ok", "failed", "missing", "unreadable"]
 Source = Literal["asset", "files", "nothing"]

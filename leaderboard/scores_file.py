@@ -14,7 +14,8 @@ from freeart21.files import atomic, checked
 from freeart21.files.places import SCORES, require_replaceable
 from freeart21.files.result import Method, lacks_of
 from freeart21.joint import JointType
-from leaderboard.protocols import Metric, Protocol, protocol_named
+from leaderboard.protocol import Metric, Protocol
+from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row, Scores, Source, Status, Summary
 from leaderboard.submission import LONGEST_TEXT, plain, printable, shortened
 
@@ -97,7 +98,7 @@ def _terms(metric: Metric) -> dict[str, Any]:
         "label": metric.label,
         "unit": {"revolute": metric.revolute_unit, "prismatic": metric.prismatic_unit},
         "direction": metric.direction,
-        "price": "range of motion" if metric.price is None else metric.price,
+        "price": metric.price_text,
     }
 
 

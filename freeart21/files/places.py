@@ -71,6 +71,8 @@ ANSWER = Output("answer of gap", _json("verdict"), "verdict.json", ("verdict.jso
 SITE = Output("site", _json("site"), "site.json", ("site.json",), listed=True)
 DEMO = Output("demo", _json("demo"), "demo.json", ("demo.json",), listed=True)
 PAGE = Output("page", b'<meta name="generator" content="freeart21')
+SUITE = Output("suite of rows", _json("suite"), "suite.json", ("*",))
+"""Grows: a suite goes on in its folder, and replaces nothing there but what its own jobs made."""
 SCORES = Output("table of scores", _json("scores"))
 SHEET = Output("contact sheet", b"freeart21 contact sheet")
 

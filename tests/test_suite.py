@@ -1,0 +1,309 @@
+"""The suite: its rows are settings that the solver knows, its reference rows say whether scoring can be believed."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from score_case import few_samples, score_results, submit, truths, write_data
+
+from freeart21.errors import FreeArtError
+from freeart21.files.result import read_result, write_result
+from freeart21.jobs import EXECUTORS
+from freeart21.jobs.executors import Local
+from freeart21.reconstruction import Failure
+from leaderboard.reference import KINDS, static_answer, write_reference
+from leaderboard.score import score_results as score_results_apart
+from leaderboard.suite import steps
+from leaderboard.suite.rates import MEASURED, measured_rates, read_rates
+from leaderboard.suite.rows import GROUPS, ROWS, chosen_rows
+from leaderboard.suite.workflow import _facts, _objections, prepare, run_suite
+from reconstruct.settings import ReconstructSettings, read_settings
+
+ROOT = Path(__file__).resolve().parents[1]
+REFERENCE = ("truth", "static", "random")
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    return write_data(tmp_path_factory.mktemp("data") / "made")
+
+
+@pytest.fixture(scope="module")
+def suite(data, tmp_path_factory):
+    """A suite of the reference rows, run at once."""
+    out = tmp_path_factory.mktemp("suite") / "out"
+    return out, run_suite(prepare(data, out, REFERENCE, ["a", "b"]), 2)
+
+
+def tables(out: Path) -> dict[str, dict]:
+    """Every table, without what scoring took."""
+    found = {path.name: json.loads(path.read_text()) for path in sorted((out / "scores").iterdir())}
+    for table in found.values():
+        del table["seconds"]
+    return found
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_the_truth_scores_perfect_and_what_knows_nothing_badly(suite):
+    out, outcome = suite
+    assert not outcome.failed and not outcome.objections
+    means = {
+        row: {s["group"]: {id: v["mean"] for id, v in s["statistics"].items()} for s in summaries}
+        for row, summaries in outcome.tables["strict-2"].items()
+    }
+    assert set(means) == set(REFERENCE)
+    truth = means["truth"]["all"]
+    assert truth["miou"] == truth["joint_type"] == 1 and truth["psnr"] == 100 and truth["axis"] < 1e-3
+    assert truth["chamfer_w"] < 1e-6 and truth["pose_moving_rotation"] < 1e-3
+    for row in ("static", "random"):
+        assert means[row]["all"]["miou"] < 0.6 and means[row]["all"]["psnr"] == 0
+        assert means[row]["all"]["pose_rotation"] > 10 and means[row]["revolute"]["state"] > 10
+        assert means[row]["all"]["pose_moving_translation"] > 5
+    rows = {row["sequence"]: row for row in tables(out)["static.strict-2.json"]["rows"]}
+    assert rows["b"]["values"]["joint_type"] == 0 and rows["b"]["values"]["axis"] == 90  # it says revolute of all
+    assert rows["a"]["values"]["joint_type"] == 1
+
+
+def test_what_is_done_is_skipped_and_a_new_row_joins(suite, data):
+    out, _ = suite
+    plan = prepare(data, out, REFERENCE, ["a", "b"])
+    assert not plan.todo and plan.seconds == 0
+    before = tables(out)
+    again = run_suite(plan)
+    assert again.tables.keys() == {"strict-2"} and tables(out) == before
+    assert {job.kind for job in prepare(data, out, ["ours", *REFERENCE], ["a", "b"]).todo} == {
+        "reconstruct",
+        "export",
+        "score",
+    }
+    rates = read_rates(out / "rates.json")
+    assert "this suite" in rates["score"].source and rates["record"] == read_rates()["record"]
+
+
+def test_a_suite_that_is_killed_goes_on_to_the_same_tables(suite, data, tmp_path):
+    whole, _ = suite
+    out, draw = tmp_path / "out", random.Random(3)
+    command = [sys.executable, "-m", "freeart21", "suite", str(data), "--out", str(out), "--rows", "random", "static"]
+    command += ["--sequences", "a", "--workers", "2"]
+    for _ in range(2):
+        with subprocess.Popen(command, env=ENVIRONMENT, stdout=-3, stderr=-3) as run:
+            deadline = time.monotonic() + 60
+            while not (out / "jobs.json").exists() and time.monotonic() < deadline:
+                time.sleep(0.02)
+            time.sleep(draw.uniform(0, 3))
+            run.send_signal(signal.SIGKILL)
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "2 rows over 1 sequences: 4 jobs" in done.stdout and "GB free" in done.stdout and "static" in done.stdout
+    for name, table in tables(out).items():
+        (row,) = table["rows"]
+        assert row == next(other for other in tables(whole)[name]["rows"] if other["sequence"] == "a")
+    there = files(whole / "results")
+    assert files(out / "results") == {path: there[path] for path in files(out / "results")}
+
+
+def test_a_failure_of_the_solver_is_an_answer_and_is_priced(data, tmp_path):
+    """The made-up videos are flat grey pictures: nothing can be found in them."""
+    out = tmp_path / "out"
+    outcome = run_suite(prepare(data, out, ["ours"], sequences=["a"]))
+    assert not outcome.failed
+    assert isinstance(read_result(out / "results" / "ours" / "a"), Failure)
+    (row,) = tables(out)["ours.strict-2.json"]["rows"]
+    assert row["status"] == "failed" and row["values"]["axis"] == 90
+    assert "1 of 3 sequences were chosen: a" in tables(out)["ours.strict-2.json"]["notes"]
+
+
+def test_a_place_that_is_no_suite_over_these_data_is_refused(data, tmp_path):
+    out = tmp_path / "out"
+    (out / "results").mkdir(parents=True)
+    with pytest.raises(FreeArtError, match="is no older suite of rows"):
+        prepare(data, out)
+    (out / "suite.json").write_text('{"schema": "freeart21/suite/1"}')
+    with pytest.raises(FreeArtError, match="is a suite over other data"):
+        prepare(data, out)
+
+
+def test_a_job_that_fails_stops_no_other_row_and_the_command_ends_with_1(data, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "suite.json").write_text(json.dumps({"schema": "freeart21/suite/1", **_facts(data, out)}))
+    (out / "results" / "static").mkdir(parents=True)  # of nobody's job
+    command = [sys.executable, "-m", "freeart21", "suite", str(data), "--rows", "random", "static", "--out", str(out)]
+    done = subprocess.run([*command, "--sequences", "a"], env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 1
+    said = [line for line in done.stderr.splitlines() if line.startswith("freeart21: ")]
+    assert said[0].startswith("freeart21: reference/static: ") and "was not made by the job" in said[0]
+    assert said[1:] == ["freeart21: score/static/strict-2: needs reference/static, which failed"]
+    assert set(tables(out)) == {"random.strict-2.json"}
+
+
+def test_reference_rows_are_the_same_bytes_again_and_others_by_another_seed(data, tmp_path):
+    for kind in KINDS:
+        write_reference(kind, data, tmp_path / "one" / kind)
+        write_reference(kind, data, tmp_path / "two" / kind)
+        assert files(tmp_path / "one" / kind) == files(tmp_path / "two" / kind)
+    write_reference("random", data, tmp_path / "three" / "random", seed=1)
+    assert files(tmp_path / "one" / "random") != files(tmp_path / "three" / "random")
+    with pytest.raises(FreeArtError, match="exists"):
+        write_reference("truth", data, tmp_path / "one" / "truth")
+    with pytest.raises(FreeArtError, match="truth, static, random"):
+        write_reference("still", data, tmp_path / "four")
+    with pytest.raises(FreeArtError, match="no sequence 'z'; it has a, b, c"):
+        write_reference("truth", data, tmp_path / "four", sequences=["z"])
+    assert not (tmp_path / "four").exists()
+
+
+def test_nothing_moves_in_the_static_row():
+    truth = truths()["a"]
+    answer = static_answer(truth)
+    assert not answer.states.any() and np.array_equal(answer.Ts_camera_reference, answer.Ts_camera_moving)
+    assert np.ptp(answer.Ts_camera_reference, axis=0).max() == 0 and set(np.unique(answer.part_masks)) == {0, 1}
+
+
+def test_a_truth_that_is_a_little_off_is_objected_to(data, tmp_path, monkeypatch):
+    few_samples(monkeypatch)
+    write_reference("truth", data, tmp_path / "truth")
+    scores = score_results(tmp_path / "truth", data, "strict-1")
+    assert steps.imperfect(scores) == []
+    write_result(tmp_path / "truth" / "b", Failure("none", "not solved"))
+    found = steps.imperfect(score_results(tmp_path / "truth", data, "strict-1"))
+    assert any(line.startswith("b: axis 90, expected 0") for line in found)
+    row = {row.name: row for row in ROWS}
+    assert "does not score perfect" in _objections(row["truth"], "strict-1", {"imperfect": found})[0]
+    lucky = {"summaries": [{"group": "all", "statistics": {"miou": {"mean": 0.9}}}]}
+    assert "mean mIoU of 0.90" in _objections(row["random"], "strict-1", lucky)[0]
+
+
+# --- rows as data -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("row", [row for row in ROWS if row.settings], ids=lambda row: row.name)
+def test_the_settings_of_a_row_are_the_solvers_and_change_it(row, tmp_path):
+    path = tmp_path / "settings.json"
+    path.write_text(json.dumps(row.settings))
+    settings = read_settings(path)
+    others = [read_settings(_written(tmp_path, other.settings)) for other in ROWS if other.settings and other != row]
+    assert settings != ReconstructSettings()
+    if not row.unbuilt:
+        assert all(settings != other for other, r in zip(others, _others(row), strict=True) if not r.unbuilt)
+
+
+def _others(row):
+    return [other for other in ROWS if other.settings and other != row]
+
+
+def _written(folder: Path, settings) -> Path:
+    (folder / "other.json").write_text(json.dumps(settings))
+    return folder / "other.json"
+
+
+def test_rows_are_chosen_by_name_or_group_and_what_is_not_built_is_said():
+    assert chosen_rows([]) == list(ROWS) and {row.group for row in ROWS} == set(GROUPS)
+    assert len({row.name for row in ROWS}) == len(ROWS)
+    assert [row.name for row in chosen_rows(["random", "ours"])] == ["random", "ours"]
+    assert all(row.group == "paper-pieces" for row in chosen_rows(["paper-pieces"]))
+    with pytest.raises(FreeArtError, match="not built yet"):
+        chosen_rows(["paper-no-blended-rendering"])
+    with pytest.raises(FreeArtError, match="unknown row 'theirs'; groups: reference"):
+        chosen_rows(["theirs"])
+
+
+def test_rows_that_are_not_built_make_no_jobs(data, tmp_path):
+    plan = prepare(data, tmp_path / "out", ["paper-pieces"])
+    assert any(row.unbuilt for row in plan.plan.rows)
+    assert not any("blended" in job.name for job in plan.plan.jobs)
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_was_not_recorded_by_us_cannot_be_recorded_with_another_sensor(data, tmp_path):
+    with pytest.raises(FreeArtError, match="a cannot be recorded with another sensor"):
+        prepare(data, tmp_path / "out", ["sensors"])
+
+
+def test_another_sensor_is_recorded_as_the_sequence_was(data, tmp_path):
+    where = write_data(tmp_path / "data")
+    header = json.loads((where / "truth" / "a" / "truth.json").read_text())
+    settings = {"frames": 16, "seed": 4, "width": 40, "height": 32, "queries": 2, "motion": "wave", "preset": "paper"}
+    header["source"] = {
+        "object": "stapler",
+        "object_source": "procedural",
+        "settings": {**settings, "shader": "trivial", "fps": 30.0},
+    }
+    (where / "truth" / "a" / "truth.json").write_text(json.dumps(header))
+    jobs = prepare(where, tmp_path / "out", ["ours-tof"], sequences=["a"]).plan.jobs
+    (words,) = jobs[0].arguments["commands"]
+    assert words[:3] == ["stapler", "--sensor", "tof"] and words[words.index("--motion") + 1] == "wave"
+    assert [job.name for job in jobs[1:]] == [
+        "reconstruct/ours-tof/stapler-s4",
+        "export/ours-tof/stapler-s4",
+        "score/ours-tof/strict-2",
+    ]
+    assert "{folder}/data/tof/sequences/stapler-s4" in jobs[1].command
+
+
+def test_a_forecast_beyond_the_disk_is_refused_before_anything_is_written(data, tmp_path):
+    plan = prepare(data, tmp_path / "out", ["truth"])
+    assert plan.seconds > 0 and 0 < plan.bytes < plan.free_bytes
+    full = type(plan)(**{**vars(plan), "free_bytes": 10})
+    with pytest.raises(FreeArtError, match="GB free"):
+        run_suite(full)
+    assert not (tmp_path / "out").exists()
+
+
+def test_rates_have_a_source_and_follow_what_is_measured():
+    rates = read_rates(MEASURED)
+    kinds = {"record", "reconstruct", "reconstruct-paper", "export", "reference", "score"}
+    assert set(rates) == kinds and all(rate.source for rate in rates.values())
+    now = measured_rates(rates, [("score", 6.0, 10), ("score", 2.0, 10)], "here")
+    assert now["score"].seconds_per_frame == 0.4 and now["score"].source == "here: 2 jobs"
+    assert now["export"] == rates["export"]
+
+
+# --- scoring side by side ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def few(data, tmp_path_factory) -> Path:
+    """Results of which one has to be measured, one is a failure and one is missing."""
+    folder = tmp_path_factory.mktemp("few") / "few"
+    submit(folder / "b", truths()["b"])
+    write_result(folder / "a", Failure("none", "not solved"))
+    return folder
+
+
+def test_rows_scored_side_by_side_are_the_same_rows_in_the_same_order(data, few):
+    heard = []
+    one = score_results_apart(few, data, "strict-1")
+    two = score_results_apart(few, data, "strict-1", lambda row, of: heard.append((row.sequence, of)), workers=3)
+    assert one.rows == two.rows and one.summaries == two.summaries
+    assert [row.status for row in two.rows] == ["failed", "ok", "missing"]
+    assert sorted(heard) == [("a", 3), ("b", 3), ("c", 3)]
+    with pytest.raises(FreeArtError, match="0 workers"):
+        score_results_apart(few, data, workers=0)
+
+
+def test_a_row_as_a_job_is_the_same_row(data, few, tmp_path, monkeypatch):
+    monkeypatch.setitem(EXECUTORS, "elsewhere", Local)
+    where = few, data, "strict-1"
+    rows = score_results_apart(*where, executor="elsewhere", workers=2, work=tmp_path / "work", sequences=["b", "a"])
+    assert [row.sequence for row in rows.rows] == ["a", "b"]
+    assert rows.rows == score_results_apart(*where, sequences=["a", "b"]).rows
+    with pytest.raises(FreeArtError, match="needs a folder"):
+        score_results_apart(*where, executor="elsewhere")
+
+
+def test_rows_that_take_too_long_are_priced_also_beside_others(data, few):
+    scores = score_results_apart(few, data, "strict-1", limit_s=0.01, workers=2)
+    assert [row.status for row in scores.rows] == ["failed"] * 3
+    assert all("more than 0.01 s" in row.reason for row in scores.rows)
