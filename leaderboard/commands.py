@@ -318,6 +318,7 @@ def site(
     protocol: tuple[str, ...] = ("strict-2",),
     scores: Path | None = None,
     title: str | None = None,
+    truth: Path | None = None,
 ) -> None:
     """Write a static site: the ranking, a page a method and a sequence, failures, definitions, downloads.
 
@@ -331,6 +332,7 @@ def site(
         protocol: Named protocols, a table each; the first one orders the site.
         scores: Folder in which tables of scores are kept.
         title: What the site is called; the name of the data when not given.
+        truth: Where the truth of a packed data folder lies; the site shows it.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -345,5 +347,5 @@ def site(
             bars.update(task, description=what, completed=count, total=of)
 
         command = ["freeart21", *sys.argv[1:]]
-        index = write_site(results, data, out, protocol, scores, title, command, done)
+        index = write_site(results, data, out, protocol, scores, title, command, done, truth)
     print(f"{out}: {len(results)} method{'s' * (len(results) != 1)}; open {index}")

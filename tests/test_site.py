@@ -93,7 +93,7 @@ def site(world, kept, tmp_path_factory):
 def write(world, kept, out, **options):
     data, results = world
     patch = pytest.MonkeyPatch()
-    patch.setattr(build, "kept_scores", lambda folder, data, protocol, *_: kept[folder, protocol])
+    patch.setattr(build, "kept_scores", lambda folder, data, protocol, *_, **__: kept[folder, protocol])
     try:
         options = {"protocols": PROTOCOLS_SHOWN, "command": ["freeart21", "site", HOSTILE], **options}
         return build.write_site(results, data, out, **options)

@@ -27,7 +27,7 @@ def published_section() -> str:
         groups.setdefault((row.protocol, row.dataset, row.group, str(row.source)), []).append(row)
     if not groups:
         return ""
-    tables = []
+    tables: list[str] = []
     for (protocol, dataset, group, source), members in groups.items():
         ids = list(dict.fromkeys(id for row in members for id in row.values))
         head = '<th scope="col">method</th>' + "".join(_head(protocol, id, group) for id in ids)
