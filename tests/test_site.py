@@ -340,6 +340,31 @@ def test_an_answer_is_shown_where_scoring_puts_it(world, kind):
     assert at == pytest.approx(parts.joint.transform(0.4), abs=1e-6)
 
 
+def test_an_answer_of_one_frame_is_shown_by_that_frame(world):
+    """Without poses and states: what was told of the anchor frame, and a state zero there."""
+    truth, folder = truths()["a"], world[0].parent / "one-frame"
+    answer = truth_as_answer(truth)
+    still = np.repeat(truth.Ts_camera_reference[4][None], len(truth), 0)
+    lid = truth.articulation.moving.moved(truth.articulation.joint.transform(truth.states[4]))
+    parts = replace(answer.articulation, moving=lid)
+    told = replace(
+        answer,
+        articulation=parts,
+        states=np.zeros(len(truth)),
+        Ts_camera_reference=still,
+        Ts_camera_moving=still,
+        anchor=4,
+    )
+    submit(folder, truth, told, renders=False)
+    shown = read_answer(folder, truth, [0], False, ("poses", "states"), truth.part_mask(0).shape)
+    assert shown.articulation.reference.vertices == pytest.approx(parts.reference.vertices, abs=1e-6)
+    q = float(truth.states[9])
+    there = shown.articulation.moving.moved(shown.articulation.joint.transform(shown.sign * q + shown.offset))
+    assert there.vertices == pytest.approx(
+        answer.articulation.moving.moved(parts.joint.transform(q)).vertices, abs=1e-6
+    )
+
+
 needs_chromium = pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")
 KINDS = (
     "index.html",

@@ -34,8 +34,8 @@ FRAMES = 72
 """Pictures of a video that are shown, evenly spread."""
 MASK_SIDE = 128
 """Pixels of the longer side of part masks; outlines are smoothed between them."""
-MASK_BYTES = 9 << 10
-"""Of one source's masks before DEFLATE; noise is thinned until it fits."""
+MASK_RUNS = 18 << 10
+"""Of one source's masks, each a byte or two before DEFLATE: noisier ones are made smaller until they fit."""
 FACES = 440
 """Triangles a part."""
 PICTURE_SIDE = 640
@@ -157,9 +157,8 @@ def _masks(packed: Packed, masks: NDArray[np.uint8]) -> dict[str, Any]:
         scale = min(1.0, side / max(height, width))
         small = max(1, round(width * scale)), max(1, round(height * scale))
         frames = np.stack([cv2.resize(mask, small, interpolation=cv2.INTER_NEAREST) for mask in masks])
-        data = packed.labels(frames) if _runs(frames) <= MASK_BYTES * 2 or side <= MASK_SIDE // 8 else None
-        if data is not None:
-            return {"width": small[0], "height": small[1], "labels": data}
+        if _runs(frames) <= MASK_RUNS or side <= MASK_SIDE // 8:
+            return {"width": small[0], "height": small[1], "labels": packed.labels(frames)}
         side //= 2
 
 
