@@ -297,7 +297,8 @@ def _arrangements(data: dict[str, Any], count: int) -> list[dict[str, Any]]:
         column, row = k % columns, k // columns
         place = across * (column - (columns - 1) / 2) * right - down * (row - (rows - 1) / 2) * up
         shifts.append(_round(place))
-    need = 1.12 * room * max(0.95 * (rows - 1) + 0.9, (0.9 * (columns - 1) + 0.9) / 1.6)  # the view is 16 by 9
+    camera = data["camera"]  # whose shape the view has
+    need = 1.12 * room * max(0.95 * (rows - 1) + 0.9, columns / max(1.0, camera["width"] / camera["height"]))
     beside = {"name": "Side by side", "shifts": shifts, "radius": _round(need)[0]}
     over = {"name": "Overlaid", "shifts": [[0.0, 0.0, 0.0]] * count, "radius": _round(1.1 * room)[0], "ghost": True}
     return [beside, over] if count > 1 else []

@@ -387,11 +387,12 @@ FreeArt.kinds.scene = (section, data, bus) => {
 
   /* The legend, whose entries show and hide; a layer that follows another has no entry of its own. */
   data.layers.forEach((layer, i) => {
-    if (layer.follows !== undefined || !data.surfaces.some((surface) => surface.layer === i)) return;
+    const own = (k) => k === i || data.layers[k].follows === i;
+    if (layer.follows !== undefined || !data.surfaces.some((surface) => own(surface.layer))) return;
     const mark = element("i", { class: layer.style });
     mark.style.background = mark.style.borderColor = layer.colour;
     const button = toggle(layer.name, "show or hide", layer.shown, (on) => {
-      data.layers.forEach((other, k) => { if (k === i || other.follows === i) shown[k] = on; });
+      data.layers.forEach((_, k) => { if (own(k)) shown[k] = on; });
     });
     button.prepend(layer.shape ? FreeArt.mark(layer) : mark);
     legend.append(button);

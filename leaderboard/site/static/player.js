@@ -6,6 +6,7 @@ FreeArt.kinds.player = (section, data, bus) => {
   const n = frames.length, ratio = height / width;
   const canvas = element("canvas", { tabindex: 0, role: "application", "aria-label":
     "video with the parts that were found; space plays, left and right arrows step" });
+  canvas.style.aspectRatio = `${width} / ${height}`;
   const context = canvas.getContext("2d");
   let slot = 0, strength = 0.35, axes = true;
 
