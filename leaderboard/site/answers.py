@@ -57,8 +57,8 @@ def read_answer(
 ) -> Answer:
     """The answer in the result folder `folder`, with the part masks of `frames` alone.
 
-    `swapped` is what scoring found of the names of its parts, `size` is (height, width). Only what is shown is read:
-    a thirtieth of what scoring looks through. Raises FreeArtError when it cannot be shown.
+    `swapped` is what scoring found of the names of its parts, `size` is (height, width). Only what is shown is read.
+    Raises FreeArtError when it cannot be shown.
     """
     if any(link_faults(folder)):
         raise FreeArtError(f"{folder.name} holds links that lead out of it")
@@ -75,26 +75,33 @@ def read_answer(
     for what, numbers in (("states", states), ("poses", Ts[0]), *(("meshes", part.vertices) for part in parts)):
         if np.abs(numbers).max(initial=0.0) > LARGEST:
             raise FreeArtError(f"{folder.name}: {what} has numbers beyond {LARGEST:g}")
-    if swapped:  # as `strict1.with_parts_swapped`: the axis is reversed, the states stay
+    anchor = data.get("anchor", 0)
+    if not isinstance(anchor, int) or not 0 <= anchor < n:
+        raise FreeArtError(f"{folder.name}: 'anchor' is no frame of the video")
+    if "poses" in lacks:  # as `matching.match`: the anchor's alone, the moving part after its joint
+        Ts = [Ts[0][anchor][None], (Ts[0][anchor] @ joint.transform(states[anchor]))[None]]
+    if swapped:  # as `matching.with_parts_swapped`: the axis is reversed, the states stay
         joint, parts, Ts = replace(joint, axis=-joint.axis), parts[::-1], Ts[::-1]
         masks = np.array([0, 2, 1], np.uint8)[masks]
     outer = Surface(truth.articulation.reference, truth.outer[0])
-    anchor = data.get("anchor", 0)
-    one = slice(anchor, anchor + 1) if "poses" in lacks and isinstance(anchor, int) and 0 <= anchor < n else slice(None)
-    T_truth_pred = metrics.align(truth.Ts_camera_reference[one], Ts[0][one], outer.centre)
+    true = truth.Ts_camera_reference[[anchor]] if "poses" in lacks else truth.Ts_camera_reference
+    T_truth_pred = metrics.align(true, Ts[0], outer.centre)
     articulation = Articulation(joint, parts[0], parts[1]).moved(T_truth_pred)
-    sign, offset, comparable = _counted(articulation.joint, states, truth, "states" in lacks)
+    sign, offset, comparable = _counted(articulation.joint, states, truth, anchor if "states" in lacks else None)
     return Answer(articulation, states, sign, offset, comparable, masks, lacks)
 
 
-def _counted(joint: Joint, states: Array, truth: Truth, no_states: bool) -> tuple[float, float, bool]:
-    """Sign, offset and whether the types agree: the sign of the axes, then the median difference, as scoring has it."""
+def _counted(joint: Joint, states: Array, truth: Truth, zero: int | None) -> tuple[float, float, bool]:
+    """Sign, offset and whether the types agree: the sign of the axes, then the median difference, as scoring has it.
+
+    `zero` is the frame at which a method without states has its state zero.
+    """
     true = truth.articulation.joint
     sign = 1.0 if float(joint.axis @ true.axis) >= 0 else -1.0
     if joint.type != true.type:
         return sign, 0.0, False
-    if no_states:
-        return sign, -sign * float(truth.states[0]), True
+    if zero is not None:
+        return sign, -sign * float(truth.states[zero]), True
     difference = states - sign * truth.states
     if joint.type == "revolute":
         centre = float(np.angle(np.exp(1j * difference).mean()))
@@ -107,7 +114,7 @@ def _mask(folder: Path, index: int, size: tuple[int, int]) -> NDArray[np.uint8]:
     with checked.require_file(path, checked.MAX_IMAGE_BYTES).open("rb") as file:
         head = file.read(24)  # before it is unpacked: a PNG's size stands there
     mask = np.zeros((0, 0), np.uint8)
-    if head[16:24] == struct.pack(">II", size[1], size[0]):
+    if head[:8] == b"\x89PNG\r\n\x1a\n" and head[16:24] == struct.pack(">II", size[1], size[0]):
         mask = checked.read_labels(path)
     if mask.shape != size or mask.max(initial=0) > 2:
         raise FreeArtError(f"{folder.name}/part_mask/{path.name} is no part mask of {size[1]} x {size[0]}")

@@ -42,11 +42,13 @@ def write_site(
     title: str | None = None,
     command: Sequence[str] = (),
     progress: Progress | None = None,
+    truth: Path | None = None,
 ) -> Path:
     """Write the site of some methods' results on one data folder to the folder `out`; returns its front page.
 
-    Tables are read from the folder `keep` where they are of these very files, else scored and kept there. An older site
-    at `out` is replaced, anything else is refused before any work. Raises FreeArtError when the protocol is unknown, two
+    Tables are read from the folder `keep` where they are of these very files, else scored and kept there; `truth` is
+    where the truth of a packed data folder lies, and the site then shows what was held back. An older site
+    at `out` is replaced, anything else is refused before any work. Raises FreeArtError when a protocol is unknown, two
     results are one folder, or the benchmark is broken; what is wrong with one result stands on its page.
     """
     results = [Path(folder) for folder in results]
@@ -55,22 +57,33 @@ def write_site(
     if len({folder.resolve() for folder in results}) < len(results):
         raise FreeArtError(f"site: the same results are named twice: {', '.join(map(str, results))}")
     protocols = tuple(dict.fromkeys(protocol_named(name).name for name in protocols)) or (DEFAULT,)
-    check_place(out, SITE, [*results, data, *([keep] if keep else [])])
-    benchmark = read_benchmark(data)
-    board = entrants([(folder, _tables(folder, data, protocols, keep, progress)) for folder in results])
+    check_place(out, SITE, [*results, data, *(place for place in (keep, truth) if place)])
+    benchmark = read_benchmark(data, truth)
+    board = entrants([(folder, _tables(folder, data, protocols, keep, progress, truth)) for folder in results])
     site = title or f"FreeArt-21: {benchmark.name}"
     files = dict(zip(benchmark.sequences, file_names(benchmark.sequences), strict=True))
     with atomic.new_folder(Path(out), SITE) as aside:
         shown = _sequences(aside, benchmark, board, protocols, files, progress)
         _pages(aside, site, board, protocols, shown, files, command)
         written = sorted(path.relative_to(aside).as_posix() for path in aside.rglob("*") if path.is_file())
-        marker = {"schema": SCHEMA, "title": site, "benchmark": benchmark.name, "protocols": protocols, "files": written}
+        marker = {
+            "schema": SCHEMA,
+            "title": site,
+            "benchmark": benchmark.name,
+            "protocols": protocols,
+            "files": written,
+        }
         atomic.write_json(aside / SITE.marker, marker)
     return Path(out) / "index.html"
 
 
 def _tables(
-    folder: Path, data: Path, protocols: Sequence[str], keep: Path | None, progress: Progress | None
+    folder: Path,
+    data: Path,
+    protocols: Sequence[str],
+    keep: Path | None,
+    progress: Progress | None,
+    truth: Path | None,
 ) -> dict[str, Scores]:
     tables = {}
     for protocol in protocols:
@@ -82,7 +95,7 @@ def _tables(
             if progress:
                 progress(f"Scored {folder.name}, {row.sequence}, by {protocol}", done, of)  # noqa: B023
 
-        tables[protocol] = kept_scores(folder, data, protocol, keep, scored)
+        tables[protocol] = kept_scores(folder, data, protocol, keep, scored, truth=truth)
     return tables
 
 

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from freeart21.view.document import escape
 from leaderboard.protocols import Protocol, protocol_named
-from leaderboard.site.html import number, page, section, unit_text
+from leaderboard.site.html import page, price_text, section, sentence, unit_text
 
 PRICE = (
-    "A price is what a row costs that cannot be measured: a declared failure, a missing or unreadable result, an asset that "
-    "does not load. It stands in every mean, so that no method gains by leaving out what is hard. A number that a method "
-    "says it never makes is left out instead, and shown as a dash: it is not priced, and such a method has no place by mean "
-    "rank. A wrong joint type prices the numbers that then do not exist: axis, place and state."
+    "A price is what a row costs that cannot be measured: a declared failure, a missing or unreadable result, an asset "
+    "that does not load. It stands in every mean, so that no method gains by leaving out what is hard. A number that a "
+    "method says it never makes is left out instead, and shown as a dash: it is not priced, and such a method has no "
+    "place by mean rank. A wrong joint type prices the numbers that then do not exist: axis, place and state."
 )
 
 
@@ -21,8 +21,8 @@ def definitions_page(site: str, protocols: Sequence[str]) -> bytes:
     main = section("What a price is", f"<p class=text>{PRICE}</p>", id="price")
     main += "".join(_protocol(protocol_named(name)) for name in protocols)
     lead = (
-        "<p>A protocol is named and never changes: a changed definition is another protocol. Numbers of two protocols are "
-        "never set side by side.</p>"
+        "<p>A protocol is named and never changes: a changed definition is another protocol. Numbers of two protocols "
+        "are never set side by side.</p>"
     )
     return page("Definitions", main, site, here="definitions.html", lead=lead)
 
@@ -37,18 +37,20 @@ def _protocol(rules: Protocol) -> str:
             if len(units) == 1
             else f"{unit_text(metric.revolute_unit)} (revolute), {unit_text(metric.prismatic_unit)} (prismatic)"
         )
-        only = "; revolute only" if metric.prismatic_unit is None else "; prismatic only" if metric.revolute_unit is None else ""
-        unit = metric.revolute_unit or metric.prismatic_unit
-        price = "the range of motion" if metric.price is None else number(metric.price, unit, True)
+        only = (
+            "; revolute only"
+            if metric.prismatic_unit is None
+            else "; prismatic only"
+            if metric.revolute_unit is None
+            else ""
+        )
         beside = f" Stands beside {metric.beside} and does not rank." if metric.beside else ""
         better = "larger is better" if metric.direction == "up" else "smaller is better"
         entries.append(
-            f'<div id="{escape(rules.name)}.{escape(metric.id)}"><dt>{escape(metric.label or metric.id)} <code>{escape(metric.id)}</code></dt>'
-            f"<dd><p>{escape(_sentence(metric.definition))}{escape(beside)}</p>"
-            f'<p class="note">In {escape(told)}{only}; {better}; a failure costs {escape(price)}.</p></dd></div>'
+            f'<div id="{escape(rules.name)}.{escape(metric.id)}"><dt>{escape(metric.label or metric.id)} '
+            f"<code>{escape(metric.id)}</code></dt>"
+            f"<dd><p>{escape(sentence(metric.definition))}{escape(beside)}</p>"
+            f'<p class="note">In {escape(told)}{only}; {better}; a failure costs {escape(price_text(metric))}.'
+            "</p></dd></div>"
         )
     return section(rules.name, f'{paragraphs}<dl class="definitions">{"".join(entries)}</dl>', id=rules.name)
-
-
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:].rstrip('.')}."

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from freeart21.view.document import escape
 from leaderboard.rows import Scores
 from leaderboard.site.entrant import Entrant
-from leaderboard.site.html import method_link, page, section
+from leaderboard.site.html import method_link, page, section, table
 
 
 def scores_csv(scores: Scores) -> bytes:
@@ -24,7 +24,9 @@ def scores_csv(scores: Scores) -> bytes:
     writer.writerow([*words, *ids, *(f"{id}_cm" for id in lengths)])
     for row in scores.rows:
         said = [row.sequence, row.joint_type, row.status, row.reason, row.measured_from, int(row.swapped), row.seconds]
-        writer.writerow([*map(_plain, said), *(row.values.get(id) for id in ids), *(row.values_cm.get(id) for id in lengths)])
+        writer.writerow(
+            [*map(_plain, said), *(row.values.get(id) for id in ids), *(row.values_cm.get(id) for id in lengths)]
+        )
     return text.getvalue().encode()
 
 
@@ -53,12 +55,11 @@ def downloads_page(
                     f'<td><a href="scores/{name}" download>{what}</a> <small>{len(files[name]) / 1000:.0f} kB</small>'
                     f'<code class="hash">{digest}</code></td>'
                 )
-            lines.append(f'<tr><th scope="row">{method_link(entrant, False)}</th><td>{escape(protocol)}</td>{"".join(links)}</tr>')
-    table = (
-        '<div class="scroll" tabindex="0" role="region" aria-label="downloads, scrolls sideways"><table class="downloads"><thead><tr>'
-        '<th scope="col">method</th><th scope="col">protocol</th><th scope="col">every number, with definitions</th>'
-        f'<th scope="col">a line a sequence</th></tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
-    )
+            name = f'<th scope="row">{method_link(entrant, False)}</th>'
+            lines.append(f"<tr>{name}<td>{escape(protocol)}</td>{''.join(links)}</tr>")
+    heads = ("method", "protocol", "every number, with definitions", "a line a sequence")
+    head = "".join(f'<th scope="col">{text}</th>' for text in heads)
+    tables = table("downloads", "downloads", head, "".join(lines))
     made = section(
         "The command that made this site",
         f"<pre tabindex=0>{escape(shlex.join(command))}</pre>",
@@ -67,9 +68,10 @@ def downloads_page(
     )
     data = section(
         "The data",
-        f'<p class="text">{escape(benchmark["name"])}, version {escape(benchmark["version"])}, {escape(benchmark["split"])}. '
-        'The SHA-256 of its benchmark.json, which holds the hash of every file of video and truth:</p>'
+        f'<p class="text">{escape(benchmark["name"])}, version {escape(benchmark["version"])}, '
+        f"{escape(benchmark['split'])}. The SHA-256 of its benchmark.json, which holds the hash of every file "
+        "of video and truth:</p>"
         f'<p><code class="hash">{escape(benchmark["sha256"])}</code></p>',
     )
-    tables = section("Tables", table, note="Below each link: the SHA-256 of the file.")
+    tables = section("Tables", tables, note="Below each link: the SHA-256 of the file.")
     return page("Downloads", tables + made + data, site, here="downloads.html")

@@ -23,7 +23,6 @@ def failures_page(
     rows = [(e, row) for e in entrants for row in e.scores[protocol].rows if row.sequence in files]
     lost = [(e, row) for e, row in rows if row.status != "ok"]
     wrong = [(e, row) for e, row in rows if row.status == "ok" and row.values.get("joint_type") == 0]
-    doubted = [(e, row) for e, row in rows if row.status == "ok" and row.notes and (e, row) not in wrong]
     sections = [
         _cards(
             f"Not measured: {len(lost)} of {len(rows)}",
@@ -33,22 +32,23 @@ def failures_page(
         ),
         _cards(
             f"The wrong kind of joint: {len(wrong)}",
-            [_card(e, row, files, "wrong type", "; ".join(row.notes)) for e, row in wrong],
+            [_card(e, row, files, "wrong type", row.notes[0] if row.notes else "") for e, row in wrong],
             "Axis, place and state are priced; masks, poses and surfaces count as they are.",
             "Every measured row has the right kind of joint.",
         ),
     ]
-    if doubted:
-        cards = [_card(e, row, files, "note", "; ".join(row.notes)) for e, row in doubted[: 4 * WORST]]
-        sections.append(_cards(f"Measured, with a remark: {len(doubted)}", cards, "In the words of scoring.", ""))
     measured = [(e, row) for e, row in rows if row.status == "ok"]
     for metric in rules.metrics:
         if metric.beside is None and metric.column and (worst := _worst(metric, measured)):
             cards = [
-                _card(e, row, files, number(row.values[metric.id], metric.unit(row.joint_type), True), "") for e, row in worst
+                _card(e, row, files, number(row.values[metric.id], metric.unit(row.joint_type), True), "")
+                for e, row in worst
             ]
-            sections.append(_cards(f"Worst by {metric.label}", cards, escape(explained(metric)), "", rules.name, metric.id))
-    lead = f"<p>The worst rows of every method by {escape(protocol)}, failures first. What a number hides, its page shows.</p>"
+            sections.append(
+                _cards(f"Worst by {metric.label}", cards, escape(explained(metric)), "", rules.name, metric.id)
+            )
+    sections.append(_remarks(measured, files))
+    lead = f"<p>The worst rows by {escape(protocol)}, failures first. What a number hides, its page shows.</p>"
     return page("Failures first", "".join(sections), site, here="failures.html", lead=lead)
 
 
@@ -66,12 +66,29 @@ def _ordered(metric: Metric, rows: Sequence[tuple[Entrant, Row]]) -> list[tuple[
     return sorted(rows, key=lambda pair: sign * (pair[1].values[metric.id] or 0.0))
 
 
+def _remarks(rows: Sequence[tuple[Entrant, Row]], files: dict[str, str]) -> str:
+    """What scoring remarks on measured rows, each remark once a method with the sequences that it is of."""
+    groups: dict[tuple[Entrant, str], list[str]] = {}
+    for entrant, row in rows:
+        for note in row.notes:
+            groups.setdefault((entrant, note), []).append(row.sequence)
+    if not groups:
+        return ""
+    lines = []
+    for (entrant, note), names in groups.items():
+        some = ", ".join(f'<a href="sequences/{files[n]}.html">{escape(n)}</a>' for n in names[:WORST])
+        more = f" and {len(names) - WORST} more" if len(names) > WORST else ""
+        lines.append(f"<li>{method_link(entrant, False)} <p>{escape(note)} <small>{some}{more}</small></p></li>")
+    return section("Measured, with a remark", f'<ul class="remarked">{"".join(lines)}</ul>')
+
+
 def _card(entrant: Entrant, row: Row, files: dict[str, str], head: str, text: str) -> str:
     file = files[row.sequence]
     words = f"<p>{escape(text)}</p>" if text else ""
     return (
-        f'<li class="card"><a href="sequences/{file}.html" tabindex="-1" aria-hidden="true"><img src="thumbs/{file}.jpg" alt="" '
-        f'width="176" height="99" loading="lazy"></a><div><b>{escape(head)}</b><a href="sequences/{file}.html">'
+        f'<li class="card"><a href="sequences/{file}.html" tabindex="-1" aria-hidden="true">'
+        f'<img src="thumbs/{file}.jpg" alt="" width="176" height="99" loading="lazy"></a>'
+        f'<div><b>{escape(head)}</b><a href="sequences/{file}.html">'
         f"{escape(row.sequence)}</a>{method_link(entrant, False)}{words}</div></li>"
     )
 

@@ -27,9 +27,9 @@ PLACES = (
 )
 TRUTH_PATH = "M1.2 8.6l2.2-2.2l3.1 3.1l6.2-6.4l2.2 2.2l-8.4 8.6z"
 """A tick: the truth's mark."""
-_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
-_SIGNS = {"deg": "°", "%": " %", "dB": " dB", "cm": " cm"}
-NONE = "–"
+_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3, "m": 4, "rad": 3, "1": 3, "100 m²": 4}
+_SIGNS = {"deg": "°", "%": " %", "dB": " dB", "cm": " cm", "m": " m", "rad": " rad"}
+NONE = "\N{EN DASH}"
 
 
 def script() -> str:
@@ -91,13 +91,16 @@ def page(
         "</head>",
         '<body class="site">',
         '<a class="skip" href="#main">Skip to the content</a>',
-        f'<nav class="top" aria-label="site"><a class="brand" href="{up}index.html">{escape(site)}</a><ul>{menu}</ul></nav>',
-        f'<header>{over}<h1>{icon}{escape(title)}</h1>{f"<div class=lead>{lead}</div>" if lead else ""}</header>',
+        f'<nav class="top" aria-label="site"><a class="brand" href="{up}index.html">{escape(site)}</a>',
+        f"<ul>{menu}</ul></nav>",
+        f"<header>{over}<h1>{icon}{escape(title)}</h1>{f'<div class=lead>{lead}</div>' if lead else ''}</header>",
         '<main id="main">',
-        "<noscript><p class='notice'>Sorting, filters, video and 3D need JavaScript; all numbers stand here without.</p></noscript>",
+        '<noscript><p class="notice">Sorting, filters, video and 3D need JavaScript; all numbers stand here without.',
+        "</p></noscript>",
         main,
         "</main>",
-        f'<footer><p>Made by <code>freeart21 site</code> {escape(__version__)}. Nothing here is fetched from elsewhere.</p></footer>',
+        f"<footer><p>Made by <code>freeart21 site</code> {escape(__version__)}. Nothing here is fetched from",
+        "elsewhere.</p></footer>",
         *(f'<script src="{escape(address)}"></script>' for address in scripts),
         f'<script src="{up}static/site.js"></script>',
         "</body>",
@@ -107,7 +110,9 @@ def page(
     return "\n".join(lines).encode()
 
 
-def section(title: str, html: str, kind: str = "", data: Any = None, id: str = "", place: str = "full", note: str = "") -> str:
+def section(
+    title: str, html: str, kind: str = "", data: Any = None, id: str = "", place: str = "full", note: str = ""
+) -> str:
     """One box of a page; `html` is escaped already, `kind` says which script brings it to life with `data`."""
     stored = f'<script type="application/json">{embed_json(data)}</script>' if data is not None else ""
     named = f' id="{escape(id)}"' if id else ""
@@ -127,7 +132,8 @@ def mark(entrant: Entrant) -> str:
 def method_link(entrant: Entrant, deep: bool) -> str:
     """A method's mark and name, leading to its page."""
     up = "../" if deep else ""
-    return f'<a class="method" href="{up}methods/{entrant.file}.html">{mark(entrant)}<span>{escape(entrant.name)}</span></a>'
+    name = f"{mark(entrant)}<span>{escape(entrant.name)}</span>"
+    return f'<a class="method" href="{up}methods/{entrant.file}.html">{name}</a>'
 
 
 def sources(entrants: Sequence[Entrant]) -> list[dict[str, Any]]:
@@ -140,7 +146,7 @@ def sources(entrants: Sequence[Entrant]) -> list[dict[str, Any]]:
 
 
 def number(value: float | None, unit: str | None, signed: bool = False) -> str:
-    """A value in three digits or as many as it has before the point; `signed` with its unit. The scripts do the same."""
+    """A value in three digits or as many as it has before the point, `signed` with its unit. So do the scripts."""
     if value is None or unit is None:
         return NONE
     plain = abs(value) < 10 or unit in ("dB", "fraction")
@@ -150,7 +156,7 @@ def number(value: float | None, unit: str | None, signed: bool = False) -> str:
 
 def unit_text(unit: str | None) -> str:
     """A unit as a heading shows it: empty for fractions."""
-    return {"deg": "°", "fraction": ""}.get(unit or "", unit or "")
+    return {"deg": "°", "fraction": "", "1": ""}.get(unit or "", unit or "")
 
 
 def columns(rules: Protocol) -> list[tuple[Metric, Group]]:
@@ -168,11 +174,47 @@ def columns(rules: Protocol) -> list[tuple[Metric, Group]]:
 
 def explained(metric: Metric) -> str:
     """What a number means, in a sentence or two, unescaped."""
-    better = "larger" if metric.direction == "up" else "smaller"
-    price = "the range of motion" if metric.price is None else number(metric.price, metric.unit("revolute") or metric.unit("prismatic"), True)
-    return f"{metric.definition}. {better.capitalize()} is better; a failure costs {price}."
+    better = "Larger" if metric.direction == "up" else "Smaller"
+    return f"{sentence(metric.definition)} {better} is better; a failure costs {price_text(metric)}."
+
+
+def sentence(text: str) -> str:
+    """`text` with a capital at its beginning and one full stop at its end."""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
+def price_text(metric: Metric) -> str:
+    """What a failure costs, in words: a number with its unit, two where joint types differ, or where it comes from."""
+    told = getattr(metric, "price_text", metric.price)
+    if isinstance(told, str):
+        return told
+    if told is None:
+        return "the range of motion"
+    return number(told, metric.revolute_unit or metric.prismatic_unit, True)
 
 
 def facts(rows: Sequence[tuple[str, str]]) -> str:
     """A list of facts: names, and values already escaped."""
     return '<dl class="facts">' + "".join(f"<div><dt>{escape(k)}</dt><dd>{v}</dd></div>" for k, v in rows) + "</dl>"
+
+
+def table(label: str, kind: str, head: str, body: str) -> str:
+    """A table that scrolls sideways where the screen is narrow; `head` and `body` are cells and rows, escaped."""
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(label)}, scrolls sideways">'
+        f'<table class="{kind}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    )
+
+
+def metric_row(rules: Protocol, metric: Metric, cells: str) -> str:
+    """A row of a table of numbers on a page in a folder: the metric's name, leading to its definition, and `cells`."""
+    arrow = "↑" if metric.direction == "up" else "↓"
+    place = f"../definitions.html#{escape(rules.name)}.{escape(metric.id)}"
+    name = f'<a href="{place}">{escape(metric.label or metric.id)}</a> <small>{arrow}</small>'
+    return f'<tr class="{"beside" if metric.beside else ""}"><th scope="row">{name}</th>{cells}</tr>'
+
+
+def number_cell(text: str, best: bool = False, value: float | None = None, more: str = "") -> str:
+    """A cell with a number as `text`, by which value it sorts, and what stands small below it, escaped."""
+    sort = "" if value is None else f' data-value="{value!r}"'
+    return f'<td class="number{" best" if best else ""}"{sort}><span>{text}</span>{more}</td>'

@@ -12,7 +12,19 @@ from freeart21.view.document import escape
 from leaderboard.protocols import Metric, Protocol, protocol_named
 from leaderboard.rows import Row
 from leaderboard.site.entrant import Entrant
-from leaderboard.site.html import NONE, columns, explained, facts, method_link, number, page, section, unit_text
+from leaderboard.site.html import (
+    NONE,
+    columns,
+    explained,
+    facts,
+    method_link,
+    number,
+    number_cell,
+    page,
+    section,
+    table,
+    unit_text,
+)
 from leaderboard.site.published_tables import published_section
 from leaderboard.site.sequence_data import Shown
 
@@ -44,9 +56,9 @@ def index_page(
     """The front page; `files` says by which file name a sequence goes."""
     frames = sum(s.facts["frames"] for s in shown)
     lead = (
-        f"<p>{len(entrants)} method{'s' * (len(entrants) != 1)} on {len(shown)} videos of articulated objects that move "
-        f"freely before a camera: find the two parts, the joint, its state in every frame, and an asset to simulate. "
-        "Failures are priced, never dropped.</p>"
+        f"<p>{len(entrants)} method{'s' * (len(entrants) != 1)} on {len(shown)} videos of articulated objects "
+        "that move freely before a camera: find the two parts, the joint, its state in every frame, and an asset "
+        "to simulate. Failures are priced, never dropped.</p>"
     )
     lead += facts(
         [
@@ -73,26 +85,29 @@ def _board(protocol: str, entrants: Sequence[Entrant], shown: Sequence[Shown], f
     )
     best = _best(places, heads)
     body = "".join(_line(place, k, heads, titles, best) for k, place in enumerate(places))
-    table = (
-        '<div class="scroll" tabindex="0" role="region" aria-label="ranking, scrolls sideways"><table class="ranking"><thead><tr>'
+    first = (
         '<th scope="col" class="place"><button type="button" data-column="rank">#</button></th>'
         '<th scope="col"><button type="button" data-column="name">method</button></th>'
         '<th scope="col" class="number"><button type="button" data-column="measured">measured</button></th>'
-        f"{head}</tr></thead><tbody>{body}</tbody></table></div>"
     )
-    order = "mean rank: a method's place by each column, averaged over all columns; only methods with every number have one"
+    ranking = table("ranking", "ranking", first + head, body)
     intro = (
-        f"<p class=note>Mean ± standard deviation over all sequences, failures at their price. Ordered by {order}. No single "
-        f'number decides: sort by the one that you care for. <a href="definitions.html#{protocol}">What each number '
-        "means</a>.</p>"
+        '<p class="note">Mean ± standard deviation over all sequences, failures at their price. Ordered by mean '
+        "rank: a method's place by each column, averaged over all columns; only methods with every number have "
+        "one. No single number decides: sort by the one that you care for. "
+        f'<a href="definitions.html#{protocol}">What each number means</a>.</p>'
     )
-    explain = f'<p class="explain" id="explain-{protocol}" aria-live="polite">Point at, focus or tap a column to read what it means.</p>'
-    title = f"Ranking by {protocol}" if protocol == RANKING else f"By {protocol}: another protocol, not the ranking"
+    explain = (
+        f'<p class="explain" id="explain-{protocol}" aria-live="polite">Point at, focus or tap a column to read what '
+        "it means.</p>"
+    )
+    ranks = getattr(rules, "ranking", protocol == RANKING)
+    title = f"Ranking by {protocol}" if ranks else f"By {protocol}: another protocol, not the ranking"
     data = _data(rules, entrants, shown, files)
     matrix = f'<h3>Every sequence</h3><div class="matrix">{_matrix(rules, entrants, shown, files)}</div>'
     return section(
         title,
-        f'<div class="filters"></div>{intro}{table}{explain}{matrix}',
+        f'<div class="filters"></div>{intro}{ranking}{explain}{matrix}',
         "ranking",
         data,
         id=f"protocol-{protocol}",
@@ -128,9 +143,7 @@ def ranked(protocol: str, entrants: Sequence[Entrant]) -> list[Place]:
 
 
 def _cell(rows: Sequence[Row], metric: Metric, group: str) -> tuple[float, float | None] | None:
-    values = [
-        v for row in rows if group in ("all", row.joint_type) and (v := row.values.get(metric.id)) is not None
-    ]
+    values = [v for row in rows if group in ("all", row.joint_type) and (v := row.values.get(metric.id)) is not None]
     if not values:
         return None
     return float(np.mean(values)), float(np.std(values, ddof=1)) if len(values) > 1 else None
@@ -167,25 +180,22 @@ def _line(
 def _matrix(rules: Protocol, entrants: Sequence[Entrant], shown: Sequence[Shown], files: dict[str, str]) -> str:
     """Every sequence with the first ranking number of every method; the scripts offer the others."""
     metric = next((m for m in rules.metrics if m.column and m.beside is None), rules.metrics[0])
-    head = "".join(f'<th scope="col" class="number">{method_link(e, False)}</th>' for e in entrants)
+    head = "".join(f'<th scope="col">{name}</th>' for name in ("sequence", "category", "joint"))
+    head += "".join(f'<th scope="col" class="number">{method_link(e, False)}</th>' for e in entrants)
     lines = []
     for s in shown:
         cells = []
         for entrant in entrants:
             row = entrant.row(rules.name, s.name)
             value = None if row is None else row.values.get(metric.id)
-            word = "" if row is None or row.status == "ok" else f"<small class=failed>{escape(row.status)}</small>"
-            cells.append(f'<td class="number"><span>{number(value, metric.unit(s.facts["joint_type"]), True)}</span>{word}</td>')
+            more = "" if row is None or row.status == "ok" else f'<small class="failed">{escape(row.status)}</small>'
+            cells.append(number_cell(number(value, metric.unit(s.facts["joint_type"]), True), more=more))
         lines.append(
             f'<tr><th scope="row">{sequence_link(s, files)}</th><td>{escape(s.facts["category"])}</td>'
             f"<td>{escape(s.facts['joint_type'])}</td>{''.join(cells)}</tr>"
         )
-    return (
-        f'<p class="note metric">{escape(metric.label)}</p>'
-        '<div class="scroll" tabindex="0" role="region" aria-label="every sequence, scrolls sideways"><table><thead><tr>'
-        f'<th scope="col">sequence</th><th scope="col">category</th><th scope="col">joint</th>{head}</tr></thead>'
-        f"<tbody>{''.join(lines)}</tbody></table></div>"
-    )
+    every = table("every sequence", "every", head, "".join(lines))
+    return f'<p class="note metric">{escape(metric.label)}</p>{every}'
 
 
 def sequence_link(shown: Shown, files: dict[str, str], deep: bool = False) -> str:
@@ -197,7 +207,9 @@ def sequence_link(shown: Shown, files: dict[str, str], deep: bool = False) -> st
     )
 
 
-def _data(rules: Protocol, entrants: Sequence[Entrant], shown: Sequence[Shown], files: dict[str, str]) -> dict[str, Any]:
+def _data(
+    rules: Protocol, entrants: Sequence[Entrant], shown: Sequence[Shown], files: dict[str, str]
+) -> dict[str, Any]:
     """What `static/ranking.js` sorts and filters."""
     heads = columns(rules)
     metrics = [m for m in rules.metrics if any(e.row(rules.name, s.name) for e in entrants for s in shown)]
@@ -212,9 +224,7 @@ def _data(rules: Protocol, entrants: Sequence[Entrant], shown: Sequence[Shown], 
                 "shape": entrant.shape,
                 "href": f"methods/{entrant.file}.html",
                 "status": [row.status if row else "missing" for row in rows],
-                "values": [
-                    [_short(row.values.get(metric.id)) if row else None for metric in metrics] for row in rows
-                ],
+                "values": [[_short(row.values.get(metric.id)) if row else None for metric in metrics] for row in rows],
             }
         )
     return {

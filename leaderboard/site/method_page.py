@@ -6,10 +6,22 @@ import json
 from collections.abc import Sequence
 
 from freeart21.view.document import escape
-from leaderboard.protocols import Protocol, protocol_named
-from leaderboard.rows import Scores
+from leaderboard.protocols import Metric, Protocol, protocol_named
+from leaderboard.rows import Row, Scores, Summary
 from leaderboard.site.entrant import Entrant
-from leaderboard.site.html import NONE, columns, facts, mark, number, page, section, unit_text
+from leaderboard.site.html import (
+    NONE,
+    columns,
+    facts,
+    mark,
+    metric_row,
+    number,
+    number_cell,
+    page,
+    section,
+    table,
+    unit_text,
+)
 from leaderboard.site.index_page import sequence_link
 from leaderboard.site.provenance import provenance
 from leaderboard.site.sequence_data import Shown
@@ -45,7 +57,9 @@ def method_page(
         f'<a href="../scores/{entrant.file}.{name}.csv">as CSV</a></p>'
         for name in protocols
     )
-    main = f"{notice}{notes}{tables}{section('Settings, by its own word', own)}{section('Where these numbers come from', traced, id='provenance')}"
+    own = section("Settings, by its own word", own)
+    traced = section("Where these numbers come from", traced, id="provenance")
+    main = f"{notice}{notes}{tables}{own}{traced}"
     return page(entrant.name, main, site, True, lead=lead, kind="Method", icon=mark(entrant))
 
 
@@ -67,62 +81,61 @@ def _protocol(entrant: Entrant, rules: Protocol, shown: Sequence[Shown], files: 
 
 
 def _means(scores: Scores, rules: Protocol) -> str:
+    """Every number over each joint type and over all: mean and standard deviation, median and worst."""
     groups = scores.summaries
-    head = "".join(
-        f'<th scope="col" class="number">{escape(s.group)} <small>{s.sequences - s.failures} of {s.sequences}</small></th>'
+    head = '<th scope="col">mean ± standard deviation</th>' + "".join(
+        f'<th scope="col" class="number">{s.group} <small>{s.sequences - s.failures} of {s.sequences}</small></th>'
         for s in groups
     )
     lines = []
     for metric in rules.metrics:
-        cells, any_value = [], False
-        for summary in groups:
-            unit, found = metric.unit(summary.group), summary.statistics.get(metric.id)
-            if unit is None or found is None:
-                cells.append(f'<td class="number" data-value=""><span>{NONE}</span></td>')
-                continue
-            any_value = True
-            std = "" if found.std is None else f"<small>± {number(found.std, unit)}</small>"
-            rest = f"<small>median {number(found.median, unit)}, worst {number(found.worst, unit)}</small>"
-            cells.append(f'<td class="number" data-value="{found.mean!r}"><span>{number(found.mean, unit, True)}</span>{std}{rest}</td>')
-        if any_value:
-            arrow = "↑" if metric.direction == "up" else "↓"
-            name = f'<a href="../definitions.html#{rules.name}.{metric.id}">{escape(metric.label or metric.id)}</a>'
-            lines.append(f'<tr class="{"beside" if metric.beside else ""}"><th scope="row">{name} <small>{arrow}</small></th>{"".join(cells)}</tr>')
-    return (
-        '<div class="scroll" tabindex="0" role="region" aria-label="means, scrolls sideways"><table class="numbers means"><thead><tr>'
-        f'<th scope="col">mean ± standard deviation</th>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
-    )
+        cells = [_mean(metric, summary) for summary in groups]
+        if any(NONE not in cell for cell in cells):
+            lines.append(metric_row(rules, metric, "".join(cells)))
+    return table("means", "numbers means", head, "".join(lines))
+
+
+def _mean(metric: Metric, summary: Summary) -> str:
+    unit, found = metric.unit(summary.group), summary.statistics.get(metric.id)
+    if unit is None or found is None:
+        return number_cell(NONE)
+    std = "" if found.std is None else f" <small>± {number(found.std, unit)}</small>"
+    rest = f"<small>median {number(found.median, unit)}, worst {number(found.worst, unit)}</small>"
+    return number_cell(number(found.mean, unit, True), more=std + rest)
 
 
 def _rows(entrant: Entrant, rules: Protocol, shown: Sequence[Shown], files: dict[str, str]) -> str:
-    heads = list(dict.fromkeys(metric.id for metric, _ in columns(rules) if metric.column))
-    metrics = [rules.metric(id) for id in heads]
-    names = ["sequence", "joint", "", *(m.column.replace("\n", " ") for m in metrics), "s"]
-    head = "".join(
-        f'<th scope="col"{" class=number" if k > 2 else ""}><button type="button">{escape(name) or "status"}</button>'
-        + (f" <small>{escape(unit_text(metrics[k - 3].unit('all')))} {'↑' if metrics[k - 3].direction == 'up' else '↓'}</small>" if 3 <= k < 3 + len(metrics) else "")
-        + "</th>"
-        for k, name in enumerate(names)
-    )
+    """Every sequence with the ranking numbers; sorted by a click on a heading."""
+    metrics = list({metric.id: metric for metric, _ in columns(rules) if metric.column}.values())
+    head = _sortable("sequence") + _sortable("joint") + _sortable("status")
+    for metric in metrics:
+        arrow = "↑" if metric.direction == "up" else "↓"
+        unit = f" <small>{escape(unit_text(metric.unit('all')))} {arrow}</small>"
+        head += _sortable(metric.column.replace("\n", " "), unit, ' class="number"')
+    head += _sortable("s", "", ' class="number"')
     lines = []
     for s in shown:
         row = entrant.row(rules.name, s.name)
-        if row is None:
-            continue
-        wrong = row.status == "ok" and row.values.get("joint_type") == 0
-        word = row.status if row.status != "ok" else "wrong type" if wrong else "files" if row.measured_from == "files" else "ok"
-        cells = []
-        for metric in metrics:
-            value, unit = row.values.get(metric.id), metric.unit(row.joint_type)
-            signed = metric.unit("all") is None
-            cells.append(f'<td class="number" data-value="{"" if value is None else repr(value)}">{number(value, unit, signed)}</td>')
-        took = "" if row.seconds is None else f"{row.seconds:.0f}"
-        failed = ' class="failed"' if row.status != "ok" or wrong else ""
-        lines.append(
-            f'<tr><th scope="row" data-value="{escape(s.name)}">{sequence_link(s, files, True)}</th><td>{escape(row.joint_type)}</td>'
-            f'<td{failed} title="{escape(row.reason)}">{escape(word)}</td>{"".join(cells)}<td class="number">{took or NONE}</td></tr>'
-        )
+        if row is not None:
+            lines.append(_line(row, metrics, sequence_link(s, files, True)))
+    return table("every sequence", "rows", head, "".join(lines))
+
+
+def _sortable(name: str, more: str = "", attributes: str = "") -> str:
+    return f'<th scope="col"{attributes}><button type="button">{escape(name)}</button>{more}</th>'
+
+
+def _line(row: Row, metrics: Sequence[Metric], link: str) -> str:
+    wrong = row.status == "ok" and row.values.get("joint_type") == 0
+    word = "wrong type" if wrong else "files" if row.status == "ok" and row.measured_from == "files" else row.status
+    failed = ' class="failed"' if row.status != "ok" or wrong else ""
+    cells = []
+    for metric in metrics:
+        value, unit = row.values.get(metric.id), metric.unit(row.joint_type)
+        cells.append(number_cell(number(value, unit, metric.unit("all") is None), value=value))
+    took = NONE if row.seconds is None else f"{row.seconds:.0f}"
     return (
-        '<div class="scroll" tabindex="0" role="region" aria-label="every sequence, scrolls sideways"><table class="rows"><thead>'
-        f"<tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
+        f'<tr><th scope="row" data-value="{escape(row.sequence)}">{link}</th><td>{escape(row.joint_type)}</td>'
+        f'<td{failed} title="{escape(row.reason)}">{escape(word)}</td>{"".join(cells)}'
+        f"{number_cell(took, value=row.seconds)}</tr>"
     )

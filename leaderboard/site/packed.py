@@ -25,7 +25,7 @@ STATE_LEVELS = 4095
 
 
 def varints(values: ArrayLike) -> bytes:
-    """Whole numbers (n,) as zigzag variable-length bytes, seven bits each, the lowest first (as in Protocol Buffers)."""
+    """Whole numbers (n,) as zigzag variable-length bytes, seven bits each, lowest first (as in Protocol Buffers)."""
     v = np.asarray(values, np.int64).reshape(-1)
     rest = ((v << 1) ^ (v >> 63)).astype(np.uint64)
     columns, more = [], []
@@ -62,7 +62,7 @@ class Packed:
         self._places: dict[bytes, list[int]] = {}
 
     def whole(self, values: ArrayLike) -> list[int]:
-        """Where whole numbers (n,) stand: [first byte, bytes]. What the others give has a key '$', by which it is read."""
+        """Where whole numbers (n,) stand: [first byte, bytes]. All other kinds have a key '$', which names them."""
         data = varints(values)
         if data not in self._places:
             self._places[data] = [len(self._data), len(data)]
@@ -96,7 +96,7 @@ class Packed:
         step = max(float(np.ptp(places, axis=0).max()) / LEVELS if len(places) else 0.0, 1e-9)
         low, step = np.array([_rounded(float(x)) for x in low]), _rounded(step)
         cells, index = np.unique(np.rint((places - low) / step).astype(np.int64), axis=0, return_inverse=True)
-        order = _along_curve(cells)  # neighbours follow each other: differences are small
+        order = _along_curve(cells)  # so that differences are small
         rank = np.empty(len(order), np.int64)
         rank[order] = np.arange(len(order))
         faces = rank[index.reshape(-1)[faces]].reshape(-1, 3)

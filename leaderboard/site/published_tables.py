@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from freeart21.view.document import escape
-from leaderboard.site.html import NONE, section
+from leaderboard.protocols import PROTOCOLS
+from leaderboard.site.html import NONE, section, table, unit_text
 
 
 def published_rows() -> Sequence[Any]:
     """The rows of `leaderboard.published`, none when this version has no such tables."""
     try:
-        from leaderboard.published import PUBLISHED
+        from leaderboard.published import PUBLISHED  # type: ignore[import-not-found,unused-ignore]
     except ImportError:
         return ()
     return tuple(PUBLISHED)
@@ -21,35 +22,45 @@ def published_rows() -> Sequence[Any]:
 def published_section() -> str:
     """All published rows, a table a protocol, data set and joint type; empty when there are none."""
     rows = published_rows()
-    groups: dict[tuple[str, str, str], list[Any]] = {}
+    groups: dict[tuple[str, str, str, str], list[Any]] = {}
     for row in rows:
-        groups.setdefault((row.protocol, row.dataset, row.group), []).append(row)
+        groups.setdefault((row.protocol, row.dataset, row.group, str(row.source)), []).append(row)
     if not groups:
         return ""
-    tables = []
-    for (protocol, dataset, group), members in groups.items():
+    tables: list[str] = []
+    for (protocol, dataset, group, source), members in groups.items():
         ids = list(dict.fromkeys(id for row in members for id in row.values))
-        head = "".join(f'<th scope="col" class="number">{escape(id)}</th>' for id in ids)
+        head = '<th scope="col">method</th>' + "".join(_head(protocol, id, group) for id in ids)
         lines = []
         for row in members:
             cells = "".join(f'<td class="number">{_cell(row.values.get(id))}</td>' for id in ids)
             lines.append(f'<tr><th scope="row">{escape(row.method)}</th>{cells}</tr>')
         tables.append(
-            f"<h3>{escape(dataset)}, {escape(group)}, protocol {escape(protocol)}</h3>"
-            f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(dataset)}, {escape(group)}"><table>'
-            f'<thead><tr><th scope="col">method</th>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+            f"<details{' open' * (not tables)}><summary>{escape(dataset)}, {escape(group)}, nearest protocol "
+            f"{escape(protocol)} <small>{escape(source)}</small></summary>"
+            f"{table(f'{dataset}, {group}', 'published', head, ''.join(lines))}</details>"
         )
-    origins = "; ".join(dict.fromkeys(escape(str(row.source)) for row in rows))
     return section(
         "As published",
-        '<p class="note">Other objects, other videos, protocol as named: copied from the publication, not measured here, '
-        f"and not to be ranked with the tables above. Source: {origins}.</p>{''.join(tables)}",
+        '<p class="note">Other objects, other videos: copied from the publication, not measured here, and never ranked '
+        f"with the tables above. The protocol named is the one whose definitions come nearest.</p>{''.join(tables)}",
         id="published",
     )
+
+
+def _head(protocol: str, id: str, group: str) -> str:
+    """The head of a column: the number's name and unit where its protocol is known here."""
+    if protocol not in PROTOCOLS:
+        return f'<th scope="col" class="number">{escape(id)}</th>'
+    metric = PROTOCOLS[protocol].metric(id)
+    unit = metric.unit(group)  # type: ignore[arg-type]
+    arrow = "↑" if metric.direction == "up" else "↓"
+    name = escape(metric.column.replace("\n", " ") or metric.label)
+    return f'<th scope="col" class="number">{name} <small>{escape(unit_text(unit))} {arrow}</small></th>'
 
 
 def _cell(value: Any) -> str:
     if value is None:
         return NONE
     mean, std = value if isinstance(value, tuple) else (value, None)
-    return f"<span>{mean:g}</span>" + ("" if std is None else f"<small>± {std:g}</small>")
+    return f"<span>{mean:.2f}</span>" + ("" if std is None else f" <small>± {std:.2f}</small>")

@@ -32,11 +32,11 @@ from leaderboard.site.packed import Packed
 
 FRAMES = 72
 """Pictures of a video that are shown, evenly spread."""
-MASK_SIDE = 144
+MASK_SIDE = 128
 """Pixels of the longer side of part masks; outlines are smoothed between them."""
-MASK_BYTES = 9 << 10
-"""Of one source's masks before DEFLATE; noise is thinned until it fits."""
-FACES = 520
+MASK_RUNS = 18 << 10
+"""Of one source's masks, each a byte or two before DEFLATE: noisier ones are made smaller until they fit."""
+FACES = 440
 """Triangles a part."""
 PICTURE_SIDE = 640
 ACROSS, DOWN = 4, 6
@@ -125,7 +125,7 @@ def show_sequence(benchmark: Benchmark, name: str, entrants: Sequence[Entrant], 
         "object": str(source.get("object") or name),
         "frames": len(truth),
         "seconds": float(recording.times_s[-1] - recording.times_s[0]),
-        "size": f"{size[1]} × {size[0]}",
+        "size": f"{size[1]} \N{MULTIPLICATION SIGN} {size[0]}",
         "diagonal_cm": 100 * truth.diagonal,
         "range": float(np.ptp(truth.states)),
         "source": source,
@@ -157,9 +157,8 @@ def _masks(packed: Packed, masks: NDArray[np.uint8]) -> dict[str, Any]:
         scale = min(1.0, side / max(height, width))
         small = max(1, round(width * scale)), max(1, round(height * scale))
         frames = np.stack([cv2.resize(mask, small, interpolation=cv2.INTER_NEAREST) for mask in masks])
-        data = packed.labels(frames) if _runs(frames) <= MASK_BYTES * 2 or side <= MASK_SIDE // 8 else None
-        if data is not None:
-            return {"width": small[0], "height": small[1], "labels": data}
+        if _runs(frames) <= MASK_RUNS or side <= MASK_SIDE // 8:
+            return {"width": small[0], "height": small[1], "labels": packed.labels(frames)}
         side //= 2
 
 
@@ -255,7 +254,8 @@ def _scene(
         if link["joint"] is not None:
             link["joint"] = {k: v if k == "type" else _round(v) for k, v in link["joint"].items()}
     for slider, made in zip(data["sliders"], sliders, strict=True):
-        slider |= {"states": packed.states(made.states), "lower": round(made.lower, 6), "upper": round(made.upper, 6)}
+        told = packed.states(made.states) if made.states is not None else None
+        slider |= {"states": told, "lower": round(made.lower, 6), "upper": round(made.upper, 6)}
     data["layers"] = [{"colour": layer["colour"], "style": layer["style"], "shown": True} for layer in data["layers"]]
     for k, layer in enumerate(data["layers"]):
         if k % 2:
@@ -279,7 +279,8 @@ def _near_enough(mesh: Mesh, size: float) -> Mesh:
     """The mesh without what lies farther out than ten objects: one stray vertex must not blur all others."""
     if mesh.empty or bounding_diagonal(mesh) < 10 * size:
         return mesh
-    return mesh.with_faces((np.abs(mesh.vertices[mesh.faces]) < 5 * size).all((1, 2)))
+    near = np.abs(mesh.vertices).max(1) < 5 * size
+    return mesh.with_faces(near[mesh.faces].all(1))
 
 
 def _arrangements(data: dict[str, Any], count: int) -> list[dict[str, Any]]:
@@ -289,15 +290,17 @@ def _arrangements(data: dict[str, Any], count: int) -> list[dict[str, Any]]:
     right = np.cross(up, front / np.linalg.norm(front))
     columns = min(count, 2 if count in (2, 4) else 3)
     rows = -(-count // columns)
-    across, down = 1.8 * data["radius"], 1.9 * data["radius"]
+    room = 0.82 * data["radius"]  # which reaches as far as the part ever does
+    across, down = 1.8 * room, 1.9 * room
     shifts = []
     for k in range(count):
         column, row = k % columns, k // columns
         place = across * (column - (columns - 1) / 2) * right - down * (row - (rows - 1) / 2) * up
         shifts.append(_round(place))
-    need = data["radius"] * max(0.95 * (rows - 1) + 0.9, (0.9 * (columns - 1) + 0.9) / 1.6)  # the view is 16 by 9
+    camera = data["camera"]  # whose shape the view has
+    need = 1.12 * room * max(0.95 * (rows - 1) + 0.9, columns / max(1.0, camera["width"] / camera["height"]))
     beside = {"name": "Side by side", "shifts": shifts, "radius": _round(need)[0]}
-    over = {"name": "Overlaid", "shifts": [[0.0, 0.0, 0.0]] * count, "radius": data["radius"], "ghost": True}
+    over = {"name": "Overlaid", "shifts": [[0.0, 0.0, 0.0]] * count, "radius": _round(1.1 * room)[0], "ghost": True}
     return [beside, over] if count > 1 else []
 
 
@@ -316,7 +319,7 @@ def _jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
 def _fitted(picture: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
     scale = min(1.0, side / max(picture.shape[:2]))
     size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
-    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if scale < 1 else picture
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA).astype(np.uint8) if scale < 1 else picture
 
 
 def _sheets(pictures: list[NDArray[np.uint8]]) -> tuple[bytes, ...]:
@@ -351,4 +354,5 @@ def _thumb(pictures: list[NDArray[np.uint8]], masks: NDArray[np.uint8]) -> bytes
         x, y = np.clip(middle_x, half, width - half), np.clip(middle_y, half * 9 / 16, height - half * 9 / 16)
         left, top = int(max(x - half, 0)), int(max(y - half * 9 / 16, 0))
         picture = picture[top : top + max(1, int(half * 9 / 8)), left : left + max(1, int(2 * half))]
-    return _jpeg(cv2.resize(picture, (THUMB, THUMB * 9 // 16), interpolation=cv2.INTER_AREA), 72)
+    small = cv2.resize(picture, (THUMB, THUMB * 9 // 16), interpolation=cv2.INTER_AREA)
+    return _jpeg(small.astype(np.uint8), 72)

@@ -9,7 +9,18 @@ from freeart21.view.document import escape
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row
 from leaderboard.site.entrant import Entrant
-from leaderboard.site.html import NONE, facts, method_link, number, page, section, sources
+from leaderboard.site.html import (
+    NONE,
+    facts,
+    method_link,
+    metric_row,
+    number,
+    number_cell,
+    page,
+    section,
+    sources,
+    table,
+)
 from leaderboard.site.sequence_data import Shown
 
 WORDS = {
@@ -49,13 +60,17 @@ def sequence_page(
         ]
     )
     steps = "".join(
-        f'<a rel="{rel}" href="{escape(place[1])}.html">{arrow.format(escape(place[0]))}</a>' if place else "<span></span>"
+        f'<a rel="{rel}" href="{escape(place[1])}.html">{arrow.format(escape(place[0]))}</a>'
+        if place
+        else "<span></span>"
         for rel, arrow, place in (("prev", "← {}", around[0]), ("next", "{} →", around[1]))
     )
     told = _told(shown, entrants)
     sheets = [f"../video/{file}-{k}.jpg" for k in range(len(shown.sheets))]
     there = [s for s in told if s["id"] == "truth" or s["id"] not in shown.absent]
-    noted = "Solid lines and stronger colour: the moving part; dashed: the reference part. Parts go by the truth's names."
+    noted = (
+        "Solid lines and stronger colour: the moving part; dashed: the reference part. Parts go by the truth's names."
+    )
     video = section(
         "Video and parts",
         '<div class="stage"><p class="note">Loading …</p></div><div class="player"></div>',
@@ -70,8 +85,8 @@ def sequence_page(
         "scene",
         {"sources": there},
         place="half right",
-        note="Answers lie in the truth's frame as the protocol aligns them; the slider moves all joints of the true type. "
-        "Shown are prediction.json and parts/, thinned out; pale: the reference part.",
+        note="Answers lie in the truth's frame as the protocol aligns them; the slider moves all joints of the true "
+        "type. Shown are prediction.json and parts/, thinned out; pale: the reference part.",
     )
     states = section(
         "Joint state",
@@ -81,10 +96,11 @@ def sequence_page(
         note="States are counted as the truth counts: the sign of the axis and the median offset are taken out, as in "
         "scoring. Grey: not one pixel of the moving part is seen. Curves that leave the scale run along its edge.",
     )
-    numbers = "".join(_numbers(name, shown, entrants, first=k == 0) for k, name in enumerate(protocols))
+    numbers = "".join(_numbers(name, shown, entrants) for name in protocols)
     said = _said(shown, entrants, protocols)
     main = (
-        f'<nav class="steps" aria-label="sequences">{steps}</nav><div class="pair">{video}{scene}</div>{states}{numbers}{said}'
+        f'<nav class="steps" aria-label="sequences">{steps}</nav><div class="pair">{video}{scene}</div>'
+        f"{states}{numbers}{said}"
         f"{_source(f, entrants[0].row(protocols[0], shown.name))}"
     )
     return page(shown.name, main, site, True, lead=lead, kind="Sequence", scripts=[f"../data/{file}.js"])
@@ -98,7 +114,9 @@ def _told(shown: Shown, entrants: Sequence[Entrant]) -> list[dict[str, Any]]:
         lacks, absent = entrant.method.lacks, shown.absent.get(entrant.file)
         source["first"] = k == 0
         source["why"] = _brief(absent) if absent else WORDS["masks"] if "masks" in lacks else ""
-        source["noStates"] = _brief(absent) if absent else WORDS["states"] if "states" in lacks else "another joint type"
+        source["noStates"] = (
+            _brief(absent) if absent else WORDS["states"] if "states" in lacks else "another joint type"
+        )
     return told
 
 
@@ -116,11 +134,13 @@ def _absent_list(shown: Shown, entrants: Sequence[Entrant], piece: str) -> str:
     return f'<ul class="absent">{"".join(lines)}</ul>' if lines else ""
 
 
-def _numbers(protocol: str, shown: Shown, entrants: Sequence[Entrant], first: bool) -> str:
+def _numbers(protocol: str, shown: Shown, entrants: Sequence[Entrant]) -> str:
     """Every number of every method by one protocol, in one table."""
     rules, kind = protocol_named(protocol), shown.facts["joint_type"]
     rows: list[Row | None] = [entrant.row(protocol, shown.name) for entrant in entrants]
-    head = "".join(f'<th scope="col" class="number">{method_link(e, True)}</th>' for e in entrants)
+    head = '<th scope="col">number</th>' + "".join(
+        f'<th scope="col" class="number">{method_link(e, True)}</th>' for e in entrants
+    )
     lines = []
     for metric in rules.metrics:
         unit = metric.unit(kind)
@@ -131,20 +151,19 @@ def _numbers(protocol: str, shown: Shown, entrants: Sequence[Entrant], first: bo
         best = (max if metric.direction == "up" else min)(known) if len(set(known)) > 1 else None
         cells = []
         for row, value in zip(rows, values, strict=True):
-            beside = ""
-            if row is not None and value is not None and metric.id in row.values_cm:
-                beside = f"<small>{number(row.values_cm[metric.id], 'cm', True)}</small>"
-            word = f"<small class=failed>{escape(row.status)}: price</small>" if row and row.status != "ok" and value is not None else beside
-            cells.append(f'<td class="number{" best" * (best is not None and value == best)}"><span>{number(value, unit, True)}</span>{word}</td>')
-        arrow = "↑" if metric.direction == "up" else "↓"
-        name = f'<a href="../definitions.html#{protocol}.{metric.id}">{escape(metric.label or metric.id)}</a>'
-        lines.append(f'<tr class="{"beside" if metric.beside else ""}"><th scope="row">{name} <small>{arrow}</small></th>{"".join(cells)}</tr>')
-    table = (
-        f'<div class="scroll" tabindex="0" role="region" aria-label="numbers by {protocol}, scrolls sideways"><table class="numbers">'
-        f'<thead><tr><th scope="col">number</th>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+            more = ""
+            if row is not None and value is not None and row.status != "ok":
+                more = f'<small class="failed">{escape(row.status)}: price</small>'
+            elif row is not None and value is not None and metric.id in row.values_cm:
+                more = f"<small>{number(row.values_cm[metric.id], 'cm', True)}</small>"
+            cells.append(number_cell(number(value, unit, True), best is not None and value == best, more=more))
+        lines.append(metric_row(rules, metric, "".join(cells)))
+    note = (
+        f"{NONE}: not made by the method, or not there for this joint. Small numbers stand beside the ranking ones and "
+        "do not rank."
     )
-    note = f"{NONE}: not made by the method, or not there for this joint. Small numbers stand beside the ranking ones and do not rank."
-    return section(f"Numbers by {protocol}", table, id=f"numbers-{protocol}", note=note)
+    numbers = table(f"numbers by {protocol}", "numbers", head, "".join(lines))
+    return section(f"Numbers by {protocol}", numbers, id=f"numbers-{protocol}", note=note)
 
 
 def _said(shown: Shown, entrants: Sequence[Entrant], protocols: Sequence[str]) -> str:
@@ -157,7 +176,9 @@ def _said(shown: Shown, entrants: Sequence[Entrant], protocols: Sequence[str]) -
             row = entrant.row(protocol, shown.name)
             if row is None:
                 continue
-            lines[f"{row.status}: {row.reason}" if row.reason else f"Measured from {MEASURED[row.measured_from]}."] = None
+            lines[f"{row.status}: {row.reason}" if row.reason else f"Measured from {MEASURED[row.measured_from]}."] = (
+                None
+            )
             if row.swapped:
                 lines["Its parts go by each other's names; they are shown and scored under the truth's."] = None
             lines.update(dict.fromkeys(row.notes))
@@ -177,7 +198,9 @@ def _said(shown: Shown, entrants: Sequence[Entrant], protocols: Sequence[str]) -
 
 def _source(f: dict[str, Any], row: Row | None) -> str:
     source = f["source"]
-    rows = [(key.replace("_", " "), escape(value)) for key, value in source.items() if isinstance(value, str | int | float)]
+    rows = [
+        (key.replace("_", " "), escape(value)) for key, value in source.items() if isinstance(value, str | int | float)
+    ]
     if f["licence"]:
         rows.append(("licence", escape(f["licence"])))
     if row is not None and row.truth_sha256:

@@ -334,12 +334,12 @@ FreeArt.kinds.scene = (section, data, bus) => {
   const names = (data.labels ?? []).map(({ text, link, at }) => ({ link, at, node: element("span", { class: "named" }, text) }));
   frameBox.append(...names.map(({ node }) => node));
   const name = (poses) => {
-    const width = canvas.clientWidth, height = canvas.clientHeight;
-    const T = Kinematics.multiply(orbit.projection(width / height), orbit.view());
+    const T = Kinematics.multiply(orbit.projection(canvas.clientWidth / canvas.clientHeight), orbit.view());
     names.forEach(({ link, at, node }, k) => {
       node.hidden = through || !apart || !shown[2 * k];
       const p = Kinematics.multiply(Kinematics.multiply(T, poses[link]), [at[0], 0, 0, 0, at[1], 0, 0, 0, at[2], 0, 0, 0, 1, 0, 0, 0]);
-      node.style.transform = `translate(-50%, 0) translate(${((p[0] / p[12] + 1) / 2) * width}px, ${((1 - p[4] / p[12]) / 2) * height}px)`;
+      node.style.left = `${50 * (p[0] / p[12] + 1)}%`;
+      node.style.top = `${50 * (1 - p[4] / p[12])}%`;
     });
   };
   const redraw = () => {
@@ -387,11 +387,12 @@ FreeArt.kinds.scene = (section, data, bus) => {
 
   /* The legend, whose entries show and hide; a layer that follows another has no entry of its own. */
   data.layers.forEach((layer, i) => {
-    if (layer.follows !== undefined || !data.surfaces.some((surface) => surface.layer === i)) return;
+    const own = (k) => k === i || data.layers[k].follows === i;
+    if (layer.follows !== undefined || !data.surfaces.some((surface) => own(surface.layer))) return;
     const mark = element("i", { class: layer.style });
     mark.style.background = mark.style.borderColor = layer.colour;
     const button = toggle(layer.name, "show or hide", layer.shown, (on) => {
-      data.layers.forEach((other, k) => { if (k === i || other.follows === i) shown[k] = on; });
+      data.layers.forEach((_, k) => { if (own(k)) shown[k] = on; });
     });
     button.prepend(layer.shape ? FreeArt.mark(layer) : mark);
     legend.append(button);

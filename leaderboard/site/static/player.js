@@ -4,8 +4,9 @@ FreeArt.kinds.player = (section, data, bus) => {
   const { element, clamp } = FreeArt;
   const { frames, times, width, height, across, down } = data;
   const n = frames.length, ratio = height / width;
-  const canvas = element("canvas", { tabindex: 0, role: "img", "aria-label":
+  const canvas = element("canvas", { tabindex: 0, role: "application", "aria-label":
     "video with the parts that were found; space plays, left and right arrows step" });
+  canvas.style.aspectRatio = `${width} / ${height}`;
   const context = canvas.getContext("2d");
   let slot = 0, strength = 0.35, axes = true;
 

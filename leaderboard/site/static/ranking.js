@@ -3,8 +3,8 @@
 FreeArt.numberText = (value, unit, signed = false) => {
   if (value === null || value === undefined || unit === null) return "–";
   const size = Math.abs(value), plain = size < 10 || unit === "dB" || unit === "fraction";
-  const digits = plain ? { deg: 2, "%": 2, cm: 2, dB: 1, fraction: 3 }[unit] ?? 2 : size < 99.95 ? 1 : 0;
-  return value.toFixed(digits) + (signed ? { deg: "°", "%": " %", dB: " dB", cm: " cm" }[unit] ?? "" : "");
+  const digits = plain ? { deg: 2, "%": 2, cm: 2, dB: 1, fraction: 3, m: 4, rad: 3, 1: 3, "100 m²": 4 }[unit] ?? 2 : size < 99.95 ? 1 : 0;
+  return value.toFixed(digits) + (signed ? { deg: "°", "%": " %", dB: " dB", cm: " cm", m: " m", rad: " rad" }[unit] ?? "" : "");
 };
 
 FreeArt.kinds.ranking = (section, data) => {

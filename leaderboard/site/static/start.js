@@ -37,7 +37,7 @@ FreeArt.prepareScene = (data, packed) => {
   for (const way of data.arrangements) way.roots = roots;
   data.layers.forEach((layer, i) => { if (i % 2 === 0) Object.assign(layer, data.sources[i / 2]); });
   data.labels = roots.map((link, k) => {
-    const down = data.up.map((u, i) => data.centre[i] - 0.72 * data.radius * u);
+    const down = data.up.map((u, i) => data.centre[i] - 0.66 * data.radius * u);
     return { text: data.layers[2 * k].name, link, at: down };
   });
 };

@@ -100,6 +100,10 @@ FreeArt.kinds.states = (section, data, bus) => {
     event.preventDefault();
   });
   bus.on("frame", update);
-  new ResizeObserver(draw).observe(host);
+  let drawn = 0;
+  new ResizeObserver(() => requestAnimationFrame(() => {
+    if (host.clientWidth !== drawn) draw();
+    drawn = host.clientWidth;
+  })).observe(host);
   draw();
 };
