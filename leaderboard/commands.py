@@ -192,11 +192,12 @@ def site(
     protocol: tuple[str, ...] = ("strict-2",),
     scores: Path | None = None,
     title: str | None = None,
+    truth: Path | None = None,
 ) -> None:
     """Write a static site: the ranking, a page a method and a sequence, failures, definitions, downloads.
 
-    One folder that opens from disk or from any host and fetches nothing from elsewhere. Methods are scored first, unless
-    their tables are kept in the folder of --scores. An older site at the place is replaced, nothing else.
+    One folder that opens from disk or from any host and fetches nothing from elsewhere. Methods are scored first,
+    unless their tables are kept in the folder of --scores. An older site at the place is replaced, nothing else.
 
     Args:
         results: Folders of results, one a method (RESULTS/SEQ/prediction.json).
@@ -205,6 +206,7 @@ def site(
         protocol: Named protocols, a table each; the first one orders the site.
         scores: Folder in which tables of scores are kept.
         title: What the site is called; the name of the data when not given.
+        truth: Where the truth of a packed data folder lies; the site shows it.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -219,7 +221,7 @@ def site(
             bars.update(task, description=what, completed=count, total=of)
 
         command = ["freeart21", *sys.argv[1:]]
-        index = write_site(results, data, out, protocol, scores, title, command, done)
+        index = write_site(results, data, out, protocol, scores, title, command, done, truth)
     print(f"{out}: {len(results)} method{'s' * (len(results) != 1)}; open {index}")
 
 
