@@ -128,7 +128,9 @@ def test_a_folder_is_hashed_without_following_links_or_waiting_for_pipes(tmp_pat
 
 def test_the_fingerprint_of_the_scoring_code_is_of_what_scoring_uses():
     modules = modules_behind("leaderboard.case", ROOT, ("freeart21", "generator", "export", "leaderboard"))
-    assert {"leaderboard.case", "leaderboard.protocols.strict1", "generator.simulate", "export.checklist"} <= set(modules)
+    assert {"leaderboard.case", "leaderboard.protocols.strict1", "generator.simulate", "export.checklist"} <= set(
+        modules
+    )
     assert not {"leaderboard.tables", "leaderboard.commands", "freeart21.cli", "freeart21.view"} & set(modules)
     assert scoring_code() == code_digest(
         modules_behind("leaderboard.case", ROOT, (*provenance._ROOMS, "elsewhere")).items()
