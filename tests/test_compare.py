@@ -451,7 +451,7 @@ def test_other_protocols_have_tables_too(data, compared, monkeypatch):
     head = [" ".join(head.split()) for head in grids(comparison, "type")[0].head]
     assert head == ["method", "measured", "axis deg ↓", "state ↓", "twist m ↓"]
     print_comparison(comparison, "type", Console(width=100, file=io.StringIO()))
-    assert "0.000 m" in latex(comparison, "type"), "differences have their unit behind them"
+    assert "0.0000 m" in latex(comparison, "type"), "differences have their unit behind them"
 
 
 def test_the_command_prints_and_writes(data, tmp_path, capsys):

@@ -31,7 +31,7 @@ from leaderboard.protocols import ARENA_1, ITACO_1, PAPER_1, STRICT_1, STRICT_2
 from leaderboard.protocols.itaco1 import Itaco1
 from leaderboard.protocols.paper1 import Paper1
 from leaderboard.protocols.strict1 import Strict1
-from leaderboard.tables import _cell, print_scores
+from leaderboard.tables import NOTHING, _cell, print_scores
 from leaderboard.validate import validate_results
 
 QUICK = {
@@ -252,4 +252,4 @@ def test_tables_show_a_dash_and_say_why(data, tmp_path, rules):
     row = next(row for row in scores.rows if row.sequence == "a")
     for metric in rules.metrics:
         shown = _cell(row, metric, False)
-        assert (shown == "-") == bool({"masks", "meshes"} & {*metric.needs}), metric.id
+        assert (shown == NOTHING) == bool({"masks", "meshes"} & {*metric.needs}), metric.id
