@@ -30,8 +30,9 @@ def score(
     Args:
         results: A method's results (RESULTS/SEQ/prediction.json).
         data: The data folder they answer.
-        protocol: Named protocol, what each number means: strict-2, or strict-1 (joint from the asset, surfaces from
-            parts/).
+        protocol: Named protocol, what each number means: strict-2 (the ranking), strict-1 (joint from the asset,
+            surfaces from parts/), paper-1 (as FreeArtGS's evaluator), itaco-1 (as iTACO's), arena-1 (the joint as a
+            motion, limits included).
         out: Write every number as JSON here, too.
         everything: Print every number, not only the ranking ones.
     """

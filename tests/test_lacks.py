@@ -32,6 +32,7 @@ from leaderboard.protocols.itaco1 import Itaco1
 from leaderboard.protocols.paper1 import Paper1
 from leaderboard.protocols.strict1 import Strict1
 from leaderboard.tables import _cell, print_scores
+from leaderboard.validate import validate_results
 
 QUICK = {
     "strict-1": Strict1(samples=1500),
@@ -230,6 +231,13 @@ def test_what_a_method_lacks_is_known_in_a_process_of_its_own(data, tmp_path):
     here, apart = score_results(tmp_path, data), score_apart(tmp_path, data)
     assert here.rows == apart.rows and here.notes == apart.notes
     assert apart.rows[0].values["miou"] is None and apart.rows[0].values["pose_rotation"] is None
+
+
+def test_validate_misses_no_pictures_of_a_method_that_makes_none(data, tmp_path):
+    submit(tmp_path / "a", truths()["a"], renders=False)
+    asked = [note for note in validate_results(tmp_path, data).notes if "held-out" in note]
+    write_method(tmp_path, Method("blind", lacks=("renders",)))
+    assert asked and not [note for note in validate_results(tmp_path, data).notes if "held-out" in note]
 
 
 @by_protocol
