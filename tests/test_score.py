@@ -70,8 +70,7 @@ def test_the_truth_handed_in_is_perfect_and_the_table_complete(data, tmp_path, w
     write_method(tmp_path, Method("oracle"))
     told = []
     scores = score_results(tmp_path, data, progress=lambda row, of: told.append(row))
-    assert [row.sequence for row in scores.rows] == ["a", "b", "c"]
-    assert [(row.sequence, row.values) for row in told] == [(row.sequence, row.values) for row in scores.rows]
+    assert [row.sequence for row in scores.rows] == ["a", "b", "c"] and told == list(scores.rows)
     for row in scores.rows:
         assert row.status == "ok" and row.measured_from == "files" and row.notes == () and not row.swapped
         for metric in whole_protocol.metrics:
@@ -131,7 +130,7 @@ def test_scores_are_json_with_units_prices_and_no_nan(data, tmp_path):
     text = path.read_text()
     body = json.loads(text)
     assert "NaN" not in text and "Infinity" not in text
-    assert body["schema"] == "freeart21/scores/2" and len(body["benchmark"]["sha256"]) == 64
+    assert body["schema"] == "freeart21/scores/1" and len(body["benchmark"]["sha256"]) == 64
     units = {m["id"]: (m["unit"], m["direction"], m["price"]) for m in body["protocol"]["metrics"]}
     assert units["state"] == ({"revolute": "deg", "prismatic": "%"}, "down", "range of motion")
     assert body["rows"][0]["values"]["position"] == pytest.approx(
@@ -162,7 +161,7 @@ def test_tables_show_every_metric_and_flag_failures(data, tmp_path):
 
 
 def test_unknown_protocols_and_folders_are_one_clear_line(data, tmp_path):
-    with pytest.raises(FreeArtError, match="unknown protocol 'paper-9'; protocols: .*strict-1, strict-2"):
+    with pytest.raises(FreeArtError, match="'paper-9'; protocols: arena-1, itaco-1, paper-1, strict-1, strict-2"):
         score_results(tmp_path, data, "paper-9")
     with pytest.raises(FreeArtError, match="not a folder of results"):
         score_results(tmp_path / "nowhere", data)
@@ -178,8 +177,12 @@ def test_every_metric_has_a_definition_and_a_price():
     for name, protocol in PROTOCOLS.items():
         assert protocol.name == name
         for metric in protocol.metrics:
-            assert metric.definition and metric.direction in ("up", "down")
-            assert metric.price is not None or metric.price_from
+            assert metric.definition and metric.label and metric.direction in ("up", "down") and metric.price_text != ""
+        for truth in truths().values():
+            kind, prices = truth.articulation.joint.type, protocol.prices(truth)
+            assert {id for id, price in prices.items() if price is None} == {
+                metric.id for metric in protocol.metrics if metric.unit(kind) is None
+            }
 
 
 def test_a_wrong_joint_type_prices_the_joint_and_measures_the_rest(data, tmp_path):
