@@ -187,7 +187,7 @@ ITACO_1 = Protocol(
             0.0,
             "intersection over union of the moving part, mean over the frames in which truth or prediction has any",
             label="moving map (mIoU)",
-            column="moving\nmap",
+            column="map",
             needs=("masks",),
         ),
         Metric(
@@ -198,7 +198,7 @@ ITACO_1 = Protocol(
             90.0,
             "mean angle of the camera, seen from the reference part",
             label="camera rotation",
-            column="camera\nturn",
+            column="cam.\nrot.",
             needs=("poses",),
         ),
         Metric(
@@ -209,7 +209,7 @@ ITACO_1 = Protocol(
             100.0,
             "mean distance of the camera, seen from the reference part",
             label="camera position",
-            column="camera\nplace",
+            column="cam.\npos.",
             needs=("poses",),
         ),
     ),
