@@ -230,7 +230,7 @@ def _nearest(points, limits, corners, planes, boxes, first, count):
             else:
                 for t in range(first[node], first[node] + count[node]):
                     square = _to_triangle(x, y, z, corners, planes, t, nearest)
-                    if square < nearest:
+                    if square != nearest:
                         nearest, found = square, t
         if found >= 0:
             before = found
