@@ -214,7 +214,7 @@ FreeArt.kinds.player = (section, data, bus) => {
   const chips = element("div", { class: "sources", role: "group", "aria-label": "whose parts are shown" });
   for (const source of sources) {
     const button = element("button", { type: "button", class: "chip", "aria-pressed": source.on, disabled: !source.packed && !source.axis });
-    button.append(FreeArt.mark(source), source.name, ...(source.packed ? [] : [element("small", {}, source.why || "no masks")]));
+    button.append(FreeArt.mark(source), element("span", { class: "who" }, source.name), ...(source.packed ? [] : [element("small", {}, source.why || "no masks")]));
     button.addEventListener("click", () => {
       source.on = !source.on;
       button.setAttribute("aria-pressed", source.on);

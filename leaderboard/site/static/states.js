@@ -71,7 +71,7 @@ FreeArt.kinds.states = (section, data, bus) => {
     const line = make("svg", { viewBox: "0 0 26 8", class: "dash", "aria-hidden": "true" });
     line.append(make("path", { d: "M1 4h24", stroke: curve.colour, "stroke-width": curve.id === "truth" ? 5 : 2.4,
       ...(curve.dash ? { "stroke-dasharray": curve.dash } : {}) }));
-    button.append(line, curve.name, curve.output);
+    button.append(line, element("span", { class: "who" }, curve.name), curve.output);
     button.addEventListener("click", () => {
       curve.on = !curve.on;
       button.setAttribute("aria-pressed", curve.on);
@@ -81,7 +81,7 @@ FreeArt.kinds.states = (section, data, bus) => {
   }
   for (const source of data.sources)
     if (source.id !== "truth" && !data.methods[source.id])
-      legend.append(element("span", { class: "chip absent" }, FreeArt.mark(source), source.name, element("small", {}, source.noStates)));
+      legend.append(element("span", { class: "chip absent" }, FreeArt.mark(source), element("span", { class: "who" }, source.name), element("small", {}, source.noStates)));
   const seek = (event) => {
     const box = svg.getBoundingClientRect(), at = ((event.clientX - box.left) / box.width) * width;
     let best = 0;
