@@ -20,8 +20,8 @@ COLUMNS_AT_ONCE = 5
 """Metrics a table when all are shown."""
 NOTHING = "–"  # noqa: RUF001
 """Stands where there is no number."""
-_DIGITS = {"deg": 2, "%": 2, "cm": 2, "m": 4, "100 m²": 4, "1": 3, "dB": 1, "fraction": 3}
-_SIGNS = {"deg": "°", "%": "%", "cm": " cm", "m": " m", "100 m²": "", "1": "", "dB": "", "fraction": ""}
+_DIGITS = {"deg": 2, "%": 2, "cm": 2, "m": 4, "dm²": 4, "1": 3, "dB": 1, "fraction": 3}
+_SIGNS = {"deg": "°", "%": "%", "cm": " cm", "m": " m", "dm²": "", "1": "", "dB": "", "fraction": ""}
 
 
 def decimals(unit: str) -> int:

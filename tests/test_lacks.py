@@ -24,6 +24,7 @@ from synthetic_case import (
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.files.result import Method, write_method, write_result
+from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import PIECES, Failure
 from leaderboard.case import Case
@@ -47,6 +48,8 @@ PROTOCOLS = [
 ]
 by_protocol = pytest.mark.parametrize("rules", PROTOCOLS, ids=lambda rules: rules.name)
 SOME = [
+    ("joint",),
+    ("joint", "states", "poses"),
     ("states",),
     ("poses",),
     ("masks",),
@@ -75,6 +78,10 @@ def without(answer, lacks, anchor=ANCHOR):
             Ts_camera_moving=answer.Ts_camera_moving @ se3.inverse(T),
             states=0 * states,
         )
+    if "joint" in lacks:
+        parts = answer.articulation
+        nothing = Joint("unknown", "revolute", np.array([0.0, 0.0, 1.0]), np.zeros(3), -np.inf, np.inf)
+        answer = replace(answer, articulation=Articulation(nothing, parts.reference, parts.moving))
     if "poses" in lacks:
         constant = np.repeat(answer.Ts_camera_reference[anchor : anchor + 1], len(answer), 0)
         answer = replace(answer, Ts_camera_reference=constant, Ts_camera_moving=constant)

@@ -68,7 +68,7 @@ def reader(meshes: tuple[str, ...]) -> Callable[[Path, Request], Found]:
             return found_of(parts, at, n, notes, first_is_reference=True)
         seen, more = answered(at, n)
         Ts = spread_poses(parts[0].Ts, at, n)
-        one = "one run follows one rigid body: there is no joint, and its numbers are those of a filler"
+        one = "one run follows one rigid body: there is no joint"
         return Found(None, None, (Ts, Ts), 0, None, None, None, seen, (one, *more, *notes))
 
     return read

@@ -166,6 +166,7 @@ class Found:
     def lacks(self) -> set[Piece]:
         """What is None; nobody's layout holds our held-out views."""
         absent: dict[Piece, object] = {
+            "joint": self.joint,
             "states": self.states,
             "poses": self.poses,
             "masks": self.masks,

@@ -243,6 +243,7 @@ ARENA_1 = Protocol(
             0.0,
             "1 when the joint's type is right, else 0; the metric itself knows no types",
             label="joint type",
+            needs=("joint",),
         ),
         Metric(
             "twist",
@@ -255,6 +256,7 @@ ARENA_1 = Protocol(
             label="joint as a motion (E)",
             column="E",
             price_from=_NOTHING,
+            needs=("joint",),
         ),
         Metric(
             "twist_shown",
@@ -266,7 +268,10 @@ ARENA_1 = Protocol(
             "whatever its stated limits",
             label="joint as a motion, over the states of the video",
             column="E\nshown",
-            needs=("states",),
+            needs=(
+                "joint",
+                "states",
+            ),
             price_from=_NOTHING,
         ),
         Metric(
@@ -280,6 +285,7 @@ ARENA_1 = Protocol(
             label="joint as a motion, compact (E phi)",
             column="E phi",
             price_from=_NOTHING,
+            needs=("joint",),
         ),
     ),
     measure,

@@ -108,8 +108,8 @@ def _surface_values(truth: Truth, matched: Matched, c: Itaco1) -> dict[str, floa
 def _surface(id: str, name: str, what: str) -> Metric:
     return Metric(
         id,
-        "100 m²",
-        "100 m²",
+        "dm²",
+        "dm²",
         "down",
         100.0,
         (
@@ -119,7 +119,7 @@ def _surface(id: str, name: str, what: str) -> Metric:
         ),
         label=f'{name} (printed as "cm")',
         column=name,
-        needs=("meshes",),
+        needs=("meshes",) if id.endswith("_s") else ("joint", "meshes"),  # the moving part is posed by the joint
     )
 
 
@@ -142,6 +142,7 @@ ITACO_1 = Protocol(
             0.0,
             "1 when the joint's type is right, else 0; no other number minds it",
             label="joint type",
+            needs=("joint",),
         ),
         Metric(
             "axis",
@@ -152,6 +153,7 @@ ITACO_1 = Protocol(
             "angle between the axes, whatever their signs",
             label="axis",
             column="axis",
+            needs=("joint",),
         ),
         Metric(
             "position",
@@ -162,6 +164,7 @@ ITACO_1 = Protocol(
             "distance between the two axes as lines; point to line when they are parallel within 1e-6",
             label="position",
             column="position",
+            needs=("joint",),
         ),
         Metric(
             "state",
@@ -173,7 +176,10 @@ ITACO_1 = Protocol(
             "number says little where states cross 0",
             label="state",
             column="state",
-            needs=("states",),
+            needs=(
+                "joint",
+                "states",
+            ),
             prismatic_price=100.0,
         ),
         _surface("cd_w", "CD-w", "whole object"),

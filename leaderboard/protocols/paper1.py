@@ -164,8 +164,8 @@ def picture_value(truth: Truth, renders: Sequence[Render]) -> float | None:
 def _surface(id: str, name: str, what: str) -> Metric:
     return Metric(
         id,
-        "100 m²",
-        "100 m²",
+        "dm²",
+        "dm²",
         "down",
         100.0,
         (
@@ -176,7 +176,7 @@ def _surface(id: str, name: str, what: str) -> Metric:
         ),
         label=f'{name} (printed as "cm")',
         column=name,
-        needs=("meshes",),
+        needs=("meshes",) if id.endswith("_s") else ("joint", "meshes"),  # the moving part is posed by the joint
     )
 
 
@@ -199,6 +199,7 @@ PAPER_1 = Protocol(
             0.0,
             "1 when the joint's type is right, else 0; no other number minds it",
             label="joint type",
+            needs=("joint",),
         ),
         Metric(
             "axis",
@@ -209,6 +210,7 @@ PAPER_1 = Protocol(
             "angle between the axes, whatever their signs",
             label="axis",
             column="axis",
+            needs=("joint",),
         ),
         Metric(
             "position",
@@ -219,6 +221,7 @@ PAPER_1 = Protocol(
             "distance between the two axes as lines; 0 when they are parallel (|a x b| up to 1e-6), however far apart",
             label="position",
             column="position",
+            needs=("joint",),
         ),
         Metric(
             "state",
@@ -230,7 +233,10 @@ PAPER_1 = Protocol(
             "difference taken off; revolute differences wrapped",
             label="state",
             column="state",
-            needs=("states",),
+            needs=(
+                "joint",
+                "states",
+            ),
             prismatic_price=100.0,
         ),
         _surface("cd_w", "CD-w", "whole object"),

@@ -209,7 +209,7 @@ def _surface(id: str, what: str, column: str) -> Metric:
         ),
         label=f"chamfer, {what}",
         column=column,
-        needs=("meshes",),
+        needs=("meshes",) if id.endswith("_s") else ("joint", "meshes"),  # the moving part is posed by the joint
     )
 
 
@@ -241,6 +241,7 @@ STRICT_1 = Protocol(
             0.0,
             "1 when the joint's type is right, else 0",
             label="joint type",
+            needs=("joint",),
         ),
         Metric(
             "axis",
@@ -251,6 +252,7 @@ STRICT_1 = Protocol(
             "arccos of the clipped absolute dot product of the axes",
             label="axis direction",
             column="axis",
+            needs=("joint",),
         ),
         Metric(
             "position",
@@ -261,6 +263,7 @@ STRICT_1 = Protocol(
             "distance from the point of the true axis nearest the moving part's centre to the predicted line",
             label="place of the axis",
             column="place",
+            needs=("joint",),
         ),
         Metric(
             "position_line",
@@ -271,6 +274,7 @@ STRICT_1 = Protocol(
             "distance between the two axes as lines; point to line when they are parallel within 1e-6",
             "position",
             label="place of the axis, line to line",
+            needs=("joint",),
         ),
         Metric(
             "state",
@@ -281,7 +285,10 @@ STRICT_1 = Protocol(
             _STATE.format(frames=_BOTH),
             label="joint state",
             column="state",
-            needs=("states",),
+            needs=(
+                "joint",
+                "states",
+            ),
         ),
         Metric(
             "state_all",
@@ -291,7 +298,10 @@ STRICT_1 = Protocol(
             None,
             _STATE.format(frames="all frames"),
             label="joint state, all frames",
-            needs=("states",),
+            needs=(
+                "joint",
+                "states",
+            ),
         ),
         Metric(
             "miou",
@@ -336,7 +346,7 @@ STRICT_1 = Protocol(
             0.0,
             "whole object: harmonic mean of precision and recall of the same samples within 1 % of the diagonal",
             label="F-score, whole object",
-            needs=("meshes",),
+            needs=("joint", "meshes"),
         ),
         Metric(
             "psnr",

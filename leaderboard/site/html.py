@@ -27,7 +27,7 @@ PLACES = (
 )
 TRUTH_PATH = "M1.2 8.6l2.2-2.2l3.1 3.1l6.2-6.4l2.2 2.2l-8.4 8.6z"
 """A tick: the truth's mark."""
-_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3, "m": 4, "rad": 3, "1": 3, "100 m²": 4}
+_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3, "m": 4, "rad": 3, "1": 3, "dm²": 4}
 _SIGNS = {"deg": "°", "%": " %", "dB": " dB", "cm": " cm", "m": " m", "rad": " rad"}
 NONE = "\N{EN DASH}"
 
