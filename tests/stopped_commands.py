@@ -61,6 +61,10 @@ COMMANDS: dict[str, tuple[float, Callable[[Place, Path], list[str]]]] = {
     ),
     "export": (12, lambda p, out: ["export", f"{p.results}/{p.sequence}", "--out", f"{out}/asset"]),
     "score": (12, lambda p, out: ["score", f"{p.results}", "--data", f"{p.data}", "--out", f"{out}/scores.json"]),
+    "suite": (
+        30,
+        lambda p, out: ["suite", f"{p.data}", "--rows", "truth", "static", "--workers", "2", "--out", f"{out}/suite"],
+    ),
     "gap": (
         8,
         lambda p, out: ["gap", f"{p.measured}/asset", f"{p.measured}/measured", "--out", f"{out}/gap"],
@@ -115,7 +119,7 @@ def halves(out: Path) -> list[str]:
     """Files and folders left half-written: but for what a recording is to go on from."""
     bad = []
     for path in out.rglob("*"):
-        if ".recording" in path.parts or path == out / "tmp":
+        if {".recording", ".jobs"} & {*path.parts} or path == out / "tmp":
             continue
         if path.name.endswith((".part", ".old", ".lock")) or (out / "tmp") in path.parents:
             bad.append(str(path.relative_to(out)))

@@ -20,7 +20,7 @@ from freeart21.jobs.board import Forecast
 from freeart21.jobs.executors import Slurm
 from freeart21.jobs.ledger import Ledger
 from freeart21.jobs.run import unfinished
-from freeart21.jobs.work import do
+from freeart21.jobs.work import do, request, start
 
 ROOT = Path(__file__).resolve().parents[1]
 WRITE = (  # a folder of two files, the second a while after the first; every beginning is written down
@@ -274,6 +274,14 @@ STOPPED = (
     "stopping.listen()\n"
     "with in_one_line(): run_jobs(Path(sys.argv[1]), chain(4, 60), 2)"
 )
+
+
+def test_a_command_ends_with_the_process_of_its_job_though_that_alone_is_killed(tmp_path):
+    process = start(request(tmp_path, writing(0, 60), "digest"))
+    until(lambda: processes(str(tmp_path / "results")))
+    process.kill()
+    process.wait()
+    until(lambda: not processes(str(tmp_path / "results")), 10)
 
 
 def test_a_job_that_was_killed_between_its_statistics_and_its_marker_is_no_failure(tmp_path, monkeypatch):

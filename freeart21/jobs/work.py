@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import importlib
 import json
 import os
@@ -15,7 +16,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,9 @@ def ended(name: str, process: subprocess.Popen[str]) -> Ended:
     assert process.stdin is not None and process.stderr is not None
     said = process.stderr.read()
     code = process.wait()
+    if code < 0:  # what it had started may live
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
     for pipe in (process.stdin, process.stderr):
         with contextlib.suppress(OSError):
             pipe.close()
@@ -197,11 +201,31 @@ def _filled(value: Any, words: dict[str, str]) -> Any:
 
 def _command(argv: list[str], folder: Path, out: Any, err: Any) -> int:
     try:
-        process = subprocess.Popen(argv, cwd=folder, stdin=subprocess.DEVNULL, stdout=out, stderr=err)
+        process = subprocess.Popen(
+            argv, cwd=folder, stdin=subprocess.DEVNULL, stdout=out, stderr=err, preexec_fn=dies_with_us()
+        )
     except OSError as error:
         err.write(f"cannot run {argv[0]}: {reason(error)}\n".encode())
         return 127
     return waited(process)
+
+
+def dies_with_us() -> Callable[[], None]:
+    """What a process that a job starts does first (`preexec_fn`): asks to be killed when this one is.
+
+    The rest of its group ends with this process's standard input; but who kills this process alone, as Ray does with
+    the children of its workers and the system for want of memory, would leave it to work on, unseen. Linux only.
+    """
+    if sys.platform != "linux":
+        return lambda: None
+    prctl, parent = ctypes.CDLL(None).prctl, os.getpid()
+
+    def ask() -> None:
+        prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+        if os.getppid() != parent:
+            os._exit(1)
+
+    return ask
 
 
 def waited(process: subprocess.Popen[bytes]) -> int:

@@ -13,7 +13,7 @@ from typing import Any
 from freeart21 import child
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.jobs.work import last_line, waited
+from freeart21.jobs.work import dies_with_us, last_line, waited
 from leaderboard.protocols import Metric, protocol_named
 from leaderboard.reference import Kind, write_reference
 from leaderboard.rows import Scores
@@ -85,7 +85,10 @@ def _freeart21(*words: str) -> tuple[int, str]:
     """Exit code and last line on standard error of a command of ours; what it says goes to this job's streams, too."""
     with tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
-            [*child.command("freeart21.__main__"), *words], stdin=subprocess.DEVNULL, stderr=errors
+            [*child.command("freeart21.__main__"), *words],
+            stdin=subprocess.DEVNULL,
+            stderr=errors,
+            preexec_fn=dies_with_us(),
         )
         try:
             code = waited(process)
