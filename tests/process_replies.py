@@ -1,4 +1,4 @@
-"""What the tests of `leaderboard.asset_process` ask: a process that answers, remembers, crashes, hangs or says things."""
+"""What the tests of `leaderboard.asset_process` ask: a process that answers, remembers, crashes, hangs or talks."""
 
 import os
 import sys
