@@ -193,7 +193,8 @@ def test_one_run_is_the_reference_parts_poses_and_no_joint(data, tmp_path, src):
     tracked(src / "a", truth.Ts_camera_reference, truth.articulation.reference, 4)
     row = imported(data, src, tmp_path / "r", "bundlesdf")
     assert row.values["pose_rotation"] < 0.01 and row.values["pose_translation"] < 0.01
-    assert lacks(tmp_path / "r") == ("states", "masks", "meshes", "renders")
+    assert lacks(tmp_path / "r") == ("joint", "states", "masks", "meshes", "renders")
+    assert row.values["axis"] is None and row.values["joint_type"] is None
     assert "no joint" in read_method(tmp_path / "r").settings["notes"]["a"][0]
 
 
