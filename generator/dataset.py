@@ -49,6 +49,10 @@ SECONDS_A_PICTURE = 0.25
 """What a picture takes, about: for the time limits of clusters."""
 _JOBS = ".jobs-elsewhere"
 """Folder in the work folder where jobs on other machines say how far they are; no sequence is called so."""
+_OBJECT_FILES = 107
+"""Files of an object, and of a sequence but for its pictures: the mean of freeart21-v1."""
+_BYTES_OF_LINE = 102
+"""Of a line of benchmark.json, without the sequence's name: the picture's path and its hash."""
 _PATIENCE_S = 3.0
 """How long the lock is waited for: the workers of a killed recorder need a moment to notice."""
 
@@ -178,6 +182,7 @@ def record_jobs(
     require_rendering()
     if not jobs or (not (out / WORK).is_dir() and not _missing(out, jobs)):
         return []
+    _check_list(out, jobs)
     label = label or _label(out)
     with _only_writer(out):
         try:
@@ -209,6 +214,26 @@ def _check(jobs: Sequence[Job], workers: int) -> None:
         if job.sequence in seen or Path(job.sequence).name != job.sequence or job.sequence.startswith("."):
             raise FreeArtError(f"'{job.sequence}' cannot be the name of a sequence here: names are unique, without '/'")
         seen.add(job.sequence)
+
+
+def _check_list(out: Path, jobs: Sequence[Job]) -> None:
+    """FreeArtError when benchmark.json, which lists every file with its hash, would be larger than is read."""
+    there = (out / "benchmark.json").stat().st_size if (out / "benchmark.json").is_file() else 0
+    sizes = [_listed_bytes(job) for job in jobs if not (out / "sequences" / job.sequence).exists()]
+    if there + sum(sizes) > checked.MAX_JSON_BYTES:
+        fit = max(0, int((checked.MAX_JSON_BYTES - there) / (sum(sizes) / len(sizes))))
+        raise FreeArtError(
+            f"cannot record {len(sizes)} sequences into {out}: benchmark.json would list their files in about "
+            f"{(there + sum(sizes)) >> 20} MiB, at most {checked.MAX_JSON_BYTES >> 20} are read; record at most {fit} "
+            "of them here, and the others into folders of their own"
+        )
+
+
+def _listed_bytes(job: Job) -> int:
+    """Of benchmark.json, about, for one sequence: three pictures a frame and one of its truth, two a held-out view, and
+    the object's own files."""
+    files = 4 * job.settings.frames + 2 * job.settings.queries + _OBJECT_FILES
+    return files * (len(job.sequence) + _BYTES_OF_LINE)
 
 
 def _label(out: Path) -> Label:

@@ -34,8 +34,9 @@ def score(
     Args:
         results: A method's results (RESULTS/SEQ/prediction.json), or a .zip of them.
         data: The data folder they answer.
-        protocol: Named protocol, what each number means: strict-2, or strict-1 (joint from the asset, surfaces from
-            parts/).
+        protocol: Named protocol, what each number means: strict-2 (the ranking), strict-1 (joint from the asset,
+            surfaces from parts/), paper-1 (as FreeArtGS's evaluator), itaco-1 (as iTACO's), arena-1 (the joint as a
+            motion, limits included).
         out: Write every number as JSON here, too.
         everything: Print every number, not only the ranking ones.
         truth: Where the truth of a packed data folder lies (`freeart21 pack DATA --truth`).
@@ -106,7 +107,7 @@ def compare(
     protocols, benchmarks or versions of the scoring code are refused, never set side by side.
 
     Args:
-        results: Results folders, which are scored, or tables of `score --out`.
+        results: Results folders (or .zip of them), which are scored, or tables of `score --out`.
         data: The data folder that they answer.
         protocol: Named protocol; that of the tables, or strict-2, when not given.
         scores: Keep the tables of scores of results folders here, and score them again only when something changed.
@@ -115,7 +116,7 @@ def compare(
         truth: Where the truth of a packed data folder lies.
     """
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import Progress, TaskID
 
     from freeart21.files.places import check_place
     from leaderboard.compare import compare_results
@@ -127,9 +128,11 @@ def compare(
         check_place(out, kind_of(out), (data, *results))
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
-        tasks = {place: bars.add_task(f"Scoring {place.name}", total=None) for place in results if place.is_dir()}
+        tasks: dict[Path, TaskID] = {}
 
         def scored(place: Path, row: Row, of: int) -> None:
+            if place not in tasks:
+                tasks[place] = bars.add_task("", total=of)
             bars.update(tasks[place], description=f"Scored {place.name} {row.sequence}", advance=1, total=of)
 
         comparison = compare_results(results, data, protocol, scores, scored, truth)

@@ -15,6 +15,7 @@ import pandas as pd
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import read_benchmark
 from freeart21.joint import JointType
+from leaderboard.archive import results_folder
 from leaderboard.categories import UNKNOWN, category_of
 from leaderboard.kept import kept_scores
 from leaderboard.paired import Interval, paired_intervals
@@ -167,7 +168,8 @@ def compare_results(
     progress: Callable[[Path, Row, int], None] | None = None,
     truth: Path | None = None,
 ) -> Comparison:
-    """The comparison of `results`: results folders, which are scored (`kept_scores`), or tables of `score --out`.
+    """The comparison of `results`: results folders, or a .zip of one, which are scored (`kept_scores`), or tables of
+    `score --out`.
 
     `protocol` None takes that of the tables, or the default when there is none. Raises FreeArtError in one line when
     tables are of another protocol, of another benchmark than `data` or of other truths, or were scored by other code:
@@ -181,7 +183,7 @@ def compare_results(
     if twice:
         raise FreeArtError(f"{twice[-1]} is named twice; a method is compared with others")
     benchmark = read_benchmark(data, truth)
-    tables = {place: read_scores(place) for place in places if place.is_file()}
+    tables = {place: read_scores(place) for place in places if place.is_file() and place.suffix.lower() != ".zip"}
     name = protocol or next((table.protocol for table in tables.values()), DEFAULT)
     rules = protocol_named(name)
     for place, table in tables.items():
@@ -195,7 +197,8 @@ def compare_results(
         if place in tables:
             return tables[place]
         told = None if progress is None else lambda row, of: progress(place, row, of)
-        return kept_scores(place, data, rules.name, keep, told, truth=truth)
+        with results_folder(place) as folder:
+            return kept_scores(folder, data, rules.name, keep, told, truth=truth)
 
     found = [(place, scored(place)) for place in places]
     facts = benchmark_facts(benchmark)

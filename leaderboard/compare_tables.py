@@ -76,7 +76,8 @@ def legend(comparison: Comparison, by: By) -> tuple[str, ...]:
         lines.append(
             f"Differences: mean over the same sequences, {100 * paired.LEVEL:g} % interval ({paired.KIND}; "
             f"{paired.RESAMPLES} resamples, seed {paired.SEED}); none below {paired.fewest()} sequences. "
-            f"✓ better, ✗ worse than {comparison.entrants[0].name}; unmarked: 0 lies within, or there is no interval."
+            f"✓ better, ✗ worse than {comparison.entrants[0].name}; unmarked: 0 lies within, or there is no interval. "
+            "Where nothing differs, one interval in twenty leaves 0 out."
         )
     lacking = [
         f"{NOTHING} {entrant.name} makes no {', '.join(entrant.scores.method.lacks)}."

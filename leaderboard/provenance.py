@@ -95,10 +95,22 @@ def truth_sha256(benchmark: Benchmark, sequence: str) -> str | None:
 
 
 def traced(scores: Scores, results: Path, benchmark: Benchmark) -> Scores:
-    """`scores` with what they were made with, and the hash of every result and truth that they are of."""
+    """`scores` with what they were made with, and the hash of every result and truth that they are of.
+
+    What rows say names files from the results folder on: it is the same wherever that lies.
+    """
+    places = tuple(f"{place}/" for place in dict.fromkeys((Path(results).resolve(), Path(results))))
+
+    def placeless(text: str) -> str:
+        for place in places:
+            text = text.replace(place, "")
+        return text
+
     rows = tuple(
         replace(
             row,
+            reason=placeless(row.reason),
+            notes=tuple(placeless(note) for note in row.notes),
             result_sha256=sha256_or_none(Path(results) / row.sequence),
             truth_sha256=truth_sha256(benchmark, row.sequence),
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -23,6 +24,8 @@ SCHEMA = "freeart21/scores/2"
 MAX_ROWS = 100_000
 MAX_NOTES = 100_000
 """Lines of one row."""
+LARGEST = 1e100
+"""Of any number: its square is a float."""
 _CLOSE = 1e-9
 """Relative: by how much statistics of a file may be off those of its rows."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -73,9 +76,9 @@ def _scores(data: dict[str, Any], path: Path) -> Scores:
     if not isinstance(said, list) or not 0 < len(said) <= MAX_ROWS:
         raise FreeArtError(f"{path}: 'rows' is {_short(said)}, expected a list of 1 to {MAX_ROWS} rows")
     rows = tuple(_row(row, f"{path}: row {k}", rules) for k, row in enumerate(said))
-    names = [row.sequence for row in rows]
-    if len(set(names)) < len(names):
-        raise FreeArtError(f"{path} has a sequence more than once: {next(n for n in names if names.count(n) > 1)}")
+    name, times = Counter(row.sequence for row in rows).most_common(1)[0]
+    if times > 1:
+        raise FreeArtError(f"{path} has a sequence more than once: {name}")
     summaries = summarise(rows, rules)
     _check_summaries(data.get("summaries"), summaries, path)
     made = plain(_object(data, "made_with", path))
@@ -240,7 +243,7 @@ def _number(data: dict[str, Any], key: str, where: str) -> float | None:
     value = data[key]
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
         raise FreeArtError(f"{where}: '{shortened(key)}' is {_short(value)}, expected a finite number or null")
     return float(value)
 

@@ -36,6 +36,7 @@ from synthetic_case import (
 from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
+from leaderboard.asset_joint import measured_joint
 from leaderboard.case import Case
 from leaderboard.protocols import ARENA_1, arena1
 from leaderboard.protocols.arena1 import KAPPA, distance, ends, pair_distance, solid_of, still_distance
@@ -236,6 +237,23 @@ def test_everything_between_is_finite():
     truth = make_truth()
     for seed in range(4):
         assert all(np.isfinite(scored(truth, noisy_answer(truth, seed))[id]) for id in IDS)
+
+
+# ---- limits of an asset
+
+
+def test_an_assets_limits_are_its_urdfs_counted_from_the_canonical_zero(tmp_path):
+    joint = make_truth().articulation.joint
+    write_asset(tmp_path / "a", joint, state_zero=0.3, limits=(-0.5, 1.1))
+    found, _ = measured_joint(tmp_path / "a", [0.0, 0.5])
+    assert (found.lower, found.upper) == pytest.approx((-0.8, 0.8))
+
+    def endless(text):
+        return text.replace('type="revolute"', 'type="continuous"').replace('lower="-2.0" upper="2.0"', "")
+
+    write_asset(tmp_path / "b", joint, urdf=endless)
+    found, _ = measured_joint(tmp_path / "b", [0.0, 0.5])
+    assert (found.lower, found.upper) == (-np.inf, np.inf)
 
 
 # ---- against the package

@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -326,16 +327,19 @@ def test_bad_input_is_one_line(data, tmp_path):
 def test_results_folders_are_scored_and_kept(data, tmp_path, monkeypatch):
     asked = []
 
-    def kept(place, data, protocol, keep, progress):
+    def kept(place, data, protocol, keep, progress, truth):
         asked.append((place.name, protocol, keep))
         return made(data, place.name)
 
     monkeypatch.setattr(compare, "kept_scores", kept)
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
+        (tmp_path / name / "method.json").write_text("{}")
     comparison = compare_results([tmp_path / "one", tmp_path / "two"], data, None, tmp_path / "keep")
     assert asked == [(name, "strict-2", tmp_path / "keep") for name in ("one", "two")]
     assert [entrant.name for entrant in comparison.entrants] == ["one", "two"]
+    shutil.make_archive(str(tmp_path / "three"), "zip", tmp_path, "one")
+    assert compare_results([tmp_path / "three.zip"], data).entrants[0].name == "one"
 
 
 def test_methods_of_one_name_are_told_apart(data, compared):
@@ -447,7 +451,7 @@ def test_other_protocols_have_tables_too(data, compared, monkeypatch):
     head = [" ".join(head.split()) for head in grids(comparison, "type")[0].head]
     assert head == ["method", "measured", "axis deg ↓", "state ↓", "twist m ↓"]
     print_comparison(comparison, "type", Console(width=100, file=io.StringIO()))
-    assert "0.000 m" in latex(comparison, "type"), "differences have their unit behind them"
+    assert "0.0000 m" in latex(comparison, "type"), "differences have their unit behind them"
 
 
 def test_the_command_prints_and_writes(data, tmp_path, capsys):

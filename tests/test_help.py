@@ -63,6 +63,7 @@ def test_the_help_of_a_command_fits_a_screen_and_tells_every_option(name: str):
             "--as-json": "--json",
             "--everything": "--all",
             "--layout": "--from",
+            "--list-rows": "--list",
         }.get(flag, flag)
         assert known in text or parameter.name.upper() in text, parameter.name
 

@@ -67,6 +67,16 @@ def test_scoring_twice_gives_the_same_bytes_and_reading_gives_the_same_table(dat
     assert (tmp_path / "three").read_bytes() == (tmp_path / "one").read_bytes()
 
 
+def test_a_table_is_the_same_wherever_the_results_lie(data, results, tmp_path):
+    """An asset that cannot be read is named from the results folder on."""
+    (results / "a" / "asset").mkdir()
+    (results / "a" / "asset" / "asset.json").write_text("{")
+    shutil.copytree(results, tmp_path / "elsewhere" / "mine")
+    one, two = (score_results(place, data) for place in (results, tmp_path / "elsewhere" / "mine"))
+    assert replace(one, seconds=None) == replace(two, seconds=None)
+    assert "a/asset/asset.json" in one.rows[0].reason and str(tmp_path) not in one.rows[0].reason
+
+
 def test_every_row_says_of_which_bytes_it_is(data, results):
     scores = score_results(results, data)
     rows = {row.sequence: row for row in scores.rows}
@@ -118,7 +128,9 @@ def test_a_folder_is_hashed_without_following_links_or_waiting_for_pipes(tmp_pat
 
 def test_the_fingerprint_of_the_scoring_code_is_of_what_scoring_uses():
     modules = modules_behind("leaderboard.case", ROOT, ("freeart21", "generator", "export", "leaderboard"))
-    assert {"leaderboard.case", "leaderboard.strict1", "generator.simulate", "export.checklist"} <= set(modules)
+    assert {"leaderboard.case", "leaderboard.protocols.strict1", "generator.simulate", "export.checklist"} <= set(
+        modules
+    )
     assert not {"leaderboard.tables", "leaderboard.commands", "freeart21.cli", "freeart21.view"} & set(modules)
     assert scoring_code() == code_digest(
         modules_behind("leaderboard.case", ROOT, (*provenance._ROOMS, "elsewhere")).items()

@@ -31,7 +31,8 @@ from leaderboard.protocols import ARENA_1, ITACO_1, PAPER_1, STRICT_1, STRICT_2
 from leaderboard.protocols.itaco1 import Itaco1
 from leaderboard.protocols.paper1 import Paper1
 from leaderboard.protocols.strict1 import Strict1
-from leaderboard.tables import _cell, print_scores
+from leaderboard.tables import NOTHING, _cell, print_scores
+from leaderboard.validate import validate_results
 
 QUICK = {
     "strict-1": Strict1(samples=1500),
@@ -232,6 +233,13 @@ def test_what_a_method_lacks_is_known_in_a_process_of_its_own(data, tmp_path):
     assert apart.rows[0].values["miou"] is None and apart.rows[0].values["pose_rotation"] is None
 
 
+def test_validate_misses_no_pictures_of_a_method_that_makes_none(data, tmp_path):
+    submit(tmp_path / "a", truths()["a"], renders=False)
+    asked = [note for note in validate_results(tmp_path, data).notes if "held-out" in note]
+    write_method(tmp_path, Method("blind", lacks=("renders",)))
+    assert asked and not [note for note in validate_results(tmp_path, data).notes if "held-out" in note]
+
+
 @by_protocol
 def test_tables_show_a_dash_and_say_why(data, tmp_path, rules):
     write_method(tmp_path, Method("blind", lacks=("masks", "meshes")))
@@ -244,4 +252,4 @@ def test_tables_show_a_dash_and_say_why(data, tmp_path, rules):
     row = next(row for row in scores.rows if row.sequence == "a")
     for metric in rules.metrics:
         shown = _cell(row, metric, False)
-        assert (shown == "-") == bool({"masks", "meshes"} & {*metric.needs}), metric.id
+        assert (shown == NOTHING) == bool({"masks", "meshes"} & {*metric.needs}), metric.id

@@ -109,6 +109,16 @@ def test_states_may_be_offset_and_even_reversed(kind):
     assert scored(truth, with_states(truth, wrong))["state"] == pytest.approx(0.02 * unit)
 
 
+def test_states_of_a_hinge_are_turned_before_they_are_held_to_a_slider():
+    truth = make_truth("prismatic")
+    hinge = other_type(truth)
+    below = replace(hinge, states=truth.states - 0.1)  # some are negative, and become nearly a whole turn
+    turned = np.mod(truth.states - 0.1, 2 * np.pi)
+    expected = min(np.mean(np.abs(d - np.median(d))) for d in (truth.states - turned, truth.states + turned))
+    assert scored(truth, below)["state"] == pytest.approx(100 * expected)
+    assert scored(truth, below)["state"] > 10
+
+
 def test_the_state_is_that_of_the_released_evaluator():
     true = np.array([0.1, 0.2, 0.5, 0.9])
     assert state_error(true, true + 2 * np.pi, True) == pytest.approx(0)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from perturbed import in_millimetres, opengl, quaternions_confused, with_poses
 from synthetic_case import (
     in_frame,
     make_recording,
@@ -191,6 +192,25 @@ def test_the_moving_parts_pose_costs_what_it_is_off_by():
 def test_a_static_answer_does_not_follow_the_moving_part(kind):
     values = scored(make_truth(kind), static_answer(make_truth(kind)))
     assert values["pose_moving_rotation"] > 20
+
+
+# ---- faults that a method makes when it writes
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_millimetres_are_seen(kind):
+    truth = make_truth(kind)
+    values = scored(truth, in_millimetres(truth))
+    assert values["pose_translation"] > 1000 and values["chamfer_w"] > 1000 and values["fscore"] == 0
+    assert values["position" if kind == "revolute" else "state"] > 100
+    assert values["axis"] < 1e-6  # a direction has no length
+
+
+@pytest.mark.parametrize("change", [quaternions_confused, opengl])
+def test_poses_of_another_convention_are_seen(change):
+    truth = make_truth()
+    values = scored(truth, with_poses(truth, change))
+    assert values["pose_rotation"] > 10 and values["chamfer_w"] > 5
 
 
 # ---- surfaces of the asset

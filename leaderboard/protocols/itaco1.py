@@ -131,8 +131,8 @@ ITACO_1 = Protocol(
     "one of their own. Everything is read from the answer's files; an asset is not looked at. The type of the joint is "
     "a flag and prices nothing. Where theirs gives NaN: an arccos beyond 1 is clipped; the position error of parallel "
     "axes is the distance from a point of one to the other; where no frame has a moving pixel, the moving map counts "
-    "1. A failure costs what theirs gives one: 90 deg, 1 m, 1 m^2 (printed 100), no overlap. Means and sample standard "
-    "deviations (ddof 1) are over all sequences of a joint type.",
+    "1. A failure costs what theirs gives one (90 deg, 1 m, no overlap), its surfaces what theirs gives a missing part "
+    "(1 m^2, printed 100). Means and sample standard deviations (ddof 1) are over all sequences of a joint type.",
     (
         Metric(
             "joint_type",

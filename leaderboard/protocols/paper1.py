@@ -60,12 +60,15 @@ def measure(
     matched = match(truth, answer, lacks, rename=False, align=average_alignment)
     aligned, true = matched.answer, truth.articulation.joint
     revolute = true.type == "revolute"
+    states = aligned.states
+    if aligned.articulation.joint.type == "revolute":  # theirs turns them so, which shows where the true joint slides
+        states = np.mod(states, 2 * np.pi)
     angle, shift = metrics.camera_error(truth.Ts_camera_reference, aligned.Ts_camera_reference)
     surfaces, notes = surface_values(truth, matched, c)
     values: dict[str, float | None] = {
         "joint_type": float(aligned.articulation.joint.type == true.type),
         "axis": np.rad2deg(metrics.axis_error(true.axis, aligned.articulation.joint.axis)),
-        "state": (np.rad2deg(1.0) if revolute else 100) * state_error(truth.states, aligned.states, revolute),
+        "state": (np.rad2deg(1.0) if revolute else 100) * state_error(truth.states, states, revolute),
         "camera_rotation": np.rad2deg(angle),
         "camera_position": 100 * shift,
         "miou": matched.miou,

@@ -19,6 +19,7 @@ class Rate:
     """Of one kind of job."""
 
     seconds_per_frame: float
+    """Of one worker: CPU seconds, or wall seconds where `source` says so."""
     bytes_per_frame: float
     """What it leaves on the disk."""
     source: str
