@@ -27,7 +27,14 @@ _LATEX = {
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
     **{c: f"\\{c}" for c in "&%$#_{}"},
     **{NOTHING: "--", "±": r"$\pm$", "°": r"$^{\circ}$", "↑": r"$\uparrow$", "↓": r"$\downarrow$"},
-    **{"✓": r"$\checkmark$", "✗": r"$\times$", "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}"},
+    **{
+        "✓": r"$\checkmark$",
+        "✗": r"$\times$",
+        "²": r"$^{2}$",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        "|": r"\textbar{}",
+    },
 }
 
 
