@@ -1,11 +1,19 @@
 # Two commands: `make demo` sets up and runs one object all the way; `make test` sets up and passes the tests.
-.PHONY: setup demo test check docs clean
+.PHONY: setup demo demo-data test check docs clean
 
 setup:
 	scripts/setup.sh
 
 demo: setup
 	.venv/bin/freeart21 demo --out out/demo
+
+# Three small objects to try scoring on (60 frames each, two hinges and a slider) and a skeleton of results to fill in.
+# What they are and how they move is frozen: tests/test_demo_data.py.
+demo-data: setup
+	.venv/bin/freeart21 record office_scissors folding_usb cover_phone --seed 7 --frames 60 --queries 6 \
+		--width 320 --height 180 --shader trivial --workers 2 --out data/demo
+	test -d results/demo || .venv/bin/freeart21 init-submission data/demo --out results/demo
+	.venv/bin/freeart21 score results/demo --data data/demo || true  # all is priced: nothing is solved yet
 
 test:
 	scripts/setup.sh dev

@@ -39,7 +39,7 @@ from generator.motion import Plan
 from generator.recorder import record
 from generator.sensor import Sensor
 from generator.session import RecordSettings
-from leaderboard.strict1 import Strict1, measure
+from leaderboard.protocols.strict1 import Strict1, measure
 from reconstruct import VERSION
 from reconstruct.pipeline import reconstruct_folder
 from reconstruct.settings import ReconstructSettings
@@ -230,7 +230,9 @@ def _judged(video: Video, data: Path, results: Path, sequence: str) -> Judged:
     trust = judge(
         answer, read_diagnostics(results / sequence, len(answer))
     )  # as the solver asks them, by today's signs
-    values = measure(truth, answer, [], Strict1(samples=500)).values  # of the joint: surfaces are not asked here
+    values = measure(
+        truth, answer, [], constants=Strict1(samples=500)
+    ).values  # of the joint: surfaces are not asked here
     values = {name: values.get(name) for name in ("joint_type", "axis", "position", "state", "miou")}
     wrong = video.second_joint is not None or is_wrong(values, span)
     ratios = _over_std(answer, values, truth.diagonal)

@@ -253,20 +253,23 @@ def record(
     return 0
 
 
-def verify(data: Annotated[Path, Positional], deep: bool = False) -> int:
+def verify(data: Annotated[Path, Positional], deep: bool = False, truth: Path | None = None) -> int:
     """Check a data folder: every hash, every format, and that video and truth agree.
+
+    One that was packed without its truth is looked through for traces of it.
 
     Args:
         data: A data folder (with benchmark.json).
+        truth: Where the truth of a packed data folder lies (`freeart21 pack DATA --truth`).
         deep: Also cast the truth's meshes anew and render its objects anew, without trusting the recorder.
     """
     from freeart21.files.verify import verify as look_through
 
-    report = look_through(data)
+    report = look_through(data, truth)
     if deep and not report.findings:
         from generator.golden import verify_deep
 
-        report.findings.extend(verify_deep(data))
+        report.findings.extend(verify_deep(data, apart=truth))
     for finding in report.findings:
         print(finding)
     if report.findings:
@@ -601,9 +604,13 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         export,
         view,
         board.init_submission,
+        board.import_,
         board.validate,
         board.score,
+        board.compare,
+        board.site,
         board.suite,
+        board.pack,
         measure,
         gap,
     )

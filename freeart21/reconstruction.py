@@ -25,7 +25,7 @@ class Failure:
     """Seconds per stage until then."""
 
 
-Piece = Literal["states", "poses", "masks", "meshes", "renders"]
+Piece = Literal["joint", "states", "poses", "masks", "meshes", "renders"]
 PIECES: tuple[Piece, ...] = get_args(Piece)
 """What a method may not make at all, and say so in its method.json (`freeart21.files.result.Method.lacks`)."""
 Verdict = Literal["sound", "doubtful"]

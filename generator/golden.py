@@ -33,13 +33,14 @@ LEAST_PSNR = 35.0
 """Of a held-out view rendered anew, dB, inside its mask."""
 
 
-def verify_deep(data: Path, frames: int = 5, views: int = 5) -> list[str]:
+def verify_deep(data: Path, frames: int = 5, views: int = 5, apart: Path | None = None) -> list[str]:
     """What is wrong with the data folder `data`, one line each, by some `frames` and `views` of every sequence.
 
     Depth is looked at where the sensor was clean; objects are rendered anew where the truth holds their files, which it
-    does not for PartNet-Mobility. Raises FreeArtError when the folder cannot be read or this machine cannot render.
+    does not for PartNet-Mobility. `apart` is where a packed folder's truth lies. Raises FreeArtError when the folder
+    cannot be read or this machine cannot render.
     """
-    benchmark = read_benchmark(Path(data))
+    benchmark = read_benchmark(Path(data), apart)
     findings: list[str] = []
     for name in benchmark.sequences:
         recording, truth = read_sequence(benchmark.sequence(name)), read_truth(benchmark.truth(name))

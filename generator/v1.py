@@ -99,9 +99,12 @@ def shape_fingerprint(entry: Entry) -> str:
     return _digest(_shape(objects.build(entry.object, entry.seed)))
 
 
-def motion_fingerprint(entry: Entry) -> str:
-    """SHA-256, hexadecimal, of a sequence's poses and states, rounded to 1e-4 where machines agree (m, rad)."""
-    settings = RecordSettings(seed=entry.seed, motion=entry.motion)
+def motion_fingerprint(entry: Entry, settings: RecordSettings | None = None) -> str:
+    """SHA-256, hexadecimal, of a sequence's poses and states, rounded to 1e-4 where machines agree (m, rad).
+
+    `settings` are the benchmark's own when not given, but for seed and motion.
+    """
+    settings = replace(settings or RecordSettings(), seed=entry.seed, motion=entry.motion)
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
         plan = planned(load_object(catalog.find(entry.object), settings, Path(place)), settings)[1]
     return _digest([_text(plan.Ts_camera_object[:, :3], 4), _text(plan.states, 4)])

@@ -6,12 +6,8 @@ Assets come from anywhere and are read by native code, so scoring drives them in
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +24,21 @@ from freeart21.files.urdf import named_inside, parsed, read_urdf_joints
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
-from leaderboard.strict1 import Shape
+from leaderboard import asset_process
+from leaderboard.protocol import Shape
 from leaderboard.submission import LARGEST, MAX_FACES
 from leaderboard.surface import Surface
 
+NEEDED = (
+    "sapien",
+    "mujoco",
+    "trimesh.convex",
+    "scipy.spatial",
+    "generator.simulate",
+    "export.checklist",
+    "freeart21.view.link_shapes",
+)
+"""What an asset's process imports, as far as it is installed, before it is asked."""
 DRIVEN_STATES = 33
 """States, spread over the joint's range, at which the link poses are read."""
 TIME_LIMIT_S = 90.0
@@ -79,8 +86,9 @@ def measured_asset(folder: Path, states: ArrayLike) -> MeasuredAsset:
 
 def _measured(folder: Path, states: ArrayLike, whole: bool) -> MeasuredAsset:
     check_files(folder)
-    with tempfile.TemporaryDirectory() as place:
-        shape = Path(place) / "shape.npz"
+    with tempfile.TemporaryDirectory() as made:
+        place = Path(made)
+        shape = place / "shape.npz"
         request = {"asset": str(folder.resolve()), "states": np.asarray(states, float).tolist()}
         if whole:
             request["shape"] = str(shape)
@@ -90,27 +98,14 @@ def _measured(folder: Path, states: ArrayLike, whole: bool) -> MeasuredAsset:
     return MeasuredAsset(joint, np.array(said["states"], float), found, tuple(said["findings"]))
 
 
-def _ask(folder: Path, request: dict[str, Any], place: str) -> dict[str, Any]:
+def _ask(folder: Path, request: dict[str, Any], place: Path) -> dict[str, Any]:
     try:
-        done = subprocess.run(
-            child.command("leaderboard.asset_joint"),
-            input=json.dumps(request),
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=TIME_LIMIT_S,
-            check=False,
-            env={**os.environ, "TMPDIR": place},  # what it leaves there goes, however it ends
-        )
-    except subprocess.TimeoutExpired as error:
+        answer = asset_process.ask("leaderboard.asset_joint", request, place, TIME_LIMIT_S)
+    except asset_process.Late as error:
         raise FreeArtError(f"{folder} did not load and move within {TIME_LIMIT_S:g} s") from error
-    lines = done.stdout.splitlines()
-    if done.returncode or not lines:
-        raise FreeArtError(
-            f"{folder} ended the simulator that loaded it (exit code {done.returncode}): "
-            f"{(done.stderr.strip().splitlines() or ['no message'])[-1]}"
-        )
-    answer: dict[str, Any] = json.loads(lines[-1])
+    except asset_process.Ended as error:
+        code, _, said = str(error).partition(": ")
+        raise FreeArtError(f"{folder} ended the simulator that loaded it ({code}): {said}") from error
     if "error" in answer:
         raise FreeArtError(answer["error"])
     return answer
@@ -157,7 +152,8 @@ def drive(asset: Asset, states: ArrayLike) -> tuple[Joint, Array, Array]:
     high = upper if np.isfinite(upper) else max(reachable.max(), 0.5)
     driven = np.linspace(low, high, DRIVEN_STATES)
     motion = joint_motion(asset, np.concatenate([driven, reachable]))
-    joint = joint_of_motion(asset.joint, driven, motion[: len(driven)])
+    found = joint_of_motion(asset.joint, driven, motion[: len(driven)])
+    joint = replace(found, lower=lower, upper=upper)  # as far as it goes, which may be without end
     motions = motion[len(driven) :]
     return joint, states_of_motion(joint, motions), motions
 
@@ -267,13 +263,15 @@ def _examined(folder: Path, states: Array, shape: Path | None) -> dict[str, Any]
     return {"joint": joint_to_json(joint), "states": moved_states.tolist(), "findings": [str(f) for f in findings]}
 
 
-def main() -> None:
-    """Answer the request on standard input: what the asset is, or the one error that it has."""
-    request = json.loads(sys.stdin.read())
+def reply(request: dict[str, Any]) -> dict[str, Any]:
+    """What the asset is, or the one error that it has."""
     shape = request.get("shape")
     try:
-        found = _examined(Path(request["asset"]), np.array(request["states"], float), shape and Path(shape))
+        return _examined(Path(request["asset"]), np.array(request["states"], float), shape and Path(shape))
     except Exception as error:  # hostile files reach parsers of many libraries; each has exceptions of its own
-        child.answer(error=child.one_line(error))
-    else:
-        child.answer(**found)
+        return {"error": child.one_line(error)}
+
+
+def main() -> None:
+    """Answer requests, each in a process of its own."""
+    asset_process.serve(reply, NEEDED)

@@ -6,28 +6,36 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
 from freeart21.articulation import Articulation
 from freeart21.errors import FreeArtError
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
-from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.reconstruction import Failure, Piece, Reconstruction
 from freeart21.recording import Recording
 from freeart21.truth import Truth
+from leaderboard.adapters.notes import import_notes
 from leaderboard.asset_joint import measured_asset, measured_joint
-from leaderboard.protocols import DEFAULT, Protocol, protocol_named
+from leaderboard.protocol import Protocol, Render, Shape
+from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Source, Status
-from leaderboard.strict1 import Render, Shape
 from leaderboard.submission import printable, read_with_notes, render_faults, shortened
 
 LONGEST_RUN_S = 1e9
 """Seconds (30 years) beyond which what a method says it took is no time."""
 
 
-def score_sequence(result_folder: Path, sequence_folder: Path, truth_folder: Path, protocol: str = DEFAULT) -> Row:
-    """Score one result folder. Raises FreeArtError for a broken sequence or truth; a broken result is priced."""
-    case = Case(protocol_named(protocol), read_sequence(sequence_folder), read_truth(truth_folder))
+def score_sequence(
+    result_folder: Path,
+    sequence_folder: Path,
+    truth_folder: Path,
+    protocol: str = DEFAULT,
+    lacks: tuple[Piece, ...] = (),
+) -> Row:
+    """Score one result folder of a method that does not make what it `lacks`, for any sequence.
+
+    Raises FreeArtError for a broken sequence or truth; a broken result is priced.
+    """
+    case = Case(protocol_named(protocol), read_sequence(sequence_folder), read_truth(truth_folder), lacks)
     camera, folder = case.recording.camera, Path(result_folder)
     if not folder.is_dir() and not folder.is_symlink():
         return case.priced("missing", f"there is no {folder.name} among the results")
@@ -39,13 +47,13 @@ def score_sequence(result_folder: Path, sequence_folder: Path, truth_folder: Pat
         return case.priced("failed", f"{answer.stage}: {answer.reason}", answer.seconds)
     source: Source = "files"
     shape: Shape | None = None
-    if (folder / "asset").exists():
+    if case.rules.asset != "none" and (folder / "asset").exists():
         try:
-            answer, shape, found = with_asset(answer, folder / "asset", case.rules.whole_asset)
+            answer, shape, found = with_asset(answer, folder / "asset", case.rules.asset == "whole")
         except FreeArtError as error:
             return case.priced("failed", f"asset: {error}", answer.seconds)
         source, notes = "asset", (*notes, *found)
-    return case.measured(answer, folder, source, shape, notes)
+    return case.measured(answer, folder, source, shape, (*notes, *import_notes(folder)))
 
 
 def with_asset(
@@ -74,6 +82,8 @@ class Case:
     rules: Protocol
     recording: Recording
     truth: Truth
+    lacks: tuple[Piece, ...] = ()
+    """What the method does not make at all: numbers that need it do not exist, in priced rows neither."""
 
     def __post_init__(self) -> None:
         if len(self.truth) != len(self.recording):
@@ -89,12 +99,10 @@ class Case:
 
     def prices(self) -> dict[str, float | None]:
         """Metric id to price, in the metric's unit for this sequence; None for numbers that do not exist for it."""
-        kind, motion = self.truth.articulation.joint.type, self.truth.range_of_motion
-        motion = float(np.rad2deg(motion)) if kind == "revolute" else 100 * motion / self.diagonal
-        prices = {metric.id: metric.price_for(kind, motion) for metric in self.rules.metrics}
-        if not any(self.truth.query_mask(i).any() for i in range(len(self.recording.queries))):
-            prices["psnr"] = prices["ssim"] = None
-        return prices
+        shown = any(self.truth.query_mask(i).any() for i in range(len(self.recording.queries)))
+        nowhere = {*self.lacks, *(() if shown else ("renders",))}
+        prices = self.rules.prices(self.truth)
+        return {m.id: None if nowhere & {*m.needs} else prices[m.id] for m in self.rules.metrics}
 
     def measured(
         self,
@@ -108,19 +116,18 @@ class Case:
 
         `asset` is the shape of its asset, for protocols by which that counts.
         """
-        renders, faults = _renders(folder, "renders", self.recording)
-        if self.rules.whole_asset:
-            others, other_faults = _renders(folder, "renders_other", self.recording)
-            given = others if (folder / "renders_other").is_dir() else None
-            found = self.rules.measure(self.truth, answer, renders, asset=asset, renders_other=given)
-            if found.other_views:
-                faults = other_faults
-            elif found.swapped and any(render is not None for render in renders):
-                faults = (*faults, "its parts go by each other's names: held-out views of renders/, no renders_other/")
-        else:
-            found = self.rules.measure(self.truth, answer, renders)
+        renders, faults = self._renders(folder, "renders")
+        others, other_faults = None, faults
+        if self.rules.asset == "whole" and (folder / "renders_other").is_dir():
+            others, other_faults = self._renders(folder, "renders_other")
+        found = self.rules.measure(self.truth, answer, renders, asset=asset, renders_other=others, lacks=self.lacks)
+        if found.other_views:
+            faults = other_faults
+        elif self.rules.asset == "whole" and found.swapped and any(render is not None for render in renders):
+            faults = (*faults, "its parts go by each other's names: held-out views of renders/, no renders_other/")
+        notes = (*found.notes, *notes)
         given_type, expected = answer.articulation.joint.type, self.truth.articulation.joint.type
-        if given_type != expected:
+        if given_type != expected and "joint" not in self.lacks:
             notes = (f"the joint is {given_type}, expected {expected}", *notes)
         values: dict[str, float | None] = {}
         for id, price in self.prices().items():
@@ -131,6 +138,23 @@ class Case:
     def priced(self, status: Status, reason: str, seconds: dict[str, float] | None = None) -> Row:
         """The row of an answer that cannot be measured: every number at its price."""
         return self._row(self.prices(), status, shortened(reason), "nothing", False, (), seconds or {})
+
+    def _renders(self, folder: Path, pictures: str) -> tuple[list[Render], tuple[str, ...]]:
+        """The picture of every query in the subfolder `pictures`, None where there is none, and what is wrong with
+        them; none is looked for where the method makes none, or the protocol has no use for them."""
+        if "renders" in self.lacks or not any("renders" in metric.needs for metric in self.rules.metrics):
+            return [None] * len(self.recording.queries), ()
+        camera = self.recording.camera
+        renders: list[Render] = []
+        notes = []
+        for i in range(len(self.recording.queries)):
+            render, faults = render_faults(folder, pictures, i, camera.height, camera.width)
+            renders.append(render)
+            notes += [str(fault) for fault in faults]
+        absent = sum(render is None for render in renders) - len(notes)
+        if absent:
+            notes.append(f"{absent} of {len(renders)} held-out views have no render")
+        return renders, tuple(notes)
 
     def _row(
         self,
@@ -163,17 +187,3 @@ class Case:
             tuple(printable(note) for note in notes),
             total if timed else None,
         )
-
-
-def _renders(folder: Path, pictures: str, recording: Recording) -> tuple[list[Render], tuple[str, ...]]:
-    """The picture of every query in the subfolder `pictures`, None where there is none, and what is wrong with them."""
-    renders: list[Render] = []
-    notes = []
-    for i in range(len(recording.queries)):
-        render, faults = render_faults(folder, pictures, i, recording.camera.height, recording.camera.width)
-        renders.append(render)
-        notes += [str(fault) for fault in faults]
-    absent = sum(render is None for render in renders) - len(notes)
-    if absent:
-        notes.append(f"{absent} of {len(renders)} held-out views have no render")
-    return renders, tuple(notes)

@@ -21,6 +21,7 @@ def score(
     protocol: str = "strict-2",
     out: Path | None = None,
     everything: Annotated[bool, tyro.conf.arg(name="all")] = False,
+    truth: Path | None = None,
     workers: int = 2,
     executor: ExecutorName = "local",
 ) -> int:
@@ -31,12 +32,14 @@ def score(
     What each number means: docs/protocols.md. Exit code 1 when no sequence could be measured.
 
     Args:
-        results: A method's results (RESULTS/SEQ/prediction.json).
+        results: A method's results (RESULTS/SEQ/prediction.json), or a .zip of them.
         data: The data folder they answer.
-        protocol: Named protocol, what each number means: strict-2, or strict-1 (joint from the asset, surfaces from
-            parts/).
+        protocol: Named protocol, what each number means: strict-2 (the ranking), strict-1 (joint from the asset,
+            surfaces from parts/), paper-1 (as FreeArtGS's evaluator), itaco-1 (as iTACO's), arena-1 (the joint as a
+            motion, limits included).
         out: Write every number as JSON here, too.
         everything: Print every number, not only the ranking ones.
+        truth: Where the truth of a packed data folder lies (`freeart21 pack DATA --truth`).
         workers: Sequences that are scored at a time, each by a process of up to 1.2 GiB; the numbers do not depend on
             it.
         executor: Where they are scored: local (this machine), ray, or slurm, which need --out on a file system that all
@@ -51,13 +54,14 @@ def score(
     from freeart21.errors import FreeArtError
     from freeart21.files import atomic
     from freeart21.files.places import SCORES, check_place
+    from leaderboard.archive import results_folder
     from leaderboard.rows import Row
     from leaderboard.score import score_results
     from leaderboard.scores_file import write_scores
     from leaderboard.tables import print_scores
 
     if out is not None:
-        check_place(out, SCORES, (data,))
+        check_place(out, SCORES, (data, *([truth] if truth else [])))
     work = None
     if executor != "local":
         if out is None:
@@ -65,7 +69,10 @@ def score(
         out.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.ASIDE))
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+    with (
+        results_folder(results) as folder,
+        Progress(console=console, transient=True, disable=not console.is_terminal) as bars,
+    ):
         task = bars.add_task("Scoring", total=None)
 
         def scored(row: Row, of: int) -> None:
@@ -73,7 +80,9 @@ def score(
 
         try:
             rows = None if work is None else work / "jobs"
-            scores = score_results(results, data, protocol, scored, workers=workers, executor=executor, work=rows)
+            scores = score_results(
+                folder, data, protocol, scored, workers=workers, executor=executor, work=rows, truth=truth
+            )
         finally:
             if work is not None:
                 shutil.rmtree(work, ignore_errors=True)
@@ -83,18 +92,69 @@ def score(
     return 0 if scores.measured else 1
 
 
+def compare(
+    results: Annotated[tuple[Path, ...], Positional],
+    data: Path,
+    protocol: str | None = None,
+    scores: Path | None = None,
+    out: Path | None = None,
+    by: Literal["type", "category", "sequence"] = "type",
+    truth: Path | None = None,
+) -> None:
+    """Compare methods: mean and spread by joint type, and how sure their differences are, over the same sequences.
+
+    Differences are to the method that is named first, with paired bootstrap intervals of 95 %. Numbers of different
+    protocols, benchmarks or versions of the scoring code are refused, never set side by side.
+
+    Args:
+        results: Results folders (or .zip of them), which are scored, or tables of `score --out`.
+        data: The data folder that they answer.
+        protocol: Named protocol; that of the tables, or strict-2, when not given.
+        scores: Keep the tables of scores of results folders here, and score them again only when something changed.
+        out: Write the comparison here, too: .csv, .json (everything), .md, or .tex (booktabs).
+        by: What is summed up together: sequences of a joint type, of a category, or each for itself.
+        truth: Where the truth of a packed data folder lies.
+    """
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
+
+    from freeart21.files.places import check_place
+    from leaderboard.compare import compare_results
+    from leaderboard.compare_files import kind_of, write_comparison
+    from leaderboard.compare_tables import print_comparison
+    from leaderboard.rows import Row
+
+    if out is not None:
+        check_place(out, kind_of(out), (data, *results))
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        tasks: dict[Path, TaskID] = {}
+
+        def scored(place: Path, row: Row, of: int) -> None:
+            if place not in tasks:
+                tasks[place] = bars.add_task("", total=of)
+            bars.update(tasks[place], description=f"Scored {place.name} {row.sequence}", advance=1, total=of)
+
+        comparison = compare_results(results, data, protocol, scores, scored, truth)
+    print_comparison(comparison, by)
+    if out is not None:
+        write_comparison(out, comparison, by)
+
+
 def validate(results: Annotated[Path, Positional], data: Path) -> int:
     """Check a folder of results as `score` will read it, without measuring: every fault, with its place and its cure.
 
     Exit code 1 when there is a fault. Needs the sequences of the data folder, not their truth.
 
     Args:
-        results: A method's results (RESULTS/SEQ/prediction.json).
+        results: A method's results (RESULTS/SEQ/prediction.json), or a .zip of them.
         data: The data folder they answer.
     """
+    from leaderboard.archive import results_folder
     from leaderboard.validate import validate_results
 
-    report = validate_results(results, data)
+    with results_folder(results) as folder:
+        report = validate_results(folder, data)
     for fault in report.faults:
         print(f"{fault}{f'; to mend: {fault.mend}' if fault.mend else ''}")
     for note in report.notes:
@@ -123,6 +183,109 @@ def init_submission(data: Annotated[Path, Positional], out: Path) -> None:
 
     sequences = write_skeleton(data, out)
     print(f"{out}: {len(sequences)} sequences to fill in; {out / 'README.txt'} says how")
+
+
+def site(
+    results: Annotated[tuple[Path, ...], Positional],
+    data: Path,
+    out: Path,
+    protocol: tuple[str, ...] = ("strict-2",),
+    scores: Path | None = None,
+    title: str | None = None,
+    truth: Path | None = None,
+) -> None:
+    """Write a static site: the ranking, a page a method and a sequence, failures, definitions, downloads.
+
+    One folder that opens from disk or from any host and fetches nothing from elsewhere. Methods are scored first,
+    unless their tables are kept in the folder of --scores. An older site at the place is replaced, nothing else.
+
+    Args:
+        results: Folders of results, one a method (RESULTS/SEQ/prediction.json).
+        data: The data folder that they answer, with its truth.
+        out: Folder of the site.
+        protocol: Named protocols, a table each; the first one orders the site.
+        scores: Folder in which tables of scores are kept.
+        title: What the site is called; the name of the data when not given.
+        truth: Where the truth of a packed data folder lies; the site shows it.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from leaderboard.site.build import write_site
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task("Reading", total=None)
+
+        def done(what: str, count: int, of: int) -> None:
+            bars.update(task, description=what, completed=count, total=of)
+
+        command = ["freeart21", *sys.argv[1:]]
+        index = write_site(results, data, out, protocol, scores, title, command, done, truth)
+    print(f"{out}: {len(results)} method{'s' * (len(results) != 1)}; open {index}")
+
+
+def import_(
+    layout: Annotated[str, Positional],
+    source: Annotated[Path, Positional],
+    data: Path,
+    out: Path,
+    sequence: str | None = None,
+    map: Path | None = None,
+    frame: Annotated[str | None, tyro.conf.arg(metavar="camera|opengl|link|label|zup")] = None,
+    axes: Annotated[str | None, tyro.conf.arg(metavar="opencv|opengl")] = None,
+    anchor: int = 0,
+    scale: float = 1.0,
+    joint: str | None = None,
+    object_poses: Path | None = None,
+    name: str | None = None,
+) -> None:
+    """Make a results folder of what another project wrote, to be scored beside the others.
+
+    Layouts: freeartgs, itaco, rsrd, paris, digitaltwinart, artgs, articulate-anything, bundlesdf, foundationpose,
+    screwsplat. What each gives, lacks and means: docs/adapters.md. Results are looked for in SOURCE/SEQ for every
+    sequence of the data folder, whose truth is not read. What a layout does not give is left out of its score.
+
+    Args:
+        layout: Whose files these are.
+        source: Folder with a result a sequence, or with one result.
+        data: The data folder that they answer.
+        out: Results folder to make, such as results/NAME; an older import of the same layout is replaced.
+        sequence: SOURCE is the result of this one sequence.
+        map: JSON file of {"SEQ": "folder in SOURCE"}, or {"SEQ": {"folder": ..., and any of frame, axes, anchor, scale,
+            joint}}.
+        frame: Where the world of the files stands, if they do not say; else as in the project's own evaluator.
+        axes: Axes of the cameras in the files; else as in the project's own evaluator.
+        anchor: Frame of the video at which a result without poses stands.
+        scale: Metres in one unit of length of the files.
+        joint: Which joint, by name or number, if there are several.
+        object_poses: Official FreeArt-21 examples, for frames that hang on the object.
+        name: Of the method; else as the results folder is called.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from leaderboard.adapters.importer import import_results
+    from leaderboard.adapters.toolbox import Options
+
+    options = Options(frame, axes, anchor, scale, joint, object_poses)  # type: ignore[arg-type]  # checked there
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task("Importing", total=None)
+
+        def begun(sequence: str, done: int, total: int) -> None:
+            bars.update(task, description=f"Importing {sequence}", completed=done, total=total)
+
+        report = import_results(layout, source, data, out, options, sequence, map, name, begun)
+    for key, lines in report.notes.items():
+        for line in lines:
+            print(f"{key}: {line}")
+    if report.missing:
+        some = ", ".join(report.missing[:5]) + (", ..." if len(report.missing) > 5 else "")
+        print(f"nothing of {len(report.missing)} sequences ({some}): the score will price them")
+    lacks = f"; it lacks {', '.join(report.lacks)}" if report.lacks else ""
+    failed = f", {len(report.failures)} declared failures" if report.failures else ""
+    print(f"{out}: {len(report.sequences)} answers{failed}{lacks}")
 
 
 def suite(
@@ -204,3 +367,51 @@ def suite(
         f"{out / 'scores'}: every number; `freeart21 compare {out / 'results'}/* --data {data}` sets rows side by side"
     )
     return 1 if outcome.failed or outcome.objections else 0
+
+
+def pack(
+    data: Annotated[Path, Positional],
+    out: Path,
+    public: bool = False,
+    truth: bool = False,
+    keep_names: bool = False,
+    key: Path | None = None,
+) -> None:
+    """Split a data folder: what methods may see, to hand out (--public), or its truth, to score against (--truth).
+
+    The public half holds nothing of the truth: pictures and JSON are written anew from what they show, sequences have
+    names that tell nothing, times are all the same, and benchmark.json has a salted hash of the truth. Score with
+    `freeart21 score RESULTS --data PUBLIC --truth TRUTH`. Names and salt come from a key; both halves need the same.
+    Nothing hides a recording that others can make again: give hidden sets a large seed that nobody knows.
+
+    Args:
+        data: A data folder (with benchmark.json).
+        out: Folder to make, or a ZIP where its name ends in .zip.
+        public: Write what methods may see.
+        truth: Write the truth.
+        keep_names: Leave the names of sequences as they are.
+        key: File with the key, made where there is none; DATA.key beside the data folder when not given.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from freeart21.errors import FreeArtError
+    from freeart21.files.places import check_place
+    from leaderboard.pack import PUBLIC, TRUTH, key_place, pack_public, pack_truth
+
+    if public == truth:
+        raise FreeArtError("pack: say which half, --public or --truth; it takes one of them")
+    key = key or key_place(data)
+    made = not key.exists()
+    check_place(out, None if out.suffix == ".zip" else PUBLIC if public else TRUTH, (data, key))
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task("Packing", total=None)
+
+        def told(done: int, of: int) -> None:
+            bars.update(task, completed=done, total=of)
+
+        (pack_public if public else pack_truth)(data, out, key, keep_names, told)
+    print(out)
+    if made and key.exists():
+        print(f"{key}: the key of both halves; keep it, and hand it to nobody")

@@ -1,4 +1,4 @@
-"""The numbers of strict-1, one function each: arrays in, SI numbers out (radians, metres, fractions, dB).
+"""Numbers of the protocols, one function each: arrays in, SI numbers out (radians, metres, fractions, dB).
 
 Definitions and prices are written in `leaderboard.protocols`; nothing here knows of files, methods or failures.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from skimage.metrics import structural_similarity
 
 from freeart21 import se3
@@ -66,6 +67,14 @@ def state_error(states_truth: Array, states: Array, sign: float, wrapped: bool) 
     return float(min(np.mean(np.abs(wrap(difference - offset))) for offset in difference))
 
 
+def state_offset(states_truth: Array, states: Array, sign: float, wrapped: bool) -> float:
+    """The offset, rad or m, that `state_error` removes: `sign` * states is nearest states_truth + offset."""
+    difference = sign * states - states_truth
+    if not wrapped:
+        return float(np.median(difference))
+    return float(min(difference, key=lambda offset: np.mean(np.abs(wrap(difference - offset)))))
+
+
 def wrap(angle: Array) -> Array:
     """Angles (...) brought to [-pi, pi)."""
     return np.mod(angle + np.pi, 2 * np.pi) - np.pi
@@ -117,6 +126,22 @@ def pose_error(Ts_camera_truth: Array, Ts_camera_aligned: Array, centre_truth: A
 def chamfer(forward: Array, backward: Array) -> float:
     """Mean, metres, of the two directed mean distances (n,) and (m,): not squared."""
     return float(0.5 * (np.mean(forward) + np.mean(backward)))
+
+
+def squared_chamfer(a: Array, b: Array) -> float:
+    """m^2: mean squared distance of the points `a` (n, 3) to the nearest of `b` (m, 3), plus that of b to a.
+
+    The default of PyTorch3D's chamfer_distance, which this field's evaluators print as cm or mm.
+    """
+    there, back = cKDTree(b).query(a)[0], cKDTree(a).query(b)[0]
+    return float(np.mean(there**2) + np.mean(back**2))
+
+
+def camera_error(Ts_camera_truth: Array, Ts_camera_aligned: Array) -> tuple[float, float]:
+    """Mean angle, radians, and mean distance, metres, of the camera as seen from the object, for poses (n, 4, 4)."""
+    true, found = se3.inverse(Ts_camera_truth), se3.inverse(Ts_camera_aligned)
+    angles = se3.rotation_angle(found[:, :3, :3] @ np.swapaxes(true[:, :3, :3], -1, -2))
+    return float(angles.mean()), float(np.linalg.norm(found[:, :3, 3] - true[:, :3, 3], axis=-1).mean())
 
 
 def fscore(forward: Array, backward: Array, threshold: float) -> float:

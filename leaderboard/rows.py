@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import pandas as pd
 
 from freeart21.files.result import Method
 from freeart21.joint import JointType
-from leaderboard.protocols import Group
+from leaderboard.protocol import Group
 
 Status = Literal["ok", "failed", "missing", "unreadable"]
 Source = Literal["asset", "files", "nothing"]
@@ -41,6 +41,10 @@ class Row:
     """What the reader should know: a wrong joint type, a picture that could not be read."""
     seconds: float | None = None
     """What the method says it took, all stages together; None when it does not say."""
+    result_sha256: str | None = None
+    """Of the result's folder (`leaderboard.provenance.folder_sha256`); None when there is none, or it is too large."""
+    truth_sha256: str | None = None
+    """The same of the truth's folder."""
 
     @staticmethod
     def from_json(data: dict[str, Any]) -> Row:
@@ -85,10 +89,12 @@ class Scores:
     """name, version, split, and sha256 of benchmark.json, which holds the hash of every file of the truth."""
     rows: tuple[Row, ...]
     summaries: tuple[Summary, ...]
-    seconds: float
-    """What scoring took."""
+    seconds: float | None = None
+    """What scoring took; None of a table that was read from a file, which does not say: it is the same every time."""
     notes: tuple[str, ...] = ()
     """What the reader should know of the method as a whole: a method.json that cannot be read."""
+    made_with: dict[str, Any] = field(default_factory=dict)
+    """The code, libraries and machine that made the numbers, see `leaderboard.provenance.made_with`."""
 
     @property
     def measured(self) -> int:

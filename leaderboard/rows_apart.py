@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from freeart21 import stopping
 from freeart21.errors import FreeArtError
@@ -25,7 +26,8 @@ MOST_WORKERS = 64
 SECONDS = 20.0
 """What a row takes, about, with the start of a process for it alone."""
 
-Request = Mapping[str, str]
+Request = Mapping[str, Any]
+"""What `leaderboard.worker` is asked: PLACES, protocol, and the pieces that the method lacks."""
 
 
 def rows_beside(
@@ -75,6 +77,7 @@ def one_row(scorer: Worker, request: Request, limit_s: float) -> Row:
             protocol_named(request["protocol"]),
             read_sequence(Path(request["sequence"])),
             read_truth(Path(request["truth"])),
+            tuple(request["lacks"]),
         )
         return case.priced("failed", str(reason))
 
@@ -125,7 +128,7 @@ def rows_elsewhere(
     return [_row(work / str(job.out)) for job in jobs]
 
 
-def write_row(request: dict[str, str], limit_s: float, out: str) -> None:
+def write_row(request: dict[str, Any], limit_s: float, out: str) -> None:
     """What the job of a row does."""
     with worker() as scorer:
         atomic.write_json(Path(out), asdict(one_row(scorer, request, limit_s)))

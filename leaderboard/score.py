@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import pandas as pd
 from numpy.typing import ArrayLike
 
 from freeart21.errors import FreeArtError
-from freeart21.files.benchmark import file_sha256, read_benchmark
+from freeart21.files.benchmark import Benchmark, file_sha256, read_benchmark
+from freeart21.reconstruction import Piece
 from leaderboard.case import score_sequence
-from leaderboard.protocols import DEFAULT, Group, Protocol, protocol_named
+from leaderboard.protocol import Group, Protocol
+from leaderboard.protocols import DEFAULT, protocol_named
+from leaderboard.provenance import traced
 from leaderboard.rows import Row, Scores, Statistic, Summary, frame
 from leaderboard.rows_apart import PLACES, rows_beside, rows_elsewhere
 from leaderboard.submission import method_of
@@ -31,6 +35,7 @@ def score_results(
     executor: str = "local",
     work: Path | None = None,
     sequences: Sequence[str] | None = None,
+    truth: Path | None = None,
 ) -> Scores:
     """Score the results folder of one method against the benchmark folder `data`: every sequence of it, found or not.
 
@@ -38,23 +43,25 @@ def score_results(
     own, `workers` at a time, and one that takes more than `limit_s` seconds is priced; None: in this process, without a
     limit. The numbers and the order of the rows do not depend on `workers` and `executor`
     (`freeart21.jobs.EXECUTORS`); another one than 'local' needs a new folder `work` that its machines see. `sequences`
-    chooses some of the benchmark's, and the table says so in a note.
+    chooses some of the benchmark's, and the table says so in a note. `truth` is where the truth of a data folder lies
+    that was packed without (`leaderboard.pack`).
 
     Raises FreeArtError when the protocol or executor is unknown, `results` is not a folder of results, or the benchmark
     is broken; whatever is wrong with one result is priced in its row.
     """
     begun, results = time.perf_counter(), Path(results)
     rules = protocol_named(protocol)
-    benchmark = read_benchmark(data)
+    benchmark = read_benchmark(data, truth)
     check_results_folder(results, benchmark.sequences)
     method, faults = method_of(results)
     chosen = benchmark.chosen(sequences)
-    requests = [
+    requests: list[dict[str, Any]] = [
         {
             "result": str(results / name),
             "sequence": str(benchmark.sequence(name)),
             "truth": str(benchmark.truth(name)),
             "protocol": rules.name,
+            "lacks": list(method.lacks),
         }
         for name in chosen
     ]
@@ -62,24 +69,38 @@ def score_results(
     if limit_s is None:
         rows = []
         for request in requests:
-            result, sequence, truth = (Path(request[key]) for key in PLACES)
-            rows.append(score_sequence(result, sequence, truth, rules.name))
+            places = [Path(request[key]) for key in PLACES]
+            rows.append(score_sequence(places[0], places[1], places[2], rules.name, method.lacks))
             told(rows[-1])
     elif executor == "local":
         rows = rows_beside(requests, workers, limit_s, told)
     else:
         rows = rows_elsewhere(requests, workers, executor, limit_s, work, told)
-    notes = [str(fault) for fault in faults]
+    notes = [*(str(fault) for fault in faults), *lack_notes(rules, method.lacks)]
     if len(chosen) < len(benchmark.sequences):
         notes.append(f"{len(chosen)} of {len(benchmark.sequences)} sequences were chosen: {', '.join(chosen)}")
-    facts = {
+    summaries = summarise(rows, rules)
+    scores = Scores(rules.name, method, benchmark_facts(benchmark), tuple(rows), summaries, notes=tuple(notes))
+    return replace(traced(scores, results, benchmark), seconds=time.perf_counter() - begun)
+
+
+def benchmark_facts(benchmark: Benchmark) -> dict[str, str]:
+    """What a table of scores says of the benchmark that it is of."""
+    return {
         "name": benchmark.name,
         "version": benchmark.version,
         "split": benchmark.split,
         "sha256": file_sha256(benchmark.folder / "benchmark.json"),
     }
-    summaries, seconds = summarise(rows, rules), time.perf_counter() - begun
-    return Scores(rules.name, method, facts, tuple(rows), summaries, seconds, tuple(notes))
+
+
+def lack_notes(rules: Protocol, lacks: tuple[Piece, ...]) -> tuple[str, ...]:
+    """A line that says which numbers there are not, as the method does not make what it `lacks`."""
+    if not lacks:
+        return ()
+    absent = [metric.id for metric in rules.metrics if {*lacks} & {*metric.needs}]
+    said = f"no {', '.join(absent)}" if absent else f"no number of {rules.name} needs it"
+    return (f"the method makes no {', '.join(lacks)}: {said}",)
 
 
 def check_results_folder(results: Path, sequences: tuple[str, ...]) -> None:

@@ -74,9 +74,9 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def shortened(text: str) -> str:
-    """`text` on one line, printable, of at most LONGEST_TEXT characters."""
-    return printable(" ".join(text[: 20 * LONGEST_TEXT].split()))[:LONGEST_TEXT]
+def shortened(text: str, longest: int = LONGEST_TEXT) -> str:
+    """`text` on one line, printable, of at most `longest` characters."""
+    return printable(" ".join(text[: 20 * longest].split()))[:longest]
 
 
 def read_submission(folder: Path, frames: int, height: int, width: int) -> Reconstruction | Failure:
@@ -110,13 +110,14 @@ def look_through(
 ) -> Generator[Fault, None, Reconstruction | Failure | None]:
     """Every fault of the result in `folder`, fatal or not; returns the answer when none was fatal."""
     fatal = False
+    masks: list[NDArray[np.uint8]] = []
     try:
-        for fault in _faults(folder, frames, height, width):
+        for fault in _faults(folder, frames, height, width, masks):
             fatal |= fault.fatal
             yield fault
         if fatal:
             return None
-        answer = read_result(folder)
+        answer = read_result(folder, masks or None)
     except Exception as error:  # hostile bytes reach parsers of many libraries; each has exceptions of its own
         yield _unreadable(folder.name, folder, error)
         return None
@@ -149,7 +150,7 @@ def method_of(results: Path) -> tuple[Method, list[Fault]]:
             return Method(shortened(checked.text(data, "name", path))), [fault]
         words = [shortened(str(data.get(key) or "")) for key in ("code", "hardware")]
         lacks, faults = _tried(results, path, "lacks", partial(lacks_of, data, path))
-        method = Method(shortened(checked.text(data, "name", path)), words[0], _plain(settings), words[1], lacks or ())
+        method = Method(shortened(checked.text(data, "name", path)), words[0], plain(settings), words[1], lacks or ())
         return method, [replace(fault, fatal=False) for fault in faults]
     except Exception as error:  # as above
         fault = _unreadable("method.json", path, error)
@@ -188,7 +189,8 @@ def render_faults(
     return None, [replace(fault, fatal=False)]
 
 
-def _faults(folder: Path, frames: int, height: int, width: int) -> Iterator[Fault]:
+def _faults(folder: Path, frames: int, height: int, width: int, masks: list[NDArray[np.uint8]]) -> Iterator[Fault]:
+    """Every fault before the answer is put together; `masks` gets what was read of part_mask/."""
     links = list(link_faults(folder))
     yield from links
     if links:
@@ -213,7 +215,7 @@ def _faults(folder: Path, frames: int, height: int, width: int) -> Iterator[Faul
         return
     yield from _joint_faults(folder, header, data, frames)
     yield from _pose_faults(folder, frames)
-    yield from _mask_faults(folder, frames, height, width)
+    yield from _mask_faults(folder, frames, height, width, masks)
     yield from _part_faults(folder)
 
 
@@ -274,8 +276,8 @@ def _pose_faults(folder: Path, frames: int) -> Iterator[Fault]:
             yield from _range_fault(file, name, given)
 
 
-def _mask_faults(folder: Path, frames: int, height: int, width: int) -> Iterator[Fault]:
-    """One fault for each kind that masks have, at its first frame."""
+def _mask_faults(folder: Path, frames: int, height: int, width: int, masks: list[NDArray[np.uint8]]) -> Iterator[Fault]:
+    """One fault for each kind that masks have, at its first frame; what is well is added to `masks`."""
     kinds: dict[str, list[Fault]] = {}
     for i in range(frames):
         path = folder / "part_mask" / f"{i:05d}.png"
@@ -288,6 +290,10 @@ def _mask_faults(folder: Path, frames: int, height: int, width: int) -> Iterator
             elif labels.max(initial=0) > 2:
                 mend = "write 0 for neither part, 1 for the reference part, 2 for the moving part"
                 fault = Fault(file, f"has labels up to {labels.max()}", "0, 1 and 2", mend=mend)
+            elif labels.shape != (height, width):
+                fault = Fault(file, f"is {labels.shape[1]} x {labels.shape[0]}", f"{width} x {height}")
+            else:
+                masks.append(labels)
         if fault is not None:
             kinds.setdefault(fault.found, []).append(replace(fault, frame=i))
     for faults in kinds.values():
@@ -383,14 +389,14 @@ def _is_float(value: float) -> bool:
     return True
 
 
-def _plain(value: Any, depth: int = 0) -> Any:
+def plain(value: Any, depth: int = 0) -> Any:
     """JSON that any reader takes: printable words, finite numbers that fit a float, no more than DEEPEST_SETTINGS."""
     if depth > DEEPEST_SETTINGS:
         return "..."
     if isinstance(value, dict):
-        return {printable(str(k)): _plain(v, depth + 1) for k, v in value.items()}
+        return {printable(str(k)): plain(v, depth + 1) for k, v in value.items()}
     if isinstance(value, list):
-        return [_plain(v, depth + 1) for v in value]
+        return [plain(v, depth + 1) for v in value]
     if isinstance(value, str):
         return printable(value)
     if isinstance(value, int | float) and not (_is_float(value) and math.isfinite(value)):

@@ -22,6 +22,8 @@ SMALLEST = 1e-60
 SLACK = 1e-12
 """Metres added to what bounds a search, so that rounding cannot hide the nearest triangle."""
 _CHUNK = 16_384
+_Tree = tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]
+"""Corners (F, 9) and planes (F, 8) of the triangles in leaf order; boxes (N, 6), `first` and `count` of the nodes."""
 _DEPTH = 64  # halving 2^64 triangles needs no deeper stack
 
 
@@ -84,25 +86,55 @@ class Surface:
         def measure(at: int) -> Array:
             return _nearest(points[at : at + _CHUNK], limits[at : at + _CHUNK], *tree)
 
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            found = np.concatenate(list(pool.map(measure, range(0, len(points), _CHUNK))))
+        starts = range(0, len(points), _CHUNK)
+        if len(starts) == 1:
+            found = measure(0)
+        else:
+            with ThreadPoolExecutor(min(os.cpu_count() or 1, len(starts))) as pool:
+                found = np.concatenate(list(pool.map(measure, starts)))
         distances = np.empty(len(points))
         distances[order] = found
         return distances
 
     @cached_property
-    def _tree(self) -> tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
+    def _tree(self) -> _Tree:
         order, lower, upper, first, count = _build(self.corners, LEAF_SIZE)
-        return np.ascontiguousarray(self.corners[order]).reshape(-1, 9), lower, upper, first, count
+        corners = np.ascontiguousarray(self.corners[order]).reshape(-1, 9)
+        return corners, _planes(corners), np.hstack([lower, upper]), first, count
 
 
 def _along_curve(points: Array) -> NDArray[np.int64]:
-    """The order of `points` (n, 3) along a Z-order curve of 1024 cells a side (Morton 1966)."""
-    low, extent = points.min(0), max(float(np.ptp(points, axis=0).max()), SMALLEST)
-    bits = ((points - low) / extent * 1023).astype(np.int64)
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        bits = (bits | (bits << shift)) & mask
-    return np.argsort(bits @ np.array([4, 2, 1]), kind="stable")
+    """The order of `points` (n, 3) along a Z-order curve of 1024 cells a side (Morton 1966), by place within a cell."""
+    return _curve_order(points, points.min(0), max(float(np.ptp(points, axis=0).max()), SMALLEST))
+
+
+@njit(cache=True, nogil=True)
+def _curve_order(points, low, extent):
+    """Sorted by the 30 bits of each cell, ten at a time from the lowest; whatever is not finite has bits, too."""
+    n = len(points)
+    keys, order, other = np.empty(n, np.int64), np.arange(n), np.empty(n, np.int64)
+    for i in range(n):
+        key = np.int64(0)
+        for k in range(3):
+            bits = np.int64((points[i, k] - low[k]) / extent * 1023)
+            bits = (bits | (bits << 16)) & 0x030000FF
+            bits = (bits | (bits << 8)) & 0x0300F00F
+            bits = (bits | (bits << 4)) & 0x030C30C3
+            bits = (bits | (bits << 2)) & 0x09249249
+            key |= bits << (2 - k)
+        keys[i] = key
+    for shift in (0, 10, 20):
+        starts = np.zeros(1025, np.int64)
+        for i in range(n):
+            starts[((keys[i] >> shift) & 1023) + 1] += 1
+        for cell in range(1024):
+            starts[cell + 1] += starts[cell]
+        for i in range(n):
+            at = (keys[order[i]] >> shift) & 1023
+            other[starts[at]] = order[i]
+            starts[at] += 1
+        order, other = other, order
+    return order
 
 
 @njit(cache=True, nogil=True)
@@ -146,60 +178,91 @@ def _build(corners, leaf_size):
 
 
 @njit(cache=True, nogil=True)
-def _nearest(points, limits, triangles, lower, upper, first, count):
+def _planes(corners):
+    """Of each triangle (n, 9) what says how far a point is from its plane: (n, 8) a corner, the normal (as long as
+    twice the area), the normal's square, and nothing, so that each lies in a cache line of its own."""
+    planes = np.zeros((len(corners), 8))
+    for i in range(len(corners)):
+        t = corners[i]
+        abx, aby, abz = t[3] - t[0], t[4] - t[1], t[5] - t[2]
+        bcx, bcy, bcz = t[6] - t[3], t[7] - t[4], t[8] - t[5]
+        nx, ny, nz = aby * bcz - abz * bcy, abz * bcx - abx * bcz, abx * bcy - aby * bcx
+        planes[i, 0], planes[i, 1], planes[i, 2] = t[0], t[1], t[2]
+        planes[i, 3], planes[i, 4], planes[i, 5] = nx, ny, nz
+        planes[i, 6] = nx * nx + ny * ny + nz * nz
+    return planes
+
+
+@njit(cache=True, nogil=True)
+def _nearest(points, limits, corners, planes, boxes, first, count):
     """Distance from each point (n, 3) to the triangles, or its limit (n,) when that is smaller; nearer boxes first.
 
-    No point is further away than the one before it, plus the way from there.
+    No point is further away than from the triangle nearest to the one before it. With SLACK on top, such a bound leaves
+    every digit of the answer as it is: what it hides is farther by more than rounding.
     """
     nodes, bounds = np.empty(_DEPTH, np.int64), np.empty(_DEPTH)
     distances = np.empty(len(points))
-    before = np.inf
+    before = -1
     for i in range(len(points)):
-        x, y, z = points[i]
-        if i > 0:
-            dx, dy, dz = x - points[i - 1, 0], y - points[i - 1, 1], z - points[i - 1, 2]
-            before += np.sqrt(dx * dx + dy * dy + dz * dz)
-        reach = min(limits[i], before * (1 + 1e-9) + SLACK)
-        nearest = reach * reach
-        nodes[0], bounds[0], top = 0, _to_box(x, y, z, lower[0], upper[0]), 1
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        reach = limits[i]
+        if before >= 0:
+            reach = min(reach, np.sqrt(_to_triangle(x, y, z, corners, planes, before, np.inf)) * (1 + 1e-9) + SLACK)
+        nearest, found = reach * reach, -1
+        nodes[0], bounds[0], top = 0, _to_box(x, y, z, boxes, 0), 1
         while top > 0:
             top -= 1
-            node = nodes[top]
             if bounds[top] >= nearest:
                 continue
-            child = first[node]
-            if count[node] > 0:
-                for t in range(child, child + count[node]):
-                    nearest = _to_triangle(x, y, z, triangles[t], nearest)
-                continue
-            left = _to_box(x, y, z, lower[child], upper[child])
-            right = _to_box(x, y, z, lower[child + 1], upper[child + 1])
-            near, far = (child, child + 1) if left <= right else (child + 1, child)
-            if max(left, right) < nearest:
-                nodes[top], bounds[top] = far, max(left, right)
-                top += 1
-            if min(left, right) < nearest:
-                nodes[top], bounds[top] = near, min(left, right)
-                top += 1
-        if nearest < reach * reach:
-            before = np.sqrt(nearest)
-            distances[i] = before
+            node = nodes[top]
+            while count[node] == 0:
+                child = first[node]
+                near, far = child, child + 1
+                bound, farther = _to_box(x, y, z, boxes, near), _to_box(x, y, z, boxes, far)
+                if farther < bound:
+                    near, far, bound, farther = far, near, farther, bound
+                if farther < nearest:
+                    nodes[top], bounds[top] = far, farther
+                    top += 1
+                if bound >= nearest:
+                    break
+                node = near
+            else:
+                for t in range(first[node], first[node] + count[node]):
+                    square = _to_triangle(x, y, z, corners, planes, t, nearest)
+                    if square != nearest:
+                        nearest, found = square, t
+        if found >= 0:
+            before = found
+            distances[i] = np.sqrt(nearest)
         else:
             distances[i] = reach
     return distances
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _to_box(x, y, z, low, high):
-    """Squared distance from a point to a box; 0 inside."""
-    dx = max(low[0] - x, 0.0, x - high[0])
-    dy = max(low[1] - y, 0.0, y - high[1])
-    dz = max(low[2] - z, 0.0, z - high[2])
+def _to_box(x, y, z, boxes, i):
+    """Squared distance from a point to box `i` of (n, 6), its lowest corner and its highest; 0 inside."""
+    dx = max(boxes[i, 0] - x, 0.0, x - boxes[i, 3])
+    dy = max(boxes[i, 1] - y, 0.0, y - boxes[i, 4])
+    dz = max(boxes[i, 2] - z, 0.0, z - boxes[i, 5])
     return dx * dx + dy * dy + dz * dz
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _to_triangle(x, y, z, corners, planes, i, best):
+    """Squared distance from a point to triangle `i`, or `best` when that is smaller."""
+    apx, apy, apz = x - planes[i, 0], y - planes[i, 1], z - planes[i, 2]
+    nx, ny, nz = planes[i, 3], planes[i, 4], planes[i, 5]
+    height = nx * apx + ny * apy + nz * apz
+    square = planes[i, 6]
+    if height * height >= best * square:
+        return best
+    return _within_reach(x, y, z, corners[i], apx, apy, apz, nx, ny, nz, height, square, best)
+
+
 @njit(cache=True, nogil=True)
-def _to_triangle(x, y, z, t, best):
+def _within_reach(x, y, z, t, apx, apy, apz, nx, ny, nz, height, square, best):
     """Squared distance from a point to the triangle `t` (9,), or `best` when that is smaller.
 
     To its plane when the point lies over its inside (the same side of all three edges), else to the nearest edge.
@@ -208,12 +271,6 @@ def _to_triangle(x, y, z, t, best):
     abx, aby, abz = t[3] - t[0], t[4] - t[1], t[5] - t[2]
     bcx, bcy, bcz = t[6] - t[3], t[7] - t[4], t[8] - t[5]
     cax, cay, caz = t[0] - t[6], t[1] - t[7], t[2] - t[8]
-    nx, ny, nz = aby * bcz - abz * bcy, abz * bcx - abx * bcz, abx * bcy - aby * bcx
-    apx, apy, apz = x - t[0], y - t[1], z - t[2]
-    height = nx * apx + ny * apy + nz * apz
-    square = nx * nx + ny * ny + nz * nz
-    if height * height >= best * square:
-        return best
     bpx, bpy, bpz = x - t[3], y - t[4], z - t[5]
     cpx, cpy, cpz = x - t[6], y - t[7], z - t[8]
     if (

@@ -9,7 +9,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from leaderboard.protocols import Metric, protocol_named
+from leaderboard.protocol import Metric, Protocol
+from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row, Scores, Statistic, Summary
 from leaderboard.submission import printable
 
@@ -17,8 +18,38 @@ WIDTH = 100
 """Columns of characters that the table of ranking numbers fits."""
 COLUMNS_AT_ONCE = 5
 """Metrics a table when all are shown."""
-_DIGITS = {"deg": 2, "%": 2, "cm": 2, "dB": 1, "fraction": 3}
-_SIGNS = {"deg": "°", "%": "%", "dB": "", "fraction": ""}
+NOTHING = "–"  # noqa: RUF001
+"""Stands where there is no number."""
+_DIGITS = {"deg": 2, "%": 2, "cm": 2, "m": 4, "dm²": 4, "1": 3, "dB": 1, "fraction": 3}
+_SIGNS = {"deg": "°", "%": "%", "cm": " cm", "m": " m", "dm²": "", "1": "", "dB": "", "fraction": ""}
+
+
+def decimals(unit: str) -> int:
+    """Digits behind the point, of numbers of a unit."""
+    return _DIGITS.get(unit, 3)
+
+
+def sign(unit: str) -> str:
+    """What stands behind a number of a unit."""
+    return _SIGNS.get(unit, f" {unit}")
+
+
+def column_foot(metric: Metric, beside: str = "") -> str:
+    """The foot of a column's head: the unit where all sequences have one, and which way is better."""
+    unit = metric.unit("all") or ""
+    shown = "" if unit in ("dB", "fraction", "1") else f"{unit} ({beside})" if beside and unit == "%" else unit
+    return f"{shown} {'↑' if metric.direction == 'up' else '↓'}".strip()
+
+
+def ranking_metrics(rules: Protocol) -> tuple[Metric, ...]:
+    """The metrics that have a column where there is room for few; all that stand beside no other one when none has."""
+    chosen = tuple(metric for metric in rules.metrics if metric.column)
+    return chosen or tuple(metric for metric in rules.metrics if metric.beside is None)
+
+
+def column_head(metric: Metric) -> str:
+    """The head of a metric's column, in lines."""
+    return metric.column or metric.id.replace("_", "\n")
 
 
 def print_scores(scores: Scores, console: Console | None = None, everything: bool = False) -> None:
@@ -37,14 +68,15 @@ def print_scores(scores: Scores, console: Console | None = None, everything: boo
         for line in (*([f"{row.status}: {row.reason}"] if row.reason else []), *row.notes):
             style = "red" if row.status != "ok" else "yellow"
             console.print(f"  {escape(f'{row.sequence}: {line}')}", style=style, soft_wrap=True)
-    console.print(f"  {scores.measured} of {len(scores.rows)} sequences were measured", style="dim")
+    took = "" if scores.seconds is None else f", in {scores.seconds:.0f} s"
+    console.print(f"  {scores.measured} of {len(scores.rows)} sequences were measured{took}", style="dim")
     if any(row.measured_from == "files" for row in scores.rows):
         console.print("  'files': there is no asset; joint and surfaces are read from the files.", style="dim")
 
 
 def score_table(scores: Scores) -> Table:
     """A row a sequence, a column for each ranking number that has one, then statistics of the joint types."""
-    return _table(scores, [m for m in protocol_named(scores.protocol).metrics if m.column], False)
+    return _table(scores, list(ranking_metrics(protocol_named(scores.protocol))), False)
 
 
 def all_tables(scores: Scores) -> Iterator[Table]:
@@ -61,7 +93,7 @@ def page_entries(row: Row, protocol: str) -> dict[str, dict[str, object]]:
     """
     entries: dict[str, dict[str, object]] = {}
     for metric in protocol_named(protocol).metrics:
-        value, centimetres = row.values[metric.id], row.values_cm.get(metric.id)
+        value, centimetres = row.values.get(metric.id), row.values_cm.get(metric.id)
         if value is not None:
             entries[metric.id] = {
                 "label": metric.label,
@@ -70,7 +102,7 @@ def page_entries(row: Row, protocol: str) -> dict[str, dict[str, object]]:
                 "better": metric.direction,
             }
             if centimetres is not None:
-                entries[metric.id]["beside"] = f"{centimetres:.{_DIGITS['cm']}f} cm"
+                entries[metric.id]["beside"] = f"{centimetres:.{decimals('cm')}f} cm"
     return entries
 
 
@@ -94,13 +126,14 @@ def _table(scores: Scores, metrics: list[Metric], whole: bool) -> Table:
     table.add_column("sequence", overflow="fold", min_width=10)
     table.add_column("", overflow="fold")
     for metric in metrics:
-        head = metric.id.replace("_", "\n") if whole else metric.column
-        table.add_column(f"{head}\n{_unit(metric, whole)}", justify="right", no_wrap=True)
+        head = metric.id.replace("_", "\n") if whole else column_head(metric)
+        foot = column_foot(metric, "cm" if whole else "")
+        table.add_column(f"{head}\n{foot}", justify="right", no_wrap=True)
     table.add_column("s", justify="right", no_wrap=True)
     for row in scores.rows:
         cells = [_cell(row, metric, whole) for metric in metrics]
         style = None if row.status == "ok" else "red"
-        seconds = "-" if row.seconds is None else f"{row.seconds:.0f}"
+        seconds = NOTHING if row.seconds is None else f"{row.seconds:.0f}"
         table.add_row(escape(row.sequence), _status(row), *cells, seconds, style=style)
     groups = scores.summaries if len(scores.summaries) > 2 else scores.summaries[:1]  # one type is all there is
     for summary in groups if len(scores.rows) > 1 else ():
@@ -119,14 +152,16 @@ def _status(row: Row) -> str:
     """What became of a row, in a word."""
     if row.status != "ok":
         return row.status.upper()
-    if row.values["joint_type"] == 0:
+    if row.values.get("joint_type") == 0:
         return "wrong type"
     return "files" if row.measured_from == "files" else "ok"
 
 
 def _cell(row: Row, metric: Metric, whole: bool) -> str:
-    value, unit = row.values[metric.id], metric.unit(row.joint_type)
-    return "-" if value is None or unit is None else _number(value, unit, metric, row.values_cm.get(metric.id), whole)
+    value, unit = row.values.get(metric.id), metric.unit(row.joint_type)
+    return (
+        NOTHING if value is None or unit is None else _number(value, unit, metric, row.values_cm.get(metric.id), whole)
+    )
 
 
 def _statistic(summary: Summary, metric: Metric, name: str, whole: bool) -> str:
@@ -135,18 +170,11 @@ def _statistic(summary: Summary, metric: Metric, name: str, whole: bool) -> str:
         return None if found is None else getattr(found, name)
 
     value, unit = of(metric.id), metric.unit(summary.group)
-    return "-" if value is None or unit is None else _number(value, unit, metric, of(f"{metric.id}_cm"), whole)
-
-
-def _unit(metric: Metric, whole: bool) -> str:
-    """The foot of a column's head: the unit where all sequences have one, and which way is better."""
-    unit = metric.unit("all") or ""
-    unit = f"{unit} (cm)" if unit == "%" and whole else unit if _SIGNS.get(unit) else ""
-    return f"{unit} {'↑' if metric.direction == 'up' else '↓'}".strip()
+    return NOTHING if value is None or unit is None else _number(value, unit, metric, of(f"{metric.id}_cm"), whole)
 
 
 def _number(value: float, unit: str, metric: Metric, centimetres: float | None, whole: bool) -> str:
     """`value` in three digits or as many as it has before the point, its unit only where the column has no one unit."""
-    digits = _DIGITS[unit] if abs(value) < 10 or unit in ("dB", "fraction") else 1 if abs(value) < 99.95 else 0
-    beside = f" ({centimetres:.{_DIGITS['cm']}f})" if whole and centimetres is not None else ""
-    return f"{value:.{digits}f}{'' if metric.unit('all') else _SIGNS[unit]}{beside}"
+    digits = decimals(unit) if abs(value) < 10 or unit in ("dB", "fraction") else 1 if abs(value) < 99.95 else 0
+    beside = f" ({centimetres:.{decimals('cm')}f})" if whole and centimetres is not None else ""
+    return f"{value:.{digits}f}{'' if metric.unit('all') else sign(unit)}{beside}"

@@ -21,6 +21,7 @@ from typing import Any
 
 from freeart21 import child
 from freeart21.errors import FreeArtError
+from leaderboard import asset_process
 from leaderboard.rows import Row
 
 ROW_LIMIT_S = 180.0
@@ -41,8 +42,8 @@ class Worker:
         self._process: subprocess.Popen[str] | None = None
         self._over = False
 
-    def score(self, request: dict[str, str], limit_s: float) -> Row:
-        """The row that `leaderboard.case.score_sequence` makes of `request` (its arguments, paths as text).
+    def score(self, request: dict[str, Any], limit_s: float) -> Row:
+        """The row that `leaderboard.case.score_sequence` makes of `request` (its arguments as JSON has them).
 
         Raises RowEnded when it takes more than `limit_s` seconds or ends the process, FreeArtError as it does.
         """
@@ -79,6 +80,7 @@ class Worker:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 text=True,
+                env={**os.environ, **asset_process.ONE_THREAD},
                 start_new_session=True,  # it and the simulator that it starts are ended together, and by us alone
             )
         if self._over:
@@ -152,12 +154,13 @@ def main() -> None:
         print("\n" + _MARK + json.dumps(_answer(json.loads(lines.pop(0) or ""))), file=answers, flush=True)
 
 
-def _answer(request: dict[str, str]) -> dict[str, Any]:
+def _answer(request: dict[str, Any]) -> dict[str, Any]:
     from leaderboard.case import score_sequence
 
-    folders = [Path(request[key]) for key in ("result", "sequence", "truth")]
+    result, sequence, truth = (Path(request[key]) for key in ("result", "sequence", "truth"))
     try:
-        return {"row": asdict(score_sequence(folders[0], folders[1], folders[2], request["protocol"]))}
+        row = score_sequence(result, sequence, truth, request["protocol"], tuple(request["lacks"]))
+        return {"row": asdict(row)}
     except FreeArtError as error:
         return {"error": str(error)}
     except MemoryError:

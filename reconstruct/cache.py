@@ -7,14 +7,12 @@ where the stage left them.
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import io
 import json
 import shutil
 import zipfile
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import metadata
@@ -24,6 +22,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from freeart21 import code
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
@@ -142,36 +141,12 @@ def code_digest(folder: Path | None = None) -> str:
     """SHA-256, hexadecimal, of what the modules in `folder` (the solver's own when None) do: comments, docstrings and
     layout left out."""
     folder = folder or Path(__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
-        digest.update(f"{path.relative_to(folder)}\n".encode())
-        for word in _meaning(ast.parse(path.read_text("utf-8"))):
-            digest.update(f"{word} ".encode())
-    return digest.hexdigest()
+    return code.code_digest((str(path.relative_to(folder)), path) for path in sorted(folder.rglob("*.py")))
 
 
 @lru_cache
 def _own_code() -> str:
     return code_digest()
-
-
-def _meaning(node: Any) -> Iterator[str]:
-    """The words of a syntax tree: kinds of nodes, names and constants; what a Python version adds empty is left out."""
-    if isinstance(node, list):
-        yield "["
-        for entry in node:
-            text = isinstance(entry, ast.Expr) and isinstance(entry.value, ast.Constant)
-            if not (text and isinstance(entry.value.value, str)):  # a docstring, of a field perhaps
-                yield from _meaning(entry)
-        yield "]"
-    elif isinstance(node, ast.AST):
-        yield type(node).__name__
-        for name, value in ast.iter_fields(node):
-            if value is not None and value != []:
-                yield name
-                yield from _meaning(value)
-    else:
-        yield repr(node)
 
 
 def _libraries() -> dict[str, str]:

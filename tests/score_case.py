@@ -17,11 +17,10 @@ from freeart21.files.result import write_result
 from freeart21.files.sequence import write_sequence
 from freeart21.files.truth import write_truth
 from freeart21.joint import Joint
-from leaderboard import strict1, strict2
 from leaderboard.case import score_sequence
-from leaderboard.protocols import PROTOCOLS, STRICT_1, STRICT_2
+from leaderboard.protocols import PROTOCOLS, STRICT_1, STRICT_2, strict1, strict2
+from leaderboard.protocols.strict1 import Strict1
 from leaderboard.score import score_results as score_results_apart
-from leaderboard.strict1 import Strict1
 
 
 def few_samples(monkeypatch) -> None:

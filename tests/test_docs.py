@@ -18,7 +18,7 @@ from freeart21 import cli
 from freeart21.effects import ViscousDamping, effect_from_json
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
-from freeart21.files.benchmark import read_benchmark, write_benchmark
+from freeart21.files.benchmark import file_sha256, read_benchmark, write_benchmark
 from freeart21.files.checked import read_json
 from freeart21.files.diagnostics import read_confidence, read_diagnostics
 from freeart21.files.measured import read_measured
@@ -196,36 +196,53 @@ def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
     assert read_json(written / "again" / "verdict.json") == {**said, "files": []}, "nothing lies beside it here"
 
 
-def test_the_example_of_scores_has_the_fields_that_score_writes(written: Path, tmp_path: Path) -> None:
-    from freeart21.files.result import Method
-    from leaderboard.protocols import protocol_named
-    from leaderboard.rows import Row, Scores, Statistic, Summary
-    from leaderboard.scores_file import write_scores
+def test_the_example_of_scores_is_read_and_has_the_fields_that_score_writes(written: Path, tmp_path: Path) -> None:
+    from leaderboard.provenance import made_with
+    from leaderboard.scores_file import read_scores, write_scores
 
-    said = read_json(written / "scores.json")
-    summaries = tuple(
-        Summary(**(one | {"statistics": {k: Statistic(**v) for k, v in one["statistics"].items()}}))
-        for one in said["summaries"]
-    )
-    rows = tuple(Row(**(one | {"notes": tuple(one["notes"])})) for one in said["rows"])
-    kept = {field.name: said[field.name] for field in fields(Scores)}
-    scores = Scores(
-        **kept
-        | {
-            "protocol": said["protocol"]["name"],
-            "method": Method(**said["method"]),
-            "rows": rows,
-            "summaries": summaries,
-            "notes": tuple(said["notes"]),
-        }
-    )
+    said, scores = read_json(written / "scores.json"), read_scores(written / "scores.json")
     write_scores(tmp_path / "scores.json", scores)
     again = read_json(tmp_path / "scores.json")
     assert again.keys() == said.keys()
-    for key in said.keys() - {"protocol"}:
+    for key in said.keys() - {"protocol", "summaries"}:
         assert again[key] == said[key]
     assert again["protocol"]["metrics"][0].keys() == said["protocol"]["metrics"][0].keys()
-    assert set(said["rows"][0]["values"]) <= {metric.id for metric in protocol_named("strict-2").metrics}
+    assert again["summaries"][0]["statistics"]["axis"] == said["summaries"][0]["statistics"]["axis"]
+    assert said["made_with"].keys() == made_with().keys()
+    assert said["made_with"]["machine"].keys() == made_with()["machine"].keys()
+
+
+def test_the_example_of_a_comparison_has_the_fields_that_compare_writes(written: Path, tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    from leaderboard.compare import compare_results
+    from leaderboard.compare_files import to_json
+    from leaderboard.scores_file import read_scores, write_scores
+
+    scores = read_scores(written / "scores.json")
+    facts = {**scores.benchmark, "sha256": file_sha256(written / "data" / "benchmark.json")}
+    tables = [tmp_path / "mine.json", tmp_path / "other.json"]
+    for path in tables:
+        write_scores(path, replace(scores, method=replace(scores.method, name=path.stem), benchmark=facts))
+    said, made = read_json(written / "comparison.json"), to_json(compare_results(tables, written / "data"))
+
+    def same_keys(told: typing.Any, found: typing.Any, place: str) -> None:
+        if isinstance(told, dict):
+            shortened = place.endswith(("statistics", "values", "made_with"))
+            assert told.keys() == found.keys() or (shortened and told.keys() <= found.keys()), place
+            for key in told:
+                same_keys(told[key], found[key], f"{place}.{key}")
+        elif isinstance(told, list) and told and isinstance(told[0], dict):
+            same_keys(told[0], found[0], place)
+
+    same_keys(said, made, "comparison")
+
+
+def test_the_example_of_a_hidden_truth_has_the_fields_that_pack_writes(written: Path, tmp_path: Path) -> None:
+    from leaderboard.pack import pack_truth
+
+    pack_truth(written / "data", tmp_path / "hidden", tmp_path / "key")
+    assert read_json(written / "hidden" / "hidden.json").keys() == read_json(tmp_path / "hidden" / "hidden.json").keys()
 
 
 def test_a_reader_refuses_an_example_of_another_form(written: Path, tmp_path: Path) -> None:
@@ -288,7 +305,7 @@ def test_modules_exist(document: Path) -> None:
 def test_options_are_those_of_the_command_line() -> None:
     """What is checked above is not vacuous."""
     commands = _commands()
-    assert {"--deep"} == commands["verify"] - {"--help"}
+    assert {"--deep", "--truth"} == commands["verify"] - {"--help"}
     assert "--from" in commands["convert"] and "--layout" not in commands["convert"]
     assert _known("--settings.segmentation", commands["reconstruct"])
     assert not _known("--settings.segmentations", commands["reconstruct"])

@@ -37,9 +37,9 @@ from generator import partnet
 from generator.foreign import truth_of
 from generator.rays import Caster
 from leaderboard.protocols import PROTOCOLS, STRICT_2
+from leaderboard.protocols.strict1 import Strict1
+from leaderboard.protocols.strict2 import measure
 from leaderboard.score import score_results
-from leaderboard.strict1 import Strict1
-from leaderboard.strict2 import measure
 
 W, H, N = 8, 6, 3
 K_TEXT = "10.000000 0.000000 4.000000\n0.000000 10.000000 3.000000\n0.000000 0.000000 1.000000\n"

@@ -4,6 +4,7 @@ import inspect
 import json
 import subprocess
 import sys
+import typing
 from pathlib import Path
 
 import pytest
@@ -56,15 +57,12 @@ def test_the_help_of_a_command_fits_a_screen_and_tells_every_option(name: str):
     assert not loaded
     assert text.startswith(f"usage: freeart21 {name} ")
     f = cli.known_commands()[name]
+    hints = typing.get_type_hints(f, include_extras=True)
     for parameter in inspect.signature(f).parameters.values():
         flag = "--" + parameter.name.replace("_", "-")
-        known = {
-            "--settings-file": "--settings",
-            "--as-json": "--json",
-            "--everything": "--all",
-            "--layout": "--from",
-            "--list-rows": "--list",
-        }.get(flag, flag)
+        marks = getattr(hints[parameter.name], "__metadata__", ())
+        named = [f"--{one.name}" for one in marks if getattr(one, "name", None)]
+        known = named[0] if named else flag
         assert known in text or parameter.name.upper() in text, parameter.name
 
 

@@ -168,7 +168,7 @@ def test_pages_and_tables_replace_only_their_like(home: Path) -> None:
         write_page(home / "results/ours/a", page)
     for _ in range(2):
         commands.score(home / "results/ours", home / "data", out=table)
-    assert json.loads(table.read_text())["schema"] == "freeart21/scores/1"
+    assert json.loads(table.read_text())["schema"] == "freeart21/scores/2"
     for one, other in ((page, table), (table, page)):
         kept = one.read_bytes()
         shutil.copy(one, other)

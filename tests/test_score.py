@@ -161,7 +161,7 @@ def test_tables_show_every_metric_and_flag_failures(data, tmp_path):
 
 
 def test_unknown_protocols_and_folders_are_one_clear_line(data, tmp_path):
-    with pytest.raises(FreeArtError, match="unknown protocol 'paper-9'; protocols: strict-1, strict-2"):
+    with pytest.raises(FreeArtError, match="'paper-9'; protocols: arena-1, itaco-1, paper-1, strict-1, strict-2"):
         score_results(tmp_path, data, "paper-9")
     with pytest.raises(FreeArtError, match="not a folder of results"):
         score_results(tmp_path / "nowhere", data)
@@ -177,8 +177,12 @@ def test_every_metric_has_a_definition_and_a_price():
     for name, protocol in PROTOCOLS.items():
         assert protocol.name == name
         for metric in protocol.metrics:
-            assert metric.definition and metric.direction in ("up", "down")
-            assert metric.price is not None or metric.id.startswith("state")
+            assert metric.definition and metric.label and metric.direction in ("up", "down") and metric.price_text != ""
+        for truth in truths().values():
+            kind, prices = truth.articulation.joint.type, protocol.prices(truth)
+            assert {id for id, price in prices.items() if price is None} == {
+                metric.id for metric in protocol.metrics if metric.unit(kind) is None
+            }
 
 
 def test_a_wrong_joint_type_prices_the_joint_and_measures_the_rest(data, tmp_path):

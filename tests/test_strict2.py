@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from perturbed import in_millimetres, opengl, quaternions_confused, with_poses
 from synthetic_case import (
     in_frame,
     make_recording,
@@ -21,10 +22,10 @@ from synthetic_case import (
 
 from freeart21 import se3
 from freeart21.mesh import Mesh
-from leaderboard import strict1, strict2
 from leaderboard.case import Case
-from leaderboard.protocols import DEFAULT, PROTOCOLS, STRICT_1, STRICT_2
-from leaderboard.strict1 import Shape, Strict1
+from leaderboard.protocol import Shape
+from leaderboard.protocols import DEFAULT, PROTOCOLS, STRICT_1, STRICT_2, strict1, strict2
+from leaderboard.protocols.strict1 import Strict1
 
 KINDS = ("revolute", "prismatic")
 QUICK = Strict1(samples=3000)
@@ -85,7 +86,7 @@ def test_strict_1_gives_the_numbers_that_it_gave_before_there_was_strict_2(kind)
     answer = noisy_answer(truth, 3)
     if kind == "prismatic":
         answer = with_names_exchanged(answer)
-    values = strict1.measure(truth, answer, [pictures(truth)[0] // 2 + 30, None], QUICK).values
+    values = strict1.measure(truth, answer, [pictures(truth)[0] // 2 + 30, None], constants=QUICK).values
     assert values == pytest.approx(FROZEN[kind], rel=1e-9)
 
 
@@ -140,7 +141,7 @@ def test_the_truth_is_perfect_from_files_and_from_an_asset(kind):
 def test_numbers_that_strict_1_has_stay_as_they_were_where_the_definition_did(kind):
     truth = make_truth(kind)
     answer = noisy_answer(truth, 3)
-    before = strict1.measure(truth, answer, pictures(truth), QUICK).values
+    before = strict1.measure(truth, answer, pictures(truth), constants=QUICK).values
     after = scored(truth, answer)
     assert {id: after[id] for id in before} == before
     for id in ("chamfer_w", "chamfer_m", "chamfer_s", "fscore"):
@@ -191,6 +192,25 @@ def test_the_moving_parts_pose_costs_what_it_is_off_by():
 def test_a_static_answer_does_not_follow_the_moving_part(kind):
     values = scored(make_truth(kind), static_answer(make_truth(kind)))
     assert values["pose_moving_rotation"] > 20
+
+
+# ---- faults that a method makes when it writes
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_millimetres_are_seen(kind):
+    truth = make_truth(kind)
+    values = scored(truth, in_millimetres(truth))
+    assert values["pose_translation"] > 1000 and values["chamfer_w"] > 1000 and values["fscore"] == 0
+    assert values["position" if kind == "revolute" else "state"] > 100
+    assert values["axis"] < 1e-6  # a direction has no length
+
+
+@pytest.mark.parametrize("change", [quaternions_confused, opengl])
+def test_poses_of_another_convention_are_seen(change):
+    truth = make_truth()
+    values = scored(truth, with_poses(truth, change))
+    assert values["pose_rotation"] > 10 and values["chamfer_w"] > 5
 
 
 # ---- surfaces of the asset

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from freeart21.errors import FreeArtError
@@ -26,14 +26,24 @@ class Benchmark:
     version: str
     split: str
     sequences: tuple[str, ...]
+    hidden: str = ""
+    """Salted SHA-256 of the truth that was left out (`freeart21.files.hidden`); empty when it is in the folder."""
+    apart: Path | None = None
+    """Where the truth lies that was left out; None when nobody said."""
+    salt: str = ""
+    """Of its hashes."""
 
     def sequence(self, name: str) -> Path:
         """The sequence folder of `name`."""
         return self.folder / "sequences" / name
 
     def truth(self, name: str) -> Path:
-        """The truth folder of `name`."""
-        return self.folder / "truth" / name
+        """The truth folder of `name`. Raises FreeArtError when it was left out, and nobody said where it is."""
+        if self.hidden and self.apart is None:
+            raise FreeArtError(
+                f"{self.folder} was packed without its truth, which only its makers have; got no --truth"
+            )
+        return (self.apart or self.folder) / "truth" / name
 
     def chosen(self, names: Sequence[str] | None) -> tuple[str, ...]:
         """Those of its sequences that `names` says, in its own order; all when it is None.
@@ -98,8 +108,11 @@ def unfinished(folder: Path) -> FreeArtError:
     )
 
 
-def read_benchmark(folder: Path) -> Benchmark:
-    """The benchmark in `folder`."""
+def read_benchmark(folder: Path, truth: Path | None = None) -> Benchmark:
+    """The benchmark in `folder`; `truth` is where its truth lies, if that was left out.
+
+    Raises FreeArtError when it is broken, or `truth` is not the truth that was left out.
+    """
     folder = Path(folder)
     path = folder / "benchmark.json"
     if not path.is_file() and is_unfinished(folder):
@@ -110,10 +123,23 @@ def read_benchmark(folder: Path) -> Benchmark:
     sequences = data.get("sequences")
     if not isinstance(sequences, list) or not all(isinstance(s, str) and Path(s).name == s for s in sequences):
         raise FreeArtError(f"{path}: 'sequences' is not a list of folder names")
-    return Benchmark(
+    benchmark = Benchmark(
         folder,
         checked.text(data, "name", path),
         checked.text(data, "version", path),
         checked.text(data, "split", path),
         tuple(sequences),
+        checked.text(data, "hidden", path) if "hidden" in data else "",
     )
+    if truth is None:
+        return benchmark
+    from freeart21.files.hidden import read_hidden  # which reads benchmarks
+
+    if not benchmark.hidden:
+        raise FreeArtError(f"{folder} holds its truth itself: {truth} is not needed")
+    found = read_hidden(truth)
+    if found.digest != benchmark.hidden:
+        raise FreeArtError(
+            f"{truth} is not the truth of {folder}: its digest is {found.digest[:12]}, expected {benchmark.hidden[:12]}"
+        )
+    return replace(benchmark, apart=Path(truth), salt=found.salt)

@@ -68,6 +68,7 @@ RESULT = Output(
     ),
 )
 ANSWER = Output("answer of gap", _json("verdict"), "verdict.json", ("verdict.json", "index.html"), listed=True)
+SITE = Output("site", _json("site"), "site.json", ("site.json",), listed=True)
 DEMO = Output("demo", _json("demo"), "demo.json", ("demo.json",), listed=True)
 PAGE = Output("page", b'<meta name="generator" content="freeart21')
 SUITE = Output("suite of rows", _json("suite"), "suite.json", ("*",))
@@ -75,11 +76,18 @@ SUITE = Output("suite of rows", _json("suite"), "suite.json", ("*",))
 SCORES = Output("table of scores", _json("scores"))
 SHEET = Output("contact sheet", b"freeart21 contact sheet")
 
+
+def import_of(layout: str) -> Output:
+    """The results folder that `freeart21 import` makes of results in `layout`; an older one of that layout only."""
+    files = ("method.json", *(f"*/{pattern}" for pattern in RESULT.files))
+    return Output(f"import of {layout} results", f'"imported": "{layout}"'.encode(), "method.json", files)
+
+
 _SEQUENCE = Output("sequence", _json("sequence"), "sequence.json")
 _TRUTH = Output("truth", _json("truth"), "truth.json")
 _DATA = Output("data folder", _json("benchmark"), "benchmark.json")
 _UNDER_WAY = Output("unfinished recording", _json("recording-job"), ".recording/job.json")
-_CLOSED = (_SEQUENCE, _TRUTH, _DATA, _UNDER_WAY, RESULT, ASSET, ANSWER)
+_CLOSED = (_SEQUENCE, _TRUTH, _DATA, _UNDER_WAY, RESULT, ASSET, ANSWER, SITE)
 """Folders that hold what one command wrote, and into which no other one writes."""
 _GROWING = ("benchmark.json", ".recording", "sequences", "examples")
 """What a folder holds to which recordings are added."""

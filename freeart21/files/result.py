@@ -160,8 +160,11 @@ def write_result(
                 atomic.write_bytes(aside / RENDERS[other] / f"{i:05d}.png", checked.encode_png(image))
 
 
-def read_result(folder: Path) -> Reconstruction | Failure:
-    """The reconstruction or failure in a result folder, from any method: bounded, checked, nothing executed."""
+def read_result(folder: Path, masks: list[NDArray[np.uint8]] | None = None) -> Reconstruction | Failure:
+    """The reconstruction or failure in a result folder, from any method: bounded, checked, nothing executed.
+
+    `masks` are those of part_mask/, all frames, when they have been read before.
+    """
     folder = Path(folder)
     header = folder / "prediction.json"
     if not header.is_file():
@@ -190,7 +193,7 @@ def read_result(folder: Path) -> Reconstruction | Failure:
         states,
         poses["T_camera_reference"],
         poses["T_camera_moving"],
-        _read_masks(folder, n),
+        _read_masks(folder, n) if masks is None else np.stack(masks),
         seen,
         std,
         _read_covariances(folder / "poses.npz", n),

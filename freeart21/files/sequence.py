@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,32 +17,36 @@ QUERIES_SCHEMA = "freeart21/queries/1"
 MAX_SIDE = 16384
 
 
+def header_json(camera: Camera, depth_scale: float, times_s: np.ndarray, licence: str | None) -> dict[str, Any]:
+    """What sequence.json says. `depth_scale` is metres per depth unit."""
+    return {
+        "schema": SCHEMA,
+        "camera": {"K": camera.K, "width": camera.width, "height": camera.height},
+        "depth_scale": depth_scale,
+        "times_s": times_s,
+        "licence": licence,
+    }
+
+
 def write_header(folder: Path, camera: Camera, depth_scale: float, times_s: np.ndarray, licence: str | None) -> None:
     """Write sequence.json. `depth_scale` is metres per depth unit."""
-    atomic.write_json(
-        folder / "sequence.json",
-        {
-            "schema": SCHEMA,
-            "camera": {"K": camera.K, "width": camera.width, "height": camera.height},
-            "depth_scale": depth_scale,
-            "times_s": times_s,
-            "licence": licence,
-        },
-    )
+    atomic.write_json(folder / "sequence.json", header_json(camera, depth_scale, times_s, licence))
+
+
+def queries_json(queries: tuple[Query, ...]) -> dict[str, Any]:
+    """What queries.json says."""
+    return {
+        "schema": QUERIES_SCHEMA,
+        "queries": [
+            {"pose_of_frame": q.pose_of_frame, "state_of_frame": q.state_of_frame, "T_newcam_cam": q.T_newcam_cam}
+            for q in queries
+        ],
+    }
 
 
 def write_queries(folder: Path, queries: tuple[Query, ...]) -> None:
     """Write queries.json."""
-    atomic.write_json(
-        folder / "queries.json",
-        {
-            "schema": QUERIES_SCHEMA,
-            "queries": [
-                {"pose_of_frame": q.pose_of_frame, "state_of_frame": q.state_of_frame, "T_newcam_cam": q.T_newcam_cam}
-                for q in queries
-            ],
-        },
-    )
+    atomic.write_json(folder / "queries.json", queries_json(queries))
 
 
 def encode_depth(depth: np.ndarray, depth_scale: float) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.benchmark import file_sha256, is_unfinished, read_benchmark, unfinished
+from freeart21.files.hidden import traces
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.recording import Recording
@@ -34,12 +35,16 @@ class Report:
     """One line each: the file, what is wrong, what was expected."""
 
 
-def verify(data: Path) -> Report:
-    """Look through the data folder `data`. Raises FreeArtError when it has no readable benchmark.json, or not yet."""
+def verify(data: Path, truth: Path | None = None) -> Report:
+    """Look through the data folder `data`. Raises FreeArtError when it has no readable benchmark.json, or not yet.
+
+    One that was packed without its truth is looked through for traces of it; with `truth`, where that lies, video and
+    truth are compared as in any other folder.
+    """
     data = Path(data)
     if is_unfinished(data):
         raise unfinished(data)
-    benchmark = read_benchmark(data)
+    benchmark = read_benchmark(data, truth)
     listed = checked.read_json(data / "benchmark.json").get("sha256")
     if not isinstance(listed, dict):
         raise FreeArtError(
@@ -49,7 +54,10 @@ def verify(data: Path) -> Report:
     report.findings += _files(data, listed)
     for name in benchmark.sequences:
         try:
-            report.findings += _sequence(benchmark.sequence(name), benchmark.truth(name))
+            if benchmark.hidden:
+                report.findings += traces(benchmark.sequence(name))
+            if not benchmark.hidden or benchmark.apart:
+                report.findings += _sequence(benchmark.sequence(name), benchmark.truth(name))
         except FreeArtError as error:
             report.findings.append(str(error) if name in str(error) else f"{name}: {error}")
     return report

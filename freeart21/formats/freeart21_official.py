@@ -128,6 +128,15 @@ def read_states(path: Path) -> Array:
     return np.array([_state(entry, path, i) for i, entry in enumerate(data)])
 
 
+def read_object_poses(folder: Path) -> Array:
+    """(n, 4, 4) camera from the object's root link, of the object_poses.json and camera_params.json in `folder`."""
+    Ts_world_object = _object_poses(folder / "object_poses.json")
+    Ts_world_gl = _cameras(folder / "camera_params.json")
+    if len(Ts_world_gl) > 1:
+        foreign.same_count(folder, {"object_poses.json": len(Ts_world_object), "camera_params.json": len(Ts_world_gl)})
+    return np.asarray(se3.inverse(Ts_world_gl @ foreign.T_GL_CV) @ Ts_world_object)
+
+
 def eval_indices(frames: int, share: float = EVAL_SHARE, seed: int = EVAL_SEED) -> list[int]:
     """Frames that the official split holds out: `random.Random(seed).sample`, sorted."""
     count = max(1, round(frames * share))
@@ -220,14 +229,9 @@ def _known(
             return None, f"it has no {name}"
     if not (folder / "rendered_masks" / "mask_0").is_dir():
         return None, "it has no rendered_masks/mask_0"
-    Ts_world_object = _object_poses(folder / "object_poses.json")
-    Ts_world_gl = _cameras(folder / "camera_params.json")
+    Ts_camera_object = read_object_poses(folder)
     states = read_states(folder / "joint_states.json")
-    same = {"rgb": n, "object_poses.json": len(Ts_world_object), "joint_states.json": len(states)}
-    if len(Ts_world_gl) > 1:
-        same["camera_params.json"] = len(Ts_world_gl)
-    foreign.same_count(folder, same)
-    Ts_camera_object = se3.inverse(Ts_world_gl @ foreign.T_GL_CV) @ Ts_world_object
+    foreign.same_count(folder, {"rgb": n, "object_poses.json": len(Ts_camera_object), "joint_states.json": len(states)})
     joint = extra.get("joint")
     known = Known(
         states,

@@ -152,41 +152,43 @@ def scene_section(
         )
     ]
     textures = sorted({surface.texture for surface in surfaces if surface.texture is not None})
+    data = scene_data(scene)
+    data["surfaces"] = [_surface_data(surface, textures) for surface in surfaces]
+    data["textures"] = [_texture_url(path) for path in textures]
+    return Section(title, '<div class="scene"></div>', "scene", data, place)
+
+
+def scene_data(scene: Scene) -> dict[str, Any]:
+    """What the script of the 3D view reads of a scene, but for its surfaces and textures."""
     centre, radius = _bounds(scene)
-    return Section(
-        title,
-        '<div class="scene"></div>',
-        "scene",
-        {
-            "links": [_link_data(link) for link in scene.links],
-            "sliders": [
-                {
-                    "name": s.name,
-                    "type": s.type,
-                    "lower": s.lower,
-                    "upper": s.upper,
-                    "value": s.value,
-                    "states": s.states,
-                }
-                for s in scene.sliders
-            ],
-            "layers": [
-                {"name": layer.name, "colour": layer.colour, "style": layer.style, "shown": layer.shown}
-                for layer in scene.layers
-            ],
-            "surfaces": [_surface_data(surface, textures) for surface in surfaces],
-            "textures": [_texture_url(path) for path in textures],
-            "up": scene.up,
-            "towards_viewer": scene.towards_viewer,
-            "centre": centre,
-            "radius": radius,
-            "camera": None
-            if scene.camera is None
-            else {"K": scene.camera.K, "width": scene.camera.width, "height": scene.camera.height},
-            "camera_poses": None if scene.Ts_camera_world is None else np.round(scene.Ts_camera_world[:, :3], 6),
-        },
-        place,
-    )
+    return {
+        "links": [_link_data(link) for link in scene.links],
+        "sliders": [
+            {
+                "name": s.name,
+                "type": s.type,
+                "lower": s.lower,
+                "upper": s.upper,
+                "value": s.value,
+                "states": s.states,
+            }
+            for s in scene.sliders
+        ],
+        "layers": [
+            {"name": layer.name, "colour": layer.colour, "style": layer.style, "shown": layer.shown}
+            for layer in scene.layers
+        ],
+        "surfaces": [],
+        "textures": [],
+        "up": scene.up,
+        "towards_viewer": scene.towards_viewer,
+        "centre": centre,
+        "radius": radius,
+        "camera": None
+        if scene.camera is None
+        else {"K": scene.camera.K, "width": scene.camera.width, "height": scene.camera.height},
+        "camera_poses": None if scene.Ts_camera_world is None else np.round(scene.Ts_camera_world[:, :3], 6),
+    }
 
 
 def _light(surfaces: list[Surface], max_faces: int) -> list[Surface]:

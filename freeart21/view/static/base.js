@@ -16,8 +16,9 @@ FreeArt.element = (tag, attributes = {}, ...children) => {
   return node;
 };
 
-/** The typed array that `embed_array` put into the page. */
+/** The typed array that `embed_array` put into the page, or one that is ready. */
 FreeArt.array = (data) => {
+  if (ArrayBuffer.isView(data)) return data;
   const text = atob(data.base64);
   const bytes = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);

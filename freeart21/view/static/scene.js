@@ -142,14 +142,15 @@ FreeArt.renderer = (canvas, data) => {
     image.src = url;
     return texture;
   });
-  const tints = data.layers.map((layer) => [1, 3, 5].map((at) => parseInt(layer.colour.slice(at, at + 2), 16) / 255));
+  const tint = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
+  for (const surface of surfaces) surface.tint = tint(surface.colour ?? data.layers[surface.layer].colour);
   const drawLayer = (style, frame, alpha) => {
     for (const surface of surfaces) {
       const layer = data.layers[surface.layer];
       if (layer.style !== style || !frame.shown[surface.layer]) continue;
       gl.bindVertexArray(surface.array);
       gl.uniformMatrix4fv(uniform.view, true, Kinematics.multiply(frame.view, frame.poses[surface.link]));
-      gl.uniform3fv(uniform.tint, tints[surface.layer]);
+      gl.uniform3fv(uniform.tint, surface.tint);
       gl.uniform1f(uniform.own, surface.painted && !frame.partColours ? 1 : 0);
       gl.uniform1f(uniform.alpha, alpha);
       gl.uniform1i(uniform.textured, surface.texture >= 0);
@@ -326,6 +327,20 @@ FreeArt.kinds.scene = (section, data, bus) => {
       const near = Math.max(depth - 4 * data.radius, 0.02 * Math.abs(depth), 1e-4);
       renderer.draw({ ...frame, view, projection: Kinematics.pinhole(data.camera, aspect, near, depth + 6 * data.radius) });
     } else renderer.draw({ ...frame, view: orbit.view(), projection: orbit.projection(aspect) });
+    name(frame.poses);
+  };
+
+  /* Names under what stands side by side, where the view is that of the orbit. */
+  const names = (data.labels ?? []).map(({ text, link, at }) => ({ link, at, node: element("span", { class: "named" }, text) }));
+  frameBox.append(...names.map(({ node }) => node));
+  const name = (poses) => {
+    const T = Kinematics.multiply(orbit.projection(canvas.clientWidth / canvas.clientHeight), orbit.view());
+    names.forEach(({ link, at, node }, k) => {
+      node.hidden = through || !apart || !shown[2 * k];
+      const p = Kinematics.multiply(Kinematics.multiply(T, poses[link]), [at[0], 0, 0, 0, at[1], 0, 0, 0, at[2], 0, 0, 0, 1, 0, 0, 0]);
+      node.style.left = `${50 * (p[0] / p[12] + 1)}%`;
+      node.style.top = `${50 * (1 - p[4] / p[12])}%`;
+    });
   };
   const redraw = () => {
     if (!waiting) requestAnimationFrame(draw);
@@ -355,13 +370,31 @@ FreeArt.kinds.scene = (section, data, bus) => {
       redraw();
     } }, "Reset")));
 
-  /* The legend, whose entries show and hide. */
+  /* Ways to arrange several objects: beside each other, or in one place. */
+  let apart = false;
+  const arrange = (way) => {
+    apart = !way.ghost;
+    way.shifts.forEach((shift, k) => shift.forEach((x, i) => { data.links[way.roots[k]].T[i][3] = x; }));
+    data.layers[0].style = way.ghost ? "ghost" : "solid";
+    data.radius = way.radius;
+    orbit.home();
+    redraw();
+  };
+  const ways = data.arrangements ?? [];
+  if (ways.length)
+    legend.before(FreeArt.choice("arrangement", ways.map(({ name }) => [name, name]), ways[0].name,
+      (chosen) => arrange(ways.find(({ name }) => name === chosen))));
+
+  /* The legend, whose entries show and hide; a layer that follows another has no entry of its own. */
   data.layers.forEach((layer, i) => {
-    if (!data.surfaces.some((surface) => surface.layer === i)) return;
+    const own = (k) => k === i || data.layers[k].follows === i;
+    if (layer.follows !== undefined || !data.surfaces.some((surface) => own(surface.layer))) return;
     const mark = element("i", { class: layer.style });
     mark.style.background = mark.style.borderColor = layer.colour;
-    const button = toggle(layer.name, "show or hide", layer.shown, (on) => { shown[i] = on; });
-    button.prepend(mark);
+    const button = toggle(layer.name, "show or hide", layer.shown, (on) => {
+      data.layers.forEach((_, k) => { if (own(k)) shown[k] = on; });
+    });
+    button.prepend(layer.shape ? FreeArt.mark(layer) : mark);
     legend.append(button);
   });
 
@@ -432,6 +465,7 @@ FreeArt.kinds.scene = (section, data, bus) => {
       }
     redraw();
   });
+  if (ways.length) arrange(ways[0]);
   orbit.home();
   let first = true;
   new ResizeObserver(() => {

@@ -1,24 +1,23 @@
-"""How strict-1 measures one answer against one truth: match parts, align, then every number in its unit."""
+"""strict-1: match parts, align, then every number in its unit; what each means and what a failure costs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3
-from freeart21.articulation import PARTS, Articulation
-from freeart21.errors import FreeArtError
-from freeart21.mesh import Mesh
-from freeart21.reconstruction import Reconstruction
+from freeart21.articulation import PARTS
+from freeart21.reconstruction import Piece, Reconstruction
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard import metrics
+from leaderboard.matching import Matched, match
+from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, plain
 from leaderboard.surface import Surface
 
-Render = NDArray[np.uint8] | None
 Pair = tuple[Array, Array]
 """Something of the reference part, and the same of the moving part."""
 
@@ -41,95 +40,28 @@ class Strict1:
     """Cosine of the angle between the axes below which neither direction of the predicted axis is nearer."""
 
 
-@dataclass(frozen=True)
-class Measured:
-    """The values of one answer."""
-
-    values: dict[str, float | None]
-    """Metric id to value in the metric's unit. None: the sequence has no such number (no query shows the object). An id
-    that is missing: the answer has nothing to measure (no surface, another joint type), which the protocol prices."""
-    swapped: bool
-    """Whether the answer's moving part was matched to the true reference part."""
-    other_views: bool = False
-    """Whether the pictures were those of the other choice of reference part (`renders_other`)."""
-
-
-@dataclass(frozen=True)
-class Shape:
-    """What an answer's two parts look like, in its canonical frame, and how its moving part goes."""
-
-    parts: tuple[Mesh, Mesh]
-    """Reference and moving part at state zero."""
-    motions: Array
-    """(n, 4, 4) displacement of the moving part from state zero in every frame."""
-
-    def moved(self, T_new_canonical: Array) -> Shape:
-        """The same shape written in another canonical frame."""
-        T = T_new_canonical
-        reference, moving = (part.moved(T) for part in self.parts)
-        return Shape((reference, moving), T @ self.motions @ se3.inverse(T))
-
-    def swapped(self) -> Shape:
-        """The same shape with the names of its parts exchanged."""
-        return Shape(self.parts[::-1], se3.inverse(self.motions))
-
-
-@dataclass(frozen=True)
-class Matched:
-    """An answer brought to the truth: parts by the truth's names, canonical frame that of the truth."""
-
-    answer: Reconstruction
-    swapped: bool
-    """Whether the answer's moving part was matched to the true reference part."""
-    T_truth_pred: Array
-    """(4, 4) the alignment that is already in `answer`."""
-    miou: float
-    outer: tuple[Surface, Surface]
-    """Outer surface of the true reference and moving part."""
-    diagonal: float
-    """Of the true object, metres."""
-
-    @property
-    def shape(self) -> Shape:
-        """What the answer's files say: its part meshes, and its joint at its states."""
-        parts = self.answer.articulation
-        motions = np.stack([parts.joint.transform(q) for q in self.answer.states])
-        return Shape((parts.reference, parts.moving), motions)
-
-
 def measure(
-    truth: Truth, answer: Reconstruction, renders: Sequence[Render], constants: Strict1 | None = None
+    truth: Truth,
+    answer: Reconstruction,
+    renders: Sequence[Render],
+    asset: Shape | None = None,
+    renders_other: Sequence[Render] | None = None,
+    constants: Strict1 | None = None,
+    lacks: tuple[Piece, ...] = (),
 ) -> Measured:
     """Every number of strict-1 for an answer of as many frames as the truth, with masks of the truth's size.
 
-    `renders` holds the answer's picture of each held-out query, or None where it has none.
+    `renders` holds the answer's picture of each held-out query, or None where it has none; `asset` and `renders_other`
+    are not looked at. `lacks`: what the method does not make; numbers that need it mean nothing.
     """
     c = constants or Strict1()
-    matched = match(truth, answer)
+    matched = match(truth, answer, lacks)
     values = {
         **answer_values(truth, matched, c),
         **surface_values(truth, matched, matched.shape, c),
         **picture_values(truth, renders),
     }
     return Measured(plain(values), matched.swapped)
-
-
-def match(truth: Truth, answer: Reconstruction) -> Matched:
-    """`answer` with its parts matched to the truth's and its canonical frame aligned by the reference part's poses."""
-    outer = tuple(Surface(truth.articulation.part(name), faces) for name, faces in zip(PARTS, truth.outer, strict=True))
-    if outer[0].empty or outer[1].empty:
-        raise FreeArtError("the truth has a part without an outer surface")
-    centre, diagonal = outer[0].centre, truth.diagonal
-    swapped, same, other = match_parts(truth, answer, centre, diagonal)
-    named = with_parts_swapped(answer) if swapped else answer
-    T_truth_pred = metrics.align(truth.Ts_camera_reference, named.Ts_camera_reference, centre)
-    aligned = replace(
-        named,
-        articulation=named.articulation.moved(T_truth_pred),
-        Ts_camera_reference=named.Ts_camera_reference @ se3.inverse(T_truth_pred),
-        Ts_camera_moving=named.Ts_camera_moving @ se3.inverse(T_truth_pred),
-    )
-    return Matched(aligned, swapped, T_truth_pred, other if swapped else same, (outer[0], outer[1]), diagonal)
 
 
 def answer_values(truth: Truth, matched: Matched, c: Strict1) -> dict[str, float | None]:
@@ -142,47 +74,6 @@ def answer_values(truth: Truth, matched: Matched, c: Strict1) -> dict[str, float
         "pose_rotation": np.rad2deg(angle),
         "pose_translation": 100 * shift / diagonal,
     }
-
-
-def plain(values: dict[str, float | None]) -> dict[str, float | None]:
-    """`values` as Python's own numbers."""
-    return {id: None if value is None else float(value) for id, value in values.items()}
-
-
-def match_parts(truth: Truth, answer: Reconstruction, centre: Array, diagonal: float) -> tuple[bool, float, float]:
-    """Whether the answer's parts go by each other's names, and the mIoU as labelled and swapped.
-
-    On a tie (an answer without masks) the part that better keeps to the true reference part's poses is the reference.
-    `centre` (3,) is the true reference part's, `diagonal` the true object's, metres.
-    """
-    confusions = np.stack([metrics.confusion(truth.part_mask(i), mask) for i, mask in enumerate(answer.part_masks)])
-    same, other = metrics.miou(confusions)
-    if same != other:
-        return other > same, same, other
-    errors = []
-    for Ts in (answer.Ts_camera_reference, answer.Ts_camera_moving):
-        T_truth_pred = metrics.align(truth.Ts_camera_reference, Ts, centre)
-        angle, shift = metrics.pose_error(truth.Ts_camera_reference, Ts @ se3.inverse(T_truth_pred), centre)
-        errors.append(angle + shift / diagonal)
-    return errors[1] < errors[0], same, other
-
-
-def with_parts_swapped(answer: Reconstruction) -> Reconstruction:
-    """The same answer with the names of its parts exchanged.
-
-    The canonical frame stays where it is. Seen from the moving part, the reference part turns about (slides along) the
-    same line the other way: the axis is reversed, the states stay.
-    """
-    joint, parts = answer.articulation.joint, answer.articulation
-    return replace(
-        answer,
-        articulation=Articulation(replace(joint, axis=-joint.axis), parts.moving, parts.reference),
-        Ts_camera_reference=answer.Ts_camera_moving,
-        Ts_camera_moving=answer.Ts_camera_reference,
-        part_masks=np.array([0, 2, 1], np.uint8)[answer.part_masks],
-        seen=answer.seen[:, ::-1],
-        covariances=None if answer.covariances is None else answer.covariances[:, ::-1],
-    )
 
 
 def both_seen(truth: Truth, share: float) -> NDArray[np.bool_]:
@@ -239,7 +130,9 @@ def surface_values(truth: Truth, matched: Matched, shape: Shape, c: Strict1) -> 
     true_points, true_counts = _samples((shown[0], shown[1]), c, 0)
     found_points, found_counts = _samples(found, c, 1)
     sums: dict[str, list[float]] = {}
-    for frame in spread_frames(truth.states, c.poses):
+    # where the method has no states its parts stand as in one frame
+    anchored = "states" in matched.lacks
+    for frame in [matched.answer.anchor] if anchored else spread_frames(truth.states, c.poses):
         true_poses = truth.Ts_camera_reference[frame], truth.Ts_camera_moving[frame]
         reference = matched.answer.Ts_camera_reference[frame]
         found_poses = reference, reference @ shape.motions[frame]
@@ -291,3 +184,195 @@ def picture_values(truth: Truth, renders: Sequence[Render]) -> dict[str, float |
     if not ratios:
         return {"psnr": None, "ssim": None}
     return {"psnr": float(np.mean(ratios)), "ssim": float(np.mean(similarities))}
+
+
+def prices(truth: Truth) -> dict[str, float | None]:
+    """What the states cost where there are none: the range of motion, deg, or % of the diagonal."""
+    motion = truth.range_of_motion
+    revolute = truth.articulation.joint.type == "revolute"
+    price = float(np.rad2deg(motion)) if revolute else 100 * motion / truth.diagonal
+    return {"state": price, "state_all": price}
+
+
+def _surface(id: str, what: str, column: str) -> Metric:
+    return Metric(
+        id,
+        "%",
+        "%",
+        "down",
+        100.0,
+        (
+            f"{what}: mean of the two directed mean distances, point to triangle, 100k seeded samples; truth to "
+            "prediction samples the truth's visible surface, prediction to truth measures to the whole outer surface; "
+            "averaged over the five frames whose true states lie nearest to five values spread evenly over the range, "
+            "parts posed in the camera frame by each side's own reference pose and state"
+        ),
+        label=f"chamfer, {what}",
+        column=column,
+        needs=("meshes",) if id.endswith("_s") else ("joint", "meshes"),  # the moving part is posed by the joint
+    )
+
+
+_STATE = (
+    "mean absolute difference over {frames}; one global sign, that of the dot product of the two axes; the "
+    "offset that makes it smallest (the median) removed; revolute states wrapped"
+)
+_BOTH = (
+    "frames in which the truth shows both parts with 1 % or more of the foreground each (over all frames when "
+    "there is none)"
+)
+
+STRICT_1 = Protocol(
+    "strict-1",
+    "Parts are matched to the truth by the better mIoU of the two labelings; on a tie, by the reference poses. "
+    "T_truth_pred is the robust mean (chordal L2 for the rotation, translation at the centre of the truth's reference "
+    "part, 2 sigma trimmed) over all frames of T_camera_reference(truth)^-1 T_camera_reference(prediction); never "
+    "chosen by the joint; scale 1; no registration of parts. A part's centre is that of its outer surface's area. "
+    "Lengths are in % of the diagonal of the truth's bounding box at frame 0, cm beside. The joint is measured from "
+    "the asset, reloaded and driven in SAPIEN, states beyond its limits driven to the limit; without an asset, read "
+    "from the files and marked so. Means and sample standard deviations (ddof 1) are over all sequences of a joint "
+    "type: a failure or a missing sequence is priced, never dropped.",
+    (
+        Metric(
+            "joint_type",
+            "fraction",
+            "fraction",
+            "up",
+            0.0,
+            "1 when the joint's type is right, else 0",
+            label="joint type",
+            needs=("joint",),
+        ),
+        Metric(
+            "axis",
+            "deg",
+            "deg",
+            "down",
+            90.0,
+            "arccos of the clipped absolute dot product of the axes",
+            label="axis direction",
+            column="axis",
+            needs=("joint",),
+        ),
+        Metric(
+            "position",
+            "%",
+            None,
+            "down",
+            100.0,
+            "distance from the point of the true axis nearest the moving part's centre to the predicted line",
+            label="place of the axis",
+            column="place",
+            needs=("joint",),
+        ),
+        Metric(
+            "position_line",
+            "%",
+            None,
+            "down",
+            100.0,
+            "distance between the two axes as lines; point to line when they are parallel within 1e-6",
+            "position",
+            label="place of the axis, line to line",
+            needs=("joint",),
+        ),
+        Metric(
+            "state",
+            "deg",
+            "%",
+            "down",
+            None,
+            _STATE.format(frames=_BOTH),
+            label="joint state",
+            column="state",
+            needs=(
+                "joint",
+                "states",
+            ),
+        ),
+        Metric(
+            "state_all",
+            "deg",
+            "%",
+            "down",
+            None,
+            _STATE.format(frames="all frames"),
+            label="joint state, all frames",
+            needs=(
+                "joint",
+                "states",
+            ),
+        ),
+        Metric(
+            "miou",
+            "fraction",
+            "fraction",
+            "up",
+            0.0,
+            "intersection over union, mean over frames and both parts; a part absent in both counts 1",
+            label="part masks (mIoU)",
+            column="mIoU",
+            needs=("masks",),
+        ),
+        Metric(
+            "pose_rotation",
+            "deg",
+            "deg",
+            "down",
+            180.0,
+            "mean geodesic error of the reference part over all frames after alignment",
+            label="rotation of the reference part",
+            column="ref.\npart",
+            needs=("poses",),
+        ),
+        Metric(
+            "pose_translation",
+            "%",
+            "%",
+            "down",
+            100.0,
+            "mean distance of the reference part's centre over all frames after alignment",
+            label="place of the reference part",
+            needs=("poses",),
+        ),
+        _surface("chamfer_w", "whole object", "cham.\nwhole"),
+        _surface("chamfer_m", "moving part", "cham.\nmoving"),
+        _surface("chamfer_s", "reference part", "cham.\nref."),
+        Metric(
+            "fscore",
+            "fraction",
+            "fraction",
+            "up",
+            0.0,
+            "whole object: harmonic mean of precision and recall of the same samples within 1 % of the diagonal",
+            label="F-score, whole object",
+            needs=("joint", "meshes"),
+        ),
+        Metric(
+            "psnr",
+            "dB",
+            "dB",
+            "up",
+            0.0,
+            "held-out queries, uint8, over the pixels of the truth's mask, white elsewhere, mean over queries; at "
+            "most 100; no search at test time; a missing render counts 0",
+            label="held-out views (PSNR)",
+            column="views\nPSNR",
+            needs=("renders",),
+        ),
+        Metric(
+            "ssim",
+            "fraction",
+            "fraction",
+            "up",
+            0.0,
+            "structural similarity (Gaussian window, sigma 1.5) of the same pictures, mean over the mask's pixels",
+            "psnr",
+            label="held-out views (SSIM)",
+            needs=("renders",),
+        ),
+    ),
+    measure,
+    asset="joint",
+    price_from=prices,
+)

@@ -1,0 +1,465 @@
+"""Methods side by side: closed forms, intervals that hold as often as they say, and nothing mixed that must not be."""
+
+import io
+import json
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from freeart21.errors import FreeArtError
+from freeart21.files.atomic import write_json
+from freeart21.files.benchmark import read_benchmark
+from freeart21.files.result import Method
+from leaderboard import commands, compare
+from leaderboard.categories import category_of
+from leaderboard.compare import compare_results
+from leaderboard.compare_files import COMPARISONS, write_comparison
+from leaderboard.compare_tables import grids, latex, legend, markdown, pieces, print_comparison
+from leaderboard.paired import fewest, paired_intervals
+from leaderboard.protocols import PROTOCOLS, protocol_named
+from leaderboard.rows import Row, Scores
+from leaderboard.score import benchmark_facts, summarise
+from leaderboard.scores_file import write_scores
+
+REVOLUTE = tuple(f"r{k:02d}" for k in range(15))
+PRISMATIC = tuple(f"p{k:02d}" for k in range(6))
+CATEGORIES = {name: ("Stapler", "USB", "Scissors")[k % 3] for k, name in enumerate(REVOLUTE)}
+CATEGORIES |= dict.fromkeys(PRISMATIC, "Phone")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """A benchmark of the paper's make, of 15 revolute and 6 prismatic sequences: names, and what truth.json says."""
+    folder = tmp_path_factory.mktemp("data")
+    for name in (*REVOLUTE, *PRISMATIC):
+        source = {"category": CATEGORIES[name]}
+        write_json(folder / "truth" / name / "truth.json", {"schema": "freeart21/truth/1", "source": source})
+    names = sorted((*REVOLUTE, *PRISMATIC))
+    facts = {"name": "paper-like", "version": "1", "split": "none", "sequences": names, "sha256": {}}
+    write_json(folder / "benchmark.json", {"schema": "freeart21/benchmark/1", **facts})
+    return folder
+
+
+def made(data, name, numbers=None, protocol="strict-2", lacks=(), failed=(), sequences=None):
+    """A table in which every number is 1 but for those of `numbers`, metric to sequence to value (or to one value)."""
+    rules, rows = protocol_named(protocol), []
+    for sequence in sequences or sorted((*REVOLUTE, *PRISMATIC)):
+        kind = "revolute" if sequence in REVOLUTE else "prismatic"
+        values = {}
+        for metric in rules.metrics:
+            given = (numbers or {}).get(metric.id, 1.0)
+            value = given.get(sequence, 1.0) if isinstance(given, dict) else given
+            values[metric.id] = None if metric.unit(kind) is None else value
+        ok = sequence not in failed
+        said = ("ok", "", "files") if ok else ("failed", "too dark", "nothing")
+        rows.append(Row(sequence, kind, said[0], said[1], said[2], False, 0.5, values, {}))
+    facts = benchmark_facts(read_benchmark(data))
+    made_with = {"scoring": "1" * 64, "libraries": {"numpy": "2"}}
+    method = Method(name, lacks=lacks)
+    return Scores(protocol, method, facts, tuple(rows), summarise(rows, rules), made_with=made_with)
+
+
+@pytest.fixture
+def compared(data, tmp_path):
+    """The comparison of tables, each written to a file and read again."""
+
+    def compared(*tables, protocol=None):
+        paths = []
+        for k, table in enumerate(tables):
+            paths.append(tmp_path / f"{k}.json")
+            write_scores(paths[-1], table)
+        return compare_results(paths, data, protocol)
+
+    return compared
+
+
+def by_name(comparison, by="type"):
+    return {group.name: group for group in comparison.groups(by)}
+
+
+# ---- closed forms
+
+
+def test_means_and_deviations_are_those_of_the_papers_table(data, compared):
+    """Articulate-Anything: 7 of 15 revolute and 3 of 6 prismatic objects at 90 degrees, the others at 0."""
+    axis = {name: 90.0 * (k < 7) for k, name in enumerate(REVOLUTE)}
+    axis |= {name: 90.0 * (k < 3) for k, name in enumerate(PRISMATIC)}
+    right = {name: float(value == 0) for name, value in axis.items()}
+    comparison = compared(made(data, "AA", {"axis": axis, "joint_type": right}, failed=REVOLUTE[:2]))
+    groups, (entrant,) = by_name(comparison), comparison.entrants
+    assert list(groups) == ["revolute", "prismatic", "all"]
+    revolute, prismatic, every = (comparison.standing(entrant, group) for group in groups.values())
+    found = revolute.statistics["axis"]
+    assert (round(found.mean, 2), round(found.std, 2), found.median, found.worst) == (42.00, 46.48, 0, 90)
+    found = prismatic.statistics["axis"]
+    assert (round(found.mean, 2), round(found.std, 2)) == (45.00, 49.30)
+    assert revolute.coverage == pytest.approx(13 / 15) and every.coverage == pytest.approx(19 / 21)
+    assert revolute.statistics["joint_type"].mean == pytest.approx(8 / 15)
+    first = grids(comparison, "type")[0]
+    (name, (row,)) = first.sections[0]
+    assert name == "revolute, 15 sequences" and [cell.text for cell in row[:4]] == [
+        "AA",
+        "13/15",
+        "53%",
+        "42.00 ± 46.48",
+    ]
+    assert first.sections[1][1][0][3].text == "45.00 ± 49.30"
+
+
+def test_numbers_without_a_common_unit_have_no_common_mean(data, compared):
+    comparison = compared(made(data, "A", {"state": 3.0}))
+    groups, (entrant,) = by_name(comparison), comparison.entrants
+    assert "state" not in comparison.standing(entrant, groups["all"]).statistics
+    assert "position" not in comparison.standing(entrant, groups["prismatic"]).statistics
+    assert comparison.standing(entrant, groups["all"]).statistics["position"].sequences == 15
+    texts = [row[0][5].text for _, row in grids(comparison, "type")[0].sections]
+    assert texts == ["3.00 ± 0.00°", "3.00 ± 0.00%", "–"]  # noqa: RUF001
+
+
+def test_the_worst_and_the_best_follow_the_direction_of_the_metric(data, compared):
+    up = {name: 20.0 + k for k, name in enumerate(REVOLUTE)}
+    comparison = compared(made(data, "A", {"psnr": up, "axis": 5.0}), made(data, "B", {"psnr": 10.0, "axis": 2.0}))
+    group = by_name(comparison)["revolute"]
+    a, b = (comparison.standing(entrant, group) for entrant in comparison.entrants)
+    assert (a.statistics["psnr"].worst, b.statistics["psnr"].worst) == (20, 10)
+    metrics = [head.split("\n")[0] for head in grids(comparison, "type")[0].head]
+    (rows_a, rows_b) = grids(comparison, "type")[0].sections[0][1]
+    assert (rows_a[metrics.index("views")].best, rows_b[metrics.index("views")].best) == (True, False)
+    assert (rows_a[metrics.index("axis")].best, rows_b[metrics.index("axis")].best) == (False, True)
+
+
+# ---- differences
+
+
+def test_a_difference_that_is_known_by_construction(data, compared):
+    """B is A and exactly 2 more everywhere: the interval is that point, whatever A's own spread."""
+    rng = np.random.default_rng(0)
+    axis = dict(zip((*REVOLUTE, *PRISMATIC), rng.exponential(20, 21), strict=True))
+    comparison = compared(
+        made(data, "A", {"axis": axis}), made(data, "B", {"axis": {k: v + 2 for k, v in axis.items()}})
+    )
+    for group in comparison.groups("type"):
+        (found,) = (d for d in comparison.differences(group) if d.metric == "axis")
+        assert (found.method, found.other, found.verdict) == ("B", "A", "worse")
+        interval = found.interval
+        assert (interval.mean, interval.low, interval.high) == pytest.approx((2, 2, 2))
+        assert interval.sequences == len(group.sequences)
+
+
+@pytest.mark.parametrize("metric, better", [("axis", -1.0), ("miou", 0.1), ("psnr", 1.0), ("chamfer_w", -1.0)])
+def test_better_is_what_the_metric_calls_better(metric, better, data, compared):
+    first = {name: 0.5 for name in (*REVOLUTE, *PRISMATIC)}
+    for step, verdict in ((better, "better"), (-better, "worse"), (0.0, "open")):
+        then = {name: value + step for name, value in first.items()}
+        comparison = compared(made(data, "A", {metric: first}), made(data, "B", {metric: then}))
+        found = {d.metric: d for d in comparison.differences(by_name(comparison)["all"])}
+        assert found[metric].verdict == verdict and found[metric].interval.mean == pytest.approx(step)
+        assert found["ssim"].verdict == "open"
+
+
+def test_an_interval_of_two_values_is_that_of_the_binomial_distribution():
+    """Of n differences half 0 and half 1, a resample's mean is binomial: the ends are its quantiles."""
+    from scipy.stats import binom, norm, t
+
+    n, level = 20, 0.9
+    (found,) = paired_intervals(np.repeat([0.0, 1.0], n // 2)[:, None], level, 200_000)
+    tail = norm.cdf(-np.sqrt(n / (n - 1)) * t.ppf((1 + level) / 2, n - 1))
+    assert found.mean == 0.5
+    assert found.low == binom.ppf(tail, n, 0.5) / n and found.high == binom.ppf(1 - tail, n, 0.5) / n
+
+
+@pytest.mark.parametrize("n", [6, 15, 21])
+def test_an_interval_of_90_percent_holds_the_true_difference_that_often(n):
+    draws = np.random.default_rng(n).normal(0.3, 2.0, (n, 400))
+    held = [one.low <= 0.3 <= one.high for one in paired_intervals(draws, 0.9, 4000)]
+    assert 0.85 <= np.mean(held) <= 0.95
+
+
+def test_an_interval_of_lopsided_differences_holds_nearly_that_often():
+    """Errors that are mostly small and sometimes a failure's price: the honest limit of 15 sequences."""
+    draws = np.random.default_rng(3).exponential(1.0, (15, 400))
+    held = [one.low <= 1.0 <= one.high for one in paired_intervals(draws, 0.9, 4000)]
+    assert 0.8 <= np.mean(held) <= 0.95
+
+
+def test_few_sequences_have_no_interval():
+    assert fewest(0.95) == 6 and fewest(0.9) == 5
+    rng = np.random.default_rng(0)
+    for n, has in ((1, False), (5, False), (6, True)):
+        (found,) = paired_intervals(rng.normal(size=(n, 1)))
+        assert (found.low is not None) == has and found.sequences == n and (has or not found.sure)
+
+
+def test_intervals_are_the_same_every_time_and_of_each_column_alone():
+    draws = np.random.default_rng(1).normal(size=(21, 5))
+    draws[3:, 2] = np.nan
+    draws[:, 4] = np.nan
+    draws[:9, 1] = np.nan
+    together = paired_intervals(draws)
+    assert together == paired_intervals(draws) and together[4] is None and together[2].low is None
+    assert together[1] == paired_intervals(draws[9:, 1:2])[0]
+    assert together[0].low < together[0].mean < together[0].high
+
+
+def test_methods_are_compared_only_on_sequences_that_both_have(data, compared):
+    """B lacks three sequences on which A is bad: there A is not charged for them in the difference."""
+    axis = {name: 50.0 if name in REVOLUTE[:3] else 1.0 for name in REVOLUTE}
+    some = [*REVOLUTE[3:], *PRISMATIC]
+    comparison = compared(made(data, "A", {"axis": axis}), made(data, "B", {"axis": 2.0}, sequences=some))
+    group = by_name(comparison)["revolute"]
+    found = {d.metric: d.interval for d in comparison.differences(group)}["axis"]
+    assert (found.mean, found.low, found.high, found.sequences) == (1, 1, 1, 12)
+    assert comparison.standing(comparison.entrants[0], group).statistics["axis"].mean == pytest.approx(10.8)
+    assert any("has rows for 18 of 21 sequences" in note for note in comparison.notes)
+
+
+def test_a_failure_stays_in_at_its_price(data, compared):
+    axis = {name: 90.0 if name in REVOLUTE[:5] else 1.0 for name in REVOLUTE}
+    comparison = compared(made(data, "A"), made(data, "B", {"axis": axis}, failed=REVOLUTE[:5]))
+    group = by_name(comparison)["revolute"]
+    found = {d.metric: d.interval for d in comparison.differences(group)}["axis"]
+    assert found.sequences == 15 and found.mean == pytest.approx(89 / 3)
+
+
+def test_what_a_method_does_not_make_is_a_dash_and_in_no_difference(data, compared):
+    nothing = dict.fromkeys(("pose_rotation", "pose_translation", "state"))
+    comparison = compared(made(data, "A"), made(data, "B", nothing, lacks=("poses", "states")))
+    first = grids(comparison, "type")[0]
+    column = [" ".join(head.split()) for head in first.head].index("ref. part deg ↓")
+    texts = [[row[column].text for row in rows] for _, rows in first.sections]
+    assert texts == [["1.00 ± 0.00", "–"]] * 3  # noqa: RUF001
+    metrics = {d.metric for d in comparison.differences(by_name(comparison)["all"])}
+    assert "axis" in metrics and not metrics & set(nothing)
+    assert any("B makes no states, poses" in line for line in legend(comparison, "type"))
+    assert not any(row[column].best for _, rows in first.sections for row in rows), "nobody is best of one"
+
+
+# ---- groups
+
+
+def test_categories_are_what_the_truth_says_and_never_guessed(tmp_path):
+    def said(source):
+        write_json(tmp_path / "truth.json", {"schema": "freeart21/truth/1", "source": source})
+        return category_of(tmp_path)
+
+    assert said({"category": "Stapler"}) == "Stapler"
+    assert said({"object": "mini_stapler"}) == "Stapler" and said({"object": "4552"}) == "Display"
+    assert said({"object": "my_stapler"}) == said({}) == said(None) == said({"category": 3}) == "unknown"
+    assert category_of(tmp_path / "none") == "unknown"
+    assert said({"category": "a\x1b[2J\nb"}).isprintable()
+
+
+def test_groups_by_category_and_by_sequence(data, compared):
+    comparison = compared(made(data, "A", {"state": 3.0}), made(data, "B"))
+    groups = by_name(comparison, "category")
+    assert {name: len(group.sequences) for name, group in groups.items()} == {
+        "Phone": 6,
+        "Scissors": 5,
+        "Stapler": 5,
+        "USB": 5,
+    }
+    assert comparison.standing(comparison.entrants[0], groups["Phone"]).statistics["state"].mean == 3, (
+        "all are of one type"
+    )
+    assert len(comparison.groups("sequence")) == 21
+    (grid,) = grids(comparison, "sequence")
+    assert grid.sections[0][0] == "p00: Phone, prismatic" and [row[1].text for row in grid.sections[0][1]] == [
+        "ok",
+        "ok",
+    ]
+    table = comparison.frame()
+    assert len(table) == 42 and set(table.columns) >= {"sequence", "type", "category", "method", "status", "axis"}
+
+
+def test_a_joint_type_that_does_not_occur_has_no_group(data, compared):
+    comparison = compared(made(data, "A", sequences=REVOLUTE))
+    assert [group.name for group in comparison.groups("type")] == ["revolute"]
+
+
+# ---- what is not to be set side by side
+
+
+def test_protocols_are_never_mixed(data, compared):
+    with pytest.raises(FreeArtError, match=r"1\.json is scored by strict-1, expected strict-2: .* protocols"):
+        compared(made(data, "A"), made(data, "B", protocol="strict-1"))
+    with pytest.raises(FreeArtError, match="scored by strict-2, expected strict-1"):
+        compared(made(data, "A"), protocol="strict-1")
+    assert compared(made(data, "A", protocol="strict-1")).rules.name == "strict-1", "that of the tables"
+
+
+def test_benchmarks_are_never_mixed(data, compared):
+    table = made(data, "B")
+    with pytest.raises(FreeArtError, match=r"is scored on other 1 \(000000000000\), expected paper-like 1"):
+        compared(made(data, "A"), replace(table, benchmark={**table.benchmark, "name": "other", "sha256": "0" * 64}))
+    with pytest.raises(FreeArtError, match="has a row for x, which is no sequence of"):
+        compared(replace(table, rows=(replace(table.rows[0], sequence="x"), *table.rows[1:])))
+
+
+def test_versions_of_the_scoring_code_and_truths_are_never_mixed(data, compared):
+    table = made(data, "B")
+    with pytest.raises(FreeArtError, match="by other code .scoring 222222222222. than .*score it again"):
+        compared(made(data, "A"), replace(table, made_with={"scoring": "2" * 64}))
+    other = [replace(table, rows=(replace(table.rows[0], truth_sha256=digit * 64), *table.rows[1:])) for digit in "12"]
+    with pytest.raises(FreeArtError, match="against another truth of p00"):
+        compared(*other)
+    other = replace(table, made_with={**table.made_with, "libraries": {"numpy": "3"}})
+    assert "other versions of libraries" in compared(made(data, "A"), other).notes[0]
+
+
+def test_bad_input_is_one_line(data, tmp_path):
+    with pytest.raises(FreeArtError, match="nothing was named"):
+        compare_results([], data)
+    write_scores(tmp_path / "a.json", made(data, "A"))
+    with pytest.raises(FreeArtError, match="is named twice"):
+        compare_results([tmp_path / "a.json", tmp_path / ".." / tmp_path.name / "a.json"], data)
+    (tmp_path / "b.json").write_text("{}")
+    with pytest.raises(FreeArtError, match="b.json has schema 'None'"):
+        compare_results([tmp_path / "b.json"], data)
+    with pytest.raises(FreeArtError, match="is not a folder of results"):
+        compare_results([tmp_path / "none"], data)
+
+
+def test_results_folders_are_scored_and_kept(data, tmp_path, monkeypatch):
+    asked = []
+
+    def kept(place, data, protocol, keep, progress, truth):
+        asked.append((place.name, protocol, keep))
+        return made(data, place.name)
+
+    monkeypatch.setattr(compare, "kept_scores", kept)
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "method.json").write_text("{}")
+    comparison = compare_results([tmp_path / "one", tmp_path / "two"], data, None, tmp_path / "keep")
+    assert asked == [(name, "strict-2", tmp_path / "keep") for name in ("one", "two")]
+    assert [entrant.name for entrant in comparison.entrants] == ["one", "two"]
+    shutil.make_archive(str(tmp_path / "three"), "zip", tmp_path, "one")
+    assert compare_results([tmp_path / "three.zip"], data).entrants[0].name == "one"
+
+
+def test_methods_of_one_name_are_told_apart(data, compared):
+    comparison = compared(*(made(data, name) for name in ("A", "B", "A", "A (0.json)")))
+    names = [entrant.name for entrant in comparison.entrants]
+    assert len(set(names)) == 4 and names[1] == "B" and names[2] == "A (2.json)"
+
+
+# ---- files and screens
+
+NASTY = r"50% | a_b & <c> *d* #1 \emph{x} ~^ [y]"
+
+
+@pytest.mark.parametrize("suffix", COMPARISONS)
+@pytest.mark.parametrize("by", ["type", "category", "sequence"])
+def test_every_format_is_written_replaced_and_the_same_every_time(by, suffix, data, compared, tmp_path):
+    comparison = compared(made(data, "A"), made(data, "B", {"axis": 3.0}))
+    path = tmp_path / f"out{suffix}"
+    write_comparison(path, comparison, by)
+    first = path.read_bytes()
+    write_comparison(path, comparison, by)
+    assert path.read_bytes() == first and b"A" in first
+    (tmp_path / f"mine{suffix}").write_text("mine")
+    with pytest.raises(FreeArtError, match="is no older"):
+        write_comparison(tmp_path / f"mine{suffix}", comparison, by)
+
+
+def test_another_ending_is_refused_before_anything_is_scored(data, tmp_path):
+    with pytest.raises(FreeArtError, match=r"ends in '.txt', expected .csv, .json, .md, .tex"):
+        commands.compare((tmp_path / "none",), data, out=tmp_path / "out.txt")
+
+
+def test_csv_has_every_number_and_no_formula(data, compared, tmp_path):
+    axis = {name: float(k) for k, name in enumerate(REVOLUTE)}
+    comparison = compared(made(data, "A"), made(data, "=1+1", {"axis": axis}))
+    write_comparison(tmp_path / "t.csv", comparison, "type")
+    table = pd.read_csv(tmp_path / "t.csv").set_index(["group", "method"])
+    row = table.loc["revolute", "'=1+1"]
+    assert (row.axis, row.axis_median, row.axis_worst, row.axis_sequences) == (7, 7, 14, 15)
+    assert row.axis_std == pytest.approx(np.std(list(axis.values()), ddof=1))
+    assert row.axis_difference == 6 and row.axis_low < 6 < row.axis_high
+    assert np.isnan(table.loc["revolute", "A"].axis_difference) and np.isnan(table.loc["all", "A"].state)
+    assert set(table.protocol) == {"strict-2"} and set(table.by) == {"type"}
+    write_comparison(tmp_path / "s.csv", comparison, "sequence")
+    assert len(pd.read_csv(tmp_path / "s.csv")) == 42
+
+
+def test_json_has_everything_and_traces_it(data, compared, tmp_path):
+    comparison = compared(made(data, "A"), made(data, "B", {"axis": 3.0}), made(data, "C"))
+    write_comparison(tmp_path / "c.json", comparison, "type")
+    body = json.loads((tmp_path / "c.json").read_text())
+    assert body["benchmark"]["sha256"] == benchmark_facts(read_benchmark(data))["sha256"]
+    assert [one["made_with"]["scoring"] for one in body["methods"]] == ["1" * 64] * 3
+    groups = {(one["by"], one["group"]): one for one in body["groups"]}
+    assert {by for by, _ in groups} == {"type", "category"} and ("category", "USB") in groups
+    pairs = {(d["method"], d["other"]): d for d in groups["type", "all"]["differences"] if d["metric"] == "axis"}
+    assert set(pairs) == {("B", "A"), ("C", "A"), ("C", "B")}
+    assert (pairs["C", "B"]["difference"], pairs["C", "B"]["verdict"]) == (-2, "better")
+    assert body["sequences"][0]["methods"]["B"]["values"]["axis"] == 3 and len(body["sequences"]) == 21
+    assert body["interval"]["level"] == 0.95 and body["interval"]["resamples"] == 10_000
+
+
+def test_markdown_is_whole_tables_and_shows_words_as_they_are(data, compared):
+    text = markdown(compared(made(data, "A"), made(data, NASTY)), "type")
+    rows = [line for line in text.splitlines() if line.startswith("|")]
+    bars = {line.count("|") - line.count(r"\|") for line in rows}
+    assert len(rows) > 20 and bars == {15, 6}
+    assert r"50% \| a\_b &amp; &lt;c&gt; \*d\*" in text and "**" in text
+
+
+def test_latex_is_balanced_and_shows_words_as_they_are(data, compared):
+    text = latex(compared(made(data, "A", {"axis": 0.5}), made(data, NASTY + " 漢")), "type")
+    assert r"50\% \textbar{} a\_b \& \textless{}c\textgreater{} *d* \#1 \textbackslash{}emph\{x\}" in text
+    assert r"1.00 $\pm$ 0.00" in text and "±" not in text and "–" not in text  # noqa: RUF001
+    assert r"$-$0.50" in latex(compared(made(data, "A"), made(data, "B", {"axis": 0.5})), "type")
+    bare = re.sub(r"\\.", "", "\n".join(line for line in text.splitlines() if not line.startswith("%")))
+    assert bare.count("{") == bare.count("}") and bare.count("$") % 2 == 0 and text.isascii()
+    assert "%" not in bare.replace("{%\n", "") and "#" not in bare and "_" not in bare
+    for table in re.findall(r"\\begin{tabular}{(\w+)}(.*?)\\end{tabular}", text, re.S):
+        columns, body = len(table[0]), table[1]
+        lines = [line for line in body.splitlines() if line.endswith(r"\\") and "multicolumn" not in line]
+        assert len(lines) > 5 and {len(re.findall(r"(?<!\\)&", line)) for line in lines} == {columns - 1}
+        assert body.count("toprule") == body.count("bottomrule") == 1
+    assert text.count(r"\begin{table}") == text.count(r"\end{table}") == 3
+
+
+@pytest.mark.parametrize("by", ["type", "category", "sequence"])
+def test_ten_methods_fit_a_screen_of_100_columns(by, data, compared):
+    names = ["a-method-of-a-very-long-name-indeed-yes", *"BCDEFGHIJ"]
+    comparison = compared(*(made(data, name, {"axis": 88.88, "psnr": 100.0}) for name in names))
+    console = Console(width=100, file=io.StringIO(), color_system=None)
+    print_comparison(comparison, by, console)
+    lines = console.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= 100
+    text = "\n".join(lines)
+    assert "88.88" in text and "a-method-of-a-very-lo…" in text and all(f"  {name} " in text for name in "BCDEFGHIJ")
+    for grid in grids(comparison, by):
+        shown = [head for piece in pieces(grid, 100) for head in piece.head[1:]]
+        assert shown == list(grid.head[1:]), "every column, once"
+
+
+def test_other_protocols_have_tables_too(data, compared, monkeypatch):
+    """Of a protocol without a type, without heads of columns, and in units of its own."""
+    rules = protocol_named("strict-1")
+    own = tuple(replace(m, column="", beside=None) for m in rules.metrics if m.id in ("axis", "state"))
+    own += (replace(own[0], id="twist", revolute_unit="m", prismatic_unit="m"),)
+    monkeypatch.setitem(PROTOCOLS, "own-1", replace(rules, name="own-1", metrics=own))
+    comparison = compared(made(data, "A", protocol="own-1"), made(data, "B", protocol="own-1"))
+    head = [" ".join(head.split()) for head in grids(comparison, "type")[0].head]
+    assert head == ["method", "measured", "axis deg ↓", "state ↓", "twist m ↓"]
+    print_comparison(comparison, "type", Console(width=100, file=io.StringIO()))
+    assert "0.0000 m" in latex(comparison, "type"), "differences have their unit behind them"
+
+
+def test_the_command_prints_and_writes(data, tmp_path, capsys):
+    write_scores(tmp_path / "a.json", made(data, "A"))
+    write_scores(tmp_path / "b.json", made(data, "B", {"axis": 3.0}))
+    commands.compare((tmp_path / "a.json", tmp_path / "b.json"), data, out=tmp_path / "c.csv")
+    said = capsys.readouterr().out
+    assert "B less A" in said and "+2.00° [2.00, 2.00] ✗" in said
+    assert (tmp_path / "c.csv").is_file()
+    with pytest.raises(FreeArtError, match="is no older comparison"):
+        commands.compare((tmp_path / "a.json",), data, out=tmp_path / "a.json")

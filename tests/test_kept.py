@@ -1,0 +1,376 @@
+"""Tables of scores as files: the same bytes every time, read with suspicion, kept while nothing has changed."""
+
+import json
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from score_case import few_samples, score_results, submit, truths, write_data
+
+from freeart21.code import code_digest, modules_behind
+from freeart21.errors import FreeArtError
+from freeart21.files.benchmark import read_benchmark
+from freeart21.files.result import Method, write_method, write_result
+from freeart21.reconstruction import Failure
+from leaderboard import kept, provenance
+from leaderboard.kept import kept_scores
+from leaderboard.provenance import folder_sha256, made_with, scoring_code
+from leaderboard.scores_file import read_scores, write_scores
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    few_samples(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return write_data(tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture
+def results(tmp_path):
+    """An answer, a failure that says so, and one that is missing."""
+    submit(tmp_path / "mine" / "a", truths()["a"])
+    write_result(tmp_path / "mine" / "b", Failure("tracking", "too dark", {"tracking": 3.0}))
+    write_method(tmp_path / "mine", Method("mine", "somewhere, 3", {"a": [1, 2.5, None]}, "a laptop"))
+    return tmp_path / "mine"
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """The names of results folders that were scored rather than read."""
+    scored = []
+
+    def score(results, *arguments, **named):
+        scored.append(results.name)
+        return score_results(results, *arguments, **named)
+
+    monkeypatch.setattr(kept, "score_results", score)
+    return scored
+
+
+# ---- the same bytes
+
+
+def test_scoring_twice_gives_the_same_bytes_and_reading_gives_the_same_table(data, results, tmp_path):
+    for name in ("one", "two"):
+        write_scores(tmp_path / name, score_results(results, data))
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+    scores = read_scores(tmp_path / "one")
+    assert replace(score_results(results, data), seconds=None) == scores
+    write_scores(tmp_path / "three", scores)
+    assert (tmp_path / "three").read_bytes() == (tmp_path / "one").read_bytes()
+
+
+def test_a_table_is_the_same_wherever_the_results_lie(data, results, tmp_path):
+    """An asset that cannot be read is named from the results folder on."""
+    (results / "a" / "asset").mkdir()
+    (results / "a" / "asset" / "asset.json").write_text("{")
+    shutil.copytree(results, tmp_path / "elsewhere" / "mine")
+    one, two = (score_results(place, data) for place in (results, tmp_path / "elsewhere" / "mine"))
+    assert replace(one, seconds=None) == replace(two, seconds=None)
+    assert "a/asset/asset.json" in one.rows[0].reason and str(tmp_path) not in one.rows[0].reason
+
+
+def test_every_row_says_of_which_bytes_it_is(data, results):
+    scores = score_results(results, data)
+    rows = {row.sequence: row for row in scores.rows}
+    for name in "ab":
+        assert rows[name].result_sha256 == folder_sha256(results / name)
+    assert rows["c"].status == "missing" and rows["c"].result_sha256 is None
+    assert {row.truth_sha256 for row in scores.rows} == {folder_sha256(data / "truth" / name) for name in "abc"}
+    assert scores.made_with == made_with() and len(scores.made_with["scoring"]) == 64
+    assert scores.made_with["libraries"]["numpy"] and scores.made_with["machine"]["machine"]
+
+
+def test_the_hash_of_a_folder_is_of_all_names_and_bytes_and_of_nothing_else(tmp_path):
+    def made(name, files):
+        for file, text in files.items():
+            (tmp_path / name / file).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / name / file).write_text(text)
+        return folder_sha256(tmp_path / name)
+
+    first = made("one", {"x": "1", "sub/y": "2"})
+    os.utime(tmp_path / "one" / "x", (1, 1))
+    assert folder_sha256(tmp_path / "one") == first == made("elsewhere", {"sub/y": "2", "x": "1"})
+    others = [
+        made("byte", {"x": "1", "sub/y": "3"}),
+        made("name", {"x": "1", "sub/z": "2"}),
+        made("moved", {"x": "1", "y": "2"}),
+        made("more", {"x": "1", "sub/y": "2", "sub/z": ""}),
+        made("shifted", {"x": "12", "sub/y": ""}),
+    ]
+    assert len({first, *others}) == 6
+
+
+def test_a_folder_is_hashed_without_following_links_or_waiting_for_pipes(tmp_path, monkeypatch):
+    folder = tmp_path / "results"
+    folder.mkdir()
+    (tmp_path / "secret").write_text("s")
+    (folder / "link").symlink_to(tmp_path / "secret")
+    (folder / "up").symlink_to(tmp_path)
+    os.mkfifo(folder / "pipe")
+    before = folder_sha256(folder)
+    (tmp_path / "secret").write_text("t")
+    assert folder_sha256(folder) == before
+    monkeypatch.setattr(provenance, "MAX_BYTES", 9)
+    (folder / "large").write_text("0123456789")
+    with pytest.raises(FreeArtError, match="more than 9 bytes"):
+        folder_sha256(folder)
+    with pytest.raises(FreeArtError, match="is not a folder"):
+        folder_sha256(folder / "link")
+
+
+def test_the_fingerprint_of_the_scoring_code_is_of_what_scoring_uses():
+    modules = modules_behind("leaderboard.case", ROOT, ("freeart21", "generator", "export", "leaderboard"))
+    assert {"leaderboard.case", "leaderboard.protocols.strict1", "generator.simulate", "export.checklist"} <= set(
+        modules
+    )
+    assert not {"leaderboard.tables", "leaderboard.commands", "freeart21.cli", "freeart21.view"} & set(modules)
+    assert scoring_code() == code_digest(
+        modules_behind("leaderboard.case", ROOT, (*provenance._ROOMS, "elsewhere")).items()
+    )
+
+
+def test_a_fingerprint_changes_with_what_code_does_and_not_with_what_is_said_of_it(tmp_path):
+    def fingerprint(text):
+        (tmp_path / "m.py").write_text(text)
+        return code_digest([("m", tmp_path / "m.py")])
+
+    base = fingerprint('"""Says."""\n\ndef f(x):\n    return x + 1\n')
+    assert base == fingerprint("def f(x):\n    # why\n    return (x +\n            1)\n")
+    assert base != fingerprint("def f(x):\n    return x + 2\n")
+
+
+# ---- kept
+
+
+def test_a_table_is_kept_and_read_again(data, results, counted, tmp_path):
+    first = kept_scores(results, data, "strict-2", tmp_path / "keep")
+    again = kept_scores(results, data, "strict-2", tmp_path / "keep")
+    assert counted == ["mine"] and again == replace(first, seconds=None)
+    assert [path.name for path in (tmp_path / "keep").iterdir()] == ["mine.strict-2.json"]
+    kept_scores(results, data, "strict-1", tmp_path / "keep")
+    assert counted == ["mine"] * 2 and (tmp_path / "keep" / "mine.strict-1.json").is_file()
+
+
+def test_without_a_place_nothing_is_kept(data, results, counted, tmp_path):
+    before = sorted(tmp_path.rglob("*"))
+    for _ in range(2):
+        kept_scores(results, data, "strict-2", None)
+    assert counted == ["mine"] * 2 and sorted(tmp_path.rglob("*")) == before
+
+
+def _a_byte_of_a_result(results, data, patch):
+    (results / "a" / "poses.npz").write_bytes((results / "a" / "poses.npz").read_bytes() + b" ")
+
+
+def _a_result_that_was_missing(results, data, patch):
+    write_result(results / "c", Failure("tracking", "too dark"))
+
+
+def _the_name_of_the_method(results, data, patch):
+    write_method(results, Method("other"))
+
+
+def _a_byte_of_the_truth(results, data, patch):
+    path = data / "truth" / "a" / "part_mask" / "00000.png"
+    path.write_bytes(path.read_bytes() + b" ")
+
+
+def _the_list_of_the_benchmark(results, data, patch):
+    listed = json.loads((data / "benchmark.json").read_text())
+    (data / "benchmark.json").write_text(json.dumps(listed | {"version": "2"}))
+
+
+def _the_code(results, data, patch):
+    patch.setattr(provenance, "scoring_code", lambda: "1" * 64)
+
+
+def _a_library(results, data, patch):
+    patch.setattr(provenance, "_version", lambda name: "0.0")
+
+
+def _the_table_itself(results, data, patch):
+    path = results.parent / "keep" / "mine.strict-2.json"
+    path.write_text(path.read_text().replace('"axis": ', '"axle": '))
+
+
+CHANGES = [
+    _a_byte_of_a_result,
+    _a_result_that_was_missing,
+    _the_name_of_the_method,
+    _a_byte_of_the_truth,
+    _the_list_of_the_benchmark,
+    _the_code,
+    _a_library,
+    _the_table_itself,
+]
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=[change.__name__.strip("_") for change in CHANGES])
+def test_what_has_changed_is_scored_anew(change, data, results, counted, tmp_path, monkeypatch):
+    mine = shutil.copytree(data, tmp_path / "data")
+    kept_scores(results, mine, "strict-2", tmp_path / "keep")
+    change(results, mine, monkeypatch)
+    kept_scores(results, mine, "strict-2", tmp_path / "keep")
+    kept_scores(results, mine, "strict-2", tmp_path / "keep")
+    assert counted == ["mine"] * 2
+
+
+def test_the_machine_and_the_commit_change_no_number(data, results, counted, tmp_path, monkeypatch):
+    kept_scores(results, data, "strict-2", tmp_path / "keep")
+    monkeypatch.setattr(provenance, "_commit", lambda: "0" * 40)
+    monkeypatch.setattr(provenance, "_processor", lambda: "another")
+    kept_scores(results, data, "strict-2", tmp_path / "keep")
+    assert counted == ["mine"]
+
+
+def test_results_that_change_while_they_are_scored_are_not_kept(data, results, tmp_path, monkeypatch):
+    def score(results, *arguments, **named):
+        scores = score_results(results, *arguments, **named)
+        return replace(scores, rows=(replace(scores.rows[0], result_sha256="0" * 64), *scores.rows[1:]))
+
+    monkeypatch.setattr(kept, "score_results", score)
+    with pytest.raises(FreeArtError, match="changed while it was scored"):
+        kept_scores(results, data, "strict-2", tmp_path / "keep")
+    assert not (tmp_path / "keep").exists()
+
+
+def test_what_is_no_table_is_never_replaced(data, results, counted, tmp_path):
+    path = tmp_path / "keep" / "mine.strict-2.json"
+    path.parent.mkdir()
+    path.write_text("{}")
+    with pytest.raises(FreeArtError, match="is no older table of scores"):
+        kept_scores(results, data, "strict-2", tmp_path / "keep")
+    assert path.read_text() == "{}" and counted == []
+    with pytest.raises(FreeArtError, match="lies in"):
+        kept_scores(results, data, "strict-2", data / "keep")
+
+
+def test_a_kept_table_is_named_in_letters_that_every_disk_takes(tmp_path):
+    for folder, name in (("mine", "mine.p.json"), ("a b/ü", "results.p.json"), ("x y:z", "x-y-z.p.json")):
+        assert kept.kept_path(tmp_path / folder, "p", tmp_path).name == name
+
+
+def test_a_truth_that_cannot_be_hashed_is_never_taken_for_unchanged(data, results):
+    scores, benchmark = score_results(results, data), read_benchmark(data)
+    assert kept.still_true(scores, results, benchmark)
+    rows = (replace(scores.rows[0], result_sha256=None), *scores.rows[1:])
+    assert not kept.still_true(replace(scores, rows=rows), results, benchmark)
+
+
+# ---- tables from anybody
+
+
+@pytest.fixture
+def table(data, results, tmp_path):
+    """The path of a good table, and a function that changes its JSON."""
+    path = tmp_path / "scores.json"
+    write_scores(path, score_results(results, data))
+
+    def changed(change):
+        body = json.loads(path.read_text())
+        path.write_text(json.dumps(change(body) or body))
+        return path
+
+    return path, changed
+
+
+def _put(*place):
+    """A change that sets the last of `place` there."""
+    *way, key, value = place
+
+    def change(body):
+        for step in way:
+            body = body[step]
+        body[key] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (_put("schema", "freeart21/scores/1"), "schema 'freeart21/scores/1', expected 'freeart21/scores/2'"),
+        (_put("protocol", 3), "'protocol' is 3, expected an object"),
+        (_put("protocol", "name", "loose-9"), "unknown protocol 'loose-9'"),
+        (_put("protocol", "metrics", 1, "direction", "up"), "has 'direction' 'up' for axis, expected down"),
+        (_put("protocol", "metrics", 1, "price", 45.0), "another protocol"),
+        (_put("protocol", "metrics", 1, "id", "axle"), "unknown metric 'axle'"),
+        (_put("benchmark", "sha256", None), "'sha256' is None, expected a line of text"),
+        (_put("benchmark", "name", "a\nb"), "expected a line of text"),
+        (_put("rows", []), "expected a list of 1 to"),
+        (_put("rows", 0, 5), "row 0 has 5"),
+        (_put("rows", 0, "sequence", "../a"), "expected the name of a folder"),
+        (_put("rows", 0, "sequence", "b"), "a sequence more than once: b"),
+        (_put("rows", 0, "joint_type", "ball"), "'joint_type' is 'ball', expected revolute, prismatic"),
+        (_put("rows", 0, "status", ["ok"]), "'status' is a list of 1"),
+        (_put("rows", 0, "measured_from", "nothing"), "is ok and measured from nothing"),
+        (_put("rows", 1, "status", "ok"), "is ok and measured from nothing"),
+        (_put("rows", 0, "swapped", 1), "expected true or false"),
+        (_put("rows", 0, "reason", None), "'reason' is None, expected text"),
+        (_put("rows", 0, "diagonal_m", 0), "expected more than 0"),
+        (_put("rows", 0, "diagonal_m", True), "expected a finite number"),
+        (_put("rows", 0, "values", "axis", float("nan")), "'axis' is nan, expected a finite number"),
+        (_put("rows", 0, "values", "axis", float("inf")), "'axis' is inf"),
+        (_put("rows", 0, "values", "axis", "0"), "'axis' is '0'"),
+        (_put("rows", 0, "values", "axle", 0.0), "its values has 'axle'"),
+        (_put("rows", 0, "values", {}), "its values lacks 'axis'"),
+        (_put("rows", 0, "values_cm", {"axle": 1.0}), "'values_cm' has numbers that"),
+        (_put("rows", 0, "seconds", -1), "'seconds' is -1, expected 0 or more"),
+        (_put("rows", 0, "notes", "hello"), "'notes' is 'hello'"),
+        (_put("rows", 0, "notes", [1]), "'notes' is a list of 1"),
+        (_put("rows", 0, "result_sha256", "abc"), "expected 64 hexadecimal digits or null"),
+        (_put("rows", 0, "more", 1), "expected sequence, joint_type"),
+        (_put("method", "name", ""), "the method has no name"),
+        (_put("method", "settings", 3), "settings are 3"),
+        (_put("method", "lacks", ["wheels"]), "'lacks' is"),
+        (_put("made_with", None), "'made_with' is None, expected an object"),
+        (_put("summaries", {}), "'summaries' is an object of 0"),
+        (_put("summaries", 0, "group", "ball"), "has a summary of 'ball'"),
+        (_put("summaries", 0, "failures", 0), "failures of its revolute summary is not that of its rows"),
+        (_put("summaries", 0, "statistics", "axis", "mean", 0.0), "statistics axis mean of its revolute summary"),
+    ],
+)
+def test_a_table_that_is_wrong_is_refused_in_one_line(change, said, table):
+    path, changed = table
+    with pytest.raises(FreeArtError) as refused:
+        read_scores(changed(change))
+    assert (said in str(refused.value) and str(path) in str(refused.value)) or said.startswith("unknown")
+    assert len(str(refused.value).splitlines()) == 1
+
+
+def test_a_table_of_hostile_bytes_is_refused_in_one_line(table):
+    path, _ = table
+    whole = path.read_bytes()
+    for text in (
+        b"",
+        b"[]",
+        b"\xff\xfe",
+        whole[: len(whole) // 2],
+        b'{"schema": "freeart21/scores/2", "rows": ' + b"[" * 200_000,
+        b'{"schema": "freeart21/scores/2", "rows": ' + b"9" * 5000 + b"}",
+        b'{"schema": "' + b"x" * 100_000 + b'"}',
+        whole.replace(b'"diagonal_m": ', b'"diagonal_m": 1' + b"0" * 400, 1),
+    ):
+        path.write_bytes(text)
+        with pytest.raises(FreeArtError) as refused:
+            read_scores(path)
+        assert len(str(refused.value)) < 1000 and str(refused.value).isprintable()
+    with pytest.raises(FreeArtError, match="is missing"):
+        read_scores(path.parent / "none.json")
+
+
+def test_words_of_a_table_are_made_printable_and_short(table):
+    _, changed = table
+    changed(_put("method", "name", "a\x1b[31m" + "x" * 1000))
+    changed(_put("rows", 0, "notes", ["\x1b[2J\u202e"]))
+    scores = read_scores(changed(_put("method", "settings", {"a": ["\x07"] * 2})))
+    assert scores.method.name.isprintable() and len(scores.method.name) == 300
+    assert scores.rows[0].notes[0].isprintable() and scores.method.settings == {"a": ["\\x07"] * 2}

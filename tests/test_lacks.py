@@ -1,0 +1,262 @@
+"""Methods that do not make all there is: what is left is scored as ever, the rest has no number, and nobody gains."""
+
+import functools
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from perturbed import KINDS, make_truth, tilted, with_parts
+from rich.console import Console
+from score_case import few_samples, score_results, submit, truths, write_data
+from score_case import score_results_apart as score_apart
+from synthetic_case import (
+    in_frame,
+    make_recording,
+    noisy_answer,
+    random_pose,
+    truth_as_answer,
+    with_names_exchanged,
+)
+
+from freeart21 import se3
+from freeart21.articulation import Articulation
+from freeart21.files.result import Method, write_method, write_result
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import PIECES, Failure
+from leaderboard.case import Case
+from leaderboard.protocols import ARENA_1, ITACO_1, PAPER_1, STRICT_1, STRICT_2
+from leaderboard.protocols.itaco1 import Itaco1
+from leaderboard.protocols.paper1 import Paper1
+from leaderboard.protocols.strict1 import Strict1
+from leaderboard.tables import NOTHING, _cell, print_scores
+from leaderboard.validate import validate_results
+
+QUICK = {
+    "strict-1": Strict1(samples=1500),
+    "strict-2": Strict1(samples=1500),
+    "paper-1": Paper1(samples=1500),
+    "itaco-1": Itaco1(samples=1500),
+    "arena-1": None,
+}
+PROTOCOLS = [
+    replace(rules, measure=functools.partial(rules.measure, constants=QUICK[rules.name]))
+    for rules in (STRICT_1, STRICT_2, PAPER_1, ITACO_1, ARENA_1)
+]
+by_protocol = pytest.mark.parametrize("rules", PROTOCOLS, ids=lambda rules: rules.name)
+SOME = [
+    ("joint",),
+    ("joint", "states", "poses"),
+    ("states",),
+    ("poses",),
+    ("masks",),
+    ("meshes",),
+    ("renders",),
+    ("masks", "poses"),
+    ("states", "poses"),
+    ("states", "poses", "masks", "renders"),
+    ("poses", "masks", "meshes", "renders"),
+    PIECES,
+]
+TOLD_APART = [lacks for lacks in SOME if not {"poses", "masks", "meshes"} <= {*lacks}]
+ANCHOR = 5
+
+
+def without(answer, lacks, anchor=ANCHOR):
+    """`answer` with fillers for what it lacks, as the formats ask for: whole shapes that say nothing."""
+    parts, states = answer.articulation, answer.states
+    if "states" in lacks:  # the parts stand as they do in the anchor frame, and that is state zero
+        zero = states[anchor]
+        T = parts.joint.transform(zero)
+        joint = replace(parts.joint, lower=parts.joint.lower - zero, upper=parts.joint.upper - zero)
+        answer = replace(
+            answer,
+            articulation=Articulation(joint, parts.reference, parts.moving.moved(T)),
+            Ts_camera_moving=answer.Ts_camera_moving @ se3.inverse(T),
+            states=0 * states,
+        )
+    if "joint" in lacks:
+        parts = answer.articulation
+        nothing = Joint("unknown", "revolute", np.array([0.0, 0.0, 1.0]), np.zeros(3), -np.inf, np.inf)
+        answer = replace(answer, articulation=Articulation(nothing, parts.reference, parts.moving))
+    if "poses" in lacks:
+        constant = np.repeat(answer.Ts_camera_reference[anchor : anchor + 1], len(answer), 0)
+        answer = replace(answer, Ts_camera_reference=constant, Ts_camera_moving=constant)
+    if "masks" in lacks:
+        answer = replace(answer, part_masks=np.zeros_like(answer.part_masks))
+    if "meshes" in lacks:
+        tiny = Mesh(1e-4 * np.eye(4, 3), np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]))
+        answer = with_parts(answer, tiny, tiny)
+    return replace(answer, anchor=anchor)
+
+
+def row_of(rules, truth, answer, lacks, folder=Path("none")):
+    return Case(rules, make_recording(truth), truth, lacks).measured(answer, folder, "files")
+
+
+def assert_perfect(rules, row, lacks):
+    for metric in rules.metrics:
+        value = row.values[metric.id]
+        if metric.unit(row.joint_type) is None or {*lacks} & {*metric.needs}:
+            assert value is None, metric.id
+        elif "cd_" in metric.id:
+            assert 0 < value < 0.06, metric.id  # the floor of sampling
+        elif metric.id in ("psnr", "ssim"):
+            assert value == 0, metric.id  # no pictures lie in a folder that does not exist
+        else:
+            assert value == pytest.approx(0 if metric.direction == "down" else 1, abs=1e-6), metric.id
+
+
+@by_protocol
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("lacks", SOME, ids="-".join)
+def test_the_truth_is_perfect_in_all_that_is_left(rules, kind, lacks):
+    truth = make_truth(kind)
+    assert_perfect(rules, row_of(rules, truth, without(truth_as_answer(truth), lacks), lacks), lacks)
+
+
+@pytest.mark.parametrize("rules", [r for r in PROTOCOLS if r.name in ("strict-2", "arena-1")], ids=lambda r: r.name)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("lacks", TOLD_APART, ids="-".join)
+def test_parts_that_go_by_each_others_names_are_found_out_by_what_is_there(rules, kind, lacks):
+    truth = make_truth(kind)
+    answer = in_frame(with_names_exchanged(truth_as_answer(truth)), random_pose(np.random.default_rng(4), 2.0))
+    row = row_of(rules, truth, without(answer, lacks), lacks)
+    assert row.swapped
+    assert_perfect(rules, row, lacks)
+
+
+@by_protocol
+def test_where_nothing_tells_the_parts_apart_the_names_hold(rules):
+    lacks = ("poses", "masks", "meshes")
+    truth = make_truth()
+    assert not row_of(rules, truth, without(with_names_exchanged(truth_as_answer(truth)), lacks), lacks).swapped
+
+
+@by_protocol
+@pytest.mark.parametrize("kind", KINDS)
+def test_who_lacks_nothing_is_scored_as_ever(rules, kind):
+    truth = make_truth(kind)
+    answer = replace(noisy_answer(truth), anchor=ANCHOR)  # which is nobody's affair then
+    assert row_of(rules, truth, answer, ()).values == row_of(rules, truth, noisy_answer(truth), ()).values
+
+
+@by_protocol
+@pytest.mark.parametrize("lacks", SOME, ids="-".join)
+def test_fillers_do_not_count(rules, lacks):
+    """What stands in place of a lacking piece changes no number: neither the best there is nor the worst."""
+    truth = make_truth()
+    rng, noisy = np.random.default_rng(0), noisy_answer(truth)
+    plain = without(noisy, lacks)
+    other = plain
+    if "poses" in lacks:
+        wild = np.stack([random_pose(rng) for _ in range(len(truth))])
+        wild[ANCHOR] = plain.Ts_camera_reference[ANCHOR]
+        other = replace(other, Ts_camera_reference=wild, Ts_camera_moving=wild)
+    if "masks" in lacks:
+        other = replace(other, part_masks=truth_as_answer(truth).part_masks)
+    values = row_of(rules, truth, plain, lacks).values
+    assert row_of(rules, truth, other, lacks).values == pytest.approx(values, abs=1e-9)
+
+
+@by_protocol
+@pytest.mark.parametrize("lacks", SOME, ids="-".join)
+def test_a_failure_has_no_price_for_what_the_method_does_not_make(rules, lacks):
+    truth = make_truth()
+    case = Case(rules, make_recording(truth), truth, lacks)
+    full = Case(rules, make_recording(truth), truth).prices()
+    for metric in rules.metrics:
+        expected = None if {*lacks} & {*metric.needs} else full[metric.id]
+        assert case.priced("failed", "declared").values[metric.id] == expected, metric.id
+
+
+def test_the_axis_and_its_place_are_measured_in_the_anchor_frame():
+    truth, lacks = make_truth(), ("poses", "masks", "states", "renders")
+    rules = PROTOCOLS[1]
+    values = row_of(rules, truth, without(tilted(truth, 3.0), lacks), lacks).values
+    assert values["axis"] == pytest.approx(3.0) and values["position"] == pytest.approx(0, abs=1e-6)
+    answer = without(truth_as_answer(truth), lacks)
+    turned = answer.Ts_camera_reference @ se3.pose(se3.exp_so3([np.deg2rad(4.0), 0, 0]), np.zeros(3))
+    values = row_of(rules, truth, replace(answer, Ts_camera_reference=turned), lacks).values
+    assert values["axis"] == pytest.approx(4.0) and values["chamfer_s"] > 0.1
+    wrong_frame = replace(answer, anchor=ANCHOR + 3)
+    assert row_of(rules, truth, wrong_frame, lacks).values["axis"] > 5
+
+
+def test_states_pose_the_surfaces_where_there_are_no_poses():
+    truth, lacks = make_truth(), ("poses", "masks")
+    rules = PROTOCOLS[1]
+    right = without(truth_as_answer(truth), lacks)
+    assert row_of(rules, truth, right, lacks).values["chamfer_m"] < 1e-6
+    wrong = replace(right, states=np.where(np.arange(len(truth)) == ANCHOR, truth.states, truth.states[ANCHOR]))
+    assert row_of(rules, truth, wrong, lacks).values["chamfer_m"] > 1  # and is right in the anchor frame alone
+
+
+# ---- from files
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return write_data(tmp_path_factory.mktemp("data"))
+
+
+def test_a_method_says_it_once_for_all_sequences(data, tmp_path, monkeypatch):
+    few_samples(monkeypatch)
+    lacks = ("masks", "renders")
+    write_method(tmp_path, Method("blind", lacks=lacks))
+    for name in "ab":
+        submit(tmp_path / name, truths()[name], without(truth_as_answer(truths()[name]), lacks), renders=False)
+    scores = score_results(tmp_path, data)
+    assert [row.status for row in scores.rows] == ["ok", "ok", "missing"]
+    for row in scores.rows:
+        assert all(row.values[id] is None for id in ("miou", "psnr", "ssim")), row
+    assert scores.rows[2].values["axis"] == 90
+    assert "miou" not in scores.summaries[0].statistics and "axis" in scores.summaries[0].statistics
+    assert scores.notes == ("the method makes no masks, renders: no miou, psnr, ssim",)
+    assert not any("held-out" in note for row in scores.rows for note in row.notes)
+    assert np.isnan(scores.frame()["miou"]).all()
+
+
+def test_one_answer_cannot_say_it_for_itself(data, tmp_path, monkeypatch):
+    few_samples(monkeypatch)
+    truth = truths()["a"]
+    submit(tmp_path / "a", truth, without(truth_as_answer(truth), ("masks",)), renders=False)
+    path = tmp_path / "a" / "prediction.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "lacks": ["masks"]}))
+    row = score_results(tmp_path, data).rows[0]
+    assert row.values["miou"] == 0 or row.status == "unreadable"
+    assert row.values["psnr"] == 0
+
+
+def test_what_a_method_lacks_is_known_in_a_process_of_its_own(data, tmp_path):
+    write_method(tmp_path, Method("blind", lacks=("masks", "poses")))
+    for name in "abc":
+        write_result(tmp_path / name, Failure("tracks", "declared"))
+    here, apart = score_results(tmp_path, data), score_apart(tmp_path, data)
+    assert here.rows == apart.rows and here.notes == apart.notes
+    assert apart.rows[0].values["miou"] is None and apart.rows[0].values["pose_rotation"] is None
+
+
+def test_validate_misses_no_pictures_of_a_method_that_makes_none(data, tmp_path):
+    submit(tmp_path / "a", truths()["a"], renders=False)
+    asked = [note for note in validate_results(tmp_path, data).notes if "held-out" in note]
+    write_method(tmp_path, Method("blind", lacks=("renders",)))
+    assert asked and not [note for note in validate_results(tmp_path, data).notes if "held-out" in note]
+
+
+@by_protocol
+def test_tables_show_a_dash_and_say_why(data, tmp_path, rules):
+    write_method(tmp_path, Method("blind", lacks=("masks", "meshes")))
+    write_result(tmp_path / "a", Failure("tracks", "declared"))
+    scores = score_results(tmp_path, data, rules.name)
+    console = Console(record=True, width=160, file=io.StringIO())
+    print_scores(scores, console, everything=True)
+    said = console.export_text()
+    assert "the method makes no masks, meshes: no" in said
+    row = next(row for row in scores.rows if row.sequence == "a")
+    for metric in rules.metrics:
+        shown = _cell(row, metric, False)
+        assert (shown == NOTHING) == bool({"masks", "meshes"} & {*metric.needs}), metric.id

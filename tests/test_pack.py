@@ -1,0 +1,431 @@
+"""A data folder in two: nothing of the truth is left in the half that is handed out; the other half is the truth."""
+
+import hashlib
+import json
+import os
+import shutil
+import stat
+import struct
+import zipfile
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from score_case import few_samples, score_results, submit
+from synthetic_case import QUERIES, make_recording, make_truth
+
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.files.benchmark import read_benchmark, write_benchmark
+from freeart21.files.hidden import digest, read_hidden, traces
+from freeart21.files.sequence import read_sequence, write_sequence
+from freeart21.files.truth import read_truth, write_truth
+from freeart21.files.verify import verify
+from leaderboard import commands, kept
+from leaderboard.compare import compare_results
+from leaderboard.pack import EPOCH_S, key_place, pack_public, pack_truth, read_key
+from leaderboard.scores_file import write_scores
+from leaderboard.validate import validate_results
+
+OBJECTS = {"mini_stapler-s5": "revolute", "cover_phone-s5": "prismatic"}
+SOURCE = {
+    "sensor": "hand",
+    "seed": 987654321,
+    "motion": "turntable",
+    "category": "Stapler",
+    "moving_links": ["link_lid_of_secrets"],
+}
+
+
+@pytest.fixture(scope="module")
+def truths():
+    """Name to truth, with all that a recorder says of where it came from."""
+    made = {}
+    for k, (name, kind) in enumerate(OBJECTS.items()):
+        made[name] = replace(make_truth(kind, k), source={"object": name.partition("-")[0], **SOURCE})
+    return made
+
+
+@pytest.fixture
+def data(truths, tmp_path):
+    """Two sequences, and in them whatever careless makers may have left."""
+    folder = tmp_path / "secret" / "data"
+    for name, truth in truths.items():
+        write_sequence(folder / "sequences" / name, make_recording(truth, name), 1e-4)
+        write_truth(folder / "truth" / name, truth, QUERIES)
+        spoil(folder / "sequences" / name, truth)
+    write_benchmark(folder, "made-up", "1", "test")
+    return folder
+
+
+def spoil(sequence: Path, truth) -> None:
+    header = json.loads((sequence / "sequence.json").read_text())
+    header |= {"seed": SOURCE["seed"], "object": truth.source["object"], "states": truth.states.tolist()}
+    header["camera"]["motion"] = SOURCE["motion"]
+    (sequence / "sequence.json").write_text(json.dumps(header))
+    queries = json.loads((sequence / "queries.json").read_text())
+    queries["queries"][0]["T_camera_object"] = truth.Ts_camera_reference[0].tolist()
+    (sequence / "queries.json").write_text(json.dumps(queries))
+    (sequence / "notes.txt").write_text(truth.source["object"])
+    (sequence / "rgb" / "99999.png").write_bytes(checked.encode_png(truth.query_rgb(0)))
+    add_chunk(sequence / "rgb" / "00000.png", b"tEXt", f"Title\0{truth.source['object']}".encode())
+    add_behind(sequence / "depth" / "00000.png", truth.states.tobytes())
+    add_behind_pixels(sequence / "rgb" / "00001.png", truth.Ts_camera_moving.tobytes())
+    grey = np.array([0, 200, 255], np.uint8)[truth.part_mask(0)]
+    (sequence / "mask" / "00000.png").write_bytes(checked.encode_png(grey))
+    os.utime(sequence / "rgb" / "00002.png", (1.6e9, 1.6e9 + truth.states[2]))
+    (sequence / "depth" / "00001.png").chmod(0o750)
+
+
+def add_chunk(path: Path, kind: bytes, body: bytes) -> None:
+    whole = path.read_bytes()
+    chunk = struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+    path.write_bytes(whole[:33] + chunk + whole[33:])
+
+
+def add_behind(path: Path, more: bytes) -> None:
+    path.write_bytes(path.read_bytes() + more)
+
+
+def add_behind_pixels(path: Path, more: bytes) -> None:
+    """Append to the data that a picture's IDAT chunks hold, where a decoder has stopped to look."""
+    whole, at, head, packed = path.read_bytes(), 33, b"", b""
+    head = whole[:at]
+    while at < len(whole):
+        (length,) = struct.unpack(">I", whole[at : at + 4])
+        packed += whole[at + 8 : at + 8 + length] if whole[at + 4 : at + 8] == b"IDAT" else b""
+        at += 12 + length
+    body = packed + more
+    chunk = struct.pack(">I", len(body)) + b"IDAT" + body + struct.pack(">I", zlib.crc32(b"IDAT" + body))
+    path.write_bytes(head + chunk + b"\0\0\0\0IEND\xaeB`\x82")
+
+
+@pytest.fixture
+def halves(data, tmp_path):
+    pack_public(data, tmp_path / "public")
+    pack_truth(data, tmp_path / "truth")
+    return tmp_path / "public", tmp_path / "truth"
+
+
+# ---- nothing of the truth is left
+
+
+def everything(folder: Path) -> dict[str, bytes]:
+    """Every name, and all bytes as they are and as they unpack."""
+    found = {"names": "\n".join(str(path.relative_to(folder)) for path in folder.rglob("*")).encode()}
+    for path in folder.rglob("*"):
+        if path.is_file():
+            whole = path.read_bytes()
+            found[str(path)] = whole
+            if path.suffix == ".png":
+                parts, at = [], 8
+                while at < len(whole):
+                    (length,) = struct.unpack(">I", whole[at : at + 4]) if at + 4 <= len(whole) else (0,)
+                    parts.append(whole[at + 8 : at + 8 + length] if whole[at + 4 : at + 8] == b"IDAT" else b"")
+                    at += 12 + length
+                found[f"{path} unpacked"] = zlib.decompressobj().decompress(b"".join(parts))
+                found[f"{path} pixels"] = cv2.imdecode(np.frombuffer(whole, np.uint8), cv2.IMREAD_UNCHANGED).tobytes()
+    return found
+
+
+def secrets_of(data: Path, truths) -> dict[str, bytes]:
+    """What must be nowhere: words, numbers in every spelling, hashes."""
+    found = {}
+    for name, truth in truths.items():
+        words = (name, truth.source["object"], SOURCE["motion"], SOURCE["category"], *SOURCE["moving_links"])
+        words = (*words, str(SOURCE["seed"]), hex(SOURCE["seed"])[2:], "prismatic", "revolute")
+        found |= {word: word.encode() for word in words}
+        found["seed"], found["seed, turned"] = struct.pack("<I", SOURCE["seed"]), struct.pack(">I", SOURCE["seed"])
+        joint = truth.articulation.joint
+        arrays = (truth.states, truth.Ts_camera_reference, truth.Ts_camera_moving, joint.axis, joint.pivot)
+        arrays = (*arrays, np.array([truth.diagonal, truth.range_of_motion]))
+        for number in np.unique(np.concatenate([array.ravel() for array in arrays])):
+            if len(f"{abs(number):.12g}") >= 10:  # not 0, 1, or what else may stand anywhere
+                for form in ("<d", ">d", "<f", ">f"):
+                    found[f"{number} {form}"] = struct.pack(form, number)
+                found[f"{number}"] = f"{abs(number):.7g}".encode()
+        for path in (data / "truth" / name).rglob("*"):
+            if path.is_file():
+                hashed = hashlib.sha256(path.read_bytes())
+                found[f"hash of {path.name}"], found[f"raw hash of {path.name}"] = (
+                    hashed.hexdigest().encode(),
+                    hashed.digest(),
+                )
+        for i in range(QUERIES):
+            found[f"view {i}"] = truth.query_rgb(i)[..., ::-1].tobytes()  # as OpenCV gives pixels
+    key = key_place(data).read_text()
+    found["key"] = json.loads(key)["key"].encode()
+    return found
+
+
+def leaks(folder: Path, secrets: dict[str, bytes]) -> list[str]:
+    places = everything(folder)
+    return [
+        f"{what} in {place}" for place, text in places.items() for what, secret in secrets.items() if secret in text
+    ]
+
+
+def test_nothing_of_the_truth_is_left_in_the_public_half(data, truths, halves):
+    public, truth = halves
+    secrets = secrets_of(data, truths)
+    secrets["salt"] = read_hidden(truth).salt.encode()
+    assert len(secrets) > 500 and leaks(public, secrets) == []
+    found = leaks(data / "sequences", secrets)
+    for planted in ("mini_stapler", "987654321", "turntable", "view 0", "<d"):
+        assert any(planted in line for line in found), f"the search would not have found {planted}"
+    assert leaks(truth, {"salt": secrets["salt"]}), "and it is where it should be"
+
+
+def test_files_of_the_public_half_say_nothing_by_their_times_modes_or_kinds(halves):
+    for half in halves:
+        for path in (half, *half.rglob("*")):
+            found = path.lstat()
+            assert found.st_mtime == EPOCH_S, path
+            assert stat.S_IMODE(found.st_mode) == (0o755 if path.is_dir() else 0o644) and not path.is_symlink()
+    names = {path.name for path in (halves[0] / "sequences").iterdir()}
+    assert len(names) == 2 and all(name.startswith("seq-") and len(name) == 16 for name in names)
+    assert {path.name for path in halves[0].iterdir()} == {"benchmark.json", "sequences"}
+
+
+def test_what_a_method_may_see_is_all_there(data, halves):
+    public, truth = halves
+    back = read_hidden(truth).names
+    assert set(back.values()) == set(OBJECTS)
+    for name, was in back.items():
+        now, then = read_sequence(public / "sequences" / name), read_sequence(data / "sequences" / was)
+        assert now.camera.K.tolist() == then.camera.K.tolist() and now.licence == then.licence
+        assert np.array_equal(now.times_s, then.times_s) and len(now.queries) == len(then.queries) == QUERIES
+        for a, b in zip(now.queries, then.queries, strict=True):
+            assert (a.pose_of_frame, a.state_of_frame) == (b.pose_of_frame, b.state_of_frame)
+            assert np.array_equal(a.T_newcam_cam, b.T_newcam_cam)
+        for i in range(len(now)):
+            a, b = now.frame(i), then.frame(i)
+            assert np.array_equal(a.rgb, b.rgb) and np.array_equal(a.depth, b.depth) and np.array_equal(a.mask, b.mask)
+
+
+def test_what_careless_makers_left_is_found_in_any_folder(data, halves):
+    found = [line for name in OBJECTS for line in traces(data / "sequences" / name)]
+    for wrong in (
+        "sequence.json holds more",
+        "queries.json holds more",
+        "notes.txt is nothing that a method may see",
+        "rgb/99999.png is nothing that a method may see",
+        "rgb/00000.png has a chunk b'tEXt'",
+        "depth/00000.png has bytes behind its end",
+        "rgb/00001.png has bytes behind its pixels",
+        "mask/00000.png has other values than 0 and 255",
+    ):
+        assert sum(wrong in line for line in found) == 2, wrong
+    assert len(found) == 16
+    assert [line for path in (halves[0] / "sequences").iterdir() for line in traces(path)] == []
+
+
+PLANTS = {
+    "a key": lambda folder: _rewrite(folder / "sequence.json", lambda body: body | {"seed": 5}),
+    "a digit": lambda folder: _rewrite(folder / "queries.json", lambda body: {"note": "5", **body}),
+    "a chunk": lambda folder: add_chunk(folder / "mask" / "00001.png", b"tIME", b"\x07\xe9\x0b\x19\x00\x00\x00"),
+    "a tail": lambda folder: add_behind(folder / "mask" / "00001.png", b"5"),
+    "a file": lambda folder: (folder / "rgb" / ".hidden").write_text("5"),
+    "a folder": lambda folder: (folder / "5").mkdir(),
+    "a link": lambda folder: (folder / "depth2").symlink_to(folder / "depth"),
+    "a level": lambda folder: (folder / "mask" / "00001.png").write_bytes(
+        checked.encode_png(254 * read_sequence(folder).frame(1).mask.astype(np.uint8))
+    ),
+}
+
+
+def _rewrite(path: Path, change) -> None:
+    path.write_text(json.dumps(change(json.loads(path.read_text())), indent=1) + "\n")
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_trace_that_is_planted_is_found_by_verify_whatever_the_hashes_say(plant, halves):
+    public, _ = halves
+    assert verify(public).findings == []
+    sequence = sorted((public / "sequences").iterdir())[0]
+    PLANTS[plant](sequence)
+    listed = json.loads((public / "benchmark.json").read_text())
+    for path in public.rglob("*"):
+        if path.is_file() and path.name != "benchmark.json":
+            listed["sha256"][str(path.relative_to(public))] = hashlib.sha256(path.read_bytes()).hexdigest()
+    (public / "benchmark.json").write_text(json.dumps(listed))
+    assert verify(public).findings, plant
+
+
+# ---- the same bytes
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_packing_again_gives_the_same_bytes_and_replaces_only_a_pack(data, halves, tmp_path):
+    public, truth = (contents(half) for half in halves)
+    pack_public(data, halves[0])
+    pack_truth(data, halves[1])
+    assert contents(halves[0]) == public and contents(halves[1]) == truth
+    (halves[0] / "mine.txt").write_text("mine")
+    with pytest.raises(FreeArtError, match=r"mine.txt in it would be lost"):
+        pack_public(data, halves[0])
+    shutil.rmtree(tmp_path / "other", ignore_errors=True)
+    shutil.copytree(data, tmp_path / "other")
+    for pack in (pack_public, pack_truth):
+        with pytest.raises(FreeArtError, match="is no older"):
+            pack(data, tmp_path / "other")
+
+
+def test_a_packed_set_packed_again_is_itself(halves, tmp_path):
+    """So it says nothing but what its pictures and numbers show."""
+    pack_public(halves[0], tmp_path / "again")
+    assert contents(tmp_path / "again") == contents(halves[0]) and not key_place(halves[0]).exists()
+    with pytest.raises(FreeArtError, match="packed without its truth"):
+        pack_truth(halves[0], tmp_path / "none")
+
+
+def test_a_zip_is_the_folder_and_the_same_every_time(data, halves, tmp_path):
+    for half, pack in zip(halves, (pack_public, pack_truth), strict=True):
+        bytes_ = []
+        for place in ("one", "two"):
+            pack(data, tmp_path / place / "set.zip")
+            bytes_.append((tmp_path / place / "set.zip").read_bytes())
+            assert [path.name for path in (tmp_path / place).iterdir()] == ["set.zip"]
+            with pytest.raises(FreeArtError, match="exists; choose another place"):
+                pack(data, tmp_path / place / "set.zip")
+        assert bytes_[0] == bytes_[1]
+        with zipfile.ZipFile(tmp_path / "one" / "set.zip") as archive:
+            assert {info.date_time for info in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+            assert not archive.comment and not any(info.extra or info.comment for info in archive.infolist())
+            archive.extractall(tmp_path / "unpacked" / half.name)
+        assert contents(tmp_path / "unpacked" / half.name / "set") == contents(half)
+        shutil.rmtree(tmp_path / "one")
+        shutil.rmtree(tmp_path / "two")
+
+
+def test_the_key_decides_names_and_salt_and_is_for_its_owner(data, halves, tmp_path):
+    place = key_place(data)
+    assert place == data.parent / "data.key" and stat.S_IMODE(place.stat().st_mode) == 0o600
+    key = read_key(place)
+    assert read_key(place) == key and len(key) == 32
+    pack_public(data, tmp_path / "other", tmp_path / "other.key")
+    names = [set(read_benchmark(folder).sequences) for folder in (halves[0], tmp_path / "other")]
+    assert not names[0] & names[1]
+    assert read_benchmark(halves[0]).hidden != read_benchmark(tmp_path / "other").hidden
+    with pytest.raises(FreeArtError, match=r"truth is not the truth of .*other: its digest is"):
+        read_benchmark(tmp_path / "other", halves[1])
+    (tmp_path / "bad.key").write_text('{"schema": "freeart21/pack-key/1", "key": "xyz"}')
+    with pytest.raises(FreeArtError, match="'key' is no key"):
+        pack_public(data, tmp_path / "third", tmp_path / "bad.key")
+
+
+def test_a_guess_of_the_truth_is_not_confirmed(data, halves):
+    """Whoever records the very truth has all hashes, and yet not the one that is published."""
+    public, truth = halves
+    hidden = read_hidden(truth)
+    assert read_benchmark(public).hidden == hidden.digest == digest(hidden.salt, hidden.sha256)
+    assert digest("", hidden.sha256) != hidden.digest != digest("0" * 64, hidden.sha256)
+
+
+def test_names_may_be_kept(data, tmp_path):
+    pack_public(data, tmp_path / "public", keep_names=True)
+    pack_truth(data, tmp_path / "truth", keep_names=True)
+    assert set(read_benchmark(tmp_path / "public", tmp_path / "truth").sequences) == set(OBJECTS)
+    assert verify(tmp_path / "public", tmp_path / "truth").findings == []
+
+
+# ---- used
+
+
+@pytest.fixture
+def answered(truths, halves, tmp_path):
+    """Results under the public names: an answer, and a sequence without one."""
+    name = next(packed for packed, was in read_hidden(halves[1]).names.items() if was == "mini_stapler-s5")
+    submit(tmp_path / "results" / name, truths["mini_stapler-s5"])
+    return tmp_path / "results"
+
+
+def test_scores_against_the_hidden_truth_are_those_of_the_whole(data, truths, halves, answered, tmp_path, monkeypatch):
+    few_samples(monkeypatch)
+    public, truth = halves
+    submit(tmp_path / "whole" / "mini_stapler-s5", truths["mini_stapler-s5"])
+    back = read_hidden(truth).names
+    hidden = {back[row.sequence]: row for row in score_results(answered, public, truth=truth).rows}
+    whole = {row.sequence: row for row in score_results(tmp_path / "whole", data).rows}
+    assert {name: row.values for name, row in hidden.items()} == {name: row.values for name, row in whole.items()}
+    assert hidden["mini_stapler-s5"].status == "ok" and hidden["cover_phone-s5"].status == "missing"
+    plain = {row.truth_sha256 for row in whole.values()}
+    assert not plain & {row.truth_sha256 for row in hidden.values()}, "a table's hash confirms no guess either"
+
+
+def test_without_the_truth_nothing_is_scored_and_all_is_validated(halves, answered):
+    public, truth = halves
+    with pytest.raises(FreeArtError, match="was packed without its truth.*--truth"):
+        score_results(answered, public)
+    assert validate_results(answered, public).answers == 1
+    with pytest.raises(FreeArtError, match="is no truth of a packed set: it has no hidden.json"):
+        score_results(answered, public, truth=public)
+    path = next(truth.rglob("seen.npz"))
+    path.write_bytes(path.read_bytes() + b" ")
+    with pytest.raises(FreeArtError, match="is missing, or is not the file that was packed"):
+        score_results(answered, public, truth=truth)
+
+
+def test_a_whole_data_folder_takes_no_other_truth(data, halves):
+    with pytest.raises(FreeArtError, match="holds its truth itself"):
+        read_benchmark(data, halves[1])
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        '{"schema": "freeart21/hidden-truth/1"}',
+        '{"schema": "freeart21/hidden-truth/1", "names": {}, "salt": "", "sha256": {"../x": ""}}',
+        '{"schema": "freeart21/hidden-truth/1", "names": {}, "salt": 3, "sha256": {}}',
+        '{"schema": "other"}',
+        "{",
+    ],
+)
+def test_a_broken_marker_is_refused_in_one_line(body, halves):
+    (halves[1] / "hidden.json").write_text(body)
+    with pytest.raises(FreeArtError) as refused:
+        read_benchmark(*halves)
+    assert len(str(refused.value).splitlines()) == 1
+
+
+def test_both_halves_verify_together(halves):
+    assert verify(*halves).findings == []
+    path = next(halves[1].rglob("part_mask/00000.png"))
+    assert read_truth(path.parents[1]) is not None
+
+
+def test_tables_are_kept_and_compared_with_the_truth_elsewhere(halves, answered, tmp_path, monkeypatch):
+    few_samples(monkeypatch)
+    monkeypatch.setattr(kept, "score_results", lambda *a, workers, **named: score_results(*a, **named))
+    public, truth = halves
+    comparison = compare_results([answered], public, None, tmp_path / "keep", truth=truth)
+    assert set(comparison.categories.values()) == {"Stapler"}
+    write_scores(tmp_path / "table.json", comparison.entrants[0].scores)
+    alone = compare_results([tmp_path / "table.json"], public)
+    assert set(alone.categories.values()) == {"unknown"}, "what the truth says is not known without it"
+
+
+def test_the_command_takes_one_half_at_a_time(data, tmp_path, capsys):
+    for given in ({}, {"public": True, "truth": True}):
+        with pytest.raises(FreeArtError, match="say which half"):
+            commands.pack(data, tmp_path / "out", **given)
+    commands.pack(data, tmp_path / "out", public=True)
+    assert "data.key: the key of both halves" in capsys.readouterr().out
+    commands.pack(data, tmp_path / "truth", truth=True)
+    assert "key" not in capsys.readouterr().out
+    with pytest.raises(FreeArtError, match="would be read"):
+        commands.pack(data, data / "sequences" / "out", public=True)
+    assert verify(tmp_path / "out", tmp_path / "truth").findings == []
+
+
+def test_a_truth_with_links_is_not_packed(data, tmp_path):
+    (data / "truth" / "cover_phone-s5" / "more.txt").symlink_to("/etc/hostname")
+    with pytest.raises(FreeArtError, match="is a link"):
+        pack_truth(data, tmp_path / "truth")
+    assert not (tmp_path / "truth").exists()

@@ -1,0 +1,450 @@
+"""The leaderboard as a static site: whole, self-contained, small, the same every time, safe from what methods say."""
+
+import html.parser
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import unquote, urldefrag
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, browser
+from score_case import few_samples, submit, truths, write_data
+from synthetic_case import noisy_answer, static_answer, truth_as_answer, with_names_exchanged
+
+from freeart21.errors import FreeArtError
+from freeart21.files.places import SITE
+from freeart21.files.result import Method, write_method, write_result
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import Failure
+from leaderboard.case import score_sequence
+from leaderboard.protocols import protocol_named
+from leaderboard.rows import Scores
+from leaderboard.score import summarise
+from leaderboard.site import build
+from leaderboard.site.answers import read_answer
+from leaderboard.site.entrant import entrants
+from leaderboard.site.index_page import ranked
+from leaderboard.site.names import file_names
+from leaderboard.site.packed import Packed, read_script, read_varints, varints
+from leaderboard.submission import method_of
+
+BOARD = "#protocol-strict-2"
+HOSTILE = '<script>alert("x")</script> & <img src=https://evil.example/x onerror=alert(1)>'
+PROTOCOLS_SHOWN = ("strict-2", "strict-1")
+REASON = "</script><script>document.title = 'owned'</script> ' \" --"
+
+
+def read(ref, body):
+    return read_varints(body[ref[0] : ref[0] + ref[1]])
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """A data folder and three methods: a good one, one of hostile words that fails, and one that lacks pieces."""
+    folder = tmp_path_factory.mktemp("site")
+    data = write_data(folder / "data")
+    good, bad, part = (folder / "results" / name for name in ("good", "bad", "part"))
+    for name, truth in truths().items():
+        answer = noisy_answer(truth)
+        submit(good / name, truth, with_names_exchanged(answer) if name == "b" else answer)
+    write_method(good, Method("good", "https://example.org/good 1.0", {"threshold": 0.5}, "one machine"))
+    write_method(bad, Method(HOSTILE, REASON, {HOSTILE: REASON}, HOSTILE))
+    write_result(bad / "a", Failure("segmentation", REASON))
+    submit(bad / "b", truths()["b"], replace(static_answer(truths()["b"])))
+    for name, truth in truths().items():
+        submit(part / name, truth, renders=False)
+    write_method(part, Method("part", lacks=("masks", "meshes", "renders")))
+    return data, [good, bad, part]
+
+
+@pytest.fixture(scope="module")
+def kept(world):
+    """Scores of few samples by two protocols, made once: what they are is other tests' affair."""
+    patch = pytest.MonkeyPatch()
+    few_samples(patch)
+    data, results = world
+    made = {(folder, protocol): scores_of(folder, data, protocol) for folder in results for protocol in PROTOCOLS_SHOWN}
+    patch.undo()
+    return made
+
+
+def scores_of(folder: Path, data: Path, protocol: str) -> Scores:
+    """The table of one method; numbers that it lacks are left out, as scoring leaves them out."""
+    method, _ = method_of(folder)
+    rows = [score_sequence(folder / n, data / "sequences" / n, data / "truth" / n, protocol) for n in "abc"]
+    rules = protocol_named(protocol)
+    lacking = {m.id for m in rules.metrics if m.id.startswith(("miou", "psnr", "ssim", "chamfer", "fscore"))}
+    if method.lacks:
+        rows = [replace(row, values={**row.values, **dict.fromkeys(lacking)}, values_cm={}) for row in rows]
+    facts = {"name": "made-up", "version": "1", "split": "test", "sha256": "0" * 64}
+    made = {"commit": "abc", "machine": {"system": "x"}}
+    return Scores(protocol, method, facts, tuple(rows), summarise(rows, rules), None, (), made)
+
+
+@pytest.fixture(scope="module")
+def site(world, kept, tmp_path_factory):
+    out = tmp_path_factory.mktemp("out") / "site"
+    write(world, kept, out)
+    return out
+
+
+def write(world, kept, out, **options):
+    data, results = world
+    patch = pytest.MonkeyPatch()
+    patch.setattr(build, "kept_scores", lambda folder, data, protocol, *_, **__: kept[folder, protocol])
+    try:
+        options = {"protocols": PROTOCOLS_SHOWN, "command": ["freeart21", "site", HOSTILE], **options}
+        return build.write_site(results, data, out, **options)
+    finally:
+        patch.undo()
+
+
+class Links(html.parser.HTMLParser):
+    """Addresses, ids, and whatever could run or style without a file."""
+
+    def __init__(self):
+        super().__init__()
+        self.links, self.ids, self.loose = [], set(), []
+        self._script = False
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        self.links += [(tag, given[key]) for key in ("href", "src") if given.get(key)]
+        if "id" in given:
+            assert given["id"] not in self.ids, f"two elements are called {given['id']}"
+            self.ids.add(given["id"])
+        self.loose += [f"{tag} {key}" for key in given if key.startswith("on") or key == "style"]
+        if tag == "script" and "src" not in given and given.get("type") != "application/json":
+            self.loose.append("inline script")
+        if tag in ("iframe", "object", "embed", "form", "base"):
+            self.loose.append(tag)
+
+
+class Cells(html.parser.HTMLParser):
+    """The texts of the cells of the first table's body."""
+
+    def __init__(self):
+        super().__init__()
+        self.texts, self._inside, self._done = [], False, False
+
+    def handle_starttag(self, tag, attrs):
+        if tag == "td" and not self._done:
+            self.texts.append("")
+            self._inside = True
+
+    def handle_endtag(self, tag):
+        self._inside &= tag != "td"
+        self._done |= tag == "table"
+
+    def handle_data(self, data):
+        if self._inside:
+            self.texts[-1] += data
+
+
+def parsed(page: Path) -> Links:
+    links = Links()
+    links.feed(page.read_text("utf-8"))
+    return links
+
+
+def pages(site: Path) -> list[Path]:
+    return sorted(site.rglob("*.html"))
+
+
+def test_there_is_a_page_for_everything(site, world):
+    names = {p.relative_to(site).as_posix() for p in pages(site)}
+    assert {"index.html", "failures.html", "definitions.html", "downloads.html"} <= names
+    assert {f"sequences/{name}.html" for name in "abc"} <= names
+    assert len([name for name in names if name.startswith("methods/")]) == 3 and len(names) == 10
+    marker = json.loads((site / "site.json").read_text())
+    there = {p.relative_to(site).as_posix() for p in site.rglob("*") if p.is_file()} - {"site.json"}
+    assert set(marker["files"]) == there
+
+
+def test_every_link_leads_to_a_file_of_the_site_and_none_out_of_it(site):
+    found = {page: parsed(page) for page in pages(site)}
+    for page, links in found.items():
+        for tag, address in links.links:
+            if address == "data:,":
+                continue
+            assert not re.match(r"[a-z]+:|//", address), (page.name, tag, address)
+            path, mark = urldefrag(unquote(address))
+            target = (page.parent / path).resolve() if path else page
+            assert target.is_file() and target.is_relative_to(site.resolve()), (page.name, address)
+            if mark and target.suffix == ".html":
+                assert mark in found[site / target.relative_to(site.resolve())].ids, (page.name, address)
+
+
+def test_nothing_runs_but_the_sites_own_files(site):
+    for page in pages(site):
+        assert not parsed(page).loose, page.name
+        text = page.read_text("utf-8")
+        assert "default-src &#x27;none&#x27;" in text and "unsafe" not in text
+
+
+def test_words_of_methods_are_words(site):
+    for page in pages(site):
+        text = page.read_text("utf-8")
+        assert "<script>alert" not in text and "<script>document" not in text and "<img src=https" not in text, (
+            page.name
+        )
+    assert "alert(&quot;x&quot;)" in (site / "index.html").read_text("utf-8")
+    for script in (site / "data").glob("*.js"):
+        assert re.fullmatch(r'var FreeArtPacked="[A-Za-z0-9+/=]*";\n', script.read_text())
+
+
+def test_the_same_results_give_the_same_bytes(world, kept, site, tmp_path):
+    write(world, kept, tmp_path / "again")
+    for path in sorted(site.rglob("*")):
+        if path.is_file():
+            assert path.read_bytes() == (tmp_path / "again" / path.relative_to(site)).read_bytes(), path
+
+
+def test_it_is_small(site):
+    sizes = {p: p.stat().st_size for p in site.rglob("*") if p.is_file()}
+    assert sum(size for path, size in sizes.items() if path.parent.name != "video") < 600_000
+    assert max(size for path, size in sizes.items() if path.parent.name == "data") < 60_000
+
+
+def test_an_older_site_is_replaced_and_nothing_else(world, kept, tmp_path):
+    out = tmp_path / "site"
+    write(world, kept, out)
+    write(world, kept, out, title="another")
+    assert "another" in (out / "index.html").read_text() and SITE.marks(out)
+    (out / "mine.txt").write_text("mine")
+    with pytest.raises(FreeArtError, match=r"mine.txt in it would be lost"):
+        write(world, kept, out)
+    assert (out / "mine.txt").read_text() == "mine"
+    with pytest.raises(FreeArtError, match="would be read"):
+        write(world, kept, world[0] / "site")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.tex").write_text("x")
+    with pytest.raises(FreeArtError, match="is no older site"):
+        write(world, kept, tmp_path / "other")
+
+
+def test_a_broken_call_is_told_in_one_line(world, kept, tmp_path):
+    data, results = world
+    with pytest.raises(FreeArtError, match="unknown protocol 'strict-9'"):
+        write(world, kept, tmp_path / "s", protocols=("strict-9",))
+    with pytest.raises(FreeArtError, match="named twice"):
+        build.write_site([results[0], results[0]], data, tmp_path / "s")
+    with pytest.raises(FreeArtError, match="no results were named"):
+        build.write_site([], data, tmp_path / "s")
+    assert not (tmp_path / "s").exists()
+
+
+def test_reasons_stand_where_what_is_missing_would_be(site):
+    failures = (site / "failures.html").read_text("utf-8")
+    assert failures.index("Not measured: 2 of 9") < failures.index("Worst by")
+    assert "there is no c among the results" in failures
+    sequence = (site / "sequences" / "a.html").read_text("utf-8")
+    assert "makes no meshes" in sequence and "makes no part masks" in sequence and "segmentation: " in sequence
+    assert "never priced" in (site / "methods" / "part.html").read_text("utf-8")
+
+
+def test_every_number_is_traced(site):
+    method = (site / "methods" / "good.html").read_text("utf-8")
+    for fact in (
+        "https://example.org/good 1.0",
+        "one machine",
+        "&quot;threshold&quot;: 0.5",
+        "commit",
+        "abc",
+        "0" * 64,
+    ):
+        assert fact in method
+    assert "freeart21 site &#x27;&lt;script&gt;" in (site / "downloads.html").read_text("utf-8")
+
+
+def test_a_method_without_some_numbers_has_no_place_by_mean_rank(world, kept):
+    board = entrants([(folder, {"strict-2": kept[folder, "strict-2"]}) for folder in world[1]])
+    places = ranked("strict-2", board)
+    assert [place.entrant.name for place in places] == ["good", HOSTILE, "part"]
+    assert places[0].rank < places[1].rank and places[2].rank is None
+    assert [place.measured for place in places] == [3, 1, 3]
+
+
+def test_names_are_safe_as_names_of_files():
+    hostile = ["a", "A", "../../etc/passwd", "con", "a/b", "a b", "", ".", "<script>", "é", "x" * 300, "a", "a?b#c"]
+    found = file_names(hostile)
+    assert found[0] == "a" and len({name.casefold() for name in found}) == len(hostile)
+    assert all(re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", name) and len(name) < 90 for name in found)
+    assert file_names(["<b>", "plain"])[0] == file_names(["plain", "<b>"])[1]
+
+
+def test_two_methods_of_one_name_are_told_apart(world, kept):
+    good = kept[world[1][0], "strict-2"]
+    board = entrants([(Path("x/one"), {"strict-2": good}), (Path("x/two"), {"strict-2": good})])
+    assert [entrant.name for entrant in board] == ["good (one)", "good (two)"]
+    assert (
+        len({(e.colour, e.shape, e.dash) for e in entrants([(Path(str(k)), {"strict-2": good}) for k in range(40)])})
+        == 40
+    )
+
+
+def test_whole_numbers_survive_packing():
+    values = np.concatenate([np.arange(-300, 300), [0, 1 << 40, -(1 << 40)]])
+    assert (read_varints(varints(values)) == values).all() and varints([]) == b""
+
+
+def test_a_packed_mesh_is_the_mesh_to_a_four_thousandth():
+    rng = np.random.default_rng(0)
+    mesh = Mesh(rng.normal(size=(50, 3)), rng.integers(0, 50, (80, 3)))
+    packed = Packed()
+    ref = packed.mesh(mesh)
+    _, body = read_script(packed.script({"m": ref}))
+    vertices = np.cumsum(read(ref["vertices"], body).reshape(3, -1), axis=1).T * ref["step"] + ref["low"]
+    steps = read(ref["faces"], body).reshape(3, -1)
+    faces = np.stack([np.cumsum(steps[0])] * 3, -1) + np.column_stack([0 * steps[0], steps[1], steps[2]])
+    solid = mesh.faces[(mesh.faces != np.roll(mesh.faces, 1, axis=1)).all(1)]
+
+    assert len(faces) == len(solid)
+    centres = np.sort(vertices[faces].mean(1), axis=0)
+    assert centres == pytest.approx(np.sort(mesh.vertices[solid].mean(1), axis=0), abs=2 * ref["step"])
+    normals = np.cross(*(np.diff(vertices[faces], axis=1).transpose(1, 0, 2)))
+    true = np.cross(*(np.diff(mesh.vertices[solid], axis=1).transpose(1, 0, 2)))
+    assert normals.sum(0) == pytest.approx(true.sum(0), abs=0.2)  # a face that was turned over would show
+
+
+def test_equal_arrays_are_kept_once():
+    packed = Packed()
+    assert packed.whole([1, 2, 3]) == packed.whole([1, 2, 3]) == [0, 3]
+
+
+def test_labels_survive_packing():
+    frames = np.random.default_rng(1).integers(0, 3, (4, 5, 7)).astype(np.uint8)
+    packed = Packed()
+    ref = packed.labels(frames)
+    runs = read(ref["at"], read_script(packed.script({}))[1])
+    assert (np.repeat(runs % 3, runs // 3).reshape(frames.shape) == frames).all()
+
+
+@pytest.mark.parametrize("kind", ["a", "b"])
+def test_an_answer_is_shown_where_scoring_puts_it(world, kind):
+    """Truth by another canonical frame and the other part names comes back as the truth."""
+    from synthetic_case import in_frame, random_pose
+
+    truth, folder = truths()[kind], world[0].parent / f"moved-{kind}"
+    answer = with_names_exchanged(in_frame(truth_as_answer(truth), random_pose(np.random.default_rng(3))))
+    submit(folder, truth, answer, renders=False)
+    shown = read_answer(folder, truth, [0, 5], True, (), truth.part_mask(0).shape)
+    parts = truth.articulation
+    assert shown.articulation.reference.vertices == pytest.approx(parts.reference.vertices, abs=1e-6)
+    assert shown.articulation.moving.vertices == pytest.approx(parts.moving.vertices, abs=1e-6)
+    assert shown.states_as_true == pytest.approx(truth.states, abs=1e-6) and shown.comparable
+    assert (shown.masks == np.stack([truth.part_mask(i) for i in (0, 5)])).all()
+    at = shown.articulation.joint.transform(shown.sign * 0.4 + shown.offset)
+    assert at == pytest.approx(parts.joint.transform(0.4), abs=1e-6)
+
+
+def test_an_answer_of_one_frame_is_shown_by_that_frame(world):
+    """Without poses and states: what was told of the anchor frame, and a state zero there."""
+    truth, folder = truths()["a"], world[0].parent / "one-frame"
+    answer = truth_as_answer(truth)
+    still = np.repeat(truth.Ts_camera_reference[4][None], len(truth), 0)
+    lid = truth.articulation.moving.moved(truth.articulation.joint.transform(truth.states[4]))
+    parts = replace(answer.articulation, moving=lid)
+    told = replace(
+        answer,
+        articulation=parts,
+        states=np.zeros(len(truth)),
+        Ts_camera_reference=still,
+        Ts_camera_moving=still,
+        anchor=4,
+    )
+    submit(folder, truth, told, renders=False)
+    shown = read_answer(folder, truth, [0], False, ("poses", "states"), truth.part_mask(0).shape)
+    assert shown.articulation.reference.vertices == pytest.approx(parts.reference.vertices, abs=1e-6)
+    q = float(truth.states[9])
+    there = shown.articulation.moving.moved(shown.articulation.joint.transform(shown.sign * q + shown.offset))
+    assert there.vertices == pytest.approx(
+        answer.articulation.moving.moved(parts.joint.transform(q)).vertices, abs=1e-6
+    )
+
+
+needs_chromium = pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")
+KINDS = (
+    "index.html",
+    "sequences/a.html",
+    "sequences/b.html",
+    "methods/good.html",
+    "failures.html",
+    "definitions.html",
+    "downloads.html",
+)
+
+
+@pytest.fixture(scope="module")
+def chrome():
+    with browser() as one:
+        yield one
+
+
+@needs_chromium
+def test_no_page_has_an_error_or_reaches_beyond_the_screen(chrome, site):
+    for page in KINDS:
+        for width in (320, 1440) if page != "index.html" else (320, 390, 800, 1440, 1600):
+            chrome.open(site / page, width, 800)
+            reach = chrome.run("Math.max(document.documentElement.scrollWidth, innerWidth)")
+            assert reach <= width, (page, width, reach)
+        assert not chrome.errors, page
+    assert chrome.run("document.title").startswith("Downloads")
+
+
+@needs_chromium
+def test_the_ranking_is_sorted_by_keys_and_filtered(chrome, site):
+    chrome.open(site / "index.html")
+    names = (
+        f"[...document.querySelectorAll('{BOARD} .ranking tbody tr')].map((row) => row.querySelector('th').textContent)"
+    )
+    cells = f"[...document.querySelectorAll('{BOARD} .ranking tbody td')].map((cell) => cell.textContent)"
+    written = Cells()
+    written.feed((site / "index.html").read_text("utf-8"))
+    first = chrome.run(names)
+    assert first[0] == "good" and first[2] == "part"
+    assert chrome.run(cells) == written.texts  # the scripts count as the page was written
+    chrome.run(f"document.querySelector('{BOARD} .ranking thead button[data-column=name]').focus()")
+    chrome.press("Enter")
+    assert chrome.run(names) == sorted(first, key=str.lower)
+    chrome.press(" ")
+    assert chrome.run(names) == sorted(first, key=str.lower)[::-1]
+    assert chrome.run("document.querySelector('.ranking th[aria-sort]').getAttribute('aria-sort')") == "descending"
+    axis = (
+        f"[...document.querySelectorAll('{BOARD} .ranking thead button')].find((b) => b.textContent.startsWith('axis'))"
+    )
+    chrome.run(f"{axis}.focus()")
+    assert "a failure costs 90" in chrome.run("document.querySelector('.explain').textContent")
+    measured = f"[...document.querySelectorAll('{BOARD} td.measured')].map((cell) => cell.lastChild.textContent)"
+    chrome.run(
+        f"[...document.querySelectorAll('{BOARD} .filters button')].find((b) => b.textContent === 'prismatic').click()"
+    )
+    assert set(chrome.run(measured)) == {"1 of 1"}
+    assert not chrome.errors
+
+
+@needs_chromium
+def test_one_protocol_is_shown_at_a_time(chrome, site):
+    chrome.open(site / "index.html")
+    seen = "[...document.querySelectorAll('section[id^=protocol-]')].filter((s) => !s.hidden).map((s) => s.id)"
+    assert chrome.run(seen) == ["protocol-strict-2"]
+    chrome.run("[...document.querySelectorAll('.protocols button')].find((b) => b.textContent === 'strict-1').focus()")
+    chrome.press("Enter")
+    assert chrome.run(seen) == ["protocol-strict-1"] and not chrome.errors
+
+
+@needs_chromium
+def test_a_sequence_plays_and_every_source_can_be_shown(chrome, site):
+    chrome.open(site / "sequences" / "a.html")
+    chips = "[...document.querySelectorAll('.player .chip')].map((b) => [b.textContent, b.disabled, b.ariaPressed])"
+    assert [(on, off) for _, off, on in chrome.run(chips)][:2] == [("true", False), ("true", False)]
+    assert any("segmentation" in text and off for text, off, _ in chrome.run(chips))
+    chrome.run("document.querySelector('.stage canvas').focus()")
+    chrome.press("ArrowRight")
+    assert "frame 1 " in chrome.run("document.querySelector('.readout').textContent")
+    assert chrome.run("(({ width, height }) => width > 100 && height > 50)(document.querySelector('.stage canvas'))")
+    assert chrome.run("document.querySelectorAll('.view canvas').length") == 1
+    assert chrome.run("document.querySelectorAll('.states path').length") >= 3
+    assert not chrome.errors
