@@ -70,7 +70,8 @@ def print_scores(scores: Scores, console: Console | None = None, everything: boo
             console.print(f"  {escape(f'{row.sequence}: {line}')}", style=style, soft_wrap=True)
     took = "" if scores.seconds is None else f", in {scores.seconds:.0f} s"
     console.print(f"  {scores.measured} of {len(scores.rows)} sequences were measured{took}", style="dim")
-    if any(row.measured_from == "files" for row in scores.rows):
+    assets_count = protocol_named(scores.protocol).asset != "none"
+    if assets_count and any(row.measured_from == "files" for row in scores.rows):
         console.print("  'files': there is no asset; joint and surfaces are read from the files.", style="dim")
 
 
@@ -110,7 +111,8 @@ def score_note(row: Row, protocol: str) -> str:
     """What a page says below a row: by which protocol, of which frames, measured from what."""
     measured = {
         "asset": "joint and surfaces of the asset, reloaded and driven in the simulator",
-        "files": "joint and surfaces of the result's files, as there is no asset",
+        "files": "joint and surfaces of the result's files, "
+        + ("as there is no asset" if protocol_named(protocol).asset != "none" else "which is all that it looks at"),
         "nothing": f"nothing could be measured ({row.reason}), and every number is what a failure costs",
     }[row.measured_from]
     return (
@@ -134,7 +136,7 @@ def _table(scores: Scores, metrics: list[Metric], whole: bool) -> Table:
         cells = [_cell(row, metric, whole) for metric in metrics]
         style = None if row.status == "ok" else "red"
         seconds = NOTHING if row.seconds is None else f"{row.seconds:.0f}"
-        table.add_row(escape(row.sequence), _status(row), *cells, seconds, style=style)
+        table.add_row(escape(row.sequence), _status(row, rules), *cells, seconds, style=style)
     groups = scores.summaries if len(scores.summaries) > 2 else scores.summaries[:1]  # one type is all there is
     for summary in groups if len(scores.rows) > 1 else ():
         table.add_section()
@@ -148,13 +150,13 @@ def _table(scores: Scores, metrics: list[Metric], whole: bool) -> Table:
     return table
 
 
-def _status(row: Row) -> str:
+def _status(row: Row, rules: Protocol) -> str:
     """What became of a row, in a word."""
     if row.status != "ok":
         return row.status.upper()
     if row.values.get("joint_type") == 0:
         return "wrong type"
-    return "files" if row.measured_from == "files" else "ok"
+    return "files" if row.measured_from == "files" and rules.asset != "none" else "ok"
 
 
 def _cell(row: Row, metric: Metric, whole: bool) -> str:
