@@ -159,7 +159,7 @@ def method_of(results: Path) -> tuple[Method, list[Fault]]:
 
 
 def link_faults(folder: Path) -> Iterator[Fault]:
-    """A fault for a result folder that is a link, and for each link in it that leads out of it."""
+    """A fault for a result folder that is a link, and for each link in it that leads out of it, or to itself."""
     if folder.is_symlink():
         yield _link_fault(folder.name)
         return
@@ -168,7 +168,14 @@ def link_faults(folder: Path) -> Iterator[Fault]:
         if count > MAX_FILES:
             yield Fault(folder.name, f"has more than {MAX_FILES} files", "one result", mend="remove what is no result")
             return
-        if path.is_symlink() and not path.resolve().is_relative_to(home):
+        if not path.is_symlink():
+            continue
+        try:
+            inside = path.resolve().is_relative_to(home)
+        except (OSError, RuntimeError):
+            yield replace(_link_fault(_named(folder, path)), found="leads to itself")
+            continue
+        if not inside:
             yield replace(_link_fault(_named(folder, path)), found="leads out of the folder")
 
 

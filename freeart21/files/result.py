@@ -282,7 +282,10 @@ def _read_covariances(path: Path, n: int) -> NDArray[np.float64] | None:
     with np.load(path, allow_pickle=False) as data:
         if "covariances" not in data:
             return None
-    covariances = checked.read_npz(path, ("covariances",))["covariances"].astype(float)
-    if covariances.shape != (n, 2, 6, 6):
-        raise FreeArtError(f"{path}: covariances has shape {covariances.shape}, expected ({n}, 2, 6, 6)")
+    given = checked.read_npz(path, ("covariances",))["covariances"]
+    if given.shape != (n, 2, 6, 6) or given.dtype.kind not in "fiu":
+        raise FreeArtError(
+            f"{path}: covariances has shape {given.shape} {given.dtype}, expected ({n}, 2, 6, 6) numbers"
+        )
+    covariances = given.astype(float)
     return None if np.isnan(covariances).all() else covariances
