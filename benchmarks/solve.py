@@ -42,9 +42,10 @@ from freeart21.files.truth import read_truth
 from generator import v1
 from generator.dataset import Job, Label, record_jobs
 from generator.session import RecordSettings
+from leaderboard.case import Case, score_sequence
 from leaderboard.protocols import Group, protocol_named
 from leaderboard.rows import Row
-from leaderboard.score import Case, score_sequence, summarise
+from leaderboard.score import summarise
 from reconstruct import VERSION
 from reconstruct.cache import code_digest
 from reconstruct.settings import ReconstructSettings
