@@ -14,14 +14,12 @@ with the axis half a degree and the pivot two millimetres off, states, poses, ma
 from __future__ import annotations
 
 import cProfile
-import inspect
 import os
 import pstats
 import resource
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -49,7 +47,6 @@ from freeart21.reconstruction import Reconstruction
 from freeart21.truth import Truth
 from leaderboard.case import score_sequence
 from leaderboard.score import score_results
-from leaderboard.worker import ROW_LIMIT_S, worker
 
 AXIS_OFF, PIVOT_OFF_M, STATE_OFF = np.deg2rad(0.5), 0.002, 0.01
 """By how much a made answer is wrong: its joint, and its states as a share of their range."""
@@ -105,13 +102,13 @@ def main(
     made = results is None
     results = results or make_results(benchmark, work / f"results-{faces}", faces, console)
     with measured() as used:
-        rows, walls = _score(results, benchmark, protocol, workers)
+        rows = score_results(results, benchmark.folder, protocol, workers=workers).rows
     whole = used()
     stages = _stages(results, benchmark, protocol, profiled)
     body = {
         "summary": {
             "sequences": len(rows),
-            "measured": sum(row["status"] == "ok" for row in rows),
+            "measured": sum(row.status == "ok" for row in rows),
             "wall_s": whole.wall_s,
             "cpu_s": whole.cpu_s,
             "cpu_s_a_row": whole.cpu_s / len(rows),
@@ -119,7 +116,7 @@ def main(
             "load_before": os.getloadavg()[0],
         },
         "stages": stages,
-        "rows": [{**row, "wall_s": wall} for row, wall in zip(rows, walls, strict=True)],
+        "rows": [{"sequence": r.sequence, "status": r.status, "measured_from": r.measured_from} for r in rows],
         "commit": commit(),
         "machine": machine(),
         "settings": {
@@ -183,37 +180,6 @@ def _waved(part: Mesh, faces: int) -> Mesh:
 
 def _dimmed(picture: np.ndarray) -> np.ndarray:
     return (picture * 0.95).astype(np.uint8)
-
-
-def _score(
-    results: Path, benchmark: Benchmark, protocol: str, workers: int
-) -> tuple[list[dict[str, Any]], list[float | None]]:
-    """Status and source of every row, and the wall seconds of each where the scorer's rows are timed one by one."""
-    if "workers" in inspect.signature(score_results).parameters:
-        rows = score_results(results, benchmark.folder, protocol, workers=workers).rows  # type: ignore[call-arg]
-        seconds: list[float | None] = [None] * len(rows)
-    else:
-        with ThreadPoolExecutor(workers) as pool:
-            shares = [benchmark.sequences[k::workers] for k in range(workers)]
-            done = list(pool.map(lambda names: _share(results, benchmark, protocol, names), shares))
-        found = {row.sequence: (row, wall) for share in done for row, wall in share}
-        rows = tuple(found[name][0] for name in benchmark.sequences)
-        seconds = [found[name][1] for name in benchmark.sequences]
-    facts = [{"sequence": r.sequence, "status": r.status, "measured_from": r.measured_from} for r in rows]
-    return facts, seconds
-
-
-def _share(results: Path, benchmark: Benchmark, protocol: str, names: tuple[str, ...]) -> list[tuple[Any, float]]:
-    rows = []
-    with worker() as scorer:
-        for name in names:
-            began = time.perf_counter()
-            where = {"result": results / name, "sequence": benchmark.sequence(name), "truth": benchmark.truth(name)}
-            row = scorer.score(
-                {**{key: str(path) for key, path in where.items()}, "protocol": protocol, "lacks": []}, ROW_LIMIT_S
-            )
-            rows.append((row, time.perf_counter() - began))
-    return rows
 
 
 def _stages(results: Path, benchmark: Benchmark, protocol: str, rows: int) -> dict[str, float]:
