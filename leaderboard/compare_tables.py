@@ -330,4 +330,6 @@ def _tex(text: str) -> str:
 
 
 def _ascii(text: str) -> str:
-    return printable(text).encode("ascii", "replace").decode()
+    """Text for a comment of LaTeX; the marks by their names."""
+    words = printable(text).replace("✓", "check mark").replace("✗", "cross")
+    return words.encode("ascii", "replace").decode()

@@ -99,7 +99,7 @@ def _mean(metric: Metric, summary: Summary) -> str:
     unit, found = metric.unit(summary.group), summary.statistics.get(metric.id)
     if unit is None or found is None:
         return number_cell(NONE)
-    std = "" if found.std is None else f" <small>± {number(found.std, unit)}</small>"
+    std = "" if found.std is None else f' <small class="std">± {number(found.std, unit)}</small>'
     rest = f"<small>median {number(found.median, unit)}, worst {number(found.worst, unit)}</small>"
     return number_cell(number(found.mean, unit, True), more=std + rest)
 
