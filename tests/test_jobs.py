@@ -259,7 +259,13 @@ def test_jobs_whose_processes_are_killed_are_begun_again(tmp_path, whole):
 
 
 def test_ctrl_c_ends_with_130_and_its_jobs_with_it(tmp_path):
-    with subprocess.Popen([sys.executable, "-c", STOPPED, str(tmp_path)], env=ENVIRONMENT, stderr=-1, text=True) as run:
+    with subprocess.Popen(
+        [sys.executable, "-c", STOPPED, str(tmp_path)],
+        env=ENVIRONMENT,
+        stderr=-1,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
+    ) as run:
         until(lambda: len(processes(str(tmp_path / "results"))) == 2)
         run.send_signal(signal.SIGINT)
         _, errors = run.communicate(timeout=60)
