@@ -64,6 +64,7 @@ STAGES = {
 }
 """Function of the scorer to what it does; none of them calls another."""
 SAMPLE_S = 0.05
+"""Between looks at the memory of all processes: a row takes seconds."""
 
 
 @dataclass(frozen=True)

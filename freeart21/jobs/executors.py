@@ -22,7 +22,8 @@ from freeart21.errors import FreeArtError
 from freeart21.jobs.work import PATIENCE_S, Ended, ended, in_a_process, start
 
 MOST_WORKERS = 10_000
-_POLL_S = 0.02
+"""Jobs at once: the longest list that schedulers take as they are shipped (SLURM's MaxJobCount is 10,000)."""
+_POLL_S = 0.02  # between looks at processes: jobs take seconds
 _LOST = -9
 """Code of a job that was lost with the worker that ran it."""
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from freeart21.view.document import escape
-from leaderboard.protocols import Metric, Protocol, protocol_named
+from leaderboard.protocols import Group, Metric, Protocol, protocol_named
 from leaderboard.rows import Row
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.html import (
@@ -114,8 +114,8 @@ def _board(protocol: str, entrants: Sequence[Entrant], shown: Sequence[Shown], f
     )
 
 
-def _head(label: str, metric: Metric, group: str) -> str:
-    unit = unit_text(metric.unit(group))  # type: ignore[arg-type]
+def _head(label: str, metric: Metric, group: Group) -> str:
+    unit = unit_text(metric.unit(group))
     arrow = "↑" if metric.direction == "up" else "↓"
     kind = f" <i>{group}</i>" if group != "all" else ""
     return f"{escape(label)}{kind} <small>{escape(unit)} {arrow}</small>"
@@ -127,7 +127,8 @@ def ranked(protocol: str, entrants: Sequence[Entrant]) -> list[Place]:
     cells = [tuple(_cell(entrant.scores[protocol].rows, m, g) for m, g in heads) for entrant in entrants]
     ranks = np.full((len(entrants), len(heads)), np.nan)
     for k, (metric, _) in enumerate(heads):
-        values = np.array([np.nan if c[k] is None else c[k][0] for c in cells])  # type: ignore[index]
+        column = [row[k] for row in cells]
+        values = np.array([np.nan if cell is None else cell[0] for cell in column])
         if metric.direction == "up":
             values = -values
         for i, value in enumerate(values):

@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 from freeart21.view.document import escape
-from leaderboard.protocols import PROTOCOLS
+from leaderboard.protocol import Group
+from leaderboard.protocols import protocol_named
+from leaderboard.published import PUBLISHED, PublishedRow
 from leaderboard.site.html import NONE, section, table, unit_text
 
 
-def published_rows() -> Sequence[Any]:
-    """The rows of `leaderboard.published`, none when this version has no such tables."""
-    try:
-        from leaderboard.published import PUBLISHED  # type: ignore[import-not-found,unused-ignore]
-    except ImportError:
-        return ()
-    return tuple(PUBLISHED)
-
-
 def published_section() -> str:
-    """All published rows, a table a protocol, data set and joint type; empty when there are none."""
-    rows = published_rows()
-    groups: dict[tuple[str, str, str, str], list[Any]] = {}
-    for row in rows:
-        groups.setdefault((row.protocol, row.dataset, row.group, str(row.source)), []).append(row)
-    if not groups:
-        return ""
+    """All published rows, a table a protocol, data set and joint type."""
+    groups: dict[tuple[str, str, Group, str], list[PublishedRow]] = {}
+    for row in PUBLISHED:
+        groups.setdefault((row.protocol, row.dataset, row.group, row.source), []).append(row)
     tables: list[str] = []
     for (protocol, dataset, group, source), members in groups.items():
         ids = list(dict.fromkeys(id for row in members for id in row.values))
@@ -48,19 +35,17 @@ def published_section() -> str:
     )
 
 
-def _head(protocol: str, id: str, group: str) -> str:
-    """The head of a column: the number's name and unit where its protocol is known here."""
-    if protocol not in PROTOCOLS:
-        return f'<th scope="col" class="number">{escape(id)}</th>'
-    metric = PROTOCOLS[protocol].metric(id)
-    unit = metric.unit(group)  # type: ignore[arg-type]
+def _head(protocol: str, id: str, group: Group) -> str:
+    """The head of a column: the number's name and unit."""
+    metric = protocol_named(protocol).metric(id)
     arrow = "↑" if metric.direction == "up" else "↓"
     name = escape(metric.column.replace("\n", " ") or metric.label)
-    return f'<th scope="col" class="number">{name} <small>{escape(unit_text(unit))} {arrow}</small></th>'
+    unit = escape(unit_text(metric.unit(group)))
+    return f'<th scope="col" class="number">{name} <small>{unit} {arrow}</small></th>'
 
 
-def _cell(value: Any) -> str:
+def _cell(value: tuple[float, float | None] | None) -> str:
     if value is None:
         return NONE
-    mean, std = value if isinstance(value, tuple) else (value, None)
+    mean, std = value
     return f"<span>{mean:.2f}</span>" + ("" if std is None else f" <small>± {std:.2f}</small>")
