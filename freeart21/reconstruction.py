@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from freeart21.articulation import Articulation
 from freeart21.errors import FreeArtError
+from freeart21.gaussians import Gaussians
 from freeart21.se3 import Array, check_poses
 
 
@@ -82,6 +83,9 @@ class Reconstruction:
 
     anchor: int = 0
     """The one frame whose poses are meant, when the method makes no poses of the other frames (it lacks 'poses')."""
+
+    appearance: Gaussians | None = None
+    """What it looks like, as Gaussians in the canonical frame; None when the method does not make them."""
 
     def __post_init__(self) -> None:
         n = len(self.states)
