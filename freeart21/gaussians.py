@@ -72,9 +72,9 @@ class Gaussians:
         T = np.asarray(T_new_old, float)
         return replace(
             self,
-            means=se3.transform(T, self.means),
-            quaternions=multiply(se3.wxyz(T), self.quaternions),
-            normals=self.normals @ T[:3, :3].T,
+            means=se3.transform(T, self.means).astype(np.float32),
+            quaternions=multiply(se3.wxyz(T), self.quaternions).astype(np.float32),
+            normals=(self.normals @ T[:3, :3].T).astype(np.float32),
         )
 
 
