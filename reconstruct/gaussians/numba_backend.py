@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from freeart21.se3 import Array
 from reconstruct.gaussians.rasteriser import (
@@ -68,9 +67,9 @@ def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
         in_threads(lambda a, b: _blend_back(tiles[a:b], across, *arguments), len(tiles), 2)
         flat = np.zeros((len(order), 10), np.float32)
         _gather(entries, buffer, flat)
-        found = [np.zeros((m, k), np.float32) for k in (3, 4, 3)]
+        means, quaternions, scales = (np.zeros((m, k), np.float32) for k in (3, 4, 3))
         twists = np.zeros((len(order), 6))
-        back = (order, records, flat, *shape[:3], splats.motion, poses, *frame[:4], *found, twists)
+        back = (order, records, flat, *shape[:3], splats.motion, poses, *frame[:4], means, quaternions, scales, twists)
         in_threads(lambda a, b: _project_back(a, b, *back), len(order), 500)
         opacities, colours = np.zeros(m, np.float32), np.zeros((m, 3), np.float32)
         screen, shown = np.zeros(m, np.float32), np.zeros(m, bool)
@@ -78,7 +77,7 @@ def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
         screen[order] = np.hypot(flat[:, 0], flat[:, 1])
         second = splats.motion[order] == 1
         both = np.stack([twists[~second].sum(0), twists[second].sum(0)])
-        return SplatGradients(*found, opacities, colours, both, screen, shown)
+        return SplatGradients(means, quaternions, scales, opacities, colours, both, screen, shown)
 
     return Picture(colour, depth, alpha, moving), pull
 
