@@ -378,6 +378,55 @@ class PoseSettings:
 
 
 @dataclass(frozen=True)
+class GaussianSettings:
+    """The articulated Gaussians and their end-to-end optimisation. Weights of the losses are the paper's; rates are
+    those of 3D Gaussian splatting, for a tenth of its iterations."""
+
+    refine: bool = True
+    """False: no Gaussians; geometry alone."""
+    blended: bool = True
+    """False: part weights stay 0 or 1 (the ablation "w/o Blended Rendering")."""
+    end_to_end: bool = True
+    """False: poses, states and joint stay as they were (the ablation "w/o end-to-end")."""
+    iterations: int = 2400
+    """Pictures that are looked at, at most."""
+    most: int = 40_000
+    """Gaussians at the beginning, at most."""
+    spacing: float = 1.0
+    """Distance between them at the beginning."""
+    light_terms: int = 16
+    """Spherical harmonics of the light: 1 (none), 4, 9, 16 or 25."""
+    sure: float = 0.97
+    """Part weight at the beginning of what the segmentation gave to the reference part."""
+    ssim: float = 0.2
+    """lambda_ssim."""
+    depth: float = 1.0
+    """lambda_depth, of depth in half object diagonals: the paper's objects are of about 2 m."""
+    mask: float = 1.0
+    """lambda_mask."""
+    held_back: int = 10
+    """Every how many frames one is held back, to judge by."""
+    cell: float = 2.0
+    """Size of the cells of the surface whose colour and depth are unknowns of the adjustment."""
+    momentum: float = 0.8
+    """Share of the last step of poses and joint that is taken again: model and motion wait for each other, and alone
+    each step goes a tenth of the way."""
+    rate_means: float = 0.05
+    """Adam's learning rate of the means, footprints."""
+    rate_quaternions: float = 1e-3
+    rate_scales: float = 5e-3
+    """Of the logarithms of the scales."""
+    rate_opacities: float = 5e-2
+    """Of their logits."""
+    rate_colours: float = 5e-3
+    rate_weights: float = 5e-2
+    """Of the logits of the part weights."""
+    rate_light: float = 5e-3
+    last_rate: float = 0.1
+    """Share of the rates that is left at the end."""
+
+
+@dataclass(frozen=True)
 class SurfaceSettings:
     """Fusion of a part's depth into a coloured mesh."""
 
@@ -417,6 +466,7 @@ class ReconstructSettings:
     gaps: GapSettings = field(default_factory=GapSettings)
     joint: JointSettings = field(default_factory=JointSettings)
     poses: PoseSettings = field(default_factory=PoseSettings)
+    gaussians: GaussianSettings = field(default_factory=GaussianSettings)
     surfaces: SurfaceSettings = field(default_factory=SurfaceSettings)
     progress: bool = True
     """Show a progress bar on standard error."""
