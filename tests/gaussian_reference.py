@@ -83,14 +83,14 @@ def _project(g, splats, poses, lens, clamp):
     return np.array([lens.fx * x / z + lens.cx, lens.fy * y / z + lens.cy]), (Q[0, 0], Q[0, 1], Q[1, 1]), z
 
 
-def derivatives(splats, poses, lens, d_colour, d_depth, d_alpha):
+def derivatives(splats, poses, lens, d_colour, d_depth, d_alpha, clamp=False):
     """By central differences, of the sum of `draw`'s pictures times what is given: arrays by name, 'twists' (2, 6) and
     'screen' (M,)."""
     splats = replace(splats, **{name: np.asarray(getattr(splats, name), float) for name in ARRAYS})
     poses = np.asarray(poses, float)
 
     def slope(change, step):
-        drawn = [draw(*change(sign * step)) for sign in (1, -1)]
+        drawn = [draw(*change(sign * step), clamp=clamp) for sign in (1, -1)]
         assert drawn[0].blended == drawn[1].blended, "a decision falls within the step: no derivative to compare with"
         up, down = (d.picture for d in drawn)
         difference = (

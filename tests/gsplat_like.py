@@ -1,0 +1,92 @@
+"""gsplat's `rasterization` without a GPU: the arguments and results that we use, in plain torch, for small scenes.
+
+Written from its documentation and from what its kernels do (1.5.3); `test_gaussian_backends` holds it to gsplat's own
+torch code where gsplat is installed.
+"""
+
+import torch
+
+
+def rasterization(
+    means,
+    quats,
+    scales,
+    opacities,
+    colors,
+    viewmats,
+    Ks,
+    width,
+    height,
+    near_plane=0.01,
+    far_plane=1e10,
+    eps2d=0.3,
+    packed=True,
+    render_mode="RGB",
+    rasterize_mode="classic",
+):
+    """Pictures (1, h, w, D + 1) with depth last, alphas (1, h, w, 1), and `means2d`, `radii`, `depths`, `conics`."""
+    n = len(means)
+    assert means.shape == (n, 3) and quats.shape == (n, 4) and scales.shape == (n, 3) and opacities.shape == (n,)
+    assert colors.ndim == 2 and len(colors) == n and viewmats.shape == (1, 4, 4) and Ks.shape == (1, 3, 3)
+    assert not packed and render_mode == "RGB+D" and rasterize_mode == "classic"
+    radii, means2d, depths, conics = project(
+        means, quats, scales, opacities, viewmats[0], Ks[0], width, height, near_plane, far_plane, eps2d
+    )
+    means2d = means2d[None]  # what stands in meta is what the picture depends on, as there
+    ys, xs = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    shown = torch.nonzero((radii > 0).all(-1))[:, 0]
+    order = shown[torch.argsort(depths[shown], stable=True)]
+    dx, dy = (xs.reshape(1, -1) - means2d[0, order, :1]), (ys.reshape(1, -1) - means2d[0, order, 1:])
+    a, b, c = (x[:, None] for x in conics[order].unbind(-1))
+    sigma = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
+    alphas = torch.clamp_max(opacities[order, None] * torch.exp(-sigma), 0.999)
+    alphas = torch.where((alphas < 1 / 255) | (sigma < 0), torch.zeros_like(alphas), alphas)
+    after = torch.cumprod(1 - alphas, 0)
+    live = after > 1e-4
+    weights = torch.where(live, alphas * torch.cat([torch.ones_like(after[:1]), after[:-1]]), torch.zeros_like(after))
+    values = torch.cat([colors, depths[:, None]], 1)[order]
+    seen = (weights.T @ values).reshape(1, height, width, -1)
+    alpha = weights.sum(0).reshape(1, height, width, 1)
+    meta = {"means2d": means2d, "radii": radii[None], "depths": depths[None], "conics": conics[None]}
+    return seen, alpha, meta
+
+
+def project(means, quats, scales, opacities, viewmat, K, width, height, near_plane, far_plane, eps2d):
+    """Radii (M, 2), projected means (M, 2), depths (M,) and inverse covariances (M, 3)."""
+    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
+    R = torch.stack(
+        [
+            1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+            2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+        ],
+        -1,
+    ).reshape(-1, 3, 3)  # fmt: skip
+    turn, shift = viewmat[:3, :3], viewmat[:3, 3]
+    px, py, pz = (means @ turn.T + shift).unbind(-1)
+    M = turn @ (R * scales[:, None, :])
+    safe = torch.where(pz.abs() < 1e-9, torch.full_like(pz, 1e-9), pz)
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    tx = torch.clamp(px / safe, -(cx + 0.15 * width) / fx, (width - cx + 0.15 * width) / fx)
+    ty = torch.clamp(py / safe, -(cy + 0.15 * height) / fy, (height - cy + 0.15 * height) / fy)
+    zero = torch.zeros_like(pz)
+    J = torch.stack([fx / safe, zero, -fx * tx / safe, zero, fy / safe, -fy * ty / safe], -1).reshape(-1, 2, 3)
+    P = J @ M
+    covariance = P @ P.transpose(1, 2) + eps2d * torch.eye(2)
+    a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    determinant = a * c - b * b
+    conics = torch.stack([c, -b, a], -1) / determinant[:, None]
+    means2d = torch.stack([fx * px / safe + cx, fy * py / safe + cy], -1)
+    with torch.no_grad():
+        reach = torch.sqrt(2 * torch.log((opacities * 255).clamp_min(1))).clamp_max(3.33)
+        radii = torch.ceil(reach[:, None] * torch.stack([a, c], -1).sqrt())
+        window = torch.tensor([width, height])
+        inside = ((means2d + radii > 0) & (means2d - radii < window)).all(-1)
+        good = inside & (pz >= near_plane) & (pz <= far_plane) & (opacities >= 1 / 255) & (determinant > 0)
+        radii = torch.where(good[:, None], radii, torch.zeros_like(radii)).to(torch.int32)
+    return radii, means2d, pz, conics
+
+
+def broken(*_args, **_kwargs):
+    """What compiling without a fitting toolkit does."""
+    raise RuntimeError("Error building extension 'gsplat_cuda'\nninja: build stopped")
