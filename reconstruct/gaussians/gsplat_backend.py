@@ -40,14 +40,18 @@ def lack() -> str | None:
     """
     for package in ("torch", "gsplat"):
         if importlib.util.find_spec(package) is None:
-            return f"{package} is not installed (pip install 'freeart21[torch]')"
+            return f"{package} is not installed (for an NVIDIA GPU: pip install 'freeart21[torch]')"
     try:
         import torch
     except (ImportError, OSError) as error:
         return f"torch cannot be imported: {_first_line(error)}"
     if not torch.cuda.is_available():
         return f"torch {torch.__version__} finds no CUDA GPU"
-    if importlib.util.find_spec("gsplat.csrc") is None and not _compiler():
+    try:
+        compiled = importlib.util.find_spec("gsplat.csrc") is not None
+    except (ImportError, OSError) as error:
+        return f"gsplat cannot be imported: {_first_line(error)}"
+    if not compiled and not _compiler():
         return "gsplat has to be compiled and there is no nvcc (a CUDA toolkit on PATH or in CUDA_HOME)"
     return None
 
