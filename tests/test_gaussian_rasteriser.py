@@ -46,6 +46,26 @@ def test_gradients_of_other_scenes(name):
     check_gradients(numba_backend.rasterise, *GRADIENT_SCENES[name]())
 
 
+def test_hundreds_in_the_same_tile_change_nothing_elsewhere():
+    """What stands before it in the same tile, but not before it in the picture."""
+    few = splats(5, 28, (0.005, 0.02), (0.04, 0.08, 0.05))
+    few = replace(few, means=few.means - np.float32([0.06, 0, 0]), motion=np.zeros(5, np.uint8))
+    crowd = splats(700, 29, (0.002, 0.003), (0.01, 0.1, 0.01))
+    crowd = replace(crowd, means=crowd.means + np.float32([0.06, 0, -0.1]), motion=np.zeros(700, np.uint8))
+    both = Splats(*(np.concatenate([getattr(crowd, f.name), getattr(few, f.name)]) for f in fields(Splats)))
+    (alone, pull_alone), (crowded, pull) = (numba_backend.rasterise(s, at(0.5), WINDOW) for s in (few, both))
+    left = np.s_[:, :23]
+    assert alone.alpha[left].max() > 0.5 and np.array_equal(alone.alpha[left], crowded.alpha[left])
+    rng = np.random.default_rng(30)
+    weights = [rng.normal(size=s).astype(np.float32) for s in ((29, 37, 3), (29, 37), (29, 37))]
+    for w in weights:
+        w[:, 23:] = 0
+    expected, found = pull_alone(*weights), pull(*weights)
+    for name in ("means", "quaternions", "scales", "opacities", "colours", "screen"):
+        value = getattr(expected, name)
+        assert np.abs(getattr(found, name)[700:] - value).max() < 2e-5 * np.abs(value).max(), name
+
+
 def test_what_is_cut_does_not_pull():
     """A Gaussian that is opaque at every pixel it covers there has an opacity that changes nothing."""
     one = replace(splats(1, size=(0.5, 0.5)), opacities=np.array([1.0], np.float32), means=np.zeros((1, 3), np.float32))
