@@ -1,5 +1,6 @@
 """Which rasteriser draws, and the way through gsplat: on a GPU where one is, else with its kernels stood in for."""
 
+import importlib
 import inspect
 import sys
 import types
@@ -77,22 +78,24 @@ def test_the_stand_in_is_called_as_gsplat_is(stand_in, monkeypatch):
     assert {name: p.default for name, p in ours.items()} == {name: real[name].default for name in ours}
 
 
-def test_the_stand_in_projects_as_gsplat_does(stand_in, monkeypatch):
-    import torch
-
+@pytest.fixture
+def without_kernels(stand_in, monkeypatch):
+    """gsplat itself on a processor, its own torch code in the place of its kernels."""
     monkeypatch.delitem(sys.modules, "gsplat")
     theirs = pytest.importorskip("gsplat.cuda._torch_impl", reason="gsplat is not installed")
-    some, Ts, lens = SCENES["off the window"]()
-    arrays = [torch.tensor(getattr(some, name)) for name in ("means", "quaternions", "scales")]
-    view = torch.tensor(Ts[0], dtype=torch.float32)
-    K = torch.tensor([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]])
-    opaque = torch.ones(len(some))
-    radii, *ours = stand_in.project(*arrays, opaque, view, K, lens.width, lens.height, 0.01, 1e10, 0.3)
-    covariances, _ = theirs._quat_scale_to_covar_preci(arrays[1], arrays[2], compute_preci=False)
-    found = theirs._fully_fused_projection(arrays[0], covariances, view[None], K[None], lens.width, lens.height)
-    assert torch.equal(found[0][0], radii) and (radii == 0).any() and (radii > 0).any()
-    for a, b in zip(found[1:4], ours, strict=True):
-        assert torch.allclose(a[0], b, rtol=1e-4, atol=1e-4)
+    rendering = importlib.import_module("gsplat.rendering")
+    for name, kernel in stand_in.kernels(theirs).items():
+        monkeypatch.setattr(rendering, name, kernel)
+
+
+@pytest.mark.parametrize("name", ["plain", "off the window", "opaque", "a crop far from the axis", "a strip"])
+def test_pictures_by_gsplat_without_its_kernels(without_kernels, name):
+    check_picture(gsplat_backend.rasterise, *SCENES[name](), clamp=True)
+
+
+@pytest.mark.parametrize("name", ["other ones", "edge on", "across tiles"])
+def test_gradients_by_gsplat_without_its_kernels(without_kernels, name):
+    check_gradients(gsplat_backend.rasterise, *GRADIENT_SCENES[name](), clamp=True)
 
 
 def test_both_backends_on_a_gpu():
