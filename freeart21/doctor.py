@@ -30,7 +30,12 @@ BACKPORTS = (
 _NEEDED = (
     "SAPIEN needs Vulkan 1.2 with descriptorBindingPartiallyBound, timelineSemaphore and VK_EXT_extended_dynamic_state"
 )
-_OPTIONAL = {"torch": "freeart21[torch]", "mani_skill": "freeart21[maniskill]", "mujoco": "freeart21[dev]"}
+_OPTIONAL = {
+    "torch": "freeart21[torch]",
+    "gsplat": "freeart21[torch]",
+    "mani_skill": "freeart21[maniskill]",
+    "mujoco": "freeart21[dev]",
+}
 
 _PROBE_CV2 = "import cv2; print(cv2.__version__)"
 _PROBE_SAPIEN = """
@@ -44,6 +49,11 @@ try:
     print(json.dumps({"summary": sapien.render.get_device_summary()}))
 except RuntimeError as error:
     print(json.dumps({"error": str(error)}))
+"""
+_PROBE_GAUSSIANS = """
+import json
+from reconstruct.gaussians.backends import outlook
+print(json.dumps(dict(zip(("backend", "why"), outlook()))))
 """
 # Names of the devices that the Vulkan loader sees (VkPhysicalDeviceProperties, where the name starts at byte 20).
 _PROBE_VULKAN = """
@@ -84,7 +94,7 @@ class Finding:
 
 def examine() -> list[Finding]:
     """Everything that the product needs or can use on this machine, in the order in which it should be mended."""
-    return [_python(), *_packages(), _cv2(), _rendering(), _gpu(), *_optional()]
+    return [_python(), *_packages(), _cv2(), _rendering(), _gpu(), _gaussians(), *_optional()]
 
 
 def require_rendering() -> None:
@@ -189,6 +199,22 @@ def _gpu() -> Finding:
     if names:
         return Finding("GPU", "ok", ", ".join(names))
     return Finding("GPU", "note", f"none; everything runs on the {os.cpu_count()} processor cores")
+
+
+def _gaussians() -> Finding:
+    """Which rasteriser of Gaussians the reconstruction takes."""
+    done = _python_says(_PROBE_GAUSSIANS)
+    answer = _last_json(done.stdout)
+    if "backend" in answer:
+        return Finding("Gaussians", "ok", f"{answer['backend']}: {answer['why']}")
+    said = done.stderr.strip().splitlines()
+    reason = said[-1] if said else f"exit code {done.returncode}"
+    return Finding(
+        "Gaussians",
+        "missing",
+        f"looking for what draws them failed ({reason})",
+        "pip install -e . -c constraints.txt, or where torch crashes: pip uninstall torch",
+    )
 
 
 def _optional() -> list[Finding]:

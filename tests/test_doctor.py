@@ -89,3 +89,15 @@ def test_a_wrong_package_version_is_named(monkeypatch):
     monkeypatch.setattr(doctor.importlib.metadata, "version", lambda name: "2.2.2" if name == "sapien" else real(name))
     (finding,) = doctor._packages()
     assert finding.status == "missing" and finding.detail == "sapien is 2.2.2, expected >=3.0.3"
+
+
+def test_what_draws_gaussians_is_said(says):
+    says[doctor._PROBE_GAUSSIANS] = (0, 'a warning\n{"backend": "numba", "why": "on the processor: no GPU"}')
+    assert doctor._gaussians() == doctor.Finding("Gaussians", "ok", "numba: on the processor: no GPU")
+    says[doctor._PROBE_GAUSSIANS] = (-11, "", "")
+    assert doctor._gaussians().status == "missing" and "exit code -11" in doctor._gaussians().detail
+
+
+def test_what_draws_gaussians_is_told_by_a_real_probe():
+    finding = doctor._gaussians()
+    assert finding.status == "ok" and finding.detail.startswith(("numba: on the processor: ", "gsplat: "))

@@ -1,0 +1,190 @@
+"""Which rasteriser draws, and the way through gsplat: on a GPU where one is, else with its kernels stood in for."""
+
+import importlib
+import inspect
+import sys
+import types
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from gaussian_scenes import GRADIENT_SCENES, SCENES, SMALL, check_gradients, check_picture, poses, splats
+
+from freeart21.errors import FreeArtError
+from reconstruct.gaussians import backends, gsplat_backend, numba_backend
+from reconstruct.gaussians.rasteriser import Lens, Splats
+
+
+@pytest.fixture(autouse=True)
+def asked_anew():
+    gsplat_backend.fault.cache_clear()
+    yield
+    gsplat_backend.fault.cache_clear()
+
+
+@pytest.fixture
+def stand_in(monkeypatch):
+    """gsplat's function on a processor: everything but its kernels is ours and runs."""
+    pytest.importorskip("torch", reason="torch is not installed (extra torch)")
+    import gsplat_like
+
+    monkeypatch.setattr(gsplat_backend, "_DEVICE", "cpu")
+    monkeypatch.setitem(sys.modules, "gsplat", types.SimpleNamespace(rasterization=gsplat_like.rasterization))
+    return gsplat_like
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_pictures_by_way_of_gsplat(stand_in, name):
+    check_picture(gsplat_backend.rasterise, *SCENES[name](), clamp=True)
+
+
+@pytest.mark.parametrize("name", GRADIENT_SCENES)
+def test_gradients_by_way_of_gsplat(stand_in, name):
+    check_gradients(gsplat_backend.rasterise, *GRADIENT_SCENES[name](), clamp=True)
+
+
+@pytest.mark.parametrize("by", [("colour",), ("depth",), ("alpha",)])
+def test_gradients_by_one_picture_by_way_of_gsplat(stand_in, by):
+    check_gradients(gsplat_backend.rasterise, splats(6, 20), poses(), SMALL, by=by, clamp=True)
+
+
+def test_what_was_drawn_is_said_by_way_of_gsplat(stand_in):
+    for name in ("off the window", "behind the camera"):
+        some, Ts, lens = SCENES[name]()
+        shape = (lens.height, lens.width)
+        ones = np.ones((*shape, 3), np.float32), np.ones(shape, np.float32), np.ones(shape, np.float32)
+        here, there = (b.rasterise(some, Ts, lens)[1](*ones) for b in (numba_backend, gsplat_backend))
+        assert (there.drawn >= here.drawn).all() and there.drawn.sum() < len(some)
+        assert not there.means[~there.drawn].any() and not there.screen[~there.drawn].any()
+
+
+def test_no_gaussian_needs_no_gpu():
+    none = Splats(**{f.name: getattr(splats(), f.name)[:0] for f in fields(Splats)})
+    picture, pull = gsplat_backend.rasterise(none, poses(), SMALL)
+    ours, our_pull = numba_backend.rasterise(none, poses(), SMALL)
+    weights = np.ones_like(ours.colour), np.ones_like(ours.depth), np.ones_like(ours.alpha)
+    for a, b in ((picture, ours), (pull(*weights), our_pull(*weights))):
+        for field in fields(a):
+            x, y = getattr(a, field.name), getattr(b, field.name)
+            assert x.shape == y.shape and x.dtype == y.dtype and not x.any() and not y.any(), field.name
+
+
+def test_the_stand_in_is_called_as_gsplat_is(stand_in, monkeypatch):
+    monkeypatch.delitem(sys.modules, "gsplat")
+    real = inspect.signature(pytest.importorskip("gsplat", reason="gsplat is not installed").rasterization).parameters
+    ours = inspect.signature(stand_in.rasterization).parameters
+    names = list(real)
+    assert names[:9] == list(ours)[:9]
+    assert {name: p.default for name, p in ours.items()} == {name: real[name].default for name in ours}
+
+
+@pytest.fixture
+def without_kernels(stand_in, monkeypatch):
+    """gsplat itself on a processor, its own torch code in the place of its kernels."""
+    monkeypatch.delitem(sys.modules, "gsplat")
+    theirs = pytest.importorskip("gsplat.cuda._torch_impl", reason="gsplat is not installed")
+    rendering = importlib.import_module("gsplat.rendering")
+    for name, kernel in stand_in.kernels(theirs).items():
+        monkeypatch.setattr(rendering, name, kernel)
+
+
+@pytest.mark.parametrize("name", ["plain", "off the window", "opaque", "a crop far from the axis", "a strip"])
+def test_pictures_by_gsplat_without_its_kernels(without_kernels, name):
+    check_picture(gsplat_backend.rasterise, *SCENES[name](), clamp=True)
+
+
+@pytest.mark.parametrize("name", ["other ones", "edge on", "across tiles"])
+def test_gradients_by_gsplat_without_its_kernels(without_kernels, name):
+    check_gradients(gsplat_backend.rasterise, *GRADIENT_SCENES[name](), clamp=True)
+
+
+def test_both_backends_on_a_gpu():
+    lack = gsplat_backend.lack()
+    if lack:
+        pytest.skip(f"no gsplat on a GPU: {lack}")
+    assert gsplat_backend.fault() is None
+    some, lens = splats(3000, 40, (0.002, 0.02)), Lens(300.0, 300.0, 101.0, 83.0, 203, 165)
+    rng = np.random.default_rng(41)
+    weights = [rng.normal(size=s).astype(np.float32) for s in ((165, 203, 3), (165, 203), (165, 203))]
+    (ours, our_pull), (theirs, their_pull) = (b.rasterise(some, poses(), lens) for b in (numba_backend, gsplat_backend))
+    for field in fields(ours):
+        difference = np.abs(getattr(ours, field.name) - getattr(theirs, field.name))
+        assert np.quantile(difference, 0.99) < 1e-3 and difference.max() < 0.05, field.name
+    a, b = our_pull(*weights), their_pull(*weights)
+    for name in ("means", "quaternions", "scales", "opacities", "colours", "twists"):
+        x, y = getattr(a, name).ravel(), getattr(b, name).ravel()
+        assert np.linalg.norm(x - y) < 0.02 * np.linalg.norm(x), name
+
+
+# --- which one is taken -----------------------------------------------------------------------------------------------
+
+
+def test_without_a_package_the_processor_draws(monkeypatch):
+    monkeypatch.setattr(gsplat_backend.importlib.util, "find_spec", lambda name: None)
+    assert backends.choose() is numba_backend.rasterise
+    name, why = backends.outlook()
+    assert name == "numba" and why.startswith("on the processor: torch is not installed (")
+    with pytest.raises(FreeArtError, match="cannot be drawn by gsplat here: torch is not installed") as raised:
+        backends.choose("gsplat")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_torch_that_cannot_be_imported_is_no_crash_of_ours(monkeypatch):
+    monkeypatch.setattr(gsplat_backend.importlib.util, "find_spec", lambda name: name)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert gsplat_backend.lack().startswith("torch cannot be imported: ")
+    assert backends.choose() is numba_backend.rasterise
+
+
+def _torch(cuda, toolkit):
+    return {
+        "torch": types.SimpleNamespace(__version__="2.9", cuda=types.SimpleNamespace(is_available=lambda: cuda)),
+        "torch.utils": types.SimpleNamespace(),
+        "torch.utils.cpp_extension": types.SimpleNamespace(CUDA_HOME=toolkit),
+    }
+
+
+@pytest.mark.parametrize(
+    "cuda, toolkit, built, expected",
+    [
+        (False, None, True, "finds no CUDA GPU"),
+        (True, None, False, "there is no nvcc"),
+        (True, "/nowhere", False, "there is no nvcc"),
+        (True, None, True, None),
+        (True, "here", False, None),
+    ],
+)
+def test_what_is_missing_is_named(monkeypatch, tmp_path, cuda, toolkit, built, expected):
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "nvcc").touch()
+    for name, module in _torch(cuda, str(tmp_path) if toolkit == "here" else toolkit).items():
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setattr(gsplat_backend.shutil, "which", lambda name: None)
+    specs = {"torch": 1, "gsplat": 1, **({"gsplat.csrc": 1} if built else {})}
+    monkeypatch.setattr(gsplat_backend.importlib.util, "find_spec", specs.get)
+    lack = gsplat_backend.lack()
+    assert lack is None if expected is None else expected in lack
+    assert backends.outlook()[0] == ("gsplat" if expected is None else "numba")
+
+
+def test_gsplat_is_taken_where_it_works_and_only_there(stand_in, monkeypatch):
+    monkeypatch.setattr(gsplat_backend, "lack", lambda: None)
+    assert backends.choose("numba") is numba_backend.rasterise
+    assert backends.choose() is gsplat_backend.rasterise
+    assert backends.choose("gsplat") is gsplat_backend.rasterise
+    gsplat_backend.fault.cache_clear()
+    monkeypatch.setitem(sys.modules, "gsplat", types.SimpleNamespace(rasterization=stand_in.broken))
+    assert backends.choose() is numba_backend.rasterise
+    with pytest.raises(FreeArtError, match="gsplat fails: RuntimeError: Error building extension 'gsplat_cuda'; "):
+        backends.choose("gsplat")
+
+
+def test_a_gsplat_that_draws_nothing_is_not_taken(stand_in, monkeypatch):
+    def empty(*args, **kwargs):
+        seen, alpha, meta = stand_in.rasterization(*args, **kwargs)
+        return 0 * seen, 0 * alpha, meta
+
+    monkeypatch.setattr(gsplat_backend, "lack", lambda: None)
+    monkeypatch.setitem(sys.modules, "gsplat", types.SimpleNamespace(rasterization=empty))
+    assert gsplat_backend.fault() == "gsplat draws nothing"
+    assert backends.choose() is numba_backend.rasterise
