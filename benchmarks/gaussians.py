@@ -15,6 +15,8 @@ window).
   derivatives written (those numbers, the screen's, and `drawn`). Divided by the bandwidth that copying large arrays
   reaches with the same threads, measured between the repeats; a copied byte counts twice, read and written. *share* is
   limit over measured: 1 would be a rasteriser that only waits for memory.
+- *step*: a whole step of the optimisation of as many Gaussians: those that face the camera are drawn, held to a picture
+  of others by all losses, and stepped, and the frame's equations for the poses are taken.
 - *pairs*: pixels in Gaussians' ellipses, hidden ones included: what the work grows with.
 """
 
@@ -25,6 +27,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -36,10 +39,16 @@ from benchmarks.common import RESULTS, commit, machine
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files.atomic import write_json
-from freeart21.gaussians import rotations
+from freeart21.gaussians import multiply, rotations
+from freeart21.joint import Joint
 from reconstruct.gaussians import backends
+from reconstruct.gaussians.losses import Target
+from reconstruct.gaussians.model import Parameters, logit
+from reconstruct.gaussians.optimisation import Fit
 from reconstruct.gaussians.rasteriser import DILATION, FAINTEST, Lens, Rasterise, Splats
 from reconstruct.kernels import in_threads
+from reconstruct.poses import JointedPoses
+from reconstruct.settings import GaussianSettings
 
 READ, WRITTEN, DRAWN, PULLED = 57, 61, 24, 24
 """Bytes: of a Gaussian, of its derivatives, of a pixel drawn, and of a pixel pulled."""
@@ -47,6 +56,8 @@ SIZE = (0.24, 0.16, 0.10)
 """Of the object, metres."""
 DISTANCE = 0.5
 """Of the object, metres."""
+HINGE, OPEN = Joint("lid", "revolute", [1, 0, 0], [0, -0.2 * SIZE[1], 0.5 * SIZE[2]], -np.inf, np.inf), 0.2
+"""Of the lid, and its state, rad."""
 COPIED = 256 << 20
 """Bytes of the array that is copied: more than a processor keeps."""
 
@@ -60,6 +71,15 @@ class Scene:
     lens: Lens
     given: list[np.ndarray]
     """Derivatives by colour, depth and alpha."""
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Seconds, a number a repeat."""
+
+    forward: list[float]
+    backward: list[float]
+    step: list[float]
 
 
 def main(
@@ -85,8 +105,8 @@ def main(
     rasterise = backends.choose(backend)
     name = rasterise.__module__.rsplit(".", 1)[-1].removesuffix("_backend")
     scenes = {(n, window): _scene(n, *_size(window), focal, seed) for window in windows for n in counts}
-    bandwidth, taken = _measure(rasterise, scenes, repeats)
-    rows = [_row(name, n, window, scene, *taken[n, window], bandwidth) for (n, window), scene in scenes.items()]
+    bandwidth, taken = _measure(rasterise, scenes, focal, repeats)
+    rows = [_row(name, n, window, scene, taken[n, window], bandwidth) for (n, window), scene in scenes.items()]
     _print(rows, bandwidth, name)
     write_json(
         out,
@@ -126,8 +146,8 @@ def _size(window: str) -> tuple[int, int]:
 def _scene(n: int, width: int, height: int, focal: float, seed: int) -> Scene:
     rng = np.random.default_rng([seed, n])
     lens = Lens(focal, focal, width / 2, height / 2, width, height)
-    tilt = se3.exp_so3([[0.5, 0.6, 0.0], [0.5, 0.6, 0.1]])
-    poses = se3.pose(tilt, [[0, 0, DISTANCE], [0.005, 0, DISTANCE]])
+    T = se3.pose(se3.exp_so3([0.5, 0.6, 0.0]), [0, 0, DISTANCE])
+    poses = np.stack([T, T @ HINGE.transform(OPEN)])
     shape = (height, width)
     given = [rng.normal(size=s).astype(np.float32) for s in ((*shape, 3), shape, shape)]
     return Scene(_discs(n, rng), poses, lens, given)
@@ -144,11 +164,12 @@ def _discs(n: int, rng: np.random.Generator) -> Splats:
     sizes, centres = (np.array([b[k] for b in boxes]) for k in (0, 1))
     within = rng.uniform(-0.5, 0.5, (n, 3))
     within[np.arange(n), axis] = 0.5 * side
-    ahead = np.array([[0.5, 0.5, 0.5, 0.5], [0.5, -0.5, -0.5, -0.5], [1, 0, 0, 0]])  # z to x, to y, to z
+    ahead = np.array([[0.5, 0.5, 0.5, 0.5], [0.5, -0.5, -0.5, -0.5], [1, 0, 0, 0]])[axis]  # z to x, to y, to z
+    outward = np.where((side > 0)[:, None], ahead, multiply(ahead, [0, 1, 0, 0]))
     across = 0.7 * np.sqrt(areas.sum() / n) * rng.lognormal(0, 0.3, (n, 2))
     return Splats(
         (centres[box] + within * sizes[box]).astype(np.float32),
-        ahead[axis].astype(np.float32),
+        outward.astype(np.float32),
         np.column_stack([across, 0.1 * across.min(1)]).astype(np.float32),
         rng.uniform(0.3, 0.95, n).astype(np.float32),
         rng.uniform(0, 1, (n, 3)).astype(np.float32),
@@ -167,16 +188,36 @@ def _pairs(scene: Scene) -> float:
     return float((2 * np.pi * np.log(s.opacities / FAINTEST) * np.sqrt(np.linalg.det(covariances))).sum())
 
 
+def _step(scene: Scene, rasterise: Rasterise, focal: float) -> Callable[[], Any]:
+    """One step of the optimisation of the scene's Gaussians, which may be called again and again."""
+    s = scene.splats
+    light = np.zeros((GaussianSettings().light_terms, 3), np.float32)
+    light[0] = 1 / 0.28209479
+    weights = np.where(s.motion == 0, 0.97, 0.03).astype(np.float32)
+    arrays = (s.means, s.quaternions, np.log(s.scales), logit(s.opacities), s.colours, logit(weights), light)
+    picture, _ = rasterise(_discs(len(s), np.random.default_rng(1)), scene.poses, scene.lens)
+    seen = picture.alpha > 0.5
+    depth = np.where(seen, picture.depth / np.maximum(picture.alpha, 0.5), 0).astype(np.float32)
+    target = Target(picture.colour, depth, seen, np.zeros_like(depth))
+    place = SimpleNamespace(noise=0.001, footprint=DISTANCE / focal, diagonal=float(np.linalg.norm(SIZE)))
+    video = SimpleNamespace(scene=place, lens=lambda i: scene.lens, target=lambda i: target)
+    poses = JointedPoses(HINGE, np.array([OPEN]), scene.poses[:1], np.array([0.01]), 0.0)
+    own = Parameters(*(np.array(a, np.float32) for a in arrays))  # stepped in place
+    fit = Fit(video, own, poses, rasterise, GaussianSettings(), np.random.default_rng(0))
+    return lambda: fit.step(0, 0.5)
+
+
 # --- measuring --------------------------------------------------------------------------------------------------------
 
 
 def _measure(
-    rasterise: Rasterise, scenes: dict[tuple[int, str], Scene], repeats: int
-) -> tuple[float, dict[tuple[int, str], tuple[list[float], list[float]]]]:
-    """Bytes a second of a copy, and seconds forward and backward, `repeats` of each."""
+    rasterise: Rasterise, scenes: dict[Any, Scene], focal: float, repeats: int
+) -> tuple[float, dict[Any, Taken]]:
+    """Bytes a second of a copy, and seconds of each scene's work, `repeats` of each."""
     source, target = np.ones(COPIED, np.uint8), np.zeros(COPIED, np.uint8)
     copies: list[float] = []
-    taken: dict[tuple[int, str], tuple[list[float], list[float]]] = {key: ([], []) for key in scenes}
+    taken = {key: Taken([], [], []) for key in scenes}
+    steps = {key: _step(scene, rasterise, focal) for key, scene in scenes.items()}
 
     def copy(begin: int, end: int) -> None:
         np.copyto(target[begin:end], source[begin:end])
@@ -186,11 +227,12 @@ def _measure(
         for key, scene in scenes.items():
             forward, (picture, pull) = _seconds(lambda s=scene: rasterise(s.splats, s.poses, s.lens))
             backward, _ = _seconds(lambda p=pull, s=scene: p(*s.given))
-            if turn == 0 and not picture.alpha.max() > 0.9:
+            step, _ = _seconds(steps[key])
+            if not picture.alpha.max() > 0.9:
                 raise FreeArtError(f"{key} draws nothing that is opaque: there is nothing to measure")
             if turn:
-                taken[key][0].append(forward)
-                taken[key][1].append(backward)
+                for seconds, now in zip(vars(taken[key]).values(), (forward, backward, step), strict=True):
+                    seconds.append(now)
     return 2 * COPIED / statistics.median(copies[1:]), taken
 
 
@@ -200,48 +242,41 @@ def _seconds(work: Callable[[], Any]) -> tuple[float, Any]:
     return time.perf_counter() - begin, result
 
 
-def _row(
-    backend: str,
-    n: int,
-    window: str,
-    scene: Scene,
-    forward: list[float],
-    backward: list[float],
-    bandwidth: float,
-) -> dict[str, Any]:
+def _row(backend: str, n: int, window: str, scene: Scene, taken: Taken, bandwidth: float) -> dict[str, Any]:
     pixels = scene.lens.width * scene.lens.height
     fewest = {"forward": n * READ + pixels * DRAWN, "backward": n * (READ + WRITTEN) + pixels * PULLED}
-    both = [f + b for f, b in zip(forward, backward, strict=True)]
+    both = [f + b for f, b in zip(taken.forward, taken.backward, strict=True)]
     pairs, middle = _pairs(scene), statistics.median(both)
     return {
         "backend": backend,
         "gaussians": n,
         "window": window,
-        "forward_ms": 1e3 * statistics.median(forward),
-        "backward_ms": 1e3 * statistics.median(backward),
+        "forward_ms": 1e3 * statistics.median(taken.forward),
+        "backward_ms": 1e3 * statistics.median(taken.backward),
         "iteration_ms": 1e3 * middle,
         "lowest_ms": 1e3 * min(both),
         "highest_ms": 1e3 * max(both),
+        "step_ms": 1e3 * statistics.median(taken.step),
         "pairs": round(pairs),
         "ns_per_pair": 1e9 * middle / pairs,
         "limit_ms": 1e3 * sum(fewest.values()) / bandwidth,
-        "share_forward": fewest["forward"] / bandwidth / statistics.median(forward),
-        "share_backward": fewest["backward"] / bandwidth / statistics.median(backward),
+        "share_forward": fewest["forward"] / bandwidth / statistics.median(taken.forward),
+        "share_backward": fewest["backward"] / bandwidth / statistics.median(taken.backward),
         "share": sum(fewest.values()) / bandwidth / middle,
     }
 
 
 def _print(rows: list[dict[str, Any]], bandwidth: float, backend: str) -> None:
     table = Table(
-        *("window", "count", "forward", "back", "both", "pairs/px", "ns/pair", "limit", "share"),
-        title=f"{backend}: milliseconds an iteration; copying reaches {bandwidth / 1e9:.1f} GB/s",
+        *("window", "count", "forward", "back", "both", "step", "px", "ns", "limit", "share"),
+        title=f"{backend}: milliseconds; px: pairs a pixel; ns: a pair; copying reaches {bandwidth / 1e9:.1f} GB/s",
     )
     for row in rows:
         width, height = _size(row["window"])
         table.add_row(
             row["window"],
             str(row["gaussians"]),
-            *(f"{row[name]:.1f}" for name in ("forward_ms", "backward_ms", "iteration_ms")),
+            *(f"{row[name]:.1f}" for name in ("forward_ms", "backward_ms", "iteration_ms", "step_ms")),
             f"{row['pairs'] / (width * height):.0f}",
             f"{row['ns_per_pair']:.2f}",
             f"{row['limit_ms']:.2f}",
