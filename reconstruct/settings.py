@@ -378,6 +378,14 @@ class PoseSettings:
 
 
 @dataclass(frozen=True)
+class GaussianSettings:
+    """One model of both parts, fitted to every frame."""
+
+    refine: bool = True
+    """False: no Gaussians, geometry alone."""
+
+
+@dataclass(frozen=True)
 class SurfaceSettings:
     """Fusion of a part's depth into a coloured mesh."""
 
@@ -417,6 +425,7 @@ class ReconstructSettings:
     gaps: GapSettings = field(default_factory=GapSettings)
     joint: JointSettings = field(default_factory=JointSettings)
     poses: PoseSettings = field(default_factory=PoseSettings)
+    gaussians: GaussianSettings = field(default_factory=GaussianSettings)
     surfaces: SurfaceSettings = field(default_factory=SurfaceSettings)
     progress: bool = True
     """Show a progress bar on standard error."""
