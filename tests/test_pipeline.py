@@ -18,17 +18,20 @@ from reconstruct_clip import make_clip
 
 from benchmarks import solve as bench
 from freeart21 import se3, stopping
+from freeart21.articulation import Articulation
 from freeart21.cli import reconstruct as command
 from freeart21.errors import FreeArtError
-from freeart21.files.sequence import write_sequence
+from freeart21.files.sequence import read_sequence, write_sequence
 from freeart21.gaussians import Gaussians
 from freeart21.help import command_help
 from freeart21.joint import Joint
+from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 from leaderboard.rows import Row
 from reconstruct import VERSION, cache, pipeline
 from reconstruct.gaussians.rasteriser import FAINTEST
 from reconstruct.pipeline import reconstruct_folder, reconstruct_until
+from reconstruct.scene import prepare
 from reconstruct.settings import ReconstructSettings
 from reconstruct.stages import KEPT, STAGES, used_by
 
@@ -157,8 +160,26 @@ def some_gaussians(rng, n=50):
     return Gaussians(opacities=rng.uniform(0, 1, n), part_weights=weights, **arrays)
 
 
+def _up_to_joint(finished, out):
+    """Keeps for `out` what `finished` found before the stage `gaussians`."""
+    cache.work_folder(out).mkdir()
+    for name in ("segmentation", "joint"):
+        shutil.copy(cache.work_folder(finished) / f"{name}.npz", cache.work_folder(out))
+
+
+@pytest.fixture(scope="module")
+def coloured(sequence, finished, tmp_path_factory):
+    """The result of an uninterrupted run with `_coloured`, with its stages beside it."""
+    out = tmp_path_factory.mktemp("coloured") / "out"
+    _up_to_joint(finished, out)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(pipeline._SOLVERS, "gaussians", _coloured)
+        reconstruct_folder(sequence, out, QUIET, keep_work=True)
+    return out
+
+
 def _run_until_killed(sequence, out, stage):
-    """As `reconstruct_folder`, but it hangs in a stage, of which the file `in_STAGE` beside `out` tells."""
+    """As `reconstruct_folder` with `_coloured`, but it hangs in a stage, of which the file `in_STAGE` tells."""
 
     def hangs(*_):
         (out.parent / f"in_{stage}").touch()
@@ -169,16 +190,11 @@ def _run_until_killed(sequence, out, stage):
 
 
 @pytest.mark.parametrize("stage, kept", [("gaussians", "joint"), ("poses", "gaussians")])
-def test_killed_in_the_gaussians_or_after_them_a_process_leaves_what_it_had(
-    stage, kept, sequence, finished, tmp_path, monkeypatch
+def test_killed_in_the_gaussians_or_after_them_a_run_goes_on_to_the_same_ones(
+    stage, kept, sequence, finished, coloured, tmp_path, monkeypatch
 ):
-    """The Gaussians come to the answer through the kept stages, to the last bit."""
-    monkeypatch.setitem(pipeline._SOLVERS, "gaussians", _coloured)
-    for out in (tmp_path / "whole", tmp_path / "out"):
-        cache.work_folder(out).mkdir()
-        for name in ("segmentation", "joint"):
-            shutil.copy(cache.work_folder(finished) / f"{name}.npz", cache.work_folder(out))
-    reconstruct_folder(sequence, tmp_path / "whole", QUIET, keep_work=True)
+    out = tmp_path / "out"
+    _up_to_joint(finished, out)
     process = multiprocessing.get_context("spawn").Process(target=_run_until_killed, args=(sequence, out, stage))
     process.start()
     deadline = time.monotonic() + 60
@@ -188,12 +204,26 @@ def test_killed_in_the_gaussians_or_after_them_a_process_leaves_what_it_had(
     process.join()
     assert process.exitcode == -signal.SIGKILL and not out.exists()
     assert cache.Work(sequence, out, QUIET).last()[0].stage == kept
+    monkeypatch.setitem(pipeline._SOLVERS, "gaussians", _coloured)
     reconstruct_folder(sequence, out, QUIET, keep_work=True)
-    assert contents(out) == contents(tmp_path / "whole")
-    answers = [cache.Work(sequence, tmp_path / name, QUIET).last()[0].known.answer for name in ("whole", "out")]
-    assert len(answers[0].appearance) > 50, "some were of both parts"
+    assert contents(out) == contents(coloured)
+    found, whole = (cache.Work(sequence, o, QUIET).last()[0].known.answer.appearance for o in (out, coloured))
     for f in fields(Gaussians):
-        assert np.array_equal(*(getattr(answer.appearance, f.name) for answer in answers)), f.name
+        assert np.array_equal(getattr(found, f.name), getattr(whole, f.name)), f.name
+
+
+def test_the_answers_gaussians_stand_where_those_of_the_stage_did(sequence, coloured):
+    work, recording = cache.Work(sequence, coloured, QUIET), read_sequence(sequence)
+    known = cache._read(work.path("poses"), "poses", work._keys["poses"]).known
+    poses = replace(known.grown.poses, states=known.grown.poses.states + 0.3)  # a state zero far from frame 0's
+    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3)))
+    grown, articulation = replace(known.grown, poses=poses), Articulation(poses.joint, nothing, nothing)
+    scene = prepare(recording, QUIET.scene)
+    answer = pipeline._canonical(articulation, known.appearance, grown, known.free, scene, recording)
+    for q, state in zip(poses.states, answer.states, strict=True):
+        expected = drawn(known.appearance, poses.joint.transform(q), known.free[0].Ts[0])
+        found = drawn(answer.appearance, answer.articulation.joint.transform(state), np.eye(4))
+        assert expected.shape == found.shape and np.allclose(found, expected, atol=1e-5)
 
 
 def test_gaussians_draw_the_same_in_every_state_with_another_state_zero():
@@ -202,18 +232,21 @@ def test_gaussians_draw_the_same_in_every_state_with_another_state_zero():
     parted = pipeline._parted(gaussians, joint.transform(q0))
     assert set(parted.part_weights) == {0, 1}
     for q in (0.0, q0, -0.4):
-        before = drawn(gaussians, joint.transform(q))
-        after = drawn(parted, joint.transform(q) @ se3.inverse(joint.transform(q0)))
+        before = drawn(gaussians, joint.transform(q), np.eye(4))
+        after = drawn(parted, joint.transform(q) @ se3.inverse(joint.transform(q0)), np.eye(4))
         assert before.shape == after.shape and np.allclose(before, after, atol=1e-5)
     assert np.array_equal(parted.light, gaussians.light)
 
 
-def drawn(gaussians, motion):
-    """(M, 17) all that a rasteriser draws under a motion of the joint, but what is too faint for it."""
+def drawn(gaussians, motion, T):
+    """(M, 17) what a rasteriser draws under a motion of the joint, then `T`; what is too faint for it left out."""
     found = []
-    for weight, one in ((gaussians.part_weights, gaussians), (1 - gaussians.part_weights, gaussians.moved(motion))):
-        opacities = gaussians.opacities * weight
-        columns = [opacities[:, None], one.means, one.quaternions, one.scales, one.colours, one.normals]
+    for weights, moved in (
+        (gaussians.part_weights, gaussians.moved(T)),
+        (1 - gaussians.part_weights, gaussians.moved(T @ motion)),
+    ):
+        opacities = gaussians.opacities * weights
+        columns = [opacities[:, None], moved.means, moved.quaternions, moved.scales, moved.colours, moved.normals]
         found.append(np.concatenate(columns, 1)[opacities >= FAINTEST])
     return np.concatenate(found)
 
