@@ -136,7 +136,7 @@ def _solve(
             if stage == until:
                 return None, None
     except HopelessError as error:
-        return Failure(error.stage, error.reason, clock.seconds), None
+        return Failure(clock.running, str(error), clock.seconds), None
     assert known.answer is not None
     return replace(known.answer, seconds=clock.seconds), known.diagnostics
 
@@ -351,7 +351,9 @@ class _Clock:
 
     def __init__(self, show: bool) -> None:
         self.seconds: dict[str, float] = {}
-        self._began: tuple[str, float] = ("", 0.0)
+        self.running = STAGES[0].name
+        """The stage that was begun last."""
+        self._began = 0.0
         self._show, self._console = show, Console(stderr=True)
         self._bar = Progress(
             TextColumn("{task.description:>12}"),
@@ -362,7 +364,7 @@ class _Clock:
             disable=not (show and self._console.is_terminal),
             transient=True,
         )
-        self._task = self._bar.add_task(STAGES[0].name, total=len(STAGES))
+        self._task = self._bar.add_task(self.running, total=len(STAGES))
 
     def __enter__(self) -> _Clock:
         self._bar.start()
@@ -375,7 +377,7 @@ class _Clock:
     def stage(self, name: str) -> Iterator[None]:
         """Times a stage by name; one that was timed before and is repeated keeps its time."""
         self._bar.update(self._task, description=name)
-        self._began = (name, time.perf_counter())
+        self.running, self._began = name, time.perf_counter()
         try:
             yield
         finally:
@@ -384,8 +386,8 @@ class _Clock:
 
     def so_far(self) -> dict[str, float]:
         """Seconds of all stages, with what the running one has taken until now."""
-        name, began = self._began
-        return {**self.seconds, name: self.seconds.get(name, round(time.perf_counter() - began, 3))}
+        took = round(time.perf_counter() - self._began, 3)
+        return {**self.seconds, self.running: self.seconds.get(self.running, took)}
 
     def go_on(self, kept: Kept) -> None:
         """Take over the seconds of stages that need not be solved again."""
