@@ -23,6 +23,7 @@ from freeart21.ending import in_one_line
 from freeart21.errors import FreeArtError
 from leaderboard import commands as board
 from reconstruct.settings import ReconstructSettings
+from reconstruct.stages import STAGES, KeptStage
 
 if TYPE_CHECKING:
     from freeart21.reconstruction import Reconstruction
@@ -31,6 +32,9 @@ Positional = tyro.conf.Positional
 DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
 DOUBTFUL = 3
 """Exit code of `reconstruct` when there is an answer that it does not trust itself."""
+STOP_AFTER = "Stop after this stage; what it found is kept for the next call. " + " ".join(
+    f"{stage.name}: {stage.does}." for stage in STAGES if stage.kept
+)
 
 
 def doctor(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
@@ -281,7 +285,7 @@ def verify(data: Annotated[Path, Positional], deep: bool = False, truth: Path | 
 def reconstruct(
     sequence: Annotated[Path, Positional],
     out: Path,
-    until: Literal["segmentation", "joint", "poses", "surfaces"] | None = None,
+    until: Annotated[KeptStage | None, tyro.conf.arg(help=STOP_AFTER)] = None,
     keep_work: bool = False,
     segmentation: Literal["ours", "paper"] | None = None,
     settings_file: Annotated[Path | None, tyro.conf.arg(name="settings", metavar="FILE.json")] = None,
@@ -296,7 +300,6 @@ def reconstruct(
     Args:
         sequence: A sequence folder (with sequence.json).
         out: Result folder, such as results/ours/SEQ.
-        until: Stop after this stage; what it found is kept for the next call.
         keep_work: Keep what the stages found when the result is written, too, for calls with other settings.
         segmentation: Short for --settings.segmentation: ours, or the paper's with features made by hand.
         settings_file: Settings of every stage to start from; what the file does not name keeps its default. The

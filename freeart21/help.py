@@ -79,7 +79,7 @@ def command_help(name: str, f: Callable[..., Any]) -> str:
             metavar = _metavar(hint)
             lines += _entry(
                 f"{_flag(option, hint)} {metavar}".replace(" .", ".").rstrip(),
-                said.get(option, ""),
+                said.get(option) or _said(hint, "help") or "",
                 by_name[option].default,
             )
     return "\n".join(lines)
@@ -125,7 +125,7 @@ def _markers(hint: Any) -> tuple[Any, ...]:
 
 
 def _said(hint: Any, what: str) -> Any:
-    """What `tyro.conf.arg` says of a parameter, such as its name."""
+    """What `tyro.conf.arg` says of a parameter: its name, metavar or help."""
     told = [m for m in _markers(hint) if hasattr(m, "help_behavior_hint")]
     return getattr(told[0], what) if told else None
 

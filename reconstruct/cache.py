@@ -1,8 +1,8 @@
 """What finished stages found, kept beside the result: a stopped run goes on from there, to the same result bit for bit.
 
 A stage is kept as one .npz file (arrays, and facts as JSON; nothing that can be executed) under a key made of the
-video's bytes, the settings that this and earlier stages use, the solver's code and its libraries. Random numbers go on
-where the stage left them.
+video's bytes, the settings that this and earlier stages use, the solver's code and its libraries, and what draws
+Gaussians on this machine. Random numbers go on where the stage left them.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ import json
 import shutil
 import zipfile
 import zlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.diagnostics import Diagnostics, diagnostics_from_json, diagnostics_to_json
+from freeart21.gaussians import Gaussians
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction, Trust
@@ -34,14 +36,7 @@ from reconstruct import VERSION
 from reconstruct.growth import Grown
 from reconstruct.poses import FreePoses, JointedPoses
 from reconstruct.settings import ReconstructSettings
-
-KeptStage = Literal["segmentation", "joint", "poses", "surfaces"]
-"""Stages whose outcome is kept, in their order; tracks are found again in seconds and would take gigabytes."""
-
-STAGES: tuple[KeptStage, ...] = get_args(KeptStage)
-
-_FIRST_USED: dict[str, KeptStage] = {"exchanges": "joint", "gaps": "joint", "surfaces": "surfaces"}
-"""Groups of settings that the first stage does not use: all others, known or not, count from the first stage on."""
+from reconstruct.stages import KEPT, KeptStage, used_by
 
 _LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image")
 _UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error, FreeArtError)
@@ -53,6 +48,8 @@ class Known:
 
     grown: Grown | None = None
     """Parts, poses and joint."""
+    appearance: Gaussians | None = None
+    """In the frame of the reference part, at state zero of the joint in `grown`."""
     free: tuple[FreePoses, ...] = ()
     """Both parts' poses without the joint."""
     answer: Reconstruction | None = None
@@ -89,7 +86,7 @@ class Work:
     def last(self) -> tuple[Kept | None, list[str]]:
         """The furthest stage that is kept under today's key, and a line for each file that cannot be used."""
         complaints = []
-        for stage in reversed(STAGES):
+        for stage in reversed(KEPT):
             if not self.path(stage).is_file():
                 continue
             try:
@@ -99,7 +96,7 @@ class Work:
                 continue
             if kept is not None:
                 return kept, complaints
-            complaints.append(f"{self.path(stage)} is of another video, other settings or another solver")
+            complaints.append(f"{self.path(stage)} is of another video, other settings, another solver or another GPU")
         return None, complaints
 
     def keep(self, kept: Kept) -> None:
@@ -128,11 +125,12 @@ def stage_keys(sequence: Path, settings: ReconstructSettings) -> dict[KeptStage,
             basis.update(file.read_bytes())
     groups = settings.to_json()
     del groups["progress"]
+    if settings.gaussians.refine:
+        groups["gaussians"]["drawn by"] = _drawn_by()
     keys = {}
-    for k, stage in enumerate(STAGES):
-        mine = {name: group for name, group in groups.items() if STAGES.index(_FIRST_USED.get(name, STAGES[0])) <= k}
+    for stage in KEPT:
         digest = basis.copy()
-        digest.update(json.dumps([stage, mine], sort_keys=True).encode())
+        digest.update(json.dumps([stage, used_by(stage, groups)], sort_keys=True).encode())
         keys[stage] = digest.hexdigest()
     return keys
 
@@ -159,6 +157,21 @@ def _libraries() -> dict[str, str]:
     return found
 
 
+@lru_cache
+def _drawn_by() -> list[str]:
+    """What draws Gaussians here, beside what every key holds: nothing on a CPU; gsplat, torch and the GPU on CUDA.
+
+    There sums have no fixed order: what is kept stays, bit for bit, but a second solving differs in its last bits.
+    """
+    if find_spec("torch") is None or find_spec("gsplat") is None:
+        return []
+    import torch
+
+    if not torch.cuda.is_available():
+        return []
+    return [metadata.version("gsplat"), torch.__version__, torch.cuda.get_device_name()]
+
+
 # --- a stage as a file ------------------------------------------------------------------------------------------------
 
 
@@ -182,6 +195,7 @@ def _packed(kept: Kept, key: str) -> bytes:
     for k, free in enumerate(known.free):
         arrays |= {f"free_{k}_Ts": free.Ts, f"free_{k}_covariances": free.covariances}
     facts["free"] = len(known.free)
+    _pack_appearance("appearance", known.appearance, arrays)
     if known.answer is not None:
         facts["answer"] = _pack_answer(known.answer, arrays)
     if known.diagnostics is not None:
@@ -220,10 +234,12 @@ def _read(path: Path, stage: KeptStage, key: str) -> Kept | None:
     if "diagnostics" in facts:
         found = diagnostics_from_json(facts["diagnostics"], path)
         diagnostics = replace(found, confidence_maps=arrays.get("confidence_maps"))
-    return Kept(stage, Known(grown, free, answer, diagnostics), rng, facts["seconds"])
+    appearance = _unpack_appearance("appearance", arrays)
+    return Kept(stage, Known(grown, appearance, free, answer, diagnostics), rng, facts["seconds"])
 
 
 _OF_ANSWER = ("states", "Ts_camera_reference", "Ts_camera_moving", "part_masks", "seen", "state_std", "covariances")
+_OF_GAUSSIANS = tuple(f.name for f in fields(Gaussians))
 
 
 def _pack_answer(answer: Reconstruction, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
@@ -236,6 +252,7 @@ def _pack_answer(answer: Reconstruction, arrays: dict[str, NDArray[Any]]) -> dic
         arrays |= {f"{part}_vertices": mesh.vertices, f"{part}_faces": mesh.faces}
         if mesh.colours is not None:
             arrays[f"{part}_colours"] = mesh.colours
+    _pack_appearance("answer_appearance", answer.appearance, arrays)
     said = None if answer.trust is None else {"verdict": answer.trust.verdict, "reasons": answer.trust.reasons}
     stds = {"axis_std": answer.axis_std, "pivot_std": answer.pivot_std}
     return {**_pack_joint(answer.articulation.joint, arrays), **stds, "trust": said}
@@ -247,7 +264,19 @@ def _unpack_answer(facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Re
     answer = Reconstruction(articulation, **{name: arrays.get(f"answer_{name}") for name in _OF_ANSWER})  # type: ignore[arg-type]
     said = facts["trust"]
     trust = None if said is None else Trust(said["verdict"], tuple(said["reasons"]))
-    return replace(answer, trust=trust, axis_std=facts["axis_std"], pivot_std=facts["pivot_std"])
+    appearance = _unpack_appearance("answer_appearance", arrays)
+    return replace(answer, trust=trust, axis_std=facts["axis_std"], pivot_std=facts["pivot_std"], appearance=appearance)
+
+
+def _pack_appearance(where: str, gaussians: Gaussians | None, arrays: dict[str, NDArray[Any]]) -> None:
+    if gaussians is not None:
+        found = {name: getattr(gaussians, name) for name in _OF_GAUSSIANS}
+        arrays.update({f"{where}_{name}": array for name, array in found.items() if array is not None})
+
+
+def _unpack_appearance(where: str, arrays: dict[str, NDArray[Any]]) -> Gaussians | None:
+    found = {name: arrays[f"{where}_{name}"] for name in _OF_GAUSSIANS if f"{where}_{name}" in arrays}
+    return Gaussians(**found) if found else None
 
 
 def _pack_joint(joint: Joint, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:

@@ -35,7 +35,7 @@ def better_type(
     """
     frames = np.flatnonzero(within & seen.all(1))
     if len(frames) < 4:
-        raise HopelessError("joint", f"{len(frames)} frames show both parts, at least 4 are needed")
+        raise HopelessError(f"{len(frames)} frames show both parts, at least 4 are needed")
     relative = se3.inverse(Ts[0, frames]) @ Ts[1, frames]
     centre, lever = body.mean(0), float(np.linalg.norm(body - body.mean(0), axis=1).mean())
     kinds: tuple[JointType, ...] = ("revolute", "prismatic")

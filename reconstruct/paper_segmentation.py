@@ -396,7 +396,7 @@ def segment(
         t = int(window.frames[-1])
         carried = weights[t].astype(float)
     if carried is None:
-        raise HopelessError("segmentation", f"no window has {settings.min_tracks} tracks")
+        raise HopelessError(f"no window has {settings.min_tracks} tracks")
     return PartWeights(weights, motions)
 
 
@@ -415,7 +415,7 @@ def part_poses(
     growth = _Labelled(evidence, tracker, found, settings, rng)
     add_frames(growth, len(evidence.scene))
     if (growth.done & growth.seen.all(1)).sum() < 4:
-        raise HopelessError("segmentation", "no second part: fewer than 4 frames show two parts")
+        raise HopelessError("no second part: fewer than 4 frames show two parts")
     growth.adopt(growth.try_joint())
     return Grown(growth.jointed(), growth.labels, growth.logodds, growth.seen)
 

@@ -1,13 +1,7 @@
 """From one RGB-D video with foreground masks to two parts, their poses, the joint between them, and meshes.
 
-tracks         crop, points and normals; optical flow between neighbours
-segmentation   a window where two motions beat one; growth both ways in time (or the paper's: `paper_segmentation`)
-joint          exchanges and gaps mended; labels of all frames; the joint's type; adjustment under one joint
-poses          both parts' poses, unconstrained by the joint
-surfaces       depth fused to one mesh a part
-renders        the held-out views
-
-Each is one function here. What the expensive ones find is kept until the result is written (`cache`).
+Each stage of the table in `stages` is one function here. What the expensive ones find is kept until the result is
+written (`cache`).
 """
 
 from __future__ import annotations
@@ -30,17 +24,19 @@ from freeart21.files.diagnostics import Diagnostics
 from freeart21.files.places import RESULT, require_replaceable
 from freeart21.files.result import write_result
 from freeart21.files.sequence import read_sequence
+from freeart21.gaussians import Gaussians
 from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 from freeart21.trust import judge
-from reconstruct import VERSION, cache, paper_segmentation
-from reconstruct.cache import Kept, KeptStage, Known, Work
+from reconstruct import VERSION, paper_segmentation
+from reconstruct.cache import Kept, Known, Work
 from reconstruct.diagnostics import diagnose, peak_bytes
 from reconstruct.evidence import Evidence
 from reconstruct.exchanges import exchanged, undo_exchanges
 from reconstruct.features import HandMade
 from reconstruct.gaps import bridge_gaps, fill_gaps
+from reconstruct.gaussians.rasteriser import FAINTEST
 from reconstruct.growth import Grown, body_points
 from reconstruct.hypotheses import better_type
 from reconstruct.poses import FreePoses, JointedPoses, free_adjustment, joint_adjustment
@@ -49,12 +45,11 @@ from reconstruct.scene import HopelessError, Scene, full_labels, prepare
 from reconstruct.seeds import find_seeds
 from reconstruct.segmentation import grow, relabel
 from reconstruct.settings import ReconstructSettings
+from reconstruct.stages import KEPT, STAGES, KeptStage, require_kept
 from reconstruct.surfaces import fuse
 from reconstruct.tracks import DisTracker, Tracker
 
 __all__ = ["ReconstructSettings", "reconstruct", "reconstruct_folder", "reconstruct_until"]
-
-STAGES = ("tracks", *cache.STAGES, "renders")
 
 
 def reconstruct(recording: Recording, settings: ReconstructSettings | None = None) -> Reconstruction | Failure:
@@ -104,8 +99,10 @@ def reconstruct_until(
 ) -> Path | Failure:
     """Solve a sequence folder up to and with `stage`, which is kept beside `out` as the file that is returned.
 
-    `out` itself stays as it is. Any later call for `out` goes on from there.
+    `out` itself stays as it is. Any later call for `out` goes on from there. Raises FreeArtError when no stage of this
+    name is kept.
     """
+    require_kept(stage)
     settings = settings or ReconstructSettings()
     recording, work = read_sequence(Path(sequence)), Work(Path(sequence), Path(out), settings)
     with _Clock(settings.progress) as clock:
@@ -124,14 +121,14 @@ def _solve(
     """All stages that are not kept in `work`, one after the other; no answer when stopped after the stage `until`."""
     kept = _last(work, clock) or Kept(None, Known(), np.random.default_rng(settings.seed))
     known, rng = kept.known, kept.rng
-    done = 0 if kept.stage is None else cache.STAGES.index(kept.stage) + 1
-    if until is not None and done > cache.STAGES.index(until):
+    done = 0 if kept.stage is None else KEPT.index(kept.stage) + 1
+    if until is not None and done > KEPT.index(until):
         return None, None
     try:
         if known.answer is None:
             with clock.stage("tracks"):
                 video = _tracks(recording, settings, with_tracks=done == 0)
-        for stage in cache.STAGES[done:]:
+        for stage in KEPT[done:]:
             with clock.stage(stage):
                 known = _SOLVERS[stage](video, known, settings, rng)
                 if work is not None:
@@ -139,7 +136,7 @@ def _solve(
             if stage == until:
                 return None, None
     except HopelessError as error:
-        return Failure(error.stage, error.reason, clock.seconds), None
+        return Failure(clock.running, str(error), clock.seconds), None
     assert known.answer is not None
     return replace(known.answer, seconds=clock.seconds), known.diagnostics
 
@@ -176,6 +173,17 @@ def _tracks(recording: Recording, settings: ReconstructSettings, with_tracks: bo
     return _Video(recording, scene, Evidence(scene, settings.evidence, settings.labels), tracker)
 
 
+_Solver = Callable[[_Video, Known, ReconstructSettings, np.random.Generator], Known]
+_SOLVERS: dict[str, _Solver] = {}
+
+
+def _solves(solver: _Solver) -> _Solver:
+    """Marks the function that solves the stage of its name: from what is known to what is known after it."""
+    _SOLVERS[solver.__name__.removeprefix("_")] = solver
+    return solver
+
+
+@_solves
 def _segmentation(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
     assert video.tracker is not None
     if settings.segmentation == "paper":
@@ -190,6 +198,7 @@ def _segmentation(video: _Video, known: Known, settings: ReconstructSettings, rn
     return Known(grown)
 
 
+@_solves
 def _joint(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
     assert known.grown is not None
     evidence = video.evidence
@@ -226,9 +235,17 @@ def _type_again(
     return better_type(evidence, grown.labels, free, grown.seen, body, everywhere, settings, rng, poses)
 
 
+@_solves
+def _gaussians(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
+    if not settings.gaussians.refine:
+        return known
+    return known  # the optimisation comes here: replace(known, grown=..., appearance=...)
+
+
+@_solves
 def _poses(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
     assert known.grown is not None
-    return Known(known.grown, _free(video.evidence, known.grown, settings, rng))
+    return replace(known, free=_free(video.evidence, known.grown, settings, rng))
 
 
 def _free(
@@ -241,6 +258,7 @@ def _free(
     )
 
 
+@_solves
 def _surfaces(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
     assert known.grown is not None
     grown = known.grown
@@ -252,16 +270,8 @@ def _surfaces(video: _Video, known: Known, settings: ReconstructSettings, rng: n
     camera = video.recording.camera
     size = (camera.width, camera.height)
     diagnostics = diagnose(video.evidence, grown, known.free, settings.poses, settings.joint, settings.seed, size)
-    answer = _canonical(articulation, grown, known.free, video.scene, video.recording)
-    return Known(None, (), replace(answer, trust=judge(answer, diagnostics)), diagnostics)
-
-
-_SOLVERS: dict[KeptStage, Callable[[_Video, Known, ReconstructSettings, np.random.Generator], Known]] = {
-    "segmentation": _segmentation,
-    "joint": _joint,
-    "poses": _poses,
-    "surfaces": _surfaces,
-}
+    answer = _canonical(articulation, known.appearance, grown, known.free, video.scene, video.recording)
+    return Known(answer=replace(answer, trust=judge(answer, diagnostics)), diagnostics=diagnostics)
 
 
 def _reference_first(grown: Grown) -> Grown:
@@ -274,6 +284,7 @@ def _reference_first(grown: Grown) -> Grown:
 
 def _canonical(
     articulation: Articulation,
+    appearance: Gaussians | None,
     grown: Grown,
     free: tuple[FreePoses, ...],
     scene: Scene,
@@ -299,6 +310,31 @@ def _canonical(
         np.stack([f.covariances for f in free], 1),
         axis_std=_number_or_none(axis_std),
         pivot_std=_number_or_none(pivot_std),
+        appearance=None if appearance is None else _parted(appearance, T_zero).moved(T_frame0),
+    )
+
+
+def _parted(gaussians: Gaussians, T_zero: Array) -> Gaussians:
+    """The same pictures in every state, with what moves placed anew by `T_zero`: the joint's motion at the new zero.
+
+    No one place is right for a Gaussian of both parts. It becomes two, each of one part, with its opacity times its
+    weight there: what blending draws of it. One too faint to be drawn at all is left out.
+    """
+    w = gaussians.part_weights
+    opacities = gaussians.opacities * np.stack([w, 1 - w])
+    part, i = np.nonzero(opacities >= FAINTEST)
+    here, there = gaussians, gaussians.moved(T_zero)
+    placed = {
+        name: np.where(part[:, None] == 0, getattr(here, name)[i], getattr(there, name)[i])
+        for name in ("means", "quaternions", "normals")
+    }
+    return Gaussians(
+        **placed,
+        scales=gaussians.scales[i],
+        opacities=opacities[part, i],
+        colours=gaussians.colours[i],
+        part_weights=(part == 0).astype(np.float32),
+        light=gaussians.light,
     )
 
 
@@ -315,7 +351,9 @@ class _Clock:
 
     def __init__(self, show: bool) -> None:
         self.seconds: dict[str, float] = {}
-        self._began: tuple[str, float] = ("", 0.0)
+        self.running = STAGES[0].name
+        """The stage that was begun last."""
+        self._began = 0.0
         self._show, self._console = show, Console(stderr=True)
         self._bar = Progress(
             TextColumn("{task.description:>12}"),
@@ -326,7 +364,7 @@ class _Clock:
             disable=not (show and self._console.is_terminal),
             transient=True,
         )
-        self._task = self._bar.add_task(STAGES[0], total=len(STAGES))
+        self._task = self._bar.add_task(self.running, total=len(STAGES))
 
     def __enter__(self) -> _Clock:
         self._bar.start()
@@ -339,7 +377,7 @@ class _Clock:
     def stage(self, name: str) -> Iterator[None]:
         """Times a stage by name; one that was timed before and is repeated keeps its time."""
         self._bar.update(self._task, description=name)
-        self._began = (name, time.perf_counter())
+        self.running, self._began = name, time.perf_counter()
         try:
             yield
         finally:
@@ -348,8 +386,8 @@ class _Clock:
 
     def so_far(self) -> dict[str, float]:
         """Seconds of all stages, with what the running one has taken until now."""
-        name, began = self._began
-        return {**self.seconds, name: self.seconds.get(name, round(time.perf_counter() - began, 3))}
+        took = round(time.perf_counter() - self._began, 3)
+        return {**self.seconds, self.running: self.seconds.get(self.running, took)}
 
     def go_on(self, kept: Kept) -> None:
         """Take over the seconds of stages that need not be solved again."""

@@ -20,11 +20,7 @@ Floats = NDArray[np.float32]
 
 
 class HopelessError(Exception):
-    """The input cannot be solved by anyone: becomes a Failure of `stage`."""
-
-    def __init__(self, stage: str, reason: str) -> None:
-        super().__init__(reason)
-        self.stage, self.reason = stage, reason
+    """The input cannot be solved by anyone, and why: becomes a Failure of the stage that runs."""
 
 
 @dataclass(frozen=True)
@@ -99,13 +95,12 @@ def prepare(recording: Recording, settings: SceneSettings) -> Scene:
     """
     n = len(recording)
     if n < settings.min_frames:
-        raise HopelessError("tracks", f"{n} frames, at least {settings.min_frames} are needed")
+        raise HopelessError(f"{n} frames, at least {settings.min_frames} are needed")
     cuts = [_cut(recording.frame(i), settings.margin) for i in range(n)]
     counts = np.array([int((cut.depth > 0).sum()) for cut in cuts])
     surrounded = any(cut.surrounded for cut in cuts)
     if (counts >= settings.min_pixels).sum() < settings.min_frames:
         raise HopelessError(
-            "tracks",
             f"the foreground masks hold {settings.min_pixels} or more pixels with depth in only "
             f"{int((counts >= settings.min_pixels).sum())} frames, at least {settings.min_frames} are needed",
         )

@@ -85,7 +85,7 @@ def find_seeds(
     """
     found = candidates(evidence, tracker, settings, rng, within)
     if not found:
-        raise HopelessError("segmentation", "no window has enough tracks for two motions")
+        raise HopelessError("no window has enough tracks for two motions")
     tried = _best_of_stretches(found, settings.stretch)
     gains = [_dense_seed(evidence, c, np.array([c.frame + c.gap]), settings, rng).gain for c in tried]
     chosen = [tried[c] for c in np.argsort(-np.array(gains), kind="stable")[: settings.refined]]
@@ -94,7 +94,6 @@ def find_seeds(
         best = max(seeds, key=lambda s: s.drop)
         small = f", more below {100 * FULL_SHARE:.0f} % of the pixels" if best.share < FULL_SHARE else ""
         raise HopelessError(
-            "segmentation",
             f"no second part was found that moves and shows on more than {100 * settings.min_share:.0f} % of the "
             f"object's pixels: at best a second motion explains {100 * best.share:.1f} % of them and lowers the mean "
             f"cost of a pixel by {max(best.drop, 0):.3f}; at least {settings.min_gain} is needed{small}",

@@ -171,7 +171,7 @@ def _best_grown(
     evidence: Evidence, tracker: Tracker, seeds: Sequence[Seed], settings: ReconstructSettings, rng: np.random.Generator
 ) -> Growth:
     """All frames, grown from one of `seeds`, and from others if much of that is in doubt: the least cost decides."""
-    best, failure = None, HopelessError("segmentation", "no second part")
+    best, failure = None, HopelessError("no second part")
     for _ in range(settings.growth.attempts):
         try:
             growth, seed = _grown_piece(evidence, tracker, seeds, settings, rng)
@@ -225,7 +225,7 @@ def _begun(
     for seed in seeds:
         if all(abs(seed.frame - other.frame) >= s.beginnings_apart for other in chosen):
             chosen.append(seed)
-    best, least, failure = None, (True, np.inf), HopelessError("segmentation", "no second part")
+    best, least, failure = None, (True, np.inf), HopelessError("no second part")
     for seed in chosen[: s.beginnings]:
         try:
             growth = _with_joint(Growth(evidence, tracker, seed, settings, rng, span), seed)
@@ -255,7 +255,7 @@ def _with_joint(growth: Growth, seed: Seed) -> Growth:
     while growth.relative_motion() < enough and growth.done.sum() < s.bootstrap_most and frontier(growth):
         add_frames(growth, 4)
     if (growth.done & growth.seen.all(1)).sum() < 4:
-        raise HopelessError("segmentation", "no second part: fewer than 4 frames show two parts")
+        raise HopelessError("no second part: fewer than 4 frames show two parts")
     growth.adopt(growth.try_joint())
     return growth
 

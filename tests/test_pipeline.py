@@ -5,25 +5,35 @@ import multiprocessing
 import os
 import shutil
 import signal
+import sys
 import time
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Literal, get_args, get_type_hints
 
 import numpy as np
 import pytest
 from reconstruct_clip import make_clip
 
 from benchmarks import solve as bench
-from freeart21 import stopping
+from freeart21 import se3, stopping
+from freeart21.articulation import Articulation
 from freeart21.cli import reconstruct as command
 from freeart21.errors import FreeArtError
-from freeart21.files.sequence import write_sequence
+from freeart21.files.sequence import read_sequence, write_sequence
+from freeart21.gaussians import Gaussians
+from freeart21.help import command_help
 from freeart21.joint import Joint
+from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 from leaderboard.rows import Row
 from reconstruct import VERSION, cache, pipeline
+from reconstruct.gaussians.rasteriser import FAINTEST
 from reconstruct.pipeline import reconstruct_folder, reconstruct_until
+from reconstruct.scene import prepare
 from reconstruct.settings import ReconstructSettings
+from reconstruct.stages import KEPT, STAGES, used_by
 
 ROOT = Path(__file__).resolve().parents[1]
 QUIET = ReconstructSettings(progress=False)
@@ -54,7 +64,7 @@ def contents(out):
     """Every file's bytes by name; what a run took is left out."""
     found = {str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*") if path.is_file()}
     prediction = json.loads(found["prediction.json"])
-    assert set(prediction.pop("seconds")) == set(pipeline.STAGES)
+    assert set(prediction.pop("seconds")) == {stage.name for stage in STAGES}
     diagnostics = json.loads(found["diagnostics.json"])
     assert diagnostics.pop("peak_bytes") > 0
     return {**found, "prediction.json": prediction, "diagnostics.json": diagnostics}
@@ -138,6 +148,109 @@ def test_a_killed_process_leaves_whole_stages(sequence, whole, tmp_path):
     assert contents(out) == whole
 
 
+def _coloured(video, known, settings, rng):
+    """Stands for the stage `gaussians`: some that nobody could find again without the same random numbers."""
+    return replace(known, appearance=some_gaussians(rng))
+
+
+def some_gaussians(rng, n=50):
+    numbers = {"means": 3, "quaternions": 4, "scales": 3, "colours": 3, "normals": 3, "light": 3}
+    arrays = {name: rng.uniform(0.1, 1, (4 if name == "light" else n, width)) for name, width in numbers.items()}
+    weights = np.clip(rng.normal(0.5, 0.6, n), 0, 1)
+    return Gaussians(opacities=rng.uniform(0, 1, n), part_weights=weights, **arrays)
+
+
+def _up_to_joint(finished, out):
+    """Keeps for `out` what `finished` found before the stage `gaussians`."""
+    cache.work_folder(out).mkdir()
+    for name in ("segmentation", "joint"):
+        shutil.copy(cache.work_folder(finished) / f"{name}.npz", cache.work_folder(out))
+
+
+@pytest.fixture(scope="module")
+def coloured(sequence, finished, tmp_path_factory):
+    """The result of an uninterrupted run with `_coloured`, with its stages beside it."""
+    out = tmp_path_factory.mktemp("coloured") / "out"
+    _up_to_joint(finished, out)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(pipeline._SOLVERS, "gaussians", _coloured)
+        reconstruct_folder(sequence, out, QUIET, keep_work=True)
+    return out
+
+
+def _run_until_killed(sequence, out, stage):
+    """As `reconstruct_folder` with `_coloured`, but it hangs in a stage, of which the file `in_STAGE` tells."""
+
+    def hangs(*_):
+        (out.parent / f"in_{stage}").touch()
+        time.sleep(600)
+
+    pipeline._SOLVERS.update({"gaussians": _coloured, stage: hangs})
+    reconstruct_folder(sequence, out, QUIET)
+
+
+@pytest.mark.parametrize("stage, kept", [("gaussians", "joint"), ("poses", "gaussians")])
+def test_killed_in_the_gaussians_or_after_them_a_run_goes_on_to_the_same_ones(
+    stage, kept, sequence, finished, coloured, tmp_path, monkeypatch
+):
+    out = tmp_path / "out"
+    _up_to_joint(finished, out)
+    process = multiprocessing.get_context("spawn").Process(target=_run_until_killed, args=(sequence, out, stage))
+    process.start()
+    deadline = time.monotonic() + 60
+    while not (tmp_path / f"in_{stage}").exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.join()
+    assert process.exitcode == -signal.SIGKILL and not out.exists()
+    assert cache.Work(sequence, out, QUIET).last()[0].stage == kept
+    monkeypatch.setitem(pipeline._SOLVERS, "gaussians", _coloured)
+    reconstruct_folder(sequence, out, QUIET, keep_work=True)
+    assert contents(out) == contents(coloured)
+    found, whole = (cache.Work(sequence, o, QUIET).last()[0].known.answer.appearance for o in (out, coloured))
+    for f in fields(Gaussians):
+        assert np.array_equal(getattr(found, f.name), getattr(whole, f.name)), f.name
+
+
+def test_the_answers_gaussians_stand_where_those_of_the_stage_did(sequence, coloured):
+    work, recording = cache.Work(sequence, coloured, QUIET), read_sequence(sequence)
+    known = cache._read(work.path("poses"), "poses", work._keys["poses"]).known
+    poses = replace(known.grown.poses, states=known.grown.poses.states + 0.3)  # a state zero far from frame 0's
+    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3)))
+    grown, articulation = replace(known.grown, poses=poses), Articulation(poses.joint, nothing, nothing)
+    scene = prepare(recording, QUIET.scene)
+    answer = pipeline._canonical(articulation, known.appearance, grown, known.free, scene, recording)
+    for q, state in zip(poses.states, answer.states, strict=True):
+        expected = drawn(known.appearance, poses.joint.transform(q), known.free[0].Ts[0])
+        found = drawn(answer.appearance, answer.articulation.joint.transform(state), np.eye(4))
+        assert expected.shape == found.shape and np.allclose(found, expected, atol=1e-5)
+
+
+def test_gaussians_draw_the_same_in_every_state_with_another_state_zero():
+    gaussians, joint = some_gaussians(np.random.default_rng(4)), Joint("j", "revolute", [0, 0, 1], [0.1, 0.2, 0], -1, 2)
+    q0 = 0.7
+    parted = pipeline._parted(gaussians, joint.transform(q0))
+    assert set(parted.part_weights) == {0, 1}
+    for q in (0.0, q0, -0.4):
+        before = drawn(gaussians, joint.transform(q), np.eye(4))
+        after = drawn(parted, joint.transform(q) @ se3.inverse(joint.transform(q0)), np.eye(4))
+        assert before.shape == after.shape and np.allclose(before, after, atol=1e-5)
+    assert np.array_equal(parted.light, gaussians.light)
+
+
+def drawn(gaussians, motion, T):
+    """(M, 17) what a rasteriser draws under a motion of the joint, then `T`; what is too faint for it left out."""
+    found = []
+    for weights, moved in (
+        (gaussians.part_weights, gaussians.moved(T)),
+        (1 - gaussians.part_weights, gaussians.moved(T @ motion)),
+    ):
+        opacities = gaussians.opacities * weights
+        columns = [opacities[:, None], moved.means, moved.quaternions, moved.scales, moved.colours, moved.normals]
+        found.append(np.concatenate(columns, 1)[opacities >= FAINTEST])
+    return np.concatenate(found)
+
+
 def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, capsys):
     out = tmp_path / "ours" / "hinge-s0"
     assert command(sequence, out, until="joint", settings=QUIET) == 0
@@ -147,7 +260,7 @@ def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, c
     assert reconstruct_until(sequence, out, "segmentation", QUIET) == kept / "segmentation.npz" and not calls.solved
     assert command(sequence, out, keep_work=True, settings=QUIET) == 0
     assert calls.solved == ["free_adjustment", "free_adjustment", "fuse", "fuse"]
-    assert {path.stem for path in kept.iterdir()} == set(cache.STAGES)
+    assert {path.stem for path in kept.iterdir()} == set(KEPT)
     method = json.loads((out.parent / "method.json").read_text())
     assert VERSION in method["code"] and contents(out)["prediction.json"]["settings"]["solver"] == VERSION
     assert contents(out) == whole
@@ -155,6 +268,8 @@ def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, c
 
 def test_a_hopeless_video_fails_with_until_too(tmp_path):
     write_sequence(tmp_path / "rigid", make_clip("rigid", 10, (120, 90), spin=0.2).recording, 2e-5)
+    with pytest.raises(FreeArtError, match="no stage 'tracks' to stop after; expected one of segmentation, joint, "):
+        reconstruct_until(tmp_path / "rigid", tmp_path / "out", "tracks", QUIET)
     found = reconstruct_until(tmp_path / "rigid", tmp_path / "out", "poses", QUIET)
     assert isinstance(found, Failure) and found.stage == "segmentation"
     assert not (tmp_path / "out").exists() and not cache.work_folder(tmp_path / "out").exists()
@@ -167,6 +282,27 @@ def test_interrupted_the_command_says_what_is_kept(sequence, tmp_path, monkeypat
         command(sequence, tmp_path / "ours" / "x", settings=QUIET)
     assert str(cache.work_folder(tmp_path / "ours" / "x")) in stopping.kept() and "goes on" in stopping.kept()
     assert [path.name for path in (tmp_path / "ours").iterdir()] == [".x.work"]
+
+
+# ---- the table of stages -------------------------------------------------------------------------------------------
+
+
+def test_command_line_pipeline_and_cache_know_the_stages_of_the_table(tmp_path):
+    assert len({stage.name for stage in STAGES}) == len(STAGES)
+    assert set(pipeline._SOLVERS) == set(KEPT)
+    until = get_type_hints(command)["until"]
+    assert get_args(until) == (Literal[KEPT], type(None))
+    lines = " ".join(command_help("reconstruct", command).split())
+    assert f"--until {'|'.join(KEPT)} " in lines
+    assert [stage.name for stage in STAGES if stage.kept and f"{stage.name}: {stage.does}." not in lines] == []
+
+
+def test_every_group_of_settings_counts_from_one_stage_on():
+    groups = QUIET.to_json()
+    named = [group for stage in STAGES for group in stage.first_uses]
+    assert len(set(named)) == len(named) and set(named) <= set(groups)
+    assert used_by(KEPT[-1], groups) == groups, "the last stage depends on all"
+    assert "a new group" in used_by(KEPT[0], {"a new group": {}}), "and on nothing that nobody thought of too late"
 
 
 # ---- what makes a kept stage invalid -------------------------------------------------------------------------------
@@ -188,26 +324,44 @@ def test_changed_settings_are_solved_again_from_the_first_stage_that_uses_them(
 def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp_path, monkeypatch):
     def changed(settings=QUIET, folder=sequence):
         now = cache.stage_keys(folder, settings)
-        return [stage for stage in cache.STAGES if now[stage] != before[stage]]
+        return [stage for stage in KEPT if now[stage] != before[stage]]
 
+    geometry = replace(QUIET, gaussians=replace(QUIET.gaussians, refine=False))
     before = cache.stage_keys(sequence, QUIET)
     assert len(set(before.values())) == len(before)
     assert changed(replace(QUIET, progress=True)) == []
-    assert changed(replace(QUIET, gaps=replace(QUIET.gaps, steps=3))) == ["joint", "poses", "surfaces"]
-    assert changed(replace(QUIET, exchanges=replace(QUIET.exchanges, every=3))) == ["joint", "poses", "surfaces"]
-    for name in set(QUIET.to_json()) - {"progress", "exchanges", "gaps", "surfaces"}:
+    from_joint = ["joint", "gaussians", "poses", "surfaces"]
+    assert changed(replace(QUIET, gaps=replace(QUIET.gaps, steps=3))) == from_joint
+    assert changed(replace(QUIET, exchanges=replace(QUIET.exchanges, every=3))) == from_joint
+    assert changed(geometry) == ["gaussians", "poses", "surfaces"]
+    assert changed(replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))) == ["surfaces"]
+    with monkeypatch.context() as patch:
+        patch.setattr(cache, "_drawn_by", lambda: ["1.5.3", "2.9.0", "Some GPU"])
+        assert changed() == ["gaussians", "poses", "surfaces"]
+        on_a_gpu = cache.stage_keys(sequence, geometry)
+    assert on_a_gpu == cache.stage_keys(sequence, geometry), "without Gaussians nothing is drawn"
+    for name in set(QUIET.to_json()) - {"progress", "exchanges", "gaps", "gaussians", "surfaces"}:
         group = getattr(QUIET, name)
         other = replace(group, **{fields(group)[0].name: 12345}) if is_dataclass(group) else 12345
-        assert changed(replace(QUIET, **{name: other})) == list(cache.STAGES), name
+        assert changed(replace(QUIET, **{name: other})) == list(KEPT), name
     write_sequence(tmp_path / "a", make_clip("hinge", 10, (120, 90), spin=0.2).recording, 2e-5)
     assert changed(folder=tmp_path / "a") == [], "held-out views and the folder's name do not count"
     depth = tmp_path / "a" / "depth" / "00004.png"
     data = bytearray(depth.read_bytes())
     data[-20] ^= 1
     depth.write_bytes(data)
-    assert changed(folder=tmp_path / "a") == list(cache.STAGES)
+    assert changed(folder=tmp_path / "a") == list(KEPT)
     monkeypatch.setattr(cache, "VERSION", "0")
-    assert changed() == list(cache.STAGES)
+    assert changed() == list(KEPT)
+
+
+@pytest.mark.parametrize("packages, gpu, says", [(True, True, True), (True, False, False), (False, True, False)])
+def test_what_draws_gaussians_is_gsplat_where_it_and_a_gpu_are(packages, gpu, says, monkeypatch):
+    cuda = SimpleNamespace(is_available=lambda: gpu, get_device_name=lambda: "Some GPU")
+    monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(__version__="2.9.0", cuda=cuda))
+    monkeypatch.setattr(cache, "find_spec", lambda name: object() if packages or name != "gsplat" else None)
+    monkeypatch.setattr(cache.metadata, "version", {"gsplat": "1.5.3"}.__getitem__)
+    assert cache._drawn_by.__wrapped__() == (["1.5.3", "2.9.0", "Some GPU"] if says else [])
 
 
 def test_a_joint_comes_back_to_the_last_bit():
