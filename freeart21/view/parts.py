@@ -76,7 +76,7 @@ def matched(result: Reconstruction, truth: Truth) -> Reconstruction:
 
 def exchanged(result: Reconstruction) -> Reconstruction:
     """The same result with 'reference' and 'moving' exchanged: the same motion, seen from the other part."""
-    a = result.articulation
+    a, look = result.articulation, result.appearance
     return replace(
         result,
         articulation=Articulation(replace(a.joint, axis=-a.joint.axis), a.moving, a.reference),
@@ -85,6 +85,7 @@ def exchanged(result: Reconstruction) -> Reconstruction:
         part_masks=np.array([0, 2, 1], np.uint8)[result.part_masks],
         seen=result.seen[:, ::-1],
         covariances=None if result.covariances is None else result.covariances[:, ::-1],
+        appearance=look and replace(look, part_weights=1 - look.part_weights),
     )
 
 
