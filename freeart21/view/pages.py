@@ -198,7 +198,7 @@ def _result_page(
     Ts = result.Ts_camera_reference
     joint, states, masks = result.articulation.joint, result.states, result.part_masks
     camera = recording.camera if recording is not None else None
-    scene = articulation_scene(result.articulation, states, Ts, camera)
+    scene = articulation_scene(result.articulation, states, Ts, camera, result.appearance)
     axes = []
     if camera is not None:
         axes.append(AxisLine("found", AXIS, axis_in_pictures(result.articulation, states, Ts, camera)))

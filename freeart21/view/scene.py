@@ -19,6 +19,7 @@ from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from freeart21.view.document import Section, data_url, embed_array
 from freeart21.view.simplify import arrow, joined, simplified, turning_arrow
+from freeart21.view.splats import SplatLayers, splat_data
 
 MAX_FACES_PER_LAYER = 50_000
 MAX_TEXTURE_SIDE = 1024
@@ -97,6 +98,8 @@ class Scene:
     """The recording camera, for looking through it."""
     Ts_camera_world: Array | None = None
     """(n, 4, 4) the recording camera from the world of the scene, in every frame."""
+    splats: SplatLayers | None = None
+    """What two of the layers look like as Gaussians."""
 
 
 def link_poses(links: Sequence[Link], values: Sequence[float]) -> list[Array]:
@@ -187,6 +190,7 @@ def scene_data(scene: Scene) -> dict[str, Any]:
         "camera": None
         if scene.camera is None
         else {"K": scene.camera.K, "width": scene.camera.width, "height": scene.camera.height},
+        "gaussians": None if scene.splats is None else splat_data(scene.splats),
         "camera_poses": None if scene.Ts_camera_world is None else np.round(scene.Ts_camera_world[:, :3], 6),
     }
 
