@@ -259,15 +259,19 @@ def _surface_data(surface: Surface, textures: list[Path]) -> dict[str, Any]:
 def _bounds(scene: Scene) -> tuple[Array, float]:
     """Centre and radius, metres, of the ball that is shown at first.
 
-    It holds all solid surfaces with the sliders at their first values, and nearly all of them at the sliders' ends.
+    It holds all solid surfaces (the Gaussians, where there are none) with the sliders at their first values, and nearly
+    all of them at the sliders' ends.
     """
     solid = [s for s in scene.surfaces if scene.layers[s.layer].style == "solid" and not s.mesh.empty]
-    if not solid:
+    held = [(s.link, s.mesh.vertices[s.mesh.faces[:, 0]]) for s in solid]
+    if not held and scene.splats is not None:
+        held = [(link, scene.splats.gaussians.means.astype(float)) for link in scene.splats.links]
+    if not held:
         return np.zeros(3), 1.0
 
     def points(values: list[float]) -> Array:
         poses = link_poses(scene.links, values)
-        return np.concatenate([se3.transform(poses[s.link], s.mesh.vertices[s.mesh.faces[:, 0]]) for s in solid])
+        return np.concatenate([se3.transform(poses[link], vertices) for link, vertices in held])
 
     first = points([s.value for s in scene.sliders])
     centre = (first.min(0) + first.max(0)) / 2

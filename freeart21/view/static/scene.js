@@ -167,7 +167,7 @@ FreeArt.renderer = (canvas, data) => {
   };
   gl.enable(gl.DEPTH_TEST);
 
-  /** Draw {view, projection, poses, shown, partColours, gaussians}. */
+  /** Draw {view, projection, poses, shown, partColours, gaussians, camera}. */
   const draw = (frame) => {
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.useProgram(program);
@@ -218,12 +218,15 @@ FreeArt.orbit = (canvas, data, changed) => {
   const side = cross(up, front);
   const field = (32 * Math.PI) / 180;
   const eye = { yaw: 0, pitch: 0, distance: 1, target: [0, 0, 0] };
-  const home = () => {
+  const fit = () => {
     const aspect = canvas.clientWidth / Math.max(1, canvas.clientHeight) || 1;
-    eye.yaw = 0;
-    eye.pitch = Math.asin(FreeArt.clamp(dot(unit(data.towards_viewer), up), -1, 1));
     eye.distance = (1.02 * data.radius) / Math.sin(Math.atan(Math.tan(field / 2) * Math.min(1, aspect)));
     eye.target = [...data.centre];
+  };
+  const home = () => {
+    eye.yaw = 0;
+    eye.pitch = Math.asin(FreeArt.clamp(dot(unit(data.towards_viewer), up), -1, 1));
+    fit();
   };
   const axes = () => {
     const level = mix([Math.cos(eye.yaw), front], [Math.sin(eye.yaw), side]);
@@ -297,7 +300,7 @@ FreeArt.orbit = (canvas, data, changed) => {
     event.preventDefault();
     changed();
   });
-  return { home, view, projection, look };
+  return { home, fit, view, projection, look };
 };
 
 FreeArt.kinds.scene = (section, data, bus) => {
@@ -326,9 +329,9 @@ FreeArt.kinds.scene = (section, data, bus) => {
     redraw();
   });
 
-  const cameraView = () => {
-    const T = data.camera_poses[FreeArt.clamp(bus.frame, 0, data.camera_poses.length - 1)];
-    return [...T[0], ...T[1].map((x) => -x), ...T[2].map((x) => -x), 0, 0, 0, 1];
+  const camera = () => {                                   // of the video, from the world, in the frame that is shown
+    const poses = data.camera_poses;
+    return poses && [...poses[FreeArt.clamp(bus.frame, 0, poses.length - 1)].flat(), 0, 0, 0, 1];
   };
   const draw = () => {
     waiting = false;
@@ -337,9 +340,9 @@ FreeArt.kinds.scene = (section, data, bus) => {
     if (!width || !height) return;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     const aspect = width / height;
-    const frame = { poses: Kinematics.linkPoses(data.links, values), shown, partColours, gaussians };
+    const frame = { poses: Kinematics.linkPoses(data.links, values), shown, partColours, gaussians, camera: camera() };
     if (through) {
-      const view = cameraView(), c = data.centre;
+      const view = frame.camera.map((x, k) => (k >= 4 && k < 12 ? -x : x)), c = data.centre;
       const depth = -(view[8] * c[0] + view[9] * c[1] + view[10] * c[2] + view[11]);
       const near = Math.max(depth - 4 * data.radius, 0.02 * Math.abs(depth), 1e-4);
       renderer.draw({ ...frame, view, projection: Kinematics.pinhole(data.camera, aspect, near, depth + 6 * data.radius) });
@@ -496,7 +499,7 @@ FreeArt.kinds.scene = (section, data, bus) => {
   orbit.home();
   let first = true;
   new ResizeObserver(() => {
-    if (first) orbit.home();
+    if (first) orbit.fit();
     first = false;
     redraw();
   }).observe(canvas);
