@@ -20,10 +20,10 @@ from freeart21 import se3
 from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.gaussians import GAUSSIANS, read_gaussians
+from freeart21.files.gaussians import GAUSSIANS
 from freeart21.files.joint_json import joint_from_json
 from freeart21.files.mesh_file import read_ply
-from freeart21.files.result import METHOD_SCHEMA, SCHEMA, Method, lacks_of, read_result
+from freeart21.files.result import METHOD_SCHEMA, SCHEMA, Method, lacks_of, read_appearance, read_result
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 
@@ -199,10 +199,8 @@ def render_faults(
 
 def appearance_faults(folder: Path) -> list[Fault]:
     """What is wrong with gaussians.ply, if it is there: nothing is measured of it, so it costs nothing."""
-    path = folder / GAUSSIANS
-    if not path.exists():
-        return []
-    return [replace(fault, fatal=False) for fault in _tried(folder, path, "", partial(read_gaussians, path, True))[1]]
+    faults = _tried(folder, folder / GAUSSIANS, "", partial(read_appearance, folder))[1]
+    return [replace(fault, fatal=False) for fault in faults]
 
 
 def _faults(folder: Path, frames: int, height: int, width: int, masks: list[NDArray[np.uint8]]) -> Iterator[Fault]:

@@ -208,8 +208,14 @@ def read_result(
         _read_trust(data, header),
         *_read_joint_std(data, header),
         anchor=_read_anchor(data, n, header),
-        appearance=_read_appearance(folder) if appearance else None,
+        appearance=read_appearance(folder) if appearance else None,
     )
+
+
+def read_appearance(folder: Path) -> Gaussians | None:
+    """What the answer in a result folder looks like, or None when it has no gaussians.ply; raises FreeArtError."""
+    path = folder / GAUSSIANS
+    return read_gaussians(path, parted=True) if path.exists() or path.is_symlink() else None
 
 
 def read_render(folder: Path, index: int, other: bool = False) -> NDArray[np.uint8] | None:
@@ -223,11 +229,6 @@ def read_render(folder: Path, index: int, other: bool = False) -> NDArray[np.uin
 
 def _trust_to_json(trust: Trust) -> dict[str, Any]:
     return {"verdict": trust.verdict, "reasons": list(trust.reasons)}
-
-
-def _read_appearance(folder: Path) -> Gaussians | None:
-    path = folder / GAUSSIANS
-    return read_gaussians(path, parted=True) if path.exists() or path.is_symlink() else None
 
 
 def _read_trust(data: dict[str, Any], path: Path) -> Trust | None:

@@ -10,8 +10,8 @@ import numpy as np
 from freeart21.gaussians import Gaussians
 from freeart21.view.document import embed_array
 
-MAX_SPLATS = 120_000
-"""Gaussians in a page: 3.4 MB of it."""
+MAX_SPLATS = 80_000
+"""Gaussians in a page: 2.3 MB of it."""
 
 
 @dataclass(frozen=True)
