@@ -82,6 +82,10 @@ def test_opacities_and_scales_at_their_ends_stay_finite(tmp_path):
     back = read_gaussians(tmp_path / "a.ply")
     assert back.opacities.tolist() == pytest.approx([1e-9, 1, 0.5], rel=1e-5, abs=0)
     assert back.scales == pytest.approx(1e-12, rel=1e-5)
+    columns = table(tmp_path / "a.ply")[1]
+    write_table(tmp_path / "a.ply", columns | {"scale_0": np.full(3, -3e38), "opacity": np.array([-3e38, 3e38, 0])})
+    back = read_gaussians(tmp_path / "a.ply")
+    assert back.scales.min() > 0 and back.opacities.tolist() == [0, 1, 0.5]
 
 
 def test_the_file_is_what_viewers_expect(tmp_path):
@@ -225,6 +229,24 @@ def test_a_spoilt_file_is_one_clear_line(tmp_path, spoil, message):
     with pytest.raises(FreeArtError, match=message) as caught:
         read_gaussians(tmp_path / "a.ply")
     assert "\n" not in str(caught.value)
+
+
+def test_no_bytes_do_more_than_raise_one_clear_line(tmp_path):
+    write_gaussians(tmp_path / "a.ply", make_gaussians(20))
+    good, rng = (tmp_path / "a.ply").read_bytes(), np.random.default_rng(0)
+    head, read = good.index(b"end_header") + 11, 0
+    for _ in range(800):
+        data = bytearray(good)
+        for at in rng.integers(0, head if rng.random() < 0.6 else len(data), rng.integers(1, 6)):
+            data[at] = rng.integers(0, 256)
+        at = rng.integers(0, head)
+        data[at:at] = data[: rng.integers(0, 60)] if rng.random() < 0.1 else b""
+        (tmp_path / "a.ply").write_bytes(data[: rng.integers(0, 2 * len(data))])
+        try:
+            read += len(read_gaussians(tmp_path / "a.ply")) >= 0
+        except FreeArtError as error:
+            assert str(error).isprintable() and len(str(error)) < 500
+    assert 0 < read < 400, "some change nothing that counts"
 
 
 def test_a_missing_file_a_folder_and_a_large_one(tmp_path, monkeypatch):

@@ -161,7 +161,7 @@ def _gaussians(table: NDArray[np.void], light: Floats | None, parted: bool) -> G
     logits, logarithms = columns("opacity")[:, 0], columns("scale_0", "scale_1", "scale_2")
     if logarithms.max(initial=0) > np.log(1e6):
         raise ValueError(f"scale {np.exp(min(logarithms.max(), 700.0)):.3g} m, expected logarithms of metres below 1e6")
-    means, scales = columns("x", "y", "z"), np.exp(logarithms)
+    means, scales = columns("x", "y", "z"), np.maximum(np.exp(logarithms), SMALLEST)
     weights = np.ones(len(table))
     if "part_weight" in names:
         weights = columns("part_weight")[:, 0]
