@@ -133,6 +133,9 @@ def test_a_page_of_very_many_gaussians_keeps_those_that_cover_most():
     assert len(kept) == MAX_SPLATS and (kept.opacities < 1e-5).sum() < faint.sum()
     assert np.abs(np.sort(kept.means[:, 0])[0] - np.sort(given.means[:, 0])[0]) < 1e-2
     assert thinned(kept) is kept
+    section = scene_section(made_scene(given))
+    assert f"the {MAX_SPLATS:,} of {len(given):,} Gaussians" in section.html
+    assert "Gaussians" not in scene_section(made_scene(kept)).html
     assert len(embed_json(splat_data(SplatLayers(given, (0, 1), (0, 1))))) < 2.4e6
 
 

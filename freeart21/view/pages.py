@@ -31,7 +31,6 @@ from freeart21.view.link_shapes import read_shown
 from freeart21.view.parts import AXIS, align, articulation_scene, axis_in_pictures, matched, with_truth
 from freeart21.view.plot import StateSeries, plot_section
 from freeart21.view.scene import scene_section
-from freeart21.view.splats import MAX_SPLATS
 from freeart21.view.tables import (
     compared_rows,
     joint_rows,
@@ -96,9 +95,6 @@ def page(
             confidence = _confidence(path, answer)
         except FreeArtError as error:
             notices.append(f"The diagnostics cannot be shown: {error}")
-        if answer.appearance is not None and len(answer.appearance) > MAX_SPLATS:
-            count = len(answer.appearance)
-            notices.append(f"The page shows the {MAX_SPLATS:,} of {count:,} Gaussians that cover most.")
         return _result_page(name, answer, true, recording, asset, diagnostics, confidence, extra, notices)
     sections, chips, notices = _asset_sections(path, None)
     return document(name, [*sections, *extra], "asset", chips, notices)

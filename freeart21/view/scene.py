@@ -19,7 +19,7 @@ from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from freeart21.view.document import Section, data_url, embed_array
 from freeart21.view.simplify import arrow, joined, simplified, turning_arrow
-from freeart21.view.splats import SplatLayers, splat_data
+from freeart21.view.splats import MAX_SPLATS, SplatLayers, splat_data
 
 MAX_FACES_PER_LAYER = 50_000
 MAX_TEXTURE_SIDE = 1024
@@ -158,7 +158,10 @@ def scene_section(
     data = scene_data(scene)
     data["surfaces"] = [_surface_data(surface, textures) for surface in surfaces]
     data["textures"] = [_texture_url(path) for path in textures]
-    return Section(title, '<div class="scene"></div>', "scene", data, place)
+    html, count = '<div class="scene"></div>', 0 if scene.splats is None else len(scene.splats.gaussians)
+    if count > MAX_SPLATS:
+        html += f'<p class="note">Shown are the {MAX_SPLATS:,} of {count:,} Gaussians that cover most.</p>'
+    return Section(title, html, "scene", data, place)
 
 
 def scene_data(scene: Scene) -> dict[str, Any]:
