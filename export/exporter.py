@@ -149,7 +149,7 @@ def _reconstruction(result: Path | Reconstruction) -> tuple[Reconstruction, dict
     if isinstance(result, Reconstruction):
         return result, {}
     folder = Path(result)
-    read = read_result(folder)
+    read = read_result(folder, appearance=False)
     if isinstance(read, Failure):
         raise FreeArtError(f"{folder} is a failure, nothing to export: {read.stage}: {read.reason}")
     place = folder.resolve()

@@ -20,9 +20,10 @@ from freeart21 import se3
 from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
+from freeart21.files.gaussians import GAUSSIANS
 from freeart21.files.joint_json import joint_from_json
 from freeart21.files.mesh_file import read_ply
-from freeart21.files.result import METHOD_SCHEMA, SCHEMA, Method, lacks_of, read_result
+from freeart21.files.result import METHOD_SCHEMA, SCHEMA, Method, lacks_of, read_appearance, read_result
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 
@@ -117,7 +118,7 @@ def look_through(
             yield fault
         if fatal:
             return None
-        answer = read_result(folder, masks or None)
+        answer = read_result(folder, masks or None, appearance=False)
     except Exception as error:  # hostile bytes reach parsers of many libraries; each has exceptions of its own
         yield _unreadable(folder.name, folder, error)
         return None
@@ -194,6 +195,12 @@ def render_faults(
         except Exception as error:  # OpenCV's own, on hostile bytes
             fault = _unreadable(file, path, error)
     return None, [replace(fault, fatal=False)]
+
+
+def appearance_faults(folder: Path) -> list[Fault]:
+    """What is wrong with gaussians.ply, if it is there: nothing is measured of it, so it costs nothing."""
+    faults = _tried(folder, folder / GAUSSIANS, "", partial(read_appearance, folder))[1]
+    return [replace(fault, fatal=False) for fault in faults]
 
 
 def _faults(folder: Path, frames: int, height: int, width: int, masks: list[NDArray[np.uint8]]) -> Iterator[Fault]:

@@ -15,7 +15,15 @@ from freeart21.reconstruction import Failure, Reconstruction
 from freeart21.recording import Recording
 from leaderboard.asset_joint import measured_asset
 from leaderboard.score import check_results_folder
-from leaderboard.submission import Fault, link_faults, look_through, method_of, printable, render_faults
+from leaderboard.submission import (
+    Fault,
+    appearance_faults,
+    link_faults,
+    look_through,
+    method_of,
+    printable,
+    render_faults,
+)
 
 
 @dataclass(frozen=True)
@@ -91,6 +99,7 @@ def _sequence(
             and ((folder / pictures).is_dir() or pictures == "renders")
         ):
             notes.append(f"{folder.name}/{pictures}: {absent} of {len(found)} held-out views have no picture")
+    faults += appearance_faults(folder)
     if (folder / "asset").exists():
         states = answer.states if isinstance(answer, Reconstruction) else np.zeros(1)
         faults += _asset_faults(folder, states)

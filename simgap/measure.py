@@ -38,7 +38,7 @@ def measure_result(result: Path, out: Path, gravity: ArrayLike, rate_hz: float) 
     """
     result = Path(result)
     check_place(out, None, (result,))
-    read = read_result(result)
+    read = read_result(result, appearance=False)
     if isinstance(read, Failure):
         raise FreeArtError(f"{result} is a failure, nothing to measure: {read.stage}: {read.reason}")
     if not (result / "asset").is_dir():

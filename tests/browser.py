@@ -68,8 +68,15 @@ class Browser:
         assert "exceptionDetails" not in said, said["exceptionDetails"]
         return said["result"].get("value")
 
-    def open(self, page: Path | str, width: int = 1280, height: int = 900, dark: bool = False) -> None:
-        """Show a page and wait until its scripts are done."""
+    def open(
+        self,
+        page: Path | str,
+        width: int = 1280,
+        height: int = 900,
+        dark: bool = False,
+        ready: str = "document.documentElement.dataset.ready === 'yes'",
+    ) -> None:
+        """Show a page and wait until it is loaded and `ready`, and drawn."""
         self.ask(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
         )
@@ -77,7 +84,7 @@ class Browser:
         self.ask("Emulation.setEmulatedMedia", features=scheme)
         self.ask("Page.navigate", url=page.resolve().as_uri() if isinstance(page, Path) else page)
         end = time.monotonic() + PATIENCE_S
-        while not self.run("document.readyState === 'complete' && document.documentElement.dataset.ready === 'yes'"):
+        while not self.run(f"document.readyState === 'complete' && ({ready})"):
             assert time.monotonic() < end, f"{page} never got ready: {self.errors}"
             time.sleep(0.02)
         self.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(0))))")

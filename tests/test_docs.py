@@ -88,6 +88,9 @@ def test_the_example_of_a_result_is_read(written: Path) -> None:
     diagnostics = read_diagnostics(folder, 3)
     confidence = read_confidence(folder, 0, (6, 8))
     assert diagnostics is not None and confidence is not None and confidence.max() == 240
+    look = answer.appearance
+    assert look is not None and look.light is not None and look.part_weights.tolist() == [1, 0]
+    assert look.scales[0, 0] == pytest.approx(0.01, rel=0.01) and look.light[0] * 0.2821 == pytest.approx(1, abs=1e-3)
 
 
 def test_the_example_of_an_answer_that_is_doubted_is_read(written: Path) -> None:

@@ -13,7 +13,7 @@ from freeart21.files import atomic, checked
 from freeart21.mesh import Mesh
 
 MAX_PLY_BYTES = 512 << 20
-_PLY_TYPES = {
+PLY_TYPES = {
     "char": "i1",
     "int8": "i1",
     "uchar": "u1",
@@ -116,9 +116,9 @@ def _dtype(properties: list[list[str]], order: str) -> np.dtype:
         if words[0] == "list":
             if words[3] not in ("vertex_indices", "vertex_index"):
                 raise ValueError(f"it has a list property '{words[3]}', expected vertex_indices only")
-            fields += [("n", order + _PLY_TYPES[words[1]]), ("i", order + _PLY_TYPES[words[2]], 3)]
+            fields += [("n", order + PLY_TYPES[words[1]]), ("i", order + PLY_TYPES[words[2]], 3)]
         else:
-            fields.append((words[1], order + _PLY_TYPES[words[0]]))
+            fields.append((words[1], order + PLY_TYPES[words[0]]))
     return np.dtype(fields)
 
 

@@ -62,7 +62,14 @@ RESULT = Output(
     _json("prediction"),
     "prediction.json",
     (
-        *("prediction.json", "poses.npz", "diagnostics.json", "parts/reference.ply", "parts/moving.ply"),
+        *(
+            "prediction.json",
+            "poses.npz",
+            "diagnostics.json",
+            "gaussians.ply",
+            "parts/reference.ply",
+            "parts/moving.ply",
+        ),
         *(f"{folder}/{_PICTURE}" for folder in ("part_mask", "confidence", "renders", "renders_other")),
         *(f"asset/{pattern}" for pattern in ASSET.files),  # derived from the result, and stale with it
     ),

@@ -13,9 +13,11 @@ from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.diagnostics import Diagnostics, write_diagnostics
+from freeart21.files.gaussians import GAUSSIANS, read_gaussians, write_gaussians
 from freeart21.files.joint_json import joint_from_json, joint_to_json
 from freeart21.files.mesh_file import read_ply, write_ply
 from freeart21.files.places import RESULT
+from freeart21.gaussians import Gaussians
 from freeart21.reconstruction import PIECES, VERDICTS, Failure, Piece, Reconstruction, Trust
 
 SCHEMA = "freeart21/prediction/1"
@@ -153,6 +155,8 @@ def write_result(
             atomic.write_bytes(aside / "part_mask" / f"{i:05d}.png", checked.encode_png(mask))
         for name in PARTS:
             write_ply(aside / "parts" / f"{name}.ply", result.articulation.part(name))
+        if result.appearance is not None:
+            write_gaussians(aside / GAUSSIANS, result.appearance)
         if diagnostics is not None:
             write_diagnostics(aside, diagnostics)
         for other, images in enumerate((renders, renders_other)):
@@ -160,10 +164,13 @@ def write_result(
                 atomic.write_bytes(aside / RENDERS[other] / f"{i:05d}.png", checked.encode_png(image))
 
 
-def read_result(folder: Path, masks: list[NDArray[np.uint8]] | None = None) -> Reconstruction | Failure:
+def read_result(
+    folder: Path, masks: list[NDArray[np.uint8]] | None = None, appearance: bool = True
+) -> Reconstruction | Failure:
     """The reconstruction or failure in a result folder, from any method: bounded, checked, nothing executed.
 
-    `masks` are those of part_mask/, all frames, when they have been read before.
+    `masks` are those of part_mask/, all frames, when they have been read before. Without `appearance`, which no number
+    is made of, gaussians.ply is left alone.
     """
     folder = Path(folder)
     header = folder / "prediction.json"
@@ -201,7 +208,14 @@ def read_result(folder: Path, masks: list[NDArray[np.uint8]] | None = None) -> R
         _read_trust(data, header),
         *_read_joint_std(data, header),
         anchor=_read_anchor(data, n, header),
+        appearance=read_appearance(folder) if appearance else None,
     )
+
+
+def read_appearance(folder: Path) -> Gaussians | None:
+    """What the answer in a result folder looks like, or None when it has no gaussians.ply; raises FreeArtError."""
+    path = folder / GAUSSIANS
+    return read_gaussians(path, parted=True) if path.exists() or path.is_symlink() else None
 
 
 def read_render(folder: Path, index: int, other: bool = False) -> NDArray[np.uint8] | None:

@@ -17,7 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from freeart21 import __version__
 
-SCRIPTS = ("base.js", "kinematics.js", "video.js", "plot.js", "curves.js", "scene.js", "table.js", "start.js")
+SCRIPTS = (
+    *("base.js", "kinematics.js", "video.js", "plot.js", "curves.js", "splats.js", "scene.js", "table.js", "start.js"),
+)
 """Files of `static/`, in the order in which they run."""
 
 REFERENCE, MOVING, TRUTH = "#0072B2", "#E69F00", "#009E73"

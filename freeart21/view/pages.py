@@ -16,7 +16,7 @@ from freeart21.files.asset import read_asset, read_effects
 from freeart21.files.benchmark import is_unfinished, unfinished
 from freeart21.files.diagnostics import Diagnostics, confidence_file, read_confidence, read_diagnostics
 from freeart21.files.places import PAGE, check_place
-from freeart21.files.result import read_result
+from freeart21.files.result import read_appearance, read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.reconstruction import Failure, Reconstruction
@@ -79,17 +79,22 @@ def page(
     if kind == "truth":
         return _sequence_page(name, read_sequence(sequence) if sequence is not None else None, read_truth(path), extra)
     if kind == "result":
-        recording, answer = read_sequence(sequence) if sequence is not None else None, read_result(path)
+        recording = read_sequence(sequence) if sequence is not None else None
+        answer = read_result(path, appearance=False)
         if isinstance(answer, Failure):
             return _failure_page(name, answer, true, recording, extra)
         inside = path / "asset"
         asset = asset or (inside if inside.is_dir() else None)
         diagnostics, confidence, notices = None, None, []
         try:
+            answer = replace(answer, appearance=read_appearance(path))
+        except FreeArtError as error:
+            notices = [f"The Gaussians cannot be shown: {error}"]
+        try:
             diagnostics = read_diagnostics(path, len(answer))
             confidence = _confidence(path, answer)
         except FreeArtError as error:
-            notices = [f"The diagnostics cannot be shown: {error}"]
+            notices.append(f"The diagnostics cannot be shown: {error}")
         return _result_page(name, answer, true, recording, asset, diagnostics, confidence, extra, notices)
     sections, chips, notices = _asset_sections(path, None)
     return document(name, [*sections, *extra], "asset", chips, notices)
@@ -198,7 +203,7 @@ def _result_page(
     Ts = result.Ts_camera_reference
     joint, states, masks = result.articulation.joint, result.states, result.part_masks
     camera = recording.camera if recording is not None else None
-    scene = articulation_scene(result.articulation, states, Ts, camera)
+    scene = articulation_scene(result.articulation, states, Ts, camera, result.appearance)
     axes = []
     if camera is not None:
         axes.append(AxisLine("found", AXIS, axis_in_pictures(result.articulation, states, Ts, camera)))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.camera import Camera
+from freeart21.gaussians import Gaussians
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal, middle
 from freeart21.reconstruction import Reconstruction
@@ -17,6 +18,7 @@ from freeart21.se3 import Array
 from freeart21.truth import Truth
 from freeart21.view.document import MOVING, REFERENCE, TRUTH
 from freeart21.view.scene import Layer, Link, Scene, Slider, Surface, axis_mesh, slider_range
+from freeart21.view.splats import SplatLayers
 
 AXIS = "#AA3377"
 """Colour of the predicted joint axis."""
@@ -76,7 +78,7 @@ def matched(result: Reconstruction, truth: Truth) -> Reconstruction:
 
 def exchanged(result: Reconstruction) -> Reconstruction:
     """The same result with 'reference' and 'moving' exchanged: the same motion, seen from the other part."""
-    a = result.articulation
+    a, look = result.articulation, result.appearance
     return replace(
         result,
         articulation=Articulation(replace(a.joint, axis=-a.joint.axis), a.moving, a.reference),
@@ -85,13 +87,18 @@ def exchanged(result: Reconstruction) -> Reconstruction:
         part_masks=np.array([0, 2, 1], np.uint8)[result.part_masks],
         seen=result.seen[:, ::-1],
         covariances=None if result.covariances is None else result.covariances[:, ::-1],
+        appearance=look and replace(look, part_weights=1 - look.part_weights),
     )
 
 
 def articulation_scene(
-    articulation: Articulation, states: NDArray[np.float64], Ts_camera_reference: Array, camera: Camera | None = None
+    articulation: Articulation,
+    states: NDArray[np.float64],
+    Ts_camera_reference: Array,
+    camera: Camera | None = None,
+    appearance: Gaussians | None = None,
 ) -> Scene:
-    """Two parts, the joint axis, and one slider that can follow the states (n,) of the video."""
+    """Two parts (surfaces, Gaussians), the joint axis, and a slider that can follow the states (n,) of the video."""
     joint = articulation.joint
     moving = joint.transform(float(states[0]))
     size = bounding_diagonal(articulation.reference, articulation.moving.moved(moving)) or 1.0
@@ -111,6 +118,7 @@ def articulation_scene(
         towards_viewer=R_world_camera @ [0.45, -0.4, -1.0],
         camera=camera,
         Ts_camera_world=Ts_camera_reference,
+        splats=None if not appearance else SplatLayers(appearance, (0, 1), (0, 1)),
     )
 
 

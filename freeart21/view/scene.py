@@ -19,6 +19,7 @@ from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from freeart21.view.document import Section, data_url, embed_array
 from freeart21.view.simplify import arrow, joined, simplified, turning_arrow
+from freeart21.view.splats import MAX_SPLATS, SplatLayers, splat_data
 
 MAX_FACES_PER_LAYER = 50_000
 MAX_TEXTURE_SIDE = 1024
@@ -97,6 +98,8 @@ class Scene:
     """The recording camera, for looking through it."""
     Ts_camera_world: Array | None = None
     """(n, 4, 4) the recording camera from the world of the scene, in every frame."""
+    splats: SplatLayers | None = None
+    """What two of the layers look like as Gaussians."""
 
 
 def link_poses(links: Sequence[Link], values: Sequence[float]) -> list[Array]:
@@ -155,7 +158,10 @@ def scene_section(
     data = scene_data(scene)
     data["surfaces"] = [_surface_data(surface, textures) for surface in surfaces]
     data["textures"] = [_texture_url(path) for path in textures]
-    return Section(title, '<div class="scene"></div>', "scene", data, place)
+    html, count = '<div class="scene"></div>', 0 if scene.splats is None else len(scene.splats.gaussians)
+    if count > MAX_SPLATS:
+        html += f'<p class="note">Shown are the {MAX_SPLATS:,} of {count:,} Gaussians that cover most.</p>'
+    return Section(title, html, "scene", data, place)
 
 
 def scene_data(scene: Scene) -> dict[str, Any]:
@@ -187,6 +193,7 @@ def scene_data(scene: Scene) -> dict[str, Any]:
         "camera": None
         if scene.camera is None
         else {"K": scene.camera.K, "width": scene.camera.width, "height": scene.camera.height},
+        "gaussians": None if scene.splats is None else splat_data(scene.splats),
         "camera_poses": None if scene.Ts_camera_world is None else np.round(scene.Ts_camera_world[:, :3], 6),
     }
 
@@ -255,15 +262,19 @@ def _surface_data(surface: Surface, textures: list[Path]) -> dict[str, Any]:
 def _bounds(scene: Scene) -> tuple[Array, float]:
     """Centre and radius, metres, of the ball that is shown at first.
 
-    It holds all solid surfaces with the sliders at their first values, and nearly all of them at the sliders' ends.
+    It holds all solid surfaces (the Gaussians, where there are none) with the sliders at their first values, and nearly
+    all of them at the sliders' ends.
     """
     solid = [s for s in scene.surfaces if scene.layers[s.layer].style == "solid" and not s.mesh.empty]
-    if not solid:
+    held = [(s.link, s.mesh.vertices[s.mesh.faces[:, 0]]) for s in solid]
+    if not held and scene.splats is not None:
+        held = [(link, scene.splats.gaussians.means.astype(float)) for link in scene.splats.links]
+    if not held:
         return np.zeros(3), 1.0
 
     def points(values: list[float]) -> Array:
         poses = link_poses(scene.links, values)
-        return np.concatenate([se3.transform(poses[s.link], s.mesh.vertices[s.mesh.faces[:, 0]]) for s in solid])
+        return np.concatenate([se3.transform(poses[link], vertices) for link, vertices in held])
 
     first = points([s.value for s in scene.sliders])
     centre = (first.min(0) + first.max(0)) / 2

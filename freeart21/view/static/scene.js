@@ -93,10 +93,14 @@ FreeArt.renderer = (canvas, data) => {
     if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
     return shader;
   };
-  const program = gl.createProgram();
-  gl.attachShader(program, compile(gl.VERTEX_SHADER, VERTEX_SHADER));
-  gl.attachShader(program, compile(gl.FRAGMENT_SHADER, FRAGMENT_SHADER));
-  gl.linkProgram(program);
+  const linked = (vertex, fragment) => {
+    const program = gl.createProgram();
+    gl.attachShader(program, compile(gl.VERTEX_SHADER, vertex));
+    gl.attachShader(program, compile(gl.FRAGMENT_SHADER, fragment));
+    gl.linkProgram(program);
+    return program;
+  };
+  const program = linked(VERTEX_SHADER, FRAGMENT_SHADER);
   gl.useProgram(program);
   const uniform = Object.fromEntries(["view", "projection", "tint", "own", "alpha", "textured", "ghost", "image"]
     .map((name) => [name, gl.getUniformLocation(program, name)]));
@@ -144,10 +148,13 @@ FreeArt.renderer = (canvas, data) => {
   });
   const tint = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
   for (const surface of surfaces) surface.tint = tint(surface.colour ?? data.layers[surface.layer].colour);
+  const splats = data.gaussians && Splats.renderer(gl, data.gaussians, linked(SPLAT_VERTEX_SHADER, SPLAT_FRAGMENT_SHADER),
+    data.gaussians.layers.map((layer) => tint(data.layers[layer].colour)));
   const drawLayer = (style, frame, alpha) => {
     for (const surface of surfaces) {
       const layer = data.layers[surface.layer];
       if (layer.style !== style || !frame.shown[surface.layer]) continue;
+      if (frame.gaussians && data.gaussians.layers.includes(surface.layer)) continue;
       gl.bindVertexArray(surface.array);
       gl.uniformMatrix4fv(uniform.view, true, Kinematics.multiply(frame.view, frame.poses[surface.link]));
       gl.uniform3fv(uniform.tint, surface.tint);
@@ -159,12 +166,12 @@ FreeArt.renderer = (canvas, data) => {
     }
   };
   gl.enable(gl.DEPTH_TEST);
-  gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-  gl.uniform1i(uniform.image, 0);
 
-  /** Draw {view, projection, poses, shown, partColours}. */
+  /** Draw {view, projection, poses, shown, partColours, gaussians, camera}. */
   const draw = (frame) => {
     gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.useProgram(program);
+    gl.uniform1i(uniform.image, 0);
     gl.depthMask(true);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
@@ -173,13 +180,23 @@ FreeArt.renderer = (canvas, data) => {
     gl.disable(gl.BLEND);
     gl.depthFunc(gl.LEQUAL);
     drawLayer("solid", frame, 1);
+    if (frame.gaussians) {                                // axes stand among them
+      drawLayer("axis", frame, 1);
+      splats.draw(frame, canvas.width, canvas.height);
+      gl.useProgram(program);
+    }
     gl.enable(gl.BLEND);
+    gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.depthMask(false);
-    gl.depthFunc(gl.GREATER);                             // axes shine through
+    gl.depthFunc(frame.gaussians ? gl.LEQUAL : gl.GREATER); // axes shine through
     drawLayer("axis", frame, 0.3);
     gl.depthMask(true);
     gl.depthFunc(gl.LEQUAL);
-    drawLayer("axis", frame, 1);
+    if (!frame.gaussians) drawLayer("axis", frame, 1);
+    else if (data.layers.some((layer, k) => layer.style === "ghost" && frame.shown[k])) {
+      splats.drawDepth();
+      gl.useProgram(program);
+    }
     gl.colorMask(false, false, false, false);             // ghosts show their nearest surface only
     drawLayer("ghost", frame, 1);
     gl.colorMask(true, true, true, true);
@@ -201,12 +218,15 @@ FreeArt.orbit = (canvas, data, changed) => {
   const side = cross(up, front);
   const field = (32 * Math.PI) / 180;
   const eye = { yaw: 0, pitch: 0, distance: 1, target: [0, 0, 0] };
-  const home = () => {
+  const fit = () => {
     const aspect = canvas.clientWidth / Math.max(1, canvas.clientHeight) || 1;
-    eye.yaw = 0;
-    eye.pitch = Math.asin(FreeArt.clamp(dot(unit(data.towards_viewer), up), -1, 1));
     eye.distance = (1.02 * data.radius) / Math.sin(Math.atan(Math.tan(field / 2) * Math.min(1, aspect)));
     eye.target = [...data.centre];
+  };
+  const home = () => {
+    eye.yaw = 0;
+    eye.pitch = Math.asin(FreeArt.clamp(dot(unit(data.towards_viewer), up), -1, 1));
+    fit();
   };
   const axes = () => {
     const level = mix([Math.cos(eye.yaw), front], [Math.sin(eye.yaw), side]);
@@ -280,7 +300,7 @@ FreeArt.orbit = (canvas, data, changed) => {
     event.preventDefault();
     changed();
   });
-  return { home, view, projection, look };
+  return { home, fit, view, projection, look };
 };
 
 FreeArt.kinds.scene = (section, data, bus) => {
@@ -303,15 +323,15 @@ FreeArt.kinds.scene = (section, data, bus) => {
 
   const shown = data.layers.map((layer) => layer.shown);
   const values = data.sliders.map((slider) => slider.value);
-  let partColours = false, through = false, waiting = false;
+  let partColours = false, gaussians = Boolean(data.gaussians), through = false, waiting = false;
   const orbit = FreeArt.orbit(canvas, data, () => {
     if (through) throughButton.click();
     redraw();
   });
 
-  const cameraView = () => {
-    const T = data.camera_poses[FreeArt.clamp(bus.frame, 0, data.camera_poses.length - 1)];
-    return [...T[0], ...T[1].map((x) => -x), ...T[2].map((x) => -x), 0, 0, 0, 1];
+  const camera = () => {                                   // of the video, from the world, in the frame that is shown
+    const poses = data.camera_poses;
+    return poses && [...poses[FreeArt.clamp(bus.frame, 0, poses.length - 1)].flat(), 0, 0, 0, 1];
   };
   const draw = () => {
     waiting = false;
@@ -320,9 +340,9 @@ FreeArt.kinds.scene = (section, data, bus) => {
     if (!width || !height) return;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     const aspect = width / height;
-    const frame = { poses: Kinematics.linkPoses(data.links, values), shown, partColours };
+    const frame = { poses: Kinematics.linkPoses(data.links, values), shown, partColours, gaussians, camera: camera() };
     if (through) {
-      const view = cameraView(), c = data.centre;
+      const view = frame.camera.map((x, k) => (k >= 4 && k < 12 ? -x : x)), c = data.centre;
       const depth = -(view[8] * c[0] + view[9] * c[1] + view[10] * c[2] + view[11]);
       const near = Math.max(depth - 4 * data.radius, 0.02 * Math.abs(depth), 1e-4);
       renderer.draw({ ...frame, view, projection: Kinematics.pinhole(data.camera, aspect, near, depth + 6 * data.radius) });
@@ -360,7 +380,7 @@ FreeArt.kinds.scene = (section, data, bus) => {
     return button;
   };
   const throughButton = toggle("Video camera", "look through the camera of the video", false, (on) => { through = on; });
-  const painted = data.surfaces.some((surface) => surface.colours && data.layers[surface.layer].style === "solid");
+  const painted = data.gaussians || data.surfaces.some((surface) => surface.colours && data.layers[surface.layer].style === "solid");
   frameBox.append(element("div", { class: "corner" },
     ...(painted ? [toggle("Part colours", "colour every part by what it is", false, (on) => { partColours = on; })] : []),
     ...(data.camera ? [throughButton] : []),
@@ -385,10 +405,19 @@ FreeArt.kinds.scene = (section, data, bus) => {
     legend.before(FreeArt.choice("arrangement", ways.map(({ name }) => [name, name]), ways[0].name,
       (chosen) => arrange(ways.find(({ name }) => name === chosen))));
 
+  /* Parts as Gaussians, or as the surfaces that they stand for. */
+  const lookChoice = data.gaussians && FreeArt.choice("how the parts are shown",
+    [["gaussians", "Gaussians"], ["surfaces", "Surfaces"]], "gaussians", (chosen) => {
+      gaussians = chosen === "gaussians";
+      redraw();
+    });
+  if (lookChoice) legend.before(lookChoice);
+
   /* The legend, whose entries show and hide; a layer that follows another has no entry of its own. */
   data.layers.forEach((layer, i) => {
     const own = (k) => k === i || data.layers[k].follows === i;
-    if (layer.follows !== undefined || !data.surfaces.some((surface) => own(surface.layer))) return;
+    const filled = data.surfaces.some((surface) => own(surface.layer)) || data.gaussians?.layers.includes(i);
+    if (layer.follows !== undefined || !filled) return;
     const mark = element("i", { class: layer.style });
     mark.style.background = mark.style.borderColor = layer.colour;
     const button = toggle(layer.name, "show or hide", layer.shown, (on) => {
@@ -457,6 +486,7 @@ FreeArt.kinds.scene = (section, data, bus) => {
       rows[0].set(Number(link.state));
     }
     if (link.yaw || link.pitch) orbit.look(Number(link.yaw || 0), Number(link.pitch || 0));
+    if (link.look) lookChoice?.set(link.look);
     if (link.view === "video" && data.camera && !through) throughButton.click();
     if (link.show)
       for (const button of legend.children) {
@@ -469,7 +499,7 @@ FreeArt.kinds.scene = (section, data, bus) => {
   orbit.home();
   let first = true;
   new ResizeObserver(() => {
-    if (first) orbit.home();
+    if (first) orbit.fit();
     first = false;
     redraw();
   }).observe(canvas);
