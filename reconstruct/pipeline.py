@@ -36,6 +36,7 @@ from reconstruct.evidence import Evidence
 from reconstruct.exchanges import exchanged, undo_exchanges
 from reconstruct.features import HandMade
 from reconstruct.gaps import bridge_gaps, fill_gaps
+from reconstruct.gaussians.optimisation import optimise, refined
 from reconstruct.gaussians.rasteriser import FAINTEST
 from reconstruct.growth import Grown, body_points
 from reconstruct.hypotheses import better_type
@@ -239,7 +240,9 @@ def _type_again(
 def _gaussians(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
     if not settings.gaussians.refine:
         return known
-    return known  # the optimisation comes here: replace(known, grown=..., appearance=...)
+    assert known.grown is not None
+    found = optimise(video.recording, video.scene, known.grown, settings, rng)
+    return replace(known, grown=refined(known.grown, found), appearance=found.gaussians)
 
 
 @_solves

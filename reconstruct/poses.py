@@ -17,6 +17,7 @@ from freeart21.joint import Joint
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence, Records, Samples, draw
 from reconstruct.rigid import view_angle
+from reconstruct.scene import Scene
 from reconstruct.settings import PoseSettings
 
 Labels = NDArray[np.uint8]
@@ -103,7 +104,7 @@ def free_adjustment(
     A = sparse.csr_array((6 * n, 6 * n))
     for _ in range(settings.free_rounds):
         A, b, _ = _normal_equations(evidence, labels, part, Ts, samples, source, target, settings.final_gate)
-        step = _damped_solve(A, b).reshape(n, 6)
+        step = damped_solve(A, b).reshape(n, 6)
         Ts = se3.orthonormalised(se3.exp_se3(_limited(step)) @ Ts)
     drift = se3.mean_pose(se3.inverse(start[seen]) @ Ts[seen])
     Ts = np.where(seen[:, None, None], Ts @ se3.inverse(drift), start)
@@ -139,22 +140,33 @@ def joint_adjustment(
         A0, b0, s0 = _normal_equations(evidence, labels, 1, now.Ts, samples[0], *pairs[0], gate)
         A1, b1, s1 = _normal_equations(evidence, labels, 2, now.Ts_moving, samples[1], *pairs[1], gate)
         cost = (s0[2] + s1[2]) / max(s0[1] + s1[1], 1)
-        M, across = _joint_jacobian(now)
+        M, across = joint_jacobian(now)
         own = sparse.eye_array(6 * n, M.shape[1], format="csr")
         A, b = own.T @ A0 @ own + M.T @ A1 @ M, own.T @ b0 + M.T @ b1
-        step = _damped_solve(*_with_state_smoothness(A, b, now.states - start.states))
-        now = _stepped(now, step, across, evidence.scene.diagonal)
+        step = damped_solve(*with_state_smoothness(A, b, now.states - start.states))
+        now = stepped(now, step, across, evidence.scene.diagonal)
         if r in (rounds // 3, 2 * rounds // 3):
             pairs = [choose_pairs(T, usable[:, k], settings) for k, T in enumerate((now.Ts, now.Ts_moving))]
     if final:
         reuse = len(pairs[1][0]) / max(usable[:, 1].sum(), 1)
-        measured = np.asarray(usable.all(1))
-        clouds = [_cloud(evidence, drawn[k], T) for k, T in enumerate((now.Ts, now.Ts_moving))]
-        noise = _joint_std(A.toarray(), now, usable, clouds[1].mean(0), reuse)
-        joint_std = np.hypot(noise, _systematic_std(clouds, evidence.unit))
-        state_std = np.where(measured, _state_std(A.toarray(), measured, reuse), np.inf)
-        now = replace(now, state_std=state_std, joint_std=joint_std)
+        clouds = [_cloud(evidence.scene, drawn[k], T) for k, T in enumerate((now.Ts, now.Ts_moving))]
+        now = with_std(now, A.toarray(), usable, clouds, reuse, evidence.unit)
     return replace(now, cost=float(cost))
+
+
+def with_std(
+    now: JointedPoses, A: Array, usable: NDArray[np.bool_], clouds: list[Array], reuse: float, unit: float
+) -> JointedPoses:
+    """`now` with standard deviations of states and joint, of normal matrix A (7n + m, 7n + m) and systematic errors.
+
+    Parts can be measured where `usable` (n, 2); `clouds` are points (p, 3) of theirs in their own frames, metres. Each
+    residual was counted about `reuse` times; `unit`, metres, is what systematic errors go by.
+    """
+    measured = np.asarray(usable.all(1))
+    noise = _joint_std(A.copy(), now, usable, clouds[1].mean(0), reuse)
+    joint_std = np.hypot(noise, _systematic_std(clouds, unit))
+    state_std = np.where(measured, _state_std(A.copy(), measured, reuse), np.inf)
+    return replace(now, state_std=state_std, joint_std=joint_std)
 
 
 def _normal_equations(
@@ -202,7 +214,7 @@ def _from_blocks(rows: NDArray, columns: NDArray, blocks: Array, n: int) -> spar
     return sparse.bsr_array((blocks[order], columns[order], starts), (6 * n, 6 * n)).tocsr()
 
 
-def _joint_jacobian(now: JointedPoses) -> tuple[sparse.csr_array, Array]:
+def joint_jacobian(now: JointedPoses) -> tuple[sparse.csr_array, Array]:
     """M (6n, 7n + m) from (x_i, dq_i, axis, pivot) to left twists of the moving part, and directions across the axis.
 
     m is 4 for a revolute joint (two of the axis, two of the pivot), 2 for a prismatic one.
@@ -222,7 +234,9 @@ def _joint_jacobian(now: JointedPoses) -> tuple[sparse.csr_array, Array]:
     return sparse.hstack([sparse.eye_array(6 * n), states, shared], format="csr"), across
 
 
-def _stepped(now: JointedPoses, x: Array, across: Array, size: float) -> JointedPoses:
+def stepped(now: JointedPoses, x: Array, across: Array, size: float) -> JointedPoses:
+    """`now` after a step x (7n + m,) of `joint_jacobian`'s unknowns, cut where it is rash for an object of `size`,
+    metres."""
     n, joint = len(now.Ts), now.joint
     Ts = se3.orthonormalised(se3.exp_se3(_limited(x[: 6 * n].reshape(n, 6))) @ now.Ts)
     most = 0.1 if joint.type == "revolute" else 0.1 * size
@@ -235,7 +249,7 @@ def _stepped(now: JointedPoses, x: Array, across: Array, size: float) -> Jointed
     return replace(now, joint=new, states=states, Ts=Ts)
 
 
-def _with_state_smoothness(A: sparse.csr_array, b: Array, corrections: Array) -> tuple[sparse.csr_array, Array]:
+def with_state_smoothness(A: sparse.csr_array, b: Array, corrections: Array) -> tuple[sparse.csr_array, Array]:
     """A weak pull of the states' corrections (n,) to a straight line: frames without evidence go with their neighbours.
 
     Not of the states: where nothing is seen, those of the growth are the best there are.
@@ -250,7 +264,7 @@ def _with_state_smoothness(A: sparse.csr_array, b: Array, corrections: Array) ->
     return A + weight * bend.T @ bend, b + weight * bend.T @ (D @ corrections)
 
 
-def _damped_solve(A: sparse.csr_array, b: Array) -> Array:
+def damped_solve(A: sparse.csr_array, b: Array) -> Array:
     """The Levenberg-Marquardt step -(A + damping)^-1 b; the damping is what holds the gauge and empty frames.
 
     A is symmetric and, damped, positive definite: its factors need no pivoting.
@@ -316,9 +330,9 @@ Eight right answers of benchmarks/trust.py had errors of 4 (median) to 9 deviati
 degrees where the noise explains .05 to .3; with this they have about 1."""
 
 
-def _cloud(evidence: Evidence, samples: Samples, Ts: Array) -> Array:
+def _cloud(scene: Scene, samples: Samples, Ts: Array) -> Array:
     """(p, 3) sampled points of a part in its own frame; the origin when there are none."""
-    points = evidence.scene.points
+    points = scene.points
     clouds = [se3.transform(se3.inverse(Ts[i]), points[i, p[:, 0], p[:, 1]]) for i, p in samples.items() if len(p)]
     return np.asarray(np.concatenate(clouds), float) if clouds else np.zeros((1, 3))
 
@@ -344,7 +358,7 @@ def _joint_std(A: Array, now: JointedPoses, seen: NDArray[np.bool_], centre: Arr
     axis line moves at its point nearest the centre.
     """
     n, count = len(now.Ts), len(A) - 7 * len(now.Ts)
-    M, _ = _joint_jacobian(now)
+    M, _ = joint_jacobian(now)
     scale = np.sqrt(np.where(np.diag(A) > 0, np.diag(A), 1.0))
     normed = A / scale[:, None] / scale[None]
     np.fill_diagonal(normed, np.where(np.diag(A) > 0, np.diag(normed), 1.0))

@@ -388,10 +388,18 @@ class GaussianSettings:
     """False: part weights stay 0 or 1 (the ablation "w/o Blended Rendering")."""
     end_to_end: bool = True
     """False: poses, states and joint stay as they were (the ablation "w/o end-to-end")."""
-    iterations: int = 2400
-    """Pictures that are looked at, at most."""
-    most: int = 40_000
+    backend: Literal["auto", "numba", "gsplat"] = "auto"
+    """What draws: numba on the processor, gsplat on a CUDA GPU, or gsplat where it works."""
+    rounds: int = 16
+    """Times that all frames are looked at."""
+    warm_up: int = 2
+    """Of them, those before the motion is refined, too."""
+    most_pixels: int = 60_000
+    """Pictures with a larger foreground are sampled down by a whole factor, to bound time."""
+    begin: int = 25_000
     """Gaussians at the beginning, at most."""
+    most: int = 50_000
+    """Gaussians, at most."""
     spacing: float = 1.0
     """Distance between them at the beginning."""
     light_terms: int = 16
@@ -406,8 +414,8 @@ class GaussianSettings:
     """lambda_mask."""
     held_back: int = 10
     """Every how many frames one is held back, to judge by."""
-    cell: float = 2.0
-    """Size of the cells of the surface whose colour and depth are unknowns of the adjustment."""
+    cells: int = 8000
+    """Of the surface, whose colour and depth are unknowns of the adjustment."""
     momentum: float = 0.8
     """Share of the last step of poses and joint that is taken again: model and motion wait for each other, and alone
     each step goes a tenth of the way."""

@@ -67,9 +67,9 @@ def test_jacobian_is_the_derivative_of_the_moving_part(kind):
     rng = np.random.default_rng(2)
     joint = Joint("j", kind, np.array([0.0, 0.6, 0.8]), np.array([0.1, 0.2, 0.0]), 0, 1)
     now = JointedPoses(joint, rng.uniform(0, 1, 5), turning(5), np.ones(5), 0.0)
-    M, across = poses._joint_jacobian(now)
+    M, across = poses.joint_jacobian(now)
     x = 1e-6 * rng.normal(size=M.shape[1])
-    moved = se3.log_se3(poses._stepped(now, x, across, 1.0).Ts_moving @ se3.inverse(now.Ts_moving))
+    moved = se3.log_se3(poses.stepped(now, x, across, 1.0).Ts_moving @ se3.inverse(now.Ts_moving))
     np.testing.assert_allclose(moved.ravel(), M @ x, atol=1e-9)
 
 
@@ -81,9 +81,9 @@ def test_variances_with_the_gauge_held_are_those_by_eigenvalues():
     now = JointedPoses(joint, np.linspace(0, 1, n), Ts, np.ones(n), 0.0)
     _, (A0, _, _) = equations(Ts, seen, 1)
     _, (A1, _, _) = equations(now.Ts_moving, seen, 2)
-    M, _ = poses._joint_jacobian(now)
+    M, _ = poses.joint_jacobian(now)
     own = np.eye(6 * n, M.shape[1])
-    A, _ = poses._with_state_smoothness(own.T @ A0 @ own + M.T @ A1 @ M, np.zeros(M.shape[1]), np.zeros(n))
+    A, _ = poses.with_state_smoothness(own.T @ A0 @ own + M.T @ A1 @ M, np.zeros(M.shape[1]), np.zeros(n))
     A = np.asarray(A)
     held = np.append(np.arange(6), 6 * n)
     scale = np.sqrt(np.maximum(np.diag(A), 1e-12 * np.diag(A).max()))
@@ -107,7 +107,7 @@ def jointed_equations(kind="revolute", n=25):
     now = JointedPoses(joint, np.linspace(0, 1, n), Ts, np.ones(n), 0.0)
     _, (A0, _, _) = equations(Ts, seen[:, 0], 1)
     _, (A1, _, _) = equations(now.Ts_moving, seen[:, 1], 2)
-    M, across = poses._joint_jacobian(now)
+    M, across = poses.joint_jacobian(now)
     own = np.eye(6 * n, M.shape[1])
     return np.asarray(own.T @ A0 @ own + M.T @ A1 @ M), now, seen, M.toarray(), across
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -39,8 +41,7 @@ class Adam:
                 a.reshape(shape)
                 for a in (values, gradient[name], getattr(self.first, name), getattr(self.second, name))
             ]
-            arguments = (*flat, rows, count, np.float32(rates[name]))
-            in_threads(lambda a, b, given=arguments: _step(a, b, *given), len(flat[0]), 2000)
+            in_threads(partial(_step_some, (*flat, rows, count, np.float32(rates[name]))), len(flat[0]), 2000)
 
     def kept(self, which: NDArray[np.int64], fresh: NDArray[np.bool_]) -> None:
         """Go on with the Gaussians `which` (M,), of which `fresh` (M,) begin anew."""
@@ -51,6 +52,10 @@ class Adam:
                     taken[fresh] = 0
                     setattr(moments, name, taken)
         self.steps = np.where(fresh, 0, self.steps[which]).astype(np.int32)
+
+
+def _step_some(arguments: tuple[Any, ...], begin: int, end: int) -> None:
+    _step(begin, end, *arguments)
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})

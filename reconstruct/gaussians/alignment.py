@@ -76,7 +76,7 @@ def alignment_terms(picture: Picture, target: Target, lens: Lens, Ts: Array, sca
     return Terms(H, g, cells, shared, float(sums[0]), float(sums[1]), spread)
 
 
-CELLS = 1 << 16
+CELLS = 1 << 15
 """Places for cells of a part's surface; those that share one by chance are taken as one."""
 _TABLE = np.zeros((2 * CELLS, 2, 8))
 SUBPIXEL = 0.3

@@ -22,12 +22,12 @@ RADIUS = 0.6
 def discs(
     meshes: tuple[Mesh, Mesh], footprint: float, settings: GaussianSettings, rng: np.random.Generator
 ) -> Parameters:
-    """Gaussians on the meshes of reference and moving part, canonical frame, one for each `footprint` squared.
+    """Gaussians on the meshes of reference and moving part, canonical frame, one for each `footprint`, metres, squared.
 
-    Fewer where that would be more than `settings.most`.
+    Fewer where that would be more than `settings.begin`.
     """
     areas = [float(mesh.areas().sum()) for mesh in meshes]
-    spacing = max(footprint, float(np.sqrt(sum(areas) / settings.most)))
+    spacing = max(settings.spacing * footprint, float(np.sqrt(sum(areas) / settings.begin)))
     means, normals, colours, weights = [], [], [], []
     for part, (mesh, area) in enumerate(zip(meshes, areas, strict=True)):
         count = round(area / spacing**2)

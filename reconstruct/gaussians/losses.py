@@ -4,6 +4,7 @@ Optimization)."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -72,7 +73,7 @@ def loss(picture: Picture, target: Target, background: Floats, unit: float, sett
     d_depth = settings.depth / (pixels * unit) * np.sign(off)
     over = np.where(measured, 1 / np.maximum(alpha, COVERED), 0)
     d_alpha -= d_depth * depth * over
-    d_depth = (d_depth * over).astype(np.float32)
+    d_depth = d_depth * over
 
     outside = np.where(known, alpha - target.mask, 0)
     d_alpha += settings.mask / pixels * np.sign(outside)
@@ -81,7 +82,7 @@ def loss(picture: Picture, target: Target, background: Floats, unit: float, sett
         float(np.abs(off).sum() / pixels / unit),
         float(np.abs(outside).mean()),
         d_seen,
-        d_depth,
+        d_depth.astype(np.float32),
         d_alpha.astype(np.float32),
     )
 
@@ -100,5 +101,5 @@ def ssim(seen: Floats, wanted: Floats) -> tuple[float, Floats]:
     return float(value.mean()), _blur(by_mx) + 2 * x * _blur(by_xx) + y * _blur(by_xy)
 
 
-def _blur(image: Floats) -> Floats:
+def _blur(image: Any) -> Floats:
     return np.asarray(cv2.GaussianBlur(image, (WINDOW, WINDOW), SIGMA, borderType=cv2.BORDER_CONSTANT), np.float32)

@@ -55,7 +55,8 @@ class Parameters:
 
     def kept(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Parameters:
         """Those Gaussians alone."""
-        return Parameters(*(getattr(self, f.name)[which] for f in fields(self)[:-1]), self.light)
+        own = {name: values[which] for name, values in self.arrays().items() if name != "light"}
+        return Parameters(**own, light=self.light)
 
     def zeros(self) -> Parameters:
         """Of the same shapes."""

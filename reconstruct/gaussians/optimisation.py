@@ -1,173 +1,146 @@
-"""The optimisation itself (paper, End-to-end Optimization): Adam over the Gaussians, Gauss-Newton over the motion."""
+"""End-to-end optimisation (paper, End-to-end Optimization): Adam over the Gaussians, Gauss-Newton over the motion.
+
+A round shows the model every frame once. The Gaussians take a step at every frame; poses, states, axis and pivot take
+one together at its end, from what all frames said. Some frames are held back: the model never learns from them, and
+what was found of the motion is kept only if they are explained no worse than with the motion that was there before.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from freeart21.gaussians import Gaussians
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 from reconstruct.gaussians.adam import Adam
 from reconstruct.gaussians.alignment import Scales, Terms, alignment_terms, reduced
-from reconstruct.gaussians.losses import Loss, Target, loss
-from reconstruct.gaussians.model import Parameters, splats_of
-from reconstruct.gaussians.rasteriser import Lens, Rasterise
-from reconstruct.kernels import each_in_threads
-from reconstruct.poses import (
-    JointedPoses,
-    _damped_solve,
-    _from_blocks,
-    _joint_jacobian,
-    _stepped,
-    _with_state_smoothness,
-)
+from reconstruct.gaussians.backends import choose
+from reconstruct.gaussians.density import grown_and_pruned
+from reconstruct.gaussians.initial import discs
+from reconstruct.gaussians.losses import Loss, loss
+from reconstruct.gaussians.model import Back, Parameters, splats_of
+from reconstruct.gaussians.rasteriser import Picture, Pull, Rasterise
+from reconstruct.gaussians.windows import Windows, windows_of
+from reconstruct.growth import Grown
+from reconstruct.poses import JointedPoses, damped_solve, joint_jacobian, stepped, with_state_smoothness, with_std
 from reconstruct.scene import Scene
-from reconstruct.settings import GaussianSettings
+from reconstruct.settings import GaussianSettings, ReconstructSettings
+from reconstruct.surfaces import fuse
 
-MARGIN = 8
-"""Pixels of a frame's window round its mask."""
-JUMP = 4.0
-"""Footprints between neighbours' depths beyond which neither is believed: sensors mix what they see there."""
+Flags = NDArray[np.bool_]
 
-
-@dataclass(frozen=True)
-class Window:
-    """What a frame shows of the object, and through which lens."""
-
-    lens: Lens
-    rgb: NDArray[np.uint8]
-    depth: Floats
-    """(h, w) metres; minus the depth of what is not the object; 0 where there is none or it is not believed."""
-    mask: NDArray[np.bool_]
-
-    def target(self) -> Target:
-        """The same as numbers."""
-        return Target(
-            self.rgb.astype(np.float32) / 255,
-            np.maximum(self.depth, 0),
-            self.mask,
-            np.maximum(-self.depth, 0),
-        )
+SHORTEST_ROUND = 150
+"""Pictures of a round, at least: shorter videos are shown again, so that the model keeps up with the motion."""
+TRIAL_STEPS = 3
+"""Gauss-Newton steps that bring a held-back frame to a model before it is judged."""
 
 
 @dataclass(frozen=True)
-class Video:
-    """Windows of all frames at one resolution; None where a frame shows nothing."""
+class Optimised:
+    """What the stage found."""
 
-    windows: tuple[Window | None, ...]
-    footprint: float
-    """Metres a pixel covers at the object."""
-    noise: float
-    """Metres: standard deviation of the depth."""
-    diagonal: float
-    """Metres: the object's size."""
-
-    @property
-    def shown(self) -> NDArray[np.bool_]:
-        """(n,) frames that show the object."""
-        return np.array([window is not None for window in self.windows])
+    poses: JointedPoses
+    gaussians: Gaussians
+    """In the frame of `poses`, joint state zero."""
+    shares: list[NDArray[np.float32] | None]
+    """For every frame, of its window, how much of what the model shows there is the moving part's, 0 to 1; NaN where it
+    shows nothing."""
+    kept: bool
+    """Whether the motion is the refined one."""
 
 
-def crops(scene: Scene) -> Video:
-    """The windows at the resolution that the solver works at."""
-    windows = []
-    for i, mask in enumerate(scene.mask):
-        box = _box(mask)
-        if box is None:
-            windows.append(None)
-            continue
-        z = scene.points[i, ..., 2]
-        depth = np.where(scene.edge[i] & (z > 0), 0, z).astype(np.float32)
-        lens = (scene.fx, scene.fy, scene.cx[i] + 0.5, scene.cy[i] + 0.5)
-        windows.append(_window(lens, scene.rgb[i], depth, mask, box))
-    return Video(tuple(windows), scene.footprint, scene.noise, scene.diagonal)
-
-
-def full_frames(recording: Recording, scene: Scene) -> Video:
-    """The windows at the recording's own resolution."""
-    K = recording.camera.K
-    footprint = scene.footprint / scene.factor
-
-    def load(i: int) -> Window | None:
-        frame = recording.frame(i)
-        box = _box(frame.mask)
-        if box is None:
-            return None
-        inside = np.where(frame.mask, frame.depth, 0).astype(np.float32)
-        far = np.where(inside > 0, inside, np.float32(np.inf))
-        low = cv2.erode(far, np.ones((3, 3)))
-        sound = (inside > 0) & (cv2.dilate(inside, np.ones((3, 3))) - low < JUMP * footprint + 4 * scene.noise)
-        depth = np.where(frame.mask, np.where(sound, inside, 0), -frame.depth).astype(np.float32)
-        return _window((K[0, 0], K[1, 1], K[0, 2], K[1, 2]), frame.rgb, depth, frame.mask, box)
-
-    windows = each_in_threads(load, len(recording))
-    return Video(tuple(windows), footprint, scene.noise, scene.diagonal)
-
-
-def _box(mask: NDArray[np.bool_]) -> tuple[slice, slice] | None:
-    ys, xs = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    if not len(xs):
-        return None
-    return (
-        slice(max(0, int(ys[0]) - MARGIN), int(ys[-1]) + 1 + MARGIN),
-        slice(max(0, int(xs[0]) - MARGIN), int(xs[-1]) + 1 + MARGIN),
-    )
-
-
-def _window(
-    lens: tuple[float, float, float, float],
-    rgb: NDArray[np.uint8],
-    depth: Floats,
-    mask: NDArray[np.bool_],
-    box: tuple[slice, slice],
-) -> Window:
-    fx, fy, cx, cy = map(float, lens)
-    h, w = mask[box].shape
-    return Window(
-        Lens(fx, fy, cx - box[1].start, cy - box[0].start, w, h), rgb[box].copy(), depth[box].copy(), mask[box].copy()
-    )
+def optimise(
+    recording: Recording,
+    scene: Scene,
+    grown: Grown,
+    settings: ReconstructSettings,
+    rng: np.random.Generator,
+    progress: Callable[[float], object] = lambda share: None,
+) -> Optimised:
+    """The articulated model of a video, and its motion refined; `progress` is told the share that is done."""
+    s = settings.gaussians
+    windows = windows_of(recording, scene, s.most_pixels)
+    start = grown.poses
+    poses = (start.Ts, start.Ts_moving)
+    meshes = [fuse(scene, grown.labels, k + 1, poses[k], grown.seen[:, k], settings.surfaces) for k in range(2)]
+    parameters = discs((meshes[0], meshes[1]), windows.footprint, s, rng)
+    cell = float(np.sqrt(sum(mesh.areas().sum() for mesh in meshes) / s.cells))
+    fit = Fit(windows, parameters, start, cell, choose(s.backend), s, rng)
+    held = _held_back(windows.shown, s.held_back)
+    train = windows.shown & ~held
+    trial: Fit | None = None
+    for r in range(s.rounds):
+        progress(r / s.rounds)
+        free = s.end_to_end and r >= s.warm_up
+        if free and trial is None:
+            trial = fit.copy()
+        fit.round(train, r / s.rounds, (r + 1) / s.rounds)
+        if free:
+            fit.adjust(train, held, s.momentum if r < 0.7 * s.rounds else s.momentum / 2)
+        if r < 0.6 * s.rounds:
+            fit.split()
+    kept = trial is not None and _explains_no_worse(trial, fit, train, held)
+    if s.end_to_end and not kept:
+        fit.poses = start
+        for r in range(s.rounds // 2, s.rounds):
+            fit.round(train, r / s.rounds, (r + 1) / s.rounds)
+    if kept:
+        fit.poses = _with_std(fit, [mesh.vertices for mesh in meshes], grown.seen)
+    gaussians = fit.parameters.gaussians(s.blended)
+    return Optimised(fit.poses, gaussians, fit.shares(), kept)
 
 
 class Fit:
-    """An articulated model in the course of its optimisation."""
+    """A model and a motion in the course of their optimisation; `cell`, metres, is the size of the surface's cells."""
 
     def __init__(
         self,
-        video: Video,
+        windows: Windows,
         parameters: Parameters,
         poses: JointedPoses,
+        cell: float,
         rasterise: Rasterise,
         settings: GaussianSettings,
         rng: np.random.Generator,
     ) -> None:
-        self.video, self.parameters, self.poses = video, parameters, poses
+        self.windows, self.parameters, self.poses = windows, parameters, poses
         self.rasterise, self.settings, self.rng = rasterise, settings, rng
         self.adam = Adam(parameters)
+        self.screen, self.looks = np.zeros(len(parameters)), np.zeros(len(parameters))
+        self.scales = Scales(0.05, max(windows.noise, 0.5 * windows.footprint), 0.3)
+        self.cell = cell
         self.last_step: Array | float = 0.0
-        self.screen = np.zeros(len(parameters))
-        self.looks = np.zeros(len(parameters))
-        self.scales = Scales(0.05, max(video.noise, 0.5 * video.footprint), 0.3)
+        self.said: dict[int, Terms] = {}
 
-    def draw(self, i: int, T_reference: Array | None = None, T_moving: Array | None = None):
-        gaussians = self.parameters.gaussians(self.settings.blended)
-        T = self.poses.Ts[i] if T_reference is None else T_reference
-        M = T @ self.poses.joint.transform(float(self.poses.states[i])) if T_moving is None else T_moving
-        Ts = np.stack([T, M])
-        splats, back = splats_of(gaussians, Ts)
-        picture, pull = self.rasterise(splats, Ts, self.video.windows[i].lens)
-        return gaussians, picture, pull, back
+    def copy(self) -> Fit:
+        """Another that goes its own way from here."""
+        own = copy.copy(self)
+        own.parameters, own.adam = copy.deepcopy(self.parameters), copy.deepcopy(self.adam)
+        own.screen, own.looks, own.said = self.screen.copy(), self.looks.copy(), dict(self.said)
+        own.rng = copy.deepcopy(self.rng)
+        return own
+
+    def round(self, train: Flags, begin: float, end: float) -> None:
+        """One step of the Gaussians at every frame of `train`; `begin` and `end` are shares of all that are done."""
+        frames = np.flatnonzero(train)
+        times = max(1, -(-SHORTEST_ROUND // max(len(frames), 1)))
+        order = np.concatenate([self.rng.permutation(frames) for _ in range(times)]) if len(frames) else frames
+        for k, i in enumerate(order):
+            _, self.said[int(i)] = self.step(int(i), begin + (end - begin) * k / len(order))
 
     def step(self, i: int, progress: float) -> tuple[Loss, Terms]:
         """One step of the Gaussians by frame i; `progress` is 0 at the beginning and 1 at the end."""
-        s, p = self.settings, self.parameters
+        s = self.settings
         gaussians, picture, pull, back = self.draw(i)
-        target = self.video.windows[i].target()
+        target = self.windows[i].target()
         background = self.rng.random(3).astype(np.float32)
-        value = loss(picture, target, background, self.video.diagonal / 2, s)
+        value = loss(picture, target, background, self.windows.diagonal / 2, s)
         d = back(pull(value.d_colour, value.d_depth, value.d_alpha))
         o, w = gaussians.opacities, gaussians.part_weights
         gradient = {
@@ -184,62 +157,140 @@ class Fit:
         self.looks[shown] += 1
         left = s.last_rate**progress
         rates = {
-            "means": s.rate_means * self.video.footprint * left,
-            "quaternions": s.rate_quaternions * left,
-            "log_scales": s.rate_scales * left,
-            "opacity_logits": s.rate_opacities * left,
-            "colours": s.rate_colours * left,
-            "weight_logits": s.rate_weights * left if s.blended else 0.0,
-            "light": s.rate_light * left,
+            "means": s.rate_means * self.windows.footprint,
+            "quaternions": s.rate_quaternions,
+            "log_scales": s.rate_scales,
+            "opacity_logits": s.rate_opacities,
+            "colours": s.rate_colours,
+            "weight_logits": s.rate_weights if s.blended else 0.0,
+            "light": s.rate_light,
         }
-        self.adam.step(p, gradient, shown, rates)
-        return value, self.terms(i, picture, target)
+        self.adam.step(self.parameters, gradient, shown, {name: rate * left for name, rate in rates.items()})
+        return value, self._terms(i, picture)
 
-    def terms(self, i: int, picture: Picture, target: Target) -> Terms:
-        """What frame i says of its poses."""
-        cell = self.settings.cell * self.video.footprint
+    def draw(self, i: int) -> tuple[Gaussians, Picture, Pull, Back]:
+        """The model in frame i."""
+        gaussians = self.parameters.gaussians(self.settings.blended)
+        Ts = self.part_poses(i)
+        splats, back = splats_of(gaussians, Ts)
+        return gaussians, *self.rasterise(splats, Ts, self.windows[i].lens), back
+
+    def part_poses(self, i: int) -> Array:
+        """(2, 4, 4) camera from canonical of both parts in frame i."""
         T = self.poses.Ts[i]
-        Ts = np.stack([T, T @ self.poses.joint.transform(float(self.poses.states[i]))])
-        return alignment_terms(picture, target, self.video.windows[i].lens, Ts, self.scales, cell)
+        return np.stack([T, T @ self.poses.joint.transform(float(self.poses.states[i]))])
 
     def look(self, i: int) -> Terms:
-        """What frame i says of its poses, without a step."""
-        _, picture, _, _ = self.draw(i)
-        return self.terms(i, picture, self.video.windows[i].target())
+        """What frame i says of its poses."""
+        return self._terms(i, self.draw(i)[1])
 
-    def move(self, terms: dict[int, Terms], sharing: NDArray[np.bool_], joint: bool = True) -> float:
-        """One Gauss-Newton step of all poses and states, and of the joint by the frames `sharing` (n,)."""
+    def _terms(self, i: int, picture: Picture) -> Terms:
+        window = self.windows[i]
+        return alignment_terms(picture, window.target(), window.lens, self.part_poses(i), self.scales, self.cell)
+
+    def adjust(self, train: Flags, held: Flags, momentum: float) -> None:
+        """A step of all poses and states, and of the joint, by what the frames of `train` said in the last round.
+
+        Frames that are held back go with the joint and have no say in it.
+        """
+        self.said |= {int(i): self.look(int(i)) for i in np.flatnonzero(held)}
+        self.rescale()
         n = len(self.poses.Ts)
-        A, b = reduced(terms, n)
-        M, across = _joint_jacobian(self.poses)
-        M = M.toarray()
-        shared = M.shape[1] - 7 * n
-        if joint:  # frames that are held back move by the joint, and have no say in it
-            M[~np.repeat(sharing, 6), 7 * n :] = 0
-        else:
-            M = M[:, : 7 * n]
-        A1 = M.T @ A[1] @ M
-        A1[: 6 * n, : 6 * n] += A[0]
-        b1 = M.T @ b[1]
-        b1[: 6 * n] += b[0]
-        A, b = sparse.csr_array(A1), b1
-        before = self.poses
-        step = _damped_solve(*_with_state_smoothness(A, b, np.zeros(n)))
-        if not joint:
-            step = np.concatenate([step, np.zeros(shared)])
-        if joint:
-            step = step + getattr(self, "beta", self.settings.momentum) * self.last_step
-            self.last_step = step
-        self.poses = _stepped(self.poses, step, across, self.video.diagonal)
-        return float(np.abs(self.poses.states - before.states).mean())
+        A, b = reduced(self.said, n)
+        M, across = joint_jacobian(self.poses)
+        J = M.toarray()
+        J[~np.repeat(train, 6), 7 * n :] = 0
+        A_all, b_all = J.T @ A[1] @ J, J.T @ b[1]
+        A_all[: 6 * n, : 6 * n] += A[0]
+        b_all[: 6 * n] += b[0]
+        step = damped_solve(*with_state_smoothness(sparse.csr_array(A_all), b_all, np.zeros(n)))
+        self.last_step = step + momentum * self.last_step
+        self.poses = stepped(self.poses, self.last_step, across, self.windows.diagonal)
 
-    def rescale(self, terms: dict[int, Terms]) -> None:
+    def localise(self, frames: Flags) -> float:
+        """The mean cost of residuals in `frames`, each brought to the model by itself, the joint as it is."""
+        n = len(self.poses.Ts)
+        for k in range(TRIAL_STEPS + 1):
+            terms = {int(i): self.look(int(i)) for i in np.flatnonzero(frames)}
+            if k == TRIAL_STEPS:
+                break
+            M, across = joint_jacobian(self.poses)
+            J = M.toarray()
+            H, g = np.zeros((2, n, 6, 6)), np.zeros((2, n, 6))
+            for i, t in terms.items():
+                H[:, i], g[:, i] = t.H, t.g
+            step = np.zeros(J.shape[1])
+            for i in terms:
+                own = np.append(6 * i + np.arange(6), 6 * n + i)
+                Ji = J[6 * i : 6 * i + 6, own]
+                A = Ji.T @ H[1, i] @ Ji
+                A[:6, :6] += H[0, i]
+                b = Ji.T @ g[1, i]
+                b[:6] += g[0, i]
+                step[own] = damped_solve(sparse.csr_array(A), b)
+            self.poses = stepped(self.poses, step, across, self.windows.diagonal)
+        return sum(t.cost for t in terms.values()) / max(sum(t.count for t in terms.values()), 1.0)
+
+    def rescale(self) -> None:
         """Scales of residuals, anew from what they were."""
-        spread = 1.4826 * np.nanmedian([t.spread for t in terms.values()], 0)
-        now = self.scales
-        self.scales = Scales(
-            *(
-                float(max(s, 1e-9)) if np.isfinite(s) else old
-                for s, old in zip(spread, (now.colour, now.depth, now.mask), strict=True)
-            )
-        )
+        spread = 1.4826 * np.nanmedian([t.spread for t in self.said.values()], 0)
+        now = (self.scales.colour, self.scales.depth, self.scales.mask)
+        found = [float(max(s, 1e-9)) if np.isfinite(s) else old for s, old in zip(spread, now, strict=True)]
+        self.scales = Scales(*found)
+
+    def split(self) -> None:
+        """More Gaussians where the last round asked for them, and none where nothing is seen."""
+        pull = self.screen / np.maximum(self.looks, 1)
+        self.parameters, which, fresh = grown_and_pruned(self.parameters, pull, self.looks, self.settings.most)
+        self.adam.kept(which, fresh)
+        self.screen, self.looks = np.zeros(len(which)), np.zeros(len(which))
+
+    def shares(self) -> list[NDArray[np.float32] | None]:
+        """See `Optimised.shares`."""
+        found: list[NDArray[np.float32] | None] = []
+        for i, shown in enumerate(self.windows.shown):
+            if not shown:
+                found.append(None)
+                continue
+            picture = self.draw(i)[1]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                share = np.where(picture.alpha > 0.5, picture.moving / picture.alpha, np.nan)
+            found.append(share.astype(np.float32))
+        return found
+
+
+def _held_back(shown: Flags, every: int) -> Flags:
+    """(n,) every so many of the frames `shown` (n,)."""
+    held = np.zeros(len(shown), bool)
+    held[np.flatnonzero(shown)[every // 2 :: every]] = True
+    return held
+
+
+def _explains_no_worse(trial: Fit, fit: Fit, train: Flags, held: Flags) -> bool:
+    """Whether held-back frames are explained no worse with the motion of `fit` than with that of `trial`.
+
+    Both models learn for one more round, each with its motion, from `trial`'s, which was learned with the old one:
+    what is left of that speaks for the old motion.
+    """
+    other = trial.copy()
+    other.poses, other.scales, trial.scales = fit.poses, fit.scales, fit.scales
+    for one in (trial, other):
+        one.round(train, 0.5, 1.0)
+    return other.localise(held) <= trial.localise(held)
+
+
+def _with_std(fit: Fit, clouds: list[Array], seen: Flags) -> JointedPoses:
+    """The poses with the standard deviations of states, axis and pivot; `clouds` are points of the parts."""
+    fit.said |= {int(i): fit.look(int(i)) for i in np.flatnonzero(fit.windows.shown)}
+    n = len(seen)
+    A, _ = reduced(fit.said, n)
+    M, _ = joint_jacobian(fit.poses)
+    J = M.toarray()
+    A_all = J.T @ A[1] @ J
+    A_all[: 6 * n, : 6 * n] += A[0]
+    return with_std(fit.poses, A_all, seen, clouds, (fit.cell / fit.windows.footprint) ** 2, fit.windows.footprint)
+
+
+def refined(grown: Grown, found: Optimised) -> Grown:
+    """`grown` with the motion that was found."""
+    return replace(grown, poses=replace(found.poses, cost=grown.poses.cost))

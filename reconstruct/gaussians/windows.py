@@ -1,0 +1,109 @@
+"""What the frames show, as the Gaussians are held to it: windows round the object at the recording's resolution."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.recording import Frame, Recording
+from reconstruct.gaussians.losses import Target
+from reconstruct.gaussians.rasteriser import Floats, Lens
+from reconstruct.kernels import each_in_threads
+from reconstruct.scene import Scene
+
+MARGIN = 8
+"""Pixels of a frame's window round its mask."""
+JUMP = 4.0
+"""Footprints between neighbours' depths beyond which neither is believed: sensors mix what they see there."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """What a frame shows of the object, and through which lens."""
+
+    lens: Lens
+    rgb: NDArray[np.uint8]
+    """(h, w, 3)."""
+    depth: Floats
+    """(h, w) metres; minus the depth of what is not the object; 0 where there is none or it is not believed."""
+    mask: NDArray[np.bool_]
+    """(h, w) foreground."""
+
+    def target(self) -> Target:
+        """The same as numbers."""
+        colour = self.rgb.astype(np.float32) / np.float32(255)
+        return Target(colour, np.maximum(self.depth, 0), self.mask, np.maximum(-self.depth, 0))
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Those of all frames."""
+
+    frames: tuple[Window | None, ...]
+    """None where a frame shows nothing."""
+    footprint: float
+    """Metres a pixel covers at the object."""
+    noise: float
+    """Metres: standard deviation of the depth."""
+    diagonal: float
+    """Metres: the object's size."""
+    factor: int
+    """Pixels of the recording, each way, that one of a window's stands for."""
+
+    @property
+    def shown(self) -> NDArray[np.bool_]:
+        """(n,) frames that show the object."""
+        return np.array([window is not None for window in self.frames])
+
+    def __getitem__(self, i: int) -> Window:
+        window = self.frames[i]
+        assert window is not None, i
+        return window
+
+
+def windows_of(recording: Recording, scene: Scene, most_pixels: int) -> Windows:
+    """The windows of a recording, sampled down by a whole factor where foregrounds have more than `most_pixels`."""
+    pixels = float(np.mean(scene.mask.sum((1, 2)))) * scene.factor**2
+    factor = max(1, math.ceil(math.sqrt(pixels / most_pixels)))
+    footprint = scene.footprint / scene.factor * factor
+    K = recording.camera.K
+
+    def load(i: int) -> Window | None:
+        return _window(recording.frame(i), K, factor, JUMP * footprint + 4 * scene.noise)
+
+    frames = tuple(each_in_threads(load, len(recording)))
+    return Windows(frames, footprint, scene.noise, scene.diagonal, factor)
+
+
+def _window(frame: Frame, K: NDArray[np.float64], factor: int, jump: float) -> Window | None:
+    ys, xs = np.flatnonzero(frame.mask.any(1)), np.flatnonzero(frame.mask.any(0))
+    if not len(xs):
+        return None
+    height, width = frame.mask.shape
+    margin = MARGIN * factor
+    top, left = max(0, int(ys[0]) - margin), max(0, int(xs[0]) - margin)
+    h, w = (min(height, int(ys[-1]) + 1 + margin) - top), (min(width, int(xs[-1]) + 1 + margin) - left)
+    h, w = h // factor * factor, w // factor * factor
+    box = np.s_[top : top + h, left : left + w]
+    mask = frame.mask[box]
+    near = np.where(mask, frame.depth[box], 0).astype(np.float32)
+    low = cv2.erode(np.where(near > 0, near, np.float32(np.inf)), np.ones((3, 3)))
+    sound = (near > 0) & (cv2.dilate(near, np.ones((3, 3))) - low < jump)
+    depth = np.where(mask, np.where(sound, near, 0), -frame.depth[box]).astype(np.float32)
+    rgb, at = frame.rgb[box], factor // 2
+    if factor > 1:
+        rgb = np.asarray(cv2.resize(rgb, (w // factor, h // factor), interpolation=cv2.INTER_AREA), np.uint8)
+        mask, depth = mask[at::factor, at::factor], depth[at::factor, at::factor]
+    lens = Lens(
+        K[0, 0] / factor,
+        K[1, 1] / factor,
+        (K[0, 2] - left) / factor,
+        (K[1, 2] - top) / factor,
+        w // factor,
+        h // factor,
+    )
+    return Window(lens, rgb.copy(), depth.copy(), mask.copy())
