@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from freeart21.gaussians import Gaussians
+from freeart21.mesh import Mesh
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 from reconstruct.gaussians.adam import Adam
@@ -24,7 +25,7 @@ from reconstruct.gaussians.backends import choose
 from reconstruct.gaussians.density import grown_and_pruned
 from reconstruct.gaussians.initial import discs
 from reconstruct.gaussians.losses import Loss, loss
-from reconstruct.gaussians.model import Back, Parameters, splats_of
+from reconstruct.gaussians.model import Back, splats_of
 from reconstruct.gaussians.rasteriser import Picture, Pull, Rasterise
 from reconstruct.gaussians.windows import Windows, windows_of
 from reconstruct.growth import Grown
@@ -66,55 +67,59 @@ def optimise(
     """The articulated model of a video, and its motion refined; `progress` is told the share that is done."""
     s = settings.gaussians
     windows = windows_of(recording, scene, s.most_pixels)
-    start = grown.poses
-    poses = (start.Ts, start.Ts_moving)
-    meshes = [fuse(scene, grown.labels, k + 1, poses[k], grown.seen[:, k], settings.surfaces) for k in range(2)]
-    parameters = discs((meshes[0], meshes[1]), windows.footprint, s, rng)
-    cell = float(np.sqrt(sum(mesh.areas().sum() for mesh in meshes) / s.cells))
-    fit = Fit(windows, parameters, start, cell, choose(s.backend), s, rng)
     held = _held_back(windows.shown, s.held_back)
     train = windows.shown & ~held
-    trial: Fit | None = None
-    for r in range(s.rounds):
+    seed = int(rng.integers(2**32))
+
+    def begun(poses: JointedPoses) -> Fit:
+        """A model that has learned a motion for as long as the warm-up is."""
+        Ts = (poses.Ts, poses.Ts_moving)
+        meshes = [fuse(scene, grown.labels, k + 1, Ts[k], grown.seen[:, k], settings.surfaces) for k in range(2)]
+        fit = Fit(windows, (meshes[0], meshes[1]), poses, choose(s.backend), s, np.random.default_rng(seed))
+        for r in range(s.warm_up):
+            fit.round(train, r / s.rounds, (r + 1) / s.rounds)
+        return fit
+
+    fit = begun(grown.poses)
+    before = fit.copy()
+    for r in range(s.warm_up, s.rounds):
         progress(r / s.rounds)
-        free = s.end_to_end and r >= s.warm_up
-        if free and trial is None:
-            trial = fit.copy()
-        fit.round(train, r / s.rounds, (r + 1) / s.rounds)
-        if free:
+        if s.end_to_end:
             fit.adjust(train, held, s.momentum if r < 0.7 * s.rounds else s.momentum / 2)
         if r < 0.6 * s.rounds:
             fit.split()
-    kept = trial is not None and _explains_no_worse(trial, fit, train, held)
-    if s.end_to_end and not kept:
-        fit.poses = start
+        fit.round(train, r / s.rounds, (r + 1) / s.rounds)
+    kept = s.end_to_end and _explains_no_worse(before, begun(fit.poses), held)
+    if kept:
+        fit.poses = _with_std(fit, [mesh.vertices for mesh in fit.meshes], grown.seen)
+    elif s.end_to_end:
+        fit.poses = grown.poses
         for r in range(s.rounds // 2, s.rounds):
             fit.round(train, r / s.rounds, (r + 1) / s.rounds)
-    if kept:
-        fit.poses = _with_std(fit, [mesh.vertices for mesh in meshes], grown.seen)
-    gaussians = fit.parameters.gaussians(s.blended)
-    return Optimised(fit.poses, gaussians, fit.shares(), kept)
+    return Optimised(fit.poses, fit.parameters.gaussians(s.blended), fit.shares(), kept)
 
 
 class Fit:
-    """A model and a motion in the course of their optimisation; `cell`, metres, is the size of the surface's cells."""
+    """A model and a motion in the course of their optimisation."""
 
     def __init__(
         self,
         windows: Windows,
-        parameters: Parameters,
+        meshes: tuple[Mesh, Mesh],
         poses: JointedPoses,
-        cell: float,
         rasterise: Rasterise,
         settings: GaussianSettings,
         rng: np.random.Generator,
     ) -> None:
-        self.windows, self.parameters, self.poses = windows, parameters, poses
+        """Begins with discs on the parts' `meshes`, in the frame of `poses`."""
+        self.windows, self.meshes, self.poses = windows, meshes, poses
         self.rasterise, self.settings, self.rng = rasterise, settings, rng
-        self.adam = Adam(parameters)
-        self.screen, self.looks = np.zeros(len(parameters)), np.zeros(len(parameters))
+        self.parameters = discs(meshes, windows.footprint, settings, rng)
+        self.adam = Adam(self.parameters)
+        self.screen, self.looks = np.zeros(len(self.parameters)), np.zeros(len(self.parameters))
+        self.cell = float(np.sqrt(sum(mesh.areas().sum() for mesh in meshes) / settings.cells))
+        """Metres: size of the cells of the surface whose colour and depth the adjustment eliminates."""
         self.scales = Scales(0.05, max(windows.noise, 0.5 * windows.footprint), 0.3)
-        self.cell = cell
         self.last_step: Array | float = 0.0
         self.said: dict[int, Terms] = {}
 
@@ -266,17 +271,13 @@ def _held_back(shown: Flags, every: int) -> Flags:
     return held
 
 
-def _explains_no_worse(trial: Fit, fit: Fit, train: Flags, held: Flags) -> bool:
-    """Whether held-back frames are explained no worse with the motion of `fit` than with that of `trial`.
+def _explains_no_worse(before: Fit, after: Fit, held: Flags) -> bool:
+    """Whether the frames held back are explained no worse by the second of two models, each learned as the other was.
 
-    Both models learn for one more round, each with its motion, from `trial`'s, which was learned with the old one:
-    what is left of that speaks for the old motion.
+    Both are judged by the scales of the first.
     """
-    other = trial.copy()
-    other.poses, other.scales, trial.scales = fit.poses, fit.scales, fit.scales
-    for one in (trial, other):
-        one.round(train, 0.5, 1.0)
-    return other.localise(held) <= trial.localise(held)
+    after.scales = before.scales
+    return after.localise(held) <= before.localise(held)
 
 
 def _with_std(fit: Fit, clouds: list[Array], seen: Flags) -> JointedPoses:
