@@ -29,6 +29,7 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 from leaderboard.rows import Row
 from reconstruct import VERSION, cache, pipeline
+from reconstruct.gaussians import gsplat_backend
 from reconstruct.gaussians.rasteriser import FAINTEST
 from reconstruct.pipeline import reconstruct_folder, reconstruct_until
 from reconstruct.scene import prepare
@@ -206,7 +207,7 @@ def test_killed_in_the_gaussians_or_after_them_a_run_goes_on_to_the_same_ones(
     assert cache.Work(sequence, out, QUIET).last()[0].stage == kept
     monkeypatch.setitem(pipeline._SOLVERS, "gaussians", _coloured)
     reconstruct_folder(sequence, out, QUIET, keep_work=True)
-    assert contents(out) == contents(coloured)
+    assert contents(out) == contents(coloured) and "gaussians.ply" in contents(out)
     found, whole = (cache.Work(sequence, o, QUIET).last()[0].known.answer.appearance for o in (out, coloured))
     for f in fields(Gaussians):
         assert np.array_equal(getattr(found, f.name), getattr(whole, f.name)), f.name
@@ -355,13 +356,13 @@ def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp
     assert changed() == list(KEPT)
 
 
-@pytest.mark.parametrize("packages, gpu, says", [(True, True, True), (True, False, False), (False, True, False)])
-def test_what_draws_gaussians_is_gsplat_where_it_and_a_gpu_are(packages, gpu, says, monkeypatch):
-    cuda = SimpleNamespace(is_available=lambda: gpu, get_device_name=lambda: "Some GPU")
+@pytest.mark.parametrize("lack", [None, "torch is not installed"])
+def test_where_gsplat_draws_keys_name_it_and_the_gpu(lack, monkeypatch):
+    cuda = SimpleNamespace(get_device_name=lambda: "Some GPU")
     monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(__version__="2.9.0", cuda=cuda))
-    monkeypatch.setattr(cache, "find_spec", lambda name: object() if packages or name != "gsplat" else None)
+    monkeypatch.setattr(gsplat_backend, "lack", lambda: lack)
     monkeypatch.setattr(cache.metadata, "version", {"gsplat": "1.5.3"}.__getitem__)
-    assert cache._drawn_by.__wrapped__() == (["1.5.3", "2.9.0", "Some GPU"] if says else [])
+    assert cache._drawn_by.__wrapped__() == (["1.5.3", "2.9.0", "Some GPU"] if lack is None else [])
 
 
 def test_a_joint_comes_back_to_the_last_bit():
