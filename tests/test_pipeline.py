@@ -10,7 +10,7 @@ import time
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Literal, get_args, get_type_hints
+from typing import ClassVar, Literal, get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -304,6 +304,37 @@ def test_every_group_of_settings_counts_from_one_stage_on():
     assert len(set(named)) == len(named) and set(named) <= set(groups)
     assert used_by(KEPT[-1], groups) == groups, "the last stage depends on all"
     assert "a new group" in used_by(KEPT[0], {"a new group": {}}), "and on nothing that nobody thought of too late"
+
+
+class Watched(ReconstructSettings):
+    """Settings that tell which of them were read."""
+
+    read: ClassVar[set[str]] = set()
+
+    def __getattribute__(self, name):
+        Watched.read.add(name)
+        return super().__getattribute__(name)
+
+
+def test_no_stage_reads_settings_that_the_table_gives_to_later_ones(sequence, tmp_path, monkeypatch):
+    """A stage whose key lacks what it reads would be taken for that of other settings."""
+    groups, found = QUIET.to_json(), {}
+
+    def watched(stage, solver):
+        def solve(*arguments):
+            Watched.read.clear()
+            known = solver(*arguments)
+            found[stage] = Watched.read & set(groups)
+            return known
+
+        return solve
+
+    for stage, solver in list(pipeline._SOLVERS.items()):
+        monkeypatch.setitem(pipeline._SOLVERS, stage, watched(stage, solver))
+    reconstruct_folder(sequence, tmp_path / "out", Watched(progress=False))
+    assert {"seeds", "growth"} <= found["segmentation"] and "gaps" in found["joint"]
+    for stage in KEPT:
+        assert found[stage] <= set(used_by(stage, groups)), stage
 
 
 # ---- what makes a kept stage invalid -------------------------------------------------------------------------------
