@@ -306,6 +306,16 @@ def test_every_group_of_settings_counts_from_one_stage_on():
     assert "a new group" in used_by(KEPT[0], {"a new group": {}}), "and on nothing that nobody thought of too late"
 
 
+def test_the_bar_moves_within_a_long_stage():
+    with pipeline._Clock(show=False) as clock:
+        (bar,) = clock._bar.tasks
+        for k, stage in enumerate(KEPT[:2]):
+            with clock.stage(stage):
+                clock.progress(0.25)
+                assert bar.completed == k + 0.25 and bar.total == len(STAGES)
+            assert bar.completed == k + 1
+
+
 class Watched(ReconstructSettings):
     """Settings that tell which of them were read."""
 
