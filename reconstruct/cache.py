@@ -125,7 +125,7 @@ def stage_keys(sequence: Path, settings: ReconstructSettings) -> dict[KeptStage,
             basis.update(file.read_bytes())
     groups = settings.to_json()
     del groups["progress"]
-    if settings.gaussians.refine:
+    if settings.gaussians.refine and settings.gaussians.backend != "numba":
         groups["gaussians"]["drawn by"] = _drawn_by()
     keys = {}
     for stage in KEPT:

@@ -244,7 +244,7 @@ def _gaussians(video: _Video, known: Known, settings: ReconstructSettings, rng: 
     if not settings.gaussians.refine:
         return known
     assert known.grown is not None
-    found = optimise(video.recording, video.scene, known.grown, settings, rng)
+    found = optimise(video.recording, video.scene, known.grown, settings, rng, video.progress)
     return replace(known, grown=refined(known.grown, found), appearance=found.gaussians)
 
 

@@ -358,7 +358,7 @@ def test_changed_settings_are_solved_again_from_the_first_stage_that_uses_them(
     calls = Calls(monkeypatch)
     coarse = replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))
     reconstruct_folder(sequence, out, coarse, keep_work=True)
-    assert calls.solved == ["fuse", "fuse"]
+    assert calls.solved == [*FREE, "fuse", "fuse"]
     reconstruct_folder(sequence, tmp_path / "fresh", coarse)
     assert contents(out) == contents(tmp_path / "fresh")
 
@@ -369,6 +369,7 @@ def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp
         return [stage for stage in KEPT if now[stage] != before[stage]]
 
     geometry = replace(QUIET, gaussians=replace(QUIET.gaussians, refine=False))
+    on_the_processor = replace(QUIET, gaussians=replace(QUIET.gaussians, backend="numba"))
     before = cache.stage_keys(sequence, QUIET)
     assert len(set(before.values())) == len(before)
     assert changed(replace(QUIET, progress=True)) == []
@@ -376,12 +377,12 @@ def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp
     assert changed(replace(QUIET, gaps=replace(QUIET.gaps, steps=3))) == from_joint
     assert changed(replace(QUIET, exchanges=replace(QUIET.exchanges, every=3))) == from_joint
     assert changed(geometry) == ["gaussians", "poses", "surfaces"]
-    assert changed(replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))) == ["surfaces"]
+    assert changed(replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))) == ["gaussians", "poses", "surfaces"]
     with monkeypatch.context() as patch:
         patch.setattr(cache, "_drawn_by", lambda: ["1.5.3", "2.9.0", "Some GPU"])
         assert changed() == ["gaussians", "poses", "surfaces"]
-        on_a_gpu = cache.stage_keys(sequence, geometry)
-    assert on_a_gpu == cache.stage_keys(sequence, geometry), "without Gaussians nothing is drawn"
+        on_a_gpu = [cache.stage_keys(sequence, s) for s in (geometry, on_the_processor)]
+    assert on_a_gpu == [cache.stage_keys(sequence, s) for s in (geometry, on_the_processor)]
     for name in set(QUIET.to_json()) - {"progress", "exchanges", "gaps", "gaussians", "surfaces"}:
         group = getattr(QUIET, name)
         other = replace(group, **{fields(group)[0].name: 12345}) if is_dataclass(group) else 12345
