@@ -16,7 +16,6 @@ import zlib
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from importlib import metadata
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +32,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction, Trust
 from reconstruct import VERSION
+from reconstruct.gaussians import gsplat_backend
 from reconstruct.growth import Grown
 from reconstruct.poses import FreePoses, JointedPoses
 from reconstruct.settings import ReconstructSettings
@@ -125,7 +125,7 @@ def stage_keys(sequence: Path, settings: ReconstructSettings) -> dict[KeptStage,
             basis.update(file.read_bytes())
     groups = settings.to_json()
     del groups["progress"]
-    if settings.gaussians.refine:
+    if settings.gaussians.refine and settings.gaussians.backend != "numba":
         groups["gaussians"]["drawn by"] = _drawn_by()
     keys = {}
     for stage in KEPT:
@@ -159,16 +159,14 @@ def _libraries() -> dict[str, str]:
 
 @lru_cache
 def _drawn_by() -> list[str]:
-    """What draws Gaussians here, beside what every key holds: nothing on a CPU; gsplat, torch and the GPU on CUDA.
+    """What draws Gaussians here, beside what every key holds: nothing without a GPU; else it, gsplat and torch.
 
     There sums have no fixed order: what is kept stays, bit for bit, but a second solving differs in its last bits.
     """
-    if find_spec("torch") is None or find_spec("gsplat") is None:
+    if gsplat_backend.lack() is not None:
         return []
     import torch
 
-    if not torch.cuda.is_available():
-        return []
     return [metadata.version("gsplat"), torch.__version__, torch.cuda.get_device_name()]
 
 

@@ -128,7 +128,7 @@ def _solve(
     try:
         if known.answer is None:
             with clock.stage("tracks"):
-                video = _tracks(recording, settings, with_tracks=done == 0)
+                video = _tracks(recording, settings, clock, with_tracks=done == 0)
         for stage in KEPT[done:]:
             with clock.stage(stage):
                 known = _SOLVERS[stage](video, known, settings, rng)
@@ -166,12 +166,15 @@ class _Video:
     scene: Scene
     evidence: Evidence
     tracker: Tracker | None
+    progress: Callable[[float], object]
+    """A long stage tells it the share of itself that is done, 0 to 1."""
 
 
-def _tracks(recording: Recording, settings: ReconstructSettings, with_tracks: bool) -> _Video:
+def _tracks(recording: Recording, settings: ReconstructSettings, clock: _Clock, with_tracks: bool) -> _Video:
     scene = prepare(recording, settings.scene)
     tracker = DisTracker(scene, settings.tracks) if with_tracks else None
-    return _Video(recording, scene, Evidence(scene, settings.evidence, settings.labels), tracker)
+    evidence = Evidence(scene, settings.evidence, settings.labels)
+    return _Video(recording, scene, evidence, tracker, clock.progress)
 
 
 _Solver = Callable[[_Video, Known, ReconstructSettings, np.random.Generator], Known]
@@ -241,7 +244,7 @@ def _gaussians(video: _Video, known: Known, settings: ReconstructSettings, rng: 
     if not settings.gaussians.refine:
         return known
     assert known.grown is not None
-    found = optimise(video.recording, video.scene, known.grown, settings, rng)
+    found = optimise(video.recording, video.scene, known.grown, settings, rng, video.progress)
     return replace(known, grown=refined(known.grown, found), appearance=found.gaussians)
 
 
@@ -386,6 +389,10 @@ class _Clock:
         finally:
             self.seconds = self.so_far()
             self._bar.update(self._task, completed=len(self.seconds))
+
+    def progress(self, share: float) -> None:
+        """Shows how much of the running stage is done, 0 to 1."""
+        self._bar.update(self._task, completed=len(self.seconds) + share)
 
     def so_far(self) -> dict[str, float]:
         """Seconds of all stages, with what the running one has taken until now."""

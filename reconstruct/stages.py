@@ -25,9 +25,9 @@ STAGES = (
     Stage("tracks", "crop, points and normals; optical flow", kept=False),  # found again in seconds, gigabytes to keep
     Stage("segmentation", "where two motions beat one, grown both ways in time"),  # or the paper's
     Stage("joint", "exchanges and gaps mended, the joint's type, all adjusted under it", ("exchanges", "gaps")),
-    Stage("gaussians", "one model of both parts, fitted to every frame", ("gaussians",)),
+    Stage("gaussians", "one model of both parts, fitted to every frame", ("gaussians", "surfaces")),
     Stage("poses", "both parts' poses without the joint"),
-    Stage("surfaces", "depth fused to a mesh a part", ("surfaces",)),
+    Stage("surfaces", "depth fused to a mesh a part"),
     Stage("renders", "the held-out views", kept=False),  # written with the result
 )
 

@@ -10,7 +10,7 @@ import time
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Literal, get_args, get_type_hints
+from typing import ClassVar, Literal, get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -29,6 +29,7 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 from leaderboard.rows import Row
 from reconstruct import VERSION, cache, pipeline
+from reconstruct.gaussians import gsplat_backend
 from reconstruct.gaussians.rasteriser import FAINTEST
 from reconstruct.pipeline import reconstruct_folder, reconstruct_until
 from reconstruct.scene import prepare
@@ -206,7 +207,7 @@ def test_killed_in_the_gaussians_or_after_them_a_run_goes_on_to_the_same_ones(
     assert cache.Work(sequence, out, QUIET).last()[0].stage == kept
     monkeypatch.setitem(pipeline._SOLVERS, "gaussians", _coloured)
     reconstruct_folder(sequence, out, QUIET, keep_work=True)
-    assert contents(out) == contents(coloured)
+    assert contents(out) == contents(coloured) and "gaussians.ply" in contents(out)
     found, whole = (cache.Work(sequence, o, QUIET).last()[0].known.answer.appearance for o in (out, coloured))
     for f in fields(Gaussians):
         assert np.array_equal(getattr(found, f.name), getattr(whole, f.name)), f.name
@@ -305,6 +306,47 @@ def test_every_group_of_settings_counts_from_one_stage_on():
     assert "a new group" in used_by(KEPT[0], {"a new group": {}}), "and on nothing that nobody thought of too late"
 
 
+def test_the_bar_moves_within_a_long_stage():
+    with pipeline._Clock(show=False) as clock:
+        (bar,) = clock._bar.tasks
+        for k, stage in enumerate(KEPT[:2]):
+            with clock.stage(stage):
+                clock.progress(0.25)
+                assert bar.completed == k + 0.25 and bar.total == len(STAGES)
+            assert bar.completed == k + 1
+
+
+class Watched(ReconstructSettings):
+    """Settings that tell which of them were read."""
+
+    read: ClassVar[set[str]] = set()
+
+    def __getattribute__(self, name):
+        Watched.read.add(name)
+        return super().__getattribute__(name)
+
+
+def test_no_stage_reads_settings_that_the_table_gives_to_later_ones(sequence, tmp_path, monkeypatch):
+    """A stage whose key lacks what it reads would be taken for that of other settings."""
+    groups, found = QUIET.to_json(), {}
+
+    def watched(stage, solver):
+        def solve(*arguments):
+            Watched.read.clear()
+            known = solver(*arguments)
+            found[stage] = Watched.read & set(groups)
+            return known
+
+        return solve
+
+    for stage, solver in list(pipeline._SOLVERS.items()):
+        monkeypatch.setitem(pipeline._SOLVERS, stage, watched(stage, solver))
+    reconstruct_folder(sequence, tmp_path / "out", Watched(progress=False))
+    assert {"seeds", "growth"} <= found["segmentation"] and "gaps" in found["joint"]
+    for stage in KEPT:
+        assert found[stage] <= set(used_by(stage, groups)), stage
+
+
 # ---- what makes a kept stage invalid -------------------------------------------------------------------------------
 
 
@@ -316,7 +358,7 @@ def test_changed_settings_are_solved_again_from_the_first_stage_that_uses_them(
     calls = Calls(monkeypatch)
     coarse = replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))
     reconstruct_folder(sequence, out, coarse, keep_work=True)
-    assert calls.solved == ["fuse", "fuse"]
+    assert calls.solved == [*FREE, "fuse", "fuse"]
     reconstruct_folder(sequence, tmp_path / "fresh", coarse)
     assert contents(out) == contents(tmp_path / "fresh")
 
@@ -327,6 +369,7 @@ def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp
         return [stage for stage in KEPT if now[stage] != before[stage]]
 
     geometry = replace(QUIET, gaussians=replace(QUIET.gaussians, refine=False))
+    on_the_processor = replace(QUIET, gaussians=replace(QUIET.gaussians, backend="numba"))
     before = cache.stage_keys(sequence, QUIET)
     assert len(set(before.values())) == len(before)
     assert changed(replace(QUIET, progress=True)) == []
@@ -334,12 +377,12 @@ def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp
     assert changed(replace(QUIET, gaps=replace(QUIET.gaps, steps=3))) == from_joint
     assert changed(replace(QUIET, exchanges=replace(QUIET.exchanges, every=3))) == from_joint
     assert changed(geometry) == ["gaussians", "poses", "surfaces"]
-    assert changed(replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))) == ["surfaces"]
+    assert changed(replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))) == ["gaussians", "poses", "surfaces"]
     with monkeypatch.context() as patch:
         patch.setattr(cache, "_drawn_by", lambda: ["1.5.3", "2.9.0", "Some GPU"])
         assert changed() == ["gaussians", "poses", "surfaces"]
-        on_a_gpu = cache.stage_keys(sequence, geometry)
-    assert on_a_gpu == cache.stage_keys(sequence, geometry), "without Gaussians nothing is drawn"
+        on_a_gpu = [cache.stage_keys(sequence, s) for s in (geometry, on_the_processor)]
+    assert on_a_gpu == [cache.stage_keys(sequence, s) for s in (geometry, on_the_processor)]
     for name in set(QUIET.to_json()) - {"progress", "exchanges", "gaps", "gaussians", "surfaces"}:
         group = getattr(QUIET, name)
         other = replace(group, **{fields(group)[0].name: 12345}) if is_dataclass(group) else 12345
@@ -355,13 +398,13 @@ def test_keys_change_with_what_a_stage_depends_on_and_nothing_else(sequence, tmp
     assert changed() == list(KEPT)
 
 
-@pytest.mark.parametrize("packages, gpu, says", [(True, True, True), (True, False, False), (False, True, False)])
-def test_what_draws_gaussians_is_gsplat_where_it_and_a_gpu_are(packages, gpu, says, monkeypatch):
-    cuda = SimpleNamespace(is_available=lambda: gpu, get_device_name=lambda: "Some GPU")
+@pytest.mark.parametrize("lack", [None, "torch is not installed"])
+def test_where_gsplat_draws_keys_name_it_and_the_gpu(lack, monkeypatch):
+    cuda = SimpleNamespace(get_device_name=lambda: "Some GPU")
     monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(__version__="2.9.0", cuda=cuda))
-    monkeypatch.setattr(cache, "find_spec", lambda name: object() if packages or name != "gsplat" else None)
+    monkeypatch.setattr(gsplat_backend, "lack", lambda: lack)
     monkeypatch.setattr(cache.metadata, "version", {"gsplat": "1.5.3"}.__getitem__)
-    assert cache._drawn_by.__wrapped__() == (["1.5.3", "2.9.0", "Some GPU"] if says else [])
+    assert cache._drawn_by.__wrapped__() == (["1.5.3", "2.9.0", "Some GPU"] if lack is None else [])
 
 
 def test_a_joint_comes_back_to_the_last_bit():
