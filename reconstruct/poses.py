@@ -264,14 +264,14 @@ def with_state_smoothness(A: sparse.csr_array, b: Array, corrections: Array) -> 
     return A + weight * bend.T @ bend, b + weight * bend.T @ (D @ corrections)
 
 
-def damped_solve(A: sparse.csr_array, b: Array) -> Array:
+def damped_solve(A: sparse.csr_array, b: Array, damping: float = 1e-4) -> Array:
     """The Levenberg-Marquardt step -(A + damping)^-1 b; the damping is what holds the gauge and empty frames.
 
     A is symmetric and, damped, positive definite: its factors need no pivoting.
     """
     diagonal = A.diagonal()
     floor = 1e-9 * max(float(diagonal.max()), 1e-300)
-    damped = (A + sparse.diags_array(1e-4 * diagonal + floor)).tocsc()
+    damped = (A + sparse.diags_array(damping * diagonal + floor)).tocsc()
     return np.asarray(
         splu(damped, diag_pivot_thresh=0.0, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(-b),
         float,

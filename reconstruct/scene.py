@@ -130,7 +130,7 @@ def prepare(recording: Recording, settings: SceneSettings) -> Scene:
     cx = (K[0, 2] - origin[:, 0] - at - 0.5) / factor
     cy = (K[1, 2] - origin[:, 1] - at - 0.5) / factor
     footprint = float(np.median(depth[depth > 0])) / fx
-    noise = _depth_noise(depth)
+    noise = depth_noise(depth)
     radius = settings.plane_radius + (noise > 0.5 * footprint) + (noise > 2 * footprint)
     left = 1.3 * noise / (2 * radius + 1)  # after the plane fit; at rims fewer pixels share in it
     pixels = np.zeros((*mask.shape, OUTSIDE + 1), np.float32)
@@ -233,7 +233,7 @@ def _windows(
     return np.stack([x, y], 1), (w, h)
 
 
-def _depth_noise(depth: Floats) -> float:
+def depth_noise(depth: Floats) -> float:
     """Standard deviation of depth noise, metres: median absolute second difference along rows."""
     some = depth[:: max(1, len(depth) // 12)]
     a, b, c = some[:, :, :-2], some[:, :, 1:-1], some[:, :, 2:]

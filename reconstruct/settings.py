@@ -390,7 +390,7 @@ class GaussianSettings:
     """False: poses, states and joint stay as they were (the ablation "w/o end-to-end")."""
     backend: Literal["auto", "numba", "gsplat"] = "auto"
     """What draws: numba on the processor, gsplat on a CUDA GPU, or gsplat where it works."""
-    rounds: int = 16
+    rounds: int = 12
     """Times that all frames are looked at."""
     warm_up: int = 2
     """Of them, those before the motion is refined, too."""
@@ -416,9 +416,9 @@ class GaussianSettings:
     """Every how many frames one is held back, to judge by."""
     cells: int = 8000
     """Of the surface, whose colour and depth are unknowns of the adjustment."""
-    momentum: float = 0.8
-    """Share of the last step of poses and joint that is taken again: model and motion wait for each other, and alone
-    each step goes a tenth of the way."""
+    momentum: float = 0.5
+    """Share of the last step of poses and joint that is taken again (half of it in the last third of the rounds): model
+    and motion wait for each other."""
     rate_means: float = 0.05
     """Adam's learning rate of the means, footprints."""
     rate_quaternions: float = 1e-3

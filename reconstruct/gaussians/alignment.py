@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from freeart21.se3 import Array
 from reconstruct.gaussians.losses import COVERED, Target
-from reconstruct.gaussians.rasteriser import Lens, Picture
+from reconstruct.gaussians.rasteriser import Floats, Lens, Picture
 
 
 @dataclass(frozen=True)
@@ -41,10 +43,11 @@ class Terms:
     g: Array
     """(2, 6)."""
     cells: NDArray[np.int32]
-    """(c,) of the model's surface that the frame shows, numbers below 2 CELLS; the upper half is the moving part's."""
+    """(c,) patches of the model's surface that the frame shows, numbers below 2 CELLS; the upper half is the moving
+    part's."""
     shared: Array
-    """(c, 2, 8) for each of them, of colour and of depth: sums of weight times Jacobian (6), of weights, and of weight
-    times residual: what the model's own colour and depth there, were they free, would take back."""
+    """(c, 27) for each of them: sums of the products of the Jacobians by its part's twist and by its own shift in the
+    canonical frame (6 x 3), by its shift alone (upper half of 3 x 3), and with the residuals (3)."""
     cost: float
     """Sum of robust squares, in standard deviations."""
     count: float
@@ -53,19 +56,25 @@ class Terms:
     """(3,) medians of absolute residuals of colour, depth and mask; NaN where there are none."""
 
 
-def alignment_terms(picture: Picture, target: Target, lens: Lens, Ts: Array, scales: Scales, cell: float) -> Terms:
-    """Normal equations of a frame's two part poses Ts (2, 4, 4); `cell` is the size of the surface's cells, metres."""
+def alignment_terms(
+    picture: Picture, target: Target, lens: Lens, Ts: Array, scales: Scales, cell: float, coarseness: int = 1
+) -> Terms:
+    """Normal equations of a frame's two part poses Ts (2, 4, 4); `cell` is the size of the surface's cells, metres.
+
+    Blocks of `coarseness` pixels each way are taken as one: a gradient tells the way from no farther than its pixels.
+    """
+    c = coarseness
+    shown: tuple[Any, ...] = _coarser(picture, target, c)
+    lens = Lens(lens.fx / c, lens.fy / c, lens.cx / c, lens.cy / c, lens.width // c, lens.height // c)
     H, g, sums = np.zeros((2, 6, 6)), np.zeros((2, 6)), np.zeros(2)
-    kinds = np.full((*picture.alpha.shape, 3), np.nan, np.float32)
+    kinds = np.full((lens.height, lens.width, 3), np.nan, np.float32)
     table = _TABLE
-    touched = np.empty(2 * picture.alpha.size, np.int32)
-    count = _accumulate(
-        picture.colour, picture.depth, picture.alpha, picture.moving, target.colour, target.depth, target.mask,
-        target.around, lens.fx, lens.fy, lens.cx, lens.cy, scales.colour, scales.depth, scales.mask, H, g, sums, kinds,
+    touched = np.empty(lens.height * lens.width, np.int32)
+    count = _accumulate(  # type: ignore[call-arg]
+        *shown, lens.fx, lens.fy, lens.cx, lens.cy, scales.colour, scales.depth, scales.mask, H, g, sums, kinds,
         np.linalg.inv(Ts), 1 / cell, table, touched,
     )  # fmt: skip
     cells = np.unique(touched[:count])
-    cells = cells[table[cells, :, 6].sum(1) > 0]
     shared = table[cells]
     table[cells] = 0
     spread = np.full(3, np.nan)
@@ -76,46 +85,104 @@ def alignment_terms(picture: Picture, target: Target, lens: Lens, Ts: Array, sca
     return Terms(H, g, cells, shared, float(sums[0]), float(sums[1]), spread)
 
 
+def _coarser(picture: Picture, target: Target, c: int) -> tuple[Floats, ...]:
+    """Colour, depth, alpha and moving of the model and colour, depth, foreground and what stands around of the frame,
+    means over blocks of c x c pixels; depths are means of those that are known, 0 where fewer than half are."""
+    seen = (picture.colour, picture.depth, picture.alpha, picture.moving, target.colour)
+    if c == 1:
+        return (*seen, target.depth, target.mask.astype(np.float32), target.around)
+    h, w = (size // c for size in picture.alpha.shape)
+
+    def mean(image: Any) -> Floats:
+        return np.asarray(cv2.resize(image[: h * c, : w * c], (w, h), interpolation=cv2.INTER_AREA), np.float32)
+
+    def known(depth: Floats) -> Floats:
+        share = mean((depth > 0).astype(np.float32))
+        return np.where(share > 0.5, mean(depth) / np.maximum(share, 0.5), 0).astype(np.float32)
+
+    return (*map(mean, seen), known(target.depth), mean(target.mask.astype(np.float32)), known(target.around))
+
+
 CELLS = 1 << 15
 """Places for cells of a part's surface; those that share one by chance are taken as one."""
-_TABLE = np.zeros((2 * CELLS, 2, 8))
+_TABLE = np.zeros((2 * CELLS, 27))
 SUBPIXEL = 0.3
 """Pixels by which a sampled edge is off: residuals grow with the gradient by so much."""
 
 
-def reduced(terms: dict[int, Terms], n: int) -> tuple[Array, Array]:
-    """Normal matrices (2, 6n, 6n) and right sides (2, 6n) of both parts' twists, the model's cells eliminated.
+@dataclass(frozen=True)
+class Reduced:
+    """Normal equations of all twists, A x = -b, the patches eliminated, and the way back to the patches."""
 
-    With the model held as it stands, it would pull every frame back to where it was when it was learned: of each step
-    only a twentieth was left. Its colour and depth in each cell are unknowns of their own here, and taken out by
-    Schur's complement, as the structure in bundle adjustment (Triggs et al. 2000).
+    A: Array
+    """(2, 6n, 6n) of both parts."""
+    b: Array
+    """(2, 6n)."""
+    cells: tuple[NDArray[np.int64], NDArray[np.int64]]
+    """Numbers of both parts' patches, as `Terms.cells`."""
+    factors: tuple[Array, Array]
+    """(c, 3, 3) Cholesky factors L of the patches' own normal matrices."""
+    B: tuple[Floats, Floats]
+    """(c, 3, 6n) L^-1 times the products of shift and twists."""
+    d: tuple[Array, Array]
+    """(c, 3) L^-1 times the patches' right sides."""
+
+    def shifts(self, part: int, twists: Array) -> Array:
+        """(c, 3) metres, canonical frame: how the patches of a part move when its poses do by `twists` (6n,)."""
+        inner = self.d[part] + self.B[part] @ twists.astype(np.float32)
+        return np.asarray(-np.linalg.solve(np.swapaxes(self.factors[part], 1, 2), inner[..., None])[..., 0], float)
+
+
+def reduced(terms: dict[int, Terms], n: int) -> Reduced:
+    """The normal equations of all frames, with every patch of the surface free to shift.
+
+    Were the model held as it stands, every frame would be pulled back to where it was when the model was learned, and
+    a drift along the video would only go by diffusion, a twentieth a round. The patches are unknowns, and taken out by
+    Schur's complement, as the points are in bundle adjustment (Triggs et al. 2000).
     """
     A, b = np.zeros((2, 6 * n, 6 * n)), np.zeros((2, 6 * n))
-    total = np.zeros((2 * CELLS, 2, 2))
+    total = np.zeros((2 * CELLS, 27))
     for i, t in terms.items():
         at = slice(6 * i, 6 * i + 6)
         A[:, at, at] += t.H
         b[:, at] += t.g
-        total[t.cells] += t.shared[:, :, 6:]
+        total[t.cells] += t.shared
+    upper = np.array([[18, 19, 20], [19, 21, 22], [20, 22, 23]])
+    cells, factors, Bs, ds = [], [], [], []
     for part in range(2):
-        known = (
-            np.flatnonzero(
-                total[part * CELLS : (part + 1) * CELLS, 0, 0] + total[part * CELLS : (part + 1) * CELLS, 1, 0]
-            )
-            + part * CELLS
-        )
+        own = total[part * CELLS : (part + 1) * CELLS]
+        trace = own[:, [18, 21, 23]].sum(1)
+        known = np.flatnonzero(trace > 0)
         row = np.full(2 * CELLS, -1)
-        row[known] = np.arange(len(known))
-        for kind in range(2):
-            B = np.zeros((len(known), 6 * n), np.float32)
-            root = 1 / np.sqrt(np.maximum(total[known, kind, 0], 1e-30))
-            for i, t in terms.items():
-                mine = (t.cells >= part * CELLS) & (t.cells < (part + 1) * CELLS)
-                r = row[t.cells[mine]]
-                B[r, 6 * i : 6 * i + 6] = t.shared[mine, kind, :6] * root[r][:, None]
-            A[part] -= B.T @ B
-            b[part] -= B.T @ (total[known, kind, 1] * root).astype(np.float32)
-    return A, b
+        row[part * CELLS + known] = np.arange(len(known))
+        H = own[known][:, upper] + HOLD * trace[known, None, None] * np.eye(3)
+        L = np.linalg.cholesky(H)
+        back = np.linalg.inv(L)
+        B = np.zeros((len(known), 3, 6 * n), np.float32)
+        for i, t in terms.items():
+            mine = t.cells // CELLS == part
+            r = row[t.cells[mine]]
+            products = t.shared[mine, :18].reshape(-1, 6, 3)
+            B[r, :, 6 * i : 6 * i + 6] = back[r] @ np.swapaxes(products, 1, 2)
+        d = np.einsum("cij,cj->ci", back, own[known, 24:])
+        flat = B.reshape(-1, 6 * n)
+        A[part] -= flat.T @ flat
+        b[part] -= flat.T @ d.reshape(-1).astype(np.float32)
+        cells.append(part * CELLS + known)
+        factors.append(L)
+        Bs.append(B)
+        ds.append(d)
+    return Reduced(A, b, (cells[0], cells[1]), (factors[0], factors[1]), (Bs[0], Bs[1]), (ds[0], ds[1]))
+
+
+HOLD = 1e-3
+"""Share of a patch's own normal matrix that holds it where nothing says how it shifts."""
+
+
+def cells_of(points: NDArray, moving: NDArray[np.bool_], cell: float) -> NDArray[np.int64]:
+    """(N,) patches that points (N, 3) of the canonical frame lie in, of the moving part where `moving` (N,)."""
+    i, j, k = np.floor(np.asarray(points, float) / cell).astype(np.int64).T
+    return (((i * 73856093) ^ (j * 19349663) ^ (k * 83492791)) & (CELLS - 1)) + moving * CELLS
 
 
 @njit(nogil=True, cache=True)
@@ -133,7 +200,7 @@ def _accumulate(
             if A < 0.02:
                 continue
             z = depth[y, x] / A
-            if not mask[y, x] and around[y, x] > 0 and around[y, x] < z:
+            if mask[y, x] < 0.5 and around[y, x] > 0 and around[y, x] < z:
                 continue
             part = 1 if moving[y, x] > 0.5 * A else 0
             px, py = (x + 0.5 - cx) / fx * z, (y + 0.5 - cy) / fy * z
@@ -143,13 +210,21 @@ def _accumulate(
             ru, rv = px / z, py / z
             au[0], au[2], au[3], au[4], au[5] = iu, -iu * ru, -iu * ru * py, iu * (z + ru * px), -iu * py
             av[1], av[2], av[3], av[4], av[5] = iv, -iv * rv, -iv * (z + rv * py), iv * rv * px, iv * px
+            T = back[part]
+            i = math.floor((T[0, 0] * px + T[0, 1] * py + T[0, 2] * z + T[0, 3]) * per_cell)
+            j = math.floor((T[1, 0] * px + T[1, 1] * py + T[1, 2] * z + T[1, 3]) * per_cell)
+            k = math.floor((T[2, 0] * px + T[2, 1] * py + T[2, 2] * z + T[2, 3]) * per_cell)
+            cell = (((i * 73856093) ^ (j * 19349663) ^ (k * 83492791)) & (CELLS - 1)) + part * CELLS
+            patch = table[cell]
+            touched[count] = cell
+            count += 1
             # silhouette
-            r = A - (1.0 if mask[y, x] else 0.0)
+            r = A - mask[y, x]
             gx, gy = 0.5 * (alpha[y, x + 1] - alpha[y, x - 1]), 0.5 * (alpha[y + 1, x] - alpha[y - 1, x])
             if gx * gx + gy * gy > 1e-4:
                 for k in range(6):
                     J[k] = -(gx * au[k] + gy * av[k])
-                _add(H[part], g[part], J, r, s_mask, sums)
+                _add(H[part], g[part], patch, T, J, r, s_mask, sums)
                 kinds[y, x, 2] = abs(r)
             inside = (
                 A > COVERED
@@ -158,21 +233,11 @@ def _accumulate(
                 and alpha[y + 1, x] > COVERED
                 and alpha[y - 1, x] > COVERED
             )
-            if not inside or not mask[y, x]:
+            if not inside or mask[y, x] < 1:
                 continue
-            T = back[part]
-            i = math.floor((T[0, 0] * px + T[0, 1] * py + T[0, 2] * z + T[0, 3]) * per_cell)
-            j = math.floor((T[1, 0] * px + T[1, 1] * py + T[1, 2] * z + T[1, 3]) * per_cell)
-            k = math.floor((T[2, 0] * px + T[2, 1] * py + T[2, 2] * z + T[2, 3]) * per_cell)
-            cell = ((i * 73856093) ^ (j * 19349663) ^ (k * 83492791)) & (CELLS - 1)
-            if part == 1:
-                cell += CELLS
-            if table[cell, 0, 6] == 0 and table[cell, 1, 6] == 0:
-                touched[count] = cell
-                count += 1
             zr, zl = depth[y, x + 1] / alpha[y, x + 1], depth[y, x - 1] / alpha[y, x - 1]
             zd, zu = depth[y + 1, x] / alpha[y + 1, x], depth[y - 1, x] / alpha[y - 1, x]
-            if mask[y, x + 1] and mask[y, x - 1] and mask[y + 1, x] and mask[y - 1, x]:
+            if min(mask[y, x + 1], mask[y, x - 1], mask[y + 1, x], mask[y - 1, x]) == 1:
                 gx = gy = r = 0.0
                 for c in range(3):
                     m = colour[y, x, c] / A
@@ -184,11 +249,7 @@ def _accumulate(
                 for q in range(6):
                     J[q] = -(gx * au[q] + gy * av[q])
                 sigma = math.sqrt(s_colour * s_colour + SUBPIXEL * SUBPIXEL * (gx * gx + gy * gy))
-                weight = _add(H[part], g[part], J, r, sigma, sums)
-                for q in range(6):
-                    table[cell, 0, q] += weight * J[q]
-                table[cell, 0, 6] += weight
-                table[cell, 0, 7] += weight * r
+                _add(H[part], g[part], patch, T, J, r, sigma, sums)
                 kinds[y, x, 0] = abs(r)
             if measured[y, x] > 0:
                 gx, gy = 0.5 * (zr - zl), 0.5 * (zd - zu)
@@ -197,25 +258,36 @@ def _accumulate(
                     r = (z - measured[y, x]) / tilt
                     for q in range(6):
                         J[q] = (az[q] - gx * au[q] - gy * av[q]) / tilt
-                    weight = _add(H[part], g[part], J, r, s_depth, sums)
-                    for q in range(6):
-                        table[cell, 1, q] += weight * J[q]
-                    table[cell, 1, 6] += weight
-                    table[cell, 1, 7] += weight * r
+                    _add(H[part], g[part], patch, T, J, r, s_depth, sums)
                     kinds[y, x, 1] = abs(r)
     return count
 
 
 @njit(nogil=True, cache=True)
-def _add(H, g, J, r, sigma, sums):  # pragma: no cover
-    """One residual under Cauchy's weight, which is returned."""
+def _add(H, g, patch, T, J, r, sigma, sums):  # pragma: no cover
+    """One residual under Cauchy's weight. A shift of the patch in the canonical frame, to which T takes, is one of the
+    camera's by T's transposed rotation."""
     e = r / (2 * sigma)
     weight = 1 / (sigma * sigma * (1 + e * e))
+    s0 = T[0, 0] * J[0] + T[0, 1] * J[1] + T[0, 2] * J[2]
+    s1 = T[1, 0] * J[0] + T[1, 1] * J[1] + T[1, 2] * J[2]
+    s2 = T[2, 0] * J[0] + T[2, 1] * J[1] + T[2, 2] * J[2]
     for a in range(6):
         wj = weight * J[a]
         g[a] += wj * r
         for b in range(6):
             H[a, b] += wj * J[b]
+        patch[3 * a] += wj * s0
+        patch[3 * a + 1] += wj * s1
+        patch[3 * a + 2] += wj * s2
+    patch[18] += weight * s0 * s0
+    patch[19] += weight * s0 * s1
+    patch[20] += weight * s0 * s2
+    patch[21] += weight * s1 * s1
+    patch[22] += weight * s1 * s2
+    patch[23] += weight * s2 * s2
+    patch[24] += weight * s0 * r
+    patch[25] += weight * s1 * r
+    patch[26] += weight * s2 * r
     sums[0] += 4 * math.log1p(e * e)
     sums[1] += 1
-    return weight

@@ -20,11 +20,11 @@ from freeart21.mesh import Mesh
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 from reconstruct.gaussians.adam import Adam
-from reconstruct.gaussians.alignment import Scales, Terms, alignment_terms, reduced
+from reconstruct.gaussians.alignment import CELLS, Reduced, Scales, Terms, alignment_terms, cells_of, reduced
 from reconstruct.gaussians.backends import choose
 from reconstruct.gaussians.density import grown_and_pruned
 from reconstruct.gaussians.initial import discs
-from reconstruct.gaussians.losses import Loss, loss
+from reconstruct.gaussians.losses import COVERED, Loss, loss
 from reconstruct.gaussians.model import Back, splats_of
 from reconstruct.gaussians.rasteriser import Picture, Pull, Rasterise
 from reconstruct.gaussians.windows import Windows, windows_of
@@ -38,6 +38,13 @@ Flags = NDArray[np.bool_]
 
 SHORTEST_ROUND = 150
 """Pictures of a round, at least: shorter videos are shown again, so that the model keeps up with the motion."""
+DAMPING = 1e-6
+"""Of the Gauss-Newton steps: a drift along the video has eigenvalues of 1e-4 of the diagonal."""
+COARSE = ((0.4, 4), (0.7, 2), (1.0, 1))
+"""Until which share of the rounds how many pixels each way are taken as one: at once in full, the first step goes 16 %
+of the way, with 4 pixels 40 % (noise2 swivel_usb)."""
+FARTHEST = 20
+"""Footprints that a patch goes in a step, at most."""
 TRIAL_STEPS = 3
 """Gauss-Newton steps that bring a held-back frame to a model before it is judged."""
 
@@ -49,8 +56,8 @@ class Optimised:
     poses: JointedPoses
     gaussians: Gaussians
     """In the frame of `poses`, joint state zero."""
-    shares: list[NDArray[np.float32] | None]
-    """For every frame, of its window, how much of what the model shows there is the moving part's, 0 to 1; NaN where it
+    shares: NDArray[np.float32]
+    """(n, h, w) of the scene's crops, how much of what the model shows there is the moving part's, 0 to 1; NaN where it
     shows nothing."""
     kept: bool
     """Whether the motion is the refined one."""
@@ -76,6 +83,7 @@ def optimise(
         Ts = (poses.Ts, poses.Ts_moving)
         meshes = [fuse(scene, grown.labels, k + 1, Ts[k], grown.seen[:, k], settings.surfaces) for k in range(2)]
         fit = Fit(windows, (meshes[0], meshes[1]), poses, choose(s.backend), s, np.random.default_rng(seed))
+        fit.coarseness = COARSE[0][1]
         for r in range(s.warm_up):
             fit.round(train, r / s.rounds, (r + 1) / s.rounds)
         return fit
@@ -84,6 +92,7 @@ def optimise(
     before = fit.copy()
     for r in range(s.warm_up, s.rounds):
         progress(r / s.rounds)
+        fit.coarseness = next(c for until, c in COARSE if r < until * s.rounds)
         if s.end_to_end:
             fit.adjust(train, held, s.momentum if r < 0.7 * s.rounds else s.momentum / 2)
         if r < 0.6 * s.rounds:
@@ -96,7 +105,7 @@ def optimise(
         fit.poses = grown.poses
         for r in range(s.rounds // 2, s.rounds):
             fit.round(train, r / s.rounds, (r + 1) / s.rounds)
-    return Optimised(fit.poses, fit.parameters.gaussians(s.blended), fit.shares(), kept)
+    return Optimised(fit.poses, fit.parameters.gaussians(s.blended), fit.shares(scene), kept)
 
 
 class Fit:
@@ -117,6 +126,8 @@ class Fit:
         self.parameters = discs(meshes, windows.footprint, settings, rng)
         self.adam = Adam(self.parameters)
         self.screen, self.looks = np.zeros(len(self.parameters)), np.zeros(len(self.parameters))
+        self.coarseness = 1
+        """Pixels each way that the adjustment takes as one."""
         self.cell = float(np.sqrt(sum(mesh.areas().sum() for mesh in meshes) / settings.cells))
         """Metres: size of the cells of the surface whose colour and depth the adjustment eliminates."""
         self.scales = Scales(0.05, max(windows.noise, 0.5 * windows.footprint), 0.3)
@@ -191,7 +202,9 @@ class Fit:
 
     def _terms(self, i: int, picture: Picture) -> Terms:
         window = self.windows[i]
-        return alignment_terms(picture, window.target(), window.lens, self.part_poses(i), self.scales, self.cell)
+        return alignment_terms(
+            picture, window.target(), window.lens, self.part_poses(i), self.scales, self.cell, self.coarseness
+        )
 
     def adjust(self, train: Flags, held: Flags, momentum: float) -> None:
         """A step of all poses and states, and of the joint, by what the frames of `train` said in the last round.
@@ -201,16 +214,28 @@ class Fit:
         self.said |= {int(i): self.look(int(i)) for i in np.flatnonzero(held)}
         self.rescale()
         n = len(self.poses.Ts)
-        A, b = reduced(self.said, n)
+        all_frames: Reduced = reduced(self.said, n)
+        A, b = all_frames.A, all_frames.b
         M, across = joint_jacobian(self.poses)
         J = M.toarray()
         J[~np.repeat(train, 6), 7 * n :] = 0
         A_all, b_all = J.T @ A[1] @ J, J.T @ b[1]
         A_all[: 6 * n, : 6 * n] += A[0]
         b_all[: 6 * n] += b[0]
-        step = damped_solve(*with_state_smoothness(sparse.csr_array(A_all), b_all, np.zeros(n)))
+        step = damped_solve(*with_state_smoothness(sparse.csr_array(A_all), b_all, np.zeros(n)), DAMPING)
         self.last_step = step + momentum * self.last_step
         self.poses = stepped(self.poses, self.last_step, across, self.windows.diagonal)
+        self._shift_surface(all_frames, (step[: 6 * n], J @ step))
+
+    def _shift_surface(self, found: Reduced, twists: tuple[Array, Array]) -> None:
+        """Let the surface go with the motion: every Gaussian with its patch."""
+        shift = np.zeros((2 * CELLS, 3))
+        for part in range(2):
+            shift[found.cells[part]] = found.shifts(part, twists[part])
+        length = np.linalg.norm(shift, axis=1, keepdims=True)
+        shift *= np.minimum(1, FARTHEST * self.windows.footprint / np.maximum(length, 1e-12))
+        p = self.parameters
+        p.means += shift[cells_of(p.means, p.weight_logits < 0, self.cell)].astype(np.float32)
 
     def localise(self, frames: Flags) -> float:
         """The mean cost of residuals in `frames`, each brought to the model by itself, the joint as it is."""
@@ -250,17 +275,13 @@ class Fit:
         self.adam.kept(which, fresh)
         self.screen, self.looks = np.zeros(len(which)), np.zeros(len(which))
 
-    def shares(self) -> list[NDArray[np.float32] | None]:
+    def shares(self, scene: Scene) -> NDArray[np.float32]:
         """See `Optimised.shares`."""
-        found: list[NDArray[np.float32] | None] = []
-        for i, shown in enumerate(self.windows.shown):
-            if not shown:
-                found.append(None)
-                continue
-            picture = self.draw(i)[1]
-            with np.errstate(invalid="ignore", divide="ignore"):
-                share = np.where(picture.alpha > 0.5, picture.moving / picture.alpha, np.nan)
-            found.append(share.astype(np.float32))
+        found = np.full(scene.mask.shape, np.nan, np.float32)
+        for i in np.flatnonzero(self.windows.shown):
+            picture = self.draw(int(i))[1]
+            share = np.where(picture.alpha > COVERED, picture.moving / np.maximum(picture.alpha, COVERED), np.nan)
+            found[i] = self.windows.in_crop(int(i), share.astype(np.float32), scene)
         return found
 
 
@@ -284,7 +305,7 @@ def _with_std(fit: Fit, clouds: list[Array], seen: Flags) -> JointedPoses:
     """The poses with the standard deviations of states, axis and pivot; `clouds` are points of the parts."""
     fit.said |= {int(i): fit.look(int(i)) for i in np.flatnonzero(fit.windows.shown)}
     n = len(seen)
-    A, _ = reduced(fit.said, n)
+    A = reduced(fit.said, n).A
     M, _ = joint_jacobian(fit.poses)
     J = M.toarray()
     A_all = J.T @ A[1] @ J

@@ -13,12 +13,15 @@ from freeart21.recording import Frame, Recording
 from reconstruct.gaussians.losses import Target
 from reconstruct.gaussians.rasteriser import Floats, Lens
 from reconstruct.kernels import each_in_threads
-from reconstruct.scene import Scene
+from reconstruct.scene import Scene, depth_noise
 
 MARGIN = 8
 """Pixels of a frame's window round its mask."""
+NOISE_FRAMES = 12
+"""Frames that the noise of depth is taken from."""
 JUMP = 4.0
-"""Footprints between neighbours' depths beyond which neither is believed: sensors mix what they see there."""
+"""Footprints, and deviations of noise, between neighbours' depths beyond which neither is believed: sensors mix what
+they see there."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,8 @@ class Window:
     """(h, w) metres; minus the depth of what is not the object; 0 where there is none or it is not believed."""
     mask: NDArray[np.bool_]
     """(h, w) foreground."""
+    corner: tuple[int, int]
+    """Column and row of its first pixel in the recording's picture."""
 
     def target(self) -> Target:
         """The same as numbers."""
@@ -59,6 +64,17 @@ class Windows:
         """(n,) frames that show the object."""
         return np.array([window is not None for window in self.frames])
 
+    def in_crop(self, i: int, image: Floats, scene: Scene) -> Floats:
+        """A picture (h, w) of frame i's window as the scene's crop (h, w) of that frame has it; NaN beyond."""
+        h, w = scene.mask.shape[1:]
+        left, top = self[i].corner
+        found = np.full((h, w), np.nan, np.float32)
+        x = (scene.origin[i, 0] + np.arange(w) * scene.factor + scene.factor // 2 - left) // self.factor
+        y = (scene.origin[i, 1] + np.arange(h) * scene.factor + scene.factor // 2 - top) // self.factor
+        columns, rows = (x >= 0) & (x < image.shape[1]), (y >= 0) & (y < image.shape[0])
+        found[np.ix_(rows, columns)] = image[np.ix_(y[rows], x[columns])]
+        return found
+
     def __getitem__(self, i: int) -> Window:
         window = self.frames[i]
         assert window is not None, i
@@ -71,12 +87,14 @@ def windows_of(recording: Recording, scene: Scene, most_pixels: int) -> Windows:
     factor = max(1, math.ceil(math.sqrt(pixels / most_pixels)))
     footprint = scene.footprint / scene.factor * factor
     K = recording.camera.K
+    some = [recording.frame(i) for i in np.linspace(0, len(recording) - 1, NOISE_FRAMES).round().astype(int)]
+    noise = depth_noise(np.stack([np.where(frame.mask, frame.depth, 0) for frame in some]).astype(np.float32))
 
     def load(i: int) -> Window | None:
-        return _window(recording.frame(i), K, factor, JUMP * footprint + 4 * scene.noise)
+        return _window(recording.frame(i), K, factor, JUMP * footprint + 4 * noise)
 
     frames = tuple(each_in_threads(load, len(recording)))
-    return Windows(frames, footprint, scene.noise, scene.diagonal, factor)
+    return Windows(frames, footprint, noise, scene.diagonal, factor)
 
 
 def _window(frame: Frame, K: NDArray[np.float64], factor: int, jump: float) -> Window | None:
@@ -106,4 +124,4 @@ def _window(frame: Frame, K: NDArray[np.float64], factor: int, jump: float) -> W
         w // factor,
         h // factor,
     )
-    return Window(lens, rgb.copy(), depth.copy(), mask.copy())
+    return Window(lens, rgb.copy(), depth.copy(), mask.copy(), (left, top))
