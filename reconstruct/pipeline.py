@@ -245,12 +245,14 @@ def _gaussians(video: _Video, known: Known, settings: ReconstructSettings, rng: 
         return known
     assert known.grown is not None
     found = optimise(video.recording, video.scene, known.grown, settings, rng, video.progress)
-    return replace(known, grown=refined(known.grown, found), appearance=found.gaussians)
+    return replace(known, grown=refined(known.grown, found), free=found.free, appearance=found.gaussians)
 
 
 @_solves
 def _poses(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
     assert known.grown is not None
+    if known.free:  # the model had them
+        return known
     return replace(known, free=_free(video.evidence, known.grown, settings, rng))
 
 

@@ -105,7 +105,7 @@ def free_adjustment(
     for _ in range(settings.free_rounds):
         A, b, _ = _normal_equations(evidence, labels, part, Ts, samples, source, target, settings.final_gate)
         step = damped_solve(A, b).reshape(n, 6)
-        Ts = se3.orthonormalised(se3.exp_se3(_limited(step)) @ Ts)
+        Ts = se3.orthonormalised(se3.exp_se3(limited(step)) @ Ts)
     drift = se3.mean_pose(se3.inverse(start[seen]) @ Ts[seen])
     Ts = np.where(seen[:, None, None], Ts @ se3.inverse(drift), start)
     return FreePoses(Ts, _covariances(A, Ts, seen, len(source) / max(seen.sum(), 1)))
@@ -238,7 +238,7 @@ def stepped(now: JointedPoses, x: Array, across: Array, size: float) -> JointedP
     """`now` after a step x (7n + m,) of `joint_jacobian`'s unknowns, cut where it is rash for an object of `size`,
     metres."""
     n, joint = len(now.Ts), now.joint
-    Ts = se3.orthonormalised(se3.exp_se3(_limited(x[: 6 * n].reshape(n, 6))) @ now.Ts)
+    Ts = se3.orthonormalised(se3.exp_se3(limited(x[: 6 * n].reshape(n, 6))) @ now.Ts)
     most = 0.1 if joint.type == "revolute" else 0.1 * size
     states = now.states + np.clip(x[6 * n : 7 * n], -most, most)
     axis = _unit(joint.axis + np.clip(x[7 * n : 7 * n + 2], -0.1, 0.1) @ across)
@@ -278,7 +278,7 @@ def damped_solve(A: sparse.csr_array, b: Array, damping: float = 1e-4) -> Array:
     )
 
 
-def _limited(twists: Array) -> Array:
+def limited(twists: Array) -> Array:
     """Twists (n, 6) cut to 0.1 rad."""
     turn = np.linalg.norm(twists[:, 3:], axis=1)
     shrink = np.minimum(1, 0.1 / np.maximum(turn, 1e-12))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from freeart21 import se3
 from freeart21.gaussians import Gaussians
 from freeart21.mesh import Mesh
 from freeart21.recording import Recording
@@ -29,7 +30,16 @@ from reconstruct.gaussians.model import Back, splats_of
 from reconstruct.gaussians.rasteriser import Picture, Pull, Rasterise
 from reconstruct.gaussians.windows import Windows, windows_of
 from reconstruct.growth import Grown
-from reconstruct.poses import JointedPoses, damped_solve, joint_jacobian, stepped, with_state_smoothness, with_std
+from reconstruct.poses import (
+    FreePoses,
+    JointedPoses,
+    damped_solve,
+    joint_jacobian,
+    limited,
+    stepped,
+    with_state_smoothness,
+    with_std,
+)
 from reconstruct.scene import Scene
 from reconstruct.settings import GaussianSettings, ReconstructSettings
 from reconstruct.surfaces import fuse
@@ -43,6 +53,8 @@ DAMPING = 1e-6
 COARSE = ((0.4, 4), (0.7, 2), (1.0, 1))
 """Until which share of the rounds how many pixels each way are taken as one: at once in full, the first step goes 16 %
 of the way, with 4 pixels 40 % (noise2 swivel_usb)."""
+FREE_STEPS, FREE_COARSE = 2, 2
+"""Gauss-Newton steps of a part's pose without the joint, and the pixels each way that they take as one."""
 FARTHEST = 20
 """Footprints that a patch goes in a step, at most."""
 TRIAL_STEPS = 3
@@ -54,6 +66,8 @@ class Optimised:
     """What the stage found."""
 
     poses: JointedPoses
+    free: tuple[FreePoses, FreePoses]
+    """Both parts' poses as the model has them without the joint."""
     gaussians: Gaussians
     """In the frame of `poses`, joint state zero."""
     shares: NDArray[np.float32]
@@ -105,7 +119,9 @@ def optimise(
         fit.poses = grown.poses
         for r in range(s.rounds // 2, s.rounds):
             fit.round(train, r / s.rounds, (r + 1) / s.rounds)
-    return Optimised(fit.poses, fit.parameters.gaussians(s.blended), fit.shares(scene), kept)
+    return Optimised(
+        fit.poses, fit.free_poses(grown.seen), fit.parameters.gaussians(s.blended), fit.shares(scene), kept
+    )
 
 
 class Fit:
@@ -260,6 +276,28 @@ class Fit:
                 step[own] = damped_solve(sparse.csr_array(A), b)
             self.poses = stepped(self.poses, step, across, self.windows.diagonal)
         return sum(t.cost for t in terms.values()) / max(sum(t.count for t in terms.values()), 1.0)
+
+    def free_poses(self, seen: Flags) -> tuple[FreePoses, FreePoses]:
+        """Poses of both parts, each by itself before the model, where `seen` (n, 2); elsewhere those of the joint."""
+        n = len(seen)
+        Ts = [self.poses.Ts.copy(), self.poses.Ts_moving.copy()]
+        covariances = np.full((2, n, 6, 6), np.nan)
+        gaussians = self.parameters.gaussians(self.settings.blended)
+        coarseness = FREE_COARSE
+        pixels = (self.cell / self.windows.footprint) ** 2
+        for i in np.flatnonzero(self.windows.shown & seen.any(1)):
+            window = self.windows[int(i)]
+            for k in range(FREE_STEPS + 1):
+                both = np.stack([Ts[0][i], Ts[1][i]])
+                picture, _ = self.rasterise(splats_of(gaussians, both)[0], both, window.lens)
+                t = alignment_terms(picture, window.target(), window.lens, both, self.scales, self.cell, coarseness)
+                for part in np.flatnonzero(seen[i]):
+                    H = t.H[part] + np.diag(1e-3 * np.diag(t.H[part]) + 1e-9 * max(float(t.H[part].max()), 1e-30))
+                    if k < FREE_STEPS:
+                        Ts[part][i] = se3.exp_se3(limited(np.linalg.solve(H, -t.g[part])[None])[0]) @ Ts[part][i]
+                    else:
+                        covariances[part, i] = pixels * np.linalg.inv(H)
+        return FreePoses(Ts[0], covariances[0]), FreePoses(Ts[1], covariances[1])
 
     def rescale(self) -> None:
         """Scales of residuals, anew from what they were."""
