@@ -33,11 +33,11 @@ from reconstruct.gaussians import gsplat_backend
 from reconstruct.gaussians.rasteriser import FAINTEST
 from reconstruct.pipeline import reconstruct_folder, reconstruct_until
 from reconstruct.scene import prepare
-from reconstruct.settings import ReconstructSettings
+from reconstruct.settings import GaussianSettings, ReconstructSettings
 from reconstruct.stages import KEPT, STAGES, used_by
 
 ROOT = Path(__file__).resolve().parents[1]
-QUIET = ReconstructSettings(progress=False)
+QUIET = ReconstructSettings(progress=False, gaussians=GaussianSettings(rounds=3, warm_up=1, begin=3000, most=4000))
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ class Calls:
 
     def __init__(self, monkeypatch, stop=None):
         self.solved, self.stop = [], stop
-        for name in ("find_seeds", "bridge_gaps", "better_type", "free_adjustment", "fuse"):
+        for name in ("find_seeds", "bridge_gaps", "better_type", "free_adjustment", "optimise", "fuse"):
             monkeypatch.setattr(pipeline, name, self._counted(name, getattr(pipeline, name)))
 
     def _counted(self, name, function):
@@ -98,8 +98,9 @@ class Calls:
 @pytest.mark.parametrize(
     "stop, left",
     [
-        ("bridge_gaps", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", *FREE, "fuse", "fuse"]),
-        ("better_type", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", *FREE, "fuse", "fuse"]),
+        ("bridge_gaps", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", "optimise", "fuse", "fuse"]),
+        ("better_type", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", "optimise", "fuse", "fuse"]),
+        ("optimise", ["optimise", "fuse", "fuse"]),
         ("fuse", ["fuse", "fuse"]),
     ],
 )
@@ -260,7 +261,7 @@ def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, c
     calls = Calls(monkeypatch)
     assert reconstruct_until(sequence, out, "segmentation", QUIET) == kept / "segmentation.npz" and not calls.solved
     assert command(sequence, out, keep_work=True, settings=QUIET) == 0
-    assert calls.solved == ["free_adjustment", "free_adjustment", "fuse", "fuse"]
+    assert calls.solved == ["optimise", "fuse", "fuse"]
     assert {path.stem for path in kept.iterdir()} == set(KEPT)
     method = json.loads((out.parent / "method.json").read_text())
     assert VERSION in method["code"] and contents(out)["prediction.json"]["settings"]["solver"] == VERSION
@@ -358,7 +359,7 @@ def test_changed_settings_are_solved_again_from_the_first_stage_that_uses_them(
     calls = Calls(monkeypatch)
     coarse = replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))
     reconstruct_folder(sequence, out, coarse, keep_work=True)
-    assert calls.solved == [*FREE, "fuse", "fuse"]
+    assert calls.solved == ["optimise", "fuse", "fuse"]  # the Gaussians begin with surfaces
     reconstruct_folder(sequence, tmp_path / "fresh", coarse)
     assert contents(out) == contents(tmp_path / "fresh")
 
@@ -533,8 +534,9 @@ def test_a_tier_takes_one_object_of_each_category():
 
 
 def test_changed_settings_name_their_variant():
-    paper = replace(QUIET, joint=replace(QUIET.joint, type_rule="paper"))
-    many = replace(paper, growth=replace(QUIET.growth, gates=(9.0, 4.0)))
-    assert bench._changed(QUIET) == [] and bench._changed(paper) == ["type_rule=paper"]
+    own = ReconstructSettings(progress=False)
+    paper = replace(own, joint=replace(own.joint, type_rule="paper"))
+    many = replace(paper, growth=replace(own.growth, gates=(9.0, 4.0)))
+    assert bench._changed(own) == [] and bench._changed(paper) == ["type_rule=paper"]
     (name,) = bench._changed(many)
     assert name.startswith("settings-") and name != bench._changed(replace(many, seed=1))[0]

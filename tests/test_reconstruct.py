@@ -26,11 +26,11 @@ from reconstruct.pipeline import reconstruct, reconstruct_folder
 from reconstruct.poses import JointedPoses, joint_adjustment
 from reconstruct.renders import render
 from reconstruct.scene import prepare
-from reconstruct.settings import ReconstructSettings, SceneSettings, TrackSettings
+from reconstruct.settings import GaussianSettings, ReconstructSettings, SceneSettings, TrackSettings
 from reconstruct.tracks import follow, lift, optical_flow
 
 ROOT = Path(__file__).resolve().parents[1]
-QUIET = ReconstructSettings(progress=False)
+QUIET = ReconstructSettings(progress=False, gaussians=GaussianSettings(refine=False))  # what geometry finds alone
 FRAMES = 24
 GENTLE = 0.35  # radians of tumbling: about 3 degrees a frame
 
