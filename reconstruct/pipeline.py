@@ -245,6 +245,8 @@ def _gaussians(video: _Video, known: Known, settings: ReconstructSettings, rng: 
         return known
     assert known.grown is not None
     found = optimise(video.recording, video.scene, known.grown, settings, rng, video.progress)
+    if found is None:
+        return known
     return replace(known, grown=found.in_place_of(known.grown), free=found.free, appearance=found.gaussians)
 
 

@@ -9,7 +9,7 @@ through the joint's Jacobian, those of poses, states, axis and pivot.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -54,6 +54,10 @@ class Terms:
     """Of them."""
     spread: Array
     """(3,) medians of absolute residuals of colour, depth and mask; NaN where there are none."""
+
+    def before_a_fixed_model(self) -> Terms:
+        """The same with no say in how the surface shifts."""
+        return replace(self, cells=self.cells[:0], shared=self.shared[:0])
 
 
 def alignment_terms(

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.linalg import solve
 
 from freeart21 import se3
 from freeart21.gaussians import Gaussians
@@ -34,7 +35,6 @@ from reconstruct.labels import SURE
 from reconstruct.poses import (
     FreePoses,
     JointedPoses,
-    damped_solve,
     joint_jacobian,
     limited,
     stepped,
@@ -98,25 +98,33 @@ def optimise(
     settings: ReconstructSettings,
     rng: np.random.Generator,
     progress: Callable[[float], object] = lambda share: None,
-) -> Optimised:
-    """The articulated model of a video, and its motion refined; `progress` is told the share that is done."""
+) -> Optimised | None:
+    """The articulated model of a video, and its motion refined; None where no part has a surface to begin with.
+
+    `progress` is told the share that is done.
+    """
     s = settings.gaussians
     windows = windows_of(recording, scene, s.most_pixels)
     held = _held_back(windows.shown, s.held_back)
     train = windows.shown & ~held
     seed = int(rng.integers(2**32))
 
-    def begun(poses: JointedPoses) -> Fit:
-        """A model that has learned a motion for as long as the warm-up is."""
+    def surfaces(poses: JointedPoses) -> list[Mesh]:
         Ts = (poses.Ts, poses.Ts_moving)
-        meshes = [fuse(scene, grown.labels, k + 1, Ts[k], grown.seen[:, k], settings.surfaces) for k in range(2)]
+        return [fuse(scene, grown.labels, k + 1, Ts[k], grown.seen[:, k], settings.surfaces) for k in range(2)]
+
+    def begun(poses: JointedPoses, meshes: list[Mesh]) -> Fit:
+        """A model that has learned a motion for as long as the warm-up is."""
         fit = Fit(windows, (meshes[0], meshes[1]), poses, choose(s.backend), s, np.random.default_rng(seed))
         fit.coarseness = COARSE[0][1]
         for r in range(s.warm_up):
             fit.round(train, r / s.rounds, (r + 1) / s.rounds)
         return fit
 
-    fit = begun(grown.poses)
+    meshes = surfaces(grown.poses)
+    if all(mesh.empty for mesh in meshes):
+        return None
+    fit = begun(grown.poses, meshes)
     before = fit.copy()
     for r in range(s.warm_up, s.rounds):
         progress(r / s.rounds)
@@ -126,7 +134,7 @@ def optimise(
         if r < 0.6 * s.rounds:
             fit.split()
         fit.round(train, r / s.rounds, (r + 1) / s.rounds)
-    kept = s.end_to_end and _explains_no_worse(before, begun(fit.poses), held)
+    kept = s.end_to_end and _explains_no_worse(before, begun(fit.poses, surfaces(fit.poses)), held)
     if kept:
         fit.poses = _with_std(fit, [mesh.vertices for mesh in fit.meshes], grown.seen)
     elif s.end_to_end:
@@ -241,7 +249,7 @@ class Fit:
 
         Frames that are held back go with the joint and have no say in it.
         """
-        self.said |= {int(i): self.look(int(i)) for i in np.flatnonzero(held)}
+        self.said |= {int(i): self.look(int(i)).before_a_fixed_model() for i in np.flatnonzero(held)}
         self.rescale()
         n = len(self.poses.Ts)
         all_frames: Reduced = reduced(self.said, n)
@@ -252,7 +260,8 @@ class Fit:
         A_all, b_all = J.T @ A[1] @ J, J.T @ b[1]
         A_all[: 6 * n, : 6 * n] += A[0]
         b_all[: 6 * n] += b[0]
-        step = damped_solve(*with_state_smoothness(sparse.csr_array(A_all), b_all, np.zeros(n)), DAMPING)
+        smooth, b_all = with_state_smoothness(sparse.csr_array(A_all), b_all, np.zeros(n))
+        step = _solved(smooth.toarray(), b_all)
         self.last_step = step + momentum * self.last_step
         self.poses = stepped(self.poses, self.last_step, across, self.windows.diagonal)
         self._shift_surface(all_frames, (step[: 6 * n], J @ step))
@@ -287,7 +296,7 @@ class Fit:
                 A[:6, :6] += H[0, i]
                 b = Ji.T @ g[1, i]
                 b[:6] += g[0, i]
-                step[own] = damped_solve(sparse.csr_array(A), b)
+                step[own] = _solved(A, b)
             self.poses = stepped(self.poses, step, across, self.windows.diagonal)
         return sum(t.cost for t in terms.values()) / max(sum(t.count for t in terms.values()), 1.0)
 
@@ -335,6 +344,13 @@ class Fit:
             share = np.where(picture.alpha > COVERED, picture.moving / np.maximum(picture.alpha, COVERED), np.nan)
             found[i] = self.windows.in_crop(int(i), share.astype(np.float32), scene)
         return found
+
+
+def _solved(A: Array, b: Array) -> Array:
+    """The damped step -A^-1 b of a dense symmetric A."""
+    diagonal = np.diag(A).copy()
+    A[np.diag_indices_from(A)] += DAMPING * diagonal + 1e-9 * max(float(diagonal.max()), 1e-300)
+    return np.asarray(solve(A, -b, assume_a="pos", overwrite_a=True, check_finite=False), float)
 
 
 def _held_back(shown: Flags, every: int) -> Flags:
