@@ -28,7 +28,7 @@ def discs(
     """
     areas = [float(mesh.areas().sum()) for mesh in meshes]
     spacing = max(settings.spacing * footprint, float(np.sqrt(sum(areas) / settings.begin)))
-    means, normals, colours, weights = [], [], [], []
+    means, normals, colours, weights = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)]
     for part, (mesh, area) in enumerate(zip(meshes, areas, strict=True)):
         count = round(area / spacing**2)
         if mesh.empty or count == 0:
