@@ -137,9 +137,10 @@ def splats_of(gaussians: Gaussians, Ts: Array, lit: Array | None = None) -> tupl
         }
         found = {}
         for name, values in columns.items():
-            total = np.zeros((n, *values.shape[1:]), np.float32)
-            _sum_copies(index, values.reshape(m, -1), total.reshape(n, -1))
-            found[name] = total
+            width = math.prod(values.shape[1:])
+            total = np.zeros((n, width), np.float32)
+            _sum_copies(index, values.reshape(m, width), total)
+            found[name] = total.reshape(n, *values.shape[1:])
         return {**found, "light": harmonics.T @ by_shade}
 
     return splats, back
