@@ -45,7 +45,7 @@ class Terms:
     cells: NDArray[np.int32]
     """(c,) patches of the model's surface that the frame shows, numbers below 2 CELLS; the upper half is the moving
     part's."""
-    shared: Array
+    shared: Floats
     """(c, 27) for each of them: sums of the products of the Jacobians by its part's twist and by its own shift in the
     canonical frame (6 x 3), by its shift alone (upper half of 3 x 3), and with the residuals (3)."""
     cost: float
@@ -79,7 +79,7 @@ def alignment_terms(
         np.linalg.inv(Ts), 1 / cell, table, touched,
     )  # fmt: skip
     cells = np.unique(touched[:count])
-    shared = table[cells]
+    shared = table[cells].astype(np.float32)
     table[cells] = 0
     spread = np.full(3, np.nan)
     for k in range(3):
@@ -122,19 +122,28 @@ class Reduced:
     """(2, 6n, 6n) of both parts."""
     b: Array
     """(2, 6n)."""
-    cells: tuple[NDArray[np.int64], NDArray[np.int64]]
-    """Numbers of both parts' patches, as `Terms.cells`."""
-    factors: tuple[Array, Array]
-    """(c, 3, 3) Cholesky factors L of the patches' own normal matrices."""
-    B: tuple[Floats, Floats]
-    """(c, 3, 6n) L^-1 times the products of shift and twists."""
-    d: tuple[Array, Array]
-    """(c, 3) L^-1 times the patches' right sides."""
+    own: Array
+    """(2 CELLS, 27) sums over all frames of `Terms.shared`."""
+    terms: dict[int, Terms]
 
-    def shifts(self, part: int, twists: Array) -> Array:
-        """(c, 3) metres, canonical frame: how the patches of a part move when its poses do by `twists` (6n,)."""
-        inner = self.d[part] + self.B[part] @ twists.astype(np.float32)
-        return np.asarray(-np.linalg.solve(np.swapaxes(self.factors[part], 1, 2), inner[..., None])[..., 0], float)
+    def shifts(self, twists: tuple[Array, Array]) -> Array:
+        """(2 CELLS, 3) metres, canonical frame: how the patches move when the parts' poses do by `twists` (6n,)."""
+        right = self.own[:, 24:].copy()
+        for i, t in self.terms.items():
+            x = np.stack([part[6 * i : 6 * i + 6] for part in twists])[t.cells // CELLS]
+            right[t.cells] += np.einsum("ca,cab->cb", x, t.shared[:, :18].reshape(-1, 6, 3))
+        known, H = _patches(self.own)
+        found = np.zeros((2 * CELLS, 3))
+        found[known] = -np.linalg.solve(H, right[known][..., None])[..., 0]
+        return found
+
+
+def _patches(own: Array) -> tuple[NDArray[np.int64], Array]:
+    """Numbers (c,) of the patches that anything was said of, and their own normal matrices (c, 3, 3), held a little."""
+    trace = own[:, [18, 21, 23]].sum(1)
+    known = np.flatnonzero(trace > 0)
+    upper = np.array([[18, 19, 20], [19, 21, 22], [20, 22, 23]])
+    return known, own[known][:, upper] + HOLD * trace[known, None, None] * np.eye(3)
 
 
 def reduced(terms: dict[int, Terms], n: int) -> Reduced:
@@ -145,40 +154,34 @@ def reduced(terms: dict[int, Terms], n: int) -> Reduced:
     Schur's complement, as the points are in bundle adjustment (Triggs et al. 2000).
     """
     A, b = np.zeros((2, 6 * n, 6 * n)), np.zeros((2, 6 * n))
-    total = np.zeros((2 * CELLS, 27))
+    own = np.zeros((2 * CELLS, 27))
     for i, t in terms.items():
         at = slice(6 * i, 6 * i + 6)
         A[:, at, at] += t.H
         b[:, at] += t.g
-        total[t.cells] += t.shared
-    upper = np.array([[18, 19, 20], [19, 21, 22], [20, 22, 23]])
-    cells, factors, Bs, ds = [], [], [], []
+        own[t.cells] += t.shared
+    known, H = _patches(own)
+    back = np.linalg.inv(np.linalg.cholesky(H))
+    sides = np.einsum("cij,cj->ci", back, own[known, 24:])
     for part in range(2):
-        own = total[part * CELLS : (part + 1) * CELLS]
-        trace = own[:, [18, 21, 23]].sum(1)
-        known = np.flatnonzero(trace > 0)
-        row = np.full(2 * CELLS, -1)
-        row[part * CELLS + known] = np.arange(len(known))
-        H = own[known][:, upper] + HOLD * trace[known, None, None] * np.eye(3)
-        L = np.linalg.cholesky(H)
-        back = np.linalg.inv(L)
-        B = np.zeros((len(known), 3, 6 * n), np.float32)
-        for i, t in terms.items():
-            mine = t.cells // CELLS == part
-            r = row[t.cells[mine]]
-            products = t.shared[mine, :18].reshape(-1, 6, 3)
-            B[r, :, 6 * i : 6 * i + 6] = back[r] @ np.swapaxes(products, 1, 2)
-        d = np.einsum("cij,cj->ci", back, own[known, 24:])
-        flat = B.reshape(-1, 6 * n)
-        A[part] -= flat.T @ flat
-        b[part] -= flat.T @ d.reshape(-1).astype(np.float32)
-        cells.append(part * CELLS + known)
-        factors.append(L)
-        Bs.append(B)
-        ds.append(d)
-    return Reduced(A, b, (cells[0], cells[1]), (factors[0], factors[1]), (Bs[0], Bs[1]), (ds[0], ds[1]))
+        mine = np.flatnonzero(known // CELLS == part)
+        for begin in range(0, len(mine), CHUNK):
+            some = mine[begin : begin + CHUNK]
+            low, high = known[some[0]], known[some[-1]]
+            B = np.zeros((len(some), 3, 6 * n), np.float32)
+            for i, t in terms.items():
+                here = slice(*np.searchsorted(t.cells, (low, high + 1)))
+                row = np.searchsorted(known[some], t.cells[here])
+                products = t.shared[here, :18].reshape(-1, 6, 3)
+                B[row, :, 6 * i : 6 * i + 6] = back[some[row]] @ np.swapaxes(products, 1, 2)
+            flat = B.reshape(-1, 6 * n)
+            A[part] -= flat.T @ flat
+            b[part] -= flat.T @ sides[some].reshape(-1).astype(np.float32)
+    return Reduced(A, b, own, terms)
 
 
+CHUNK = 2048
+"""Patches that are eliminated at a time: 40 MB for 300 frames."""
 HOLD = 1e-3
 """Share of a patch's own normal matrix that holds it where nothing says how it shifts."""
 

@@ -22,7 +22,7 @@ from freeart21.mesh import Mesh
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 from reconstruct.gaussians.adam import Adam
-from reconstruct.gaussians.alignment import CELLS, Reduced, Scales, Terms, alignment_terms, cells_of, reduced
+from reconstruct.gaussians.alignment import Reduced, Scales, Terms, alignment_terms, cells_of, reduced
 from reconstruct.gaussians.backends import choose
 from reconstruct.gaussians.density import grown_and_pruned
 from reconstruct.gaussians.initial import discs
@@ -268,9 +268,7 @@ class Fit:
 
     def _shift_surface(self, found: Reduced, twists: tuple[Array, Array]) -> None:
         """Let the surface go with the motion: every Gaussian with its patch."""
-        shift = np.zeros((2 * CELLS, 3))
-        for part in range(2):
-            shift[found.cells[part]] = found.shifts(part, twists[part])
+        shift = found.shifts(twists)
         length = np.linalg.norm(shift, axis=1, keepdims=True)
         shift *= np.minimum(1, FARTHEST * self.windows.footprint / np.maximum(length, 1e-12))
         p = self.parameters
