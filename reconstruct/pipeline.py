@@ -85,7 +85,7 @@ def reconstruct_folder(
         renders: tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]] = [], []
         if isinstance(result, Reconstruction):
             with clock.stage("renders"):
-                renders = render_queries(result, recording)
+                renders = render_queries(result, recording, settings.renders)
         result = replace(result, seconds=clock.seconds)
     if diagnostics is not None:
         diagnostics = replace(diagnostics, peak_bytes=peak_bytes())

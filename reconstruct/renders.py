@@ -1,4 +1,5 @@
-"""Held-out views: the fused meshes, with colours from the frames that saw each place in the most similar way.
+"""Held-out views: from the Gaussians (`gaussians.views`), or without them from the fused meshes, with colours from the
+frames that saw each place in the most similar way.
 
 Lamps stand in the world while the object turns: what a place looks like depends on how it is turned, to the lamps and
 to the camera. So a pixel is a mean of the video's own pixels, the more a frame's normal and view direction are alike,
@@ -23,7 +24,9 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Query, Recording
 from freeart21.se3 import Array
+from reconstruct.gaussians.views import posed, render_views
 from reconstruct.kernels import in_threads
+from reconstruct.settings import RendersFrom
 from reconstruct.surfaces import vertex_normals
 
 Image = NDArray[np.uint8]
@@ -41,14 +44,19 @@ BELIEVED = 0.5
 """Of the frames that look at such a pixel, the share by weight that must see the part there."""
 
 
-def render_queries(result: Reconstruction, recording: Recording) -> tuple[list[Image], list[Image]]:
+def render_queries(
+    result: Reconstruction, recording: Recording, how: RendersFrom = "gaussians and video"
+) -> tuple[list[Image], list[Image]]:
     """One picture (height, width, 3) for each query of the recording, white where there is nothing, twice.
 
     A query poses the reference part, and where two parts are alike nobody can tell which of them is meant: the
-    first pictures take this result's reference part for it, the second its moving part.
+    first pictures take this result's reference part for it, the second its moving part. A result without Gaussians is
+    rendered from the video, `how`ever it is asked.
     """
     if not recording.queries:
         return [], []
+    if how != "video" and result.appearance is not None and len(result.appearance):
+        return render_views(result, recording, with_video=how == "gaussians and video")
     film = _Film.of(result, recording)
     first, second = (
         [_view(result, film, recording.camera, query, other) for query in recording.queries] for other in (False, True)
@@ -223,18 +231,8 @@ def _tolerance(film: _Film, part: int, mesh: Mesh) -> float:
     return float(2 * np.median(np.concatenate(footprints)) + 4 * np.median(np.concatenate(gaps)))
 
 
-def _posed(result: Reconstruction, query: Query, other: bool) -> tuple[Array, Array]:
-    """Poses (4, 4) of both parts before the new camera: the state's frame b, the pose of one of them in frame a."""
-    J = result.articulation.joint.transform(float(result.states[query.state_of_frame]))
-    if other:
-        T = query.T_newcam_cam @ result.Ts_camera_moving[query.pose_of_frame]
-        return T @ se3.inverse(J), T
-    T = query.T_newcam_cam @ result.Ts_camera_reference[query.pose_of_frame]
-    return T, T @ J
-
-
 def _view(result: Reconstruction, film: _Film, camera: Camera, query: Query, other: bool) -> Image:
-    poses = _posed(result, query, other)
+    poses = posed(result, query, other)
     meshes = [result.articulation.part(name).moved(P) for name, P in zip(PARTS, poses, strict=True)]
     look, rim = _with_rim(_look(camera, meshes), camera)
     picture = np.where(rim[..., None], 255, look.colours)

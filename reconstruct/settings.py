@@ -454,6 +454,9 @@ class SurfaceSettings:
     """Power of a view's quality (frontal, near) in the mean colour: high lets the best views win."""
 
 
+RendersFrom = Literal["gaussians and video", "gaussians", "video"]
+
+
 @dataclass(frozen=True)
 class ReconstructSettings:
     """All stages."""
@@ -476,6 +479,9 @@ class ReconstructSettings:
     poses: PoseSettings = field(default_factory=PoseSettings)
     gaussians: GaussianSettings = field(default_factory=GaussianSettings)
     surfaces: SurfaceSettings = field(default_factory=SurfaceSettings)
+    renders: RendersFrom = "gaussians and video"
+    """What held-out views are made of: the Gaussians and what the video shows beyond them, the Gaussians alone, or the
+    video's pixels on the fused meshes."""
     progress: bool = True
     """Show a progress bar on standard error."""
 
