@@ -2,7 +2,7 @@
 
 A round shows the model every frame once. The Gaussians take a step at every frame; poses, states, axis and pivot take
 one together at its end, from what all frames said. Some frames are held back: the model never learns from them, and
-what was found of the motion is kept only if they are explained no worse than with the motion that was there before.
+what was found of the motion is kept only if they are explained better than with the motion that was there before.
 """
 
 from __future__ import annotations
@@ -58,6 +58,10 @@ FREE_STEPS, FREE_COARSE = 2, 2
 """Gauss-Newton steps of a part's pose without the joint, and the pixels each way that they take as one."""
 FARTHEST = 20
 """Footprints that a patch goes in a step, at most."""
+SURELY = 2.0
+"""Standard errors by which the frames held back must be explained better."""
+SHOWN = 0.02
+"""Pixels that a Gaussian covers by itself, from which a picture shows it."""
 TRIAL_STEPS = 3
 """Gauss-Newton steps that bring a held-back frame to a model before it is judged."""
 
@@ -132,15 +136,16 @@ def optimise(
         if s.end_to_end:
             fit.adjust(train, held, s.momentum if r < 0.7 * s.rounds else s.momentum / 2)
         if r < 0.6 * s.rounds:
-            fit.split()
+            fit.split(s.most)
         fit.round(train, r / s.rounds, (r + 1) / s.rounds)
-    kept = s.end_to_end and _explains_no_worse(before, begun(fit.poses, surfaces(fit.poses)), held)
+    kept = s.end_to_end and _explains_better(before, begun(fit.poses, surfaces(fit.poses)), held)
     if kept:
         fit.poses = _with_std(fit, [mesh.vertices for mesh in fit.meshes], grown.seen)
     elif s.end_to_end:
         fit.poses = grown.poses
         for r in range(s.rounds // 2, s.rounds):
             fit.round(train, r / s.rounds, (r + 1) / s.rounds)
+    fit.split(0)
     return Optimised(
         fit.poses, fit.free_poses(grown.seen), fit.parameters.gaussians(s.blended), fit.shares(scene), kept
     )
@@ -206,7 +211,8 @@ class Fit:
             "weight_logits": d["part_weights"] * w * (1 - w),
             "light": d["light"],
         }
-        shown = d["drawn"] > 0
+        # the sum of its weights in the picture: hidden behind others it learns nothing, and is not there
+        shown = np.abs(d["colours"]).sum(1) * value.d_alpha.size > SHOWN
         self.screen[shown] += d["screen"][shown] * value.d_alpha.size
         self.looks[shown] += 1
         left = s.last_rate**progress
@@ -274,8 +280,8 @@ class Fit:
         p = self.parameters
         p.means += shift[cells_of(p.means, p.weight_logits < 0, self.cell)].astype(np.float32)
 
-    def localise(self, frames: Flags) -> float:
-        """The mean cost of residuals in `frames`, each brought to the model by itself, the joint as it is."""
+    def localise(self, frames: Flags) -> Array:
+        """Mean costs of residuals in each of `frames`, brought to the model by itself, the joint as it is."""
         n = len(self.poses.Ts)
         for k in range(TRIAL_STEPS + 1):
             terms = {int(i): self.look(int(i)) for i in np.flatnonzero(frames)}
@@ -296,7 +302,7 @@ class Fit:
                 b[:6] += g[0, i]
                 step[own] = _solved(A, b)
             self.poses = stepped(self.poses, step, across, self.windows.diagonal)
-        return sum(t.cost for t in terms.values()) / max(sum(t.count for t in terms.values()), 1.0)
+        return np.array([t.cost / max(t.count, 1.0) for t in terms.values()])
 
     def free_poses(self, seen: Flags) -> tuple[FreePoses, FreePoses]:
         """Poses of both parts, each by itself before the model, where `seen` (n, 2); elsewhere those of the joint."""
@@ -327,10 +333,10 @@ class Fit:
         found = [float(max(s, 1e-9)) if np.isfinite(s) else old for s, old in zip(spread, now, strict=True)]
         self.scales = Scales(*found)
 
-    def split(self) -> None:
-        """More Gaussians where the last round asked for them, and none where nothing is seen."""
+    def split(self, most: int) -> None:
+        """More Gaussians, up to `most`, where pictures asked for them since the last call; none that none showed."""
         pull = self.screen / np.maximum(self.looks, 1)
-        self.parameters, which, fresh = grown_and_pruned(self.parameters, pull, self.looks, self.settings.most)
+        self.parameters, which, fresh = grown_and_pruned(self.parameters, pull, self.looks, most)
         self.adam.kept(which, fresh)
         self.screen, self.looks = np.zeros(len(which)), np.zeros(len(which))
 
@@ -358,13 +364,17 @@ def _held_back(shown: Flags, every: int) -> Flags:
     return held
 
 
-def _explains_no_worse(before: Fit, after: Fit, held: Flags) -> bool:
-    """Whether the frames held back are explained no worse by the second of two models, each learned as the other was.
+def _explains_better(before: Fit, after: Fit, held: Flags) -> bool:
+    """Whether the frames held back are explained better by the second of two models, each learned as the other was.
 
-    Both are judged by the scales of the first.
+    Both are judged by the scales of the first, frame by frame; what is within chance (`SURELY` standard errors) does
+    not count: where the old motion is good to a hundredth of a degree, as with a clean sensor, it stays.
     """
     after.scales = before.scales
-    return after.localise(held) <= before.localise(held)
+    gain = before.localise(held) - after.localise(held)
+    if len(gain) < 2:
+        return False
+    return bool(gain.mean() > SURELY * gain.std(ddof=1) / np.sqrt(len(gain)))
 
 
 def _with_std(fit: Fit, clouds: list[Array], seen: Flags) -> JointedPoses:
