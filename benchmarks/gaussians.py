@@ -27,7 +27,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -42,10 +41,10 @@ from freeart21.files.atomic import write_json
 from freeart21.gaussians import multiply, rotations
 from freeart21.joint import Joint
 from reconstruct.gaussians import backends
-from reconstruct.gaussians.losses import Target
 from reconstruct.gaussians.model import Parameters, logit
 from reconstruct.gaussians.optimisation import Fit
 from reconstruct.gaussians.rasteriser import DILATION, FAINTEST, Lens, Rasterise, Splats
+from reconstruct.gaussians.windows import Window, Windows
 from reconstruct.kernels import in_threads
 from reconstruct.poses import JointedPoses
 from reconstruct.settings import GaussianSettings
@@ -198,12 +197,15 @@ def _step(scene: Scene, rasterise: Rasterise, focal: float) -> Callable[[], Any]
     picture, _ = rasterise(_discs(len(s), np.random.default_rng(1)), scene.poses, scene.lens)
     seen = picture.alpha > 0.5
     depth = np.where(seen, picture.depth / np.maximum(picture.alpha, 0.5), 0).astype(np.float32)
-    target = Target(picture.colour, depth, seen, np.zeros_like(depth))
-    place = SimpleNamespace(noise=0.001, footprint=DISTANCE / focal, diagonal=float(np.linalg.norm(SIZE)))
-    video = SimpleNamespace(scene=place, lens=lambda i: scene.lens, target=lambda i: target)
+    rgb = np.clip(255 * picture.colour, 0, 255).astype(np.uint8)
+    frames = (Window(scene.lens, rgb, depth, seen),)
+    video = Windows(frames, DISTANCE / focal, noise=0.001, diagonal=float(np.linalg.norm(SIZE)), factor=1)
     poses = JointedPoses(HINGE, np.array([OPEN]), scene.poses[:1], np.array([0.01]), 0.0)
     own = Parameters(*(np.array(a, np.float32) for a in arrays))  # stepped in place
-    fit = Fit(video, own, poses, rasterise, GaussianSettings(), np.random.default_rng(0))
+    settings = GaussianSettings()
+    surface = 2 * sum(float(np.prod(SIZE)) / edge for edge in SIZE)
+    cell = float(np.sqrt(surface / settings.cells))
+    fit = Fit(video, own, poses, cell, rasterise, settings, np.random.default_rng(0))
     return lambda: fit.step(0, 0.5)
 
 

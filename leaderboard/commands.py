@@ -337,12 +337,8 @@ def suite(
     for job in plan.todo:
         kinds.setdefault(job.kind, []).append(job.seconds)
     jobs, done = len(plan.plan.jobs), len(plan.plan.jobs) - len(plan.todo)
-    for row in plan.plan.rows:
-        if row.unbuilt:
-            print(f"{row.name}: not built yet: {row.unbuilt}", file=sys.stderr)
-    built = sum(not row.unbuilt for row in plan.plan.rows)
     print(
-        f"{built} rows over {len(plan.plan.sequences)} sequences: {jobs} jobs, "
+        f"{len(plan.plan.rows)} rows over {len(plan.plan.sequences)} sequences: {jobs} jobs, "
         f"{done} of them done; the others take about {span(plan.seconds / workers)} and {plan.bytes / 1e9:.2f} GB of "
         f"{plan.free_bytes / 1e9:.0f} GB free"
     )

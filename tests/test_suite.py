@@ -194,13 +194,7 @@ def test_the_settings_of_a_row_are_the_solvers_and_change_it(row, tmp_path):
     path.write_text(json.dumps(row.settings))
     settings = read_settings(path)
     others = [read_settings(_written(tmp_path, other.settings)) for other in ROWS if other.settings and other != row]
-    assert settings != ReconstructSettings()
-    if not row.unbuilt:
-        assert all(settings != other for other, r in zip(others, _others(row), strict=True) if not r.unbuilt)
-
-
-def _others(row):
-    return [other for other in ROWS if other.settings and other != row]
+    assert settings != ReconstructSettings() and settings not in others
 
 
 def _written(folder: Path, settings) -> Path:
@@ -208,22 +202,25 @@ def _written(folder: Path, settings) -> Path:
     return folder / "other.json"
 
 
-def test_rows_are_chosen_by_name_or_group_and_what_is_not_built_is_said():
+def test_rows_are_chosen_by_name_or_group():
     assert chosen_rows([]) == list(ROWS) and {row.group for row in ROWS} == set(GROUPS)
     assert len({row.name for row in ROWS}) == len(ROWS)
     assert [row.name for row in chosen_rows(["random", "ours"])] == ["random", "ours"]
     assert all(row.group == "paper-pieces" for row in chosen_rows(["paper-pieces"]))
-    with pytest.raises(FreeArtError, match="not built yet"):
-        chosen_rows(["paper-no-blended-rendering"])
     with pytest.raises(FreeArtError, match="unknown row 'theirs'; groups: reference"):
         chosen_rows(["theirs"])
 
 
-def test_rows_that_are_not_built_make_no_jobs(data, tmp_path):
-    plan = prepare(data, tmp_path / "out", ["paper-pieces"])
-    assert any(row.unbuilt for row in plan.plan.rows)
-    assert not any("blended" in job.name for job in plan.plan.jobs)
-    assert not (tmp_path / "out").exists()
+def test_rows_without_a_piece_of_the_gaussians_are_solved_by_its_switch(data, tmp_path):
+    switches = {"no-gaussians": "refine", "no-end-to-end": "end_to_end", "no-blended-rendering": "blended"}
+    rows = {row.name: row for row in ROWS}
+    for name, switch in switches.items():
+        assert rows[f"ours-{name}"].settings == {"gaussians": {switch: False}}
+        if name != "no-gaussians":
+            assert rows[f"paper-{name}"].settings == {"segmentation": "paper", "gaussians": {switch: False}}
+    jobs = prepare(data, tmp_path / "out", ["paper-no-blended-rendering"], sequences=["a"]).plan.jobs
+    solve = next(job for job in jobs if job.name == "reconstruct-paper/paper-no-blended-rendering/a")
+    assert solve.command[-2:] == ("--settings", "{folder}/settings/paper-no-blended-rendering.json")
 
 
 def test_what_was_not_recorded_by_us_cannot_be_recorded_with_another_sensor(data, tmp_path):

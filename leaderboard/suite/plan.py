@@ -60,7 +60,7 @@ def planned(
     protocols: tuple[str, ...],
     rates: dict[str, Rate],
 ) -> Plan:
-    """The jobs that run and score `rows` over `sequences` of `benchmark`; rows that are not built make none.
+    """The jobs that run and score `rows` over `sequences` of `benchmark`.
 
     Raises FreeArtError when a sequence cannot be recorded with another sensor.
     """
@@ -69,8 +69,6 @@ def planned(
     data, total = str(benchmark.folder.resolve()), sum(frames.values())
     key = f"data {file_sha256(benchmark.folder / 'benchmark.json')}"
     for row in rows:
-        if row.unbuilt:
-            continue
         results, place, names = f"results/{row.name}", data, dict(zip(sequences, sequences, strict=True))
         first: tuple[str, ...] = ()
         if row.sensor is not None:

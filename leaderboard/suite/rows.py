@@ -29,8 +29,6 @@ class SuiteRow:
     """Whether its answers are exported, and scored by their assets."""
     sensor: str | None = None
     """The same objects and motions recorded anew with this sensor, to be solved and scored instead of the data."""
-    unbuilt: str = ""
-    """Why there is no such row yet; it is listed and never run."""
 
     @property
     def kind(self) -> str:
@@ -42,9 +40,9 @@ def _piece(name: str, what: str, **settings: dict[str, Any]) -> SuiteRow:
     return SuiteRow(f"ours-{name}", "pieces", f"ours {what}", settings)
 
 
-def _paper_piece(name: str, what: str, unbuilt: str = "", **settings: dict[str, Any]) -> SuiteRow:
+def _paper_piece(name: str, what: str, **settings: dict[str, Any]) -> SuiteRow:
     said = f"the paper's segmentation {what}"
-    return SuiteRow(f"paper-{name}", "paper-pieces", said, {"segmentation": "paper", **settings}, unbuilt=unbuilt)
+    return SuiteRow(f"paper-{name}", "paper-pieces", said, {"segmentation": "paper", **settings})
 
 
 def _sensor(sensor: str, what: str) -> SuiteRow:
@@ -73,11 +71,15 @@ ROWS: tuple[SuiteRow, ...] = (
     _piece("no-loops", "without pairs of distant frames", poses={"loops": 0}),
     _piece("paper-type", "with the paper's rule for the joint's type", joint={"type_rule": "paper"}),
     _piece("no-noise-resistance", "without robust weights in the joint", joint={"noise_resistance": False}),
+    _piece("no-gaussians", "without Gaussians", gaussians={"refine": False}),
+    _piece("no-end-to-end", "with Gaussians that leave the motion as it is", gaussians={"end_to_end": False}),
+    _piece("no-blended-rendering", "with Gaussians of one part each", gaussians={"blended": False}),
     SuiteRow("paper", "paper", "the paper's segmentation, our re-making", {"segmentation": "paper"}),
     _paper_piece("no-smooth", '"w/o Smooth Loss"', paper={"use_smoothness": False}),
     _paper_piece("no-init", '"w/o Init Loss"', paper={"use_init": False}),
     _paper_piece("no-noise-resistance", "without noise resistance", joint={"noise_resistance": False}),
-    _paper_piece("no-blended-rendering", "without blended rendering", "there are no Gaussians to blend yet"),
+    _paper_piece("no-blended-rendering", '"w/o Blended Rendering"', gaussians={"blended": False}),
+    _paper_piece("no-end-to-end", "without end-to-end optimisation", gaussians={"end_to_end": False}),
     _sensor("noise2", "2 % of noise on the depth"),
     _sensor("tof", "a time-of-flight camera"),
     _sensor("blur", "motion blur"),
@@ -88,13 +90,10 @@ ROWS: tuple[SuiteRow, ...] = (
 def chosen_rows(names: Sequence[str]) -> list[SuiteRow]:
     """The rows of `names` (of rows or groups), in the suite's order; all when none is named.
 
-    Rows that are not built are among them when all or their group is asked for. FreeArtError when a name is unknown, or
-    a row that is not built is asked for by its own name.
+    FreeArtError when a name is unknown.
     """
     known = {row.name: row for row in ROWS}
     for name in names:
         if name not in known and name not in GROUPS:
             raise FreeArtError(f"unknown row '{name}'; groups: {', '.join(GROUPS)}; rows: {', '.join(known)}")
-        if name in known and known[name].unbuilt:
-            raise FreeArtError(f"row '{name}' is not built yet: {known[name].unbuilt}")
     return [row for row in ROWS if not names or row.name in names or row.group in names]

@@ -163,5 +163,4 @@ def _facts(data: Path, out: Path) -> dict[str, Any]:
 def print_rows(rows: Sequence[SuiteRow], say: Callable[[str], None] = print) -> None:
     """A line a row."""
     for row in rows:
-        note = f" (not built yet: {row.unbuilt})" if row.unbuilt else ""
-        say(f"{row.name:28} {row.group:13} {row.what}{note}")
+        say(f"{row.name:28} {row.group:13} {row.what}")
