@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 import tyro
 from rich.console import Console
 from rich.table import Table
@@ -40,7 +41,9 @@ from freeart21.errors import FreeArtError
 from freeart21.files.atomic import write_json
 from freeart21.gaussians import multiply, rotations
 from freeart21.joint import Joint
+from freeart21.mesh import Mesh
 from reconstruct.gaussians import backends
+from reconstruct.gaussians.adam import Adam
 from reconstruct.gaussians.model import Parameters, logit
 from reconstruct.gaussians.optimisation import Fit
 from reconstruct.gaussians.rasteriser import DILATION, FAINTEST, Lens, Rasterise, Splats
@@ -198,14 +201,16 @@ def _step(scene: Scene, rasterise: Rasterise, focal: float) -> Callable[[], Any]
     seen = picture.alpha > 0.5
     depth = np.where(seen, picture.depth / np.maximum(picture.alpha, 0.5), 0).astype(np.float32)
     rgb = np.clip(255 * picture.colour, 0, 255).astype(np.uint8)
-    frames = (Window(scene.lens, rgb, depth, seen),)
+    frames = (Window(scene.lens, rgb, depth, seen, (0, 0)),)
     video = Windows(frames, DISTANCE / focal, noise=0.001, diagonal=float(np.linalg.norm(SIZE)), factor=1)
     poses = JointedPoses(HINGE, np.array([OPEN]), scene.poses[:1], np.array([0.01]), 0.0)
     own = Parameters(*(np.array(a, np.float32) for a in arrays))  # stepped in place
     settings = GaussianSettings()
-    surface = 2 * sum(float(np.prod(SIZE)) / edge for edge in SIZE)
-    cell = float(np.sqrt(surface / settings.cells))
-    fit = Fit(video, own, poses, cell, rasterise, settings, np.random.default_rng(0))
+    box = trimesh.creation.box(SIZE)
+    surface = Mesh(box.vertices, box.faces)
+    fit = Fit(video, (surface, surface), poses, rasterise, settings, np.random.default_rng(0))
+    fit.parameters, fit.adam = own, Adam(own)
+    fit.screen, fit.looks = np.zeros(len(own)), np.zeros(len(own))
     return lambda: fit.step(0, 0.5)
 
 
