@@ -124,7 +124,7 @@ def stage_keys(sequence: Path, settings: ReconstructSettings) -> dict[KeptStage,
             basis.update(f"{file.relative_to(sequence)} {file.stat().st_size} ".encode())
             basis.update(file.read_bytes())
     groups = settings.to_json()
-    del groups["progress"], groups["renders"]
+    del groups["progress"]
     if settings.gaussians.refine and settings.gaussians.backend != "numba":
         groups["gaussians"]["drawn by"] = _drawn_by()
     keys = {}

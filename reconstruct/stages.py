@@ -28,7 +28,7 @@ STAGES = (
     Stage("gaussians", "one model of both parts, fitted to every frame", ("gaussians", "surfaces")),
     Stage("poses", "both parts' poses without the joint"),
     Stage("surfaces", "depth fused to a mesh a part"),
-    Stage("renders", "the held-out views", kept=False),  # written with the result
+    Stage("renders", "the held-out views", ("renders",), kept=False),  # written with the result
 )
 
 KEPT = tuple(stage.name for stage in STAGES if stage.kept)
