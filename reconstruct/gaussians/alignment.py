@@ -30,8 +30,8 @@ class Scales:
     """sRGB, 0 to 1."""
     depth: float
     """Metres."""
-    contour: float
-    """Pixels."""
+    mask: float
+    """Opacity."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Terms:
     count: float
     """Of them."""
     spread: Array
-    """(3,) medians of absolute residuals of colour, depth and contour; NaN where there are none."""
+    """(3,) medians of absolute residuals of colour, depth and mask; NaN where there are none."""
 
     def before_a_fixed_model(self) -> Terms:
         """The same with no say in how the surface shifts."""
@@ -75,7 +75,7 @@ def alignment_terms(
     table = _TABLE
     touched = np.empty(lens.height * lens.width, np.int32)
     count = _accumulate(  # type: ignore[call-arg]
-        *shown, lens.fx, lens.fy, lens.cx, lens.cy, scales.colour, scales.depth, scales.contour, H, g, sums, kinds,
+        *shown, lens.fx, lens.fy, lens.cx, lens.cy, scales.colour, scales.depth, scales.mask, H, g, sums, kinds,
         np.linalg.inv(Ts), 1 / cell, table, touched,
     )  # fmt: skip
     cells = np.unique(touched[:count])
@@ -90,11 +90,11 @@ def alignment_terms(
 
 
 def _coarser(picture: Picture, target: Target, c: int) -> tuple[Floats, ...]:
-    """Colour, depth, alpha and moving of the model; colour, depth, foreground, distance to its contour and what stands
-    around of the frame: means over blocks of c x c pixels, of depths those known, 0 where fewer than half are."""
+    """Colour, depth, alpha and moving of the model and colour, depth, foreground and what stands around of the frame,
+    means over blocks of c x c pixels; depths are means of those that are known, 0 where fewer than half are."""
     seen = (picture.colour, picture.depth, picture.alpha, picture.moving, target.colour)
     if c == 1:
-        return (*seen, target.depth, target.mask.astype(np.float32), target.to_contour(), target.around)
+        return (*seen, target.depth, target.mask.astype(np.float32), target.around)
     h, w = (size // c for size in picture.alpha.shape)
 
     def mean(image: Any) -> Floats:
@@ -104,8 +104,7 @@ def _coarser(picture: Picture, target: Target, c: int) -> tuple[Floats, ...]:
         share = mean((depth > 0).astype(np.float32))
         return np.where(share > 0.5, mean(depth) / np.maximum(share, 0.5), 0).astype(np.float32)
 
-    mask, contour = mean(target.mask.astype(np.float32)), mean(target.to_contour() / np.float32(c))
-    return (*map(mean, seen), known(target.depth), mask, contour, known(target.around))
+    return (*map(mean, seen), known(target.depth), mean(target.mask.astype(np.float32)), known(target.around))
 
 
 CELLS = 1 << 15
@@ -195,10 +194,10 @@ def cells_of(points: NDArray, moving: NDArray[np.bool_], cell: float) -> NDArray
 
 @njit(nogil=True, cache=True)
 def _accumulate(
-    colour, depth, alpha, moving, seen, measured, mask, contour, around, fx, fy, cx, cy, s_colour, s_depth, s_contour,
-    H, g, sums, kinds, back, per_cell, table, touched,
+    colour, depth, alpha, moving, seen, measured, mask, around, fx, fy, cx, cy, s_colour, s_depth, s_mask, H, g, sums,
+    kinds, back, per_cell, table, touched,
 ):  # pragma: no cover  # fmt: skip
-    """Sums over pixels; `kinds` (h, w, 3) gets absolute residuals of colour, depth and contour."""
+    """Sums over pixels; `kinds` (h, w, 3) gets absolute residuals of colour, depth and mask."""
     h, w = alpha.shape
     au, av, az, J = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
     count = 0
@@ -226,14 +225,13 @@ def _accumulate(
             patch = table[cell]
             touched[count] = cell
             count += 1
-            # silhouette: from the mask's contour to the model's, where the model is half there
+            # silhouette
+            r = A - mask[y, x]
             gx, gy = 0.5 * (alpha[y, x + 1] - alpha[y, x - 1]), 0.5 * (alpha[y + 1, x] - alpha[y - 1, x])
-            slope = math.sqrt(gx * gx + gy * gy)
-            if slope > 0.1 and abs(A - 0.5) < 0.75 * slope:
-                r = (A - 0.5) / slope - contour[y, x]
-                for q in range(6):
-                    J[q] = -(gx * au[q] + gy * av[q]) / slope
-                _add(H[part], g[part], patch, T, J, r, s_contour, sums)
+            if gx * gx + gy * gy > 1e-4:
+                for k in range(6):
+                    J[k] = -(gx * au[k] + gy * av[k])
+                _add(H[part], g[part], patch, T, J, r, s_mask, sums)
                 kinds[y, x, 2] = abs(r)
             inside = (
                 A > COVERED

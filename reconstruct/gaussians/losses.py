@@ -34,12 +34,6 @@ class Target:
     around: Floats
     """(h, w) metres, measured depth of what is not the object; 0 where there is none."""
 
-    def to_contour(self) -> Floats:
-        """(h, w) pixels from the mask's contour, which runs between pixels: positive inside."""
-        inside = cv2.distanceTransform(self.mask.astype(np.uint8), cv2.DIST_L2, 5)
-        outside = cv2.distanceTransform((~self.mask).astype(np.uint8), cv2.DIST_L2, 5)
-        return np.where(self.mask, inside - 0.5, 0.5 - outside).astype(np.float32)
-
 
 @dataclass(frozen=True)
 class Loss:

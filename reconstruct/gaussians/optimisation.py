@@ -173,7 +173,7 @@ class Fit:
         """Pixels each way that the adjustment takes as one."""
         self.cell = float(np.sqrt(sum(mesh.areas().sum() for mesh in meshes) / settings.cells))
         """Metres: size of the cells of the surface whose colour and depth the adjustment eliminates."""
-        self.scales = Scales(0.05, max(windows.noise, 0.5 * windows.footprint), 0.5)
+        self.scales = Scales(0.05, max(windows.noise, 0.5 * windows.footprint), 0.3)
         self.last_step: Array | float = 0.0
         self.said: dict[int, Terms] = {}
 
@@ -329,7 +329,7 @@ class Fit:
     def rescale(self) -> None:
         """Scales of residuals, anew from what they were."""
         spread = 1.4826 * np.nanmedian([t.spread for t in self.said.values()], 0)
-        now = (self.scales.colour, self.scales.depth, self.scales.contour)
+        now = (self.scales.colour, self.scales.depth, self.scales.mask)
         found = [float(max(s, 1e-9)) if np.isfinite(s) else old for s, old in zip(spread, now, strict=True)]
         self.scales = Scales(*found)
 
