@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from freeart21.errors import FreeArtError
+from freeart21.gaussians import LIGHT_TERMS
 
 _Settings = TypeVar("_Settings")
 _KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
@@ -415,7 +416,7 @@ class GaussianSettings:
     held_back: int = 10
     """Every how many frames one is held back, to judge by."""
     cells: int = 8000
-    """Of the surface, whose colour and depth are unknowns of the adjustment."""
+    """Patches of the surface, which the adjustment lets shift."""
     momentum: float = 0.5
     """Share of the last step of poses and joint that is taken again (half of it in the last third of the rounds): model
     and motion wait for each other."""
@@ -432,6 +433,21 @@ class GaussianSettings:
     rate_light: float = 5e-3
     last_rate: float = 0.1
     """Share of the rates that is left at the end."""
+
+    def __post_init__(self) -> None:
+        if self.light_terms not in LIGHT_TERMS:
+            terms = ", ".join(map(str, LIGHT_TERMS))
+            raise FreeArtError(f"settings.gaussians.light-terms is {self.light_terms}, expected one of {terms}")
+        if not 1 <= self.warm_up <= self.rounds:
+            raise FreeArtError(
+                f"settings.gaussians.warm-up is {self.warm_up} of {self.rounds} rounds, expected 1 to {self.rounds}"
+            )
+        for name in ("most_pixels", "begin", "most", "spacing", "cells"):
+            if not getattr(self, name) > 0:
+                flag = name.replace("_", "-")
+                raise FreeArtError(f"settings.gaussians.{flag} is {getattr(self, name)}, expected more than 0")
+        if self.held_back < 2:
+            raise FreeArtError(f"settings.gaussians.held-back is {self.held_back}, expected every 2nd frame or fewer")
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from reconstruct_clip import make_clip
 from test_reconstruct import true_growth
 
 from freeart21 import se3
+from freeart21.errors import FreeArtError
 from reconstruct.gaussians.initial import discs
 from reconstruct.gaussians.optimisation import optimise
 from reconstruct.gaussians.windows import windows_of
@@ -120,3 +121,17 @@ def test_discs_lie_on_the_parts_and_face_outwards(clip):
     assert on.max() < 1e-5 and (found.means * found.normals).sum(1).min() > 0
     assert len(discs((mesh, nothing), 0.002, FEW, np.random.default_rng(0))) == pytest.approx(FEW.begin, abs=2)
     assert len(discs((nothing, nothing), 0.002, FEW, np.random.default_rng(0))) == 0
+
+
+@pytest.mark.parametrize(
+    "changed, said",
+    [
+        ({"light_terms": 7}, "light-terms is 7, expected one of 1, 4, 9, 16, 25"),
+        ({"rounds": 1, "warm_up": 2}, "warm-up is 2 of 1 rounds"),
+        ({"most": 0}, "most is 0, expected more than 0"),
+        ({"held_back": 1}, "held-back is 1, expected every 2nd frame or fewer"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(changed, said):
+    with pytest.raises(FreeArtError, match=said):
+        GaussianSettings(**changed)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from freeart21 import se3
-from freeart21.gaussians import LIGHT_TERMS
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from reconstruct.gaussians.model import Parameters, logit
@@ -51,7 +50,6 @@ def discs(
     n = sum(map(len, means))
     light = np.zeros((settings.light_terms, 3), np.float32)
     light[0] = 1 / 0.28209479177387814
-    assert settings.light_terms in LIGHT_TERMS
     radius = np.log(RADIUS * spacing * np.array([1, 1, THICKNESS]))
     return Parameters(
         np.concatenate(means).astype(np.float32),
