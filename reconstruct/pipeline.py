@@ -243,11 +243,19 @@ def _type_again(
 def _gaussians(video: _Video, known: Known, settings: ReconstructSettings, rng: np.random.Generator) -> Known:
     if not settings.gaussians.refine:
         return known
-    assert known.grown is not None
-    found = optimise(video.recording, video.scene, known.grown, settings, rng, video.progress)
+    grown = known.grown
+    assert grown is not None
+    gate = replace(settings.poses, gate=settings.poses.final_gate)
+
+    def apart(poses: JointedPoses) -> float:
+        same = np.random.default_rng(settings.seed)  # the same pixels, whatever the poses
+        return joint_adjustment(video.evidence, grown.labels, poses, grown.seen, gate, same, 1).cost
+
+    found = optimise(video.recording, video.scene, grown, settings, rng, video.progress, apart)
     if found is None:
         return known
-    return replace(known, grown=found.in_place_of(known.grown), free=found.free, appearance=found.gaussians)
+    free = found.free if found.kept else ()
+    return replace(known, grown=found.in_place_of(grown), free=free, appearance=found.gaussians)
 
 
 @_solves
