@@ -98,9 +98,9 @@ class Calls:
 @pytest.mark.parametrize(
     "stop, left",
     [
-        ("bridge_gaps", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", "optimise", "fuse", "fuse"]),
-        ("better_type", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", "optimise", "fuse", "fuse"]),
-        ("optimise", ["optimise", "fuse", "fuse"]),
+        ("bridge_gaps", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", "optimise", *FREE, "fuse", "fuse"]),
+        ("better_type", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", "optimise", *FREE, "fuse", "fuse"]),
+        ("optimise", ["optimise", *FREE, "fuse", "fuse"]),
         ("fuse", ["fuse", "fuse"]),
     ],
 )
@@ -261,7 +261,7 @@ def test_until_stops_keeps_and_goes_on(sequence, whole, tmp_path, monkeypatch, c
     calls = Calls(monkeypatch)
     assert reconstruct_until(sequence, out, "segmentation", QUIET) == kept / "segmentation.npz" and not calls.solved
     assert command(sequence, out, keep_work=True, settings=QUIET) == 0
-    assert calls.solved == ["optimise", "fuse", "fuse"]
+    assert calls.solved == ["optimise", *FREE, "fuse", "fuse"]
     assert {path.stem for path in kept.iterdir()} == set(KEPT)
     method = json.loads((out.parent / "method.json").read_text())
     assert VERSION in method["code"] and contents(out)["prediction.json"]["settings"]["solver"] == VERSION
@@ -359,7 +359,7 @@ def test_changed_settings_are_solved_again_from_the_first_stage_that_uses_them(
     calls = Calls(monkeypatch)
     coarse = replace(QUIET, surfaces=replace(QUIET.surfaces, voxel=2.0))
     reconstruct_folder(sequence, out, coarse, keep_work=True)
-    assert calls.solved == ["optimise", "fuse", "fuse"]  # the Gaussians begin with surfaces
+    assert calls.solved == ["optimise", *FREE, "fuse", "fuse"]  # the Gaussians begin with surfaces
     reconstruct_folder(sequence, tmp_path / "fresh", coarse)
     assert contents(out) == contents(tmp_path / "fresh")
 
