@@ -36,8 +36,8 @@ from reconstruct.evidence import Evidence
 from reconstruct.exchanges import exchanged, undo_exchanges
 from reconstruct.features import HandMade
 from reconstruct.gaps import bridge_gaps, fill_gaps
+from reconstruct.gaussians.model import FAINT_COPY
 from reconstruct.gaussians.optimisation import optimise
-from reconstruct.gaussians.rasteriser import FAINTEST
 from reconstruct.growth import Grown, body_points
 from reconstruct.hypotheses import better_type
 from reconstruct.poses import FreePoses, JointedPoses, free_adjustment, joint_adjustment
@@ -340,7 +340,7 @@ def _parted(gaussians: Gaussians, T_zero: Array) -> Gaussians:
     """
     w = gaussians.part_weights
     opacities = gaussians.opacities * np.stack([w, 1 - w])
-    part, i = np.nonzero(opacities >= FAINTEST)
+    part, i = np.nonzero(opacities > FAINT_COPY)
     here, there = gaussians, gaussians.moved(T_zero)
     placed = {
         name: np.where(part[:, None] == 0, getattr(here, name)[i], getattr(there, name)[i])

@@ -30,7 +30,7 @@ from freeart21.reconstruction import Failure, Reconstruction
 from leaderboard.rows import Row
 from reconstruct import VERSION, cache, pipeline
 from reconstruct.gaussians import gsplat_backend
-from reconstruct.gaussians.rasteriser import FAINTEST
+from reconstruct.gaussians.model import FAINT_COPY
 from reconstruct.pipeline import reconstruct_folder, reconstruct_until
 from reconstruct.scene import prepare
 from reconstruct.settings import GaussianSettings, ReconstructSettings
@@ -249,7 +249,7 @@ def drawn(gaussians, motion, T):
     ):
         opacities = gaussians.opacities * weights
         columns = [opacities[:, None], moved.means, moved.quaternions, moved.scales, moved.colours, moved.normals]
-        found.append(np.concatenate(columns, 1)[opacities >= FAINTEST])
+        found.append(np.concatenate(columns, 1)[opacities > FAINT_COPY])
     return np.concatenate(found)
 
 
