@@ -342,6 +342,8 @@ def _nested(settings: type, prefix: str) -> set[str]:
     for field in fields(settings):
         option = f"{prefix}.{field.name.replace('_', '-')}"
         found |= _nested(hints[field.name], option) if is_dataclass(hints[field.name]) else {option}
+        if hints[field.name] is bool:
+            found.add(f"{prefix}.no-{field.name.replace('_', '-')}")
     return found
 
 
