@@ -112,10 +112,13 @@ def _window(frame: Frame, K: NDArray[np.float64], factor: int, jump: float) -> W
     low = cv2.erode(np.where(near > 0, near, np.float32(np.inf)), np.ones((3, 3)))
     sound = (near > 0) & (cv2.dilate(near, np.ones((3, 3))) - low < jump)
     depth = np.where(mask, np.where(sound, near, 0), -frame.depth[box]).astype(np.float32)
-    rgb, at = frame.rgb[box], factor // 2
+    rgb = frame.rgb[box]
     if factor > 1:
-        rgb = np.asarray(cv2.resize(rgb, (w // factor, h // factor), interpolation=cv2.INTER_AREA), np.uint8)
-        mask, depth = mask[at::factor, at::factor], depth[at::factor, at::factor]
+        size = (w // factor, h // factor)
+        rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+        mask = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
+        depth = _at_centres(depth, factor)
+        depth = np.where(mask, np.maximum(depth, 0), np.minimum(depth, 0))
     lens = Lens(
         K[0, 0] / factor,
         K[1, 1] / factor,
@@ -125,3 +128,14 @@ def _window(frame: Frame, K: NDArray[np.float64], factor: int, jump: float) -> W
         h // factor,
     )
     return Window(lens, rgb.copy(), depth.copy(), mask.copy(), (left, top))
+
+
+def _at_centres(depth: Floats, factor: int) -> Floats:
+    """Depth (h, w), signed as a window's, at the centres of blocks of `factor` pixels each way; 0 where it is in doubt.
+
+    An even block's centre lies between four pixels: any one of them would be half a pixel off the lens and the colours.
+    """
+    middle = ((factor - 1) // 2, factor // 2)
+    four = np.stack([depth[i::factor, j::factor] for i in middle for j in middle])
+    alike = (four > 0).all(0) | (four < 0).all(0)
+    return np.where(alike, four.mean(0), 0).astype(np.float32)
