@@ -409,7 +409,8 @@ class GaussianSettings:
     ssim: float = 0.2
     """lambda_ssim."""
     depth: float = 1.0
-    """lambda_depth, of depth in half object diagonals: the paper's objects are of about 2 m."""
+    """lambda_depth, of depth in half object diagonals (the paper's objects are of about 2 m) or, of exact sensors, as
+    many standard deviations as colour has (`reconstruct.gaussians.windows.Windows.depth_unit`)."""
     mask: float = 1.0
     """lambda_mask."""
     held_back: int = 10

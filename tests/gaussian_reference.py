@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from freeart21 import se3
-from reconstruct.gaussians.rasteriser import DENSEST, DILATION, FAINTEST, NEAR, OPAQUE, Picture
+from reconstruct.gaussians.rasteriser import DENSEST, DILATION, FAINTEST, NEAR, OPAQUE, THIN, Picture
 
 ARRAYS = ("means", "quaternions", "scales", "opacities", "colours")
 STEPS = {"means": 1e-7, "quaternions": 1e-6, "scales": 1e-8, "opacities": 1e-6, "colours": 1e-4}
@@ -43,8 +43,8 @@ def draw(splats, poses, lens, nudges=None, clamp=False):
     for y in range(h):
         for x in range(w):
             T = 1.0
-            for z, g in order:
-                (u, v), (a, b, c), _ = projected[g]
+            for _, g in order:
+                (u, v), (a, b, c), _, plane = projected[g]
                 dx, dy = x + 0.5 - u, y + 0.5 - v
                 thick = float(splats.opacities[g]) * math.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
                 margin[y, x] = min(margin[y, x], abs(thick / FAINTEST - 1), abs(thick / DENSEST - 1))
@@ -55,7 +55,7 @@ def draw(splats, poses, lens, nudges=None, clamp=False):
                 if T * (1 - thick) <= OPAQUE:
                     break
                 colour[y, x] += T * thick * colours[g]
-                depth[y, x] += T * thick * z
+                depth[y, x] += T * thick * (plane @ (x + 0.5, y + 0.5, 1))
                 alpha[y, x] += T * thick
                 moving[y, x] += T * thick * int(splats.motion[g])
                 T *= 1 - thick
@@ -64,7 +64,8 @@ def draw(splats, poses, lens, nudges=None, clamp=False):
 
 
 def _project(g, splats, poses, lens, clamp):
-    """Mean in the picture, inverse covariance (xx, xy, yy) there, and depth; None when it is too near."""
+    """Mean in the picture, inverse covariance (xx, xy, yy) there, depth of the mean, and of what is at (x, y): a plane
+    of (x, y, 1); None when it is too near."""
     T = poses[splats.motion[g]]
     x, y, z = T[:3, :3] @ np.asarray(splats.means[g], float) + T[:3, 3]
     if z < NEAR:
@@ -77,10 +78,15 @@ def _project(g, splats, poses, lens, clamp):
         outward = 0.15 * lens.width, 0.15 * lens.height
         p = min(max(p, (-outward[0] - lens.cx) / lens.fx), (lens.width + outward[0] - lens.cx) / lens.fx)
         q = min(max(q, (-outward[1] - lens.cy) / lens.fy), (lens.height + outward[1] - lens.cy) / lens.fy)
+    place = np.array([lens.fx * x / z + lens.cx, lens.fy * y / z + lens.cy])
+    whole = np.array([[lens.fx / z, 0, -lens.fx * x / z**2], [0, lens.fy / z, -lens.fy * y / z**2], [0, 0, 1]]) @ R @ S
+    covariance = whole @ whole.T
+    slopes = np.linalg.solve(covariance[:2, :2] + THIN * np.eye(2), covariance[:2, 2])
+    plane = np.append(slopes, z - slopes @ place)
     J = np.array([[lens.fx / z, 0, -lens.fx * p / z], [0, lens.fy / z, -lens.fy * q / z]])
     M = J @ R @ S
     Q = np.linalg.inv(M @ M.T + DILATION * np.eye(2))
-    return np.array([lens.fx * x / z + lens.cx, lens.fy * y / z + lens.cy]), (Q[0, 0], Q[0, 1], Q[1, 1]), z
+    return place, (Q[0, 0], Q[0, 1], Q[1, 1]), z, plane
 
 
 def derivatives(splats, poses, lens, d_colour, d_depth, d_alpha, clamp=False):

@@ -24,19 +24,18 @@ def rasterization(
     render_mode="RGB",
     rasterize_mode="classic",
 ):
-    """Pictures (1, h, w, D + 1) with depth last, alphas (1, h, w, 1), and `means2d`, `radii`, `depths`, `conics`."""
+    """Pictures (1, h, w, D), alphas (1, h, w, 1), and `means2d`, `radii`, `depths`, `conics`."""
     n = len(means)
     assert means.shape == (n, 3) and quats.shape == (n, 4) and scales.shape == (n, 3) and opacities.shape == (n,)
     assert colors.ndim == 2 and len(colors) == n and viewmats.shape == (1, 4, 4) and Ks.shape == (1, 3, 3)
-    assert not packed and render_mode == "RGB+D" and rasterize_mode == "classic"
+    assert not packed and render_mode == "RGB" and rasterize_mode == "classic"
     radii, means2d, depths, conics = project(
         means, quats, scales, opacities, viewmats[0], Ks[0], width, height, near_plane, far_plane, eps2d
     )
     means2d = means2d[None]  # what stands in meta is what the picture depends on, as there
     order = torch.nonzero((radii > 0).all(-1))[:, 0]
     order = order[torch.argsort(depths[order], stable=True)]
-    values = torch.cat([colors, depths[:, None]], 1)
-    pictures = blend(*(x[order] for x in (means2d[0], conics, values, opacities)), (0, width, 0, height))
+    pictures = blend(*(x[order] for x in (means2d[0], conics, colors, opacities)), (0, width, 0, height))
     meta = {"means2d": means2d, "radii": radii[None], "depths": depths[None], "conics": conics[None]}
     return *(picture[None] for picture in pictures), meta
 

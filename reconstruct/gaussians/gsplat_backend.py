@@ -19,6 +19,7 @@ from freeart21.se3 import Array
 from reconstruct.gaussians.rasteriser import (
     DILATION,
     NEAR,
+    THIN,
     Floats,
     Lens,
     Picture,
@@ -99,12 +100,14 @@ def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
     placed = (R @ means[:, :, None])[:, :, 0] + which @ on_device(poses[:, :3, 3])
     v, w = (which @ twists).split(3, 1)
     turn = torch.cat([torch.ones_like(v[:, :1]), 0.5 * w], 1)  # exp of a small twist, to first order
+    points = placed + v + torch.linalg.cross(w, placed)
+    turned = _product(turn, _product(which @ on_device(se3.wxyz(poses)), quaternions))
     seen, alpha, meta = rasterization(
-        placed + v + torch.linalg.cross(w, placed),
-        _product(turn, _product(which @ on_device(se3.wxyz(poses)), quaternions)),
+        points,
+        turned,
         scales,
         opacities,
-        torch.cat([colours, moving[:, None]], 1),
+        torch.cat([colours, moving[:, None], _planes(points, turned, scales, lens)], 1),
         torch.eye(4, device=_DEVICE)[None],
         on_device([[[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]]]),
         lens.width,
@@ -112,18 +115,20 @@ def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
         near_plane=NEAR,
         eps2d=DILATION,
         packed=False,
-        render_mode="RGB+D",
+        render_mode="RGB",
         rasterize_mode="classic",
     )
+    y, x = np.mgrid[: lens.height, : lens.width].astype(np.float32) + np.float32(0.5)
+    place = np.stack([np.ones_like(x), x - np.float32(lens.cx), y - np.float32(lens.cy)], 2)
     pictures = [
         _array(seen[0, :, :, :3]),
-        _array(seen[0, :, :, 4]),
+        (_array(seen[0, :, :, 4:]) * place).sum(2),
         _array(alpha[0, :, :, 0]),
         _array(seen[0, :, :, 3]),
     ]
 
     def pull(d_colour: Floats, d_depth: Floats, d_alpha: Floats) -> SplatGradients:
-        d_seen = np.concatenate([d_colour, np.zeros_like(d_depth)[:, :, None], d_depth[:, :, None]], 2)
+        d_seen = np.concatenate([d_colour, np.zeros_like(d_depth)[:, :, None], d_depth[:, :, None] * place], 2)
         given = [on_device(d_seen)[None], on_device(d_alpha)[None, :, :, None]]
         found = torch.autograd.grad([seen, alpha], [*leaves, meta["means2d"]], given)
         *by_splat, by_twists, by_place = (_array(d) for d in found)
@@ -133,6 +138,30 @@ def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
         return SplatGradients(means, quaternions, scales, opacities, colours, by_twists.astype(float), screen, drawn)
 
     return Picture(*pictures), pull
+
+
+def _planes(points: Tensor, turns: Tensor, scales: Tensor, lens: Lens) -> Tensor:
+    """(M, 3) depth of Gaussians in the camera's frame at pixel (x, y): a sum over 1, x - cx and y - cy. See `Picture`.
+
+    gsplat itself has the depth of the means alone.
+    """
+    import torch
+
+    points, turns, scales = points.double(), turns.double(), scales.double()  # needles cancel in single precision
+    w, i, j, k = (turns / torch.linalg.norm(turns, dim=1, keepdim=True)).unbind(1)
+    rows = [
+        torch.stack([1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)], 1) * scales,
+        torch.stack([2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)], 1) * scales,
+        torch.stack([2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)], 1) * scales,
+    ]
+    x, y, z = (p[:, None] for p in points.unbind(1))
+    u, v = (lens.fx * (rows[0] - x / z * rows[2]) / z, lens.fy * (rows[1] - y / z * rows[2]) / z)
+    a, b, c = (u * u).sum(1) + THIN, (u * v).sum(1), (v * v).sum(1) + THIN
+    with_u, with_v = (u * rows[2]).sum(1), (v * rows[2]).sum(1)
+    thin = a * c - b * b
+    across, down = (c * with_u - b * with_v) / thin, (a * with_v - b * with_u) / thin
+    x, y, z = points.unbind(1)
+    return torch.stack([z - across * lens.fx * x / z - down * lens.fy * y / z, across, down], 1).float()
 
 
 def _product(a: Tensor, b: Tensor) -> Tensor:

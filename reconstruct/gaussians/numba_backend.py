@@ -20,6 +20,7 @@ from reconstruct.gaussians.rasteriser import (
     FAINTEST,
     NEAR,
     OPAQUE,
+    THIN,
     Floats,
     Lens,
     Picture,
@@ -40,10 +41,12 @@ _PIECES = 16
 _F = np.float32
 _U = np.uint64
 """Of indices into a tile: a signed one might count from the end, and such a loop is no SIMD."""
-_DENSEST, _OPAQUE, _DILATION, _NEAR = _F(DENSEST), _F(OPAQUE), _F(DILATION), _F(NEAR)
+_DENSEST, _OPAQUE, _DILATION, _THIN, _NEAR = _F(DENSEST), _F(OPAQUE), _F(DILATION), _F(THIN), _F(NEAR)
 
 # record of a drawn Gaussian, in the order of depth
-_X, _Y, _Q0, _Q1, _Q2, _OPACITY, _RED, _GREEN, _BLUE, _DEPTH, _MOVING, _REACH, _FIELDS = range(13)
+_X, _Y, _Q0, _Q1, _Q2, _OPACITY, _RED, _GREEN, _BLUE, _DEPTH, _MOVING, _REACH, _ACROSS, _DOWN, _FIELDS = range(15)
+_SUMS = 12
+"""Of a Gaussian's derivatives in a tile: by mean (2), conic (3), depth and its slopes (3), colour (3), opacity."""
 
 
 def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
@@ -68,10 +71,10 @@ def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
 
     def pull(d_colour: Floats, d_depth: Floats, d_alpha: Floats) -> SplatGradients:
         given = [np.ascontiguousarray(d, np.float32) for d in (d_colour, d_depth, d_alpha)]
-        buffer = np.zeros((len(entries), 10), np.float32)
+        buffer = np.zeros((len(entries), _SUMS), np.float32)
         arguments = (starts, entries, records, boxes, colour, depth, left, *given, buffer)
         in_threads(lambda a, b: _blend_back(tiles[a:b], across, *arguments), len(tiles), 2)
-        flat = np.zeros((len(order), 10), np.float32)
+        flat = np.zeros((len(order), _SUMS), np.float32)
         _gather(entries, buffer, flat)
         means, quaternions, scales = (np.zeros((m, k), np.float32) for k in (3, 4, 3))
         twists = np.zeros((len(order), 6))
@@ -79,7 +82,7 @@ def rasterise(splats: Splats, Ts: Array, lens: Lens) -> tuple[Picture, Pull]:
         in_threads(lambda a, b: _project_back(a, b, *back), len(order), 500)
         opacities, colours = np.zeros(m, np.float32), np.zeros((m, 3), np.float32)
         screen, shown = np.zeros(m, np.float32), np.zeros(m, bool)
-        opacities[order], colours[order], shown[order] = flat[:, 9], flat[:, 6:9], True
+        opacities[order], colours[order], shown[order] = flat[:, 11], flat[:, 8:11], True
         screen[order] = np.hypot(flat[:, 0], flat[:, 1])
         second = splats.motion[order] == 1
         both = np.stack([twists[~second].sum(0), twists[second].sum(0)])
@@ -134,7 +137,7 @@ def _project(
         u, v = fx * x * iz + cx, fy * y * iz + cy
         _matrix(quaternions[g], R)
         j00, j02, j11, j12 = fx * iz, -fx * x * iz * iz, fy * iz, -fy * y * iz * iz
-        a = b = c = _F(0)
+        a = b = c = with_u = with_v = _F(0)
         for k in range(3):
             s = scales[g, k]
             e0 = E[0, 0] * R[0, k] + E[0, 1] * R[1, k] + E[0, 2] * R[2, k]
@@ -144,6 +147,10 @@ def _project(
             a += p * p
             b += p * q
             c += q * q
+            with_u += p * e2 * s
+            with_v += q * e2 * s
+        thin = (a + _THIN) * (c + _THIN) - b * b
+        across, down = ((c + _THIN) * with_u - b * with_v) / thin, ((a + _THIN) * with_v - b * with_u) / thin
         a += _DILATION
         c += _DILATION
         det = a * c - b * b
@@ -163,6 +170,7 @@ def _project(
         r[_X], r[_Y], r[_Q0], r[_Q1], r[_Q2] = u, v, c / det, -b / det, a / det
         r[_OPACITY], r[_DEPTH], r[_MOVING], r[_REACH] = o, z, _F(motion[g]), reach
         r[_RED], r[_GREEN], r[_BLUE] = colours[g, 0], colours[g, 1], colours[g, 2]
+        r[_ACROSS], r[_DOWN] = across, down
 
 
 @njit(nogil=True, cache=True)
@@ -234,12 +242,14 @@ def _blend(tiles, across, starts, entries, records, boxes, colour, depth, left, 
             g = entries[number]
             r = records[g]
             q0, q1, q2, o, mx = r[_Q0], r[_Q1], r[_Q2], r[_OPACITY], r[_X] - _F(bx) - _F(0.5)
-            red, green, blue, z, second = r[_RED], r[_GREEN], r[_BLUE], r[_DEPTH], r[_MOVING]
+            red, green, blue, second = r[_RED], r[_GREEN], r[_BLUE], r[_MOVING]
+            depth_here, z_across, z_down = r[_DEPTH], r[_ACROSS], r[_DOWN]
             for y in range(max(by, boxes[g, 2]), min(ey, boxes[g, 3])):
                 x0, x1, dy = _span(r, y, bx, ex)
                 if x0 >= x1:
                     continue
                 base, slope = _F(-0.5) * q2 * dy * dy, q1 * dy
+                z_row = depth_here + z_down * dy
                 ty, x0, x1 = _U(y - by), x0 - bx, x1 - bx
                 for stretch in range(x0 // _LANES, (x1 - 1) // _LANES + 1):
                     first = stretch * _LANES
@@ -257,7 +267,7 @@ def _blend(tiles, across, starts, entries, records, boxes, colour, depth, left, 
                         S[ty, _R, at] += weight * red
                         S[ty, _G, at] += weight * green
                         S[ty, _B, at] += weight * blue
-                        S[ty, _D, at] += weight * z
+                        S[ty, _D, at] += weight * (z_row + z_across * dx)
                         S[ty, _M, at] += weight * second
         for y in range(by, ey):
             for x in range(bx, ex):
@@ -280,7 +290,7 @@ def _closed(S):  # pragma: no cover
 def _blend_back(
     tiles, across, starts, entries, records, boxes, colour, depth, left, d_colour, d_depth, d_alpha, buffer
 ):  # pragma: no cover
-    """Derivatives by mean (2), conic (3), depth, colour (3) and opacity, an entry a row, of some tiles.
+    """Derivatives, as `_SUMS` has them, an entry a row, of some tiles.
 
     Front to back again: what lies behind a Gaussian is the whole less what is before it and itself.
     """
@@ -311,16 +321,18 @@ def _blend_back(
             g = entries[number]
             r = records[g]
             q0, q1, q2, o, mx = r[_Q0], r[_Q1], r[_Q2], r[_OPACITY], r[_X] - _F(bx) - _F(0.5)
-            red, green, blue, z = r[_RED], r[_GREEN], r[_BLUE], r[_DEPTH]
-            by_red = by_green = by_blue = by_z = _F(0)
+            red, green, blue = r[_RED], r[_GREEN], r[_BLUE]
+            depth_here, z_across, z_down = r[_DEPTH], r[_ACROSS], r[_DOWN]
+            by_red = by_green = by_blue = by_z = by_across = by_down = _F(0)
             s, sx, sy, sxx, sxy, syy = _F(0), _F(0), _F(0), _F(0), _F(0), _F(0)  # of the exponent's derivative
             for y in range(max(by, boxes[g, 2]), min(ey, boxes[g, 3])):
                 x0, x1, dy = _span(r, y, bx, ex)
                 if x0 >= x1:
                     continue
                 base, slope = _F(-0.5) * q2 * dy * dy, q1 * dy
+                z_row = depth_here + z_down * dy
                 ty, x0, x1 = _U(y - by), x0 - bx, x1 - bx
-                m0 = m1 = m2 = _F(0)
+                m0 = m1 = m2 = z0 = z1 = _F(0)
                 for stretch in range(x0 // _LANES, (x1 - 1) // _LANES + 1):
                     first = stretch * _LANES
                     from_mean, begin, end = _F(first) - mx, np.int32(x0 - first), np.int32(x1 - first)
@@ -338,8 +350,9 @@ def _blend_back(
                         by_red += weight * d_red
                         by_green += weight * d_green
                         by_blue += weight * d_blue
-                        by_z += weight * d_z
-                        value = red * d_red + green * d_green + blue * d_blue + z * d_z
+                        z0 += weight * d_z
+                        z1 += weight * d_z * dx
+                        value = red * d_red + green * d_green + blue * d_blue + (z_row + z_across * dx) * d_z
                         behind = S[ty, _BEHIND, at] - weight * value
                         S[ty, _BEHIND, at] = behind
                         d = al * (T * value - behind / (_F(1) - al)) if live & (al < _DENSEST) else _F(0)
@@ -352,17 +365,21 @@ def _blend_back(
                 sxx += m2
                 sxy += m1 * dy
                 syy += m0 * dy * dy
+                by_z += z0
+                by_across += z1
+                by_down += z0 * dy
             row = buffer[number]
             row[0], row[1] = q0 * sx + q1 * sy, q2 * sy + q1 * sx
             row[2], row[3], row[4] = _F(-0.5) * sxx, -sxy, _F(-0.5) * syy
-            row[5], row[6], row[7], row[8], row[9] = by_z, by_red, by_green, by_blue, s / o
+            row[5], row[6], row[7] = by_z, by_across, by_down
+            row[8], row[9], row[10], row[11] = by_red, by_green, by_blue, s / o
 
 
 @njit(nogil=True, cache=True)
 def _gather(entries, buffer, flat):  # pragma: no cover
     """Sums of the entries of each record."""
     for number in range(entries.shape[0]):
-        for k in range(10):
+        for k in range(_SUMS):
             flat[entries[number], k] += buffer[number, k]
 
 
@@ -390,6 +407,23 @@ def _project_back(
         d0, d1, d2 = flat[n, 2], _F(0.5) * flat[n, 3], flat[n, 4]
         p00, p01, p10, p11 = k0 * d0 + k1 * d1, k0 * d1 + k1 * d2, k1 * d0 + k2 * d1, k1 * d1 + k2 * d2
         da, db, dc = -(p00 * k0 + p01 * k1), -(p00 * k1 + p01 * k2), -(p10 * k1 + p11 * k2)  # by the covariance
+        # the slopes are (covariance with THIN)^-1 (covariances of depth with the picture's axes)
+        a = b = c = _F(0)
+        for k in range(3):
+            s = scales[g, k]
+            for i in range(3):
+                e[i] = E[i, 0] * R[0, k] + E[i, 1] * R[1, k] + E[i, 2] * R[2, k]
+            p, q = (j00 * e[0] + j02 * e[2]) * s, (j11 * e[1] + j12 * e[2]) * s
+            a += p * p
+            b += p * q
+            c += q * q
+        a += _THIN
+        c += _THIN
+        thin, across, down = a * c - b * b, records[n, _ACROSS], records[n, _DOWN]
+        by_u, by_v = (c * flat[n, 6] - b * flat[n, 7]) / thin, (a * flat[n, 7] - b * flat[n, 6]) / thin
+        da -= by_u * across
+        db -= _F(0.5) * (by_u * down + by_v * across)
+        dc -= by_v * down
         dj00 = dj02 = dj11 = dj12 = _F(0)
         v0 = v1 = v2 = _F(0)  # torque of the covariance on the twist's rotation
         for k in range(3):
@@ -397,19 +431,20 @@ def _project_back(
             for i in range(3):
                 e[i] = E[i, 0] * R[0, k] + E[i, 1] * R[1, k] + E[i, 2] * R[2, k]
             p, q = (j00 * e[0] + j02 * e[2]) * s, (j11 * e[1] + j12 * e[2]) * s
-            dp, dq = _F(2) * (da * p + db * q), _F(2) * (db * p + dc * q)
-            d_scales[g, k] = (dp * p + dq * q) / s
+            t = e[2] * s
+            dp, dq, dt = _F(2) * (da * p + db * q) + by_u * t, _F(2) * (db * p + dc * q) + by_v * t, by_u * p + by_v * q
+            d_scales[g, k] = (dp * p + dq * q + dt * t) / s
             dj00 += dp * e[0] * s
             dj02 += dp * e[2] * s
             dj11 += dq * e[1] * s
             dj12 += dq * e[2] * s
-            f0, f1, f2 = dp * j00 * s, dq * j11 * s, (dp * j02 + dq * j12) * s  # by e
+            f0, f1, f2 = dp * j00 * s, dq * j11 * s, (dp * j02 + dq * j12 + dt) * s  # by e
             v0 += e[1] * f2 - e[2] * f1
             v1 += e[2] * f0 - e[0] * f2
             v2 += e[0] * f1 - e[1] * f0
             for i in range(3):
                 D[i, k] = E[0, i] * f0 + E[1, i] * f1 + E[2, i] * f2
-        du, dv = flat[n, 0], flat[n, 1]
+        du, dv = flat[n, 0] - flat[n, 5] * across, flat[n, 1] - flat[n, 5] * down
         dx = du * j00 - dj02 * fx * iz * iz
         dy = dv * j11 - dj12 * fy * iz * iz
         dz = (
