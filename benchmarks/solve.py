@@ -1,10 +1,13 @@
 """How well the geometry solver solves FreeArt-21 v1: strict-2 scores, seconds and memory, object by object.
 
     .venv/bin/python -m benchmarks.solve [--tier seven|full] [--sensor noise2] [--settings.joint.type-rule paper]
+        [--beside no-gaussians no-end-to-end]
 
 records what is missing of the data, solves each object in a process of its own, exports, reloads and scores it, prints
 the tables (worst first) and writes benchmarks/results/reconstruct.json (summary, by_type, rows, commit, settings,
-machine). Another sensor, motion, split or setting is another variant, with its name in the files.
+machine). Another sensor, motion, split or setting is another variant, with its name in the files. Variants --beside,
+rows of the suite that differ from the stage `gaussians` on, are solved from the same geometry and compared with it,
+object by object.
 
 An object's outcome is kept in benchmarks/results/reconstruct/VARIANT/SEQUENCE.json and taken from there as long as its
 key holds: the solver's version and code, its settings, how the sequence is recorded, and, where the sequence is here,
@@ -19,13 +22,14 @@ import json
 import multiprocessing
 import os
 import resource
+import shutil
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from typing import Any, Literal
 
 import tyro
@@ -46,9 +50,11 @@ from leaderboard.case import Case, score_sequence
 from leaderboard.protocols import Group, protocol_named
 from leaderboard.rows import Row
 from leaderboard.score import summarise
+from leaderboard.suite.rows import ROWS
 from reconstruct import VERSION
-from reconstruct.cache import code_digest
+from reconstruct.cache import code_digest, work_folder
 from reconstruct.settings import ReconstructSettings
+from reconstruct.stages import used_by
 
 PROTOCOL = "strict-2"
 SCHEMA = "freeart21/benchmark-reconstruct/1"
@@ -78,10 +84,50 @@ GOALS = (
     Goal("miou", "all", 0.93, "0.909"),
     Goal("chamfer_w", "all", 0.5, "-"),
     Goal("chamfer_m", "all", 0.8, "-"),
+    Goal("psnr", "all", 29.0, "24.0 (worst 22.9)"),
+    Goal("psnr", "all", 24.0, "-", "worst"),
 )
-NOISE_GOALS = (Goal("axis", "revolute", 1.2, "1.41"), Goal("axis", "prismatic", 1.2, "1.86"))
-SECONDS, MEMORY_GB = 300.0, 3.0
-"""To reach: for 300 frames on two cores. The paper: 420 s for 100 frames before its Gaussians, on an RTX 4090."""
+MORE_IS_BETTER = ("joint_type", "miou", "psnr")
+
+
+@dataclass(frozen=True)
+class Aim:
+    """All that is to be reached with a sensor; nothing where None or empty."""
+
+    goals: tuple[Goal, ...] = ()
+    failures: int | None = None
+    seconds: float | None = None
+    """Of a mean object on two cores, the stage `gaussians` left out. The paper: 420 s for 100 frames before its
+    Gaussians, on an RTX 4090."""
+    gaussian_seconds: float | None = None
+    """Of that stage."""
+    peak_gb: float | None = None
+    """Of every object."""
+    no_worse: bool = False
+    """Whether the Gaussians may make no object worse than geometry alone, by WORSE_AXIS and WORSE_STATE."""
+
+
+WORSE_AXIS, WORSE_STATE = 0.05, 0.1
+"""Degrees; degrees or per cent."""
+AIMS = {
+    "": Aim(GOALS, 0, 300.0, 240.0, 3.0, no_worse=True),
+    "noise2": Aim(
+        (
+            Goal("axis", "revolute", 0.3, "1.41"),
+            Goal("axis", "prismatic", 0.3, "1.86"),
+            Goal("state", "revolute", 0.4, "-"),
+            Goal("state", "prismatic", 0.4, "-"),
+        ),
+        gaussian_seconds=240.0,
+        peak_gb=3.0,
+    ),
+    "tof": Aim((Goal("miou", "all", 0.92, "-"),), failures=0, gaussian_seconds=240.0, peak_gb=3.0),
+}
+"""By what of the recording is not the benchmark's own. Of 300 frames, hand-held."""
+OURS = "ours"
+DIGITS = {"axis": 2, "position": 2, "state": 2, "miou": 3, "chamfer_w": 2, "chamfer_m": 2, "psnr": 1}
+SHOWN = tuple(DIGITS)
+"""Metrics of the tables, and their digits beside each other."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +144,13 @@ class Task:
     """Under which its outcome is kept."""
     data: str
     """Hash over the files of its sequence and truth."""
+    variant: str
+    """OURS, or the name of the row beside it."""
+    kept: Path
+    """The file of its outcome."""
+    geometry: Path | None
+    """Result folder, never written, beside which the stages before `gaussians` are kept for all variants; None when
+    there is but one."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +186,7 @@ def main(
     workers: int = 1,
     known_only: bool = False,
     fresh: bool = False,
+    beside: tuple[str, ...] = (),
     work: Path = ROOT / "out" / "reconstruct",
     kept: Path = RESULTS / "reconstruct",
     out: Path | None = None,
@@ -153,6 +207,8 @@ def main(
         workers: Objects that are solved side by side: their seconds are not comparable then.
         known_only: Solve nothing: tables of what is known already.
         fresh: Solve all anew, whatever is known.
+        beside: Variants that are solved from the same geometry and compared: no-gaussians, no-end-to-end,
+            no-blended-rendering.
         work: Where results are kept, to look at.
         kept: Where outcomes are kept, an object a file, to be taken from there by later runs.
         out: The JSON file. When not given: benchmarks/results/reconstruct.json, or reconstruct-VARIANT.json there, and
@@ -160,30 +216,45 @@ def main(
         settings: Of the solver.
     """
     settings = replace(settings, progress=False)
+    variants = {OURS: settings, **{name: without(settings, name) for name in dict.fromkeys(beside)}}
     recorded = "-".join(_recorded(sensor, motion, preset, frames))
-    variant = "-".join([split, *filter(None, [recorded]), *_changed(settings)])
+    names = {name: "-".join([split, *filter(None, [recorded]), *_changed(its)]) for name, its in variants.items()}
+    if len(set(names.values())) < len(names):
+        raise FreeArtError(f"--beside names what --settings says already: {', '.join(names.values())}")
+    variant = names[OURS]
     folder = data.with_name(f"{data.name}-{recorded}") if recorded else data
     chosen = _objects(tier, objects)
-    known, todo = {}, []
+    known: dict[tuple[str, str], Outcome] = {}
+    todo: list[tuple[Job, dict[str, str]]] = []
     for job in _jobs(chosen, split, sensor, motion, preset, frames):
-        key = _key(job, settings)
-        outcome = None if fresh else read_outcome(kept / variant / f"{job.sequence}.json", key)
-        if outcome is None or outcome.data != (_bytes_of(folder, job.sequence) or outcome.data):
-            todo.append((job, key))
-        else:
-            known[job.sequence] = outcome
+        keys = {}
+        for name, its in variants.items():
+            key = _key(job, its)
+            outcome = None if fresh else read_outcome(kept / names[name] / f"{job.sequence}.json", key)
+            if outcome is None or outcome.data != (_bytes_of(folder, job.sequence) or outcome.data):
+                keys[name] = key
+            else:
+                known[name, job.sequence] = outcome
+        if keys:
+            todo.append((job, keys))
     if todo and known_only:
-        _say(f"not known: {', '.join(job.sequence for job, _ in todo)}")
+        _say(f"not known: {', '.join(f'{job.sequence} ({name})' for job, keys in todo for name in keys)}")
     elif todo:
         _record(folder, [job for job, _ in todo], split, recorded)
-        tasks = [_task(job, key, folder, work / variant, settings) for job, key in todo]
-        known |= _solve_all(tasks, workers, kept / variant, len(known))
-    if not known:
+        places = {name: (work / names[name], kept / names[name]) for name in variants}
+        geometry = work / f"{variant}-geometry" if beside else None
+        tasks = [
+            [_task(job, n, key, folder, places[n], variants[n], geometry) for n, key in k.items()] for job, k in todo
+        ]
+        known |= solve_all(tasks, workers, len(known))
+    of = {name: worst_first([o for (n, _), o in known.items() if n == name]) for name in variants}
+    outcomes = of.pop(OURS)
+    if not outcomes:
         raise FreeArtError("nothing is known of this variant")
-    outcomes = worst_first(list(known.values()))
-    goals = {(): GOALS, ("noise2",): NOISE_GOALS}.get(tuple(_recorded(sensor, motion, preset, frames)), ())
-    _print(outcomes, goals, f"{variant}, {'chosen objects' if objects else tier}")
-    if out is None and (objects or len(known) < len(chosen)):
+    aim = AIMS.get(recorded, Aim())
+    _print(outcomes, aim, f"{variant}, {'chosen objects' if objects else tier}")
+    print_beside(outcomes, of, aim)
+    if out is None and (objects or len(known) < len(chosen) * len(variants)):
         return
     path = out or RESULTS / ("reconstruct.json" if variant == "public" else f"reconstruct-{variant}.json")
     facts = {
@@ -199,12 +270,28 @@ def main(
         "solver_settings": settings.to_json(),
         "objects": chosen,
     }
-    body = {"summary": summary(outcomes), "by_type": by_type(outcomes), "rows": [_line(o) for o in outcomes]}
+    body = figures(outcomes)
+    if beside:
+        body["beside"] = {name: {"variant": names[name], **figures(its)} for name, its in of.items()}
     atomic.write_json(path, {**body, "commit": commit(), "settings": facts, "machine": machine()})
     _say(f"{path}")
 
 
 # --- what is to be done -----------------------------------------------------------------------------------------------
+
+
+def without(settings: ReconstructSettings, name: str) -> ReconstructSettings:
+    """`settings` with what the suite's row of the piece `name` says.
+
+    FreeArtError when the suite has no such row, or one that differs before the stage `gaussians`.
+    """
+    late = set(settings.to_json()) - set(used_by("joint", settings.to_json()))
+    pieces = {row.name.removeprefix("ours-"): row.settings for row in ROWS if row.group == "pieces"}
+    offered = [piece for piece, its in pieces.items() if set(its) <= late]
+    if name not in offered:
+        raise FreeArtError(f"--beside has no '{name}'; it has {', '.join(offered)}")
+    changed = {group: replace(getattr(settings, group), **values) for group, values in pieces[name].items()}
+    return replace(settings, **changed)
 
 
 def _recorded(sensor: str, motion: str | None, preset: str, frames: int) -> list[str]:
@@ -286,12 +373,32 @@ def _record(folder: Path, jobs: Sequence[Job], split: Literal["public", "test"],
     record_jobs(folder, jobs, label=Label("-".join(filter(None, [v1.NAME, recorded])), v1.VERSION, split))
 
 
-def _task(job: Job, key: str, folder: Path, work: Path, settings: ReconstructSettings) -> Task:
-    places = folder / "sequences" / job.sequence, folder / "truth" / job.sequence, work / job.sequence
-    data = _bytes_of(folder, job.sequence)
+def _task(
+    job: Job,
+    variant: str,
+    key: str,
+    folder: Path,
+    places: tuple[Path, Path],
+    settings: ReconstructSettings,
+    geometry: Path | None,
+) -> Task:
+    name = job.sequence
+    data = _bytes_of(folder, name)
     if data is None:
-        raise FreeArtError(f"{folder} has no sequence {job.sequence} in its benchmark.json")
-    return Task(job.name, job.settings.motion, *places, settings, key, data)
+        raise FreeArtError(f"{folder} has no sequence {name} in its benchmark.json")
+    return Task(
+        object=job.name,
+        motion=job.settings.motion,
+        sequence=folder / "sequences" / name,
+        truth=folder / "truth" / name,
+        result=places[0] / name,
+        settings=settings,
+        key=key,
+        data=data,
+        variant=variant,
+        kept=places[1] / f"{name}.json",
+        geometry=None if geometry is None else geometry / name,
+    )
 
 
 def read_outcome(path: Path, key: str) -> Outcome | None:
@@ -313,19 +420,33 @@ def write_outcome(path: Path, key: str, outcome: Outcome) -> None:
 # --- doing it ---------------------------------------------------------------------------------------------------------
 
 
-def _solve_all(todo: list[Task], workers: int, kept: Path, known: int) -> dict[str, Outcome]:
-    """Outcomes of all tasks, each kept as soon as it is there; crashes are not kept."""
-    found = {}
-    pool = ThreadPoolExecutor(workers)
-    futures = {pool.submit(_in_a_process, task, workers): task for task in todo}
-    try:
-        for k, future in enumerate(as_completed(futures)):
-            task, (outcome, crashed) = futures[future], future.result()
-            found[task.sequence.name] = outcome
+def solve_all(todo: list[list[Task]], workers: int, known: int) -> dict[tuple[str, str], Outcome]:
+    """Outcomes by variant and sequence, each kept as soon as it is there; crashes are not kept.
+
+    `todo` lists the variants of each object: objects are solved side by side, variants of one one after the other.
+    """
+    found: dict[tuple[str, str], Outcome] = {}
+    total, stopped = known + sum(map(len, todo)), Event()
+
+    def solve(tasks: list[Task]) -> None:
+        for task in tasks:
+            if stopped.is_set():
+                return
+            outcome, crashed = _in_a_process(task, workers)
+            found[task.variant, task.sequence.name] = outcome
             if not crashed:
-                write_outcome(kept / f"{task.sequence.name}.json", task.key, outcome)
-            _say(f"{known + k + 1}/{known + len(todo)} {_one_line(outcome)}")
+                write_outcome(task.kept, task.key, outcome)
+            _say(f"{known + len(found)}/{total} {task.variant}: {_one_line(outcome)}")
+        if tasks[0].geometry is not None:
+            shutil.rmtree(work_folder(tasks[0].geometry), ignore_errors=True)
+
+    pool = ThreadPoolExecutor(workers)
+    futures = [pool.submit(solve, tasks) for tasks in todo]
+    try:
+        for future in as_completed(futures):
+            future.result()
     finally:
+        stopped.set()
         pool.shutdown(wait=True, cancel_futures=True)
     return found
 
@@ -360,8 +481,9 @@ def _work(task: Task, to: Connection) -> None:
 
     Thread(target=_end_with_the_parent, daemon=True).start()
     try:
+        before_gb = _geometry(task)
         result = reconstruct_folder(task.sequence, task.result, task.settings)
-        peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
+        peak_gb = max(before_gb, _peak_gb())
     except Exception as error:
         to.send({"crash": f"crashed: {type(error).__name__}: {error}"})
         raise
@@ -378,6 +500,28 @@ def _work(task: Task, to: Connection) -> None:
         return
     row = row if lacks is None else replace(row, notes=(*row.notes, lacks))
     to.send({"row": row, "seconds": result.seconds, "peak_gb": peak_gb})
+
+
+def _geometry(task: Task) -> float:
+    """Give the variant the stages before `gaussians`, solved once for all variants; what they took of memory, GB."""
+    if task.geometry is None:
+        return 0.0
+    from freeart21.reconstruction import Failure
+    from reconstruct.pipeline import reconstruct_until
+
+    file = reconstruct_until(task.sequence, task.geometry, "joint", task.settings)
+    if isinstance(file, Failure):  # found again by the solving itself
+        return 0.0
+    peak = file.with_name("peak.json")
+    took = max(_peak_gb(), checked.read_json(peak)["gb"] if peak.is_file() else 0.0)
+    atomic.write_json(peak, {"gb": took})
+    atomic.write_bytes(work_folder(task.result) / file.name, file.read_bytes())
+    return took
+
+
+def _peak_gb() -> float:
+    """Of this process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
 
 
 def _end_with_the_parent() -> None:
@@ -398,14 +542,19 @@ def failed(row: Row) -> bool:
 
 
 def badness(row: Row) -> tuple[float, str]:
-    """How many times the figure furthest from its goal is off, and its name; a mIoU is off by what it lacks to 1."""
+    """How many times the figure furthest from its goal is off, and its name: a mIoU by what it lacks to 1, a
+    PSNR by the error that it stands for."""
     worst, name = 0.0, ""
     for goal in GOALS:
         value = row.values.get(goal.metric)
         if goal.group not in ("all", row.joint_type) or goal.statistic == "worst" or value is None:
             continue
-        up = goal.metric in ("joint_type", "miou")
-        share = (1 - value) / max(1 - goal.reach, 1e-3) if up else value / goal.reach
+        if goal.metric == "psnr":  # decibels of errors of a picture
+            share = 10 ** ((goal.reach - value) / 20)
+        elif goal.metric in MORE_IS_BETTER:
+            share = (1 - value) / max(1 - goal.reach, 1e-3)
+        else:
+            share = value / goal.reach
         if share > worst:
             worst, name = share, goal.metric
     return worst, name
@@ -439,6 +588,8 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, float | int | None]:
         "miou_mean": mean("miou"),
         "chamfer_w_pct_mean": mean("chamfer_w"),
         "chamfer_m_pct_mean": mean("chamfer_m"),
+        "psnr_db_mean": mean("psnr"),
+        "psnr_db_worst": min((row.values["psnr"] for row in rows if row.values["psnr"] is not None), default=None),
         "seconds_mean": sum(totals) / len(totals) if totals else None,
         "peak_gb": max((o.peak_gb for o in outcomes if o.peak_gb is not None), default=None),
     }
@@ -448,6 +599,26 @@ def by_type(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Mean, sample standard deviation (ddof 1), median and worst of every metric, by joint type and over all."""
     found = summarise([o.row for o in outcomes], protocol_named(PROTOCOL))
     return {s.group: {"n": s.sequences, **{id: asdict(value) for id, value in s.statistics.items()}} for s in found}
+
+
+def figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """All that the JSON file says of a variant."""
+    return {"summary": summary(outcomes), "by_type": by_type(outcomes), "rows": [_line(o) for o in outcomes]}
+
+
+def pairs(before: Sequence[Outcome], after: Sequence[Outcome]) -> list[tuple[Outcome, Outcome]]:
+    """Outcomes of the same sequences, in the order of `after`."""
+    of = {o.row.sequence: o for o in before}
+    return [(of[o.row.sequence], o) for o in after if o.row.sequence in of]
+
+
+def worse(before: Row, after: Row) -> list[str]:
+    """Of axis and state, what the Gaussians made worse than they may."""
+    limits = {"axis": WORSE_AXIS, "state": WORSE_STATE}
+    values = {name: (before.values.get(name), after.values.get(name)) for name in limits}
+    return [
+        name for name, (was, now) in values.items() if was is not None and (now is None or now - was > limits[name])
+    ]
 
 
 def _line(outcome: Outcome) -> dict[str, Any]:
@@ -477,15 +648,21 @@ def _line(outcome: Outcome) -> dict[str, Any]:
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
-def _print(outcomes: list[Outcome], goals: Sequence[Goal], title: str) -> None:
+def console_of() -> Console:
+    """Standard output, wide enough for the tables."""
     console = Console()
     if not console.is_terminal:
-        console.width = 150
+        console.width = 170
+    return console
+
+
+def _print(outcomes: list[Outcome], aim: Aim, title: str) -> None:
+    console = console_of()
     console.print(_object_table(outcomes, title))
     for outcome in outcomes:
         for text in filter(None, (outcome.row.reason, *outcome.row.notes)):
             console.print(f"  {outcome.row.sequence}: {text}", markup=False, highlight=False)
-    console.print(_goal_table(outcomes, goals))
+    console.print(_goal_table(outcomes, aim))
     console.print(_stage_table(outcomes))
     here = machine()
     elsewhere = [o.row.sequence for o in outcomes if o.machine != here or o.workers > 1]
@@ -494,14 +671,13 @@ def _print(outcomes: list[Outcome], goals: Sequence[Goal], title: str) -> None:
 
 
 def _object_table(outcomes: list[Outcome], title: str) -> Table:
-    shown = ("axis", "position", "state", "miou", "chamfer_w", "chamfer_m")
     table = Table(title=f"{PROTOCOL}, {title}: worst first")
-    for head in ("sequence", "motion", "", *shown, "worst", "s", "GB"):
+    for head in ("sequence", "motion", "", *SHOWN, "worst", "s", "GB"):
         table.add_column(head, justify="left" if head in ("sequence", "motion", "", "worst") else "right")
     for o in outcomes:
         row, style = o.row, "red" if failed(o.row) else None
         status = "FAILED" if failed(row) else row.joint_type
-        cells = [_number(row.values.get(id)) for id in shown]
+        cells = [_number(row.values.get(id)) for id in SHOWN]
         total = _number(sum(o.seconds.values()), 0) if o.seconds else "-"
         table.add_row(
             row.sequence, o.motion, status, *cells, badness(row)[1], total, _number(o.peak_gb, 2), style=style
@@ -509,35 +685,107 @@ def _object_table(outcomes: list[Outcome], title: str) -> Table:
     return table
 
 
-def _goal_table(outcomes: list[Outcome], goals: Sequence[Goal]) -> Table:
-    rules, found, figures = protocol_named(PROTOCOL), by_type(outcomes), summary(outcomes)
+def _goal_table(outcomes: list[Outcome], aim: Aim) -> Table:
+    rules, found, means = protocol_named(PROTOCOL), by_type(outcomes), summary(outcomes)
     table = Table("figure", "of", "mean ± std", "median", "worst", "reach", "paper (other objects)", title="figures")
-    lines = [(g.metric, g.group) for g in GOALS if g.statistic == "mean"]
-    for metric, group in lines:
-        unit = rules.metric(metric).unit(group)
-        at = {g.statistic: g for g in goals if (g.metric, g.group) == (metric, group)}
-        worst_at = next((g for g in goals if g.metric == metric and g.statistic == "worst"), None)
+    for metric, group in [(g.metric, g.group) for g in GOALS if g.statistic == "mean"]:
         value = found.get(group, {}).get(metric)
         if value is None:
             continue
+        unit, up = rules.metric(metric).unit(group), metric in MORE_IS_BETTER
+        at = {g.statistic: g for g in aim.goals if (g.metric, g.group) == (metric, group)}
+        worst_of_all = next((g for g in aim.goals if g.metric == metric and g.statistic == "worst"), None)
+        reach = [_reach(value["mean"], at["mean"].reach, up)] if "mean" in at else []
+        reach += [f"worst {_reach(value['worst'], worst_of_all.reach, up)}"] if worst_of_all else []
         std = "" if value["std"] is None else f" ± {value['std']:.3f}"
-        reach = f"{at['mean'].reach:g}" if "mean" in at else "-"
-        reach += f" (worst {worst_at.reach:g})" if worst_at else ""
-        paper = at["mean"].paper if "mean" in at else "-"
-        name = metric if unit == "fraction" else f"{metric}, {unit}"
         table.add_row(
-            name, group, f"{value['mean']:.3f}{std}", _number(value["median"]), _number(value["worst"]), reach, paper
+            metric if unit == "fraction" else f"{metric}, {unit}",
+            group,
+            f"{value['mean']:.3f}{std}",
+            _number(value["median"]),
+            _number(value["worst"]),
+            "; ".join(reach) or "-",
+            at["mean"].paper if "mean" in at else "-",
         )
-    clean = goals is GOALS
-    n = figures["n"]
-    table.add_row("failures", "all", f"{figures['failures']} of {n}", "", "", "0" if clean else "-", "-")
-    note = "420 for 100 frames, RTX 4090"
+    count = f"{means['failures']} of {means['n']}"
+    table.add_row("failures", "all", count, "", "", _reach(means["failures"], aim.failures), "-")
+    fitting = [o.seconds["gaussians"] for o in outcomes if "gaussians" in o.seconds]
+    others = [sum(o.seconds.values()) - o.seconds.get("gaussians", 0.0) for o in outcomes if o.seconds]
+    said = "420 for 100 frames, RTX 4090"
+    for name, took, reach_s, paper in (
+        ("seconds without gaussians", others, aim.seconds, said),
+        ("seconds of gaussians", fitting, aim.gaussian_seconds, "-"),
+    ):
+        worst_s = _number(max(took, default=None), 0)
+        table.add_row(name, "all", _number(_mean(took), 0), "", worst_s, _reach(_mean(took), reach_s), paper)
     peaks = [o.peak_gb for o in outcomes if o.peak_gb is not None]
-    table.add_row("seconds", "all", _number(figures["seconds_mean"], 0), "", "", f"{SECONDS:g}" if clean else "-", note)
-    mean_peak = sum(peaks) / len(peaks) if peaks else None
-    worst_peak = _number(figures["peak_gb"], 2)
-    table.add_row("peak, GB", "all", _number(mean_peak, 2), "", worst_peak, f"{MEMORY_GB:g}" if clean else "-", "-")
+    most = means["peak_gb"]
+    table.add_row("peak, GB", "all", _number(_mean(peaks), 2), "", _number(most, 2), _reach(most, aim.peak_gb), "-")
     return table
+
+
+def _reach(value: float | None, reach: float | None, up: bool = False) -> str:
+    """What is to be reached, and whether it is."""
+    if reach is None:
+        return "-"
+    met = value is not None and (value >= reach if up else value <= reach)
+    return f"{reach:g} {'met' if met else 'missed'}"
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return sum(values) / len(values) if values else None
+
+
+def print_beside(outcomes: Sequence[Outcome], beside: dict[str, list[Outcome]], aim: Aim) -> None:
+    """Each variant before > after our own outcomes, object by object; then the means of all."""
+    if not beside:
+        return
+    console = console_of()
+    for name, its in beside.items():
+        console.print(beside_table(pairs(its, outcomes), f"{name} > {OURS}: worst first"))
+    console.print(_means_table({OURS: list(outcomes), **beside}))
+    if aim.no_worse and "no-gaussians" in beside:
+        console.print(no_worse_line(pairs(beside["no-gaussians"], outcomes)), markup=False, highlight=False)
+
+
+def no_worse_line(both: Sequence[tuple[Outcome, Outcome]]) -> str:
+    """Whether the Gaussians made an object worse, and which."""
+    lines = [f"{now.row.sequence} ({', '.join(said)})" for was, now in both if (said := worse(was.row, now.row))]
+    goal = f"no object worse by more than {WORSE_AXIS:g} deg (axis), {WORSE_STATE:g} (state)"
+    return f"{goal}: " + (f"missed by {', '.join(lines)}" if lines else f"met by all {len(both)}")
+
+
+def beside_table(both: Sequence[tuple[Outcome, Outcome]], title: str) -> Table:
+    """A row an object: every figure before > after."""
+    table = Table(title=title)
+    for head in ("sequence", *SHOWN, "s", "GB", "worse"):
+        table.add_column(head, justify="left" if head in ("sequence", "worse") else "right")
+    for was, now in both:
+        cells = [_change(was.row.values.get(id), now.row.values.get(id), DIGITS[id]) for id in SHOWN]
+        before_s, after_s = (sum(o.seconds.values()) if o.seconds else None for o in (was, now))
+        marks = [f"FAILED {when}" for when, o in (("before", was), ("after", now)) if failed(o.row)]
+        marks += worse(was.row, now.row)
+        style = "red" if failed(now.row) else "yellow" if marks else None
+        ends = _change(before_s, after_s, 0), _change(was.peak_gb, now.peak_gb, 2), ", ".join(marks)
+        table.add_row(now.row.sequence, *cells, *ends, style=style)
+    return table
+
+
+def _means_table(variants: dict[str, list[Outcome]]) -> Table:
+    """Means by joint type, a row a variant and type."""
+    table = Table("variant", "of", "n", *SHOWN, "failures", "s", title="means")
+    for name, outcomes in variants.items():
+        for group, found in by_type(outcomes).items():
+            its = [o for o in outcomes if group in ("all", o.row.joint_type)]
+            cells = [_number(found[id]["mean"], DIGITS[id]) if id in found else "-" for id in SHOWN]
+            totals = [sum(o.seconds.values()) for o in its if o.seconds]
+            lost = str(sum(failed(o.row) for o in its))
+            table.add_row(name, group, str(found["n"]), *cells, lost, _number(_mean(totals), 0))
+    return table
+
+
+def _change(before: float | None, after: float | None, digits: int) -> str:
+    return f"{_number(before, digits)} > {_number(after, digits)}"
 
 
 def _stage_table(outcomes: list[Outcome]) -> Table:
