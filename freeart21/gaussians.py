@@ -14,6 +14,11 @@ Floats = NDArray[np.float32]
 
 LIGHT_TERMS = (1, 4, 9, 16, 25)
 """Numbers of spherical harmonics up to the degrees 0 to 4."""
+FAINT_COPY = 0.02
+"""Opacity up to which a Gaussian's copy under the other part's motion is left out of pictures: five grey levels, and
+twice the splats if all had one."""
+TURNED_AWAY = -0.1
+"""Cosine of the angle between normal and view from which on a disc shows its back, and is left out."""
 
 _WIDTHS = {"means": 3, "quaternions": 4, "scales": 3, "opacities": 0, "colours": 3, "part_weights": 0, "normals": 3}
 
@@ -23,7 +28,8 @@ class Gaussians:
     """N Gaussians in the canonical frame of an `Articulation`, joint state zero; arrays are float32.
 
     In a frame with joint motion J, a Gaussian is drawn where it is with its opacity times w, and moved by J with its
-    opacity times 1 - w, w its part weight (paper, Blended Rendering).
+    opacity times 1 - w, w its part weight (paper, Blended Rendering). With `light` it is a disc that shows its outer
+    face alone; others' Gaussians, which know no light, show from all sides.
     """
 
     means: Floats

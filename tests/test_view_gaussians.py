@@ -15,7 +15,7 @@ from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.camera import Camera
 from freeart21.files.result import write_result
-from freeart21.gaussians import Gaussians, rotations, spherical_harmonics
+from freeart21.gaussians import FAINT_COPY, TURNED_AWAY, Gaussians, rotations, spherical_harmonics
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
@@ -74,7 +74,11 @@ def drawn(gaussians: Gaussians, Ts_camera_part: list[np.ndarray], camera: Camera
         if gaussians.light is not None:
             colours = colours * (spherical_harmonics(gaussians.normals @ R.T, len(gaussians.light)) @ gaussians.light)
         shares = 1 - gaussians.part_weights if moved else gaussians.part_weights
-        copies += list(zip(means, covariances, colours.clip(0, 1), gaussians.opacities * shares, strict=True))
+        opacities = gaussians.opacities * shares
+        facing = -((gaussians.normals @ R.T) * means).sum(1) / np.linalg.norm(means, axis=1)
+        shown = (opacities > FAINT_COPY) & ((facing > TURNED_AWAY) | (gaussians.light is None))
+        rows = [a[shown] for a in (means, covariances, colours.clip(0, 1), opacities)]
+        copies += list(zip(*rows, strict=True))
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
     picture = np.zeros((camera.height, camera.width, 3))
     (fx, _, _), (_, fy, _), _ = camera.K
@@ -237,7 +241,7 @@ def test_the_nearer_one_hides_the_other_from_either_side(chrome, tmp_path):
         np.full(2, 0.99, np.float32),
         np.array([[1, 0, 0], [0, 0, 1]], np.float32),
         np.ones(2, np.float32),
-        np.array([[0, 0, -1], [0, 0, 1]], np.float32),
+        np.array([[1, 0, 0], [1, 0, 0]], np.float32),
     )
     scene = replace(made_scene(two), up=np.array([0.0, -1, 0]), towards_viewer=np.array([0.0, 0, -1]))
     middles = []
@@ -248,8 +252,32 @@ def test_the_nearer_one_hides_the_other_from_either_side(chrome, tmp_path):
 
 
 @needs_browser
+def test_a_disc_shows_its_outer_face_alone(chrome, tmp_path):
+    """A red disc that faces the eye and a blue one that faces away; and both, where without light no face is outer."""
+    two = Gaussians(
+        np.array([[-0.03, 0, 0], [0.03, 0, 0]], np.float32),
+        np.array([[1, 0, 0, 0]] * 2, np.float32),
+        np.array([[0.02, 0.02, 0.001]] * 2, np.float32),
+        np.full(2, 0.99, np.float32),
+        np.array([[1, 0, 0], [0, 0, 1]], np.float32),
+        np.array([1, 0], np.float32),
+        np.array([[0, 0, -1], [0, 0, 1]], np.float32),
+    )
+    light = np.full((1, 3), np.sqrt(4 * np.pi), np.float32)
+    seen = []
+    for yaw, terms in ((0.0001, light), (np.pi, light), (0.0001, None)):
+        scene = made_scene(replace(two, light=terms))
+        scene = replace(scene, up=np.array([0.0, -1, 0]), towards_viewer=np.array([0.0, 0, -1]))
+        show(chrome, tmp_path / f"{yaw:.0f}-{terms is None}.html", scene, f"yaw={yaw}&show=part&state=0")
+        picture = shot(chrome)
+        seen.append([bool((picture[..., k] - picture[..., 2 - k] > 150).sum() > 200) for k in (0, 2)])
+    assert seen == [[True, False], [False, True], [True, True]], "red, blue"
+    assert not chrome.errors
+
+
+@needs_browser
 def test_the_reader_chooses_between_gaussians_and_surfaces(chrome, tmp_path):
-    given = replace(made(80, light=None), part_weights=(np.arange(80) % 2).astype(np.float32))
+    given = replace(made(200, light=None), part_weights=(np.arange(200) % 2).astype(np.float32))
     show(chrome, tmp_path / "a.html", made_scene(given), "state=0.4&view=video&show=part")
     first = shot(chrome)
     press(chrome, "Surfaces")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from freeart21.gaussians import Gaussians
+from freeart21.gaussians import FAINT_COPY, TURNED_AWAY, Gaussians
 from freeart21.view.document import embed_array
 
 MAX_SPLATS = 80_000
@@ -60,5 +60,7 @@ def splat_data(layers: SplatLayers) -> dict[str, Any]:
         "opacities": embed_array(np.rint(gaussians.opacities.clip(0, 1) * 255), "u8"),
         "light": gaussians.light,
         "normals": None if gaussians.light is None else embed_array(np.rint(gaussians.normals * 127 + 128), "u8"),
+        "turned_away": TURNED_AWAY,
+        "faint_copy": FAINT_COPY,
         "part_weights": embed_array(np.rint(gaussians.part_weights.clip(0, 1) * 255), "u8"),
     }

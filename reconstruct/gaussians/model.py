@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from freeart21.gaussians import Gaussians
+from freeart21.gaussians import FAINT_COPY, TURNED_AWAY, Gaussians
 from freeart21.se3 import Array
 from reconstruct.gaussians.rasteriser import Floats, SplatGradients, Splats
 from reconstruct.kernels import in_threads
@@ -24,11 +24,6 @@ _F = np.float32
 _MOST_TERMS = 25
 DARKEST = 0.02
 """Of mean light, the least that falls anywhere."""
-FAINT_COPY = 0.02
-"""Opacity up to which a Gaussian's copy under the other part's motion is left out: five grey levels, and twice the
-splats if all had one."""
-TURNED_AWAY = -0.1
-"""Cosine of the angle between normal and view from which on a disc shows its back."""
 
 
 @dataclass

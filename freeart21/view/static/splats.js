@@ -9,7 +9,7 @@ uniform sampler2D colours;             // one: colour, opacity
 uniform mat4 views[2], projection;
 uniform vec2 size;                     // of the picture, pixels
 uniform vec3 tints[2];
-uniform float tinted, faintest;
+uniform float tinted, faintest, turned_away;
 uniform mat4 cameras[2];               // the video's camera from both links, in the frame that is shown
 uniform vec3 light[25];
 uniform int terms;                     // of the light; none is the same light everywhere
@@ -55,6 +55,8 @@ void main() {
   vec4 p = view * vec4(a.xyz, 1.0);
   vec4 clip = projection * p;
   gl_Position = vec4(0.0, 0.0, 2.0, 1.0);              // outside
+  vec3 normal = shape(4 * i + 3).xyz;
+  if (dot(mat3(view) * normal, -p.xyz) < turned_away * length(p.xyz)) return; // zero, where it has no outer face
   if (opacity < faintest || p.z > -1e-4 || clip.z < -clip.w || abs(clip.x) > 1.4 * clip.w || abs(clip.y) > 1.4 * clip.w) return;
   vec2 focal = vec2(projection[0][0], projection[1][1]) * size / 2.0, limit = 1.3 * size / (2.0 * focal);
   vec2 slope = clamp(p.xy / -p.z, -limit, limit);      // where the linear camera still resembles the real one
@@ -69,7 +71,7 @@ void main() {
   vec2 corners[3] = vec2[3](vec2(0.0, 2.0), vec2(-1.7320508, -1.0), vec2(1.7320508, -1.0)); // a triangle around a circle
   v_at = corners[gl_VertexID % 3] * reach;
   vec2 pixels = v_at.x * sqrt(large) * along + v_at.y * sqrt(small) * vec2(-along.y, along.x);
-  if (terms > 0) colour.rgb = clamp(colour.rgb * lit(mat3(moved == 1 ? cameras[1] : cameras[0]) * shape(4 * i + 3).xyz), 0.0, 1.0);
+  if (terms > 0) colour.rgb = clamp(colour.rgb * lit(mat3(moved == 1 ? cameras[1] : cameras[0]) * normal), 0.0, 1.0);
   float grey = dot(colour.rgb, vec3(0.299, 0.587, 0.114));
   v_colour = vec4(mix(colour.rgb, tints[moved] * (0.35 + 0.65 * sqrt(grey)), tinted), opacity);
   gl_Position = clip + vec4(pixels * 2.0 / size * clip.w, 0.0, 0.0);
@@ -116,13 +118,13 @@ const Splats = {
       const entry = (r, s) => a * R[3 * r] * R[3 * s] + b * R[3 * r + 1] * R[3 * s + 1] + c * R[3 * r + 2] * R[3 * s + 2];
       shapes.set([entry(0, 0), entry(0, 1), entry(0, 2), entry(1, 1), entry(1, 2), entry(2, 2)], at + 4);
       if (normals) {
-        const n = [0, 1, 2].map((k) => normals[3 * i + k] - 128), size = Math.hypot(...n) || 1;
-        shapes.set(n.map((x) => x / size), at + 12);
+        const normal = [0, 1, 2].map((k) => normals[3 * i + k] - 128), size = Math.hypot(...normal) || 1;
+        shapes.set(normal.map((x) => x / size), at + 12);
       }
-      const weight = weights[i] / 255;
-      shapes[at + 3] = weight > 0.98 ? 1 : weight < 0.02 ? 0 : weight; // nearly all one part's is that part's
-      if (weight >= 0.02) copies[n++] = 2 * i;
-      if (weight <= 0.98) copies[n++] = 2 * i + 1;
+      const weight = weights[i] / 255, opacity = opacities[i] / 255;
+      shapes[at + 3] = weight;
+      if (opacity * weight > data.faint_copy) copies[n++] = 2 * i;
+      if (opacity * (1 - weight) > data.faint_copy) copies[n++] = 2 * i + 1;
     }
     return { count, shapes, colours: packed, copies: copies.slice(0, n) };
   },
@@ -152,7 +154,7 @@ const Splats = {
   renderer(gl, data, program, tints) {
     const splats = Splats.unpack(data, FreeArt.array);
     const uniform = Object.fromEntries(
-      ["shapes", "colours", "order", "views[0]", "projection", "size", "tints[0]", "tinted", "faintest", "cameras[0]", "light[0]", "terms"]
+      ["shapes", "colours", "order", "views[0]", "projection", "size", "tints[0]", "tinted", "faintest", "turned_away", "cameras[0]", "light[0]", "terms"]
         .map((name) => [name, gl.getUniformLocation(program, name)]));
     const n = splats.copies.length, width = 1024, rows = (texels) => Math.max(1, Math.ceil(texels / width));
     const texture = (unit, values, texels, inside, format, type) => {
@@ -196,6 +198,7 @@ const Splats = {
       gl.uniformMatrix4fv(uniform["views[0]"], true, views.flat());
       gl.uniformMatrix4fv(uniform.projection, true, frame.projection);
       gl.uniform2f(uniform.size, across, down);
+      gl.uniform1f(uniform.turned_away, data.turned_away);
       gl.uniform3fv(uniform["tints[0]"], tints.flat());
       gl.uniform1f(uniform.tinted, frame.partColours ? 1 : 0);
       gl.uniform1i(uniform.terms, data.light && frame.camera ? data.light.length : 0);
