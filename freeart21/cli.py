@@ -532,10 +532,10 @@ def view(
     truth: Path | None = None,
     sequence: Path | None = None,
 ) -> None:
-    """Write a self-contained page of a sequence, a result, an asset or a data folder.
+    """Write a self-contained page of a sequence, a result, an asset, a file of Gaussians or a data folder.
 
     Args:
-        path: A sequence, result, truth, asset or data folder, or a URDF.
+        path: A sequence, result, truth, asset or data folder, a URDF, or a PLY of Gaussians.
         out: The page; NAME.html in the working folder when not given.
         truth: Truth folder to show beside a sequence or a result.
         sequence: Sequence folder of a result, for its video.

@@ -493,6 +493,8 @@ def test_summary_counts_means_and_failures():
         "miou_mean": pytest.approx(0.8),
         "chamfer_w_pct_mean": pytest.approx(0.3),
         "chamfer_m_pct_mean": pytest.approx(1.5),
+        "psnr_db_mean": None,
+        "psnr_db_worst": None,
         "seconds_mean": pytest.approx(200.0),
         "peak_gb": 2.5,
     }
@@ -501,6 +503,42 @@ def test_summary_counts_means_and_failures():
     assert groups["prismatic"]["n"] == 2 and "position" not in groups["prismatic"]
     assert [o.row.sequence for o in bench.worst_first(rows)] == ["d", "b", "c", "a"]
     assert bench.badness(rows[0].row) == (pytest.approx(2.0), "state")
+
+
+def test_variants_beside_are_the_suites_and_differ_from_the_gaussians_on():
+    own = ReconstructSettings()
+    assert not bench.without(own, "no-gaussians").gaussians.refine
+    assert not bench.without(own, "no-end-to-end").gaussians.end_to_end
+    assert not bench.without(own, "no-blended-rendering").gaussians.blended
+    with pytest.raises(FreeArtError, match="no-gaussians, "):
+        bench.without(own, "no-noise-resistance")  # a row of the suite, but of the geometry
+
+
+def test_before_and_after_say_what_became_worse(capsys):
+    before = [
+        outcome("a", "revolute", 9, 1.0, axis=0.10, state=0.2, psnr=20.0),
+        outcome("b", "revolute", 9, 1.0, axis=0.10, state=0.2, psnr=20.0),
+        outcome("only before", "revolute", 9, 1.0),
+    ]
+    after = [
+        outcome("b", "revolute", 19, 2.0, axis=0.16, state=0.31, psnr=30.0),
+        outcome("a", "revolute", 19, 2.0, axis=0.14, state=0.1, psnr=24.0),
+    ]
+    both = bench.pairs(before, after)
+    assert [(was.row.sequence, now.row.sequence) for was, now in both] == [("b", "b"), ("a", "a")]
+    assert bench.worse(before[0].row, after[0].row) == ["axis", "state"]
+    assert bench.no_worse_line(both).endswith("missed by b (axis, state)")
+    assert bench.no_worse_line(both[1:]).endswith("met by all 1")
+    bench.print_beside(after, {"no-gaussians": before}, bench.AIMS[""])
+    said = capsys.readouterr().out
+    assert "0.10 > 0.16" in said and "20.0 > 30.0" in said and "9 > 19" in said
+    assert bench.summary(after)["psnr_db_worst"] == 24.0 and bench.summary(after)["psnr_db_mean"] == 27.0
+
+
+def test_a_sensors_goals_are_met_or_missed():
+    assert bench._reach(28.9, 29.0, up=True) == "29 missed" and bench._reach(29.0, 29.0, up=True) == "29 met"
+    assert bench._reach(0.31, 0.3) == "0.3 missed" and bench._reach(None, 3.0) == "3 missed"
+    assert bench._reach(1.0, None) == "-"
 
 
 @pytest.mark.parametrize(

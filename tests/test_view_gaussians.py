@@ -14,6 +14,8 @@ from browser import CHROMIUM, Browser, browser
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from freeart21.files.gaussians import write_gaussians
 from freeart21.files.result import write_result
 from freeart21.gaussians import FAINT_COPY, TURNED_AWAY, Gaussians, rotations, spherical_harmonics
 from freeart21.joint import Joint
@@ -21,6 +23,7 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.view import page
 from freeart21.view.document import document, embed_json, extract_array
+from freeart21.view.pages import write_page
 from freeart21.view.parts import articulation_scene, exchanged
 from freeart21.view.scene import Scene, scene_section
 from freeart21.view.simplify import box
@@ -133,10 +136,10 @@ def test_a_page_of_very_many_gaussians_keeps_those_that_cover_most():
     given = made(MAX_SPLATS + 5000, light=9)
     faint = np.arange(len(given)) % 25 == 3
     given = replace(given, opacities=np.where(faint, 1e-6, given.opacities).astype(np.float32))
-    kept = thinned(given)
+    kept = thinned(given, MAX_SPLATS)
     assert len(kept) == MAX_SPLATS and (kept.opacities < 1e-5).sum() < faint.sum()
     assert np.abs(np.sort(kept.means[:, 0])[0] - np.sort(given.means[:, 0])[0]) < 1e-2
-    assert thinned(kept) is kept
+    assert thinned(kept, MAX_SPLATS) is kept
     section = scene_section(made_scene(given))
     assert f"the {MAX_SPLATS:,} of {len(given):,} Gaussians" in section.html
     assert "Gaussians" not in scene_section(made_scene(kept)).html
@@ -314,3 +317,37 @@ def test_gaussians_are_shown_where_there_are_no_surfaces(chrome, tmp_path):
     ]
     assert (shot(chrome).max(-1) > 40).mean() > 0.05, "they fill a part of the view"
     assert not chrome.errors
+
+
+def test_a_file_of_gaussians_is_a_page_of_its_own(tmp_path):
+    write_gaussians(tmp_path / "chair.ply", replace(made(80, light=None), part_weights=np.ones(80, np.float32)))
+    write_page(tmp_path / "chair.ply", tmp_path / "chair.html")
+    whole = (tmp_path / "chair.html").read_text()
+    assert "80 Gaussians" in whole and "Of the moving part" not in whole
+    write_gaussians(tmp_path / "gaussians.ply", made(80, light=9))
+    write_page(tmp_path / "gaussians.ply", tmp_path / "parted.html")
+    assert "Of the moving part" in (tmp_path / "parted.html").read_text()
+    with pytest.raises(FreeArtError, match="without a truth"):
+        write_page(tmp_path / "chair.ply", tmp_path / "no.html", truth=tmp_path / "truth")
+    write_gaussians(tmp_path / "none.ply", made(0, light=None))
+    with pytest.raises(FreeArtError, match="has no Gaussians"):
+        write_page(tmp_path / "none.ply", tmp_path / "no.html")
+    (tmp_path / "mesh.ply").write_text("ply\nformat ascii 1.0\nend_header\n")
+    with pytest.raises(FreeArtError, match="mesh.ply"):
+        write_page(tmp_path / "mesh.ply", tmp_path / "no.html")
+    assert not (tmp_path / "no.html").exists()
+
+
+def test_strays_do_not_coarsen_the_places_of_the_others():
+    given = made(100, light=None)
+    given = replace(given, means=np.concatenate([np.full((1, 3), 1e4, np.float32), given.means[1:]]))
+    data = splat_data(SplatLayers(given, (0, 0), (0, 0)))
+    assert data["means"]["dtype"] == "f32"
+
+
+@needs_browser
+def test_gaussians_alone_are_drawn(chrome, tmp_path):
+    write_gaussians(tmp_path / "gaussians.ply", made(80, light=9))
+    write_page(tmp_path / "gaussians.ply", tmp_path / "a.html")
+    chrome.open(f"{(tmp_path / 'a.html').resolve().as_uri()}", ready=SHOWN)
+    assert (shot(chrome).max(-1) > 40).mean() > 0.02 and not chrome.errors

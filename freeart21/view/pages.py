@@ -15,6 +15,7 @@ from freeart21.files import atomic
 from freeart21.files.asset import read_asset, read_effects
 from freeart21.files.benchmark import is_unfinished, unfinished
 from freeart21.files.diagnostics import Diagnostics, confidence_file, read_confidence, read_diagnostics
+from freeart21.files.gaussians import GAUSSIANS, read_gaussians
 from freeart21.files.places import PAGE, check_place
 from freeart21.files.result import read_appearance, read_result
 from freeart21.files.sequence import read_sequence
@@ -27,6 +28,7 @@ from freeart21.view.asset_scene import asset_scene
 from freeart21.view.benchmark_page import benchmark_page
 from freeart21.view.diagnosis import diagnosis_section, remarks_section
 from freeart21.view.document import TRUTH, Section, document
+from freeart21.view.gaussian_page import gaussians_page
 from freeart21.view.link_shapes import read_shown
 from freeart21.view.parts import AXIS, align, articulation_scene, axis_in_pictures, matched, with_truth
 from freeart21.view.plot import StateSeries, plot_section
@@ -60,7 +62,7 @@ def page(
     title: str | None = None,
     score_note: str = "",
 ) -> str:
-    """One self-contained HTML page of a sequence, a result, a truth, an asset or a whole data folder.
+    """One self-contained HTML page of a sequence, a result, a truth, an asset, a file of Gaussians or a data folder.
 
     A result is shown with its asset (`asset`, else its own folder asset/), over the pictures of its `sequence` and
     beside its `truth` when these folders are given; a sequence is shown with its truth. `scores` and
@@ -72,6 +74,14 @@ def page(
     name = title or _name(path.resolve())
     if kind == "data":
         return benchmark_page(path, name)
+    if kind == "gaussians":
+        for what, other in (("truth", truth), ("sequence", sequence), ("asset", asset)):
+            if other is not None:
+                raise FreeArtError(f"{path} is a file of Gaussians, shown without a {what} (given: {other})")
+        gaussians = read_gaussians(path)
+        if not len(gaussians):
+            raise FreeArtError(f"{path} has no Gaussians, expected at least one")
+        return gaussians_page(name, gaussians)
     true = read_truth(truth) if truth is not None and kind != "truth" else None
     extra = [score_section(scores, score_note, "small" if kind == "asset" else "right")] if scores else []
     if kind == "sequence":
@@ -117,14 +127,20 @@ def write_page(
 
 
 def recognised(path: Path) -> str:
-    """'sequence', 'result', 'truth', 'asset' or 'data'; FreeArtError says what was looked for and what is there."""
+    """'sequence', 'result', 'truth', 'asset', 'data' or 'gaussians'.
+
+    FreeArtError says what was looked for and what is there.
+    """
     if not path.exists():
         raise FreeArtError(f"{path} does not exist")
     if path.is_file():
         if path.suffix == ".urdf":
             return "asset"
+        if path.suffix == ".ply":
+            return "gaussians"
         raise FreeArtError(
-            f"{path} is a file, expected a URDF or the folder of a sequence, a result, a truth, an asset or a data set"
+            f"{path} is a file, expected a URDF, a PLY of Gaussians, or the folder of a sequence, a result, a truth, "
+            "an asset or a data set"
         )
     for name, kind in (
         ("sequence.json", "sequence"),
@@ -151,10 +167,10 @@ def recognised(path: Path) -> str:
 
 
 def _name(path: Path) -> str:
-    """What a page is called after: the folder, for a folder asset/ the one it stands in, for a file its stem."""
-    if path.is_file():
+    """What a page is called after: a folder; of asset/ and gaussians.ply the one they stand in; a file's stem."""
+    if path.is_file() and path.name != GAUSSIANS:
         return path.stem
-    return path.parent.name if path.name == "asset" else path.name
+    return path.parent.name if path.name in ("asset", GAUSSIANS) else path.name
 
 
 def _sequence_page(name: str, recording: Recording | None, true: Truth | None, extra: list[Section]) -> str:

@@ -19,7 +19,7 @@ from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 from freeart21.view.document import Section, data_url, embed_array
 from freeart21.view.simplify import arrow, joined, simplified, turning_arrow
-from freeart21.view.splats import MAX_SPLATS, SplatLayers, splat_data
+from freeart21.view.splats import SplatLayers, splat_data
 
 MAX_FACES_PER_LAYER = 50_000
 MAX_TEXTURE_SIDE = 1024
@@ -143,6 +143,13 @@ def slider_range(joint: Joint, states: ArrayLike | None = None, size: float = 1.
     return (lower, upper) if upper > lower else (lower - 0.1 * free, upper + 0.1 * free)
 
 
+def gathered(points: ArrayLike) -> Array:
+    """(m, 3) of points (n, 3), without the hundredth that is farthest from their middle: strays of a fit."""
+    points = np.asarray(points, float)
+    distances = np.linalg.norm(points - np.median(points, 0), axis=1)
+    return points[distances <= np.quantile(distances, 0.99, method="higher")]
+
+
 def scene_section(
     scene: Scene, title: str = "In 3D", place: Literal["right", "full"] = "right", max_faces: int = MAX_FACES_PER_LAYER
 ) -> Section:
@@ -159,8 +166,8 @@ def scene_section(
     data["surfaces"] = [_surface_data(surface, textures) for surface in surfaces]
     data["textures"] = [_texture_url(path) for path in textures]
     html, count = '<div class="scene"></div>', 0 if scene.splats is None else len(scene.splats.gaussians)
-    if count > MAX_SPLATS:
-        html += f'<p class="note">Shown are the {MAX_SPLATS:,} of {count:,} Gaussians that cover most.</p>'
+    if scene.splats is not None and count > scene.splats.at_most:
+        html += f'<p class="note">Shown are the {scene.splats.at_most:,} of {count:,} Gaussians that cover most.</p>'
     return Section(title, html, "scene", data, place)
 
 
@@ -262,13 +269,13 @@ def _surface_data(surface: Surface, textures: list[Path]) -> dict[str, Any]:
 def _bounds(scene: Scene) -> tuple[Array, float]:
     """Centre and radius, metres, of the ball that is shown at first.
 
-    It holds all solid surfaces (the Gaussians, where there are none) with the sliders at their first values, and nearly
-    all of them at the sliders' ends.
+    It holds all solid surfaces with the sliders at their first values, and nearly all of them at the sliders' ends;
+    where there are none, the Gaussians without strays.
     """
     solid = [s for s in scene.surfaces if scene.layers[s.layer].style == "solid" and not s.mesh.empty]
     held = [(s.link, s.mesh.vertices[s.mesh.faces[:, 0]]) for s in solid]
     if not held and scene.splats is not None:
-        held = [(link, scene.splats.gaussians.means.astype(float)) for link in scene.splats.links]
+        held = [(link, gathered(scene.splats.gaussians.means)) for link in set(scene.splats.links)]
     if not held:
         return np.zeros(3), 1.0
 

@@ -24,9 +24,11 @@ class SplatLayers:
     """The links of the reference and the moving part."""
     layers: tuple[int, int]
     """The layers whose surfaces they stand for."""
+    at_most: int = MAX_SPLATS
+    """Gaussians that are shown."""
 
 
-def thinned(gaussians: Gaussians, at_most: int = MAX_SPLATS) -> Gaussians:
+def thinned(gaussians: Gaussians, at_most: int) -> Gaussians:
     """The `at_most` Gaussians that cover most: by opacity times the area of the largest section."""
     if len(gaussians) <= at_most:
         return gaussians
@@ -38,14 +40,20 @@ def thinned(gaussians: Gaussians, at_most: int = MAX_SPLATS) -> Gaussians:
 
 
 def splat_data(layers: SplatLayers) -> dict[str, Any]:
-    """What the script reads; positions to 1/65535 of the box around all, the rest in steps that are not seen.
+    """What the script reads, in steps that are not seen; positions are 1/65535 of the box around all.
 
-    Scales are logarithms between their smallest and largest; quaternions and normals have 127 for 1.
+    Where such a step would be seen, because some stray far off, positions are 32-bit floats. Scales are logarithms
+    between their smallest and largest; quaternions and normals have 127 for 1.
     """
-    gaussians = thinned(layers.gaussians)
+    gaussians = thinned(layers.gaussians, layers.at_most)
     means = gaussians.means.astype(float)
     logs = np.log(np.maximum(gaussians.scales.astype(float), 1e-9))
     low, high = (means.min(0), means.max(0)) if len(means) else (np.zeros(3), np.zeros(3))
+    if len(means) and (high - low).max() / 65535 > 0.2 * np.median(gaussians.scales):
+        low, high = np.zeros(3), np.full(3, 65535.0)
+        places = embed_array(means, "f32")
+    else:
+        places = embed_array(np.rint((means - low) / np.where(high > low, high - low, 1) * 65535), "u16")
     least, most = (float(logs.min()), float(logs.max())) if len(logs) else (0.0, 0.0)
     return {
         "links": layers.links,
@@ -53,7 +61,7 @@ def splat_data(layers: SplatLayers) -> dict[str, Any]:
         "low": low,
         "high": high,
         "scales_between": [least, most],
-        "means": embed_array(np.rint((means - low) / np.where(high > low, high - low, 1) * 65535), "u16"),
+        "means": places,
         "scales": embed_array(np.rint((logs - least) / max(most - least, 1e-9) * 255), "u8"),
         "quaternions": embed_array(np.rint(gaussians.quaternions * 127 + 128), "u8"),
         "colours": embed_array(np.rint(gaussians.colours.clip(0, 1) * 255), "u8"),

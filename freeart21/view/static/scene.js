@@ -380,7 +380,8 @@ FreeArt.kinds.scene = (section, data, bus) => {
     return button;
   };
   const throughButton = toggle("Video camera", "look through the camera of the video", false, (on) => { through = on; });
-  const painted = data.gaussians || data.surfaces.some((surface) => surface.colours && data.layers[surface.layer].style === "solid");
+  const two = data.gaussians && data.gaussians.layers[0] !== data.gaussians.layers[1];
+  const painted = two || data.surfaces.some((surface) => surface.colours && data.layers[surface.layer].style === "solid");
   frameBox.append(element("div", { class: "corner" },
     ...(painted ? [toggle("Part colours", "colour every part by what it is", false, (on) => { partColours = on; })] : []),
     ...(data.camera ? [throughButton] : []),
@@ -406,7 +407,8 @@ FreeArt.kinds.scene = (section, data, bus) => {
       (chosen) => arrange(ways.find(({ name }) => name === chosen))));
 
   /* Parts as Gaussians, or as the surfaces that they stand for. */
-  const lookChoice = data.gaussians && FreeArt.choice("how the parts are shown",
+  const both = data.gaussians && data.surfaces.some((surface) => data.gaussians.layers.includes(surface.layer));
+  const lookChoice = both && FreeArt.choice("how the parts are shown",
     [["gaussians", "Gaussians"], ["surfaces", "Surfaces"]], "gaussians", (chosen) => {
       gaussians = chosen === "gaussians";
       redraw();
@@ -486,7 +488,7 @@ FreeArt.kinds.scene = (section, data, bus) => {
       rows[0].set(Number(link.state));
     }
     if (link.yaw || link.pitch) orbit.look(Number(link.yaw || 0), Number(link.pitch || 0));
-    if (link.look) lookChoice?.set(link.look);
+    if (link.look) lookChoice && lookChoice.set(link.look);
     if (link.view === "video" && data.camera && !through) throughButton.click();
     if (link.show)
       for (const button of legend.children) {

@@ -75,6 +75,7 @@ void main() {
   float grey = dot(colour.rgb, vec3(0.299, 0.587, 0.114));
   v_colour = vec4(mix(colour.rgb, tints[moved] * (0.35 + 0.65 * sqrt(grey)), tinted), opacity);
   gl_Position = clip + vec4(pixels * 2.0 / size * clip.w, 0.0, 0.0);
+  gl_Position.z = min(gl_Position.z, gl_Position.w);   // however far
 }`;
 
 const SPLAT_FRAGMENT_SHADER = `#version 300 es
@@ -201,9 +202,10 @@ const Splats = {
       gl.uniform1f(uniform.turned_away, data.turned_away);
       gl.uniform3fv(uniform["tints[0]"], tints.flat());
       gl.uniform1f(uniform.tinted, frame.partColours ? 1 : 0);
-      gl.uniform1i(uniform.terms, data.light && frame.camera ? data.light.length : 0);
-      if (data.light && frame.camera) {
-        const cameras = data.links.map((link) => Kinematics.multiply(frame.camera, frame.poses[link]));
+      gl.uniform1i(uniform.terms, data.light ? data.light.length : 0);
+      if (data.light) {                                    // without a video the eye is its camera
+        const camera = frame.camera ?? frame.view.map((x, k) => (k >= 4 && k < 12 ? -x : x));
+        const cameras = data.links.map((link) => Kinematics.multiply(camera, frame.poses[link]));
         gl.uniformMatrix4fv(uniform["cameras[0]"], true, cameras.flat());
         gl.uniform3fv(uniform["light[0]"], data.light.flat());
       }
