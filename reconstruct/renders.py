@@ -1,10 +1,5 @@
 """Held-out views: from the Gaussians (`gaussians.views`), or without them from the fused meshes, with colours from the
-frames that saw each place in the most similar way.
-
-Lamps stand in the world while the object turns: what a place looks like depends on how it is turned, to the lamps and
-to the camera. So a pixel is a mean of the video's own pixels, the more a frame's normal and view direction are alike,
-the more it counts (unstructured lumigraph: Buehler et al. 2001, with the normal as a further coordinate).
-"""
+frames that saw each place in the most similar way (`lumigraph`)."""
 
 from __future__ import annotations
 
@@ -26,6 +21,7 @@ from freeart21.recording import Query, Recording
 from freeart21.se3 import Array
 from reconstruct.gaussians.views import posed, render_views
 from reconstruct.kernels import in_threads
+from reconstruct.lumigraph import seen_alike
 from reconstruct.settings import RendersFrom
 from reconstruct.surfaces import vertex_normals
 
@@ -35,9 +31,6 @@ FRAMES, PIXELS = 150, 40_000_000
 """Frames that are looked at, evenly drawn, and the pixels that they have at most together."""
 ALIKE, SPREAD = 24, 24
 """Of these, the frames for one part of one view: so many that see it turned most alike, and so many evenly drawn."""
-SAME_NORMAL, SAME_VIEW, SHARPNESS = 0.01, 0.02, 2.0
-"""1 - cosine of the angle at which a frame's normal, or its view direction, halves the base of its weight; and the
-power of that base."""
 RIM = 1.5
 """Pixels round the meshes that may be object still: marching cubes rounds off edges, and poses are not exact."""
 BELIEVED = 0.5
@@ -296,33 +289,15 @@ def _blend(
         weight, spoke, agreeing = 0.0, 0.0, 0.0
         total[:] = 0
         for i in frames:
-            T = Ts[i]
-            x, y, z = points[k, 0], points[k, 1], points[k, 2]
-            px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-            py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-            pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-            if pz <= 0:
+            good, u, v, pz, tilt = seen_alike(Ts[i], points[k], normals[k], lit[k], views[k], fx, fy, cx, cy)
+            if good == 0:
                 continue
-            x, y, z = normals[k, 0], normals[k, 1], normals[k, 2]
-            nx = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z
-            ny = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z
-            nz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z
-            length = math.sqrt(px * px + py * py + pz * pz)
-            facing = -(nx * px + ny * py + nz * pz) / length
-            if facing < 0.1:
-                continue
-            u, v = fx * px / pz + cx, fy * py / pz + cy
             x0, y0 = math.floor(u), math.floor(v)
             if x0 < 0 or y0 < 0 or x0 >= w - 1 or y0 >= h - 1:
                 continue
-            shade = 1 - (nx * lit[k, 0] + ny * lit[k, 1] + nz * lit[k, 2])
-            view = 1.0
-            for d in range(3):
-                view += (T[0, d] * px + T[1, d] * py + T[2, d] * pz) / length * views[k, d]
-            good = facing * facing / (1 + shade / SAME_NORMAL + view / SAME_VIEW) ** SHARPNESS
             share, free = 0.0, 0.0
             sample[:] = 0
-            slope = tolerance + 0.7 * (pz / fx) * math.sqrt(max(0.0, 1 - facing * facing)) / facing
+            slope = tolerance + 0.7 * tilt
             for row in range(y0, y0 + 2):
                 for column in range(x0, x0 + 2):
                     s = (1 - abs(u - column)) * (1 - abs(v - row))

@@ -26,6 +26,7 @@ from reconstruct.gaussians.model import splats_of
 from reconstruct.gaussians.numba_backend import rasterise
 from reconstruct.gaussians.rasteriser import Floats, Lens, Picture
 from reconstruct.kernels import in_threads
+from reconstruct.lumigraph import seen_alike
 
 Image = NDArray[np.uint8]
 
@@ -33,9 +34,6 @@ FRAMES, PIXELS = 300, 20_000_000
 """Frames whose residuals are looked at, evenly drawn, and the pixels that they have at most together."""
 ALIKE, SPREAD = 48, 24
 """Of these, the frames for one part of one view: so many that see it turned most alike, and so many evenly drawn."""
-SAME_NORMAL, SAME_VIEW, SHARPNESS = 0.01, 0.02, 2.0
-"""As in `reconstruct.renders`: 1 - cosine at which a frame's normal, or its view direction, halves the base of its
-weight; and the power of that base."""
 REACH = 0.2
 """Pixels: standard deviation of the weight of a frame's pixel beside the place. Half a pixel, or none but bilinear
 weights, blurs: .2 dB less on two objects."""
@@ -197,31 +195,13 @@ def _blend(
         total[:] = 0
         weight = 0.0
         for i in frames:
-            T = Ts[i]
-            x, y, z = points[k, 0], points[k, 1], points[k, 2]
-            px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-            py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-            pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-            if pz <= 0:
+            good, u, v, pz, tilt = seen_alike(Ts[i], points[k], normals[k], lit[k], views[k], fx, fy, cx, cy)
+            if good == 0:
                 continue
-            x, y, z = normals[k, 0], normals[k, 1], normals[k, 2]
-            nx = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z
-            ny = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z
-            nz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z
-            length = math.sqrt(px * px + py * py + pz * pz)
-            facing = -(nx * px + ny * py + nz * pz) / length
-            if facing < 0.1:
-                continue
-            u, v = fx * px / pz + cx, fy * py / pz + cy
             x0, y0 = math.floor(u), math.floor(v)
             if x0 < 0 or y0 < 0 or x0 >= w - 1 or y0 >= h - 1:
                 continue
-            shade = 1 - (nx * lit[k, 0] + ny * lit[k, 1] + nz * lit[k, 2])
-            view = 1.0
-            for d in range(3):
-                view += (T[0, d] * px + T[1, d] * py + T[2, d] * pz) / length * views[k, d]
-            good = facing * facing / (1 + shade / SAME_NORMAL + view / SAME_VIEW) ** SHARPNESS
-            slope = tolerance + 0.7 * (pz / fx) * math.sqrt(max(0.0, 1 - facing * facing)) / facing
+            slope = tolerance + 0.7 * tilt
             for row in range(y0, y0 + 2):
                 for column in range(x0, x0 + 2):
                     if parts[i, row, column] != part or abs(depth[i, row, column] - pz) > slope:
