@@ -70,7 +70,9 @@ def test_a_spoilt_motion_is_mended_and_kept(clip):
         turns = np.degrees(se3.rotation_angle((off @ se3.inverse(se3.mean_pose(off)))[:, :3, :3]))
         assert turns.mean() < 0.7 * before[1], "without the joint, too"
         assert np.isfinite(found.free[k].covariances).all()
-    assert np.isfinite(found.poses.state_std).all() and found.poses.joint_std is not None
+    off = found.poses.states - clip.states
+    deviations = np.abs(off - np.median(off)) / found.poses.state_std
+    assert 0.2 < np.median(deviations) < 2 and found.poses.joint_std is not None, "a state's is about its error"
     new = found.in_place_of(grown)
     assert (new.labels == grown.labels)[grown.labels > 0].mean() > 0.95 and new.poses.cost == grown.poses.cost
 
