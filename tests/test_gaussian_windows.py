@@ -7,7 +7,7 @@ import pytest
 
 from freeart21.camera import Camera
 from freeart21.recording import Frame, Recording
-from reconstruct.gaussians.windows import MARGIN, windows_of
+from reconstruct.gaussians.windows import MARGIN, Windows, windows_of
 
 CAMERA = Camera.from_fov(97, 74, 0.6)
 PLANE = np.array([0.5, 0.7, 1.0])
@@ -127,3 +127,11 @@ def test_frames_that_show_nothing_have_no_window():
     assert found.frames[1] is None
     with pytest.raises(AssertionError):
         found[1]
+
+
+def test_depth_weighs_as_much_as_the_sensor_is_exact():
+    def unit(noise):
+        return Windows((), footprint=1e-3, noise=noise, diagonal=0.2, factor=1).depth_unit
+
+    assert unit(5e-3) == 0.1, "the paper's: half the diagonal"
+    assert unit(0) == pytest.approx(1e-4 / 0.015) and unit(0) < unit(3e-4) < unit(1e-3) < 0.1
