@@ -24,7 +24,7 @@ import os
 import resource
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from multiprocessing.connection import Connection
@@ -154,6 +154,16 @@ class Task:
 
 
 @dataclass(frozen=True)
+class Place:
+    """Where a variant's files are, an object each."""
+
+    work: Path
+    """Result folders."""
+    kept: Path
+    """Outcomes."""
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What came of it."""
 
@@ -224,35 +234,25 @@ def main(
     variant = names[OURS]
     folder = data.with_name(f"{data.name}-{recorded}") if recorded else data
     chosen = _objects(tier, objects)
-    known: dict[tuple[str, str], Outcome] = {}
-    todo: list[tuple[Job, dict[str, str]]] = []
-    for job in _jobs(chosen, split, sensor, motion, preset, frames):
-        keys = {}
-        for name, its in variants.items():
-            key = _key(job, its)
-            outcome = None if fresh else read_outcome(kept / names[name] / f"{job.sequence}.json", key)
-            if outcome is None or outcome.data != (_bytes_of(folder, job.sequence) or outcome.data):
-                keys[name] = key
-            else:
-                known[name, job.sequence] = outcome
-        if keys:
-            todo.append((job, keys))
-    if todo and known_only:
-        _say(f"not known: {', '.join(f'{job.sequence} ({name})' for job, keys in todo for name in keys)}")
-    elif todo:
-        _record(folder, [job for job, _ in todo], split, recorded)
-        places = {name: (work / names[name], kept / names[name]) for name in variants}
+    jobs = _jobs(chosen, split, sensor, motion, preset, frames)
+    keys = {job.sequence: {name: _key(job, its) for name, its in variants.items()} for job in jobs}
+    places = {name: Place(work / names[name], kept / names[name]) for name in variants}
+    known = {} if fresh else known_outcomes(keys, places, folder)
+    lacking = [(name, job) for job in jobs for name in variants if (name, job.sequence) not in known]
+    if lacking and known_only:
+        say(f"not known: {', '.join(f'{job.sequence} ({name})' for name, job in lacking)}")
+    elif lacking:
+        todo = list({job.sequence: job for _, job in lacking}.values())
+        _record(folder, todo, split, recorded)
         geometry = work / f"{variant}-geometry" if beside else None
-        tasks = [
-            [_task(job, n, key, folder, places[n], variants[n], geometry) for n, key in k.items()] for job, k in todo
-        ]
+        tasks = [tasks_of(job, keys[job.sequence], folder, places, variants, geometry, known) for job in todo]
         known |= solve_all(tasks, workers, len(known))
     of = {name: worst_first([o for (n, _), o in known.items() if n == name]) for name in variants}
     outcomes = of.pop(OURS)
     if not outcomes:
         raise FreeArtError("nothing is known of this variant")
     aim = AIMS.get(recorded, Aim())
-    _print(outcomes, aim, f"{variant}, {'chosen objects' if objects else tier}")
+    print_outcomes(outcomes, aim, f"{variant}, {'chosen objects' if objects else tier}")
     print_beside(outcomes, of, aim)
     if out is None and (objects or len(known) < len(chosen) * len(variants)):
         return
@@ -274,7 +274,7 @@ def main(
     if beside:
         body["beside"] = {name: {"variant": names[name], **figures(its)} for name, its in of.items()}
     atomic.write_json(path, {**body, "commit": commit(), "settings": facts, "machine": machine()})
-    _say(f"{path}")
+    say(f"{path}")
 
 
 # --- what is to be done -----------------------------------------------------------------------------------------------
@@ -352,9 +352,29 @@ def _jobs(
 
 
 def _key(job: Job, settings: ReconstructSettings) -> str:
-    """SHA-256, hexadecimal, of what an outcome depends on, as far as it is known without the data."""
-    facts = [PROTOCOL, VERSION, code_digest(), settings.to_json(), job.described(), v1.frozen()[job.sequence]]
+    return key_of(settings, job.described(), v1.frozen()[job.sequence])
+
+
+def key_of(settings: ReconstructSettings, *recording: Any) -> str:
+    """SHA-256, hexadecimal, of what an outcome depends on, as far as it is known without the data.
+
+    `recording` is what decides the sequence's bytes, as JSON.
+    """
+    facts = [PROTOCOL, VERSION, code_digest(), settings.to_json(), *recording]
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+
+def known_outcomes(
+    keys: dict[str, dict[str, str]], places: dict[str, Place], folder: Path
+) -> dict[tuple[str, str], Outcome]:
+    """What is kept, by variant and sequence, of the same `keys` (by sequence and variant) and the data in `folder`."""
+    known = {}
+    for sequence, its in keys.items():
+        for variant, key in its.items():
+            outcome = read_outcome(places[variant].kept / f"{sequence}.json", key)
+            if outcome is not None and outcome.data == (_bytes_of(folder, sequence) or outcome.data):
+                known[variant, sequence] = outcome
+    return known
 
 
 def _bytes_of(folder: Path, sequence: str) -> str | None:
@@ -373,32 +393,36 @@ def _record(folder: Path, jobs: Sequence[Job], split: Literal["public", "test"],
     record_jobs(folder, jobs, label=Label("-".join(filter(None, [v1.NAME, recorded])), v1.VERSION, split))
 
 
-def _task(
+def tasks_of(
     job: Job,
-    variant: str,
-    key: str,
+    keys: dict[str, str],
     folder: Path,
-    places: tuple[Path, Path],
-    settings: ReconstructSettings,
+    places: dict[str, Place],
+    variants: dict[str, ReconstructSettings],
     geometry: Path | None,
-) -> Task:
-    name = job.sequence
-    data = _bytes_of(folder, name)
+    known: Container[tuple[str, str]] = (),
+) -> list[Task]:
+    """The variants of a recording in the data folder `folder` that are not known, to be solved one after the other."""
+    name, data = job.sequence, _bytes_of(folder, job.sequence)
     if data is None:
         raise FreeArtError(f"{folder} has no sequence {name} in its benchmark.json")
-    return Task(
-        object=job.name,
-        motion=job.settings.motion,
-        sequence=folder / "sequences" / name,
-        truth=folder / "truth" / name,
-        result=places[0] / name,
-        settings=settings,
-        key=key,
-        data=data,
-        variant=variant,
-        kept=places[1] / f"{name}.json",
-        geometry=None if geometry is None else geometry / name,
-    )
+    return [
+        Task(
+            object=job.name,
+            motion=job.settings.motion,
+            sequence=folder / "sequences" / name,
+            truth=folder / "truth" / name,
+            result=places[variant].work / name,
+            settings=settings,
+            key=keys[variant],
+            data=data,
+            variant=variant,
+            kept=places[variant].kept / f"{name}.json",
+            geometry=None if geometry is None else geometry / name,
+        )
+        for variant, settings in variants.items()
+        if (variant, name) not in known
+    ]
 
 
 def read_outcome(path: Path, key: str) -> Outcome | None:
@@ -436,7 +460,7 @@ def solve_all(todo: list[list[Task]], workers: int, known: int) -> dict[tuple[st
             found[task.variant, task.sequence.name] = outcome
             if not crashed:
                 write_outcome(task.kept, task.key, outcome)
-            _say(f"{known + len(found)}/{total} {task.variant}: {_one_line(outcome)}")
+            say(f"{known + len(found)}/{total} {task.variant}: {_one_line(outcome)}")
         if tasks[0].geometry is not None:
             shutil.rmtree(work_folder(tasks[0].geometry), ignore_errors=True)
 
@@ -626,7 +650,7 @@ def _line(outcome: Outcome) -> dict[str, Any]:
     return {
         "object": outcome.object,
         "sequence": row.sequence,
-        "category": catalog.find(outcome.object).category,
+        "category": catalog.find(outcome.object, partnet=True).category,
         "joint_type": row.joint_type,
         "motion": outcome.motion,
         "status": row.status,
@@ -656,7 +680,8 @@ def console_of() -> Console:
     return console
 
 
-def _print(outcomes: list[Outcome], aim: Aim, title: str) -> None:
+def print_outcomes(outcomes: list[Outcome], aim: Aim, title: str) -> None:
+    """Every object, worst first, and what all of them reach."""
     console = console_of()
     console.print(_object_table(outcomes, title))
     for outcome in outcomes:
@@ -808,7 +833,8 @@ def _number(value: float | int | None, digits: int = 3) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def _say(line: str) -> None:
+def say(line: str) -> None:
+    """A line of progress."""
     print(line, file=sys.stderr, flush=True)
 
 
