@@ -1,177 +1,370 @@
-"""How well the solver solves what we did not make: real PartNet-Mobility objects, and a real video of a Kinect.
+"""The solver on data of others: real video, real objects, real motion; with and without its Gaussians.
 
-    .venv/bin/python -m benchmarks.outside [--partnet ROOT] [--videos FOLDER] [--sensor noise2] [--frames 120]
+    .venv/bin/python -m benchmarks.outside [--partnet ROOT] [--videos FOLDER] [--mocap FOLDER] [--clips 1305 laptop]
 
-records every object in ROOT, each with the first joint that its file names, and solves it with the Gaussians and, from
-the same geometry, without; scores both by strict-2 and prints them side by side, worst first. Videos, folders of a
-camera's pictures (rgb/, depth/, masks/, cam_K.txt), have no truth: what was found of them is printed. What cannot be
-recorded or converted is said and left out. Writes benchmarks/results/outside.json. A run that was stopped goes on.
+takes by path what is there of
+- PartNet-Mobility: every object in ROOT, by the first joint of its URDF that moves, recorded by our generator with
+  scripted motion. In the order of their numbers the sensors take turns: noise2, tof;
+- captured motion (ARCTIC): how people moved a laptop, a mixer and a ketchup bottle, the files
+  SUBJECT_OBJECT_use_TAKE.object.npy. The first take of each, the stretch over which the joint moves most, replayed on
+  the built-in object of the like joint;
+- videos with depth: folders of a camera's pictures (rgb/, depth/, masks/, cam_K.txt). They have no truth: what is found
+  is told;
+what is absent, or cannot be recorded, is left out and said so. All is solved from one geometry with the Gaussians and
+without, scored by strict-2 where a truth exists, printed worst first and written to benchmarks/results/outside.json. A
+run that was stopped goes on from there. Nothing of the data enters the repository.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
-import sys
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
-from dataclasses import replace
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
+import numpy as np
 import tyro
+from numpy.typing import NDArray
+from rich.table import Table
 
-from benchmarks import solve
 from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.solve import (
+    OURS,
+    PROTOCOL,
+    Aim,
+    Outcome,
+    Place,
+    console_of,
+    figures,
+    from_geometry,
+    key_of,
+    known_outcomes,
+    print_beside,
+    print_outcomes,
+    say,
+    solve_all,
+    tasks_of,
+    without,
+    worst_first,
+)
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic
+from freeart21.files import atomic, checked
 from freeart21.files.result import read_result
+from freeart21.files.urdf import read_urdf_joints
+from freeart21.formats import rgbd_folder
 from freeart21.formats.convert import convert
 from freeart21.reconstruction import Failure
-from generator.dataset import Job, Label, jobs_of, record_jobs
+from freeart21.se3 import Array
+from generator import session
+from generator.dataset import Job, jobs_of, record_jobs
+from generator.motion.body import Body
+from generator.motion.framing import placed
+from generator.motion.plan import PRESETS, Plan
 from generator.session import RecordSettings
 from reconstruct import VERSION
-from reconstruct.cache import code_digest
+from reconstruct.cache import code_digest, work_folder
 from reconstruct.pipeline import reconstruct_folder
 from reconstruct.settings import ReconstructSettings
 
-WITHOUT = "no-gaussians"
+BESIDE = "no-gaussians"
+SCHEMA = "freeart21/benchmark-outside/1"
+SENSORS = ("noise2", "tof")
+SEED = 7
 SHARED = ROOT.parent / "shared"
+CAPTURED = {"laptop": "folding_display", "mixer": "long_arm_stapler", "ketchup": "flip_cap_usb"}
+"""The object that was moved before the cameras, and the built-in one that moves so in the benchmark."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One recording of data of others."""
+
+    name: str
+    source: str
+    """Whose data it is of, and their name of it."""
+    settings: RecordSettings
+    object: str
+    take: Path | None = None
+    """The captured motion; None for scripted motion."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What was found in a video whose truth nobody knows."""
+
+    clip: str
+    variant: str
+    status: str
+    """'ok', or what is hopeless."""
+    joint_type: str | None = None
+    axis: tuple[float, float, float] | None = None
+    """In the camera's frame, with the object as in frame 0."""
+    axis_std_deg: float | None = None
+    range: float | None = None
+    """Of the states, deg or mm."""
+    trust: str | None = None
+    seconds: float = 0.0
 
 
 def main(
     partnet: Path = SHARED / "partnet_mobility",
+    mocap: Path = SHARED / "mocap",
     videos: Path = SHARED / "rgbd",
-    sensor: str = "noise2",
+    clips: tuple[str, ...] = (),
     frames: int = 120,
-    seed: int = 0,
-    objects: tuple[str, ...] = (),
+    fresh: bool = False,
     work: Path = ROOT / "out" / "outside",
     out: Path | None = None,
+    settings: ReconstructSettings = ReconstructSettings(),  # noqa: B008 (frozen)
 ) -> None:
-    """Solve and score outside data.
+    """Solve and score data of others.
 
     Args:
         partnet: Folder of PartNet-Mobility objects.
+        mocap: Folder of captured motion.
         videos: Folder of videos with depth.
-        sensor: That objects are recorded with.
-        frames: Frames a recording.
-        seed: Of motions, sensor and views.
-        objects: These of the folder's objects alone.
-        work: Where recordings and results are kept.
-        out: The JSON file; benchmarks/results/outside.json when all objects were solved.
+        clips: These alone: numbers of objects, laptop, mixer, ketchup, or names of videos.
+        frames: Of what is recorded.
+        fresh: Solve all anew, whatever is known.
+        work: Where recordings, results and outcomes are kept.
+        out: The JSON file. When not given: benchmarks/results/outside.json, and only when no clips are named.
+        settings: Of the solver.
     """
-    settings = ReconstructSettings(progress=False)
-    variants = {solve.OURS: settings, WITHOUT: solve.without(settings, WITHOUT)}
-    found: dict[tuple[str, str], solve.Outcome] = {}
-    data = work / f"{sensor}-{frames}frames-s{seed}"
-    recording = RecordSettings(partnet_root=partnet, sensor=sensor, frames=frames, seed=seed)
-    todo = []
-    for job in _jobs(partnet, objects, recording):
-        record_jobs(data, [job], label=Label(f"outside-{sensor}"))
-        tasks = []
-        for name, its in variants.items():
-            key = _key(job, its)
-            kept = work / "kept" / f"{data.name}-{name}" / f"{job.sequence}.json"
-            outcome = solve.read_outcome(kept, key)
-            if outcome is not None:
-                found[name, job.sequence] = outcome
-                continue
-            tasks.append(
-                solve.Task(
-                    object=job.name,
-                    motion=job.settings.motion,
-                    sequence=data / "sequences" / job.sequence,
-                    truth=data / "truth" / job.sequence,
-                    result=work / f"{data.name}-{name}" / job.sequence,
-                    settings=its,
-                    key=key,
-                    data="",
-                    variant=name,
-                    kept=kept,
-                    geometry=work / f"{data.name}-geometry" / job.sequence,
-                )
-            )
-        if tasks:
-            todo.append(tasks)
-    found |= solve.solve_all(todo, 1, len(found))
-    of = {name: solve.worst_first([o for (n, _), o in found.items() if n == name]) for name in variants}
-    ours = of.pop(solve.OURS)
-    seen = list(_videos(videos, work, settings))
-    if not ours and not seen:
-        raise FreeArtError(f"nothing to solve: neither objects in {partnet} nor videos in {videos}")
-    solve.print_beside(ours, of, solve.Aim())
-    for line in seen:
-        print(json.dumps(line))
-    if out is None and objects:
+    settings = replace(settings, progress=False)
+    variants = {OURS: settings, BESIDE: without(settings, BESIDE)}
+    places = {name: Place(work / "results" / name, work / "outcomes" / name) for name in variants}
+    chosen, left_out = clips_of(partnet, mocap, frames)
+    real = sorted(path for path in videos.glob("*") if rgbd_folder.is_rgbd_folder(path))
+    if not real:
+        left_out["videos"] = f"there are none in {videos}"
+    named = [*(clip.name for clip in chosen), *(path.name for path in real)]
+    unknown = [name for name in clips if name not in named and name not in left_out]
+    if unknown:
+        raise FreeArtError(f"there is no clip '{unknown[0]}'; there are {', '.join(named) or 'none'}")
+    wanted = [clip for clip in chosen if not clips or clip.name in clips]
+    found: dict[tuple[str, str], Outcome] = {}
+    for clip in wanted:
+        try:
+            folder, job = _recorded(clip, work / f"{frames}frames")
+        except FreeArtError as error:
+            left_out[clip.name] = str(error)
+            continue
+        keys = {name: key_of(its, job.described(), _digest(clip.take)) for name, its in variants.items()}
+        here = {} if fresh else known_outcomes({job.sequence: keys}, places, folder)
+        tasks = tasks_of(job, keys, folder, places, variants, _geometry(work), here)
+        found |= here | (solve_all([tasks], 1, 0) if tasks else {})
+    told: list[Told] = []
+    for source in real:
+        if clips and source.name not in clips:
+            continue
+        try:
+            sequence = _converted(source, work / "videos")
+        except FreeArtError as error:
+            left_out[source.name] = str(error)
+            continue
+        told += [_told(name, its, sequence, work, places[name], fresh) for name, its in variants.items()]
+        shutil.rmtree(work_folder(_geometry(work) / sequence.name), ignore_errors=True)
+    roots = {str(partnet): "PARTNET", str(mocap): "MOCAP", str(videos): "VIDEOS"}
+    for root, word in roots.items():
+        left_out = {name: why.replace(root, word) for name, why in left_out.items()}
+    of = {name: worst_first([o for (n, _), o in found.items() if n == name]) for name in variants}
+    _print(of, told, left_out)
+    if out is None and clips:
         return
-    body: dict[str, Any] = {"videos": seen}
-    if ours:
-        body |= {**solve.figures(ours), "beside": {name: solve.figures(its) for name, its in of.items()}}
-    facts = {"sensor": sensor, "frames": frames, "seed": seed, "protocol": solve.PROTOCOL, "solver": VERSION}
+    facts = {
+        "protocol": PROTOCOL,
+        "solver": VERSION,
+        "code": code_digest(),
+        "solver_settings": settings.to_json(),
+        "frames": frames,
+        "seed": SEED,
+        "clips": [
+            {"name": c.name, "source": c.source, "object": c.object, "sensor": c.settings.sensor} for c in wanted
+        ],
+        "left_out": left_out,
+    }
+    body = {**figures(of[OURS]), "beside": {BESIDE: figures(of[BESIDE])}, "without_truth": [asdict(t) for t in told]}
     path = out or RESULTS / "outside.json"
     atomic.write_json(path, {**body, "commit": commit(), "settings": facts, "machine": machine()})
-    _say(str(path))
+    say(f"{path}")
 
 
-def _jobs(root: Path, objects: tuple[str, ...], settings: RecordSettings) -> Iterator[Job]:
-    """A job for every object in `root`, or for those named."""
-    there = sorted(file.parent.name for file in root.glob("*/mobility.urdf"))
-    for name in objects:
-        if name not in there:
-            raise FreeArtError(f"{root} has no object '{name}'; it has {', '.join(there) or 'none'}")
-    if not there:
-        _say(f"{root} has no PartNet-Mobility object: none is solved")
-    for name in objects or there:
+# --- recordings -------------------------------------------------------------------------------------------------------
+
+
+def clips_of(partnet: Path, mocap: Path, frames: int) -> tuple[list[Clip], dict[str, str]]:
+    """What is to be recorded of the data there, by the rules above; and what is left out, with the reason."""
+    clips, left_out = [], {}
+    numbers = sorted((f.name for f in partnet.glob("*") if f.name.isdigit()), key=int)
+    if not numbers:
+        left_out["partnet"] = f"there are no objects in {partnet}"
+    for k, number in enumerate(numbers):
+        settings = _settings(frames, SENSORS[k % len(SENSORS)])
         try:
-            yield from jobs_of([name], replace(settings, joint=_first_joint(root / name / "mobility.urdf")))
+            joint = next(
+                (j.name for j in read_urdf_joints(partnet / number / "mobility.urdf").values() if j.joint_type), ""
+            )
         except FreeArtError as error:
-            _say(f"left out: {error}")
-
-
-def _first_joint(urdf: Path) -> str | None:
-    kinds = ("revolute", "continuous", "prismatic")
-    return next((j.get("name") for j in ElementTree.parse(urdf).iter("joint") if j.get("type") in kinds), None)
-
-
-def _key(job: Job, settings: ReconstructSettings) -> str:
-    """Of what an outcome depends on: the solver, its settings, and how the object is recorded."""
-    facts = [solve.PROTOCOL, VERSION, code_digest(), settings.to_json(), job.described()]
-    return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
-
-
-def _videos(folder: Path, work: Path, settings: ReconstructSettings) -> Iterator[dict[str, Any]]:
-    """What is found of every video in `folder` that our converter reads."""
-    for source in sorted(path for path in folder.glob("*") if (path / "cam_K.txt").is_file()):
-        data, result = work / "videos" / source.name, work / "videos" / f"{source.name}-{code_digest()[:8]}"
-        try:
-            sequences = [done.folder for done in convert(source, data, "native")] if not data.exists() else []
-        except FreeArtError as error:
-            _say(f"left out: {error}")
-            shutil.rmtree(data, ignore_errors=True)
+            left_out[number] = str(error)
             continue
-        for sequence in sequences or sorted((data / "sequences").iterdir()):
-            place = result / sequence.name
-            answer = read_result(place) if place.exists() else reconstruct_folder(sequence, place, settings)
-            yield {"video": source.name, "sequence": sequence.name, **_said(answer)}
+        settings = replace(settings, partnet_root=partnet, joint=joint, skip_missing=True)
+        clips.append(Clip(number, f"PartNet-Mobility {number}", settings, number))
+    for k, (thing, name) in enumerate(CAPTURED.items()):
+        takes = sorted(mocap.glob(f"*_{thing}_use_*.object.npy"))
+        if takes:
+            settings = _settings(frames, SENSORS[k % len(SENSORS)])
+            clips.append(Clip(thing, f"ARCTIC {takes[0].name}", settings, name, takes[0]))
+        else:
+            left_out[thing] = f"there is no take of it in {mocap}"
+    return clips, left_out
 
 
-def _said(answer: Any) -> dict[str, Any]:
+def _settings(frames: int, sensor: str) -> RecordSettings:
+    return RecordSettings(frames=frames, seed=SEED, sensor=sensor)
+
+
+def _recorded(clip: Clip, data: Path) -> tuple[Path, Job]:
+    """The data folder that holds the clip, recorded unless it is there, and how it was recorded."""
+    folder = data / ("scripted" if clip.take is None else "captured")
+    job = jobs_of([clip.object], clip.settings)[0]
+    with nullcontext() if clip.take is None else _moved_by(read_take(clip.take, clip.settings.frames)):
+        record_jobs(folder, [job])
+    return folder, job
+
+
+@dataclass(frozen=True)
+class Take:
+    """A stretch of captured motion."""
+
+    states: Array
+    """(n,) of the joint, as shares of the take's range."""
+    turns: Array
+    """(n, 3, 3) how the object has turned since the first frame, in the world."""
+
+
+def read_take(path: Path, frames: int) -> Take:
+    """The `frames` frames of a take, an array (n, 7), over which its joint moves most.
+
+    A row: the joint (rad), the object's turn (axis times angle, rad), its place (mm). Raises FreeArtError.
+    """
+    import cv2
+
+    try:
+        rows: NDArray[np.float64] = np.asarray(np.load(path, allow_pickle=False), float)
+    except (OSError, ValueError) as error:
+        raise FreeArtError(f"{path} is not an array: {error}") from error
+    if rows.ndim != 2 or rows.shape[1] != 7 or len(rows) < frames or not np.isfinite(rows).all():
+        raise FreeArtError(f"{path} has shape {rows.shape}, expected ({frames} or more, 7) finite numbers")
+    q = rows[:, 0]
+    moved = [np.ptp(q[i : i + frames]) for i in range(len(q) - frames + 1)]
+    begin = int(np.argmax(moved))
+    if not moved[begin] > 0:
+        raise FreeArtError(f"{path}: the joint does not move")
+    stretch = slice(begin, begin + frames)
+    Rs = np.stack([cv2.Rodrigues(row[1:4])[0] for row in rows[stretch]])
+    return Take((q[stretch] - q.min()) / np.ptp(q), Rs @ Rs[0].T)
+
+
+@contextmanager
+def _moved_by(take: Take) -> Iterator[None]:
+    """Recordings made inside turn, and work their joint over its range, as in `take`; framed as scripted ones are."""
+    planned = session.planned
+
+    def changed(loaded: Any, settings: RecordSettings, model: Any = None) -> Any:
+        camera, plan = planned(loaded, settings, model)
+        body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
+        states = body.lower + take.states * (body.upper - body.lower)
+        n = len(states)
+        Rs = take.turns @ plan.Ts_camera_object[0, :3, :3]  # begun as seen in scripted motion: both sides show
+        clock = np.arange(n, dtype=float)
+        Ts = placed(Rs, np.zeros((n, 3)), clock, states, body, camera, PRESETS[settings.preset], False)
+        return camera, Plan(Ts, states, plan.Ts_camera_world)
+
+    with mock.patch.object(session, "planned", changed):
+        yield
+
+
+def _geometry(work: Path) -> Path:
+    """Where the stages that the variants share are kept."""
+    return work / "results" / "geometry"
+
+
+def _digest(path: Path | None) -> str | None:
+    return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# --- a video without a truth ------------------------------------------------------------------------------------------
+
+
+def _converted(source: Path, data: Path) -> Path:
+    """The sequence of a folder of pictures, converted unless it is there."""
+    sequence = data / "sequences" / source.name
+    if not sequence.is_dir():
+        list(convert(source, data, "native"))
+    return sequence
+
+
+def _told(variant: str, settings: ReconstructSettings, sequence: Path, work: Path, place: Place, fresh: bool) -> Told:
+    """What a variant finds in a video; solved unless it is known."""
+    name, kept = sequence.name, place.kept / f"{sequence.name}.json"
+    bytes_of = [_digest(path) for path in sorted(sequence.rglob("*")) if path.is_file()]
+    key = key_of(settings, bytes_of)
+    if kept.is_file() and not fresh and (known := checked.read_json(kept, SCHEMA)).get("key") == key:
+        return Told(**{field: known[field] for field in Told.__dataclass_fields__})
+    result = place.work / name
+    from_geometry(sequence, result, _geometry(work) / name, settings)
+    reconstruct_folder(sequence, result, settings)
+    told = tell(result, variant)
+    atomic.write_json(kept, {"schema": SCHEMA, "key": key, **asdict(told)})
+    say(f"{variant}: {name}: {told.status}")
+    return told
+
+
+def tell(result: Path, variant: str) -> Told:
+    """What a result folder says of its joint."""
+    answer = read_result(result)
+    seconds = sum(answer.seconds.values())
     if isinstance(answer, Failure):
-        return {"failed": answer.reason}
-    joint, states = answer.articulation.joint, answer.states
-    return {
-        "joint": joint.type,
-        "axis": [round(float(x), 3) for x in joint.axis],
-        "states": [round(float(x), 4) for x in (states.min(), states.max())],
-        "trust": answer.trust.verdict if answer.trust is not None else None,
-        "seconds": {stage: round(s, 1) for stage, s in answer.seconds.items()},
-    }
+        return Told(result.name, variant, f"{answer.stage}: {answer.reason}", seconds=seconds)
+    joint = answer.articulation.joint
+    unit = 180 / np.pi if joint.type == "revolute" else 1000.0
+    return Told(
+        clip=result.name,
+        variant=variant,
+        status="ok",
+        joint_type=joint.type,
+        axis=(float(joint.axis[0]), float(joint.axis[1]), float(joint.axis[2])),
+        axis_std_deg=None if answer.axis_std is None else float(np.degrees(answer.axis_std)),
+        range=float(np.ptp(answer.states[answer.seen.all(1)]) * unit) if answer.seen.all(1).any() else None,
+        trust=None if answer.trust is None else answer.trust.verdict,
+        seconds=seconds,
+    )
 
 
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def _print(of: dict[str, list[Outcome]], told: list[Told], left_out: dict[str, str]) -> None:
+    console = console_of()
+    if of[OURS]:
+        print_outcomes(of[OURS], Aim(), "data of others")
+        print_beside(of[OURS], {BESIDE: of[BESIDE]}, Aim())
+    if told:
+        table = Table("video", "variant", "", "joint", "axis, camera", "± deg", "range", "trust", "s", title="no truth")
+        for t in told:
+            axis = "-" if t.axis is None else ", ".join(f"{x:.3f}" for x in t.axis)
+            spread = "-" if t.axis_std_deg is None else f"{t.axis_std_deg:.2f}"
+            unit = "deg" if t.joint_type == "revolute" else "mm"
+            span = "-" if t.range is None else f"{t.range:.1f} {unit}"
+            cells = t.status, t.joint_type or "-", axis, spread, span, t.trust or "-", f"{t.seconds:.0f}"
+            table.add_row(t.clip, t.variant, *cells)
+        console.print(table)
+    for name, why in left_out.items():
+        console.print(f"  left out: {name}: {why}", markup=False, highlight=False)
 
 
 if __name__ == "__main__":

@@ -505,7 +505,7 @@ def _work(task: Task, to: Connection) -> None:
 
     Thread(target=_end_with_the_parent, daemon=True).start()
     try:
-        before_gb = _geometry(task)
+        before_gb = from_geometry(task.sequence, task.result, task.geometry, task.settings)
         result = reconstruct_folder(task.sequence, task.result, task.settings)
         peak_gb = max(before_gb, _peak_gb())
     except Exception as error:
@@ -526,20 +526,23 @@ def _work(task: Task, to: Connection) -> None:
     to.send({"row": row, "seconds": result.seconds, "peak_gb": peak_gb})
 
 
-def _geometry(task: Task) -> float:
-    """Give the variant the stages before `gaussians`, solved once for all variants; what they took of memory, GB."""
-    if task.geometry is None:
+def from_geometry(sequence: Path, result: Path, geometry: Path | None, settings: ReconstructSettings) -> float:
+    """Keep the stages before `gaussians` beside `result`, to go on from: those beside `geometry`, solved if they lack.
+
+    Returns what they took of memory, GB. Nothing is done without `geometry`, or where the video is hopeless.
+    """
+    if geometry is None:
         return 0.0
     from freeart21.reconstruction import Failure
     from reconstruct.pipeline import reconstruct_until
 
-    file = reconstruct_until(task.sequence, task.geometry, "joint", task.settings)
+    file = reconstruct_until(sequence, geometry, "joint", settings)
     if isinstance(file, Failure):  # found again by the solving itself
         return 0.0
     peak = file.with_name("peak.json")
     took = max(_peak_gb(), checked.read_json(peak)["gb"] if peak.is_file() else 0.0)
     atomic.write_json(peak, {"gb": took})
-    atomic.write_bytes(work_folder(task.result) / file.name, file.read_bytes())
+    atomic.write_bytes(work_folder(result) / file.name, file.read_bytes())
     return took
 
 
@@ -621,7 +624,7 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, float | int | None]:
 
 def by_type(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Mean, sample standard deviation (ddof 1), median and worst of every metric, by joint type and over all."""
-    found = summarise([o.row for o in outcomes], protocol_named(PROTOCOL))
+    found = summarise([o.row for o in outcomes], protocol_named(PROTOCOL)) if outcomes else []
     return {s.group: {"n": s.sequences, **{id: asdict(value) for id, value in s.statistics.items()}} for s in found}
 
 
