@@ -31,7 +31,7 @@ from freeart21.recording import Frame, Recording
 from freeart21.truth import Truth
 from freeart21.view import page, write_page
 from freeart21.view.asset_scene import asset_scene
-from freeart21.view.document import Section, document, embed_array, embed_json, extract_array
+from freeart21.view.document import Section, document, embed_array, embed_json, embed_points, extract_array
 from freeart21.view.link_shapes import read_shown
 from freeart21.view.obj import read_obj
 from freeart21.view.parts import align, articulation_scene, exchanged, matched, with_truth
@@ -236,6 +236,22 @@ def test_arrays_round_trip(dtype: str, kind: str) -> None:
     assert back.dtype == np.dtype(kind) and np.array_equal(back, array[::-1])
 
 
+def test_points_stand_in_a_page_to_a_65535th_of_their_box() -> None:
+    points = np.random.default_rng(0).normal([5, 0, -3], [1e-3, 40, 0], (1000, 3))
+    there = json.loads(embed_json(embed_points(points)))
+    back = extract_array(there)
+    assert (np.abs(back - points) <= 0.5001 * np.ptp(points, 0) / 65535).all() and np.ptp(back[:, 2]) == 0
+    assert back.min(0) == pytest.approx(points.min(0)) and back.max(0) == pytest.approx(points.max(0))
+    assert len(there["base64"]) == 1000 * 3 * 2 / 3 * 4
+    for few in (np.zeros((0, 2)), np.ones((1, 2))):
+        assert np.array_equal(extract_array(json.loads(embed_json(embed_points(few)))), few)
+    if (node := shutil.which("node")) is not None:
+        code = f"""{(STATIC / "base.js").read_text().split("/** A joint state")[0]}
+          console.log(JSON.stringify([...FreeArt.array({json.dumps(there)})]))"""
+        run = subprocess.run([node, "-e", code], capture_output=True, text=True, timeout=60, check=True)
+        assert np.abs(np.array(json.loads(run.stdout)).reshape(-1, 3) - back).max() < 1e-5
+
+
 def test_write_page_leaves_nothing_when_it_fails(tmp_path: Path, folders: dict[str, Path]) -> None:
     write_page(folders["seq"], tmp_path / "out" / "page.html")
     assert (tmp_path / "out" / "page.html").read_text().startswith("<!DOCTYPE html>")
@@ -296,7 +312,8 @@ def test_result_page_shows_meshes_as_they_are(folders: dict[str, Path]) -> None:
     for surface, mesh in zip(
         scene["surfaces"], (result.articulation.reference, result.articulation.moving), strict=False
     ):
-        assert np.array_equal(extract_array(surface["vertices"]), mesh.vertices.astype(np.float32))
+        step = np.ptp(mesh.vertices, 0) / 65535
+        assert (np.abs(extract_array(surface["vertices"]) - mesh.vertices) <= 0.5001 * step).all()
         assert np.array_equal(extract_array(surface["faces"]), mesh.faces)
         assert np.array_equal(extract_array(surface["colours"]), mesh.colours)
     assert scene["sliders"][0]["states"] == pytest.approx(result.states.tolist())

@@ -60,9 +60,18 @@ def embed_array(array: ArrayLike, dtype: Literal["f32", "u32", "u16", "u8"]) -> 
     return {"dtype": dtype, "shape": list(values.shape), "base64": base64.b64encode(values.tobytes()).decode("ascii")}
 
 
+def embed_points(points: ArrayLike) -> dict[str, Any]:
+    """Points (n, d) as `embed_array` has them, in half the bytes: to 1/65535 of the box around all."""
+    points = np.asarray(points, float)
+    low, high = (points.min(0), points.max(0)) if len(points) else np.zeros((2, points.shape[1]))
+    steps = (high - low) / 65535
+    return {**embed_array(np.rint((points - low) / np.where(steps > 0, steps, 1)), "u16"), "low": low, "steps": steps}
+
+
 def extract_array(data: dict[str, Any]) -> NDArray[Any]:
-    """The array that `embed_array` put away."""
-    return np.frombuffer(base64.b64decode(data["base64"]), _DTYPES[data["dtype"]]).reshape(data["shape"])
+    """The array that `embed_array` or `embed_points` put away."""
+    array = np.frombuffer(base64.b64decode(data["base64"]), _DTYPES[data["dtype"]]).reshape(data["shape"])
+    return data["low"] + array * np.asarray(data["steps"]) if "low" in data else array
 
 
 def data_url(mime: str, content: bytes) -> str:

@@ -10,8 +10,8 @@ from freeart21.view.scene import Layer, Link, Scene, gathered, scene_section
 from freeart21.view.splats import SplatLayers
 from freeart21.view.tables import table_section
 
-MAX_SPLATS_ALONE = 400_000
-"""Gaussians in such a page: 11 MB of it. With more, WebGL 2 does not promise textures that are large enough."""
+MAX_SPLATS_ALONE = 350_000
+"""Gaussians in such a page, 11 MB of it; of 500,000, textures would be larger than WebGL 2 promises."""
 
 
 def gaussians_page(name: str, gaussians: Gaussians) -> str:

@@ -17,7 +17,7 @@ from freeart21.files import checked
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
-from freeart21.view.document import Section, data_url, embed_array
+from freeart21.view.document import Section, data_url, embed_array, embed_points
 from freeart21.view.simplify import arrow, joined, simplified, turning_arrow
 from freeart21.view.splats import SplatLayers, splat_data
 
@@ -258,10 +258,10 @@ def _surface_data(surface: Surface, textures: list[Path]) -> dict[str, Any]:
     return {
         "link": surface.link,
         "layer": surface.layer,
-        "vertices": embed_array(mesh.vertices, "f32"),
+        "vertices": embed_points(mesh.vertices),
         "faces": embed_array(mesh.faces, "u16" if len(mesh.vertices) <= 1 << 16 else "u32"),
         "colours": None if mesh.colours is None else embed_array(mesh.colours, "u8"),
-        "uv": None if surface.uv is None else embed_array(surface.uv, "f32"),
+        "uv": None if surface.uv is None else embed_points(surface.uv),
         "texture": -1 if surface.texture is None else textures.index(surface.texture),
     }
 

@@ -16,14 +16,15 @@ FreeArt.element = (tag, attributes = {}, ...children) => {
   return node;
 };
 
-/** The typed array that `embed_array` put into the page, or one that is ready. */
+/** The typed array that `embed_array` or `embed_points` put into the page, or one that is ready. */
 FreeArt.array = (data) => {
   if (ArrayBuffer.isView(data)) return data;
   const text = atob(data.base64);
   const bytes = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
   const kinds = { f32: Float32Array, u32: Uint32Array, u16: Uint16Array, u8: Uint8Array };
-  return new kinds[data.dtype](bytes.buffer);
+  const array = new kinds[data.dtype](bytes.buffer), { low, steps } = data;
+  return low ? Float32Array.from(array, (x, i) => low[i % low.length] + steps[i % low.length] * x) : array;
 };
 
 /** A joint state, rad or m, as people read it. */
