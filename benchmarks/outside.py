@@ -156,6 +156,8 @@ def main(
         keys = {name: key_of(its, job.described(), _digest(clip.take)) for name, its in variants.items()}
         here = {} if fresh else known_outcomes({job.sequence: keys}, places, folder)
         tasks = tasks_of(job, keys, folder, places, variants, _geometry(work), here)
+        if clip.take is not None:
+            tasks = [replace(task, motion="captured") for task in tasks]
         found |= here | (solve_all([tasks], 1, 0) if tasks else {})
     told: list[Told] = []
     for source in real:
