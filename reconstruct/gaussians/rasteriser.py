@@ -21,7 +21,8 @@ DILATION = 0.3
 """Square pixels added to every projected covariance (gsplat's eps2d)."""
 THIN = 0.01
 """Square pixels added to the covariance that a Gaussian's slope of depth is of: a tenth of a pixel, so that a disc seen
-edge on has one."""
+edge on has one. It leaves .03 and .24 pixels of error on planes tilted by 40 and 65 degrees, of .59 and 1.5 without a
+slope."""
 FAINTEST, DENSEST = 1 / 255, 0.999
 """Of a Gaussian at a pixel: a smaller opacity is left out, a larger one is cut (gsplat's)."""
 OPAQUE = 1e-4
