@@ -30,6 +30,8 @@ class MeshSettings:
     """Points of a part's surface that its closing is computed with, at most."""
     sheet_m: float = 0.001
     """Metres of thickness that a part gets of which only a flat sheet was seen."""
+    video_frames: int = 120
+    """Frames of a video that a texture is made of, evenly spread over those that show the object."""
 
 
 def deduplicated(mesh: Mesh) -> Mesh:

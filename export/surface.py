@@ -5,10 +5,11 @@ is the set of tetrahedra whose boundary S is least in
 
     area(S) + FAITH * (area of the observed triangles that do not have the solid behind and air in front of them)
 
-found exactly as a minimum cut (Labatut, Pons, Keriven: Efficient multi-view reconstruction of large-scale scenes using
-interest points, Delaunay triangulation and graph cuts, ICCV 2007). So a hole is closed by the least area that its rim
-allows, a thin thing seen from both sides becomes two sheets with a rim, and an opening whose inside was seen stays open.
-The boundary of a solid is closed, consistently oriented and does not cross itself; every vertex of it is an observed one.
+found as a minimum cut (Labatut, Pons, Keriven: Efficient multi-view reconstruction of large-scale scenes using interest
+points, Delaunay triangulation and graph cuts, ICCV 2007). Where the surface at all four corners of a tetrahedron faces
+it, or turns its back to it, that is settled beforehand. So a hole is closed by the least area that its rim allows, a
+thin thing seen from both sides becomes two sheets with a rim, and an opening whose inside was seen stays open. The
+boundary of a solid is closed and consistently oriented, its vertices are observed ones; decimation then thins them out.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from freeart21.mesh import Mesh, bounding_diagonal
 MAX_FACES = 4_000_000
 """Triangles of a part that are looked at, ten times those of our largest reconstruction."""
 FAITH = 8.0
-"""How much more an observed area weighs than an equal area of the boundary: above 1, or holes would eat the surface."""
+"""How much more an observed area weighs than an equal area of the boundary: at 1 holes would eat the surface."""
 _SIDE = 0.25
-"""Spacings in front of and behind an observed triangle at which there is air and solid: within a wall a spacing thick."""
+"""Spacings in front of and behind an observed triangle at which there is air and solid: inside of a wall half a spacing thick."""
 _NEAR = 1.0
 """Spacings within which a boundary triangle counts as observed; further from all that was seen it is a patch."""
 _ACROSS = 150.0
@@ -69,6 +70,8 @@ class Surface:
     """Watertight, oriented outwards, of positive volume; vertices shared."""
     patch_first: int
     """First triangle that closes what nobody saw; all after it do, too."""
+    turned: bool = False
+    """Whether the part's triangles faced inwards and were turned."""
 
     @property
     def patch_count(self) -> int:
@@ -92,8 +95,8 @@ def closed(part: Mesh, settings: MeshSettings) -> Surface:
     seen = without_crumbs(deduplicated(Mesh(part.vertices, part.faces)), settings.min_component)
     if seen.empty:
         raise FreeArtError("mesh has no triangle of any area")
-    if inside_out(seen):
-        seen = turned(seen)
+    wrong_way = inside_out(seen)
+    seen = turned(seen) if wrong_way else seen
     own = float(np.sqrt(4 / np.sqrt(3) * seen.areas().mean()))
     spacing = _spacing(seen, own, settings.points)
     solid = _solid(seen.vertices, seen.faces)
@@ -103,10 +106,12 @@ def closed(part: Mesh, settings: MeshSettings) -> Surface:
         solid = _solid(sheet.vertices, sheet.faces) if sheet is not None else _cut(seen, spacing, settings)
     if solid is None:
         raise FreeArtError("mesh cannot be closed: it has no inside")
-    vertices, faces = _arrays(_simplified(solid, _FIRST_TOLERANCE * min(own, spacing), settings.max_faces))
+    if not whole or solid.num_tri() > settings.max_faces:
+        solid = _simplified(solid, _FIRST_TOLERANCE * min(own, spacing), settings.max_faces)
+    vertices, faces = _arrays(solid)
     observed = np.ones(len(faces), bool) if whole else _observed(vertices, faces, seen, spacing)
     faces = faces[np.argsort(~observed, kind="stable")]
-    return Surface(_coloured(Mesh(vertices, faces), part), int(observed.sum()))
+    return Surface(_coloured(Mesh(vertices, faces), part), int(observed.sum()), wrong_way)
 
 
 def _spacing(seen: Mesh, own: float, points: int) -> float:
@@ -250,7 +255,9 @@ def _without_specks(tetrahedra: Delaunay, inside: NDArray[np.bool_], fraction: f
     volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
     n = len(inside)
     for kind in (True, False):
-        alike = (tetrahedra.neighbors >= 0) & (inside[tetrahedra.neighbors] == inside[:, None]) & (inside == kind)[:, None]
+        alike = (
+            (tetrahedra.neighbors >= 0) & (inside[tetrahedra.neighbors] == inside[:, None]) & (inside == kind)[:, None]
+        )
         first, k = np.nonzero(alike)
         links = coo_matrix((np.ones(len(first), bool), (first, tetrahedra.neighbors[first, k])), shape=(n, n))
         _, label = connected_components(links, directed=False)
@@ -323,9 +330,7 @@ def _hands(simplices, neighbours, order):  # type: ignore[no-untyped-def]
     return hands
 
 
-def _observed(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], seen: Mesh, spacing: float
-) -> NDArray[np.bool_]:
+def _observed(vertices: NDArray[np.float64], faces: NDArray[np.int64], seen: Mesh, spacing: float) -> NDArray[np.bool_]:
     """(F,) which triangles lie on observed ones that face the same way, at most of their points.
 
     Patches of less than the square of four spacings are within what the sampling tells: they count as observed.
@@ -353,9 +358,9 @@ def _observed(
 
 
 def _thickened(seen: Mesh, thickness: float) -> Mesh | None:
-    """A flat sheet with its copy `thickness` behind it and a rim between, the sheet's own triangles first; else None."""
+    """A flat sheet with its copy `thickness` behind it and a rim between; None when it is not flat."""
     used = seen.vertices
-    _, extent, axes = np.linalg.svd(used - used.mean(0), full_matrices=False)
+    _, extent, _ = np.linalg.svd(used - used.mean(0), full_matrices=False)
     if len(extent) == 3 and extent[2] > 1e-4 * extent[0]:
         return None
     a, b, c = (used[seen.faces[:, k]] for k in range(3))

@@ -9,7 +9,6 @@ sharp means many pixels on the texel (Waechter, Moehrle, Goesele: Let there be c
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -19,7 +18,6 @@ from scipy.spatial import cKDTree
 
 from export.atlas import Atlas, Skin, Texels, painted, texels_of, unfolded
 from export.meshes import smooth_normals
-from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
@@ -31,21 +29,13 @@ TEXELS_A_PIXEL = 2.0
 _NEAREST = 0.1
 """The quantile of the frames' distances that counts as near."""
 _BAND = 6.0
-"""Standard deviation, pixels, of the blur that parts the bands: shading is wider, print is finer."""
+"""Standard deviation, pixels of near frames, of the blur that parts the bands: shading is wider, print is finer."""
 _SHARPEST = 6.0
 """Power of the sharpness with which a frame counts for the high band: half as sharp counts a 64th."""
 _EDGE = 2
 """Pixels from a part's outline that are not believed: they mix with what lies behind."""
 _GRAZING = 0.15
 """Cosine of the viewing angle below which a pixel tells nothing of a place."""
-
-
-@dataclass(frozen=True)
-class TextureSettings:
-    """How textures are made."""
-
-    max_frames: int = 120
-    """Frames of the video that are looked at, evenly spread over those that show a part."""
 
 
 def vertex_skin(mesh: Mesh, part: Mesh) -> Skin | None:
@@ -63,9 +53,10 @@ def vertex_skin(mesh: Mesh, part: Mesh) -> Skin | None:
 
 
 def video_skins(
-    reconstruction: Reconstruction, meshes: tuple[Mesh, Mesh], recording: Recording, settings: TextureSettings
+    reconstruction: Reconstruction, meshes: tuple[Mesh, Mesh], recording: Recording, max_frames: int
 ) -> tuple[Skin, Skin]:
-    """Skins of both parts, whose surfaces `meshes` stand in the canonical frame at state zero, from the video.
+    """Skins of both parts, whose surfaces `meshes` stand in the canonical frame at state zero, from at most
+    `max_frames` frames of the video, evenly spread.
 
     Raises FreeArtError when the recording is not the one that was reconstructed: another length or size.
     """
@@ -79,7 +70,7 @@ def video_skins(
         )
     poses = (reconstruction.Ts_camera_reference, reconstruction.Ts_camera_moving)
     seen = np.flatnonzero(reconstruction.seen.any(1))
-    frames = seen[np.unique(np.linspace(0, len(seen) - 1, settings.max_frames).round().astype(int))] if len(seen) else seen
+    frames = seen[np.unique(np.linspace(0, len(seen) - 1, max_frames).round().astype(int))] if len(seen) else seen
     parts = [_Part(mesh, Ts, camera.K, frames) for mesh, Ts in zip(meshes, poses, strict=True)]
     for i in frames:
         _add(parts, recording, reconstruction, int(i), size)
@@ -126,21 +117,41 @@ def _add(
     for k, part in enumerate(parts):
         T = part.Ts[i]
         _draw(depth, label, k + 1, part.mesh.vertices @ T[:3, :3].T + T[:3, 3], part.mesh.faces, lens)
-    rgb = recording.frame(i).rgb.astype(np.float32)
+    rgb = recording.frame(i).rgb
+    across = np.ones((3, 3), np.uint8)  # where depth jumps within a pixel, two surfaces mix
+    walls = np.stack([cv2.erode(depth, across), cv2.dilate(depth, across)])
     before, after = max(i - 1, 0), min(i + 1, n - 1)
     for k, part in enumerate(parts):
-        if not reconstruction.seen[i, k]:
-            continue
         own = ((reconstruction.part_masks[i] == k + 1) & (label == k + 1)).astype(np.uint8)
         own = cv2.erode(own, np.ones((2 * _EDGE - 1, 2 * _EDGE - 1), np.uint8))
-        share = cv2.GaussianBlur(own.astype(np.float32), (0, 0), _BAND)
-        low = cv2.GaussianBlur(rgb * own[..., None], (0, 0), _BAND) / np.maximum(share, 1e-6)[..., None]
-        bands = np.stack([low, rgb - low])
+        if not reconstruction.seen[i, k] or not own.any():
+            continue
+        blur = _BAND * part.near / max(float(np.median(depth[own > 0])), 1e-6)  # as wide on the surface in every frame
+        left, top, columns, rows = cv2.boundingRect(own)
+        window = np.s_[top : top + rows, left : left + columns]
+        bands = _two_bands(rgb[window].astype(np.float32), own[window].astype(np.float32), blur)
         motion = np.stack([part.Ts[before], part.Ts[i], part.Ts[after]])[:, :3]
-        frames_apart = max(after - before, 1)
         _look(
-            part.points, part.normals, motion, lens, depth, own, bands, part.near, frames_apart, part.bands, part.weights
+            *(
+                part.points,
+                part.normals,
+                motion,
+                lens,
+                walls[(slice(None), *window)],
+                own[window],
+                bands,
+                np.array([left, top]),
+            ),
+            *(part.near, max(after - before, 1), part.bands, part.weights),
         )
+
+
+def _two_bands(rgb: NDArray[np.float32], own: NDArray[np.float32], blur: float) -> NDArray[np.float32]:
+    """(2, height, width, 3) low and high frequencies of the pixels `own` (0 or 1), which sum to them."""
+    share = cv2.GaussianBlur(own, (0, 0), blur, borderType=cv2.BORDER_CONSTANT)
+    low = cv2.GaussianBlur(rgb * own[..., None], (0, 0), blur, borderType=cv2.BORDER_CONSTANT)
+    low /= np.maximum(share, 1e-6)[..., None]
+    return np.stack([low, rgb - low])
 
 
 @njit(cache=True)
@@ -174,39 +185,51 @@ def _draw(depth, label, value, points, faces, lens):  # type: ignore[no-untyped-
 
 
 @njit(cache=True)
+def _posed(T, p):  # type: ignore[no-untyped-def]
+    x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
+    y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
+    z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+    return x, y, z
+
+
+@njit(cache=True)
 def _look(  # type: ignore[no-untyped-def]
-    points, normals, Ts, lens, depth, own, bands, near, frames_apart, sums, weights
+    points, normals, Ts, lens, walls, own, bands, corner, near, frames_apart, sums, weights
 ):
     """Add to `sums` (2, n, 3) and `weights` (2, n) what a frame's two `bands` (2, height, width, 3) show of the texels.
 
-    `Ts` (3, 3, 4) is the part's pose one frame before, now and one after, which stand `frames_apart` apart.
+    `Ts` (3, 3, 4) is the part's pose one frame before, now and one after, the first and last `frames_apart` apart;
+    `walls` (2, height, width) the least and greatest depth round a pixel. The pictures are windows that begin at the
+    frame's column and row `corner`.
     """
-    height, width = depth.shape
+    height, width = own.shape
     for i in range(len(points)):
         p, n = points[i], normals[i]
-        at = np.zeros((3, 3))
-        for k in range(3):
-            for r in range(3):
-                at[k, r] = Ts[k, r, 0] * p[0] + Ts[k, r, 1] * p[1] + Ts[k, r, 2] * p[2] + Ts[k, r, 3]
-        x, y, z = at[1]
-        if z <= 1e-6 or at[0, 2] <= 1e-6 or at[2, 2] <= 1e-6:
+        x, y, z = _posed(Ts[1], p)
+        if z <= 1e-6:
             continue
-        column, row = lens[0] * x / z + lens[2], lens[1] * y / z + lens[3]
+        column, row = lens[0] * x / z + lens[2] - corner[0], lens[1] * y / z + lens[3] - corner[1]
         c, r = int(np.floor(column)), int(np.floor(row))
         if c < 1 or r < 1 or c >= width - 1 or r >= height - 1 or own[r, c] == 0:
             continue
-        away = 0.0
-        for k in range(3):
-            away += at[1, k] * (Ts[1, k, 0] * n[0] + Ts[1, k, 1] * n[1] + Ts[1, k, 2] * n[2])
-        cosine = -away / math.sqrt(x * x + y * y + z * z) / math.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2 + 1e-12)
+        T = Ts[1]
+        away = x * (T[0, 0] * n[0] + T[0, 1] * n[1] + T[0, 2] * n[2])
+        away += y * (T[1, 0] * n[0] + T[1, 1] * n[1] + T[1, 2] * n[2])
+        away += z * (T[2, 0] * n[0] + T[2, 1] * n[1] + T[2, 2] * n[2])
+        cosine = -away / math.sqrt((x * x + y * y + z * z) * (n[0] ** 2 + n[1] ** 2 + n[2] ** 2) + 1e-30)
         if cosine < _GRAZING:
             continue
         pixel = z / math.sqrt(lens[0] * lens[1])
         slope = math.sqrt(1 - min(cosine, 1.0) ** 2) / cosine
-        if abs(depth[r, c] - z) > pixel * (2 + 2 * slope):
+        slack = pixel * (2 + 2 * slope)
+        if walls[0, r, c] < z - slack or walls[1, r, c] > z + slack:
             continue
-        moved_x = lens[0] * (at[2, 0] / at[2, 2] - at[0, 0] / at[0, 2]) / frames_apart
-        moved_y = lens[1] * (at[2, 1] / at[2, 2] - at[0, 1] / at[0, 2]) / frames_apart
+        x0, y0, z0 = _posed(Ts[0], p)
+        x1, y1, z1 = _posed(Ts[2], p)
+        if z0 <= 1e-6 or z1 <= 1e-6:
+            continue
+        moved_x = lens[0] * (x1 / z1 - x0 / z0) / frames_apart
+        moved_y = lens[1] * (y1 / z1 - y0 / z0) / frames_apart
         density = cosine * (near / z) ** 2
         smear = math.sqrt(1 + 0.25 * (moved_x * moved_x + moved_y * moved_y))  # a shutter open half of the time
         c0, r0 = int(np.floor(column - 0.5)), int(np.floor(row - 0.5))
