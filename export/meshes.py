@@ -26,7 +26,7 @@ class MeshSettings:
     """Faces a part may keep; more are reduced by quadric decimation (Garland and Heckbert 1997)."""
     min_component: float = 0.01
     """Connected pieces of less than this fraction of the part's area are dropped; the largest always stays."""
-    points: int = 40_000
+    points: int = 25_000
     """Points of a part's surface that its closing is computed with, at most."""
     sheet_m: float = 0.001
     """Metres of thickness that a part gets of which only a flat sheet was seen."""

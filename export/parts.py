@@ -5,14 +5,26 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from export.atlas import Skin
-from export.meshes import MeshSettings
+from export.meshes import MeshSettings, smooth_normals
 from export.surface import Surface, closed
 from export.texture import vertex_skin, video_skins
+from freeart21 import se3
 from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
+from freeart21.mesh import bounding_diagonal
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Recording
+
+_SWEEP_STATES = 60
+"""States between the outermost ones at which the other part's surface is taken to be elsewhere."""
+_SWEEP_DEPTH = 200.0
+"""Parts of a part's diagonal by which each of three layers of these points lies below the last."""
+_SWEEP_POINTS = 10_000
+"""Points of the other part's surface at each of them, at most."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +69,7 @@ def closed_parts(
         if whole.part(name).empty:
             raise FreeArtError(f"{name} part of joint '{whole.joint.name}' is an empty mesh: nothing to export")
         try:
-            surfaces.append(closed(whole.part(name), settings))
+            surfaces.append(closed(whole.part(name), settings, _other_part(reconstruction, name)))
         except FreeArtError as error:
             raise FreeArtError(f"{name} part: {error}") from error
     meshes = (surfaces[0].mesh, surfaces[1].mesh)
@@ -72,3 +84,17 @@ def closed_parts(
     }
     articulation = replace(whole, reference=meshes[0], moving=meshes[1])
     return replace(reconstruction, articulation=articulation), parts
+
+
+def _other_part(reconstruction: Reconstruction, name: str) -> NDArray[np.float64]:
+    """(n, 3) where the other part was, just below its surface, in part `name`'s frame, at states over those seen."""
+    whole = reconstruction.articulation
+    other = whole.part("moving" if name == "reference" else "reference")
+    few = slice(None, None, len(other.vertices) // _SWEEP_POINTS + 1)
+    depth = bounding_diagonal(whole.part(name)) / _SWEEP_DEPTH * np.arange(3)[:, None, None]
+    points = (other.vertices[few] - depth * smooth_normals(other)[few]).reshape(-1, 3)
+    seen = reconstruction.seen.all(axis=1)
+    states = reconstruction.states[seen] if seen.any() else reconstruction.states
+    Ts = whole.joint.transform(np.linspace(states.min(), states.max(), _SWEEP_STATES))
+    Ts = Ts if name == "reference" else se3.inverse(Ts)
+    return np.concatenate([se3.transform(T, points) for T in Ts])

@@ -35,7 +35,7 @@ MAX_FACES = 4_000_000
 FAITH = 8.0
 """How much more an observed area weighs than an equal area of the boundary: at 1 holes would eat the surface."""
 _SIDE = 0.25
-"""Spacings in front of and behind an observed triangle at which there is air and solid: inside of a wall half a spacing thick."""
+"""Spacings before and behind an observed triangle at which there is air and solid: a wall may be half of one thick."""
 _NEAR = 1.0
 """Spacings within which a boundary triangle counts as observed; further from all that was seen it is a patch."""
 _ACROSS = 150.0
@@ -85,8 +85,11 @@ class Surface:
         return float(area[self.patch_first :].sum() / area.sum())
 
 
-def closed(part: Mesh, settings: MeshSettings) -> Surface:
+def closed(part: Mesh, settings: MeshSettings, elsewhere: NDArray[np.float64] | None = None) -> Surface:
     """The closed surface of a part, of about `max_faces` triangles at most.
+
+    `elsewhere` (n, 3) are places in the part's frame where it is not: where the other part was seen to go. A patch
+    keeps out of their way.
 
     Raises FreeArtError when there is no triangle of any area, or more than `MAX_FACES`.
     """
@@ -103,7 +106,7 @@ def closed(part: Mesh, settings: MeshSettings) -> Surface:
     whole = solid is not None
     if solid is None:
         sheet = _thickened(seen, settings.sheet_m)
-        solid = _solid(sheet.vertices, sheet.faces) if sheet is not None else _cut(seen, spacing, settings)
+        solid = _solid(sheet.vertices, sheet.faces) if sheet is not None else _cut(seen, spacing, elsewhere, settings)
     if solid is None:
         raise FreeArtError("mesh cannot be closed: it has no inside")
     if not whole or solid.num_tri() > settings.max_faces:
@@ -121,10 +124,15 @@ def _spacing(seen: Mesh, own: float, points: int) -> float:
     return max(min(own, most), least)
 
 
-def _cut(seen: Mesh, spacing: float, settings: MeshSettings) -> manifold3d.Manifold | None:
+def _cut(
+    seen: Mesh, spacing: float, elsewhere: NDArray[np.float64] | None, settings: MeshSettings
+) -> manifold3d.Manifold | None:
     """The solid of the module's formula."""
     vertices, faces = trimesh.remesh.subdivide_to_size(seen.vertices, seen.faces, 1.5 * spacing, max_iter=30)
-    points = vertices[_thinned(vertices, 0.5 * spacing)]
+    own = points = vertices[_thinned(vertices, 0.5 * spacing)]
+    if elsewhere is not None:
+        free, size = _clear_of(own, elsewhere, spacing, settings.points // 4)
+        points = np.concatenate([own, free])
     corners = vertices[faces]
     across = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     centre, area = corners.mean(1), np.linalg.norm(across, axis=1)
@@ -132,13 +140,17 @@ def _cut(seen: Mesh, spacing: float, settings: MeshSettings) -> manifold3d.Manif
         tetrahedra = Delaunay(points)
     except QhullError:
         return None
-    nearest = cKDTree(points).query(centre)[1]
+    nearest = cKDTree(own).query(centre)[1]
     step = _SIDE * spacing * across / np.maximum(area, 1e-300)[:, None]
     start = tetrahedra.vertex_to_simplex[nearest]
     evidence = np.zeros(len(tetrahedra.simplices))
     for sign in (-1.0, 1.0):
         place = _located(points, tetrahedra.simplices, tetrahedra.neighbors, start, centre + sign * step)
         np.subtract.at(evidence, place[place >= 0], sign * FAITH * area[place >= 0])
+    if elsewhere is not None and len(free):
+        corners = points[tetrahedra.simplices]
+        volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
+        evidence -= volume / size * _same_cell(corners.mean(1), free, size)
     normal = np.stack([np.bincount(nearest, across[:, k], len(points)) for k in range(3)], -1)
     inside = _least_boundary(tetrahedra, evidence, _unanimous(tetrahedra, normal), np.sqrt(3) / 4 * spacing**2)
     inside = _without_specks(tetrahedra, inside, settings.min_component)
@@ -147,7 +159,7 @@ def _cut(seen: Mesh, spacing: float, settings: MeshSettings) -> manifold3d.Manif
 
 
 @njit(cache=True)
-def _located(points, simplices, neighbours, start, targets):  # type: ignore[no-untyped-def]
+def _located(points, simplices, neighbours, start, targets):
     """(n,) the tetrahedron in which each of `targets` (n, 3) lies, -1 outside of the hull or where none is found.
 
     A walk from tetrahedron `start` (n,), through every facet that has the target beyond it (Devillers et al. 2002).
@@ -175,7 +187,7 @@ def _located(points, simplices, neighbours, start, targets):  # type: ignore[no-
     return found
 
 
-def _unanimous(tetrahedra: Delaunay, normal: NDArray[np.float64]) -> NDArray[np.int8]:
+def _unanimous(tetrahedra: Delaunay, normal: NDArray[np.floating]) -> NDArray[np.int8]:
     """(T,) 1 where the observed surface at all four corners, of `normal` (n, 3), turns its back to a tetrahedron's
     middle, -1 where its face, 0 where they do not say the same."""
     corners = tetrahedra.points[tetrahedra.simplices]
@@ -186,8 +198,32 @@ def _unanimous(tetrahedra: Delaunay, normal: NDArray[np.float64]) -> NDArray[np.
     return (cosine < -_CLEAR).all(1).astype(np.int8) - (cosine > _CLEAR).all(1).astype(np.int8)
 
 
+def _clear_of(
+    own: NDArray[np.float64], elsewhere: NDArray[np.float64], spacing: float, most: int
+) -> tuple[NDArray[np.float64], float]:
+    """Of the places `elsewhere` in the box of `own` one a cell, `most` at most, 2 spacings off; the cells' side."""
+    inside = ((elsewhere > own.min(0)) & (elsewhere < own.max(0))).all(1)
+    size, free = spacing, elsewhere[inside]
+    while len(free := free[_thinned(free, size)]) > most:
+        size *= 1.25
+    return free[cKDTree(own).query(free)[0] > 2 * spacing] if len(free) else free, size
+
+
+def _same_cell(places: NDArray[np.float64], marked: NDArray[np.float64], size: float) -> NDArray[np.bool_]:
+    """(n,) whether a cubic cell of side `size` holds both one of the places (n, 3) and one of those `marked`."""
+    low = marked.min(0)
+    shape = np.floor((marked.max(0) - low) / size).astype(np.int64) + 1
+    cells = np.floor((places - low) / size).astype(np.int64)
+    within = ((cells >= 0) & (cells < shape)).all(1)
+    flat = np.ravel_multi_index(np.where(within[:, None], cells, 0).T, shape)
+    known = np.unique(np.ravel_multi_index(np.floor((marked - low) / size).astype(np.int64).T, shape))
+    return within & np.isin(flat, known)
+
+
 def _thinned(points: NDArray[np.float64], size: float) -> NDArray[np.int64]:
     """Indices of one point in each cubic cell of side `size`: the first."""
+    if len(points) == 0:
+        return np.zeros(0, np.int64)
     cells = np.floor((points - points.min(0)) / size).astype(np.int64)
     return np.sort(np.unique(cells, axis=0, return_index=True)[1])
 
@@ -303,7 +339,7 @@ def _boundary(tetrahedra: Delaunay, inside: NDArray[np.bool_]) -> NDArray[np.int
 
 
 @njit(cache=True)
-def _hands(simplices, neighbours, order):  # type: ignore[no-untyped-def]
+def _hands(simplices, neighbours, order):
     """(T,) 1 for tetrahedra whose corners are ordered as those of the first are, -1 for the mirrored.
 
     From neighbour to neighbour: the volume's sign is noise where a tetrahedron is flat.

@@ -142,7 +142,7 @@ def _add(
                 bands,
                 np.array([left, top]),
             ),
-            *(part.near, max(after - before, 1), part.bands, part.weights),
+            *(bands, np.array([left, top]), part.near, max(after - before, 1), part.bands, part.weights),
         )
 
 
@@ -155,7 +155,7 @@ def _two_bands(rgb: NDArray[np.float32], own: NDArray[np.float32], blur: float) 
 
 
 @njit(cache=True)
-def _draw(depth, label, value, points, faces, lens):  # type: ignore[no-untyped-def]
+def _draw(depth, label, value, points, faces, lens):
     """A z-buffer: draw triangles, `points` (V, 3) in the camera's frame, into `depth` and `label` (height, width)."""
     height, width = depth.shape
     for f in range(len(faces)):
@@ -185,7 +185,7 @@ def _draw(depth, label, value, points, faces, lens):  # type: ignore[no-untyped-
 
 
 @njit(cache=True)
-def _posed(T, p):  # type: ignore[no-untyped-def]
+def _posed(T, p):
     x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
     y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
     z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
@@ -193,9 +193,7 @@ def _posed(T, p):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _look(  # type: ignore[no-untyped-def]
-    points, normals, Ts, lens, walls, own, bands, corner, near, frames_apart, sums, weights
-):
+def _look(points, normals, Ts, lens, walls, own, bands, corner, near, frames_apart, sums, weights):
     """Add to `sums` (2, n, 3) and `weights` (2, n) what a frame's two `bands` (2, height, width, 3) show of the texels.
 
     `Ts` (3, 3, 4) is the part's pose one frame before, now and one after, the first and last `frames_apart` apart;
