@@ -32,6 +32,8 @@ _BAND = 6.0
 """Standard deviation, pixels of near frames, of the blur that parts the bands: shading is wider, print is finer."""
 _SHARPEST = 6.0
 """Power of the sharpness with which a frame counts for the high band: half as sharp counts a 64th."""
+_COARSE = 8.0
+"""Texels along a cell of those that no frame showed: they have one colour."""
 _EDGE = 2
 """Pixels from a part's outline that are not believed: they mix with what lies behind."""
 _GRAZING = 0.15
@@ -101,9 +103,24 @@ class _Part:
             bands = self.bands[:, known] / self.weights[:, known, None]
             colours[known] = bands.sum(0)
             if not known.all():
-                nearest = cKDTree(self.points[known]).query(self.points[~known])[1]
-                colours[~known] = colours[known][nearest]
+                colours[~known] = _from_nearest(
+                    self.points[known], colours[known], self.points[~known], _COARSE * self.atlas.texel_m
+                )
         return Skin(self.atlas, painted(self.atlas, self.texels, colours))
+
+
+def _from_nearest(
+    points: NDArray[np.float32], colours: NDArray[np.float32], asked: NDArray[np.float32], size: float
+) -> NDArray[np.float32]:
+    """(m, 3) the colours at the points nearest to those `asked` (m, 3), one for all in a cubic cell of side `size`.
+
+    A colour is the mean of the `points` (n, 3) in such a cell.
+    """
+    _, cell, count = np.unique(np.floor(points / size), axis=0, return_inverse=True, return_counts=True)
+    means = [np.bincount(cell.ravel(), values[:, k]) / count for values in (points, colours) for k in range(3)]
+    _, first, back = np.unique(np.floor(asked / size), axis=0, return_index=True, return_inverse=True)
+    nearest = cKDTree(np.stack(means[:3], -1)).query(asked[first])[1]
+    return np.stack(means[3:], -1).astype(np.float32)[nearest[back.ravel()]]
 
 
 def _add(
@@ -132,17 +149,8 @@ def _add(
         bands = _two_bands(rgb[window].astype(np.float32), own[window].astype(np.float32), blur)
         motion = np.stack([part.Ts[before], part.Ts[i], part.Ts[after]])[:, :3]
         _look(
-            *(
-                part.points,
-                part.normals,
-                motion,
-                lens,
-                walls[(slice(None), *window)],
-                own[window],
-                bands,
-                np.array([left, top]),
-            ),
-            *(bands, np.array([left, top]), part.near, max(after - before, 1), part.bands, part.weights),
+            *(part.points, part.normals, motion, lens, walls[(slice(None), *window)], own[window], bands),
+            *(np.array([left, top]), part.near, max(after - before, 1), part.bands, part.weights),
         )
 
 
