@@ -13,8 +13,10 @@ from scipy.spatial import cKDTree
 
 from export.atlas import Skin
 from freeart21.files import atomic, checked
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, bounding_diagonal
 
+_RAYS = 2000
+"""Places of a surface that are asked which side is outside."""
 _GREY = (0.7, 0.7, 0.7)  # of a part without colours
 
 
@@ -48,10 +50,19 @@ def deduplicated(mesh: Mesh) -> Mesh:
 
 
 def inside_out(mesh: Mesh) -> bool:
-    """Whether most of the surface faces inwards: the volume that it encloses, seen from its middle, is negative."""
-    corners = mesh.vertices[mesh.faces]
-    a, b, c = np.moveaxis(corners - np.average(corners.mean(1), axis=0, weights=mesh.areas()), 1, 0)
-    return float(np.einsum("fi,fi->", a, np.cross(b, c))) < 0
+    """Whether the surface faces inwards: straight from behind it one gets away more often than from before it.
+
+    Holes do not matter, as they do for the volume: a tray whose underside nobody saw encloses a negative one.
+    """
+    area = mesh.areas()
+    picked = np.searchsorted(np.cumsum(area), area.sum() * (np.arange(_RAYS) + 0.5) / _RAYS).clip(max=len(area) - 1)
+    corners = mesh.vertices[mesh.faces[picked]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    off = 1e-5 * bounding_diagonal(mesh) * normal
+    rays = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).ray
+    before, behind = (rays.intersects_any(corners.mean(1) + k * off, k * normal).sum() for k in (1, -1))
+    return bool(before > behind)
 
 
 def turned(mesh: Mesh) -> Mesh:

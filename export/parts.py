@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.atlas import Skin
-from export.meshes import MeshSettings, smooth_normals
+from export.meshes import MeshSettings, inside_out, smooth_normals
 from export.surface import Surface, closed
 from export.texture import vertex_skin, video_skins
 from freeart21 import se3
@@ -64,10 +64,11 @@ def closed_parts(
     Raises FreeArtError, naming the part, when one cannot be closed.
     """
     whole = reconstruction.articulation
-    surfaces = []
     for name in PARTS:
         if whole.part(name).empty:
             raise FreeArtError(f"{name} part of joint '{whole.joint.name}' is an empty mesh: nothing to export")
+    surfaces = []
+    for name in PARTS:
         try:
             surfaces.append(closed(whole.part(name), settings, _other_part(reconstruction, name)))
         except FreeArtError as error:
@@ -92,6 +93,7 @@ def _other_part(reconstruction: Reconstruction, name: str) -> NDArray[np.float64
     other = whole.part("moving" if name == "reference" else "reference")
     few = slice(None, None, len(other.vertices) // _SWEEP_POINTS + 1)
     depth = bounding_diagonal(whole.part(name)) / _SWEEP_DEPTH * np.arange(3)[:, None, None]
+    depth = -depth if inside_out(other) else depth
     points = (other.vertices[few] - depth * smooth_normals(other)[few]).reshape(-1, 3)
     seen = reconstruction.seen.all(axis=1)
     states = reconstruction.states[seen] if seen.any() else reconstruction.states

@@ -9,7 +9,7 @@ found as a minimum cut (Labatut, Pons, Keriven: Efficient multi-view reconstruct
 points, Delaunay triangulation and graph cuts, ICCV 2007). Where the surface at all four corners of a tetrahedron faces
 it, or turns its back to it, that is settled beforehand. So a hole is closed by the least area that its rim allows, a
 thin thing seen from both sides becomes two sheets with a rim, and an opening whose inside was seen stays open. The
-boundary of a solid is closed and consistently oriented, its vertices are observed ones; decimation then thins them out.
+boundary of a solid is closed and consistently oriented, and its vertices were observed; decimation then thins them.
 """
 
 from __future__ import annotations
