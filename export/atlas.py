@@ -129,7 +129,7 @@ def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64
 
 
 @njit(cache=True)
-def _mark(owner, places, corners):  # type: ignore[no-untyped-def]
+def _mark(owner, places, corners):
     """Write into `owner` (height, width) the triangle on which each pixel's centre lies."""
     height, width = owner.shape
     for f in range(len(corners)):

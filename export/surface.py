@@ -151,7 +151,7 @@ def _cut(
         corners = points[tetrahedra.simplices]
         volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
         evidence -= volume / size * _same_cell(corners.mean(1), free, size)
-    normal = np.stack([np.bincount(nearest, across[:, k], len(points)) for k in range(3)], -1)
+    normal = np.stack([np.bincount(nearest, across[:, k], len(points)) for k in range(3)], -1).astype(float)
     inside = _least_boundary(tetrahedra, evidence, _unanimous(tetrahedra, normal), np.sqrt(3) / 4 * spacing**2)
     inside = _without_specks(tetrahedra, inside, settings.min_component)
     boundary = _boundary(tetrahedra, _without_pinches(tetrahedra, inside))

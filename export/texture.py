@@ -158,8 +158,8 @@ def _two_bands(rgb: NDArray[np.float32], own: NDArray[np.float32], blur: float) 
     """(2, height, width, 3) low and high frequencies of the pixels `own` (0 or 1), which sum to them."""
     share = cv2.GaussianBlur(own, (0, 0), blur, borderType=cv2.BORDER_CONSTANT)
     low = cv2.GaussianBlur(rgb * own[..., None], (0, 0), blur, borderType=cv2.BORDER_CONSTANT)
-    low /= np.maximum(share, 1e-6)[..., None]
-    return np.stack([low, rgb - low])
+    low = low / np.maximum(share, 1e-6)[..., None]
+    return np.stack([low, rgb - low]).astype(np.float32)
 
 
 @njit(cache=True)
