@@ -12,9 +12,10 @@ import freeart21
 from export.checklist import check_asset
 from export.collision import Collision, CollisionSettings, convex_parts
 from export.inertia import inertial_of
-from export.meshes import MeshSettings, cleaned, inside_out, turned, write_hull, write_visual
+from export.meshes import MeshSettings, write_hull, write_visual
 from export.mjcf import mjcf_text
 from export.model import AssetModel, LinkModel
+from export.parts import Part, closed_parts
 from export.placement import Placement, placed
 from export.urdf import urdf_text
 from freeart21.asset import Asset
@@ -25,6 +26,7 @@ from freeart21.files.asset import read_asset, write_asset_json
 from freeart21.files.lock import only_writer
 from freeart21.files.places import ASSET, check_place
 from freeart21.files.result import read_method, read_result
+from freeart21.files.sequence import read_sequence
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 
@@ -63,7 +65,7 @@ class ExportSettings:
     velocity: float = 10.0
     """URDF velocity limit, rad/s or m/s: video tells none."""
     meshes: MeshSettings = field(default_factory=MeshSettings)
-    """Visual meshes."""
+    """Part meshes and their textures."""
     collision: CollisionSettings = field(default_factory=CollisionSettings)
     """Collision hulls."""
 
@@ -87,6 +89,7 @@ def export_result(
     settings: ExportSettings | None = None,
     *,
     effects: tuple[Effect, ...] = (),
+    video: Path | None = None,
 ) -> Asset:
     """Write a result as an asset folder, reload and check it, and give it back as read from disk.
 
@@ -95,6 +98,8 @@ def export_result(
         out: the folder to make; it appears whole or not at all, and replaces an older asset.
         settings: None takes the defaults.
         effects: what acts on the joint; without any there is no effects.json.
+        video: the sequence folder that was reconstructed: textures come from its sharpest frames. Without it they hold
+            the colours of the part meshes' vertices.
 
     Raises FreeArtError on a setting that cannot be, a failed result, an empty part, a joint that was not seen to move,
     an `out` that is anything but an older asset, and when the asset does not pass its own check.
@@ -105,6 +110,8 @@ def export_result(
     settings = settings or ExportSettings()
     settings.check()
     reconstruction, source = _reconstruction(result)
+    recording = None if video is None else read_sequence(video)
+    reconstruction, parts = closed_parts(reconstruction, recording, settings.meshes)
     placement = placed(
         scaled(reconstruction, settings.scale),
         settings.up,
@@ -112,7 +119,7 @@ def export_result(
         {"revolute": settings.min_range_rad, "prismatic": settings.min_range_m * settings.scale},
     )
     with only_writer(out), atomic.new_folder(out, ASSET) as aside:
-        shapes = {name: _shape(name, getattr(placement, name), settings) for name in ("reference", "moving")}
+        shapes = {name: _shape(name, part, getattr(placement, name), settings) for name, part in parts.items()}
         density = DENSITY if settings.density is None else settings.density
         if settings.mass is not None:
             density = settings.mass / sum(inertial_of(shape.collision.hulls, 1.0).mass for shape in shapes.values())
@@ -181,18 +188,14 @@ def scaled(reconstruction: Reconstruction, scale: float) -> Reconstruction:
 class _Shape:
     """A part for the eye and for contact."""
 
+    part: Part
     visual: Mesh
     collision: Collision
-    faces_before: int
-    turned: bool
 
 
-def _shape(name: str, part: Mesh, settings: ExportSettings) -> _Shape:
+def _shape(name: str, part: Part, visual: Mesh, settings: ExportSettings) -> _Shape:
     try:
-        visual = cleaned(part, settings.meshes)
-        wrong_way = inside_out(visual)
-        visual = turned(visual) if wrong_way else visual
-        shape = _Shape(visual, convex_parts(visual, settings.collision), len(part.faces), wrong_way)
+        shape = _Shape(part, visual, convex_parts(visual, settings.collision))
         inertial_of(shape.collision.hulls, 1.0)  # there is a volume
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error
@@ -204,14 +207,12 @@ def _write_link(
 ) -> tuple[LinkModel, dict[str, Any]]:
     """Write the meshes of one link; also what asset.json says about them."""
     visual, collision = shape.visual, shape.collision
-    texture = write_visual(folder / MESHES, name, visual, settings.meshes)
+    texture = write_visual(folder / MESHES, name, visual, shape.part.skin)
     hulls = tuple(f"{MESHES}/{name}_hull_{k:02d}.obj" for k in range(len(collision.hulls)))
     for file, hull in zip(hulls, collision.hulls, strict=True):
         write_hull(folder / file, hull)
     said = {
-        "faces_before": shape.faces_before,
-        "faces": len(visual.faces),
-        "faces_turned_outwards": shape.turned,
+        **shape.part.said(settings.scale),
         "collision": collision.method,
         "hulls": len(hulls),
         "collision_fallback_reason": collision.reason,

@@ -366,6 +366,7 @@ def export(
     mass: float | None = None,
     scale: float = 1.0,
     up: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, -1.0, 0.0),
+    video: Path | None = None,
 ) -> int:
     """Write a result as a simulation-ready asset (URDF, MJCF, meshes), reload it, and check it.
 
@@ -377,11 +378,12 @@ def export(
         scale: Factor for all lengths. An asset of another scale than 1 is not scored: it is not the video's object.
         up: Direction in the result's canonical frame (ours: the camera's of the first frame, right, down, forward)
             that becomes z.
+        video: Sequence folder that was reconstructed, for textures from its sharpest frames.
     """
     from export.checklist import check_asset
     from export.exporter import ExportSettings, export_result
 
-    asset = export_result(result, out, ExportSettings(density=density, mass=mass, scale=scale, up=up))
+    asset = export_result(result, out, ExportSettings(density=density, mass=mass, scale=scale, up=up), video=video)
     print(asset.urdf)
     findings = check_asset(out)
     for finding in findings:
