@@ -149,7 +149,7 @@ def _row(
             result if source == "truth" else answer,
             asset_folder,
             ExportSettings(density=DENSITY),
-            recording=benchmark.sequence(name) if video else None,
+            video=benchmark.sequence(name) if video else None,
         )
         row |= {"status": "ok", "seconds": time.perf_counter() - begin}
         row |= figures(asset, result, truth, _volumes(truth))
