@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, ClassVar
 
+import gymnasium
 import numpy as np
 import sapien
 import torch
@@ -33,6 +34,7 @@ AT_REST = 0.1
 OPENED = 0.9
 """Of the way from the start to the farther end of the span is the target, as in ManiSkill's cabinets."""
 _SIM_HZ, _CONTROL_HZ = 500, 20  # against 1 kHz, a released joint is off by less than 0.1 %: see docs/maniskill.md
+_BEFORE_ROBOT = 0.12  # m from ManiSkill's place for a panda's hand at rest to the object's near side
 _SECONDS = 10  # of an episode
 _TURN, _SHIFT = 0.1, 0.01  # rad and m by which a standing object is displaced at random
 
@@ -104,10 +106,11 @@ class ObjectEnvironment(BaseEnv):
             super()._load_agent(options, sapien.Pose(p=[-0.615, 0, 0]))
 
     def _standing(self) -> Array:
-        """(4, 4) of the root: upright, on z = 0, its middle above the origin."""
+        """(4, 4) of the root: upright, on z = 0; its middle above the origin, or its near side before the robot."""
         low, high = self.body.bounds()
         T = np.eye(4)
-        T[:3, 3] = -0.5 * (low[0] + high[0]), -0.5 * (low[1] + high[1]), -low[2]
+        near = -0.5 * (high[0] - low[0]) if self.robot_uids == OBJECT else _BEFORE_ROBOT
+        T[:3, 3] = near - low[0], -0.5 * (low[1] + high[1]), -low[2]
         return T
 
     def _camera(self, uid: str, side: int) -> CameraConfig:
@@ -123,6 +126,12 @@ class ObjectEnvironment(BaseEnv):
     @property
     def _default_human_render_camera_configs(self) -> CameraConfig:
         return self._camera("render_camera", 512)
+
+    def reset(self, seed: Any = None, options: dict[str, Any] | None = None) -> Any:
+        """As ManiSkill's, which leaves out that gymnasium's own generator is seeded; its checker asks for it."""
+        if seed is not None:
+            gymnasium.Env.reset(self, seed=int(np.ravel(seed)[0]))
+        return super().reset(seed=seed, options=options)
 
     # joint
 
@@ -183,6 +192,13 @@ class ObjectEnvironment(BaseEnv):
         if self.obs_mode_struct.visual.segmentation:
             obs["part_ids"] = torch.from_numpy(self.body.part_ids()[None].copy())
         return obs
+
+    def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
+        """As ManiSkill's, but tensors of their own in every observation."""
+        return {
+            uid: {name: value.clone() for name, value in params.items()}
+            for uid, params in super().get_sensor_params().items()
+        }
 
     def _tensor(self, values: Any) -> torch.Tensor:
         return torch.tensor(np.array([values], np.float32), device=self.device)
@@ -264,7 +280,7 @@ class FreeMovingEnvironment(ObjectEnvironment):
         if "base_poses" in options:
             rows = np.asarray(options["base_poses"], float)
             motion = CarriedMotion(np.asarray(options["base_times"]), se3.pose_from_wxyz(rows[:, :3], rows[:, 3:]))
-        self._begin(float(start), float(target), motion.pose(0.0))
+        self._begin(float(start), float(target), motion.at(0.0)[0])
         assert self.hand is not None
         self.hand.follow(motion)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,23 +38,25 @@ class CarriedMotion:
         object.__setattr__(self, "times_s", times)
         object.__setattr__(self, "poses", poses)
 
-    def pose(self, t: float) -> Array:
-        """(4, 4) T_world_body at `t` s; before the first and after the last instant it stands still."""
-        if t <= self.times_s[0] or len(self.times_s) == 1:
-            return np.asarray(self.poses[0])
-        if t >= self.times_s[-1]:
-            return np.asarray(self.poses[-1])
-        i = int(np.searchsorted(self.times_s, t, side="right")) - 1
-        s = (t - self.times_s[i]) / (self.times_s[i + 1] - self.times_s[i])
-        s = s**3 * (10 - 15 * s + 6 * s * s) if self.rests else s
-        step = se3.log_se3(se3.inverse(self.poses[i]) @ self.poses[i + 1])
-        return np.asarray(self.poses[i] @ se3.exp_se3(s * step))
+    @cached_property
+    def _twists(self) -> Array:
+        """(n - 1, 6) of the screws from pose to pose, in the body's frame."""
+        return np.asarray(se3.log_se3(se3.inverse(self.poses[:-1]) @ self.poses[1:]))
 
-    def velocity(self, t: float, dt: float) -> tuple[Array, Array]:
-        """(3,) m/s of the body's origin and (3,) rad/s, world frame, over `dt` s about `t`."""
-        before, after = self.pose(t - 0.5 * dt), self.pose(t + 0.5 * dt)
-        turn = before[:3, :3] @ se3.log_se3(se3.inverse(before) @ after)[3:]
-        return (after[:3, 3] - before[:3, 3]) / dt, turn / dt
+    def at(self, t: float) -> tuple[Array, Array, Array]:
+        """At `t` s: (4, 4) T_world_body, (3,) m/s of the body's origin and (3,) rad/s, world axes.
+
+        Before the first and after the last instant it stands still.
+        """
+        if not self.times_s[0] <= t < self.times_s[-1]:
+            return np.asarray(self.poses[0 if t < self.times_s[0] else -1]), np.zeros(3), np.zeros(3)
+        i = int(np.searchsorted(self.times_s, t, side="right")) - 1
+        leg = self.times_s[i + 1] - self.times_s[i]
+        s = (t - self.times_s[i]) / leg
+        way, rate = (s**3 * (10 - 15 * s + 6 * s * s), 30 * (s * (1 - s)) ** 2) if self.rests else (s, 1.0)
+        pose = np.asarray(self.poses[i] @ se3.exp_se3(way * self._twists[i]))
+        velocity = rate / leg * self._twists[i].reshape(2, 3) @ pose[:3, :3].T
+        return pose, velocity[0], velocity[1]
 
 
 def drawn_motion(rng: np.random.RandomState, start: Array, centre: ArrayLike, size: float, seconds: float) -> CarriedMotion:
