@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -18,16 +17,12 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import read_asset
 from freeart21.files.urdf import parsed
+from freeart21.formats.maniskill import objects_place
 from generator.object_folder import object_folder, sapien_urdf
 from generator.simulate import named_file
 
 PARTNET = "mobility.urdf"
 _SCALES = (1e-4, 1e4)
-
-
-def objects_place() -> Path:
-    """Where procedural objects are written once: $XDG_CACHE_HOME/freeart21/objects, or ~/.cache/freeart21/objects."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "freeart21" / "objects"
 
 
 def find_asset(asset: str | Path, joint: str | None = None, object_seed: int = 0) -> Asset:
