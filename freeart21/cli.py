@@ -566,7 +566,7 @@ def convert(
 
     Args:
         source: A recording, or a folder of them.
-        out: Folder to add to: a data folder (native), one that gets examples/ and data/ (official), or .h5 files (maniskill).
+        out: Folder to add to: a data folder (native), or one that gets examples/ and data/, or .h5 files.
         to: Layout to write.
         layout: Layout of the source; recognised by its files when not given.
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf: truth needs their meshes.

@@ -505,7 +505,9 @@ def load(
         if record.name in joints and record.name != joint.name and joints[record.name].joint_type:
             _freeze(record, _held_position(asset, joints[record.name]))
         elif record.name == joint.name:
-            record.limits = [[-WIDE, WIDE]] if limited else [[-np.inf, np.inf]]  # `step` keeps them, in double precision
+            record.limits = (
+                [[-WIDE, WIDE]] if limited else [[-np.inf, np.inf]]
+            )  # `step` keeps them, in double precision
             if joint.joint_type == "revolute":
                 record.joint_type = "revolute_unwrapped"
     try:

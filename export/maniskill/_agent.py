@@ -166,7 +166,7 @@ class NothingConfig(ControllerConfig):
 
 
 class HandController(BaseController):
-    """The hand goes by a twist each control step: x, y, z and a rotation vector, world axes, about the root's origin."""
+    """The hand goes by a twist each control step: shift and rotation vector, world axes, about the root's origin."""
 
     sets_target_qpos = sets_target_qvel = False
 

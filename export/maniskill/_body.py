@@ -113,7 +113,7 @@ class Body:
         return np.asarray(masses @ centres / masses.sum())
 
     def part_ids(self) -> np.ndarray:
-        """(n, 2) int16: id of each link in segmentation pictures, and 1 for the reference part, 2 for the moving one."""
+        """(n, 2) int16: id of each link in segmentation pictures, and 1 for the parent's side, 2 for the moving one."""
         return np.array(
             [
                 (link.entity.per_scene_id, 2 if name in self.simulated.moving_links else 1)

@@ -204,7 +204,7 @@ class ObjectEnvironment(BaseEnv):
         return torch.tensor(np.array([values], np.float32), device=self.device)
 
     def compute_dense_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
-        """Up to 1 for the joint near its target, up to 1 more for the robot's hand near the moving part; 3 on success."""
+        """Up to 1 for the joint near its target, and 1 for the robot's hand near the moving part; 3 on success."""
         reward = 1 - torch.tanh(5 * info["joint_error"])
         if hasattr(self.agent, "tcp"):
             away = self._tensor(self.body.moving_centre()) - self.agent.tcp.pose.p
@@ -256,8 +256,8 @@ class FreeMovingEnvironment(ObjectEnvironment):
     """An object is carried through the air by a hand that is not seen; its joint is to come to rest at the target.
 
     The hand goes a way that is drawn from the seed, or that `options` of `reset` give: `base_times` (n,) s and
-    `base_poses` (n, 7), position and quaternion w, x, y, z of the root link, with `start` and `target` of the joint, rad
-    or m. In the control mode `pd_joint_pos_base_delta_pose` the action leads it.
+    `base_poses` (n, 7), position and quaternion w, x, y, z of the root link, with `start` and `target` of the joint,
+    rad or m. In the control mode `pd_joint_pos_base_delta_pose` the action leads it.
     """
 
     SUPPORTED_ROBOTS: ClassVar[Any] = [OBJECT]

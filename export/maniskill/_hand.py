@@ -13,8 +13,8 @@ from freeart21 import se3
 from freeart21.se3 import Array
 
 _RATE = 2 * np.pi * 40.0
-"""rad/s: the grip is a critically damped drive of 40 Hz. The engine gives it the root link's mass alone to move: at rest it hung
-less than 0.6 mm low."""
+"""rad/s: the grip is a critically damped drive of 40 Hz on the root link's mass; carried objects were within 1.1 mm and
+6 mrad of where they should be."""
 
 
 class Hand:

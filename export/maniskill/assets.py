@@ -50,10 +50,11 @@ def find_asset(asset: str | Path, joint: str | None = None, object_seed: int = 0
 
 
 def _scored(folder: Path) -> str | None:
-    """The joint that one of our PartNet-Mobility folders calls the scored one."""
+    """The joint that one of our PartNet-Mobility folders calls the scored one, or the catalog of a real one."""
     meta = folder / "meta.json"
     said = checked.read_json(meta).get("scored_joint") if meta.is_file() else None
-    return said if isinstance(said, str) else None
+    known = next((entry.joint for entry in catalog.CATALOG if entry.name == folder.resolve().name), None)
+    return said if isinstance(said, str) else known
 
 
 @contextlib.contextmanager
@@ -66,7 +67,9 @@ def loadable(asset: Asset, scale: float) -> Iterator[Asset]:
     if not _SCALES[0] <= scale <= _SCALES[1]:
         raise FreeArtError(f"scale is {scale:g}, expected {_SCALES[0]:g} to {_SCALES[1]:g}")
     if scale != 1 and any(asset.effects.values()):
-        raise FreeArtError(f"{asset.urdf} has effects, which hold for its own size only: expected scale 1, got {scale:g}")
+        raise FreeArtError(
+            f"{asset.urdf} has effects, which hold for its own size only: expected scale 1, got {scale:g}"
+        )
     with sapien_urdf(asset.urdf) as readable, tempfile.TemporaryDirectory() as place:
         if scale == 1:
             yield replace(asset, urdf=readable)
@@ -105,7 +108,7 @@ def _scaled(urdf: Path, scale: float) -> ET.Element:
     for mass in root.iter("mass"):
         times(mass, "value", scale**3)
     for inertia in root.iter("inertia"):
-        for name in inertia.keys():
+        for name in inertia.attrib:
             times(inertia, name, scale**5)
     for joint in root.findall("joint"):
         for limit in joint.findall("limit") if joint.get("type") == "prismatic" else ():

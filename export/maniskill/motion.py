@@ -59,8 +59,11 @@ class CarriedMotion:
         return pose, velocity[0], velocity[1]
 
 
-def drawn_motion(rng: np.random.RandomState, start: Array, centre: ArrayLike, size: float, seconds: float) -> CarriedMotion:
-    """A motion of `seconds` from the pose `start` (4, 4) on: about `centre` (3,), world frame, of an object of `size` m.
+def drawn_motion(
+    rng: np.random.RandomState, start: Array, centre: ArrayLike, size: float, seconds: float
+) -> CarriedMotion:
+    """A motion of `seconds` from the pose `start` (4, 4) on: about `centre` (3,), world frame, of an object of
+    `size` m.
 
     Every `SECONDS_A_LEG` it is at a pose turned by up to `TURN` about any axis and shifted by up to `SHIFT` sizes.
     """
@@ -74,4 +77,4 @@ def drawn_motion(rng: np.random.RandomState, start: Array, centre: ArrayLike, si
         moved = se3.exp_se3(np.concatenate([np.zeros(3), turn]))
         moved[:3, 3] = SHIFT * size * rng.uniform() * way / np.linalg.norm(way)
         poses.append(to_centre @ moved @ se3.inverse(to_centre) @ poses[0])
-    return CarriedMotion(SECONDS_A_LEG * np.arange(n + 1), np.stack(poses), rests=True)
+    return CarriedMotion(SECONDS_A_LEG * np.arange(n + 1), np.asarray(poses, float), rests=True)

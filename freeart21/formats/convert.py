@@ -111,8 +111,8 @@ def convert(
     to="official" writes out/examples/NAME and, when the object's files are at hand (the truth's own, or
     partnet_root/ID), out/data/partnet-mobility-v0/dataset/NAME. `hold_out` makes the official split of 5 %.
 
-    to="maniskill" writes out/NAME.h5 and out/NAME.json, a trajectory that FreeArt21-FreeMoving-v1 replays: of recordings
-    whose truth is known, and whose object's files are at hand.
+    to="maniskill" writes out/NAME.h5 and out/NAME.json, a trajectory that FreeArt21-FreeMoving-v1 replays: of
+    recordings whose truth is known, and whose object's files are at hand.
 
     `meta` is Video2Articulation's meta file; `depth_unit` (metres) and `fps` are of plain folders. `progress` is called
     with a sequence's name, the frames done, their total.

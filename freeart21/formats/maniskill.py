@@ -52,10 +52,20 @@ def episodes(folder: Path) -> Iterator[Path]:
     for file in sorted(folder.glob("*.h5")):
         if file.with_suffix(".json").is_file():
             told = foreign.read_any_json(file.with_suffix(".json"))
-            info = told.get("env_info") if isinstance(told, dict) else None
-            if isinstance(info, dict) and "FreeArt21-" in str(info.get("env_id")):
+            if "FreeArt21-" in str(_env_info(told).get("env_id")):
                 for episode in told.get("episodes") or ():
-                    yield file / f"traj_{int(episode['episode_id'])}"
+                    number = episode.get("episode_id") if isinstance(episode, dict) else None
+                    if not isinstance(number, int):
+                        raise FreeArtError(f"{file.with_suffix('.json')}: an episode's episode_id is {number!r}")
+                    yield file / f"traj_{number}"
+
+
+def _env_info(told: Any) -> dict[str, Any]:
+    """env_info of a trajectory's JSON, with env_kwargs a dictionary; empty where it is none."""
+    info = told.get("env_info") if isinstance(told, dict) else None
+    info = info if isinstance(info, dict) else {}
+    kwargs = info.get("env_kwargs")
+    return {**info, "env_kwargs": kwargs if isinstance(kwargs, dict) else {}}
 
 
 def read_episode(episode: Path) -> Foreign:
@@ -64,8 +74,8 @@ def read_episode(episode: Path) -> Foreign:
     Raises FreeArtError, in one line, when h5py is missing, or the episode has no colours, depth and segmentation.
     """
     file, traj = episode.parent, episode.name
-    info = foreign.read_any_json(file.with_suffix(".json"))["env_info"]
-    kwargs = info.get("env_kwargs") or {}
+    info = _env_info(foreign.read_any_json(file.with_suffix(".json")))
+    kwargs = info["env_kwargs"]
     cameras = _names(file, f"{traj}/obs/sensor_data")
     if not cameras:
         raise FreeArtError(f"{file} {traj} has no pictures: record with obs_mode='rgb+depth+segmentation'")
@@ -77,15 +87,17 @@ def read_episode(episode: Path) -> Foreign:
     sides = _sides(_read(file, f"{traj}/obs/extra/part_ids", 0))
     n = len(rows)
     if not 0 < n <= foreign.MAX_FRAMES or rows.shape[1] != 15 or len(K) != n or len(E) != n:
-        raise FreeArtError(f"{file} {traj}: states have shape {rows.shape}, expected (n, 15), of as many frames as pictures")
+        raise FreeArtError(
+            f"{file} {traj}: states have shape {rows.shape}, expected (n, 15), of as many frames as pictures"
+        )
 
     def side(i: int) -> Image:
         ids = _read(file, f"{at}/segmentation", i)[..., 0]
         return np.asarray(sides[np.clip(ids, 0, len(sides) - 1)])
 
-    def load(i: int) -> Frame:
-        depth = _read(file, f"{at}/depth", i)[..., 0].astype(np.float32) * _MILLIMETRE
-        return Frame(_read(file, f"{at}/rgb", i), depth, side(i) > 0)
+    def load(index: int) -> Frame:
+        depth = _read(file, f"{at}/depth", index)[..., 0].astype(np.float32) * _MILLIMETRE
+        return Frame(_read(file, f"{at}/rgb", index), depth, side(index) > 0)
 
     hz = (kwargs.get("sim_config") or {}).get("control_freq", CONTROL_HZ)
     camera = Camera(K[0], colours.shape[1], colours.shape[0])
@@ -112,13 +124,19 @@ def read_episode(episode: Path) -> Foreign:
 
 def objects_beside(episode: Path) -> Path | None:
     """The folder that holds the object of an episode, when it is there."""
-    kwargs = foreign.read_any_json(episode.parent.with_suffix(".json"))["env_info"].get("env_kwargs") or {}
-    folder = object_folder_of(kwargs).resolve()
+    info = _env_info(foreign.read_any_json(episode.parent.with_suffix(".json")))
+    folder = object_folder_of(info["env_kwargs"]).resolve()
     return folder.parent if folder.is_dir() else None
 
 
 def write_trajectory(
-    folder: Path, name: str, asset: Path | str, times_s: Array, states: Array, Ts_world_root: Array, camera: Camera | None
+    folder: Path,
+    name: str,
+    asset: Path | str,
+    times_s: Array,
+    states: Array,
+    Ts_world_root: Array,
+    camera: Camera | None,
 ) -> Path:
     """Write a motion as the trajectory FOLDER/NAME.h5 of FreeArt21-FreeMoving-v1, with its NAME.json; gives NAME.h5.
 
@@ -138,7 +156,9 @@ def write_trajectory(
     times, states = np.asarray(times_s, float), np.asarray(states, float)
     poses = se3.check_poses("motion poses", Ts_world_root)
     if not 2 <= len(times) == len(states) == len(poses):
-        raise FreeArtError(f"{name}: {len(times)} times, {len(states)} states, {len(poses)} poses: expected as many, 2 at least")
+        raise FreeArtError(
+            f"{name}: {len(times)} times, {len(states)} states, {len(poses)} poses: expected as many, 2 at least"
+        )
     hz = max(1, round((len(times) - 1) / (times[-1] - times[0])))
     kwargs: dict[str, Any] = {
         "asset": str(asset),
@@ -192,7 +212,7 @@ def write_trajectory(
 
 
 def _sides(part_ids: Array) -> Image:
-    """Id in the segmentation to 0 nothing of the object, 1 the parent's side, 2 the child's; the last is of all beyond."""
+    """Id in a segmentation to 0 no part, 1 the parent's side, 2 the child's; the last is for all beyond."""
     pairs = np.asarray(part_ids, int).reshape(-1, 2)
     if not len(pairs) or pairs.min() < 0 or pairs[:, 1].max() > 2 or pairs.max() > 1 << 15:
         raise FreeArtError(f"part_ids are {pairs.tolist()}, expected pairs of an id and 1 or 2")
