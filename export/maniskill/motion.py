@@ -77,4 +77,4 @@ def drawn_motion(
         moved = se3.exp_se3(np.concatenate([np.zeros(3), turn]))
         moved[:3, 3] = SHIFT * size * rng.uniform() * way / np.linalg.norm(way)
         poses.append(to_centre @ moved @ se3.inverse(to_centre) @ poses[0])
-    return CarriedMotion(SECONDS_A_LEG * np.arange(n + 1), np.asarray(poses, float), rests=True)
+    return CarriedMotion(SECONDS_A_LEG * np.arange(n + 1, dtype=float), np.asarray(poses, float), rests=True)
