@@ -11,6 +11,8 @@ import importlib.util
 
 from freeart21.errors import FreeArtError
 
+__all__ = ["ENVIRONMENTS", "register"]
+
 ENVIRONMENTS = ("FreeArt21-Open-v1", "FreeArt21-FreeMoving-v1")
 
 
