@@ -552,9 +552,9 @@ def view(
 def convert(
     source: Annotated[Path, Positional],
     out: Path,
-    to: Literal["official", "native"],
+    to: Literal["official", "native", "maniskill"],
     layout: Annotated[
-        Literal["native", "rgbd", "official", "video2articulation"] | None, tyro.conf.arg(name="from")
+        Literal["native", "rgbd", "official", "video2articulation", "maniskill"] | None, tyro.conf.arg(name="from")
     ] = None,
     partnet_root: Path | None = None,
     joint: str | None = None,
@@ -564,11 +564,11 @@ def convert(
     depth_unit: float = 0.001,
     fps: float = 30.0,
 ) -> None:
-    """Convert recordings between layouts: a camera's pictures, official FreeArt-21, Video2Articulation-S, our own.
+    """Convert recordings between layouts: a camera's pictures, official, Video2Articulation-S, ManiSkill, our own.
 
     Args:
         source: A recording, or a folder of them.
-        out: Folder to add to: a data folder (native), or one that gets examples/ and data/ (official).
+        out: Folder to add to: a data folder (native), or one that gets examples/ and data/, or .h5 files.
         to: Layout to write.
         layout: Layout of the source; recognised by its files when not given.
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf: truth needs their meshes.
