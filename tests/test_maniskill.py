@@ -311,3 +311,19 @@ def test_the_asset_s_own_effects_json_acts(chest):
         env.step(np.zeros(0, np.float32))
     assert env.unwrapped.body.q == pytest.approx(0.75, abs=1e-4)
     env.close()
+
+
+@needs_maniskill
+def test_it_warns_of_effects_that_do_not_show(chest, monkeypatch):
+    from dataclasses import replace
+
+    from export.maniskill import _body
+    from freeart21.effects.axis_tilt import AxisTilt
+
+    tilt = AxisTilt(*[0.01] * len(AxisTilt.parameters()))
+    (chest / "chest.urdf").write_text(LID.replace('damping="0.01" friction="0.02"', 'damping="0" friction="0"'))
+    write_effects(chest, replace(find_asset(chest), effects={"hinge": (tilt,)}))
+    said = []
+    monkeypatch.setattr(_body.logger, "warning", said.append)
+    make(OPEN, chest, robot_uids="none").close()
+    assert any("axis_tilt" in line for line in said)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import sapien
 import torch
+from mani_skill.utils.logging_utils import logger
 from mani_skill.utils.structs import Articulation, Pose
 
 from export.maniskill.assets import loadable, span
@@ -41,6 +42,9 @@ class Body:
         simulated = self.simulated
         if simulated.joint_inertia <= 0:
             raise FreeArtError(f"{asset.urdf} joint '{asset.joint}' moves nothing of mass")
+        unseen = [effect.name for effect in simulated.effects if effect.kind == "kinematics"]
+        if unseen:
+            logger.warning(f"{asset.urdf}: ManiSkill does not show what {', '.join(unseen)} would do")
         self._fixed = fixed_base
         self._joint = next(j for j in simulated.articulation.active_joints if j.name == asset.joint)
         self._held_limits = False
