@@ -129,7 +129,7 @@ def _cut(
 ) -> manifold3d.Manifold | None:
     """The solid of the module's formula.
 
-    Where the other part was (`elsewhere`), solid costs a cell's face for each cell: thick regions are cleared, films stay.
+    Where the other part was (`elsewhere`), solid costs a cell face a cell: thick regions are cleared, films stay.
     """
     vertices, faces = trimesh.remesh.subdivide_to_size(seen.vertices, seen.faces, 1.5 * spacing, max_iter=30)
     own = points = vertices[_thinned(vertices, 0.5 * spacing)]
