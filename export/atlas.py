@@ -18,7 +18,7 @@ MAX_SIDE = 4096
 _GUTTER = 4
 """Empty pixels round a chart: two for each of two mipmap levels."""
 _FILLED = 0.7
-"""Part of a texture that xatlas fills at least (0.72 to 0.85 on ten objects)."""
+"""Part of a texture that xatlas fills at least (0.72 to 0.85 on two parts)."""
 _COARSEST = 1 / 64
 """Texel size over the part's diagonal at most."""
 

@@ -29,7 +29,7 @@ class MeshSettings:
     min_component: float = 0.01
     """Connected pieces of less than this fraction of the part's area are dropped; the largest always stays."""
     points: int = 25_000
-    """Points of a part's surface that its closing is computed with, at most."""
+    """Points of a part's surface, about, that its closing is computed with; a cut through 60 000 took a minute."""
     sheet_m: float = 0.001
     """Metres of thickness that a part gets of which only a flat sheet was seen."""
     video_frames: int = 120

@@ -127,7 +127,10 @@ def _spacing(seen: Mesh, own: float, points: int) -> float:
 def _cut(
     seen: Mesh, spacing: float, elsewhere: NDArray[np.float64] | None, settings: MeshSettings
 ) -> manifold3d.Manifold | None:
-    """The solid of the module's formula."""
+    """The solid of the module's formula.
+
+    Where the other part was (`elsewhere`), solid costs a cell face a cell: thick regions are cleared, films stay.
+    """
     vertices, faces = trimesh.remesh.subdivide_to_size(seen.vertices, seen.faces, 1.5 * spacing, max_iter=30)
     own = points = vertices[_thinned(vertices, 0.5 * spacing)]
     if elsewhere is not None:
