@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import freeart21
+from export.beside import write_beside
 from export.checklist import check_asset
 from export.collision import Collision, CollisionSettings, convex_parts
 from export.inertia import inertial_of
 from export.meshes import MeshSettings, write_hull, write_visual
 from export.mjcf import mjcf_text
-from export.model import AssetModel, LinkModel
+from export.model import BASES, AssetModel, Base, LinkModel
 from export.parts import Part, closed_parts
 from export.placement import Placement, placed
 from export.urdf import urdf_text
@@ -64,6 +65,11 @@ class ExportSettings:
     """URDF effort limit, N*m or N: video tells none."""
     velocity: float = 10.0
     """URDF velocity limit, rad/s or m/s: video tells none."""
+    base: Base = "free"
+    """Whether the reference part moves freely, as a thing in the hand, or stands fixed in the world: a free one can be
+    fixed by whoever loads it."""
+    usd: bool | None = None
+    """Whether a USD is written; None where usd-core is installed."""
     meshes: MeshSettings = field(default_factory=MeshSettings)
     """Part meshes and their textures."""
     collision: CollisionSettings = field(default_factory=CollisionSettings)
@@ -71,6 +77,8 @@ class ExportSettings:
 
     def check(self) -> None:
         """FreeArtError when a number cannot be."""
+        if self.base not in BASES:
+            raise FreeArtError(f"base is '{self.base}', expected {' or '.join(BASES)}")
         if self.density is not None and self.mass is not None:
             raise FreeArtError(f"density {self.density:g} kg/m^3 and mass {self.mass:g} kg: give one of them")
         for name, unit, (low, high) in (
@@ -134,6 +142,7 @@ def export_result(
             settings.effort,
             settings.velocity,
             effects,
+            settings.base,
         )
         atomic.write_bytes(aside / URDF, urdf_text(model))
         atomic.write_bytes(aside / MJCF, mjcf_text(model))
@@ -145,6 +154,7 @@ def export_result(
             "settings": dataclasses.asdict(settings),
         }
         write_asset_json(aside, _asset(aside, model, placement, source, settings.scale))
+        write_beside(aside, read_asset(aside), settings.usd)
         findings = check_asset(aside)
         if findings:
             raise FreeArtError(f"the asset for {out} does not pass its own check: {findings[0]}")

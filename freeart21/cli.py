@@ -367,8 +367,10 @@ def export(
     scale: float = 1.0,
     up: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, -1.0, 0.0),
     video: Path | None = None,
+    base: Literal["free", "fixed"] = "free",
+    usd: Literal["auto", "yes", "no"] = "auto",
 ) -> int:
-    """Write a result as a simulation-ready asset (URDF, MJCF, meshes), reload it, and check it.
+    """Write a result as a simulation-ready asset (URDF, MJCF, USD, meshes, loaders), reload it, and check it.
 
     Args:
         result: A result folder (with prediction.json).
@@ -379,11 +381,21 @@ def export(
         up: Direction in the result's canonical frame (ours: the camera's of the first frame, right, down, forward)
             that becomes z.
         video: Sequence folder that was reconstructed, for textures from its sharpest frames.
+        base: The reference part moves freely, or stands fixed in the world (in URDF on a link named world).
+        usd: Write object.usdc too; auto where usd-core is installed.
     """
     from export.checklist import check_asset
     from export.exporter import ExportSettings, export_result
 
-    asset = export_result(result, out, ExportSettings(density=density, mass=mass, scale=scale, up=up), video=video)
+    settings = ExportSettings(
+        density=density,
+        mass=mass,
+        scale=scale,
+        up=up,
+        base=base,
+        usd={"auto": None, "yes": True, "no": False}[usd],
+    )
+    asset = export_result(result, out, settings, video=video)
     print(asset.urdf)
     findings = check_asset(out)
     for finding in findings:
