@@ -17,7 +17,7 @@ from export.meshes import MeshSettings, write_hull, write_visual
 from export.mjcf import mjcf_text
 from export.model import BASES, AssetModel, Base, LinkModel
 from export.parts import Part, closed_parts
-from export.placement import Placement, placed
+from export.placement import Placement, PlacementSettings, placed
 from export.urdf import urdf_text
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
@@ -53,10 +53,8 @@ class ExportSettings:
     """kg of the whole object, which the parts share by the volumes of their hulls; not together with `density`."""
     scale: float = 1.0
     """Lengths of the asset (meshes, pivot, travel, T_canonical_reference) over those of the video."""
-    up: tuple[float, float, float] = (0.0, -1.0, 0.0)
-    """Direction in the canonical frame that becomes z of the links: ours is a camera frame, whose y points down."""
-    limit_margin: float = 0.02
-    """Fraction of the observed range by which each joint limit lies beyond it."""
+    placement: PlacementSettings = field(default_factory=PlacementSettings)
+    """Which way is up, where the joint is at zero, and where it ends."""
     min_range_rad: float = 1e-3
     """A revolute joint that was seen to move less has no limits to export."""
     min_range_m: float = 1e-4
@@ -81,6 +79,7 @@ class ExportSettings:
             raise FreeArtError(f"base is '{self.base}', expected {' or '.join(BASES)}")
         if self.density is not None and self.mass is not None:
             raise FreeArtError(f"density {self.density:g} kg/m^3 and mass {self.mass:g} kg: give one of them")
+        self.placement.check()
         for name, unit, (low, high) in (
             ("density", " kg/m^3", _DENSITIES),
             ("mass", " kg", _MASSES),
@@ -122,9 +121,9 @@ def export_result(
     reconstruction, parts = closed_parts(reconstruction, recording, settings.meshes)
     placement = placed(
         scaled(reconstruction, settings.scale),
-        settings.up,
-        settings.limit_margin,
+        settings.placement,
         {"revolute": settings.min_range_rad, "prismatic": settings.min_range_m * settings.scale},
+        settings.scale,
     )
     with only_writer(out), atomic.new_folder(out, ASSET) as aside:
         shapes = {name: _shape(name, part, getattr(placement, name), settings) for name, part in parts.items()}
@@ -148,7 +147,7 @@ def export_result(
         atomic.write_bytes(aside / MJCF, mjcf_text(model))
         source |= {
             "parts": {"reference": said_reference, "moving": said_moving},
-            "up": "z",
+            **placement.said,
             "length_unit": "m",
             "exporter": f"freeart21 {freeart21.__version__}",
             "settings": dataclasses.asdict(settings),

@@ -366,7 +366,9 @@ def export(
     density: float | None = None,
     mass: float | None = None,
     scale: float = 1.0,
-    up: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, -1.0, 0.0),
+    up: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
+    gravity: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
+    zero: Literal["first", "closed", "lower", "upper"] = "closed",
     video: Path | None = None,
     base: Literal["free", "fixed"] = "free",
     usd: Literal["auto", "yes", "no"] = "auto",
@@ -380,19 +382,24 @@ def export(
         mass: kg of the whole object instead; the parts share it by the volumes of their collision hulls.
         scale: Factor for all lengths. An asset of another scale than 1 is not scored: it is not the video's object.
         up: Direction in the result's canonical frame (ours: the camera's of the first frame, right, down, forward)
-            that becomes z.
+            that becomes z; when not given, that of gravity or of the likeliest pose in which the object rests.
+        gravity: Which way gravity pulls in the camera's axes (right, down, forward) of the first frame, 0 9.81 0 of a
+            level camera; only when the reference part stood still before the camera.
+        zero: Where the joint is at zero: in the first frame, at the end where both parts fill the least space (closed),
+            or at its lower or upper end.
         video: Sequence folder that was reconstructed, for textures from its sharpest frames.
         base: The reference part moves freely, or stands fixed in the world (in URDF on a link named world).
         usd: Write object.usdc too; auto where usd-core is installed.
     """
     from export.checklist import check_asset
     from export.exporter import ExportSettings, export_result
+    from export.placement import PlacementSettings
 
     settings = ExportSettings(
         density=density,
         mass=mass,
         scale=scale,
-        up=up,
+        placement=PlacementSettings(up, gravity, zero),
         base=base,
         usd={"auto": None, "yes": True, "no": False}[usd],
     )
