@@ -63,9 +63,7 @@ def carved(parts: Articulation, low: float, high: float, tolerance: float, overl
 
     coarse = np.linspace(low, high, COARSE)
     lost = {
-        name: solid.volume() - rest(name, coarse, False).volume()
-        for name, solid in solids.items()
-        if solid is not None
+        name: solid.volume() - rest(name, coarse, False).volume() for name, solid in solids.items() if solid is not None
     }
     name = min(("reference", "moving"), key=lambda n: lost[n])
     inside = np.max([overlap.depths(float(state)) for state in coarse], axis=0) > 0

@@ -95,9 +95,7 @@ def joint_range(answer: Reconstruction, overlap: Overlap | None, tolerance: floa
     return JointRange(ends[-1], ends[1], by[-1], by[1])
 
 
-def _contact(
-    overlap: Overlap, usual: NDArray[np.float64], start: float, stop: float, tolerance: float
-) -> float | None:
+def _contact(overlap: Overlap, usual: NDArray[np.float64], start: float, stop: float, tolerance: float) -> float | None:
     """The first state from `start` to `stop` where a point is `tolerance` deeper than `usual` (n,), or None."""
 
     def free(state: float) -> bool:

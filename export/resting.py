@@ -69,9 +69,15 @@ def resting_poses(object_: Articulation, low: float, high: float, zero: float) -
             alone = standing[standing @ up < level + near]
             support = [np.concatenate([alone, there[there @ up < level + near]]) for there in moving]
             by_itself = _tipping(alone, centre[0], up, level)
-            angles = [_tipping(alone if by_itself > 0 else s, c, up, level) for s, c in zip(support, centre, strict=True)]
+            angles = [
+                _tipping(alone if by_itself > 0 else s, c, up, level) for s, c in zip(support, centre, strict=True)
+            ]
             if angles[0] > 0 and len(alone):
-                found.append(RestingPose(up, angles[0], float(np.mean(angles[1:])), min(angles), carrier if by_itself > 0 else "both"))
+                found.append(
+                    RestingPose(
+                        up, angles[0], float(np.mean(angles[1:])), min(angles), carrier if by_itself > 0 else "both"
+                    )
+                )
     return sorted(found, key=lambda pose: -pose.tipping)
 
 
@@ -135,9 +141,7 @@ def _planes(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     return planes
 
 
-def _tipping(
-    support: NDArray[np.float64], centre: NDArray[np.float64], up: NDArray[np.float64], level: float
-) -> float:
+def _tipping(support: NDArray[np.float64], centre: NDArray[np.float64], up: NDArray[np.float64], level: float) -> float:
     """Radians that a body may lean before its centre of mass leaves what supports it; negative when it is outside."""
     across = np.linalg.svd(up[None])[2][1:]
     points = support @ across.T

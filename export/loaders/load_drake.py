@@ -1,8 +1,8 @@
 """This asset in Drake, with what Drake drops put back. Measured with Drake 1.51.1.
 
 Drake warns of a URDF's friction and drops it. Here the joint gets an actuator that is nothing but friction: a damper of
-speed 0, cut off at the friction's size, which a discrete plant solves together with the contacts. The actuator carries the
-armature, too, and a spring is a force element.
+speed 0, cut off at the friction's size, which a discrete plant solves together with the contacts. The actuator carries
+the armature, too, and a spring is a force element.
 
     instance = load(plant)                # before plant.Finalize()
     connect(builder, plant, instance)     # after it: without this there is no friction
