@@ -107,9 +107,10 @@ def demo(
         print("Reconstructing it from the video alone", flush=True)
         answer = reconstruct_folder(data / "sequences" / sequence, results / sequence)
         if not isinstance(answer, Failure):
-            print("Exporting it as URDF, MJCF and meshes; reloading them", flush=True)
+            print("Exporting it as an asset for simulators, with the video's print; reloading it", flush=True)
             try:
-                export_result(results / sequence, results / sequence / "asset")
+                video = data / "sequences" / sequence
+                export_result(results / sequence, results / sequence / "asset", video=video)
             except FreeArtError as error:  # the score and the page say that there is no asset
                 print(f"No asset: {error}", file=sys.stderr)
         print("Scoring the reloaded asset, and the answer's masks, poses and views, against the truth", flush=True)
