@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from manifold3d import Error, Manifold, Mesh64
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from export.penetration import Overlap
-from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
@@ -25,13 +23,11 @@ LARGEST = 0.5
 
 @dataclass(frozen=True)
 class Carved:
-    """A part after cutting."""
+    """What is left of a part."""
 
     name: str
     """'reference' or 'moving'."""
     mesh: Mesh
-    faces_before: NDArray[np.int64]
-    """(F,) which triangle of the part's mesh each triangle is of; -1 of a cut's."""
     volume: float
     """m^3 that was cut away."""
 
@@ -63,9 +59,7 @@ def carved(parts: Articulation, low: float, high: float, tolerance: float, overl
 
     coarse = np.linspace(low, high, COARSE)
     lost = {
-        name: solid.volume() - rest(name, coarse, False).volume()
-        for name, solid in solids.items()
-        if solid is not None
+        name: solid.volume() - rest(name, coarse, False).volume() for name, solid in solids.items() if solid is not None
     }
     name = min(("reference", "moving"), key=lambda n: lost[n])
     inside = np.max([overlap.depths(float(state)) for state in coarse], axis=0) > 0
@@ -77,26 +71,18 @@ def carved(parts: Articulation, low: float, high: float, tolerance: float, overl
     assert before is not None
     if left.status() != Error.NoError or left.volume() < (1 - LARGEST) * before.volume():
         return f"more than {100 * LARGEST:g} % of the {name} part would be cut away"
-    mesh, faces = _mesh_of(left, parts.part(name), before.original_id())
-    return Carved(name, mesh, faces, float(before.volume() - left.volume()))
+    out = left.to_mesh64()
+    mesh = Mesh(np.asarray(out.vert_properties)[:, :3], np.asarray(out.tri_verts).astype(np.int64))
+    return Carved(name, mesh, float(before.volume() - left.volume()))
 
 
 def solid_of(mesh: Mesh) -> Manifold | None:
-    """The closed solid of a mesh, its triangles numbered; None when the mesh is not closed."""
+    """The closed solid of a mesh; None when the mesh is not closed."""
     if mesh.empty:
         return None
     points, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = place.reshape(-1)[mesh.faces].astype(np.uint64)
-    number = Manifold.reserve_ids(1)
-    solid = Manifold(
-        Mesh64(
-            np.ascontiguousarray(points),
-            np.ascontiguousarray(faces),
-            run_index=np.array([0, 3 * len(faces)], np.uint64),
-            run_original_id=np.array([number], np.uint32),
-            face_id=np.arange(len(faces), dtype=np.uint64),
-        )
-    )
+    solid = Manifold(Mesh64(np.ascontiguousarray(points), np.ascontiguousarray(faces)))
     return solid if solid.status() == Error.NoError and solid.volume() > 0 else None
 
 
@@ -105,17 +91,3 @@ def _without(target: Manifold, tool: Manifold, joint: Joint, states: NDArray[np.
     for T in joint.transform(states):
         target = target - tool.transform(T[:3])
     return target
-
-
-def _mesh_of(solid: Manifold, before: Mesh, number: int) -> tuple[Mesh, NDArray[np.int64]]:
-    """A solid's mesh with the colours of the nearest vertices of before, and its triangles' numbers there."""
-    out = solid.to_mesh64()
-    vertices, faces = np.asarray(out.vert_properties)[:, :3], np.asarray(out.tri_verts).astype(np.int64)
-    numbers = np.full(len(faces), -1)
-    index = np.asarray(out.run_index) // 3
-    for k, run in enumerate(out.run_original_id):
-        if run == number:
-            own = slice(int(index[k]), int(index[k + 1]))
-            numbers[own] = np.asarray(out.face_id)[own]
-    colours = None if before.colours is None else before.colours[cKDTree(before.vertices).query(vertices)[1]]
-    return Mesh(vertices, faces, colours), numbers

@@ -126,7 +126,10 @@ def export_result(
         settings.scale,
     )
     with only_writer(out), atomic.new_folder(out, ASSET) as aside:
-        shapes = {name: _shape(name, part, getattr(placement, name), settings) for name, part in parts.items()}
+        shapes = {
+            name: _shape(name, part, getattr(placement, name), placement.solids[name], settings)
+            for name, part in parts.items()
+        }
         density = DENSITY if settings.density is None else settings.density
         if settings.mass is not None:
             density = settings.mass / sum(inertial_of(shape.collision.hulls, 1.0).mass for shape in shapes.values())
@@ -202,9 +205,9 @@ class _Shape:
     collision: Collision
 
 
-def _shape(name: str, part: Part, visual: Mesh, settings: ExportSettings) -> _Shape:
+def _shape(name: str, part: Part, visual: Mesh, solid: Mesh, settings: ExportSettings) -> _Shape:
     try:
-        shape = _Shape(part, visual, convex_parts(visual, settings.collision))
+        shape = _Shape(part, visual, convex_parts(solid, settings.collision))
         inertial_of(shape.collision.hulls, 1.0)  # there is a volume
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error

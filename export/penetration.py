@@ -106,7 +106,7 @@ class _Surface:
         return np.where(self._winding.number(points) > 0.5, distance, -distance)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _distance(points, near, corners):  # type: ignore[no-untyped-def]
     """(n,) from each point to the nearest of its candidate triangles `near` (n, k)."""
     found = np.full(len(points), np.inf)
@@ -119,9 +119,9 @@ def _distance(points, near, corners):  # type: ignore[no-untyped-def]
     return found
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _nearest(p, triangle):  # type: ignore[no-untyped-def]
-    """Barycentric coordinates, of the second and third corner, of a triangle's point nearest to p (Ericson 2005, 5.1.5)."""
+    """Barycentric coordinates (second, third corner) of a triangle's point nearest to p (Ericson 2005, 5.1.5)."""
     a, b, c = triangle[0], triangle[1], triangle[2]
     ab, ac, ap, bp, cp = b - a, c - a, p - a, p - b, p - c
     d1, d2 = ab @ ap, ac @ ap

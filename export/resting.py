@@ -20,11 +20,11 @@ FLAT = np.radians(5.0)
 TOUCHING = 0.01
 """Part of the object's diagonal: reference points within it of the plane carry. Reconstructed bases are not flat."""
 STANDS = np.radians(5.0)
-"""What tips over when it leans by less does not stand. The upright phones and scissors of the 21 procedural objects tip at
-0 to 5 degrees, their lighters, which do stand, at 7 to 9."""
+"""What tips over when it leans by less does not stand. The upright phones and scissors of the 21 procedural objects tip
+at 0 to 5 degrees, their lighters, which do stand, at 7 to 9."""
 CONCENTRATION = 4.0
-"""Of the first frame's camera about up (von Mises and Fisher): 40 degrees root mean square. In 21 made recordings it was
-24; people turn what they hold by more."""
+"""Of the first frame's camera about up (von Mises and Fisher): 40 degrees root mean square. In 21 made recordings it
+was 24; people turn what they hold by more."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,10 @@ class RestingPose:
 def resting_poses(object_: Articulation, low: float, high: float, zero: float) -> list[RestingPose]:
     """The poses in which an object rests on a plane at joint state `zero`, rad or m, and its joint is free to move.
 
-    One part stands on the plane and the other moves over the range [low, high]: the plane is a facet of the convex hull
-    of all that the parts sweep, as the standing part has it, so that nothing goes below. The centre of mass is over what
-    touches the plane. Mass is that of the meshes' volumes when both are closed, else of their areas, as of shells.
+    One part stands on the plane and the other moves over the range [low, high]: the plane is a facet of the convex
+    hull of all that the parts sweep, as the standing part has it, so that nothing goes below. The centre of mass is
+    over what touches the plane. Mass is that of the meshes' volumes when both are closed, else of their areas, as of
+    shells.
     """
     states = np.append(zero, np.linspace(low, high, STATES))
     own, other = (_corners(object_.part(name).vertices[np.unique(object_.part(name).faces)]) for name in PARTS)
@@ -69,9 +70,15 @@ def resting_poses(object_: Articulation, low: float, high: float, zero: float) -
             alone = standing[standing @ up < level + near]
             support = [np.concatenate([alone, there[there @ up < level + near]]) for there in moving]
             by_itself = _tipping(alone, centre[0], up, level)
-            angles = [_tipping(alone if by_itself > 0 else s, c, up, level) for s, c in zip(support, centre, strict=True)]
+            angles = [
+                _tipping(alone if by_itself > 0 else s, c, up, level) for s, c in zip(support, centre, strict=True)
+            ]
             if angles[0] > 0 and len(alone):
-                found.append(RestingPose(up, angles[0], float(np.mean(angles[1:])), min(angles), carrier if by_itself > 0 else "both"))
+                found.append(
+                    RestingPose(
+                        up, angles[0], float(np.mean(angles[1:])), min(angles), carrier if by_itself > 0 else "both"
+                    )
+                )
     return sorted(found, key=lambda pose: -pose.tipping)
 
 
@@ -91,9 +98,9 @@ def centres_of_mass(object_: Articulation, states: NDArray[np.float64]) -> NDArr
 def upright(poses: Sequence[RestingPose], prior: NDArray[np.float64]) -> tuple[RestingPose, float] | None:
     """The likeliest way up and its share among all, 0 to 1; None when the object stands in no pose.
 
-    How stable a pose is (`mean`; those below `STANDS` do not count), times how likely a camera whose own up is `prior` (3,)
-    is to look at it so: exp(CONCENTRATION cos(angle)). Of two poses alike, such as a box and the box upside down, people
-    film the one that they call upright.
+    How stable a pose is (`mean`; those below `STANDS` do not count), times how likely a camera whose own up is `prior`
+    (3,) is to look at it so: exp(CONCENTRATION cos(angle)). Of two poses alike, such as a box and the box upside down,
+    people film the one that they call upright.
     """
     standing = [pose for pose in poses if pose.tipping >= STANDS and pose.mean > 0]
     if not standing:
@@ -135,9 +142,7 @@ def _planes(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     return planes
 
 
-def _tipping(
-    support: NDArray[np.float64], centre: NDArray[np.float64], up: NDArray[np.float64], level: float
-) -> float:
+def _tipping(support: NDArray[np.float64], centre: NDArray[np.float64], up: NDArray[np.float64], level: float) -> float:
     """Radians that a body may lean before its centre of mass leaves what supports it; negative when it is outside."""
     across = np.linalg.svd(up[None])[2][1:]
     points = support @ across.T

@@ -41,7 +41,9 @@ def _tree(
     Nodes stand in preorder, so that the left child follows its parent; each is cut at the median of its longest side.
     """
     order = np.arange(len(middles))
-    first, count, right = [], [], []
+    first: list[int] = []
+    count: list[int] = []
+    right: list[int] = []
     waiting = [(0, len(middles), -1)]
     while waiting:
         start, stop, parent = waiting.pop()
@@ -73,7 +75,7 @@ def _dipoles(corners: Array, normals: Array, first: NDArray[np.int64], count: ND
     return nodes
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _number(points, corners, nodes, first, count, right, far):  # type: ignore[no-untyped-def]
     found = np.zeros(len(points))
     stack = np.empty(128, np.int64)
@@ -98,7 +100,7 @@ def _number(points, corners, nodes, first, count, right, far):  # type: ignore[n
     return found
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _solid_angle(triangle, x, y, z):  # type: ignore[no-untyped-def]
     """Of a triangle (3, 3) seen from a point (van Oosterom and Strackee 1983)."""
     ax, ay, az = triangle[0, 0] - x, triangle[0, 1] - y, triangle[0, 2] - z
