@@ -81,7 +81,7 @@ def test_a_box_with_a_lid_stands_on_its_base_closed_at_zero():
     assert placement.state_zero == pytest.approx(0.25)
     lid = placement.moving.moved(se3.pose(np.eye(3), placement.joint.pivot))
     opened = lid.moved(placement.joint.transform(0.5)).vertices
-    assert opened[:, 2].max() > 0.15 and lid.vertices[:, 2].min() > 0.1
+    assert opened[:, 2].max() > 0.15 and lid.vertices[:, 2].min() > 0.0999
     level = answer.articulation.moved(se3.inverse(placement.T_canonical_reference))
     np.testing.assert_allclose(placement.joint.transform(0.3), level.joint.transform(0.3), atol=1e-9)
     np.testing.assert_allclose(lid.vertices, level.posed(np.eye(4), -placement.state_zero)[1].vertices, atol=1e-9)
@@ -221,7 +221,8 @@ def test_inside_of_an_open_box_is_what_it_encloses_for_the_most_part():
     mesh = Mesh(np.asarray(fine.vertices), np.asarray(fine.faces))
     without_top = mesh.with_faces(mesh.vertices[mesh.faces].mean(1)[:, 2] < 0.0499)
     points = np.array([[0, 0, 0], [0, 0, 0.1], [0, 0, -0.04], [0.2, 0, 0]])
-    np.testing.assert_allclose(Winding(mesh).number(points), [1, 0, 1, 0], atol=0.01)
+    np.testing.assert_allclose(Winding(mesh).number(points), [1, 0, 1, 0], atol=0.05)  # far triangles are dipoles
+    np.testing.assert_allclose(Winding(mesh).distance(points), [0.05, 0.05, 0.01, 0.15], atol=1e-12)
     np.testing.assert_array_equal(Winding(without_top).number(points) > 0.5, [True, False, True, False])
 
 
