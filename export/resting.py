@@ -150,8 +150,8 @@ def _tipping(support: NDArray[np.float64], centre: NDArray[np.float64], up: NDAr
         hull = ConvexHull(points)
     except (QhullError, ValueError):
         return -1.0
-    margin = -(hull.equations[:, :2] @ (across @ centre) + hull.equations[:, 2]).max()
-    return float(np.arctan2(margin, max(centre @ up - level, 1e-12)))
+    margin = -float((hull.equations[:, :2] @ (across @ centre) + hull.equations[:, 2]).max())
+    return float(np.arctan2(margin, max(float(centre @ up) - level, 1e-12)))
 
 
 def _solid(mesh: Mesh) -> tuple[float, NDArray[np.float64]] | None:

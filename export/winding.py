@@ -82,7 +82,7 @@ def _dipoles(corners: Array, normals: Array, first: NDArray[np.int64], count: ND
 
 
 @njit(cache=True)
-def _number(points, corners, nodes, first, count, right, far):  # type: ignore[no-untyped-def]
+def _number(points, corners, nodes, first, count, right, far):
     found = np.zeros(len(points))
     stack = np.empty(128, np.int64)
     for i in range(len(points)):
@@ -107,7 +107,7 @@ def _number(points, corners, nodes, first, count, right, far):  # type: ignore[n
 
 
 @njit(cache=True)
-def _distance(points, corners, nodes, first, count, right):  # type: ignore[no-untyped-def]
+def _distance(points, corners, nodes, first, count, right):
     found = np.empty(len(points))
     stack = np.empty(128, np.int64)
     for i in range(len(points)):
@@ -132,14 +132,14 @@ def _distance(points, corners, nodes, first, count, right):  # type: ignore[no-u
 
 
 @njit(cache=True)
-def _clear(node, p):  # type: ignore[no-untyped-def]
+def _clear(node, p):
     """Distance from p that no triangle of a node can be below."""
     x, y, z = node[0] - p[0], node[1] - p[1], node[2] - p[2]
     return np.sqrt(x * x + y * y + z * z) - node[3]
 
 
 @njit(cache=True)
-def _to_triangle(p, triangle):  # type: ignore[no-untyped-def]
+def _to_triangle(p, triangle):
     s, t = _nearest(p, triangle)
     x = p[0] - (1 - s - t) * triangle[0, 0] - s * triangle[1, 0] - t * triangle[2, 0]
     y = p[1] - (1 - s - t) * triangle[0, 1] - s * triangle[1, 1] - t * triangle[2, 1]
@@ -148,12 +148,12 @@ def _to_triangle(p, triangle):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _dot(ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
+def _dot(ax, ay, az, bx, by, bz):
     return ax * bx + ay * by + az * bz
 
 
 @njit(cache=True)
-def _nearest(p, triangle):  # type: ignore[no-untyped-def]
+def _nearest(p, triangle):
     """Barycentric coordinates (second, third corner) of a triangle's point nearest to p (Ericson 2005, 5.1.5)."""
     ux, uy, uz = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
     vx, vy, vz = triangle[2, 0] - triangle[0, 0], triangle[2, 1] - triangle[0, 1], triangle[2, 2] - triangle[0, 2]
@@ -182,7 +182,7 @@ def _nearest(p, triangle):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _solid_angle(triangle, x, y, z):  # type: ignore[no-untyped-def]
+def _solid_angle(triangle, x, y, z):
     """Of a triangle (3, 3) seen from a point (van Oosterom and Strackee 1983)."""
     ax, ay, az = triangle[0, 0] - x, triangle[0, 1] - y, triangle[0, 2] - z
     bx, by, bz = triangle[1, 0] - x, triangle[1, 1] - y, triangle[1, 2] - z
