@@ -143,11 +143,14 @@ def export_result(
         settings.scale,
     )
     with only_writer(out), atomic.new_folder(out, ASSET) as aside:
-        shapes = {name: _shape(name, part, getattr(placement, name), settings) for name, part in parts.items()}
+        shapes = {
+            name: _shape(name, part, getattr(placement, name), placement.solids[name], settings)
+            for name, part in parts.items()
+        }
         density = DENSITIES[settings.material] if settings.density is None else settings.density
         if settings.mass is not None:
             density = settings.mass / sum(
-                inertial_of(shape.visual, 1.0, settings.wall).mass for shape in shapes.values()
+                inertial_of(shape.solid, 1.0, settings.wall).mass for shape in shapes.values()
             )
         reference, said_reference = _write_link(aside, "reference", shapes["reference"], density, settings)
         moving, said_moving = _write_link(aside, "moving", shapes["moving"], density, settings)
@@ -223,13 +226,15 @@ class _Shape:
 
     part: Part
     visual: Mesh
+    solid: Mesh
+    """The visual mesh without what would be in the other part."""
     collision: Collision
 
 
-def _shape(name: str, part: Part, visual: Mesh, settings: ExportSettings) -> _Shape:
+def _shape(name: str, part: Part, visual: Mesh, solid: Mesh, settings: ExportSettings) -> _Shape:
     try:
-        shape = _Shape(part, visual, convex_parts(visual, settings.collision))
-        inertial_of(shape.visual, 1.0, settings.wall)  # there is a volume
+        shape = _Shape(part, visual, solid, convex_parts(solid, settings.collision))
+        inertial_of(solid, 1.0, settings.wall)  # there is a volume
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error
     return shape
@@ -249,7 +254,7 @@ def _write_link(
         "hulls": len(hulls),
         "collision": collision.fidelity.said(),
     }
-    inertial = inertial_of(visual, density, settings.wall)
+    inertial = inertial_of(shape.solid, density, settings.wall)
     return LinkModel(name, f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}", hulls, inertial), said
 
 

@@ -18,6 +18,7 @@ from export.collision import CollisionSettings, convex_hull, convex_parts
 from export.exporter import ExportSettings, export_result
 from export.inertia import Inertial, inertial_of, unphysical
 from export.meshes import deduplicated, inside_out, reduced, turned, without_crumbs, write_visual
+from export.placement import PlacementSettings
 from export.texture import vertex_skin
 from freeart21 import doctor, se3
 from freeart21.articulation import Articulation
@@ -48,7 +49,7 @@ def reconstruction(
     kind: str = "revolute", states=(0.0, 0.4, 1.1), frame: int | None = None, slide: float = 0.0, **changes
 ) -> Reconstruction:
     """A red slab with a blue lid hinged at (or sliding from) its edge, in the canonical frame of seed `frame`."""
-    axis = np.array([0.0, 1.0, 0.0])
+    axis = np.array([0.0, -1.0, 0.0])
     joint = Joint("lid joint", kind, axis, np.array([-0.1, 0, 0.02]) + slide * axis, min(states), max(states))
     parts = Articulation(joint, box((0.2, 0.15, 0.04), colour=RED), box((0.2, 0.15, 0.03), (0, 0, 0.04), BLUE))
     if frame is not None:
@@ -104,29 +105,30 @@ def test_parts_stand_where_the_reconstruction_has_them(tmp_path: Path, kind: str
             assert apart.min(0).max() < 1e-6 and apart.min(1).max() < 1e-6
 
 
-def test_limits_are_the_observed_range_with_margin_and_zero_inside(tmp_path: Path):
-    for k, (states, zero) in enumerate((((0.0, 0.4, 1.0), 0.0), ((0.3, 0.5, 1.3), 0.3), ((-1.3, -0.5, -0.3), -0.3))):
+def test_limits_are_the_observed_range_and_zero_is_its_closed_end(tmp_path: Path):
+    for k, (states, zero) in enumerate((((0.0, 0.4, 1.0), 0.0), ((0.3, 0.5, 1.3), 0.3), ((0.1, -0.1, 0.7), -0.1))):
         answer = reconstruction(states=states)
         asset = export_result(answer, tmp_path / str(k))
         assert asset.state_zero == pytest.approx(-zero)
         limit = ET.parse(asset.urdf).find("joint/limit")
         lower, upper = float(limit.get("lower")), float(limit.get("upper"))
-        assert (lower, upper) == pytest.approx((min(states) - 0.02 - zero, max(states) + 0.02 - zero))
-        assert lower < 0 < upper and float(limit.get("effort")) > 0 and float(limit.get("velocity")) > 0
+        assert (lower, upper) == pytest.approx((min(states) - zero, max(states) - zero)) and lower == 0
+        assert float(limit.get("effort")) > 0 and float(limit.get("velocity")) > 0
 
 
-def test_frames_in_which_a_part_was_not_seen_do_not_widen_the_limits(tmp_path: Path):
+def test_frames_in_which_a_part_was_not_seen_count_as_predicted(tmp_path: Path):
     seen = np.array([[True, True], [True, True], [True, False]])
-    asset = export_result(replace(reconstruction(states=(0.0, 0.5, 3.0)), seen=seen), tmp_path / "a")
-    assert float(ET.parse(asset.urdf).find("joint/limit").get("upper")) == pytest.approx(0.51)
+    asset = export_result(replace(reconstruction(states=(0.0, 0.5, 1.4)), seen=seen), tmp_path / "a")
+    assert float(ET.parse(asset.urdf).find("joint/limit").get("upper")) == pytest.approx(1.4)
 
 
-def test_root_stands_in_the_middle_of_the_reference_part_with_z_up(tmp_path: Path):
+def test_root_stands_under_the_middle_of_the_reference_part(tmp_path: Path):
     answer = reconstruction(frame=7)
     T = export_result(answer, tmp_path / "a").T_canonical_reference
-    vertices = answer.articulation.reference.vertices
-    np.testing.assert_allclose(T[:3, 3], 0.5 * (vertices.min(0) + vertices.max(0)), atol=1e-12)
-    np.testing.assert_allclose(T[:3, 2], [0, -1, 0], atol=1e-12)
+    vertices = se3.transform(se3.inverse(T), answer.articulation.reference.vertices)
+    low, high = vertices.min(0), vertices.max(0)
+    np.testing.assert_allclose((low + high)[:2], 0, atol=1e-4)
+    assert low[2] == pytest.approx(0, abs=1e-4)
 
 
 def masses(folder: Path) -> dict[str, float]:
@@ -189,7 +191,9 @@ def test_a_scaled_asset_is_not_scored(tmp_path: Path):
 
 
 def test_up_becomes_z(tmp_path: Path):
-    asset = export_result(reconstruction(), tmp_path / "a", ExportSettings(up=(2.0, 0.0, 0.0)))
+    asset = export_result(
+        reconstruction(), tmp_path / "a", ExportSettings(placement=PlacementSettings(up=(2.0, 0.0, 0.0)))
+    )
     np.testing.assert_allclose(asset.T_canonical_reference[:3, 2], [1, 0, 0], atol=1e-12)
     assert check_asset(tmp_path / "a") == []
 
@@ -206,8 +210,11 @@ def test_up_becomes_z(tmp_path: Path):
         ({"scale": 0.0}, "scale is 0, expected 0.0001 to 10000"),
         ({"scale": -1.0}, "scale is -1"),
         ({"scale": np.nan}, "scale is nan"),
-        ({"up": (0.0, 0.0, 0.0)}, "up is .*, expected three finite numbers that are not all zero"),
-        ({"up": (0.0, np.inf, 0.0)}, "up is .*, expected three finite numbers"),
+        (
+            {"placement": PlacementSettings(up=(0.0, 0.0, 0.0))},
+            "up is .*, expected three finite numbers that are not all",
+        ),
+        ({"placement": PlacementSettings(up=(0.0, np.inf, 0.0))}, "up is .*, expected three finite numbers"),
     ],
 )
 def test_settings_out_of_bounds_cost_one_line_and_leave_nothing(tmp_path: Path, settings: dict, said: str):
