@@ -77,7 +77,7 @@ def urdf_findings(robot: ET.Element, urdf: Path, folder: Path) -> list[Finding]:
     """What is wrong with the URDF's text, and with the files that it names in `folder`; nothing is simulated."""
     masses = [finding for link in robot.findall("link") for finding in _masses(link, robot)]
     findings = [*_tree(robot), *_names(robot), *_paths(robot, urdf, folder)]
-    if any(finding.item in ("tree", "paths") for finding in findings):  # the rest needs a tree with all its files
+    if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):  # the rest needs a tree with all its files
         return [*findings, *masses]
     findings += masses
     files = partial(named_inside, urdf, folder=folder)
@@ -139,7 +139,11 @@ def _paths(robot: ET.Element, urdf: Path, folder: Path) -> Iterator[Finding]:
         if not name or Path(name).is_absolute() or "://" in name or " " in name or ".." in Path(name).parts:
             expected = "expected a relative path without spaces in the asset's folder"
             yield Finding("paths.relative", f"file '{name}', {expected}")
-        elif not named_inside(urdf, name, folder).is_file():
+        try:
+            there = named_inside(urdf, name, folder).is_file()
+        except FreeArtError:
+            there = False
+        if not there:
             yield Finding("paths.exist", f"file '{name}' does not exist")
 
 

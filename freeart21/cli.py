@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 Positional = tyro.conf.Positional
 DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
 DOUBTFUL = 3
-"""Exit code of `reconstruct` when there is an answer that it does not trust itself."""
+"""Exit code when there is an answer, and it says itself that something is wrong: of `reconstruct` one that it does not
+trust, of `check-asset` a rule that fails."""
 STOP_AFTER = "Stop after this stage; what it found is kept for the next call. " + " ".join(
     f"{stage.name}: {stage.does}." for stage in STAGES if stage.kept
 )
@@ -389,6 +390,35 @@ def export(
     return 1 if findings else 0
 
 
+def check_asset(
+    path: Annotated[Path, Positional],
+    engines: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME...")] = None,
+    simcheck: bool = False,
+    as_json: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE")] = None,
+    limit_s: float = 60.0,
+) -> int:
+    """Check any URDF or MJCF, not only ours: named rules on its files, and trials in every installed engine.
+
+    It is loaded in each engine, compared with the file's own numbers, pushed through its range, let go, and left to
+    rest on a plane. The exit code is 0 when all rules pass, 3 when one fails, 1 when there is no asset.
+
+    Args:
+        path: An asset folder, a folder with one URDF or MJCF, or such a file.
+        engines: Engines to try it in: sapien, mujoco, pybullet, drake; all that are installed when not given.
+        simcheck: Run the public checker of that name, too.
+        as_json: File for the report: every rule with its verdict, reason, measured number and what it is good for.
+        limit_s: Seconds that the files, and each engine, may take.
+    """
+    from export.check.checking import check
+    from export.check.report import print_report, write_report
+
+    report = check(path, engines, simcheck=simcheck, limit_s=limit_s)
+    if as_json is not None:
+        write_report(as_json, report)
+    print_report(report)
+    return 0 if report.passed else DOUBTFUL
+
+
 def measure(
     sources: Annotated[tuple[Path, ...], Positional],
     out: Path,
@@ -605,6 +635,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         convert,
         reconstruct,
         export,
+        check_asset,
         view,
         board.init_submission,
         board.import_,

@@ -44,12 +44,18 @@ def file_rows(
     say("numbers and meshes")
     robot = parsed(urdf)
     findings = urdf_findings(robot, urdf, folder)
-    stop = [f for f in findings if f.broken or f.item == "tree" or f.rule == "paths.exist"]
+    stop = [
+        f
+        for f in findings
+        if f.broken or f.item == "tree" or f.rule in ("paths.exist", "limits.ordered", "numbers and meshes")
+    ]
     skipped: dict[str, str] = {}
     if stop:
         facts["blocked"] = f"{stop[0].rule} fails"
-    if any(f.item in ("tree", "paths") for f in findings):
-        skipped = dict.fromkeys(list(FILE_RULES)[9:], "the tree or its files are not whole")
+    if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):
+        skipped = dict.fromkeys(
+            list(FILE_RULES)[list(FILE_RULES).index("inertia.centre-inside") :], "the tree or its files are not whole"
+        )
     else:
         say("mesh.readable")
         files = partial(named_inside, urdf, folder=folder)

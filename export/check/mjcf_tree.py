@@ -38,7 +38,7 @@ def named_files(mjcf: Path, folder: Path) -> Iterator[Path]:
         folders = {kind: compiler.get(f"{kind}dir", both) or folders[kind] for kind in folders}
     for element in root.iter():
         if element.tag in ("include", "model", "plugin", "extension"):
-            raise FreeArtError(f"{mjcf} has <{element.tag}>, which is not followed: expected one file without extensions")
+            raise FreeArtError(f"{mjcf} has <{element.tag}>, expected one file without extensions")
         for name in (value for key, value in element.attrib.items() if key.startswith("file")):
             below = folders["texture" if element.tag == "texture" else "mesh"]
             yield checked.inside(folder, str(mjcf.parent.resolve() / below / name))
@@ -96,7 +96,7 @@ class _Reader:
             self.inertials[name] = self._inertial(inertial, name)
         found = element.findall("joint")
         free = [*element.findall("freejoint"), *(j for j in found if j.get("type") == "free")]
-        if free and parent is not None or len(found) > 1:
+        if (free and parent is not None) or len(found) > 1:
             raise NotRead(f"body '{name}' has {len(found) + len(free)} joints")
         if parent is not None:
             self._hang(element, name, parent, found[0] if found else None, inherited)
@@ -158,8 +158,8 @@ class _Reader:
         if "quat" in element.attrib:
             return se3.pose_from_wxyz(np.zeros(3), self._numbers(element, "quat", "", 4, name))[:3, :3]
         if "axisangle" in element.attrib:
-            *axis, angle = self._numbers(element, "axisangle", "", 4, name)
-            return se3.exp_so3(self.unit * angle * np.array(axis) / np.linalg.norm(axis))
+            said = self._numbers(element, "axisangle", "", 4, name)
+            return se3.exp_so3(self.unit * said[3] * said[:3] / np.linalg.norm(said[:3]))
         if "euler" in element.attrib:
             R = np.eye(3)
             for letter, angle in zip(self.sequence, self._numbers(element, "euler", "", 3, name), strict=True):

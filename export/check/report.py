@@ -92,11 +92,15 @@ def print_report(report: CheckReport) -> None:
         print(f"fail  {row.rule} ({row.engine}): {row.reason}")
     skips: dict[tuple[str, str], list[str]] = {}
     for row in report.rows:
-        if row.verdict == "skip":
+        if row.verdict == "skip" and not row.rule.startswith("simcheck."):
             skips.setdefault((row.engine, row.reason), []).append(row.rule)
     for (engine, reason), rules in skips.items():
         which = rules[0] if len(rules) == 1 else f"{len(rules)} rules"
         print(f"skip  {which} ({engine}): {reason}")
+    theirs = [row for row in report.rows if row.rule.startswith("simcheck.")]
+    for row in theirs:
+        if row.verdict == "pass" and row.reason.startswith("warn: "):
+            print(f"note  {row.rule} ({row.engine}): {row.reason.removeprefix('warn: ')}")
     for engine, seconds in report.seconds.items():
         settings = f"; {report.settings[engine]}" if engine in report.settings else ""
         print(f"{engine} {report.engines.get(engine, '')}: {seconds:.1f} s{settings}")

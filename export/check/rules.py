@@ -1,4 +1,4 @@
-"""The rules by name: what each one holds an asset to, and what that is good for. Ids are stable; tools may key on them."""
+"""The rules by name: what each holds an asset to, and what that is good for. Ids are stable: tools may key on them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FILE_RULES: dict[str, Rule] = {
     "collision.convex": Rule("collision meshes are convex", "engines take the hull: openings close"),
     "textures.exist": Rule("materials and textures that meshes name exist", "rendering"),
     "mesh.readable": Rule("visual meshes can be read and have a surface", "rendering"),
-    "mesh.watertight": Rule("visual meshes are closed once equal corners are joined", "volumes, distance fields, cutting"),
+    "mesh.watertight": Rule("visual meshes are closed once equal corners are joined", "volumes, distance fields"),
     "axis.unit": Rule("joint axes have length 1", "loaders that do not normalise"),
     "limits.present": Rule("joints that end say where", "planners"),
     "limits.ordered": Rule("lower < upper", "engines that take the joint for locked, or free"),

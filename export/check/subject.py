@@ -1,8 +1,9 @@
-"""What is checked: an asset folder of ours, a folder with one URDF or MJCF, or such a file. Nothing of it is trusted."""
+"""What is checked: an asset folder of ours, a folder with one URDF or MJCF, or such a file. Nothing is trusted."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from freeart21.errors import FreeArtError
@@ -14,6 +15,8 @@ MAX_FILE_BYTES = 256 << 20
 """Bytes of one file that is named."""
 MAX_BYTES = 1 << 30
 """Bytes of all of them."""
+_LOOKED_AT = 100
+"""Files of a folder of which it is asked whether they are a URDF or MJCF."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,8 @@ def find_subject(path: Path) -> Subject:
 def _in_folder(folder: Path) -> Subject:
     """The only URDF or MJCF of a folder or, where it holds none itself, of the folders below."""
     for pattern in ("*", "*/*"):
-        kinds = {file: _kind(file) for file in sorted(folder.glob(pattern)) if file.suffix in (".urdf", ".xml")}
+        files = sorted(islice((f for f in folder.glob(pattern) if f.suffix in (".urdf", ".xml")), _LOOKED_AT))
+        kinds = {file: _kind(file) for file in files}
         urdfs = [file for file, kind in kinds.items() if kind == "robot"]
         mjcfs = [file for file, kind in kinds.items() if kind == "mujoco"]
         if len(urdfs) == 1:

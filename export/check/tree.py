@@ -35,6 +35,8 @@ class TreeJoint:
     friction: float = 0.0
     mimic: tuple[str, float, float] | None = None
     """The joint that it follows, multiplier and offset."""
+    stated: bool = True
+    """Whether the file says how far it goes, be it without end."""
 
     def transform(self, q: float) -> Array:
         """(4, 4) the child's frame in the parent's at position `q`."""
@@ -45,8 +47,8 @@ class TreeJoint:
 
     @property
     def ordered(self) -> bool:
-        """Whether its limits leave it a range."""
-        return self.lower < self.upper
+        """Whether the file leaves it a range."""
+        return self.stated and self.lower < self.upper
 
     @property
     def loaded(self) -> float:
@@ -141,6 +143,7 @@ def tree_of_urdf(urdf: Urdf) -> Tree:
             j.damping,
             j.friction,
             j.mimic,
+            j.limited or j.type == "continuous",
         )
         for j in sorted(urdf.joints.values(), key=lambda joint: place[joint.child])
     }

@@ -45,8 +45,8 @@ class World(ABC):
     """Those that move."""
     parents: dict[str, str | None]
     """Link to the link that it hangs on; of all links."""
-    reads: str = "urdf"
-    """The format that the engine was given."""
+    nailed: bool = False
+    """Whether the engine holds the root although it was not asked to."""
 
     @abstractmethod
     def inertials(self) -> dict[str, UrdfInertial]:
@@ -87,9 +87,9 @@ SETTINGS = {
     "sapien": "step 2 ms, 25 position iterations, contact offset 2 mm, friction 0.5, no sleeping, no damping of links, "
     "joint friction as the URDF's (by a saturated damper)",
     "mujoco": "the file's own solver and contact options, step at most 2 ms; a plane with default contact",
-    "pybullet": "step 2 ms, 100 solver iterations, inertia from the file, no damping of links, no self-collision between "
-    "neighbours, joint friction as the URDF's (by a velocity motor)",
-    "drake": "discrete step 2 ms, all shapes hydroelastic (compliant, default modulus), friction 0.5; URDF friction is lost",
+    "pybullet": "step 2 ms, 100 solver iterations, inertia from the file, no damping of links, neighbours do not "
+    "collide, friction 0.5, joint friction as the URDF's (by a velocity motor)",
+    "drake": "discrete step 2 ms, hydroelastic contact (compliant, default modulus), friction 0.5; no joint friction",
 }
 """What a reader of the numbers has to know."""
 

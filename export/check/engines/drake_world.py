@@ -8,7 +8,14 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion  # noqa: F401 (registers the types that poses return)
-from pydrake.geometry import DefaultProximityProperties, HalfSpace, SceneGraphConfig
+from pydrake.geometry import (
+    AddContactMaterial,
+    AddRigidHydroelasticProperties,
+    DefaultProximityProperties,
+    HalfSpace,
+    ProximityProperties,
+    SceneGraphConfig,
+)
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
@@ -29,14 +36,17 @@ def load(file: Path, folder: Path, setting: Setting) -> DrakeWorld:
     builder = DiagramBuilder()
     plant, geometry = AddMultibodyPlantSceneGraph(builder, time_step=_STEP_S)
     # a box on a plane has but one contact point where nothing is hydroelastic, and sinks in within seconds
-    properties = DefaultProximityProperties(compliance_type="compliant", dynamic_friction=_FRICTION, static_friction=_FRICTION)
-    geometry.set_config(SceneGraphConfig(default_proximity_properties=properties))
-    (model,) = Parser(plant).AddModels(str(plain_urdf(file, folder)))
+    said = DefaultProximityProperties(
+        compliance_type="compliant", dynamic_friction=_FRICTION, static_friction=_FRICTION
+    )
+    geometry.set_config(SceneGraphConfig(default_proximity_properties=said))
+    (model,) = Parser(plant).AddModels(plain_urdf(file, folder))
     plant.mutable_gravity_field().set_gravity_vector([0, 0, -GRAVITY if setting.gravity else 0.0])
     if setting.floor:
-        plant.RegisterCollisionGeometry(
-            plant.world_body(), RigidTransform(), HalfSpace(), "floor", CoulombFriction(_FRICTION, _FRICTION)
-        )
+        hard = ProximityProperties()
+        AddContactMaterial(properties=hard, friction=CoulombFriction(_FRICTION, _FRICTION))
+        AddRigidHydroelasticProperties(hard)
+        plant.RegisterCollisionGeometry(plant.world_body(), RigidTransform(), HalfSpace(), "floor", hard)
     bodies = [plant.get_body(k) for k in plant.GetBodyIndices(model)]
     hung = {plant.get_joint(k).child_body().name() for k in plant.GetJointIndices(model)}
     root = next(body for body in bodies if body.name() not in hung)
@@ -93,7 +103,7 @@ class DrakeWorld(World):
 
     def place(self, T_world_root: Array) -> None:
         """See `World`."""
-        self.plant.SetFreeBodyPose(self.context, self.root, RigidTransform(T_world_root))
+        self.plant.SetFreeBodyPose(self.context, self.root, RigidTransform(np.array(T_world_root, float)))
         self.simulator.Initialize()
 
     def state(self) -> tuple[dict[str, float], dict[str, float]]:

@@ -51,7 +51,7 @@ def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
     spec.option.gravity = [0, 0, -GRAVITY if setting.gravity else 0.0]
     spec.option.timestep = min(spec.option.timestep, _LARGEST_STEP_S)
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
-    return MujocoWorld(spec.compile(), root.name, "urdf" if urdf else "mjcf")
+    return MujocoWorld(spec.compile(), root.name)
 
 
 def _part_neighbours(spec: Any, root: Any) -> None:
@@ -66,8 +66,8 @@ def _part_neighbours(spec: Any, root: Any) -> None:
 class MujocoWorld(World):
     """See `World`."""
 
-    def __init__(self, model: Any, root: str, reads: str):
-        self.model, self.data, self.reads = model, mujoco.MjData(model), reads
+    def __init__(self, model: Any, root: str):
+        self.model, self.data = model, mujoco.MjData(model)
         names = [model.body(b).name for b in range(model.nbody)]
         self.root = root
         self.parents = {

@@ -46,6 +46,7 @@ class PybulletWorld(World):
         names = {-1: pybullet.getBodyInfo(body, client)[0].decode(), **{i[0]: i[12].decode() for i in infos}}
         self.index = {name: k for k, name in names.items()}
         self.root = names[-1]
+        self.nailed = not setting.fixed and pybullet.getDynamicsInfo(body, -1, client)[0] == 0
         self.parents = {self.root: None} | {names[info[0]]: names[info[16]] for info in infos}
         moving = [i for i in infos if i[2] in (pybullet.JOINT_REVOLUTE, pybullet.JOINT_PRISMATIC)]
         self.number = {info[1].decode(): info[0] for info in moving}
