@@ -49,8 +49,8 @@ def load(file: Path, folder: Path, setting: Setting) -> DrakeWorld:
         plant.RegisterCollisionGeometry(plant.world_body(), RigidTransform(), HalfSpace(), "floor", hard)
     bodies = [plant.get_body(k) for k in plant.GetBodyIndices(model)]
     hung = {plant.get_joint(k).child_body().name() for k in plant.GetJointIndices(model)}
-    root = next(body for body in bodies if body.name() not in hung)
-    if setting.fixed:
+    root = next((body for body in bodies if body.name() not in hung), None)
+    if root is not None and setting.fixed:
         plant.WeldFrames(plant.world_frame(), root.body_frame())
     plant.Finalize()
     return DrakeWorld(builder.Build(), plant, model, bodies, root)
@@ -66,7 +66,8 @@ class DrakeWorld(World):
         self.context = plant.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
         joints = [plant.get_joint(k) for k in plant.GetJointIndices(model)]
         ends = [j for j in joints if j.child_body().name() in self.bodies and j.parent_body().name() in self.bodies]
-        self.parents = {root.name(): None} | {j.child_body().name(): j.parent_body().name() for j in ends}
+        self.parents = {name: None for name in self.bodies}
+        self.parents |= {j.child_body().name(): j.parent_body().name() for j in ends}
         self.drake_joints = {joint.name(): joint for joint in ends if joint.num_velocities() == 1}
         self.joints = tuple(
             EngineJoint(
@@ -103,7 +104,8 @@ class DrakeWorld(World):
 
     def place(self, T_world_root: Array) -> None:
         """See `World`."""
-        self.plant.SetFreeBodyPose(self.context, self.root, RigidTransform(np.array(T_world_root, float)))
+        T: Any = np.array(T_world_root, float)
+        self.plant.SetFreeBodyPose(self.context, self.root, RigidTransform(T))
         self.simulator.Initialize()
 
     def state(self) -> tuple[dict[str, float], dict[str, float]]:
