@@ -7,21 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion  # noqa: F401 (registers the types that poses return)
-from pydrake.geometry import (
-    AddContactMaterial,
-    AddRigidHydroelasticProperties,
-    DefaultProximityProperties,
-    HalfSpace,
-    ProximityProperties,
-    SceneGraphConfig,
-)
-from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
-from pydrake.multibody.tree import FixedOffsetFrame  # noqa: F401
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
 
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
 from export.check.engines.plain_urdf import plain_urdf
@@ -33,6 +18,19 @@ _STEP_S, _FRICTION = 0.002, 0.5
 
 def load(file: Path, folder: Path, setting: Setting) -> DrakeWorld:
     """The asset in a plant of its own."""
+    from pydrake.geometry import (
+        AddContactMaterial,
+        AddRigidHydroelasticProperties,
+        DefaultProximityProperties,
+        HalfSpace,
+        ProximityProperties,
+        SceneGraphConfig,
+    )
+    from pydrake.math import RigidTransform
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+    from pydrake.systems.framework import DiagramBuilder
+
     builder = DiagramBuilder()
     plant, geometry = AddMultibodyPlantSceneGraph(builder, time_step=_STEP_S)
     # a box on a plane has but one contact point where nothing is hydroelastic, and sinks in within seconds
@@ -60,6 +58,8 @@ class DrakeWorld(World):
     """See `World`."""
 
     def __init__(self, diagram: Any, plant: Any, model: Any, bodies: list[Any], root: Any):
+        from pydrake.systems.analysis import Simulator
+
         self.plant, self.root = plant, root
         self.bodies = {body.name(): body for body in bodies}
         self.simulator = Simulator(diagram)
@@ -104,6 +104,8 @@ class DrakeWorld(World):
 
     def place(self, T_world_root: Array) -> None:
         """See `World`."""
+        from pydrake.math import RigidTransform
+
         T: Any = np.array(T_world_root, float)
         self.plant.SetFreeBodyPose(self.context, self.root, RigidTransform(T))
         self.simulator.Initialize()
