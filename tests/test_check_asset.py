@@ -312,6 +312,14 @@ def test_what_trembles_by_less_than_it_may_drift_oscillates_unless_it_calms_down
 
 
 @mujoco_only
+def test_a_joint_without_end_turns_both_ways(tmp_path: Path):
+    file = write_little(tmp_path)
+    text = file.read_text().replace('type="revolute"', 'type="continuous"').replace('"0 -1 0"', '"0 0 1"')
+    file.write_text(text.replace('<limit lower="0" upper="1.2" effort="10" velocity="5"/>', ""))
+    assert failed(files_of(file)) == [] and failed(trial_of(file)) == []
+
+
+@mujoco_only
 def test_links_that_stand_in_each_other_are_found(tmp_path: Path):
     assert {"joint.moves", "rest.drift"} & set(failed(trial_of(two_lids(tmp_path))))
 

@@ -201,7 +201,7 @@ class Trial:
                 if not max(rests, shot) <= beyond[1]:
                     beyond = (joint.name, max(rests, shot))
             else:
-                miss = max(0.0, 1.0 - (ends[1] - ends[0]) / span)
+                miss = max(0.0, 1.0 - (ends[1] - ends[0]) / (2 * span))
             if not miss <= short[1]:
                 short = (f"joint '{joint.name}' went from {ends[0]:.4g} to {ends[1]:.4g}", miss)
         if not judged:
@@ -217,15 +217,22 @@ class Trial:
         self, world: World, joint: TreeJoint, inertia: float, start: Mapping[str, float]
     ) -> tuple[tuple[float, float], float, float]:
         """Where `joint` rests when pushed down and when pushed up, and the least and greatest position on the way."""
+        force, endless = push_of(joint, inertia), not np.isfinite(joint.upper - joint.lower)
         world.put(start)
-        force, seen, ends = push_of(joint, inertia), [], []
+        seen, ends = [], []
         for push in (force, -force):
+            if endless:
+                world.put(start)
+            way = [start[joint.name]]
             for _ in range(round(PUSH_S / SAMPLE_S)):
                 world.advance(SAMPLE_S, {joint.name: push})
-                seen.append(world.state()[0][joint.name])
-                if not np.isfinite(joint.upper - joint.lower) and abs(seen[-1]) > 1.5 * _span(joint):
+                way.append(world.state()[0][joint.name])
+                if endless and joint.kind == "revolute":
+                    way[-1] = float(np.unwrap(way[-2:])[-1])  # SAPIEN tells an endless turn within one
+                if endless and abs(way[-1] - way[0]) > _span(joint):
                     break
-            ends.append(seen[-1])
+            seen += way
+            ends.append(way[-1])
         world.advance(SAMPLE_S)
         world.put(start)
         return (ends[1], ends[0]), min(seen), max(seen)

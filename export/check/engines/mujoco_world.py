@@ -20,7 +20,6 @@ _LARGEST_STEP_S = 0.002
 
 def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
     """The asset in a scene of its own."""
-
     import mujoco
 
     urdf = parsed_xml(file.read_bytes(), file).tag == "robot"
@@ -100,7 +99,6 @@ class MujocoWorld(World):
 
     def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
         """See `World`."""
-
         import mujoco
 
         for joint in self.joints:
@@ -110,7 +108,6 @@ class MujocoWorld(World):
 
     def place(self, T_world_root: Array) -> None:
         """See `World`."""
-
         import mujoco
 
         at = self.model.body(self.root).jntadr[0]
@@ -125,7 +122,6 @@ class MujocoWorld(World):
 
     def poses(self) -> dict[str, Array]:
         """See `World`."""
-
         import mujoco
 
         mujoco.mj_kinematics(self.model, self.data)
@@ -133,7 +129,6 @@ class MujocoWorld(World):
 
     def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
         """See `World`."""
-
         import mujoco
 
         for joint in self.joints:
@@ -143,7 +138,6 @@ class MujocoWorld(World):
 
     def energy(self) -> float | None:
         """See `World`: potential energy of gravity and springs, and kinetic energy."""
-
         import mujoco
 
         mujoco.mj_forward(self.model, self.data)

@@ -74,7 +74,6 @@ class PybulletWorld(World):
 
     def inertials(self) -> dict[str, UrdfInertial]:
         """See `World`. Of a root that is nailed down PyBullet says that it has no mass."""
-
         import pybullet
 
         found = {}
@@ -88,7 +87,6 @@ class PybulletWorld(World):
 
     def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
         """See `World`."""
-
         import pybullet
 
         for name, k in self.number.items():
@@ -96,7 +94,6 @@ class PybulletWorld(World):
 
     def place(self, T_world_root: Array) -> None:
         """See `World`."""
-
         import pybullet
 
         T = T_world_root @ self._T_root_centre()
@@ -106,7 +103,6 @@ class PybulletWorld(World):
 
     def state(self) -> tuple[dict[str, float], dict[str, float]]:
         """See `World`."""
-
         import pybullet
 
         at = {name: pybullet.getJointState(self.body, k, self.client)[:2] for name, k in self.number.items()}
@@ -114,7 +110,6 @@ class PybulletWorld(World):
 
     def poses(self) -> dict[str, Array]:
         """See `World`."""
-
         import pybullet
 
         base = _pose(*pybullet.getBasePositionAndOrientation(self.body, self.client))
@@ -127,7 +122,6 @@ class PybulletWorld(World):
 
     def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
         """See `World`."""
-
         import pybullet
 
         for _ in range(max(1, round(seconds / _STEP_S))):
@@ -139,7 +133,6 @@ class PybulletWorld(World):
 
     def _T_root_centre(self) -> Array:
         """(4, 4) where PyBullet has the root's pose: its centre of mass, along its principal axes."""
-
         import pybullet
 
         said = pybullet.getDynamicsInfo(self.body, -1, self.client)
