@@ -294,8 +294,13 @@ class Trial:
             return [self._row(rule, "skip", "nothing of it can touch a plane") for rule in MOVED[3:]]
         root = next(name for name, parent in world.parents.items() if parent is None)
         T = world.poses()[root].copy()
-        T[2, 3] -= T[2, 3] + self.lowest if said is None and self.lowest is not None else said
-        world.place(T)
+        if self.lowest is not None:
+            T[2, 3] = -self.lowest
+            world.place(T)
+            said = world.lowest()
+        if said is not None:  # with the engine's own margins
+            T[2, 3] -= said
+            world.place(T)
         bodies = world.inertials()
         names = [name for name in world.parents if name in bodies]
         centres = np.array([bodies[name].centre for name in names])

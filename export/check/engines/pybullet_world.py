@@ -14,6 +14,8 @@ from freeart21.files.urdf import UrdfInertial, read_urdf_joints
 from freeart21.se3 import Array
 
 _STEP_S, _FRICTION = 0.002, 0.5
+_NEAR_M = 0.01
+"""Where the floor is looked for below an asset that was put on it."""
 
 
 def load(file: Path, folder: Path, setting: Setting) -> PybulletWorld:
@@ -23,6 +25,7 @@ def load(file: Path, folder: Path, setting: Setting) -> PybulletWorld:
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -GRAVITY if setting.gravity else 0.0, physicsClientId=client)
     pybullet.setPhysicsEngineParameter(fixedTimeStep=_STEP_S, numSolverIterations=100, physicsClientId=client)
+    floor = None
     if setting.floor:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
         floor = pybullet.createMultiBody(0, plane, physicsClientId=client)
@@ -35,16 +38,16 @@ def load(file: Path, folder: Path, setting: Setting) -> PybulletWorld:
     body = pybullet.loadURDF(
         str(plain_urdf(file, folder)), useFixedBase=setting.fixed, flags=flags, physicsClientId=client
     )
-    return PybulletWorld(client, body, setting, {j.name: j.friction for j in read_urdf_joints(file).values()})
+    return PybulletWorld(client, body, floor, setting, {j.name: j.friction for j in read_urdf_joints(file).values()})
 
 
 class PybulletWorld(World):
     """See `World`. A link has the index of the joint that it hangs on; the root has -1."""
 
-    def __init__(self, client: int, body: int, setting: Setting, friction: Mapping[str, float]):
+    def __init__(self, client: int, body: int, floor: int | None, setting: Setting, friction: Mapping[str, float]):
         import pybullet
 
-        self.client, self.body, self.fixed = client, body, setting.fixed
+        self.client, self.body, self.floor, self.fixed = client, body, floor, setting.fixed
         infos = [pybullet.getJointInfo(body, k, client) for k in range(pybullet.getNumJoints(body, client))]
         names = {-1: pybullet.getBodyInfo(body, client)[0].decode(), **{i[0]: i[12].decode() for i in infos}}
         self.index = {name: k for k, name in names.items()}
@@ -130,6 +133,15 @@ class PybulletWorld(World):
                     self.body, self.number[name], pybullet.TORQUE_CONTROL, force=force, physicsClientId=self.client
                 )
             pybullet.stepSimulation(self.client)
+
+    def lowest(self) -> float | None:
+        """See `World`: PyBullet wraps every mesh in a skin of 1 mm."""
+        import pybullet
+
+        if self.floor is None:
+            return None
+        near = pybullet.getClosestPoints(self.body, self.floor, _NEAR_M, physicsClientId=self.client)
+        return min((float(point[8]) for point in near), default=None)
 
     def _T_root_centre(self) -> Array:
         """(4, 4) where PyBullet has the root's pose: its centre of mass, along its principal axes."""
