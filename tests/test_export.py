@@ -12,7 +12,6 @@ import pytest
 import trimesh
 from scipy.spatial.distance import cdist
 
-from export import collision
 from export.checklist import check_asset
 from export.collision import CollisionSettings, convex_hull, convex_parts
 from export.exporter import ExportSettings, export_result
@@ -446,7 +445,7 @@ def test_a_tray_stays_open_and_its_walls_thin():
     solids = [trimesh.Trimesh(hull.vertices, hull.faces) for hull in cut.hulls]
     ball = trimesh.creation.icosphere(2, 0.03).vertices
     for height in (0.1, 0.05, 0.0):  # it falls in, and lies on the floor at last
-        inside = [solid.contains(ball + [0.02, -0.03, height]).any() for solid in solids]
+        inside = [solid.contains(ball + np.array([0.02, -0.03, height])).any() for solid in solids]
         assert not any(inside), height
     assert any(solid.contains([[0.02, -0.03, -0.04 + wall / 2]])[0] for solid in solids)
     assert sum(solid.volume for solid in solids) < 1.3 * tray.volume

@@ -15,8 +15,6 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 PLAYED = {"viscous_damping", "coulomb_friction", "armature", "return_spring"}
 CREEP = 1e-6  # rad/s or m/s at which the friction's damper is cut off
 
@@ -64,7 +62,7 @@ def connect(builder: Any, plant: Any, instance: Any) -> None:
     from pydrake.systems.primitives import ConstantVectorSource
 
     if _said()["friction"]:
-        still = builder.AddSystem(ConstantVectorSource(np.zeros(2)))
+        still = builder.AddSystem(ConstantVectorSource([0.0, 0.0]))
         builder.Connect(still.get_output_port(), plant.get_desired_state_input_port(instance))
 
 
