@@ -1,4 +1,4 @@
-"""What an asset carries beside URDF and MJCF, all of it made from these and from asset.json: USD, loaders, LOSSES.md."""
+"""What an asset carries beside URDF and MJCF, made from these and asset.json: USD, loaders, LOSSES.md, a picture."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from export import usd
 from export.loaders import write_loaders
 from export.losses import write_losses
+from export.preview import write_preview
 from freeart21.asset import Asset
 
 USD = "object.usdc"
@@ -21,3 +22,4 @@ def write_beside(folder: Path, asset: Asset, with_usd: bool | None = None) -> No
         usd.write_usd(folder / USD, asset)
     write_loaders(folder, asset)
     write_losses(folder, asset)
+    write_preview(folder, asset)

@@ -137,8 +137,9 @@ ENGINES = (
         },
         seen=False,
         notes=(
-            "Isaac's URDF importer drops friction; before Isaac Sim 5 friction is a coefficient of the joint's load, so "
-            "that a torque cannot be said: there a drive of stiffness 0, maxForce of the friction and large damping does.",
+            "Isaac's URDF importer drops friction; before Isaac Sim 5 friction is a coefficient of the joint's load, "
+            "so that a torque cannot be said: there a drive of stiffness 0, maxForce of the friction and large "
+            "damping does.",
         ),
     ),
     Column(
@@ -179,7 +180,7 @@ def losses_text(asset: Asset, textured: bool, files: frozenset[str]) -> str:
         "## Files",
         _table(formats, [row for row in rows if row != "own"]),
         "## Engines",
-        _table([column for column in engines if column.seen], kept + ["own"]),
+        _table([column for column in engines if column.seen], [*kept, "own"]),
     ]
     if untried := [column for column in engines if not column.seen]:
         parts += ["## As documented, not run", _table(untried, kept)]

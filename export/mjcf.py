@@ -12,8 +12,8 @@ from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 
 STIFF_FRICTION = {"solreffriction": "0.002 1", "solimpfriction": "0.999 0.999 0.001"}
-"""Friction is a soft constraint to MuJoCo, and by its defaults a joint that friction holds creeps: a pendulum was .9 % of its
-swing off after 3 s, with these .2 %, at steps of 1 ms."""
+"""Friction is a soft constraint to MuJoCo, and by its defaults a joint that friction holds creeps: a pendulum was .9 %
+of its swing off after 3 s, with these .2 %, at steps of 1 ms."""
 _ADDITIVE = ("damping", "frictionloss", "armature")  # words that two effects may both say
 
 

@@ -13,7 +13,8 @@ from freeart21.joint import Joint
 Base = Literal["free", "fixed"]
 BASES = get_args(Base)
 WORLD = "world"
-"""The link that a fixed base hangs on: MuJoCo, Drake and PyBullet take a root link of this name for the world itself."""
+"""The link that a fixed base hangs on: MuJoCo, Drake and PyBullet take a root link of this name for the world
+itself."""
 
 
 @dataclass(frozen=True)

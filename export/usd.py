@@ -1,9 +1,9 @@
 """An asset as USD, written from its URDF: UsdGeom meshes, UsdPhysics bodies and joints, metres, kilograms, z up.
 
-What UsdPhysics cannot say of a joint is written in the names of two engines: Coulomb friction as `staticFrictionEffort` and
-`dynamicFrictionEffort` of NVIDIA's PhysxJointAxisAPI (PhysX 5.6, Isaac Sim 5; N*m or N) and as `newton:friction`. PhysX's
-older `physxJoint:jointFriction` is a coefficient of the joint's load, another law, and is not written. Both schemas are not
-part of usd-core: their names stand as plain tokens, and readers that do not know them pass them by.
+What UsdPhysics cannot say of a joint is written in the names of two engines: Coulomb friction as `staticFrictionEffort`
+and `dynamicFrictionEffort` of NVIDIA's PhysxJointAxisAPI (PhysX 5.6, Isaac Sim 5; N*m or N) and as `newton:friction`.
+PhysX's older `physxJoint:jointFriction` is a coefficient of the joint's load, another law, and is not written. Both
+schemas are not part of usd-core: their names stand as plain tokens, and readers that do not know them pass them by.
 """
 
 from __future__ import annotations

@@ -15,9 +15,10 @@ from scipy.integrate import solve_ivp
 
 from export.beside import write_beside
 from export.inertia import inertial_of
-from export.meshes import MeshSettings, write_hull, write_visual
+from export.meshes import write_hull, write_visual
 from export.mjcf import mjcf_text
 from export.model import AssetModel, Base, LinkModel
+from export.texture import vertex_skin
 from export.urdf import urdf_text
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
@@ -53,10 +54,10 @@ def write_case(
         solid = trimesh.creation.box(size, trimesh.transformations.translation_matrix(centre))
         mesh = Mesh(solid.vertices, solid.faces, np.tile(np.array([200, 30, 20], np.uint8), (len(solid.vertices), 1)))
         (folder / "meshes").mkdir(parents=True, exist_ok=True)
-        texture = write_visual(folder / "meshes", name, mesh, MeshSettings())
+        texture = write_visual(folder / "meshes", name, mesh, vertex_skin(mesh, mesh))
         write_hull(folder / f"meshes/{name}_hull.obj", mesh)
         hulls = (f"meshes/{name}_hull.obj",)
-        links.append(LinkModel(name, f"meshes/{name}.obj", f"meshes/{texture}", hulls, inertial_of([mesh], 900.0)))
+        links.append(LinkModel(name, f"meshes/{name}.obj", f"meshes/{texture}", hulls, inertial_of(mesh, 900.0)))
     joint = Joint("hinge", kind, AXES[kind], pivot, *LIMITS[kind])
     effects = EFFECTS[kind] if effects is None else effects
     model = AssetModel("bob", *links, joint, 100.0, velocity, effects, base=base)

@@ -72,7 +72,7 @@ def test_an_asset_of_either_base_is_the_same_asset(tmp_path: Path, base):
     asset = export_result(answer, tmp_path / "a", ExportSettings(base=base))
     assert asset.reference_link == "reference" and check_asset(tmp_path / "a") == []
     root = ET.parse(asset.urdf).getroot()
-    assert [link.get("name") for link in root.findall("link")][0] == ("world" if base == "fixed" else "reference")
+    assert next(link.get("name") for link in root.findall("link")) == ("world" if base == "fixed" else "reference")
     asked = np.array([0.0, 0.3, 0.8])
     expected = answer.articulation.joint.transform(asked)
     np.testing.assert_allclose(joint_motion(asset, asked), expected, atol=1e-6)

@@ -1,7 +1,7 @@
 """Loaders that an asset carries: each puts back what one engine drops of its joint.
 
-The files `load_*.py` here are copied into assets as they are. They import nothing of this package: what they need to know
-of their asset stands beside them, in `joint.json`.
+The files `load_*.py` here are copied into assets as they are. They import nothing of this package: what they need to
+know of their asset stands beside them, in `joint.json`.
 """
 
 from __future__ import annotations

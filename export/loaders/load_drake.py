@@ -1,8 +1,8 @@
 """This asset in Drake, with what Drake drops put back. Measured with Drake 1.51.1.
 
 Drake warns of a URDF's friction and drops it. Here the joint gets an actuator that is nothing but friction: a damper of
-speed 0, cut off at the friction's size, which a discrete plant solves together with the contacts. The actuator carries the
-armature, too, and a spring is a force element.
+speed 0, cut off at the friction's size, which a discrete plant solves together with the contacts. The actuator carries
+the armature, too, and a spring is a force element.
 
     instance = load(plant)                # before plant.Finalize()
     connect(builder, plant, instance)     # after it: without this there is no friction
@@ -14,6 +14,8 @@ import json
 import warnings
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 PLAYED = {"viscous_damping", "coulomb_friction", "armature", "return_spring"}
 CREEP = 1e-6  # rad/s or m/s at which the friction's damper is cut off
@@ -62,7 +64,7 @@ def connect(builder: Any, plant: Any, instance: Any) -> None:
     from pydrake.systems.primitives import ConstantVectorSource
 
     if _said()["friction"]:
-        still = builder.AddSystem(ConstantVectorSource([0.0, 0.0]))
+        still = builder.AddSystem(ConstantVectorSource(np.zeros(2)))
         builder.Connect(still.get_output_port(), plant.get_desired_state_input_port(instance))
 
 

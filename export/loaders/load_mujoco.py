@@ -1,7 +1,7 @@
 """This asset in MuJoCo, from its MJCF, which says more than its URDF does. Measured with MuJoCo 4.0.0.
 
-MuJoCo knows no velocity limit. The MJCF holds everything else that MuJoCo can say of the joint; what is put back here is
-only the choice of the base, and a place in a scene. MuJoCo's own reading of the URDF always nails the base and drops
+MuJoCo knows no velocity limit. The MJCF holds everything else that MuJoCo can say of the joint; what is put back here
+is only the choice of the base, and a place in a scene. MuJoCo's own reading of the URDF always nails the base and drops
 textures.
 """
 
@@ -24,8 +24,8 @@ def load(
 ) -> Any:
     """The asset's mujoco.MjSpec, or `scene` (another one) with the asset in it; `.compile()` makes the model.
 
-    `position` (m) and `quaternion` (w, x, y, z) place it; `prefix` goes before its names in the scene; `fixed` None takes
-    the asset's own base.
+    `position` (m) and `quaternion` (w, x, y, z) place it; `prefix` goes before its names in the scene; `fixed` None
+    takes the asset's own base.
     """
     import mujoco
 

@@ -1,8 +1,9 @@
 """This asset in PyBullet, with what PyBullet drops or adds put right. Measured with PyBullet 3.2.7.
 
-PyBullet reads a URDF's friction and velocity limit and ignores both, holds every joint with a motor of its own until told
-otherwise, and slows every link by 4 % a second. Here that motor becomes the joint's Coulomb friction (speed 0, at most the
-friction's force), the speed is limited, and the links' own damping is gone. The motor is not free for anything else then.
+PyBullet reads a URDF's friction and velocity limit and ignores both, holds every joint with a motor of its own until
+told otherwise, and slows every link by 4 % a second. Here that motor becomes the joint's Coulomb friction (speed 0, at
+most the friction's force), the speed is limited, and the links' own damping is gone. The motor is not free for anything
+else then.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ def load(
 ) -> int:
     """The body's id in the PyBullet `client`.
 
-    The root link's frame is put at `position` (m) and `quaternion` (x, y, z, w); `fixed` None takes the asset's own base.
+    The root link's frame is put at `position` (m) and `quaternion` (x, y, z, w); `fixed` None takes the asset's own
+    base.
     """
     import pybullet
 

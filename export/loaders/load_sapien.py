@@ -1,8 +1,8 @@
 """This asset in SAPIEN 3, with what its URDF loader drops put back. Measured with SAPIEN 3.0.3 on a CPU.
 
-SAPIEN drops a URDF's friction and velocity limit, has friction of 0.05 of the joint's load, damps every link by 5 % a second
-and lets slow bodies fall asleep. Here the joint has the asset's own damping, spring and armature, and Coulomb friction by a
-second drive between the two links, a damper that is cut off at the friction's size.
+SAPIEN drops a URDF's friction and velocity limit, has friction of 0.05 of the joint's load, damps every link by 5 % a
+second and lets slow bodies fall asleep. Here the joint has the asset's own damping, spring and armature, and Coulomb
+friction by a second drive between the two links, a damper that is cut off at the friction's size.
 
 The size of that cut is an impulse, so it is set for the scene's time step: call `load` after `scene.set_timestep`.
 """
