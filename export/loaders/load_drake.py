@@ -59,11 +59,11 @@ def load(plant: Any, X_WR: Any = None, fixed: bool | None = None) -> Any:
 
 def connect(builder: Any, plant: Any, instance: Any) -> None:
     """Let the friction of `instance` act; `plant` is finalized, and `builder` is the DiagramBuilder that holds it."""
-    import numpy as np
     from pydrake.systems.primitives import ConstantVectorSource
 
     if _said()["friction"]:
-        still = builder.AddSystem(ConstantVectorSource(np.zeros(2)))
+        zero: Any = [0.0, 0.0]  # position and speed
+        still = builder.AddSystem(ConstantVectorSource(zero))
         builder.Connect(still.get_output_port(), plant.get_desired_state_input_port(instance))
 
 
