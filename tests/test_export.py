@@ -177,7 +177,9 @@ def test_a_scaled_asset_is_the_scaled_object_and_moves_as_it(tmp_path: Path, kin
         k**3 * sum(masses(tmp_path / "1.0").values()), rel=1e-4
     )
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "0.25" / "object.xml"))
-    np.testing.assert_allclose(model.jnt_range[0], [float(limits[1].get(key)) for key in ("lower", "upper")])
+    np.testing.assert_allclose(
+        model.joint(small.joint).range, [float(limits[1].get(key)) for key in ("lower", "upper")]
+    )
     assert check_asset(tmp_path / "0.25") == []
 
 
@@ -323,10 +325,10 @@ def test_mujoco_loads_the_same_asset(exported: Path):
     asset = read_asset(exported)
     model = mujoco.MjModel.from_xml_path(str(exported / "object.xml"))
     data, simulated = mujoco.MjData(model), load(asset)
-    low, high = model.jnt_range[0]
+    low, high = model.joint(asset.joint).range
     assert (low, high) == pytest.approx((simulated.lower, simulated.upper))
     for q in np.linspace(low, high, 5):
-        data.qpos[0] = q
+        data.joint(asset.joint).qpos[0] = q
         mujoco.mj_forward(model, data)
         simulated.set_state(q)
         lid = data.body("moving")
@@ -334,11 +336,12 @@ def test_mujoco_loads_the_same_asset(exported: Path):
             se3.pose(lid.xmat.reshape(3, 3), lid.xpos), simulated.T_reference_moving(), atol=1e-6
         )
     assert model.body("moving").mass[0] == pytest.approx(simulated.moving_mass, rel=1e-6)
-    data.qpos[0] = 0.0
+    data.joint(asset.joint).qpos[0] = 0.0
     mujoco.mj_forward(model, data)
-    dense = np.zeros((1, 1))
+    dense = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, dense)
-    assert dense[0, 0] == pytest.approx(simulated.joint_inertia, rel=1e-5)
+    own = model.joint(asset.joint).dofadr[0]
+    assert dense[own, own] == pytest.approx(simulated.joint_inertia, rel=1e-5)
     assert data.ncon == 0
 
 
