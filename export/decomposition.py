@@ -72,6 +72,7 @@ def convex_pieces(outside: Outside, tolerance: Tolerance, most: int) -> list[Arr
     limit = tolerance.worst_m
     while len(pieces) > most and limit < outside.size:
         limit *= 1.5
+        looks.pairs = 0
         pieces = _joined(looks, pieces, limit, most)
     return [piece.corners for piece in pieces]
 
