@@ -81,9 +81,8 @@ def joint_range(answer: Reconstruction, overlap: Overlap | None, tolerance: floa
     ends = {-1: least, 1: most}
     if overlap is None or not high > low:
         return JointRange(ends[-1], ends[1], by[-1], by[1])
-    touch = tolerance / max(float(overlap.speeds.max()), 1e-12)
-    doubt = {-1: SIGMAS * low_std + touch, 1: SIGMAS * high_std + touch}
-    share = min(1.0, 0.5 * (high - low) / (doubt[-1] + doubt[1]))
+    doubt = {-1: SIGMAS * low_std, 1: SIGMAS * high_std}
+    share = min(1.0, 0.25 * (high - low) / max(doubt[-1] + doubt[1], 1e-12))
     inner = {-1: low + share * doubt[-1], 1: high - share * doubt[1]}
     usual = np.zeros(len(overlap.speeds))
     for state in np.linspace(inner[-1], inner[1], STATES):
