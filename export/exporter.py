@@ -45,7 +45,7 @@ _DENSITIES = (1e-3, 1e5)
 _MASSES = (1e-6, 1e6)
 """kg that single precision and the engines bear."""
 _WALLS = (1e-5, 1.0)
-"""m."""
+"""m, from foil to masonry."""
 _SCALES = (1e-4, 1e4)
 
 
@@ -55,8 +55,8 @@ class ExportSettings:
 
     density: float | None = None
     """kg/m^3 of both parts; None is that of `material`, unless `mass` is given."""
-    material: Material = DEFAULT
-    """What both parts are made of; one of `export.materials.MATERIALS`."""
+    material: Material | None = None
+    """What both parts are made of, one of `export.materials.MATERIALS`; None is a guess, `DEFAULT`."""
     wall: float | None = None
     """m: both parts are hollow, with walls this thick along their surface; None takes the solids that meshes bound."""
     mass: float | None = None
@@ -94,7 +94,7 @@ class ExportSettings:
             raise FreeArtError(f"density {self.density:g} kg/m^3 and mass {self.mass:g} kg: give one of them")
         self.placement.check()
         for name, known in (("material", MATERIALS), ("dynamics", DYNAMICS)):
-            if getattr(self, name) not in known:
+            if getattr(self, name) not in (None, *known):
                 raise FreeArtError(f"there is no {name} '{getattr(self, name)}'; there are {', '.join(known)}")
         for name, unit, (low, high) in (
             ("density", " kg/m^3", _DENSITIES),
@@ -121,7 +121,7 @@ def export_result(
         result: a result folder, or a reconstruction.
         out: the folder to make; it appears whole or not at all, and replaces an older asset.
         settings: None takes the defaults.
-        effects: what acts on the joint; without any there is no effects.json.
+        effects: what was measured to act on the joint; without any it gets guessed ones, or none, as settings say.
         video: the sequence folder that was reconstructed: textures come from its sharpest frames. Without it they hold
             the colours of the part meshes' vertices.
 
@@ -147,7 +147,7 @@ def export_result(
             name: _shape(name, part, getattr(placement, name), placement.solids[name], settings)
             for name, part in parts.items()
         }
-        density = DENSITIES[settings.material] if settings.density is None else settings.density
+        density = DENSITIES[settings.material or DEFAULT] if settings.density is None else settings.density
         if settings.mass is not None:
             density = settings.mass / sum(
                 inertial_of(shape.solid, 1.0, settings.wall).mass for shape in shapes.values()
@@ -264,10 +264,10 @@ def _said_of_mass(settings: ExportSettings, density: float) -> dict[str, Any]:
     return {
         "by": "given mass" if settings.mass is not None else "density",
         "density": density,
-        "material": None if given else settings.material,
+        "material": None if given else settings.material or DEFAULT,
         "of": "the solid that the mesh bounds" if settings.wall is None else "a wall along the mesh",
         "wall_m": settings.wall,
-        "guessed": not given,
+        "guessed": not given and settings.material is None,
     }
 
 

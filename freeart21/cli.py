@@ -366,7 +366,7 @@ def export(
     out: Path,
     density: float | None = None,
     mass: float | None = None,
-    material: Literal["plastic", "wood", "steel", "aluminium", "glass", "rubber", "cardboard"] = "plastic",
+    material: Literal["plastic", "wood", "steel", "aluminium", "glass", "rubber", "cardboard"] | None = None,
     wall: float | None = None,
     dynamics: Literal["guessed", "none"] = "guessed",
     scale: float = 1.0,
