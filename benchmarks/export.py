@@ -25,6 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.solve import console_of
 from export.check.checking import check
 from export.exporter import ExportSettings, export_result
 from export.fidelity import measured
@@ -50,9 +51,9 @@ from leaderboard.reference import truth_answer
 
 SCHEMA = "freeart21/benchmark-export/1"
 DENSITY = 1000.0
-"""kg/m^3 of all exports here: a mass then tells a volume."""
+"""kg/m^3 of all exports here: a mass then tells a volume, and any other would do."""
 STATES = 21
-"""Over the joint's range, at which the parts' depth in each other is measured."""
+"""Over the joint's range, at which the parts' depth in each other is measured: not those that the exporter looks at."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,8 @@ def main(
         work: Where assets and rows are kept.
         out: The JSON file. When not given: benchmarks/results/export.json, and only when no sequences are named.
     """
-    console, benchmark = Console(), read_benchmark(data)
+    benchmark = read_benchmark(data)
+    console = console_of()
     tables: dict[str, list[dict[str, Any]]] = {}
     for source in ("truth", "reconstruction") if results else ("truth",):
         rows = []
@@ -310,7 +312,10 @@ def _volumes(truth: Truth) -> tuple[float, float] | None:
     diagonal = PRESETS[settings["preset"]].diagonal_m
     model = model if diagonal is None else model.scaled(diagonal / model.diagonal)
     of = {f"link_{k}": sum(p.solid.volume() for p in link.pieces) for k, link in enumerate(model.links)}
-    return tuple(sum(of.get(link, 0.0) for link in truth.source[f"{part}_links"]) for part in ("reference", "moving"))  # type: ignore[return-value]
+    reference, moving = (
+        sum(of.get(link, 0.0) for link in truth.source[f"{part}_links"]) for part in ("reference", "moving")
+    )
+    return reference, moving
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------
