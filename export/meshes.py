@@ -1,15 +1,13 @@
-"""Part meshes cleaned, reduced, and written as OBJ, with the texture that they wear."""
+"""Part meshes cleaned and written as OBJ, with the texture that they wear."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-import fast_simplification
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from export.atlas import Skin
 from freeart21.files import atomic, checked
@@ -25,7 +23,7 @@ class MeshSettings:
     """How part meshes are cleaned and written."""
 
     max_faces: int = 20_000
-    """Faces a part may keep; more are reduced by quadric decimation (Garland and Heckbert 1997)."""
+    """Faces a part may keep; more are reduced (`export.surface`)."""
     min_component: float = 0.01
     """Connected pieces of less than this fraction of the part's area are dropped; the largest always stays."""
     points: int = 25_000
@@ -81,18 +79,6 @@ def without_crumbs(mesh: Mesh, fraction: float) -> Mesh:
     area = np.bincount(label, mesh.areas())
     large = area >= min(fraction * area.sum(), area.max())
     return _compact(mesh, mesh.faces[large[label]])
-
-
-def reduced(mesh: Mesh, max_faces: int) -> Mesh:
-    """The mesh with at most about `max_faces` faces; colours are taken from the nearest vertex of before."""
-    if len(mesh.faces) <= max_faces:
-        return mesh
-    vertices, faces = fast_simplification.simplify(
-        mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), target_count=max_faces
-    )
-    vertices = vertices.astype(float)
-    colours = None if mesh.colours is None else mesh.colours[cKDTree(mesh.vertices).query(vertices)[1]]
-    return deduplicated(Mesh(vertices, faces, colours))
 
 
 def write_visual(folder: Path, name: str, mesh: Mesh, skin: Skin | None) -> str | None:

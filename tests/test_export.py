@@ -16,7 +16,7 @@ from export.checklist import check_asset
 from export.collision import CollisionSettings, convex_hull, convex_parts
 from export.exporter import ExportSettings, export_result
 from export.inertia import Inertial, inertial_of, unphysical
-from export.meshes import deduplicated, inside_out, reduced, turned, without_crumbs, write_visual
+from export.meshes import deduplicated, inside_out, turned, without_crumbs, write_visual
 from export.placement import PlacementSettings
 from export.texture import vertex_skin
 from freeart21 import doctor, se3
@@ -384,16 +384,6 @@ def test_cleaning_merges_drops_crumbs_and_keeps_colours():
     assert (clean.colours == RED).all()
     assert trimesh.Trimesh(clean.vertices, clean.faces).volume == pytest.approx(1)
     assert len(without_crumbs(whole, 0.0).faces) == 24
-
-
-def test_decimation_keeps_shape_and_colours():
-    ball = trimesh.creation.icosphere(5)
-    colours = np.where(ball.vertices[:, :1] > 0, np.uint8([RED]), np.uint8([BLUE])).astype(np.uint8)
-    small = reduced(Mesh(ball.vertices, ball.faces, colours), 1000)
-    assert 900 <= len(small.faces) <= 1000
-    assert trimesh.Trimesh(small.vertices, small.faces).volume == pytest.approx(ball.volume, rel=0.01)
-    sure = np.abs(small.vertices[:, 0]) > 0.1
-    assert (small.colours[sure] == np.where(small.vertices[sure, :1] > 0, RED, BLUE)).all()
 
 
 def test_faces_that_look_inwards_are_found_and_turned_and_said(tmp_path: Path):
