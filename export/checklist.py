@@ -25,6 +25,12 @@ MAX_HULLS = 64
 """Collision meshes a link may have."""
 MAX_MESH_BYTES = 256 << 20
 """Bytes of a mesh or material file that is looked through."""
+_SIZES = {
+    "box": (("size", 3),),
+    "sphere": (("radius", 1),),
+    "cylinder": (("radius", 1), ("length", 1)),
+}
+"""Collision primitives that are looked at: attributes, and how many numbers each holds."""
 FK_TOLERANCE = 1e-6
 """Rotation entries and metres by which two simulators may disagree on where a link is."""
 
@@ -137,10 +143,28 @@ def _masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:
 def _mass_centre(link: ET.Element, folder: Path) -> Iterator[Finding]:
     """The centre of mass, which lies among the link's collision geometry."""
     points = [se3.transform(T, mesh.vertices) for T, mesh in _meshes(link, "collision", folder)]
+    points += [_corners(element, f"link '{link.get('name')}'") for element in link.findall("collision")]
+    points = [p for p in points if len(p)]
     if points and link.find("inertial") is not None:
         box, centre = np.concatenate(points), _mass_place(link)
         if (centre < box.min(0) - 1e-6).any() or (centre > box.max(0) + 1e-6).any():
             yield Finding("inertia", f"link '{link.get('name')}' has its centre of mass outside of its collision box")
+
+
+def _corners(element: ET.Element, what: str) -> Array:
+    """(8, 3) corners, in the link, of the box round a collision primitive; (0, 3) of what is none."""
+    shape = element.find("geometry/*")
+    if shape is None or shape.tag not in _SIZES:
+        return np.zeros((0, 3))
+    size = np.concatenate([numbers(shape.get(key, ""), n, f"{what} has {key}") for key, n in _SIZES[shape.tag]])
+    match shape.tag:
+        case "box":
+            half = size / 2
+        case "sphere":
+            half = np.repeat(size, 3)
+        case _:
+            half = np.array([size[0], size[0], size[1] / 2])
+    return se3.transform(origin_pose(element, what), half * (np.indices((2, 2, 2)).reshape(3, -1).T * 2 - 1))
 
 
 def _mass_place(link: ET.Element) -> Array:
@@ -154,6 +178,14 @@ def _collisions(link: ET.Element, folder: Path) -> Iterator[Finding]:
     n = len(link.findall("collision"))
     if n > MAX_HULLS:
         yield Finding("collision", f"link '{name}' has {n} collision geometries, expected at most {MAX_HULLS}")
+    for shape in link.iterfind("collision/geometry/*"):
+        if shape.tag in _SIZES:
+            sizes = [
+                numbers(shape.get(key, ""), n, f"link '{name}' has a {shape.tag} of {key}")
+                for key, n in _SIZES[shape.tag]
+            ]
+            if not (np.concatenate(sizes) > 0).all():
+                yield Finding("collision", f"link '{name}' has a {shape.tag} of no size, expected sizes above 0")
     for k, (_, mesh) in enumerate(_meshes(link, "collision", folder)):
         convex = mesh.convex_hull.volume if len(mesh.faces) else 0.0
         if not mesh.is_watertight or not mesh.volume > 0:

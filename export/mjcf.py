@@ -6,6 +6,8 @@ import xml.etree.ElementTree as ET
 from itertools import zip_longest
 
 from export.model import AssetModel, LinkModel, number_text
+from export.primitives import Box, Cylinder, Primitive, Sphere
+from freeart21 import se3
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 
@@ -58,7 +60,22 @@ def _body(parent: ET.Element, link: LinkModel, assets: ET.Element) -> ET.Element
         name = f"{link.name}_collision_{k:02d}"
         ET.SubElement(assets, "mesh", name=name, file=hull)
         ET.SubElement(body, "geom", type="mesh", name=name, mesh=name, group="3", mass="0")
+    for k, shape in enumerate(link.primitives, len(link.hulls)):
+        ET.SubElement(body, "geom", _primitive(shape), name=f"{link.name}_collision_{k:02d}", group="3", mass="0")
     return body
+
+
+def _primitive(shape: Primitive) -> dict[str, str]:
+    """Type, size and place of a `<geom>`; MJCF counts half sizes."""
+    match shape:
+        case Box():
+            kind, size = "box", number_text(*(0.5 * shape.size))
+        case Cylinder():
+            kind, size = "cylinder", number_text(shape.radius, 0.5 * shape.length)
+        case Sphere():
+            kind, size = "sphere", number_text(shape.radius)
+    T = shape.T_link_shape
+    return {"type": kind, "size": size, "pos": number_text(*T[:3, 3]), "quat": number_text(*se3.wxyz(T))}
 
 
 def _joint(model: AssetModel) -> ET.Element:

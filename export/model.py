@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from export.inertia import Inertial
+from export.primitives import Primitive
 from freeart21.effects.base import Effect
 from freeart21.joint import Joint
 
@@ -21,6 +22,8 @@ class LinkModel:
     hulls: tuple[str, ...]
     """OBJ files to collide with, each convex."""
     inertial: Inertial
+    primitives: tuple[Primitive, ...] = ()
+    """Shapes to collide with beside the hulls."""
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 import xml.etree.ElementTree as ET
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from export.model import AssetModel, LinkModel, number_text
+from export.primitives import Box, Cylinder, Primitive, Sphere
 
 
 def urdf_text(model: AssetModel) -> bytes:
@@ -30,12 +33,30 @@ def _link(link: LinkModel) -> ET.Element:
     _mesh(ET.SubElement(element, "visual", name=f"{link.name}_visual"), link.visual)
     for k, hull in enumerate(link.hulls):
         _mesh(ET.SubElement(element, "collision", name=f"{link.name}_collision_{k:02d}"), hull)
+    for k, shape in enumerate(link.primitives, len(link.hulls)):
+        _primitive(ET.SubElement(element, "collision", name=f"{link.name}_collision_{k:02d}"), shape)
     return element
 
 
 def _mesh(element: ET.Element, filename: str) -> None:
     ET.SubElement(element, "origin", xyz="0 0 0", rpy="0 0 0")
     ET.SubElement(ET.SubElement(element, "geometry"), "mesh", filename=filename)
+
+
+def _primitive(element: ET.Element, shape: Primitive) -> None:
+    T = shape.T_link_shape
+    with warnings.catch_warnings():  # of gimbal lock: one of its many answers will do
+        warnings.simplefilter("ignore", UserWarning)
+        rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")  # about fixed axes, as URDF's roll, pitch and yaw
+    ET.SubElement(element, "origin", xyz=number_text(*T[:3, 3]), rpy=number_text(*rpy))
+    geometry = ET.SubElement(element, "geometry")
+    match shape:
+        case Box():
+            ET.SubElement(geometry, "box", size=number_text(*shape.size))
+        case Cylinder():
+            ET.SubElement(geometry, "cylinder", radius=number_text(shape.radius), length=number_text(shape.length))
+        case Sphere():
+            ET.SubElement(geometry, "sphere", radius=number_text(shape.radius))
 
 
 def _joint(model: AssetModel) -> ET.Element:
