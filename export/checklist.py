@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import link_poses, numbers, origin_pose, parsed, read_urdf_joints, told
+from freeart21.files.urdf import link_poses, named_inside, numbers, origin_pose, parsed, read_urdf_joints, told
 from freeart21.se3 import Array
 from generator.simulate import joint_motion
 
@@ -25,12 +26,8 @@ MAX_HULLS = 64
 """Collision meshes a link may have."""
 MAX_MESH_BYTES = 256 << 20
 """Bytes of a mesh or material file that is looked through."""
-_SIZES = {
-    "box": (("size", 3),),
-    "sphere": (("radius", 1),),
-    "cylinder": (("radius", 1), ("length", 1)),
-}
-"""Collision primitives that are looked at: attributes, and how many numbers each holds."""
+Files = Callable[[str], Path]
+"""Where the file is that a URDF names."""
 FK_TOLERANCE = 1e-6
 """Rotation entries and metres by which two simulators may disagree on where a link is."""
 
@@ -39,12 +36,17 @@ FK_TOLERANCE = 1e-6
 class Finding:
     """One thing that is wrong with an asset."""
 
-    item: str
-    """The point of the checklist, such as 'limits'."""
+    rule: str
+    """The rule that it breaks, such as 'limits.zero-within'."""
     detail: str
     """What is wrong, got and expected."""
     broken: bool = False
     """Whether the asset is no body at all (a mass or inertia that none has), rather than a poor one."""
+
+    @property
+    def item(self) -> str:
+        """The point of the checklist that the rule belongs to, such as 'limits'."""
+        return self.rule.partition(".")[0]
 
     def __str__(self) -> str:
         return f"{self.item}: {self.detail}"
@@ -62,24 +64,39 @@ def check_asset(folder: Path) -> list[Finding]:
         robot = parsed(asset.urdf)
     except (FreeArtError, ValueError, OverflowError, RecursionError) as error:
         return [Finding("asset", str(error))]
+    findings = urdf_findings(robot, asset.urdf, asset.urdf.parent)
+    if findings:
+        return findings
+    try:
+        return list(_reload(asset, robot))
+    except Exception as error:  # hostile numbers reach parsers and geometry of many libraries
+        return [Finding("numbers and meshes", _said(error))]
+
+
+def urdf_findings(robot: ET.Element, urdf: Path, folder: Path) -> list[Finding]:
+    """What is wrong with the URDF's text, and with the files that it names in `folder`; nothing is simulated."""
     masses = [finding for link in robot.findall("link") for finding in _masses(link, robot)]
-    findings = [*_tree(robot), *_names(robot), *_paths(robot, asset.urdf.parent)]
-    if findings:  # what follows needs a tree with all its files
+    findings = [*_tree(robot), *_names(robot), *_paths(robot, urdf, folder)]
+    if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):  # the rest needs a tree with all its files
         return [*findings, *masses]
-    findings = masses
+    findings += masses
+    files = partial(named_inside, urdf, folder=folder)
     try:
         for link in robot.findall("link"):
             if not any(finding.broken for finding in masses):
-                findings += _mass_centre(link, asset.urdf.parent)
-            findings += _collisions(link, asset.urdf.parent)
-            findings += _textures(link, asset.urdf.parent)
+                findings += _mass_centre(link, files)
+            findings += _collisions(link, files)
+            findings += _textures(link, files, folder)
         for joint in robot.findall("joint"):
             findings += [*_axis(joint), *_limits(joint)]
-        return findings or [*_reload(asset, robot)]
     except Exception as error:  # hostile numbers reach parsers and geometry of many libraries
-        lines = str(error).splitlines() or [""]
-        said = lines[0] if isinstance(error, FreeArtError) else f"{type(error).__name__}: {lines[0]}"
-        return [*findings, Finding("numbers and meshes", said)]
+        findings.append(Finding("numbers and meshes", _said(error)))
+    return findings
+
+
+def _said(error: Exception) -> str:
+    lines = str(error).splitlines() or [""]
+    return lines[0] if isinstance(error, FreeArtError) else f"{type(error).__name__}: {lines[0]}"
 
 
 def _tree(robot: ET.Element) -> Iterator[Finding]:
@@ -87,18 +104,18 @@ def _tree(robot: ET.Element) -> Iterator[Finding]:
     ends = [(told(j, "parent", "link"), told(j, "child", "link")) for j in robot.findall("joint")]
     for end in {e for pair in ends for e in pair}:
         if end not in links:
-            yield Finding("tree", f"a joint names link '{end}'; links: {', '.join(links)}")
+            yield Finding("tree.links-exist", f"a joint names link '{end}'; links: {', '.join(links)}")
     children = [child for _, child in ends]
     roots = [link for link in links if link not in children]
     if len(roots) != 1:
-        yield Finding("tree", f"roots are {', '.join(roots) or 'none'}, expected one")
+        yield Finding("tree.one-root", f"roots are {', '.join(roots) or 'none'}, expected one")
     hung = set(roots)
     while grown := {child for parent, child in ends if parent in hung} - hung:
         hung |= grown
     if roots and set(links) - hung:
-        yield Finding("tree", f"links {', '.join(sorted(set(links) - hung))} do not hang on the root")
+        yield Finding("tree.one-root", f"links {', '.join(sorted(set(links) - hung))} do not hang on the root")
     for child in sorted({c for c in children if children.count(c) > 1}):
-        yield Finding("tree", f"link '{child}' is the child of {children.count(child)} joints, expected one")
+        yield Finding("tree.one-parent", f"link '{child}' is the child of {children.count(child)} joints, expected one")
 
 
 def _names(robot: ET.Element) -> Iterator[Finding]:
@@ -111,16 +128,23 @@ def _names(robot: ET.Element) -> Iterator[Finding]:
     for kind, elements in groups.items():
         names = [e.get("name", "") for e in elements if kind in ("link", "joint") or e.get("name")]
         for name in sorted({n for n in names if names.count(n) > 1 or not n}):
-            yield Finding("names", f"{kind} name '{name}' is used {names.count(name)} times, expected unique names")
+            yield Finding(
+                "names.unique", f"{kind} name '{name}' is used {names.count(name)} times, expected unique names"
+            )
 
 
-def _paths(robot: ET.Element, folder: Path) -> Iterator[Finding]:
+def _paths(robot: ET.Element, urdf: Path, folder: Path) -> Iterator[Finding]:
     for element in [*robot.iter("mesh"), *robot.iter("texture")]:
         name = element.get("filename", "")
         if not name or Path(name).is_absolute() or "://" in name or " " in name or ".." in Path(name).parts:
-            yield Finding("paths", f"file '{name}', expected a relative path without spaces in the asset's folder")
-        elif not (folder / name).is_file():
-            yield Finding("paths", f"file '{name}' does not exist")
+            expected = "expected a relative path without spaces in the asset's folder"
+            yield Finding("paths.relative", f"file '{name}', {expected}")
+        try:
+            there = named_inside(urdf, name, folder).is_file()
+        except FreeArtError:
+            there = False
+        if not there:
+            yield Finding("paths.exist", f"file '{name}' does not exist")
 
 
 def _masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:
@@ -128,7 +152,7 @@ def _masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:
     name = link.get("name")
     if link.find("inertial") is None:
         if any(told(j, "child", "link") == name for j in robot.findall("joint") if j.get("type") != "fixed"):
-            yield Finding("inertia", f"link '{name}' moves and has no <inertial>", broken=True)
+            yield Finding("inertia.present", f"link '{name}' moves and has no <inertial>", broken=True)
         return
     rows = ("ixx ixy ixz", "ixy iyy iyz", "ixz iyz izz")
     try:
@@ -137,77 +161,54 @@ def _masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:
     except (FreeArtError, np.linalg.LinAlgError) as error:
         wrong = f"mass, centre or inertia cannot be read: {error}"
     if wrong:
-        yield Finding("inertia", f"link '{name}': {wrong}", broken=True)
+        yield Finding("inertia.physical", f"link '{name}': {wrong}", broken=True)
 
 
-def _mass_centre(link: ET.Element, folder: Path) -> Iterator[Finding]:
+def _mass_centre(link: ET.Element, files: Files) -> Iterator[Finding]:
     """The centre of mass, which lies among the link's collision geometry."""
-    points = [se3.transform(T, mesh.vertices) for T, mesh in _meshes(link, "collision", folder)]
-    points += [_corners(element, f"link '{link.get('name')}'") for element in link.findall("collision")]
-    points = [p for p in points if len(p)]
+    points = [se3.transform(T, mesh.vertices) for T, mesh in shapes_of(link, "collision", files)]
     if points and link.find("inertial") is not None:
         box, centre = np.concatenate(points), _mass_place(link)
         if (centre < box.min(0) - 1e-6).any() or (centre > box.max(0) + 1e-6).any():
-            yield Finding("inertia", f"link '{link.get('name')}' has its centre of mass outside of its collision box")
-
-
-def _corners(element: ET.Element, what: str) -> Array:
-    """(8, 3) corners, in the link, of the box round a collision primitive; (0, 3) of what is none."""
-    shape = element.find("geometry/*")
-    if shape is None or shape.tag not in _SIZES:
-        return np.zeros((0, 3))
-    size = np.concatenate([numbers(shape.get(key, ""), n, f"{what} has {key}") for key, n in _SIZES[shape.tag]])
-    match shape.tag:
-        case "box":
-            half = size / 2
-        case "sphere":
-            half = np.repeat(size, 3)
-        case _:
-            half = np.array([size[0], size[0], size[1] / 2])
-    return se3.transform(origin_pose(element, what), half * (np.indices((2, 2, 2)).reshape(3, -1).T * 2 - 1))
+            off = "has its centre of mass outside of its collision box"
+            yield Finding("inertia.centre-inside", f"link '{link.get('name')}' {off}")
 
 
 def _mass_place(link: ET.Element) -> Array:
     return numbers(told(link, "inertial/origin", "xyz", "0 0 0"), 3, f"link '{link.get('name')}' has xyz")
 
 
-def _collisions(link: ET.Element, folder: Path) -> Iterator[Finding]:
+def _collisions(link: ET.Element, files: Files) -> Iterator[Finding]:
     name = link.get("name")
     if link.find("visual") is not None and link.find("collision") is None:
-        yield Finding("collision", f"link '{name}' can be seen but not touched: it has no collision geometry")
+        yield Finding("collision.present", f"link '{name}' can be seen but not touched: it has no collision geometry")
     n = len(link.findall("collision"))
     if n > MAX_HULLS:
-        yield Finding("collision", f"link '{name}' has {n} collision geometries, expected at most {MAX_HULLS}")
-    for shape in link.iterfind("collision/geometry/*"):
-        if shape.tag in _SIZES:
-            sizes = [
-                numbers(shape.get(key, ""), n, f"link '{name}' has a {shape.tag} of {key}")
-                for key, n in _SIZES[shape.tag]
-            ]
-            if not (np.concatenate(sizes) > 0).all():
-                yield Finding("collision", f"link '{name}' has a {shape.tag} of no size, expected sizes above 0")
-    for k, (_, mesh) in enumerate(_meshes(link, "collision", folder)):
+        yield Finding("collision.few", f"link '{name}' has {n} collision geometries, expected at most {MAX_HULLS}")
+    for k, (_, mesh) in enumerate(shapes_of(link, "collision", files)):
         convex = mesh.convex_hull.volume if len(mesh.faces) else 0.0
         if not mesh.is_watertight or not mesh.volume > 0:
-            yield Finding("collision", f"mesh {k} of link '{name}' is not a closed solid with its faces outwards")
+            yield Finding(
+                "collision.closed", f"mesh {k} of link '{name}' is not a closed solid with its faces outwards"
+            )
         elif mesh.volume < convex * (1 - 1e-3):
             filled = f"it fills {mesh.volume / convex:.1%} of its hull"
-            yield Finding("collision", f"mesh {k} of link '{name}' is not convex: {filled}")
+            yield Finding("collision.convex", f"mesh {k} of link '{name}' is not convex: {filled}")
 
 
-def _textures(link: ET.Element, folder: Path) -> Iterator[Finding]:
+def _textures(link: ET.Element, files: Files, folder: Path) -> Iterator[Finding]:
     for mesh in link.findall("visual/geometry/mesh"):
-        path = folder / mesh.get("filename", "")
+        path = files(mesh.get("filename", ""))
         if path.suffix.lower() != ".obj":
             continue
         for library in _words(path, "mtllib"):
             material = checked.inside(folder, str((path.parent / library).resolve()))
             if not material.is_file():
-                yield Finding("textures", f"{path.name} names {library}, which does not exist")
+                yield Finding("textures.exist", f"{path.name} names {library}, which does not exist")
                 continue
             for image in _words(material, "map_Kd"):
                 if not (material.parent / image).is_file():
-                    yield Finding("textures", f"{material.name} names {image}, which does not exist")
+                    yield Finding("textures.exist", f"{material.name} names {image}, which does not exist")
 
 
 def _axis(joint: ET.Element) -> Iterator[Finding]:
@@ -216,7 +217,7 @@ def _axis(joint: ET.Element) -> Iterator[Finding]:
     name = joint.get("name")
     length = float(np.linalg.norm(numbers(told(joint, "axis", "xyz", "1 0 0"), 3, f"joint '{name}' has axis")))
     if abs(length - 1) > 1e-6:
-        yield Finding("axis", f"joint '{name}' has an axis of length {length:.6g}, expected 1")
+        yield Finding("axis.unit", f"joint '{name}' has an axis of length {length:.6g}, expected 1")
 
 
 def _limits(joint: ET.Element) -> Iterator[Finding]:
@@ -224,17 +225,17 @@ def _limits(joint: ET.Element) -> Iterator[Finding]:
     if joint.get("type") not in ("revolute", "prismatic"):
         return
     if joint.find("limit") is None:
-        yield Finding("limits", f"joint '{name}' has no <limit>")
+        yield Finding("limits.present", f"joint '{name}' has no <limit>")
         return
     lower, upper = (_number(joint, "limit", key, "0") for key in ("lower", "upper"))
     if not lower < upper:
-        yield Finding("limits", f"joint '{name}' has limits {lower:g} to {upper:g}, expected lower < upper")
+        yield Finding("limits.ordered", f"joint '{name}' has limits {lower:g} to {upper:g}, expected lower < upper")
     elif not lower <= 0 <= upper:
-        yield Finding("limits", f"joint '{name}' has limits {lower:g} to {upper:g}, expected zero within")
+        yield Finding("limits.zero-within", f"joint '{name}' has limits {lower:g} to {upper:g}, expected zero within")
     for key in ("effort", "velocity"):
         value = _number(joint, "limit", key, "0")
         if not value > 0:
-            yield Finding("limits", f"joint '{name}' has {key} {value:g}, expected more than 0")
+            yield Finding(f"limits.{key}", f"joint '{name}' has {key} {value:g}, expected more than 0")
 
 
 def _reload(asset: Asset, robot: ET.Element) -> Iterator[Finding]:
@@ -288,19 +289,44 @@ def _T_reference_moving(asset: Asset, q: float) -> Array:
     return se3.inverse(Ts[asset.reference_link]) @ Ts[asset.moving_link]
 
 
-def _meshes(link: ET.Element, tag: str, folder: Path) -> list[tuple[Array, trimesh.Trimesh]]:
-    """Pose in the link and mesh of every mesh of a link's visuals or collisions."""
+def shapes_of(link: ET.Element, tag: str, files: Files) -> list[tuple[Array, trimesh.Trimesh]]:
+    """Pose in the link and mesh of every visual or collision (`tag`) of a link that has a shape, scaled.
+
+    Raises FreeArtError when a mesh cannot be read or a size is none.
+    """
     found = []
+    where = f"link '{link.get('name')}'"
     for element in link.findall(tag):
-        mesh = element.find("geometry/mesh")
-        if mesh is not None:
-            path = folder / mesh.get("filename", "")
+        shape = element.find("geometry/*")
+        solid = None if shape is None else _solid(shape, files, where)
+        if solid is not None:
+            found.append((origin_pose(element, where), solid))
+    return found
+
+
+def _solid(shape: ET.Element, files: Files, where: str) -> trimesh.Trimesh | None:
+    """The mesh of a geometry in its own frame; None for a kind that URDF does not know."""
+
+    def size(attribute: str, count: int = 1, default: str | None = None) -> Array:
+        return numbers(shape.get(attribute, default), count, f"{where} has {attribute}")
+
+    match shape.tag:
+        case "box":
+            return trimesh.creation.box(size("size", 3))
+        case "sphere":
+            return trimesh.creation.icosphere(3, float(size("radius")[0]))
+        case "cylinder":
+            return trimesh.creation.cylinder(float(size("radius")[0]), float(size("length")[0]))
+        case "capsule":
+            return trimesh.creation.capsule(float(size("length")[0]), float(size("radius")[0]))
+        case "mesh":
+            path = files(shape.get("filename", ""))
             try:
                 loaded = trimesh.load_mesh(checked.require_file(path, MAX_MESH_BYTES), process=False)
             except Exception as error:
                 raise FreeArtError(f"{path} is not a readable mesh: {error}") from error
-            found.append((origin_pose(element, f"link '{link.get('name')}'"), loaded))
-    return found
+            return loaded.apply_scale(size("scale", 3, "1 1 1"))
+    return None
 
 
 def _words(path: Path, key: str) -> list[str]:

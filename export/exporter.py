@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import freeart21
+from export.beside import write_beside
 from export.checklist import check_asset
 from export.collision import Collision, CollisionSettings, convex_parts
 from export.inertia import inertial_of
-from export.meshes import MeshSettings, cleaned, inside_out, turned, write_hull, write_visual
+from export.meshes import MeshSettings, write_hull, write_visual
 from export.mjcf import mjcf_text
-from export.model import AssetModel, LinkModel
-from export.placement import Placement, placed
+from export.model import BASES, AssetModel, Base, LinkModel
+from export.parts import Part, closed_parts
+from export.placement import Placement, PlacementSettings, placed
 from export.urdf import urdf_text
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
@@ -25,6 +27,7 @@ from freeart21.files.asset import read_asset, write_asset_json
 from freeart21.files.lock import only_writer
 from freeart21.files.places import ASSET, check_place
 from freeart21.files.result import read_method, read_result
+from freeart21.files.sequence import read_sequence
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
 
@@ -50,10 +53,8 @@ class ExportSettings:
     """kg of the whole object, which the parts share by the volumes of their hulls; not together with `density`."""
     scale: float = 1.0
     """Lengths of the asset (meshes, pivot, travel, T_canonical_reference) over those of the video."""
-    up: tuple[float, float, float] = (0.0, -1.0, 0.0)
-    """Direction in the canonical frame that becomes z of the links: ours is a camera frame, whose y points down."""
-    limit_margin: float = 0.02
-    """Fraction of the observed range by which each joint limit lies beyond it."""
+    placement: PlacementSettings = field(default_factory=PlacementSettings)
+    """Which way is up, where the joint is at zero, and where it ends."""
     min_range_rad: float = 1e-3
     """A revolute joint that was seen to move less has no limits to export."""
     min_range_m: float = 1e-4
@@ -62,15 +63,23 @@ class ExportSettings:
     """URDF effort limit, N*m or N: video tells none."""
     velocity: float = 10.0
     """URDF velocity limit, rad/s or m/s: video tells none."""
+    base: Base = "free"
+    """Whether the reference part moves freely, as a thing in the hand, or stands fixed in the world: a free one can be
+    fixed by whoever loads it."""
+    usd: bool | None = None
+    """Whether a USD is written; None where usd-core is installed."""
     meshes: MeshSettings = field(default_factory=MeshSettings)
-    """Visual meshes."""
+    """Part meshes and their textures."""
     collision: CollisionSettings = field(default_factory=CollisionSettings)
     """Collision hulls."""
 
     def check(self) -> None:
         """FreeArtError when a number cannot be."""
+        if self.base not in BASES:
+            raise FreeArtError(f"base is '{self.base}', expected {' or '.join(BASES)}")
         if self.density is not None and self.mass is not None:
             raise FreeArtError(f"density {self.density:g} kg/m^3 and mass {self.mass:g} kg: give one of them")
+        self.placement.check()
         for name, unit, (low, high) in (
             ("density", " kg/m^3", _DENSITIES),
             ("mass", " kg", _MASSES),
@@ -87,6 +96,7 @@ def export_result(
     settings: ExportSettings | None = None,
     *,
     effects: tuple[Effect, ...] = (),
+    video: Path | None = None,
 ) -> Asset:
     """Write a result as an asset folder, reload and check it, and give it back as read from disk.
 
@@ -95,6 +105,8 @@ def export_result(
         out: the folder to make; it appears whole or not at all, and replaces an older asset.
         settings: None takes the defaults.
         effects: what acts on the joint; without any there is no effects.json.
+        video: the sequence folder that was reconstructed: textures come from its sharpest frames. Without it they hold
+            the colours of the part meshes' vertices.
 
     Raises FreeArtError on a setting that cannot be, a failed result, an empty part, a joint that was not seen to move,
     an `out` that is anything but an older asset, and when the asset does not pass its own check.
@@ -105,14 +117,16 @@ def export_result(
     settings = settings or ExportSettings()
     settings.check()
     reconstruction, source = _reconstruction(result)
+    recording = None if video is None else read_sequence(video)
+    reconstruction, parts = closed_parts(reconstruction, recording, settings.meshes)
     placement = placed(
         scaled(reconstruction, settings.scale),
-        settings.up,
-        settings.limit_margin,
+        settings.placement,
         {"revolute": settings.min_range_rad, "prismatic": settings.min_range_m * settings.scale},
+        settings.scale,
     )
     with only_writer(out), atomic.new_folder(out, ASSET) as aside:
-        shapes = {name: _shape(name, getattr(placement, name), settings) for name in ("reference", "moving")}
+        shapes = {name: _shape(name, part, getattr(placement, name), settings) for name, part in parts.items()}
         density = DENSITY if settings.density is None else settings.density
         if settings.mass is not None:
             density = settings.mass / sum(inertial_of(shape.collision.hulls, 1.0).mass for shape in shapes.values())
@@ -127,17 +141,19 @@ def export_result(
             settings.effort,
             settings.velocity,
             effects,
+            settings.base,
         )
         atomic.write_bytes(aside / URDF, urdf_text(model))
         atomic.write_bytes(aside / MJCF, mjcf_text(model))
         source |= {
             "parts": {"reference": said_reference, "moving": said_moving},
-            "up": "z",
+            **placement.said,
             "length_unit": "m",
             "exporter": f"freeart21 {freeart21.__version__}",
             "settings": dataclasses.asdict(settings),
         }
         write_asset_json(aside, _asset(aside, model, placement, source, settings.scale))
+        write_beside(aside, read_asset(aside), settings.usd)
         findings = check_asset(aside)
         if findings:
             raise FreeArtError(f"the asset for {out} does not pass its own check: {findings[0]}")
@@ -181,18 +197,14 @@ def scaled(reconstruction: Reconstruction, scale: float) -> Reconstruction:
 class _Shape:
     """A part for the eye and for contact."""
 
+    part: Part
     visual: Mesh
     collision: Collision
-    faces_before: int
-    turned: bool
 
 
-def _shape(name: str, part: Mesh, settings: ExportSettings) -> _Shape:
+def _shape(name: str, part: Part, visual: Mesh, settings: ExportSettings) -> _Shape:
     try:
-        visual = cleaned(part, settings.meshes)
-        wrong_way = inside_out(visual)
-        visual = turned(visual) if wrong_way else visual
-        shape = _Shape(visual, convex_parts(visual, settings.collision), len(part.faces), wrong_way)
+        shape = _Shape(part, visual, convex_parts(visual, settings.collision))
         inertial_of(shape.collision.hulls, 1.0)  # there is a volume
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error
@@ -204,14 +216,12 @@ def _write_link(
 ) -> tuple[LinkModel, dict[str, Any]]:
     """Write the meshes of one link; also what asset.json says about them."""
     visual, collision = shape.visual, shape.collision
-    texture = write_visual(folder / MESHES, name, visual, settings.meshes)
+    texture = write_visual(folder / MESHES, name, visual, shape.part.skin)
     hulls = tuple(f"{MESHES}/{name}_hull_{k:02d}.obj" for k in range(len(collision.hulls)))
     for file, hull in zip(hulls, collision.hulls, strict=True):
         write_hull(folder / file, hull)
     said = {
-        "faces_before": shape.faces_before,
-        "faces": len(visual.faces),
-        "faces_turned_outwards": shape.turned,
+        **shape.part.said(settings.scale),
         "collision": collision.method,
         "hulls": len(hulls),
         "collision_fallback_reason": collision.reason,

@@ -1,8 +1,4 @@
-"""Part meshes for the eye: cleaned, reduced, and written as OBJ with their vertex colours baked into a texture.
-
-OBJ has no portable vertex colours, so every triangle gets a small square of texels that holds its colours, linear over
-the triangle: bilinear filtering gives back exactly the interpolation of the vertex colours.
-"""
+"""Part meshes cleaned, reduced, and written as OBJ, with the texture that they wear."""
 
 from __future__ import annotations
 
@@ -15,10 +11,12 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from freeart21.errors import FreeArtError
+from export.atlas import Skin
 from freeart21.files import atomic, checked
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, bounding_diagonal
 
+_RAYS = 2000
+"""Places of a surface that are asked which side is outside."""
 _GREY = (0.7, 0.7, 0.7)  # of a part without colours
 
 
@@ -30,19 +28,12 @@ class MeshSettings:
     """Faces a part may keep; more are reduced by quadric decimation (Garland and Heckbert 1997)."""
     min_component: float = 0.01
     """Connected pieces of less than this fraction of the part's area are dropped; the largest always stays."""
-    texels: int = 4
-    """Side, texels, of the square that each triangle gets in the texture; at least 3."""
-
-
-def cleaned(mesh: Mesh, settings: MeshSettings) -> Mesh:
-    """The mesh without doubled vertices, empty or doubled triangles and crumbs, of at most `max_faces` faces.
-
-    Raises FreeArtError when nothing is left.
-    """
-    mesh = without_crumbs(deduplicated(mesh), settings.min_component)
-    if mesh.empty:
-        raise FreeArtError("mesh has no triangle of any area")
-    return reduced(mesh, settings.max_faces)
+    points: int = 25_000
+    """Points of a part's surface, about, that its closing is computed with; a cut through 60 000 took a minute."""
+    sheet_m: float = 0.001
+    """Metres of thickness that a part gets of which only a flat sheet was seen."""
+    video_frames: int = 120
+    """Frames of a video that a texture is made of, evenly spread over those that show the object."""
 
 
 def deduplicated(mesh: Mesh) -> Mesh:
@@ -59,10 +50,19 @@ def deduplicated(mesh: Mesh) -> Mesh:
 
 
 def inside_out(mesh: Mesh) -> bool:
-    """Whether most of the surface faces inwards: the volume that it encloses, seen from its middle, is negative."""
-    corners = mesh.vertices[mesh.faces]
-    a, b, c = np.moveaxis(corners - np.average(corners.mean(1), axis=0, weights=mesh.areas()), 1, 0)
-    return float(np.einsum("fi,fi->", a, np.cross(b, c))) < 0
+    """Whether the surface faces inwards: straight from behind it one gets away more often than from before it.
+
+    Holes do not matter, as they do for the volume: a tray whose underside nobody saw encloses a negative one.
+    """
+    area = mesh.areas()
+    picked = np.searchsorted(np.cumsum(area), area.sum() * (np.arange(_RAYS) + 0.5) / _RAYS).clip(max=len(area) - 1)
+    corners = mesh.vertices[mesh.faces[picked]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    off = 1e-5 * bounding_diagonal(mesh) * normal
+    rays = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).ray
+    before, behind = (rays.intersects_any(corners.mean(1) + k * off, k * normal).sum() for k in (1, -1))
+    return bool(before > behind)
 
 
 def turned(mesh: Mesh) -> Mesh:
@@ -95,20 +95,18 @@ def reduced(mesh: Mesh, max_faces: int) -> Mesh:
     return deduplicated(Mesh(vertices, faces, colours))
 
 
-def write_visual(folder: Path, name: str, mesh: Mesh, settings: MeshSettings) -> str | None:
-    """Write NAME.obj and NAME.mtl, and NAME.png when the mesh has colours; returns the texture's file name or None."""
+def write_visual(folder: Path, name: str, mesh: Mesh, skin: Skin | None) -> str | None:
+    """Write NAME.obj and NAME.mtl, and NAME.png when the mesh has a skin; returns the texture's file name or None."""
     texture = None
     material = f"newmtl {name}\nKa 0 0 0\nKs 0 0 0\nd 1\nillum 1\n"
-    uv = np.zeros((0, 2))
-    if mesh.colours is None:
+    if skin is None:
         material += "Kd {:g} {:g} {:g}\n".format(*_GREY)
     else:
-        image, uv = baked(mesh, settings.texels)
         texture = f"{name}.png"
         material += f"Kd 1 1 1\nmap_Kd {texture}\n"
-        atomic.write_bytes(folder / texture, checked.encode_png(image))
+        atomic.write_bytes(folder / texture, checked.encode_png(skin.image))
     atomic.write_bytes(folder / f"{name}.mtl", material.encode())
-    atomic.write_bytes(folder / f"{name}.obj", _visual_obj(mesh, name, uv).encode())
+    atomic.write_bytes(folder / f"{name}.obj", _visual_obj(mesh, name, skin).encode())
     return texture
 
 
@@ -116,31 +114,6 @@ def write_hull(path: Path, hull: Mesh) -> None:
     """Write a bare mesh as OBJ, for collision."""
     lines = [_rows("v", hull.vertices, "%.9g"), _rows("f", hull.faces + 1, "%d")]
     atomic.write_bytes(path, "".join(lines).encode())
-
-
-def baked(mesh: Mesh, texels: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """A texture (S, S, 3) that holds the vertex colours, and texture coordinates (3 F, 2) of the triangles' corners.
-
-    Triangle f owns the square f of a row-wise grid; its corners sit one texel in from the square's edges, so that no
-    filter footprint leaves the square. Coordinates have their origin at the image's lower left, as OBJ wants.
-    """
-    if mesh.colours is None:
-        raise FreeArtError("mesh has no colours to bake")
-    if texels < 3:
-        raise FreeArtError(f"texels is {texels}, expected at least 3")
-    n = len(mesh.faces)
-    across = int(np.ceil(np.sqrt(n)))
-    corner = mesh.colours[mesh.faces].astype(float)
-    step = (np.arange(texels) - 0.5) / (texels - 2)
-    s, t = step[None, None, :, None], step[None, :, None, None]
-    a, b, c = (corner[:, k, None, None, :] for k in range(3))
-    squares = np.zeros((across * across, texels, texels, 3), np.uint8)
-    squares[:n] = np.clip(np.rint(a + s * (b - a) + t * (c - a)), 0, 255)
-    image = squares.reshape(across, across, texels, texels, 3).swapaxes(1, 2).reshape(across * texels, -1, 3)
-    origin = np.stack([np.arange(n) % across, np.arange(n) // across], -1) * texels + 1.0
-    corners = origin[:, None] + np.array([[0, 0], [1, 0], [0, 1]]) * (texels - 2.0)
-    uv = corners.reshape(-1, 2) / (across * texels)
-    return np.ascontiguousarray(image), np.stack([uv[:, 0], 1 - uv[:, 1]], -1)
 
 
 def smooth_normals(mesh: Mesh) -> NDArray[np.float64]:
@@ -157,11 +130,10 @@ def smooth_normals(mesh: Mesh) -> NDArray[np.float64]:
     return unit[place]
 
 
-def _visual_obj(mesh: Mesh, name: str, uv: NDArray[np.float64]) -> str:
+def _visual_obj(mesh: Mesh, name: str, skin: Skin | None) -> str:
     corner = mesh.faces + 1
-    if len(uv):
-        vt = np.arange(1, len(uv) + 1).reshape(-1, 3)
-        columns = np.stack([corner, vt, corner], -1).reshape(-1, 9)
+    if skin is not None:
+        columns = np.stack([corner, skin.atlas.corners + 1, corner], -1).reshape(-1, 9)
         faces = _rows("f", columns, "%d/%d/%d %d/%d/%d %d/%d/%d")
     else:
         faces = _rows("f", np.stack([corner, corner], -1).reshape(-1, 6), "%d//%d %d//%d %d//%d")
@@ -169,7 +141,7 @@ def _visual_obj(mesh: Mesh, name: str, uv: NDArray[np.float64]) -> str:
         [
             f"mtllib {name}.mtl\no {name}\n",
             _rows("v", mesh.vertices, "%.9g %.9g %.9g"),
-            _rows("vt", uv, "%.7f %.7f"),
+            "" if skin is None else _rows("vt", skin.atlas.uv, "%.7f %.7f"),
             _rows("vn", smooth_normals(mesh), "%.4f %.4f %.4f"),
             f"usemtl {name}\n",
             faces,

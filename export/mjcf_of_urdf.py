@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from export.mjcf import joint_words
-from export.model import number_text
+from export.model import WORLD, Base, number_text
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
@@ -21,8 +21,11 @@ _MESHES = (".obj", ".stl", ".msh")
 """Endings of meshes that MuJoCo reads; shapes of others are left out, and inertia is the URDF's anyway."""
 
 
-def mjcf_of_urdf(asset: Asset) -> bytes:
+def mjcf_of_urdf(asset: Asset, base: Base = "fixed") -> bytes:
     """The MJCF file, to lie beside the URDF: its mesh files are named as the URDF names them.
+
+    A root link `world` is MuJoCo's world, and what hangs on it stands still whatever `base` says. Visual meshes come
+    without the pictures that their materials name: MuJoCo reads no MTL.
 
     Raises FreeArtError when the URDF is not one tree or holds what is no number, or a mesh is not named by a path.
     """
@@ -36,7 +39,9 @@ def mjcf_of_urdf(asset: Asset) -> bytes:
     waiting: list[tuple[ET.Element, str, UrdfJoint | None]] = [(world, urdf.root, None)]
     while waiting:
         parent, name, joint = waiting.pop(0)
-        body = ET.SubElement(parent, "body", name=name)
+        body = parent if name == WORLD and joint is None else ET.SubElement(parent, "body", name=name)
+        if joint is None and base == "free" and body is not parent:
+            ET.SubElement(body, "freejoint", name=f"{name}_free")
         if joint is not None:
             _place(body, joint.transform(_held(asset, joint)))
             if joint.name == asset.joint:
@@ -69,7 +74,7 @@ def _place(element: ET.Element, T: Array) -> None:
 
 def _fill(body: ET.Element, link: UrdfLink, assets: ET.Element) -> None:
     """Inertia and shapes of a link."""
-    if link.inertial is not None and link.inertial.mass > 0:
+    if link.inertial is not None and link.inertial.mass > 0 and body.tag == "body":
         body.append(_inertial(link.inertial))
     for shapes, words in (
         (link.visuals, {"group": "2", "contype": "0", "conaffinity": "0", "mass": "0"}),
@@ -79,6 +84,8 @@ def _fill(body: ET.Element, link: UrdfLink, assets: ET.Element) -> None:
             geom = _geom(shape, assets)
             if geom is not None:
                 geom.attrib |= words
+                if shape.rgba is not None:
+                    geom.set("rgba", number_text(*shape.rgba))
                 body.append(geom)
 
 

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from export.inertia import Inertial
 from export.primitives import Primitive
 from freeart21.effects.base import Effect
 from freeart21.joint import Joint
+
+Base = Literal["free", "fixed"]
+BASES = get_args(Base)
+WORLD = "world"
+"""The link that a fixed base hangs on: MuJoCo, Drake and PyBullet take a root link of this name for the world
+itself."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +35,7 @@ class LinkModel:
 
 @dataclass(frozen=True)
 class AssetModel:
-    """The whole asset. The reference link is the root; the moving link's frame stands at the joint's pivot."""
+    """The whole asset. The reference link is the root, or nailed to it; the moving link's frame stands at the pivot."""
 
     name: str
     reference: LinkModel
@@ -41,6 +48,8 @@ class AssetModel:
     """Largest speed, rad/s or m/s."""
     effects: tuple[Effect, ...] = ()
     """What acts on the joint; URDF and MJCF say as much of it as they can."""
+    base: Base = "free"
+    """Whether the reference link moves freely or stands still in the world."""
 
 
 def number_text(*values: float) -> str:

@@ -3,24 +3,67 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from export.carving import carved
+from export.joint_range import STATES, TOLERANCE, ZEROS, JointRange, Zero, joint_range, zero_state
+from export.penetration import Overlap
+from export.resting import resting_poses, upright
 from freeart21 import se3
+from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, bounding_diagonal, middle
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
+
+STILL = 0.02
+"""Part of the object's diagonal by which no point of a part that stands still moves before the camera: what poses of
+reconstructions are off by at most."""
+
+Direction = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class PlacementSettings:
+    """Where an asset stands and where its joint begins and ends."""
+
+    up: Direction | None = None
+    """Direction in the canonical frame that becomes z of the links; None is a resting pose's, or gravity's."""
+    gravity: Direction | None = None
+    """Which way gravity pulls, in the camera's axes (right, down, forward) of the first frame; any length. Only when the
+    reference part stood still before the camera; not together with `up`."""
+    zero: Zero = "closed"
+    """Where the URDF joint is at zero: 'first' frame, 'closed' (the end where both parts fill the least space), 'lower',
+    'upper'."""
+    tolerance_m: float = TOLERANCE
+    """Metres by which the parts may be in each other, in the asset's own lengths when it is scaled."""
+    carve: bool = True
+    """Whether what one part sweeps is cut out of the other, where both are closed and are in each other."""
+
+    def check(self) -> None:
+        """FreeArtError when a setting cannot be."""
+        for name in ("up", "gravity"):
+            value = getattr(self, name)
+            if value is not None:
+                _unit(value, name)
+        if self.up is not None and self.gravity is not None:
+            raise FreeArtError("up and gravity are both given: give one of them")
+        if self.zero not in ZEROS:
+            raise FreeArtError(f"zero is '{self.zero}', expected one of {', '.join(ZEROS)}")
+        if not 0 < self.tolerance_m < np.inf:
+            raise FreeArtError(f"tolerance_m is {self.tolerance_m:g} m, expected more than 0")
 
 
 @dataclass(frozen=True)
 class Placement:
     """The two link frames of an asset and the joint between them.
 
-    The root link's origin is the middle of the reference part's box, so that single precision suffices, with z up. The
-    moving link's axes are parallel to it at joint position zero, its origin at the pivot.
+    At joint position zero the object stands on z = 0, z up; the root link's origin is under the middle of the reference
+    part's box. The moving link's axes are parallel to it there, its origin at the pivot.
     """
 
     T_canonical_reference: Array
@@ -33,70 +76,152 @@ class Placement:
     """Reference part in its link's frame."""
     moving: Mesh
     """Moving part in its link's frame."""
+    said: dict[str, Any]
+    """For asset.json: `up`, `limits`, `zero`, `penetration`."""
 
 
 def placed(
-    reconstruction: Reconstruction, up: tuple[float, float, float], margin: float, min_range: dict[str, float]
+    reconstruction: Reconstruction, settings: PlacementSettings, min_range: dict[str, float], scale: float = 1.0
 ) -> Placement:
     """Link frames for a reconstruction.
 
     Args:
         reconstruction: two parts and their joint.
-        up: direction in the canonical frame that becomes the links' z axis.
-        margin: fraction of the observed range by which each limit lies beyond it.
-        min_range: joint type to the smallest observed range, rad or m, that counts as motion.
+        settings: which way is up, where zero is.
+        min_range: joint type to the smallest range, rad or m, that counts as motion.
+        scale: the reconstruction's lengths over those of its video: tolerances grow with them.
 
-    The URDF joint's zero is canonical state zero, or the observed state nearest to it when the joint was never there:
-    so zero lies within limits that come from observation alone. Raises FreeArtError on an empty part, or when the joint
-    was not seen to move.
+    The URDF joint has the range of `joint_range` and its zero at the end, or state, that `zero_state` chooses; parts that
+    are still in each other by more than the tolerance are carved where both are closed. Raises FreeArtError on an empty
+    part, when the joint was not seen to move, or on `gravity` of a reference part that did not stand still.
     """
     articulation = reconstruction.articulation
     joint = articulation.joint
-    for name in ("reference", "moving"):
-        if articulation.part(name).empty:
-            raise FreeArtError(f"{name} part of joint '{joint.name}' is an empty mesh: nothing to export")
-    low, high = observed_range(reconstruction)
-    if high - low < min_range[joint.type]:
+    for name in PARTS:
+        if articulation.part(name).empty or not articulation.part(name).areas().sum() > 0:
+            what = "is an empty mesh" if articulation.part(name).empty else "has no triangle of any area"
+            raise FreeArtError(f"{name} part of joint '{joint.name}' {what}: nothing to export")
+    tolerance = settings.tolerance_m * scale
+    overlap = Overlap(articulation)
+    found = joint_range(reconstruction, overlap, tolerance)
+    if found.high - found.low < min_range[joint.type]:
         raise FreeArtError(
-            f"joint '{joint.name}' was seen to move by {high - low:.3g} {joint.state_unit}, expected at "
+            f"joint '{joint.name}' was seen to move by {found.high - found.low:.3g} {joint.state_unit}, expected at "
             f"least {min_range[joint.type]:g}: its limits cannot be told"
         )
-    nearest = float(np.clip(0.0, low, high))
-    beyond = margin * (high - low)
-    T_canonical_reference = se3.pose(_rotation_with_z(up), _middle(articulation.reference))
+    zero, said_zero = zero_state(articulation, found, settings.zero)
+    articulation, said_penetration = _apart(articulation, found, overlap, tolerance, settings.carve)
+    up, said_up = _up(reconstruction, settings, found, zero)
+    T_canonical_reference = _standing(articulation, up, zero)
     T_reference_canonical = se3.inverse(T_canonical_reference)
-    moving = articulation.moving.moved(T_reference_canonical @ joint.transform(nearest))
+    moving = articulation.moving.moved(T_reference_canonical @ joint.transform(zero))
     in_link = joint.moved(T_reference_canonical)
-    pivot = _middle(moving)
+    pivot = middle(moving)
     if joint.type == "revolute":  # the point of the axis nearest to the part: a reconstructed pivot may be far away
         pivot = in_link.pivot + in_link.axis * (in_link.axis @ (pivot - in_link.pivot))
     return Placement(
         T_canonical_reference,
-        replace(in_link, pivot=pivot, lower=low - beyond - nearest, upper=high + beyond - nearest),
-        0.0 - nearest,
+        replace(in_link, pivot=pivot, lower=found.low - zero, upper=found.high - zero),
+        0.0 - zero,
         articulation.reference.moved(T_reference_canonical),
         moving.moved(se3.pose(np.eye(3), -pivot)),
+        {
+            "up": said_up,
+            "limits": {"lower": found.low_by, "upper": found.high_by},
+            "zero": {"asked": settings.zero, "end": said_zero},
+            "penetration": said_penetration,
+        },
     )
 
 
-def observed_range(reconstruction: Reconstruction) -> tuple[float, float]:
-    """Least and greatest state, rad or m, over the frames in which both parts were seen (over all when none was)."""
-    seen = reconstruction.seen.all(axis=1)
-    states = reconstruction.states[seen] if seen.any() else reconstruction.states
-    return float(states.min()), float(states.max())
+def _apart(
+    parts: Articulation, found: JointRange, overlap: Overlap, tolerance: float, carve: bool
+) -> tuple[Articulation, dict[str, Any]]:
+    """The parts no deeper in each other than `tolerance` anywhere in the range, where that can be; and what was done."""
+    states = np.linspace(found.low, found.high, STATES)
+    before = float(overlap.deepest(states).max())
+    said: dict[str, Any] = {"deepest_m": before, "tolerance_m": tolerance, "carved": None, "deepest_before_m": before}
+    if before <= tolerance or not carve:
+        return parts, said
+    cut = carved(parts, found.low, found.high, tolerance, overlap)
+    if isinstance(cut, str):
+        return parts, said | {"not_carved_because": cut}
+    parts = replace(parts, **{cut.name: cut.mesh})
+    after = float(Overlap(parts).deepest(states).max())
+    return parts, said | {"deepest_m": after, "carved": cut.name, "carved_m3": cut.volume}
 
 
-def _middle(mesh: Mesh) -> NDArray[np.float64]:
-    used = mesh.vertices[np.unique(mesh.faces)]
-    return 0.5 * (used.min(0) + used.max(0))
+def _up(
+    answer: Reconstruction, settings: PlacementSettings, found: JointRange, zero: float
+) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    """(3,) up in the canonical frame, and how it was found."""
+    if settings.up is not None:
+        up = _unit(settings.up, "up")
+        return up, _said("given", up)
+    first = _first(answer)
+    R_canonical_camera = answer.Ts_camera_reference[first, :3, :3].T
+    if settings.gravity is not None:
+        _check_still(answer)
+        up = -R_canonical_camera @ _unit(settings.gravity, "gravity")
+        return up, _said("gravity", up)
+    camera_up = R_canonical_camera @ np.array([0.0, -1.0, 0.0])
+    poses = resting_poses(answer.articulation, found.low, found.high, zero)
+    best = upright(poses, camera_up)
+    if best is None:
+        return camera_up, _said("first frame's camera", camera_up)
+    pose, share = best
+    return pose.up, _said("resting pose", pose.up) | {
+        "share": share,
+        "tipping_rad": pose.tipping,
+        "tipping_worst_rad": pose.worst,
+        "carried_by": pose.carrier,
+    }
 
 
-def _rotation_with_z(up: tuple[float, float, float]) -> Array:
-    """(3, 3) with columns x, y, z, z along `up` and x as near to the canonical x axis as it can be."""
-    z = np.asarray(up, float)
-    if z.shape != (3,) or not np.isfinite(z).all() or not np.linalg.norm(z) > 0:
-        raise FreeArtError(f"up is {up}, expected three finite numbers that are not all zero")
-    z = z / np.linalg.norm(z)
+def _said(how: str, up: NDArray[np.float64]) -> dict[str, Any]:
+    return {"axis": "z", "how": how, "direction_canonical": [float(x) for x in up]}
+
+
+def _first(answer: Reconstruction) -> int:
+    """The frame by whose camera directions are told: the anchor, or the first in which the reference part was seen."""
+    seen = answer.seen[:, 0]
+    return answer.anchor if answer.anchor or seen[0] or not seen.any() else int(np.argmax(seen))
+
+
+def _check_still(answer: Reconstruction) -> None:
+    """FreeArtError when the reference part moved before the camera by more than `STILL`."""
+    corners = answer.articulation.reference.vertices
+    box = np.stack(np.meshgrid(*np.stack([corners.min(0), corners.max(0)], -1), indexing="ij"), -1).reshape(-1, 3)
+    Ts = answer.Ts_camera_reference[answer.seen[:, 0]] if answer.seen[:, 0].any() else answer.Ts_camera_reference
+    there = se3.transform(Ts, np.broadcast_to(box, (len(Ts), 8, 3)))
+    moved = float(np.linalg.norm(there - there[:1], axis=-1).max())
+    most = STILL * bounding_diagonal(answer.articulation.reference, answer.articulation.moving)
+    if moved > most:
+        raise FreeArtError(
+            f"gravity: the reference part moved before the camera by {1000 * moved:.3g} mm, expected that it stood still "
+            f"(at most {1000 * most:.3g} mm); give up instead"
+        )
+
+
+def _standing(parts: Articulation, up: NDArray[np.float64], zero: float) -> Array:
+    """(4, 4) canonical from reference link: z up, the object on z = 0 at state `zero`, the reference part above it."""
+    R = _rotation_with_z(up)
+    turned = [mesh.moved(se3.pose(R.T, np.zeros(3))) for mesh in parts.posed(np.eye(4), zero)]
+    x, y, _ = middle(turned[0])
+    level = min(mesh.vertices[np.unique(mesh.faces), 2].min() for mesh in turned)
+    return se3.pose(R, R @ np.array([x, y, level]))
+
+
+def _unit(direction: Direction, name: str) -> NDArray[np.float64]:
+    """(3,) of length one."""
+    d = np.asarray(direction, float)
+    if d.shape != (3,) or not np.isfinite(d).all() or not np.linalg.norm(d) > 0:
+        raise FreeArtError(f"{name} is {direction}, expected three finite numbers that are not all zero")
+    return d / np.linalg.norm(d)
+
+
+def _rotation_with_z(z: NDArray[np.float64]) -> Array:
+    """(3, 3) with columns x, y, z, z the unit vector given and x as near to the canonical x axis as it can be."""
     first = np.eye(3)[0] if abs(z[0]) < 0.9 else np.eye(3)[2]
     x = first - z * (z @ first)
     x /= np.linalg.norm(x)

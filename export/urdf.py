@@ -8,13 +8,24 @@ import xml.etree.ElementTree as ET
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from export.model import AssetModel, LinkModel, number_text
+from export.model import WORLD, AssetModel, LinkModel, number_text
 from export.primitives import Box, Cylinder, Primitive, Sphere
 
 
 def urdf_text(model: AssetModel) -> bytes:
-    """The URDF file. Metres, radians, kilograms; the reference link is the root."""
+    """The URDF file. Metres, radians, kilograms; the reference link is the root, or hangs fixed on a link `world`.
+
+    What `<mujoco>` says keeps MuJoCo from dropping visual meshes and folders and from melting the reference link into
+    the world; others pass it by.
+    """
     robot = ET.Element("robot", name=model.name)
+    compiler = {"strippath": "false", "discardvisual": "false", "fusestatic": "false"}
+    ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", compiler)
+    if model.base == "fixed":
+        ET.SubElement(robot, "link", name=WORLD)
+        nailed = ET.SubElement(robot, "joint", name=f"{WORLD}_to_{model.reference.name}", type="fixed")
+        ET.SubElement(nailed, "parent", link=WORLD)
+        ET.SubElement(nailed, "child", link=model.reference.name)
     for link in (model.reference, model.moving):
         robot.append(_link(link))
     robot.append(_joint(model))

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 Positional = tyro.conf.Positional
 DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
 DOUBTFUL = 3
-"""Exit code of `reconstruct` when there is an answer that it does not trust itself."""
+"""Exit code when there is an answer, and it says itself that something is wrong: of `reconstruct` one that it does not
+trust, of `check-asset` a rule that fails."""
 STOP_AFTER = "Stop after this stage; what it found is kept for the next call. " + " ".join(
     f"{stage.name}: {stage.does}." for stage in STAGES if stage.kept
 )
@@ -106,9 +107,10 @@ def demo(
         print("Reconstructing it from the video alone", flush=True)
         answer = reconstruct_folder(data / "sequences" / sequence, results / sequence)
         if not isinstance(answer, Failure):
-            print("Exporting it as URDF, MJCF and meshes; reloading them", flush=True)
+            print("Exporting it as an asset for simulators, with the video's print; reloading it", flush=True)
             try:
-                export_result(results / sequence, results / sequence / "asset")
+                video = data / "sequences" / sequence
+                export_result(results / sequence, results / sequence / "asset", video=video)
             except FreeArtError as error:  # the score and the page say that there is no asset
                 print(f"No asset: {error}", file=sys.stderr)
         print("Scoring the reloaded asset, and the answer's masks, poses and views, against the truth", flush=True)
@@ -365,9 +367,14 @@ def export(
     density: float | None = None,
     mass: float | None = None,
     scale: float = 1.0,
-    up: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, -1.0, 0.0),
+    up: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
+    gravity: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
+    zero: Literal["first", "closed", "lower", "upper"] = "closed",
+    video: Path | None = None,
+    base: Literal["free", "fixed"] = "free",
+    usd: Literal["auto", "yes", "no"] = "auto",
 ) -> int:
-    """Write a result as a simulation-ready asset (URDF, MJCF, meshes), reload it, and check it.
+    """Write a result as a simulation-ready asset (URDF, MJCF, USD, meshes, loaders), reload it, and check it.
 
     Args:
         result: A result folder (with prediction.json).
@@ -376,17 +383,62 @@ def export(
         mass: kg of the whole object instead; the parts share it by the volumes of their collision hulls.
         scale: Factor for all lengths. An asset of another scale than 1 is not scored: it is not the video's object.
         up: Direction in the result's canonical frame (ours: the camera's of the first frame, right, down, forward)
-            that becomes z.
+            that becomes z; when not given, that of gravity or of the likeliest pose in which the object rests.
+        gravity: Which way gravity pulls in the camera's axes (right, down, forward) of the first frame, 0 9.81 0 of a
+            level camera; only when the reference part stood still before the camera.
+        zero: Where the joint is at zero: in the first frame, at the end where both parts fill the least space (closed),
+            or at its lower or upper end.
+        video: Sequence folder that was reconstructed, for textures from its sharpest frames.
+        base: The reference part moves freely, or stands fixed in the world (in URDF on a link named world).
+        usd: Write object.usdc too; auto where usd-core is installed.
     """
     from export.checklist import check_asset
     from export.exporter import ExportSettings, export_result
+    from export.placement import PlacementSettings
 
-    asset = export_result(result, out, ExportSettings(density=density, mass=mass, scale=scale, up=up))
+    settings = ExportSettings(
+        density=density,
+        mass=mass,
+        scale=scale,
+        placement=PlacementSettings(up, gravity, zero),
+        base=base,
+        usd={"auto": None, "yes": True, "no": False}[usd],
+    )
+    asset = export_result(result, out, settings, video=video)
     print(asset.urdf)
     findings = check_asset(out)
     for finding in findings:
         print(f"  {finding}", file=sys.stderr)
     return 1 if findings else 0
+
+
+def check_asset(
+    path: Annotated[Path, Positional],
+    engines: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME...")] = None,
+    simcheck: bool = False,
+    as_json: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE")] = None,
+    limit_s: float = 60.0,
+) -> int:
+    """Check any URDF or MJCF, not only ours: named rules on its files, and trials in every installed engine.
+
+    It is loaded in each engine, compared with the file's own numbers, pushed through its range, let go, and left to
+    rest on a plane. The exit code is 0 when all rules pass, 3 when one fails, 1 when there is no asset.
+
+    Args:
+        path: An asset folder, a folder with one URDF or MJCF, or such a file.
+        engines: Engines to try it in: sapien, mujoco, pybullet, drake; all that are installed when not given.
+        simcheck: Run the public checker of that name, too.
+        as_json: File for the report: every rule with its verdict, reason, measured number and what it is good for.
+        limit_s: Seconds that the files, and each engine, may take.
+    """
+    from export.check.checking import check
+    from export.check.report import print_report, write_report
+
+    report = check(path, engines, simcheck=simcheck, limit_s=limit_s)
+    if as_json is not None:
+        write_report(as_json, report)
+    print_report(report)
+    return 0 if report.passed else DOUBTFUL
 
 
 def measure(
@@ -550,9 +602,9 @@ def view(
 def convert(
     source: Annotated[Path, Positional],
     out: Path,
-    to: Literal["official", "native"],
+    to: Literal["official", "native", "maniskill"],
     layout: Annotated[
-        Literal["native", "rgbd", "official", "video2articulation"] | None, tyro.conf.arg(name="from")
+        Literal["native", "rgbd", "official", "video2articulation", "maniskill"] | None, tyro.conf.arg(name="from")
     ] = None,
     partnet_root: Path | None = None,
     joint: str | None = None,
@@ -562,11 +614,11 @@ def convert(
     depth_unit: float = 0.001,
     fps: float = 30.0,
 ) -> None:
-    """Convert recordings between layouts: a camera's pictures, official FreeArt-21, Video2Articulation-S, our own.
+    """Convert recordings between layouts: a camera's pictures, official, Video2Articulation-S, ManiSkill, our own.
 
     Args:
         source: A recording, or a folder of them.
-        out: Folder to add to: a data folder (native), or one that gets examples/ and data/ (official).
+        out: Folder to add to: a data folder (native), or one that gets examples/ and data/, or .h5 files.
         to: Layout to write.
         layout: Layout of the source; recognised by its files when not given.
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf: truth needs their meshes.
@@ -605,6 +657,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         convert,
         reconstruct,
         export,
+        check_asset,
         view,
         board.init_submission,
         board.import_,

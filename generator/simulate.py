@@ -44,6 +44,8 @@ _CREEP_SPEED = 1e-6  # rad/s or m/s at which the saturated damper of Coulomb fri
 _PHASE_PER_STEP = 0.1  # rad of the stiffest oscillation per internal step: the period is then 0.04 % short (0.1^2 / 24)
 _MAX_SUBSTEPS = 1000
 _MASSLESS = 1.1e-6  # kg: the engine gives 1e-6 to a link without mass
+WIDE = 1e4
+"""rad or m: limits of the engine that no joint reaches."""
 _FAST = 1e6  # rad/s or m/s: speed limits of the engine are lifted to this
 
 
@@ -79,7 +81,7 @@ class SimulatedAsset:
         self._joint = next(j for j in articulation.active_joints if j.name == joint.name)
         self._system = scene.physx_system
         self._substeps = 1
-        self._q = self._qd = self._qdd = self._engine_q = 0.0
+        self._q = self._qd = self._qdd = self._engine_q = self._middle = 0.0
         self._forces: list[tuple[Any, tuple[float, ...]]] = []
         self._dampers: list[tuple[Any, tuple[float, ...]]] = []
         self._recalls: list[tuple[int, Any, tuple[float, ...]]] = []
@@ -187,7 +189,11 @@ class SimulatedAsset:
         self.articulation.set_root_pose(sapien.Pose(np.asarray(T_world_base, np.float32)))
         self.articulation.set_root_linear_velocity(np.zeros(3, np.float32))
         self.articulation.set_root_angular_velocity(np.zeros(3, np.float32))
-        gravity = self.link_pose(self._parent)[:3, :3].T @ self.gravity
+        self.base_moved()
+
+    def base_moved(self) -> None:
+        """Let effects that look at gravity know where the root link stands now."""
+        gravity = self._engine_pose(self._parent)[:3, :3].T @ self.gravity
         self.mechanics = replace(self.mechanics, gravity=gravity)
 
     def link_pose(self, name: str) -> Array:
@@ -219,35 +225,67 @@ class SimulatedAsset:
 
         Raises FreeArtError when the moving part has no mass.
         """
-        if self.joint_inertia <= 0:
-            raise FreeArtError(
-                f"{self.asset.urdf} joint '{self.asset.joint}' moves nothing of mass: its links have "
-                "neither <inertial> nor collision geometry"
-            )
         h = self._system.timestep = self.timestep_s / self._substeps
         for _ in range(self._substeps):
             if self._leaving:
                 self._leave(self._leaving, h)
                 continue
-            q0, qd0 = self._q, self._qd
-            low, high = min(self.lower, q0), max(self.upper, q0)
-            q, t = min(max(q0 + 0.5 * h * qd0, low), high), self.time_s + 0.5 * h
-            self._put(q)
-            self._recall(q)
-            self._set_drive(q, qd0)
-            self._set_armature(q, qd0, h)
-            acting = self._acting_force(q, qd0, t) + (force(t) if force else 0.0)
-            self.articulation.set_qf(np.array([acting], np.float32))
+            self.before_engine(h, force)
             self._system.step()
-            qd = float(self.articulation.qvel[0])
-            self._engine_q = float(self.articulation.qpos[0])
-            self._qdd, self._struck = (qd - qd0) / h, 0.0
-            self._q, self._qd = self._moved(q0, qd0, h, low, high, force(t) if force else 0.0)
-            if self._slack:
-                self._move_drive_side(self._slack, q, qd0, t, h)
-            if self._qd != qd:
-                self.articulation.set_qvel(np.array([self._qd], np.float32))
-            self.time_s += h
+            self.after_engine(h, force)
+
+    @property
+    def moving_links(self) -> frozenset[str]:
+        """Names of the links on the far side of the joint."""
+        return frozenset(self._moving_links)
+
+    @property
+    def substeps(self) -> int:
+        """Steps of the engine in one of `timestep_s`, as the stiffest effect needs them."""
+        return self._substeps
+
+    def before_engine(self, h: float, force: Callable[[float], float] | None = None) -> None:
+        """The first half of a step of `h` s whose engine somebody else steps: what acts is put in.
+
+        `step` is made of substeps of this, one step of the engine with time step `h`, and `after_engine`.
+        """
+        if self.joint_inertia <= 0:
+            raise FreeArtError(
+                f"{self.asset.urdf} joint '{self.asset.joint}' moves nothing of mass: its links have "
+                "neither <inertial> nor collision geometry"
+            )
+        if self._leaving:
+            return
+        low, high = self._bounds()
+        q, t = min(max(self._q + 0.5 * h * self._qd, low), high), self.time_s + 0.5 * h
+        self._put(q)
+        self._recall(q)
+        self._set_drive(q, self._qd)
+        self._set_armature(q, self._qd, h)
+        acting = self._acting_force(q, self._qd, t) + (force(t) if force else 0.0)
+        self.articulation.set_qf(np.array([acting], np.float32))
+        self._middle = q
+
+    def after_engine(self, h: float, force: Callable[[float], float] | None = None) -> None:
+        """The second half of a step: what the engine made of the speed moves the joint, limits and slack act."""
+        if self._leaving:
+            self._leave(self._leaving, h)
+            return
+        q0, qd0, t = self._q, self._qd, self.time_s + 0.5 * h
+        low, high = self._bounds()
+        qd = float(self.articulation.qvel[0])
+        self._engine_q = float(self.articulation.qpos[0])
+        self._qdd, self._struck = (qd - qd0) / h, 0.0
+        self._q, self._qd = self._moved(q0, qd0, h, low, high, force(t) if force else 0.0)
+        if self._slack:
+            self._move_drive_side(self._slack, self._middle, qd0, t, h)
+        if self._qd != qd:
+            self.articulation.set_qvel(np.array([self._qd], np.float32))
+        self.time_s += h
+
+    def _bounds(self) -> tuple[float, float]:
+        """The limits, or where the joint is beyond them."""
+        return min(self.lower, self._q), max(self.upper, self._q)
 
     def _moved(self, q: float, qd: float, h: float, low: float, high: float, push: float) -> tuple[float, float]:
         """Position and velocity after `h` at the constant acceleration of this step, with an impact at a limit; `push`
@@ -433,6 +471,7 @@ def load(
     fixed_base: bool = True,
     scene: Any = None,
     visuals: bool = False,
+    limited: bool = False,
 ) -> SimulatedAsset:
     """The asset in simulation: neutral, one joint free, its effects acting.
 
@@ -444,6 +483,7 @@ def load(
         fixed_base: whether the root link is nailed to the world.
         scene: a `sapien.Scene` to load into; None makes one of physics only.
         visuals: load visual meshes too; `scene` must then be able to render.
+        limited: make a joint to which the engine can be given limits later; they are out of reach (`WIDE`) until then.
 
     Raises FreeArtError when the URDF is not one tree with the named joint and links, a mesh file is missing, or SAPIEN
     cannot read a file. Links of the asset never collide with each other, nor with other assets loaded here.
@@ -465,7 +505,9 @@ def load(
         if record.name in joints and record.name != joint.name and joints[record.name].joint_type:
             _freeze(record, _held_position(asset, joints[record.name]))
         elif record.name == joint.name:
-            record.limits = [[-np.inf, np.inf]]  # `step` keeps them, in double precision
+            record.limits = (
+                [[-WIDE, WIDE]] if limited else [[-np.inf, np.inf]]
+            )  # `step` keeps them, in double precision
             if joint.joint_type == "revolute":
                 record.joint_type = "revolute_unwrapped"
     try:

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from export.mjcf import joint_words
+from export.beside import write_beside
+from export.loaders import FOLDER as LOADERS
+from export.mjcf import STIFF_FRICTION, joint_words
 from export.mjcf_of_urdf import mjcf_of_urdf
 from freeart21.asset import Asset
 from freeart21.effects.backlash import Backlash
@@ -52,6 +54,8 @@ def repaired(asset: Asset, effects: tuple[Effect, ...], folder: Path, source: di
     if mjcf.name not in texts:
         atomic.write_bytes(folder / mjcf.name, mjcf_of_urdf(mended))
     write_asset_json(folder, mended)
+    if (asset.urdf.parent / LOADERS).is_dir():  # what came from our exporter tells of effects in more files
+        write_beside(folder, mended)
     return _reloaded(asset, joined, folder)
 
 
@@ -105,7 +109,7 @@ def mjcf_with_effects(text: bytes, joint: str, effects: dict[str, tuple[Effect, 
     if element is None:
         names = ", ".join(e.get("name", "") for e in root.iter("joint"))
         raise FreeArtError(f"{where} has no joint '{joint}'; joints: {names or 'none'}")
-    for word in ("damping", "frictionloss", "armature", "stiffness", "springref"):
+    for word in ("damping", "frictionloss", *STIFF_FRICTION, "armature", "stiffness", "springref"):
         element.attrib.pop(word, None)
     for word, said in joint_words(effects.get(joint, ()), joint).items():
         element.set(word, said)

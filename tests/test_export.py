@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from scipy.ndimage import map_coordinates
 from scipy.spatial.distance import cdist
 
 from export import collision
@@ -18,7 +17,8 @@ from export.checklist import check_asset
 from export.collision import CollisionSettings, convex_hull, convex_parts
 from export.exporter import ExportSettings, export_result
 from export.inertia import Inertial, inertial_of, unphysical
-from export.meshes import MeshSettings, baked, cleaned, inside_out, reduced, turned, write_visual
+from export.meshes import deduplicated, inside_out, reduced, turned, without_crumbs, write_visual
+from export.texture import vertex_skin
 from freeart21 import doctor, se3
 from freeart21.articulation import Articulation
 from freeart21.effects.armature import Armature
@@ -368,11 +368,12 @@ def test_cleaning_merges_drops_crumbs_and_keeps_colours():
         np.concatenate([np.arange(36).reshape(-1, 3), np.arange(36).reshape(-1, 3)[:2], [[0, 0, 1]], crumb.faces + 36]),
         np.concatenate([np.tile(np.uint8(RED), (36, 1)), crumb.colours]),
     )
-    clean = cleaned(doubled, MeshSettings())
+    whole = deduplicated(doubled)
+    clean = without_crumbs(whole, 0.01)
     assert (len(clean.vertices), len(clean.faces)) == (8, 12)
     assert (clean.colours == RED).all()
     assert trimesh.Trimesh(clean.vertices, clean.faces).volume == pytest.approx(1)
-    assert len(cleaned(doubled, MeshSettings(min_component=0.0)).faces) == 24
+    assert len(without_crumbs(whole, 0.0).faces) == 24
 
 
 def test_decimation_keeps_shape_and_colours():
@@ -395,27 +396,13 @@ def test_faces_that_look_inwards_are_found_and_turned_and_said(tmp_path: Path):
     assert trimesh.load_mesh(tmp_path / "a" / "meshes" / "moving.obj", process=True).volume > 0
 
 
-@pytest.mark.parametrize("texels", [3, 4, 7])
-def test_baked_texture_gives_back_the_vertex_colours(texels: int):
-    rng = np.random.default_rng(0)
-    ball = trimesh.creation.icosphere(2)
-    colours = rng.integers(90, 160, (len(ball.vertices), 3)).astype(np.uint8)
-    mesh = Mesh(ball.vertices, ball.faces, colours)
-    image, uv = baked(mesh, texels)
-    weights = rng.dirichlet([1, 1, 1], len(mesh.faces))
-    at = np.einsum("fk,fkc->fc", weights, uv.reshape(-1, 3, 2))
-    pixels = [(1 - at[:, 1]) * image.shape[0] - 0.5, at[:, 0] * image.shape[1] - 0.5]
-    read = np.stack([map_coordinates(image[..., k].astype(float), pixels, order=1) for k in range(3)], -1)
-    expected = np.einsum("fk,fkc->fc", weights, colours[mesh.faces].astype(float))
-    assert np.abs(read - expected).max() <= 1.0
-
-
 def test_visual_obj_wears_its_texture_and_a_grey_part_has_none(tmp_path: Path):
-    assert write_visual(tmp_path, "lid", box((1, 1, 1), colour=RED), MeshSettings()) == "lid.png"
+    red = box((1, 1, 1), colour=RED)
+    assert write_visual(tmp_path, "lid", red, vertex_skin(red, red)) == "lid.png"
     read = trimesh.load_mesh(tmp_path / "lid.obj", process=False)
     assert read.volume == pytest.approx(1)
     assert (read.visual.to_color().vertex_colors[:, :3] == RED).all()
-    assert write_visual(tmp_path, "grey", box((1, 1, 1)), MeshSettings()) is None
+    assert write_visual(tmp_path, "grey", box((1, 1, 1)), None) is None
     assert "map_Kd" not in (tmp_path / "grey.mtl").read_text()
     assert len(trimesh.load_mesh(tmp_path / "grey.obj", process=False).faces) == 12
 

@@ -13,7 +13,7 @@ HEAVY = {"sapien", "torch", "mani_skill", "open3d", "mujoco", "coacd", "trimesh"
 ALLOWED = {  # what a room may import from other rooms
     "generator": set(),
     "reconstruct": set(),
-    "export": {"generator.simulate"},
+    "export": {"generator.simulate", "generator.object_folder"},  # the latter makes the catalog's objects for ManiSkill
     "leaderboard": {"generator.simulate", "export.checklist"},
     "simgap": {"generator.simulate", "export"},
     "freeart21": set(),
@@ -49,8 +49,8 @@ def _on_one_path(module: str, door: str) -> bool:
     return f"{module}.".startswith(f"{door}.") or f"{door}.".startswith(f"{module}.")
 
 
-def faults(room: str, source: str) -> list[str]:
-    """Imports that `room` may not make."""
+def faults(room: str, source: str, behind_a_door: bool = False) -> list[str]:
+    """Imports that `room` may not make; `behind_a_door`: of a module whose classes are a heavy library's own."""
     wrong = []
     for module, at_top in imports(source):
         head = module.split(".")[0]
@@ -60,7 +60,7 @@ def faults(room: str, source: str) -> list[str]:
             wrong.append(f"reconstruct imports {module}, which holds a truth")
         if room == "freeart21" and head in HEAVY and at_top:
             wrong.append(f"freeart21 imports {head} at the top of a module")
-        if head in ("sapien", "torch", "mani_skill", "open3d") and at_top:
+        if head in ("sapien", "torch", "mani_skill", "open3d") and at_top and not behind_a_door:
             wrong.append(f"{room} imports {head} at the top of a module")
     return wrong
 
@@ -69,7 +69,8 @@ def faults(room: str, source: str) -> list[str]:
 def test_imports_point_down(room):
     for path in (ROOT / room).rglob("*.py"):
         if path != ROOT / "freeart21" / "cli.py":
-            assert not faults(room, path.read_text()), path
+            behind = path.parent == ROOT / "export" / "maniskill" and path.name.startswith("_")
+            assert not faults(room, path.read_text(), behind and path.name != "__init__.py"), path
 
 
 @pytest.mark.parametrize(

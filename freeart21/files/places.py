@@ -55,7 +55,11 @@ ASSET = Output(
     "asset",
     _json("asset"),
     "asset.json",
-    ("asset.json", "effects.json", "object.urdf", "object.xml", *(f"meshes/*.{end}" for end in ("obj", "mtl", "png"))),
+    (
+        *("asset.json", "effects.json", "object.urdf", "object.xml", "object.usdc", "LOSSES.md", "preview.png"),
+        *("loaders/load_*.py", "loaders/joint.json", "loaders/__pycache__/load_*.pyc"),
+        *(f"meshes/*.{end}" for end in ("obj", "mtl", "png")),
+    ),
 )
 RESULT = Output(
     "result",

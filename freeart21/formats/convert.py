@@ -17,13 +17,13 @@ from freeart21.files.benchmark import is_unfinished, read_benchmark, unfinished,
 from freeart21.files.places import check_growing
 from freeart21.files.sequence import read_sequence, write_frame, write_header, write_queries
 from freeart21.files.truth import read_truth, write_truth
-from freeart21.formats import freeart21_official, rgbd_folder, video2articulation
+from freeart21.formats import foreign, freeart21_official, maniskill, rgbd_folder, video2articulation
 from freeart21.formats.foreign import Foreign, Progress, safe_name
 from freeart21.recording import Recording
 from freeart21.truth import Truth
 
-Layout = Literal["native", "rgbd", "official", "video2articulation"]
-Target = Literal["official", "native"]
+Layout = Literal["native", "rgbd", "official", "video2articulation", "maniskill"]
+Target = Literal["official", "native", "maniskill"]
 TruthMaker = Callable[[Foreign, Path], Truth]
 """The whole truth of a foreign recording, from a folder of PartNet-Mobility objects; FreeArtError says what lacks."""
 
@@ -48,7 +48,7 @@ def find_sources(source: Path, layout: Layout | None = None) -> list[tuple[Layou
 
     native: a sequence folder, or a data folder with sequences/. rgbd: a plain folder of pictures, or a folder of such.
     official: an example, or a folder of examples, or one that holds examples/. video2articulation: a view folder, or
-    any folder above.
+    any folder above. maniskill: a folder with trajectories, NAME.h5 and NAME.json, each episode a recording.
     """
     source = Path(source)
     if not source.is_dir():
@@ -61,11 +61,15 @@ def find_sources(source: Path, layout: Layout | None = None) -> list[tuple[Layou
     raise FreeArtError(
         f"{source} holds no recording {wanted}: a native one has sequence.json, a plain one rgb/ or color/, "
         "depth/*.png, masks/ and cam_K.txt or camera_intrinsic.json, an official example rgb/, depth/*.npz and "
-        "cam_K.txt, a Video2Articulation-S view camera_pose.npy and intrinsics.npy"
+        "cam_K.txt, a Video2Articulation-S view camera_pose.npy and intrinsics.npy, "
+        "ManiSkill's trajectories of FreeArt21 environments NAME.h5 and NAME.json"
     )
 
 
 def _of_layout(source: Path, layout: Layout) -> Iterator[Path]:
+    if layout == "maniskill":
+        yield from maniskill.episodes(source)
+        return
     fits, patterns = {
         "native": (lambda folder: (folder / "sequence.json").is_file(), ("sequences/*", "*")),
         "rgbd": (rgbd_folder.is_rgbd_folder, ("*",)),
@@ -107,6 +111,9 @@ def convert(
     to="official" writes out/examples/NAME and, when the object's files are at hand (the truth's own, or
     partnet_root/ID), out/data/partnet-mobility-v0/dataset/NAME. `hold_out` makes the official split of 5 %.
 
+    to="maniskill" writes out/NAME.h5 and out/NAME.json, a trajectory that FreeArt21-FreeMoving-v1 replays: of
+    recordings whose truth is known, and whose object's files are at hand.
+
     `meta` is Video2Articulation's meta file; `depth_unit` (metres) and `fps` are of plain folders. `progress` is called
     with a sequence's name, the frames done, their total.
     Raises FreeArtError, in one line; what was written before stays, and is whole.
@@ -123,7 +130,9 @@ def convert(
             recording = _read(kind, folder, meta, partnet_root)
         tick = functools.partial(progress, recording.name)
         with _tidy(out):
-            if to == "native":
+            if to == "maniskill":
+                yield _write_maniskill(out, recording, _object_folder(kind, folder, recording, partnet_root))
+            elif to == "native":
                 yield _write_native(out, recording, truth_of, partnet_root or _root_beside(kind, folder), tick)
             else:
                 files = _object_folder(kind, folder, recording, partnet_root)
@@ -147,6 +156,8 @@ def _read(kind: Layout, folder: Path, meta: Path | None, partnet_root: Path | No
         return freeart21_official.read_example(folder)
     if kind == "video2articulation":
         return video2articulation.read_view(folder, meta)
+    if kind == "maniskill":
+        return maniskill.read_episode(folder)
     recording, name = read_sequence(folder), folder.resolve().name
     truth_folder = _truth_folder(folder)
     if not truth_folder.is_dir():
@@ -171,7 +182,9 @@ def _object_folder(kind: Layout, folder: Path, recording: Foreign, partnet_root:
 
 
 def _root_beside(kind: Layout, folder: Path) -> Path | None:
-    """Where the official code keeps its objects: beside examples/."""
+    """Where the official code keeps its objects, beside examples/, and where an environment had its own."""
+    if kind == "maniskill":
+        return maniskill.objects_beside(folder)
     root = folder.resolve().parent.parent / freeart21_official.OBJECTS
     return root if kind == "official" and root.is_dir() else None
 
@@ -236,6 +249,20 @@ def _write_official(out: Path, read: Foreign, object_folder: Path | None, hold_o
             f"without the object's files, which their evaluator needs: {read.object_id} is not at hand (--partnet-root)"
         )
     return Converted(read.name, folder, read.known is not None, tuple(notes))
+
+
+def _write_maniskill(out: Path, read: Foreign, object_folder: Path | None) -> Converted:
+    if (out / f"{read.name}.h5").exists():
+        raise FreeArtError(f"{out / read.name}.h5 exists; choose another place or remove it first")
+    if read.known is None or object_folder is None:
+        lacks = read.lacks or f"{read.object_id} is not at hand (--partnet-root)"
+        raise FreeArtError(f"{read.name} gives no motion to replay: {lacks}")
+    known, recording = read.known, read.recording
+    poses = foreign.T_SAPIEN_CV @ known.Ts_camera_object
+    file = maniskill.write_trajectory(
+        out, read.name, object_folder.resolve(), recording.times_s, known.states, poses, recording.camera
+    )
+    return Converted(read.name, file, True, read.notes)
 
 
 def _all_have_truth(out: Path) -> bool:

@@ -30,6 +30,7 @@ from freeart21.view.diagnosis import diagnosis_section, remarks_section
 from freeart21.view.document import TRUTH, Section, document
 from freeart21.view.gaussian_page import gaussians_page
 from freeart21.view.link_shapes import read_shown
+from freeart21.view.losses import losses_sections
 from freeart21.view.parts import AXIS, align, articulation_scene, axis_in_pictures, matched, with_truth
 from freeart21.view.plot import StateSeries, plot_section
 from freeart21.view.scene import scene_section
@@ -326,6 +327,8 @@ def _asset_sections(path: Path, T_camera_canonical: Array | None) -> tuple[list[
     ]
     if asset is not None and asset.source:
         sections.append(table_section("Where the asset came from", source_rows(asset.source)))
+    if path.is_dir():
+        sections += losses_sections(path)
     return sections, chips, notices
 
 

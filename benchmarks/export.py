@@ -1,0 +1,364 @@
+"""Whether exported assets are ready for simulators: of the truth's own geometry, and of a method's reconstructions.
+
+    .venv/bin/python -m benchmarks.export --data data/v1 [--results results/NAME] [--engines sapien mujoco]
+
+exports every sequence's truth as if it were an answer, and the answer in --results where there is one, and measures
+each asset from its files: how it stands, its limits, how deep its parts are in each other, its mass, its collision
+shapes, its meshes, and which rules of `freeart21 check-asset` it passes in each engine. Prints a table for each of the
+two, worst first, and how many assets reach every goal; writes benchmarks/results/export.json (summary, rows, commit,
+settings, machine). Rows are kept in --work, keyed by the exporter's code and what was exported: a run that was stopped
+goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.common import RESULTS, ROOT, commit, machine
+from export.check.checking import check
+from export.exporter import ExportSettings, export_result
+from export.fidelity import measured
+from export.outside import outside_of
+from export.penetration import Overlap
+from freeart21 import catalog, se3
+from freeart21.articulation import Articulation
+from freeart21.asset import Asset
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.benchmark import Benchmark, read_benchmark
+from freeart21.files.result import read_result
+from freeart21.files.truth import read_truth
+from freeart21.files.urdf import link_poses
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.truth import Truth
+from freeart21.view.link_shapes import ShownUrdf, read_shown
+from generator import objects
+from generator.motion import PRESETS
+from leaderboard.reference import truth_answer
+
+SCHEMA = "freeart21/benchmark-export/1"
+DENSITY = 1000.0
+"""kg/m^3 of all exports here: a mass then tells a volume."""
+STATES = 21
+"""Over the joint's range, at which the parts' depth in each other is measured."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a number should be."""
+
+    column: str
+    most: float
+    unit: str
+    says: str
+
+
+GOALS = (
+    Goal("below_mm", 0.1, "mm", "lowest point from z = 0, joint at zero"),
+    Goal("base_mm", 1.0, "mm", "origin from the middle of what it stands on"),
+    Goal("up_deg", 5.0, "deg", "z from the maker's up"),
+    Goal("beyond", 1.0, "deg or mm", "limits beyond the maker's"),
+    Goal("short", 0.0, "deg or mm", "states of the video, by the truth, outside the limits"),
+    Goal("deep_mm", 0.5, "mm", "parts in each other, anywhere in the range"),
+    Goal("mass_pc", 20.0, "%", "a part's mass from the truth's, at its density"),
+    Goal("collision_mm", 0.5, "mm", "surface to collision shapes, median"),
+    Goal("collision_worst_mm", 2.0, "mm", "surface to collision shapes, worst"),
+    Goal("open_parts", 0.0, "", "parts whose mesh is not closed"),
+    Goal("undamped", 0.0, "", "joints that nothing slows"),
+    Goal("failed_rules", 0.0, "", "rules of check-asset that fail"),
+    Goal("seconds", 60.0, "s", "export"),
+)
+
+
+def main(
+    data: Path = ROOT / "data" / "v1",
+    results: Path | None = None,
+    sequences: tuple[str, ...] = (),
+    engines: tuple[str, ...] = (),
+    video: bool = True,
+    work: Path = ROOT / "out" / "export",
+    out: Path | None = None,
+) -> None:
+    """Measure the exporter.
+
+    Args:
+        data: The data folder (`freeart21 record --split public --out data/v1`).
+        results: A method's results; without them only truths are exported.
+        sequences: These alone.
+        engines: Engines of check-asset to try; all that are installed when not given.
+        video: Bake textures from the videos.
+        work: Where assets and rows are kept.
+        out: The JSON file. When not given: benchmarks/results/export.json, and only when no sequences are named.
+    """
+    console, benchmark = Console(), read_benchmark(data)
+    tables: dict[str, list[dict[str, Any]]] = {}
+    for source in ("truth", "reconstruction") if results else ("truth",):
+        rows = []
+        for name in benchmark.chosen(sequences or None):
+            rows.append(_row(source, name, benchmark, results, engines, video, work))
+            console.print(f"{source}: {name}: {rows[-1]['status']}", highlight=False)
+        tables[source] = rows
+        _print(console, source, rows)
+    if out is None and sequences:
+        return
+    body = {
+        "summary": {source: _reached(rows) for source, rows in tables.items()},
+        "rows": [row for rows in tables.values() for row in rows],
+        "commit": commit(),
+        "settings": {"density": DENSITY, "states": STATES, "video": video, "engines": list(engines)},
+        "machine": machine(),
+    }
+    path = out or RESULTS / "export.json"
+    atomic.write_json(path, body)
+    console.print(str(path))
+
+
+def _row(
+    source: str,
+    name: str,
+    benchmark: Benchmark,
+    results: Path | None,
+    engines: tuple[str, ...],
+    video: bool,
+    work: Path,
+) -> dict[str, Any]:
+    """Export and measure one, unless its row is known."""
+    answer = benchmark.truth(name) if results is None or source == "truth" else results / name
+    kept, asset_folder = work / source / f"{name}.json", work / source / name
+    key = _key(answer, engines, video)
+    if kept.is_file() and (known := checked.read_json(kept, SCHEMA)).get("key") == key:
+        return dict(known["row"])
+    row: dict[str, Any] = {"source": source, "object": name}
+    try:
+        truth = read_truth(benchmark.truth(name))
+        result = truth_answer(truth) if source == "truth" else _read(answer)
+        begin = time.perf_counter()
+        asset = export_result(
+            result if source == "truth" else answer,
+            asset_folder,
+            ExportSettings(density=DENSITY),
+            video=benchmark.sequence(name) if video else None,
+        )
+        row |= {"status": "ok", "seconds": time.perf_counter() - begin}
+        row |= figures(asset, result, truth, _volumes(truth))
+        report = check(asset_folder, engines or None)
+        row |= {
+            "failed_rules": float(len(report.failed)),
+            "failed": [f"{r.rule} ({r.engine}): {r.reason}" for r in report.failed],
+            "passed_rules": sum(r.verdict == "pass" for r in report.rows),
+            "check_seconds": sum(report.seconds.values()),
+        }
+    except FreeArtError as error:
+        row["status"] = str(error).replace(str(work), "WORK")
+    atomic.write_json(kept, {"schema": SCHEMA, "key": key, "row": row})
+    return row
+
+
+def _read(folder: Path) -> Reconstruction:
+    read = read_result(folder, appearance=False)
+    if isinstance(read, Failure):
+        raise FreeArtError(f"a failure, nothing to export: {read.stage}: {read.reason}")
+    return read
+
+
+def _key(answer: Path, engines: tuple[str, ...], video: bool) -> str:
+    """All that decides a row."""
+    said = hashlib.sha256(repr((engines, video, DENSITY, STATES)).encode())
+    code = [*sorted((ROOT / "export").rglob("*.py")), Path(__file__)]
+    for file in [*code, *sorted(path for path in (answer / "parts").rglob("*") if path.is_file())]:
+        said.update(file.name.encode() + file.read_bytes())
+    return said.hexdigest()
+
+
+# --- numbers ----------------------------------------------------------------------------------------------------------
+
+
+def figures(
+    asset: Asset, result: Reconstruction, truth: Truth, volumes: tuple[float, float] | None
+) -> dict[str, float | None]:
+    """The numbers of an asset, from its files, against its truth.
+
+    Args:
+        asset: as read from disk, at `DENSITY`.
+        result: what it was made of.
+        truth: of its video.
+        volumes: m^3 of reference and moving part, or None where nobody knows them.
+    """
+    shown = read_shown(asset.urdf)
+    link = shown.urdf.joints[asset.joint]
+    joint = Joint(link.name, _typed(link.joint_type), link.axis, np.zeros(3), link.lower, link.upper)
+    Ts = link_poses(shown.urdf.joints, {**asset.held, asset.joint: 0.0})
+    T_reference_moving = se3.inverse(Ts[asset.reference_link]) @ Ts[asset.moving_link]
+    visual = [_joined(shown, name, "visuals") for name in (asset.reference_link, asset.moving_link)]
+    joint = joint.moved(T_reference_moving)
+    parts = Articulation(joint, visual[0], visual[1].moved(T_reference_moving))
+    swapped = _swapped(result, truth)
+    return {
+        **_standing(asset, parts, result, truth, swapped),
+        **_limits(asset, link.lower, link.upper, result, truth),
+        "deep_mm": 1e3 * float(Overlap(parts).deepest(np.linspace(link.lower, link.upper, STATES)).max()),
+        **_solids(asset, shown, volumes[::-1] if volumes and swapped else volumes),
+        **_shapes(asset, shown, visual),
+        "undamped": float(not (link.damping > 0 or link.friction > 0)),
+    }
+
+
+def _standing(
+    asset: Asset, parts: Articulation, result: Reconstruction, truth: Truth, swapped: bool
+) -> dict[str, float | None]:
+    points = np.concatenate([parts.reference.vertices, parts.moving.vertices])
+    low = float(points[:, 2].min())
+    base = points[points[:, 2] < low + 1e-3, :2]
+    Ts_truth = truth.Ts_camera_moving if swapped else truth.Ts_camera_reference
+    first = result.anchor
+    up = result.Ts_camera_reference[first, :3, :3].T @ Ts_truth[first, :3, 2]  # the maker's z, in the answer's frame
+    cosine = float(np.clip(up @ asset.T_canonical_reference[:3, 2] / np.linalg.norm(up), -1, 1))
+    return {
+        "below_mm": 1e3 * abs(low),
+        "base_mm": 1e3 * float(np.linalg.norm(0.5 * (base.min(0) + base.max(0)))),
+        "up_deg": float(np.degrees(np.arccos(cosine))),
+    }
+
+
+def _swapped(result: Reconstruction, truth: Truth) -> bool:
+    """Whether the answer's reference part is the truth's moving one, by the masks of a few frames."""
+    agree = [0, 0]
+    for i in np.linspace(0, len(truth) - 1, 5).round().astype(int):
+        true, said = truth.part_mask(int(i)), result.part_masks[i]
+        agree[0] += int(((true == said) & (true > 0)).sum())
+        agree[1] += int(((true == 3 - said) & (true > 0) & (said > 0)).sum())
+    return agree[1] > agree[0]
+
+
+def _limits(asset: Asset, lower: float, upper: float, result: Reconstruction, truth: Truth) -> dict[str, float | None]:
+    """How far the limits lie beyond the maker's, and short of what the video showed: deg or mm of true states."""
+    true, said = truth.states, result.states
+    sign = 1.0 if np.ptp(said) == 0 or np.corrcoef(true, said)[0, 1] >= 0 else -1.0
+    shift = float(np.median(true - sign * said))
+    ends = sorted(sign * (q - asset.state_zero) + shift for q in (lower, upper))
+    joint = truth.articulation.joint
+    unit = float(np.degrees(1)) if joint.type == "revolute" else 1e3
+    return {
+        "beyond": unit * max(joint.lower - ends[0], ends[1] - joint.upper, 0.0),
+        "short": unit * max(ends[0] - float(true.min()), float(true.max()) - ends[1], 0.0),
+        "range": unit * (upper - lower),
+    }
+
+
+def _solids(asset: Asset, shown: ShownUrdf, volumes: tuple[float, float] | None) -> dict[str, float | None]:
+    masses = [shown.urdf.links[name].inertial for name in (asset.reference_link, asset.moving_link)]
+    kilograms = [inertial.mass if inertial else 0.0 for inertial in masses]
+    off = [100 * (kg / DENSITY / v - 1) for kg, v in zip(kilograms, volumes, strict=True)] if volumes else []
+    return {
+        "mass_pc": max(map(abs, off)) if off else None,
+        "mass_reference_pc": off[0] if off else None,
+        "mass_moving_pc": off[1] if off else None,
+    }
+
+
+def _shapes(asset: Asset, shown: ShownUrdf, visual: list[Mesh]) -> dict[str, float | None]:
+    names = (asset.reference_link, asset.moving_link)
+    true = [
+        measured(outside_of(mesh), [piece.mesh for piece in shown.collisions[name]])
+        for name, mesh in zip(names, visual, strict=True)
+    ]
+    solids = [trimesh.Trimesh(mesh.vertices, mesh.faces, process=False) for mesh in visual]
+    return {
+        "collision_mm": 1e3 * max(fidelity.median for fidelity in true),
+        "collision_worst_mm": 1e3 * max(fidelity.worst for fidelity in true),
+        "shapes": float(sum(len(shown.collisions[name]) for name in names)),
+        "open_parts": float(sum(not (solid.is_watertight and solid.volume > 0) for solid in solids)),
+        "pieces": float(sum(solid.body_count for solid in solids)),
+        "vertices_a_face": max(len(mesh.vertices) / len(mesh.faces) for mesh in visual),
+    }
+
+
+def _joined(shown: ShownUrdf, link: str, which: str) -> Mesh:
+    """All shapes of a link as one mesh of shared positions."""
+    meshes = [piece.mesh for piece in getattr(shown, which)[link]]
+    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, first, strict=False)])
+    place, back = np.unique(vertices, axis=0, return_inverse=True)
+    return Mesh(place, back.reshape(-1)[faces])
+
+
+def _typed(kind: str | None) -> Any:
+    if kind is None:
+        raise FreeArtError("the asset's joint does not move")
+    return kind
+
+
+def _volumes(truth: Truth) -> tuple[float, float] | None:
+    """m^3 of the built-in object's reference and moving part; None for other objects."""
+    name, settings = str(truth.source.get("object")), truth.source.get("settings") or {}
+    if name not in catalog.built_in_names():
+        return None
+    model = objects.build(name, int(settings["seed"]))
+    diagonal = PRESETS[settings["preset"]].diagonal_m
+    model = model if diagonal is None else model.scaled(diagonal / model.diagonal)
+    of = {f"link_{k}": sum(p.solid.volume() for p in link.pieces) for k, link in enumerate(model.links)}
+    return tuple(sum(of.get(link, 0.0) for link in truth.source[f"{part}_links"]) for part in ("reference", "moving"))  # type: ignore[return-value]
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def _reached(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """How many rows reach each goal, the median and the worst."""
+    found: dict[str, Any] = {"rows": len(rows), "exported": sum(row["status"] == "ok" for row in rows)}
+    for goal in GOALS:
+        values = [row[goal.column] for row in rows if row.get(goal.column) is not None]
+        found[goal.column] = {
+            "goal": goal.most,
+            "reached": sum(value <= goal.most for value in values),
+            "of": len(rows),
+            "median": float(np.median(values)) if values else None,
+            "worst": float(max(values)) if values else None,
+        }
+    return found
+
+
+def _missed(row: dict[str, Any]) -> int:
+    return sum(row.get(goal.column) is None or row[goal.column] > goal.most for goal in GOALS)
+
+
+def _print(console: Console, source: str, rows: list[dict[str, Any]]) -> None:
+    columns = [goal.column for goal in GOALS] + ["shapes", "pieces", "vertices_a_face"]
+    table = Table(title=f"of {source}: worst first", box=None)
+    table.add_column("object")
+    for column in columns:
+        table.add_column(column.replace("_", " "), justify="right")
+    for row in sorted(rows, key=_missed, reverse=True):
+        cells = ["-" if row.get(column) is None else f"{row[column]:.3g}" for column in columns]
+        table.add_row(row["object"], *cells)
+    console.print(table)
+    for row in rows:
+        if row["status"] != "ok":
+            console.print(f"{row['object']}: {row['status']}", highlight=False)
+        for failed in row.get("failed", ()):
+            console.print(f"{row['object']}: {failed}", highlight=False)
+    reached = _reached(rows)
+    for goal in GOALS:
+        one = reached[goal.column]
+        worst = "-" if one["worst"] is None else f"{one['worst']:.3g}"
+        console.print(
+            f"{goal.says}: {one['reached']} of {one['of']} within {goal.most:g} {goal.unit}, worst {worst}",
+            highlight=False,
+        )
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,329 @@
+"""ManiSkill environments: the same physics as `generator.simulate`, ManiSkill's own shapes, files there and back.
+
+What needs ManiSkill, an extra, is skipped without it.
+"""
+
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from export.maniskill import ENVIRONMENTS, register
+from export.maniskill.assets import find_asset, loadable
+from export.maniskill.motion import CarriedMotion, drawn_motion
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import write_effects
+from freeart21.files.urdf import read_urdf_joints
+from generator.simulate import load, roll_out
+
+OPEN, FREE_MOVING = ENVIRONMENTS
+needs_maniskill = pytest.mark.skipif(
+    importlib.util.find_spec("mani_skill") is None, reason="ManiSkill is not installed: freeart21[maniskill]"
+)
+needs_h5py = pytest.mark.skipif(importlib.util.find_spec("h5py") is None, reason="h5py is not installed")
+
+LID = """<robot name="chest">
+  <link name="chest"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>
+    </inertial><collision><geometry><box size="0.2 0.2 0.1"/></geometry></collision>
+    <visual><geometry><box size="0.2 0.2 0.1"/></geometry></visual></link>
+  <link name="lid"><inertial><origin xyz="0.1 0 0.005"/><mass value="0.2"/>
+    <inertia ixx="7e-4" iyy="7e-4" izz="1.3e-3" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0.1 0 0.005"/><geometry><box size="0.2 0.2 0.01"/></geometry></collision>
+    <visual><origin xyz="0.1 0 0.005"/><geometry><box size="0.2 0.2 0.01"/></geometry></visual></link>
+  <joint name="hinge" type="revolute"><parent link="chest"/><child link="lid"/><origin xyz="-0.1 0 0.05"/>
+    <axis xyz="0 -1 0"/><limit lower="0" upper="1.5" effort="1" velocity="1"/>
+    <dynamics damping="0.01" friction="0.02"/></joint>
+</robot>"""
+
+
+@pytest.fixture
+def chest(tmp_path: Path) -> Path:
+    (tmp_path / "chest").mkdir()
+    (tmp_path / "chest" / "chest.urdf").write_text(LID)
+    return tmp_path / "chest"
+
+
+def make(env: str, asset: Path, **settings):
+    import gymnasium
+
+    settings = {"obs_mode": "state", "sim_backend": "cpu", "render_backend": "none"} | settings
+    return gymnasium.make(env, asset=str(asset), **settings)
+
+
+# --- without ManiSkill ------------------------------------------------------------------------------------------------
+
+
+def test_without_maniskill_it_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(FreeArtError, match="maniskill"):
+        register()
+
+
+def test_two_halves_with_the_engine_between_make_a_step(chest):
+    whole, halves = load(find_asset(chest)), load(find_asset(chest))
+    halves.scene.physx_system.timestep = 1e-3
+    for one in (whole, halves):
+        one.set_state(1.0)
+    for _ in range(200):
+        whole.step()
+        halves.before_engine(1e-3)
+        halves.scene.physx_system.step()
+        halves.after_engine(1e-3)
+    assert halves.substeps == 1 and whole.state() == halves.state() and whole.state()[0] < 0.9
+
+
+def test_what_is_no_object_is_told(tmp_path):
+    with pytest.raises(FreeArtError, match="neither a file or folder nor an object of the catalog"):
+        find_asset("no_such_thing")
+    with pytest.raises(FreeArtError, match="found URDFs: none"):
+        find_asset(tmp_path)
+
+
+def test_an_object_at_another_scale_has_its_lengths_masses_and_swing(chest):
+    free = chest / "chest.urdf"
+    free.write_text(LID.replace('<dynamics damping="0.01" friction="0.02"/>', ""))
+    with loadable(find_asset(chest), 4.0) as large:
+        joint = read_urdf_joints(large.urdf)["hinge"]
+        np.testing.assert_allclose(joint.T_parent_joint[:3, 3], [-0.4, 0, 0.2])
+        big, small = load(large), load(find_asset(chest))
+        assert big.moving_mass == pytest.approx(64 * small.moving_mass, rel=1e-5)
+        assert big.joint_inertia == pytest.approx(1024 * small.joint_inertia, rel=1e-4)
+        # a pendulum's time goes with the root of its length
+        slow, fast = roll_out(big, 1.2, duration_s=0.3).q, roll_out(small, 1.2, duration_s=0.15).q
+    np.testing.assert_allclose(slow[::2], fast, atol=2e-3)
+
+
+def test_effects_hold_for_one_size_only(chest):
+    with pytest.raises(FreeArtError, match="expected scale 1"), loadable(find_asset(chest), 2.0):
+        pass
+
+
+def test_a_drawn_motion_begins_where_it_is_told_and_its_speed_is_its_slope():
+    start = se3.exp_se3(np.array([0.1, 0, 0.2, 0.3, 0, 0]))
+    motion = drawn_motion(np.random.RandomState(1), start, [0, 0, 0.1], 0.2, 5.0)
+    np.testing.assert_allclose(motion.at(0.0)[0], start)
+    t, h = 2.2, 1e-5
+    pose, linear, angular = motion.at(t)
+    before, after = motion.at(t - h)[0], motion.at(t + h)[0]
+    np.testing.assert_allclose(linear, (after - before)[:3, 3] / (2 * h), atol=1e-6)
+    turn = (after - before)[:3, :3] / (2 * h) @ pose[:3, :3].T
+    np.testing.assert_allclose(angular, [turn[2, 1], turn[0, 2], turn[1, 0]], atol=1e-6)
+    assert np.linalg.norm(angular) > 0.01 and not motion.at(100.0)[1].any()
+    again = drawn_motion(np.random.RandomState(1), start, [0, 0, 0.1], 0.2, 5.0)
+    np.testing.assert_array_equal(motion.poses, again.poses)
+
+
+def test_a_motion_needs_a_time_for_each_pose():
+    with pytest.raises(FreeArtError, match="times rising"):
+        CarriedMotion(np.array([0.0, 0.0]), np.tile(np.eye(4), (2, 1, 1)))
+
+
+# --- files, without ManiSkill -----------------------------------------------------------------------------------------
+
+
+@needs_h5py
+def test_a_link_out_of_a_trajectory_is_not_followed(tmp_path):
+    import h5py
+
+    from freeart21.formats.convert import convert
+
+    source = tmp_path / "a"
+    source.mkdir()
+    with h5py.File(tmp_path / "secret.h5", "w") as file:
+        file["rgb"] = np.zeros((2, 4, 4, 3), np.uint8)
+    with h5py.File(source / "t.h5", "w") as file:
+        file["traj_0/obs/sensor_data/cam/rgb"] = h5py.ExternalLink("../secret.h5", "rgb")
+    info = {"env_info": {"env_id": OPEN, "env_kwargs": {}}, "episodes": [{"episode_id": 0}]}
+    (source / "t.json").write_text(json.dumps(info))
+    with pytest.raises(FreeArtError, match="is a link"):
+        list(convert(source, tmp_path / "out", "native"))
+    assert not (tmp_path / "out").exists()
+    (source / "t.json").write_text(json.dumps(info | {"episodes": [{"episode_id": "../x"}]}))
+    with pytest.raises(FreeArtError, match="episode_id"):
+        list(convert(source, tmp_path / "out", "native"))
+
+
+# --- with ManiSkill ---------------------------------------------------------------------------------------------------
+
+
+@needs_maniskill
+@pytest.mark.parametrize("base", ["fixed", "free"])
+def test_a_released_lid_falls_as_in_roll_out(chest, base):
+    """Damping and Coulomb friction act. A heavy free chest on the ground stays where it is, and the lid falls alike."""
+    if base == "free":
+        text = LID.replace('<mass value="1"/>', '<mass value="100"/>').replace("0.01", "1", 3)
+        (chest / "chest.urdf").write_text(text)
+    env = make(OPEN, chest, robot_uids="none", control_mode="passive", start=0.8, base=base)
+    env.reset(seed=0)
+    body = env.unwrapped.body
+    course = [body.q]
+    for _ in range(12):
+        env.step(np.zeros(0, np.float32))
+        course.append(body.q)
+    env.close()
+    true = roll_out(find_asset(chest), course[0], duration_s=0.6).q[::50]
+    assert course[0] == pytest.approx(1.2) and true[-1] < 0.2
+    falling = true > 0.05
+    np.testing.assert_allclose(np.array(course)[falling], true[falling], atol=0.01 * 1.5)
+
+
+@needs_maniskill
+@pytest.mark.parametrize(
+    "env, settings", [(OPEN, {"robot_uids": "none"}), (OPEN, {"robot_uids": "panda"}), (FREE_MOVING, {})]
+)
+def test_it_passes_gymnasiums_checker_and_is_the_same_from_a_seed(chest, env, settings):
+    from gymnasium.utils.env_checker import check_env
+    from mani_skill.utils.wrappers.gymnasium import CPUGymWrapper
+
+    made = CPUGymWrapper(make(env, chest, reward_mode="dense", **settings))
+    check_env(made, skip_render_check=True, skip_close_check=True)  # ManiSkill's wrappers cannot be made again by spec
+    courses = []
+    for _ in range(2):
+        made.reset(seed=5)
+        made.action_space.seed(1)
+        courses.append([made.step(made.action_space.sample())[0] for _ in range(10)])
+    np.testing.assert_array_equal(*courses)
+    made.close()
+    made.close()
+
+
+@needs_maniskill
+def test_the_motor_brings_the_lid_to_its_target_and_is_paid(chest):
+    env = make(FREE_MOVING, chest, reward_mode="sparse", start=0.0, target=0.6)
+    env.reset(seed=1)
+    rewards = [env.step(np.array([0.9], np.float32))[1].item() for _ in range(30)]
+    assert rewards[0] == 0 and rewards[-1] == 1
+    assert env.unwrapped.body.q == pytest.approx(0.9, abs=0.02 * 1.5)
+    away = env.unwrapped.hand._motion.at(env.unwrapped.body.simulated.time_s)[0] - env.unwrapped.body.root_pose
+    assert np.abs(away[:3, 3]).max() < 2e-3  # the hand carries it along
+    env.close()
+
+
+@needs_maniskill
+def test_what_pushes_on_a_joint_at_its_limit_feels_it(chest):
+    """A ball of 1 kg dropped onto the closed lid comes to rest on it."""
+    import sapien
+
+    env = make(OPEN, chest, robot_uids="none", control_mode="passive")
+    env.reset(seed=0)
+    builder = env.unwrapped.scene.sub_scenes[0].create_actor_builder()
+    builder.add_sphere_collision(radius=0.02)
+    ball = builder.build()
+    ball.set_pose(sapien.Pose([0.05, 0, 0.2]))
+    for _ in range(20):
+        env.step(np.zeros(0, np.float32))
+    top = env.unwrapped.body.bounds()[1][2]
+    assert env.unwrapped.body.q == 0 and ball.pose.p[2] == pytest.approx(top + 0.02, abs=2e-3)
+    env.close()
+
+
+@needs_maniskill
+def test_pictures_have_maniskills_shapes_and_name_the_parts(chest):
+    env = make(OPEN, chest, robot_uids="none", obs_mode="rgb+depth+segmentation", render_backend="cpu")
+    obs, _ = env.reset(seed=0)
+    seen = obs["sensor_data"]["base_camera"]
+    kinds = {name: (tuple(value.shape), str(value.dtype)) for name, value in seen.items()}
+    assert kinds == {
+        "rgb": ((1, 128, 128, 3), "torch.uint8"),
+        "depth": ((1, 128, 128, 1), "torch.int16"),
+        "segmentation": ((1, 128, 128, 1), "torch.int16"),
+    }
+    ids = dict(obs["extra"]["part_ids"][0].tolist())
+    assert sorted(ids.values()) == [1, 2] and set(ids) <= set(np.unique(seen["segmentation"]))
+    names = {side: env.unwrapped.segmentation_id_map[k].name for k, side in ids.items()}
+    assert names == {1: "chest", 2: "lid"}
+    env.close()
+
+
+@needs_maniskill
+def test_an_episode_becomes_a_sequence_with_truth_and_that_a_trajectory_again(tmp_path):
+    import h5py
+    from mani_skill.utils.wrappers.record import RecordEpisode
+
+    from freeart21.files.sequence import read_sequence
+    from freeart21.files.truth import read_truth
+    from freeart21.formats.convert import convert
+    from generator.foreign import truth_of
+    from generator.object_folder import object_folder
+
+    folder = object_folder("folding_usb", 0, tmp_path / "objects")
+    pictures = {
+        "obs_mode": "rgb+depth+segmentation",
+        "render_backend": "cpu",
+        "sensor_configs": {"width": 96, "height": 72},
+    }
+    env = RecordEpisode(
+        make(FREE_MOVING, folder, **pictures), str(tmp_path / "a"), trajectory_name="t", save_video=False
+    )
+    env.reset(seed=4)
+    for _ in range(4):
+        env.step(np.array([env.unwrapped._target], np.float32))
+    last = env.unwrapped.body.q, env.unwrapped.body.root_pose
+    env.close()
+    (made,) = convert(tmp_path / "a", tmp_path / "data", "native", truth_of=truth_of)
+    assert made.with_truth, made.notes
+    recording, truth = read_sequence(made.folder), read_truth(tmp_path / "data" / "truth" / made.name)
+    assert len(recording) == 5 and (recording.camera.width, recording.camera.height) == (96, 72)
+    np.testing.assert_allclose(np.diff(recording.times_s), 0.05)
+    assert truth.states[-1] == pytest.approx(last[0], abs=1e-5)
+    frame, mask = recording.frame(4), truth.part_mask(4)
+    assert set(np.unique(mask)) == {0, 1, 2} and ((mask > 0) == frame.mask).all() and frame.depth[frame.mask].min() > 0
+
+    shutil.copytree(folder, tmp_path / "beside" / folder.name)
+    (back,) = convert(tmp_path / "data", tmp_path / "b", "maniskill", partnet_root=tmp_path / "beside")
+    with h5py.File(tmp_path / "a" / "t.h5") as was, h5py.File(back.folder) as now:
+        before, after = (f["traj_0/env_states/articulations/object"][:] for f in (was, now))
+    np.testing.assert_allclose(after[:, 13], before[:, 13], atol=1e-5)
+    turned = [se3.pose_from_wxyz(rows[:, :3], rows[:, 3:7]) for rows in (before, after)]
+    for step in range(1, 5):  # the same motion in another world
+        ways = [np.linalg.norm(T[step, :3, 3] - T[0, :3, 3]) for T in turned]
+        assert ways[0] == pytest.approx(ways[1], abs=1e-5)
+    told = json.loads(back.folder.with_suffix(".json").read_text())
+    import gymnasium
+
+    kwargs = told["env_info"]["env_kwargs"] | {"obs_mode": "state", "render_backend": "none"}
+    again = gymnasium.make(told["env_info"]["env_id"], **kwargs)
+    again.reset(**told["episodes"][0]["reset_kwargs"])
+    with h5py.File(back.folder) as file:
+        for action in file["traj_0/actions"][:]:
+            again.step(action)
+    np.testing.assert_allclose(again.unwrapped.body.root_pose[:3, 3], turned[1][-1, :3, 3], atol=2e-3)
+    again.close()
+
+
+@needs_maniskill
+def test_the_asset_s_own_effects_json_acts(chest):
+    """The same lid with ten times the friction in effects.json stays where it is let go."""
+    from dataclasses import replace
+
+    from freeart21.effects.coulomb_friction import CoulombFriction
+
+    (chest / "chest.urdf").write_text(LID.replace('damping="0.01" friction="0.02"', 'damping="0" friction="0.3"'))
+    asset = find_asset(chest)
+    write_effects(chest, replace(asset, effects={"hinge": (CoulombFriction(0.3),)}))
+    env = make(OPEN, chest, robot_uids="none", control_mode="passive", start=0.5)
+    env.reset(seed=0)
+    for _ in range(10):
+        env.step(np.zeros(0, np.float32))
+    assert env.unwrapped.body.q == pytest.approx(0.75, abs=1e-4)
+    env.close()
+
+
+@needs_maniskill
+def test_it_warns_of_effects_that_do_not_show(chest, monkeypatch):
+    from dataclasses import replace
+
+    from export.maniskill import _body
+    from freeart21.effects.axis_tilt import AxisTilt
+
+    tilt = AxisTilt(*[0.01] * len(AxisTilt.parameters()))
+    (chest / "chest.urdf").write_text(LID.replace('damping="0.01" friction="0.02"', 'damping="0" friction="0"'))
+    write_effects(chest, replace(find_asset(chest), effects={"hinge": (tilt,)}))
+    said = []
+    monkeypatch.setattr(_body.logger, "warning", said.append)
+    make(OPEN, chest, robot_uids="none").close()
+    assert any("axis_tilt" in line for line in said)

@@ -1,0 +1,194 @@
+"""The asset as USD: read back with usd-core, it is the URDF's numbers."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from engine_case import write_case
+
+from export import usd
+from export.usd import write_usd
+from freeart21 import se3
+from freeart21.effects.armature import Armature
+from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects.return_spring import ReturnSpring
+from freeart21.effects.viscous_damping import ViscousDamping
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset
+from freeart21.files.urdf import link_poses, read_urdf, read_urdf_joints
+
+KINDS = ("revolute", "prismatic")
+EFFECTS = (ViscousDamping(0.02), CoulombFriction(0.3), ReturnSpring(0.5, 0.2), Armature(0.003))
+
+
+def opened(folder: Path):
+    Usd = pytest.importorskip("pxr.Usd")
+    return Usd.Stage.Open(str(folder / "object.usdc"))
+
+
+def rigid(position, quaternion) -> np.ndarray:
+    return se3.pose_from_wxyz(np.array(position, float), np.array([quaternion.real, *quaternion.imaginary], float))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_joint_moves_as_the_urdf_says(tmp_path: Path, kind):
+    from pxr import UsdGeom, UsdPhysics
+
+    asset = write_case(tmp_path, kind)
+    stage = opened(tmp_path)
+    joint = stage.GetPrimAtPath("/bob/hinge")
+    schema = (UsdPhysics.RevoluteJoint if kind == "revolute" else UsdPhysics.PrismaticJoint)(joint)
+    assert schema.GetAxisAttr().Get() == "X"
+    frames = [
+        rigid(getattr(schema, f"GetLocalPos{k}Attr")().Get(), getattr(schema, f"GetLocalRot{k}Attr")().Get())
+        for k in (0, 1)
+    ]
+    for q in (0.0, -0.7, 1.3):
+        x = np.eye(6)[3 if kind == "revolute" else 0]
+        moved = frames[0] @ se3.exp_se3(q * x) @ se3.inverse(frames[1])
+        expected = link_poses(read_urdf_joints(asset.urdf), {"hinge": q})["moving"]
+        np.testing.assert_allclose(moved, expected, atol=1e-6)
+    stands = UsdGeom.Xformable(stage.GetPrimAtPath("/bob/moving")).ComputeLocalToWorldTransform(0)
+    np.testing.assert_allclose(np.array(stands).T, link_poses(read_urdf_joints(asset.urdf), {})["moving"], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_numbers_are_those_of_the_urdf_in_the_units_of_usd(tmp_path: Path, kind):
+    from pxr import UsdGeom, UsdPhysics
+
+    asset = write_case(tmp_path, kind, EFFECTS)
+    stage = opened(tmp_path)
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1 and UsdGeom.GetStageUpAxis(stage) == "Z"
+    assert UsdPhysics.GetStageKilogramsPerUnit(stage) == 1
+    urdf = read_urdf(asset.urdf)
+    for name, link in urdf.links.items():
+        mass = UsdPhysics.MassAPI(stage.GetPrimAtPath(f"/bob/{name}"))
+        assert mass.GetMassAttr().Get() == pytest.approx(link.inertial.mass)
+        np.testing.assert_allclose(mass.GetCenterOfMassAttr().Get(), link.inertial.centre, atol=1e-7)
+        R = rigid(np.zeros(3), mass.GetPrincipalAxesAttr().Get())[:3, :3]
+        inertia = R @ np.diag(mass.GetDiagonalInertiaAttr().Get()) @ R.T
+        np.testing.assert_allclose(inertia, link.inertial.inertia, atol=1e-6 * np.abs(link.inertial.inertia).max())
+    prim = stage.GetPrimAtPath("/bob/hinge")
+    axis, degree = ("angular", np.pi / 180) if kind == "revolute" else ("linear", 1.0)
+    said = {a.GetName(): a.Get() for a in prim.GetAttributes()}
+    joint = urdf.joints["hinge"]
+    expected = {
+        "physics:lowerLimit": joint.lower / degree,
+        "physics:upperLimit": joint.upper / degree,
+        f"drive:{axis}:physics:damping": 0.02 * degree,
+        f"drive:{axis}:physics:stiffness": 0.5 * degree,
+        f"drive:{axis}:physics:targetPosition": 0.2 / degree,
+        f"drive:{axis}:physics:maxForce": joint.effort,
+        f"physxJointAxis:{axis}:staticFrictionEffort": 0.3,
+        f"physxJointAxis:{axis}:dynamicFrictionEffort": 0.3,
+        f"physxJointAxis:{axis}:armature": 0.003,
+        f"physxJointAxis:{axis}:maxJointVelocity": joint.velocity / degree,
+        "newton:friction": 0.3,
+        "newton:armature": 0.003,
+        "newton:velocityLimit": joint.velocity / degree,
+    }
+    assert {name: said[name] for name in expected} == pytest.approx(expected, rel=1e-6)
+    assert {f"PhysicsDriveAPI:{axis}", f"PhysxJointAxisAPI:{axis}"} <= set(
+        prim.GetPrimTypeInfo().GetAppliedAPISchemas()
+    )
+
+
+@pytest.mark.parametrize("base", ["free", "fixed"])
+def test_the_base_is_free_or_nailed_to_the_world(tmp_path: Path, base):
+    from pxr import UsdPhysics
+
+    write_case(tmp_path, "revolute", base=base)
+    stage = opened(tmp_path)
+    roots = [p for p in stage.Traverse() if p.HasAPI(UsdPhysics.ArticulationRootAPI)]
+    nailed = [p for p in stage.Traverse() if p.IsA(UsdPhysics.FixedJoint)]
+    bodies = [p.GetName() for p in stage.Traverse() if p.HasAPI(UsdPhysics.RigidBodyAPI)]
+    assert bodies == ["reference", "moving"]
+    if base == "free":
+        assert [p.GetName() for p in roots] == ["reference"] and not nailed
+    else:
+        assert roots == nailed and len(nailed) == 1
+        fixed = UsdPhysics.FixedJoint(nailed[0])
+        assert not fixed.GetBody0Rel().GetTargets() and str(fixed.GetBody1Rel().GetTargets()[0]) == "/bob/reference"
+
+
+def test_meshes_wear_their_pictures_and_hulls_are_hidden_and_convex(tmp_path: Path):
+    from pxr import UsdGeom, UsdPhysics, UsdShade
+
+    write_case(tmp_path, "revolute")
+    stage = opened(tmp_path)
+    for name in ("reference", "moving"):
+        seen = trimesh.load_mesh(tmp_path / f"meshes/{name}.obj", process=False)
+        prim = stage.GetPrimAtPath(f"/bob/{name}/visual_00")
+        mesh = UsdGeom.Mesh(prim)
+        np.testing.assert_allclose(mesh.GetPointsAttr().Get(), seen.vertices, atol=1e-7)
+        np.testing.assert_array_equal(np.reshape(mesh.GetFaceVertexIndicesAttr().Get(), (-1, 3)), seen.faces)
+        np.testing.assert_allclose(UsdGeom.PrimvarsAPI(prim).GetPrimvar("st").Get(), seen.visual.uv, atol=1e-6)
+        material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+        picture = UsdShade.Shader(stage.GetPrimAtPath(material.GetPath().AppendChild("picture")))
+        assert Path(picture.GetInput("file").Get().resolvedPath) == (tmp_path / f"meshes/{name}.png").resolve()
+        hull = stage.GetPrimAtPath(f"/bob/{name}/collision_00")
+        assert UsdGeom.Imageable(hull).GetPurposeAttr().Get() == "guide" and hull.HasAPI(UsdPhysics.CollisionAPI)
+        assert UsdPhysics.MeshCollisionAPI(hull).GetApproximationAttr().Get() == "convexHull"
+
+
+def test_usds_own_validators_find_nothing(tmp_path: Path):
+    pytest.importorskip("pxr.UsdValidation")
+    from pxr import UsdValidation
+
+    for base in ("free", "fixed"):
+        write_case(tmp_path / base, "revolute", EFFECTS, base)
+        validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+        found = UsdValidation.ValidationContext(validators).Validate(opened(tmp_path / base))
+        assert len(validators) > 20 and [error.GetErrorAsString() for error in found] == []
+
+
+def test_primitives_are_primitives(tmp_path: Path):
+    from pxr import UsdGeom
+
+    asset = write_case(tmp_path, "revolute")
+    shapes = (
+        '<box size="0.1 0.2 0.3"/>',
+        '<sphere radius="0.05"/>',
+        '<cylinder radius="0.02" length="0.3"/>',
+    )
+    said = "".join(
+        f'<collision><origin xyz="0.1 0 {k}" rpy="0 0.5 0"/><geometry>{shape}</geometry></collision>'
+        for k, shape in enumerate(shapes)
+    )
+    text = asset.urdf.read_text().replace("</inertial>", f"</inertial>{said}", 1)
+    asset.urdf.write_text(text)
+    (tmp_path / "effects.json").unlink()
+    write_usd(tmp_path / "object.usdc", read_asset(asset.urdf))
+    stage = opened(tmp_path)
+    link = read_urdf(asset.urdf).links["reference"]
+    cache = UsdGeom.BBoxCache(0, [UsdGeom.Tokens.guide])
+    halves = ([0.05, 0.1, 0.15], [0.05] * 3, [0.02, 0.02, 0.15])
+    kinds = (UsdGeom.Cube, UsdGeom.Sphere, UsdGeom.Cylinder)
+    for k, (kind, half) in enumerate(zip(kinds, halves, strict=True)):
+        prim = stage.GetPrimAtPath(f"/bob/reference/collision_{k:02d}")
+        T = np.abs(link.collisions[k].T_link_shape)
+        box = cache.ComputeWorldBound(prim).ComputeAlignedRange()
+        assert prim.IsA(kind)
+        np.testing.assert_allclose(0.5 * np.array(box.GetSize()), T[:3, :3] @ half, atol=1e-6)
+        np.testing.assert_allclose(box.GetMidpoint(), link.collisions[k].T_link_shape[:3, 3], atol=1e-6)
+
+
+def test_the_same_asset_is_the_same_bytes(tmp_path: Path):
+    sums = set()
+    for name in ("a", "b"):
+        write_case(tmp_path / name, "revolute", EFFECTS)
+        opened(tmp_path / name)
+        sums.add(hashlib.sha256((tmp_path / name / "object.usdc").read_bytes()).hexdigest())
+    assert len(sums) == 1
+
+
+def test_without_usd_core_one_line_says_what_to_install(tmp_path: Path, monkeypatch):
+    asset = write_case(tmp_path, "revolute")
+    monkeypatch.setattr(usd, "available", lambda: False)
+    with pytest.raises(FreeArtError, match=r"usd-core is not installed, .*pip install 'freeart21\[usd\]'"):
+        write_usd(tmp_path / "b.usdc", asset)
+    assert not (tmp_path / "b.usdc").exists()
