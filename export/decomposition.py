@@ -66,12 +66,20 @@ class _Piece:
 
 
 def convex_pieces(outside: Outside, tolerance: Tolerance, most: int) -> list[Array]:
-    """Corners (k, 3) of at most `most` convex pieces; beyond the tolerance where there would be more of them."""
+    """Corners (k, 3) of at most `most` convex pieces; beyond the tolerance where there would be more of them.
+
+    A part that is convex as it stands is one piece with all its corners, however many.
+    """
     looks = _Looks(outside, tolerance)
+    everything = np.arange(len(outside.points))
+    filled = with_matter(outside, everything, tolerance, rim=False)
+    whole = looks.piece(filled, everything, tolerance.worst_m, _LAST_LOOK)
+    if whole is not None:
+        return [whole.corners]
     pieces = needed(outside, _joined(looks, _patches(looks), tolerance.worst_m, 0), tolerance)
     limit = tolerance.worst_m
     while len(pieces) > most and limit < outside.size:
-        limit *= 1.5
+        limit *= 2
         pieces = _joined(looks, pieces, limit, most)
     return [piece.corners for piece in pieces]
 
@@ -109,7 +117,8 @@ class _Looks:
         for rim in (True, False):
             points = with_matter(self.outside, members, self.tolerance, rim)
             if self.between(points, [points])[0] <= limit:
-                piece = self.piece(simplified(points, self.tolerance), members, limit)
+                few = simplified(points, self.tolerance, limit)
+                piece = None if few is None else self.piece(few, members, limit)
                 if piece is not None:
                     return piece
         return None
@@ -130,22 +139,27 @@ class _Looks:
         return worst
 
 
-def simplified(points: Array, tolerance: Tolerance) -> Array:
-    """Few of the points (n, 3): no other stands out of their hull by more than `simple_m`, unless `max_vertices` are
-    reached. Flat ones are made `least_m` thick."""
+def simplified(points: Array, tolerance: Tolerance, left_out: float) -> Array | None:
+    """Few of the points (n, 3): no other stands out of their hull by more than `simple_m`, or where `max_vertices` are
+    reached by `left_out`, m; None when that cannot be. Flat ones are made `least_m` thick."""
     points = thickened(points, tolerance.least_m)
     if len(points) <= 12:
         return points
     kept = np.unique(np.argmax(points @ _DIRECTIONS.T, axis=0))
-    while len(kept) < tolerance.max_vertices:
+    while True:
         hull = _hull(points[kept])
         beyond = points @ hull.equations[:, :3].T + hull.equations[:, 3]
-        furthest = np.unique(np.argmax(beyond, axis=0)[beyond.max(0) > tolerance.simple_m])
-        new = np.setdiff1d(furthest, kept)[: tolerance.max_vertices - len(kept)]
-        if not len(new):
-            break
+        out = beyond.max(0)
+        if out.max() <= tolerance.simple_m:
+            return points[kept]
+        room = tolerance.max_vertices - len(kept)
+        if room <= 0:
+            return points[kept] if out.max() <= left_out else None
+        furthest = np.argmax(beyond, axis=0)[np.argsort(-out)]
+        new = [k for k in dict.fromkeys(furthest.tolist()) if k not in set(kept.tolist())][: min(room, 8)]
+        if not new:
+            return points[kept]
         kept = np.concatenate([kept, new])
-    return points[kept]
 
 
 _DIRECTIONS = even_directions(26)
@@ -272,7 +286,8 @@ def _joined(looks: _Looks, pieces: list[_Piece], limit: float, least: int) -> li
             if heap and true > heap[0][0]:
                 heapq.heappush(heap, (true, a, b, both))
                 continue
-        both = looks.piece(simplified(both.corners, looks.tolerance), both.members, limit, _LAST_LOOK)
+        few = simplified(both.corners, looks.tolerance, limit / 2)
+        both = None if few is None else looks.piece(few, both.members, limit, _LAST_LOOK)
         if both is None:
             continue
         del alive[a], alive[b]

@@ -83,13 +83,15 @@ def _to_planes(x: Array, surface: Array, normals: Array, spacing: float) -> Arra
 
 
 def _sampled(solids: Sequence[trimesh.Trimesh]) -> tuple[Array, Array, Array, float]:
-    """Points on all shapes: (n, 3), their normals, whose they are, and m between them."""
+    """Points on all shapes, their corners, too: (n, 3), their normals, whose they are, and m between them."""
     each = float(sum(solid.area for solid in solids)) / PER_SHAPES
-    found = [even_points(solid, each) for solid in solids]
-    normals = [solid.face_normals[faces] for solid, (_, faces) in zip(solids, found, strict=True)]
-    points = [points for points, _ in found]
-    own = np.repeat(np.arange(len(solids)), [len(p) for p in points])
-    return np.concatenate(points), np.concatenate(normals), own, float(np.sqrt(each))
+    points, normals, own = [], [], []
+    for k, solid in enumerate(solids):
+        between, faces = even_points(solid, each)
+        points += [between, solid.triangles.reshape(-1, 3)]
+        normals += [solid.face_normals[faces], np.repeat(solid.face_normals, 3, axis=0)]
+        own.append(np.full(len(between) + 3 * len(solid.faces), k))
+    return np.concatenate(points), np.concatenate(normals), np.concatenate(own), float(np.sqrt(each))
 
 
 def half_spaces(solids: Sequence[trimesh.Trimesh]) -> tuple[Array, Array, Array]:

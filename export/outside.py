@@ -71,6 +71,7 @@ def outside_of(mesh: Mesh) -> Outside:
     dense, faces = even_points(solid, area / DENSE)
     dense_normals = solid.face_normals[faces]
     points, normals = _thinned(solid, dense, dense_normals, max(size / CELLS, 1e-3))
+    dense, dense_normals = np.concatenate([dense, points]), np.concatenate([dense_normals, normals])  # corners, too
     rays = _rays(solid)
     step = 1e-5 * size
     seen = _reachable(rays, points, normals, step, size)
