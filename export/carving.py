@@ -7,31 +7,29 @@ from dataclasses import dataclass
 import numpy as np
 from manifold3d import Error, Manifold, Mesh64
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from export.penetration import Overlap
-from freeart21 import se3
-from freeart21.articulation import Articulation
+from freeart21.articulation import PARTS, Articulation
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 
 COARSE = 9
 """States by which it is told which part loses less."""
-MOST = 96
-"""Copies of a part that are cut out at most."""
+MOST = 48
+"""Copies of a part that are cut out at most: each costs up to 0.2 s."""
+FINE = 0.2
+"""Part of the tolerance by which solids may be simplified before they are cut."""
 LARGEST = 0.5
 """Part of a part's volume that may be cut away: what loses more is not the same thing any more."""
 
 
 @dataclass(frozen=True)
 class Carved:
-    """A part after cutting."""
+    """What is left of a part."""
 
     name: str
     """'reference' or 'moving'."""
     mesh: Mesh
-    faces_before: NDArray[np.int64]
-    """(F,) which triangle of the part's mesh each triangle is of; -1 of a cut's."""
     volume: float
     """m^3 that was cut away."""
 
@@ -49,52 +47,42 @@ def carved(parts: Articulation, low: float, high: float, tolerance: float, overl
         tolerance: metres.
         overlap: of these parts.
     """
-    solids = {name: solid_of(parts.part(name)) for name in ("reference", "moving")}
-    for name, solid in solids.items():
+    solids = {}
+    for name in PARTS:
+        solid = solid_of(parts.part(name))
         if solid is None:
             return f"the {name} part is not closed"
+        solids[name] = solid
     ways = {"reference": parts.joint, "moving": parts.joint.reversed()}
     others = {"reference": "moving", "moving": "reference"}
 
-    def rest(name: str, states: NDArray[np.float64], fine: bool) -> Manifold:
-        target, tool = solids[name], solids[others[name]]
-        assert target is not None and tool is not None
-        return _without(target, tool if fine else tool.simplify(tolerance), ways[name], states)
+    def rest(name: str, states: NDArray[np.float64], error: float) -> tuple[Manifold, float]:
+        """What is left of a part, to within `error`, and the m^3 that it lost."""
+        target, tool = (solids[n].simplify(error) for n in (name, others[name]))
+        left = _without(target, tool, ways[name], states)
+        return left, float(target.volume() - left.volume())
 
     coarse = np.linspace(low, high, COARSE)
-    lost = {
-        name: solid.volume() - rest(name, coarse, False).volume() for name, solid in solids.items() if solid is not None
-    }
-    name = min(("reference", "moving"), key=lambda n: lost[n])
+    lost = {name: rest(name, coarse, tolerance)[1] for name in solids}
+    name = min(PARTS, key=lambda n: lost[n])
     inside = np.max([overlap.depths(float(state)) for state in coarse], axis=0) > 0
     travel = (high - low) * float(overlap.speeds[inside].max(initial=0.0))
     count = int(np.clip(np.ceil(travel / (2 * tolerance)), COARSE, MOST))
-    states = np.linspace(low, high, count)
-    left = rest(name, states, True)
-    before = solids[name]
-    assert before is not None
-    if left.status() != Error.NoError or left.volume() < (1 - LARGEST) * before.volume():
+    left, volume = rest(name, np.linspace(low, high, count), tolerance * FINE)
+    if left.status() != Error.NoError or left.volume() < (1 - LARGEST) * solids[name].volume():
         return f"more than {100 * LARGEST:g} % of the {name} part would be cut away"
-    mesh, faces = _mesh_of(left, parts.part(name), before.original_id())
-    return Carved(name, mesh, faces, float(before.volume() - left.volume()))
+    out = left.to_mesh64()
+    mesh = Mesh(np.asarray(out.vert_properties)[:, :3], np.asarray(out.tri_verts).astype(np.int64))
+    return Carved(name, mesh, volume)
 
 
 def solid_of(mesh: Mesh) -> Manifold | None:
-    """The closed solid of a mesh, its triangles numbered; None when the mesh is not closed."""
+    """The closed solid of a mesh; None when the mesh is not closed."""
     if mesh.empty:
         return None
     points, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = place.reshape(-1)[mesh.faces].astype(np.uint64)
-    number = Manifold.reserve_ids(1)
-    solid = Manifold(
-        Mesh64(
-            np.ascontiguousarray(points),
-            np.ascontiguousarray(faces),
-            run_index=np.array([0, 3 * len(faces)], np.uint64),
-            run_original_id=np.array([number], np.uint32),
-            face_id=np.arange(len(faces), dtype=np.uint64),
-        )
-    )
+    solid = Manifold(Mesh64(np.ascontiguousarray(points), np.ascontiguousarray(faces)))
     return solid if solid.status() == Error.NoError and solid.volume() > 0 else None
 
 
@@ -102,18 +90,5 @@ def _without(target: Manifold, tool: Manifold, joint: Joint, states: NDArray[np.
     """`target` less `tool` at every state of `joint`."""
     for T in joint.transform(states):
         target = target - tool.transform(T[:3])
+        target.num_tri()  # evaluates it: a late evaluation would join all tools first, which is slower
     return target
-
-
-def _mesh_of(solid: Manifold, before: Mesh, number: int) -> tuple[Mesh, NDArray[np.int64]]:
-    """A solid's mesh with the colours of the nearest vertices of before, and its triangles' numbers there."""
-    out = solid.to_mesh64()
-    vertices, faces = np.asarray(out.vert_properties)[:, :3], np.asarray(out.tri_verts).astype(np.int64)
-    numbers = np.full(len(faces), -1)
-    index = np.asarray(out.run_index) // 3
-    for k, run in enumerate(out.run_original_id):
-        if run == number:
-            own = slice(int(index[k]), int(index[k + 1]))
-            numbers[own] = np.asarray(out.face_id)[own]
-    colours = None if before.colours is None else before.colours[cKDTree(before.vertices).query(vertices)[1]]
-    return Mesh(vertices, faces, colours), numbers

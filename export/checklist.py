@@ -22,8 +22,8 @@ from freeart21.files.urdf import link_poses, named_inside, numbers, origin_pose,
 from freeart21.se3 import Array
 from generator.simulate import joint_motion
 
-MAX_HULLS = 64
-"""Collision meshes a link may have."""
+MAX_HULLS = 256
+"""Collision geometries a link may have: a thin-walled part within 2 mm takes up to some hundred."""
 MAX_MESH_BYTES = 256 << 20
 """Bytes of a mesh or material file that is looked through."""
 Files = Callable[[str], Path]

@@ -8,11 +8,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import freeart21
 from export.beside import write_beside
 from export.checklist import check_asset
 from export.collision import Collision, CollisionSettings, convex_parts
+from export.guessed_dynamics import DYNAMICS, Dynamics, guessed_effects
 from export.inertia import inertial_of
+from export.materials import DEFAULT, DENSITIES, MATERIALS, Material
 from export.meshes import MeshSettings, write_hull, write_visual
 from export.mjcf import mjcf_text
 from export.model import BASES, AssetModel, Base, LinkModel
@@ -34,12 +38,14 @@ from freeart21.reconstruction import Failure, Reconstruction
 URDF, MJCF, MESHES = "object.urdf", "object.xml", "meshes"
 
 
-DENSITY = 600.0
-"""kg/m^3 when nobody says, as of wood: video tells no mass."""
+DENSITY = DENSITIES[DEFAULT]
+"""kg/m^3 when nobody says, as of plastic: video tells no mass."""
 _DENSITIES = (1e-3, 1e5)
 """kg/m^3 of matter on earth, with room."""
 _MASSES = (1e-6, 1e6)
 """kg that single precision and the engines bear."""
+_WALLS = (1e-5, 1.0)
+"""m."""
 _SCALES = (1e-4, 1e4)
 
 
@@ -48,9 +54,16 @@ class ExportSettings:
     """How a reconstruction is written as an asset."""
 
     density: float | None = None
-    """kg/m^3 of the collision hulls; None is `DENSITY`, unless `mass` is given."""
+    """kg/m^3 of both parts; None is that of `material`, unless `mass` is given."""
+    material: Material = DEFAULT
+    """What both parts are made of; one of `export.materials.MATERIALS`."""
+    wall: float | None = None
+    """m: both parts are hollow, with walls this thick along their surface; None takes the solids that meshes bound."""
     mass: float | None = None
-    """kg of the whole object, which the parts share by the volumes of their hulls; not together with `density`."""
+    """kg of the whole object, which the parts share by the volumes of their solids or walls; not together with
+    `density`."""
+    dynamics: Dynamics = "guessed"
+    """Whether a joint without effects gets a little damping and friction, marked as guessed."""
     scale: float = 1.0
     """Lengths of the asset (meshes, pivot, travel, T_canonical_reference) over those of the video."""
     placement: PlacementSettings = field(default_factory=PlacementSettings)
@@ -80,8 +93,12 @@ class ExportSettings:
         if self.density is not None and self.mass is not None:
             raise FreeArtError(f"density {self.density:g} kg/m^3 and mass {self.mass:g} kg: give one of them")
         self.placement.check()
+        for name, known in (("material", MATERIALS), ("dynamics", DYNAMICS)):
+            if getattr(self, name) not in known:
+                raise FreeArtError(f"there is no {name} '{getattr(self, name)}'; there are {', '.join(known)}")
         for name, unit, (low, high) in (
             ("density", " kg/m^3", _DENSITIES),
+            ("wall", " m", _WALLS),
             ("mass", " kg", _MASSES),
             ("scale", "", _SCALES),
         ):
@@ -126,13 +143,21 @@ def export_result(
         settings.scale,
     )
     with only_writer(out), atomic.new_folder(out, ASSET) as aside:
-        shapes = {name: _shape(name, part, getattr(placement, name), settings) for name, part in parts.items()}
-        density = DENSITY if settings.density is None else settings.density
+        shapes = {
+            name: _shape(name, part, getattr(placement, name), placement.solids[name], settings)
+            for name, part in parts.items()
+        }
+        density = DENSITIES[settings.material] if settings.density is None else settings.density
         if settings.mass is not None:
-            density = settings.mass / sum(inertial_of(shape.collision.hulls, 1.0).mass for shape in shapes.values())
+            density = settings.mass / sum(
+                inertial_of(shape.solid, 1.0, settings.wall).mass for shape in shapes.values()
+            )
         reference, said_reference = _write_link(aside, "reference", shapes["reference"], density, settings)
         moving, said_moving = _write_link(aside, "moving", shapes["moving"], density, settings)
         joint = replace(placement.joint, name=_word(placement.joint.name, "joint"))
+        guessed = not effects and settings.dynamics == "guessed"
+        if guessed:  # the moving link's frame stands at the pivot
+            effects = guessed_effects(replace(joint, pivot=np.zeros(3)), moving.inertial)
         model = AssetModel(
             _word(str(source.get("sequence") or "object"), "object"),
             reference,
@@ -148,6 +173,8 @@ def export_result(
         source |= {
             "parts": {"reference": said_reference, "moving": said_moving},
             **placement.said,
+            "mass": _said_of_mass(settings, density),
+            "dynamics": {"guessed": guessed},
             "length_unit": "m",
             "exporter": f"freeart21 {freeart21.__version__}",
             "settings": dataclasses.asdict(settings),
@@ -199,13 +226,15 @@ class _Shape:
 
     part: Part
     visual: Mesh
+    solid: Mesh
+    """The visual mesh without what would be in the other part."""
     collision: Collision
 
 
-def _shape(name: str, part: Part, visual: Mesh, settings: ExportSettings) -> _Shape:
+def _shape(name: str, part: Part, visual: Mesh, solid: Mesh, settings: ExportSettings) -> _Shape:
     try:
-        shape = _Shape(part, visual, convex_parts(visual, settings.collision))
-        inertial_of(shape.collision.hulls, 1.0)  # there is a volume
+        shape = _Shape(part, visual, solid, convex_parts(solid, settings.collision))
+        inertial_of(solid, 1.0, settings.wall)  # there is a volume
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error
     return shape
@@ -222,12 +251,24 @@ def _write_link(
         write_hull(folder / file, hull)
     said = {
         **shape.part.said(settings.scale),
-        "collision": collision.method,
         "hulls": len(hulls),
-        "collision_fallback_reason": collision.reason,
+        "collision": collision.fidelity.said(),
     }
-    inertial = inertial_of(collision.hulls, density)
+    inertial = inertial_of(shape.solid, density, settings.wall)
     return LinkModel(name, f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}", hulls, inertial), said
+
+
+def _said_of_mass(settings: ExportSettings, density: float) -> dict[str, Any]:
+    """How masses came about: who gave what, and what is a guess."""
+    given = settings.mass is not None or settings.density is not None
+    return {
+        "by": "given mass" if settings.mass is not None else "density",
+        "density": density,
+        "material": None if given else settings.material,
+        "of": "the solid that the mesh bounds" if settings.wall is None else "a wall along the mesh",
+        "wall_m": settings.wall,
+        "guessed": not given,
+    }
 
 
 def _asset(folder: Path, model: AssetModel, placement: Placement, source: dict[str, Any], scale: float) -> Asset:

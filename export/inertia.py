@@ -1,8 +1,7 @@
-"""Mass and inertia of a part from the volume of its collision hulls."""
+"""Mass and inertia of a part, from the solid that its mesh bounds or from a wall along it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,21 +24,35 @@ class Inertial:
     """(3, 3) about the centre of mass, kg m^2."""
 
 
-def inertial_of(hulls: Sequence[Mesh], density: float) -> Inertial:
-    """Mass properties of closed solids of `density`, kg/m^3, added up (parallel axes theorem); overlaps count twice.
+def inertial_of(mesh: Mesh, density: float, wall: float | None = None) -> Inertial:
+    """Mass properties of a part of `density`, kg/m^3: of the solid that a closed mesh bounds, or of a wall along it.
 
-    Raises FreeArtError when there is no volume.
+    With `wall`, metres, the part is a shell: its mass is area x wall x density, spread over the mesh, open or closed.
+    Raises FreeArtError when there is no volume, or no area.
     """
-    solids = [trimesh.Trimesh(hull.vertices, hull.faces, process=False).mass_properties for hull in hulls]
-    volume = sum(float(solid.volume) for solid in solids)
-    if not volume > 0:
-        raise FreeArtError(f"collision hulls have volume {volume:.3g} m^3, expected more than 0")
-    centre = sum((solid.volume * solid.center_mass for solid in solids), np.zeros(3)) / volume
-    inertia = np.zeros((3, 3))
-    for solid in solids:
-        arm = solid.center_mass - centre
-        inertia += solid.inertia + solid.volume * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return Inertial(density * volume, centre, density * inertia)
+    if wall is not None:
+        return _shell(mesh, density * wall)
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    volume = float(solid.volume)
+    if not (volume > 0 and solid.is_watertight):
+        raise FreeArtError(f"mesh bounds no volume ({volume:.3g} m^3), expected a closed one, faces outwards")
+    mass = solid.mass_properties
+    return Inertial(density * volume, np.asarray(mass.center_mass), density * np.asarray(mass.inertia))
+
+
+def _shell(mesh: Mesh, density: float) -> Inertial:
+    """Of thin triangles of `density`, kg/m^2: the integral of x x^T over one is area / 12 (sum of v v^T + 9 c c^T)."""
+    area = mesh.areas()
+    if not area.sum() > 0:
+        raise FreeArtError("mesh has no area, expected triangles")
+    corners = mesh.vertices[mesh.faces]
+    middle = corners.mean(1)
+    centre = area @ middle / area.sum()
+    corners, middle = corners - centre, middle - centre
+    second = np.einsum("f,fki,fkj->ij", area / 12, corners, corners) + np.einsum(
+        "f,fi,fj->ij", 9 * area / 12, middle, middle
+    )
+    return Inertial(density * float(area.sum()), centre, density * (np.trace(second) * np.eye(3) - second))
 
 
 def unphysical(inertial: Inertial) -> str | None:

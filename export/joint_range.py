@@ -19,7 +19,7 @@ End = Literal["seen", "hidden", "contact"]
 Zero = Literal["first", "closed", "lower", "upper"]
 ZEROS: tuple[str, ...] = get_args(Zero)
 TOLERANCE = 5e-4
-"""Metres by which parts may be in each other, and more than before beyond which they touch: issue 30 of this project."""
+"""Metres by which parts may be in each other, and by which more than before they touch: issue 30 of this project."""
 SIGMAS = 2.0
 """Standard deviations that a state is doubted by: 95 %."""
 STATES = 31
@@ -41,10 +41,11 @@ class JointRange:
 
 
 def seen_end(states: NDArray[np.float64], stds: NDArray[np.float64]) -> tuple[float, float]:
-    """The greatest of states (n,) and its standard deviation; one that may be less by its doubt does not count.
+    """The greatest of states (n,) and its standard deviation, one that may be less by its doubt left out.
 
-    It is the state of the frame that is surely furthest out, argmax(q - SIGMAS std): any other lies within it by its own
-    doubt. On ten reconstructions the plain greatest was as near to the true ends, but takes one wild frame for an end.
+    It is the state of the frame that is surely furthest out, argmax(q - SIGMAS std): any other lies within it by its
+    own doubt. On ten reconstructions the plain greatest was as near to the true ends, but takes one wild frame for an
+    end.
     """
     best = int(np.argmax(states - SIGMAS * stds))
     return float(states[best]), float(stds[best])
@@ -53,9 +54,9 @@ def seen_end(states: NDArray[np.float64], stds: NDArray[np.float64]) -> tuple[fl
 def joint_range(answer: Reconstruction, overlap: Overlap | None, tolerance: float = TOLERANCE) -> JointRange:
     """The range of a reconstruction's joint.
 
-    A frame counts by its state and doubt; its end is that of `seen_end`. Frames without a known doubt, because a part was
-    hidden, count as predicted. An end is moved to where the parts touch, if that is within the doubt of a seen end or
-    before a hidden one: to the state where a point of one gets `tolerance`, metres, deeper into the other than it is
+    A frame counts by its state and doubt; its end is that of `seen_end`. Frames without a known doubt, because a part
+    was hidden, count as predicted. An end is moved to where the parts touch, if that is within the doubt of a seen end
+    or before a hidden one: to the state where a point of one gets `tolerance`, metres, deeper into the other than it is
     anywhere within the range that was seen beyond doubt. That is no absolute depth: reconstructed parts overlap about
     their hinge, or are solid where nobody looked, and what was seen to happen was possible.
 

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from export.winding import Winding
 from freeart21 import se3
@@ -16,10 +13,6 @@ from freeart21.se3 import Array
 
 SAMPLES = 12_000
 """Points on each part that are looked for in the other: one for 1.6 x 1.6 mm of a stapler's lid."""
-LANDMARKS = 40_000
-"""Points on each part by which its nearest triangles are found."""
-CANDIDATES = 8
-"""Triangles near a point of which the nearest is taken exactly."""
 _SEED = 0
 
 
@@ -74,74 +67,24 @@ def _speeds(joint: Joint, points: Array) -> Array:
 
 
 def _even(mesh: Mesh, count: int, seed: int) -> Array:
-    """Points (count, 3) spread over the area of a mesh."""
-    return _spread(mesh, count, seed)[0]
-
-
-def _spread(mesh: Mesh, count: int, seed: int) -> tuple[Array, NDArray[np.int64]]:
-    """Points (count, 3) spread over the area, stratified along the list of triangles, and the triangle of each."""
+    """Points (count, 3) spread over the area of a mesh, stratified along its list of triangles."""
     u = np.random.default_rng(seed).random((count, 3))
     total = np.cumsum(mesh.areas())
     face = np.searchsorted(total, (np.arange(count) + u[:, 0]) / count * total[-1], side="right")
     face = np.minimum(face, len(total) - 1)
     a, b, c = (mesh.vertices[mesh.faces[face, k]] for k in range(3))
     root, share = np.sqrt(u[:, 1:2]), u[:, 2:]
-    return (1 - root) * a + root * (1 - share) * b + root * share * c, face
+    points: Array = (1 - root) * a + root * (1 - share) * b + root * share * c
+    return points
 
 
 class _Surface:
     """The triangles of a part, to measure signed distances to."""
 
     def __init__(self, mesh: Mesh) -> None:
-        mesh = Mesh(mesh.vertices, mesh.faces[mesh.areas() > 0])
-        marks, self._face = _spread(mesh, LANDMARKS, _SEED)
-        self._tree = cKDTree(marks)
-        self._corners = np.ascontiguousarray(mesh.vertices[mesh.faces])
-        self._winding = Winding(mesh)
+        self._winding = Winding(Mesh(mesh.vertices, mesh.faces[mesh.areas() > 0]))
 
     def depth(self, points: Array) -> Array:
         """(n,) metres inside the surface, negative outside."""
-        near = self._face[self._tree.query(points, CANDIDATES)[1].reshape(len(points), -1)]
-        distance = _distance(points, near, self._corners)
+        distance = self._winding.distance(points)
         return np.where(self._winding.number(points) > 0.5, distance, -distance)
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _distance(points, near, corners):  # type: ignore[no-untyped-def]
-    """(n,) from each point to the nearest of its candidate triangles `near` (n, k)."""
-    found = np.full(len(points), np.inf)
-    for i in range(len(points)):
-        for j in range(near.shape[1]):
-            f = near[i, j]
-            s, t = _nearest(points[i], corners[f])
-            off = points[i] - (1 - s - t) * corners[f, 0] - s * corners[f, 1] - t * corners[f, 2]
-            found[i] = min(found[i], np.sqrt(off @ off))
-    return found
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _nearest(p, triangle):  # type: ignore[no-untyped-def]
-    """Barycentric coordinates, of the second and third corner, of a triangle's point nearest to p (Ericson 2005, 5.1.5)."""
-    a, b, c = triangle[0], triangle[1], triangle[2]
-    ab, ac, ap, bp, cp = b - a, c - a, p - a, p - b, p - c
-    d1, d2 = ab @ ap, ac @ ap
-    if d1 <= 0 and d2 <= 0:
-        return 0.0, 0.0
-    d3, d4 = ab @ bp, ac @ bp
-    if d3 >= 0 and d4 <= d3:
-        return 1.0, 0.0
-    vc = d1 * d4 - d3 * d2
-    if vc <= 0 and d1 >= 0 and d3 <= 0:
-        return d1 / (d1 - d3), 0.0
-    d5, d6 = ab @ cp, ac @ cp
-    if d6 >= 0 and d5 <= d6:
-        return 0.0, 1.0
-    vb = d5 * d2 - d1 * d6
-    if vb <= 0 and d2 >= 0 and d6 <= 0:
-        return 0.0, d2 / (d2 - d6)
-    va = d3 * d6 - d5 * d4
-    if va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        return 1 - w, w
-    total = va + vb + vc
-    return vb / total, vc / total

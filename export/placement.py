@@ -34,15 +34,15 @@ class PlacementSettings:
     up: Direction | None = None
     """Direction in the canonical frame that becomes z of the links; None is a resting pose's, or gravity's."""
     gravity: Direction | None = None
-    """Which way gravity pulls, in the camera's axes (right, down, forward) of the first frame; any length. Only when the
-    reference part stood still before the camera; not together with `up`."""
+    """Which way gravity pulls, in the camera's axes (right, down, forward) of the first frame; any length. Only when
+    the reference part stood still before the camera; not together with `up`."""
     zero: Zero = "closed"
-    """Where the URDF joint is at zero: 'first' frame, 'closed' (the end where both parts fill the least space), 'lower',
-    'upper'."""
+    """Where the URDF joint is at zero: 'first' frame, 'closed' (the end where both parts fill the least space),
+    'lower', 'upper'."""
     tolerance_m: float = TOLERANCE
     """Metres by which the parts may be in each other, in the asset's own lengths when it is scaled."""
     carve: bool = True
-    """Whether what one part sweeps is cut out of the other, where both are closed and are in each other."""
+    """Whether what one part sweeps is cut out of what the other collides with, where both are closed."""
 
     def check(self) -> None:
         """FreeArtError when a setting cannot be."""
@@ -76,6 +76,8 @@ class Placement:
     """Reference part in its link's frame."""
     moving: Mesh
     """Moving part in its link's frame."""
+    solids: dict[str, Mesh]
+    """What each part collides with, in its link's frame: its mesh, less what was carved."""
     said: dict[str, Any]
     """For asset.json: `up`, `limits`, `zero`, `penetration`."""
 
@@ -91,9 +93,10 @@ def placed(
         min_range: joint type to the smallest range, rad or m, that counts as motion.
         scale: the reconstruction's lengths over those of its video: tolerances grow with them.
 
-    The URDF joint has the range of `joint_range` and its zero at the end, or state, that `zero_state` chooses; parts that
-    are still in each other by more than the tolerance are carved where both are closed. Raises FreeArtError on an empty
-    part, when the joint was not seen to move, or on `gravity` of a reference part that did not stand still.
+    The URDF joint has the range of `joint_range` and its zero at the end, or state, that `zero_state` chooses. Parts
+    that are in each other by more than the tolerance within the range are carved where both are closed: what collides,
+    not what is looked at. Raises FreeArtError on an empty part, when the joint was not seen to move, or on `gravity` of
+    a reference part that did not stand still.
     """
     articulation = reconstruction.articulation
     joint = articulation.joint
@@ -110,11 +113,12 @@ def placed(
             f"least {min_range[joint.type]:g}: its limits cannot be told"
         )
     zero, said_zero = zero_state(articulation, found, settings.zero)
-    articulation, said_penetration = _apart(articulation, found, overlap, tolerance, settings.carve)
+    apart, said_penetration = _apart(articulation, found, overlap, tolerance, settings.carve)
     up, said_up = _up(reconstruction, settings, found, zero)
     T_canonical_reference = _standing(articulation, up, zero)
     T_reference_canonical = se3.inverse(T_canonical_reference)
-    moving = articulation.moving.moved(T_reference_canonical @ joint.transform(zero))
+    T_moving_canonical = T_reference_canonical @ joint.transform(zero)
+    moving = articulation.moving.moved(T_moving_canonical)
     in_link = joint.moved(T_reference_canonical)
     pivot = middle(moving)
     if joint.type == "revolute":  # the point of the axis nearest to the part: a reconstructed pivot may be far away
@@ -125,6 +129,10 @@ def placed(
         0.0 - zero,
         articulation.reference.moved(T_reference_canonical),
         moving.moved(se3.pose(np.eye(3), -pivot)),
+        {
+            "reference": apart.reference.moved(T_reference_canonical),
+            "moving": apart.moving.moved(se3.pose(np.eye(3), -pivot) @ T_moving_canonical),
+        },
         {
             "up": said_up,
             "limits": {"lower": found.low_by, "upper": found.high_by},
@@ -137,16 +145,19 @@ def placed(
 def _apart(
     parts: Articulation, found: JointRange, overlap: Overlap, tolerance: float, carve: bool
 ) -> tuple[Articulation, dict[str, Any]]:
-    """The parts no deeper in each other than `tolerance` anywhere in the range, where that can be; and what was done."""
+    """What collides: the parts no deeper in each other than `tolerance` in the range, where that can be; what was done.
+
+    The meshes that are looked at stay: their triangles wear a texture, and what they hide in each other is not seen.
+    """
     states = np.linspace(found.low, found.high, STATES)
     before = float(overlap.deepest(states).max())
-    said: dict[str, Any] = {"deepest_m": before, "tolerance_m": tolerance, "carved": None, "deepest_before_m": before}
+    said: dict[str, Any] = {"deepest_m": before, "deepest_visual_m": before, "tolerance_m": tolerance, "carved": None}
     if before <= tolerance or not carve:
         return parts, said
     cut = carved(parts, found.low, found.high, tolerance, overlap)
     if isinstance(cut, str):
         return parts, said | {"not_carved_because": cut}
-    parts = replace(parts, **{cut.name: cut.mesh})
+    parts = replace(parts, reference=cut.mesh) if cut.name == "reference" else replace(parts, moving=cut.mesh)
     after = float(Overlap(parts).deepest(states).max())
     return parts, said | {"deepest_m": after, "carved": cut.name, "carved_m3": cut.volume}
 
@@ -198,8 +209,8 @@ def _check_still(answer: Reconstruction) -> None:
     most = STILL * bounding_diagonal(answer.articulation.reference, answer.articulation.moving)
     if moved > most:
         raise FreeArtError(
-            f"gravity: the reference part moved before the camera by {1000 * moved:.3g} mm, expected that it stood still "
-            f"(at most {1000 * most:.3g} mm); give up instead"
+            f"gravity: the reference part moved before the camera by {1000 * moved:.3g} mm, expected that it stood "
+            f"still (at most {1000 * most:.3g} mm); give up instead"
         )
 
 

@@ -20,11 +20,11 @@ FLAT = np.radians(5.0)
 TOUCHING = 0.01
 """Part of the object's diagonal: reference points within it of the plane carry. Reconstructed bases are not flat."""
 STANDS = np.radians(5.0)
-"""What tips over when it leans by less does not stand. The upright phones and scissors of the 21 procedural objects tip at
-0 to 5 degrees, their lighters, which do stand, at 7 to 9."""
+"""What tips over when it leans by less does not stand. The upright phones and scissors of the 21 procedural objects tip
+at 0 to 5 degrees, their lighters, which do stand, at 7 to 9."""
 CONCENTRATION = 4.0
-"""Of the first frame's camera about up (von Mises and Fisher): 40 degrees root mean square. In 21 made recordings it was
-24; people turn what they hold by more."""
+"""Of the first frame's camera about up (von Mises and Fisher): 40 degrees root mean square. In 21 made recordings it
+was 24; people turn what they hold by more."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,10 @@ class RestingPose:
 def resting_poses(object_: Articulation, low: float, high: float, zero: float) -> list[RestingPose]:
     """The poses in which an object rests on a plane at joint state `zero`, rad or m, and its joint is free to move.
 
-    One part stands on the plane and the other moves over the range [low, high]: the plane is a facet of the convex hull
-    of all that the parts sweep, as the standing part has it, so that nothing goes below. The centre of mass is over what
-    touches the plane. Mass is that of the meshes' volumes when both are closed, else of their areas, as of shells.
+    One part stands on the plane and the other moves over the range [low, high]: the plane is a facet of the convex
+    hull of all that the parts sweep, as the standing part has it, so that nothing goes below. The centre of mass is
+    over what touches the plane. Mass is that of the meshes' volumes when both are closed, else of their areas, as of
+    shells.
     """
     states = np.append(zero, np.linspace(low, high, STATES))
     own, other = (_corners(object_.part(name).vertices[np.unique(object_.part(name).faces)]) for name in PARTS)
@@ -97,9 +98,9 @@ def centres_of_mass(object_: Articulation, states: NDArray[np.float64]) -> NDArr
 def upright(poses: Sequence[RestingPose], prior: NDArray[np.float64]) -> tuple[RestingPose, float] | None:
     """The likeliest way up and its share among all, 0 to 1; None when the object stands in no pose.
 
-    How stable a pose is (`mean`; those below `STANDS` do not count), times how likely a camera whose own up is `prior` (3,)
-    is to look at it so: exp(CONCENTRATION cos(angle)). Of two poses alike, such as a box and the box upside down, people
-    film the one that they call upright.
+    How stable a pose is (`mean`; those below `STANDS` do not count), times how likely a camera whose own up is `prior`
+    (3,) is to look at it so: exp(CONCENTRATION cos(angle)). Of two poses alike, such as a box and the box upside down,
+    people film the one that they call upright.
     """
     standing = [pose for pose in poses if pose.tipping >= STANDS and pose.mean > 0]
     if not standing:
@@ -149,8 +150,8 @@ def _tipping(support: NDArray[np.float64], centre: NDArray[np.float64], up: NDAr
         hull = ConvexHull(points)
     except (QhullError, ValueError):
         return -1.0
-    margin = -(hull.equations[:, :2] @ (across @ centre) + hull.equations[:, 2]).max()
-    return float(np.arctan2(margin, max(centre @ up - level, 1e-12)))
+    margin = -float((hull.equations[:, :2] @ (across @ centre) + hull.equations[:, 2]).max())
+    return float(np.arctan2(margin, max(float(centre @ up) - level, 1e-12)))
 
 
 def _solid(mesh: Mesh) -> tuple[float, NDArray[np.float64]] | None:

@@ -1,4 +1,4 @@
-"""Inside and outside of a surface that may be open: the generalised winding number (Jacobson et al. 2013)."""
+"""Inside of a surface that may be open (generalised winding number, Jacobson et al. 2013), and distance to it."""
 
 from __future__ import annotations
 
@@ -32,6 +32,12 @@ class Winding:
         number: Array = _number(points, self._corners, self._nodes, self._first, self._count, self._right, FAR)
         return number
 
+    def distance(self, points: Array) -> Array:
+        """(n,) to the nearest triangle from points (n, 3)."""
+        points = np.ascontiguousarray(points, float)
+        distance: Array = _distance(points, self._corners, self._nodes, self._first, self._count, self._right)
+        return distance
+
 
 def _tree(
     middles: Array, leaf: int
@@ -41,7 +47,9 @@ def _tree(
     Nodes stand in preorder, so that the left child follows its parent; each is cut at the median of its longest side.
     """
     order = np.arange(len(middles))
-    first, count, right = [], [], []
+    first: list[int] = []
+    count: list[int] = []
+    right: list[int] = []
     waiting = [(0, len(middles), -1)]
     while waiting:
         start, stop, parent = waiting.pop()
@@ -73,8 +81,8 @@ def _dipoles(corners: Array, normals: Array, first: NDArray[np.int64], count: ND
     return nodes
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _number(points, corners, nodes, first, count, right, far):  # type: ignore[no-untyped-def]
+@njit(cache=True)
+def _number(points, corners, nodes, first, count, right, far):
     found = np.zeros(len(points))
     stack = np.empty(128, np.int64)
     for i in range(len(points)):
@@ -98,8 +106,83 @@ def _number(points, corners, nodes, first, count, right, far):  # type: ignore[n
     return found
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _solid_angle(triangle, x, y, z):  # type: ignore[no-untyped-def]
+@njit(cache=True)
+def _distance(points, corners, nodes, first, count, right):
+    found = np.empty(len(points))
+    stack = np.empty(128, np.int64)
+    for i in range(len(points)):
+        best, top = np.inf, 1
+        stack[0] = 0
+        while top > 0:
+            top -= 1
+            k = stack[top]
+            if _clear(nodes[k], points[i]) >= best:
+                continue
+            if right[k] > 0:
+                near, far = k + 1, right[k]
+                if _clear(nodes[far], points[i]) < _clear(nodes[near], points[i]):
+                    near, far = far, near
+                stack[top], stack[top + 1] = far, near
+                top += 2
+            else:
+                for f in range(first[k], first[k] + count[k]):
+                    best = min(best, _to_triangle(points[i], corners[f]))
+        found[i] = best
+    return found
+
+
+@njit(cache=True)
+def _clear(node, p):
+    """Distance from p that no triangle of a node can be below."""
+    x, y, z = node[0] - p[0], node[1] - p[1], node[2] - p[2]
+    return np.sqrt(x * x + y * y + z * z) - node[3]
+
+
+@njit(cache=True)
+def _to_triangle(p, triangle):
+    s, t = _nearest(p, triangle)
+    x = p[0] - (1 - s - t) * triangle[0, 0] - s * triangle[1, 0] - t * triangle[2, 0]
+    y = p[1] - (1 - s - t) * triangle[0, 1] - s * triangle[1, 1] - t * triangle[2, 1]
+    z = p[2] - (1 - s - t) * triangle[0, 2] - s * triangle[1, 2] - t * triangle[2, 2]
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@njit(cache=True)
+def _dot(ax, ay, az, bx, by, bz):
+    return ax * bx + ay * by + az * bz
+
+
+@njit(cache=True)
+def _nearest(p, triangle):
+    """Barycentric coordinates (second, third corner) of a triangle's point nearest to p (Ericson 2005, 5.1.5)."""
+    ux, uy, uz = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
+    vx, vy, vz = triangle[2, 0] - triangle[0, 0], triangle[2, 1] - triangle[0, 1], triangle[2, 2] - triangle[0, 2]
+    x, y, z = p[0] - triangle[0, 0], p[1] - triangle[0, 1], p[2] - triangle[0, 2]
+    uu, uv, vv = _dot(ux, uy, uz, ux, uy, uz), _dot(ux, uy, uz, vx, vy, vz), _dot(vx, vy, vz, vx, vy, vz)
+    d1, d2 = _dot(ux, uy, uz, x, y, z), _dot(vx, vy, vz, x, y, z)
+    d3, d4, d5, d6 = d1 - uu, d2 - uv, d1 - uv, d2 - vv
+    if d1 <= 0 and d2 <= 0:
+        return 0.0, 0.0
+    if d3 >= 0 and d4 <= d3:
+        return 1.0, 0.0
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0 and d1 >= 0 and d3 <= 0:
+        return d1 / (d1 - d3), 0.0
+    if d6 >= 0 and d5 <= d6:
+        return 0.0, 1.0
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0 and d2 >= 0 and d6 <= 0:
+        return 0.0, d2 / (d2 - d6)
+    va = d3 * d6 - d5 * d4
+    if va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        return 1 - w, w
+    total = va + vb + vc
+    return vb / total, vc / total
+
+
+@njit(cache=True)
+def _solid_angle(triangle, x, y, z):
     """Of a triangle (3, 3) seen from a point (van Oosterom and Strackee 1983)."""
     ax, ay, az = triangle[0, 0] - x, triangle[0, 1] - y, triangle[0, 2] - z
     bx, by, bz = triangle[1, 0] - x, triangle[1, 1] - y, triangle[1, 2] - z

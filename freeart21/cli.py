@@ -366,6 +366,9 @@ def export(
     out: Path,
     density: float | None = None,
     mass: float | None = None,
+    material: Literal["plastic", "wood", "steel", "aluminium", "glass", "rubber", "cardboard"] = "plastic",
+    wall: float | None = None,
+    dynamics: Literal["guessed", "none"] = "guessed",
     scale: float = 1.0,
     up: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
     gravity: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None,
@@ -379,8 +382,11 @@ def export(
     Args:
         result: A result folder (with prediction.json).
         out: Asset folder to write.
-        density: kg/m^3 of both parts, 600 (wood) when not given: video tells no mass.
-        mass: kg of the whole object instead; the parts share it by the volumes of their collision hulls.
+        density: kg/m^3 of both parts, that of the material when not given: video tells no mass.
+        mass: kg of the whole object instead; the parts share it by their volumes.
+        material: What both parts are made of, plastic (1050 kg/m^3) when not given.
+        wall: Metres: the parts are hollow, with walls this thick; solid when not given.
+        dynamics: A joint of which nothing is known gets a little damping and friction, marked as guessed, or none.
         scale: Factor for all lengths. An asset of another scale than 1 is not scored: it is not the video's object.
         up: Direction in the result's canonical frame (ours: the camera's of the first frame, right, down, forward)
             that becomes z; when not given, that of gravity or of the likeliest pose in which the object rests.
@@ -399,6 +405,9 @@ def export(
     settings = ExportSettings(
         density=density,
         mass=mass,
+        material=material,
+        wall=wall,
+        dynamics=dynamics,
         scale=scale,
         placement=PlacementSettings(up, gravity, zero),
         base=base,

@@ -43,7 +43,7 @@ def measure_result(result: Path, out: Path, gravity: ArrayLike, rate_hz: float) 
         raise FreeArtError(f"{result} is a failure, nothing to measure: {read.stage}: {read.reason}")
     if not (result / "asset").is_dir():
         raise FreeArtError(f"{result} has no asset; make one by `freeart21 export {result} --out {result / 'asset'}`")
-    asset = read_asset(result / "asset")
+    asset = read_asset(result / "asset", guesses=False)
     moved = [float(np.ptp(Ts, axis=0).max()) for Ts in (read.Ts_camera_reference, read.Ts_camera_moving)]
     if moved[1] < _STILL * moved[0]:
         raise FreeArtError(

@@ -42,7 +42,7 @@ class _Stage:
     """One asset in SAPIEN, ready to replay runs."""
 
     def __init__(self, path: Path, job: dict[str, Any], off: dict[str, Any], folder: Path):
-        asset = read_asset(path, job["joint"])
+        asset = read_asset(path, job["joint"], guesses=False)
         placed = place(asset, np.array(job["gravity"]))
         self.lower, self.upper = (getattr(movable_joint(asset.urdf, asset.joint), k) for k in ("lower", "upper"))
         revolute = placed.mechanics.joint.type == "revolute"

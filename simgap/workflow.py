@@ -267,7 +267,7 @@ def gap_folder(
     """
     check_place(out, ANSWER, (asset, measured))
     runs = read_measured(measured)
-    loaded = read_asset(asset, runs.joint)
+    loaded = read_asset(asset, runs.joint, guesses=False)
     with only_writer(out), new_folder(out, ANSWER) as aside:
         began = time.perf_counter()
         draft = explain(loaded, runs, settings)

@@ -49,7 +49,8 @@ def repaired(asset: Asset, effects: tuple[Effect, ...], folder: Path, source: di
     atomic.write_bytes(urdf, urdf_with_effects(texts[urdf.name], joined, asset.urdf))
     if mjcf.name in texts:
         atomic.write_bytes(folder / mjcf.name, mjcf_with_effects(texts[mjcf.name], asset.joint, joined, mjcf))
-    told = {**asset.source, **({"repair": source} if source else {})}
+    told = {key: value for key, value in asset.source.items() if key != "dynamics"}  # measured now, not guessed
+    told |= {"repair": source} if source else {}
     mended = replace(asset, urdf=urdf, effects=joined, source=told)
     if mjcf.name not in texts:
         atomic.write_bytes(folder / mjcf.name, mjcf_of_urdf(mended))

@@ -57,7 +57,7 @@ def write_case(
         texture = write_visual(folder / "meshes", name, mesh, vertex_skin(mesh, mesh))
         write_hull(folder / f"meshes/{name}_hull.obj", mesh)
         hulls = (f"meshes/{name}_hull.obj",)
-        links.append(LinkModel(name, f"meshes/{name}.obj", f"meshes/{texture}", hulls, inertial_of([mesh], 900.0)))
+        links.append(LinkModel(name, f"meshes/{name}.obj", f"meshes/{texture}", hulls, inertial_of(mesh, 900.0)))
     joint = Joint("hinge", kind, AXES[kind], pivot, *LIMITS[kind])
     effects = EFFECTS[kind] if effects is None else effects
     model = AssetModel("bob", *links, joint, 100.0, velocity, effects, base=base)

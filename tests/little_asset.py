@@ -16,7 +16,8 @@ URDF = """<?xml version="1.0"?>
     <inertial><origin xyz="0.1 0 0.005"/><mass value="{lid}"/>
       <inertia ixx="{lxx}" iyy="{lyy}" izz="{lzz}" ixy="0" ixz="0" iyz="0"/></inertial>
     <visual name="lid_visual"><origin xyz="0.1 0 0.005"/><geometry><box size="0.2 0.15 0.01"/></geometry></visual>
-    <collision name="lid_collision"><origin xyz="0.1 0 0.005"/><geometry><box size="0.2 0.15 0.01"/></geometry></collision>
+    <collision name="lid_collision"><origin xyz="0.1 0 0.005"/><geometry><box size="0.2 0.15 0.01"/></geometry>
+    </collision>
   </link>
   <joint name="hinge" type="revolute">
     <parent link="box"/><child link="lid"/>

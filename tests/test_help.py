@@ -86,6 +86,7 @@ def test_an_option_that_has_no_text_would_be_seen():
 
 def test_what_the_help_lists_is_what_there_is():
     from export.exporter import DENSITY
+    from export.materials import MATERIALS
     from freeart21.formats.measured_series import ANGLES, EFFORTS, LENGTHS, ROLES, TIME_UNITS, UNSURE
     from generator.motion import MOTIONS, PRESETS
     from generator.sensor import SENSORS
@@ -94,7 +95,7 @@ def test_what_the_help_lists_is_what_there_is():
     lists = {
         "record": [*MOTIONS, *PRESETS, *SENSORS, *SHADERS],
         "measure": [*ROLES, *ANGLES, *LENGTHS, *EFFORTS, *TIME_UNITS, f"{UNSURE[0]:g} when", f"{UNSURE[1]:g} when"],
-        "export": [f"{DENSITY:g} (wood)"],
+        "export": [*MATERIALS, f"plastic ({DENSITY:g}"],
     }
     for name, words in lists.items():
         text = " ".join(command_help(name, cli.known_commands()[name]).split())

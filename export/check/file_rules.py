@@ -23,6 +23,8 @@ from freeart21.files.urdf import named_inside, parsed, read_urdf
 
 GROUND_M = 1e-3
 """How far the lowest collision point may be from z = 0: what an asset at rest may drift (`trial.DRIFT_M`)."""
+_FATAL = ("paths.exist", "inertia.physical", "limits.ordered", "numbers and meshes")
+"""Rules without which a trial says nothing; a link without inertia gets one of the engine's own."""
 _SHOWN = 3
 """Findings of one rule that are told; of more, how many."""
 
@@ -44,11 +46,7 @@ def file_rows(
     say("numbers and meshes")
     robot = parsed(urdf)
     findings = urdf_findings(robot, urdf, folder)
-    stop = [
-        f
-        for f in findings
-        if f.broken or f.item == "tree" or f.rule in ("paths.exist", "limits.ordered", "numbers and meshes")
-    ]
+    stop = [f for f in findings if f.item == "tree" or f.rule in _FATAL]
     skipped: dict[str, str] = {}
     if stop:
         facts["blocked"] = f"{stop[0].rule} fails"

@@ -68,6 +68,11 @@ class Tree:
     """Of the links of which the file gives them."""
 
     @property
+    def nailed(self) -> bool:
+        """Whether the root is the world itself, as URDFs say a base that does not move."""
+        return self.root == "world"
+
+    @property
     def movable(self) -> tuple[TreeJoint, ...]:
         """The joints that move on their own."""
         return tuple(j for j in self.joints.values() if j.kind is not None and j.mimic is None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -97,19 +98,21 @@ def write_asset_json(folder: Path, asset: Asset) -> None:
     )
 
 
-def read_asset(path: Path, joint: str | None = None) -> Asset:
+def read_asset(path: Path, joint: str | None = None, *, guesses: bool = True) -> Asset:
     """The asset in a folder (with asset.json, or with one URDF), or of one URDF file.
 
     Without asset.json the reference link is the joint's parent, the canonical frame is that link's, and other movable
     joints are held at zero, or at the limit nearest to it. Effects come from effects.json when there is one, else from
-    URDF `<dynamics>`; where both speak, they must agree.
+    URDF `<dynamics>`; where both speak, they must agree. Without `guesses` effects that asset.json calls guessed
+    (`source.dynamics.guessed`) are left out: they were never measured.
     """
     path = Path(path)
     if not path.exists():
         raise FreeArtError(f"{path} does not exist")
     header = path / "asset.json"
     if path.is_dir() and header.is_file():
-        return _read_described(path, checked.read_json(header, ASSET_SCHEMA), header, joint)
+        asset = _read_described(path, checked.read_json(header, ASSET_SCHEMA), header, joint)
+        return asset if guesses or not _guessed(asset) else replace(asset, effects={})
     if path.is_dir():
         urdfs = sorted(path.glob("*.urdf"))
         if len(urdfs) != 1:
@@ -123,6 +126,11 @@ def read_asset(path: Path, joint: str | None = None) -> Asset:
         if j.joint_type and j.name != scored.name
     }
     return Asset(path, scored.name, scored.parent, scored.child, effects=read_effects(path), held=held)
+
+
+def _guessed(asset: Asset) -> bool:
+    dynamics = asset.source.get("dynamics")
+    return isinstance(dynamics, dict) and dynamics.get("guessed") is True
 
 
 def read_effects(urdf: Path) -> dict[str, tuple[Effect, ...]]:

@@ -7,21 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion  # noqa: F401 (registers the types that poses return)
-from pydrake.geometry import (
-    AddContactMaterial,
-    AddRigidHydroelasticProperties,
-    DefaultProximityProperties,
-    HalfSpace,
-    ProximityProperties,
-    SceneGraphConfig,
-)
-from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
-from pydrake.multibody.tree import FixedOffsetFrame  # noqa: F401
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
 
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
 from export.check.engines.plain_urdf import plain_urdf
@@ -33,6 +18,19 @@ _STEP_S, _FRICTION = 0.002, 0.5
 
 def load(file: Path, folder: Path, setting: Setting) -> DrakeWorld:
     """The asset in a plant of its own."""
+    from pydrake.geometry import (
+        AddContactMaterial,
+        AddRigidHydroelasticProperties,
+        DefaultProximityProperties,
+        HalfSpace,
+        ProximityProperties,
+        SceneGraphConfig,
+    )
+    from pydrake.math import RigidTransform
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+    from pydrake.systems.framework import DiagramBuilder
+
     builder = DiagramBuilder()
     plant, geometry = AddMultibodyPlantSceneGraph(builder, time_step=_STEP_S)
     # a box on a plane has but one contact point where nothing is hydroelastic, and sinks in within seconds
@@ -49,8 +47,8 @@ def load(file: Path, folder: Path, setting: Setting) -> DrakeWorld:
         plant.RegisterCollisionGeometry(plant.world_body(), RigidTransform(), HalfSpace(), "floor", hard)
     bodies = [plant.get_body(k) for k in plant.GetBodyIndices(model)]
     hung = {plant.get_joint(k).child_body().name() for k in plant.GetJointIndices(model)}
-    root = next(body for body in bodies if body.name() not in hung)
-    if setting.fixed:
+    root = next((body for body in bodies if body.name() not in hung), None)
+    if root is not None and setting.fixed:
         plant.WeldFrames(plant.world_frame(), root.body_frame())
     plant.Finalize()
     return DrakeWorld(builder.Build(), plant, model, bodies, root)
@@ -60,13 +58,16 @@ class DrakeWorld(World):
     """See `World`."""
 
     def __init__(self, diagram: Any, plant: Any, model: Any, bodies: list[Any], root: Any):
+        from pydrake.systems.analysis import Simulator
+
         self.plant, self.root = plant, root
         self.bodies = {body.name(): body for body in bodies}
         self.simulator = Simulator(diagram)
         self.context = plant.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
         joints = [plant.get_joint(k) for k in plant.GetJointIndices(model)]
         ends = [j for j in joints if j.child_body().name() in self.bodies and j.parent_body().name() in self.bodies]
-        self.parents = {root.name(): None} | {j.child_body().name(): j.parent_body().name() for j in ends}
+        self.parents = {name: None for name in self.bodies}
+        self.parents |= {j.child_body().name(): j.parent_body().name() for j in ends}
         self.drake_joints = {joint.name(): joint for joint in ends if joint.num_velocities() == 1}
         self.joints = tuple(
             EngineJoint(
@@ -103,7 +104,10 @@ class DrakeWorld(World):
 
     def place(self, T_world_root: Array) -> None:
         """See `World`."""
-        self.plant.SetFreeBodyPose(self.context, self.root, RigidTransform(np.array(T_world_root, float)))
+        from pydrake.math import RigidTransform
+
+        T: Any = np.array(T_world_root, float)
+        self.plant.SetFreeBodyPose(self.context, self.root, RigidTransform(T))
         self.simulator.Initialize()
 
     def state(self) -> tuple[dict[str, float], dict[str, float]]:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
@@ -17,11 +16,12 @@ from freeart21.files.urdf import UrdfInertial, parsed_xml
 from freeart21.se3 import Array
 
 _LARGEST_STEP_S = 0.002
-_KINDS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
     """The asset in a scene of its own."""
+    import mujoco
+
     urdf = parsed_xml(file.read_bytes(), file).tag == "robot"
     if urdf:
         words = ET.Element("mujoco")
@@ -67,13 +67,16 @@ class MujocoWorld(World):
     """See `World`."""
 
     def __init__(self, model: Any, root: str):
+        import mujoco
+
         self.model, self.data = model, mujoco.MjData(model)
         names = [model.body(b).name for b in range(model.nbody)]
         self.root = root
         self.parents = {
             names[b]: None if names[b] == root else names[model.body_parentid[b]] for b in range(1, model.nbody)
         }
-        self.joints = tuple(self._joint(j, names) for j in range(model.njnt) if int(model.jnt_type[j]) in _KINDS)
+        kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+        self.joints = tuple(self._joint(j, names) for j in range(model.njnt) if int(model.jnt_type[j]) in kinds)
         mujoco.mj_forward(model, self.data)
 
     def _joint(self, j: int, names: list[str]) -> EngineJoint:
@@ -96,6 +99,8 @@ class MujocoWorld(World):
 
     def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
         """See `World`."""
+        import mujoco
+
         for joint in self.joints:
             self.data.joint(joint.name).qpos[0] = q.get(joint.name, 0.0)
             self.data.joint(joint.name).qvel[0] = (qd or {}).get(joint.name, 0.0)
@@ -103,6 +108,8 @@ class MujocoWorld(World):
 
     def place(self, T_world_root: Array) -> None:
         """See `World`."""
+        import mujoco
+
         at = self.model.body(self.root).jntadr[0]
         address = self.model.jnt_qposadr[at]
         self.data.qpos[address : address + 7] = [*T_world_root[:3, 3], *se3.wxyz(T_world_root)]
@@ -115,11 +122,15 @@ class MujocoWorld(World):
 
     def poses(self) -> dict[str, Array]:
         """See `World`."""
+        import mujoco
+
         mujoco.mj_kinematics(self.model, self.data)
         return {n: se3.pose(self.data.body(n).xmat.reshape(3, 3), self.data.body(n).xpos) for n in self.parents}
 
     def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
         """See `World`."""
+        import mujoco
+
         for joint in self.joints:
             address = self.model.jnt_dofadr[self.model.joint(joint.name).id]
             self.data.qfrc_applied[address] = (push or {}).get(joint.name, 0.0)
@@ -127,6 +138,8 @@ class MujocoWorld(World):
 
     def energy(self) -> float | None:
         """See `World`: potential energy of gravity and springs, and kinetic energy."""
+        import mujoco
+
         mujoco.mj_forward(self.model, self.data)
         return float(self.data.energy.sum())
 
@@ -140,6 +153,8 @@ class MujocoWorld(World):
         return min(heights, default=None)
 
     def _lowest(self, g: int) -> float:
+        import mujoco
+
         model, R, at = self.model, self.data.geom_xmat[g].reshape(3, 3), self.data.geom_xpos[g][2]
         size, down = model.geom_size[g], np.abs(R[2])
         match mujoco.mjtGeom(int(model.geom_type[g])):

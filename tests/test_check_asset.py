@@ -1,0 +1,454 @@
+"""Any URDF or MJCF, checked: a sound little asset passes every rule, and each broken one fails its own rule."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from little_asset import numbers, write_little
+
+from export.check import checking
+from export.check.checking import ENGINES, check
+from export.check.engines.base import MODULES, load_world
+from export.check.file_rules import file_rows
+from export.check.report import Row
+from export.check.rules import ENGINE_RULES, FILE_RULES
+from export.check.subject import find_subject
+from export.check.tree import tree_of_urdf
+from export.check.trial import Trial
+from export.check.trial_process import ask
+from freeart21 import cli, se3
+from freeart21.errors import FreeArtError
+from freeart21.files.urdf import read_urdf
+
+REAL = Path(__file__).resolve().parents[2] / "shared"
+mujoco_only = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed")
+
+
+def files_of(path: Path, facts: dict | None = None) -> list[Row]:
+    subject = find_subject(path)
+    return list(
+        file_rows(subject.urdf, subject.mjcf, subject.folder, {} if facts is None else facts, lambda rule: None)
+    )
+
+
+def trial_of(path: Path) -> list[Row]:
+    """The rows of a trial in MuJoCo, in this process."""
+    subject, facts = find_subject(path), {}
+    list(file_rows(subject.urdf, subject.mjcf, subject.folder, facts, lambda rule: None))
+    from export.check.trial_process import _tree
+
+    load = partial(load_world, "mujoco", subject.mjcf or subject.urdf, subject.folder)
+    return list(Trial("mujoco", _tree(subject.urdf, subject.mjcf), facts["lowest"], load).rows(lambda rule: None))
+
+
+def failed(rows: list[Row]) -> list[str]:
+    return [row.rule for row in rows if row.verdict == "fail"]
+
+
+# ---------------------------------------------------------------- what is sound
+
+
+@pytest.mark.parametrize("kg", [0.02, 50.0])
+def test_a_sound_asset_passes_every_rule_in_every_engine_whatever_it_weighs(tmp_path: Path, kg: float):
+    installed = [engine for engine in ("sapien", "mujoco") if importlib.util.find_spec(MODULES[engine])]
+    report = check(write_little(tmp_path / "lid", kg).parent, installed)
+    assert report.passed and {row.rule for row in report.rows if row.engine == "file"} == set(FILE_RULES)
+    for engine in installed:
+        rows = [row for row in report.rows if row.engine == engine]
+        assert {row.rule for row in rows} == set(ENGINE_RULES)
+        assert {row.verdict for row in rows} == {"pass"}, engine
+        assert report.engines[engine] and report.settings[engine] and report.seconds[engine] < 60
+
+
+@pytest.mark.parametrize("engine", ["pybullet", "drake"])
+def test_a_sound_asset_passes_in_engines_that_few_have(tmp_path: Path, engine: str):
+    pytest.importorskip(MODULES[engine])
+    report = check(write_little(tmp_path / "lid"), [engine])
+    assert report.passed and {row.verdict for row in report.rows} == {"pass"}
+
+
+@mujoco_only
+def test_a_sound_mjcf_passes(tmp_path: Path):
+    rows = [*files_of(write_little(tmp_path, mjcf=True)), *trial_of(tmp_path)]
+    assert failed(rows) == [] and all(row.verdict == "pass" for row in rows if row.engine == "mujoco")
+
+
+def test_the_mass_matrix_is_that_of_a_double_pendulum():
+    """Its closed form, with points of 2 and 3 kg at the ends of rods of 0.5 and 0.4 m (Goldstein, problem 1.22)."""
+    from export.check.tree import Tree, TreeJoint
+    from freeart21.files.urdf import UrdfInertial
+
+    m1, m2, a, b = 2.0, 3.0, 0.5, 0.4
+    y, down = np.array([0.0, 1.0, 0.0]), [0.0, 0.0, -1.0]
+    joints = {
+        name: TreeJoint(name, "revolute", parent, child, se3.pose(np.eye(3), at), y, np.zeros(3), -9.0, 9.0)
+        for name, parent, child, at in (("one", "base", "rod", np.zeros(3)), ("two", "rod", "tip", a * np.array(down)))
+    }
+    points = {n: UrdfInertial(m, r * np.array(down), np.zeros((3, 3))) for n, m, r in (("rod", m1, a), ("tip", m2, b))}
+    tree = Tree("base", ("base", "rod", "tip"), joints, points)
+    cosine = np.cos(0.9)
+    expected = [
+        [m1 * a * a + m2 * (a * a + b * b + 2 * a * b * cosine), m2 * (b * b + a * b * cosine)],
+        [m2 * (b * b + a * b * cosine), m2 * b * b],
+    ]
+    np.testing.assert_allclose(tree.mass_matrix({"one": 0.4, "two": 0.9}, points), expected, rtol=1e-12)
+
+
+# ---------------------------------------------------------------- what is broken in the files
+
+LIGHT = '<inertial><mass value="0.01"/><inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial>'
+WELD = '<joint name="weld" type="fixed"><parent link="{0}"/><child link="{1}"/></joint></robot>'
+LID_COLLISION = '<collision name="lid_collision"><origin xyz="0.1 0 0.005"/><geometry><box size="0.2 0.15 0.01"/>'
+TEXT_BREAKS: dict[str, tuple[str, str]] = {
+    "tree.links-exist": ("</robot>", WELD.format("box", "ghost")),
+    "tree.one-root": ("</robot>", '<link name="alone"/></robot>'),
+    "tree.one-parent": ("</robot>", WELD.format("box", "lid")),
+    "names.unique": ('name="lid_visual"', 'name="box_visual"'),
+    "inertia.present": ('<inertial><origin xyz="0.1', '<nothing/><no_inertial><origin xyz="0.1'),
+    "inertia.physical": ('mass value="0.1"', 'mass value="-0.1"'),
+    "inertia.centre-inside": ('<inertial><origin xyz="0.1 0 0.005"/>', '<inertial><origin xyz="0.1 0 0.2"/>'),
+    "axis.unit": ('axis xyz="0 -1 0"', 'axis xyz="0 -2 0"'),
+    "limits.present": ('<limit lower="0" upper="1.2" effort="10" velocity="5"/>', ""),
+    "limits.ordered": ('lower="0" upper="1.2"', 'lower="1.2" upper="0"'),
+    "limits.zero-within": ('lower="0" upper="1.2"', 'lower="0.1" upper="1.2"'),
+    "limits.effort": ('effort="10"', 'effort="0"'),
+    "limits.velocity": ('velocity="5"', 'velocity="0"'),
+    "dynamics.damped": ("<dynamics", "<no_dynamics"),
+    "collision.present": ("collision", "no_collision"),
+    "collision.few": (LID_COLLISION, "".join(f'<collision name="c{k}"/>' for k in range(64)) + LID_COLLISION),
+    "numbers and meshes": ('axis xyz="0 -1 0"', 'axis xyz="0 minus 0"'),
+}
+HARMLESS = ("names.unique", "inertia.centre-inside", "axis.unit", "limits.zero-within")
+"""After these a trial in an engine passes, or skips."""
+
+
+def broken(folder: Path, rule: str) -> Path:
+    file = write_little(folder)
+    text, (old, new) = file.read_text(), TEXT_BREAKS[rule]
+    assert old in text
+    if rule == "inertia.present":
+        head, _, tail = text.partition(old)
+        text = head + new + tail.replace("</inertial>", "</no_inertial>", 1)
+    elif rule == "collision.present":
+        head, _, tail = text.partition('<link name="lid">')
+        text = head + '<link name="lid">' + tail.replace(old, new)
+    else:
+        text = text.replace(old, new, 1)
+    file.write_text(text)
+    return file
+
+
+@pytest.mark.parametrize("rule", TEXT_BREAKS)
+def test_each_break_of_the_text_fails_its_rule_and_no_other(tmp_path: Path, rule: str):
+    assert failed(files_of(broken(tmp_path, rule))) == [rule]
+
+
+@mujoco_only
+@pytest.mark.parametrize("rule", HARMLESS)
+def test_what_is_wrong_with_the_file_alone_is_no_fault_of_the_trial(tmp_path: Path, rule: str):
+    assert failed(trial_of(broken(tmp_path, rule))) == []
+
+
+def with_meshes(folder: Path, solid: trimesh.Trimesh | None = None) -> Path:
+    """The little asset with a mesh for its lid, seen and touched, and a material for it."""
+    file = write_little(folder)
+    solid = solid or trimesh.creation.box((0.2, 0.15, 0.01))
+    body = "".join("v {:.6f} {:.6f} {:.6f}\n".format(*v) for v in solid.vertices)
+    body += "".join("f {} {} {}\n".format(*(f + 1)) for f in solid.faces)
+    (folder / "hull.obj").write_text(body)
+    (folder / "seen.obj").write_text("mtllib seen.mtl\n" + body)
+    (folder / "seen.mtl").write_text("newmtl plain\nKd 1 0 0\n")
+    text = file.read_text()
+    head, _, tail = text.partition('<link name="lid">')
+    for name in ("seen", "hull"):
+        tail = tail.replace('<box size="0.2 0.15 0.01"/>', f'<mesh filename="{name}.obj"/>', 1)
+    file.write_text(head + '<link name="lid">' + tail)
+    return file
+
+
+def bent() -> trimesh.Trimesh:
+    """A solid of 0.2 x 0.15 m from which a corner was cut."""
+    one = trimesh.creation.box((0.2, 0.05, 0.01), se3.pose(np.eye(3), (0, -0.05, 0)))
+    other = trimesh.creation.box((0.05, 0.15, 0.01), se3.pose(np.eye(3), (-0.075, 0, 0)))
+    return trimesh.boolean.union([one, other])
+
+
+def replaced(name: str, old: str, new: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        text = (folder / name).read_text()
+        assert old in text
+        (folder / name).write_text(text.replace(old, new, 1))
+
+    return change
+
+
+def first_face_lost(name: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        lines = (folder / name).read_text().splitlines()
+        k = next(k for k, line in enumerate(lines) if line.startswith("f "))
+        (folder / name).write_text("\n".join(lines[:k] + lines[k + 1 :]))
+
+    return change
+
+
+FILE_BREAKS: dict[str, Callable[[Path], None]] = {
+    "paths.relative": replaced("lid_box.urdf", '"seen.obj"', '"package://lid/seen.obj"'),
+    "paths.exist": lambda folder: (folder / "hull.obj").unlink(),
+    "textures.exist": lambda folder: (folder / "seen.mtl").unlink(),
+    "collision.closed": first_face_lost("hull.obj"),
+    "mesh.watertight": first_face_lost("seen.obj"),
+    "mesh.readable": lambda folder: (folder / "seen.obj").write_text("nothing"),
+}
+
+
+def test_an_asset_with_meshes_is_sound(tmp_path: Path):
+    assert failed(files_of(with_meshes(tmp_path))) == []
+
+
+@pytest.mark.parametrize("rule", FILE_BREAKS)
+def test_each_break_of_a_file_fails_its_rule_and_no_other(tmp_path: Path, rule: str):
+    with_meshes(tmp_path)
+    FILE_BREAKS[rule](tmp_path)
+    assert failed(files_of(tmp_path)) == [rule]
+
+
+def test_a_bent_collision_mesh_is_not_convex(tmp_path: Path):
+    assert failed(files_of(with_meshes(tmp_path, bent()))) == ["collision.convex"]
+
+
+def test_an_asset_below_the_ground_does_not_stand_on_it_but_rests(tmp_path: Path):
+    file = write_little(tmp_path)
+    text = file.read_text().replace('xyz="0 0 0.02"', 'xyz="0 0 -0.03"').replace('"-0.1 0 0.04"', '"-0.1 0 -0.01"')
+    file.write_text(text)
+    (row,) = (row for row in files_of(file) if row.verdict == "fail")
+    assert row.rule == "stands.on-ground" and "-50 mm" in row.reason
+    if importlib.util.find_spec("mujoco"):
+        assert failed(trial_of(file)) == []
+
+
+# ---------------------------------------------------------------- what an engine does with it
+
+
+def tilted(folder: Path) -> Path:
+    """Leant over by 0.5 rad about x, on the edge of its base."""
+    file = write_little(folder)
+    root = f'<link name="base">{LIGHT}</link>'
+    joint = f'<origin xyz="0 0 {0.075 * np.sin(0.5)}" rpy="0.5 0 0"/></joint></robot>'
+    weld = WELD.format("base", "box").replace("</joint></robot>", joint)
+    file.write_text(file.read_text().replace("</robot>", f"{root}{weld}"))
+    return file
+
+
+def blocked(folder: Path) -> Path:
+    """A ledge welded to the box, 5 mm over the lid's far end."""
+    file = write_little(folder)
+    ledge = f'<link name="ledge">{LIGHT}'
+    for tag in ("visual", "collision"):
+        ledge += f'<{tag}><origin xyz="0.08 0 0.06"/><geometry><box size="0.04 0.1 0.01"/></geometry></{tag}>'
+    file.write_text(file.read_text().replace("</robot>", f"{ledge}</link>{WELD.format('box', 'ledge')}"))
+    return file
+
+
+def two_lids(folder: Path) -> Path:
+    """A second lid through the first: no joint connects them, so they push each other apart."""
+    file = write_little(folder)
+    text = file.read_text()
+    link = "<link" + text.split("<link")[2].split("</link>")[0] + "</link>"
+    joint = "<joint" + text.split("<joint")[1].split("</joint>")[0] + "</joint>"
+    for name, other in (("lid", "lid2"), ("hinge", "hinge2")):
+        link, joint = link.replace(f'"{name}', f'"{other}'), joint.replace(f'"{name}', f'"{other}')
+    shifted = joint.replace('"-0.1 0 0.04"', '"-0.1 0 0.043"')
+    file.write_text(text.replace("</robot>", f"{link}{shifted}</robot>"))
+    return file
+
+
+def beside(folder: Path, old: str, new: str, flat: bool = False) -> Path:
+    """The URDF with an MJCF beside it that says something else; `flat`: both hinges stand upright."""
+    urdf, file = write_little(folder), write_little(folder, mjcf=True)
+    for one in (urdf, file) if flat else ():
+        one.write_text(one.read_text().replace('"0 -1 0"', '"0 0 1"'))
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+    return folder
+
+
+FRICTION = f'frictionloss="{numbers(0.5)["friction"]}"'
+DAMPING = f'damping="{numbers(0.5)["damping"]}"'
+TRIALS: dict[str, Callable[[Path], Path]] = {
+    "engine.tree": partial(beside, old='body name="lid"', new='body name="cover"'),
+    "engine.limits": partial(beside, old='range="0 1.2"', new='range="0 1.19"'),
+    "engine.masses": partial(beside, old=f'mass="{numbers(0.5)["lid"]}"', new='mass="0.11"'),
+    "engine.poses": partial(beside, old='axis="0 -1 0"', new='axis="0 -1 0.001"'),
+    "joint.moves": blocked,
+    "joint.stops": partial(beside, old='name="hinge"', new='name="hinge" solreflimit="2 1"', flat=True),
+    "energy.falls": partial(beside, old=DAMPING, new='damping="-0.003"'),
+    "rest.drift": tilted,
+}
+
+
+@mujoco_only
+@pytest.mark.parametrize("rule", TRIALS)
+def test_each_break_of_the_dynamics_fails_its_rule_and_no_other(tmp_path: Path, rule: str):
+    assert failed(trial_of(TRIALS[rule](tmp_path))) == [rule]
+
+
+@pytest.mark.parametrize("decay_s, verdicts", [(np.inf, ["pass", "fail"]), (0.2, ["pass", "pass"])])
+def test_what_trembles_by_less_than_it_may_drift_oscillates_unless_it_calms_down(decay_s: float, verdicts: list[str]):
+    t = np.arange(501) * 0.01
+    Ts = np.tile(np.eye(4), (501, 1, 1, 1))
+    Ts[:, 0, 2, 3] = 3e-4 * np.sin(2 * np.pi * 3 * t) * np.exp(-t / decay_s)
+    rows = Trial("none", None, None, lambda setting: pytest.fail())._rested(Ts, ["box"], np.zeros((1, 3)))
+    assert [row.verdict for row in rows] == verdicts
+    assert 0.15 < rows[0].value < 0.301
+
+
+@mujoco_only
+def test_a_joint_without_end_turns_both_ways(tmp_path: Path):
+    file = write_little(tmp_path)
+    text = file.read_text().replace('type="revolute"', 'type="continuous"').replace('"0 -1 0"', '"0 0 1"')
+    file.write_text(text.replace('<limit lower="0" upper="1.2" effort="10" velocity="5"/>', ""))
+    assert failed(files_of(file)) == [] and failed(trial_of(file)) == []
+
+
+@mujoco_only
+def test_links_that_stand_in_each_other_are_found(tmp_path: Path):
+    assert {"joint.moves", "rest.drift"} & set(failed(trial_of(two_lids(tmp_path))))
+
+
+@mujoco_only
+def test_flat_collision_meshes_do_not_load_in_mujoco_and_the_rest_is_skipped(tmp_path: Path):
+    flat = trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], [[0, 1, 2], [0, 2, 3]])
+    rows = trial_of(with_meshes(tmp_path, flat))
+    assert failed(rows) == ["engine.loads"] and sum(row.verdict == "skip" for row in rows) == len(rows) - 1
+
+
+@pytest.mark.parametrize(
+    "body, said", [("import os; os.abort()", "signal 6"), ("import time; time.sleep(60)", "took more than 4 s")]
+)
+def test_an_engine_that_crashes_or_hangs_costs_its_rule_not_us(tmp_path: Path, body: str, said: str):
+    """A stand-in for SAPIEN, found in its place by the process of the trial."""
+    place = tmp_path / "site"
+    place.mkdir()
+    (place / "sapien.py").write_text(body)
+    urdf = write_little(tmp_path / "lid")
+    sys.path.insert(0, str(place))
+    try:
+        answer = ask({"engine": "sapien", "folder": str(urdf.parent), "urdf": str(urdf), "lowest": 0.0}, 4.0)
+    finally:
+        sys.path.remove(str(place))
+    first, *others = answer.rows
+    assert (first.rule, first.verdict) == ("engine.loads", "fail") and said in first.reason
+    assert {row.rule for row in others} == set(ENGINE_RULES) - {"engine.loads"}
+    assert {row.verdict for row in others} == {"skip"}
+
+
+# ---------------------------------------------------------------- what is no asset
+
+
+def test_what_is_no_asset_costs_one_line(tmp_path: Path):
+    (tmp_path / "notes.txt").write_text("mine")
+    for path, said in (
+        (tmp_path, "is no asset"),
+        (tmp_path / "notes.txt", "is no asset"),
+        (tmp_path / "x", "not exist"),
+    ):
+        with pytest.raises(FreeArtError, match=said):
+            check(path)
+    write_little(tmp_path / "a")
+    with pytest.raises(FreeArtError, match="no engine 'gazebo'; engines: sapien, mujoco"):
+        check(tmp_path / "a", ["gazebo"])
+    (tmp_path / "a" / "second.urdf").write_text('<robot name="b"/>')
+    with pytest.raises(FreeArtError, match=r"name one of lid_box\.urdf, second\.urdf"):
+        check(tmp_path / "a")
+
+
+BOMB = '<!DOCTYPE r [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><{0} name="&b;"/>'
+
+
+@pytest.mark.parametrize("tag, name", [("robot", "a.urdf"), ("mujoco", "a.xml")])
+def test_a_bomb_is_refused_before_anything_is_read(tmp_path: Path, tag: str, name: str):
+    (tmp_path / name).write_text(BOMB.format(tag))
+    with pytest.raises(FreeArtError, match="declares a document type"):
+        check(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["/etc/passwd.obj", "../other/lid.obj", "file:///etc/passwd.obj"])
+def test_a_file_outside_is_refused(tmp_path: Path, name: str):
+    file = with_meshes(tmp_path / "a")
+    file.write_text(file.read_text().replace("hull.obj", name))
+    with pytest.raises(FreeArtError, match="out of the folder"):
+        check(file)
+    mjcf = write_little(tmp_path / "m", mjcf=True)
+    mjcf.write_text(mjcf.read_text().replace("<worldbody>", f'<asset><mesh file="{name}"/></asset><worldbody>'))
+    if "://" not in name:
+        with pytest.raises(FreeArtError, match="out of the folder"):
+            check(mjcf)
+
+
+def test_a_mesh_beyond_all_bounds_is_refused(tmp_path: Path):
+    file = with_meshes(tmp_path)
+    with (tmp_path / "hull.obj").open("r+b") as mesh:
+        mesh.truncate(300 << 20)  # a hole on the disk
+    with pytest.raises(FreeArtError, match="at most 268435456 are read"):
+        check(file)
+
+
+# ---------------------------------------------------------------- the command
+
+
+def told(monkeypatch: pytest.MonkeyPatch, *words: str) -> object:
+    monkeypatch.setattr(sys, "argv", ["freeart21", "check-asset", *words])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    return end.value.code
+
+
+def test_the_command_says_what_failed_and_ends_with_its_code(tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.setattr(checking, "ENGINES", ())
+    file = write_little(tmp_path / "lid")
+    assert told(monkeypatch, str(file.parent), "--json", str(tmp_path / "said.json")) == 0
+    said = json.loads((tmp_path / "said.json").read_text())
+    assert said["schema"] == "freeart21/check/1" and said["passed"] and len(said["rows"]) == len(FILE_RULES)
+    assert said["rules"]["axis.unit"] == {
+        "asks": "joint axes have length 1",
+        "good_for": FILE_RULES["axis.unit"].good_for,
+    }
+    broken(tmp_path / "bad", "axis.unit")
+    assert told(monkeypatch, str(tmp_path / "bad")) == 3
+    assert "fail  axis.unit (file): joint 'hinge' has an axis of length 2, expected 1" in capsys.readouterr().out
+    (tmp_path / "none").mkdir()
+    assert "is no asset" in str(told(monkeypatch, str(tmp_path / "none")))
+
+
+# ---------------------------------------------------------------- data of others
+
+
+@pytest.mark.skipif(not (REAL / "urdf_objects" / "laptop").is_dir(), reason="the real objects are not on this machine")
+def test_a_real_laptop_moves_and_is_not_blamed_for_our_settings(tmp_path: Path):
+    rows = files_of(REAL / "urdf_objects" / "laptop" / "laptop.urdf")
+    assert failed(rows) == ["collision.convex", "dynamics.damped", "stands.on-ground"]
+    if importlib.util.find_spec("mujoco"):
+        trial = trial_of(REAL / "urdf_objects" / "laptop" / "laptop.urdf")
+        assert failed(trial) == ["rest.drift"]  # it stands on edge, its lid open
+
+
+@pytest.mark.skipif(not (REAL / "partnet_mobility" / "45940").is_dir(), reason="the real objects are not here")
+def test_a_real_partnet_object_fails_what_it_lacks():
+    rows = files_of(REAL / "partnet_mobility" / "45940")
+    assert {"inertia.present", "limits.effort", "dynamics.damped", "stands.on-ground"} <= set(failed(rows))
+    assert not {"tree.one-root", "paths.exist", "axis.unit", "numbers and meshes"} & set(failed(rows))
+    urdf = read_urdf(REAL / "partnet_mobility" / "45940" / "mobility.urdf")
+    tree = tree_of_urdf(urdf)
+    q = {joint.name: 0.3 for joint in tree.movable}
+    for name, T in urdf.link_poses(q).items():
+        np.testing.assert_allclose(tree.link_poses(q)[name], T, atol=1e-12)
+    assert set(ENGINES) == set(MODULES)
