@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from export.decomposition import Tolerance, convex_pieces, thickened
 from export.fidelity import Fidelity, measured
 from export.outside import even_directions, outside_of
+from export.primitive_fit import primitive_of
+from export.primitives import Primitive
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh
 
@@ -28,6 +30,8 @@ class CollisionSettings:
     """Vertices a piece may have; PhysX takes at most 255, MuJoCo likes few."""
     min_thickness_m: float = 1e-3
     """Thinner pieces are made this thick: simulators refuse flat solids."""
+    primitives: bool = True
+    """Whether boxes, cylinders and balls stand for pieces that are as good as such."""
     patches: int = 2500
     """Pieces that the surface is split into at most, before they are joined."""
     pairs: int = 60_000
@@ -36,15 +40,18 @@ class CollisionSettings:
 
 @dataclass(frozen=True)
 class Collision:
-    """The convex hulls of a part, and how true they are to it."""
+    """The convex pieces of a part, and how true they are to it."""
 
     hulls: tuple[Mesh, ...]
     """Closed convex meshes in the part's frame."""
+    primitives: tuple[Primitive, ...]
+    """Pieces that are a box, a cylinder or a ball."""
     fidelity: Fidelity
 
 
 def convex_parts(mesh: Mesh, settings: CollisionSettings) -> Collision:
-    """The part as at most `max_hulls` convex hulls; FreeArtError when it has no area."""
+    """The part as at most `max_hulls` convex pieces, primitives where these are as good; FreeArtError when it has no
+    area."""
     outside = outside_of(mesh)
     stands_out = max(min(settings.tolerance_m, outside.size / 50), outside.size / 500)
     tolerance = Tolerance(
@@ -56,8 +63,11 @@ def convex_parts(mesh: Mesh, settings: CollisionSettings) -> Collision:
         settings.max_vertices,
     )
     pieces = convex_pieces(outside, tolerance, settings.max_hulls)
-    hulls = tuple(convex_hull(piece, settings.min_thickness_m, settings.max_vertices) for piece in pieces)
-    return Collision(hulls, measured(outside, hulls))
+    found = [(p, primitive_of(p, outside, stands_out) if settings.primitives else None) for p in pieces]
+    primitives = tuple(shape for _, shape in found if shape is not None)
+    rest = (piece for piece, shape in found if shape is None)
+    hulls = tuple(convex_hull(piece, settings.min_thickness_m, settings.max_vertices) for piece in rest)
+    return Collision(hulls, primitives, measured(outside, [*hulls, *(shape.mesh() for shape in primitives)]))
 
 
 def convex_hull(points: NDArray[np.float64], min_thickness_m: float, max_vertices: int) -> Mesh:

@@ -118,7 +118,7 @@ class _Looks:
             points = with_matter(self.outside, members, self.tolerance, rim)
             if self.between(points, [points])[0] <= limit:
                 few = simplified(points, self.tolerance, limit)
-                piece = None if few is None else self.piece(few, members, limit)
+                piece = None if few is None else self.piece(few, members, limit, _LAST_LOOK)
                 if piece is not None:
                     return piece
         return None

@@ -252,10 +252,12 @@ def _write_link(
     said = {
         **shape.part.said(settings.scale),
         "hulls": len(hulls),
+        "primitives": len(collision.primitives),
         "collision": collision.fidelity.said(),
     }
     inertial = inertial_of(shape.solid, density, settings.wall)
-    return LinkModel(name, f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}", hulls, inertial), said
+    visual_file, picture = f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}"
+    return LinkModel(name, visual_file, picture, hulls, inertial, collision.primitives), said
 
 
 def _said_of_mass(settings: ExportSettings, density: float) -> dict[str, Any]:
