@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import manifold3d
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from export.decomposition import Tolerance, convex_pieces, thickened
@@ -78,8 +78,15 @@ def convex_hull(points: NDArray[np.float64], min_thickness_m: float, max_vertice
     """
     if len(points) == 0:
         raise FreeArtError("there are no points to make a convex hull of")
-    hull = trimesh.convex.convex_hull(thickened(points, min_thickness_m))
+    hull = _hull(thickened(points, min_thickness_m))
     if len(hull.vertices) > max_vertices:
         furthest = np.unique(np.argmax(hull.vertices @ even_directions(max_vertices).T, axis=0))
-        hull = trimesh.convex.convex_hull(hull.vertices[furthest])
-    return Mesh(hull.vertices, hull.faces)
+        hull = _hull(hull.vertices[furthest])
+    return hull
+
+
+def _hull(points: NDArray[np.float64]) -> Mesh:
+    """By manifold3d: qhull's triangles, less those without area, leave gaps where three points are on a line."""
+    middle = points.mean(0)
+    solid = manifold3d.Manifold.hull_points(np.ascontiguousarray(points - middle)).to_mesh64()
+    return Mesh(np.asarray(solid.vert_properties)[:, :3] + middle, np.asarray(solid.tri_verts).astype(np.int64))

@@ -1,8 +1,8 @@
 """What slows a joint of which nothing is known: a guess, marked as one, so that no door swings for ever.
 
-A joint loses its speed with a time constant of `SETTLE_S`, by viscous damping inertia / SETTLE_S, and dry friction holds
-it against a hundredth part, `HOLD`, of what the moving part's weight does at most. Both are guesses: what `gap` finds of
-the real joint takes their place.
+A joint loses its speed with a time constant of `SETTLE_S`, by viscous damping inertia / SETTLE_S, and dry friction
+holds it against a hundredth part, `HOLD`, of what the moving part's weight does at most. Both are guesses: what `gap`
+finds of the real joint takes their place.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ End = Literal["seen", "hidden", "contact"]
 Zero = Literal["first", "closed", "lower", "upper"]
 ZEROS: tuple[str, ...] = get_args(Zero)
 TOLERANCE = 5e-4
-"""Metres by which parts may be in each other, and by which more than before they touch: issue 30 of this project."""
+"""Metres by which parts may be in each other, and by which more than before they touch: what we ask of an asset."""
 SIGMAS = 2.0
 """Standard deviations that a state is doubted by: 95 %."""
 STATES = 31

@@ -99,7 +99,7 @@ ENGINES = (
             "free": "**lost**: a URDF's root is always fixed",
             "velocity": LOST,
             "texture": LOST,
-            "parts": "kept: it leaves out a body and its parent",
+            "parts": "**lost**: a part that stands in the world touches the other",
             **_URDF_EFFECTS,
             "coulomb_friction": "kept, softly: a joint that it holds creeps",
         },

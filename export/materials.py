@@ -15,7 +15,7 @@ DENSITIES: dict[str, float] = {
     "rubber": 1200.0,
     "cardboard": 700.0,
 }
-"""kg/m^3, rounded: ABS and polystyrene 1040 to 1060, beech and birch ply 680 to 720, carbon steel, pure aluminium, soda-lime
-glass, filled rubber 1100 to 1300, solid board (corrugated is a third of it)."""
+"""kg/m^3, rounded: ABS and polystyrene 1040 to 1060, beech and birch ply 680 to 720, carbon steel, pure aluminium,
+soda-lime glass, filled rubber 1100 to 1300, solid board (corrugated is a third of it)."""
 DEFAULT: Material = "plastic"
 """What people hold in their hands is most often moulded."""

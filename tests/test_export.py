@@ -12,7 +12,6 @@ import pytest
 import trimesh
 from scipy.spatial.distance import cdist
 
-from export import collision
 from export.checklist import check_asset
 from export.collision import CollisionSettings, convex_hull, convex_parts
 from export.exporter import ExportSettings, export_result
@@ -109,10 +108,10 @@ def test_limits_are_the_observed_range_and_zero_is_its_closed_end(tmp_path: Path
     for k, (states, zero) in enumerate((((0.0, 0.4, 1.0), 0.0), ((0.3, 0.5, 1.3), 0.3), ((0.1, -0.1, 0.7), -0.1))):
         answer = reconstruction(states=states)
         asset = export_result(answer, tmp_path / str(k))
-        assert asset.state_zero == pytest.approx(-zero)
+        assert asset.state_zero == pytest.approx(-zero, abs=1e-3)  # where the parts touch
         limit = ET.parse(asset.urdf).find("joint/limit")
         lower, upper = float(limit.get("lower")), float(limit.get("upper"))
-        assert (lower, upper) == pytest.approx((min(states) - zero, max(states) - zero)) and lower == 0
+        assert lower == 0 and upper == pytest.approx(max(states) - zero, abs=1e-3)
         assert float(limit.get("effort")) > 0 and float(limit.get("velocity")) > 0
 
 
@@ -124,11 +123,12 @@ def test_frames_in_which_a_part_was_not_seen_count_as_predicted(tmp_path: Path):
 
 def test_root_stands_under_the_middle_of_the_reference_part(tmp_path: Path):
     answer = reconstruction(frame=7)
-    T = export_result(answer, tmp_path / "a").T_canonical_reference
-    vertices = se3.transform(se3.inverse(T), answer.articulation.reference.vertices)
-    low, high = vertices.min(0), vertices.max(0)
-    np.testing.assert_allclose((low + high)[:2], 0, atol=1e-4)
-    assert low[2] == pytest.approx(0, abs=1e-4)
+    asset = export_result(answer, tmp_path / "a")
+    T, whole = se3.inverse(asset.T_canonical_reference), answer.articulation
+    vertices = se3.transform(T, whole.reference.vertices)
+    moving = se3.transform(T @ whole.joint.transform(-asset.state_zero), whole.moving.vertices)
+    np.testing.assert_allclose((vertices.min(0) + vertices.max(0))[:2], 0, atol=1e-4)
+    assert min(vertices[:, 2].min(), moving[:, 2].min()) == pytest.approx(0, abs=1e-4)
 
 
 def masses(folder: Path) -> dict[str, float]:
@@ -141,7 +141,7 @@ def test_density_and_mass_are_those_asked_for_in_every_simulator(tmp_path: Path)
     mujoco = pytest.importorskip("mujoco")
     volumes = np.array([0.2 * 0.15 * 0.04, 0.2 * 0.15 * 0.03])
     for name, settings, expected in (
-        ("wood", ExportSettings(), 600 * volumes),
+        ("plastic", ExportSettings(), 1050 * volumes),
         ("steel", ExportSettings(density=7850.0), 7850 * volumes),
         ("weighed", ExportSettings(mass=0.35), 0.35 * volumes / volumes.sum()),
     ):
@@ -152,9 +152,9 @@ def test_density_and_mass_are_those_asked_for_in_every_simulator(tmp_path: Path)
         assert [model.body(n).mass[0] for n in ("reference", "moving")] == pytest.approx(expected, rel=1e-5)
         assert check_asset(tmp_path / name) == []
     bodies = [
-        ET.parse(tmp_path / n / "object.urdf").find("link/inertial/inertia").get("ixx") for n in ("wood", "steel")
+        ET.parse(tmp_path / n / "object.urdf").find("link/inertial/inertia").get("ixx") for n in ("plastic", "steel")
     ]
-    assert float(bodies[1]) / float(bodies[0]) == pytest.approx(7850 / 600)
+    assert float(bodies[1]) / float(bodies[0]) == pytest.approx(7850 / 1050)
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
@@ -178,7 +178,9 @@ def test_a_scaled_asset_is_the_scaled_object_and_moves_as_it(tmp_path: Path, kin
         k**3 * sum(masses(tmp_path / "1.0").values()), rel=1e-4
     )
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "0.25" / "object.xml"))
-    np.testing.assert_allclose(model.jnt_range[0], [float(limits[1].get(key)) for key in ("lower", "upper")])
+    np.testing.assert_allclose(
+        model.joint(small.joint).range, [float(limits[1].get(key)) for key in ("lower", "upper")]
+    )
     assert check_asset(tmp_path / "0.25") == []
 
 
@@ -324,10 +326,10 @@ def test_mujoco_loads_the_same_asset(exported: Path):
     asset = read_asset(exported)
     model = mujoco.MjModel.from_xml_path(str(exported / "object.xml"))
     data, simulated = mujoco.MjData(model), load(asset)
-    low, high = model.jnt_range[0]
+    low, high = model.joint(asset.joint).range
     assert (low, high) == pytest.approx((simulated.lower, simulated.upper))
     for q in np.linspace(low, high, 5):
-        data.qpos[0] = q
+        data.joint(asset.joint).qpos[0] = q
         mujoco.mj_forward(model, data)
         simulated.set_state(q)
         lid = data.body("moving")
@@ -335,11 +337,12 @@ def test_mujoco_loads_the_same_asset(exported: Path):
             se3.pose(lid.xmat.reshape(3, 3), lid.xpos), simulated.T_reference_moving(), atol=1e-6
         )
     assert model.body("moving").mass[0] == pytest.approx(simulated.moving_mass, rel=1e-6)
-    data.qpos[0] = 0.0
+    data.joint(asset.joint).qpos[0] = 0.0
     mujoco.mj_forward(model, data)
-    dense = np.zeros((1, 1))
+    dense = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, dense)
-    assert dense[0, 0] == pytest.approx(simulated.joint_inertia, rel=1e-5)
+    own = model.joint(asset.joint).dofadr[0]
+    assert dense[own, own] == pytest.approx(simulated.joint_inertia, rel=1e-5)
     assert data.ncon == 0
 
 
@@ -434,7 +437,7 @@ def test_concave_part_becomes_several_convex_hulls():
     assert cut.fidelity.median < 1e-4 and cut.fidelity.worst < 2e-3
     volume = sum(trimesh.Trimesh(h.vertices, h.faces).volume for h in cut.hulls)
     true = trimesh.Trimesh(part.vertices, part.faces)
-    assert volume == pytest.approx(true.volume, rel=0.1)
+    assert true.volume < volume < 1.25 * true.volume  # they overlap a little
     assert true.convex_hull.volume > 1.4 * true.volume
 
 
@@ -446,7 +449,7 @@ def test_a_tray_stays_open_and_its_walls_thin():
     solids = [trimesh.Trimesh(hull.vertices, hull.faces) for hull in cut.hulls]
     ball = trimesh.creation.icosphere(2, 0.03).vertices
     for height in (0.1, 0.05, 0.0):  # it falls in, and lies on the floor at last
-        inside = [solid.contains(ball + [0.02, -0.03, height]).any() for solid in solids]
+        inside = [solid.contains(ball + np.array([0.02, -0.03, height])).any() for solid in solids]
         assert not any(inside), height
     assert any(solid.contains([[0.02, -0.03, -0.04 + wall / 2]])[0] for solid in solids)
     assert sum(solid.volume for solid in solids) < 1.3 * tray.volume

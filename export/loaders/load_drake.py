@@ -15,8 +15,6 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 PLAYED = {"viscous_damping", "coulomb_friction", "armature", "return_spring"}
 CREEP = 1e-6  # rad/s or m/s at which the friction's damper is cut off
 
@@ -40,7 +38,7 @@ def load(plant: Any, X_WR: Any = None, fixed: bool | None = None) -> Any:
 
     parser = Parser(plant)
     parser.SetAutoRenaming(True)  # a plant may hold the asset more than once
-    (instance,) = parser.AddModels(str(Path(__file__).resolve().parent.parent / said["urdf"]))
+    (instance,) = parser.AddModels(Path(__file__).resolve().parent.parent / said["urdf"])
     reference = plant.GetBodyByName(said["reference_link"], instance)
     if fixed and said["base"] == "free":
         plant.WeldFrames(plant.world_frame(), reference.body_frame(), X_WR or RigidTransform())
@@ -64,7 +62,8 @@ def connect(builder: Any, plant: Any, instance: Any) -> None:
     from pydrake.systems.primitives import ConstantVectorSource
 
     if _said()["friction"]:
-        still = builder.AddSystem(ConstantVectorSource(np.zeros(2)))
+        zero: Any = [0.0, 0.0]  # position and speed
+        still = builder.AddSystem(ConstantVectorSource(zero))
         builder.Connect(still.get_output_port(), plant.get_desired_state_input_port(instance))
 
 

@@ -1,8 +1,8 @@
 """This asset in MuJoCo, from its MJCF, which says more than its URDF does. Measured with MuJoCo 4.0.0.
 
 MuJoCo knows no velocity limit. The MJCF holds everything else that MuJoCo can say of the joint; what is put back here
-is only the choice of the base, and a place in a scene. MuJoCo's own reading of the URDF always nails the base and drops
-textures.
+is only the choice of the base, and a place in a scene. MuJoCo's own reading of the URDF always nails the base, drops
+textures, and lets the two parts collide.
 """
 
 from __future__ import annotations
