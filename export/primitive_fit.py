@@ -21,7 +21,8 @@ def primitive_of(corners: Array, outside: Outside, worst_m: float) -> Primitive 
     hull = ConvexHull(corners)
     found: list[tuple[float, Primitive]] = []
     for shape in shapes_round(corners):
-        solid = trimesh.Trimesh(*_arrays(shape), process=False)
+        mesh = shape.mesh()
+        solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
         points = even_points(solid, solid.area / _LOOKS)[0]
         beyond = float((points @ hull.equations[:, :3].T + hull.equations[:, 3]).max())
         if beyond <= worst_m / 2 and outside.excess(points).max() <= worst_m:
@@ -41,8 +42,3 @@ def shapes_round(points: Array) -> list[Primitive]:
         radius = float(np.linalg.norm(across, axis=1).max())
         shapes.append(Cylinder(radius, float(size[axis]), T @ se3.pose(R, np.zeros(3))))
     return shapes
-
-
-def _arrays(shape: Primitive) -> tuple[Array, Array]:
-    mesh = shape.mesh()
-    return mesh.vertices, mesh.faces

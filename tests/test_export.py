@@ -70,7 +70,9 @@ def reconstruction(
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("assets") / "lid"
-    export_result(reconstruction(), out, effects=(ViscousDamping(0.02), CoulombFriction(0.01), ReturnSpring(0.5, 0.2)))
+    hulls = ExportSettings(collision=CollisionSettings(primitives=False))
+    effects = (ViscousDamping(0.02), CoulombFriction(0.01), ReturnSpring(0.5, 0.2))
+    export_result(reconstruction(), out, hulls, effects=effects)
     return out
 
 

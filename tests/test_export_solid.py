@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from export.collision import CollisionSettings, convex_parts
 from export.decomposition import Tolerance, convex_pieces
 from export.fidelity import measured
 from export.inertia import Inertial
@@ -91,6 +92,19 @@ def test_a_wedge_is_no_primitive():
     outside = outside_of(as_mesh(wedge))
     (piece,) = convex_pieces(outside, TOLERANCE, 16)
     assert primitive_of(piece, outside, 1.2e-3) is None
+
+
+def test_a_part_of_boxes_is_boxes():
+    """A slab with a block on it: two pieces, both of them boxes."""
+    slab, block = (
+        trimesh.creation.box(size, se3.pose(np.eye(3), at))
+        for size, at in (((0.2, 0.1, 0.01), (0, 0, 0)), ((0.05, 0.1, 0.05), (0.05, 0, 0.03)))
+    )
+    cut = convex_parts(as_mesh(trimesh.boolean.union([slab, block])), CollisionSettings())
+    assert len(cut.primitives) >= 2 and len(cut.hulls) + len(cut.primitives) <= 4
+    assert all(isinstance(shape, Box) for shape in cut.primitives)
+    assert cut.fidelity.median < 2e-4 and cut.fidelity.outward < 2e-3
+    assert convex_parts(as_mesh(slab), CollisionSettings(primitives=False)).primitives == ()
 
 
 def tray(wall: float = 0.002) -> trimesh.Trimesh:
