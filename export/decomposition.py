@@ -79,7 +79,8 @@ def convex_pieces(outside: Outside, tolerance: Tolerance, most: int) -> list[Arr
     pieces = needed(outside, _joined(looks, _patches(looks), tolerance.worst_m, 0), tolerance)
     limit = tolerance.worst_m
     while len(pieces) > most and limit < outside.size:
-        limit *= 2
+        limit *= 1.5
+        looks.pairs = 0
         pieces = _joined(looks, pieces, limit, most)
     return [piece.corners for piece in pieces]
 
