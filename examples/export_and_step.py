@@ -12,7 +12,7 @@ def main(out: Path) -> list[float]:
     result = next((out / "results" / "ours").glob("*/prediction.json")).parent
     asset = export_result(result, result / "asset")
     simulated, course = load(asset, timestep_s=1e-3), []
-    simulated.set_state(0.5 * (simulated.lower + simulated.upper))  # half open, at rest; gravity does the rest
+    simulated.set_state(0.5 * (simulated.lower + simulated.upper), 1.0)  # half open, and pushed; its damping is a guess
     for step in range(500):
         simulated.step()
         course.append(simulated.state()[0])

@@ -24,6 +24,7 @@ from export.check.subject import find_subject
 from export.check.tree import tree_of_urdf
 from export.check.trial import Trial
 from export.check.trial_process import ask
+from export.checklist import MAX_HULLS
 from freeart21 import cli, se3
 from freeart21.errors import FreeArtError
 from freeart21.files.urdf import read_urdf
@@ -123,7 +124,7 @@ TEXT_BREAKS: dict[str, tuple[str, str]] = {
     "limits.velocity": ('velocity="5"', 'velocity="0"'),
     "dynamics.damped": ("<dynamics", "<no_dynamics"),
     "collision.present": ("collision", "no_collision"),
-    "collision.few": (LID_COLLISION, "".join(f'<collision name="c{k}"/>' for k in range(64)) + LID_COLLISION),
+    "collision.few": (LID_COLLISION, "".join(f'<collision name="c{k}"/>' for k in range(MAX_HULLS)) + LID_COLLISION),
     "numbers and meshes": ('axis xyz="0 -1 0"', 'axis xyz="0 minus 0"'),
 }
 HARMLESS = ("names.unique", "inertia.centre-inside", "axis.unit", "limits.zero-within")

@@ -23,9 +23,10 @@ def test_the_recording_is_reconstructed_and_scored(answers):
     assert row.values["axis"] < 2 and row.values["miou"] > 0.9
 
 
-def test_the_exported_lid_falls(answers):
+def test_the_exported_lid_is_pushed_and_slows(answers):
     course = answers["export_and_step"]
     assert len(course) == 500 and max(course) - min(course) > 0.1
+    assert abs(course[-1] - course[-2]) < 0.9 * abs(course[1] - course[0])
 
 
 def test_the_hidden_damping_is_named(answers):

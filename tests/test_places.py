@@ -227,7 +227,7 @@ def test_a_second_writer_of_one_folder_is_refused_and_a_killed_one_leaves_no_loc
     from simgap import workflow
 
     for name in ("read_measured", "read_asset"):
-        monkeypatch.setattr(workflow, name, lambda *_: types.SimpleNamespace(joint="j"))
+        monkeypatch.setattr(workflow, name, lambda *_, **__: types.SimpleNamespace(joint="j"))
     monkeypatch.setattr(workflow, "explain", lambda *_: pytest.fail("began"))
     before = bytes_of(home)
     first = subprocess.Popen(

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from export.exporter import export_result
+from export.collision import CollisionSettings
+from export.exporter import ExportSettings, export_result
 from freeart21.files.result import write_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
@@ -13,6 +14,11 @@ from leaderboard.score import score_results
 
 DECIMATED = 0.5
 """% of the diagonal that the export may take off a surface: 20k faces, fragments below 1 % of the area dropped."""
+ROUGH = CollisionSettings(tolerance_m=0.02, patches=200, pairs=4_000)
+"""Contact is not scored."""
+CLOSED = 0.92
+"""F-score that the export may bring the truth down to: patches that close what nobody can see are surface, too. It was
+0.937 of the drawer unit, and above 0.98 of the lighter."""
 SETTINGS = RecordSettings(frames=6, seed=11, queries=3, width=320, height=180, shader="trivial")
 
 
@@ -30,10 +36,10 @@ def test_a_recorded_truth_handed_in_and_reloaded_scores_perfect(name, tmp_path):
         truth.seen > 0,
     )
     write_result(results / sequence, answer, renders=[truth.query_rgb(i) for i in range(len(recording.queries))])
-    export_result(results / sequence, results / sequence / "asset")
+    export_result(results / sequence, results / sequence / "asset", ExportSettings(collision=ROUGH))
     (row,) = score_results(results, data).rows
     assert (row.status, row.measured_from, row.swapped) == ("ok", "asset", False)
-    assert row.values["joint_type"] == row.values["fscore_parts"] == 1 and row.values["fscore"] > 0.98
+    assert row.values["joint_type"] == row.values["fscore_parts"] == 1 and row.values["fscore"] > CLOSED
     assert row.values["miou"] == row.values["ssim"] == pytest.approx(1)
     assert row.values["psnr"] == 100
     for metric in (
