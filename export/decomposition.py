@@ -66,12 +66,22 @@ class _Piece:
 
 
 def convex_pieces(outside: Outside, tolerance: Tolerance, most: int) -> list[Array]:
-    """Corners (k, 3) of at most `most` convex pieces; beyond the tolerance where there would be more of them."""
+    """Corners (k, 3) of at most `most` convex pieces; beyond the tolerance where there would be more of them.
+
+    A part that is convex as it stands is one piece with all its corners, however many.
+    """
     looks = _Looks(outside, tolerance)
-    pieces = needed(outside, _joined(looks, _patches(looks), tolerance.worst_m, 0), tolerance)
+    everything = np.arange(len(outside.points))
+    filled = with_matter(outside, everything, tolerance, rim=False)
+    whole = looks.piece(filled, everything, tolerance.worst_m, _LAST_LOOK)
+    if whole is not None:
+        return [whole.corners]
+    pieces = needed(outside, _joined(looks, _patches(looks, everything), tolerance.worst_m, 0), tolerance)
+    bare = _bare(outside, pieces, tolerance.worst_m)
+    pieces += _joined(looks, _patches(looks, bare, last=True), tolerance.worst_m, 0)
     limit = tolerance.worst_m
     while len(pieces) > most and limit < outside.size:
-        limit *= 1.5
+        limit *= 2
         looks.pairs = 0
         pieces = _joined(looks, pieces, limit, most)
     return [piece.corners for piece in pieces]
@@ -104,6 +114,18 @@ class _Looks:
         worst = self.stands_out(hull, limit, most)
         return None if worst > limit else _Piece(hull.points[hull.vertices], members, worst)
 
+    def patch(self, members: NDArray[np.int64]) -> _Piece | None:
+        """A patch with the matter behind it, and its rim if that does not stand out; None when even without it does."""
+        limit = self.tolerance.worst_m / 2
+        for rim in (True, False):
+            points = with_matter(self.outside, members, self.tolerance, rim)
+            if self.between(points, [points])[0] <= limit:
+                few = simplified(points, self.tolerance, limit)
+                piece = None if few is None else self.piece(few, members, limit, _LAST_LOOK)
+                if piece is not None:
+                    return piece
+        return None
+
     def stands_out(self, hull: ConvexHull, limit: float, most: int) -> float:
         """m by which a hull stands out; less than the true number when that is beyond `limit`."""
         corners = hull.points[hull.simplices]
@@ -120,22 +142,29 @@ class _Looks:
         return worst
 
 
-def simplified(points: Array, tolerance: Tolerance) -> Array:
-    """Few of the points (n, 3): no other stands out of their hull by more than `simple_m`, unless `max_vertices` are
-    reached. Flat ones are made `least_m` thick."""
+def simplified(points: Array, tolerance: Tolerance, left_out: float) -> Array | None:
+    """Few of the points (n, 3): no other stands out of their hull by more than `simple_m`, or where `max_vertices` are
+    reached by `left_out`, m; None when that cannot be. Flat ones are made `least_m` thick."""
     points = thickened(points, tolerance.least_m)
     if len(points) <= 12:
         return points
     kept = np.unique(np.argmax(points @ _DIRECTIONS.T, axis=0))
-    while len(kept) < tolerance.max_vertices:
+    if len(kept) < 4:
+        return points
+    while True:
         hull = _hull(points[kept])
         beyond = points @ hull.equations[:, :3].T + hull.equations[:, 3]
-        furthest = np.unique(np.argmax(beyond, axis=0)[beyond.max(0) > tolerance.simple_m])
-        new = np.setdiff1d(furthest, kept)[: tolerance.max_vertices - len(kept)]
-        if not len(new):
-            break
+        out = beyond.max(0)
+        if out.max() <= tolerance.simple_m:
+            return points[kept]
+        room = tolerance.max_vertices - len(kept)
+        if room <= 0:
+            return points[kept] if out.max() <= left_out else None
+        furthest = np.argmax(beyond, axis=0)[np.argsort(-out)]
+        new = [k for k in dict.fromkeys(furthest.tolist()) if k not in set(kept.tolist())][: min(room, 8)]
+        if not new:
+            return points[kept]
         kept = np.concatenate([kept, new])
-    return points[kept]
 
 
 _DIRECTIONS = even_directions(26)
@@ -159,26 +188,37 @@ def thickened(points: Array, least_m: float) -> Array:
     return points
 
 
-def _patches(looks: _Looks) -> list[_Piece]:
-    """Pieces that face one way and do not stand out: the largest is split for as long as there may be more."""
+def _bare(outside: Outside, pieces: list[_Piece], limit: float) -> NDArray[np.int64]:
+    """The points of the outside that are beyond a plane of every piece by more than `limit`, m."""
+    bare = np.arange(len(outside.points))
+    for piece in pieces:
+        planes = _hull(piece.corners).equations
+        beyond = outside.points[bare] @ planes[:, :3].T + planes[:, 3]
+        bare = bare[beyond.max(1) > limit]
+    return bare
+
+
+def _patches(looks: _Looks, members: NDArray[np.int64], last: bool = False) -> list[_Piece]:
+    """Pieces that face one way and do not stand out: the largest is split for as long as there may be more.
+
+    A few points of no shape are left to what covers their neighbours; the `last` time each becomes a small cube.
+    """
     outside, tolerance = looks.outside, looks.tolerance
-    everything = np.arange(len(outside.points))
-    waiting: list[tuple[float, int, NDArray[np.int64]]] = [(-outside.size, 0, everything)]
+    waiting: list[tuple[float, int, NDArray[np.int64]]] = [(-outside.size, 0, members)] if len(members) else []
     done: list[_Piece] = []
     serial = 0
     while waiting:
         extent, _, members = heapq.heappop(waiting)
-        full = len(done) + len(waiting) + 1 >= tolerance.patches or len(members) < 4
+        small = len(members) < (2 if last else 4)
+        full = len(done) + len(waiting) + 1 >= tolerance.patches
         piece = None
-        if full or -extent < _TINY * tolerance.worst_m or _coherent(outside.normals[members]):
-            points = with_matter(outside, members, tolerance)
-            if looks.between(points, [points])[0] <= tolerance.worst_m / 2:
-                piece = looks.piece(simplified(points, tolerance), members, tolerance.worst_m / 2)
-        if piece is None and full:
-            thin = thickened(outside.points[members], tolerance.least_m / 2)
-            piece = looks.piece(thin, members, np.inf)
+        if small or full or -extent < _TINY * tolerance.worst_m or _coherent(outside.normals[members]):
+            piece = looks.patch(members)
+        if piece is None and (last if small else full):
+            piece = looks.piece(thickened(outside.points[members], tolerance.least_m / 2), members, np.inf)
         if piece is not None:
             done.append(piece)
+        if piece is not None or small:
             continue
         for half in _halves(outside, members):
             serial += 1
@@ -193,17 +233,21 @@ def _coherent(normals: Array) -> bool:
     return length > 0.1 and float((normals @ mean / length > _FACING).mean()) > _MOST
 
 
-def with_matter(outside: Outside, members: NDArray[np.int64], tolerance: Tolerance) -> Array:
-    """Points of a patch, and those behind them halfway through the part."""
+def with_matter(outside: Outside, members: NDArray[np.int64], tolerance: Tolerance, rim: bool) -> Array:
+    """Points of a patch, with `rim` those of its face next to it, so that neighbours overlap, and points behind the
+    patch, halfway through the part."""
     depth = 0.5 * float(outside.depth[members].min())
     length = float(np.linalg.norm(np.ptp(outside.points[members], axis=0)))
     behind = min(depth, max(length, tolerance.least_m)) if np.isfinite(depth) else tolerance.least_m
-    around = outside.around[members].ravel()
-    alike = np.einsum(
-        "ij,ij->i", outside.normals[around], np.repeat(outside.normals[members], outside.around.shape[1], 0)
-    )
-    with_rim = np.union1d(members, around[alike > _SAME_FACE])  # so that neighbours overlap
-    return np.concatenate([outside.points[with_rim], outside.points[members] - behind * outside.normals[members]])
+    points, normals = outside.points[members], outside.normals[members]
+    out = [points, points - behind * normals]
+    if rim:
+        around = outside.around[members]
+        away = outside.points[around] - points[:, None]
+        ahead = np.abs(np.einsum("ijk,ik->ij", away, normals))
+        alike = np.einsum("ijk,ik->ij", outside.normals[around], normals) > _SAME_FACE
+        out.append(outside.points[np.unique(around[alike & (ahead < 0.25 * np.linalg.norm(away, axis=-1))])])
+    return np.concatenate(out)
 
 
 def _halves(outside: Outside, members: NDArray[np.int64]) -> list[NDArray[np.int64]]:
@@ -259,7 +303,8 @@ def _joined(looks: _Looks, pieces: list[_Piece], limit: float, least: int) -> li
             if heap and true > heap[0][0]:
                 heapq.heappush(heap, (true, a, b, both))
                 continue
-        both = looks.piece(simplified(both.corners, looks.tolerance), both.members, limit, _LAST_LOOK)
+        few = simplified(both.corners, looks.tolerance, limit / 2)
+        both = None if few is None else looks.piece(few, both.members, limit, _LAST_LOOK)
         if both is None:
             continue
         del alive[a], alive[b]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from export.model import BASES, AssetModel, Base, LinkModel
 from export.parts import Part, closed_parts
 from export.placement import Placement, PlacementSettings, placed
 from export.urdf import urdf_text
+from freeart21.articulation import PARTS
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
@@ -77,8 +79,8 @@ class ExportSettings:
     velocity: float = 10.0
     """URDF velocity limit, rad/s or m/s: video tells none."""
     base: Base = "free"
-    """Whether the reference part moves freely, as a thing in the hand, or stands fixed in the world: a free one can be
-    fixed by whoever loads it."""
+    """Whether the part that carries moves freely, as a thing in the hand, or stands fixed in the world: a free one can
+    be fixed by whoever loads it."""
     usd: bool | None = None
     """Whether a USD is written; None where usd-core is installed."""
     meshes: MeshSettings = field(default_factory=MeshSettings)
@@ -143,25 +145,24 @@ def export_result(
         settings.scale,
     )
     with only_writer(out), atomic.new_folder(out, ASSET) as aside:
-        shapes = {
-            name: _shape(name, part, getattr(placement, name), placement.solids[name], settings)
-            for name, part in parts.items()
-        }
+        with ThreadPoolExecutor() as pool:  # most of it looks up nearest points, which threads do at once
+            tasks = {name: pool.submit(_shape, name, part, placement, settings) for name, part in parts.items()}
+        shapes = {name: task.result() for name, task in tasks.items()}
         density = DENSITIES[settings.material or DEFAULT] if settings.density is None else settings.density
         if settings.mass is not None:
             density = settings.mass / sum(
                 inertial_of(shape.solid, 1.0, settings.wall).mass for shape in shapes.values()
             )
-        reference, said_reference = _write_link(aside, "reference", shapes["reference"], density, settings)
-        moving, said_moving = _write_link(aside, "moving", shapes["moving"], density, settings)
+        written = {name: _write_link(aside, name, shape, density, settings) for name, shape in shapes.items()}
+        root, child = (written[name][0] for name in sorted(PARTS, key=lambda name: name != placement.root))
         joint = replace(placement.joint, name=_word(placement.joint.name, "joint"))
         guessed = not effects and settings.dynamics == "guessed"
-        if guessed:  # the moving link's frame stands at the pivot
-            effects = guessed_effects(replace(joint, pivot=np.zeros(3)), moving.inertial)
+        if guessed:  # the child link's frame stands at the pivot
+            effects = guessed_effects(replace(joint, pivot=np.zeros(3)), child.inertial)
         model = AssetModel(
             _word(str(source.get("sequence") or "object"), "object"),
-            reference,
-            moving,
+            root,
+            child,
             joint,
             settings.effort,
             settings.velocity,
@@ -171,7 +172,7 @@ def export_result(
         atomic.write_bytes(aside / URDF, urdf_text(model))
         atomic.write_bytes(aside / MJCF, mjcf_text(model))
         source |= {
-            "parts": {"reference": said_reference, "moving": said_moving},
+            "parts": {name: said for name, (_, said) in written.items()},
             **placement.said,
             "mass": _said_of_mass(settings, density),
             "dynamics": {"guessed": guessed},
@@ -231,9 +232,11 @@ class _Shape:
     collision: Collision
 
 
-def _shape(name: str, part: Part, visual: Mesh, solid: Mesh, settings: ExportSettings) -> _Shape:
+def _shape(name: str, part: Part, placement: Placement, settings: ExportSettings) -> _Shape:
+    visual, solid = getattr(placement, name), placement.solids[name]
+    ground = 0.0 if name == placement.root else -float(placement.joint.pivot[2])  # in its link's frame
     try:
-        shape = _Shape(part, visual, solid, convex_parts(solid, settings.collision))
+        shape = _Shape(part, visual, solid, convex_parts(solid, settings.collision, ground))
         inertial_of(solid, 1.0, settings.wall)  # there is a volume
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error
@@ -252,10 +255,12 @@ def _write_link(
     said = {
         **shape.part.said(settings.scale),
         "hulls": len(hulls),
+        "primitives": len(collision.primitives),
         "collision": collision.fidelity.said(),
     }
     inertial = inertial_of(shape.solid, density, settings.wall)
-    return LinkModel(name, f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}", hulls, inertial), said
+    visual_file, picture = f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}"
+    return LinkModel(name, visual_file, picture, hulls, inertial, collision.primitives), said
 
 
 def _said_of_mass(settings: ExportSettings, density: float) -> dict[str, Any]:
@@ -275,8 +280,8 @@ def _asset(folder: Path, model: AssetModel, placement: Placement, source: dict[s
     return Asset(
         folder / URDF,
         model.joint.name,
-        model.reference.name,
-        model.moving.name,
+        "reference",
+        "moving",
         placement.T_canonical_reference,
         placement.state_zero,
         {model.joint.name: model.effects} if model.effects else {},

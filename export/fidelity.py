@@ -10,7 +10,7 @@ import trimesh
 from numba import njit
 from scipy.spatial import cKDTree
 
-from export.outside import Outside
+from export.outside import Outside, even_points
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 
@@ -51,7 +51,7 @@ def measured(outside: Outside, shapes: Sequence[Mesh], seed: int = 0) -> Fidelit
     """
     solids = [trimesh.Trimesh(shape.vertices, shape.faces, process=False) for shape in shapes]
     planes, first, boxes = half_spaces(solids)
-    surface, normals, own, spacing = _sampled(solids, seed)
+    surface, normals, own, spacing = _sampled(solids)
     free = depth_within(surface, own, planes, first, boxes) <= _WITHIN
     surface, normals = surface[free], normals[free]
     excess = outside.excess(surface)
@@ -82,15 +82,16 @@ def _to_planes(x: Array, surface: Array, normals: Array, spacing: float) -> Arra
     return np.asarray(np.hypot(ahead, np.maximum(aside - spacing, 0.0)).min(1))
 
 
-def _sampled(solids: Sequence[trimesh.Trimesh], seed: int) -> tuple[Array, Array, Array, float]:
-    """Points on all shapes, by area: (n, 3), their normals, whose they are, and m between them."""
-    areas = np.array([solid.area for solid in solids])
-    counts = np.maximum(1, np.rint(PER_SHAPES * areas / areas.sum())).astype(int)
-    found = [trimesh.sample.sample_surface(solid, n, seed=seed) for solid, n in zip(solids, counts, strict=True)]
-    normals = [solid.face_normals[sample[1]] for solid, sample in zip(solids, found, strict=True)]
-    points = np.concatenate([np.asarray(sample[0]) for sample in found])
-    spacing = float(np.sqrt(areas.sum() / PER_SHAPES))
-    return points, np.concatenate(normals), np.repeat(np.arange(len(solids)), counts), spacing
+def _sampled(solids: Sequence[trimesh.Trimesh]) -> tuple[Array, Array, Array, float]:
+    """Points on all shapes, their corners, too: (n, 3), their normals, whose they are, and m between them."""
+    each = float(sum(solid.area for solid in solids)) / PER_SHAPES
+    points, normals, own = [], [], []
+    for k, solid in enumerate(solids):
+        between, faces = even_points(solid, each)
+        points += [between, solid.triangles.reshape(-1, 3)]
+        normals += [solid.face_normals[faces], np.repeat(solid.face_normals, 3, axis=0)]
+        own.append(np.full(len(between) + 3 * len(solid.faces), k))
+    return np.concatenate(points), np.concatenate(normals), np.concatenate(own), float(np.sqrt(each))
 
 
 def half_spaces(solids: Sequence[trimesh.Trimesh]) -> tuple[Array, Array, Array]:

@@ -24,19 +24,19 @@ HOLD = 0.01
 GRAVITY = 9.81
 
 
-def guessed_effects(joint: Joint, moving: Inertial) -> tuple[Effect, ...]:
-    """Viscous damping and Coulomb friction of a joint, by inertia and weight of its moving part.
+def guessed_effects(joint: Joint, child: Inertial) -> tuple[Effect, ...]:
+    """Viscous damping and Coulomb friction of a joint, by inertia and weight of the part that hangs on it.
 
     Args:
-        joint: in the frame of `moving`, its link at joint position zero.
-        moving: mass properties of the moving part.
+        joint: in the frame of `child`, its link at joint position zero.
+        child: mass properties of that part.
     """
     if joint.type == "prismatic":
-        inertia, weight = moving.mass, moving.mass * GRAVITY
+        inertia, weight = child.mass, child.mass * GRAVITY
     else:
         axis = joint.axis / np.linalg.norm(joint.axis)
-        arm = moving.centre - joint.pivot
+        arm = child.centre - joint.pivot
         arm = arm - axis * (axis @ arm)
-        inertia = float(axis @ moving.inertia @ axis) + moving.mass * float(arm @ arm)
-        weight = moving.mass * GRAVITY * float(np.linalg.norm(arm))
+        inertia = float(axis @ child.inertia @ axis) + child.mass * float(arm @ arm)
+        weight = child.mass * GRAVITY * float(np.linalg.norm(arm))
     return (ViscousDamping(inertia / SETTLE_S), CoulombFriction(HOLD * weight))

@@ -14,23 +14,26 @@ from freeart21.errors import FreeArtError
 STIFF_FRICTION = {"solreffriction": "0.002 1", "solimpfriction": "0.999 0.999 0.001"}
 """Friction is a soft constraint to MuJoCo, and by its defaults a joint that friction holds creeps: a pendulum was .9 %
 of its swing off after 3 s, with these .2 %, at steps of 1 ms."""
+STIFF_LIMIT = "0.004 1"
+"""A limit is a soft constraint to MuJoCo, too: a lighter's lid hung .4 degrees beyond it by the default of 0.02 s. This
+is twice MuJoCo's own time step, the least that it takes."""
 _ADDITIVE = ("damping", "frictionloss", "armature")  # words that two effects may both say
 
 
 def mjcf_text(model: AssetModel) -> bytes:
-    """The MJCF file: the reference body is free or stands in the world, the moving body hangs on the joint."""
+    """The MJCF file: the root body is free or stands in the world, the other one hangs on the joint."""
     root = ET.Element("mujoco", model=model.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
     assets = ET.SubElement(root, "asset")
     world = ET.SubElement(root, "worldbody")
-    reference = _body(world, model.reference, assets)
+    body = _body(world, model.root, assets)
     if model.base == "free":
-        reference.insert(0, ET.Element("freejoint", name=f"{model.reference.name}_free"))
-    moving = _body(reference, model.moving, assets)
-    moving.set("pos", number_text(*model.joint.pivot))
-    moving.insert(1, _joint(model))
+        body.insert(0, ET.Element("freejoint", name=f"{model.root.name}_free"))
+    child = _body(body, model.child, assets)
+    child.set("pos", number_text(*model.joint.pivot))
+    child.insert(1, _joint(model))
     contact = ET.SubElement(root, "contact")
-    ET.SubElement(contact, "exclude", body1=model.reference.name, body2=model.moving.name)
+    ET.SubElement(contact, "exclude", body1=model.root.name, body2=model.child.name)
     ET.indent(root)
     return ET.tostring(root, encoding="utf-8") + b"\n"
 
@@ -91,6 +94,7 @@ def _joint(model: AssetModel) -> ET.Element:
         type={"revolute": "hinge", "prismatic": "slide"}[joint.type],
         axis=number_text(*joint.axis),
         range=number_text(joint.lower, joint.upper),
+        solreflimit=STIFF_LIMIT,
         actuatorfrcrange=number_text(-model.effort, model.effort),
     )
     for word, said in joint_words(model.effects, joint.name).items():

@@ -35,13 +35,15 @@ class LinkModel:
 
 @dataclass(frozen=True)
 class AssetModel:
-    """The whole asset. The reference link is the root, or nailed to it; the moving link's frame stands at the pivot."""
+    """The whole asset, a tree of two links."""
 
     name: str
-    reference: LinkModel
-    moving: LinkModel
+    root: LinkModel
+    """Stands on the ground, or is nailed to the world."""
+    child: LinkModel
+    """Its frame stands at the pivot."""
     joint: Joint
-    """In the reference link's frame, with finite limits."""
+    """In the root link's frame, with finite limits."""
     effort: float
     """Largest actuator force, N*m or N."""
     velocity: float
@@ -49,7 +51,7 @@ class AssetModel:
     effects: tuple[Effect, ...] = ()
     """What acts on the joint; URDF and MJCF say as much of it as they can."""
     base: Base = "free"
-    """Whether the reference link moves freely or stands still in the world."""
+    """Whether the root link moves freely or stands still in the world."""
 
 
 def number_text(*values: float) -> str:

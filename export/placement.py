@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from export.carving import carved
 from export.joint_range import STATES, TOLERANCE, ZEROS, JointRange, Zero, joint_range, zero_state
 from export.penetration import Overlap
-from export.resting import resting_poses, upright
+from export.resting import FLAT, TOUCHING, carrier_of, resting_poses, settled, upright
 from freeart21 import se3
 from freeart21.articulation import PARTS, Articulation
 from freeart21.errors import FreeArtError
@@ -62,14 +62,16 @@ class PlacementSettings:
 class Placement:
     """The two link frames of an asset and the joint between them.
 
-    At joint position zero the object stands on z = 0, z up; the root link's origin is under the middle of the reference
-    part's box. The moving link's axes are parallel to it there, its origin at the pivot.
+    At joint position zero the object stands on z = 0, z up; the root link's origin is under the middle of what it
+    stands on. The other link's axes are parallel to it there, its origin at the pivot.
     """
 
     T_canonical_reference: Array
     """(4, 4) canonical frame from the reference link's frame."""
+    root: str
+    """The part that carries the object, 'reference' or 'moving': its link is the root of the tree."""
     joint: Joint
-    """In the reference link's frame, its limits those of the URDF joint."""
+    """In the root link's frame, of the other link against it; its limits are those of the URDF joint."""
     state_zero: float
     """URDF joint position at canonical state zero, rad or m."""
     reference: Mesh
@@ -114,25 +116,28 @@ def placed(
         )
     zero, said_zero = zero_state(articulation, found, settings.zero)
     apart, said_penetration = _apart(articulation, found, overlap, tolerance, settings.carve)
-    up, said_up = _up(reconstruction, settings, found, zero)
-    T_canonical_reference = _standing(articulation, up, zero)
-    T_reference_canonical = se3.inverse(T_canonical_reference)
-    T_moving_canonical = T_reference_canonical @ joint.transform(zero)
-    moving = articulation.moving.moved(T_moving_canonical)
-    in_link = joint.moved(T_reference_canonical)
-    pivot = middle(moving)
+    up, carrier, said_up = _up(reconstruction, settings, found, zero)
+    root = "moving" if carrier == "moving" else "reference"
+    T_canonical_root = _standing(articulation, root, up, zero)
+    T_root_canonical = se3.inverse(T_canonical_root)
+    Ts = {"reference": T_root_canonical, "moving": T_root_canonical @ joint.transform(zero)}  # at joint position zero
+    parts = {name: articulation.part(name).moved(Ts[name]) for name in PARTS}
+    child = "reference" if root == "moving" else "moving"
+    in_root = joint.moved(T_root_canonical)
+    pivot = middle(parts[child])
     if joint.type == "revolute":  # the point of the axis nearest to the part: a reconstructed pivot may be far away
-        pivot = in_link.pivot + in_link.axis * (in_link.axis @ (pivot - in_link.pivot))
+        pivot = in_root.pivot + in_root.axis * (in_root.axis @ (pivot - in_root.pivot))
+    to_child = se3.pose(np.eye(3), -pivot)
+    frames = {root: np.eye(4), child: to_child}
+    axis = -in_root.axis if root == "moving" else in_root.axis
     return Placement(
-        T_canonical_reference,
-        replace(in_link, pivot=pivot, lower=found.low - zero, upper=found.high - zero),
+        T_canonical_root @ se3.inverse(frames["reference"]),
+        root,
+        replace(in_root, axis=axis, pivot=pivot, lower=found.low - zero, upper=found.high - zero),
         0.0 - zero,
-        articulation.reference.moved(T_reference_canonical),
-        moving.moved(se3.pose(np.eye(3), -pivot)),
-        {
-            "reference": apart.reference.moved(T_reference_canonical),
-            "moving": apart.moving.moved(se3.pose(np.eye(3), -pivot) @ T_moving_canonical),
-        },
+        parts["reference"].moved(frames["reference"]),
+        parts["moving"].moved(frames["moving"]),
+        {name: apart.part(name).moved(frames[name] @ Ts[name]) for name in PARTS},
         {
             "up": said_up,
             "limits": {"lower": found.low_by, "upper": found.high_by},
@@ -164,29 +169,37 @@ def _apart(
 
 def _up(
     answer: Reconstruction, settings: PlacementSettings, found: JointRange, zero: float
-) -> tuple[NDArray[np.float64], dict[str, Any]]:
-    """(3,) up in the canonical frame, and how it was found."""
+) -> tuple[NDArray[np.float64], str, dict[str, Any]]:
+    """(3,) up in the canonical frame, the part that then carries, and how up was found."""
+    parts = answer.articulation
     if settings.up is not None:
         up = _unit(settings.up, "up")
-        return up, _said("given", up)
+        return up, carrier_of(parts, zero, up), _said("given", up)
     first = _first(answer)
     R_canonical_camera = answer.Ts_camera_reference[first, :3, :3].T
     if settings.gravity is not None:
         _check_still(answer)
         up = -R_canonical_camera @ _unit(settings.gravity, "gravity")
-        return up, _said("gravity", up)
+        return up, carrier_of(parts, zero, up), _said("gravity", up)
     camera_up = R_canonical_camera @ np.array([0.0, -1.0, 0.0])
-    poses = resting_poses(answer.articulation, found.low, found.high, zero)
+    poses = resting_poses(parts, found.low, found.high, zero)
     best = upright(poses, camera_up)
     if best is None:
-        return camera_up, _said("first frame's camera", camera_up)
+        return camera_up, carrier_of(parts, zero, camera_up), _said("first frame's camera", camera_up)
     pose, share = best
-    return pose.up, _said("resting pose", pose.up) | {
-        "share": share,
-        "tipping_rad": pose.tipping,
-        "tipping_worst_rad": pose.worst,
-        "carried_by": pose.carrier,
-    }
+    rest = settled(parts, zero, pose.up)
+    up = pose.up if rest is None or rest @ pose.up < np.cos(FLAT) else rest
+    return (
+        up,
+        pose.carrier,
+        _said("resting pose", up)
+        | {
+            "share": share,
+            "tipping_rad": pose.tipping,
+            "tipping_worst_rad": pose.worst,
+            "carried_by": pose.carrier,
+        },
+    )
 
 
 def _said(how: str, up: NDArray[np.float64]) -> dict[str, Any]:
@@ -214,12 +227,16 @@ def _check_still(answer: Reconstruction) -> None:
         )
 
 
-def _standing(parts: Articulation, up: NDArray[np.float64], zero: float) -> Array:
-    """(4, 4) canonical from reference link: z up, the object on z = 0 at state `zero`, the reference part above it."""
+def _standing(parts: Articulation, root: str, up: NDArray[np.float64], zero: float) -> Array:
+    """(4, 4) canonical from root link: z up, at state `zero` on z = 0 and above it the middle of what it stands on."""
     R = _rotation_with_z(up)
-    turned = [mesh.moved(se3.pose(R.T, np.zeros(3))) for mesh in parts.posed(np.eye(4), zero)]
-    x, y, _ = middle(turned[0])
-    level = min(mesh.vertices[np.unique(mesh.faces), 2].min() for mesh in turned)
+    posed = dict(zip(PARTS, parts.posed(np.eye(4), zero), strict=True))
+    corners = {name: mesh.vertices[np.unique(mesh.faces)] @ R for name, mesh in posed.items()}
+    level = min(points[:, 2].min() for points in corners.values())
+    near = level + TOUCHING * bounding_diagonal(parts.reference, parts.moving)
+    base = corners[root][corners[root][:, 2] < near]
+    base = base if len(base) else corners[root]
+    x, y, _ = 0.5 * (base.min(0) + base.max(0))
     return se3.pose(R, R @ np.array([x, y, level]))
 
 

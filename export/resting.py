@@ -110,6 +110,51 @@ def upright(poses: Sequence[RestingPose], prior: NDArray[np.float64]) -> tuple[R
     return standing[best], float(weights[best] / weights.sum())
 
 
+def carrier_of(object_: Articulation, zero: float, up: NDArray[np.float64]) -> str:
+    """What touches a plane under the object at joint state `zero`: 'reference', 'moving', or 'both'."""
+    heights = [(mesh.vertices[np.unique(mesh.faces)] @ up).min() for mesh in object_.posed(np.eye(4), zero)]
+    near = min(heights) + TOUCHING * bounding_diagonal(object_.reference, object_.moving)
+    touching = [name for name, height in zip(PARTS, heights, strict=True) if height < near]
+    return touching[0] if len(touching) == 1 else "both"
+
+
+def settled(object_: Articulation, zero: float, up: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """(3,) up as the object comes to rest, let go at joint state `zero` with the direction `up` (3,) up; None if flat.
+
+    It rolls over the edges of the hull of both parts for as long as its centre of mass is beyond one. The mean facet
+    under a noisy base is none that it can stand on; this one is, and for a flat base they are the same.
+    """
+    points = np.concatenate([mesh.vertices[np.unique(mesh.faces)] for mesh in object_.posed(np.eye(4), zero)])
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return None
+    centre = centres_of_mass(object_, np.array([zero]))[0]
+    outward, offset = hull.equations[:, :3], hull.equations[:, 3]
+    heights = -(outward @ centre + offset)  # of the centre over each facet
+    steep = -(outward @ up)
+    facet = int(np.argmin(np.where(steep > 1e-9, heights / np.maximum(steep, 1e-9), np.inf)))  # that is right below
+    for _ in range(len(heights)):
+        around = hull.neighbors[facet]
+        corners = points[hull.simplices[facet]]  # neighbour k shares the edge that lies opposite corner k
+        foot = centre + heights[facet] * outward[facet]
+        beyond = [_beyond(foot, corners, k, outward[facet]) for k in range(3)]
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= 0:
+            break
+        facet = int(around[worst])
+    return np.asarray(-outward[facet])
+
+
+def _beyond(foot: NDArray[np.float64], corners: NDArray[np.float64], k: int, normal: NDArray[np.float64]) -> float:
+    """m by which a point in the plane of a triangle lies beyond its edge opposite corner `k`; negative before it."""
+    start, end = corners[(k + 1) % 3], corners[(k + 2) % 3]
+    across = np.cross(end - start, normal)
+    across /= max(float(np.linalg.norm(across)), 1e-15)
+    outwards = across if across @ (corners[k] - start) < 0 else -across
+    return float(outwards @ (foot - start))
+
+
 def _corners(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """The points (n, 3) that are corners of their convex hull; all when they lie in a plane."""
     try:

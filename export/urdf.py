@@ -23,10 +23,10 @@ def urdf_text(model: AssetModel) -> bytes:
     ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", compiler)
     if model.base == "fixed":
         ET.SubElement(robot, "link", name=WORLD)
-        nailed = ET.SubElement(robot, "joint", name=f"{WORLD}_to_{model.reference.name}", type="fixed")
+        nailed = ET.SubElement(robot, "joint", name=f"{WORLD}_to_{model.root.name}", type="fixed")
         ET.SubElement(nailed, "parent", link=WORLD)
-        ET.SubElement(nailed, "child", link=model.reference.name)
-    for link in (model.reference, model.moving):
+        ET.SubElement(nailed, "child", link=model.root.name)
+    for link in (model.root, model.child):
         robot.append(_link(link))
     robot.append(_joint(model))
     ET.indent(robot)
@@ -73,8 +73,8 @@ def _primitive(element: ET.Element, shape: Primitive) -> None:
 def _joint(model: AssetModel) -> ET.Element:
     joint = model.joint
     element = ET.Element("joint", name=joint.name, type=joint.type)
-    ET.SubElement(element, "parent", link=model.reference.name)
-    ET.SubElement(element, "child", link=model.moving.name)
+    ET.SubElement(element, "parent", link=model.root.name)
+    ET.SubElement(element, "child", link=model.child.name)
     ET.SubElement(element, "origin", xyz=number_text(*joint.pivot), rpy="0 0 0")
     ET.SubElement(element, "axis", xyz=number_text(*joint.axis))
     ET.SubElement(

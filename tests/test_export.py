@@ -31,7 +31,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.files.result import write_result
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, middle
 from freeart21.reconstruction import Failure, Reconstruction
 from generator.simulate import joint_motion, load, roll_out
 
@@ -70,7 +70,9 @@ def reconstruction(
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("assets") / "lid"
-    export_result(reconstruction(), out, effects=(ViscousDamping(0.02), CoulombFriction(0.01), ReturnSpring(0.5, 0.2)))
+    hulls = ExportSettings(collision=CollisionSettings(primitives=False))
+    effects = (ViscousDamping(0.02), CoulombFriction(0.01), ReturnSpring(0.5, 0.2))
+    export_result(reconstruction(), out, hulls, effects=effects)
     return out
 
 
@@ -121,14 +123,46 @@ def test_frames_in_which_a_part_was_not_seen_count_as_predicted(tmp_path: Path):
     assert float(ET.parse(asset.urdf).find("joint/limit").get("upper")) == pytest.approx(1.4)
 
 
-def test_root_stands_under_the_middle_of_the_reference_part(tmp_path: Path):
+def test_root_stands_over_the_middle_of_what_touches_the_ground(tmp_path: Path):
     answer = reconstruction(frame=7)
-    asset = export_result(answer, tmp_path / "a")
-    T, whole = se3.inverse(asset.T_canonical_reference), answer.articulation
+    whole = answer.articulation
+    up = middle(whole.moving) - middle(whole.reference)
+    asset = export_result(answer, tmp_path / "a", ExportSettings(placement=PlacementSettings(up=tuple(up))))
+    T = se3.inverse(asset.T_canonical_reference)
     vertices = se3.transform(T, whole.reference.vertices)
     moving = se3.transform(T @ whole.joint.transform(-asset.state_zero), whole.moving.vertices)
-    np.testing.assert_allclose((vertices.min(0) + vertices.max(0))[:2], 0, atol=1e-4)
-    assert min(vertices[:, 2].min(), moving[:, 2].min()) == pytest.approx(0, abs=1e-4)
+    low = min(vertices[:, 2].min(), moving[:, 2].min())
+    assert low == pytest.approx(0, abs=1e-4)
+    base = vertices[vertices[:, 2] < 1e-3, :2]
+    np.testing.assert_allclose(base.min(0) + base.max(0), 0, atol=1e-4)
+
+
+def test_the_part_that_carries_is_the_root_and_moves_the_same_joint(tmp_path: Path):
+    """The same object with its parts' names exchanged: the base still is the root, and nothing else changes."""
+    answer = reconstruction()
+    whole, joint = answer.articulation, answer.articulation.joint
+    T = joint.transform(answer.states)
+    exchanged = replace(
+        answer,
+        articulation=replace(
+            whole, joint=replace(joint, axis=-joint.axis), reference=whole.moving, moving=whole.reference
+        ),
+        Ts_camera_reference=answer.Ts_camera_reference @ T,
+        Ts_camera_moving=answer.Ts_camera_reference @ T @ se3.inverse(T),
+    )
+    upright = ExportSettings(placement=PlacementSettings(up=(0.0, 0.0, 1.0)))
+    first = export_result(answer, tmp_path / "a", upright)
+    asset = export_result(exchanged, tmp_path / "b", upright)
+    assert asset.reference_link == "reference"
+    roots = [ET.parse(each.urdf).find("joint/parent").get("link") for each in (first, asset)]
+    assert roots == ["reference", "moving"]
+    for mesh, same in (("reference", "moving"), ("moving", "reference")):
+        one = trimesh.load_mesh(tmp_path / "a" / "meshes" / f"{mesh}.obj")
+        other = trimesh.load_mesh(tmp_path / "b" / "meshes" / f"{same}.obj")
+        np.testing.assert_allclose(one.bounds, other.bounds, atol=1e-6)
+    limits = [ET.parse(each.urdf).find("joint/limit") for each in (first, asset)]
+    assert float(limits[0].get("upper")) == pytest.approx(float(limits[1].get("upper")))
+    assert check_asset(tmp_path / "b") == []
 
 
 def masses(folder: Path) -> dict[str, float]:
@@ -420,12 +454,12 @@ def l_shape() -> Mesh:
     return Mesh(solid.vertices, solid.faces)
 
 
-def test_concave_part_becomes_several_convex_hulls():
+def test_concave_part_becomes_several_convex_pieces():
     part = l_shape()
     cut = convex_parts(part, CollisionSettings())
-    assert 2 <= len(cut.hulls) <= 8
+    assert 2 <= len(cut.shapes) <= 8
     assert cut.fidelity.median < 1e-4 and cut.fidelity.worst < 2e-3
-    volume = sum(trimesh.Trimesh(h.vertices, h.faces).volume for h in cut.hulls)
+    volume = sum(trimesh.Trimesh(h.vertices, h.faces).volume for h in cut.shapes)
     true = trimesh.Trimesh(part.vertices, part.faces)
     assert true.volume < volume < 1.25 * true.volume  # they overlap a little
     assert true.convex_hull.volume > 1.4 * true.volume
@@ -436,7 +470,7 @@ def test_a_tray_stays_open_and_its_walls_thin():
     hollow = trimesh.creation.box(size - [2 * wall, 2 * wall, 0], se3.pose(np.eye(3), (0, 0, wall)))
     tray = trimesh.boolean.difference([trimesh.creation.box(size), hollow])
     cut = convex_parts(Mesh(tray.vertices, tray.faces), CollisionSettings())
-    solids = [trimesh.Trimesh(hull.vertices, hull.faces) for hull in cut.hulls]
+    solids = [trimesh.Trimesh(hull.vertices, hull.faces) for hull in cut.shapes]
     ball = trimesh.creation.icosphere(2, 0.03).vertices
     for height in (0.1, 0.05, 0.0):  # it falls in, and lies on the floor at last
         inside = [solid.contains(ball + np.array([0.02, -0.03, height])).any() for solid in solids]

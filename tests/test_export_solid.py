@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+from export.collision import CollisionSettings, convex_parts
+from export.decomposition import Tolerance, convex_pieces
+from export.fidelity import measured
 from export.inertia import Inertial
 from export.mjcf import mjcf_text
 from export.model import AssetModel, LinkModel
+from export.outside import even_points, outside_of
+from export.primitive_fit import primitive_of
 from export.primitives import Box, Cylinder, Sphere
 from export.urdf import urdf_text
 from freeart21 import se3
 from freeart21.files.urdf import read_urdf
 from freeart21.joint import Joint
+from freeart21.mesh import Mesh
 
 
 def turned_pose(seed: int) -> np.ndarray:
@@ -57,3 +64,103 @@ def test_primitives_stand_in_urdf_and_mjcf_where_the_model_has_them(tmp_path: Pa
     np.testing.assert_allclose(loaded.geom("reference_collision_02").size[:2], [0.05, 0.2])
     names = [e.get("name") for e in ET.parse(tmp_path / "a.urdf").iter("collision")]
     assert len(set(names)) == len(names) == 5
+
+
+TOLERANCE = Tolerance(1.2e-3, 1e-4, 1e-3, 2500, 60_000, 48)
+
+
+def as_mesh(solid: trimesh.Trimesh) -> Mesh:
+    return Mesh(solid.vertices, solid.faces)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=["box", "cylinder", "sphere"])
+def test_a_part_that_is_a_primitive_is_found_to_be_that_one(shape):
+    outside = outside_of(shape.mesh())
+    (piece,) = convex_pieces(outside, TOLERANCE, 16)
+    found = primitive_of(piece, outside, 1.2e-3)
+    assert type(found) is type(shape)
+    np.testing.assert_allclose(found.T_link_shape[:3, 3], shape.T_link_shape[:3, 3], atol=1e-4)
+    assert trimesh.Trimesh(found.mesh().vertices, found.mesh().faces).volume == pytest.approx(
+        trimesh.Trimesh(shape.mesh().vertices, shape.mesh().faces).volume, rel=0.01
+    )
+    fidelity = measured(outside, [found.mesh()])
+    assert fidelity.median < 3e-4 and fidelity.worst < 1e-3
+
+
+def test_a_wedge_is_no_primitive():
+    wedge = trimesh.convex.convex_hull([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1], [0.1, 0, 0.02]])
+    outside = outside_of(as_mesh(wedge))
+    (piece,) = convex_pieces(outside, TOLERANCE, 16)
+    assert primitive_of(piece, outside, 1.2e-3) is None
+
+
+def test_a_part_of_boxes_is_boxes():
+    """A slab with a block on it: two pieces, both of them boxes."""
+    slab, block = (
+        trimesh.creation.box(size, se3.pose(np.eye(3), at))
+        for size, at in (((0.2, 0.1, 0.01), (0, 0, 0)), ((0.05, 0.1, 0.05), (0.05, 0, 0.03)))
+    )
+    cut = convex_parts(as_mesh(trimesh.boolean.union([slab, block])), CollisionSettings())
+    assert len(cut.primitives) >= 2 and len(cut.hulls) + len(cut.primitives) <= 4
+    assert all(isinstance(shape, Box) for shape in cut.primitives)
+    assert cut.fidelity.median < 2e-4 and cut.fidelity.outward < 2e-3
+    assert convex_parts(as_mesh(slab), CollisionSettings(primitives=False)).primitives == ()
+
+
+def tray(wall: float = 0.002) -> trimesh.Trimesh:
+    size = np.array([0.2, 0.15, 0.08])
+    hollow = trimesh.creation.box(size - [2 * wall, 2 * wall, 0], se3.pose(np.eye(3), (0, 0, wall)))
+    return trimesh.boolean.difference([trimesh.creation.box(size), hollow])
+
+
+def test_a_thin_walled_tray_is_five_plates():
+    outside = outside_of(as_mesh(tray()))
+    pieces = convex_pieces(outside, TOLERANCE, 64)
+    assert len(pieces) <= 8
+    fidelity = measured(outside, [as_mesh(trimesh.convex.convex_hull(piece)) for piece in pieces])
+    assert fidelity.median < 1e-4 and fidelity.outward < 2e-3 and fidelity.uncovered < 1e-3
+
+
+def test_too_few_pieces_follow_as_well_as_they_can():
+    outside = outside_of(as_mesh(tray()))
+    pieces = convex_pieces(outside, replace(TOLERANCE, pairs=1500), 3)
+    assert len(pieces) <= 3
+    assert measured(outside, [as_mesh(trimesh.convex.convex_hull(piece)) for piece in pieces]).outward > 2e-3
+
+
+def test_fidelity_of_known_shapes():
+    """A box of 100 mm under one that is 1 mm larger all round, and under one that lacks its upper 10 mm."""
+    outside = outside_of(as_mesh(trimesh.creation.box((0.1, 0.1, 0.1))))
+    larger = measured(outside, [as_mesh(trimesh.creation.box((0.102, 0.102, 0.102)))])
+    assert larger.median == pytest.approx(1e-3, abs=1e-5) and larger.uncovered == 0
+    assert 1e-3 <= larger.outward <= np.sqrt(3) * 1e-3  # corners, less what lies between points
+    short = trimesh.creation.box((0.1, 0.1, 0.09), se3.pose(np.eye(3), (0, 0, -0.005)))
+    lacking = measured(outside, [as_mesh(short)])
+    assert lacking.median == pytest.approx(0, abs=1e-6) and lacking.outward == pytest.approx(0, abs=1e-6)
+    assert lacking.uncovered == pytest.approx(0.01, rel=0.01)
+
+
+def test_what_nothing_gets_into_is_inside():
+    """A closed hollow in a block is not to be kept open, and its surface not to be covered."""
+    hollow = trimesh.creation.box((0.06, 0.06, 0.06))
+    hollow.invert()
+    block = trimesh.util.concatenate([trimesh.creation.box((0.1, 0.1, 0.1)), hollow])
+    outside = outside_of(as_mesh(block))
+    assert np.abs(outside.points).max(1).min() > 0.049
+    assert len(convex_pieces(outside, TOLERANCE, 16)) == 1
+
+
+def test_an_open_sheet_is_a_plate_behind_it():
+    outside = outside_of(Mesh(np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0.0]]), [[0, 1, 2], [0, 2, 3]]))
+    (piece,) = convex_pieces(outside, TOLERANCE, 16)
+    np.testing.assert_allclose(np.ptp(piece, axis=0), [0.1, 0.1, 0.001], atol=1e-6)
+    assert outside.excess(np.array([[0.05, 0.05, 0.003], [0.05, 0.05, -0.003]])).tolist() == pytest.approx([0.003, 0])
+
+
+def test_even_points_leave_no_gaps():
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    points, faces = even_points(box, box.area / 6000)
+    assert len(points) == pytest.approx(6000, rel=0.01)
+    top = points[box.face_normals[faces][:, 2] > 0.5][:, :2]
+    asked = np.random.default_rng(0).uniform(-0.05, 0.05, (1000, 2))
+    assert np.linalg.norm(asked[:, None] - top, axis=-1).min(1).max() < 2 * np.sqrt(box.area / 6000)

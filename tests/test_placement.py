@@ -254,7 +254,7 @@ def test_open_parts_are_not_carved_and_say_why():
 
 def test_what_would_lose_most_of_itself_is_not_carved():
     slide = Joint("slide", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), -np.inf, np.inf)
-    parts = Articulation(slide, box((0.1, 0.1, 0.1)), box((0.09, 0.09, 0.09)))
+    parts = Articulation(slide, box((0.1, 0.1, 0.1)), box((0.097, 0.097, 0.097)))
     assert "would be cut away" in carved(parts, 0.0, 0.02, TOLERANCE, Overlap(parts))
 
 

@@ -19,8 +19,8 @@ PLAYED = {"viscous_damping", "coulomb_friction", "armature", "return_spring"}
 CREEP = 1e-6  # rad/s or m/s at which the friction's damper is cut off
 
 
-def load(plant: Any, X_WR: Any = None, fixed: bool | None = None) -> Any:
-    """The model instance in `plant` (a discrete MultibodyPlant, not yet finalized), its reference link at `X_WR`.
+def load(plant: Any, X_WB: Any = None, fixed: bool | None = None) -> Any:
+    """The model instance in `plant` (a discrete MultibodyPlant, not yet finalized), its base link at `X_WB`.
 
     `fixed` None takes the asset's own base; a base that was exported fixed stands at the world's origin.
     """
@@ -29,7 +29,7 @@ def load(plant: Any, X_WR: Any = None, fixed: bool | None = None) -> Any:
     from pydrake.multibody.tree import PdControllerGains, PrismaticSpring, RevoluteSpring
 
     said = _said()
-    if said["base"] == "fixed" and (fixed is False or X_WR is not None):
+    if said["base"] == "fixed" and (fixed is False or X_WB is not None):
         raise ValueError(f"{said['urdf']} was exported with a fixed base: it cannot move freely, nor stand elsewhere")
     if said["friction"] and plant.time_step() == 0:
         raise ValueError("the plant is continuous: Drake solves this joint's friction in discrete plants only")
@@ -39,11 +39,11 @@ def load(plant: Any, X_WR: Any = None, fixed: bool | None = None) -> Any:
     parser = Parser(plant)
     parser.SetAutoRenaming(True)  # a plant may hold the asset more than once
     (instance,) = parser.AddModels(Path(__file__).resolve().parent.parent / said["urdf"])
-    reference = plant.GetBodyByName(said["reference_link"], instance)
+    base = plant.GetBodyByName(said["base_link"], instance)
     if fixed and said["base"] == "free":
-        plant.WeldFrames(plant.world_frame(), reference.body_frame(), X_WR or RigidTransform())
-    elif X_WR is not None:
-        plant.SetDefaultFloatingBaseBodyPose(reference, X_WR)
+        plant.WeldFrames(plant.world_frame(), base.body_frame(), X_WB or RigidTransform())
+    elif X_WB is not None:
+        plant.SetDefaultFloatingBaseBodyPose(base, X_WB)
     joint = plant.GetJointByName(said["joint"], instance)
     if said["friction"] or said["armature"]:
         actuator = plant.AddJointActuator(f"{said['joint']}_friction", joint, said["friction"] or float("inf"))

@@ -40,7 +40,7 @@ def load(
     if fixed and said["base"] == "free":
         spec.delete(next(j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_FREE))
     if scene is None:
-        body = spec.body(said["reference_link"])
+        body = spec.body(said["base_link"])
         body.pos, body.quat = position, quaternion
         return spec
     scene.attach(spec, prefix=prefix, frame=scene.worldbody.add_frame(pos=position, quat=quaternion))
