@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from freeart21 import se3
 from freeart21.asset import Asset
@@ -25,7 +26,11 @@ SIDE = 512
 _FINER = 2
 """Pixels, each way, that one of the picture is the mean of."""
 _FROM = (-1.0, -1.4, 0.9)
-"""Where the camera stands from the object."""
+"""Where the camera stands from the object, if all sides show as much of it."""
+_SIDES = 24
+"""Directions round the object that are tried."""
+_HABIT = 0.05
+"""Part of the picture that the opposite side has to show more to be taken instead."""
 _LIGHT = (-0.35, -0.5, 0.8)
 _AMBIENT = 0.55
 """Share of the light that comes from everywhere."""
@@ -47,18 +52,32 @@ def picture_of(asset: Asset) -> NDArray[np.uint8]:
     shown = read_shown(asset.urdf)
     joint = shown.urdf.joints[asset.joint]
     ends = sorted((joint.lower, joint.upper), key=abs)
-    R = _towards(np.array(_FROM))
+    poses = [link_poses(shown.urdf.joints, {**asset.held, asset.joint: q}) for q in ends]
+    every = [
+        se3.transform(Ts[link], piece.mesh.vertices[:: len(piece.mesh.vertices) // 2000 + 1])
+        for Ts in poses
+        for link in shown.visuals
+        for piece in shown.visuals[link]
+    ]
+    R = _towards(_best_eye(np.concatenate(every)))
     boxes, drawn = [], []
-    for q in ends:
-        Ts = link_poses(shown.urdf.joints, {**asset.held, asset.joint: q})
+    for Ts in poses:
         points = [p for link in shown.visuals for p in _seen(shown, link, Ts[link], R)]
         drawn.append(points)
         boxes += [piece[0] for piece in points]
-    every = np.concatenate(boxes)
-    low, high = every.min(0), every.max(0)
+    low, high = np.concatenate(boxes).min(0), np.concatenate(boxes).max(0)
     scale = _FILL * SIDE * _FINER / max(float((high - low)[:2].max()), 1e-9)
     shift = 0.5 * SIDE * _FINER - scale * 0.5 * (low + high)[:2]
     return np.hstack([_drawn(pieces, scale, shift, R) for pieces in drawn])
+
+
+def _best_eye(points: Array) -> Array:
+    """(3,) where to stand: the side from which points (n, 3), of both states, cover most of the picture."""
+    turns = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    eyes = se3.exp_so3(turns[:, None] * np.array([0.0, 0.0, 1.0])) @ np.array(_FROM)
+    covers = [ConvexHull(points @ _towards(eye)[:2].T).volume for eye in eyes]
+    habit = 1 - _HABIT * np.abs(np.remainder(turns + np.pi, 2 * np.pi) - np.pi) / np.pi
+    return np.asarray(eyes[int(np.argmax(covers * habit))])
 
 
 def _towards(eye: Array) -> Array:

@@ -164,3 +164,35 @@ def test_even_points_leave_no_gaps():
     top = points[box.face_normals[faces][:, 2] > 0.5][:, :2]
     asked = np.random.default_rng(0).uniform(-0.05, 0.05, (1000, 2))
     assert np.linalg.norm(asked[:, None] - top, axis=-1).min(1).max() < 2 * np.sqrt(box.area / 6000)
+
+
+def test_pieces_end_at_the_ground_whatever_they_stand_out_by():
+    """A slab whose underside is rough by half a millimetre: what touches the ground lies in one plane."""
+    solid = trimesh.creation.box((0.2, 0.1, 0.02)).subdivide().subdivide().subdivide().subdivide()
+    under = solid.vertices[:, 2] < -0.0099
+    solid.vertices[under, 2] += np.random.default_rng(0).uniform(0, 5e-4, under.sum())
+    ground = float(solid.vertices[:, 2].min())
+    cut = convex_parts(as_mesh(solid), CollisionSettings(), ground)
+    heights = np.concatenate([shape.vertices[:, 2] for shape in cut.shapes]) - ground
+    assert heights.min() == pytest.approx(0, abs=5e-5)
+    assert not ((heights > 5e-5) & (heights < 1e-3)).any()
+    standing = np.concatenate([shape.vertices for shape in cut.shapes])[heights < 5e-5]
+    np.testing.assert_allclose(np.ptp(standing[:, :2], axis=0), [0.2, 0.1], atol=2e-3)
+    assert cut.fidelity.median < 5e-4 and cut.fidelity.outward < 2e-3
+
+
+def test_inside_of_a_hollow_corner_is_inside():
+    """Next to where a block meets a slab, inside of both, the nearest faces look away or along."""
+    parts = [
+        trimesh.creation.box(size, se3.pose(np.eye(3), at))
+        for size, at in (
+            ((0.2, 0.1, 0.01), (0, 0, 0)),
+            ((0.05, 0.1, 0.05), (0.05, 0, 0.03)),
+        )
+    ]
+    outside = outside_of(as_mesh(trimesh.boolean.union(parts)))
+    x = np.linspace(0.027, 0.05, 200)
+    inside = np.stack([x, np.linspace(-0.04, 0.04, 200), np.full(200, 0.0052)], -1)
+    assert outside.excess(inside).max() == 0
+    beyond = np.stack([0.1 + np.linspace(0.002, 0.01, 50), np.zeros(50), np.full(50, 0.006)], -1)  # a convex edge
+    np.testing.assert_allclose(outside.excess(beyond), np.hypot(beyond[:, 0] - 0.1, 0.001), atol=1.5 * outside.spacing)

@@ -16,7 +16,7 @@ from export.exporter import ExportSettings, export_result
 from export.joint_range import TOLERANCE, joint_range, seen_end, zero_state
 from export.penetration import Overlap
 from export.placement import Placement, PlacementSettings, placed
-from export.resting import resting_poses
+from export.resting import carrier_of, centres_of_mass, resting_poses, settled
 from export.winding import Winding
 from freeart21 import se3
 from freeart21.articulation import Articulation
@@ -250,6 +250,45 @@ def test_open_parts_are_not_carved_and_say_why():
     parts = replace(parts, moving=parts.moving.with_faces(np.arange(12) > 1))
     said = stands(seen_as(parts, np.linspace(-0.3, 0.5, 9))).said["penetration"]
     assert said["carved"] is None and said["not_carved_because"] == "the moving part is not closed"
+
+
+def test_a_thin_drawer_leaves_nothing_standing_in_its_way():
+    """A drawer of 1 mm walls pulled by 0.2 m out of a block that fills its place: copies of it leave films between."""
+    slide = Joint("slide", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), -np.inf, np.inf)
+    tray = trimesh.boolean.difference(
+        [
+            trimesh.creation.box((0.2, 0.1, 0.05)),
+            trimesh.creation.box((0.198, 0.098, 0.05), se3.pose(np.eye(3), (0, 0, 0.001))),
+        ]
+    )
+    parts = Articulation(slide, box((0.3, 0.2, 0.1), (-0.05, 0, 0)), Mesh(tray.vertices, tray.faces))
+    cut = carved(parts, 0.0, 0.2, TOLERANCE, Overlap(parts))
+    assert cut.name == "reference"
+    apart = replace(parts, reference=cut.mesh)
+    assert Overlap(apart).deepest(np.linspace(0, 0.2, 37)).max() <= TOLERANCE
+    assert cut.volume == pytest.approx(0.2 * 0.1 * 0.05, rel=0.02)  # what the front wall sweeps, and the floor
+
+
+def test_what_lies_down_comes_to_rest_on_three_corners_about_its_centre():
+    """A box whose underside is bent, let go askew: it rolls until its centre of mass is over what it stands on."""
+    rng = np.random.default_rng(3)
+    parts = lidded()
+    base = parts.reference
+    under = base.vertices[:, 2] < 0
+    bent = base.vertices - np.where(under[:, None], [0, 0, 1], 0) * rng.uniform(0, 0.004, (8, 1))
+    parts = replace(parts, reference=Mesh(bent, base.faces))
+    askew = np.array([0.05, -0.04, 1.0]) / np.linalg.norm([0.05, -0.04, 1.0])
+    up = settled(parts, 0.0, askew)
+    points = np.concatenate([mesh.vertices for mesh in parts.posed(np.eye(4), 0.0)])
+    heights = points @ up
+    feet = points[heights < heights.min() + 1e-9]
+    assert len(feet) == 3 and up @ [0, 0, 1] > np.cos(0.05)
+    centre = centres_of_mass(parts, np.array([0.0]))[0]
+    weights = np.linalg.solve(
+        np.vstack([(feet - np.outer(feet @ up, up)).T + up[:, None], np.ones(3)])[:3], centre - (centre @ up) * up + up
+    )
+    assert (weights > 0).all() and weights.sum() == pytest.approx(1)
+    assert carrier_of(parts, 0.0, up) == "reference" and carrier_of(parts, 0.0, -up) == "moving"
 
 
 def test_what_would_lose_most_of_itself_is_not_carved():
