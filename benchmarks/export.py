@@ -31,7 +31,7 @@ from export.exporter import ExportSettings, export_result
 from export.fidelity import measured
 from export.outside import outside_of
 from export.penetration import Overlap
-from freeart21 import catalog, se3
+from freeart21 import catalog
 from freeart21.articulation import Articulation
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
@@ -72,7 +72,7 @@ GOALS = (
     Goal("up_deg", 5.0, "deg", "z from the maker's up"),
     Goal("beyond", 1.0, "deg or mm", "limits beyond the maker's"),
     Goal("short", 0.0, "deg or mm", "states of the video, by the truth, outside the limits"),
-    Goal("deep_mm", 0.5, "mm", "parts in each other, anywhere in the range"),
+    Goal("deep_mm", 0.5, "mm", "what collides of the parts in each other, anywhere in the range, as the exporter says"),
     Goal("mass_pc", 20.0, "%", "a part's mass from the truth's, at its density"),
     Goal("collision_mm", 0.5, "mm", "surface to collision shapes, median"),
     Goal("collision_worst_mm", 2.0, "mm", "surface to collision shapes, worst"),
@@ -200,17 +200,18 @@ def figures(
     """
     shown = read_shown(asset.urdf)
     link = shown.urdf.joints[asset.joint]
-    joint = Joint(link.name, _typed(link.joint_type), link.axis, np.zeros(3), link.lower, link.upper)
     Ts = link_poses(shown.urdf.joints, {**asset.held, asset.joint: 0.0})
-    T_reference_moving = se3.inverse(Ts[asset.reference_link]) @ Ts[asset.moving_link]
-    visual = [_joined(shown, name, "visuals") for name in (asset.reference_link, asset.moving_link)]
-    joint = joint.moved(T_reference_moving)
-    parts = Articulation(joint, visual[0], visual[1].moved(T_reference_moving))
+    names = (asset.reference_link, asset.moving_link)
+    visual = [_joined(shown, name, "visuals") for name in names]
+    axis = -link.axis if link.child == asset.reference_link else link.axis
+    joint = Joint(link.name, _typed(link.joint_type), axis, np.zeros(3), link.lower, link.upper).moved(Ts[link.child])
+    parts = Articulation(joint, *(mesh.moved(Ts[name]) for mesh, name in zip(visual, names, strict=True)))
     swapped = _swapped(result, truth)
     return {
         **_standing(asset, parts, result, truth, swapped),
         **_limits(asset, link.lower, link.upper, result, truth),
-        "deep_mm": 1e3 * float(Overlap(parts).deepest(np.linspace(link.lower, link.upper, STATES)).max()),
+        "deep_mm": 1e3 * float(asset.source["penetration"]["deepest_m"]),
+        "deep_visual_mm": 1e3 * float(Overlap(parts).deepest(np.linspace(link.lower, link.upper, STATES)).max()),
         **_solids(asset, shown, volumes[::-1] if volumes and swapped else volumes),
         **_shapes(asset, shown, visual),
         "undamped": float(not (link.damping > 0 or link.friction > 0)),
@@ -341,7 +342,7 @@ def _missed(row: dict[str, Any]) -> int:
 
 
 def _print(console: Console, source: str, rows: list[dict[str, Any]]) -> None:
-    columns = [goal.column for goal in GOALS] + ["shapes", "pieces", "vertices_a_face"]
+    columns = [goal.column for goal in GOALS] + ["deep_visual_mm", "shapes", "pieces", "vertices_a_face"]
     table = Table(title=f"of {source}: worst first", box=None)
     table.add_column("object")
     for column in columns:

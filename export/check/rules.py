@@ -53,7 +53,7 @@ ENGINE_RULES: dict[str, Rule] = {
     "joint.stops": Rule("pushed on, each joint stays within its limits", "closing it"),
     "energy.falls": Rule("moving freely, its energy never rises by more than 2 %", "stability"),
     "rest.drift": Rule("left on a plane, no link moves by more than 1 mm or 0.01 rad", "standing still"),
-    "rest.oscillation": Rule("left on a plane, no velocity changes its sign three times", "standing still"),
+    "rest.oscillation": Rule("left on a plane, no link swings back three times", "standing still"),
 }
 """What is tried in each engine."""
 RULES = FILE_RULES | ENGINE_RULES

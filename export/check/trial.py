@@ -41,8 +41,9 @@ DRIFT_M, DRIFT_RAD = 1e-3, 1e-2
 """arXiv 2605.19136: an asset at rest drifts by no more."""
 TURNS = 3
 """The same: so many changes of a velocity's sign are an oscillation."""
-STILL = 1e-3
-"""m/s and, ten times it, rad/s below which a velocity has no sign: 0.1 mm to and fro at 1.6 Hz."""
+SWING = 0.1
+"""Part of the allowed drift by which a body has to swing back for its velocity to count as turned, .1 mm or .001 rad:
+PyBullet lets a lid hop by .0005 rad for ever on a limit that gravity holds it at."""
 STATED = ("engine.tree", "engine.limits", "engine.masses", "engine.poses")
 MOVED = ("joint.moves", "joint.stops", "energy.falls", "rest.drift", "rest.oscillation")
 
@@ -329,10 +330,9 @@ class Trial:
         if drift.verdict == "fail":
             return [drift, self._row("rest.oscillation", "skip", "it did not stay")]
         settled = round(SETTLE_S / SAMPLE_S)
-        velocity = np.diff(at[settled:], axis=0) / SAMPLE_S
         R = Ts[settled:, :, :3, :3]
-        spin = se3.log_so3(R[1:] @ np.swapaxes(R[:-1], -1, -2)) / SAMPLE_S
-        turns = max(_sign_changes(velocity, STILL), _sign_changes(spin, 10 * STILL))
+        spun = se3.log_so3(R @ np.swapaxes(R[:1], -1, -2))
+        turns = max(_reversals(at[settled:], SWING * DRIFT_M), _reversals(spun, SWING * DRIFT_RAD))
         what = "changes of a velocity's sign"
         return [drift, self._held("rest.oscillation", turns, TURNS - 1, "", what)]
 
@@ -368,12 +368,21 @@ def _stack(poses: Mapping[str, Array], names: list[str]) -> Array:
     return np.stack([poses[name] for name in names])
 
 
-def _sign_changes(velocity: NDArray[np.float64], still: float) -> int:
-    """The most changes of sign of one component of velocities (n, ...), where those below `still` have none."""
+def _reversals(path: NDArray[np.float64], swing: float) -> int:
+    """How often one component of a path (n, ...) turns round, at most; by less than `swing` it has not turned."""
     most = 0
-    for component in velocity.reshape(len(velocity), -1).T:
-        signs = np.sign(component[np.abs(component) > still])
-        most = max(most, int((np.diff(signs) != 0).sum()))
+    for component in path.reshape(len(path), -1).T:
+        low = high = component[0]
+        way, count = 0, 0
+        for value in component:
+            low, high = min(low, value), max(high, value)
+            if way >= 0 and value < high - swing:
+                count += way > 0
+                way, low = -1, value
+            elif way <= 0 and value > low + swing:
+                count += way < 0
+                way, high = 1, value
+        most = max(most, count)
     return most
 
 
