@@ -96,7 +96,7 @@ def main(
 
     Args:
         data: The data folder (`freeart21 record --split public --out data/v1`).
-        results: A method's results; without them only truths are exported.
+        results: A method's results, of all sequences or some; without them only truths are exported.
         sequences: These alone.
         engines: Engines of check-asset to try; all that are installed when not given.
         video: Bake textures from the videos.
@@ -109,6 +109,9 @@ def main(
     for source in ("truth", "reconstruction") if results else ("truth",):
         rows = []
         for name in benchmark.chosen(sequences or None):
+            if source == "reconstruction" and results is not None and not (results / name).is_dir():
+                console.print(f"{source}: {name}: no result in {results}", highlight=False)
+                continue
             rows.append(_row(source, name, benchmark, results, engines, video, work))
             console.print(f"{source}: {name}: {rows[-1]['status']}", highlight=False)
         tables[source] = rows

@@ -104,7 +104,7 @@ def half_spaces(solids: Sequence[trimesh.Trimesh]) -> tuple[Array, Array, Array]
     return np.concatenate(planes), first, boxes
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def depth_within(x: Array, own: Array, planes: Array, first: Array, boxes: Array) -> Array:
     """(k,) m by which points `x` (k, 3) are inside of a shape that is not their `own` (k,); -1 where of none."""
     out = np.full(len(x), -1.0)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -11,6 +15,8 @@ from freeart21.se3 import Array
 
 LEAF = 8
 """Triangles that a leaf of the tree may hold."""
+MANY = 2_000
+"""Points from which on threads are worth their start."""
 FAR = 2.0
 """Radii of a node from its middle beyond which all its triangles are one dipole (Barill et al. 2018, who take 2)."""
 
@@ -28,15 +34,23 @@ class Winding:
 
     def number(self, points: Array) -> Array:
         """(n,) winding number at points (n, 3)."""
-        points = np.ascontiguousarray(points, float)
-        number: Array = _number(points, self._corners, self._nodes, self._first, self._count, self._right, FAR)
-        return number
+        return self._each(_number, points, FAR)
 
     def distance(self, points: Array) -> Array:
         """(n,) to the nearest triangle from points (n, 3)."""
+        return self._each(_distance, points)
+
+    def _each(self, kernel: Callable[..., Array], points: Array, *more: float) -> Array:
+        """(n,) what a kernel says of points (n, 3), on all cores when there are many."""
         points = np.ascontiguousarray(points, float)
-        distance: Array = _distance(points, self._corners, self._nodes, self._first, self._count, self._right)
-        return distance
+
+        def of(some: Array) -> Array:
+            return kernel(some, self._corners, self._nodes, self._first, self._count, self._right, *more)
+
+        if len(points) < MANY:
+            return of(points)
+        with ThreadPoolExecutor() as pool:
+            return np.concatenate(list(pool.map(of, np.array_split(points, os.cpu_count() or 1))))
 
 
 def _tree(
@@ -81,7 +95,7 @@ def _dipoles(corners: Array, normals: Array, first: NDArray[np.int64], count: ND
     return nodes
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _number(points, corners, nodes, first, count, right, far):
     found = np.zeros(len(points))
     stack = np.empty(128, np.int64)
@@ -106,7 +120,7 @@ def _number(points, corners, nodes, first, count, right, far):
     return found
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _distance(points, corners, nodes, first, count, right):
     found = np.empty(len(points))
     stack = np.empty(128, np.int64)
@@ -131,14 +145,14 @@ def _distance(points, corners, nodes, first, count, right):
     return found
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _clear(node, p):
     """Distance from p that no triangle of a node can be below."""
     x, y, z = node[0] - p[0], node[1] - p[1], node[2] - p[2]
     return np.sqrt(x * x + y * y + z * z) - node[3]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _to_triangle(p, triangle):
     s, t = _nearest(p, triangle)
     x = p[0] - (1 - s - t) * triangle[0, 0] - s * triangle[1, 0] - t * triangle[2, 0]
@@ -147,12 +161,12 @@ def _to_triangle(p, triangle):
     return np.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _dot(ax, ay, az, bx, by, bz):
     return ax * bx + ay * by + az * bz
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _nearest(p, triangle):
     """Barycentric coordinates (second, third corner) of a triangle's point nearest to p (Ericson 2005, 5.1.5)."""
     ux, uy, uz = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
@@ -181,7 +195,7 @@ def _nearest(p, triangle):
     return vb / total, vc / total
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _solid_angle(triangle, x, y, z):
     """Of a triangle (3, 3) seen from a point (van Oosterom and Strackee 1983)."""
     ax, ay, az = triangle[0, 0] - x, triangle[0, 1] - y, triangle[0, 2] - z

@@ -34,6 +34,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh, middle
 from freeart21.reconstruction import Failure, Reconstruction
 from generator.simulate import joint_motion, load, roll_out
+from leaderboard.asset_joint import measured_joint
 
 RED, BLUE = (200, 30, 20), (20, 40, 220)
 
@@ -163,6 +164,11 @@ def test_the_part_that_carries_is_the_root_and_moves_the_same_joint(tmp_path: Pa
     limits = [ET.parse(each.urdf).find("joint/limit") for each in (first, asset)]
     assert float(limits[0].get("upper")) == pytest.approx(float(limits[1].get("upper")))
     assert check_asset(tmp_path / "b") == []
+    asked = np.array([0.0, 0.3, 0.8])
+    expected = exchanged.articulation.joint.transform(asked)
+    np.testing.assert_allclose(joint_motion(asset, asked), expected, atol=1e-6)
+    scored, states = measured_joint(tmp_path / "b", asked)
+    np.testing.assert_allclose(scored.transform(states), expected, atol=1e-5)
 
 
 def masses(folder: Path) -> dict[str, float]:
