@@ -53,6 +53,8 @@ _OBJECT_FILES = 107
 """Files of an object, and of a sequence but for its pictures: the mean of freeart21-v1."""
 _BYTES_OF_LINE = 102
 """Of a line of benchmark.json, without the sequence's name: the picture's path and its hash."""
+_PATHS = ("effects", "partnet_root", "track")
+"""Settings that are paths."""
 _PATIENCE_S = 3.0
 """How long the lock is waited for: the workers of a killed recorder need a moment to notice."""
 
@@ -485,7 +487,7 @@ def record_one(out: str, name: str, sequence: str, settings: dict[str, Any]) -> 
 
     It holds the recorder's lock as long as it works, so that none comes after it to the same folder.
     """
-    paths = {key: None if settings[key] is None else Path(settings[key]) for key in ("effects", "partnet_root")}
+    paths = {key: None if settings[key] is None else Path(settings[key]) for key in _PATHS}
     handle = os.open(Path(out) / WORK / "lock", os.O_RDWR)
     try:
         fcntl.flock(handle, fcntl.LOCK_SH)
