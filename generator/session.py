@@ -26,7 +26,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.se3 import Array
 from freeart21.truth import Truth
-from generator import objects, partnet
+from generator import objects, partnet, urdf_folder
 from generator.frame_writer import FrameWriter
 from generator.model import ObjectModel
 from generator.motion import MOTIONS, PRESETS, Plan, motion_range, plan_motion
@@ -41,7 +41,11 @@ from generator.scene import Picture, Scene, simulator
 from generator.sensor import check_sensor, make_sensor
 from generator.truth_mesh import outer_faces, visible_faces
 
-LICENCES = {"procedural": "CC0-1.0", "partnet": "PartNet-Mobility terms of use; not to be redistributed"}
+LICENCES = {
+    "procedural": "CC0-1.0",
+    "partnet": "PartNet-Mobility terms of use; not to be redistributed",
+    "urdf": "that of the object",
+}
 """Licence of a recording by the source of its object."""
 
 ACCESS = "https://sapien.ucsd.edu/downloads"
@@ -95,6 +99,8 @@ class RecordSettings:
     """Share of the released joint's range, from its lower limit, at which it is let go; None draws it from the seed."""
     partnet_root: Path | None = None
     """Folder that holds PartNet-Mobility objects, one folder an id."""
+    urdf: Path | None = None
+    """The object's own URDF, of an object that is in no catalog."""
     joint: str | None = None
     """Scored joint; None takes the catalog's, or the only movable one."""
     skip_missing: bool = False
@@ -153,9 +159,11 @@ class RecordSettings:
         facts = asdict(self)
         del facts["partnet_root"]
         facts["effects"] = None if self.effects is None else checked.read_json(self.effects)
-        for later in ("let_go", "track"):
+        for later in ("let_go", "track", "urdf"):
             if getattr(self, later) is None:
                 del facts[later]  # what was recorded before there was a choice
+        if self.urdf is not None:
+            facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_folder.digest(self.urdf)}
         if self.track is not None:
             facts["track"] = {"name": self.track.name, "sha256": file_sha256(self.track)}
         return facts
@@ -171,7 +179,7 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
     if (work / "truth").is_dir():
         return
     atomic.sweep(work)
-    entry = catalog.find(name, partnet=settings.partnet_root is not None)
+    entry = entry_of(name, settings)
     loaded = load_object(entry, settings, work / "object")
     released = settings.motion == "release" and entry.source == "procedural"
     session = Session(loaded, settings, work, progress, build(entry.name, settings) if released else None)
@@ -194,11 +202,21 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
         raise atomic.cannot_write(work / "truth", error) from error
 
 
+def entry_of(name: str, settings: RecordSettings) -> catalog.CatalogEntry:
+    """The catalog's entry of `name`, or one made for the settings' URDF or a number of PartNet-Mobility's."""
+    if settings.urdf is not None:
+        return catalog.CatalogEntry(name, "unknown", None, None, "urdf", None)
+    return catalog.find(name, partnet=settings.partnet_root is not None)
+
+
 def load_object(entry: catalog.CatalogEntry, settings: RecordSettings, place: Path) -> partnet.PartNetObject:
     """The object of the catalog's `entry`, loaded from its PartNet-Mobility folder.
 
-    A procedural object's folder is made in `place`, of the preset's size, unless it is there; others are the user's.
+    A procedural object's folder is made in `place`, of the preset's size, unless it is there, and so is one of a URDF;
+    others are the user's.
     """
+    if settings.urdf is not None:
+        return urdf_folder.load_urdf(settings.urdf, place / entry.name, settings.joint, settings.skip_missing)
     folder = place / entry.name if entry.source == "procedural" else partnet_folder(entry.name, settings.partnet_root)
     if entry.source == "procedural" and not folder.is_dir():
         write_partnet(build(entry.name, settings), folder)
