@@ -20,6 +20,7 @@ from freeart21.files import atomic, checked
 from freeart21.files.asset import EFFECTS_SCHEMA
 from freeart21.files.benchmark import file_sha256
 from freeart21.files.sequence import MAX_SIDE, encode_depth, write_header, write_queries
+from freeart21.files.take import MAX_TAKE_BYTES
 from freeart21.files.truth import write_truth
 from freeart21.formats.captured import read_track
 from freeart21.joint import Joint
@@ -138,6 +139,8 @@ class RecordSettings:
             )
         if (self.motion == TRACK) != (self.track is not None):
             raise FreeArtError("the motion track needs the file of a take, and only it has one; expected track:FILE")
+        if self.track is not None:
+            checked.require_file(self.track, MAX_TAKE_BYTES)
         motions = (*MOTIONS, TRACK)
         named = ("motion", self.motion, motions), ("preset", self.preset, PRESETS), ("shader", self.shader, SHADERS)
         for what, value, known in named:
@@ -254,7 +257,7 @@ def _tracked(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Ca
     s, preset, take = settings, PRESETS[settings.preset], read_track(settings.track)
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
     stretch = tracks.resampled(take, s.fps, s.frames)
-    states, told = tracks.fitted(stretch.states, take, loaded.joint, body.lower, body.upper)
+    states, told = tracks.fitted(stretch.states, take, body)
     R_first = None
     if take.poses == "first":
         scripted = plan_motion("tumble", body.meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset)

@@ -12,14 +12,13 @@ from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.take import Take
-from freeart21.joint import Joint
 from freeart21.se3 import Array
 from generator.motion.body import Body
 from generator.motion.framing import extent, placed_as_moved
 from generator.motion.plan import Plan, Preset
 
 MOST_FRAMES = 100_000
-_CLOCK = 1e-6  # of a frame: times in files are rounded
+_ROUNDING = 1e-6  # of a frame, and of a way: numbers in files are rounded
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ class Stretch:
 
 def frames_of(take: Take, fps: float) -> int:
     """How many frames, `fps` a second, a take lasts; the first is its first sample."""
-    frames = float(np.ptp(take.times)) * fps + _CLOCK + 1
+    frames = float(np.ptp(take.times)) * fps + _ROUNDING + 1
     if frames > MOST_FRAMES:
         raise FreeArtError(f"{take.name} lasts {np.ptp(take.times):.0f} s, expected at most {MOST_FRAMES / fps:.0f} s")
     return int(frames)
@@ -54,27 +53,28 @@ def resampled(take: Take, fps: float, frames: int) -> Stretch:
     times = np.minimum(take.times[0] + np.arange(count) / fps, take.times[-1])
     states = np.interp(times, take.times, take.states)
     moved = np.ptp(np.lib.stride_tricks.sliding_window_view(states, frames), axis=1)
-    first = int(np.argmax(moved))
+    first = int(np.argmax(moved >= (1 - _ROUNDING) * moved.max()))  # the last digits decide nothing
     part = slice(first, first + frames)
     return Stretch(_between(take.times, take.Ts, times[part]), states[part], first / fps)
 
 
-def fitted(states: Array, take: Take, joint: Joint, lower: float, upper: float) -> tuple[Array, dict[str, Any]]:
-    """The states (n,) of a take for `joint`, and what was done to them.
+def fitted(states: Array, take: Take, body: Body) -> tuple[Array, dict[str, Any]]:
+    """The states (n,) of a take for the body's joint, and what was done to them.
 
-    As they are where all of the take is within `lower` to `upper`, the joint's range, and of its type; else the take's
-    range becomes the joint's. Raises FreeArtError when it must and the take's joint stands still.
+    As they are where the joint is of the take's type and reaches all of its states; else the take's range becomes the
+    joint's. Raises FreeArtError when it must and the take's joint stands still.
     """
-    low, high = float(take.states.min()), float(take.states.max())
-    if take.joint_type == joint.type and lower <= low and high <= upper:
+    joint, low, high = body.joint, float(take.states.min()), float(take.states.max())
+    if take.joint_type == joint.type and joint.lower <= low and high <= joint.upper:
         return states, {"states": "as taken"}
     if not high > low:
         raise FreeArtError(
-            f"{take.name}: its joint stands still at {low:.4g}, which joint '{joint.name}' cannot do: "
-            f"{joint.type}, {lower:.4g} to {upper:.4g}"
+            f"{take.name}: its joint ({take.joint_type}) stands still at {low:.4g}, where joint '{joint.name}' cannot "
+            f"be: {joint.type}, {body.lower:.4g} to {body.upper:.4g}"
         )
-    told = {"states": "scaled", "from": [take.joint_type, low, high], "to": [joint.type, lower, upper]}
-    return np.clip(lower + (states - low) / (high - low) * (upper - lower), lower, upper), told
+    told = {"states": "scaled", "from": [take.joint_type, low, high], "to": [joint.type, body.lower, body.upper]}
+    shares = (states - low) / (high - low)
+    return np.clip(body.state(shares), body.lower, body.upper), told
 
 
 def tracked(
