@@ -1,8 +1,9 @@
 """Any URDF with meshes, brought into the shape of a PartNet-Mobility folder, which the one loader reads.
 
 Meshes (OBJ, STL, PLY) become OBJ files with a picture for every colour. A visual that the URDF gives a colour has it;
-else the mesh's own materials count, else it is grey. Collision shapes are left out; joints, inertia, origins and
-scales stay as they are. What a mesh names must lie in the URDF's folder.
+else the mesh's own materials count, else it is grey. A mesh that bounds no volume (open, or faces of it turned round)
+is drawn twice, once a side, as PartNet-Mobility's are: renderers show a face from its front alone. Collision shapes are
+left out; joints, inertia, origins and scales stay as they are. What a mesh names must lie in the URDF's folder.
 """
 
 from __future__ import annotations
@@ -81,6 +82,7 @@ def write_folder(urdf: Path, folder: Path, skip_missing: bool = False) -> Path:
                     link.remove(visual)
                     continue
                 count += 1
+                surface = surface if _bounds_volume(surface) else _both_sides(surface)
                 for own in visual.findall("material"):
                     visual.remove(own)
                 mesh = visual.find("geometry/mesh")
@@ -126,6 +128,16 @@ def _read_plain(path: Path, ending: str) -> Surface:
         raise FreeArtError(f"{path} has vertices that are not finite or beyond {_BEYOND:g}")
     count = len(vertices)
     return Surface(vertices, faces, np.zeros((count, 2)), np.zeros(count, np.int64), (Paint(_GREY),))
+
+
+def _bounds_volume(surface: Surface) -> bool:
+    """Whether the surface is closed and its faces all look out of it."""
+    return bool(trimesh.Trimesh(surface.vertices, surface.faces, process=True).is_volume)
+
+
+def _both_sides(surface: Surface) -> Surface:
+    """The surface, and once more with its faces turned round."""
+    return Surface.joined([surface, replace(surface, faces=surface.faces[:, ::-1])])
 
 
 def _write(surface: Surface, folder: Path, stem: str) -> str:

@@ -346,6 +346,18 @@ def test_a_urdf_of_anybody_is_recorded_and_its_truth_is_what_is_seen(case: Path,
     assert verify_deep(data) == []
 
 
+def test_open_meshes_are_seen_from_both_sides(case: Path, tmp_path: Path) -> None:
+    """A tray of one layer, its lid open: rays meet the inside of its walls, and so must the picture."""
+    tray = trimesh.creation.box((0.1, 0.1, 0.04))
+    tray.update_faces(tray.face_normals[:, 2] < 0.5)
+    tray.export(case.parent / "box.obj")
+    assert len(load_urdf(case, tmp_path / "made").parent_side.surface.faces) == 20
+    assert len(load_urdf(case, tmp_path / "made").child_side.surface.faces) == 12
+    take = arctic(tmp_path / "a.npy", np.linspace(0, 2, 12), turn=0.03)
+    record(str(case), tmp_path / "data", dataclasses.replace(SMALL, motion="track", track=take))
+    assert verify_deep(tmp_path / "data") == []
+
+
 def _without(text: str, what: str) -> str:
     return re.sub(what, "", text, flags=re.S)
 

@@ -27,6 +27,7 @@ _FIXED = {
     "fov_y_degrees": None,
     "fps": 30.0,
     "joint": None,
+    "track": None,
     "effects": None,
     "skip_missing": False,
     "edge": 0.02,
@@ -176,7 +177,6 @@ def _recording(benchmark: Benchmark, name: str, sensor: str) -> list[str]:
     source = checked.read_json(benchmark.truth(name) / "truth.json").get("source") or {}
     settings = source.get("settings") or {}
     other = next((key for key, value in _FIXED.items() if settings.get(key, value) != value), None)
-    other = "track" if "track" in settings else other
     if source.get("object_source") != "procedural" or not all(key in settings for key in _RECORDED) or other:
         why = f"it has {other} {settings.get(other)}" if other else "it is no recording of an object of ours"
         raise FreeArtError(f"{name} cannot be recorded with another sensor: {why}; leave out the rows of `sensors`")
