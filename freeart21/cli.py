@@ -179,15 +179,16 @@ def record(
     May be stopped at any moment: the same command goes on, and the data are the same to the last byte.
 
     Args:
-        names: Objects of the catalog (`freeart21 objects`), PartNet-Mobility ids, or `all`: freeart21-v1 or, with
-            --partnet-root, the 21 of the official FreeArt-21. With --seed or --motion: the 21 built-in ones.
+        names: Objects of the catalog (`freeart21 objects`), URDFs as PATH.urdf, PartNet-Mobility ids, or `all`:
+            freeart21-v1 or, with --partnet-root, the 21 of the official FreeArt-21. With --seed or --motion: the 21
+            built-in ones.
         out: Data folder; sequences are added to it.
         frames: Frames a sequence; 300 when not given, or as many as a take lasts.
         seed: Seed of shape, motion, sensor and views; 0 when not given.
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf or ROOT/dataset/41083.
-        joint: Joint of a PartNet-Mobility object that moves, where the catalog names none.
-        skip_missing: Leave out meshes that a PartNet-Mobility object names but does not have and, with `all`, objects
-            that are not in --partnet-root.
+        joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
+        skip_missing: Leave out meshes that an object names but does not have and, with `all`, objects that are not in
+            --partnet-root.
         motion: tumble (when not given), inspect, wave, turntable, static_base, release, or track:FILE: a take that is
             replayed, of which --frames are those over which the joint moves most.
         preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).

@@ -26,6 +26,8 @@ from generator.model import SHINE
 from generator.partnet_files import MAX_OBJ_BYTES, Gaps, read_obj
 from generator.surface import Paint, Surface
 
+_NOTES = "notes.json"
+"""What the URDF's folder lacks, kept beside what was made of it."""
 _GREY = np.full(3, 153, np.uint8)
 _OTHERS = (".stl", ".ply")
 _BEYOND = 1e6  # a coordinate beyond this is no object's
@@ -57,7 +59,9 @@ def load_urdf(urdf: Path, folder: Path, joint: str | None = None, skip_missing: 
     try:
         if not folder.is_dir():
             write_folder(urdf, folder, skip_missing)
-        return partnet.load(folder, scored)
+        loaded = partnet.load(folder, scored)
+        told = checked.read_json(folder / _NOTES)["notes"]
+        return replace(loaded, notes=(*told, *loaded.notes))
     except atomic.CannotWrite:
         raise
     except FreeArtError as error:
@@ -67,6 +71,7 @@ def load_urdf(urdf: Path, folder: Path, joint: str | None = None, skip_missing: 
 def write_folder(urdf: Path, folder: Path, skip_missing: bool = False) -> Path:
     """Write the new folder `folder` with mobility.urdf, OBJ meshes and pictures of what `urdf` shows."""
     read, robot = partnet.read_tree(urdf), parsed(urdf)
+    gaps = Gaps()
     with atomic.new_folder(folder) as aside:
         count = 0
         for element in [*robot]:
@@ -77,7 +82,7 @@ def write_folder(urdf: Path, folder: Path, skip_missing: bool = False) -> Path:
                 link.remove(collision)
             shapes = read.links[link.get("name", "")].visuals
             for visual, shape in zip(link.findall("visual"), shapes, strict=True):
-                surface = _surface(shape, urdf, f"{urdf}: link '{link.get('name')}'", skip_missing)
+                surface = _surface(shape, urdf, f"{urdf}: link '{link.get('name')}'", skip_missing, gaps)
                 if surface is None or len(surface.faces) == 0:
                     link.remove(visual)
                     continue
@@ -88,11 +93,12 @@ def write_folder(urdf: Path, folder: Path, skip_missing: bool = False) -> Path:
                 mesh = visual.find("geometry/mesh")
                 assert mesh is not None
                 mesh.set("filename", f"textured_objs/{_write(surface, aside, f'mesh-{count}')}")
+        atomic.write_json(aside / _NOTES, {"notes": gaps.notes()})
         atomic.write_bytes(aside / partnet.URDF_NAME, ET.tostring(robot))
     return folder
 
 
-def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool) -> Surface | None:
+def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, gaps: Gaps) -> Surface | None:
     """What a visual shows, in its mesh's own frame; None where its file is absent and may be."""
     if shape.kind != "mesh" or not shape.filename:
         raise FreeArtError(f"{where} has a visual that is a {shape.kind or 'nothing'}, expected <mesh filename=...>")
@@ -103,11 +109,12 @@ def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool) -> Su
         raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected .obj, {' or '.join(_OTHERS)}")
     if not path.is_file():
         if skip_missing:
+            gaps.meshes.add(shape.filename)
             return None
         raise FreeArtError(
             f"{where} names the mesh {shape.filename}, which does not exist; --skip-missing leaves absent meshes out"
         )
-    surface = read_obj(path, urdf.parent, Gaps()) if ending == ".obj" else _read_plain(path, ending)
+    surface = read_obj(path, urdf.parent, gaps) if ending == ".obj" else _read_plain(path, ending)
     if shape.rgba is None:
         return surface
     colour = Paint(np.rint(255 * np.clip(shape.rgba[:3], 0, 1)).astype(np.uint8))

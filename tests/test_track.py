@@ -44,7 +44,7 @@ needs_objects = pytest.mark.skipif(not (SHARED / "urdf_objects").is_dir(), reaso
 def moved(times: np.ndarray) -> np.ndarray:
     """Poses (n, 4, 4) of a steady turn and a straight way: between samples both are known."""
     far = np.array([0.01, -0.02, 0.6]) + times[:, None] * [0.02, 0.01, 0.03]
-    return se3.pose(se3.exp_so3((0.3 + 0.9 * times)[:, None] * AXIS), far)
+    return se3.pose(se3.exp_so3((0.3 + 0.9 * times)[:, None] * AXIS) @ se3.exp_so3([0.3, 0.5, -0.2]), far)
 
 
 def bent(times: np.ndarray) -> np.ndarray:
@@ -396,6 +396,16 @@ def test_broken_meshes_and_names_are_said_in_a_line(case: Path) -> None:
     case.rename(case.parent / "a case.urdf")
     with pytest.raises(FreeArtError, match="cannot name a recording"):
         jobs_of([str(case.parent / "a case.urdf")], SMALL)
+
+
+def test_what_a_urdf_lacks_is_noted_also_when_it_was_made_before(case: Path, tmp_path: Path) -> None:
+    second = '<visual><geometry><mesh filename="knob.stl"/></geometry></visual>'
+    case.write_text(URDF.replace('<link name="box">', f'<link name="box">{second}'))
+    with pytest.raises(FreeArtError, match="knob.stl, which does not exist; --skip-missing"):
+        load_urdf(case, tmp_path / "made")
+    for _ in range(2):
+        loaded = load_urdf(case, tmp_path / "made", skip_missing=True)
+        assert loaded.notes == ("absent meshes are left out: knob.stl",)
 
 
 def test_a_wheel_without_limits_takes_any_state(case: Path, tmp_path: Path) -> None:
