@@ -212,9 +212,11 @@ def record(
     from generator.motion.track import frames_of
     from generator.recorder import RecordSettings, built_in_names
 
-    track = None if motion is None or not motion.startswith("track:") else Path(motion.removeprefix("track:"))
+    track = None
+    if motion is not None and motion.startswith("track:"):
+        motion, file = "track", motion.removeprefix("track:")
+        track = Path(file) if file else None
     if track is not None:
-        motion = "track"
         lasts = frames_of(read_track(track), RecordSettings.fps)
         frames = lasts if frames is None else min(frames, lasts)
     settings = RecordSettings(

@@ -278,7 +278,11 @@ def test_the_command_takes_the_take_s_length_unless_told(tmp_path: Path, monkeyp
     assert [(s.frames, s.motion, s.track) for s in asked] == [(n, "track", take) for n in (61, 40, 61)]
     cli.record(("stapler",), tmp_path / "data")
     assert (asked[-1].frames, asked[-1].motion, asked[-1].track) == (300, "tumble", None)
-    for motion, said in (("track", "needs the file of a take"), (f"track:{tmp_path / 'b'}", "b is missing")):
+    for motion, said in (
+        ("track", "needs the file"),
+        ("track:", "needs the file"),
+        (f"track:{tmp_path / 'b'}", "b is missing"),
+    ):
         with pytest.raises(FreeArtError, match=said):
             cli.record(("stapler",), tmp_path / "data", motion=motion)
 
