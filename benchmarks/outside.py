@@ -7,7 +7,7 @@ takes by path what is there of
   scripted motion. In the order of their numbers the sensors take turns: noise2, tof;
 - captured motion (ARCTIC): how people moved a laptop, a mixer and a ketchup bottle, the files
   SUBJECT_OBJECT_use_TAKE.object.npy. The first take of each, the stretch over which the joint moves most, replayed on
-  the built-in object of the like joint;
+  the built-in object of the like joint (`freeart21 record --motion track:FILE`);
 - videos with depth: folders of a camera's pictures (rgb/, depth/, masks/, cam_K.txt). They have no truth: what is found
   is told;
 what is absent, or cannot be recorded, is left out and said so. All is solved from one geometry with the Gaussians and
@@ -19,16 +19,11 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
-from unittest import mock
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 from rich.table import Table
 
 from benchmarks.common import RESULTS, ROOT, commit, machine
@@ -58,13 +53,8 @@ from freeart21.files.urdf import read_urdf_joints
 from freeart21.formats import rgbd_folder
 from freeart21.formats.convert import convert
 from freeart21.reconstruction import Failure
-from freeart21.se3 import Array
-from generator import session
 from generator.dataset import Job, jobs_of, record_jobs
-from generator.motion.body import Body
-from generator.motion.framing import placed
-from generator.motion.plan import PRESETS, Plan
-from generator.session import RecordSettings
+from generator.session import TRACK, RecordSettings
 from reconstruct import VERSION
 from reconstruct.cache import code_digest, work_folder
 from reconstruct.pipeline import reconstruct_folder
@@ -88,8 +78,6 @@ class Clip:
     """Whose data it is of, and their name of it."""
     settings: RecordSettings
     object: str
-    take: Path | None = None
-    """The captured motion; None for scripted motion."""
 
 
 @dataclass(frozen=True)
@@ -153,10 +141,10 @@ def main(
         except FreeArtError as error:
             left_out[clip.name] = str(error)
             continue
-        keys = {name: key_of(its, job.described(), _digest(clip.take)) for name, its in variants.items()}
+        keys = {name: key_of(its, job.described()) for name, its in variants.items()}
         here = {} if fresh else known_outcomes({job.sequence: keys}, places, folder)
         tasks = tasks_of(job, keys, folder, places, variants, _geometry(work), here)
-        if clip.take is not None:
+        if clip.settings.track is not None:
             tasks = [replace(task, motion="captured") for task in tasks]
         found |= here | (solve_all([tasks], 1, 0) if tasks else {})
     told: list[Told] = []
@@ -218,8 +206,8 @@ def clips_of(partnet: Path, mocap: Path, frames: int) -> tuple[list[Clip], dict[
     for k, (thing, name) in enumerate(CAPTURED.items()):
         takes = sorted(mocap.glob(f"*_{thing}_use_*.object.npy"))
         if takes:
-            settings = _settings(frames, SENSORS[k % len(SENSORS)])
-            clips.append(Clip(thing, f"ARCTIC {takes[0].name}", settings, name, takes[0]))
+            settings = replace(_settings(frames, SENSORS[k % len(SENSORS)]), motion=TRACK, track=takes[0])
+            clips.append(Clip(thing, f"ARCTIC {takes[0].name}", settings, name))
         else:
             left_out[thing] = f"there is no take of it in {mocap}"
     return clips, left_out
@@ -231,63 +219,10 @@ def _settings(frames: int, sensor: str) -> RecordSettings:
 
 def _recorded(clip: Clip, data: Path) -> tuple[Path, Job]:
     """The data folder that holds the clip, recorded unless it is there, and how it was recorded."""
-    folder = data / ("scripted" if clip.take is None else "captured")
+    folder = data / ("scripted" if clip.settings.track is None else "tracks")
     job = jobs_of([clip.object], clip.settings)[0]
-    with nullcontext() if clip.take is None else _moved_by(read_take(clip.take, clip.settings.frames)):
-        record_jobs(folder, [job])
+    record_jobs(folder, [job])
     return folder, job
-
-
-@dataclass(frozen=True)
-class Take:
-    """A stretch of captured motion."""
-
-    states: Array
-    """(n,) of the joint, as shares of the take's range."""
-    turns: Array
-    """(n, 3, 3) how the object has turned since the first frame, in the world."""
-
-
-def read_take(path: Path, frames: int) -> Take:
-    """The `frames` frames of a take, an array (n, 7), over which its joint moves most.
-
-    A row: the joint (rad), the object's turn (axis times angle, rad), its place (mm). Raises FreeArtError.
-    """
-    import cv2
-
-    try:
-        rows: NDArray[np.float64] = np.asarray(np.load(path, allow_pickle=False), float)
-    except (OSError, ValueError) as error:
-        raise FreeArtError(f"{path} is not an array: {error}") from error
-    if rows.ndim != 2 or rows.shape[1] != 7 or len(rows) < frames or not np.isfinite(rows).all():
-        raise FreeArtError(f"{path} has shape {rows.shape}, expected ({frames} or more, 7) finite numbers")
-    q = rows[:, 0]
-    moved = [np.ptp(q[i : i + frames]) for i in range(len(q) - frames + 1)]
-    begin = int(np.argmax(moved))
-    if not moved[begin] > 0:
-        raise FreeArtError(f"{path}: the joint does not move")
-    stretch = slice(begin, begin + frames)
-    Rs = np.stack([cv2.Rodrigues(row[1:4])[0] for row in rows[stretch]])
-    return Take((q[stretch] - q.min()) / np.ptp(q), Rs @ Rs[0].T)
-
-
-@contextmanager
-def _moved_by(take: Take) -> Iterator[None]:
-    """Recordings made inside turn, and work their joint over its range, as in `take`; framed as scripted ones are."""
-    planned = session.planned
-
-    def changed(loaded: Any, settings: RecordSettings, model: Any = None) -> Any:
-        camera, plan = planned(loaded, settings, model)
-        body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
-        states = body.lower + take.states * (body.upper - body.lower)
-        n = len(states)
-        Rs = take.turns @ plan.Ts_camera_object[0, :3, :3]  # begun as seen in scripted motion: both sides show
-        clock = np.arange(n, dtype=float)
-        Ts = placed(Rs, np.zeros((n, 3)), clock, states, body, camera, PRESETS[settings.preset], False)
-        return camera, Plan(Ts, states, plan.Ts_camera_world)
-
-    with mock.patch.object(session, "planned", changed):
-        yield
 
 
 def _geometry(work: Path) -> Path:
@@ -295,8 +230,8 @@ def _geometry(work: Path) -> Path:
     return work / "results" / "geometry"
 
 
-def _digest(path: Path | None) -> str | None:
-    return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 # --- a video without a truth ------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ class CatalogEntry:
     """Of the scored joint; None when only the object's files can tell."""
     size_m: float | None
     """Approximate diagonal, metres; None for PartNet-Mobility, whose unit is not metric (its diagonals are about 2)."""
-    source: Literal["procedural", "partnet"]
+    source: Literal["procedural", "partnet", "urdf"]
     joint: str | None
     """Name of the scored joint; None when it must be named by the user."""
     note: str = ""

@@ -154,7 +154,7 @@ def objects(as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> Non
 def record(
     names: Annotated[tuple[str, ...], Positional],
     out: Path,
-    frames: int = 300,
+    frames: int | None = None,
     seed: int | None = None,
     partnet_root: Path | None = None,
     joint: str | None = None,
@@ -179,16 +179,18 @@ def record(
     May be stopped at any moment: the same command goes on, and the data are the same to the last byte.
 
     Args:
-        names: Objects of the catalog (`freeart21 objects`), PartNet-Mobility ids, or `all`: freeart21-v1 or, with
-            --partnet-root, the 21 of the official FreeArt-21. With --seed or --motion: the 21 built-in ones.
+        names: Objects of the catalog (`freeart21 objects`), URDFs as PATH.urdf, PartNet-Mobility ids, or `all`:
+            freeart21-v1 or, with --partnet-root, the 21 of the official FreeArt-21. With --seed or --motion: the 21
+            built-in ones.
         out: Data folder; sequences are added to it.
-        frames: Frames a sequence.
+        frames: Frames a sequence; 300 when not given, or as many as a take lasts.
         seed: Seed of shape, motion, sensor and views; 0 when not given.
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf or ROOT/dataset/41083.
-        joint: Joint of a PartNet-Mobility object that moves, where the catalog names none.
-        skip_missing: Leave out meshes that a PartNet-Mobility object names but does not have and, with `all`, objects
-            that are not in --partnet-root.
-        motion: tumble (when not given), inspect, wave, turntable, static_base, or release.
+        joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
+        skip_missing: Leave out meshes that an object names but does not have and, with `all`, objects that are not in
+            --partnet-root.
+        motion: tumble (when not given), inspect, wave, turntable, static_base, release, or track:FILE: a take that is
+            replayed, of which --frames are those over which the joint moves most.
         preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).
         sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
         effects: effects.json of the joint that is let go, for the motion release.
@@ -204,17 +206,27 @@ def record(
         shader: SAPIEN's camera shader: default, or trivial (unlit, fast).
         executor: Where they record: local (this machine), ray or slurm (--out on a file system that all machines see).
     """
+    from freeart21.formats.captured import read_track
     from generator import v1
     from generator.dataset import is_unfinished, jobs_of, official_names, procedural_jobs, record_jobs
+    from generator.motion.track import frames_of
     from generator.recorder import RecordSettings, built_in_names
 
+    track = None
+    if motion is not None and motion.startswith("track:"):
+        motion, file = "track", motion.removeprefix("track:")
+        track = Path(file) if file else None
+    if track is not None:
+        lasts = frames_of(read_track(track), RecordSettings.fps)
+        frames = lasts if frames is None else min(frames, lasts)
     settings = RecordSettings(
-        frames=frames,
+        frames=300 if frames is None else frames,
         seed=seed or 0,
         width=width,
         height=height,
         queries=queries,
         motion=motion or "tumble",
+        track=track,
         preset=preset,
         sensor=sensor,
         effects=effects,

@@ -12,6 +12,7 @@ import fcntl
 import json
 import os
 import shutil
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -35,9 +36,10 @@ from freeart21.files import atomic, checked
 from freeart21.files.benchmark import JOB_SCHEMA, WORK, is_unfinished, read_benchmark, write_benchmark
 from freeart21.files.lock import release, take
 from freeart21.files.places import check_growing
-from generator import partnet
+from freeart21.files.urdf import MAX_URDF_BYTES
+from generator import partnet, urdf_folder
 from generator.progress import Board, progress_board
-from generator.session import ACCESS, RecordSettings, partnet_folder, record_object
+from generator.session import ACCESS, RecordSettings, entry_of, load_object, partnet_folder, record_object
 
 __all__ = ["WORK", "Job", "Label", "is_unfinished", "jobs_of", "official_names", "procedural_jobs", "record_jobs"]
 
@@ -53,6 +55,8 @@ _OBJECT_FILES = 107
 """Files of an object, and of a sequence but for its pictures: the mean of freeart21-v1."""
 _BYTES_OF_LINE = 102
 """Of a line of benchmark.json, without the sequence's name: the picture's path and its hash."""
+_PATHS = ("effects", "partnet_root", "track", "urdf")
+"""Settings that are paths."""
 _PATIENCE_S = 3.0
 """How long the lock is waited for: the workers of a killed recorder need a moment to notice."""
 
@@ -87,19 +91,28 @@ class Label:
 
 
 def jobs_of(names: Sequence[str], settings: RecordSettings) -> list[Job]:
-    """A job for each of `names`: objects of the catalog or, given settings.partnet_root, PartNet-Mobility ids.
+    """A job for each of `names`: objects of the catalog, paths of URDFs or, given settings.partnet_root,
+    PartNet-Mobility ids.
 
     Sequences are called such as 'stapler-s0' or '41083-joint_2-s0': the joint is named unless it is a procedural
-    object's own. Raises FreeArtError when a name is unknown or a PartNet-Mobility object is unfit.
+    object's own. Raises FreeArtError when a name is unknown, or an object of others is unfit.
     """
     settings.check()
-    jobs = []
+    given, jobs = settings, []
     for name in dict.fromkeys(names):
-        entry = catalog.find(name, partnet=settings.partnet_root is not None)
+        settings = given
+        if name.lower().endswith(".urdf"):
+            settings = replace(given, urdf=checked.require_file(Path(name), MAX_URDF_BYTES))
+            name = urdf_folder.object_name(Path(name))
+        entry = entry_of(name, settings)
         joint, notes = settings.joint or entry.joint, tuple[str, ...]()
         if entry.source == "partnet":
             folder = partnet_folder(name, settings.partnet_root)
             loaded = partnet.load(folder, joint, settings.skip_missing)
+            joint, notes = loaded.joint.name, loaded.notes
+        elif entry.source == "urdf":
+            with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
+                loaded = load_object(entry, settings, Path(place))
             joint, notes = loaded.joint.name, loaded.notes
         own = entry.source == "procedural" and joint == entry.joint
         middle = "" if own else f"-{joint}"
@@ -485,7 +498,7 @@ def record_one(out: str, name: str, sequence: str, settings: dict[str, Any]) -> 
 
     It holds the recorder's lock as long as it works, so that none comes after it to the same folder.
     """
-    paths = {key: None if settings[key] is None else Path(settings[key]) for key in ("effects", "partnet_root")}
+    paths = {key: None if settings[key] is None else Path(settings[key]) for key in _PATHS}
     handle = os.open(Path(out) / WORK / "lock", os.O_RDWR)
     try:
         fcntl.flock(handle, fcntl.LOCK_SH)

@@ -138,6 +138,8 @@ def _asset(folder: Path, truth: Truth, out: Path, partnet_root: Path | None) -> 
     """The object with the inertia that its release had, no effects, in the truth's frames."""
     source = truth.source
     own = source.get("object_source") == "procedural"
+    if source.get("object_source") == "urdf":
+        raise FreeArtError(f"{folder} is of a URDF of its own ({source['object']}), whose files no truth keeps")
     home = folder / "object" if own else partnet_folder(str(source["object"]), partnet_root)
     shutil.copytree(home, out)
     loaded = partnet.load(out, str(source["joint"]), skip_missing=bool(source["settings"].get("skip_missing")))

@@ -113,7 +113,7 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
     if not urdf.is_file():
         raise FreeArtError(f"{folder} is not a PartNet-Mobility object: it has no {URDF_NAME}")
     meta = _meta(folder)
-    read = _read_tree(urdf)
+    read = read_tree(urdf)
     joints = read.joints
     scored = movable_joint(urdf, joint or meta.get("scored_joint"))
     if not scored.lower < scored.upper:
@@ -175,7 +175,7 @@ def _meta_notes(meta: dict, folder: Path) -> list[str]:
     return [] if ours or said == folder.name else [f"meta.json calls the object {said}; the folder's name is kept"]
 
 
-def _read_tree(urdf: Path) -> Urdf:
+def read_tree(urdf: Path) -> Urdf:
     """The URDF; FreeArtError when it is not one tree of links, or a joint is not understood.
 
     (SAPIEN would take an unknown type for a fixed joint, and fails without saying where for much else.)

@@ -18,16 +18,22 @@ from freeart21.effects import Effect, effect_from_json
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import EFFECTS_SCHEMA
+from freeart21.files.benchmark import file_sha256
 from freeart21.files.sequence import MAX_SIDE, encode_depth, write_header, write_queries
+from freeart21.files.take import MAX_TAKE_BYTES
 from freeart21.files.truth import write_truth
+from freeart21.formats.captured import read_track
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.se3 import Array
 from freeart21.truth import Truth
-from generator import objects, partnet
+from generator import objects, partnet, urdf_folder
 from generator.frame_writer import FrameWriter
 from generator.model import ObjectModel
 from generator.motion import MOTIONS, PRESETS, Plan, motion_range, plan_motion
+from generator.motion import track as tracks
+from generator.motion.body import Body
+from generator.motion.planner import world_of
 from generator.partnet_writer import write_partnet
 from generator.progress import Progress
 from generator.queries import PlannedQuery, plan_queries
@@ -36,7 +42,11 @@ from generator.scene import Picture, Scene, simulator
 from generator.sensor import check_sensor, make_sensor
 from generator.truth_mesh import outer_faces, visible_faces
 
-LICENCES = {"procedural": "CC0-1.0", "partnet": "PartNet-Mobility terms of use; not to be redistributed"}
+LICENCES = {
+    "procedural": "CC0-1.0",
+    "partnet": "PartNet-Mobility terms of use; not to be redistributed",
+    "urdf": "that of the object",
+}
 """Licence of a recording by the source of its object."""
 
 ACCESS = "https://sapien.ucsd.edu/downloads"
@@ -44,6 +54,9 @@ ACCESS = "https://sapien.ucsd.edu/downloads"
 
 _PICTURES = ("sequence/rgb", "sequence/depth", "sequence/mask", "side")
 """What a frame leaves in the work folder, one picture each; `side` is true and goes to the truth only."""
+
+TRACK = "track"
+"""The motion that is a take's: `RecordSettings.track` names its file."""
 
 SHADERS = ("default", "trivial")
 """SAPIEN's camera shaders that give all the recorder needs."""
@@ -74,7 +87,9 @@ class RecordSettings:
     queries: int = 20
     """Held-out views."""
     motion: str = "tumble"
-    """How the object is moved: one of `generator.motion.MOTIONS`."""
+    """How the object is moved: one of `generator.motion.MOTIONS`, or TRACK."""
+    track: Path | None = None
+    """File of the take that the motion TRACK replays (`freeart21.formats.captured.read_track`)."""
     preset: str = "handheld"
     """How large the object is and how far away: one of `generator.motion.PRESETS`."""
     sensor: str = "clean"
@@ -85,6 +100,8 @@ class RecordSettings:
     """Share of the released joint's range, from its lower limit, at which it is let go; None draws it from the seed."""
     partnet_root: Path | None = None
     """Folder that holds PartNet-Mobility objects, one folder an id."""
+    urdf: Path | None = None
+    """The object's own URDF, of an object that is in no catalog."""
     joint: str | None = None
     """Scored joint; None takes the catalog's, or the only movable one."""
     skip_missing: bool = False
@@ -120,7 +137,12 @@ class RecordSettings:
                 f"cannot record pictures of {self.width} x {self.height}; expected at most {MAX_SIDE} a side and "
                 f"{MOST_PIXELS} pixels (4096 x 4096) in all: readers take no larger ones"
             )
-        named = ("motion", self.motion, MOTIONS), ("preset", self.preset, PRESETS), ("shader", self.shader, SHADERS)
+        if (self.motion == TRACK) != (self.track is not None):
+            raise FreeArtError("the motion track needs the file of a take, and only it has one; expected track:FILE")
+        if self.track is not None:
+            checked.require_file(self.track, MAX_TAKE_BYTES)
+        motions = (*MOTIONS, TRACK)
+        named = ("motion", self.motion, motions), ("preset", self.preset, PRESETS), ("shader", self.shader, SHADERS)
         for what, value, known in named:
             if value not in known:
                 raise FreeArtError(f"unknown {what} '{value}'; {what}s: {', '.join(known)}")
@@ -140,8 +162,13 @@ class RecordSettings:
         facts = asdict(self)
         del facts["partnet_root"]
         facts["effects"] = None if self.effects is None else checked.read_json(self.effects)
-        if self.let_go is None:
-            del facts["let_go"]  # what was recorded before there was a choice
+        for later in ("let_go", "track", "urdf"):
+            if getattr(self, later) is None:
+                del facts[later]  # what was recorded before there was a choice
+        if self.urdf is not None:
+            facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_folder.digest(self.urdf)}
+        if self.track is not None:
+            facts["track"] = {"name": self.track.name, "sha256": file_sha256(self.track)}
         return facts
 
 
@@ -155,7 +182,7 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
     if (work / "truth").is_dir():
         return
     atomic.sweep(work)
-    entry = catalog.find(name, partnet=settings.partnet_root is not None)
+    entry = entry_of(name, settings)
     loaded = load_object(entry, settings, work / "object")
     released = settings.motion == "release" and entry.source == "procedural"
     session = Session(loaded, settings, work, progress, build(entry.name, settings) if released else None)
@@ -178,11 +205,21 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
         raise atomic.cannot_write(work / "truth", error) from error
 
 
+def entry_of(name: str, settings: RecordSettings) -> catalog.CatalogEntry:
+    """The catalog's entry of `name`, or one made for the settings' URDF or a number of PartNet-Mobility's."""
+    if settings.urdf is not None:
+        return catalog.CatalogEntry(name, "unknown", None, None, "urdf", None)
+    return catalog.find(name, partnet=settings.partnet_root is not None)
+
+
 def load_object(entry: catalog.CatalogEntry, settings: RecordSettings, place: Path) -> partnet.PartNetObject:
     """The object of the catalog's `entry`, loaded from its PartNet-Mobility folder.
 
-    A procedural object's folder is made in `place`, of the preset's size, unless it is there; others are the user's.
+    A procedural object's folder is made in `place`, of the preset's size, unless it is there, and so is one of a URDF;
+    others are the user's.
     """
+    if settings.urdf is not None:
+        return urdf_folder.load_urdf(settings.urdf, place / entry.name, settings.joint, settings.skip_missing)
     folder = place / entry.name if entry.source == "procedural" else partnet_folder(entry.name, settings.partnet_root)
     if entry.source == "procedural" and not folder.is_dir():
         write_partnet(build(entry.name, settings), folder)
@@ -202,6 +239,8 @@ def planned(
     preset, s = PRESETS[settings.preset], settings
     fov_y = preset.fov_y_degrees if s.fov_y_degrees is None else s.fov_y_degrees
     camera = Camera.from_fov(s.width, s.height, np.radians(fov_y))
+    if s.motion == TRACK:
+        return camera, _tracked(loaded, s, camera)
     meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
     states = None
     if s.motion == "release":
@@ -210,6 +249,30 @@ def planned(
         start = None if s.let_go is None else low + s.let_go * (high - low)
         states = released_states(loaded, effects, s.frames, s.fps, s.seed, start, model)
     return camera, plan_motion(s.motion, meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset, states)
+
+
+def _tracked(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Camera) -> Plan:
+    """The motion of the settings' take; poses that are meant as changes begin as seen in scripted motion."""
+    assert settings.track is not None
+    s, preset, take = settings, PRESETS[settings.preset], read_track(settings.track)
+    body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
+    stretch = tracks.resampled(take, s.fps, s.frames)
+    states, told = tracks.fitted(stretch.states, take, body)
+    R_first = None
+    if take.poses == "first":
+        scripted = plan_motion("tumble", body.meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset)
+        R_first = scripted.Ts_camera_object[0, :3, :3]
+    Ts = tracks.tracked(body, stretch, states, take, R_first, camera, preset)
+    said = {"name": take.name, "sha256": take.sha256, "form": take.form, "device": take.device, "poses": take.poses}
+    plan = Plan(Ts, states, world_of("tumble", Ts, body), said | {"begins_s": stretch.begins_s} | told)
+    tracks.check_in_view(take.name, plan, body, camera, depth_bounds(Ts, bounding_diagonal(*body.meshes))[0], s.fps)
+    return plan
+
+
+def depth_bounds(Ts_camera_object: Array, diagonal: float) -> tuple[float, float]:
+    """Nearest and furthest depth, metres, that is drawn of an object of this diagonal, at poses (n, 4, 4)."""
+    reach = float(np.linalg.norm(Ts_camera_object[:, :3, 3], axis=1).max() + 2 * diagonal)
+    return 1e-3 * reach, reach
 
 
 def _effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
@@ -287,10 +350,10 @@ class Session:
         fine = [side.surface.subdivided(settings.edge * diagonal).mesh() for side in loaded.sides]
         self.meshes: tuple[Mesh, Mesh] = fine[0], fine[1]
         self.camera, self.plan = planned(loaded, settings, model)
-        reach = np.linalg.norm(self.plan.Ts_camera_object[:, :3, 3], axis=1).max() + 2 * diagonal
-        self.depth_scale = nice_scale(reach / 65000)
+        near, far = depth_bounds(self.plan.Ts_camera_object, diagonal)
+        self.depth_scale = nice_scale(far / 65000)
         groups = [side.links for side in loaded.sides]
-        self.scene = Scene(loaded.asset.urdf, groups, self.camera, 1e-3 * reach, reach, settings.shader)
+        self.scene = Scene(loaded.asset.urdf, groups, self.camera, near, far, settings.shader)
         self.sensor = make_sensor(settings.sensor, self.scene, self.plan, loaded, coarse, settings.seed, settings.fps)
         self._may_hide = "hand" in settings.sensor.split("+")
         self._counts = np.zeros((settings.frames, 2), np.int64)
@@ -371,7 +434,8 @@ class Session:
 
     def _source(self, order: tuple[int, int]) -> dict[str, Any]:
         settings, links = self.settings, [side.links for side in self.loaded.sides]
-        return {
+        track = {} if self.plan.source is None else {"track": self.plan.source}
+        return track | {
             "seed": settings.seed,
             "motion": settings.motion,
             "sensor": settings.sensor,

@@ -14,6 +14,7 @@ import json
 import os
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -80,8 +81,11 @@ def main() -> None:
     parser.add_argument("--objects", nargs="+", default=["stapler", "flip_lighter"])
     parser.add_argument("--frames", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--track", type=Path, help="a take that is replayed")
     given = parser.parse_args()
     settings = RecordSettings(frames=given.frames, width=160, height=120, queries=2, shader="trivial", edge=0.5)
+    if given.track is not None:
+        settings = replace(settings, motion="track", track=given.track)
     jobs, rng = jobs_of(given.objects, settings), np.random.default_rng(given.seed)
     require_rendering()
     load_libraries()

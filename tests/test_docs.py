@@ -75,6 +75,14 @@ def test_the_example_of_a_data_folder_is_read_and_verified(written: Path) -> Non
     assert listed.items() <= read_json(written / "data" / "benchmark.json")["sha256"].items()
 
 
+def test_the_example_of_a_take_is_read(written: Path) -> None:
+    from freeart21.formats.captured import read_track
+
+    take = read_track(written / "take.jsonl")
+    assert (take.poses, take.joint_type, take.times.tolist()) == ("first", "revolute", [0.0, 0.5, 1.0])
+    assert take.states[-1] == 1.2 and np.allclose(take.Ts[-1, :3, 2], [1, 0, 0])
+
+
 def test_the_example_of_a_result_is_read(written: Path) -> None:
     folder = written / "results" / "mine" / "lid"
     answer = read_result(folder)

@@ -16,10 +16,10 @@ URDF = """<robot name="box"><link name="base"/><link name="lid"/><link name="dra
 <limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>"""
 
 
-def captured(path, q, turn=0.0):
-    """A take: joint angles `q`, about an axis that turns by `turn` radians a frame."""
+def captured(path, q):
+    """A take of joint angles `q`."""
     rows = np.zeros((len(q), 7), np.float32)
-    rows[:, 0], rows[:, 3] = q, turn * np.arange(len(q))
+    rows[:, 0] = q
     path.parent.mkdir(parents=True, exist_ok=True)
     np.save(path, rows)
     return path
@@ -47,29 +47,10 @@ def test_clips_follow_from_the_data_alone(tmp_path):
         ("200", "tof", "hinge"),
         ("1000", "noise2", "hinge"),
     ], "in the order of their numbers, one that is broken counted"
-    assert "30" in left_out and (clips[-1].name, clips[-1].take.name) == ("laptop", "s1_laptop_use_02.object.npy")
-
-
-def test_a_take_is_cut_to_where_its_joint_moves_most(tmp_path):
-    q = np.concatenate([np.zeros(30), np.linspace(0, 2, 20), np.full(30, 2.0)])
-    take = outside.read_take(captured(tmp_path / "a.npy", q, turn=0.01), 25)
-    assert take.states[0] == 0 and take.states[-1] == 1 and len(take.states) == 25
-    np.testing.assert_allclose(take.turns[0], np.eye(3), atol=1e-6)
-    c, s = np.cos(0.01 * 24), np.sin(0.01 * 24)
-    np.testing.assert_allclose(take.turns[-1], [[c, -s, 0], [s, c, 0], [0, 0, 1]], atol=1e-5)
-
-
-@pytest.mark.parametrize("rows", [np.zeros((40, 6)), np.full((40, 7), np.nan), np.zeros((40, 7)), np.zeros((9, 7))])
-def test_a_take_that_is_none_is_refused_in_a_line(tmp_path, rows):
-    np.save(tmp_path / "a.npy", rows)
-    with pytest.raises(FreeArtError, match=r"a\.npy"):
-        outside.read_take(tmp_path / "a.npy", 20)
-
-
-def test_a_take_of_objects_is_not_unpickled(tmp_path):
-    np.save(tmp_path / "a.npy", np.array([{}], object), allow_pickle=True)
-    with pytest.raises(FreeArtError, match="is not an array"):
-        outside.read_take(tmp_path / "a.npy", 20)
+    assert "30" in left_out and (clips[-1].name, clips[-1].settings.track.name) == (
+        "laptop",
+        "s1_laptop_use_02.object.npy",
+    )
 
 
 def test_variants_go_on_from_one_geometry(tmp_path, monkeypatch):

@@ -48,6 +48,26 @@ def placed(
     return se3.pose(Rs, far[:, None] * np.stack([sway[:, 0], sway[:, 1], np.ones(len(far))], 1) - _turned(Rs, centres))
 
 
+def placed_as_moved(Rs: Array, shifts: Array, states: Array, body: Body, camera: Camera, preset: Preset) -> Array:
+    """(n, 4, 4) camera from object: rotations `Rs` (n, 3, 3), the object's origin shifted by `shifts` (n, 3) metres in
+    the camera's axes, all from one place: the one that shows the object as `preset` says and all of it in every frame.
+    """
+    points = np.einsum("nij,nkj->nki", Rs, body.points(states)) + shifts[:, None]
+    place = np.zeros(3)
+    strip, nearest = MARGIN * camera.height, _NEAREST * max(-points[..., 2].min(), 0.0)
+    for axis, size in ((0, camera.width), (1, camera.height)):
+        f, c = camera.K[axis, axis], camera.K[axis, 2]
+        # a point (x, z) at the place (a, d) is inside when f (x + a) <= high (d + z) and -f (x + a) <= low (d + z)
+        high, low = size - strip - c, c - strip
+        right = (f * points[..., axis] / high - points[..., 2]).max()
+        left = (-f * points[..., axis] / low - points[..., 2]).max()
+        place[axis] = (left - right) / (f / high + f / low)  # where the least distance is least
+        nearest = max(nearest, right + f / high * place[axis])
+    tall = np.ptp(points[..., 1], axis=1).mean() * camera.K[1, 1] / ((preset.fill or 0.6) * camera.height)
+    place[2] = max(nearest, (preset.distance_m or tall) - points[..., 2].mean())
+    return se3.pose(Rs, shifts + place)
+
+
 def extent(Ts: Array, states: Array, body: Body, camera: Camera) -> tuple[Array, Array]:
     """Lowest and highest image coordinates (n, 2) of the object in every frame."""
     uv = camera.project(se3.transform(Ts, body.points(states)))

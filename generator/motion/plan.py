@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from freeart21.se3 import Array
 
@@ -20,6 +21,8 @@ class Plan:
     """(n,) joint state, rad or m."""
     Ts_camera_world: Array
     """(n, 4, 4) camera from the world: z up, metres. The same in all frames when the camera stands still."""
+    source: dict[str, Any] | None = None
+    """Where the motion is from, when it was not planned here: for the truth's source."""
 
 
 @dataclass(frozen=True)

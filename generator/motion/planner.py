@@ -91,7 +91,7 @@ def plan_motion(
         Ts = placed(course.Rs, course.sway, course.clock, course.states, body, camera, preset, still)
         score = _score(course, task, task.atlas.counted(Ts, course.states))
         if best is None or score > best[0]:
-            best = score, Plan(Ts, course.states, _world(style, Ts, body))
+            best = score, Plan(Ts, course.states, world_of(style, Ts, body))
     assert best is not None
     return best[1]
 
@@ -154,7 +154,7 @@ def _longest(flags: NDArray[np.bool_]) -> int:
     return int(np.diff(edges)[::2].max(initial=0))
 
 
-def _world(style: str, Ts: Array, body: Body) -> Array:
+def world_of(style: str, Ts: Array, body: Body) -> Array:
     """(n, 4, 4) camera from world: under the object at rest (static_base), else where the object is in frame 0."""
     foot = se3.pose(np.eye(3), [*body.centre[:2], min(float(h[:, 2].min()) for h in body.hulls)])
     if style == "static_base":

@@ -27,6 +27,7 @@ _FIXED = {
     "fov_y_degrees": None,
     "fps": 30.0,
     "joint": None,
+    "track": None,
     "effects": None,
     "skip_missing": False,
     "edge": 0.02,

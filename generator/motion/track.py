@@ -1,0 +1,122 @@
+"""A take replayed: the object and its joint moved before the camera as somebody moved them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from freeart21.files.take import Take
+from freeart21.se3 import Array
+from generator.motion.body import Body
+from generator.motion.framing import extent, placed_as_moved
+from generator.motion.plan import Plan, Preset
+
+MOST_FRAMES = 100_000
+_ROUNDING = 1e-6  # of a frame, and of a way: numbers in files are rounded
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A take at the recorder's clock, or the part of it that is recorded."""
+
+    Ts: Array
+    """(n, 4, 4)."""
+    states: Array
+    """(n,) as the take has them."""
+    begins_s: float
+    """Seconds from the take's beginning."""
+
+
+def frames_of(take: Take, fps: float) -> int:
+    """How many frames, `fps` a second, a take lasts; the first is its first sample."""
+    frames = float(np.ptp(take.times)) * fps + _ROUNDING + 1
+    if frames > MOST_FRAMES:
+        raise FreeArtError(f"{take.name} lasts {np.ptp(take.times):.0f} s, expected at most {MOST_FRAMES / fps:.0f} s")
+    return int(frames)
+
+
+def resampled(take: Take, fps: float, frames: int) -> Stretch:
+    """The `frames` frames of a take over which its joint moves most, the earliest such.
+
+    Between samples places and states are linear in time, and turns go the shortest way at a steady rate (slerp). Raises
+    FreeArtError when the take is shorter.
+    """
+    count = frames_of(take, fps)
+    if frames > count:
+        raise FreeArtError(f"{take.name} lasts {count} frames at {fps:g} a second, fewer than {frames}")
+    times = np.minimum(take.times[0] + np.arange(count) / fps, take.times[-1])
+    states = np.interp(times, take.times, take.states)
+    moved = np.ptp(np.lib.stride_tricks.sliding_window_view(states, frames), axis=1)
+    first = int(np.argmax(moved >= (1 - _ROUNDING) * moved.max()))  # the last digits decide nothing
+    part = slice(first, first + frames)
+    return Stretch(_between(take.times, take.Ts, times[part]), states[part], first / fps)
+
+
+def fitted(states: Array, take: Take, body: Body) -> tuple[Array, dict[str, Any]]:
+    """The states (n,) of a take for the body's joint, and what was done to them.
+
+    As they are where the joint is of the take's type and reaches all of its states; else the take's range becomes the
+    joint's. Raises FreeArtError when it must and the take's joint stands still.
+    """
+    joint, low, high = body.joint, float(take.states.min()), float(take.states.max())
+    if take.joint_type == joint.type and joint.lower <= low and high <= joint.upper:
+        return states, {"states": "as taken"}
+    if not high > low:
+        raise FreeArtError(
+            f"{take.name}: its joint ({take.joint_type}) stands still at {low:.4g}, where joint '{joint.name}' cannot "
+            f"be: {joint.type}, {body.lower:.4g} to {body.upper:.4g}"
+        )
+    told = {"states": "scaled", "from": [take.joint_type, low, high], "to": [joint.type, body.lower, body.upper]}
+    shares = (states - low) / (high - low)
+    return np.clip(body.state(shares), body.lower, body.upper), told
+
+
+def tracked(
+    body: Body, stretch: Stretch, states: Array, take: Take, R_first: Array | None, camera: Camera, preset: Preset
+) -> Array:
+    """(n, 4, 4) camera from object as in a stretch of a take.
+
+    Poses that are meant as their change since the first begin with the rotation `R_first` (3, 3), so far before the
+    camera that the object stays in the picture as large as `preset` says, and go on by the take's own turns and metres.
+    """
+    if take.poses == "camera" or R_first is None:
+        return stretch.Ts
+    R, t = stretch.Ts[:, :3, :3], stretch.Ts[:, :3, 3]
+    return placed_as_moved(R @ R[0].T @ R_first, t - t[0], states, body, camera, preset)
+
+
+def check_in_view(name: str, plan: Plan, body: Body, camera: Camera, near: float, fps: float) -> None:
+    """FreeArtError says of the first frame in which the object is nearer than `near` metres, or leaves the picture."""
+    depth = se3.transform(plan.Ts_camera_object, body.points(plan.states))[..., 2].min(1)
+    close = np.flatnonzero(depth <= near)
+    if len(close):
+        i = int(close[0])
+        raise FreeArtError(
+            f"{name}: the object is {depth[i]:.3g} m before the camera in frame {i} ({i / fps:.2f} s), expected more "
+            f"than {near:.2g} m"
+        )
+    low, high = extent(plan.Ts_camera_object, plan.states, body, camera)
+    size = np.array([camera.width, camera.height], float)
+    beyond: Array = np.maximum(-low, high - size).max(1)
+    out: NDArray[np.int64] = np.flatnonzero(beyond > 0)
+    if len(out):
+        i = int(out[0])
+        raise FreeArtError(
+            f"{name}: the object leaves the picture in frame {i} ({i / fps:.2f} s), by {beyond[i]:.0f} pixels, and is "
+            f"outside in {len(out)} of {len(beyond)} frames; expected none"
+        )
+
+
+def _between(at: Array, Ts: Array, times: Array) -> Array:
+    """Poses (m, 4, 4) at `times` (m,) between those (n, 4, 4) at `at` (n,)."""
+    k = np.clip(np.searchsorted(at, times, side="right") - 1, 0, len(at) - 2)
+    u = ((times - at[k]) / (at[k + 1] - at[k]))[:, None]
+    R, t = Ts[:, :3, :3], Ts[:, :3, 3]
+    turn = se3.log_so3(np.swapaxes(R[k], 1, 2) @ R[k + 1])
+    return se3.pose(R[k] @ se3.exp_so3(u * turn), (1 - u) * t[k] + u * t[k + 1])

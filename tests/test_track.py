@@ -1,0 +1,451 @@
+"""Any track, any object: takes replayed as they were taken, and URDFs of anybody recorded."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from freeart21 import cli, se3
+from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from freeart21.files.benchmark import file_sha256
+from freeart21.files.sequence import read_sequence
+from freeart21.files.take import header, read_take, sample, write_take
+from freeart21.files.truth import read_truth
+from freeart21.formats.captured import read_track
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from generator.dataset import jobs_of
+from generator.golden import verify_deep
+from generator.motion import track
+from generator.motion.body import UPRIGHT, Body
+from generator.motion.framing import MARGIN, extent, placed_as_moved
+from generator.motion.plan import PRESETS
+from generator.recorder import RecordSettings, record
+from generator.urdf_folder import load_urdf
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared"
+SMALL = RecordSettings(frames=5, width=96, height=64, shader="trivial", queries=1, edge=0.5)
+AXIS = np.array([0.6, 0.0, 0.8])
+
+needs_tracks = pytest.mark.skipif(not (SHARED / "mocap").is_dir(), reason="captured motion is not on this machine")
+needs_objects = pytest.mark.skipif(not (SHARED / "urdf_objects").is_dir(), reason="the URDFs are not on this machine")
+
+
+def moved(times: np.ndarray) -> np.ndarray:
+    """Poses (n, 4, 4) of a steady turn and a straight way: between samples both are known."""
+    far = np.array([0.01, -0.02, 0.6]) + times[:, None] * [0.02, 0.01, 0.03]
+    return se3.pose(se3.exp_so3((0.3 + 0.9 * times)[:, None] * AXIS) @ se3.exp_so3([0.3, 0.5, -0.2]), far)
+
+
+def bent(times: np.ndarray) -> np.ndarray:
+    """States that move most in the last second."""
+    return np.where(times < 1, 0.1, 0.1 + 0.4 * (times - 1))
+
+
+def taken(path: Path, rate: float = 100.0, poses: str = "first", joint_type: str = "revolute", seconds: float = 2.0):
+    times = np.arange(round(seconds * rate) + 1) / rate
+    write_take(path, "a test", poses, joint_type, zip(5 + times, moved(times), bent(times), strict=True))
+    return path
+
+
+def arctic(path: Path, q: np.ndarray, turn: float = 0.0) -> Path:
+    """A track of ARCTIC: joint angles `q`, turned by `turn` a row about the world's z and lifted by 1 mm a row."""
+    rows = np.zeros((len(q), 7), np.float32)
+    rows[:, 0], rows[:, 3], rows[:, 6] = q, turn * np.arange(len(q)), np.arange(len(q))
+    np.save(path, rows)
+    return path
+
+
+# --- samples ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_take_is_read_as_it_was_written(tmp_path: Path) -> None:
+    take = read_track(taken(tmp_path / "a.txt"))
+    times = np.arange(201) / 100
+    np.testing.assert_allclose(take.Ts, moved(times), atol=1e-12)
+    np.testing.assert_allclose(take.times - 5, times, atol=1e-12)
+    np.testing.assert_array_equal(take.states, bent(times))
+    assert (take.poses, take.joint_type, take.device, take.name) == ("first", "revolute", "a test", "a.txt")
+    assert take.sha256 == file_sha256(tmp_path / "a.txt")
+
+
+@pytest.mark.parametrize("rate", [7.0, 30.0, 250.0])
+def test_takes_of_any_rate_come_at_the_recorder_s_clock(tmp_path: Path, rate: float) -> None:
+    seconds = round(2 * rate) / rate
+    take = read_take(taken(tmp_path / "a.txt", rate))
+    count = track.frames_of(take, 30.0)
+    assert count == int(seconds * 30 + 1e-6) + 1
+    stretch = track.resampled(take, 30.0, count)
+    np.testing.assert_allclose(stretch.Ts, moved(np.arange(count) / 30), atol=1e-9)
+    assert stretch.begins_s == 0
+
+
+def test_fewer_frames_are_those_over_which_the_joint_moves_most(tmp_path: Path) -> None:
+    stretch = track.resampled(read_take(taken(tmp_path / "a.txt")), 30.0, 31)
+    assert stretch.begins_s == 1.0
+    np.testing.assert_allclose(stretch.states, bent(1 + np.arange(31) / 30), atol=1e-12)
+    np.testing.assert_allclose(stretch.Ts, moved(1 + np.arange(31) / 30), atol=1e-9)
+    with pytest.raises(FreeArtError, match="lasts 61 frames at 30 a second, fewer than 62"):
+        track.resampled(read_take(tmp_path / "a.txt"), 30.0, 62)
+
+
+def test_a_track_of_arctic_is_told_by_its_content_and_seen_by_a_level_camera(tmp_path: Path) -> None:
+    take = read_track(arctic(tmp_path / "a.npy", np.linspace(0, 1, 31), turn=0.02))
+    assert (take.form, take.poses, take.times[-1]) == ("ARCTIC object track", "first", 1.0)
+    (tmp_path / "a.npy").rename(tmp_path / "a.jsonl")
+    assert read_track(tmp_path / "a.jsonl").sha256 == take.sha256
+    np.testing.assert_allclose(take.Ts[-1, :3, 3], [0, -0.030, 0], atol=1e-6)  # lifted: up in the picture
+    turn = take.Ts[-1, :3, :3] @ take.Ts[0, :3, :3].T
+    np.testing.assert_allclose(se3.log_so3(turn), [0, -0.6, 0], atol=1e-6)  # about the upright axis; y is down
+
+
+HEAD = header("a test", "first", "revolute")
+GOOD = [sample(k / 10, se3.pose(np.eye(3), [0, 0, 1]), 0.1 * k) for k in range(3)]
+
+
+def _changed(**changes: object) -> list[str]:
+    return [HEAD, GOOD[0], json.dumps({**json.loads(GOOD[1]), **changes}), GOOD[2]]
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ([], "is no take"),
+        (["a,b", "1,2"], "is no take"),
+        (["{"], "line 1 is not JSON"),
+        ([HEAD.replace("take/1", "take/2"), *GOOD], "has schema 'freeart21/take/2', expected 'freeart21/take/1'"),
+        ([HEAD.replace("rad", "deg"), *GOOD], "'units' is .*expected .*'rad'"),
+        ([HEAD.replace("revolute", "screw"), *GOOD], "'joint_type' is 'screw', expected revolute or prismatic"),
+        ([HEAD.replace('"first"', '["first"]'), *GOOD], r"'poses' is \['first'\], expected camera or first"),
+        ([HEAD.replace('"a test"', "7"), *GOOD], "'device' is 7, expected text"),
+        ([HEAD], "holds 0 samples"),
+        ([HEAD, GOOD[0]], "holds 1 samples"),
+        ([HEAD, *GOOD[:2], GOOD[2][:-9]], "line 4 is not JSON"),
+        ([HEAD, *GOOD[:2], "[]"], "line 4 holds a list"),
+        ([HEAD, "[" * 100_000], "line 2 is not JSON"),
+        ([HEAD, GOOD[1], GOOD[0]], "sample 1 is of 0 s, after one of 0.1 s"),
+        (_changed(time="now"), "line 3: 'time' is now, expected a finite number"),
+        (_changed(time=[0.1]), "line 3: 'time' is"),
+        (_changed(state=float("nan")), "line 3: 'state' is nan"),
+        (_changed(state=True), "line 3: 'state' is True"),
+        (_changed(state=1e9), r"holds a number of 1e\+09"),
+        (_changed(position=[0, 0]), "line 3: 'position' is .*expected 3 finite numbers"),
+        (_changed(quaternion=[0, 0, 0, 0]), "line 3: 'quaternion' has length 0, expected 1"),
+        (_changed(quaternion=None), "line 3: 'quaternion' is None"),
+    ],
+)
+def test_a_take_that_is_none_is_refused_in_a_line(tmp_path: Path, lines: list[str], said: str) -> None:
+    (tmp_path / "a.txt").write_text("\n".join(lines))
+    with pytest.raises(FreeArtError, match=said) as caught:
+        read_track(tmp_path / "a.txt")
+    assert "a.txt" in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("rows", [np.zeros((40, 6)), np.full((40, 7), np.nan), np.zeros((1, 7)), np.zeros((9, 7), int)])
+def test_an_array_that_is_no_track_is_refused_in_a_line(tmp_path: Path, rows: np.ndarray) -> None:
+    np.save(tmp_path / "a.npy", rows)
+    with pytest.raises(FreeArtError, match=r"a\.npy has"):
+        read_track(tmp_path / "a.npy")
+
+
+def test_a_header_that_promises_more_and_objects_are_not_believed(tmp_path: Path) -> None:
+    whole = arctic(tmp_path / "a.npy", np.zeros(40)).read_bytes()
+    (tmp_path / "a.npy").write_bytes(whole.replace(b"(40, 7), }      ", b"(4000000000, 7)}"))
+    with pytest.raises(FreeArtError, match="is not a readable array"):
+        read_track(tmp_path / "a.npy")
+    np.save(tmp_path / "b.npy", np.array([{}], object), allow_pickle=True)
+    with pytest.raises(FreeArtError, match="is not a readable array"):
+        read_track(tmp_path / "b.npy")
+
+
+def test_a_take_that_lasts_for_days_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("\n".join([HEAD, GOOD[0], GOOD[1].replace('"time": 0.1', '"time": 9000')]))
+    with pytest.raises(FreeArtError, match="a.txt lasts 9000 s, expected at most 3333 s"):
+        track.frames_of(read_take(tmp_path / "a.txt"), 30.0)
+
+
+# --- before the camera ------------------------------------------------------------------------------------------------
+
+
+def _body(joint_type: str = "revolute", upper: float = 1.0) -> Body:
+    boxes = [trimesh.creation.box((0.1, 0.1, 0.04)), trimesh.creation.box((0.1, 0.1, 0.02))]
+    meshes = [Mesh(np.add(b.vertices, [0, 0, z]), np.asarray(b.faces)) for b, z in zip(boxes, (0, 0.03), strict=True)]
+    joint = Joint("lid", joint_type, np.array([1.0, 0, 0]), np.array([0, 0.05, 0.02]), 0.0, upper)  # type: ignore[arg-type]
+    return Body.of((meshes[0], meshes[1]), joint)
+
+
+def test_states_in_reach_stay_as_they_are_and_others_are_scaled(tmp_path: Path) -> None:
+    take = read_take(taken(tmp_path / "a.txt"))  # 0.1 to 0.5 rad
+    states, told = track.fitted(take.states, take, _body(upper=0.5))
+    assert np.array_equal(states, take.states) and told == {"states": "as taken"}
+    states, told = track.fitted(take.states, take, _body(upper=0.4))
+    assert states.min() == 0 and states.max() == 0.4
+    np.testing.assert_allclose(states, (take.states - 0.1) / 0.4 * 0.4, atol=1e-12)
+    assert told["states"] == "scaled" and told["from"][0] == "revolute" and told["to"] == ["revolute", 0.0, 0.4]
+    states, told = track.fitted(take.states, take, _body("prismatic", 0.02))
+    assert states.max() == pytest.approx(0.02) and told["to"] == ["prismatic", 0.0, 0.02]
+    still = dataclasses.replace(take, states=np.full(201, 0.3))
+    assert track.fitted(still.states, still, _body())[1] == {"states": "as taken"}
+    with pytest.raises(FreeArtError, match="stands still at 0.3, where joint 'lid' cannot be: revolute, 0 to 0.2"):
+        track.fitted(still.states, still, _body(upper=0.2))
+
+
+def test_the_place_shows_all_frames_and_no_nearer_one_would() -> None:
+    rng = np.random.default_rng(0)
+    body, camera, n = _body(), Camera.from_fov(320, 180, 0.7), 40
+    Rs, shifts = se3.exp_so3(rng.normal(size=(n, 3))) @ UPRIGHT, rng.uniform(-0.2, 0.2, (n, 3))
+    states = rng.uniform(0, 1, n)
+    tight = dataclasses.replace(PRESETS["handheld"], fill=5.0)
+    Ts = placed_as_moved(Rs, shifts, states, body, camera, tight)
+    low, high = extent(Ts, states, body, camera)
+    strip, size = MARGIN * camera.height, np.array([camera.width, camera.height])
+    room = np.concatenate([low - strip, size - strip - high], 1)
+    assert room.min() == pytest.approx(0, abs=1e-6), "touches the strip round the picture, and enters it nowhere"
+    touched = room.min(0)
+    across = 0 if max(touched[[0, 2]]) < max(touched[[1, 3]]) else 1
+    assert touched[across] == pytest.approx(touched[across + 2], abs=1e-6), "on both sides: no shift would help"
+    np.testing.assert_allclose(Ts[:, :3, 3] - Ts[0, :3, 3], shifts - shifts[0], atol=1e-12)
+    far = placed_as_moved(Rs, shifts, states, body, camera, dataclasses.replace(tight, fill=0.05))
+    low, high = extent(far, states, body, camera)
+    assert (high - low)[:, 1].mean() == pytest.approx(0.05 * camera.height, rel=0.1)
+
+
+@pytest.mark.parametrize("poses", ["first", "camera"])
+def test_the_truth_moves_as_the_take_does(tmp_path: Path, poses: str) -> None:
+    take = taken(tmp_path / "a.txt", 50.0, poses)
+    data = tmp_path / "data"
+    sequence = record("flip_lighter", data, dataclasses.replace(SMALL, motion="track", track=take))
+    truth = read_truth(data / "truth" / sequence)
+    begins = 1.0  # the first five frames over which the joint moves as much as over any
+    want = moved(begins + np.arange(5) / 30)
+    got = truth.Ts_camera_reference
+    if "link_0" in truth.source["reference_links"]:  # the lid; the take moves the object's frame, the parent's side
+        got = truth.Ts_camera_moving
+    if poses == "camera":
+        np.testing.assert_allclose(got, want, atol=1e-6)
+    else:
+        turns = got[:, :3, :3] @ got[0, :3, :3].T
+        np.testing.assert_allclose(turns, want[:, :3, :3] @ want[0, :3, :3].T, atol=1e-6)
+        np.testing.assert_allclose(got[:, :3, 3] - got[0, :3, 3], want[:, :3, 3] - want[0, :3, 3], atol=1e-6)
+    np.testing.assert_allclose(truth.states, bent(begins + np.arange(5) / 30), atol=1e-6)
+    said = truth.source["track"]
+    assert said["name"] == "a.txt" and said["sha256"] == file_sha256(take) and said["begins_s"] == begins
+    assert truth.source["settings"]["track"] == {"name": "a.txt", "sha256": said["sha256"]}
+    assert str(tmp_path) not in (data / "truth" / sequence / "truth.json").read_text(), "no places of this machine"
+    recording = read_sequence(data / "sequences" / sequence)
+    assert all(recording.frame(i).mask.any() for i in range(5))
+    assert record("flip_lighter", data, dataclasses.replace(SMALL, motion="track", track=take)) == sequence
+    taken(take, 40.0, poses)
+    with pytest.raises(FreeArtError, match="exists with track"):
+        record("flip_lighter", data, dataclasses.replace(SMALL, motion="track", track=take))
+
+
+@pytest.mark.parametrize(
+    ("shift", "said"),
+    [
+        ([0.5, 0, 0], r"a\.txt: the object leaves the picture in frame 0 \(0.00 s\), by \d+ pixels"),
+        ([0, 0, -0.6], r"a\.txt: the object is -?[\d.]+ m before the camera in frame 0"),
+    ],
+)
+def test_what_leaves_the_picture_or_comes_too_near_is_refused_in_a_line(
+    tmp_path: Path, shift: list[float], said: str
+) -> None:
+    times = np.arange(30) / 30
+    Ts = moved(times)
+    Ts[:, :3, 3] += shift
+    write_take(tmp_path / "a.txt", "a test", "camera", "revolute", zip(times, Ts, bent(times), strict=True))
+    with pytest.raises(FreeArtError, match=said) as caught:
+        record("flip_lighter", tmp_path / "data", dataclasses.replace(SMALL, motion="track", track=tmp_path / "a.txt"))
+    assert "\n" not in str(caught.value) and not (tmp_path / "data").exists()
+
+
+def test_the_command_takes_the_take_s_length_unless_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[RecordSettings] = []
+    monkeypatch.setattr("generator.dataset.record_jobs", lambda out, jobs, *_: asked.extend(j.settings for j in jobs))
+    take = taken(tmp_path / "a.txt")
+    for frames in (None, 40, 500):
+        cli.record(("stapler",), tmp_path / "data", frames, motion=f"track:{take}")
+    assert [(s.frames, s.motion, s.track) for s in asked] == [(n, "track", take) for n in (61, 40, 61)]
+    cli.record(("stapler",), tmp_path / "data")
+    assert (asked[-1].frames, asked[-1].motion, asked[-1].track) == (300, "tumble", None)
+    for motion, said in (
+        ("track", "needs the file"),
+        ("track:", "needs the file"),
+        (f"track:{tmp_path / 'b'}", "b is missing"),
+    ):
+        with pytest.raises(FreeArtError, match=said):
+            cli.record(("stapler",), tmp_path / "data", motion=motion)
+
+
+@needs_tracks
+def test_every_captured_track_stays_in_the_picture() -> None:
+    body, camera = _body(), Camera.from_fov(640, 360, 0.7)
+    for path in sorted((SHARED / "mocap").glob("*.npy")):
+        take = read_track(path)
+        count = track.frames_of(take, 30.0)
+        assert count == len(take.times), "30 Hz: a frame a sample"
+        stretch = track.resampled(take, 30.0, count)
+        np.testing.assert_allclose(stretch.Ts, take.Ts, atol=1e-9)
+        states, _ = track.fitted(stretch.states, take, body)
+        Ts = track.tracked(body, stretch, states, take, UPRIGHT, camera, PRESETS["handheld"])
+        low, high = extent(Ts, states, body, camera)
+        assert low.min() > 0 and (high < [camera.width, camera.height]).all()
+
+
+# --- any object -------------------------------------------------------------------------------------------------------
+
+URDF = """<?xml version="1.0"?>
+<robot name="case"><material name="red"><color rgba="0.8 0.1 0.1 1"/></material>
+<link name="lid"><inertial><mass value="0.1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+ <visual><origin xyz="0 -0.05 0.01"/><geometry><mesh filename="package://case/lid.stl" scale="0.001 0.001 0.001"/>
+ </geometry><material name="red"/></visual><collision><geometry><box size="1 1 1"/></geometry></collision></link>
+<link name="box"><visual><geometry><mesh filename="box.obj"/></geometry></visual></link>
+<joint name="hinge" type="revolute"><parent link="box"/><child link="lid"/><origin xyz="0 0.05 0.02"/>
+ <axis xyz="1 0 0"/><limit lower="0" upper="1.5" effort="1" velocity="1"/>
+ <dynamics damping="0.05" friction="0.01"/></joint>
+<transmission name="t"/></robot>"""
+
+
+@pytest.fixture
+def case(tmp_path: Path) -> Path:
+    folder = tmp_path / "case"
+    folder.mkdir()
+    trimesh.creation.box((100, 100, 20)).export(folder / "lid.stl")
+    trimesh.creation.box((0.1, 0.1, 0.04)).export(folder / "box.obj")
+    (folder / "case.urdf").write_text(URDF)
+    return folder / "case.urdf"
+
+
+def test_a_urdf_of_anybody_is_loaded_with_its_joint_sizes_and_colours(case: Path, tmp_path: Path) -> None:
+    loaded = load_urdf(case, tmp_path / "made")
+    assert (loaded.joint.name, loaded.joint.type, loaded.joint.upper) == ("hinge", "revolute", 1.5)
+    np.testing.assert_allclose(loaded.joint.pivot, [0, 0.05, 0.02], atol=1e-12)
+    lid, box = loaded.child_side.surface.mesh(), loaded.parent_side.surface.mesh()
+    np.testing.assert_allclose(lid.vertices.min(0), [-0.05, -0.05, 0.02], atol=1e-7)
+    np.testing.assert_allclose(np.ptp(box.vertices, axis=0), [0.1, 0.1, 0.04], atol=1e-7)
+    assert lid.colours is not None and (lid.colours == [204, 26, 26]).all()
+    assert "inertial" in (tmp_path / "made" / "mobility.urdf").read_text()
+
+
+def test_a_urdf_of_anybody_is_recorded_and_its_truth_is_what_is_seen(case: Path, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    take = arctic(tmp_path / "a.npy", np.linspace(0, 2, 12), turn=0.03)
+    sequence = record(str(case), data, dataclasses.replace(SMALL, motion="track", track=take))
+    assert sequence == "case-hinge-s0"
+    truth = read_truth(data / "truth" / sequence)
+    assert truth.states[-1] == pytest.approx(0.545, abs=1e-3) and truth.source["object_source"] == "urdf"
+    assert truth.source["track"]["to"] == ["revolute", 0.0, 1.5]
+    assert truth.source["settings"]["urdf"]["name"] == "case.urdf"
+    assert str(tmp_path) not in (data / "truth" / sequence / "truth.json").read_text(), "no places of this machine"
+    assert verify_deep(data) == []
+
+
+def test_open_meshes_are_seen_from_both_sides(case: Path, tmp_path: Path) -> None:
+    """A tray of one layer, its lid open: rays meet the inside of its walls, and so must the picture."""
+    tray = trimesh.creation.box((0.1, 0.1, 0.04))
+    tray.update_faces(tray.face_normals[:, 2] < 0.5)
+    tray.export(case.parent / "box.obj")
+    assert len(load_urdf(case, tmp_path / "made").parent_side.surface.faces) == 20
+    assert len(load_urdf(case, tmp_path / "made").child_side.surface.faces) == 12
+    take = arctic(tmp_path / "a.npy", np.linspace(0, 2, 12), turn=0.03)
+    record(str(case), tmp_path / "data", dataclasses.replace(SMALL, motion="track", track=take))
+    assert verify_deep(tmp_path / "data") == []
+
+
+def _without(text: str, what: str) -> str:
+    return re.sub(what, "", text, flags=re.S)
+
+
+@pytest.mark.parametrize(
+    ("change", "joint", "said"),
+    [
+        (lambda t: t, "lid", r"no movable joint 'lid'; movable joints: hinge \(revolute 0..85.9 deg\)"),
+        (lambda t: t.replace('"revolute"', '"fixed"'), None, "has no movable joint"),
+        (lambda t: t.replace("box.obj", "bin.obj"), None, "link 'box' names the mesh bin.obj, which does not exist"),
+        (lambda t: t.replace("box.obj", "../box.obj"), None, "leads out of the folder"),
+        (lambda t: t.replace("box.obj", "box.step"), None, "mesh 'box.step', expected .obj, .stl or .ply"),
+        (lambda t: t.replace('<mesh filename="box.obj"/>', '<box size="1 1 1"/>'), None, "visual that is a box"),
+        (lambda t: t.replace('upper="1.5"', 'upper="0"'), None, r"joint 'hinge' cannot move: its limits are \[0, 0\]"),
+        (lambda t: _without(t, "<visual><geometry>.*?</visual>"), None, "no surface on the side of links box"),
+        (lambda t: t[:-9], None, "is not XML"),
+        (lambda t: t.replace('"revolute"', '"floating"'), None, "no movable joint"),
+    ],
+)
+def test_what_is_wrong_with_a_urdf_is_said_in_a_line(case: Path, change, joint: str | None, said: str) -> None:
+    case.write_text(change(URDF))
+    with pytest.raises(FreeArtError, match=said) as caught:
+        jobs_of([str(case)], dataclasses.replace(SMALL, joint=joint))
+    assert str(case.parent) in str(caught.value) and "freeart21-" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_broken_meshes_and_names_are_said_in_a_line(case: Path) -> None:
+    for data in (b"", b"solid nothing", b"\0" * 200):
+        (case.parent / "lid.stl").write_bytes(data)
+        with pytest.raises(FreeArtError, match=r"lid\.stl is not a readable .stl file") as caught:
+            jobs_of([str(case)], SMALL)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(FreeArtError, match="none.urdf is missing"):
+        jobs_of([str(case.parent / "none.urdf")], SMALL)
+    case.rename(case.parent / "a case.urdf")
+    with pytest.raises(FreeArtError, match="cannot name a recording"):
+        jobs_of([str(case.parent / "a case.urdf")], SMALL)
+
+
+def test_what_a_urdf_lacks_is_noted_also_when_it_was_made_before(case: Path, tmp_path: Path) -> None:
+    second = '<visual><geometry><mesh filename="knob.stl"/></geometry></visual>'
+    case.write_text(URDF.replace('<link name="box">', f'<link name="box">{second}'))
+    with pytest.raises(FreeArtError, match="knob.stl, which does not exist; --skip-missing"):
+        load_urdf(case, tmp_path / "made")
+    for _ in range(2):
+        loaded = load_urdf(case, tmp_path / "made", skip_missing=True)
+        assert loaded.notes == ("absent meshes are left out: knob.stl",)
+
+
+def test_a_wheel_without_limits_takes_any_state(case: Path, tmp_path: Path) -> None:
+    case.write_text(_without(URDF, "<limit[^>]*>").replace('"revolute"', '"continuous"'))
+    loaded = load_urdf(case, tmp_path / "made")
+    body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
+    take = read_track(arctic(tmp_path / "a.npy", np.linspace(0, 7, 12)))
+    states, told = track.fitted(take.states, take, body)
+    assert states[-1] == 7 and told == {"states": "as taken"}
+
+
+@needs_objects
+@pytest.mark.parametrize("name", ["laptop/laptop", "mixer/mixer", "ketchup/ketchup_derived_objbottom"])
+def test_real_urdfs_are_loaded(name: str, tmp_path: Path) -> None:
+    loaded = load_urdf(SHARED / "urdf_objects" / f"{name}.urdf", tmp_path / "made", "rotation")
+    size = np.ptp(np.concatenate([side.surface.vertices for side in loaded.sides]), axis=0)
+    assert loaded.joint.type == "revolute" and 0.1 < np.linalg.norm(size) < 0.6
+    assert all(len(side.surface.faces) > 100 for side in loaded.sides)
+
+
+# --- kill -9 ----------------------------------------------------------------------------------------------------------
+
+
+def test_killed_the_recording_of_a_take_goes_on_to_the_same_bytes(case: Path, tmp_path: Path) -> None:
+    take = arctic(tmp_path / "a.npy", np.linspace(0, 2, 8), turn=0.03)
+    words = ["--kills", "2", "--kills-a-folder", "2", "--frames", "8", "--objects", str(case), "--track", str(take)]
+    done = subprocess.run(
+        [sys.executable, ROOT / "tests" / "killed_recorder.py", tmp_path / "out", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+    def hashes(data: Path) -> dict[str, str]:
+        return {str(p.relative_to(data)): file_sha256(p) for p in sorted(data.rglob("*")) if not p.is_dir()}
+
+    whole = hashes(tmp_path / "out" / "whole" / "data")
+    assert len(whole) > 30 and hashes(tmp_path / "out" / "killed_0" / "data") == whole
