@@ -118,7 +118,7 @@ def placed(
     apart, said_penetration = _apart(articulation, found, overlap, tolerance, settings.carve)
     up, carrier, said_up = _up(reconstruction, settings, found, zero)
     root = "moving" if carrier == "moving" else "reference"
-    T_canonical_root = _standing(articulation, root, up, zero)
+    T_canonical_root = _standing(articulation, carrier, up, zero)
     T_root_canonical = se3.inverse(T_canonical_root)
     Ts = {"reference": T_root_canonical, "moving": T_root_canonical @ joint.transform(zero)}  # at joint position zero
     parts = {name: articulation.part(name).moved(Ts[name]) for name in PARTS}
@@ -227,15 +227,16 @@ def _check_still(answer: Reconstruction) -> None:
         )
 
 
-def _standing(parts: Articulation, root: str, up: NDArray[np.float64], zero: float) -> Array:
+def _standing(parts: Articulation, carrier: str, up: NDArray[np.float64], zero: float) -> Array:
     """(4, 4) canonical from root link: z up, at state `zero` on z = 0 and above it the middle of what it stands on."""
     R = _rotation_with_z(up)
     posed = dict(zip(PARTS, parts.posed(np.eye(4), zero), strict=True))
     corners = {name: mesh.vertices[np.unique(mesh.faces)] @ R for name, mesh in posed.items()}
     level = min(points[:, 2].min() for points in corners.values())
     near = level + TOUCHING * bounding_diagonal(parts.reference, parts.moving)
-    base = corners[root][corners[root][:, 2] < near]
-    base = base if len(base) else corners[root]
+    standing = np.concatenate([points for name, points in corners.items() if carrier in (name, "both")])
+    base = standing[standing[:, 2] < near]
+    base = base if len(base) else standing
     x, y, _ = 0.5 * (base.min(0) + base.max(0))
     return se3.pose(R, R @ np.array([x, y, level]))
 
