@@ -185,7 +185,9 @@ def _up(
     poses = resting_poses(parts, found.low, found.high, zero)
     best = upright(poses, camera_up)
     if best is None:
-        return camera_up, carrier_of(parts, zero, camera_up), _said("first frame's camera", camera_up)
+        rest = settled(parts, zero, camera_up)  # it lies as it falls, though the joint may then not be free
+        up, how = (camera_up, "first frame's camera") if rest is None else (rest, "rest from the first frame's camera")
+        return up, carrier_of(parts, zero, up), _said(how, up)
     pose, share = best
     rest = settled(parts, zero, pose.up)
     up = pose.up if rest is None or rest @ pose.up < np.cos(FLAT) else rest
