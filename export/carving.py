@@ -15,7 +15,8 @@ from freeart21.mesh import Mesh
 COARSE = 9
 """States at which it is looked where the parts are in each other."""
 ROUGHLY = 5
-"""Doublings of the states by which it is told which part loses less."""
+"""Doublings of the states by which it is told which part loses less. By 9 states a drawer seemed to lose less than its
+cabinet; by 256 it lost two thirds of itself, the cabinet 8 %."""
 MOST = 8
 """Doublings of what is cut out at most: 256 copies, on a cabinet's drawer 1.7 mm apart."""
 FINE = 0.1
@@ -25,7 +26,7 @@ CRUMB = 0.01
 """Part of a solid below which a loose piece of it is dropped, as `MeshSettings.min_component`."""
 LARGEST = 0.8
 """Part of a part's volume that may be cut away: what loses more is not the same thing any more. Where nobody looked in
-between, closed halves of a phone each fill the other's place, too."""
+between, closed halves of a phone each fill the other's place, too: at .5 a phone and a USB stick were refused."""
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,7 @@ class _Looks:
     def piece(self, points: Array, members: NDArray[np.int64], limit: float, most: int = 200) -> _Piece | None:
         """The hull of points as a piece; None when it stands out by more than `limit` at one of `most` points."""
         self.count += 1
-        hull = _hull(points)
+        hull = hull_of(points)
         worst = self.stands_out(hull, limit, most)
         return None if worst > limit else _Piece(hull.points[hull.vertices], members, worst)
 
@@ -152,7 +152,7 @@ def simplified(points: Array, tolerance: Tolerance, left_out: float) -> Array | 
     if len(kept) < 4:
         return points
     while True:
-        hull = _hull(points[kept])
+        hull = hull_of(points[kept])
         beyond = points @ hull.equations[:, :3].T + hull.equations[:, 3]
         out = beyond.max(0)
         if out.max() <= tolerance.simple_m:
@@ -170,7 +170,8 @@ def simplified(points: Array, tolerance: Tolerance, left_out: float) -> Array | 
 _DIRECTIONS = even_directions(26)
 
 
-def _hull(points: Array) -> ConvexHull:
+def hull_of(points: Array) -> ConvexHull:
+    """The hull of points (n, 3); of what lies in a plane, of the points jogged a little."""
     try:
         return ConvexHull(points)
     except QhullError:
@@ -192,7 +193,7 @@ def _bare(outside: Outside, pieces: list[_Piece], limit: float) -> NDArray[np.in
     """The points of the outside that are beyond a plane of every piece by more than `limit`, m."""
     bare = np.arange(len(outside.points))
     for piece in pieces:
-        planes = _hull(piece.corners).equations
+        planes = hull_of(piece.corners).equations
         beyond = outside.points[bare] @ planes[:, :3].T + planes[:, 3]
         bare = bare[beyond.max(1) > limit]
     return bare
@@ -322,7 +323,7 @@ def needed(outside: Outside, pieces: list[_Piece], tolerance: Tolerance) -> list
     covers = np.zeros((len(pieces), len(outside.points)), bool)
     volume = np.zeros(len(pieces))
     for k, piece in enumerate(pieces):
-        hull = _hull(piece.corners)
+        hull = hull_of(piece.corners)
         low, high = piece.corners.min(0) - tolerance.simple_m, piece.corners.max(0) + tolerance.simple_m
         near = np.flatnonzero(((outside.points >= low) & (outside.points <= high)).all(1))
         beyond = outside.points[near] @ hull.equations[:, :3].T + hull.equations[:, 3]

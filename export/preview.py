@@ -30,7 +30,8 @@ _FROM = (-1.0, -1.4, 0.9)
 _SIDES = 24
 """Directions round the object that are tried."""
 _HABIT = 0.05
-"""Part of the picture that the opposite side has to show more to be taken instead."""
+"""Part of the picture that the opposite side has to show more to be taken instead: so much less is
+not seen by eye."""
 _LIGHT = (-0.35, -0.5, 0.8)
 _AMBIENT = 0.55
 """Share of the light that comes from everywhere."""
@@ -75,7 +76,7 @@ def _best_eye(points: Array) -> Array:
     """(3,) where to stand: the side from which points (n, 3), of both states, cover most of the picture."""
     turns = 2 * np.pi * np.arange(_SIDES) / _SIDES
     eyes = se3.exp_so3(turns[:, None] * np.array([0.0, 0.0, 1.0])) @ np.array(_FROM)
-    covers = [ConvexHull(points @ _towards(eye)[:2].T).volume for eye in eyes]
+    covers = [ConvexHull(points @ _towards(eye)[:2].T, qhull_options="QJ").volume for eye in eyes]
     habit = 1 - _HABIT * np.abs(np.remainder(turns + np.pi, 2 * np.pi) - np.pi) / np.pi
     return np.asarray(eyes[int(np.argmax(covers * habit))])
 

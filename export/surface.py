@@ -59,7 +59,7 @@ _DECIMATIONS = 3
 _UNITS = 200.0
 """Integer capacity of a triangle of mean area in the cut."""
 _APART = 1e-6
-"""m that vertices of one place are moved."""
+"""m that vertices of one place are moved: more than OBJ's digits, less than anything that is measured."""
 _FIRST_TOLERANCE = 1 / 20
 """Spacings by which simplifying may move the surface at first; doubled until there are few enough triangles."""
 

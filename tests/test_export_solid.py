@@ -17,7 +17,7 @@ from export.inertia import Inertial
 from export.mjcf import mjcf_text
 from export.model import AssetModel, LinkModel
 from export.outside import even_points, outside_of
-from export.primitive_fit import primitive_of
+from export.primitive_fit import primitive_of, shapes_round
 from export.primitives import Box, Cylinder, Sphere
 from export.urdf import urdf_text
 from freeart21 import se3
@@ -196,3 +196,9 @@ def test_inside_of_a_hollow_corner_is_inside():
     assert outside.excess(inside).max() == 0
     beyond = np.stack([0.1 + np.linspace(0.002, 0.01, 50), np.zeros(50), np.full(50, 0.006)], -1)  # a convex edge
     np.testing.assert_allclose(outside.excess(beyond), np.hypot(beyond[:, 0] - 0.1, 0.001), atol=1.5 * outside.spacing)
+
+
+def test_a_piece_without_thickness_has_shapes_round_it():
+    flat = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.05, 0], [0, 0.05, 0], [0.05, 0.02, 0.0]])
+    box = next(shape for shape in shapes_round(flat) if isinstance(shape, Box))
+    np.testing.assert_allclose(np.sort(box.size), [0, 0.05, 0.1], atol=1e-9)

@@ -43,7 +43,7 @@ TURNS = 3
 """The same: so many changes of a velocity's sign are an oscillation."""
 SWING = 0.1
 """Part of the allowed drift by which a body has to swing back for its velocity to count as turned, .1 mm or .001 rad:
-PyBullet lets a lid hop by .0005 rad for ever on a limit that gravity holds it at."""
+PyBullet lets a lighter's lid hop by .0005 rad for ever on the limit that gravity holds it at."""
 STATED = ("engine.tree", "engine.limits", "engine.masses", "engine.poses")
 MOVED = ("joint.moves", "joint.stops", "energy.falls", "rest.drift", "rest.oscillation")
 
