@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from engine_case import write_case
 from little_asset import numbers, write_little
 
 from export.check import checking
@@ -453,3 +454,12 @@ def test_a_real_partnet_object_fails_what_it_lacks():
     for name, T in urdf.link_poses(q).items():
         np.testing.assert_allclose(tree.link_poses(q)[name], T, atol=1e-12)
     assert set(ENGINES) == set(MODULES)
+
+
+def test_an_asset_may_be_named_from_where_one_stands_or_by_a_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    write_case(tmp_path / "asset", "revolute")
+    (tmp_path / "link").symlink_to(tmp_path / "asset")
+    monkeypatch.chdir(tmp_path)
+    said = [(row.rule, row.verdict) for row in check(tmp_path / "asset", ()).rows]
+    for path in (Path("asset"), Path("link"), tmp_path / "link"):
+        assert [(row.rule, row.verdict) for row in check(path, ()).rows] == said

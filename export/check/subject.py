@@ -46,7 +46,7 @@ def find_subject(path: Path) -> Subject:
     elif (path / "asset.json").is_file():
         urdf = read_asset(path).urdf
         beside = urdf.with_suffix(".xml")
-        subject = Subject(path, urdf, beside if _kind(beside) == "mujoco" else None)
+        subject = Subject(path.resolve(), urdf, beside if _kind(beside) == "mujoco" else None)  # as the URDF's is
     else:
         subject = _in_folder(path)
     _check_files(subject)
