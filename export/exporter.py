@@ -143,6 +143,7 @@ def export_result(
         settings.placement,
         {"revolute": settings.min_range_rad, "prismatic": settings.min_range_m * settings.scale},
         settings.scale,
+        {name: part.surface.observed for name, part in parts.items()},
     )
     with only_writer(out), atomic.new_folder(out, ASSET) as aside:
         with ThreadPoolExecutor() as pool:  # most of it looks up nearest points, which threads do at once

@@ -88,15 +88,15 @@ def closed_parts(
 
 
 def _other_part(reconstruction: Reconstruction, name: str) -> NDArray[np.float64]:
-    """(n, 3) where the other part was, just below its surface, in part `name`'s frame, at states over those seen."""
+    """(n, 3) where the other part was, just below its surface, in part `name`'s frame, at states over all believed:
+    those of frames that hid a part are predicted, and the joint's range holds them, too."""
     whole = reconstruction.articulation
     other = whole.part("moving" if name == "reference" else "reference")
     few = slice(None, None, len(other.vertices) // _SWEEP_POINTS + 1)
     depth = bounding_diagonal(whole.part(name)) / _SWEEP_DEPTH * np.arange(3)[:, None, None]
     depth = -depth if inside_out(other) else depth
     points = (other.vertices[few] - depth * smooth_normals(other)[few]).reshape(-1, 3)
-    seen = reconstruction.seen.all(axis=1)
-    states = reconstruction.states[seen] if seen.any() else reconstruction.states
+    states = reconstruction.states
     Ts = whole.joint.transform(np.linspace(states.min(), states.max(), _SWEEP_STATES))
     Ts = Ts if name == "reference" else se3.inverse(Ts)
     return np.concatenate([se3.transform(T, points) for T in Ts])

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from export.winding import Winding
 from freeart21 import se3
-from freeart21.articulation import Articulation
+from freeart21.articulation import PARTS, Articulation
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
@@ -23,12 +24,20 @@ class Overlap:
     surfaces have an inside, too: what they enclose for the most part. Depth is the distance to the surface.
     """
 
-    def __init__(self, parts: Articulation, samples: int = SAMPLES) -> None:
-        """`parts` in any frame, metres, the moving part at state zero; meshes may be open."""
+    def __init__(
+        self, parts: Articulation, observed: dict[str, NDArray[np.bool_]] | None = None, samples: int = SAMPLES
+    ) -> None:
+        """`parts` in any frame, metres, the moving part at state zero; meshes may be open.
+
+        Where triangles are told that were `observed`, (F,) of each part, only they touch: a point counts when it is on
+        one of them and inside of the other part with one nearest. The rest of a surface, which closes what nobody saw,
+        then says what is inside, and stops nothing.
+        """
         self.joint: Joint = parts.joint
-        meshes = (parts.reference, parts.moving)
-        self._surfaces = [_Surface(mesh) for mesh in meshes]
-        self._points = [_even(mesh, samples, _SEED) for mesh in meshes]
+        meshes = {name: parts.part(name) for name in PARTS}
+        seen = {name: np.ones(len(mesh.faces), bool) for name, mesh in meshes.items()} if observed is None else observed
+        self._surfaces = [_Surface(mesh, seen[name]) for name, mesh in meshes.items()]
+        self._points = [_even(_only(mesh, seen[name]), samples, _SEED) for name, mesh in meshes.items()]
         self.speeds: Array = np.concatenate([_speeds(self.joint, points) for points in self._points])
         """(n,) of the sampled points against the other part, m per unit of state."""
         self._at = [np.full(len(points), np.nan) for points in self._points]
@@ -48,15 +57,19 @@ class Overlap:
             due = ~(np.abs(state - self._at[k]) * speeds < self._clear[k])
             depth = np.zeros(len(points))
             if due.any():
-                inside = surface.depth(se3.transform(T_other, points[due]))
+                inside, touches = surface.depth(se3.transform(T_other, points[due]))
                 self._at[k][due], self._clear[k][due] = state, np.maximum(-inside, 0)
-                depth[due] = np.maximum(inside, 0)
+                depth[due] = np.where(touches, np.maximum(inside, 0), 0)
             found.append(depth)
         return np.concatenate(found)
 
     def deepest(self, states: Array) -> Array:
         """(n,) metres, the depth of the deepest point at each of the joint states (n,)."""
         return np.array([self.depths(float(state)).max(initial=0.0) for state in states])
+
+
+def _only(mesh: Mesh, faces: NDArray[np.bool_]) -> Mesh:
+    return Mesh(mesh.vertices, mesh.faces[faces])
 
 
 def _speeds(joint: Joint, points: Array) -> Array:
@@ -67,7 +80,9 @@ def _speeds(joint: Joint, points: Array) -> Array:
 
 
 def _even(mesh: Mesh, count: int, seed: int) -> Array:
-    """Points (count, 3) spread over the area of a mesh, stratified along its list of triangles."""
+    """Points (count, 3) spread over the area of a mesh, stratified along its list of triangles; none without area."""
+    if not mesh.areas().sum() > 0:
+        return np.zeros((0, 3))
     u = np.random.default_rng(seed).random((count, 3))
     total = np.cumsum(mesh.areas())
     face = np.searchsorted(total, (np.arange(count) + u[:, 0]) / count * total[-1], side="right")
@@ -81,10 +96,11 @@ def _even(mesh: Mesh, count: int, seed: int) -> Array:
 class _Surface:
     """The triangles of a part, to measure signed distances to."""
 
-    def __init__(self, mesh: Mesh) -> None:
-        self._winding = Winding(Mesh(mesh.vertices, mesh.faces[mesh.areas() > 0]))
+    def __init__(self, mesh: Mesh, touches: NDArray[np.bool_]) -> None:
+        real = mesh.areas() > 0
+        self._winding, self._touches = Winding(_only(mesh, real)), touches[real]
 
-    def depth(self, points: Array) -> Array:
-        """(n,) metres inside the surface, negative outside."""
-        distance = self._winding.distance(points)
-        return np.where(self._winding.number(points) > 0.5, distance, -distance)
+    def depth(self, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """(n,) metres inside the surface, negative outside; and whether its nearest triangle is one that touches."""
+        distance, triangle = self._winding.nearest(points)
+        return np.where(self._winding.number(points) > 0.5, distance, -distance), self._touches[triangle]

@@ -85,7 +85,11 @@ class Placement:
 
 
 def placed(
-    reconstruction: Reconstruction, settings: PlacementSettings, min_range: dict[str, float], scale: float = 1.0
+    reconstruction: Reconstruction,
+    settings: PlacementSettings,
+    min_range: dict[str, float],
+    scale: float = 1.0,
+    observed: dict[str, NDArray[np.bool_]] | None = None,
 ) -> Placement:
     """Link frames for a reconstruction.
 
@@ -94,6 +98,7 @@ def placed(
         settings: which way is up, where zero is.
         min_range: joint type to the smallest range, rad or m, that counts as motion.
         scale: the reconstruction's lengths over those of its video: tolerances grow with them.
+        observed: (F,) of each part, which of its triangles were seen; None is all. Others do not end the joint's range.
 
     The URDF joint has the range of `joint_range` and its zero at the end, or state, that `zero_state` chooses. Parts
     that are in each other by more than the tolerance within the range are carved where both are closed: what collides,
@@ -108,7 +113,8 @@ def placed(
             raise FreeArtError(f"{name} part of joint '{joint.name}' {what}: nothing to export")
     tolerance = settings.tolerance_m * scale
     overlap = Overlap(articulation)
-    found = joint_range(reconstruction, overlap, tolerance)
+    touching = overlap if observed is None else Overlap(articulation, observed)
+    found = joint_range(reconstruction, touching, tolerance)
     if found.high - found.low < min_range[joint.type]:
         raise FreeArtError(
             f"joint '{joint.name}' was seen to move by {found.high - found.low:.3g} {joint.state_unit}, expected at "

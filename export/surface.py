@@ -76,6 +76,11 @@ class Surface:
     """Whether the part's triangles faced inwards and were turned."""
 
     @property
+    def observed(self) -> NDArray[np.bool_]:
+        """(F,) which triangles were seen."""
+        return np.arange(len(self.mesh.faces)) < self.patch_first
+
+    @property
     def patch_count(self) -> int:
         """Triangles of the patch."""
         return len(self.mesh.faces) - self.patch_first

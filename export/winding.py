@@ -28,6 +28,7 @@ class Winding:
         """`mesh` in any frame; its triangles face outwards."""
         corners = mesh.vertices[mesh.faces]
         order, self._first, self._count, self._right = _tree(np.ascontiguousarray(corners.mean(1)), LEAF)
+        self._order = order
         self._corners = np.ascontiguousarray(corners[order])
         a, b, c = np.moveaxis(self._corners, 1, 0)
         self._nodes = _dipoles(self._corners, 0.5 * np.cross(b - a, c - a), self._first, self._count)
@@ -38,10 +39,15 @@ class Winding:
 
     def distance(self, points: Array) -> Array:
         """(n,) to the nearest triangle from points (n, 3)."""
-        return self._each(_distance, points)
+        return self.nearest(points)[0]
+
+    def nearest(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
+        """(n,) distance from points (n, 3) to the nearest triangle, and (n,) which of the mesh's it is."""
+        found = self._each(_distance, points)
+        return found[:, 0], self._order[found[:, 1].astype(np.int64)]
 
     def _each(self, kernel: Callable[..., Array], points: Array, *more: float) -> Array:
-        """(n,) what a kernel says of points (n, 3), on all cores when there are many."""
+        """(n, ...) what a kernel says of points (n, 3), on all cores when there are many."""
         points = np.ascontiguousarray(points, float)
 
         def of(some: Array) -> Array:
@@ -122,10 +128,11 @@ def _number(points, corners, nodes, first, count, right, far):
 
 @njit(cache=True, nogil=True)
 def _distance(points, corners, nodes, first, count, right):
-    found = np.empty(len(points))
+    """(n, 2) distance and place in `corners` of the nearest triangle."""
+    found = np.empty((len(points), 2))
     stack = np.empty(128, np.int64)
     for i in range(len(points)):
-        best, top = np.inf, 1
+        best, which, top = np.inf, 0, 1
         stack[0] = 0
         while top > 0:
             top -= 1
@@ -140,8 +147,10 @@ def _distance(points, corners, nodes, first, count, right):
                 top += 2
             else:
                 for f in range(first[k], first[k] + count[k]):
-                    best = min(best, _to_triangle(points[i], corners[f]))
-        found[i] = best
+                    away = _to_triangle(points[i], corners[f])
+                    if away < best:
+                        best, which = away, f
+        found[i, 0], found[i, 1] = best, which
     return found
 
 

@@ -208,6 +208,21 @@ def test_a_hidden_end_stops_where_the_parts_touch():
     assert found.low_by == "contact" and found.low == pytest.approx(-0.5, abs=0.005)
 
 
+@pytest.mark.parametrize("patched", ["reference", "moving"])
+def test_a_guessed_surface_ends_no_range(patched):
+    """The same lid: where nobody saw a part's faces, they may be wherever they were put to close it."""
+    seen = np.ones((9, 2), bool)
+    seen[:2, 1] = False
+    states = np.append([-0.7, -0.6], np.linspace(-0.3, 0.4, 7))
+    answer = seen_as(lidded(0.5), states, np.where(seen.all(1), 0.001, np.nan), seen=seen)
+    parts = answer.articulation
+    observed = {name: np.full(len(parts.part(name).faces), name != patched) for name in ("reference", "moving")}
+    found = joint_range(answer, Overlap(parts, observed))
+    assert (found.low, found.low_by) == (-0.7, "hidden")
+    assert Overlap(parts, observed).deepest(np.array([-0.7])) == 0
+    assert Overlap(parts).deepest(np.array([-0.7])) > 0.01
+
+
 def test_depth_of_a_box_in_a_box():
     slide = Joint("slide", "prismatic", np.array([1.0, 0, 0]), np.zeros(3), -np.inf, np.inf)
     overlap = Overlap(Articulation(slide, box((0.1, 0.1, 0.1)), box((0.04, 0.04, 0.04), (0.075, 0, 0))))
