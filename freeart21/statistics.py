@@ -141,8 +141,8 @@ def frames_a_second(recording: Recording) -> float:
 
 
 def _parts_motion(truth: Truth) -> tuple[list[Array], list[Array], Array, Array]:
-    """Middles (3,) of both parts, canonical; where these are before the camera, metres, (n, 3) each; turns, degrees, and
-    shifts of the middles, metres, (2, n - 1) each."""
+    """Middles (3,) of both parts, canonical; where these are before the camera, metres, (n, 3) each; turns,
+    degrees, and shifts of the middles, metres, (2, n - 1) each."""
     middles, wheres, turns, shifts = [], [], [], []
     parts = truth.articulation.reference, truth.articulation.moving
     for mesh, Ts in zip(parts, (truth.Ts_camera_reference, truth.Ts_camera_moving), strict=True):

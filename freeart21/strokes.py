@@ -177,8 +177,8 @@ def strokes(speed: Array, rest: float) -> NDArray[np.int64]:
 def spectral_arc_length(speed: Array, fps: float, highest_hz: float = 10.0, least: float = 0.05) -> float:
     """The spectral arc length of a speed (n,) (Balasubramanian, Melendez-Calderon, Roby-Brami and Burdet 2015).
 
-    Minus the length of the magnitude spectrum, both axes scaled to 1, up to the last frequency, `highest_hz` at most, at
-    which it is `least` of its largest; zero where nothing moves. Depends on how long the course is: compare equals.
+    Minus the length of the magnitude spectrum, both axes scaled to 1, up to the last frequency, `highest_hz` at
+    most, at which it is `least` of its largest; zero where nothing moves. It depends on the length: compare equals.
     """
     size = 1 << (int(np.ceil(np.log2(max(len(speed), 2)))) + 4)
     spectrum = np.abs(np.fft.rfft(speed, size))
