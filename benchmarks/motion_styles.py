@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -258,7 +258,7 @@ class Law:
     spread: float
 
     def __str__(self) -> str:
-        return f"Law({', '.join(f'{v:.2f}' for v in asdict(self).values())})"
+        return f"Law({', '.join(f'{v:.2f}' for v in astuple(self))})"
 
 
 def law(x: Array, y: Array) -> Law:
@@ -284,7 +284,10 @@ def drawn_from(takes: list[Take]) -> dict[str, str]:
     holds = [m.degrees[~m.pose_moves] for m in moves]
     still = [m.shifts[~m.pose_moves] for m in moves]
     puts = [len(strokes(np.where(m.pose_moves, 0.0, 1.0), 0.5)) for m in moves]
-    partial = shares[shares < 0.8]
+    begins, ends = (np.concatenate([m.opening[m.joint_strokes[:, k]] for m in moves]) for k in (0, 1))
+    room, left = (np.where(ends > begins, 1 - at, at) for at in (begins, ends))
+    to_end, far = left < 0.1, room >= 0.8
+    part = 1 - (left / room)[~to_end]
     return {
         "SWEEP_DEGREES": f"({np.mean([s.mean() for s in sweeps]):.2f}, {np.std([s.mean() for s in sweeps]):.2f}, "
         f"{np.sqrt(np.mean([s.var() for s in sweeps])):.2f})",
@@ -293,8 +296,8 @@ def drawn_from(takes: list[Take]) -> dict[str, str]:
         "AT_ONCE": f"{np.mean(gaps <= 0.1):.2f}",
         "PAUSE_SECONDS": _log(gaps[gaps > 0.1]),
         "ON, BACK": f"{np.mean(bends > 0.5):.2f}, {np.mean(bends < -0.5):.2f}",
-        "FULL": f"{np.mean(shares >= 0.8):.2f}",
-        "PARTIAL": f"({np.percentile(partial, 5):.2f}, {np.percentile(partial, 95):.2f})",
+        "TO_END": f"({np.mean(to_end[far]):.2f}, {np.mean(to_end[~far]):.2f})",
+        "PARTWAY": f"({np.percentile(part, 5):.2f}, {np.percentile(part, 95):.2f})",
         "JOINT_SECONDS": str(law(shares, joint_s)),
         "JOINT_AT_ONCE": f"{np.mean(rests <= 0.1):.2f}",
         "JOINT_REST_SECONDS": _log(rests[rests > 0.1]),

@@ -44,10 +44,11 @@ ON, BACK = 0.25, 0.41
 OVERLAP = (0.12, 0.34)
 """Share of its time by which a sweep begins before the end of the one before: two of equal speed whose axes are at
 right angles then have a dip of .07 to .45 of their peaks between them (measured, 5 to 95 %: .06 to .48)."""
-FULL = 0.47
-"""Share of the joint's strokes that pass four fifths of its range or more."""
-PARTIAL = (0.06, 0.78)
-"""Share of the range that the others pass (5 to 95 %)."""
+TO_END = (0.52, 0.83)
+"""Shares of the joint's strokes that end within a tenth of the range of where it ends: of those that have four fifths
+of it before them or more, and of the others."""
+PARTWAY = (0.07, 0.88)
+"""Share of the way to that end that the others pass (5 to 95 %)."""
 JOINT_SECONDS = Law(-0.89, 0.64, -0.74, 0.44)
 """A joint stroke's time, from the share that it passes."""
 JOINT_AT_ONCE = 0.43
@@ -60,10 +61,12 @@ LAID = 0.23
 """Share of the rests of a second or more in which an object is as still as on a table: less than .025 degrees a frame,
 where motion capture itself makes .02. An object held still in the hand makes .040 (median)."""
 
+_LEAST = 0.05  # of the range: what passes less was not measured (`freeart21.strokes.JOINT_STROKE`)
 _LARGEST = 170.0  # degrees: beyond, a stroke has no one direction; 1 % of those measured are longer
 FASTEST = 25.0
 """Degrees a frame at 30 a second; the most that was measured is 24.8."""
 _QUICKEST = 0.12  # s: four samples of the motion capture, in which no shorter stroke is told from noise
+_BEGUN, _MOST = 0.25, 0.6  # shares of a short video: within it something moves, however few its frames are
 _LONGEST = 5.0  # s: the longest rest that was measured lasts 4.7
 
 
@@ -98,8 +101,8 @@ def hand(frames: int, fps: float, rng: np.random.Generator) -> Hand:
     laid: list[tuple[float, float]] = []
     mean, between, within = SWEEP_DEGREES
     mean += between * float(np.clip(rng.normal(), -2, 2))
-    end = 0.0 if rng.uniform() < AT_ONCE else -_rest(PAUSE_SECONDS, rng) * fps * rng.uniform()
-    at = max(-end, 1.0)
+    begins = 0.0 if rng.uniform() < AT_ONCE else _rest(PAUSE_SECONDS, rng) * rng.uniform() * fps
+    at = min(max(begins, 1.0), _BEGUN * frames)
     while at < frames:
         degrees = min(float(np.exp(mean + within * rng.normal())), _LARGEST)
         overlap = rng.uniform(*OVERLAP)
@@ -120,9 +123,10 @@ def hand(frames: int, fps: float, rng: np.random.Generator) -> Hand:
 def joint_strokes(frames: int, fps: float, rng: np.random.Generator, hold: Hold | None = None) -> JointCourse:
     """The joint, worked in strokes of its own: nearly shut at first, then wide open, then as it comes.
 
-    A `hold` is put in before half of the time that is left for it has passed, after the first stroke.
+    A `hold` is put in, after the first stroke, before half of the time that it leaves has passed.
     """
-    share, at, turn = float(rng.uniform(0.0, 0.25)), float(rng.uniform(0.2, 1.0) * fps), 1.0
+    share, turn = float(rng.uniform(0.0, 0.25)), 1.0
+    at = min(float(rng.uniform(0.2, 1.0)) * fps, _BEGUN * frames)
     wait = 0.0 if hold is None else rng.uniform(0.1, 0.5) * (1 - hold.length) * frames
     goals, moves, held = [share], [], None
     while at < frames:
@@ -132,12 +136,13 @@ def joint_strokes(frames: int, fps: float, rng: np.random.Generator, hold: Hold 
             goal = 1.0
         else:
             turn = -turn if rng.uniform() < TURNED_ROUND else turn
-            turn = turn if (1 - share if turn > 0 else share) > PARTIAL[0] else -turn
+            turn = turn if (1 - share if turn > 0 else share) > _LEAST else -turn
             room = 1 - share if turn > 0 else share
-            passed = room if rng.uniform() < FULL else min(float(rng.uniform(*PARTIAL)), room)
-            goal = share + turn * passed
+            ends = rng.uniform() < TO_END[int(room < 0.8)]
+            goal = share + turn * room * (1.0 if ends else rng.uniform(*PARTWAY))
         passed = abs(goal - share)
-        length = max(JOINT_SECONDS.drawn(max(passed, PARTIAL[0]), rng), 2 * _QUICKEST) * fps
+        length = max(JOINT_SECONDS.drawn(max(passed, _LEAST), rng), 2 * _QUICKEST) * fps
+        length = min(length, _MOST * frames)
         moves.append((at, at + length))
         at += length
         if hold is not None and held is None and goal == hold.share:
@@ -146,7 +151,8 @@ def joint_strokes(frames: int, fps: float, rng: np.random.Generator, hold: Hold 
         elif rng.uniform() < JOINT_AT_ONCE:
             at += rng.uniform(0.0, 0.1) * fps
         else:
-            at += _rest(JOINT_REST_SECONDS, rng) * fps
+            rest = _rest(JOINT_REST_SECONDS, rng) * fps
+            at = min(at + rest, max(at, wait)) if hold is not None and held is None else at + rest
         turn = np.sign(goal - share) or turn
         share = goal
         goals.append(goal)
