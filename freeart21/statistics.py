@@ -27,7 +27,7 @@ class MotionStatistics:
 
     name: str
     source: dict[str, str]
-    """Object, motion, sensor and seed, as far as the truth tells."""
+    """Object, motion, sensor and seed, as far as the truth tells; of a take, its name and device."""
     joint_type: str
     frames: int
     degrees: Array
@@ -57,6 +57,16 @@ class MotionStatistics:
     """Nearest and furthest depth, metres, over the frames looked at."""
     masks_valid: bool
     """Whether foreground, part masks and the truth's pixel counts agree, in the frames looked at."""
+
+    @property
+    def recorded(self) -> bool:
+        """Whether somebody moved the object, rather than a script."""
+        return "take" in self.source
+
+    @property
+    def moved_by(self) -> str:
+        """The scripted style, or what the motion was taken with."""
+        return self.source.get("device", "a take") if self.recorded else self.source.get("motion", "unknown")
 
     @property
     def median_degrees(self) -> float:
@@ -110,7 +120,7 @@ def motion_statistics(recording: Recording, truth: Truth, every: int = 10) -> Mo
     )
     return MotionStatistics(
         recording.name,
-        {key: str(truth.source[key]) for key in ("object", "motion", "sensor", "seed") if key in truth.source},
+        _source(truth),
         joint.type,
         n,
         turns[held],
@@ -129,6 +139,15 @@ def motion_statistics(recording: Recording, truth: Truth, every: int = 10) -> Mo
         depth,
         counts_agree and masks_agree,
     )
+
+
+def _source(truth: Truth) -> dict[str, str]:
+    keys = ("object", "motion", "sensor", "seed")
+    told: dict[str, str] = {str(key): str(truth.source[key]) for key in keys if key in truth.source}
+    take = truth.source.get("track")
+    if isinstance(take, dict):
+        told |= {"take": str(take.get("name", "unknown")), "device": str(take.get("device", "a take"))}
+    return told
 
 
 def _ends(states: Array) -> tuple[float, float]:

@@ -81,7 +81,7 @@ def _carried(place: Array, way: float, rng: np.random.Generator) -> Array:
 
 def _in_hand(laid: tuple[tuple[float, float], ...], frames: int, fps: float) -> Array:
     """(frames,) 1 in the hand, 0 while the object is put down."""
-    t, held = np.arange(frames), np.ones(frames)
+    t, held = np.arange(frames, dtype=float), np.ones(frames)
     for a, b in laid:
         ramp = _RAMP * fps
         held *= 1 - timing.ease((t - a) / ramp) * timing.ease((b - t) / ramp)

@@ -128,7 +128,9 @@ def joint_strokes(frames: int, fps: float, rng: np.random.Generator, hold: Hold 
     share, turn = float(rng.uniform(0.0, 0.25)), 1.0
     at = min(float(rng.uniform(0.2, 1.0)) * fps, _BEGUN * frames)
     wait = 0.0 if hold is None else rng.uniform(0.1, 0.5) * (1 - hold.length) * frames
-    goals, moves, held = [share], [], None
+    goals: list[float] = [share]
+    moves: list[tuple[float, float]] = []
+    held: tuple[float, float] | None = None
     while at < frames:
         if hold is not None and held is None and moves and at >= wait:
             goal = hold.share
@@ -153,7 +155,7 @@ def joint_strokes(frames: int, fps: float, rng: np.random.Generator, hold: Hold 
         else:
             rest = _rest(JOINT_REST_SECONDS, rng) * fps
             at = min(at + rest, max(at, wait)) if hold is not None and held is None else at + rest
-        turn = np.sign(goal - share) or turn
+        turn = float(np.sign(goal - share)) or turn
         share = goal
         goals.append(goal)
     shares = np.full(frames, goals[0])
