@@ -83,7 +83,7 @@ class Sweep:
 
     def course(self, frames: int) -> Array:
         """(frames,) 0 before, 1 after."""
-        return ease((np.arange(frames) - self.start) / self.length)
+        return ease((np.arange(frames, dtype=float) - self.start) / self.length)
 
 
 @dataclass(frozen=True)
@@ -140,8 +140,8 @@ def joint_strokes(frames: int, fps: float, rng: np.random.Generator, hold: Hold 
             turn = -turn if rng.uniform() < TURNED_ROUND else turn
             turn = turn if (1 - share if turn > 0 else share) > _LEAST else -turn
             room = 1 - share if turn > 0 else share
-            ends = rng.uniform() < TO_END[int(room < 0.8)]
-            goal = share + turn * room * (1.0 if ends else rng.uniform(*PARTWAY))
+            to_end = rng.uniform() < TO_END[int(room < 0.8)]
+            goal = share + turn * room * (1.0 if to_end else float(rng.uniform(*PARTWAY)))
         passed = abs(goal - share)
         length = max(JOINT_SECONDS.drawn(max(passed, _LEAST), rng), 2 * _QUICKEST) * fps
         length = min(length, _MOST * frames)
@@ -158,9 +158,9 @@ def joint_strokes(frames: int, fps: float, rng: np.random.Generator, hold: Hold 
         turn = float(np.sign(goal - share)) or turn
         share = goal
         goals.append(goal)
-    shares = np.full(frames, goals[0])
+    t, shares = np.arange(frames, dtype=float), np.full(frames, goals[0])
     for (a, b), before, after in zip(moves, goals[:-1], goals[1:], strict=True):
-        shares += (after - before) * ease((np.arange(frames) - a) / (b - a))
+        shares += (after - before) * ease((t - a) / (b - a))
     ends = [0.0, *(b for _, b in moves)]
     starts = [*(a for a, _ in moves), frames - 1.0]
     rests = tuple((a, b) for a, b in zip(ends, starts, strict=True) if b > a)
