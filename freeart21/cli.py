@@ -190,10 +190,9 @@ def record(
         joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
         skip_missing: Leave out meshes that an object names but does not have and, with `all`, objects that are not in
             --partnet-root.
-        motion: tumble (when not given), inspect, wave, turntable, static_base, release, human, or track:FILE: a take
-            that is replayed, of which --frames are those over which the joint moves most.
-        carry: Factor on the way of a take whose poses are changes since the first, 1 for its own metres; by the size of
-            the object when not given and the take tells that of its own.
+        motion: tumble (when not given), inspect, wave, turntable, static_base, release, human, or track:FILE, a take
+            that is replayed where its joint moves most.
+        carry: Factor on a take's way, 1 for its metres; by the objects' sizes when not given.
         preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).
         sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
         effects: effects.json of the joint that is let go, for the motion release.
@@ -494,6 +493,7 @@ def measure(
     noise_deg: float = 0.2,
     seed: int = 0,
     partnet_root: Path | None = None,
+    urdf: Path | None = None,
 ) -> None:
     """Make a measured set for `gap`: from CSV, JSON or MAT files, a filmed result, or recorded truths.
 
@@ -523,6 +523,7 @@ def measure(
         noise_deg: Standard deviation, degrees, of a tracker's turns.
         seed: Seed of the tracker's errors.
         partnet_root: Folder that holds PartNet-Mobility objects, for truths of such.
+        urdf: The object's URDF as it was when it was recorded, for truths of one: they keep its hash, not its files.
     """
     given = dict(locals())
     files = [source for source in sources if source.is_file()]
@@ -573,7 +574,8 @@ def measure(
     else:
         from generator.measure import TrackerNoise, measure_truths
 
-        measure_truths(sources, out, TrackerNoise(1e-3 * noise_mm, math.radians(noise_deg), seed=seed), partnet_root)
+        noise = TrackerNoise(1e-3 * noise_mm, math.radians(noise_deg), seed=seed)
+        measure_truths(sources, out, noise, partnet_root, urdf)
         _say_next(out / "asset", out)
 
 
