@@ -11,6 +11,7 @@ from shutil import which
 
 import numpy as np
 import pytest
+from browser import CHROMIUM, browser
 from synthetic_case import make_recording, make_truth
 
 from freeart21 import se3, sphere
@@ -134,6 +135,28 @@ def test_sources_of_motion_stand_one_below_the_other_scripted_ones_first(tmp_pat
     axes = [re.findall(r'<text[^>]*>[^<]*</text>|<line class="grid"[^>]*>', row) for row in rows]
     assert axes[0] and all(a == axes[0] for a in axes), "same axes in every row"
     assert len({row.split("<h3>")[1].split("</h3>")[1] for row in rows[:3]}) == 1, "the same motion looks the same"
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="needs a Chromium")
+@pytest.mark.parametrize("width", [1440, 390])
+def test_the_panels_fit_a_desk_and_a_phone(tmp_path: Path, width: int) -> None:
+    file = tmp_path / "page.html"
+    file.write_text(page(_folder(tmp_path / "toys")))
+    with browser() as chrome:
+        chrome.open(file, width=width, ready="true")
+        wide = chrome.run("document.documentElement.scrollWidth")
+        panels = chrome.run(
+            "[...document.querySelectorAll('.panels figure')].map((f) => { const b = f.getBoundingClientRect();"
+            " return [b.left, b.right, b.top, parseFloat(getComputedStyle(f.querySelector('svg')).width)]; })"
+        )
+        letters = chrome.run(
+            "(() => { const t = document.querySelector('.panels text'); const s = t.ownerSVGElement;"
+            " return parseFloat(getComputedStyle(t).fontSize) * s.clientWidth / s.viewBox.baseVal.width; })()"
+        )
+        assert wide == width and chrome.errors == []
+    assert len(panels) == 4 and all(left >= 0 and right <= width for left, right, *_ in panels)
+    assert len({round(top) for _, _, top, _ in panels}) == (1 if width > 760 else 2), "in a row, or two by two"
+    assert letters > 8  # pixels
 
 
 def test_figures_of_a_source_are_those_of_its_motion() -> None:
