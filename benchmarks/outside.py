@@ -1,13 +1,15 @@
 """The solver on data of others: real video, real objects, real motion; with and without its Gaussians.
 
-    .venv/bin/python -m benchmarks.outside [--partnet ROOT] [--videos FOLDER] [--mocap FOLDER] [--clips 1305 laptop]
+    .venv/bin/python -m benchmarks.outside [--partnet ROOT] [--videos FOLDER] [--mocap FOLDER] [--urdfs FOLDER]
+        [--clips 1305 laptop]
 
 takes by path what is there of
 - PartNet-Mobility: every object in ROOT, by the first joint of its URDF that moves, recorded by our generator with
   scripted motion. In the order of their numbers the sensors take turns: noise2, tof;
 - captured motion (ARCTIC): how people moved a laptop, a mixer and a ketchup bottle, the files
   SUBJECT_OBJECT_use_TAKE.object.npy. The first take of each, the stretch over which the joint moves most, replayed on
-  the built-in object of the like joint (`freeart21 record --motion track:FILE`);
+  the object itself (OBJECT/OBJECT.urdf in the folder of URDFs, or the first other one there that can be recorded), or
+  where it is absent on the built-in object of the like joint (`freeart21 record --motion track:FILE`);
 - videos with depth: folders of a camera's pictures (rgb/, depth/, masks/, cam_K.txt). They have no truth: what is found
   is told;
 what is absent, or cannot be recorded, is left out and said so. All is solved from one geometry with the Gaussians and
@@ -17,6 +19,7 @@ run that was stopped goes on from there. Nothing of the data enters the reposito
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import shutil
 from dataclasses import asdict, dataclass, replace
@@ -66,7 +69,7 @@ SENSORS = ("noise2", "tof")
 SEED = 7
 SHARED = ROOT.parent / "shared"
 CAPTURED = {"laptop": "folding_display", "mixer": "long_arm_stapler", "ketchup": "flip_cap_usb"}
-"""The object that was moved before the cameras, and the built-in one that moves so in the benchmark."""
+"""The object that was moved before the cameras, and the built-in one that stands in where its URDF is absent."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,7 @@ class Told:
 def main(
     partnet: Path = SHARED / "partnet_mobility",
     mocap: Path = SHARED / "mocap",
+    urdfs: Path = SHARED / "urdf_objects",
     videos: Path = SHARED / "rgbd",
     clips: tuple[str, ...] = (),
     frames: int = 120,
@@ -114,6 +118,7 @@ def main(
     Args:
         partnet: Folder of PartNet-Mobility objects.
         mocap: Folder of captured motion.
+        urdfs: Folder of the objects that were captured, a folder each.
         videos: Folder of videos with depth.
         clips: These alone: numbers of objects, laptop, mixer, ketchup, or names of videos.
         frames: Of what is recorded.
@@ -125,7 +130,7 @@ def main(
     settings = replace(settings, progress=False)
     variants = {OURS: settings, BESIDE: without(settings, BESIDE)}
     places = {name: Place(work / "results" / name, work / "outcomes" / name) for name in variants}
-    chosen, left_out = clips_of(partnet, mocap, frames)
+    chosen, left_out = clips_of(partnet, mocap, urdfs, frames)
     real = sorted(path for path in videos.glob("*") if rgbd_folder.is_rgbd_folder(path))
     if not real:
         left_out["videos"] = f"there are none in {videos}"
@@ -158,7 +163,7 @@ def main(
             continue
         told += [_told(name, its, sequence, work, places[name], fresh) for name, its in variants.items()]
         shutil.rmtree(work_folder(_geometry(work) / sequence.name), ignore_errors=True)
-    roots = {str(partnet): "PARTNET", str(mocap): "MOCAP", str(videos): "VIDEOS"}
+    roots = {str(partnet): "PARTNET", str(mocap): "MOCAP", str(urdfs): "URDFS", str(videos): "VIDEOS"}
     for root, word in roots.items():
         left_out = {name: why.replace(root, word) for name, why in left_out.items()}
     of = {name: worst_first([o for (n, _), o in found.items() if n == name]) for name in variants}
@@ -173,7 +178,8 @@ def main(
         "frames": frames,
         "seed": SEED,
         "clips": [
-            {"name": c.name, "source": c.source, "object": c.object, "sensor": c.settings.sensor} for c in wanted
+            {"name": c.name, "source": c.source, "object": Path(c.object).name, "sensor": c.settings.sensor}
+            for c in wanted
         ],
         "left_out": left_out,
     }
@@ -186,7 +192,7 @@ def main(
 # --- recordings -------------------------------------------------------------------------------------------------------
 
 
-def clips_of(partnet: Path, mocap: Path, frames: int) -> tuple[list[Clip], dict[str, str]]:
+def clips_of(partnet: Path, mocap: Path, urdfs: Path, frames: int) -> tuple[list[Clip], dict[str, str]]:
     """What is to be recorded of the data there, by the rules above; and what is left out, with the reason."""
     clips, left_out = [], {}
     numbers = sorted((f.name for f in partnet.glob("*") if f.name.isdigit()), key=int)
@@ -207,10 +213,20 @@ def clips_of(partnet: Path, mocap: Path, frames: int) -> tuple[list[Clip], dict[
         takes = sorted(mocap.glob(f"*_{thing}_use_*.object.npy"))
         if takes:
             settings = replace(_settings(frames, SENSORS[k % len(SENSORS)]), motion=TRACK, track=takes[0])
-            clips.append(Clip(thing, f"ARCTIC {takes[0].name}", settings, name))
+            clips.append(Clip(thing, f"ARCTIC {takes[0].name}", settings, str(own_urdf(urdfs / thing) or name)))
         else:
             left_out[thing] = f"there is no take of it in {mocap}"
     return clips, left_out
+
+
+def own_urdf(folder: Path) -> Path | None:
+    """The URDF of an object's folder that can be recorded, the one of the folder's name first; None where none can."""
+    every = sorted(folder.glob("*.urdf"), key=lambda path: (path.stem != folder.name, path.name))
+    for path in every:
+        with contextlib.suppress(FreeArtError):
+            jobs_of([str(path)], _settings(2, "clean"))
+            return path
+    return None
 
 
 def _settings(frames: int, sensor: str) -> RecordSettings:

@@ -160,6 +160,7 @@ def record(
     joint: str | None = None,
     skip_missing: bool = False,
     motion: str | None = None,
+    carry: float | None = None,
     preset: str = "handheld",
     sensor: str = "clean",
     effects: Path | None = None,
@@ -189,8 +190,9 @@ def record(
         joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
         skip_missing: Leave out meshes that an object names but does not have and, with `all`, objects that are not in
             --partnet-root.
-        motion: tumble (when not given), inspect, wave, turntable, static_base, release, or track:FILE: a take that is
-            replayed, of which --frames are those over which the joint moves most.
+        motion: tumble (when not given), inspect, wave, turntable, static_base, release, human, or track:FILE, a take
+            that is replayed where its joint moves most.
+        carry: Factor on a take's way, 1 for its metres; by the objects' sizes when not given.
         preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).
         sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
         effects: effects.json of the joint that is let go, for the motion release.
@@ -206,10 +208,11 @@ def record(
         shader: SAPIEN's camera shader: default, or trivial (unlit, fast).
         executor: Where they record: local (this machine), ray or slurm (--out on a file system that all machines see).
     """
+    from freeart21.files import checked
     from freeart21.formats.captured import read_track
     from generator import v1
     from generator.dataset import is_unfinished, jobs_of, official_names, procedural_jobs, record_jobs
-    from generator.motion.track import frames_of
+    from generator.motion.track import frames_of, told
     from generator.recorder import RecordSettings, built_in_names
 
     track = None
@@ -227,6 +230,7 @@ def record(
         queries=queries,
         motion=motion or "tumble",
         track=track,
+        carry=carry,
         preset=preset,
         sensor=sensor,
         effects=effects,
@@ -260,12 +264,17 @@ def record(
     for job in jobs:
         for note in job.notes:
             print(f"{job.name}: {note}", file=sys.stderr)
+
+    def done(sequence: str) -> None:
+        print(out / "sequences" / sequence, flush=True)
+        if track is not None:
+            source = checked.read_json(out / "truth" / sequence / "truth.json")["source"]
+            print(f"{sequence}: {told(source['track'])}", file=sys.stderr, flush=True)
+
     with stopping.explained(
         lambda: f"what is done is kept in {out}: the same command goes on" if is_unfinished(out) else ""
     ):
-        made = record_jobs(
-            out, jobs, workers, label, lambda sequence: print(out / "sequences" / sequence, flush=True), executor
-        )
+        made = record_jobs(out, jobs, workers, label, done, executor)
     if not made:
         print(f"{out} holds {'this sequence' if len(jobs) == 1 else f'these {len(jobs)} sequences'} already")
     return 0
@@ -484,6 +493,7 @@ def measure(
     noise_deg: float = 0.2,
     seed: int = 0,
     partnet_root: Path | None = None,
+    urdf: Path | None = None,
 ) -> None:
     """Make a measured set for `gap`: from CSV, JSON or MAT files, a filmed result, or recorded truths.
 
@@ -513,6 +523,7 @@ def measure(
         noise_deg: Standard deviation, degrees, of a tracker's turns.
         seed: Seed of the tracker's errors.
         partnet_root: Folder that holds PartNet-Mobility objects, for truths of such.
+        urdf: The object's URDF as it was when it was recorded, for truths of one: they keep its hash, not its files.
     """
     given = dict(locals())
     files = [source for source in sources if source.is_file()]
@@ -563,7 +574,8 @@ def measure(
     else:
         from generator.measure import TrackerNoise, measure_truths
 
-        measure_truths(sources, out, TrackerNoise(1e-3 * noise_mm, math.radians(noise_deg), seed=seed), partnet_root)
+        noise = TrackerNoise(1e-3 * noise_mm, math.radians(noise_deg), seed=seed)
+        measure_truths(sources, out, noise, partnet_root, urdf)
         _say_next(out / "asset", out)
 
 

@@ -21,13 +21,13 @@ _METAVARS = {int: "N", float: "NUMBER", str: "NAME", Path: "PATH"}
 OPTION_GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
     "record": {
         "what is filmed": ("procedural", "count", "split", "partnet_root", "joint", "skip_missing"),
-        "how it moves": ("motion", "seed", "effects", "let_go"),
+        "how it moves": ("motion", "carry", "seed", "effects", "let_go"),
         "how it is filmed": ("frames", "preset", "sensor", "queries", "width", "height", "shader"),
     },
     "measure": {
         "of files": ("asset", "joint", "columns", "unit_t", "unit_q", "unit_effort", "zero", "reverse", "held_out"),
         "what drove it, and how sure the asset is": ("effort", "actuator", "inertia_relative", "gravity_relative"),
-        "of truths, the errors of a tracker": ("noise_mm", "noise_deg", "seed", "partnet_root"),
+        "of truths, the errors of a tracker": ("noise_mm", "noise_deg", "seed", "partnet_root", "urdf"),
     },
 }
 """Command to headings and their options; what is in none comes first."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from freeart21 import se3, sphere
 from freeart21.recording import Recording
 from freeart21.se3 import Array
+from freeart21.strokes import JOINT_SHARE, SHIFT, TURN_DEGREES, Movement
 from freeart21.truth import Truth
 
 FEW = 0.05
@@ -18,12 +19,6 @@ HARD_FRAMES = 0.15
 """Share of the frames, with few pixels of the moving part, that makes a sequence a hard one."""
 GONE_FRAMES = 5
 """Frames without a pixel of the moving part, one after the other, that count as its disappearance."""
-TURN_DEGREES = 0.3
-"""A part that turns less from frame to frame, and shifts less, is at rest."""
-SHIFT = 0.003
-"""The same for its middle, as a share of the object's diagonal."""
-JOINT_SHARE = 0.002
-"""A joint that moves less from frame to frame, as a share of its range in the video, is at rest."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +27,7 @@ class MotionStatistics:
 
     name: str
     source: dict[str, str]
-    """Object, motion, sensor and seed, as far as the truth tells."""
+    """Object, motion, sensor and seed, as far as the truth tells; of a take, its name and device."""
     joint_type: str
     frames: int
     degrees: Array
@@ -43,6 +38,8 @@ class MotionStatistics:
     """(n,) the moving part's share of the object's pixels."""
     views: Array
     """(n, 3) unit vectors from the object to the camera, canonical frame."""
+    movement: Movement
+    """Of the held part, and of the joint over the range of its states."""
     pose_only: float
     """Shares of the frames in which only the pose, only the joint, both or neither moved."""
     joint_only: float
@@ -60,6 +57,16 @@ class MotionStatistics:
     """Nearest and furthest depth, metres, over the frames looked at."""
     masks_valid: bool
     """Whether foreground, part masks and the truth's pixel counts agree, in the frames looked at."""
+
+    @property
+    def recorded(self) -> bool:
+        """Whether somebody moved the object, rather than a script."""
+        return "take" in self.source
+
+    @property
+    def moved_by(self) -> str:
+        """The scripted style, or what the motion was taken with."""
+        return self.source.get("device", "a take") if self.recorded else self.source.get("motion", "unknown")
 
     @property
     def median_degrees(self) -> float:
@@ -94,12 +101,14 @@ def motion_statistics(recording: Recording, truth: Truth, every: int = 10) -> Mo
     Raises FreeArtError when a picture is missing or of another size than the camera's.
     """
     joint, states, n = truth.articulation.joint, truth.states, len(truth)
-    middles, turns, shifts = _parts_motion(truth)
+    middles, wheres, turns, shifts = _parts_motion(truth)
+    poses = truth.Ts_camera_reference, truth.Ts_camera_moving
     held = int(turns[1].sum() < turns[0].sum())
     moves = np.maximum(turns / TURN_DEGREES, shifts / (SHIFT * truth.diagonal))
     pose = moves.min(0) >= 1  # a part at rest says that the object was held still and the joint worked
     span = float(np.ptp(states))
     working = np.abs(np.diff(states)) >= JOINT_SHARE * span if span > 0 else np.zeros(n - 1, bool)
+    shares = (states - states.min()) / max(span, 1e-12)
     low, high = (joint.lower, joint.upper) if np.isfinite([joint.lower, joint.upper]).all() else _ends(states)
     boxes, leaves, counts_agree = _outlines(truth)
     depth, masks_agree = _depths(recording, truth, range(0, n, every))
@@ -111,13 +120,14 @@ def motion_statistics(recording: Recording, truth: Truth, every: int = 10) -> Mo
     )
     return MotionStatistics(
         recording.name,
-        {key: str(truth.source[key]) for key in ("object", "motion", "sensor", "seed") if key in truth.source},
+        _source(truth),
         joint.type,
         n,
         turns[held],
         (states - low) / max(high - low, 1e-12),
         truth.seen[:, 1] / np.maximum(truth.seen.sum(1), 1),
         views,
+        Movement.of(poses[held][:, :3, :3], wheres[held] / truth.diagonal, shares, frames_a_second(recording)),
         pose_only,
         joint_only,
         both,
@@ -131,13 +141,28 @@ def motion_statistics(recording: Recording, truth: Truth, every: int = 10) -> Mo
     )
 
 
+def _source(truth: Truth) -> dict[str, str]:
+    keys = ("object", "motion", "sensor", "seed")
+    told: dict[str, str] = {str(key): str(truth.source[key]) for key in keys if key in truth.source}
+    take = truth.source.get("track")
+    if isinstance(take, dict):
+        told |= {"take": str(take.get("name", "unknown")), "device": str(take.get("device", "a take"))}
+    return told
+
+
 def _ends(states: Array) -> tuple[float, float]:
     return float(states.min()), float(states.max())
 
 
-def _parts_motion(truth: Truth) -> tuple[list[Array], Array, Array]:
-    """Middles (3,) of both parts, canonical; turns, degrees, and shifts of the middles, metres, (2, n - 1) each."""
-    middles, turns, shifts = [], [], []
+def frames_a_second(recording: Recording) -> float:
+    """Frames a second, by the middle one of all waits between frames."""
+    return 1 / float(np.median(np.diff(recording.times_s))) if len(recording) > 1 else 30.0
+
+
+def _parts_motion(truth: Truth) -> tuple[list[Array], list[Array], Array, Array]:
+    """Middles (3,) of both parts, canonical; where these are before the camera, metres, (n, 3) each; turns,
+    degrees, and shifts of the middles, metres, (2, n - 1) each."""
+    middles, wheres, turns, shifts = [], [], [], []
     parts = truth.articulation.reference, truth.articulation.moving
     for mesh, Ts in zip(parts, (truth.Ts_camera_reference, truth.Ts_camera_moving), strict=True):
         corners = mesh.vertices[np.unique(mesh.faces)]
@@ -145,9 +170,10 @@ def _parts_motion(truth: Truth) -> tuple[list[Array], Array, Array]:
         Rs = Ts[:, :3, :3]
         where = Rs @ middle + Ts[:, :3, 3]
         middles.append(middle)
+        wheres.append(where)
         turns.append(np.degrees(se3.rotation_angle(Rs[1:] @ np.swapaxes(Rs[:-1], 1, 2))))
         shifts.append(np.linalg.norm(np.diff(where, axis=0), axis=1))
-    return middles, np.stack(turns), np.stack(shifts)
+    return middles, wheres, np.stack(turns), np.stack(shifts)
 
 
 def _outlines(truth: Truth) -> tuple[NDArray[np.int64], bool, bool]:

@@ -7,6 +7,7 @@ without the effect.
 from __future__ import annotations
 
 import shutil
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,10 +22,11 @@ from freeart21.files.asset import write_asset_json
 from freeart21.files.measured_writer import write_measured
 from freeart21.files.places import check_place
 from freeart21.files.truth import read_truth
+from freeart21.files.urdf import parsed
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
 from freeart21.truth import Truth
-from generator import partnet, simulate
+from generator import partnet, simulate, urdf_folder
 from generator.release import weighed
 from generator.session import RecordSettings, build, partnet_folder
 
@@ -60,11 +62,16 @@ class TrackerNoise:
 
 
 def measure_truths(
-    truths: Sequence[Path], out: Path, noise: TrackerNoise | None = None, partnet_root: Path | None = None
+    truths: Sequence[Path],
+    out: Path,
+    noise: TrackerNoise | None = None,
+    partnet_root: Path | None = None,
+    urdf: Path | None = None,
 ) -> None:
     """Write `out/asset`, the object as the recorder built it but without effects, and `out/measured`, a run a truth.
 
-    With three runs or more the last quarter of them, at least one, is held out. Raises FreeArtError when a truth is not
+    With three runs or more the last quarter of them, at least one, is held out. Of a truth that is of a URDF, `urdf` is
+    that file. Raises FreeArtError when a truth is not
     of the motion release, or they are not all of one object and joint.
     """
     folders = [Path(folder) for folder in truths]
@@ -72,7 +79,7 @@ def measure_truths(
     loaded = [read_truth(folder) for folder in folders]
     _check_one_object(folders, loaded)
     with atomic.new_folder(out) as aside:
-        asset = _asset(folders[0], loaded[0], aside / "asset", partnet_root)
+        asset = _asset(folders[0], loaded[0], aside / "asset", partnet_root, urdf)
         runs = [_run(truth, k, noise or TrackerNoise()) for k, truth in enumerate(loaded)]
         spared = max(1, len(runs) // 4) if len(runs) > 2 else 0
         if spared:
@@ -134,15 +141,20 @@ def _run(truth: Truth, take: int, noise: TrackerNoise) -> Run:
     return Run(f"take_{take}", times, np.full(n, np.nan), poses=true @ shaken, seen=seen)
 
 
-def _asset(folder: Path, truth: Truth, out: Path, partnet_root: Path | None) -> Asset:
+def _asset(folder: Path, truth: Truth, out: Path, partnet_root: Path | None, urdf: Path | None) -> Asset:
     """The object with the inertia that its release had, no effects, in the truth's frames."""
     source = truth.source
     own = source.get("object_source") == "procedural"
+    joint, skip_missing = str(source["joint"]), bool(source["settings"].get("skip_missing"))
     if source.get("object_source") == "urdf":
-        raise FreeArtError(f"{folder} is of a URDF of its own ({source['object']}), whose files no truth keeps")
-    home = folder / "object" if own else partnet_folder(str(source["object"]), partnet_root)
-    shutil.copytree(home, out)
-    loaded = partnet.load(out, str(source["joint"]), skip_missing=bool(source["settings"].get("skip_missing")))
+        loaded = urdf_folder.load_urdf(_same_urdf(folder, truth, urdf), out, joint, skip_missing)
+        urdf_folder.clear_notes(out)
+        _without_losses(out / partnet.URDF_NAME)
+    elif urdf is not None:
+        raise FreeArtError(f"{folder} is of {source['object']}, which is no URDF of its own; got {urdf}")
+    else:
+        shutil.copytree(folder / "object" if own else partnet_folder(str(source["object"]), partnet_root), out)
+        loaded = partnet.load(out, joint, skip_missing=skip_missing)
     asset = loaded.asset
     if own:
         entry = catalog.find(str(source["object"]), partnet=False)
@@ -163,3 +175,28 @@ def _asset(folder: Path, truth: Truth, out: Path, partnet_root: Path | None) -> 
     asset = replace(asset, source={**asset.source, "recorded": str(source["object"])})
     write_asset_json(out, asset)
     return asset
+
+
+def _same_urdf(folder: Path, truth: Truth, urdf: Path | None) -> Path:
+    """The file `urdf`, when it is what was recorded."""
+    name = truth.source["object"]
+    if urdf is None:
+        raise FreeArtError(
+            f"{folder} is of the URDF {name}, whose hash a truth keeps, not its files; name it by --urdf"
+        )
+    was, now = (truth.source["settings"].get("urdf") or {}).get("sha256"), urdf_folder.digest(urdf)
+    if was != now:
+        raise FreeArtError(
+            f"{urdf} is not what {folder} was recorded of: it and its meshes have SHA-256 {now[:12]}..., expected "
+            f"{str(was)[:12]}..."
+        )
+    return urdf
+
+
+def _without_losses(urdf: Path) -> None:
+    """Take <dynamics> out of a URDF: a joint that is let go has the effects of the recording, and no others."""
+    robot = parsed(urdf)
+    for joint in robot.findall("joint"):
+        for dynamics in joint.findall("dynamics"):
+            joint.remove(dynamics)
+    atomic.write_bytes(urdf, ET.tostring(robot))

@@ -66,6 +66,9 @@ MOST_PICTURES = 100_000
 MOST_PIXELS = 1 << 24
 """Of a picture, 4096 x 4096: as 3 bytes each they stay below the 64 MiB that `checked` reads of one file."""
 
+MOST_CARRY = 100.0
+"""Largest factor on the way of a take: from millimetres to the size of a room. Not measured."""
+
 _END_OF_PNG = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 
 
@@ -90,6 +93,9 @@ class RecordSettings:
     """How the object is moved: one of `generator.motion.MOTIONS`, or TRACK."""
     track: Path | None = None
     """File of the take that the motion TRACK replays (`freeart21.formats.captured.read_track`)."""
+    carry: float | None = None
+    """Factor on the way of a take whose poses are changes since the first; None takes sizes for it
+    (`generator.motion.track.carried`)."""
     preset: str = "handheld"
     """How large the object is and how far away: one of `generator.motion.PRESETS`."""
     sensor: str = "clean"
@@ -141,6 +147,11 @@ class RecordSettings:
             raise FreeArtError("the motion track needs the file of a take, and only it has one; expected track:FILE")
         if self.track is not None:
             checked.require_file(self.track, MAX_TAKE_BYTES)
+        if self.carry is not None and not (self.track is not None and 0 <= self.carry <= MOST_CARRY):
+            raise FreeArtError(
+                f"the way cannot be scaled by {self.carry:g} in the motion {self.motion}; expected 0 to "
+                f"{MOST_CARRY:g}, and the motion track:FILE"
+            )
         motions = (*MOTIONS, TRACK)
         named = ("motion", self.motion, motions), ("preset", self.preset, PRESETS), ("shader", self.shader, SHADERS)
         for what, value, known in named:
@@ -165,6 +176,8 @@ class RecordSettings:
         for later in ("let_go", "track", "urdf"):
             if getattr(self, later) is None:
                 del facts[later]  # what was recorded before there was a choice
+        if self.track is None:
+            del facts["carry"]
         if self.urdf is not None:
             facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_folder.digest(self.urdf)}
         if self.track is not None:
@@ -257,15 +270,17 @@ def _tracked(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Ca
     s, preset, take = settings, PRESETS[settings.preset], read_track(settings.track)
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
     stretch = tracks.resampled(take, s.fps, s.frames)
-    states, told = tracks.fitted(stretch.states, take, body)
+    states, fitted = tracks.fitted(stretch.states, take, body)
+    diagonal = bounding_diagonal(*body.meshes)
+    carry, carried = tracks.carried(take, diagonal, s.carry)
     R_first = None
     if take.poses == "first":
         scripted = plan_motion("tumble", body.meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset)
         R_first = scripted.Ts_camera_object[0, :3, :3]
-    Ts = tracks.tracked(body, stretch, states, take, R_first, camera, preset)
+    Ts = tracks.tracked(body, stretch, states, take, R_first, camera, preset, carry)
     said = {"name": take.name, "sha256": take.sha256, "form": take.form, "device": take.device, "poses": take.poses}
-    plan = Plan(Ts, states, world_of("tumble", Ts, body), said | {"begins_s": stretch.begins_s} | told)
-    tracks.check_in_view(take.name, plan, body, camera, depth_bounds(Ts, bounding_diagonal(*body.meshes))[0], s.fps)
+    plan = Plan(Ts, states, world_of("tumble", Ts, body), said | {"begins_s": stretch.begins_s} | fitted | carried)
+    tracks.check_in_view(take.name, plan, body, camera, depth_bounds(Ts, diagonal)[0], s.fps)
     return plan
 
 

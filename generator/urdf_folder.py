@@ -98,6 +98,11 @@ def write_folder(urdf: Path, folder: Path, skip_missing: bool = False) -> Path:
     return folder
 
 
+def clear_notes(folder: Path) -> None:
+    """Leave what a URDF shows in `folder`, and nothing that was said of it."""
+    (folder / _NOTES).unlink()
+
+
 def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, gaps: Gaps) -> Surface | None:
     """What a visual shows, in its mesh's own frame; None where its file is absent and may be."""
     if shape.kind != "mesh" or not shape.filename:

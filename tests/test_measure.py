@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+from test_track import URDF
 
 from freeart21 import se3
 from freeart21.effects.axis_tilt import AxisTilt
@@ -27,17 +29,18 @@ from simgap.placing import place
 OIL = ViscousDamping(1.5e-4)
 
 
-def effects_file(folder: Path, *effects) -> Path:
+def effects_file(folder: Path, *effects, joint: str = "joint_1") -> Path:
     path = folder / "effects.json"
     listed = [effect.to_json("revolute") for effect in effects]
-    path.write_text(json.dumps({"schema": "freeart21/effects/1", "joints": {"joint_1": listed}}))
+    path.write_text(json.dumps({"schema": "freeart21/effects/1", "joints": {joint: listed}}))
     return path
 
 
 def settings(folder: Path, *effects, **more) -> RecordSettings:
     return RecordSettings(
         frames=45, seed=more.pop("seed", 3), width=64, height=36, queries=0, motion="release", shader="trivial",
-        visible_every=20, edge=0.5, effects=effects_file(folder, *effects), **more,
+        visible_every=20, edge=0.5,
+        effects=effects_file(folder, *effects, joint=more.pop("effects_joint", "joint_1")), **more,
     )  # fmt: skip
 
 
@@ -104,6 +107,43 @@ def test_takes_of_other_motions_or_objects_cost_one_line(tmp_path: Path, film: P
     with pytest.raises(FreeArtError, match="expected 0 or more"):
         measure_truths([film], tmp_path / "out", TrackerNoise(-1.0))
     assert not (tmp_path / "out").exists()
+
+
+def test_a_film_of_a_urdf_is_measured_with_that_urdf_alone(tmp_path: Path):
+    folder = tmp_path / "case"
+    folder.mkdir()
+    trimesh.creation.box((100, 100, 20)).export(folder / "lid.stl")
+    trimesh.creation.box((0.1, 0.1, 0.04)).export(folder / "box.obj")
+    light = URDF.replace('ixx="1" iyy="1" izz="1"', 'ixx="1e-4" iyy="1e-4" izz="1e-4"')
+    light = light.replace("<inertial>", '<inertial><origin xyz="0 -0.05 0.01"/>')
+    (folder / "case.urdf").write_text(light)  # its <dynamics> lose energy, the film's joint does not
+    name = record(str(folder / "case.urdf"), tmp_path / "data", settings(tmp_path, let_go=0.9, effects_joint="hinge"))
+    film = tmp_path / "data/truth" / name
+    for urdf, said in (
+        (None, "is of the URDF case, whose hash a truth keeps, not its files; name it by --urdf"),
+        (tmp_path / "none.urdf", "is missing"),
+    ):
+        with pytest.raises(FreeArtError, match=said) as caught:
+            measure_truths([film], tmp_path / "out", urdf=urdf)
+        assert "\n" not in str(caught.value) and not (tmp_path / "out").exists()
+    measure_truths([film], tmp_path / "out", urdf=folder / "case.urdf")
+    asset, measured = read_asset(tmp_path / "out/asset"), read_measured(tmp_path / "out/measured")
+    truth = read_truth(film)
+    assert asset.effects == {} and measured.joint == asset.joint == "hinge"
+    off = se3.log_se3(se3.inverse(joint_motion(asset, truth.states)) @ measured.runs[0].poses)
+    assert 1.5e-3 < off[:, 3:].std() < 6e-3
+    loaded = load(asset, gravity=place(asset, measured.gravity).gravity)
+    rolled = roll_out(loaded, float(truth.states[0]), duration_s=44 / 30)
+    states = np.interp(measured.runs[0].times_s, rolled.times_s, rolled.q)
+    assert np.ptp(truth.states) > 0.5 and np.abs(states - truth.states).max() < 2e-3
+    (folder / "case.urdf").write_text(light.replace("0.05 0.02", "0.05 0.03"))
+    with pytest.raises(FreeArtError, match=r"case\.urdf is not what .* was recorded of"):
+        measure_truths([film], tmp_path / "other", urdf=folder / "case.urdf")
+
+
+def test_a_urdf_goes_with_a_film_of_one(tmp_path: Path, film: Path):
+    with pytest.raises(FreeArtError, match="is of stapler, which is no URDF of its own"):
+        measure_truths([film], tmp_path / "out", urdf=tmp_path / "a.urdf")
 
 
 def test_a_released_joint_has_effects_of_motion_only(tmp_path: Path):

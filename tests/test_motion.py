@@ -153,7 +153,7 @@ def test_the_spline_begins_and_ends_at_its_views_and_bends_evenly() -> None:
 # --- picture and coverage ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("style", PLANNED)
+@pytest.mark.parametrize("style", (*PLANNED, "human"))
 @pytest.mark.parametrize(("name", "frames"), [("lidded", 2), ("crossed", 80), ("lidded", 300)])
 def test_every_corner_stays_in_the_picture_and_the_object_fills_it(style: str, name: str, frames: int) -> None:
     plan, (meshes, joint) = _plan(style, name, frames=frames), OBJECTS[name]
@@ -210,7 +210,7 @@ def test_the_paper_preset_stands_about_three_metres_away() -> None:
 # --- hardship ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("style", "name"), [*((style, "lidded") for style in HAND), ("tumble", "drawer")])
+@pytest.mark.parametrize(("style", "name"), [*((style, "lidded") for style in (*HAND, "human")), ("tumble", "drawer")])
 def test_hard_motions_hide_the_smaller_part_and_others_show_it(style: str, name: str) -> None:
     easy, hard = (_small_shares(_plan(style, name, hard=hard), name) for hard in (False, True))
     least = 0.08 if style == "wave" else 0.15  # held about upright, a wave comes late to views from below
@@ -272,7 +272,7 @@ def test_bad_requests_get_one_clear_line() -> None:
         with pytest.raises(FreeArtError, match=message) as caught:
             plan_motion(style, meshes, joint, CAMERA, frames, 30.0, 0, states=states)
         assert "\n" not in str(caught.value)
-    assert (*PLANNED, "release") == MOTIONS
+    assert (*PLANNED, "release", "human") == MOTIONS
 
 
 def test_a_joint_without_limits_still_gets_a_range() -> None:

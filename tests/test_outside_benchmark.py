@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
+from test_track import URDF as CASE
 
 from benchmarks import outside, solve
 from freeart21.errors import FreeArtError
@@ -26,7 +28,7 @@ def captured(path, q):
 
 
 def test_what_is_absent_is_left_out_and_said_so(tmp_path):
-    places = {"partnet": tmp_path / "p", "mocap": tmp_path / "m", "videos": tmp_path / "v"}
+    places = {"partnet": tmp_path / "p", "mocap": tmp_path / "m", "videos": tmp_path / "v", "urdfs": tmp_path / "u"}
     with pytest.raises(FreeArtError, match="there is no clip 'teapot'"):
         outside.main(**places, clips=("teapot",), work=tmp_path / "work")
     outside.main(**places, work=tmp_path / "work", out=tmp_path / "out.json")
@@ -42,15 +44,32 @@ def test_clips_follow_from_the_data_alone(tmp_path):
     (tmp_path / "partnet_mobility" / "30" / "mobility.urdf").write_text("no urdf")
     for take in ("s2_laptop_use_01", "s1_laptop_use_02", "s1_laptop_grab_01"):
         captured(tmp_path / "mocap" / f"{take}.object.npy", np.linspace(0, 1, 30))
-    clips, left_out = outside.clips_of(tmp_path / "partnet_mobility", tmp_path / "mocap", 20)
+    places = tmp_path / "partnet_mobility", tmp_path / "mocap", tmp_path / "urdfs"
+    clips, left_out = outside.clips_of(*places, 20)
     assert [(c.name, c.settings.sensor, c.settings.joint) for c in clips[:-1]] == [
         ("200", "tof", "hinge"),
         ("1000", "noise2", "hinge"),
     ], "in the order of their numbers, one that is broken counted"
+    assert clips[-1].object == "folding_display", "stands in where the object is absent"
     assert "30" in left_out and (clips[-1].name, clips[-1].settings.track.name) == (
         "laptop",
         "s1_laptop_use_02.object.npy",
     )
+
+
+def test_captured_motion_is_of_the_object_itself_where_it_can_be_recorded(tmp_path):
+    folder = tmp_path / "case"
+    folder.mkdir()
+    trimesh.creation.box((100, 100, 20)).export(folder / "lid.stl")
+    (folder / "case.urdf").write_text(CASE)
+    assert outside.own_urdf(folder) is None, "a mesh of it is absent"
+    trimesh.creation.box((0.1, 0.1, 0.04)).export(folder / "box.obj")
+    assert outside.own_urdf(folder) == folder / "case.urdf"
+    (folder / "a.urdf").write_text(CASE)
+    assert outside.own_urdf(folder) == folder / "case.urdf", "that of its own name first"
+    (folder / "case.urdf").write_text("no urdf")
+    assert outside.own_urdf(folder) == folder / "a.urdf"
+    assert outside.own_urdf(tmp_path / "none") is None
 
 
 def test_variants_go_on_from_one_geometry(tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ from shutil import which
 
 import numpy as np
 import pytest
+from browser import CHROMIUM, browser
 from synthetic_case import make_recording, make_truth
 
 from freeart21 import se3, sphere
@@ -23,6 +24,7 @@ from freeart21.statistics import motion_statistics
 from freeart21.truth import Truth
 from freeart21.view import page
 from freeart21.view.benchmark_page import summary_rows
+from freeart21.view.motion_panels import motion_section
 
 N = 40
 STEPS = np.repeat(["pose", "joint", "both", "none"], [10, 11, 12, 6])
@@ -108,6 +110,62 @@ def test_the_page_of_a_data_folder_tells_all_of_it(tmp_path: Path) -> None:
     assert len(cells) == 2 * 17 and html.unescape(cells[1]) == "tumble"
     rows = dict(summary_rows([motion_statistics(make_recording(_known()), _known())]))
     assert rows["Hard: under 5 % in 15 % of the frames"] == "1 of 1 (100%)"
+
+
+def _captured(truth: Truth, device: str = "motion <capture>") -> Truth:
+    take = {"name": "a.npy", "device": device, "sha256": "0"}
+    return dataclasses.replace(truth, source={**truth.source, "motion": "track", "track": take})
+
+
+def test_sources_of_motion_stand_one_below_the_other_scripted_ones_first(tmp_path: Path) -> None:
+    known = _known()
+    takes = [_captured(known, device) for device in ("a mouse", "motion <capture>", "motion <capture>")]
+    inspected = dataclasses.replace(known, source={**known.source, "motion": "inspect"})
+    found = [motion_statistics(make_recording(t), t) for t in (*takes, known, inspected)]
+    text = motion_section(found).html
+    titles = [" ".join(re.sub("<.*?>", "", t).split()) for t in re.findall(r"<h3>(.*?)</h3>", text)]
+    assert titles == [
+        "inspect scripted, 1 sequence, 40 frames",
+        "tumble scripted, 1 sequence, 40 frames",
+        "a mouse recorded, 1 sequence, 40 frames",
+        "motion &lt;capture&gt; recorded, 2 sequences, 80 frames",
+    ]
+    rows = re.findall(r"<article>.*?</article>", text, re.S)
+    assert all(row.count("<figure>") == 4 for row in rows)
+    axes = [re.findall(r'<text[^>]*>[^<]*</text>|<line class="grid"[^>]*>', row) for row in rows]
+    assert axes[0] and all(a == axes[0] for a in axes), "same axes in every row"
+    assert len({row.split("<h3>")[1].split("</h3>")[1] for row in rows[:3]}) == 1, "the same motion looks the same"
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="needs a Chromium")
+@pytest.mark.parametrize("width", [1440, 390])
+def test_the_panels_fit_a_desk_and_a_phone(tmp_path: Path, width: int) -> None:
+    file = tmp_path / "page.html"
+    file.write_text(page(_folder(tmp_path / "toys")))
+    with browser() as chrome:
+        chrome.open(file, width=width, ready="true")
+        wide = chrome.run("document.documentElement.scrollWidth")
+        panels = chrome.run(
+            "[...document.querySelectorAll('.panels figure')].map((f) => { const b = f.getBoundingClientRect();"
+            " return [b.left, b.right, b.top, parseFloat(getComputedStyle(f.querySelector('svg')).width)]; })"
+        )
+        letters = chrome.run(
+            "(() => { const t = document.querySelector('.panels text'); const s = t.ownerSVGElement;"
+            " return parseFloat(getComputedStyle(t).fontSize) * s.clientWidth / s.viewBox.baseVal.width; })()"
+        )
+        assert wide == width and chrome.errors == []
+    assert len(panels) == 4 and all(left >= 0 and right <= width for left, right, *_ in panels)
+    assert len({round(top) for _, _, top, _ in panels}) == (1 if width > 760 else 2), "in a row, or two by two"
+    assert letters > 8  # pixels
+
+
+def test_figures_of_a_source_are_those_of_its_motion() -> None:
+    s = motion_statistics(make_recording(_known()), _known())
+    m = s.movement
+    assert m.pose_moves.sum() == 22 and m.joint_moves.sum() == 23  # as STEPS says
+    assert m.degrees.max() == pytest.approx(2.5) and len(m.joint_strokes) == 1
+    text = re.sub("<.*?>", " ", motion_section([s]).html)
+    assert "2.50°, most 2.5°" in text and "object at rest  44%" in text and "joint at rest  41%" in text
 
 
 def test_a_folder_without_truths_is_told_in_one_line(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from freeart21.files.benchmark import file_sha256
 from freeart21.files.sequence import read_sequence
 from freeart21.files.take import header, read_take, sample, write_take
 from freeart21.files.truth import read_truth
-from freeart21.formats.captured import read_track
+from freeart21.formats.captured import ARCTIC_SIZES_M, read_track
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from generator.dataset import jobs_of
@@ -198,6 +198,59 @@ def test_states_in_reach_stay_as_they_are_and_others_are_scaled(tmp_path: Path) 
     assert track.fitted(still.states, still, _body())[1] == {"states": "as taken"}
     with pytest.raises(FreeArtError, match="stands still at 0.3, where joint 'lid' cannot be: revolute, 0 to 0.2"):
         track.fitted(still.states, still, _body(upper=0.2))
+
+
+def test_the_way_is_as_long_in_sizes_of_the_object_as_it_was_where_the_take_tells_that(tmp_path: Path) -> None:
+    low, high = ARCTIC_SIZES_M
+    theirs = read_track(arctic(tmp_path / "a.npy", np.linspace(0, 1, 31)))
+    for diagonal, scale in ((low, 1.0), (0.3, 1.0), (high, 1.0), (low / 4, 0.25), (3 * high, 3.0)):
+        assert track.carried(theirs, diagonal, None)[0] == pytest.approx(scale)
+    assert track.carried(theirs, 0.06, None)[1] == {"carry": 0.25, "size": 0.06, "taken_with": low}
+    assert track.carried(theirs, 0.06, 1.0) == (1.0, {"carry": 1.0})
+    ours = read_take(taken(tmp_path / "a.txt"))
+    assert track.carried(ours, 0.06, None) == (1.0, {"carry": 1.0})
+    assert track.carried(ours, 0.06, 0.5)[0] == 0.5
+    stays = dataclasses.replace(ours, poses="camera")
+    assert track.carried(stays, 0.06, None) == (1.0, {})
+    with pytest.raises(FreeArtError, match=r"a\.txt: its poses stand before the camera as they are, .* by 0.5"):
+        track.carried(stays, 0.06, 0.5)
+    body, camera = _body(), Camera.from_fov(320, 180, 0.7)
+    stretch = track.resampled(ours, 30.0, 61)
+    way = {}
+    for carry in (0.0, 0.5, 1.0):
+        Ts = track.tracked(body, stretch, 0 * stretch.states, ours, UPRIGHT, camera, PRESETS["handheld"], carry)
+        way[carry] = Ts[:, :3, 3] - Ts[0, :3, 3]
+        np.testing.assert_allclose(way[carry], carry * (stretch.Ts[:, :3, 3] - stretch.Ts[0, :3, 3]), atol=1e-9)
+    assert np.abs(way[1.0]).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("carry", "motion"), [(-0.1, "track"), (101.0, "track"), (float("nan"), "track"), (1.0, "wave")]
+)
+def test_a_carry_that_is_none_is_refused_in_a_line(tmp_path: Path, carry: float, motion: str) -> None:
+    take = taken(tmp_path / "a.txt") if motion == "track" else None
+    with pytest.raises(
+        FreeArtError, match=r"the way cannot be scaled by .*expected 0 to 100, and the motion track:FILE"
+    ):
+        dataclasses.replace(SMALL, motion=motion, track=take, carry=carry).check()
+
+
+def test_what_was_done_to_a_take_is_told_and_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = np.zeros((12, 7), np.float32)
+    rows[:, 0], rows[:, 4] = np.linspace(0, 1, 12), 20 * np.arange(12)  # 22 cm to the side
+    np.save(tmp_path / "a.npy", rows)
+    small = {"width": 96, "height": 64, "shader": "trivial", "queries": 0}
+    cli.record(("flip_cap_usb",), tmp_path / "data", motion=f"track:{tmp_path / 'a.npy'}", **small)  # type: ignore[arg-type]
+    truth = read_truth(tmp_path / "data" / "truth" / "flip_cap_usb-s0")
+    said = truth.source["track"]
+    assert said["carry"] == pytest.approx(said["size"] / said["taken_with"]) and said["carry"] < 0.5
+    Ts = truth.Ts_camera_reference if "link_0" not in truth.source["reference_links"] else truth.Ts_camera_moving
+    assert np.linalg.norm(Ts[-1, :3, 3] - Ts[0, :3, 3]) == pytest.approx(0.22 * said["carry"], rel=1e-4)
+    out, err = capsys.readouterr()
+    assert out.strip().endswith("flip_cap_usb-s0")
+    assert f"a.npy: its way scaled by {said['carry']:.2g} (an object of" in err and err.count("\n") == 1
+    with pytest.raises(FreeArtError, match="exists with carry None, not 1"):
+        cli.record(("flip_cap_usb",), tmp_path / "data", motion=f"track:{tmp_path / 'a.npy'}", carry=1.0, **small)  # type: ignore[arg-type]
 
 
 def test_the_place_shows_all_frames_and_no_nearer_one_would() -> None:

@@ -17,6 +17,7 @@ from freeart21.recording import Recording
 from freeart21.se3 import Array
 from freeart21.statistics import FEW, GONE_FRAMES, HARD_FRAMES, MotionStatistics, motion_statistics
 from freeart21.view.document import MOVING, REFERENCE, TRUTH, Section, data_url, document, escape
+from freeart21.view.motion_panels import motion_section
 from freeart21.view.tables import table_section
 
 _THUMBS, _THUMB_WIDTH, _QUALITY = 8, 132, 72
@@ -71,6 +72,7 @@ def benchmark_page(folder: Path, title: str) -> str:
             place="full",
             note=_NOTE,
         ),
+        motion_section(statistics),
         _table(statistics),
         *(_card(s, strip) for s, strip in shown),
     ]

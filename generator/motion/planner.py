@@ -17,6 +17,7 @@ from freeart21.se3 import Array
 from generator.motion import turns
 from generator.motion.body import UPRIGHT, Body
 from generator.motion.framing import placed
+from generator.motion.human import human
 from generator.motion.plan import MOTIONS, PRESETS, Plan, Preset
 from generator.motion.release import released_plan
 from generator.motion.styles import HEIGHTS, STYLES, Course, Hardship, Task
@@ -29,7 +30,6 @@ _GONE_FRAMES = (9, 40)
 _HARD, _GONE = 0.5, 0.4  # shares of seeds that are hard where they can be, and of these that let a side disappear
 _HIDEABLE = 0.008  # share of the directions from which a side must be hidden, for its motions to be hard at all
 _COUNTED = 4
-_FASTEST = 6.5  # degrees a frame at 30 frames a second
 
 
 def plan_motion(
@@ -78,11 +78,12 @@ def plan_motion(
     if style == "release":
         assert states is not None
         return released_plan(body, states, camera, preset, seed)
-    task = Task(body, _atlas(body, camera, frames), frames, fps, "hidden", states, HEIGHTS.get(style, (-1.0, 1.0)))
+    atlas, heights = _atlas(body, camera, frames), HEIGHTS.get(style, (-1.0, 1.0))
+    task = Task(body, atlas, frames, fps, "hidden", states, heights, (seed, _key(body)))
     task = replace(task, hardship=_hardship(task, seed, hard))
     rng = np.random.default_rng([seed, 2, MOTIONS.index(style), _key(body)])
     drawn = int(np.clip(frames // 8, 6, 20 if task.hardship == "none" else 36))
-    candidates = [STYLES[style](task, rng) for _ in range(drawn)]
+    candidates = [(human if style == "human" else STYLES[style])(task, rng) for _ in range(drawn)]
     guessed = [_score(c, task, task.atlas.shares(_views(c.Rs), c.states)) for c in candidates]
     still = style == "turntable"
     best: tuple[float, Plan] | None = None
@@ -143,7 +144,7 @@ def _score(course: Course, task: Task, shares: Array) -> float:
     else:
         score -= min(away / 20, 2.0)
     steps = turns.steps_degrees(course.Rs) * task.fps / 30
-    score -= 2.0 * max(float(steps.max()) - _FASTEST, 0.0)
+    score -= 2.0 * max(float(steps.max()) - course.fastest, 0.0)
     median = float(np.median(steps))
     score -= 6.0 * max(0.92 * course.pace - median, median - 1.1 * course.pace, 0.0)
     return round(score, 3)

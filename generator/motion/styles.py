@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from freeart21 import se3
 from freeart21.se3 import Array
@@ -39,6 +40,8 @@ class Task:
     """(frames,) given joint states, rad or m; None when they are to be planned."""
     heights: tuple[float, float] = (-1.0, 1.0)
     """Sines of the lowest and highest angles from which the style looks down on the object."""
+    seed: tuple[int, ...] = (0,)
+    """The plan's: what is one and the same in all candidates is drawn from it."""
 
     def hidden_area(self) -> Array:
         """(Q,) share of the style's directions from which the smaller side is hidden, at each state of the atlas."""
@@ -62,6 +65,8 @@ class Course:
     """(n,) joint state, rad or m."""
     pace: float
     """The median step that was wanted, degrees a frame at 30 frames a second."""
+    fastest: float = 6.5
+    """The largest step that is welcome, degrees a frame at 30 frames a second."""
 
 
 def tumble(task: Task, rng: np.random.Generator) -> Course:
@@ -164,14 +169,18 @@ STYLES: dict[str, Callable[[Task, np.random.Generator], Course]] = {
 
 def _joint(task: Task, rng: np.random.Generator) -> tuple[Array, JointCourse]:
     """States (frames,) and when they move; a hard motion rests where the smaller side can be hidden best."""
-    atlas, hold = task.atlas, None
-    if task.hardship != "none":
-        area = task.hidden_area() + 0.01 * (1 - atlas.share.min(0))
-        k = int(rng.choice(len(area), p=area / area.sum()))
-        at = float(np.clip(k + rng.uniform(-0.3, 0.3), 0, len(area) - 1)) / (len(area) - 1)
-        hold = Hold(at, float(rng.uniform(0.22, 0.30)))
-    course = timing.joint_course(task.frames, rng, hold)
+    course = timing.joint_course(task.frames, rng, long_rest(task, rng))
     return (task.body.state(course.shares) if task.states is None else task.states), course
+
+
+def long_rest(task: Task, rng: np.random.Generator) -> Hold | None:
+    """Where the joint of a hard motion rests for long: where the smaller side can be hidden best."""
+    if task.hardship == "none":
+        return None
+    area = task.hidden_area() + 0.01 * (1 - task.atlas.share.min(0))
+    k = int(rng.choice(len(area), p=area / area.sum()))
+    at = float(np.clip(k + rng.uniform(-0.3, 0.3), 0, len(area) - 1)) / (len(area) - 1)
+    return Hold(at, float(rng.uniform(0.22, 0.30)))
 
 
 def _pace(task: Task, rng: np.random.Generator, slowest: float, fastest: float) -> float:
@@ -195,29 +204,46 @@ def _views(
     highest: float = 1.0,
 ) -> list[Array]:
     """Views for a path that has come `way` (frames,) radians in every frame: both sides shown, or one hidden."""
-    atlas, cap = task.atlas, 0.15
-    usual = np.abs(atlas.directions[:, 2]) <= highest
-    directions = atlas.directions[usual]
-    want = 0.15 if task.hardship == "none" else 0.25
+    usual = np.abs(task.atlas.directions[:, 2]) <= highest
 
     def wish(s: float) -> tuple[Array, bool]:
         frame = int(np.clip(np.searchsorted(way, s), 0, task.frames - 1))
-        if task.hardship != "none" and course.held is not None:
-            a, b = course.held
-            if a - 0.08 * task.frames <= frame <= b:  # in time to be there
-                share = atlas.at_state(float(states[int(np.clip((a + b) / 2, 0, task.frames - 1))]))[usual]
-                best, width = (0.0, 0.03) if task.hardship == "gone" else (0.025, 0.06)
-                hidden = 1 - np.minimum(np.abs(share - best) / width, 1)
-                near = (directions @ directions[hidden >= 0.7 * hidden.max()].T).max(1)
-                return 1.5 * hidden + 0.7 * near, True
-        share = atlas.at_state(float(states[frame]))[usual]
-        return want * np.minimum(share / cap, 1), False
+        return welcome(task, states, course, frame, usual)
 
-    first = atlas.at_state(float(states[0]))
-    level = np.abs(atlas.directions[:, 2]) < 0.75
-    good = np.flatnonzero(level & usual & (first >= np.quantile(first[level & usual], 0.75)))
-    start = atlas.directions[int(rng.choice(good))]
+    start = start_view(task, states, rng, usual)
+    directions = task.atlas.directions[usual]
     return turns.tour(start, 1.7 * float(way[-1]) + 2 * step[1], directions, wish, rng, step, even)
+
+
+def welcome(
+    task: Task, states: Array, course: JointCourse, frame: int, usual: NDArray[np.bool_] | None = None
+) -> tuple[Array, bool]:
+    """How welcome each of the atlas' directions (those `usual`) is in a frame, (D,), 0 to 1, and whether to stay there:
+    both sides shown, or one hidden during the joint's long rest."""
+    atlas, cap = task.atlas, 0.15
+    usual = np.ones(len(atlas.directions), bool) if usual is None else usual
+    directions = atlas.directions[usual]
+    want = 0.15 if task.hardship == "none" else 0.25
+    if task.hardship != "none" and course.held is not None:
+        a, b = course.held
+        if a - 0.08 * task.frames <= frame <= b:  # in time to be there
+            share = atlas.at_state(float(states[int(np.clip((a + b) / 2, 0, task.frames - 1))]))[usual]
+            best, width = (0.0, 0.03) if task.hardship == "gone" else (0.025, 0.06)
+            hidden = 1 - np.minimum(np.abs(share - best) / width, 1)
+            near = (directions @ directions[hidden >= 0.7 * hidden.max()].T).max(1)
+            return 1.5 * hidden + 0.7 * near, True
+    share = atlas.at_state(float(states[frame]))[usual]
+    return want * np.minimum(share / cap, 1), False
+
+
+def start_view(task: Task, states: Array, rng: np.random.Generator, usual: NDArray[np.bool_] | None = None) -> Array:
+    """(3,) a direction that shows the smaller side well in the first frame, from not too high or low."""
+    directions = task.atlas.directions
+    usual = np.ones(len(directions), bool) if usual is None else usual
+    first = task.atlas.at_state(float(states[0]))
+    level = np.abs(directions[:, 2]) < 0.75
+    good = np.flatnonzero(level & usual & (first >= np.quantile(first[level & usual], 0.75)))
+    return np.asarray(directions[int(rng.choice(good))])
 
 
 def _within(Rs: Array, u: Array) -> Array:

@@ -12,6 +12,7 @@ from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.take import Take
+from freeart21.formats.captured import ARCTIC_FORM, ARCTIC_SIZES_M
 from freeart21.se3 import Array
 from generator.motion.body import Body
 from generator.motion.framing import extent, placed_as_moved
@@ -72,23 +73,65 @@ def fitted(states: Array, take: Take, body: Body) -> tuple[Array, dict[str, Any]
             f"{take.name}: its joint ({take.joint_type}) stands still at {low:.4g}, where joint '{joint.name}' cannot "
             f"be: {joint.type}, {body.lower:.4g} to {body.upper:.4g}"
         )
-    told = {"states": "scaled", "from": [take.joint_type, low, high], "to": [joint.type, body.lower, body.upper]}
+    done = {"states": "scaled", "from": [take.joint_type, low, high], "to": [joint.type, body.lower, body.upper]}
     shares = (states - low) / (high - low)
-    return np.clip(body.state(shares), body.lower, body.upper), told
+    return np.clip(body.state(shares), body.lower, body.upper), done
+
+
+def carried(take: Take, diagonal: float, carry: float | None) -> tuple[float, dict[str, Any]]:
+    """By how much the way of a take is scaled for an object of this `diagonal`, metres, and what was done to it.
+
+    `carry` says so itself, 1 for the take's own metres. Where it is None the way is as long in sizes of the object as
+    it was in those of the one that was taken. Of that one ARCTIC's tracks tell no more than that it is one of theirs:
+    where the object may be of its size, metres stay metres. Our takes tell nothing of its size, and keep theirs, too.
+    """
+    if take.poses == "camera":
+        if carry is not None:
+            raise FreeArtError(
+                f"{take.name}: its poses stand before the camera as they are, so that no way is scaled by "
+                f"{carry:g}; expected no carry"
+            )
+        return 1.0, {}
+    if carry is not None:
+        return carry, {"carry": carry}
+    if take.form != ARCTIC_FORM:
+        return 1.0, {"carry": 1.0}
+    size = float(np.clip(diagonal, *ARCTIC_SIZES_M))
+    return diagonal / size, {"carry": diagonal / size, "size": diagonal, "taken_with": size}
+
+
+def told(source: dict[str, Any]) -> str:
+    """What was done to a take, as `carried` and `fitted` have it, in words."""
+    words = []
+    if source.get("carry", 1.0) != 1.0:
+        words.append(f"its way scaled by {source['carry']:.2g}")
+        if "size" in source:
+            words[-1] += f" (an object of {source['size']:.2g} m for one of {source['taken_with']:.2g} m)"
+    if source.get("states") == "scaled":
+        words.append("its states scaled to the joint's range")
+    return f"{source.get('name')}: {' and '.join(words) or 'as it was taken'}"
 
 
 def tracked(
-    body: Body, stretch: Stretch, states: Array, take: Take, R_first: Array | None, camera: Camera, preset: Preset
+    body: Body,
+    stretch: Stretch,
+    states: Array,
+    take: Take,
+    R_first: Array | None,
+    camera: Camera,
+    preset: Preset,
+    carry: float = 1.0,
 ) -> Array:
     """(n, 4, 4) camera from object as in a stretch of a take.
 
     Poses that are meant as their change since the first begin with the rotation `R_first` (3, 3), so far before the
-    camera that the object stays in the picture as large as `preset` says, and go on by the take's own turns and metres.
+    camera that the object stays in the picture as large as `preset` says, and go on by the take's own turns, and by its
+    way times `carry`.
     """
     if take.poses == "camera" or R_first is None:
         return stretch.Ts
     R, t = stretch.Ts[:, :3, :3], stretch.Ts[:, :3, 3]
-    return placed_as_moved(R @ R[0].T @ R_first, t - t[0], states, body, camera, preset)
+    return placed_as_moved(R @ R[0].T @ R_first, carry * (t - t[0]), states, body, camera, preset)
 
 
 def check_in_view(name: str, plan: Plan, body: Body, camera: Camera, near: float, fps: float) -> None:

@@ -1,0 +1,233 @@
+"""The style `human`: strokes and rests as they were measured, whatever is chosen among candidates."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import motion_styles
+from freeart21 import catalog, se3
+from freeart21.camera import Camera
+from freeart21.formats.captured import read_track
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.strokes import Movement, spans_of, strokes
+from generator.motion import Plan, human_hand, plan_motion
+from generator.motion.body import Body
+from generator.motion.framing import MARGIN, extent
+from generator.motion.human import human
+from generator.motion.styles import Task
+from generator.motion.timing import Hold
+from generator.motion.visibility import Atlas
+from generator.session import RecordSettings, load_object, planned
+from generator.shapes import box, triangles
+
+SHARED = Path(__file__).resolve().parents[1].parent / "shared"
+CAMERA = Camera.from_fov(640, 360, np.radians(40))
+MESHES = Mesh(*triangles(box((1, 1, 1)))), Mesh(*triangles(box((1, 1, 0.2), (0, 0, 0.62))))
+LID = Joint("lid", "revolute", np.array([0.0, 1, 0]), np.array([0.5, 0, 0.5]), 0.0, 1.4)
+BODY = Body.of(MESHES, LID)
+SEEDS = range(12)
+
+needs_tracks = pytest.mark.skipif(not (SHARED / "mocap").is_dir(), reason="captured motion is not on this machine")
+
+
+@functools.cache
+def _plan(seed: int, hard: bool | None = False, frames: int = 300, fps: float = 30.0) -> Plan:
+    return plan_motion("human", MESHES, LID, CAMERA, frames, fps, seed, hard=hard)
+
+
+def _movement(plan: Plan, fps: float = 30.0) -> Movement:
+    Rs = plan.Ts_camera_object[:, :3, :3]
+    places = (plan.Ts_camera_object[:, :3, 3] + Rs @ BODY.centre) / (2 * BODY.radius)
+    return Movement.of(Rs, places, plan.states / 1.4, fps)
+
+
+# --- what is drawn ----------------------------------------------------------------------------------------------------
+
+
+def test_sweeps_are_drawn_as_they_were_measured() -> None:
+    hands = [human_hand.hand(3000, 30.0, np.random.default_rng(seed)) for seed in range(60)]
+    each = [np.log([s.degrees for s in h.sweeps]) for h in hands]
+    mean, between, within = human_hand.SWEEP_DEGREES
+    assert np.mean([e.mean() for e in each]) == pytest.approx(mean, abs=0.2)
+    assert np.std([e.mean() for e in each]) == pytest.approx(between, abs=0.12)
+    assert np.mean([e.std() for e in each]) == pytest.approx(within, abs=0.1)
+    ends = [(a.start + a.length, b.start) for h in hands for a, b in zip(h.sweeps, h.sweeps[1:], strict=False)]
+    at_once = np.mean([start < end for end, start in ends])
+    assert at_once == pytest.approx(human_hand.AT_ONCE, abs=0.02)
+    assert max(1.875 * s.degrees / s.length for h in hands for s in h.sweeps) <= human_hand.FASTEST + 1e-9
+    long = sum(start - end >= 30 for end, start in ends)
+    assert sum(len(h.laid) for h in hands) == pytest.approx(human_hand.LAID * long, rel=0.3)
+
+
+def test_the_joint_is_worked_as_it_was_measured_and_rests_when_asked_to() -> None:
+    courses = [human_hand.joint_strokes(6000, 30.0, np.random.default_rng(seed)) for seed in range(20)]
+    shares = [c.shares for c in courses]
+    moved = [Movement(np.zeros((5999, 3)), np.zeros(5999), s, 30.0) for s in shares]
+    begins, ends = (np.concatenate([m.opening[m.joint_strokes[:, k]] for m in moved]) for k in (0, 1))
+    room, left = (np.where(ends > begins, 1 - at, at) for at in (begins, ends))
+    for far, share in zip((room >= 0.8, room < 0.8), human_hand.TO_END, strict=True):
+        assert np.mean(left[far] < 0.1) == pytest.approx(share, abs=0.08)  # some that end partway end there, too
+    assert all(s.min() >= 0 and s.max() <= 1 for s in shares)
+    for seed in range(8):
+        course = human_hand.joint_strokes(300, 30.0, np.random.default_rng(seed), Hold(0.4, 0.25))
+        assert course.held is not None
+        a, b = course.held
+        assert b - a == pytest.approx(75, abs=1) and b <= 299
+        assert np.ptp(course.shares[int(np.ceil(a)) : int(b)]) == pytest.approx(0, abs=1e-9)
+        assert course.shares[int(a) + 1] == pytest.approx(0.4, abs=1e-6)
+
+
+def test_candidates_differ_in_directions_alone() -> None:
+    """Else the choice among them would be one of larger sweeps, or of fewer rests."""
+    task = Task(BODY, Atlas(BODY, 4.0, 96, 4), 300, 30.0, "none", None, seed=(3, 4))
+    rng = np.random.default_rng(0)
+    rates = [np.diff(human(task, rng).clock) for _ in range(3)]
+    assert np.array_equal(rates[0], rates[1]) and np.array_equal(rates[0], rates[2])
+    other = human(dataclasses.replace(task, seed=(4, 4)), rng)
+    assert not np.allclose(np.diff(other.clock), rates[0])
+
+
+# --- what comes out ---------------------------------------------------------------------------------------------------
+
+
+def test_people_hold_sweep_and_grasp_anew() -> None:
+    """Loose bounds of the measures in docs/recorder.md: what a steady turn, or one without bursts, would not pass."""
+    moves = [_movement(_plan(seed)) for seed in SEEDS]
+    medians = np.array([np.median(m.degrees) for m in moves])
+    assert 0.5 < np.median(medians) < 2.0 and np.ptp(medians) > 0.8  # people differ
+    assert max(m.degrees.max() for m in moves) > 10
+    assert all(m.degrees.max() < 1.6 * human_hand.FASTEST for m in moves)  # strokes that overlap add
+    assert all(m.degrees.max() > 4 * np.median(m.degrees) for m in moves)
+    assert 0.1 < np.median([np.mean(~m.pose_moves) for m in moves]) < 0.5
+    assert np.median([m.regrasps_a_minute for m in moves]) >= 6
+    assert 0.4 < np.median([np.mean(~m.joint_moves) for m in moves]) < 0.85
+    assert np.median([m.joint_strokes_a_minute for m in moves]) >= 18
+    assert all(np.ptp(_plan(seed).states) > 0.7 * 1.4 for seed in SEEDS)
+
+
+def test_in_rests_the_hand_trembles_and_a_table_does_not() -> None:
+    moves = [_movement(_plan(seed)) for seed in SEEDS]
+    held = np.concatenate([m.degrees[~m.pose_moves] for m in moves])
+    assert 0.025 < np.median(held) < 0.07
+    hands = [human_hand.hand(300, 30.0, np.random.default_rng([seed, 11])) for seed in range(200)]
+    seed = next(k for k, hand in enumerate(hands) if hand.laid and hand.laid[0][1] < 290)
+    task = Task(BODY, Atlas(BODY, 4.0, 96, 4), 300, 30.0, "none", None, seed=(seed,))
+    course, (a, b) = human(task, np.random.default_rng(1)), hands[seed].laid[0]
+    part = slice(int(a) + 8, int(b) - 8)
+    assert np.ptp(course.Rs[part], axis=0).max() < 1e-9 and np.ptp(course.sway[part], axis=0).max() < 1e-9
+
+
+def test_the_same_seed_moves_the_same_and_another_object_differently() -> None:
+    again = plan_motion("human", MESHES, LID, CAMERA, 300, 30.0, 1, hard=False)
+    assert np.array_equal(again.Ts_camera_object, _plan(1).Ts_camera_object)
+    assert np.array_equal(again.states, _plan(1).states)
+    long = Mesh(MESHES[0].vertices * [2, 1, 1], MESHES[0].faces)
+    other = plan_motion("human", (long, MESHES[1]), LID, CAMERA, 300, 30.0, 1, hard=False)
+    assert not np.allclose(_movement(other).degrees, _movement(again).degrees, atol=0.1)
+
+
+@pytest.mark.parametrize(("frames", "fps"), [(2, 30.0), (12, 30.0), (150, 15.0), (600, 60.0)])
+def test_any_length_and_clock(frames: int, fps: float) -> None:
+    plan = _plan(2, None, frames, fps)
+    low, high = extent(plan.Ts_camera_object, plan.states, BODY, CAMERA)
+    assert plan.Ts_camera_object.shape == (frames, 4, 4) and low.min() > 0 and (high < [640, 360]).all()
+    if frames > 2:
+        assert np.ptp(plan.states) > 0.3
+    if frames >= 150:  # ten seconds, whatever the clock
+        steps = np.degrees(se3.rotation_angle(plan.Ts_camera_object[1:, :3, :3] @ np.swapaxes(
+            plan.Ts_camera_object[:-1, :3, :3], 1, 2)))  # fmt: skip
+        assert 100 < steps.sum() < 1500
+
+
+def test_objects_of_every_category_stay_in_the_picture(tmp_path: Path) -> None:
+    for name in catalog.built_in_names()[1::3]:
+        settings = RecordSettings(frames=60, seed=5, motion="human")
+        loaded = load_object(catalog.find(name), settings, tmp_path)
+        camera, plan = planned(loaded, settings)
+        body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
+        low, high = extent(plan.Ts_camera_object, plan.states, body, camera)
+        strip = 0.5 * MARGIN * camera.height
+        assert low.min() > strip and (high < np.array([camera.width, camera.height]) - strip).all(), name
+        assert body.lower <= plan.states.min() and plan.states.max() <= body.upper + 1e-12, name
+
+
+# --- the data that it was drawn from ----------------------------------------------------------------------------------
+
+
+@needs_tracks
+def test_what_the_style_draws_from_is_what_the_takes_say() -> None:
+    paths = sorted((SHARED / "mocap").glob("*_use_*.object.npy"))
+    measured = motion_styles.drawn_from([read_track(path) for path in paths])
+    for name, text in measured.items():
+        if name in ("ON, BACK", "HELD_DEGREES", "HELD_SHIFT") or name.islower():
+            continue
+        held = getattr(human_hand, name)
+        if isinstance(held, human_hand.Law):
+            assert text == f"Law({', '.join(map(_two, dataclasses.astuple(held)))})", name
+        elif isinstance(held, tuple):
+            assert text == f"({', '.join(map(_two, held))})", name
+        else:
+            assert text == _two(held), name
+    assert measured["ON, BACK"] == f"{human_hand.ON:.2f}, {human_hand.BACK:.2f}"
+
+
+@needs_tracks
+def test_the_style_lies_among_takes_of_people_that_it_was_not_drawn_from() -> None:
+    takes = [read_track(path) for path in sorted((SHARED / "mocap").glob("*_use_*.object.npy"))]
+    held = [
+        s for t in takes if motion_styles.subject(t) not in motion_styles.DRAWN_FROM for s in motion_styles.stretches(t)
+    ]
+    ours = [motion_styles.Stretch("human", _movement(_plan(k)), -_plan(k).Ts_camera_object[:, 2, :3]) for k in SEEDS]
+    own, others = motion_styles.columns(ours), motion_styles.columns(held)
+    inside = [motion_styles.within(motion_styles.spread(own[k]), motion_styles.spread(others[k])) for k in own]
+    assert np.mean(inside) >= 0.8  # 25 of 27 over the catalog: benchmarks/results/motion_styles.json
+
+
+def _two(value: float) -> str:
+    return f"{value:.2f}"
+
+
+# --- strokes ----------------------------------------------------------------------------------------------------------
+
+
+def test_strokes_are_cut_at_dips_and_end_at_rest() -> None:
+    t = np.arange(60)
+    bump = lambda middle, height: height * np.exp(-0.5 * ((t - middle) / 3.0) ** 2)  # noqa: E731
+    apart, near = bump(15, 2.0) + bump(45, 1.0), bump(20, 2.0) + bump(30, 2.0)
+    assert [tuple(s) for s in strokes(apart, 0.1)] == [(8, 23), (39, 52)]
+    cut = strokes(near, 0.1)
+    assert len(cut) == 2 and cut[0][1] == cut[1][0] == 25
+    assert len(strokes(bump(20, 2.0) + bump(25, 2.0), 0.1)) == 1  # one stroke with a broad peak
+    assert strokes(np.zeros(60), 0.1).shape == (0, 2)
+    assert spans_of(np.array([True, False, True, True])).tolist() == [[0, 1], [2, 4]]
+
+
+def test_a_known_course_has_its_strokes_rests_and_ways() -> None:
+    """Turns of 3 degrees in frames 0 to 20 and 30 to 50, a third of a second apart; the joint to and fro."""
+    turns = np.zeros((90, 3))
+    turns[:20, 1] = turns[30:50, 1] = 3.0
+    opening = np.interp(np.arange(91), [0, 20, 40, 60, 90], [0, 1, 0.5, 0.5, 0.0])
+    m = Movement(turns, np.zeros(90), opening, 30.0)
+    assert m.sweeps.tolist() == [[0, 20], [30, 50]] and m.sweep_degrees.tolist() == [60, 60]
+    assert m.regrasps_a_minute == pytest.approx(20) and m.sweeps_a_minute == pytest.approx(40)
+    np.testing.assert_allclose(m.holds_s, [10 / 30, 40 / 30])
+    np.testing.assert_allclose(m.joint_ways, [1, -0.5, -0.5], atol=1e-9)
+    np.testing.assert_allclose(m.joint_holds_s, [20 / 30])
+    assert m.reversals_a_minute == pytest.approx(20)
+    assert m.together == pytest.approx((30 / 70) / (40 / 90), rel=1e-6)
+
+
+def test_smoothness_tells_one_stroke_from_many() -> None:
+    t = np.linspace(0, 1, 60)
+    one = 30 * t**2 * (1 - t) ** 2
+    many = one * (1 + 0.9 * np.sin(2 * np.pi * 6 * t))
+    smooth, rough = (
+        Movement(np.stack([s, 0 * s, 0 * s], 1), 0 * t, np.zeros(61), 60.0).smoothness for s in (one, many)
+    )
+    assert rough < smooth - 0.3 and -2 < smooth < -1.2  # a minimum-jerk stroke alone: -1.4 to -1.6
