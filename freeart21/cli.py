@@ -433,6 +433,37 @@ def export(
     return 1 if findings else 0
 
 
+def joint_asset(
+    out: Path,
+    mass: float,
+    kind: Literal["pendulum", "door", "drawer"] = "pendulum",
+    length: float | None = None,
+    inertia: float | None = None,
+    period: float | None = None,
+    lower: float | None = None,
+    upper: float | None = None,
+    joint: str = "hinge",
+) -> None:
+    """Write an asset of one joint from a few numbers, for `gap`: a recording of a joint, and no URDF of it.
+
+    Args:
+        out: URDF file to write.
+        mass: kg of the moving part.
+        kind: A pendulum turns about y and hangs down at 0, a door turns about z, a drawer slides along x; z is up.
+        length: Metres from the joint's axis to the centre of mass; 0 for a rotor (of --kind door).
+        inertia: kg*m^2 about the joint's axis; that of the mass at its length when not given.
+        period: Seconds of a small free swing of the pendulum, there and back: tells the length, or, beside a length,
+            the inertia.
+        lower: Lower limit of the joint, rad or m; no limits when not given.
+        upper: Upper limit.
+        joint: Name of the joint.
+    """
+    from export.joint_asset import JointNumbers, write_joint_asset
+
+    write_joint_asset(out, JointNumbers(kind, mass, length, inertia, period, lower, upper, joint))
+    print(out)
+
+
 def check_asset(
     path: Annotated[Path, Positional],
     engines: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME...")] = None,
@@ -678,6 +709,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         convert,
         reconstruct,
         export,
+        joint_asset,
         check_asset,
         view,
         board.init_submission,
