@@ -21,7 +21,7 @@ import numpy as np
 
 GRADES = ("right", "in part", "silent", "wrong")
 CLAIMED, LEFT = 0.9, 10.0
-"""A plain name (not one in part) after which so much of the gap is gone, and so many floors are left, claims too much."""
+"""A plain name (not one in part) that closes so much of the gap, and leaves so many floors, claims too much."""
 
 
 def graded(known: dict[str, Any], groups: dict[str, list[str]], said: dict[str, Any] | None) -> tuple[str, list[str]]:

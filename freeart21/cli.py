@@ -508,6 +508,7 @@ def measure(
     reverse: bool = False,
     effort: Literal["commanded", "external"] | None = None,
     actuator: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="STIFFNESS DAMPING")] = None,
+    interpolation: Literal["held", "linear", "unknown"] | None = None,
     inertia_relative: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None,
     gravity_relative: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None,
     held_out: tuple[str, ...] = (),
@@ -537,6 +538,8 @@ def measure(
         reverse: The recording counts against the URDF's joint axis.
         effort: Efforts were asked of the actuator, or pushed the moving part from outside.
         actuator: Of the law force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad, or N/m and N*s/m.
+        interpolation: Efforts and commands between their rows: held until the next one, as a digital drive's that is
+            logged at its own rate, or going on in a straight line; unknown when not given.
         inertia_relative: By which the asset's inertia may be off; 0 is exact, 0.1 when not given.
         gravity_relative: By which its weight's torque or force may be off, 0.05 when not given.
         held_out: Runs that a fit must never see: names, numbers from 1, or files.
@@ -573,6 +576,7 @@ def measure(
             gravity,
             effort,
             actuator,
+            interpolation,
             inertia_relative,
             gravity_relative,
             held_out,

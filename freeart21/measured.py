@@ -14,8 +14,10 @@ from freeart21.se3 import Array
 
 Timestamps = Literal["recorded", "nominal"]
 EffortKind = Literal["commanded", "external"]
+Interpolation = Literal["held", "linear", "unknown"]
 TIMESTAMPS: tuple[str, ...] = get_args(Timestamps)
 EFFORT_KINDS: tuple[str, ...] = get_args(EffortKind)
+INTERPOLATIONS: tuple[str, ...] = get_args(Interpolation)
 
 
 @dataclass(frozen=True)
@@ -28,9 +30,9 @@ class Run:
     q: Array
     """(n,) position as read, rad or m; NaN where there is no reading, and all NaN when only poses were measured."""
     effort: Array | None = None
-    """(n,) N*m or N; each value lasts until the next one."""
+    """(n,) N*m or N; between the rows as `Measured.interpolation` says."""
     q_command: Array | None = None
-    """(n,) commanded position, rad or m; each value lasts until the next one."""
+    """(n,) commanded position, rad or m; between the rows as `Measured.interpolation` says."""
     poses: Array | None = None
     """(n, 4, 4) T_reference_moving: the moving part's pose in the reference part's (base) frame, which is the identity
     at state zero of an ideal joint: both parts are at home in the asset's canonical frame."""
@@ -62,3 +64,6 @@ class Measured:
     """How far the asset's gravity torque (or force) may be off, as a part of it; 0 is exact."""
     runs: tuple[Run, ...] = field(default_factory=tuple)
     """In the order of recording: what changes over the session shows in it."""
+    interpolation: Interpolation = "held"
+    """Efforts and commands between their rows: each value lasts until the next one ("held", as by a digital drive that
+    is logged at its own rate), they go on straight ("linear"), or nobody knows and it may be either."""

@@ -96,21 +96,30 @@ class Actuator:
         return asked
 
 
-def held(times_s: ArrayLike, values: ArrayLike, over_s: float = 0.0) -> Callable[[float], float]:
+def held(times_s: ArrayLike, values: ArrayLike, over_s: float = 0.0, holding: float = 1.0) -> Callable[[float], float]:
     """A recorded series (n,), times rising, as a function of time: each value lasts until the next one.
 
     With `over_s` its mean over so many seconds, half of them on either side: what a simulator that takes one force a
-    step of that length must be given for the impulse to be right.
+    step of that length must be given for the impulse to be right. With `holding` 0 it goes straight from value to
+    value instead, and with less than 1 it is that part of the one and the rest of the other.
     """
     times, series = [float(t) for t in np.asarray(times_s)], [float(v) for v in np.asarray(values)]
-    passed = [0.0, *np.cumsum(np.diff(times) * series[:-1]).tolist()]
+    rises = [*((1.0 - holding) * np.diff(series) / np.diff(times)).tolist(), 0.0]  # a second, between the rows
+    spans = np.diff(times)
+    passed = [0.0, *np.cumsum(spans * (series[:-1] + 0.5 * np.array(rises[:-1]) * spans)).tolist()]
+
+    def since(t: float) -> tuple[int, float]:
+        i = bisect_right(times, t) - 1
+        return (i, t - times[i]) if i >= 0 else (0, 0.0)
 
     def value(t: float) -> float:
-        return series[max(bisect_right(times, t) - 1, 0)]
+        i, after = since(t)
+        return series[i] + rises[i] * after
 
     def integral(t: float) -> float:
-        i = max(bisect_right(times, t) - 1, 0)
-        return passed[i] + series[i] * (t - times[i])
+        i, after = since(t)
+        before = min(t - times[0], 0.0) * series[0]
+        return passed[i] + (series[i] + 0.5 * rises[i] * after) * after + before
 
     if over_s <= 0:
         return value

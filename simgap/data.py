@@ -8,10 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from freeart21.errors import FreeArtError
-from freeart21.measured import Measured, Run
+from freeart21.measured import Measured
 from freeart21.se3 import Array
 from simgap.floor import Floor, floor_of
-from simgap.surrogate import Inputs, Plant
+from simgap.inputs import inputs_of
+from simgap.surrogate import Inputs, Plant, step_of
 from simgap.swings import reversals
 
 MAX_SAMPLES = 1500
@@ -76,7 +77,7 @@ def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floo
         series.append((run.times_s[good], run.q[good]))
     _check_units(measured, plant, series)
     floor = floor_of(series)
-    runs = []
+    runs, longest = [], step_of(plant, plant.effects)[0]
     for turn, (run, (times, q)) in enumerate(zip(measured.runs, series, strict=True)):
         stride = -(-len(times) // MAX_SAMPLES)
         speed = rough_speed(times, q)
@@ -87,30 +88,12 @@ def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floo
                 q[::stride],
                 floor.sigma(speed[::stride]),
                 speed[::stride],
-                inputs_of(run, measured),
+                inputs_of(run, measured, longest),
                 run.held_out,
                 turn=turn,
             )
         )
     return _with_regimes(runs), floor
-
-
-def inputs_of(run: Run, measured: Measured) -> Inputs:
-    """What drove a run."""
-    if run.effort is None and run.q_command is None:
-        return Inputs()
-    n, nothing = len(run.times_s), np.zeros(len(run.times_s))
-    effort = nothing if run.effort is None else run.effort
-    command = np.full(n, np.nan) if run.q_command is None else run.q_command
-    commanded = measured.effort_kind == "commanded"
-    series = np.stack([np.nan_to_num(command), effort])
-    new = np.append(True, (np.diff(series) != 0).any(0))  # a value lasts: only where it changes matters
-    return Inputs(
-        np.ascontiguousarray(run.times_s[new]),
-        command[new],
-        (effort if commanded else nothing)[new],
-        (nothing if commanded else effort)[new],
-    )
 
 
 def rough_speed(times: Array, q: Array) -> Array:

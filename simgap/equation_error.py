@@ -86,7 +86,9 @@ def missing_force(
         acting = _forces(measured, mechanics, run, effects, t, q, qd, qdd)
         given, gravity = (np.convolve(force, kernel, "same") for force in acting)  # as smooth as qdd is
         since = _since_reversal(q)
-        command = np.full(len(t), np.nan) if run.q_command is None else _held(run.times_s, run.q_command, t) - q
+        command = (
+            np.full(len(t), np.nan) if run.q_command is None else _told(measured, run.times_s, run.q_command, t) - q
+        )
         columns = [t - run.times_s[0], q, qd, qdd, given, gravity, since, command, np.full(len(t), float(index))]
         keep = ~near
         keep[:half], keep[len(keep) - half :] = False, False  # one-sided windows there
@@ -135,8 +137,11 @@ def _smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | Non
     return t, raw, q, qd, qdd, np.convolve(kernel, [1 / 12, 10 / 12, 1 / 12])
 
 
-def _held(times: Array, values: Array, at: Array) -> Array:
-    return np.asarray(values)[np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 1)]
+def _told(measured: Measured, times: Array, values: Array, at: Array) -> Array:
+    """A command or an effort at the times `at`, half way between held and straight where nobody knows which."""
+    held = np.asarray(values)[np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 1)]
+    share = {"held": 1.0, "linear": 0.0}.get(measured.interpolation, 0.5)
+    return np.asarray(share * held + (1 - share) * np.interp(at, times, values)) if share < 1 else held
 
 
 def _forces(
@@ -155,11 +160,11 @@ def _forces(
     acting = np.zeros(len(t))
     if run.q_command is not None and measured.actuator is not None:
         law = measured.actuator
-        asked = _held(run.times_s, run.q_command, t - late)
+        asked = _told(measured, run.times_s, run.q_command, t - late)
         acting += gain * (law.stiffness * (asked - q) - law.damping * qd)
     if run.effort is not None:
         commanded = measured.effort_kind == "commanded"
-        effort = _held(run.times_s, run.effort, t - late if commanded else t)
+        effort = _told(measured, run.times_s, run.effort, t - late if commanded else t)
         acting += (gain if commanded else 1.0) * effort
     for effect in effects:
         if effect.acts == "force":

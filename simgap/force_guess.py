@@ -81,8 +81,10 @@ def _driven(plant: Plant, run: FitRun, times: Array, q: Array, qd: Array) -> Arr
     if not len(inputs.times_s):
         return np.zeros(len(times))
     at = np.clip(np.searchsorted(inputs.times_s, times, side="right") - 1, 0, len(inputs.times_s) - 1)
-    law = plant.stiffness * (inputs.command[at] - q) - plant.damping * qd
-    return np.asarray(inputs.push[at] + inputs.effort[at] + np.where(np.isfinite(law), law, 0.0))
+    series = np.stack([inputs.command, inputs.effort, inputs.push])
+    command, effort, push = (series if inputs.beside is None else series + 0.5 * inputs.beside)[:, at]
+    law = plant.stiffness * (command - q) - plant.damping * qd
+    return np.asarray(push + effort + np.where(np.isfinite(law), law, 0.0))
 
 
 def _known(plant: Plant, q: Array, qd: Array, qdd: Array) -> Array:

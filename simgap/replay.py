@@ -59,6 +59,7 @@ class _Stage:
         own_effects = tuple(_under_scaled(e, inertia) for e in asset.effects.get(asset.joint, ()))
         self.effects = (*own_effects, *((offset,) if any(offset.values()) else ()))
         self.gravity, self.job = placed.gravity, job
+        self.holding = {"held": 1.0, "linear": 0.0}.get(job["interpolation"], float(off["holding"]))
 
     def load(self, timestep_s: float) -> simulate.SimulatedAsset:
         """The asset with its effects, and with how it is off."""
@@ -78,8 +79,8 @@ class _Stage:
         effort, command = (data.get(f"{name}_{i}") for name in ("effort", "q_command"))
         law = self.job["actuator"]
         h = loaded.timestep_s
-        follows = held(clock - begin, command, h) if command is not None and law else None
-        told = held(clock - begin, effort, h) if effort is not None else None
+        follows = held(clock - begin, command, h, self.holding) if command is not None and law else None
+        told = held(clock - begin, effort, h, self.holding) if effort is not None else None
         commanded, push = (told if self.job["effort"] == kind else None for kind in ("commanded", "external"))
         actuator = None
         if follows is not None or commanded is not None:

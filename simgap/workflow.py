@@ -230,6 +230,7 @@ def problem_of(
     """What all fits share."""
     motion = np.concatenate([run.q for run in runs])
     speed = np.concatenate([run.speed for run in runs])
+    driven = any(len(run.inputs.times_s) for run in runs)
     load = plant.mechanics.load(motion, speed, np.zeros(len(speed)))
     return Problem(
         plant,
@@ -241,6 +242,7 @@ def problem_of(
         floor.still,
         force_at_work(plant, runs),
         float(np.sqrt(np.mean(load**2))),
+        driven and measured.interpolation == "unknown",
         settings.fit,
         settings.surrogate,
     )

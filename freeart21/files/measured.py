@@ -14,7 +14,16 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.joint import JOINT_TYPES, JointType
-from freeart21.measured import EFFORT_KINDS, TIMESTAMPS, EffortKind, Measured, Run, Timestamps
+from freeart21.measured import (
+    EFFORT_KINDS,
+    INTERPOLATIONS,
+    TIMESTAMPS,
+    EffortKind,
+    Interpolation,
+    Measured,
+    Run,
+    Timestamps,
+)
 from freeart21.mechanics import Actuator
 from freeart21.se3 import Array
 
@@ -57,6 +66,7 @@ def read_measured(folder: Path) -> Measured:
         raise FreeArtError(f"{path}: 'rate_hz' is {rate:g}, expected at most {MAX_RATE_HZ:g} readings a second")
     timestamps = cast(Timestamps, _one_of(sampling, "timestamps", TIMESTAMPS, path))
     efforts = cast(EffortKind, _one_of(data, "effort", EFFORT_KINDS, path)) if data.get("effort") is not None else None
+    between = _one_of(data, "interpolation", INTERPOLATIONS, path) if "interpolation" in data else "held"
     actuator = _actuator(data, path)
     uncertainty = _object(data, "asset_uncertainty", path) if data.get("asset_uncertainty") is not None else {}
     listed = _listed_runs(data, path)
@@ -81,6 +91,7 @@ def read_measured(folder: Path) -> Measured:
         timestamps=timestamps,
         effort_kind=efforts,
         actuator=actuator,
+        interpolation=cast(Interpolation, between),
         inertia_relative=_relative(uncertainty, "inertia_relative", path),
         gravity_relative=_relative(uncertainty, "gravity_relative", path),
         runs=runs,

@@ -24,7 +24,7 @@ from freeart21.files.measured import MAX_RATE_HZ, MIN_SAMPLES, read_measured
 from freeart21.files.measured_writer import write_measured
 from freeart21.formats.time_series import Series, listed, read_series
 from freeart21.joint import JointType
-from freeart21.measured import EffortKind, Measured, Run
+from freeart21.measured import EffortKind, Interpolation, Measured, Run
 from freeart21.mechanics import Actuator
 from freeart21.se3 import Array
 
@@ -86,10 +86,19 @@ class SeriesSettings:
     effort: EffortKind | None = None
     actuator: tuple[float, float] | None = None
     """Stiffness, N*m/rad or N/m, and damping, N*m*s/rad or N*s/m, of the law that follows the commands."""
+    interpolation: Interpolation | None = None
+    """Of efforts and commands between their rows; nobody knows when None."""
     inertia_relative: float | None = None
     gravity_relative: float | None = None
     held_out: tuple[str, ...] = ()
     """Names of runs, their numbers from 1, or names of files whose runs are all meant."""
+
+
+_BETWEEN = {
+    "held": "every value is held until the next row",
+    "linear": "it goes straight from row to row",
+    "unknown": "held until the next row or going on straight, nobody knows: the runs may tell (else --interpolation)",
+}
 
 
 def measure_series(
@@ -126,7 +135,7 @@ def measure_series(
     gravity, unsure = _circumstances(settings, chosen.reference_link, notes)
     if drives:
         held = " and ".join(d for d in ("effort", "q_command") if d in roles[0])
-        notes.append(f"{held}: every value is held until the next row, as by a digital drive")
+        notes.append(f"{held}: {_BETWEEN[settings.interpolation or 'unknown']}")
     marked = _held_out(runs, files, settings.held_out)
     if not settings.held_out and len(runs) > 1:
         names = listed([run.name for run in runs])
@@ -141,6 +150,7 @@ def measure_series(
         Actuator(None, *settings.actuator) if settings.actuator is not None else None,
         *unsure,
         marked,
+        settings.interpolation or "unknown",
     )
     with atomic.new_folder(out) as aside:
         write_measured(aside / "measured", measured)
