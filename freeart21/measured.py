@@ -66,4 +66,5 @@ class Measured:
     """In the order of recording: what changes over the session shows in it."""
     interpolation: Interpolation = "held"
     """Efforts and commands between their rows: each value lasts until the next one ("held", as by a digital drive that
-    is logged at its own rate), they go on straight ("linear"), or nobody knows and it may be either."""
+    is logged at its own rate), they go on straight ("linear"), or nobody knows: they may be held, go on
+    smoothly, or anything between the two ("unknown")."""

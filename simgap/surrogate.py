@@ -122,7 +122,7 @@ class Nuisance:
     lean: tuple[float, float] = (0.0, 0.0)
     """rad by which the base leans, see `Plant.gravity_terms`."""
     holding: float = 0.0
-    """Of inputs of which nobody knows how they go on between their rows: 0 straight, 1 held until the next one."""
+    """Of inputs of which nobody knows how they go on between their rows: 0 smoothly, 1 held until the next one."""
 
 
 def terms_of(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[np.int64]:

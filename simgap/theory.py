@@ -63,7 +63,7 @@ class Problem:
     load: float = 1.0
     """A usual force on the bearing, N."""
     unknown_inputs: bool = False
-    """Whether nobody knows if commands and efforts last until their next rows or go on straight: where between the two
+    """Whether nobody knows if commands and efforts last until their next rows or go on smoothly: where between the two
     they are is then fitted, either end being as likely as any place between."""
     fit: FitSettings = field(default_factory=FitSettings)
     surrogate: SurrogateSettings = field(default_factory=SurrogateSettings)

@@ -193,7 +193,7 @@ def test_commands_come_with_their_law_and_stop_where_the_drive_is_off(tmp_path: 
     assert (on.name, off.name) == ("run_on_1", "run_off_2") and off.q_command is None
     np.testing.assert_allclose(on.q_command, np.sin(T[:40]), atol=1e-8)
     assert measured.actuator is not None and (measured.actuator.stiffness, measured.actuator.damping) == (60, 4)
-    assert "q_command: held until the next row or going on straight, nobody knows" in said
+    assert "q_command: held until the next row or going on smoothly, nobody knows" in said
     assert measured.interpolation == "unknown" and "runs are cut there" in said
 
 

@@ -97,7 +97,7 @@ class SeriesSettings:
 _BETWEEN = {
     "held": "every value is held until the next row",
     "linear": "it goes straight from row to row",
-    "unknown": "held until the next row or going on straight, nobody knows: the runs may tell (else --interpolation)",
+    "unknown": "held until the next row or going on smoothly, nobody knows: the runs may tell (else --interpolation)",
 }
 
 
