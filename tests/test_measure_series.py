@@ -199,10 +199,12 @@ def test_commands_come_with_their_law_and_stop_where_the_drive_is_off(tmp_path: 
 
 def test_efforts_say_how_they_act_and_in_what_unit(tmp_path: Path, asset: Path):
     content = text(DRIVEN[:, [0, 1, 3]], "time,position,torque")
-    measured, said = imported(tmp_path, asset, content, effort="external", unit_effort="mN*m", reverse=True)
+    told = {"effort": "external", "unit_effort": "mN*m", "reverse": True, "interpolation": "held"}
+    measured, said = imported(tmp_path, asset, content, **told)
     np.testing.assert_allclose(measured.runs[0].effort, -1e-3 * np.sin(3 * T), atol=1e-9)
     np.testing.assert_allclose(measured.runs[0].q, -Q, atol=1e-7)
     assert measured.effort_kind == "external" and "effort: every value is held" in said
+    assert measured.interpolation == "held"
 
 
 def test_an_empty_cell_of_a_drive_holds_the_value_before_it(tmp_path: Path, asset: Path):

@@ -10,6 +10,7 @@ import pytest
 
 from freeart21.errors import FreeArtError
 from freeart21.files.measured import read_measured
+from freeart21.files.measured_writer import write_measured
 
 TIMES = np.arange(60) * 0.01
 
@@ -57,6 +58,18 @@ def test_a_set_is_read_as_it_stands(tmp_path: Path):
     np.testing.assert_allclose(first.q, 0.3 * np.cos(8 * TIMES), atol=1e-6)
     assert first.effort is not None and first.q_command is not None
     np.testing.assert_allclose(first.effort, np.sin(TIMES), atol=1e-6)
+
+
+@pytest.mark.parametrize("how", ["held", "linear", "unknown"])
+def test_what_efforts_do_between_their_rows_is_read_and_written(how: str, tmp_path: Path):
+    units = {"t_s": "s", "q": "rad", "effort": "N*m"}
+    changes = {"units": units, "effort": "commanded", "interpolation": how}
+    measured = read_measured(write(tmp_path / "a", changes, effort=np.sin(TIMES)))
+    assert measured.interpolation == how
+    write_measured(tmp_path / "b", measured)
+    assert read_measured(tmp_path / "b").interpolation == how
+    plain = read_measured(write(tmp_path / "c", {**changes, "interpolation": ...}, effort=np.sin(TIMES)))
+    assert plain.interpolation == "held"  # what sets said that did not say it
 
 
 def test_what_may_be_left_out_is_exact_free_and_unmarked(tmp_path: Path):
@@ -154,6 +167,7 @@ BAD_HEADERS = [
     ({"runs": [{"file": "run_0.csv", "held_out": True}]}, "all 1 runs are held out"),
     ({"actuator": {"type": "velocity"}}, "the actuator's type is 'velocity', expected 'position'"),
     ({"actuator": {"type": "position", "stiffness": -1, "damping": 0}}, "stiffness and damping are -1 and 0"),
+    ({"interpolation": "cubic"}, "'interpolation' is 'cubic', expected held or linear or unknown"),
     ({"effort": "guessed"}, "'effort' is 'guessed', expected commanded or external"),
     ({"asset_uncertainty": {"inertia_relative": 10}}, "'inertia_relative' is 10, expected 0 (exact) to below 1"),
 ]
