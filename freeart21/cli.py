@@ -538,8 +538,7 @@ def measure(
         reverse: The recording counts against the URDF's joint axis.
         effort: Efforts were asked of the actuator, or pushed the moving part from outside.
         actuator: Of the law force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad, or N/m and N*s/m.
-        interpolation: Efforts and commands between their rows: held until the next one, as a digital drive's that is
-            logged at its own rate, or going on in a straight line; unknown when not given.
+        interpolation: Of efforts and commands between their rows; unknown when not given.
         inertia_relative: By which the asset's inertia may be off; 0 is exact, 0.1 when not given.
         gravity_relative: By which its weight's torque or force may be off, 0.05 when not given.
         held_out: Runs that a fit must never see: names, numbers from 1, or files.

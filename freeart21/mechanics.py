@@ -156,7 +156,7 @@ def course(times_s: ArrayLike, values: ArrayLike, how: str) -> Array:
     if how == "linear":
         rows[:-1, 1] = mean
         return rows
-    slopes = np.gradient(series, times, edge_order=min(2, len(series) - 1))
+    slopes = np.gradient(series, times, edge_order=2 if len(series) > 2 else 1)
     rows[:-1, 1] = slopes[:-1]
     rows[:-1, 2] = (3 * mean - 2 * slopes[:-1] - slopes[1:]) / spans
     rows[:-1, 3] = (slopes[:-1] + slopes[1:] - 2 * mean) / spans**2
