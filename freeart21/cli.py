@@ -629,6 +629,8 @@ def gap(
             bars.update(task, description="Replaying in SAPIEN", completed=done, total=total)
 
         verdict = gap_folder(asset, measured, out, replay_seconds=replay_seconds, progress=replayed)
+    for note in verdict.notes:
+        print(f"- {note}", file=sys.stderr)
     print(f"{verdict.verdict}: {verdict.sentence}")
     print(out / "verdict.json")
 

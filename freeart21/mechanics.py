@@ -111,10 +111,12 @@ def between(
 ) -> Callable[[float], float]:
     """A recorded series (n,) as a function of time, as `course` has it between the rows; `over_s` as in `held`.
 
-    Of a series of which nobody knows ("unknown") `holding` is the part that is held, the rest being smooth.
+    A value that is NaN was not logged. Of a series of which nobody knows ("unknown") `holding` is the part that is
+    held, the rest being smooth.
     """
-    times = [float(t) for t in np.asarray(times_s)]
-    rows = course(times, values, how)
+    known = np.isfinite(np.asarray(values, float))
+    times = [float(t) for t in np.asarray(times_s)[known]]
+    rows = course(times, np.asarray(values, float)[known], how)
     rows[:, 1:] *= 1.0 - holding if how == "unknown" else 1.0
     spans = np.diff(times, append=times[-1])
     areas = rows / np.arange(1, 5)

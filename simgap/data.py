@@ -16,7 +16,11 @@ from simgap.surrogate import Inputs, Plant, step_of
 from simgap.swings import reversals
 
 MAX_SAMPLES = 1500
-"""Readings of a run that a fit looks at; more are thinned out evenly."""
+"""Readings of a run that a fit looks at, where they are enough; more are thinned out evenly."""
+LEAST_A_SWING = 4.0
+"""Readings of half a swing that are left: a sine is told by two; twice that leaves its end apart from its middle."""
+MOST_SAMPLES = 6000
+"""Readings of a run that a fit looks at at most: its time grows with them. Not measured."""
 
 
 _BEGINNINGS_S = (0.06, 0.12, 0.25)
@@ -79,7 +83,7 @@ def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floo
     floor = floor_of(series)
     runs, longest = [], step_of(plant, plant.effects)[0]
     for turn, (run, (times, q)) in enumerate(zip(measured.runs, series, strict=True)):
-        stride = -(-len(times) // MAX_SAMPLES)
+        stride = stride_of(times, q)
         speed = rough_speed(times, q)
         runs.append(
             FitRun(
@@ -94,6 +98,30 @@ def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floo
             )
         )
     return _with_regimes(runs), floor
+
+
+def stride_of(times: Array, q: Array) -> int:
+    """Of how many readings one is looked at: as few as the motion needs, where there are many."""
+    few = -(-len(times) // MAX_SAMPLES)
+    if few == 1:
+        return 1
+    turns = reversals(q, 0.1 * float(np.ptp(q)))
+    swing = float(np.median(np.diff(turns))) if len(turns) >= 3 else np.inf
+    return max(1, -(-len(times) // MOST_SAMPLES), int(min(few, swing / LEAST_A_SWING)))
+
+
+def thinned(measured: Measured) -> tuple[str, ...]:
+    """A line for each run of which not all readings are looked at."""
+    notes = []
+    for run in measured.runs:
+        good = np.isfinite(run.q)
+        stride = stride_of(run.times_s[good], run.q[good]) if good.any() else 1
+        if stride > 1:
+            rate = float(1 / np.median(np.diff(run.times_s[good])))
+            notes.append(
+                f"run '{run.name}': one reading of {stride} is looked at, {rate / stride:.3g} of {rate:.3g} a second"
+            )
+    return tuple(notes)
 
 
 def rough_speed(times: Array, q: Array) -> Array:

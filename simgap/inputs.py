@@ -7,6 +7,7 @@ it moves a free part by.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from freeart21.measured import Interpolation, Measured, Run
 from freeart21.mechanics import course
@@ -38,31 +39,49 @@ def inputs_of(run: Run, measured: Measured, longest_s: float = np.inf) -> Inputs
 
 def logged_at(times: Array, values: Array, how: Interpolation, at: Array) -> Array:
     """(m,) a logged series (n,) at the times `at` (m,)."""
-    row = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 1)
-    terms = course(times, values, how)[row]
-    since = np.maximum(at - times[row], 0.0)
-    moved = since * (terms[:, 1] + since * (terms[:, 2] + since * terms[:, 3]))
-    return np.asarray(terms[:, 0] + (1 - HALFWAY if how == "unknown" else 1.0) * moved)
+    base, moved = _Logged(times, values, how)(at, at)
+    return np.asarray(base + (1 - HALFWAY if how == "unknown" else 1.0) * (moved - base))
+
+
+class _Logged:
+    """A series (n,) as it goes on from the rows in which it was logged, not NaN."""
+
+    def __init__(self, times: Array, values: Array, how: Interpolation):
+        known = np.isfinite(values)
+        self.times = times[known]
+        self.terms = course(self.times, values[known], how)
+
+    def row(self, at: Array) -> NDArray[np.int64]:
+        """(m,) the last one by the times `at`."""
+        return np.clip(np.searchsorted(self.times, at, side="right") - 1, 0, len(self.times) - 1)
+
+    def __call__(self, begin: Array, at: Array) -> tuple[Array, Array]:
+        """Values of the rows that last at the times `begin`, and of their curves at the times `at`, (m, ...) each."""
+        row = self.row(begin)
+        since = np.maximum(at - self.times[row], 0.0)
+        a, b, c, d = self.terms[row].T
+        return a, a + since * (b + since * (c + since * d))
 
 
 def _as_held(times: Array, logged: Array, how: Interpolation, longest_s: float) -> tuple[Array, Array, Array]:
     """Times (i,), the (3, i) values that last from each to the next, and what these have besides if the `logged` ones
     (3, n) are held."""
+    channels = [_Logged(times, values, how) for values in logged]
     if how == "held" or len(times) < 2:
-        return times, logged, np.zeros_like(logged)
-    terms = np.stack([course(times, series, how) for series in logged])[:, :-1]
+        series = np.stack([channel(times, times)[0] for channel in channels])
+        return times, series, np.zeros_like(series)
     spans = np.diff(times)
-    moves = (terms[:, :, 1:] != 0).any((0, 2))
+    moves = np.any([(c.terms[c.row(times[:-1]), 1:] != 0).any(1) for c in channels], 0)
     parts = np.where(moves, np.maximum(np.ceil(spans / (2 * longest_s)), 1), 1).astype(int)
     row = np.repeat(np.arange(len(spans)), parts)  # of every part of a row's time
     span = spans[row] / parts[row]
-    begin = span * (np.arange(len(row)) - (np.cumsum(parts) - parts)[row])
-    since = begin[:, None] + 0.5 * span[:, None] * (1 + _NODES)
-    a, b, c, d = (terms[:, row, k, None] for k in range(4))
-    curve = a + since * (b + since * (c + since * d))
-    mean, tilt = curve @ _WEIGHTS / 2, curve @ (_WEIGHTS * _NODES)
+    begin = times[row] + span * (np.arange(len(row)) - (np.cumsum(parts) - parts)[row])
+    nodes = begin + 0.5 * span * (1 + _NODES[:, None])
+    told = [channel(times[row], nodes) for channel in channels]
+    mean, tilt = (np.stack([weights @ curve for _, curve in told]) for weights in (_WEIGHTS / 2, _WEIGHTS * _NODES))
     series = np.stack([mean - tilt, mean + tilt], -1).reshape(3, -1)
-    at = (times[row] + begin)[:, None] + span[:, None] * np.array([0.0, 0.5])
-    last = logged[:, -1:]
-    beside = np.repeat(logged[:, row], 2, axis=1) - series if how == "unknown" else np.zeros_like(series)
+    at = begin[:, None] + span[:, None] * np.array([0.0, 0.5])
+    last = np.stack([channel(times[-1:], times[-1:])[1] for channel in channels])
+    base = np.repeat(np.stack([held for held, _ in told]), 2, axis=1)
+    beside = base - series if how == "unknown" else np.zeros_like(series)
     return np.append(at.ravel(), times[-1]), np.append(series, last, 1), np.append(beside, np.zeros_like(last), 1)

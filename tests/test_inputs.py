@@ -13,6 +13,7 @@ from freeart21.files.asset import read_asset
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, between, course, held
 from generator.simulate import roll_out
+from simgap.data import stride_of, thinned
 from simgap.inputs import inputs_of, logged_at
 from simgap.show import Off, Replayed, show
 from simgap.surrogate import Nuisance, plant_of, simulate
@@ -86,6 +87,26 @@ def test_values_that_last_move_a_free_part_as_the_curve_does(tmp_path: Path):
     np.testing.assert_allclose(ours, np.interp(run.times_s, fine, way), atol=1e-8)
 
 
+@HOW
+def test_rows_without_a_command_are_no_rows_of_it(how: str):
+    """A topic that comes a fourth as often is followed as in a log of its own."""
+    dense = driven(97, 40.0, how)
+    run = dense.runs[0]
+    assert run.q_command is not None
+    sparse = replace(run, q_command=np.where(np.arange(97) % 4, np.nan, run.q_command))
+    own = Run("own", run.times_s[::4], run.q[::4], None, run.q_command[::4])
+    for holding in (0.0, 0.4, 1.0):
+        told = inputs_of(sparse, dense, 0.01)
+        command = told.command + (0 if told.beside is None else holding * told.beside[0])
+        passed = np.append(0.0, np.cumsum(np.diff(told.times_s) * command[:-1]))
+        impulse = np.interp(run.times_s[:-4], told.times_s, passed)
+        mean = between(own.times_s, own.q_command, how, 0.025, holding)
+        expected = np.append(0.0, np.cumsum([0.025 * mean(t + 0.0125) for t in run.times_s[:-5]]))
+        np.testing.assert_allclose(impulse, expected, atol=1e-12)
+        value, same = (between(r.times_s, r.q_command, how, 0.0, holding) for r in (sparse, own))
+        assert [value(t) for t in run.times_s] == [same(t) for t in run.times_s]
+
+
 def test_what_is_held_is_as_it_was_and_what_stays_costs_nothing():
     measured = driven(50, 20.0, "held", effort=True)
     told = inputs_of(measured.runs[0], measured, 1e-3)
@@ -135,3 +156,19 @@ def test_a_replay_goes_on_between_rows_as_the_fit_found(share: float, tmp_path: 
     replayed = (Replayed(run, start, start, 1e-3, ""),)
     right, wrong = (show(asset, asset, measured, replayed, (Off(holding=s),) * 2).runs[0] for s in (share, 1 - share))
     assert right.gap_after < 1.5e-3 < wrong.gap_after
+
+
+def test_many_readings_are_thinned_as_far_as_the_motion_allows_and_that_is_said():
+    times = np.arange(24000) / 200
+    run = Run("long", times, np.sin(2 * np.pi * 1.0 * times))
+    assert stride_of(times, run.q) == 16  # 1,500 readings are 6 a half swing
+    fast = np.sin(2 * np.pi * 4.0 * times)
+    assert stride_of(times, fast) == 6  # a half swing has 25
+    assert stride_of(times, np.sin(2 * np.pi * 30.0 * times)) == 4  # 6,000 at most
+    assert stride_of(times[:1500], fast[:1500]) == 1
+    assert stride_of(times, times) == 16  # what never turns back
+    measured = Measured("j", "revolute", np.zeros(3), 200.0, "recorded", runs=(run, replace(run, q=fast)))
+    assert thinned(measured) == (
+        "run 'long': one reading of 16 is looked at, 12.5 of 200 a second",
+        "run 'long': one reading of 6 is looked at, 33.3 of 200 a second",
+    )
