@@ -96,6 +96,13 @@ def test_slopes_are_what_small_changes_do(tmp_path: Path):
     assert starts[0].shape == (2, len(run.q))
 
 
+def test_what_is_faster_than_all_motion_is_not_looked_for(tmp_path: Path):
+    """A part that creeps tells nothing of how friction falls with speed, and costs no error."""
+    setup, runs = problem(tmp_path, measured_of(5, dry=0.1))
+    assert "stribeck_friction" in candidates(setup, runs)
+    assert "stribeck_friction" not in candidates(replace(setup, speed=5e-5), runs)
+
+
 def test_a_larger_set_fits_no_worse_than_a_smaller_one(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(5, dry=0.1, drag=0.05))
     train = folds_of(runs)[0].train
