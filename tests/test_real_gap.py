@@ -117,8 +117,9 @@ def test_what_is_at_hand_is_known_and_becomes_sets(tmp_path: Path):
         assert read_asset(tmp_path / name / "asset.urdf").joint == measured.joint
 
 
-def test_an_answer_that_does_not_come_in_time_is_none_and_is_not_asked_again(tmp_path: Path, monkeypatch, capsys):
-    """Killed with all that it started; the row is kept."""
+@pytest.mark.parametrize("ways", ["sleep 60 & wait", "while :; do :; done"])
+def test_an_answer_that_does_not_come_in_time_is_none_and_is_not_asked_again(ways, tmp_path: Path, monkeypatch, capsys):
+    """By the processor's time or the clock; killed with all that it started; the row is kept."""
     asked: list[str] = []
 
     def made(out: Path) -> None:
@@ -127,9 +128,9 @@ def test_an_answer_that_does_not_come_in_time_is_none_and_is_not_asked_again(tmp
 
     monkeypatch.setattr(real_gap, "recordings", lambda: {"dfki": made})
     monkeypatch.setattr(real_gap, "sys", type("sys", (), {"executable": "/bin/sh"}))
-    monkeypatch.setattr(real_gap, "_COMMAND", ("-c", "sleep 60 & wait"))
+    monkeypatch.setattr(real_gap, "_COMMAND", ("-c", ways))
     for _ in range(2):
-        real_gap.main(0.3, ("dfki",), tmp_path / "work", tmp_path / "told.json")
+        real_gap.main(0.2, ("dfki",), tmp_path / "work", tmp_path / "told.json")
     told = json.loads((tmp_path / "told.json").read_text())
     assert asked == ["made"] and told["rows"][0]["status"] == "out of time" and told["rows"][0]["grade"] == "silent"
     assert "1 of 1: dfki: silent" in capsys.readouterr().out
