@@ -31,6 +31,7 @@ from simgap.fit import (
 )
 from simgap.floor import floor_of
 from simgap.force_guess import local_force, places
+from simgap.guess import _grid
 from simgap.judge import Fold, folds_of
 from simgap.least_squares import Prior, charge, solve, weight
 from simgap.search import Search, beside, candidates, relaxed, stilled
@@ -101,6 +102,8 @@ def test_what_is_faster_than_all_motion_is_not_looked_for(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(5, dry=0.1))
     assert "stribeck_friction" in candidates(setup, runs)
     assert "stribeck_friction" not in candidates(replace(setup, speed=5e-5), runs)
+    slow = next(r for r in Theory(replace(setup, speed=6e-4), ("stribeck_friction",)).ranges() if r.name == "speed")
+    assert all(slow.lower <= value <= slow.upper for value in _grid(slow, setup))
 
 
 def test_a_larger_set_fits_no_worse_than_a_smaller_one(tmp_path: Path):
