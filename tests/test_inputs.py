@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +11,9 @@ import numpy as np
 import pytest
 from gap_case import INERTIA, RATE, SERVO, G, asset_of, measured_of
 
+from freeart21 import cli
 from freeart21.files.asset import read_asset
+from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, between, course, held
 from generator.simulate import roll_out
@@ -172,3 +176,16 @@ def test_many_readings_are_thinned_as_far_as_the_motion_allows_and_that_is_said(
         "run 'long': one reading of 16 is looked at, 12.5 of 200 a second",
         "run 'long': one reading of 6 is looked at, 33.3 of 200 a second",
     )
+
+
+def test_what_was_left_out_stands_in_the_answer_and_on_its_page(tmp_path: Path, capsys: pytest.CaptureFixture):
+    still = Run("still", np.arange(3000) / 100, 1e-7 * np.arange(3000) + np.random.default_rng(0).normal(0, 1e-6, 3000))
+    runs = (still, replace(still, name="again"))
+    measured = Measured("j", "revolute", np.array([0, 0, -G]), 100.0, "recorded", runs=runs)
+    write_measured(tmp_path / "measured", measured)
+    cli.gap(asset_of(tmp_path / "asset"), tmp_path / "measured", tmp_path / "out")
+    notes = json.loads((tmp_path / "out" / "verdict.json").read_text())["notes"]
+    assert notes[0] == "run 'again' is run 'still' again, reading by reading: it was left out"
+    assert notes[1].startswith("run 'still': one reading of 2 is looked at") and len(notes) == 2
+    page, said = (tmp_path / "out" / "index.html").read_text(), capsys.readouterr().err
+    assert all(note in html.unescape(page) and f"- {note}" in said for note in notes)
