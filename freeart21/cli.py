@@ -442,6 +442,37 @@ def export(
     return 1 if findings else 0
 
 
+def joint_asset(
+    out: Path,
+    mass: float,
+    kind: Literal["pendulum", "door", "drawer"] = "pendulum",
+    length: float | None = None,
+    inertia: float | None = None,
+    period: float | None = None,
+    lower: float | None = None,
+    upper: float | None = None,
+    joint: str = "hinge",
+) -> None:
+    """Write an asset of one joint from a few numbers, for `gap`: a recording of a joint, and no URDF of it.
+
+    Args:
+        out: URDF file to write.
+        mass: kg of the moving part.
+        kind: A pendulum turns about y and hangs down at 0, a door turns about z, a drawer slides along x; z is up.
+        length: Metres from the joint's axis to the centre of mass; 0 for a rotor (of --kind door).
+        inertia: kg*m^2 about the joint's axis; that of the mass at its length when not given.
+        period: Seconds of a small free swing of the pendulum, there and back: tells the length, or, beside a length,
+            the inertia.
+        lower: Lower limit of the joint, rad or m; no limits when not given.
+        upper: Upper limit.
+        joint: Name of the joint.
+    """
+    from export.joint_asset import JointNumbers, write_joint_asset
+
+    write_joint_asset(out, JointNumbers(kind, mass, length, inertia, period, lower, upper, joint))
+    print(out)
+
+
 def check_asset(
     path: Annotated[Path, Positional],
     engines: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME...")] = None,
@@ -486,6 +517,7 @@ def measure(
     reverse: bool = False,
     effort: Literal["commanded", "external"] | None = None,
     actuator: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="STIFFNESS DAMPING")] = None,
+    interpolation: Literal["held", "linear", "unknown"] | None = None,
     inertia_relative: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None,
     gravity_relative: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None,
     held_out: tuple[str, ...] = (),
@@ -502,8 +534,8 @@ def measure(
             (RESULTS/SEQ) whose reference part stood fixed, with --gravity; or truth folders of one object
             (DATA/truth/SEQ, each recorded with --motion release).
         out: Folder for the measured set (OUT/measured) and, of truths, the object without effects (OUT/asset).
-        gravity: Gravity, m/s^2. Of files: in the frame of the asset's reference link, 0 0 -9.81 when not given. Of a
-            result: in the camera's axes (right, down, forward) of the first frame, 0 9.81 0 of a level camera.
+        gravity: m/s^2. Of files: in the asset's reference link, 0 0 -9.81 when not given. Of a result: in the camera's
+            axes (right, down, forward) of the first frame, 0 9.81 0 of a level camera.
         rate_hz: Rows a second of files without a time; frames a second of a result, 30 when not given.
         asset: Asset folder or URDF that the recordings are of.
         joint: Joint of the URDF; may be left out when only one can move.
@@ -515,7 +547,8 @@ def measure(
         zero: Position as recorded, in its unit, at which the URDF's joint is at 0.
         reverse: The recording counts against the URDF's joint axis.
         effort: Efforts were asked of the actuator, or pushed the moving part from outside.
-        actuator: Of the law force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad, or N/m and N*s/m.
+        actuator: Of force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad (N/m, N*s/m).
+        interpolation: Of efforts and commands between their rows; unknown when not given.
         inertia_relative: By which the asset's inertia may be off; 0 is exact, 0.1 when not given.
         gravity_relative: By which its weight's torque or force may be off, 0.05 when not given.
         held_out: Runs that a fit must never see: names, numbers from 1, or files.
@@ -523,7 +556,7 @@ def measure(
         noise_deg: Standard deviation, degrees, of a tracker's turns.
         seed: Seed of the tracker's errors.
         partnet_root: Folder that holds PartNet-Mobility objects, for truths of such.
-        urdf: The object's URDF as it was when it was recorded, for truths of one: they keep its hash, not its files.
+        urdf: The object's URDF as it was recorded, for truths of one.
     """
     given = dict(locals())
     files = [source for source in sources if source.is_file()]
@@ -553,6 +586,7 @@ def measure(
             gravity,
             effort,
             actuator,
+            interpolation,
             inertia_relative,
             gravity_relative,
             held_out,
@@ -607,6 +641,8 @@ def gap(
             bars.update(task, description="Replaying in SAPIEN", completed=done, total=total)
 
         verdict = gap_folder(asset, measured, out, replay_seconds=replay_seconds, progress=replayed)
+    for note in verdict.notes:
+        print(f"- {note}", file=sys.stderr)
     print(f"{verdict.verdict}: {verdict.sentence}")
     print(out / "verdict.json")
 
@@ -690,6 +726,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         convert,
         reconstruct,
         export,
+        joint_asset,
         check_asset,
         view,
         board.init_submission,

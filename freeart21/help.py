@@ -26,7 +26,13 @@ OPTION_GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "measure": {
         "of files": ("asset", "joint", "columns", "unit_t", "unit_q", "unit_effort", "zero", "reverse", "held_out"),
-        "what drove it, and how sure the asset is": ("effort", "actuator", "inertia_relative", "gravity_relative"),
+        "what drove it, and how sure the asset is": (
+            "effort",
+            "actuator",
+            "interpolation",
+            "inertia_relative",
+            "gravity_relative",
+        ),
         "of truths, the errors of a tracker": ("noise_mm", "noise_deg", "seed", "partnet_root", "urdf"),
     },
 }

@@ -6,6 +6,7 @@ from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -102,16 +103,68 @@ def held(times_s: ArrayLike, values: ArrayLike, over_s: float = 0.0) -> Callable
     With `over_s` its mean over so many seconds, half of them on either side: what a simulator that takes one force a
     step of that length must be given for the impulse to be right.
     """
-    times, series = [float(t) for t in np.asarray(times_s)], [float(v) for v in np.asarray(values)]
-    passed = [0.0, *np.cumsum(np.diff(times) * series[:-1]).tolist()]
+    return between(times_s, values, "held", over_s)
+
+
+def between(
+    times_s: ArrayLike, values: ArrayLike, how: str, over_s: float = 0.0, holding: float = 0.5
+) -> Callable[[float], float]:
+    """A recorded series (n,) as a function of time, as `course` has it between the rows; `over_s` as in `held`.
+
+    A value that is NaN was not logged. Of a series of which nobody knows ("unknown") `holding` is the part that is
+    held, the rest being smooth.
+    """
+    known = np.isfinite(np.asarray(values, float))
+    times = [float(t) for t in np.asarray(times_s)[known]]
+    rows = course(times, np.asarray(values, float)[known], how)
+    rows[:, 1:] *= 1.0 - holding if how == "unknown" else 1.0
+    spans = np.diff(times, append=times[-1])
+    areas = rows / np.arange(1, 5)
+    passed = [0.0, *np.cumsum(_polynomial(areas.T, spans) * spans)[:-1].tolist()]
+    series, whole = rows.tolist(), areas.tolist()
+
+    def since(t: float) -> tuple[int, float]:
+        i = bisect_right(times, t) - 1
+        return (i, t - times[i]) if i >= 0 else (0, 0.0)
 
     def value(t: float) -> float:
-        return series[max(bisect_right(times, t) - 1, 0)]
+        i, after = since(t)
+        return float(_polynomial(series[i], after))
 
     def integral(t: float) -> float:
-        i = max(bisect_right(times, t) - 1, 0)
-        return passed[i] + series[i] * (t - times[i])
+        i, after = since(t)
+        before = min(t - times[0], 0.0) * series[0][0]
+        return passed[i] + float(_polynomial(whole[i], after)) * after + before
 
     if over_s <= 0:
         return value
     return lambda t: (integral(t + 0.5 * over_s) - integral(t - 0.5 * over_s)) / over_s
+
+
+def course(times_s: ArrayLike, values: ArrayLike, how: str) -> Array:
+    """(n, 4) a recorded series (n,), times rising, as polynomials of the time since each row; its last value stays.
+
+    "held" until the next row, "linear" to it, or ("unknown") as smooth as it may have been: cubics that pass each row
+    with the slope of the parabola through it and its neighbours (Catmull and Rom 1974). A straight line through the
+    rows of a smooth motion loses (w dt)^2 / 12 of it, w its angular frequency: a sensor's scale that is none.
+    """
+    times, series = np.asarray(times_s, float), np.asarray(values, float)
+    rows = np.zeros((len(series), 4))
+    rows[:, 0] = series
+    if how == "held" or len(series) < 2:
+        return rows
+    spans = np.diff(times)
+    mean = np.diff(series) / spans
+    if how == "linear":
+        rows[:-1, 1] = mean
+        return rows
+    slopes = np.gradient(series, times, edge_order=2 if len(series) > 2 else 1)
+    rows[:-1, 1] = slopes[:-1]
+    rows[:-1, 2] = (3 * mean - 2 * slopes[:-1] - slopes[1:]) / spans
+    rows[:-1, 3] = (slopes[:-1] + slopes[1:] - 2 * mean) / spans**2
+    return rows
+
+
+def _polynomial(terms: Any, x: Any) -> Any:
+    """Of four terms, the constant first."""
+    return terms[0] + x * (terms[1] + x * (terms[2] + x * terms[3]))

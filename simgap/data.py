@@ -8,14 +8,19 @@ from functools import cached_property
 import numpy as np
 
 from freeart21.errors import FreeArtError
-from freeart21.measured import Measured, Run
+from freeart21.measured import Measured
 from freeart21.se3 import Array
 from simgap.floor import Floor, floor_of
-from simgap.surrogate import Inputs, Plant
+from simgap.inputs import inputs_of
+from simgap.surrogate import Inputs, Plant, step_of
 from simgap.swings import reversals
 
 MAX_SAMPLES = 1500
-"""Readings of a run that a fit looks at; more are thinned out evenly."""
+"""Readings of a run that a fit looks at, where they are enough; more are thinned out evenly."""
+LEAST_A_SWING = 4.0
+"""Readings of half a swing that are left: a sine is told by two; twice that leaves its end apart from its middle."""
+MOST_SAMPLES = 6000
+"""Readings of a run that a fit looks at at most: its time grows with them. Not measured."""
 
 
 _BEGINNINGS_S = (0.06, 0.12, 0.25)
@@ -76,9 +81,9 @@ def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floo
         series.append((run.times_s[good], run.q[good]))
     _check_units(measured, plant, series)
     floor = floor_of(series)
-    runs = []
+    runs, longest = [], step_of(plant, plant.effects)[0]
     for turn, (run, (times, q)) in enumerate(zip(measured.runs, series, strict=True)):
-        stride = -(-len(times) // MAX_SAMPLES)
+        stride = stride_of(times, q)
         speed = rough_speed(times, q)
         runs.append(
             FitRun(
@@ -87,7 +92,7 @@ def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floo
                 q[::stride],
                 floor.sigma(speed[::stride]),
                 speed[::stride],
-                inputs_of(run, measured),
+                inputs_of(run, measured, longest),
                 run.held_out,
                 turn=turn,
             )
@@ -95,22 +100,28 @@ def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floo
     return _with_regimes(runs), floor
 
 
-def inputs_of(run: Run, measured: Measured) -> Inputs:
-    """What drove a run."""
-    if run.effort is None and run.q_command is None:
-        return Inputs()
-    n, nothing = len(run.times_s), np.zeros(len(run.times_s))
-    effort = nothing if run.effort is None else run.effort
-    command = np.full(n, np.nan) if run.q_command is None else run.q_command
-    commanded = measured.effort_kind == "commanded"
-    series = np.stack([np.nan_to_num(command), effort])
-    new = np.append(True, (np.diff(series) != 0).any(0))  # a value lasts: only where it changes matters
-    return Inputs(
-        np.ascontiguousarray(run.times_s[new]),
-        command[new],
-        (effort if commanded else nothing)[new],
-        (nothing if commanded else effort)[new],
-    )
+def stride_of(times: Array, q: Array) -> int:
+    """Of how many readings one is looked at: as few as the motion needs, where there are many."""
+    few = -(-len(times) // MAX_SAMPLES)
+    if few == 1:
+        return 1
+    turns = reversals(q, 0.1 * float(np.ptp(q)))
+    swing = float(np.median(np.diff(turns))) if len(turns) >= 3 else np.inf
+    return max(1, -(-len(times) // MOST_SAMPLES), int(min(few, swing / LEAST_A_SWING)))
+
+
+def thinned(measured: Measured) -> tuple[str, ...]:
+    """A line for each run of which not all readings are looked at."""
+    notes = []
+    for run in measured.runs:
+        good = np.isfinite(run.q)
+        stride = stride_of(run.times_s[good], run.q[good]) if good.any() else 1
+        if stride > 1:
+            rate = float(1 / np.median(np.diff(run.times_s[good])))
+            notes.append(
+                f"run '{run.name}': one reading of {stride} is looked at, {rate / stride:.3g} of {rate:.3g} a second"
+            )
+    return tuple(notes)
 
 
 def rough_speed(times: Array, q: Array) -> Array:

@@ -16,6 +16,7 @@ from freeart21.effects.base import Effect
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
+from simgap.inputs import logged_at
 from simgap.swings import reversals, unit_numbers
 
 _ORDER = 4  # of the local polynomials
@@ -72,7 +73,7 @@ def missing_force(
         runs: which to look at; None takes all that are not held out. Their `q` must be known.
     """
     runs = tuple(r for r in measured.runs if not r.held_out) if runs is None else runs
-    pieces, impacts = [], []
+    pieces, impacts, how = [], [], measured.interpolation
     for index, run in enumerate(runs):
         smooth = _smoothed(run)
         if smooth is None:
@@ -86,7 +87,9 @@ def missing_force(
         acting = _forces(measured, mechanics, run, effects, t, q, qd, qdd)
         given, gravity = (np.convolve(force, kernel, "same") for force in acting)  # as smooth as qdd is
         since = _since_reversal(q)
-        command = np.full(len(t), np.nan) if run.q_command is None else _held(run.times_s, run.q_command, t) - q
+        command = (
+            np.full(len(t), np.nan) if run.q_command is None else logged_at(run.times_s, run.q_command, how, t) - q
+        )
         columns = [t - run.times_s[0], q, qd, qdd, given, gravity, since, command, np.full(len(t), float(index))]
         keep = ~near
         keep[:half], keep[len(keep) - half :] = False, False  # one-sided windows there
@@ -135,10 +138,6 @@ def _smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | Non
     return t, raw, q, qd, qdd, np.convolve(kernel, [1 / 12, 10 / 12, 1 / 12])
 
 
-def _held(times: Array, values: Array, at: Array) -> Array:
-    return np.asarray(values)[np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 1)]
-
-
 def _forces(
     measured: Measured,
     mechanics: JointMechanics,
@@ -152,14 +151,14 @@ def _forces(
     """(n,) what acts besides gravity by the model, and gravity."""
     gain = float(np.prod([e.gain() for e in effects]))
     late = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
-    acting = np.zeros(len(t))
+    acting, how = np.zeros(len(t)), measured.interpolation
     if run.q_command is not None and measured.actuator is not None:
         law = measured.actuator
-        asked = _held(run.times_s, run.q_command, t - late)
+        asked = logged_at(run.times_s, run.q_command, how, t - late)
         acting += gain * (law.stiffness * (asked - q) - law.damping * qd)
     if run.effort is not None:
         commanded = measured.effort_kind == "commanded"
-        effort = _held(run.times_s, run.effort, t - late if commanded else t)
+        effort = logged_at(run.times_s, run.effort, how, t - late if commanded else t)
         acting += (gain if commanded else 1.0) * effort
     for effect in effects:
         if effect.acts == "force":

@@ -14,6 +14,7 @@ import numpy as np
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
 from simgap.data import FitRun
+from simgap.inputs import HALFWAY
 from simgap.surrogate import Plant, is_local
 from simgap.theory import Problem, Theory
 
@@ -81,8 +82,10 @@ def _driven(plant: Plant, run: FitRun, times: Array, q: Array, qd: Array) -> Arr
     if not len(inputs.times_s):
         return np.zeros(len(times))
     at = np.clip(np.searchsorted(inputs.times_s, times, side="right") - 1, 0, len(inputs.times_s) - 1)
-    law = plant.stiffness * (inputs.command[at] - q) - plant.damping * qd
-    return np.asarray(inputs.push[at] + inputs.effort[at] + np.where(np.isfinite(law), law, 0.0))
+    series = np.stack([inputs.command, inputs.effort, inputs.push])
+    command, effort, push = (series if inputs.beside is None else series + HALFWAY * inputs.beside)[:, at]
+    law = plant.stiffness * (command - q) - plant.damping * qd
+    return np.asarray(push + effort + np.where(np.isfinite(law), law, 0.0))
 
 
 def _known(plant: Plant, q: Array, qd: Array, qdd: Array) -> Array:

@@ -221,7 +221,7 @@ def _grid(r: Range, problem: Problem) -> list[float]:
     if unit in ("rad", "m"):
         return [float(np.clip(part * span, r.lower, r.upper)) for part in (0.02, 0.06, 0.15)]
     if unit in ("rad/s", "m/s"):
-        return [0.05 * r.upper, 0.2 * r.upper]
+        return [float(np.clip(part * r.upper, r.lower, r.upper)) for part in (0.05, 0.2)]
     if unit in ("kg*m^2", "kg"):
         return [0.2 * problem.plant.mechanics.inertia]
     if unit in ("s/rad", "s/m"):

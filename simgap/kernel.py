@@ -20,8 +20,8 @@ LOAD_ARM2, LOAD_WEIGHT2, LOAD_ACROSS, LOAD_TURNED = 4, 5, 6, 7
 GAIN, COMMAND_DELAY, STIFFNESS, DAMPING = 8, 9, 10, 11
 LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
 READING_DELAY, Q0, QD0, TRAVEL, GRIPPING, SPRINGY, GIVE = 16, 17, 18, 19, 20, 21, 22
-SHAFT_INERTIA, SHAFT_BACK, SHAFT_SWING = 23, 24, 25
-HEAD = 26
+SHAFT_INERTIA, SHAFT_BACK, SHAFT_SWING, HOLDING = 23, 24, 25, 26
+HEAD = 27
 """Places in the vector of numbers that describes one simulation; behind them each effect has FORM, then parameters."""
 FORM = 7
 """How the size of an effect may depart from its formula: with speed, with position, with a power of position; and the
@@ -278,7 +278,7 @@ def _parting(p, meeting):  # pragma: no cover
 
 
 @jit
-def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, out):  # pragma: no cover
+def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, coarse, fine, out):  # pragma: no cover
     """Positions `out` (n,) as read at `times` (n,), for one vector of numbers, by steps that are `coarse` but near the
     place of an effect that has one."""
     n, inputs = len(times), len(t_in)
@@ -306,7 +306,9 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, coarse, fine, 
                 late += 1
             while early + 1 < inputs and t_in[early + 1] <= now + 1e-12:
                 early += 1
-            position, asked, push = command[late], effort[late], pushes[early]
+            position = command[late] + p[HOLDING] * beside[0, late]
+            asked = effort[late] + p[HOLDING] * beside[1, late]
+            push = pushes[early] + p[HOLDING] * beside[2, early]
             if late + 1 < inputs:
                 until = t_in[late + 1] + delayed
             if early + 1 < inputs:
@@ -498,7 +500,7 @@ def _made(stamp: int) -> Any:
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def sweep(
-        numbers, terms, which, times, begins, t_in, command, effort, pushes, enters, steps, out
+        numbers, terms, which, times, begins, t_in, command, effort, pushes, beside, enters, steps, out
     ):  # pragma: no cover
         if stamp < 0:
             return
@@ -517,6 +519,7 @@ def _made(stamp: int) -> Any:
                 command[first:last],
                 effort[first:last],
                 pushes[first:last],
+                beside[:, first:last],
                 steps[run, 0],
                 steps[run, 1],
                 out[done : done + len(own)],
@@ -527,9 +530,10 @@ def _made(stamp: int) -> Any:
 
 
 sweep = _made(STAMP)
-"""sweep(numbers (m, k), terms (t, 4), which (m,), times, begins, t_in, command, effort, pushes, enters, steps, out):
-m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r] to
+"""sweep(numbers (m, k), terms (t, 4), which (m,), times, begins, t_in, command, effort, pushes, beside, enters, steps,
+out): m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r] to
 begins[r + 1], its inputs from enters[r, 0] to enters[r, 1]; its steps are steps[r], coarse and fine. `terms` are law,
 what it does (FORCE, DRIVE, STOP), where its numbers begin, and whether it has a place, near which steps are fine.
-Inputs last from `t_in` to the next. Into `out`, one behind the other, the positions of every row at the times of its
-run. A run that leaves all bounds reads 1e6; one with events without end stays where they begin."""
+Inputs last from `t_in` to the next, with HOLDING times `beside` (3, i) added to the three. Into `out`, one behind the
+other, the positions of every row at the times of its run. A run that leaves all bounds reads 1e6; one with events
+without end stays where they begin."""

@@ -54,7 +54,7 @@ class ResidualMap:
 
 def residual_maps(found: MissingForce, seed: int = 0) -> tuple[ResidualMap, ...]:
     """Maps of the missing force: position, speed, direction, since reversal, to limit, command, time, run."""
-    if len(found.force) < 4 * _BINS:
+    if len(found.force) < 4 * _BINS or not found.qd.any():  # an encoder that reads the same all along
         return ()
     rng = np.random.default_rng([seed, 11])
     local = _local(found)

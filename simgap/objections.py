@@ -19,7 +19,7 @@ from simgap.intervals import is_force, with_intervals
 from simgap.judge import RUNS, Fold, Judged, beats, but_worst, excess, judged, loosened, rms
 from simgap.search import Search, beside, is_local, is_sudden, prompt, relaxed
 from simgap.settings import ChoiceSettings
-from simgap.theory import SHAFT, Reader
+from simgap.theory import HOLDING, SHAFT, Reader
 
 _EDGE = 0.02
 """Part of a range that counts as its end."""
@@ -167,6 +167,7 @@ def strained(judgement: Judged, search: Search) -> bool:
 def _at_ends(fit: Fit) -> list[str]:
     """Of the numbers by which the asset is off, those at an end of what they may be."""
     told = [(r, x) for r, x in zip(fit.theory.ranges(), fit.theta, strict=True) if r.owner == "asset"]
+    told = [(r, x) for r, x in told if r.name != HOLDING]  # inputs are held, or go on straight: either is usual
     return [r.name for r, x in told if min(x - r.lower, r.upper - x) < _EDGE * (r.upper - r.lower)]
 
 

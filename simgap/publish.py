@@ -80,7 +80,7 @@ def off_of(plant: Plant, nuisance: Nuisance) -> Off:
     terms = plant.gravity_terms
     true = nuisance.gravity * (terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2])
     cosine, sine, constant = (float(v) for v in true - terms[0])
-    return Off(nuisance.inertia, (cosine, sine, constant))
+    return Off(nuisance.inertia, (cosine, sine, constant), nuisance.holding)
 
 
 def with_positions(measured: Measured, geometry: KinematicsFinding | None) -> Measured:

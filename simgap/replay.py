@@ -24,7 +24,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import movable_joint, read_asset
 from freeart21.files.urdf import parsed
-from freeart21.mechanics import Actuator, held
+from freeart21.mechanics import Actuator, between
 from freeart21.se3 import Array
 from generator import simulate
 from simgap.placing import place
@@ -59,6 +59,7 @@ class _Stage:
         own_effects = tuple(_under_scaled(e, inertia) for e in asset.effects.get(asset.joint, ()))
         self.effects = (*own_effects, *((offset,) if any(offset.values()) else ()))
         self.gravity, self.job = placed.gravity, job
+        self.holding = float(off["holding"])
 
     def load(self, timestep_s: float) -> simulate.SimulatedAsset:
         """The asset with its effects, and with how it is off."""
@@ -76,10 +77,10 @@ class _Stage:
         first = float(times[0])
         begin = first - sum(effect.delay() for effect in sensing)
         effort, command = (data.get(f"{name}_{i}") for name in ("effort", "q_command"))
-        law = self.job["actuator"]
+        law, how = self.job["actuator"], self.job["interpolation"]
         h = loaded.timestep_s
-        follows = held(clock - begin, command, h) if command is not None and law else None
-        told = held(clock - begin, effort, h) if effort is not None else None
+        follows = between(clock - begin, command, how, h, self.holding) if command is not None and law else None
+        told = between(clock - begin, effort, how, h, self.holding) if effort is not None else None
         commanded, push = (told if self.job["effort"] == kind else None for kind in ("commanded", "external"))
         actuator = None
         if follows is not None or commanded is not None:

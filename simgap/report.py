@@ -103,7 +103,7 @@ def _answer(gap: Gap) -> Section:
     """The sentence, and the three figures that matter."""
     verdict = gap.verdict
     tiles = _tiles(gap)
-    notes = "".join(f'<p class="note">{escape(note)}</p>' for note in gap.notes)
+    notes = "".join(f'<p class="note">{escape(note)}</p>' for note in (*gap.notes, *verdict.notes))
     html = (
         f'<p class="verdict {escape(verdict.verdict)}"><b>{escape(_WORDS[verdict.verdict])}</b></p>'
         f'<p class="sentence">{escape(verdict.sentence)}</p>'

@@ -83,6 +83,8 @@ def candidates(
             return False
         if cls.name in ("encoder_offset", "encoder_scale") and not encoder:
             return False
+        if any(s.revolute_unit == "rad/s" and s.lower >= problem.speed for s in cls.parameters().values()):
+            return False  # nothing moves as fast as it acts
         if cls.acts == "command" or cls.acts == "slack":
             return commanded and not (slack and cls.acts == "slack")
         if cls.acts == "stop":

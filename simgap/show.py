@@ -94,6 +94,8 @@ class Off:
     """True inertia over the asset's."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Torque of cos q and of sin q (N*m), or force (N): what true gravity has beyond the asset's."""
+    holding: float = 0.0
+    """How inputs go on between their rows, see `Nuisance`; of a set that says so it does not matter."""
 
 
 @dataclass(frozen=True)
@@ -279,6 +281,7 @@ def _write_job(
         "gravity": np.asarray(measured.gravity, float).tolist(),
         "actuator": None if law is None else [law.stiffness, law.damping],
         "effort": measured.effort_kind,
+        "interpolation": measured.interpolation,
         "off": [asdict(o) for o in off],
         "timestep_s": timestep_s,
         "seconds": seconds,

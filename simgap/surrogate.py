@@ -101,6 +101,9 @@ class Inputs:
     """Commanded efforts: they pass the actuator."""
     push: Array = field(default_factory=_nothing)
     """External efforts: they act on the part."""
+    beside: Array | None = None
+    """(3, i) what commands, efforts and pushes have besides if each is held until its next row (`Nuisance.holding` 1);
+    None for nothing."""
 
     @cached_property
     def held(self) -> bool:
@@ -118,6 +121,8 @@ class Nuisance:
     """True over the asset's gravity force."""
     lean: tuple[float, float] = (0.0, 0.0)
     """rad by which the base leans, see `Plant.gravity_terms`."""
+    holding: float = 0.0
+    """Of inputs of which nobody knows how they go on between their rows: 0 smoothly, 1 held until the next one."""
 
 
 def terms_of(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[np.int64]:
@@ -170,6 +175,7 @@ def numbers_of(
     head[kernel.COMMAND_DELAY] = sum(effect.delay() for effect in effects if effect.acts == "command")
     head[kernel.READING_DELAY] = sum(effect.delay() for effect in effects if effect.kind == "sensing")
     head[kernel.STIFFNESS], head[kernel.DAMPING] = plant.stiffness, plant.damping
+    head[kernel.HOLDING] = nuisance.holding
     head[kernel.LOWER], head[kernel.UPPER] = plant.lower, plant.upper
     parts = [head]
     for effect in effects:
@@ -255,8 +261,8 @@ class Batch:
     times_s: Array
     begins: NDArray[np.int64]
     """(r + 1,) where the times of each run begin, and where they all end."""
-    series: tuple[Array, Array, Array, Array]
-    """Times, commands, efforts and pushes of all inputs."""
+    series: tuple[Array, Array, Array, Array, Array]
+    """Times, commands, efforts, pushes and (3, i) `Inputs.beside` of all inputs."""
     enters: NDArray[np.int64]
     """(r, 2) where the inputs of each run begin and end: stretches of one run share them."""
     held: NDArray[np.bool_]
@@ -268,11 +274,12 @@ class Batch:
         own = {id(i): i for _, i in runs}
         told = [(i.times_s, i.command, i.effort, i.push) for i in own.values()]
         first, second, third, fourth = (np.concatenate([t[k] for t in told]).astype(float) for k in range(4))
+        extras = [np.zeros((3, len(i.times_s))) if i.beside is None else i.beside for i in own.values()]
         ends = dict(zip(own, np.cumsum([len(i.times_s) for i in own.values()]), strict=True))
         return Batch(
             np.concatenate([times for times, _ in runs]).astype(float),
             np.cumsum([0, *(len(times) for times, _ in runs)]),
-            (first, second, third, fourth),
+            (first, second, third, fourth, np.concatenate(extras, 1)),
             np.array([(ends[id(i)] - len(i.times_s), ends[id(i)]) for _, i in runs]),
             np.array([i.held for _, i in runs]),
         )

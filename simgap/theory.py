@@ -21,6 +21,8 @@ _FRICTION = "friction form"
 """Owner of how all dry friction that is missing builds up."""
 SHAFT = "shaft form"
 """Owner of how a drive's inertia comes back when the part stops dead: no shaft is stiff."""
+HOLDING = "holding"
+"""The asset's number that says how inputs go on between their rows; no lateness of half a row is an effect."""
 
 
 FORM_WAYS = ("speed", "position", "curve", "tilt")
@@ -60,6 +62,9 @@ class Problem:
     """Root mean square of the forces at work, N*m or N."""
     load: float = 1.0
     """A usual force on the bearing, N."""
+    unknown_inputs: bool = False
+    """Whether nobody knows if commands and efforts last until their next rows or go on smoothly: where between the two
+    they are is then fitted, either end being as likely as any place between."""
     fit: FitSettings = field(default_factory=FitSettings)
     surrogate: SurrogateSettings = field(default_factory=SurrogateSettings)
 
@@ -117,6 +122,8 @@ class Theory:
                 lean += problem.gravity_relative * size / column  # a centre of mass that is off turns the pull, too
             if lean > 0 and column > 1e-6 * np.linalg.norm(terms):
                 found.append(Range("asset", f"lean_{i}", -lean, lean, lean, lean))
+        if problem.unknown_inputs:
+            found.append(Range("asset", HOLDING, 0.0, 1.0, 0.25, 1 / np.sqrt(12), 0.5))
         for cls in self.classes:
             found += [self._range(cls, name) for name in self.fitted_of(cls)]
         if not self.prompt and any(cls.acts == "drive" for cls in self.classes):
@@ -269,7 +276,10 @@ class Reader:
         """How the asset is off."""
         asset = {r.name: float(x) for r, x in zip(self.ranges, theta, strict=True) if r.owner == "asset"}
         return Nuisance(
-            asset.get("inertia", 1.0), asset.get("gravity", 1.0), (asset.get("lean_1", 0.0), asset.get("lean_2", 0.0))
+            asset.get("inertia", 1.0),
+            asset.get("gravity", 1.0),
+            (asset.get("lean_1", 0.0), asset.get("lean_2", 0.0)),
+            asset.get(HOLDING, 0.0),
         )
 
     def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:

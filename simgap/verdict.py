@@ -80,6 +80,8 @@ class Verdict:
     """The verdict for a mechanic."""
     added: tuple[str, ...] = ()
     """Names of the effects that the asset beside the verdict got: those that are certain, and helped in SAPIEN."""
+    notes: tuple[str, ...] = ()
+    """What of the data was left out or thinned, and why: a line each."""
 
     def to_json(self, joint_type: JointType) -> dict[str, Any]:
         """As it stands in verdict.json."""
@@ -93,6 +95,7 @@ class Verdict:
             "gap": [vars(gap) for gap in self.gaps],
             "rivals": [list(names) for names in self.rivals],
             "next_experiment": self.next_experiment,
+            "notes": list(self.notes),
         }
 
     def write(self, path: Path, joint_type: JointType) -> None:

@@ -20,7 +20,7 @@ from freeart21.files.places import ANSWER, check_place
 from freeart21.joint import JointType
 from freeart21.measured import Measured
 from simgap.choose import Choice, chosen
-from simgap.data import FitRun, fit_runs
+from simgap.data import FitRun, fit_runs, thinned
 from simgap.decide import moves_enough, says_enough, silent_verdict, verdict_of
 from simgap.finding import KinematicsFinding
 from simgap.fit import Fit, Problem, Reader, Starts, confirmed, placed
@@ -52,6 +52,12 @@ def find_gap(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS)
 
 def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) -> Draft:
     """Measure, tell geometry from dynamics, name: all but what SAPIEN has to show."""
+    draft = _explained(asset, measured, settings)
+    notes = (*measured.notes, *thinned(measured))
+    return replace(draft, verdict=replace(draft.verdict, notes=notes))
+
+
+def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft:
     check_match(asset, measured)
     geometry = find_geometry_of(asset, measured, KinematicsSettings(without=settings.without))
     positions = with_positions(measured, geometry)
@@ -230,6 +236,7 @@ def problem_of(
     """What all fits share."""
     motion = np.concatenate([run.q for run in runs])
     speed = np.concatenate([run.speed for run in runs])
+    driven = any(len(run.inputs.times_s) for run in runs)
     load = plant.mechanics.load(motion, speed, np.zeros(len(speed)))
     return Problem(
         plant,
@@ -241,6 +248,7 @@ def problem_of(
         floor.still,
         force_at_work(plant, runs),
         float(np.sqrt(np.mean(load**2))),
+        driven and measured.interpolation == "unknown",
         settings.fit,
         settings.surrogate,
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from freeart21.measured import Measured, Run
+from freeart21.measured import Interpolation, Measured, Run
 from freeart21.mechanics import Actuator
 
 MASS, ARM, G = 1.6, 0.5, 9.81
@@ -40,7 +40,7 @@ def _course(q, v, n, command, inertia, weight, lean, viscous, power, dry, drag, 
             force -= 0.5 * groove * away * (3 - away**2)
         force -= viscous * (1 + warming * t) * np.sign(v) * abs(v) ** power + drag * v * abs(v)
         if len(command) > 0:
-            asked = command[max(int((t + 0.5 * STEP - delay) * RATE), 0)]
+            asked = command[min(max(int((t + 0.5 * STEP - delay) * len(command) / (n / RATE)), 0), len(command) - 1)]
             force += gain * (60.0 * (asked - q) - 4.0 * v)
         v += STEP * force / inertia
         v = 0.0 if abs(v) <= STEP * dry / inertia else v - np.sign(v) * STEP * dry / inertia
@@ -64,9 +64,12 @@ def asset_of(folder: Path, lower: float = -3.0, upper: float = 3.0) -> Path:
 
 def measured_of(
     seed: int, *, runs: int = 5, servo: bool = False, largest: float = 1.4, offset: float = 0.0, marked: bool = True,
-    seconds: float = 4.0, exact: bool = False, **hidden: float,
+    seconds: float = 4.0, exact: bool = False, smooth: int = 1, between: Interpolation = "held", **hidden: float,
 ) -> Measured:  # fmt: skip
-    """Runs with nuisances (inertia 10 %, weight 5 %, base 0.3 degrees, quantised noise) and what is hidden."""
+    """Runs with nuisances (inertia 10 %, weight 5 %, base 0.3 degrees, quantised noise) and what is hidden.
+
+    Commands change `smooth` times a row; `between` is what the set says of them.
+    """
     rng = np.random.default_rng(seed)
     world = {**WORLD, "inertia": INERTIA * rng.uniform(0.9, 1.1), "weight": WORLD["weight"] * rng.uniform(0.95, 1.05)}
     world |= {
@@ -83,8 +86,9 @@ def measured_of(
             np.zeros(0),
         )
         if servo:
+            fine = np.arange(n * smooth) / (RATE * smooth)
             waves = [
-                rng.uniform(0.1, 0.4) * np.sin(2 * np.pi * rng.uniform(0.2, 1.8) * times + rng.uniform(0, 6))
+                rng.uniform(0.1, 0.4) * np.sin(2 * np.pi * rng.uniform(0.2, 1.8) * fine + rng.uniform(0, 6))
                 for _ in range(3)
             ]
             command = np.sum(waves, axis=0)
@@ -94,7 +98,9 @@ def measured_of(
         )
         q = 1.5e-3 * np.round((q + offset + rng.normal(0, 5e-4, n)) / 1.5e-3)
         held_out = i >= runs - 2 if marked else None
-        made.append(Run(f"run_{i}", times, q, None, command if servo else None, None, None, held_out))
+        made.append(Run(f"run_{i}", times, q, None, command[::smooth] if servo else None, None, None, held_out))
     actuator = Actuator(None, *SERVO) if servo else None
     unsure = (0.0, 0.0) if exact else (0.1, 0.05)
-    return Measured("j", "revolute", np.array([0.0, 0.0, -G]), RATE, "recorded", None, actuator, *unsure, tuple(made))
+    return Measured(
+        "j", "revolute", np.array([0.0, 0.0, -G]), RATE, "recorded", None, actuator, *unsure, tuple(made), between
+    )

@@ -31,6 +31,7 @@ from simgap.fit import (
 )
 from simgap.floor import floor_of
 from simgap.force_guess import local_force, places
+from simgap.guess import _grid
 from simgap.judge import Fold, folds_of
 from simgap.least_squares import Prior, charge, solve, weight
 from simgap.search import Search, beside, candidates, relaxed, stilled
@@ -94,6 +95,15 @@ def test_slopes_are_what_small_changes_do(tmp_path: Path):
     expected = (more - less) / 2e-3 / run.sigma
     assert np.abs(parameters[0][j] - expected).max() < 0.02 * np.abs(expected).max()
     assert starts[0].shape == (2, len(run.q))
+
+
+def test_what_is_faster_than_all_motion_is_not_looked_for(tmp_path: Path):
+    """A part that creeps tells nothing of how friction falls with speed, and costs no error."""
+    setup, runs = problem(tmp_path, measured_of(5, dry=0.1))
+    assert "stribeck_friction" in candidates(setup, runs)
+    assert "stribeck_friction" not in candidates(replace(setup, speed=5e-5), runs)
+    slow = next(r for r in Theory(replace(setup, speed=6e-4), ("stribeck_friction",)).ranges() if r.name == "speed")
+    assert all(slow.lower <= value <= slow.upper for value in _grid(slow, setup))
 
 
 def test_a_larger_set_fits_no_worse_than_a_smaller_one(tmp_path: Path):

@@ -40,9 +40,9 @@ def imported(folder: Path, asset: Path, content: str | bytes, name: str = "run.c
     """The one measured set of one file, and the lines that were said."""
     path = folder / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    joint = told.pop("joint", None)
-    notes = measure_series([path], folder / "out", asset, joint, SeriesSettings(**told))
-    return read_measured(folder / "out" / "measured"), "\n".join(notes)
+    joint, out = told.pop("joint", None), folder / told.pop("out", "out")
+    notes = measure_series([path], out, asset, joint, SeriesSettings(**told))
+    return read_measured(out / "measured"), "\n".join(notes)
 
 
 TABLE = np.column_stack([T, Q])
@@ -193,22 +193,67 @@ def test_commands_come_with_their_law_and_stop_where_the_drive_is_off(tmp_path: 
     assert (on.name, off.name) == ("run_on_1", "run_off_2") and off.q_command is None
     np.testing.assert_allclose(on.q_command, np.sin(T[:40]), atol=1e-8)
     assert measured.actuator is not None and (measured.actuator.stiffness, measured.actuator.damping) == (60, 4)
-    assert "q_command: every value is held until the next row" in said and "runs are cut there" in said
+    assert "q_command: held until the next row or going on smoothly, nobody knows" in said
+    assert measured.interpolation == "unknown" and "runs are cut there" in said
 
 
 def test_efforts_say_how_they_act_and_in_what_unit(tmp_path: Path, asset: Path):
     content = text(DRIVEN[:, [0, 1, 3]], "time,position,torque")
-    measured, said = imported(tmp_path, asset, content, effort="external", unit_effort="mN*m", reverse=True)
+    told = {"effort": "external", "unit_effort": "mN*m", "reverse": True, "interpolation": "held"}
+    measured, said = imported(tmp_path, asset, content, **told)
     np.testing.assert_allclose(measured.runs[0].effort, -1e-3 * np.sin(3 * T), atol=1e-9)
     np.testing.assert_allclose(measured.runs[0].q, -Q, atol=1e-7)
     assert measured.effort_kind == "external" and "effort: every value is held" in said
+    assert measured.interpolation == "held"
 
 
-def test_an_empty_cell_of_a_drive_holds_the_value_before_it(tmp_path: Path, asset: Path):
+def test_an_empty_cell_of_a_drive_is_no_row_of_it(tmp_path: Path, asset: Path):
     lines = text(DRIVEN[:, [0, 1, 3]], "time,position,torque").splitlines()
     lines[6] = lines[6].rsplit(",", 1)[0] + ","
     measured, said = imported(tmp_path, asset, "\n".join(lines), effort="commanded")
-    assert measured.runs[0].effort[5] == measured.runs[0].effort[4] and "1 empty cells of drives hold" in said
+    (run,) = measured.runs
+    assert np.flatnonzero(np.isnan(run.effort)).tolist() == [5] and "1 empty cells of drives are no rows" in said
+    lines[1:4] = [line.rsplit(",", 1)[0] + "," for line in lines[1:4]]  # the drive's topic began later
+    told = {"effort": "commanded", "columns": {"effort": "torque"}}
+    later, said = imported(tmp_path, asset, "\n".join(lines), name="later.csv", out="later", **told)
+    np.testing.assert_allclose(later.runs[0].times_s, run.times_s[3:] - run.times_s[3], atol=1e-9)
+    assert later.runs[0].effort[0] == run.effort[3] and "the first 3 rows were left out: no value of effort" in said
+    lines[1:76] = [line.rsplit(",", 1)[0] + "," for line in lines[1:76]]
+    with pytest.raises(FreeArtError, match="effort begin in row 76 of 80, expected 20 rows or more from there on"):
+        imported(tmp_path, asset, "\n".join(lines), name="silent.csv", out="silent", **told)
+
+
+def test_rows_that_a_network_swapped_are_put_in_order_and_a_second_recording_is_refused(tmp_path: Path, asset: Path):
+    lines = text(TABLE, "time,angle").splitlines()
+    lines[20], lines[21] = lines[21], lines[20]
+    measured, said = imported(tmp_path, asset, "\n".join(lines))
+    np.testing.assert_allclose(measured.runs[0].q, Q, atol=2e-7)
+    assert "1 rows came after later ones, and were put in order" in said
+    with pytest.raises(FreeArtError, match="time goes back .* a second recording"):
+        imported(tmp_path, asset, text(np.vstack([TABLE, TABLE]), "time,angle"), name="twice.csv", out="twice")
+
+
+def test_a_command_that_leaps_by_a_turn_stays_with_its_position(tmp_path: Path):
+    urdf = asset_of(tmp_path / "asset")
+    urdf.write_text(urdf.read_text().replace('type="revolute"', 'type="continuous"'))
+    wound = 12 * T + 2.5
+    leapt = [(np.degrees(x) + 180) % 360 - 180 for x in (wound, wound + 0.2)]
+    leapt[1] += 360  # and is counted from another turn
+    content = text(np.column_stack([T, *leapt]), "time,angle,command")
+    measured, said = imported(tmp_path, urdf, content, actuator=(5.0, 0.1), unit_q="deg")
+    np.testing.assert_allclose(measured.runs[0].q, wound, atol=1e-6)
+    np.testing.assert_allclose(measured.runs[0].q_command, wound + 0.2, atol=1e-6)
+    assert "jumps of the command by a whole turn were undone" in said
+
+
+def test_a_recording_that_was_given_twice_is_one(tmp_path: Path, asset: Path):
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text(text(TABLE, "time,angle"))
+    (tmp_path / "c.csv").write_text(text(np.column_stack([T, 0.9 * Q]), "time,angle"))
+    files = [tmp_path / name for name in ("a.csv", "b.csv", "c.csv")]
+    notes = measure_series(files, tmp_path / "out", asset, None, SeriesSettings(held_out=("a",)))
+    assert [run.name for run in read_measured(tmp_path / "out" / "measured").runs] == ["b", "c"]
+    assert "run 'a' is run 'b' again, reading by reading: it was left out" in notes
 
 
 def test_a_column_that_is_said_to_drive_nothing_is_left_out_aloud(tmp_path: Path, asset: Path):

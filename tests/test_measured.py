@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 
 from freeart21.errors import FreeArtError
 from freeart21.files.measured import read_measured
+from freeart21.files.measured_writer import write_measured
+from freeart21.measured import Run, without_copies
 
 TIMES = np.arange(60) * 0.01
 
@@ -57,6 +60,18 @@ def test_a_set_is_read_as_it_stands(tmp_path: Path):
     np.testing.assert_allclose(first.q, 0.3 * np.cos(8 * TIMES), atol=1e-6)
     assert first.effort is not None and first.q_command is not None
     np.testing.assert_allclose(first.effort, np.sin(TIMES), atol=1e-6)
+
+
+@pytest.mark.parametrize("how", ["held", "linear", "unknown"])
+def test_what_efforts_do_between_their_rows_is_read_and_written(how: str, tmp_path: Path):
+    units = {"t_s": "s", "q": "rad", "effort": "N*m"}
+    changes = {"units": units, "effort": "commanded", "interpolation": how}
+    measured = read_measured(write(tmp_path / "a", changes, effort=np.sin(TIMES)))
+    assert measured.interpolation == how
+    write_measured(tmp_path / "b", measured)
+    assert read_measured(tmp_path / "b").interpolation == how
+    plain = read_measured(write(tmp_path / "c", {**changes, "interpolation": ...}, effort=np.sin(TIMES)))
+    assert plain.interpolation == "held"  # what sets said that did not say it
 
 
 def test_what_may_be_left_out_is_exact_free_and_unmarked(tmp_path: Path):
@@ -143,10 +158,6 @@ BAD_HEADERS = [
     ({"runs": [{"file": "run_0.csv", "held_out": 1.5}]}, "has held_out 1.5, expected true or false"),
     ({"runs": [{"file": "run_0.csv"}] * 2}, "'runs' names a file twice"),
     ({"runs": [{"file": "run_0.csv"}, {"file": "./run_0.csv", "held_out": True}]}, "'runs' names a file twice"),
-    (
-        {"runs": [{"file": "run_0.csv"}, {"file": "run_1.csv", "held_out": True}]},
-        "runs 'run_0' and 'run_1' hold the same readings, but one of them is held out",
-    ),
     ({"runs": [{"file": "run_0.csv"}, {"file": "run_0", "kind": "poses"}]}, "would both be called 'run_0'"),
     ({"runs": [{"file": "."}]}, "is a folder, expected a CSV file"),
     ({"sampling": {"rate_hz": 1e30, "timestamps": "recorded"}}, "'rate_hz' is 1e+30, expected at most 100000"),
@@ -154,6 +165,7 @@ BAD_HEADERS = [
     ({"runs": [{"file": "run_0.csv", "held_out": True}]}, "all 1 runs are held out"),
     ({"actuator": {"type": "velocity"}}, "the actuator's type is 'velocity', expected 'position'"),
     ({"actuator": {"type": "position", "stiffness": -1, "damping": 0}}, "stiffness and damping are -1 and 0"),
+    ({"interpolation": "cubic"}, "'interpolation' is 'cubic', expected held or linear or unknown"),
     ({"effort": "guessed"}, "'effort' is 'guessed', expected commanded or external"),
     ({"asset_uncertainty": {"inertia_relative": 10}}, "'inertia_relative' is 10, expected 0 (exact) to below 1"),
 ]
@@ -164,6 +176,35 @@ def test_a_bad_header_costs_one_line(tmp_path: Path, changes: dict, said: str):
     with pytest.raises(FreeArtError) as caught:
         read_measured(write(tmp_path, changes))
     assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_copy_of_a_run_is_left_out_and_said_so(tmp_path: Path):
+    """What was fitted cannot confirm: of a fitted run and its copy the one that is held out goes."""
+    for k, flags in enumerate(((None, True), (True, False), (False, False))):
+        runs = [{"file": f"run_{i}.csv", "held_out": out} for i, out in enumerate(flags)]
+        measured = read_measured(write(tmp_path / str(k), {"runs": runs}))
+        kept, gone = (1, 0) if flags[0] else (0, 1)
+        assert [run.name for run in measured.runs] == [f"run_{kept}"]
+        assert measured.notes == (f"run 'run_{gone}' is run 'run_{kept}' again, reading by reading: it was left out",)
+    assert not read_measured(write(tmp_path / "other")).notes
+
+
+def test_two_rests_under_other_pushes_are_no_copies():
+    still = np.zeros(60)
+    runs = tuple(Run(f"r{k}", TIMES + k, still, k * np.ones(60)) for k in range(3))
+    assert without_copies(runs) == (runs, ())
+    assert len(without_copies((*runs, replace(runs[1], name="again")))[0]) == 3
+
+
+def test_a_cell_of_a_drive_may_be_empty_but_for_the_first(tmp_path: Path):
+    changes = {"units": {"t_s": "s", "q": "rad", "effort": "N*m"}, "effort": "commanded"}
+    rows = [f"{t:.3f},{0.1 * i},{'' if i % 3 else i}" for i, t in enumerate(TIMES)]
+    folder = write(tmp_path / "a", changes, csv="t_s,q,effort\n" + "\n".join(rows))
+    effort = read_measured(folder).runs[0].effort
+    assert effort is not None and np.flatnonzero(np.isfinite(effort)).tolist() == list(range(0, 60, 3))
+    rows[0] = "0.0,0.0,"
+    with pytest.raises(FreeArtError, match="'effort' that is not a number, expected one in the first row"):
+        read_measured(write(tmp_path / "b", changes, csv="t_s,q,effort\n" + "\n".join(rows)))
 
 
 def test_efforts_and_commands_need_to_be_explained(tmp_path: Path):

@@ -14,7 +14,17 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.joint import JOINT_TYPES, JointType
-from freeart21.measured import EFFORT_KINDS, TIMESTAMPS, EffortKind, Measured, Run, Timestamps
+from freeart21.measured import (
+    EFFORT_KINDS,
+    INTERPOLATIONS,
+    TIMESTAMPS,
+    EffortKind,
+    Interpolation,
+    Measured,
+    Run,
+    Timestamps,
+    without_copies,
+)
 from freeart21.mechanics import Actuator
 from freeart21.se3 import Array
 
@@ -57,12 +67,13 @@ def read_measured(folder: Path) -> Measured:
         raise FreeArtError(f"{path}: 'rate_hz' is {rate:g}, expected at most {MAX_RATE_HZ:g} readings a second")
     timestamps = cast(Timestamps, _one_of(sampling, "timestamps", TIMESTAMPS, path))
     efforts = cast(EffortKind, _one_of(data, "effort", EFFORT_KINDS, path)) if data.get("effort") is not None else None
+    between = _one_of(data, "interpolation", INTERPOLATIONS, path) if "interpolation" in data else "held"
     actuator = _actuator(data, path)
     uncertainty = _object(data, "asset_uncertainty", path) if data.get("asset_uncertainty") is not None else {}
     listed = _listed_runs(data, path)
     files = _run_files(folder, listed, path)
     runs = tuple(_read_run(file, entry, kind, rate, path) for file, entry in zip(files, listed, strict=True))
-    _check_apart(runs, path)
+    runs, notes = without_copies(runs)
     _check_rate(runs, rate, path)
     units = _units(data, kind, path)
     _check_channels(runs, units, efforts, actuator, path)
@@ -81,9 +92,11 @@ def read_measured(folder: Path) -> Measured:
         timestamps=timestamps,
         effort_kind=efforts,
         actuator=actuator,
+        interpolation=cast(Interpolation, between),
         inertia_relative=_relative(uncertainty, "inertia_relative", path),
         gravity_relative=_relative(uncertainty, "gravity_relative", path),
         runs=runs,
+        notes=notes,
     )
 
 
@@ -245,18 +258,6 @@ def _check_series(file: Path, times: Array, q: Array, places: list[str], what: s
         raise FreeArtError(f"{file}: q is {q[i]:g} in {places[i]}, expected rad or m, {MAX_POSITION:g} at most")
 
 
-def _check_apart(runs: tuple[Run, ...], path: Path) -> None:
-    """What is held out must not be among what is fitted under another name."""
-    seen: dict[bytes, Run] = {}
-    for run in runs:
-        readings = run.q.tobytes() if run.poses is None else run.poses.tobytes()
-        other = seen.setdefault(readings, run)
-        if other is not run and bool(other.held_out) != bool(run.held_out):
-            raise FreeArtError(
-                f"{path}: runs '{other.name}' and '{run.name}' hold the same readings, but one of them is held out"
-            )
-
-
 def _check_rate(runs: tuple[Run, ...], rate_hz: float, path: Path) -> None:
     """Times in another unit than seconds."""
     for run in runs:
@@ -290,8 +291,11 @@ def _check_channels(
                 raise FreeArtError(f"{path}: run '{run.name}' has '{column}', whose unit is not in 'units'")
         for column in ("effort", "q_command"):
             values = getattr(run, column)
-            if values is not None and not np.isfinite(values).all():
-                raise FreeArtError(f"{path}: run '{run.name}' has '{column}' that is not a number, expected one a row")
+            if values is not None and not (np.isfinite(values[0]) and not np.isinf(values).any()):
+                raise FreeArtError(
+                    f"{path}: run '{run.name}' has '{column}' that is not a number, expected one in the first row, and "
+                    "in others one or an empty cell"
+                )
         if run.effort is not None and efforts is None:
             raise FreeArtError(f"{path}: run '{run.name}' has efforts, but 'effort' does not say commanded or external")
         if run.q_command is not None and actuator is None:

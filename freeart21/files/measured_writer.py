@@ -29,6 +29,7 @@ def write_measured(folder: Path, measured: Measured) -> None:
             "base": "fixed",
             "sampling": {"rate_hz": measured.rate_hz, "timestamps": measured.timestamps},
             "runs": [_write_run(folder, run) for run in measured.runs],
+            **({"interpolation": measured.interpolation} if columns & {"effort", "q_command"} else {}),
             **({} if measured.effort_kind is None else {"effort": measured.effort_kind}),
             **(
                 {}

@@ -86,6 +86,7 @@ SUITE = Output("suite of rows", _json("suite"), "suite.json", ("*",))
 """Grows: a suite goes on in its folder, and replaces nothing there but what its own jobs made."""
 SCORES = Output("table of scores", _json("scores"))
 SHEET = Output("contact sheet", b"freeart21 contact sheet")
+JOINT_ASSET = Output("asset of a few numbers", b"freeart21 joint-asset")
 
 
 def import_of(layout: str) -> Output:

@@ -22,9 +22,10 @@ from freeart21.files import atomic, checked
 from freeart21.files.asset import UrdfJoint, movable_joint, read_asset
 from freeart21.files.measured import MAX_RATE_HZ, MIN_SAMPLES, read_measured
 from freeart21.files.measured_writer import write_measured
+from freeart21.formats.series_rows import Raw, begun, near, rising, unwrapped
 from freeart21.formats.time_series import Series, listed, read_series
 from freeart21.joint import JointType
-from freeart21.measured import EffortKind, Measured, Run
+from freeart21.measured import EffortKind, Interpolation, Measured, Run, without_copies
 from freeart21.mechanics import Actuator
 from freeart21.se3 import Array
 
@@ -86,10 +87,19 @@ class SeriesSettings:
     effort: EffortKind | None = None
     actuator: tuple[float, float] | None = None
     """Stiffness, N*m/rad or N/m, and damping, N*m*s/rad or N*s/m, of the law that follows the commands."""
+    interpolation: Interpolation | None = None
+    """Of efforts and commands between their rows; nobody knows when None."""
     inertia_relative: float | None = None
     gravity_relative: float | None = None
     held_out: tuple[str, ...] = ()
     """Names of runs, their numbers from 1, or names of files whose runs are all meant."""
+
+
+_BETWEEN = {
+    "held": "every value is held until the next row",
+    "linear": "it goes straight from row to row",
+    "unknown": "held until the next row or going on smoothly, nobody knows: the runs may tell (else --interpolation)",
+}
 
 
 def measure_series(
@@ -126,8 +136,9 @@ def measure_series(
     gravity, unsure = _circumstances(settings, chosen.reference_link, notes)
     if drives:
         held = " and ".join(d for d in ("effort", "q_command") if d in roles[0])
-        notes.append(f"{held}: every value is held until the next row, as by a digital drive")
-    marked = _held_out(runs, files, settings.held_out)
+        notes.append(f"{held}: {_BETWEEN[settings.interpolation or 'unknown']}")
+    marked, copies = without_copies(_held_out(runs, files, settings.held_out))
+    notes += copies
     if not settings.held_out and len(runs) > 1:
         names = listed([run.name for run in runs])
         notes.append(f"no run is held out: `gap` leaves each out in turn: {names} (else --held-out)")
@@ -141,6 +152,7 @@ def measure_series(
         Actuator(None, *settings.actuator) if settings.actuator is not None else None,
         *unsure,
         marked,
+        settings.interpolation or "unknown",
     )
     with atomic.new_folder(out) as aside:
         write_measured(aside / "measured", measured)
@@ -214,15 +226,6 @@ def columns_from(words: tuple[str, ...]) -> dict[str, str]:
         if not isinstance(name, str):
             raise FreeArtError(f"--columns: {role} is {json.dumps(name)}, expected the name of a column")
     return {role: str(name) for role, name in told.items()}
-
-
-@dataclass(frozen=True)
-class _Raw:
-    """One run in the units of its file."""
-
-    name: str
-    values: dict[str, Array]
-    """Role to (n,) numbers."""
 
 
 def _told_drives(settings: SeriesSettings) -> set[str]:
@@ -328,7 +331,7 @@ def _may_be_time(runs: tuple[Array, ...]) -> bool:
     return bool(len(steps) > MIN_SAMPLES and (steps >= 0).all() and np.median(steps) > 0)
 
 
-def _raw_runs(series: Series, roles: dict[str, str], settings: SeriesSettings) -> list[_Raw]:
+def _raw_runs(series: Series, roles: dict[str, str], settings: SeriesSettings) -> list[Raw]:
     """The runs of one file, cut where the drive was switched on or off."""
     told = {role: series.column(name) for role, name in roles.items()}
     count = len(told["q"])
@@ -343,34 +346,34 @@ def _raw_runs(series: Series, roles: dict[str, str], settings: SeriesSettings) -
         if "t" not in values:
             assert settings.rate_hz is not None
             values["t"] = np.arange(len(values["q"])) / settings.rate_hz
-        made += _switched(_Raw(stem if count == 1 else f"{stem}_{k + 1}", values))
+        made += _switched(Raw(stem if count == 1 else f"{stem}_{k + 1}", values))
     return made
 
 
-def _switched(run: _Raw) -> list[_Raw]:
+def _switched(run: Raw) -> list[Raw]:
     """The stretches of a run in which its drive was on or off; those that are too short say nothing and go."""
     if "enabled" not in run.values:
         return [run]
     on = np.nan_to_num(run.values["enabled"]) != 0
     edges = [0, *(np.flatnonzero(np.diff(on.astype(int))) + 1).tolist(), len(on)]
-    parts: list[_Raw] = []
+    parts: list[Raw] = []
     for begin, end in pairwise(edges):
         values = {role: v[begin:end] for role, v in run.values.items() if role != "enabled"}
         if not on[begin]:
             values = {role: v for role, v in values.items() if role in ("t", "q")}
         name = run.name if len(edges) == 2 else f"{run.name}_{'on' if on[begin] else 'off'}_{len(parts) + 1}"
-        parts.append(_Raw(name, values))
+        parts.append(Raw(name, values))
     return [part for part in parts if len(part.values["t"]) >= MIN_SAMPLES] or parts
 
 
 def _timed(
-    runs: list[_Raw], settings: SeriesSettings, said: str | None, name: str | None, notes: list[str]
-) -> tuple[list[_Raw], float, bool]:
+    runs: list[Raw], settings: SeriesSettings, said: str | None, name: str | None, notes: list[str]
+) -> tuple[list[Raw], float, bool]:
     """Runs with times in seconds from 0, their rate, and whether their times were read from a clock."""
     if name is None:
         assert settings.rate_hz is not None
         return runs, settings.rate_hz, False
-    runs = [_rising(run, notes) for run in runs]
+    runs = [begun(rising(run, notes), notes) for run in runs]
     steps = np.concatenate([np.diff(run.values["t"]) for run in runs])
     step = float(np.median(steps))
     unit: str | None = settings.unit_t
@@ -387,27 +390,9 @@ def _timed(
         notes.append("times are even: taken as counted, not read from a clock")
     if steps.max() > 10 * step:
         notes.append(f"the largest gap between two rows is {steps.max() * scale:.3g} s, {steps.max() / step:.0f} steps")
-    begun = [replace(run, values={**run.values, "t": (run.values["t"] - run.values["t"][0]) * scale}) for run in runs]
-    return begun, 1 / (step * scale), jitters
-
-
-def _rising(run: _Raw, notes: list[str]) -> _Raw:
-    """A run without rows whose time is missing or that of the row before."""
-    t = run.values["t"]
-    kept = np.isfinite(t)
-    kept[np.flatnonzero(kept)[1:]] = np.diff(t[kept]) != 0
-    if kept.sum() < MIN_SAMPLES:
-        raise FreeArtError(f"run '{run.name}' has {kept.sum()} rows of different times, expected {MIN_SAMPLES} or more")
-    rows, back = np.flatnonzero(kept), np.diff(t[kept]) < 0
-    if back.any():
-        row = rows[int(np.argmax(back)) + 1]
-        raise FreeArtError(
-            f"run '{run.name}': time goes back from {t[kept][int(np.argmax(back))]:g} to {t[row]:g} in row {row + 1}, "
-            "expected rising times: a second recording? Give each a file of its own"
-        )
-    if not kept.all():
-        notes.append(f"{run.name}: {int((~kept).sum())} rows whose time is missing or not a new one were left out")
-    return replace(run, values={role: v[kept] for role, v in run.values.items()})
+    clocks = [(run.values["t"] - run.values["t"][0]) * scale for run in runs]
+    timed = [replace(run, values={**run.values, "t": t}) for run, t in zip(runs, clocks, strict=True)]
+    return timed, 1 / (step * scale), jitters
 
 
 def _time_unit(step: float) -> tuple[str, str]:
@@ -419,7 +404,7 @@ def _time_unit(step: float) -> tuple[str, str]:
 
 
 def _scaled(
-    runs: list[_Raw],
+    runs: list[Raw],
     kind: JointType,
     joint: UrdfJoint,
     settings: SeriesSettings,
@@ -447,38 +432,42 @@ def _scaled(
         notes.append(f"efforts are in {expected}, which nothing says (else --unit-effort)")
     if effort_unit is not None and effort_unit.endswith("m") != (kind == "revolute"):
         raise FreeArtError(f"--unit-effort {effort_unit}: joint '{joint.name}' is {kind}, expected {expected}")
-    made, wrapped, held = [], 0, 0
+    made, wrapped, turned, empty = [], 0, 0, 0
     taken: set[str] = set()
     for run in runs:
         values = run.values
         q = sign * sizes[unit] * (values["q"] - settings.zero)
         if kind == "revolute":
-            q, turns = _unwrapped(q)
+            q, turns = unwrapped(q)
             wrapped += turns
         drives: dict[str, Array | None] = {"effort": None, "q_command": None}
         for role in drives:
             if role in values:
-                filled, n = _kept(values[role], run.name, role)
-                held += n
+                empty += int(np.isnan(values[role]).sum())
                 zero, size = (settings.zero, sizes[unit]) if role == "q_command" else (0.0, EFFORTS[effort_unit or "N"])
-                drives[role] = sign * size * (filled - zero)
+                drives[role] = sign * size * (values[role] - zero)
+        if kind == "revolute" and drives["q_command"] is not None:
+            drives["q_command"], turns = near(drives["q_command"], q)
+            turned += turns
         name = next(n for n in (run.name, *(f"{run.name}_{k}" for k in range(2, 10**6))) if n not in taken)
         taken.add(name)
         made.append(Run(name, values["t"], q, drives["effort"], drives["q_command"]))
     if wrapped:
         notes.append(f"{wrapped} jumps of the position by a whole turn were undone")
-    if held:
-        notes.append(f"{held} empty cells of drives hold the value before them")
+    if turned:
+        notes.append(f"{turned} jumps of the command by a whole turn were undone")
+    if empty:
+        notes.append(f"{empty} empty cells of drives are no rows of theirs")
     return made
 
 
-def _range(runs: list[_Raw]) -> tuple[float, float]:
+def _range(runs: list[Raw]) -> tuple[float, float]:
     q = np.concatenate([run.values["q"] for run in runs])
     q = q[np.isfinite(q)]
     return (float(q.min()), float(q.max())) if len(q) else (0.0, 0.0)
 
 
-def _position_unit(runs: list[_Raw], kind: JointType, joint: UrdfJoint, zero: float) -> tuple[str, str]:
+def _position_unit(runs: list[Raw], kind: JointType, joint: UrdfJoint, zero: float) -> tuple[str, str]:
     """rad or deg, m or mm: what the joint's limits allow, else what a swing can be."""
     low, high = _range(runs)
     low, high = low - zero, high - zero
@@ -497,23 +486,6 @@ def _position_unit(runs: list[_Raw], kind: JointType, joint: UrdfJoint, zero: fl
     if not np.isfinite(span) and high - low > most:
         return far, "by their range"
     return near, "by the joint's limits" if np.isfinite(span) else "by their range"
-
-
-def _unwrapped(q: Array) -> tuple[Array, int]:
-    """(n,) positions, rad, without jumps of a whole turn from one reading to the next, and how many there were."""
-    known = np.isfinite(q)
-    straight = q.copy()
-    straight[known] = np.unwrap(q[known], discont=1.5 * np.pi)
-    return straight, int((np.abs(np.diff(straight[known] - q[known])) > 1.0).sum())
-
-
-def _kept(values: Array, run: str, role: str) -> tuple[Array, int]:
-    """(n,) values of a drive with the last one in place of those that are missing, and how many were."""
-    known = np.isfinite(values)
-    if not known[0]:
-        raise FreeArtError(f"run '{run}': {role} has no value in its first row, from which it is held")
-    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
-    return values[last], int((~known).sum())
 
 
 def _held_out(runs: list[Run], files: list[Path], named: tuple[str, ...]) -> tuple[Run, ...]:

@@ -1,0 +1,179 @@
+"""What `gap` says of real recordings, and whether that holds physically.
+
+    .venv/bin/python -m benchmarks.real_gap [--limit 180] [--names multiarm dfki]
+
+makes an asset and a measured set of every recording of ../shared/measured (`real_recordings`), asks `gap` in a process
+of its own that is killed after --limit seconds of processor time, and grades the answer (`real_grade`) by what was
+known of the recording beforehand (real_expected.json). Prints the table and writes benchmarks/results/real_gap.json.
+May be killed and goes on: an answer of the same code, limit and recording is kept in --work. Recordings that are not at
+hand are left out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.real_grade import closed, graded, overclaims, summary
+from benchmarks.real_recordings import SHARED, recordings
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+
+EXPECTED = ROOT / "benchmarks" / "real_expected.json"
+_CODE = ("simgap", "freeart21", "generator", "export")
+"""Rooms whose code an answer depends on."""
+_PATIENCE = 8.0
+"""Times the limit that an answer may take by the clock: a busy machine gives it a part of a processor."""
+_NO_TIME = {"seconds": 0.0, "wall seconds": 0.0}
+_COMMAND = ("-m", "freeart21", "gap", "asset.urdf", "measured", "--out", "answer")
+
+
+def main(
+    limit: float = 180.0,
+    names: tuple[str, ...] = (),
+    work: Path = ROOT / "out" / "real_gap",
+    out: Path | None = None,
+) -> None:
+    """Ask and grade.
+
+    Args:
+        limit: Seconds of processor time that an answer may take.
+        names: These recordings alone.
+        work: Where sets and answers are kept; what is there already is used.
+        out: The JSON file. When not given: benchmarks/results/real_gap.json, and only when all recordings are asked.
+    """
+    here = recordings()
+    if not here:
+        print(f"no recordings at {SHARED}: nothing to do")
+        return
+    unknown = sorted(set(names) - set(here))
+    if unknown:
+        raise FreeArtError(f"there is no recording {', '.join(unknown)}; there are {', '.join(here)}")
+    known = checked.read_json(EXPECTED)
+    chosen = [name for name in here if not names or name in names]
+    rows = []
+    for k, name in enumerate(chosen, 1):
+        kept = work / name / "row.json"
+        key = _key(name, limit)
+        row = checked.read_json(kept) if kept.is_file() else {}
+        if row.get("key") != key:
+            row = {"key": key, **_asked(name, work / name, limit)}
+            atomic.write_json(kept, row)
+        rows.append(_graded(row, known))
+        print(f"{k} of {len(chosen)}: {name}: {rows[-1]['grade']} ({rows[-1]['seconds']:.0f} s)", flush=True)
+    _print(rows)
+    if out is None and len(chosen) == len(known["recordings"]):
+        out = RESULTS / "real_gap.json"
+    if out is not None:
+        about = {"commit": commit(), "machine": machine(), "settings": {"limit": limit}}
+        atomic.write_json(out, {**about, "summary": summary(rows), "rows": rows})
+        print(out)
+
+
+def _key(name: str, limit: float) -> str:
+    """Of all that decides an answer."""
+    files = sorted(path for room in _CODE for path in (ROOT / room).rglob("*.py"))
+    files += [Path(__file__).with_name("real_recordings.py")]
+    digest = hashlib.sha256(f"{name} {limit:g}".encode())
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _asked(name: str, folder: Path, limit: float) -> dict[str, Any]:
+    """What `gap` says of one recording, and how long it took; nothing where it was killed or refused it."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    try:
+        recordings()[name](folder)
+    except FreeArtError as error:
+        return {"name": name, "status": "refused", "said": str(error), **_NO_TIME, "answer": None}
+    command, most = [sys.executable, *_COMMAND], math.ceil(limit)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    began, used = time.monotonic(), _processor_seconds()
+    with (folder / "said.txt").open("wb") as said:
+        process = subprocess.Popen(
+            command,
+            cwd=folder,
+            env=environment,
+            stdout=said,
+            stderr=said,
+            start_new_session=True,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (most, most)),
+        )
+        try:
+            code: int | None = process.wait(_PATIENCE * limit)
+        except subprocess.TimeoutExpired:
+            code = None
+        finally:
+            if process.poll() is None:  # its replay is a process of its own, in the same session
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+    code = None if code in (-signal.SIGXCPU, -signal.SIGKILL) else code
+    seconds = {"seconds": round(_processor_seconds() - used, 1), "wall seconds": round(time.monotonic() - began, 1)}
+    last = ((folder / "said.txt").read_text(errors="replace").strip().splitlines() or [""])[-1]
+    verdict = folder / "answer" / "verdict.json"
+    if code == 0 and verdict.is_file():
+        return {"name": name, "status": "answered", "said": "", **seconds, "answer": checked.read_json(verdict)}
+    status = "out of time" if code is None else "refused" if code == 1 else "failed"
+    return {"name": name, "status": status, "said": "" if code is None else last, **seconds, "answer": None}
+
+
+def _processor_seconds() -> float:
+    """That the processes used which this one started."""
+    told = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return told.ru_utime + told.ru_stime
+
+
+def _graded(row: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
+    """The row of the results."""
+    answer = row["answer"]
+    grade, reasons = graded(known["recordings"][row["name"]], known["groups"], answer)
+    effects = [] if answer is None else answer["effects"]
+    return {
+        "name": row["name"],
+        "grade": grade,
+        "reasons": reasons if answer is not None else [row["status"] + (f": {row['said']}" if row["said"] else "")],
+        "status": row["status"],
+        "verdict": None if answer is None else answer["verdict"],
+        "effects": {e["name"]: {k: v["value"] for k, v in e["parameters"].items()} for e in effects},
+        "rivals": [] if answer is None else answer["rivals"],
+        "closed": closed(answer),
+        "overclaims": answer is not None and overclaims(answer),
+        "sentence": None if answer is None else answer["sentence"],
+        "next_experiment": None if answer is None else answer["next_experiment"],
+        "seconds": row["seconds"],
+        "wall seconds": row["wall seconds"],
+    }
+
+
+def _print(rows: list[dict[str, Any]]) -> None:
+    table = Table("recording", "grade", "verdict", "names", "gap closed", "floors left", "s", "why")
+    for row in rows:
+        done = row["closed"]
+        share = ("-" if done["share"] is None else f"{done['share']:.0%}") + " !" * row["overclaims"]
+        left = "-" if done["after"] is None else f"{done['after']:.3g}"
+        said, names = row["verdict"] or row["status"], ", ".join(row["effects"]) or "-"
+        why = "; ".join(row["reasons"])
+        table.add_row(row["name"], row["grade"], said, names, share, left, f"{row['seconds']:.0f}", why)
+    console = Console(width=200)
+    console.print(table)
+    console.print(summary(rows))
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

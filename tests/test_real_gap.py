@@ -1,0 +1,136 @@
+"""Answers on real recordings are graded by physics; what is known of each speaks of effects that there are."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import real_gap, real_recordings
+from benchmarks.real_grade import closed, graded, overclaims, summary
+from freeart21.effects import EFFECTS
+from freeart21.files.asset import read_asset
+from freeart21.files.measured import read_measured
+
+KNOWN = json.loads(real_gap.EXPECTED.read_text())
+GROUPS = {"dry": ["coulomb_friction", "load_friction"]}
+PENDULUM: dict[str, Any] = {
+    "answer": "named",
+    "dominant": ["dry", "quadratic_drag"],
+    "also": ["encoder_offset"],
+    "never": {"detent": "nothing holds"},
+    "sizes": {"coulomb_friction.level": [1.0, 2.0], "encoder_offset.offset": [-0.1, 0.1]},
+}
+
+
+def said(verdict: str, *effects: str, rivals=(), size: float = 1.5, left: float = 1.5) -> Any:
+    first = {"coulomb_friction": "level", "encoder_offset": "offset"}
+    return {
+        "verdict": verdict,
+        "sentence": "",
+        "effects": [{"name": n, "parameters": {first.get(n, "x"): {"value": size}}} for n in effects],
+        "rivals": [list(names) for names in rivals],
+        "gap": [
+            {"before": 0.2, "after": 0.2, "floor": 0.001, "held_out": False},
+            {"before": 0.2, "after": 0.001 * left, "floor": 0.001, "held_out": True},
+        ],
+    }
+
+
+BOTH = ("coulomb_friction", "quadratic_drag")
+GRADED = {
+    "all that dominates": (said("named", *BOTH), "right"),
+    "the same by another name": (said("named", "load_friction", "quadratic_drag"), "right"),
+    "part of it": (said("named_in_part", "quadratic_drag"), "in part"),
+    "a size that is off": (said("named", *BOTH, size=3.0), "in part"),
+    "an effect that may be there, far too large": (said("named", *BOTH, "encoder_offset", size=1.5), "wrong"),
+    "one that nobody knows of": (said("named", *BOTH, "wobble"), "in part"),
+    "one that is not there": (said("named", *BOTH, "detent"), "wrong"),
+    "nothing that dominates": (said("named", "viscous_damping"), "wrong"),
+    "nothing missing": (said("no_gap"), "wrong"),
+    "no explanation": (said("unexplained"), "silent"),
+    "no answer": (None, "silent"),
+    "two names of one thing": (said("ambiguous", rivals=(BOTH, ("load_friction", "quadratic_drag"))), "right"),
+    "a doubt with a sure member": (said("ambiguous", rivals=(BOTH, ("coulomb_friction",))), "in part"),
+    "a doubt with a stranger": (said("ambiguous", rivals=(BOTH, ("viscous_damping",))), "silent"),
+    "a doubt among strangers": (said("ambiguous", rivals=(("detent",), ("viscous_damping",))), "wrong"),
+    "a large claim that hides what is left": (said("named", *BOTH, left=10.5), "in part"),
+    "the same, told": (said("named_in_part", *BOTH, left=10.5), "right"),
+}
+
+
+@pytest.mark.parametrize("name", GRADED)
+def test_answers_are_graded_by_physics(name: str):
+    answer, expected = GRADED[name]
+    grade, reasons = graded(PENDULUM, GROUPS, answer)
+    assert grade == expected, reasons
+    assert reasons or grade == "right"
+
+
+def test_where_nothing_of_the_library_is_missing_silence_is_right_and_a_name_wrong():
+    beyond = {**PENDULUM, "answer": "unexplained", "dominant": []}
+    for verdict, grade in (("unexplained", "right"), ("not_excited", "right"), ("no_gap", "wrong"), ("named", "wrong")):
+        assert graded(beyond, GROUPS, said(verdict, *BOTH))[0] == grade
+
+
+def test_the_share_that_is_closed_is_of_runs_that_were_not_fitted():
+    assert closed(said("named", left=1.0)) == pytest.approx({"runs": 1, "before": 200.0, "after": 1.0, "share": 1.0})
+    answer = said("named", left=100.5)
+    assert closed(answer)["share"] == pytest.approx(0.5) and not overclaims(answer)
+    answer["gap"].append({"before": 0.2, "after": 0.2, "floor": 0.001, "held_out": True, "use": "confirming"})
+    assert closed(answer)["share"] == 0.0
+    answer["gap"] = answer["gap"][:1]
+    assert closed(answer)["share"] is None and closed(None)["share"] is None
+
+
+def test_rows_are_counted():
+    common = {"closed": {"share": 0.5}, "overclaims": True, "verdict": "named"}
+    rows = [{"grade": g, "status": "answered", "seconds": s, **common} for g, s in (("right", 1.0), ("wrong", 9.0))]
+    told = summary([*rows, {**rows[0], "grade": "silent", "status": "out of time", "verdict": None}])
+    assert (told["right"], told["in part"], told["silent"], told["wrong"]) == (1, 0, 1, 1)
+    assert told["right or in part, share"] == pytest.approx(1 / 3) and told["no answer in time"] == 1
+    assert told["most seconds"] == 9.0 and told["median share closed where named"] == 0.5
+
+
+@pytest.mark.parametrize("name", KNOWN["recordings"])
+def test_what_is_known_speaks_of_effects_that_there_are(name: str):
+    known = KNOWN["recordings"][name]
+    spoken = [*known["dominant"], *known["also"]]
+    names = [n for word in spoken for n in KNOWN["groups"].get(word, [word])] + list(known["never"])
+    assert set(names) <= set(EFFECTS) and known["reason"] and known["source"] and known["what"]
+    assert (known["answer"] == "unexplained") == (not known["dominant"])
+    for size, (low, high) in known["sizes"].items():
+        effect, _, parameter = size.partition(".")
+        assert parameter in EFFECTS[effect].parameters() and low < high
+
+
+@pytest.mark.skipif(not real_recordings.recordings(), reason="recordings of others are not at hand")
+def test_what_is_at_hand_is_known_and_becomes_sets(tmp_path: Path):
+    here = real_recordings.recordings()
+    assert set(here) <= set(KNOWN["recordings"])
+    for name in sorted(set(here) & {"dfki", "bam_free", "directdrive_breakaway", "phy180_whole"}):
+        (tmp_path / name).mkdir()
+        here[name](tmp_path / name)
+        measured = read_measured(tmp_path / name / "measured")
+        assert read_asset(tmp_path / name / "asset.urdf").joint == measured.joint
+
+
+@pytest.mark.parametrize("ways", ["sleep 60 & wait", "while :; do :; done"])
+def test_an_answer_that_does_not_come_in_time_is_none_and_is_not_asked_again(ways, tmp_path: Path, monkeypatch, capsys):
+    """By the processor's time or the clock; killed with all that it started; the row is kept."""
+    asked: list[str] = []
+
+    def made(out: Path) -> None:
+        asked.append("made")
+        (out / "asset.urdf").write_text("<robot/>")
+
+    monkeypatch.setattr(real_gap, "recordings", lambda: {"dfki": made})
+    monkeypatch.setattr(real_gap, "sys", type("sys", (), {"executable": "/bin/sh"}))
+    monkeypatch.setattr(real_gap, "_COMMAND", ("-c", ways))
+    for _ in range(2):
+        real_gap.main(0.2, ("dfki",), tmp_path / "work", tmp_path / "told.json")
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert asked == ["made"] and told["rows"][0]["status"] == "out of time" and told["rows"][0]["grade"] == "silent"
+    assert "1 of 1: dfki: silent" in capsys.readouterr().out
