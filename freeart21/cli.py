@@ -546,10 +546,10 @@ def measure(
         unit_effort: Of efforts: N*m, N*cm or mN*m, N or mN; N*m or N when not given.
         zero: Position as recorded, in its unit, at which the URDF's joint is at 0.
         reverse: The recording counts against the URDF's joint axis.
-        effort: Efforts were asked of the actuator, or pushed the moving part from outside.
+        effort: Asked of the actuator, or pushing the part from outside.
         actuator: Of force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad (N/m, N*s/m).
         interpolation: Of efforts and commands between their rows; unknown when not given.
-        inertia_relative: By which the asset's inertia may be off; 0 is exact, 0.1 when not given.
+        inertia_relative: By which the asset's inertia may be off, 0.1 when not given.
         gravity_relative: By which its weight's torque or force may be off, 0.05 when not given.
         held_out: Runs that a fit must never see: names, numbers from 1, or files.
         noise_mm: Standard deviation, mm, of a tracker's shifts.
