@@ -271,6 +271,43 @@ def record(
     return 0
 
 
+def teleop(
+    name: Annotated[str, Positional],
+    out: Path,
+    seed: int = 0,
+    partnet_root: Path | None = None,
+    joint: str | None = None,
+    skip_missing: bool = False,
+    host: str = "127.0.0.1",
+    port: int = 8021,
+    width: int = 640,
+    height: int = 360,
+) -> None:
+    """Move an object and its joint by hand, live in a browser, and record it as a take.
+
+    Prints an address with a secret token: who has it drives, or watches. `freeart21 record NAME --motion track:TAKE`
+    replays a take at full quality. Needs the extra `teleop`.
+
+    Args:
+        name: Object of the catalog (`freeart21 objects`), a URDF as PATH.urdf, or a PartNet-Mobility id.
+        out: File of the take; nothing is replaced, and further takes are numbered.
+        seed: Seed of the object's shape and colours.
+        partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf or ROOT/dataset/41083.
+        joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
+        skip_missing: Leave out meshes that the object names but does not have.
+        host: Address to listen at.
+        port: Port to listen at; 0 takes a free one.
+        width: Of the live picture, pixels; a page of another shape gets as many.
+        height: Of the live picture, pixels.
+    """
+    from generator.session import RecordSettings
+    from generator.teleop.start import TeleopSettings, serve
+
+    record = RecordSettings(seed=seed, partnet_root=partnet_root, joint=joint, skip_missing=skip_missing)
+    record.check()
+    serve(name, out, TeleopSettings(host, port, width, height), record)
+
+
 def verify(data: Annotated[Path, Positional], deep: bool = False, truth: Path | None = None) -> int:
     """Check a data folder: every hash, every format, and that video and truth agree.
 
@@ -674,6 +711,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         demo,
         objects,
         record,
+        teleop,
         verify,
         convert,
         reconstruct,

@@ -104,13 +104,28 @@ class Scene:
         self._object = _load(self._scene, urdf)
         self._joint_names = [joint.name for joint in self._object.active_joints]
         self._label = _labels(self._object, groups, urdf)
-        self._view = self._scene.add_camera(
-            "camera", camera.width, camera.height, 2 * np.arctan(0.5 * camera.height / camera.K[1, 1]), near, far
-        )
-        self._view.set_perspective_parameters(
-            near, far, camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], 0.0
-        )
-        self._view.entity.set_pose(sapien.Pose())
+        self._depths = near, far
+        self._view = self._new_view(camera)
+
+    def use(self, camera: Camera) -> None:
+        """Draw with another camera from now on; it stands where the one before stood."""
+        if (camera.width, camera.height, *camera.K.flat) != (
+            self.camera.width,
+            self.camera.height,
+            *self.camera.K.flat,
+        ):
+            self._scene.remove_entity(self._view.entity)
+            self.camera, self._view = camera, self._new_view(camera)
+
+    def _new_view(self, camera: Camera) -> Any:
+        import sapien
+
+        near, far = self._depths
+        fov_y = 2 * np.arctan(0.5 * camera.height / camera.K[1, 1])
+        view = self._scene.add_camera("camera", camera.width, camera.height, fov_y, near, far)
+        view.set_perspective_parameters(near, far, camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], 0.0)
+        view.entity.set_pose(sapien.Pose())
+        return view
 
     def fix_lamps(self, T_camera_world: Array) -> None:
         """Fix the lamps in the world as they stand about a camera at `T_camera_world` (4, 4)."""
@@ -174,6 +189,13 @@ class Scene:
         """(height, width, 3) colours of the last view, sRGB."""
         picture = self._view.get_picture("Color")
         return encoded(picture[..., :3]) if self._linear else _rounded(picture)
+
+    def colour_and_cover(self) -> NDArray[np.float32]:
+        """(height, width, 4) of the last view as the engine gives it: colours, 0 to 1, and 1 where there is something.
+
+        The colours are sRGB; those of the shader 'trivial' are linear.
+        """
+        return np.asarray(self._view.get_picture("Color"))
 
     def linear_rgb(self) -> NDArray[np.float32]:
         """(height, width, 3) light of the last view, 0 to 1."""

@@ -1,0 +1,3 @@
+// The headset comes here; until then its button stays hidden.
+
+export function startHeadset() {}

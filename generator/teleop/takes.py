@@ -1,0 +1,77 @@
+"""Where takes are written: beside each other, never over anything."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic
+from freeart21.files.places import check_place
+from freeart21.files.take import header, sample
+from freeart21.joint import JointType
+from generator.teleop.driving import Driving
+
+MOST_FILES = 10_000
+
+
+class Takes:
+    """The files of one run: OUT, then OUT-2, OUT-3 and so on."""
+
+    def __init__(self, out: Path, joint_type: JointType, inputs: Iterable[Path] = ()) -> None:
+        """Raises FreeArtError unless `out` is free and may be written."""
+        self._out, self._joint_type, self._inputs = out, joint_type, tuple(inputs)
+        self._count = 1
+        check_place(out, None, self._inputs)
+
+    def next_name(self) -> str:
+        """What the next take will be called, if nobody else takes the name."""
+        return self._named(self._count).name
+
+    def save(self, driving: Driving) -> Path:
+        """Write the take, whole or not at all. Raises FreeArtError."""
+        path = self._free()
+        check_place(path, None, self._inputs)
+        write_new(path, self._text(driving))
+        return path
+
+    def rescue(self, driving: Driving) -> Path:
+        """Write a take that nobody saved, beside; also when the process was told to stop."""
+        stem, ending = self._out.stem, self._out.suffix
+        k = 1
+        while (path := self._out.with_name(f"{stem}-unsaved{'' if k == 1 else f'-{k}'}{ending}")).exists():
+            k += 1
+        write_new(path, self._text(driving))
+        return path
+
+    def _free(self) -> Path:
+        while (path := self._named(self._count)).exists() or path.is_symlink():
+            self._count += 1
+            if self._count > MOST_FILES:
+                raise FreeArtError(f"{self._out} and {MOST_FILES} numbered names beside it exist")
+        return path
+
+    def _named(self, k: int) -> Path:
+        return self._out if k == 1 else self._out.with_name(f"{self._out.stem}-{k}{self._out.suffix}")
+
+    def _text(self, driving: Driving) -> bytes:
+        head = header(", ".join(driving.devices) or "none", "camera", self._joint_type)
+        return ("\n".join([head, *(sample(*s) for s in driving.take.samples())]) + "\n").encode()
+
+
+def write_new(path: Path, data: bytes) -> None:
+    """Write a file that is not there yet, whole or not at all; also after a signal said stop. Raises CannotWrite."""
+    aside = path.with_name(f".{path.name}.{os.getpid()}{atomic.ASIDE}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with aside.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.link(aside, path)  # unlike a rename, it replaces nothing
+        finally:
+            aside.unlink(missing_ok=True)
+    except OSError as error:
+        raise atomic.cannot_write(path, error) from error
