@@ -24,6 +24,9 @@ from generator.surface import srgb
 _T_SAPIEN_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """SAPIEN's camera axes (x forward, y left, z up) from ours (x right, y down, z forward)."""
 
+_MOST_VIEWS = 4
+"""Sizes of pictures for which the engine's buffers are kept: making them anew takes as long as a picture."""
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -82,7 +85,6 @@ class Scene:
 
         sapien.render.set_log_level("error")
         sapien.render.set_camera_shader_dir(shader)
-        self.camera = camera
         self._linear = shader == "trivial"  # the unlit shader gives linear colours, the others sRGB
         self._scene = sapien.Scene()
         self._scene.set_ambient_light([0.30, 0.30, 0.32])
@@ -105,27 +107,23 @@ class Scene:
         self._joint_names = [joint.name for joint in self._object.active_joints]
         self._label = _labels(self._object, groups, urdf)
         self._depths = near, far
-        self._view = self._new_view(camera)
+        self._views: dict[tuple[int, int], Any] = {}
+        self.use(camera)
 
     def use(self, camera: Camera) -> None:
-        """Draw with another camera from now on; it stands where the one before stood."""
-        if (camera.width, camera.height, *camera.K.flat) != (
-            self.camera.width,
-            self.camera.height,
-            *self.camera.K.flat,
-        ):
-            self._scene.remove_entity(self._view.entity)
-            self.camera, self._view = camera, self._new_view(camera)
-
-    def _new_view(self, camera: Camera) -> Any:
+        """Draw with this camera from now on; it stands where any other stood."""
         import sapien
 
-        near, far = self._depths
-        fov_y = 2 * np.arctan(0.5 * camera.height / camera.K[1, 1])
-        view = self._scene.add_camera("camera", camera.width, camera.height, fov_y, near, far)
-        view.set_perspective_parameters(near, far, camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], 0.0)
-        view.entity.set_pose(sapien.Pose())
-        return view
+        K, size, (near, far) = camera.K, (camera.width, camera.height), self._depths
+        view = self._views.pop(size, None)
+        if view is None:
+            if len(self._views) == _MOST_VIEWS:
+                self._scene.remove_entity(self._views.pop(next(iter(self._views))).entity)
+            view = self._scene.add_camera("camera", *size, 2 * np.arctan(0.5 * camera.height / K[1, 1]), near, far)
+            view.entity.set_pose(sapien.Pose())
+        view.set_perspective_parameters(near, far, K[0, 0], K[1, 1], K[0, 2], K[1, 2], 0.0)
+        self._views[size] = view
+        self.camera, self._view = camera, view
 
     def fix_lamps(self, T_camera_world: Array) -> None:
         """Fix the lamps in the world as they stand about a camera at `T_camera_world` (4, 4)."""

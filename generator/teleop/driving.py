@@ -23,6 +23,11 @@ STEP_S = 1 / 60
 """From the last sample before a cut to the first after it: one of the page's own steps."""
 MOST_S = 3300.0
 """How long a take may be: the recorder replays at most 100,000 frames, 30 a second."""
+MOST_SAMPLES = 230_000
+"""How many samples it may have: a line has up to 282 bytes, and `files.take` reads 64 MiB. An hour at 60 Hz has
+216,000."""
+GAP_S = 1.0
+"""A longer silence within a recording counts as so long: a page that stood still for a minute did not move."""
 MOST_TRAIL = 3600
 """Samples that are kept of what was not recorded, for an undo: a minute."""
 STILL = 1e-9
@@ -67,8 +72,13 @@ class Track:
         if self._shift is None:
             self._shift = (self.times[-1] + STEP_S if self.times else 0.0) - time_s
         time = time_s + self._shift
-        if self.times and time <= self.times[-1]:
-            return False
+        if self.times:
+            since = time - self.times[-1]
+            if since <= 0:
+                return False
+            if since > GAP_S:
+                self._shift -= since - GAP_S
+                time = self.times[-1] + GAP_S
         self.times.append(time)
         self.places.append(place)
         return True
@@ -120,23 +130,32 @@ class Driving:
             return False
         place = Placement(move.T, move.state)
         moved = not place.is_like(self.place)
-        self.place = place
         if self.phase == "recording":
             if self.take.add(time_s, place):
                 self.devices[move.device] = None
         elif moved:
+            if not len(self._trail):
+                self._trail.add(time_s - STEP_S, self.place)
             self._trail.add(time_s, place)
             self._trail.forget(MOST_TRAIL)
+        self.place = place
         return True
 
-    def record(self) -> None:
-        """Begin a take, or go on with one that is paused: the object then returns to where the take left it."""
-        if self.phase == "paused" and len(self.take):
+    @property
+    def is_full(self) -> bool:
+        """Whether the take is as long as one may be."""
+        return self.take.seconds >= MOST_S or len(self.take) >= MOST_SAMPLES
+
+    def record(self) -> bool:
+        """Begin a take, or go on with one that is paused (True): the object returns to where the take left it."""
+        goes_on = self.phase == "paused" and len(self.take) > 0
+        if goes_on:
             self.put(self.take.places[-1])
             self.take.cut()
-        elif self.phase == "idle":
+        elif self.phase != "recording":
             self._new_take()
         self.phase = "recording"
+        return goes_on
 
     def pause(self) -> bool:
         """Stop recording for a while; False when nothing is recorded."""
@@ -147,11 +166,13 @@ class Driving:
         return True
 
     def undo(self) -> float:
-        """Take back the last `UNDO_S` of the take or, without one, of what was moved; the seconds that went."""
-        track = self.take if self.phase != "idle" else self._trail
-        if self.phase == "paused" and len(self.take) and not self.place.is_like(self.take.places[-1]):
-            self.put(self.take.places[-1])  # first, what was moved since the pause
-            return 0.0
+        """Take back the last `UNDO_S`; the seconds that went.
+
+        Of the take while there is one. Without one, or where it is paused and the object was moved since: of what was
+        moved.
+        """
+        aside = self.phase != "recording" and len(self._trail) > 1
+        track = self._trail if aside or self.phase == "idle" else self.take
         before = track.seconds
         place = track.back(UNDO_S)
         if place is None:
@@ -174,6 +195,7 @@ class Driving:
         """Place the object, whatever the page's hand says: moves that were sent before do not count."""
         self.place = place
         self.epoch += 1
+        self.take.cut()
         self._trail.cut()
 
     def _new_take(self) -> None:

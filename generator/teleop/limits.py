@@ -17,13 +17,15 @@ FILL = 0.6
 """Height of the object in the picture when it begins, as a share of the picture's: about that of the recorder's motions
 (0.65 in the mean), with room to move."""
 NEAREST_M = 0.25
-"""From the camera to the ball round the object, metres, or the ball's radius if that is less: nearer, small things would
-not fill the picture, and nearer still they leave it."""
+"""From the camera to the ball round the object, metres, or the ball's radius if that is less: small things would not
+fill the picture from further away, and hardly fit into it from nearer."""
 FARTHEST = 6.0
 """Distances of the beginning, up to which the object may go: it is a sixth as large there."""
 _DIRECTIONS = 300
 """In which the body's outermost points are looked for: neighbours are 0.2 rad apart, so that of a ball 0.5 % of its
 radius is missed, less than the strip along the border (`MARGIN`)."""
+_STATES = 25
+"""At which the joint is tried between its limits."""
 _TILT, _YAW = np.radians(22.0), np.radians(-32.0)
 """The object begins seen from above, and from the side: three of its faces are seen."""
 
@@ -41,32 +43,35 @@ class Room:
     nearest: float
     farthest: float
     """Of the centre's depth, metres."""
+    state: float
+    """The joint's, when the object begins: zero, or the limit next to it."""
     T_start: Array
     """(4, 4) where it begins, camera from object."""
 
     @classmethod
     def of(cls, body: Body, camera: Camera) -> Room:
         """The room of a body before a camera."""
-        points = _outermost(body)
+        points, state = _outermost(body), min(max(0.0, body.lower), body.upper)
         R = se3.exp_so3([_TILT, 0, 0]) @ UPRIGHT @ se3.exp_so3([0, 0, _YAW])
-        turned = (points - body.centre) @ R.T
+        now, all_states = ((p - body.centre) @ R.T for p in (body.points(np.array([state]))[0], points))
         nearest = body.radius + min(NEAREST_M, body.radius)
-        depth = max(_filling(turned, camera), nearest)
-        place = np.array([0.0, 0.0, depth])
-        v = camera.project(turned + place)[:, 1]
-        place[1] = -((v.max() + v.min()) / 2 - camera.K[1, 2]) * depth / camera.K[1, 1]
-        T = se3.pose(R, place - R @ body.centre)
-        return cls(points, body.centre, body.radius, nearest, FARTHEST * depth, T)
+        near, far = nearest, 1e3 * body.radius
+        for _ in range(60):
+            depth = float(np.sqrt(near * far))
+            place = _centred(now, depth, camera)
+            near, far = (near, depth) if _fits(now + place, all_states + place, camera) else (depth, far)
+        T = se3.pose(R, _centred(now, far, camera) - R @ body.centre)
+        return cls(points, body.centre, body.radius, nearest, FARTHEST * far, state, T)
 
     @property
     def reach(self) -> float:
-        """Metres from the camera within which the object's own frame is."""
+        """Metres from the camera within which the object's own frame is; its centre may be in a corner."""
         return 2 * self.farthest + float(np.linalg.norm(self.centre)) + self.radius
 
 
 def _outermost(body: Body) -> Array:
     """(k, 3) points that bound the body over its whole range of states."""
-    points = body.points(np.linspace(body.lower, body.upper, 25)).reshape(-1, 3)
+    points = body.points(np.linspace(body.lower, body.upper, _STATES)).reshape(-1, 3)
     try:
         points = points[ConvexHull(points).vertices]
     except QhullError:  # a flat body has no hull of its own
@@ -78,12 +83,19 @@ def _outermost(body: Body) -> Array:
     return points[np.unique((points @ directions.T).argmax(0))]
 
 
-def _filling(turned: Array, camera: Camera) -> float:
-    """The depth at which points (k, 3) about the origin are `FILL` of the picture high, or all of its width."""
-    near, far = 1.001 * max(-turned[:, 2].min(), 1e-6), 1e3 * float(np.abs(turned).max())
-    size = np.array([camera.width * (1 - 4 * MARGIN), FILL * camera.height])
-    for _ in range(60):
-        depth = float(np.sqrt(near * far))
-        fits = (np.ptp(camera.project(turned + np.array([0, 0, depth])), axis=0) <= size).all()
-        near, far = (near, depth) if fits else (depth, far)
-    return far
+def _centred(points: Array, depth: float, camera: Camera) -> Array:
+    """The shift (3,) that brings points (k, 3) about the origin into the picture's middle, to a depth."""
+    place = np.array([0.0, 0.0, depth])
+    for _ in range(3):  # each step leaves a share of a tenth or less: what is nearer counts more
+        uv = camera.project(points + place)
+        off = (uv.max(0) + uv.min(0)) / 2 - camera.K[:2, 2]
+        place[:2] -= off * depth / camera.K[[0, 1], [0, 1]]
+    return place
+
+
+def _fits(now: Array, all_states: Array, camera: Camera) -> bool:
+    """Whether the object is at most `FILL` of the picture high, and inside it at all states."""
+    strip, size = MARGIN * camera.height, np.array([camera.width, camera.height])
+    uv = camera.project(all_states)
+    inside = (uv.min(0) >= strip).all() and (uv.max(0) <= size - strip).all()
+    return bool(inside and np.ptp(camera.project(now)[:, 1]) <= FILL * camera.height)

@@ -32,7 +32,18 @@ ANSWER = struct.Struct("<Id")
 FAULT = 0xFFFFFFFF
 MIDDLE, EDGE = (118, 112, 106), (27, 22, 18)
 """Blue, green and red of the ground behind the object, in the middle of the picture and along its border. The page has
-the border's colour, so that no edge is seen. The middle is grey: dark objects and light ones stand out."""
+the border's colour, so that no edge is seen; before a grey middle dark and light objects stand out."""
+
+
+FIRST: dict[str, Any] = {
+    "T": np.eye(4).tolist(),
+    "state": 0.0,
+    "width": 64,
+    "height": 36,
+    "quality": 50,
+    "shift": [0.0, 0.0],
+    "layer": 0,
+}
 
 
 def main() -> None:
@@ -44,7 +55,7 @@ def main() -> None:
         return
     try:
         stage = Stage(json.loads(first))
-        stage.draw({"T": np.diag([1.0, 1, 1, 1]).tolist(), "state": 0.0, "width": 64, "height": 36, "quality": 50})
+        stage.draw(FIRST)  # compiles the shaders: seconds
     except Exception as error:  # told to who asked, who knows what to do
         said = str(error) if isinstance(error, FreeArtError) else child.one_line(error)
         _tell(answers, FAULT, 0.0, said.encode())
@@ -60,21 +71,32 @@ class Stage:
     """The object before a camera whose size may change."""
 
     def __init__(self, told: dict[str, Any]) -> None:
+        """`told`: path and link groups of the URDF, the joint's name, what other joints are held at, and the camera."""
         self._fov_y, self._joint, self._held = told["fov_y"], told["joint"], told["held"]
         camera = Camera.from_fov(64, 36, self._fov_y)
         self._scene = Scene(Path(told["urdf"]), told["groups"], camera, told["near"], told["far"], SHADER)
-        self._ground: NDArray[np.uint8] | None = None
+        self._ground = ground(64, 36)
+        self._sum = np.zeros((36, 64, 3), np.uint16)
 
     def draw(self, asked: dict[str, Any]) -> bytes:
-        """The JPEG of what was asked for."""
-        width, height = asked["width"], asked["height"]
-        self._scene.use(Camera.from_fov(width, height, self._fov_y))
+        """The JPEG of what was asked for: the mean of this view and of those that were its layers before."""
+        width, height, layer = asked["width"], asked["height"], asked["layer"]
+        camera = Camera.from_fov(width, height, self._fov_y)
+        K = camera.K.copy()
+        K[:2, 2] += asked["shift"]
+        self._scene.use(Camera(K, width, height))
         self._scene.shoot(np.array(asked["T"]), {**self._held, self._joint: asked["state"]})
-        if self._ground is None or self._ground.shape[:2] != (height, width):
+        if self._ground.shape[:2] != (height, width):
             self._ground = ground(width, height)
-        picture = _on_ground(self._scene.colour_and_cover(), self._ground)
+        picture = on_ground(self._scene.colour_and_cover(), self._ground)
+        if layer == 0:
+            self._sum = picture.astype(np.uint16)
+        else:
+            self._sum += picture
+            picture = (self._sum // np.uint16(layer + 1)).astype(np.uint8)
         ok, packed = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, asked["quality"]])
-        assert ok
+        if not ok:
+            raise FreeArtError("a picture cannot be packed as JPEG")
         return packed.tobytes()
 
 
@@ -92,7 +114,7 @@ def ground(width: int, height: int) -> NDArray[np.uint8]:
 
 
 @numba.njit(cache=True)
-def _on_ground(colours: NDArray[np.float32], ground: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def on_ground(colours: NDArray[np.float32], ground: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The engine's colours (h, w, 4) as bytes, blue first, before a ground."""
     picture = ground.copy()
     for v in range(colours.shape[0]):

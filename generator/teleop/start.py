@@ -12,7 +12,7 @@ import ssl
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,7 +29,12 @@ from generator import partnet, urdf_folder
 from generator.motion.body import Body
 from generator.motion.plan import PRESETS
 from generator.session import RecordSettings, entry_of, load_object
+from generator.teleop.driving import Driving, Placement
+from generator.teleop.gate import Gate, new_token
 from generator.teleop.limits import Room
+from generator.teleop.stage import GROWTHS, Stage
+from generator.teleop.takes import Takes
+from generator.teleop.wire import Bounds
 
 PACKAGES = ("aiohttp", "qrcode", "cryptography")
 """Of the extra `teleop`."""
@@ -48,6 +53,8 @@ class TeleopSettings:
     width: int = 640
     height: int = 360
     """Of the live picture, pixels; a page of another shape gets as many."""
+    finest: float = GROWTHS[-1]
+    """How much finer it may be, a side, where the machine draws that in time."""
 
 
 def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings) -> None:
@@ -66,8 +73,6 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
         )
     if not 0 <= settings.port <= 65535:
         raise FreeArtError(f"port {settings.port} is none, expected 0 (any free one) to 65535")
-    from generator.teleop.takes import Takes
-
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
         loaded, source = _loaded(name, record, Path(place))
         for note in loaded.notes:
@@ -92,97 +97,104 @@ def _loaded(name: str, record: RecordSettings, place: Path) -> tuple[partnet.Par
 
 
 async def _serve(
-    name: str, loaded: partnet.PartNetObject, takes: Any, settings: TeleopSettings, told: list[int]
+    name: str, loaded: partnet.PartNetObject, takes: Takes, settings: TeleopSettings, told: list[int]
 ) -> str:
     """Serve until told to stop; what is to be said of a take that nobody saved."""
     from aiohttp import web
 
-    from generator.teleop import gate, wire
     from generator.teleop.server import Server
-    from generator.teleop.stage import Stage, live_size
 
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
     fov_y = float(np.radians(PRESETS["handheld"].fov_y_degrees))
-    camera = Camera.from_fov(settings.width, settings.height, fov_y)
-    room = Room.of(body, camera)
-    token = gate.new_token()
+    room = Room.of(body, Camera.from_fov(settings.width, settings.height, fov_y))
+    start = Placement(room.T_start, room.state)
     context = _tls(settings.host)
     scheme = "http" if context is None else "https"
     with _listening(settings) as listener:
         port = listener.getsockname()[1]
-        loop = asyncio.get_running_loop()
-        from generator.teleop.driving import Placement
-
-        size = live_size(settings.width, settings.height, settings.width / settings.height)
-        stage = Stage(
-            {
-                "urdf": str(loaded.asset.urdf),
-                "groups": [list(side.links) for side in loaded.sides],
-                "fov_y": fov_y,
-                "joint": loaded.joint.name,
-                "held": loaded.asset.held,
-                "near": 0.1 * room.radius,
-                "far": 2 * room.reach,
-            },
-            size,
-            Placement(room.T_start, min(max(0.0, body.lower), body.upper)),
-            lambda shown: None,
-        )
-        facts = {
-            "object": name,
-            "joint": loaded.joint.name,
-            "joint_type": loaded.joint.type,
-            "fov_y": fov_y,
-            "aspects": [0.4, 16 / 9],
-            "size": 2 * room.radius,
-            "centre": room.centre.tolist(),
-            "radius": room.radius,
-            "depths": [room.nearest, room.farthest],
-            "points": np.round(room.points, 6).tolist(),
-        }
-        bounds = wire.Bounds(body.lower, body.upper, room.reach)
-        doors = gate.Gate.of(token, scheme, _names(settings.host), port)
-        server = Server(facts, bounds, room, stage, takes, doors, _log)
+        gate = Gate.of(new_token(), scheme, _names(settings.host), port)
+        stage = Stage(_told(loaded, room, fov_y), (settings.width, settings.height), start, settings.finest)
+        bounds = Bounds(body.lower, body.upper, room.reach)
+        server = Server(_facts(name, loaded, room, fov_y), bounds, start, stage, takes, gate, _log)
         runner = web.AppRunner(server.app(), access_log=None, handle_signals=False)
         await runner.setup()
-        site = web.SockSite(runner, listener, ssl_context=context, shutdown_timeout=1.0)
-        await site.start()
-        print(f"{scheme}://{_shown(settings.host)}:{port}/?token={token}", flush=True)
-        _log(f"{name}: open this address; Ctrl-C ends. Takes go to {takes.next_name()}")
-        end = asyncio.Event()
-
-        def stop(number: int) -> None:
-            told.append(number)
-            end.set()
-
-        for number in stopping.SIGNALS:
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                loop.add_signal_handler(number, stop, number)
-        drawing = asyncio.create_task(stage.run(_log))
-        ticking = asyncio.create_task(server.tick())
-        ending = asyncio.create_task(end.wait())
+        await web.SockSite(runner, listener, ssl_context=context).start()
+        print(f"{scheme}://{_shown(settings.host)}:{port}/?token={gate.token}", flush=True)
+        _log(f"{name}: open this address in a browser; takes go to {takes.next_name()}; Ctrl-C ends")
         try:
-            await asyncio.wait({drawing, ticking, ending}, return_when=asyncio.FIRST_COMPLETED)
+            await _until_told(told, [stage.run(_log), server.tick()])
         finally:
-            kept = ""
-            if server.driving.has_take:
-                kept = f"the take that was not saved is in {takes.rescue(server.driving)}"
-                if not told:
-                    _log(kept)
-            stage.stop()
-            ticking.cancel()
-            ending.cancel()
+            kept = _rescued(server.driving, takes)
+            if kept and not told:
+                _log(kept)
             await server.close()
             await runner.cleanup()
-            with contextlib.suppress(asyncio.TimeoutError, asyncio.CancelledError):
-                await asyncio.wait_for(asyncio.shield(asyncio.gather(drawing, return_exceptions=True)), 5.0)
-            measured = server.latency()
-            if measured is not None:
-                _log(f"latency of the last 100 pictures: median {measured[0]:.0f} ms, 95 % below {measured[1]:.0f} ms")
-        for task in (drawing, ticking):
-            if task.done() and not task.cancelled() and task.exception() is not None:
-                raise task.exception()  # type: ignore[misc]
-        return kept
+            if server.latency_ms is not None:
+                median, high = server.latency_ms
+                _log(f"from a move to its picture: median {median:.0f} ms, 95 % within {high:.0f} ms (the last 100)")
+                _log(f"drawing a picture: median {stage.drawing_ms():.0f} ms")
+    return kept
+
+
+def _facts(name: str, loaded: partnet.PartNetObject, room: Room, fov_y: float) -> dict[str, Any]:
+    """What every page is told of the object."""
+    return {
+        "object": name,
+        "joint": loaded.joint.name,
+        "joint_type": loaded.joint.type,
+        "fov_y": fov_y,
+        "size": 2 * room.radius,
+        "radius": room.radius,
+        "centre": room.centre.tolist(),
+        "depths": [room.nearest, room.farthest],
+        "points": np.round(room.points, 6).tolist(),
+    }
+
+
+def _told(loaded: partnet.PartNetObject, room: Room, fov_y: float) -> dict[str, Any]:
+    """What the simulator's process is made of."""
+    return {
+        "urdf": str(loaded.asset.urdf),
+        "groups": [list(side.links) for side in loaded.sides],
+        "joint": loaded.joint.name,
+        "held": loaded.asset.held,
+        "fov_y": fov_y,
+        "near": 0.05 * room.radius,
+        "far": 2 * room.reach,
+    }
+
+
+async def _until_told(told: list[int], works: list[Coroutine[Any, Any, None]]) -> None:
+    """Do the works until the process is told to stop, or one of them ends; its fault is raised."""
+    loop, end = asyncio.get_running_loop(), asyncio.Event()
+
+    def stop(number: int) -> None:
+        told.append(number)
+        end.set()
+
+    for number in stopping.SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            loop.add_signal_handler(number, stop, number)
+    tasks = [asyncio.ensure_future(work) for work in (*works, end.wait())]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        ended = [task for task in tasks if task.done()]
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    for task in ended:
+        task.result()
+
+
+def _rescued(driving: Driving, takes: Takes) -> str:
+    """Write a take that nobody saved; what is to be said of it."""
+    if not driving.has_take:
+        return ""
+    try:
+        return f"the take that was not saved is in {takes.rescue(driving)}"
+    except FreeArtError as error:
+        return f"the take that was not saved is lost: {error}"
 
 
 @contextlib.contextmanager
@@ -239,4 +251,5 @@ def _shown(host: str) -> str:
 
 
 def _log(line: str) -> None:
-    print(f"{time.strftime('%H:%M:%S')} {line}", file=sys.stderr, flush=True)
+    with contextlib.suppress(OSError, ValueError):  # the terminal may be gone
+        print(f"{time.strftime('%H:%M:%S')} {line}", file=sys.stderr, flush=True)
