@@ -189,8 +189,8 @@ def record(
         joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
         skip_missing: Leave out meshes that an object names but does not have and, with `all`, objects that are not in
             --partnet-root.
-        motion: tumble (when not given), inspect, wave, turntable, static_base, release, or track:FILE: a take that is
-            replayed, of which --frames are those over which the joint moves most.
+        motion: tumble (when not given), inspect, wave, turntable, static_base, release, or track:FILE (teleop:FILE is
+            the same): a take that is replayed, of which --frames are those over which the joint moves most.
         preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).
         sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
         effects: effects.json of the joint that is let go, for the motion release.
@@ -213,11 +213,13 @@ def record(
     from generator.recorder import RecordSettings, built_in_names
 
     track = None
-    if motion is not None and motion.startswith("track:"):
-        motion, file = "track", motion.removeprefix("track:")
-        track = Path(file) if file else None
+    if motion is not None and motion.startswith(("track:", "teleop:")):
+        file = motion.partition(":")[2]
+        motion, track = "track", Path(file) if file else None
     if track is not None:
         lasts = frames_of(read_track(track), RecordSettings.fps)
+        if frames is not None and frames < lasts:
+            print(f"{track} lasts {lasts} frames; the {frames} over which its joint moves most are recorded")
         frames = lasts if frames is None else min(frames, lasts)
     settings = RecordSettings(
         frames=300 if frames is None else frames,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from freeart21 import se3
 from freeart21.camera import Camera
@@ -17,25 +16,23 @@ FILL = 0.6
 """Height of the object in the picture when it begins, as a share of the picture's: about that of the recorder's motions
 (0.65 in the mean), with room to move."""
 NEAREST_M = 0.25
-"""From the camera to the ball round the object, metres, or the ball's radius if that is less: small things would not
-fill the picture from further away, and hardly fit into it from nearer."""
+"""From the camera to the ball round the object, metres, or a quarter of the ball's radius if that is less: small things
+would not fill the picture from further away."""
 FARTHEST = 6.0
 """Distances of the beginning, up to which the object may go: it is a sixth as large there."""
 _DIRECTIONS = 300
 """In which the body's outermost points are looked for: neighbours are 0.2 rad apart, so that of a ball 0.5 % of its
 radius is missed, less than the strip along the border (`MARGIN`)."""
-_STATES = 25
-"""At which the joint is tried between its limits."""
 _TILT, _YAW = np.radians(22.0), np.radians(-32.0)
 """The object begins seen from above, and from the side: three of its faces are seen."""
 
 
 @dataclass(frozen=True)
 class Room:
-    """Where the object may be: wholly in the picture, whatever its joint does, and not too near."""
+    """Where the object may be: wholly in the picture, and not too near."""
 
-    points: Array
-    """(k, 3) that bound the object at all states, in its own frame."""
+    points: tuple[Array, Array]
+    """(k, 3) that bound the still and the moving part at joint state zero, in the object's frame."""
     centre: Array
     """(3,) about which it is turned, in its own frame."""
     radius: float
@@ -51,16 +48,17 @@ class Room:
     @classmethod
     def of(cls, body: Body, camera: Camera) -> Room:
         """The room of a body before a camera."""
-        points, state = _outermost(body), min(max(0.0, body.lower), body.upper)
+        state = min(max(0.0, body.lower), body.upper)
         R = se3.exp_so3([_TILT, 0, 0]) @ UPRIGHT @ se3.exp_so3([0, 0, _YAW])
-        now, all_states = ((p - body.centre) @ R.T for p in (body.points(np.array([state]))[0], points))
-        nearest = body.radius + min(NEAREST_M, body.radius)
-        near, far = nearest, 1e3 * body.radius
+        turned = (body.points(np.array([state]))[0] - body.centre) @ R.T
+        near = nearest = body.radius + min(NEAREST_M, body.radius / 4)
+        far = 1e3 * body.radius
         for _ in range(60):
             depth = float(np.sqrt(near * far))
-            place = _centred(now, depth, camera)
-            near, far = (near, depth) if _fits(now + place, all_states + place, camera) else (depth, far)
-        T = se3.pose(R, _centred(now, far, camera) - R @ body.centre)
+            fits = _fits(turned + _centred(turned, depth, camera), camera)
+            near, far = (near, depth) if fits else (depth, far)
+        T = se3.pose(R, _centred(turned, far, camera) - R @ body.centre)
+        points = _outermost(body.hulls[0]), _outermost(body.hulls[1])
         return cls(points, body.centre, body.radius, nearest, FARTHEST * far, state, T)
 
     @property
@@ -69,13 +67,8 @@ class Room:
         return 2 * self.farthest + float(np.linalg.norm(self.centre)) + self.radius
 
 
-def _outermost(body: Body) -> Array:
-    """(k, 3) points that bound the body over its whole range of states."""
-    points = body.points(np.linspace(body.lower, body.upper, _STATES)).reshape(-1, 3)
-    try:
-        points = points[ConvexHull(points).vertices]
-    except QhullError:  # a flat body has no hull of its own
-        points = np.unique(points, axis=0)
+def _outermost(points: Array) -> Array:
+    """Those of points (n, 3) that are the furthest ones in some direction."""
     k = np.arange(_DIRECTIONS) + 0.5  # a Fibonacci lattice on the sphere
     z, turn = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
     across = np.sqrt(1 - z**2)
@@ -93,9 +86,9 @@ def _centred(points: Array, depth: float, camera: Camera) -> Array:
     return place
 
 
-def _fits(now: Array, all_states: Array, camera: Camera) -> bool:
-    """Whether the object is at most `FILL` of the picture high, and inside it at all states."""
+def _fits(points: Array, camera: Camera) -> bool:
+    """Whether points (k, 3) are at most `FILL` of the picture high, and inside it."""
     strip, size = MARGIN * camera.height, np.array([camera.width, camera.height])
-    uv = camera.project(all_states)
+    uv = camera.project(points)
     inside = (uv.min(0) >= strip).all() and (uv.max(0) <= size - strip).all()
-    return bool(inside and np.ptp(camera.project(now)[:, 1]) <= FILL * camera.height)
+    return bool(inside and np.ptp(uv[:, 1]) <= FILL * camera.height)

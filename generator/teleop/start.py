@@ -147,7 +147,9 @@ def _facts(name: str, loaded: partnet.PartNetObject, room: Room, fov_y: float) -
         "radius": room.radius,
         "centre": room.centre.tolist(),
         "depths": [room.nearest, room.farthest],
-        "points": np.round(room.points, 6).tolist(),
+        "points": [np.round(points, 6).tolist() for points in room.points],
+        "axis": loaded.joint.axis.tolist(),
+        "pivot": loaded.joint.pivot.tolist(),
     }
 
 

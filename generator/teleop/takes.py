@@ -61,7 +61,7 @@ class Takes:
 
 
 def write_new(path: Path, data: bytes) -> None:
-    """Write a file that is not there yet, whole or not at all; also after a signal said stop. Raises CannotWrite."""
+    """Write a file that is not there yet, whole or not at all; also after a signal said stop. Raises FreeArtError."""
     aside = path.with_name(f".{path.name}.{os.getpid()}{atomic.ASIDE}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -70,8 +70,22 @@ def write_new(path: Path, data: bytes) -> None:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
-            os.link(aside, path)  # unlike a rename, it replaces nothing
+            _named(aside, path)
         finally:
             aside.unlink(missing_ok=True)
+    except FileExistsError as error:
+        raise FreeArtError(f"{path} exists; choose another place or remove it first") from error
     except OSError as error:
         raise atomic.cannot_write(path, error) from error
+
+
+def _named(aside: Path, path: Path) -> None:
+    """Give the file `aside` the name `path`, too: unlike a rename, a link replaces nothing."""
+    try:
+        os.link(aside, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        if path.exists():
+            raise FileExistsError from None
+        aside.rename(path)

@@ -54,7 +54,8 @@ export class Hand {
     this.centre = [0, 0, 0];
     this.radius = 0.1;
     this.depths = [0.1, 10];
-    this.points = [];
+    this.points = [[], []]; // that bound the still and the moving part at joint state zero
+    this.joint = { axis: [0, 0, 1], pivot: [0, 0, 0], turns: true };
     this.fovY = 0.7;
     this.aspect = 16 / 9;
     this.start = null;
@@ -68,6 +69,7 @@ export class Hand {
     this.radius = hello.radius;
     this.depths = hello.depths;
     this.points = hello.points;
+    this.joint = { axis: hello.axis, pivot: hello.pivot, turns: hello.joint_type === "revolute" };
     this.fovY = hello.fov_y;
     this.start = hello.start;
     this.aspect = hello.width / hello.height;
@@ -88,9 +90,9 @@ export class Hand {
     const q = normalised(quaternion);
     const wanted = add(position, rotate(q, this.centre));
     if (![...q, ...wanted, state].every(Number.isFinite)) return;
+    this.state = clamp(state, this.limits[0], this.limits[1]);
     this.position = minus(this._fitted(q, wanted), rotate(q, this.centre));
     this.quaternion = q;
-    this.state = clamp(state, this.limits[0], this.limits[1]);
     this.device = device;
     this.onchange(device);
   }
@@ -140,9 +142,18 @@ export class Hand {
     if (Math.hypot(...minus(position, before)) > 1e-6) this.set(position, this.quaternion, this.state, this.device);
   }
 
+  /** The points that bound the object with its joint as it is. */
+  bounding() {
+    const { axis, pivot, turns } = this.joint;
+    const scaled = axis.map((x) => x * this.state);
+    const turn = fromRotationVector(scaled);
+    const moved = (p) => (turns ? add(rotate(turn, minus(p, pivot)), pivot) : add(p, scaled));
+    return [...this.points[0], ...this.points[1].map(moved)];
+  }
+
   /** The centre nearest to `wanted` at which the object, turned by `q`, is where it may be. */
   _fitted(q, wanted) {
-    const points = this.points.map((p) => rotate(q, minus(p, this.centre)));
+    const points = this.bounding().map((p) => rotate(q, minus(p, this.centre)));
     const half = Math.tan(this.fovY / 2);
     const [near, far] = this.depths;
     const slopes = [half * (this.aspect - 2 * MARGIN), half * (1 - 2 * MARGIN)];

@@ -14,7 +14,6 @@ const hand = new Hand();
 const link = new Link(token);
 const may = () => link.drives;
 const desk = new Desk({ hand, link, canvas, may });
-const panel = new Panel({ hand, link, desk, may });
 const context = canvas.getContext("2d", { alpha: false, desynchronized: true });
 
 hand.onchange = (device) => {
@@ -25,6 +24,7 @@ link.onhello((hello) => {
   hand.meet(hello);
   if (link.drives) link.send(hand, hand.device);
 });
+const panel = new Panel({ hand, link, desk, may }); // hears of the object after the hand
 link.onplace((place) => {
   hand.place(place, place.epoch);
   panel.joint();
