@@ -39,13 +39,13 @@ class Clock:
             self._least.popleft()
         least = self._least[0][1]
         if self._offset is None:
-            self._offset, self._first = least, arrived
+            self._offset, self._first, self._last = least, arrived, sent
         elif arrived - self._first <= SETTLING_S:
             self._offset = min(self._offset, least)
         else:
-            most = SLEW * (arrived - self._last)
+            most = SLEW * max(sent - self._last, 0.0)
             self._offset += min(max(least - self._offset, -most), most)
-        self._last = arrived
+        self._last = max(self._last, sent)
 
     def at(self, sent: float) -> float:
         """The server's time of what the page stamped `sent`; a message was heard before."""

@@ -79,7 +79,7 @@ def _outermost(points: Array) -> Array:
 def _centred(points: Array, depth: float, camera: Camera) -> Array:
     """The shift (3,) that brings points (k, 3) about the origin into the picture's middle, to a depth."""
     place = np.array([0.0, 0.0, depth])
-    for _ in range(3):  # each step leaves a share of a tenth or less: what is nearer counts more
+    for _ in range(20):  # the nearer a point, the more a shift moves it: each step leaves a share
         uv = camera.project(points + place)
         off = (uv.max(0) + uv.min(0)) / 2 - camera.K[:2, 2]
         place[:2] -= off * depth / camera.K[[0, 1], [0, 1]]

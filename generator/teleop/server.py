@@ -71,6 +71,7 @@ class Server:
         self._clients: list[Client] = []
         self._driver: Client | None = None
         self._count = 0
+        self._saving: asyncio.Task[None] | None = None
         self._notice, self._notices, self._alarm = "", 0, False
         self._budget = stage.size
         stage.show = self._look
@@ -94,7 +95,9 @@ class Server:
             self._tell_all(self._status())
 
     async def close(self) -> None:
-        """Send all pages away."""
+        """Finish saving, and send all pages away."""
+        if self._saving is not None:
+            await self._saving
         await asyncio.gather(*(client.close("the server ends") for client in self._clients))
 
     # --- requests -----------------------------------------------------------------------------------------------------
@@ -213,7 +216,9 @@ class Server:
 
     def _do(self, what: str) -> None:
         driving, epoch = self.driving, self.driving.epoch
-        if what == "record":
+        if self._saving is not None:
+            self._say("the take is being saved")
+        elif what == "record":
             self._say("recording goes on from where it was" if driving.record() else "recording")
         elif what == "pause" and driving.pause():
             self._say("paused: move freely, going on returns the object to where it is now")
@@ -224,26 +229,33 @@ class Server:
             driving.reset()
             self._say("back at the beginning")
         elif what == "save":
-            self._save()
+            self._begin_saving()
         if driving.epoch != epoch:
             self._tell_all({"type": "place", "epoch": driving.epoch, **_numbers(driving.place)})
             self._stage.want(driving.place, Mark())
 
-    def _save(self) -> None:
-        driving = self.driving
-        driving.pause()
-        if not driving.has_take:
+    def _begin_saving(self) -> None:
+        self.driving.pause()
+        if self.driving.has_take:
+            self._saving = asyncio.create_task(self._save())
+        else:
             self._say("there is no take to save: record one")
-            return
+
+    async def _save(self) -> None:
+        """Write the take in a thread: one of an hour takes seconds, and the picture goes on."""
+        driving = self.driving
         try:
-            path = self._takes.save(driving)
+            path = await asyncio.to_thread(self._takes.save, driving)
         except FreeArtError as error:
             self._log(f"not saved: {error}")
             self._say(f"not saved: {error}. The take is kept: press save again", alarm=True)
-            return
-        self._log(f"saved {path} ({driving.take.seconds:.1f} s, {len(driving.take)} samples)")
-        self._say(f"saved as {path.name}, {driving.take.seconds:.1f} s")
-        driving.saved()
+        else:
+            self._log(f"saved {path} ({driving.take.seconds:.1f} s, {len(driving.take)} samples)")
+            self._say(f"saved as {path.name}, {driving.take.seconds:.1f} s")
+            driving.saved()
+            self._tell_all(self._status())
+        finally:
+            self._saving = None
 
     # --- who drives ---------------------------------------------------------------------------------------------------
 

@@ -124,10 +124,10 @@ async def _serve(
         try:
             await _until_told(told, [stage.run(_log), server.tick()])
         finally:
+            await server.close()
             kept = _rescued(server.driving, takes)
             if kept and not told:
                 _log(kept)
-            await server.close()
             await runner.cleanup()
             if server.latency_ms is not None:
                 median, high = server.latency_ms

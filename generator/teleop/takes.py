@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -22,42 +23,43 @@ class Takes:
     def __init__(self, out: Path, joint_type: JointType, inputs: Iterable[Path] = ()) -> None:
         """Raises FreeArtError unless `out` is free and may be written."""
         self._out, self._joint_type, self._inputs = out, joint_type, tuple(inputs)
-        self._count = 1
         check_place(out, None, self._inputs)
 
     def next_name(self) -> str:
         """What the next take will be called, if nobody else takes the name."""
-        return self._named(self._count).name
+        return _free(self._out).name
 
     def save(self, driving: Driving) -> Path:
         """Write the take, whole or not at all. Raises FreeArtError."""
-        path = self._free()
+        path = _free(self._out)
         check_place(path, None, self._inputs)
         write_new(path, self._text(driving))
         return path
 
     def rescue(self, driving: Driving) -> Path:
-        """Write a take that nobody saved, beside; also when the process was told to stop."""
-        stem, ending = self._out.stem, self._out.suffix
-        k = 1
-        while (path := self._out.with_name(f"{stem}-unsaved{'' if k == 1 else f'-{k}'}{ending}")).exists():
-            k += 1
-        write_new(path, self._text(driving))
-        return path
-
-    def _free(self) -> Path:
-        while (path := self._named(self._count)).exists() or path.is_symlink():
-            self._count += 1
-            if self._count > MOST_FILES:
-                raise FreeArtError(f"{self._out} and {MOST_FILES} numbered names beside it exist")
-        return path
-
-    def _named(self, k: int) -> Path:
-        return self._out if k == 1 else self._out.with_name(f"{self._out.stem}-{k}{self._out.suffix}")
+        """Write a take that nobody saved beside, or where temporary files are; also after a signal. FreeArtError."""
+        text = self._text(driving)
+        for folder in (self._out.parent, Path(tempfile.gettempdir())):
+            try:
+                path = _free(folder / f"{self._out.stem}-unsaved{self._out.suffix}")
+                write_new(path, text)
+                return path
+            except FreeArtError as error:
+                fault = error
+        raise fault
 
     def _text(self, driving: Driving) -> bytes:
         head = header(", ".join(driving.devices) or "none", "camera", self._joint_type)
         return ("\n".join([head, *(sample(*s) for s in driving.take.samples())]) + "\n").encode()
+
+
+def _free(path: Path) -> Path:
+    """`path`, or it with a number, whichever is the first that nothing has."""
+    for k in range(1, MOST_FILES):
+        numbered = path if k == 1 else path.with_name(f"{path.stem}-{k}{path.suffix}")
+        if not os.path.lexists(numbered):
+            return numbered
+    raise FreeArtError(f"{path} and {MOST_FILES} numbered names beside it exist")
 
 
 def write_new(path: Path, data: bytes) -> None:
