@@ -6,9 +6,11 @@ import asyncio
 import contextlib
 import json
 import os
+import queue
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass, field
@@ -16,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
+import cv2
 import numpy as np
 from aiohttp import web
 
@@ -32,17 +35,18 @@ TOKEN = "the-token-of-a-test"
 BOUNDS = wire.Bounds(0.0, 1.0, 5.0)
 START = Placement(se3.pose(np.eye(3), [0.0, 0.0, 1.0]), 0.0)
 FACTS = {"object": "thing", "joint": "hinge", "joint_type": "revolute"}
+JPEG = cv2.imencode(".jpg", np.full((360, 640, 3), 60, np.uint8))[1].tobytes()
 
 
 class NoStage:
-    """A stage that shows at once, without any picture."""
+    """A stage that shows the same picture at once."""
 
     def __init__(self) -> None:
-        self.size, self.ready, self.last = (640, 360), True, Shown(b"jpeg", Mark(), 0.0)
+        self.size, self.ready, self.last = (640, 360), True, Shown(JPEG, Mark(), 0.0)
         self.show = lambda: None
 
     def want(self, place: Placement, mark: Mark) -> None:
-        self.last = Shown(b"jpeg", mark, 0.0)
+        self.last = Shown(JPEG, mark, 0.0)
         self.show()
 
     def resize(self, size: tuple[int, int]) -> None:
@@ -61,19 +65,26 @@ class Served:
 
     server: Server
     port: int
+    token: str
     log: list[str] = field(default_factory=list)
 
     @property
     def address(self) -> str:
         return f"http://127.0.0.1:{self.port}"
 
+    @property
+    def url(self) -> str:
+        return f"{self.address}/?token={self.token}"
+
 
 @contextlib.asynccontextmanager
-async def served(out: Path) -> AsyncIterator[Served]:
+async def served(
+    out: Path, facts: dict[str, Any] = FACTS, bounds: wire.Bounds = BOUNDS, start: Placement = START
+) -> AsyncIterator[Served]:
     """A server of the product's own code, whose object nobody draws."""
     log: list[str] = []
     gates = Gate.of(TOKEN, "http", ("127.0.0.1", "localhost"), 0)
-    server = Server(FACTS, BOUNDS, START, NoStage(), Takes(out, "revolute"), gates, log.append)  # type: ignore[arg-type]
+    server = Server(facts, bounds, start, NoStage(), Takes(out, "revolute"), gates, log.append)  # type: ignore[arg-type]
     runner = web.AppRunner(server.app(), access_log=None)
     await runner.setup()
     site = web.TCPSite(runner, "127.0.0.1", 0)
@@ -82,11 +93,32 @@ async def served(out: Path) -> AsyncIterator[Served]:
     server._gate = Gate.of(TOKEN, "http", ("127.0.0.1", "localhost"), port)
     ticking = asyncio.create_task(server.tick())
     try:
-        yield Served(server, port, log)
+        yield Served(server, port, TOKEN, log)
     finally:
         ticking.cancel()
         await server.close()
         await runner.cleanup()
+
+
+@contextlib.contextmanager
+def served_aside(out: Path, *what: Any) -> Iterator[Served]:
+    """`served`, in a thread of its own."""
+    loop, ready = asyncio.new_event_loop(), queue.SimpleQueue[Served]()
+
+    async def serve() -> None:
+        async with served(out, *what) as at:
+            ready.put(at)
+            await end.wait()
+
+    end = asyncio.Event()
+    thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), daemon=True)
+    thread.start()
+    try:
+        yield ready.get(timeout=30)
+    finally:
+        loop.call_soon_threadsafe(end.set)
+        thread.join(30)
+        loop.close()
 
 
 class Page:

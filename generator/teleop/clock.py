@@ -8,6 +8,7 @@ offset follows it so slowly that no time between two samples is stretched by mor
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 WINDOW_S = 20.0
@@ -15,7 +16,7 @@ WINDOW_S = 20.0
 SLEW = 1e-3
 """Seconds a second by which the offset may follow: ten times the drift of common quartz."""
 SETTLING_S = 1.0
-"""From the first message: until then the offset jumps to a shorter way, as nothing is recorded yet."""
+"""From the first message: until then, or until something is recorded, the offset jumps to a shorter way."""
 
 
 class Clock:
@@ -25,7 +26,8 @@ class Clock:
         self._least: deque[tuple[float, float]] = deque()
         """(arrival, offset) of growing offsets: the first is the window's least."""
         self._offset: float | None = None
-        self._first = self._last = 0.0
+        self._settled = math.inf
+        self._last = 0.0
 
     def heard(self, sent: float, arrived: float) -> None:
         """A message that the page stamped `sent` arrived at `arrived`, of the server's clock; seconds."""
@@ -39,13 +41,18 @@ class Clock:
             self._least.popleft()
         least = self._least[0][1]
         if self._offset is None:
-            self._offset, self._first, self._last = least, arrived, sent
-        elif arrived - self._first <= SETTLING_S:
+            self._offset, self._last = least, sent
+            self._settled = arrived + SETTLING_S
+        elif arrived <= self._settled:
             self._offset = min(self._offset, least)
         else:
             most = SLEW * max(sent - self._last, 0.0)
             self._offset += min(max(least - self._offset, -most), most)
         self._last = max(self._last, sent)
+
+    def steady(self) -> None:
+        """From now on the offset only follows slowly: something is recorded."""
+        self._settled = -math.inf
 
     def at(self, sent: float) -> float:
         """The server's time of what the page stamped `sent`; a message was heard before."""

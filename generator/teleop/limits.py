@@ -34,9 +34,9 @@ class Room:
     points: tuple[Array, Array]
     """(k, 3) that bound the still and the moving part at joint state zero, in the object's frame."""
     centre: Array
-    """(3,) about which it is turned, in its own frame."""
+    """(3,) about which it is turned, in its own frame: of the box round it as it begins."""
     radius: float
-    """Metres from there to the furthest point."""
+    """Metres from there to the furthest point then."""
     nearest: float
     farthest: float
     """Of the centre's depth, metres."""
@@ -50,16 +50,19 @@ class Room:
         """The room of a body before a camera."""
         state = min(max(0.0, body.lower), body.upper)
         R = se3.exp_so3([_TILT, 0, 0]) @ UPRIGHT @ se3.exp_so3([0, 0, _YAW])
-        turned = (body.points(np.array([state]))[0] - body.centre) @ R.T
-        near = nearest = body.radius + min(NEAREST_M, body.radius / 4)
-        far = 1e3 * body.radius
+        points = body.points(np.array([state]))[0]
+        centre = (points.min(0) + points.max(0)) / 2
+        radius = float(np.linalg.norm(points - centre, axis=1).max())
+        turned = (points - centre) @ R.T
+        near = nearest = radius + min(NEAREST_M, radius / 4)
+        far = 1e3 * radius
         for _ in range(60):
             depth = float(np.sqrt(near * far))
             fits = _fits(turned + _centred(turned, depth, camera), camera)
             near, far = (near, depth) if fits else (depth, far)
-        T = se3.pose(R, _centred(turned, far, camera) - R @ body.centre)
-        points = _outermost(body.hulls[0]), _outermost(body.hulls[1])
-        return cls(points, body.centre, body.radius, nearest, FARTHEST * far, state, T)
+        T = se3.pose(R, _centred(turned, far, camera) - R @ centre)
+        bounding = _outermost(body.hulls[0]), _outermost(body.hulls[1])
+        return cls(bounding, centre, radius, nearest, FARTHEST * far, state, T)
 
     @property
     def reach(self) -> float:

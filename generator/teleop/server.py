@@ -219,6 +219,8 @@ class Server:
         if self._saving is not None:
             self._say("the take is being saved")
         elif what == "record":
+            if self._driver is not None:
+                self._driver.clock.steady()
             self._say("recording goes on from where it was" if driving.record() else "recording")
         elif what == "pause" and driving.pause():
             self._say("paused: move freely, going on returns the object to where it is now")

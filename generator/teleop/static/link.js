@@ -55,6 +55,7 @@ export class Link {
 
   /** Ask for something: record, pause, undo, save, reset, drive. */
   do(what) {
+    if (!this.drives && what !== "drive") return;
     if (this._dirty) this._transmit();
     this._say({ type: "do", what, n: this._n });
   }

@@ -10,7 +10,7 @@ export class Panel {
   constructor({ hand, link, desk, may }) {
     Object.assign(this, { hand, link, desk, may });
     this._notice = 0;
-    this._asked = 0;
+    this._asked = -Infinity;
     this._slid = false;
     const click = (id, f) => $(id).addEventListener("click", f);
     click("record", () => link.do(link.status && link.status.recording ? "pause" : "record"));
