@@ -6,6 +6,7 @@ import asyncio
 import gc
 import json
 import math
+import os
 import random
 import signal
 import socket
@@ -28,7 +29,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.take import read_take, write_take
 from generator.motion.body import Body
 from generator.session import RecordSettings, entry_of, load_object
-from generator.teleop import gate, server, wire
+from generator.teleop import gate, server, stage_process, wire
 from generator.teleop.clock import Clock
 from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving
 from generator.teleop.limits import FILL, Room
@@ -305,6 +306,35 @@ def test_pictures_are_as_fine_as_there_is_time_for() -> None:
         pace.took(0.018 * pace.growth**2)
     assert pace.growth == 1.0
     assert Pace(1.0).growth == 1.0
+
+
+def test_the_live_shader_shows_the_recorder_s_colours(tmp_path: Path) -> None:
+    loaded = load_object(entry_of("stapler", RecordSettings()), RecordSettings(), tmp_path)
+    camera = Camera.from_fov(96, 54, np.radians(40))
+    groups = [side.links for side in loaded.sides]
+    T = se3.pose(se3.exp_so3([0.4, 0.5, -0.2]) @ UPRIGHT, [0.0, 0.0, 0.3])
+    pictures = []
+    for shader in ("default", stage_process.SHADER):
+        scene = Scene(loaded.asset.urdf, groups, camera, 0.01, 3.0, shader)
+        scene.use(Camera.from_fov(192, 108, np.radians(40)))
+        scene.shoot(T, {loaded.joint.name: 0.3})
+        assert scene.colour_and_cover().shape == (108, 192, 4)
+        scene.use(camera)
+        scene.shoot(T, {loaded.joint.name: 0.3})
+        pictures.append(scene.colour_and_cover())
+    covered = pictures[0][..., 3] > 0
+    assert covered.sum() > 300 and (covered == (pictures[1][..., 3] > 0)).all()
+    assert np.abs(pictures[0] - pictures[1])[covered][:, :3].max() < 0.5 / 255
+
+
+def test_the_picture_s_border_has_the_page_s_colour() -> None:
+    for width, height in ((640, 360), (300, 640)):
+        ground = stage_process.ground(width, height)
+        for border in (ground[0], ground[-1], ground[:, 0], ground[:, -1]):
+            assert (np.abs(border.astype(int) - stage_process.EDGE) <= 1).all()
+    blue, green, red = stage_process.EDGE
+    style = (Path(stage_process.__file__).parent / "static" / "style.css").read_text()
+    assert f"--ground: #{red:02x}{green:02x}{blue:02x};" in style
 
 
 # --- who gets in ------------------------------------------------------------------------------------------------------
@@ -681,8 +711,6 @@ def test_a_simulator_that_dies_is_started_again_and_the_take_is_kept(tmp_path: P
             await one.status(samples=10)
             seen = len(one.pictures)
             for child in Path(f"/proc/{at.process.pid}/task/{at.process.pid}/children").read_text().split():
-                import os
-
                 os.kill(int(child), signal.SIGKILL)
             await one.status(ready=False)
             await one.until(lambda: one.last("status")["ready"] and len(one.pictures) > seen, "pictures again")
