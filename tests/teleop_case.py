@@ -31,6 +31,8 @@ from generator.teleop.stage import Mark, Shown
 from generator.teleop.takes import Takes
 
 ROOT = Path(__file__).resolve().parents[1]
+PATIENCE_S = 90.0
+"""The simulator takes seconds to start, and many times that on a machine that has other work."""
 TOKEN = "the-token-of-a-test"
 BOUNDS = wire.Bounds(0.0, 1.0, 5.0)
 START = Placement(se3.pose(np.eye(3), [0.0, 0.0, 1.0]), 0.0)
@@ -162,7 +164,7 @@ class Page:
 
     async def until(self, true: Any, what: str = "") -> None:
         """Wait until something is true."""
-        end = time.monotonic() + 20
+        end = time.monotonic() + PATIENCE_S
         while not true():
             assert time.monotonic() < end, f"never came: {what} {self.told[-1:]}"
             await asyncio.sleep(0.005)

@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("aiohttp", reason="the extra teleop is not installed")
 
 from browser import CHROMIUM, Browser, browser
-from teleop_case import Served, served_aside, started
+from teleop_case import PATIENCE_S, Served, served_aside, started
 
 from freeart21 import cli, se3
 from freeart21.camera import Camera
@@ -52,7 +52,7 @@ class Desk:
         return self.browser.run(script)
 
     def until(self, true: str) -> None:
-        end = time.monotonic() + 30
+        end = time.monotonic() + PATIENCE_S
         while not self.run(f"Boolean({true})"):
             assert time.monotonic() < end, f"never: {true}; {self.run('teleop.link.status')} {self.browser.errors}"
             time.sleep(0.01)
@@ -455,7 +455,7 @@ def test_a_page_beside_the_driver_s_only_watches(chromium: Browser, at: Served) 
         watcher.click("drive")
         watcher.until("teleop.link.drives")
         watcher.drag([50, 0])
-        end = time.monotonic() + 20
+        end = time.monotonic() + PATIENCE_S
         while at.server.driving.place.is_like(before):
             assert time.monotonic() < end
             time.sleep(0.01)
