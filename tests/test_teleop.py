@@ -718,7 +718,8 @@ def test_a_simulator_that_dies_is_started_again_and_the_take_is_kept(tmp_path: P
     with started(tmp_path / "take.jsonl") as at:
         in_a_loop(drive(at))
         code, said = at.stop()
-    assert code == 143 and "it is started again" in said and len(read_take(tmp_path / "take.jsonl").times) >= 10
+    assert code == 143 and "it is started again" in said
+    assert len(read_take(tmp_path / "take.jsonl").times) >= 10
 
 
 # --- replayed ---------------------------------------------------------------------------------------------------------
@@ -730,10 +731,8 @@ def test_record_takes_teleop_for_track_and_says_what_it_leaves_out(
     times = np.arange(0, 2, 1 / 60)
     Ts = se3.pose(np.eye(3), np.stack([0 * times, 0 * times, 0.5 + 0 * times], 1))
     write_take(tmp_path / "t.jsonl", "mouse", "camera", "revolute", zip(times, Ts, times / 4, strict=True))
-    cli.record(
-        ("mini_stapler",), tmp_path / "data", 4, motion=f"teleop:{tmp_path / 't.jsonl'}", width=96, height=64, queries=0,
-        shader="trivial",
-    )  # fmt: skip
+    motion = f"teleop:{tmp_path / 't.jsonl'}"
+    cli.record(("mini_stapler",), tmp_path / "data", 4, motion=motion, width=96, height=64, queries=0, shader="trivial")
     assert "lasts 60 frames; the 4 over which its joint moves most are recorded" in capsys.readouterr().out
     truth = json.loads((tmp_path / "data" / "truth" / "mini_stapler-s0" / "truth.json").read_text())
     assert (truth["source"]["motion"], truth["source"]["track"]["name"]) == ("track", "t.jsonl")

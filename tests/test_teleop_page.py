@@ -138,11 +138,12 @@ def thing(tmp_path_factory: pytest.TempPathFactory) -> tuple[Body, Room, dict[st
 
 
 @pytest.fixture
-def at(tmp_path: Path, thing: tuple[Body, Room, dict[str, Any]]) -> Iterator[Served]:
+def at(chromium: Browser, tmp_path: Path, thing: tuple[Body, Room, dict[str, Any]]) -> Iterator[Served]:
     body, room, facts = thing
     bounds = wire.Bounds(body.lower, body.upper, room.reach)
     with served_aside(tmp_path / "take.jsonl", facts, bounds, Placement(room.T_start, room.state)) as one:
         yield one
+        chromium.run("void (location.href = 'about:blank')")  # or the page would look for a server that has gone
 
 
 @pytest.fixture
@@ -150,7 +151,6 @@ def desk(chromium: Browser, at: Served) -> Iterator[Desk]:
     one = Desk(chromium, at)
     yield one
     assert not chromium.errors
-    chromium.run("void (location.href = 'about:blank')")
 
 
 def turned(before: np.ndarray, after: np.ndarray) -> np.ndarray:
@@ -160,6 +160,7 @@ def turned(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 def saved(desk: Desk, name: str = "take.jsonl") -> Take:
     """The take that the page saves when its button is pressed."""
+    desk.until("!document.getElementById('save').disabled")
     desk.click("save")
     desk.until(f"(teleop.link.status.notice || '').includes('saved as {name}')")
     return read_take(desk.at.server._takes._out.with_name(name))
@@ -367,7 +368,7 @@ def test_undo_pause_and_going_on_leave_no_jump(desk: Desk) -> None:
     take = read_take(desk.at.server._takes._out)
     turns = se3.rotation_angle(np.swapaxes(take.Ts[:-1, :3, :3], 1, 2) @ take.Ts[1:, :3, :3])
     way = np.linalg.norm(np.diff(take.Ts[:, :3, 3], axis=0), axis=1)
-    assert turns.max() < 0.25 and way.max() < 0.02, "a drag of 15 pixels a step turns no further"
+    assert turns.max() < 0.4 and way.max() < 0.02, "no further than a drag of 40 pixels that came as one step"
     assert np.diff(take.times).max() < 1.01
 
 
@@ -513,7 +514,7 @@ def test_the_real_thing_is_driven_seen_and_recorded(chromium: Browser, tmp_path:
         assert code == 143 and "from a move to its picture" in said and not chromium.errors
     take = read_take(tmp_path / "take.jsonl")
     cli.record(
-        ("stapler",), tmp_path / "data", 6, motion=f"teleop:{tmp_path / 'take.jsonl'}", width=96, height=54, queries=1,
+        ("stapler",), tmp_path / "data", 6, motion=f"teleop:{tmp_path / 'take.jsonl'}", width=96, height=54, queries=0,
         shader="trivial",
     )  # fmt: skip
     truth = read_truth(tmp_path / "data" / "truth" / "stapler-s0")
