@@ -381,7 +381,7 @@ def test_a_lost_connection_is_said_and_comes_back_by_itself(desk: Desk) -> None:
     assert "Connection lost" in desk.run("document.getElementById('veil-text').textContent")
     desk.until("teleop.link.drives && teleop.link.status.paused && document.getElementById('veil').hidden")
     held, _ = desk.hand()
-    np.testing.assert_allclose(held, desk.at.server.driving.take.places[-1].T, atol=1e-9)
+    np.testing.assert_allclose(held, desk.at.server.driving.take.last.T, atol=1e-9)
     desk.click("record")
     desk.until("teleop.link.status.recording")
     desk.drag([40, 0])

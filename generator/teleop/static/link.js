@@ -14,6 +14,7 @@ export class Link {
     this.retryAt = 0;
     this.failures = 0;
     this.latencies = [];
+    this.immersive = false; // in a headset, where the page itself may count as hidden
     this.tap = null; // told of every move that is sent
     this._token = token;
     this._listeners = { picture: [], status: [], hello: [], place: [], size: [], state: [] };
@@ -175,6 +176,7 @@ export class Link {
     try {
       const bitmap = await createImageBitmap(new Blob([jpeg], { type: "image/jpeg" }));
       this._tell("picture", bitmap);
+      bitmap.close();
       if (from === this._socket && time > 0 && n > this._lastShown && this.drives) {
         this.latencies.push(performance.now() - time);
         if (this.latencies.length > KEPT) this.latencies.shift();

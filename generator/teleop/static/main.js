@@ -40,7 +40,6 @@ link.onpicture((bitmap) => {
     canvas.height = bitmap.height;
   }
   context.drawImage(bitmap, 0, 0);
-  bitmap.close();
   panel.shown();
   document.documentElement.dataset.ready = "yes";
 });
@@ -51,7 +50,7 @@ function resized() {
 }
 new ResizeObserver(resized).observe(canvas);
 document.addEventListener("visibilitychange", () => {
-  if (document.hidden && link.drives && link.status && link.status.recording) link.do("pause");
+  if (document.hidden && !link.immersive && link.drives && link.status && link.status.recording) link.do("pause");
 });
 
 function step() {
