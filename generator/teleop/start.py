@@ -74,10 +74,10 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
     if not 0 <= settings.port <= 65535:
         raise FreeArtError(f"port {settings.port} is none, expected 0 (any free one) to 65535")
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
-        loaded, source = _loaded(name, record, Path(place))
+        name, loaded, inputs = _loaded(name, record, Path(place))
         for note in loaded.notes:
             print(f"{name}: {note}", file=sys.stderr)
-        takes = Takes(out, loaded.joint.type, source)
+        takes = Takes(out, loaded.joint.type, inputs)
         with _heard_by_loop() as told:
             kept = asyncio.run(_serve(name, loaded, takes, settings, told))
     if told:
@@ -86,14 +86,14 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
             stopping.check()
 
 
-def _loaded(name: str, record: RecordSettings, place: Path) -> tuple[partnet.PartNetObject, tuple[Path, ...]]:
-    """The object as `record` would film it, and the files that are the user's."""
+def _loaded(name: str, record: RecordSettings, place: Path) -> tuple[str, partnet.PartNetObject, tuple[Path, ...]]:
+    """What the object is called, the object as `record` would film it, and the folders that are the user's."""
     if name.lower().endswith(".urdf"):
         record = replace(record, urdf=checked.require_file(Path(name), MAX_URDF_BYTES))
         name = urdf_folder.object_name(Path(name))
     loaded = load_object(entry_of(name, record), record, place)
     own = loaded.asset.urdf.parent
-    return loaded, () if own.is_relative_to(place) else (own,)
+    return name, loaded, () if own.is_relative_to(place) else (own,)
 
 
 async def _serve(
