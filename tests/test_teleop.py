@@ -32,10 +32,10 @@ from generator.scene import Scene
 from generator.session import RecordSettings, entry_of, load_object
 from generator.teleop import gate, server, stage_process, wire
 from generator.teleop.clock import Clock
-from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving
+from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving, Placement
 from generator.teleop.limits import FILL, Room
-from generator.teleop.stage import ASPECTS, Pace, live_size
-from generator.teleop.takes import Takes
+from generator.teleop.stage import ASPECTS, Mark, Pace, Stage, live_size
+from generator.teleop.takes import Takes, write_new
 
 
 def driven(driving: Driving, times: Any, states: Any = None, epoch: int | None = None) -> None:
@@ -244,7 +244,9 @@ def test_takes_are_numbered_and_nothing_is_replaced(tmp_path: Path) -> None:
     assert (tmp_path / "take-2.jsonl").read_text() == "mine" and not (tmp_path / "nowhere").exists()
     with pytest.raises(FreeArtError, match="exists"):
         Takes(tmp_path / "take.jsonl", "revolute")
-    assert not list(tmp_path.glob(".*"))
+    with pytest.raises(FreeArtError, match="exists"):  # as when it comes to be after one has looked
+        write_new(tmp_path / "take-2.jsonl", b"theirs")
+    assert (tmp_path / "take-2.jsonl").read_text() == "mine" and not list(tmp_path.glob(".*"))
 
 
 def test_a_saved_take_is_read_as_it_was_driven(tmp_path: Path) -> None:
@@ -293,6 +295,22 @@ def test_a_page_of_any_shape_sees_no_more_than_the_recorder() -> None:
         width, height = live_size(640, 360, aspect)
         assert abs(width * height / (640 * 360) - 1) < 0.03 and width / height <= ASPECTS[1] + 0.01
         assert width / height == pytest.approx(np.clip(aspect, *ASPECTS), rel=0.02)
+
+
+def test_the_stage_draws_what_is_new_in_the_size_that_was_asked_for() -> None:
+    async def asked() -> None:
+        stage = Stage({}, (640, 360), START)
+        stage._changed.clear()
+        stage.want(Placement(START.T.copy(), START.state), Mark(None, 5, 1.0))
+        stage.resize((640, 360))
+        assert not stage._changed.is_set() and stage._mark == Mark()
+        stage.want(Placement(START.T, 0.5), Mark(None, 6, 2.0))
+        assert stage._changed.is_set() and stage._mark.n == 6
+        stage._changed.clear()
+        stage.resize((300, 640))
+        assert stage._changed.is_set() and stage.size == (300, 640)
+
+    in_a_loop(asked())
 
 
 def test_pictures_are_as_fine_as_there_is_time_for() -> None:

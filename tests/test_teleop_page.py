@@ -479,7 +479,7 @@ def test_it_fits_the_screen(chromium: Browser, at: Served, width: int, height: i
     assert one.run("document.documentElement.scrollWidth") <= width
     frame = one.run("teleop.desk.frame()")
     if width < 600:
-        assert frame["width"] == width
+        assert frame["width"] == width and one.run("teleop.hand.aspect") < 0.7
         small = one.run(
             "[...document.querySelectorAll('.buttons > button')].filter((b) => !b.hidden).map((b) => b.offsetHeight)"
         )
