@@ -78,6 +78,7 @@ export class Panel {
     $("veil").hidden = !text;
     $("veil").classList.toggle("over", this._shown === true);
     $("veil-text").textContent = text;
+    if (link.state !== "open") $("drive").hidden = true;
     document.body.classList.toggle("watching", Boolean(link.hello) && !link.drives);
     $("picture").classList.toggle("still", !link.drives);
   }
