@@ -263,7 +263,15 @@ def _tracked(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Ca
         scripted = plan_motion("tumble", body.meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset)
         R_first = scripted.Ts_camera_object[0, :3, :3]
     Ts = tracks.tracked(body, stretch, states, take, R_first, camera, preset)
-    said = {"name": take.name, "sha256": take.sha256, "form": take.form, "device": take.device, "poses": take.poses}
+    said: dict[str, Any] = {
+        "name": take.name,
+        "sha256": take.sha256,
+        "form": take.form,
+        "device": take.device,
+        "poses": take.poses,
+    }
+    if take.filter is not None:
+        said["filter"] = {"one_euro": asdict(take.filter)}
     plan = Plan(Ts, states, world_of("tumble", Ts, body), said | {"begins_s": stretch.begins_s} | told)
     tracks.check_in_view(take.name, plan, body, camera, depth_bounds(Ts, bounding_diagonal(*body.meshes))[0], s.fps)
     return plan

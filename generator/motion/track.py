@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21 import se3
+from freeart21 import one_euro, se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.take import Take
@@ -44,18 +44,21 @@ def frames_of(take: Take, fps: float) -> int:
 def resampled(take: Take, fps: float, frames: int) -> Stretch:
     """The `frames` frames of a take over which its joint moves most, the earliest such.
 
-    Between samples places and states are linear in time, and turns go the shortest way at a steady rate (slerp). Raises
-    FreeArtError when the take is shorter.
+    The take's filter, if it names one, smooths its samples. Between them places and states are linear in time, and
+    turns go the shortest way at a steady rate (slerp). Raises FreeArtError when the take is shorter.
     """
     count = frames_of(take, fps)
     if frames > count:
         raise FreeArtError(f"{take.name} lasts {count} frames at {fps:g} a second, fewer than {frames}")
     times = np.minimum(take.times[0] + np.arange(count) / fps, take.times[-1])
-    states = np.interp(times, take.times, take.states)
+    Ts, taken = take.Ts, take.states
+    if take.filter is not None:
+        Ts, taken = one_euro.filtered(take.filter, take.times, Ts, taken)
+    states = np.interp(times, take.times, taken)
     moved = np.ptp(np.lib.stride_tricks.sliding_window_view(states, frames), axis=1)
     first = int(np.argmax(moved >= (1 - _ROUNDING) * moved.max()))  # the last digits decide nothing
     part = slice(first, first + frames)
-    return Stretch(_between(take.times, take.Ts, times[part]), states[part], first / fps)
+    return Stretch(_between(take.times, Ts, times[part]), states[part], first / fps)
 
 
 def fitted(states: Array, take: Take, body: Body) -> tuple[Array, dict[str, Any]]:
