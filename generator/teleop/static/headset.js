@@ -1,3 +1,290 @@
-// The headset comes here; until then its button stays hidden.
+// The object in the hands of a person in a headset: WebXR in, the hand's pose and state out.
+//
+// One controller carries the object while it is squeezed, whoever squeezes first; the other's stick or trigger moves the
+// joint. Only indices of the "xr-standard" mapping are used (trigger 0, squeeze 1, stick 3 and axes 2 and 3, buttons 4
+// and 5), which PICO's and Quest's controllers share.
 
-export function startHeadset() {}
+import { Button, Clutch, JointGrip, facing, heading, roomToCamera } from "./clutch.js";
+import { Room } from "./room.js";
+
+const SQUEEZED = 0.5; // from here on a squeeze holds ...
+const LET_GO = 0.3; // ... until it is less than this, so that a hand that trembles does not let go. Not measured.
+const SAVE_S = 1; // how long the record button is held to save
+const LONGEST_STEP_S = 0.1; // a stick moves the joint by no more than it does in this time, however late a frame comes
+const COLOURS = { holds: [0.3, 0.64, 1], tracked: [0.75, 0.78, 0.82] };
+const HELP =
+  "squeeze: carry \u00b7 other stick or trigger: joint \u00b7 A or X: record, held: save \u00b7 B or Y: undo \u00b7 stick pressed: recentre";
+
+/**
+ * Show `button` where a headset can be had, and begin a session when it is pressed.
+ * @param hand The commanded pose and state (hand.js).
+ * @param link The connection (link.js).
+ * @param button An element that is hidden.
+ * @returns What is going on: {session: Headset or null}.
+ */
+export async function startHeadset({ hand, link, button }) {
+  const now = { session: null };
+  if (!window.isSecureContext) {
+    button.hidden = false;
+    button.disabled = true;
+    button.textContent = "Headset needs https";
+    button.title =
+      "Browsers give headsets to pages of https alone, or of this machine itself: start the server with --host, or " +
+      "connect the headset by cable (adb reverse).";
+    return now;
+  }
+  const offers = () => navigator.xr?.isSessionSupported("immersive-vr").catch(() => false) ?? false;
+  const look = async () => {
+    button.hidden = !(await offers());
+  };
+  navigator.xr?.addEventListener?.("devicechange", look);
+  await look();
+  const words = button.textContent;
+  button.addEventListener("click", async () => {
+    if (now.session) {
+      await now.session.session.end();
+      return;
+    }
+    button.disabled = true;
+    try {
+      now.session = await Headset.begin(hand, link, () => {
+        now.session = null;
+        button.textContent = words;
+      });
+      button.textContent = "Leave headset";
+    } catch (error) {
+      button.title = `The headset said no: ${error.message}`;
+    } finally {
+      button.disabled = false;
+    }
+  });
+  return now;
+}
+
+/** One session. */
+export class Headset {
+  static async begin(hand, link, ended) {
+    const session = await navigator.xr.requestSession("immersive-vr", { optionalFeatures: ["local-floor"] });
+    try {
+      const canvas = document.createElement("canvas");
+      const gl = canvas.getContext("webgl2", { xrCompatible: true, antialias: false });
+      if (!gl) throw new Error("this browser has no WebGL2");
+      await gl.makeXRCompatible();
+      const layer = new XRWebGLLayer(session, gl);
+      await session.updateRenderState({ baseLayer: layer, depthNear: 0.05, depthFar: 50 });
+      let floor = true;
+      const space = await session.requestReferenceSpace("local-floor").catch(() => {
+        floor = false;
+        return session.requestReferenceSpace("local");
+      });
+      return new Headset({ session, space, floor, gl, layer, hand, link, ended });
+    } catch (error) {
+      await session.end().catch(() => {});
+      throw error;
+    }
+  }
+
+  constructor({ session, space, floor, gl, layer, hand, link, ended }) {
+    Object.assign(this, { session, space, floor, layer, hand, link });
+    this.room = new Room(gl);
+    this.clutch = new Clutch(link.hello?.centre);
+    this.holder = null; // "left" or "right", while it carries
+    this.controllers = { left: new Controller(), right: new Controller() };
+    this.toCamera = null;
+    this.before = null; // ms, of the last frame
+    this.hint = HELP;
+    this.told = 0;
+    this.status = link.status ?? {};
+    this.unhear = [link.onpicture((picture) => this.room.show(picture)), link.onstatus((status) => (this.status = status))];
+    space.addEventListener("reset", () => (this.toCamera = null));
+    session.addEventListener("visibilitychange", () => this.looked());
+    session.addEventListener("end", () => {
+      this.letGo();
+      this.pause();
+      for (const unhear of this.unhear) unhear?.();
+      ended();
+    });
+    session.requestAnimationFrame((time, frame) => this.step(time, frame));
+  }
+
+  get carrying() {
+    return this.holder !== null;
+  }
+
+  /** The person opened the headset's menu, or took it off: nothing moves, and nothing is recorded. */
+  looked() {
+    if (this.session.visibilityState === "visible") return;
+    this.letGo();
+    this.pause();
+  }
+
+  pause() {
+    if (this.status.recording) this.link.wish("pause");
+  }
+
+  letGo() {
+    this.clutch.release();
+    this.holder = null;
+    for (const one of Object.values(this.controllers)) one.drop();
+  }
+
+  step(time, frame) {
+    this.session.requestAnimationFrame((next, nextFrame) => this.step(next, nextFrame));
+    const dt = this.before === null ? 0 : Math.min((time - this.before) / 1000, LONGEST_STEP_S);
+    this.before = time;
+    const viewer = frame.getViewerPose(this.space);
+    if (!viewer) return;
+    if (!this.toCamera) this.recentre(viewer.transform);
+    this.read(frame);
+    if (this.session.visibilityState === "visible" && this.link.drives) {
+      this.press(time / 1000, viewer.transform);
+      this.carry();
+      this.bend(dt);
+      this.link.send(this.hand, "headset", time);
+    }
+    this.show(time, viewer.views);
+  }
+
+  /** The panel hangs before the head, and the room's axes are the head's heading, from now on. */
+  recentre({ position, orientation }) {
+    const ahead = heading([orientation.w, orientation.x, orientation.y, orientation.z]);
+    this.toCamera = roomToCamera(ahead);
+    this.room.hang([position.x, position.y, position.z], facing(ahead));
+    if (this.holder) this.grasp(this.holder);
+  }
+
+  /** What both controllers say in this frame. */
+  read(frame) {
+    const sources = [...this.session.inputSources].filter(
+      (source) => source.gamepad?.mapping === "xr-standard" && !source.hand,
+    );
+    for (const [side, one] of Object.entries(this.controllers)) {
+      const source = sources.find((candidate) => candidate.handedness === side);
+      const space = source?.gripSpace ?? source?.targetRaySpace;
+      const found = space && frame.getPose(space, this.space);
+      one.read(source, found && !found.emulatedPosition ? found.transform : null);
+    }
+  }
+
+  press(now, head) {
+    for (const one of Object.values(this.controllers)) {
+      const record = one.record.step(one.pressed(4), now);
+      if (record === "press") this.link.wish(this.status.recording ? "pause" : "record");
+      if (record === "hold") this.link.wish("save");
+      if (one.undo.step(one.pressed(5), now)) this.link.wish("undo");
+      if (one.recentre.step(one.pressed(3), now)) this.recentre(head);
+    }
+  }
+
+  grasp(side) {
+    this.clutch.grasp(this.hand, this.controllers[side].pose, this.toCamera);
+    this.holder = side;
+    this.set = null;
+  }
+
+  carry() {
+    const { hand, controllers } = this;
+    if (this.holder && !controllers[this.holder].wants) {
+      this.hint = controllers[this.holder].pose ? HELP : "controller out of sight: squeeze again";
+      this.clutch.release();
+      this.holder = null;
+    }
+    if (!this.holder) {
+      const side = Object.keys(controllers).find((key) => controllers[key].wants);
+      if (!side) return;
+      this.hint = HELP;
+      this.grasp(side);
+      controllers[side].pulse();
+    }
+    // an undo, or another device, has placed the object: it is carried on from there
+    if (this.set && !same(this.set, hand)) this.grasp(this.holder);
+    const { position, quaternion } = this.clutch.carried(controllers[this.holder].pose);
+    hand.set(position, quaternion, hand.state, "headset");
+    this.set = { position: [...hand.position], quaternion: [...hand.quaternion] };
+  }
+
+  /** Move the joint by the controllers that do not carry; by the one that does, where there is no other. */
+  bend(dt) {
+    const { hand } = this;
+    const tracked = Object.keys(this.controllers).filter((side) => this.controllers[side].pose);
+    for (const [side, one] of Object.entries(this.controllers)) {
+      if (!one.pose || (side === this.holder && tracked.length > 1)) {
+        one.joint.drop();
+        continue;
+      }
+      const state = one.joint.moved(hand.state, one.stick, one.value(0), hand.limits, dt);
+      if (state !== hand.state) hand.set(hand.position, hand.quaternion, state, "headset");
+    }
+    if (this.set) this.set = { position: [...hand.position], quaternion: [...hand.quaternion] };
+  }
+
+  show(time, views) {
+    if (time - this.told > 100) {
+      this.told = time;
+      const { recording, paused, seconds, notice } = this.status;
+      const { state, limits } = this.hand;
+      const hint = this.link.drives ? (this.hint === HELP && notice) || this.hint : "another page drives; you watch";
+      this.room.tell({ recording, paused, seconds, state, limits, joint: this.link.hello?.joint_type, hint });
+    }
+    const shown = Object.entries(this.controllers)
+      .filter(([, one]) => one.pose)
+      .map(([side, one]) => ({ ...one.pose, colour: side === this.holder ? COLOURS.holds : COLOURS.tracked }));
+    this.room.draw(this.layer, views, shown, this.floor);
+  }
+}
+
+/** What is known of one controller. */
+class Controller {
+  constructor() {
+    this.joint = new JointGrip();
+    this.record = new Button(SAVE_S);
+    this.undo = new Button();
+    this.recentre = new Button();
+    this.pose = null;
+    this.drop();
+  }
+
+  /** Mean nothing until all is let go. */
+  drop() {
+    this.wants = false; // to carry
+    this.squeezed = true;
+    for (const part of [this.joint, this.record, this.undo, this.recentre]) part.drop();
+  }
+
+  /** @param transform XRRigidTransform, or null where the controller is not seen. */
+  read(source, transform) {
+    this.gamepad = source?.gamepad ?? null;
+    if (!transform) {
+      if (this.pose) this.drop();
+      this.pose = null;
+      return;
+    }
+    const { position: p, orientation: q } = transform;
+    this.pose = { position: [p.x, p.y, p.z], quaternion: [q.w, q.x, q.y, q.z] };
+    const squeeze = this.value(1);
+    if (squeeze < LET_GO) this.wants = this.squeezed = false;
+    if (squeeze > SQUEEZED && !this.squeezed) this.wants = this.squeezed = true;
+  }
+
+  value(index) {
+    return this.gamepad?.buttons[index]?.value ?? 0;
+  }
+
+  pressed(index) {
+    return this.pose !== null && (this.gamepad?.buttons[index]?.pressed ?? false);
+  }
+
+  /** The stick's axis towards the person. */
+  get stick() {
+    return this.gamepad?.axes[3] ?? 0;
+  }
+
+  /** A short tick in the hand. */
+  pulse() {
+    this.gamepad?.hapticActuators?.[0]?.pulse?.(0.4, 25)?.catch?.(() => {});
+  }
+}
+
+function same(a, b) {
+  return ["position", "quaternion"].every((key) => a[key].every((c, k) => c === b[key][k]));
+}
