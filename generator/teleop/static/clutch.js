@@ -3,41 +3,17 @@
 // Poses are {position: [x, y, z] m, quaternion: [w, x, y, z]}. A room's axes are WebXR's (x right, y up, z back), a
 // camera's are x right, y down, z forward.
 
-/** The quaternion that turns by `b`, then by `a`. */
-export function product(a, b) {
-  return [
-    a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-    a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-    a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-    a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-  ];
-}
-
-/** The turn back. */
-export function inverse(q) {
-  return [q[0], -q[1], -q[2], -q[3]];
-}
-
-/** `q` of length 1. */
-export function unit(q) {
-  const length = Math.hypot(...q);
-  return q.map((c) => c / length);
-}
-
-/** The vector `v` turned by `q`. */
-export function turned(q, v) {
-  return product(product(q, [0, ...v]), inverse(q)).slice(1);
-}
+import { add, clamp, conjugate, minus, multiply, normalised, rotate } from "./hand.js";
 
 const HALF_TURN_ABOUT_X = [0, 1, 0, 0]; // up becomes down, back becomes forward
 const STEEP = 0.3;
 
 /** Which way a head faces: the horizontal unit vector [x, 0, z] in the room's axes. */
 export function heading(headQuaternion) {
-  let ahead = turned(headQuaternion, [0, 0, -1]);
+  let ahead = rotate(headQuaternion, [0, 0, -1]);
   if (Math.hypot(ahead[0], ahead[2]) < STEEP) {
     // looking at the floor or the ceiling, the top of the head tells more
-    const top = turned(headQuaternion, [0, 1, 0]);
+    const top = rotate(headQuaternion, [0, 1, 0]);
     ahead = ahead[1] < 0 ? top : top.map((c) => -c);
   }
   const length = Math.hypot(ahead[0], ahead[2]);
@@ -55,7 +31,7 @@ export function facing(ahead) {
  * camera's picture, up is up, and away is away.
  */
 export function roomToCamera(ahead) {
-  return product(HALF_TURN_ABOUT_X, inverse(facing(ahead)));
+  return multiply(HALF_TURN_ABOUT_X, conjugate(facing(ahead)));
 }
 
 /**
@@ -80,12 +56,12 @@ export class Clutch {
    * @param toCamera `roomToCamera`.
    */
   grasp(object, controller, toCamera) {
-    const lever = turned(object.quaternion, this.pivot);
+    const lever = rotate(object.quaternion, this.pivot);
     this.begun = {
-      centre: object.position.map((c, k) => c + lever[k]),
+      centre: add(object.position, lever),
       turn: [...object.quaternion],
       at: [...controller.position],
-      back: inverse(controller.quaternion),
+      back: conjugate(controller.quaternion),
       toCamera,
     };
   }
@@ -100,12 +76,12 @@ export class Clutch {
    */
   carried(controller, scale = 1) {
     const { centre, turn, at, back, toCamera } = this.begun;
-    const way = turned(toCamera, controller.position.map((c, k) => c - at[k]));
-    const inRoom = product(controller.quaternion, back);
-    const inCamera = product(product(toCamera, inRoom), inverse(toCamera));
-    const quaternion = unit(product(inCamera, turn));
-    const lever = turned(quaternion, this.pivot);
-    return { position: centre.map((c, k) => c + scale * way[k] - lever[k]), quaternion };
+    const way = rotate(toCamera, minus(controller.position, at));
+    const inRoom = multiply(controller.quaternion, back);
+    const inCamera = multiply(multiply(toCamera, inRoom), conjugate(toCamera));
+    const quaternion = normalised(multiply(inCamera, turn));
+    const lever = rotate(quaternion, this.pivot);
+    return { position: add(centre, minus(way.map((c) => scale * c), lever)), quaternion };
   }
 }
 
@@ -167,10 +143,10 @@ export class JointGrip {
     if (this.from !== null) {
       const wanted = this.from + pull * (this.to - this.from);
       const most = TRIGGER_SPEED * range * dt;
-      next = state + Math.min(Math.max(wanted - state, -most), most);
+      next = state + clamp(wanted - state, -most, most);
       if (pull === 0 && next === wanted) this.from = null; // back where it was
     }
-    return Math.min(Math.max(next, low), high);
+    return clamp(next, low, high);
   }
 }
 

@@ -12,8 +12,10 @@ const LET_GO = 0.3; // ... until it is less than this, so that a hand that tremb
 const SAVE_S = 1; // how long the record button is held to save
 const LONGEST_STEP_S = 0.1; // a stick moves the joint by no more than it does in this time, however late a frame comes
 const COLOURS = { holds: [0.3, 0.64, 1], tracked: [0.75, 0.78, 0.82] };
-const HELP =
-  "squeeze: carry \u00b7 other stick or trigger: joint \u00b7 A or X: record, held: save \u00b7 B or Y: undo \u00b7 stick pressed: recentre";
+const HELP = [
+  "Squeeze to carry the object. The other hand's stick or trigger moves the joint.",
+  "A or X: record or pause, held: save.  B or Y: undo.  Stick pressed: recentre.",
+];
 
 /**
  * Show `button` where a headset can be had, and begin a session when it is pressed.
@@ -38,6 +40,11 @@ export async function startHeadset({ hand, link, button }) {
     button.hidden = !(await offers());
   };
   navigator.xr?.addEventListener?.("devicechange", look);
+  let newest = null;
+  link.onpicture((picture) => {
+    newest = picture;
+    now.session?.room.show(picture);
+  });
   await look();
   const words = button.textContent;
   button.addEventListener("click", async () => {
@@ -51,6 +58,7 @@ export async function startHeadset({ hand, link, button }) {
         now.session = null;
         button.textContent = words;
       });
+      if (newest?.width) now.session.room.show(newest); // a closed one has no width
       button.textContent = "Leave headset";
     } catch (error) {
       button.title = `The headset said no: ${error.message}`;
@@ -87,39 +95,38 @@ export class Headset {
   constructor({ session, space, floor, gl, layer, hand, link, ended }) {
     Object.assign(this, { session, space, floor, layer, hand, link });
     this.room = new Room(gl);
-    this.clutch = new Clutch(link.hello?.centre);
+    this.clutch = new Clutch();
     this.holder = null; // "left" or "right", while it carries
     this.controllers = { left: new Controller(), right: new Controller() };
     this.toCamera = null;
     this.before = null; // ms, of the last frame
     this.hint = HELP;
     this.told = 0;
-    this.status = link.status ?? {};
-    this.unhear = [link.onpicture((picture) => this.room.show(picture)), link.onstatus((status) => (this.status = status))];
-    space.addEventListener("reset", () => (this.toCamera = null));
+    this.left = null; // where the hand had the object after the last frame
+    space.addEventListener("reset", () => {
+      this.letGo(); // the room's coordinates have jumped
+      this.toCamera = null;
+    });
     session.addEventListener("visibilitychange", () => this.looked());
     session.addEventListener("end", () => {
-      this.letGo();
-      this.pause();
-      for (const unhear of this.unhear) unhear?.();
+      this.rest();
       ended();
     });
     session.requestAnimationFrame((time, frame) => this.step(time, frame));
   }
 
-  get carrying() {
-    return this.holder !== null;
-  }
-
   /** The person opened the headset's menu, or took it off: nothing moves, and nothing is recorded. */
   looked() {
-    if (this.session.visibilityState === "visible") return;
-    this.letGo();
-    this.pause();
+    if (this.session.visibilityState !== "visible") this.rest();
   }
 
-  pause() {
-    if (this.status.recording) this.link.wish("pause");
+  rest() {
+    this.letGo();
+    if (this.status.recording) this.link.do("pause");
+  }
+
+  get status() {
+    return this.link.status ?? {};
   }
 
   letGo() {
@@ -138,9 +145,9 @@ export class Headset {
     this.read(frame);
     if (this.session.visibilityState === "visible" && this.link.drives) {
       this.press(time / 1000, viewer.transform);
-      this.carry();
-      this.bend(dt);
-      this.link.send(this.hand, "headset", time);
+      this.move(dt, time);
+    } else {
+      this.letGo();
     }
     this.show(time, viewer.views);
   }
@@ -162,60 +169,68 @@ export class Headset {
       const source = sources.find((candidate) => candidate.handedness === side);
       const space = source?.gripSpace ?? source?.targetRaySpace;
       const found = space && frame.getPose(space, this.space);
-      one.read(source, found && !found.emulatedPosition ? found.transform : null);
+      one.read(source, found);
     }
   }
 
   press(now, head) {
     for (const one of Object.values(this.controllers)) {
       const record = one.record.step(one.pressed(4), now);
-      if (record === "press") this.link.wish(this.status.recording ? "pause" : "record");
-      if (record === "hold") this.link.wish("save");
-      if (one.undo.step(one.pressed(5), now)) this.link.wish("undo");
+      if (record === "press") this.link.do(this.status.recording ? "pause" : "record");
+      if (record === "hold") this.link.do("save");
+      if (one.undo.step(one.pressed(5), now)) this.link.do("undo");
       if (one.recentre.step(one.pressed(3), now)) this.recentre(head);
     }
   }
 
   grasp(side) {
+    this.clutch.pivot = this.hand.centre;
     this.clutch.grasp(this.hand, this.controllers[side].pose, this.toCamera);
     this.holder = side;
-    this.set = null;
   }
 
-  carry() {
-    const { hand, controllers } = this;
+  /** Who carries: whoever squeezed first, until the squeeze ends or the controller is not seen. */
+  choose() {
+    const { controllers } = this;
     if (this.holder && !controllers[this.holder].wants) {
-      this.hint = controllers[this.holder].pose ? HELP : "controller out of sight: squeeze again";
+      this.hint = controllers[this.holder].pose ? HELP : ["The controller was out of sight.", "Squeeze again to carry on."];
       this.clutch.release();
       this.holder = null;
     }
+    const wanting = this.holder ?? Object.keys(controllers).find((side) => controllers[side].wants);
+    if (!wanting) return;
     if (!this.holder) {
-      const side = Object.keys(controllers).find((key) => controllers[key].wants);
-      if (!side) return;
       this.hint = HELP;
-      this.grasp(side);
-      controllers[side].pulse();
+      this.grasp(wanting);
+      controllers[wanting].pulse();
+    } else if (this.left && !same(this.left, this.hand)) {
+      this.grasp(wanting); // an undo, or another device, has placed the object: it is carried on from there
     }
-    // an undo, or another device, has placed the object: it is carried on from there
-    if (this.set && !same(this.set, hand)) this.grasp(this.holder);
-    const { position, quaternion } = this.clutch.carried(controllers[this.holder].pose);
-    hand.set(position, quaternion, hand.state, "headset");
-    this.set = { position: [...hand.position], quaternion: [...hand.quaternion] };
   }
 
-  /** Move the joint by the controllers that do not carry; by the one that does, where there is no other. */
-  bend(dt) {
-    const { hand } = this;
-    const tracked = Object.keys(this.controllers).filter((side) => this.controllers[side].pose);
+  /** The joint's state by the controllers that do not carry; by the one that does, where there is no other. */
+  bent(dt) {
+    let { state } = this.hand;
+    const tracked = Object.values(this.controllers).filter((one) => one.pose).length;
     for (const [side, one] of Object.entries(this.controllers)) {
-      if (!one.pose || (side === this.holder && tracked.length > 1)) {
+      if (one.pose && (side !== this.holder || tracked === 1)) {
+        state = one.joint.moved(state, one.stick, one.value(0), this.hand.limits, dt);
+      } else {
         one.joint.drop();
-        continue;
       }
-      const state = one.joint.moved(hand.state, one.stick, one.value(0), hand.limits, dt);
-      if (state !== hand.state) hand.set(hand.position, hand.quaternion, state, "headset");
     }
-    if (this.set) this.set = { position: [...hand.position], quaternion: [...hand.quaternion] };
+    return state;
+  }
+
+  move(dt, time) {
+    const { hand } = this;
+    this.choose();
+    const state = this.bent(dt);
+    if (this.holder || state !== hand.state || this.status.recording) {
+      const object = this.holder ? this.clutch.carried(this.controllers[this.holder].pose) : hand;
+      hand.set(object.position, object.quaternion, state, "headset", time);
+    }
+    this.left = { position: hand.position, quaternion: hand.quaternion };
   }
 
   show(time, views) {
@@ -223,8 +238,8 @@ export class Headset {
       this.told = time;
       const { recording, paused, seconds, notice } = this.status;
       const { state, limits } = this.hand;
-      const hint = this.link.drives ? (this.hint === HELP && notice) || this.hint : "another page drives; you watch";
-      this.room.tell({ recording, paused, seconds, state, limits, joint: this.link.hello?.joint_type, hint });
+      const lines = this.link.drives ? this.hint : ["Another page drives.", "You watch."];
+      this.room.tell({ recording, paused, seconds, state, limits, joint: this.link.hello?.joint_type, notice, lines });
     }
     const shown = Object.entries(this.controllers)
       .filter(([, one]) => one.pose)
@@ -241,6 +256,7 @@ class Controller {
     this.undo = new Button();
     this.recentre = new Button();
     this.pose = null;
+    this.located = false; // whether its position was ever a measured one
     this.drop();
   }
 
@@ -251,15 +267,17 @@ class Controller {
     for (const part of [this.joint, this.record, this.undo, this.recentre]) part.drop();
   }
 
-  /** @param transform XRRigidTransform, or null where the controller is not seen. */
-  read(source, transform) {
+  /** @param found XRPose, or nothing where the controller is not seen. */
+  read(source, found) {
     this.gamepad = source?.gamepad ?? null;
-    if (!transform) {
+    // an emulated position is guessed, and jumps when cameras see the controller again; but some headsets know no other
+    if (found && !found.emulatedPosition) this.located = true;
+    if (!found || (found.emulatedPosition && this.located)) {
       if (this.pose) this.drop();
       this.pose = null;
       return;
     }
-    const { position: p, orientation: q } = transform;
+    const { position: p, orientation: q } = found.transform;
     this.pose = { position: [p.x, p.y, p.z], quaternion: [q.w, q.x, q.y, q.z] };
     const squeeze = this.value(1);
     if (squeeze < LET_GO) this.wants = this.squeezed = false;

@@ -1,14 +1,15 @@
 // What a person in a headset sees: the camera's picture on a panel, a line of status under it, both controllers, a floor.
 // Plain WebGL2, drawn once an eye.
 
-import { turned } from "./clutch.js";
+import { add, clamp, rotate } from "./hand.js";
 
 const PANEL_WIDTH = 2; // m
 const PANEL_AWAY = 1.5; // m: 67 degrees wide, so that the head need not turn
-const STATUS_HEIGHT = 0.24; // m
+const STATUS_HEIGHT = 0.34; // m
 const GAP = 0.03; // m
 const NIGHT = [0.055, 0.062, 0.075];
-const STATUS_PIXELS = [1280, 154];
+const [BOARD, INK, PALE] = ["#15181d", "#f2f4f7", "#aab2bf"];
+const STATUS_PIXELS = [1280, 218]; // letters of 5 cm: 1.3 degrees and more
 
 const LIT = [
   `#version 300 es
@@ -27,6 +28,7 @@ void main() {
 precision highp float;
 uniform vec3 colour;
 uniform float grid;
+uniform vec3 night;
 in vec3 facing;
 in vec3 inRoom;
 out vec4 shown;
@@ -36,8 +38,8 @@ void main() {
   if (grid > 0.0) {
     vec2 cell = abs(fract(inRoom.xz * 2.0 - 0.5) - 0.5) / fwidth(inRoom.xz * 2.0);
     float line = 1.0 - min(min(cell.x, cell.y), 1.0);
-    float far = smoothstep(4.0, 0.5, length(inRoom.xz));
-    shown = vec4(colour * (1.0 + 0.9 * line * far), 1.0);
+    float near = 1.0 - smoothstep(0.5, 6.0, length(inRoom.xz));
+    shown = vec4(mix(night, colour * (1.0 + 1.2 * line), near), 1.0);
   }
 }`,
 ];
@@ -77,8 +79,8 @@ export class Room {
 
   /** Hang the panel before a head: `centre` (3,) m, `turn` the quaternion about the upright axis that the head faces. */
   hang(centre, turn) {
-    const ahead = turned(turn, [0, 0, -PANEL_AWAY]);
-    this.panel = { position: centre.map((c, k) => c + ahead[k]), quaternion: turn };
+    const ahead = rotate(turn, [0, 0, -PANEL_AWAY]);
+    this.panel = { position: add(centre, ahead), quaternion: turn };
   }
 
   /** Show a new picture of the camera (ImageBitmap, or whatever a texture takes). */
@@ -120,8 +122,7 @@ export class Room {
     const { position, quaternion } = this.panel;
     const height = PANEL_WIDTH / this.aspect;
     const place = (down, back) => {
-      const off = turned(quaternion, [0, -down, -back]);
-      return position.map((c, k) => c + off[k]);
+      return add(position, rotate(quaternion, [0, -down, -back]));
     };
     const under = height / 2 + GAP + STATUS_HEIGHT / 2;
     this.solid(this.box, model(place(0, 0.012), quaternion, [PANEL_WIDTH + 0.03, height + 0.03, 0.01]), [0.2, 0.22, 0.26]);
@@ -130,9 +131,9 @@ export class Room {
   }
 
   controller({ position, quaternion, colour }) {
-    const ahead = turned(quaternion, [0, 0.012, -0.055]);
+    const ahead = rotate(quaternion, [0, 0.012, -0.055]);
     this.solid(this.box, model(position, quaternion, [0.03, 0.035, 0.11]), colour);
-    this.solid(this.box, model(position.map((c, k) => c + ahead[k]), quaternion, [0.05, 0.016, 0.05]), colour);
+    this.solid(this.box, model(add(position, ahead), quaternion, [0.05, 0.016, 0.05]), colour);
   }
 
   solid(shape, matrix, colour, grid = 0) {
@@ -141,6 +142,7 @@ export class Room {
     this.aim(lit, matrix);
     gl.uniform3fv(lit.at("colour"), colour);
     gl.uniform1f(lit.at("grid"), grid);
+    gl.uniform3fv(lit.at("night"), NIGHT);
     shape.draw();
   }
 
@@ -162,39 +164,40 @@ export class Room {
 }
 
 /**
- * The line under the picture.
- * @param facts {recording, paused, seconds, state, limits, joint (type), hint}.
+ * What stands under the picture.
+ * @param facts {recording, paused, seconds, state, limits, joint (type), notice, lines (two)}.
  */
 export function drawStatus(context, facts) {
   const { width, height } = context.canvas;
-  const middle = 50;
-  context.fillStyle = "#15181d";
+  const [first, second, third] = [52, 122, 178];
+  const write = (font, colour, text, left, middle, most) => {
+    context.font = `${font} system-ui, sans-serif`;
+    context.fillStyle = colour;
+    context.fillText(text, left, middle, most);
+  };
+  context.fillStyle = BOARD;
   context.fillRect(0, 0, width, height);
   context.textBaseline = "middle";
   context.fillStyle = facts.recording ? "#ff4d4d" : facts.paused ? "#f0b429" : "#5b6472";
   context.beginPath();
-  context.arc(52, middle, 20, 0, 2 * Math.PI);
+  context.arc(56, first, 20, 0, 2 * Math.PI);
   context.fill();
-  context.font = "600 44px system-ui, sans-serif";
-  context.fillStyle = "#f2f4f7";
-  context.fillText(clock(facts.seconds), 90, middle);
-  context.font = "34px system-ui, sans-serif";
-  context.fillStyle = "#aab2bf";
-  context.fillText(facts.recording ? "recording" : facts.paused ? "paused" : "not recording", 210, middle);
-  bar(context, 520, middle, 500, facts);
-  context.fillStyle = "#aab2bf";
-  context.fillText(reading(facts), 1050, middle);
-  context.fillText(facts.hint, 32, 116, width - 64);
+  write("600 46px", INK, clock(facts.seconds), 96, first);
+  write("36px", PALE, facts.recording ? "recording" : facts.paused ? "paused" : "not recording", 218, first);
+  bar(context, 520, first, 560, facts);
+  write("36px", INK, reading(facts), 1112, first);
+  write("32px", facts.notice ? INK : PALE, facts.notice ?? facts.lines[0], 36, second, width - 72);
+  write("32px", PALE, facts.notice ? facts.lines[0] : facts.lines[1], 36, third, width - 72);
 }
 
 function bar(context, left, middle, width, { state, limits }) {
   const [low, high] = limits;
-  const share = high > low ? Math.min(Math.max((state - low) / (high - low), 0), 1) : 0;
+  const share = high > low ? clamp((state - low) / (high - low), 0, 1) : 0;
   context.fillStyle = "#2b313b";
   context.fillRect(left, middle - 11, width, 22);
   context.fillStyle = "#4da3ff";
   context.fillRect(left, middle - 11, share * width, 22);
-  context.fillStyle = "#f2f4f7";
+  context.fillStyle = INK;
   context.fillRect(left + share * width - 3, middle - 19, 6, 38);
 }
 
@@ -210,7 +213,7 @@ export function clock(seconds) {
 
 /** A 4x4 matrix, column by column, of a scale, then a turn, then a shift. */
 export function model(position, quaternion, scale) {
-  const column = (axis) => turned(quaternion, axis);
+  const column = (axis) => rotate(quaternion, axis);
   const x = column([scale[0], 0, 0]);
   const y = column([0, scale[1], 0]);
   const z = column([0, 0, scale[2]]);
