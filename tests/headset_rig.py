@@ -97,13 +97,17 @@ ALONE = """
   Object.assign(hand, { limits: [0.1, 1.3], centre: [0.01, -0.02, 0.03], position: [0.02, 0.01, 0.6], state: 0.3 });
   window.said = [];
   window.sent = [];
+  window.viewed = [];
   hand.onchange = (device, time) =>
     sent.push({ device, time, position: [...hand.position], quaternion: [...hand.quaternion], state: hand.state });
   window.link = {
     hello: { joint_type: "revolute" }, status: { recording: false, seconds: 0 }, drives: true,
-    do: (what) => said.push(what), onpicture(f) { this.picture = f; }, onstatus() {},
+    do: (what) => said.push(what), shape: [300, 200], view: (...size) => viewed.push(size),
+    onpicture(f) { this.shown = f; },
   };
-  window.now = await startHeadset({ hand, link, button });
+  window.picture = new OffscreenCanvas(640, 360);
+  picture.getContext("2d").fillRect(0, 0, 640, 360);
+  window.now = await startHeadset({ hand, link, picture, button });
 })()
 """
 """A hand and a link of the page's kind, without a server."""

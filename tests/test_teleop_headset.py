@@ -286,6 +286,7 @@ def test_a_session_that_ends_pauses_and_another_can_begin(rig: Rig) -> None:
     rig.page.run("headset().session.end()")
     assert rig.said() == ["pause"]
     assert words == "Leave headset"
+    assert rig.page.run("viewed") == [[1280, 720], [300, 200]]
     assert rig.page.run("[now.session, document.querySelector('#headset').textContent]") == [None, "Enter headset"]
     T, _ = rig.object()
     rig.pose("right", se3.pose(np.eye(3), [0.6, 1.5, -0.7]))
@@ -311,9 +312,8 @@ def test_who_only_watches_moves_nothing_and_a_line_that_breaks_lets_go(rig: Rig)
 @both
 def test_the_picture_hangs_before_the_eyes(rig: Rig) -> None:
     rig.page.run(
-        "(async () => { const c = new OffscreenCanvas(640, 360), x = c.getContext('2d');"
-        "x.fillStyle = '#00ff00'; x.fillRect(0, 0, 640, 360); x.fillStyle = '#ff0000'; x.fillRect(0, 0, 320, 180);"
-        "link.picture(await createImageBitmap(c)); })()"
+        "(() => { const x = picture.getContext('2d'); x.fillStyle = '#00ff00'; x.fillRect(0, 0, 640, 360);"
+        "x.fillStyle = '#ff0000'; x.fillRect(0, 0, 320, 180); link.shown(); })()"
     )
     rig.frames(3)
     look = """

@@ -19,7 +19,7 @@ from generator.teleop.gate import MOST_BAD, Gate, QuietLog
 from generator.teleop.stage import Mark, Stage, live_size
 from generator.teleop.takes import Takes
 
-SCRIPTS = ("main", "link", "hand", "desk", "keys", "pad", "panel", "headset", "clutch")
+SCRIPTS = ("main", "link", "hand", "desk", "keys", "pad", "panel", "headset", "clutch", "room")
 FILES = {
     "/": ("teleop.html", "text/html"),
     "/style.css": ("style.css", "text/css"),

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ipaddress
 import os
 import signal
 import socket
-import ssl
 import sys
 import tempfile
 import time
@@ -29,6 +27,8 @@ from generator import partnet, urdf_folder
 from generator.motion.body import Body
 from generator.motion.plan import PRESETS
 from generator.session import RecordSettings, entry_of, load_object
+from generator.teleop.address import addresses, is_loopback, qr_code
+from generator.teleop.certificate import Certificate, own_certificate
 from generator.teleop.driving import Driving, Placement
 from generator.teleop.gate import Gate, new_token
 from generator.teleop.limits import Room
@@ -108,18 +108,18 @@ async def _serve(
     fov_y = float(np.radians(PRESETS["handheld"].fov_y_degrees))
     room = Room.of(body, Camera.from_fov(settings.width, settings.height, fov_y))
     start = Placement(room.T_start, room.state)
-    context = _tls(settings.host)
-    scheme = "http" if context is None else "https"
+    own = None if is_loopback(settings.host) else own_certificate(settings.host)
+    scheme, names = ("http", ("127.0.0.1", "localhost", "::1", settings.host)) if own is None else ("https", own.names)
     with _listening(settings) as listener:
         port = listener.getsockname()[1]
-        gate = Gate.of(new_token(), scheme, _names(settings.host), port)
+        gate = Gate.of(new_token(), scheme, names, port)
         stage = Stage(_told(loaded, room, fov_y), (settings.width, settings.height), start, settings.finest)
         bounds = Bounds(body.lower, body.upper, room.reach)
         server = Server(_facts(name, loaded, room, fov_y), bounds, start, stage, takes, gate, _log)
         runner = web.AppRunner(server.app(), access_log=None, handle_signals=False)
         await runner.setup()
-        await web.SockSite(runner, listener, ssl_context=context).start()
-        print(f"{scheme}://{_shown(settings.host)}:{port}/?token={gate.token}", flush=True)
+        await web.SockSite(runner, listener, ssl_context=None if own is None else own.context()).start()
+        _announce(addresses(settings.host, port, gate.token), own)
         _log(f"{name}: open this address in a browser; takes go to {takes.next_name()}; Ctrl-C ends")
         try:
             await _until_told(told, [stage.run(_log), server.tick()])
@@ -228,28 +228,15 @@ def _listening(settings: TeleopSettings) -> Iterator[socket.socket]:
         yield listener
 
 
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach a server that listens at `host`."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def _tls(host: str) -> ssl.SSLContext | None:
-    if is_loopback(host):
-        return None
-    raise FreeArtError(f"--host {host}: only this machine is served yet, expected 127.0.0.1")
-
-
-def _names(host: str) -> tuple[str, ...]:
-    return ("127.0.0.1", "localhost", "::1", host)
-
-
-def _shown(host: str) -> str:
-    return f"[{host}]" if ":" in host else host
+def _announce(found: tuple[str, ...], own: Certificate | None) -> None:
+    """Say where the page is; who looks at a terminal gets a code for a camera, too."""
+    print(found[0], flush=True)
+    if sys.stderr.isatty():
+        print(qr_code(found[0]), file=sys.stderr, flush=True)
+    for other in found[1:]:
+        _log(f"or {other}")
+    if own is not None:
+        _log(f"this machine made its certificate itself: a browser warns, and must show the SHA-256 {own.fingerprint}")
 
 
 def _log(line: str) -> None:

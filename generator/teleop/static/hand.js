@@ -85,8 +85,8 @@ export class Hand {
     this.placed += 1;
   }
 
-  /** Put the object's frame and its joint there, or as near as it may be. */
-  set(position, quaternion, state, device) {
+  /** Put the object's frame and its joint there, or as near as it may be; `time`, ms, of a device that has a clock. */
+  set(position, quaternion, state, device, time = null) {
     const q = normalised(quaternion);
     const wanted = add(position, rotate(q, this.centre));
     if (![...q, ...wanted, state].every(Number.isFinite)) return;
@@ -94,7 +94,7 @@ export class Hand {
     this.position = minus(this._fitted(q, wanted), rotate(q, this.centre));
     this.quaternion = q;
     this.device = device;
-    this.onchange(device);
+    this.onchange(device, time);
   }
 
   /** The object's centre in the camera's axes. */

@@ -11,6 +11,7 @@ const SQUEEZED = 0.5; // from here on a squeeze holds ...
 const LET_GO = 0.3; // ... until it is less than this, so that a hand that trembles does not let go. Not measured.
 const SAVE_S = 1; // how long the record button is held to save
 const LONGEST_STEP_S = 0.1; // a stick moves the joint by no more than it does in this time, however late a frame comes
+const PANEL_PIXELS = [1280, 720]; // what the panel in the room can show; the server may draw fewer
 const COLOURS = { holds: [0.3, 0.64, 1], tracked: [0.75, 0.78, 0.82] };
 const HELP = [
   "Squeeze to carry the object. The other hand's stick or trigger moves the joint.",
@@ -21,15 +22,18 @@ const HELP = [
  * Show `button` where a headset can be had, and begin a session when it is pressed.
  * @param hand The commanded pose and state (hand.js).
  * @param link The connection (link.js).
+ * @param picture The canvas that shows the camera's newest picture.
  * @param button An element that is hidden.
  * @returns What is going on: {session: Headset or null}.
  */
-export async function startHeadset({ hand, link, button }) {
+export async function startHeadset({ hand, link, picture, button }) {
   const now = { session: null };
+  const label = button.querySelector("span") ?? button;
+  const say = (text) => (label.textContent = text);
   if (!window.isSecureContext) {
     button.hidden = false;
     button.disabled = true;
-    button.textContent = "Headset needs https";
+    say("Headset needs https");
     button.title =
       "Browsers give headsets to pages of https alone, or of this machine itself: start the server with --host, or " +
       "connect the headset by cable (adb reverse).";
@@ -40,28 +44,28 @@ export async function startHeadset({ hand, link, button }) {
     button.hidden = !(await offers());
   };
   navigator.xr?.addEventListener?.("devicechange", look);
-  let newest = null;
-  link.onpicture((picture) => {
-    newest = picture;
-    now.session?.room.show(picture);
-  });
+  link.onpicture(() => now.session?.room.show(picture));
   await look();
-  const words = button.textContent;
+  const words = label.textContent;
   button.addEventListener("click", async () => {
     if (now.session) {
       await now.session.session.end();
       return;
     }
     button.disabled = true;
+    const shape = link.shape;
     try {
       now.session = await Headset.begin(hand, link, () => {
         now.session = null;
-        button.textContent = words;
+        say(words);
+        if (shape) link.view(...shape);
       });
-      if (newest?.width) now.session.room.show(newest); // a closed one has no width
-      button.textContent = "Leave headset";
+      link.view(...PANEL_PIXELS);
+      now.session.room.show(picture);
+      say("Leave headset");
     } catch (error) {
-      button.title = `The headset said no: ${error.message}`;
+      say("No headset answered");
+      button.title = error.message;
     } finally {
       button.disabled = false;
     }

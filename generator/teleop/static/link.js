@@ -41,12 +41,13 @@ export class Link {
 
   get drives() { return this.hello !== null && this.hello.role === "driver" && this.state === "open"; }
 
-  /** The hand has moved: send it, now or with the next step; 60 a second at most. */
-  send(hand, device) {
+  /** The hand has moved: send it, now or with the next step; 60 a second at most, but all that has a `time` of its own, ms. */
+  send(hand, device, time = null) {
     this._hand = hand;
     this._device = device;
     this._dirty = true;
-    this.flush();
+    if (time === null) this.flush();
+    else this._transmit(time);
   }
 
   /** Send what waits for its step. */
@@ -63,6 +64,7 @@ export class Link {
 
   /** Tell the size of the picture on the screen, in its pixels. */
   view(width, height) {
+    this.shape = [width, height];
     this._view = { type: "view", width: Math.max(1, Math.round(width)), height: Math.max(1, Math.round(height)) };
     if (this.drives) this._say(this._view);
   }
@@ -82,17 +84,17 @@ export class Link {
     return this._arrivals.length;
   }
 
-  _transmit() {
+  _transmit(time = performance.now()) {
     if (!this.drives || !this._hand || this._socket.bufferedAmount > MOST_WAITING) return;
     const hand = this._hand;
     this._n += 1;
     const move = {
-      type: "move", n: this._n, time: performance.now(), epoch: hand.epoch, position: hand.position,
+      type: "move", n: this._n, time, epoch: hand.epoch, position: hand.position,
       quaternion: hand.quaternion, state: hand.state, device: this._device,
     };
     this._say(move);
     if (this.tap) this.tap(move);
-    this._lastSent = move.time;
+    this._lastSent = performance.now();
     this._dirty = false;
   }
 

@@ -16,8 +16,8 @@ const may = () => link.drives;
 const desk = new Desk({ hand, link, canvas, may });
 const context = canvas.getContext("2d", { alpha: false, desynchronized: true });
 
-hand.onchange = (device) => {
-  link.send(hand, device);
+hand.onchange = (device, time) => {
+  link.send(hand, device, time);
   panel.joint();
 };
 link.onhello((hello) => {
@@ -58,6 +58,6 @@ function step() {
   requestAnimationFrame(step);
 }
 requestAnimationFrame(step);
-startHeadset({ hand, link, canvasOrBitmapSource: canvas, button: document.getElementById("headset") });
 
 window.teleop = { hand, link, desk, panel }; // for tests, and for who is curious
+window.teleop.headset = startHeadset({ hand, link, picture: canvas, button: document.getElementById("headset") });

@@ -4,6 +4,7 @@
 import { add, clamp, rotate } from "./hand.js";
 
 const PANEL_WIDTH = 2; // m
+const PANEL_HEIGHT = 1.3; // m, of a picture that is as high as wide
 const PANEL_AWAY = 1.5; // m: 67 degrees wide, so that the head need not turn
 const STATUS_HEIGHT = 0.34; // m
 const GAP = 0.03; // m
@@ -120,13 +121,14 @@ export class Room {
 
   wall() {
     const { position, quaternion } = this.panel;
-    const height = PANEL_WIDTH / this.aspect;
+    const width = Math.min(PANEL_WIDTH, PANEL_HEIGHT * this.aspect);
+    const height = width / this.aspect;
     const place = (down, back) => {
       return add(position, rotate(quaternion, [0, -down, -back]));
     };
     const under = height / 2 + GAP + STATUS_HEIGHT / 2;
-    this.solid(this.box, model(place(0, 0.012), quaternion, [PANEL_WIDTH + 0.03, height + 0.03, 0.01]), [0.2, 0.22, 0.26]);
-    this.paper(this.picture, model(place(0, 0), quaternion, [PANEL_WIDTH, height, 1]));
+    this.solid(this.box, model(place(0, 0.012), quaternion, [width + 0.03, height + 0.03, 0.01]), [0.2, 0.22, 0.26]);
+    this.paper(this.picture, model(place(0, 0), quaternion, [width, height, 1]));
     this.paper(this.status, model(place(under, 0), quaternion, [PANEL_WIDTH, STATUS_HEIGHT, 1]));
   }
 
