@@ -103,7 +103,7 @@ def test_without_the_token_nobody_gets_in(served: Served) -> None:
     for query in ("", "?token=", "?token=wrong", f"?token={served.token[:-1]}"):
         assert {served.status(f"/{name}{query}") for name in ("", "headset.js", "ws")} == {403}
     assert served.status(f"/room.js?token={served.token}") == 200
-    assert served.token not in served.log.read_text().replace(served.address, "")
+    assert served.token not in served.log.read_text()
 
 
 @pytest.fixture
@@ -209,7 +209,7 @@ def test_a_take_of_two_controllers_holds_what_was_sent_and_replays_it_through_th
     truth = read_truth(tmp_path / "data" / "truth" / sequence)
     replayed = [{**move, "time": 1e3 * t} for move, t in zip(moves, take.times, strict=True)]
     Ts, states = wanted(replayed, truth.source["track"]["begins_s"] + np.arange(20) / 30)
-    got = truth.Ts_camera_moving if "link_0" in truth.source["reference_links"] else truth.Ts_camera_reference
+    got = truth.Ts_camera_moving if "base" in truth.source["moving_links"] else truth.Ts_camera_reference
     np.testing.assert_allclose(got, Ts, atol=1e-4)
     np.testing.assert_allclose(truth.states, states, atol=1e-4)
     assert truth.source["track"]["filter"] == {"one_euro": dataclasses.asdict(HEADSET)}
@@ -238,6 +238,7 @@ def test_a_session_that_ends_pauses_the_take_which_the_desk_can_save(rig: Rig, s
 @needs_headset
 def test_an_undo_in_the_headset_goes_on_without_a_jump(rig: Rig, served: Served) -> None:
     carried_about(rig)
+    rig.pose("right", se3.pose(np.eye(3), [0.25, 1.4, -0.4]))
     rig.press("right", "squeeze", 1)
     rig.frames()
     press(rig, "b-button")

@@ -229,12 +229,10 @@ def _listening(settings: TeleopSettings) -> Iterator[socket.socket]:
 
 
 def _announce(found: tuple[str, ...], own: Certificate | None) -> None:
-    """Say where the page is; who looks at a terminal gets a code for a camera, too."""
-    print(found[0], flush=True)
+    """Say where the page is, the best address first; who looks at a terminal gets a code for a camera, too."""
+    print("\n".join(found), flush=True)
     if sys.stderr.isatty():
         print(qr_code(found[0]), file=sys.stderr, flush=True)
-    for other in found[1:]:
-        _log(f"or {other}")
     if own is not None:
         _log(f"this machine made its certificate itself: a browser warns, and must show the SHA-256 {own.fingerprint}")
 
