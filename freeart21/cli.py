@@ -297,7 +297,8 @@ def teleop(
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf or ROOT/dataset/41083.
         joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
         skip_missing: Leave out meshes that the object names but does not have.
-        host: Address to listen at.
+        host: Address to listen at; 0.0.0.0 is all that this machine has. Beyond 127.0.0.1 the page is served by https,
+            with a certificate that is made for this machine and kept.
         port: Port to listen at; 0 takes a free one.
         width: Of the live picture, pixels; a page of another shape gets as many.
         height: Of the live picture, pixels.

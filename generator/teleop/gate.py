@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
 PER_SECOND = 200.0
-"""Messages a second of one page: three times what ours says (moves at 60, pictures seen at 60, a ping)."""
+"""Messages a second of one page: more than ours says (moves at 60, a headset's at 120, pictures seen, a ping)."""
 BURST = 400.0
 """Messages at once: a network that held two seconds back."""
 MOST_BAD = 1000

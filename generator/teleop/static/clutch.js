@@ -70,18 +70,15 @@ export class Clutch {
     this.begun = null;
   }
 
-  /**
-   * The object's pose for the controller's.
-   * @param scale Metres of the object for each of the controller.
-   */
-  carried(controller, scale = 1) {
+  /** The object's pose for the controller's: metre for metre, as objects are seen at arm's length. */
+  carried(controller) {
     const { centre, turn, at, back, toCamera } = this.begun;
     const way = rotate(toCamera, minus(controller.position, at));
     const inRoom = multiply(controller.quaternion, back);
     const inCamera = multiply(multiply(toCamera, inRoom), conjugate(toCamera));
     const quaternion = normalised(multiply(inCamera, turn));
     const lever = rotate(quaternion, this.pivot);
-    return { position: add(centre, minus(way.map((c) => scale * c), lever)), quaternion };
+    return { position: add(centre, minus(way, lever)), quaternion };
   }
 }
 
