@@ -6,13 +6,14 @@ import contextlib
 import json
 import os
 import threading
+import time
 from collections.abc import Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from browser import CHROMIUM, Browser
+from browser import CHROMIUM, PATIENCE_S, Browser
 
 from freeart21 import se3
 
@@ -103,7 +104,7 @@ ALONE = """
   window.link = {
     hello: { joint_type: "revolute" }, status: { recording: false, seconds: 0 }, drives: true,
     do: (what) => said.push(what), shape: [300, 200], view: (...size) => viewed.push(size),
-    onpicture(f) { this.shown = f; },
+    latency: () => [21.4, 40], onpicture(f) { this.shown = f; },
   };
   window.picture = new OffscreenCanvas(640, 360);
   picture.getContext("2d").fillRect(0, 0, 640, 360);
@@ -130,6 +131,13 @@ class Rig:
 
     def frames(self, n: int = 3) -> None:
         self.page.run(f"rig.frames({n})")
+
+    def until(self, what: str) -> None:
+        """Wait for a condition in the page."""
+        end = time.monotonic() + PATIENCE_S
+        while not self.page.run(what):
+            assert time.monotonic() < end, (what, self.page.errors)
+            self.frames(1)
 
     def pose(self, side: str, T: np.ndarray) -> None:
         """`T` (4, 4) of a controller in the room, as iwer is told."""

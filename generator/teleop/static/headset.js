@@ -242,8 +242,10 @@ export class Headset {
       this.told = time;
       const { recording, paused, seconds, notice } = this.status;
       const { state, limits } = this.hand;
+      const joint = this.link.hello?.joint_type;
+      const latency = this.link.latency()?.[0] ?? null;
       const lines = this.link.drives ? this.hint : ["Another page drives.", "You watch."];
-      this.room.tell({ recording, paused, seconds, state, limits, joint: this.link.hello?.joint_type, notice, lines });
+      this.room.tell({ recording, paused, seconds, state, limits, joint, notice, latency, lines });
     }
     const shown = Object.entries(this.controllers)
       .filter(([, one]) => one.pose)

@@ -167,7 +167,7 @@ export class Room {
 
 /**
  * What stands under the picture.
- * @param facts {recording, paused, seconds, state, limits, joint (type), notice, lines (two)}.
+ * @param facts {recording, paused, seconds, state, limits, joint (type), notice, latency (ms or null), lines (two)}.
  */
 export function drawStatus(context, facts) {
   const { width, height } = context.canvas;
@@ -186,8 +186,11 @@ export function drawStatus(context, facts) {
   context.fill();
   write("600 46px", INK, clock(facts.seconds), 96, first);
   write("36px", PALE, facts.recording ? "recording" : facts.paused ? "paused" : "not recording", 218, first);
-  bar(context, 520, first, 560, facts);
-  write("36px", INK, reading(facts), 1112, first);
+  bar(context, 500, first, 480, facts);
+  write("36px", INK, reading(facts), 1006, first);
+  context.textAlign = "right";
+  write("36px", PALE, facts.latency === null ? "" : `${Math.round(facts.latency)} ms`, width - 36, first);
+  context.textAlign = "left";
   write("32px", facts.notice ? INK : PALE, facts.notice ?? facts.lines[0], 36, second, width - 72);
   write("32px", PALE, facts.notice ? facts.lines[0] : facts.lines[1], 36, third, width - 72);
 }
