@@ -190,13 +190,13 @@ class _Files(SimpleHTTPRequestHandler):
 
 
 @contextlib.contextmanager
-def served() -> Iterator[str]:
+def served(host: str = "127.0.0.1") -> Iterator[str]:
     """The address of the page's files without a server of ours."""
-    server = ThreadingHTTPServer(("127.0.0.1", 0), _Files)
+    server = ThreadingHTTPServer((host, 0), _Files)
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     try:
-        yield f"http://127.0.0.1:{server.server_port}/"
+        yield f"http://{host}:{server.server_port}/"
     finally:
         server.shutdown()
         thread.join()
