@@ -74,7 +74,7 @@ def own_certificate(
     """
     folder = default_folder() if folder is None else folder
     now = datetime.now(timezone.utc) if now is None else now
-    wanted = tuple(dict.fromkeys([*machine_names(host), *map(_checked, names)]))
+    wanted = tuple(dict.fromkeys([*machine_names(host), *map(usual_host, names)]))
     path = _private(folder) / "key-and-certificate.pem"
     kept = _kept(path)
     if kept is not None:
@@ -93,7 +93,7 @@ def machine_names(host: str) -> tuple[str, ...]:
     if "." not in own:
         found.append(f"{own}.local")  # by which it is known on a network without name servers
     found = [name.rstrip(".").lower() for name in found if _NAME.fullmatch(name)]
-    given = _checked(host)
+    given = usual_host(host)
     return tuple(dict.fromkeys([*([] if is_any(host) else [given]), *found, *local_addresses()]))
 
 
@@ -102,6 +102,17 @@ def is_any(host: str) -> bool:
     with contextlib.suppress(ValueError):
         return ipaddress.ip_address(host).is_unspecified
     return False
+
+
+def usual_host(name: str) -> str:
+    """An address or a host's name in its usual spelling; FreeArtError where it is neither."""
+    with contextlib.suppress(ValueError):
+        return str(ipaddress.ip_address(name))
+    if not _NAME.fullmatch(name):
+        raise FreeArtError(
+            f"host {name[:60]!r} is no address and no host's name: expected such as 192.168.1.7, 0.0.0.0 or my-desk"
+        )
+    return name.rstrip(".").lower()
 
 
 def local_addresses() -> tuple[str, ...]:
@@ -140,17 +151,6 @@ def _full_name() -> str:
     asking.start()
     asking.join(_PATIENCE_S)
     return found[0] if found else ""
-
-
-def _checked(name: str) -> str:
-    """An address or a host name in its usual spelling."""
-    with contextlib.suppress(ValueError):
-        return str(ipaddress.ip_address(name))
-    if not _NAME.fullmatch(name):
-        raise FreeArtError(
-            f"host {name[:60]!r} is no address and no host's name: expected such as 192.168.1.7, 0.0.0.0 or my-desk"
-        )
-    return name.rstrip(".").lower()
 
 
 def _private(folder: Path) -> Path:

@@ -28,7 +28,7 @@ from generator.motion.body import Body
 from generator.motion.plan import PRESETS
 from generator.session import RecordSettings, entry_of, load_object
 from generator.teleop.address import addresses, is_loopback, qr_code
-from generator.teleop.certificate import Certificate, own_certificate
+from generator.teleop.certificate import Certificate, own_certificate, usual_host
 from generator.teleop.driving import Driving, Placement
 from generator.teleop.gate import Gate, new_token
 from generator.teleop.limits import Room
@@ -108,10 +108,11 @@ async def _serve(
     fov_y = float(np.radians(PRESETS["handheld"].fov_y_degrees))
     room = Room.of(body, Camera.from_fov(settings.width, settings.height, fov_y))
     start = Placement(room.T_start, room.state)
-    own = None if is_loopback(settings.host) else own_certificate(settings.host)
-    scheme, names = ("http", ("127.0.0.1", "localhost", "::1", settings.host)) if own is None else ("https", own.names)
     with _listening(settings) as listener:
         port = listener.getsockname()[1]
+        own = None if is_loopback(settings.host) else own_certificate(settings.host)
+        here = "127.0.0.1", "localhost", "::1", settings.host
+        scheme, names = ("http", here) if own is None else ("https", own.names)
         gate = Gate.of(new_token(), scheme, names, port)
         stage = Stage(_told(loaded, room, fov_y), (settings.width, settings.height), start, settings.finest)
         bounds = Bounds(body.lower, body.upper, room.reach)
@@ -214,6 +215,7 @@ def _heard_by_loop() -> Iterator[list[int]]:
 @contextlib.contextmanager
 def _listening(settings: TeleopSettings) -> Iterator[socket.socket]:
     """A socket that listens; FreeArtError, in one line, when it cannot be had."""
+    usual_host(settings.host)
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:
