@@ -167,12 +167,13 @@ def test_a_trigger_means_nothing_until_it_was_let_go(page: Browser) -> None:
 
 def test_a_button_is_short_or_held_once_and_silent_after_a_drop(page: Browser) -> None:
     def heard(pressed: str, longest: str = "1") -> list[str | None]:
+        """Of a state each half second."""
         steps = json.dumps([c == "#" for c in pressed])
         return page.run(
             f"(() => {{ const b = new m.Button({longest}); return {steps}.map((p, k) => b.step(p, k / 2)); }})()"
         )
 
-    assert heard(".#..") == [None, None, "press", None]
-    assert heard(".######.") == [None, None, None, "hold", None, None, None, None]
+    assert heard(".#..") == [None, "press", "short", None]
+    assert heard(".######.") == [None, "press", None, "long", None, None, None, None]
     assert heard("##.") == [None, None, None]  # pressed before anybody listened
-    assert heard(".###.#", "null") == [None, "press", None, None, None, "press"]
+    assert heard(".####.#", "undefined") == [None, "press", None, None, None, "short", "press"]

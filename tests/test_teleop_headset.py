@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import ipaddress
+import json
 from collections.abc import Callable, Iterator
 
 import headset_rig
@@ -143,7 +144,7 @@ def test_the_other_hand_s_stick_and_trigger_move_the_joint_and_the_carrier_s_do_
     assert states[1] > max(states[0], states[2])
     begun = states[2]
     rig.press(OTHER[side], "trigger", 1)
-    rig.until("hand.state === 0.1 || hand.state === 1.3")
+    rig.until("Math.min(hand.state - 0.1, 1.3 - hand.state) < 1e-9")
     rig.press(OTHER[side], "trigger", 0)
     rig.until(f"Math.abs(hand.state - {begun}) < 1e-9")
     np.testing.assert_allclose(rig.object()[0], T, atol=1e-9)
@@ -220,15 +221,18 @@ def test_one_controller_alone_does_both(rig: Rig) -> None:
 
 def test_an_undo_while_it_is_carried_is_carried_on_from_there(rig: Rig) -> None:
     rig.press("right", "squeeze", 1)
+    rig.press("left", "trigger", 1)
     rig.frames()
     at = moved(rig, "right", REST["right"], [0.05, 0, 0, 0, 0.4, 0])
+    rig.until("hand.state > 1.3 - 1e-9")
     placed = se3.pose(se3.exp_so3([0.1, 0.2, 0.3]), [0.03, 0.02, 0.7])
     rig.page.run(
         f"hand.place({{position: {placed[:3, 3].tolist()}, quaternion: {se3.wxyz(placed).tolist()}, state: 0.5}}, 1)"
     )
     rig.frames()
     np.testing.assert_allclose(rig.object()[0], placed, atol=1e-9)
-    assert rig.object()[1] == 0.5
+    rig.frames()
+    assert rig.object()[1] == 0.5  # although the trigger is still pulled
     after = moved(rig, "right", at, [0, 0.04, 0, 0.2, 0, 0])
     np.testing.assert_allclose(rig.object()[0], expected(placed, "right", at, after, TO_CAMERA), atol=1e-5)
 
@@ -252,13 +256,15 @@ def test_buttons_of_either_hand_record_pause_undo_and_save(rig: Rig, side: str) 
     rig.page.run("link.status.recording = true")
     assert press(undo) == ["undo"]
     assert press(record) == ["pause"]
-    rig.press(side, record, 1)
-    rig.page.run("new Promise((done) => setTimeout(done, 1100))")
-    rig.frames(20)
-    assert rig.said() == ["save"]
-    rig.press(side, record, 0)
-    rig.frames()
-    assert rig.said() == []
+    for recording, wanted in ((True, ["pause", "save"]), (False, ["save"])):
+        rig.page.run(f"link.status.recording = {json.dumps(recording)}")
+        rig.press(side, record, 1)
+        rig.page.run("new Promise((done) => setTimeout(done, 1050))")
+        rig.frames(3)
+        assert rig.said() == wanted
+        rig.press(side, record, 0)
+        rig.frames()
+        assert rig.said() == []
 
 
 @pytest.mark.parametrize("state", ["hidden", "visible-blurred"])

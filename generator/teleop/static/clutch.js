@@ -147,10 +147,10 @@ export class JointGrip {
   }
 }
 
-/** A button that is pressed, and let go or held: `step` says "press" when it was short, "hold" once when it is not. */
+/** A button: `step` says "press" when it goes down; then "short" when it is let go, or "long" once it was held so long. */
 export class Button {
-  /** @param longest Seconds after which it is held; without it every press counts when it begins. */
-  constructor(longest = null) {
+  /** @param longest Seconds after which it is held. */
+  constructor(longest = Infinity) {
     this.longest = longest;
     this.drop();
   }
@@ -166,12 +166,15 @@ export class Button {
       const short = this.since !== null && !this.spent;
       this.since = null;
       this.spent = false;
-      return short ? "press" : null;
+      return short ? "short" : null;
     }
     if (this.spent) return null;
-    this.since ??= now;
-    if (this.longest !== null && now - this.since < this.longest) return null;
+    if (this.since === null) {
+      this.since = now;
+      return "press";
+    }
+    if (now - this.since < this.longest) return null;
     this.spent = true;
-    return this.longest === null ? "press" : "hold";
+    return "long";
   }
 }

@@ -9,7 +9,7 @@ import { Room } from "./room.js";
 
 const SQUEEZED = 0.5; // from here on a squeeze holds ...
 const LET_GO = 0.3; // ... until it is less than this, so that a hand that trembles does not let go. Not measured.
-const SAVE_S = 1; // how long the record button is held to save
+const SAVE_S = 1; // how long the record button is held to save. Not measured.
 const LONGEST_STEP_S = 0.1; // a stick moves the joint by no more than it does in this time, however late a frame comes
 const PANEL_PIXELS = [1280, 720]; // what the panel in the room can show; the server may draw fewer
 const COLOURS = { holds: [0.3, 0.64, 1], tracked: [0.75, 0.78, 0.82] };
@@ -17,6 +17,7 @@ const HELP = [
   "Squeeze to carry the object. The other hand's stick or trigger moves the joint.",
   "A or X: record or pause, held: save.  B or Y: undo.  Stick pressed: recentre.",
 ];
+const LOST = ["The controller was out of sight.", "Squeeze again to carry on."];
 
 /**
  * Show `button` where a headset can be had, and begin a session when it is pressed.
@@ -114,6 +115,7 @@ export class Headset {
     session.addEventListener("visibilitychange", () => this.looked());
     session.addEventListener("end", () => {
       this.rest();
+      gl.getExtension("WEBGL_lose_context")?.loseContext(); // a page may have few of them
       ended();
     });
     session.requestAnimationFrame((time, frame) => this.step(time, frame));
@@ -126,7 +128,7 @@ export class Headset {
 
   rest() {
     this.letGo();
-    if (this.status.recording) this.link.do("pause");
+    if (this.link.drives) this.link.do("pause"); // of no recording it is none
   }
 
   get status() {
@@ -180,10 +182,14 @@ export class Headset {
   press(now, head) {
     for (const one of Object.values(this.controllers)) {
       const record = one.record.step(one.pressed(4), now);
-      if (record === "press") this.link.do(this.status.recording ? "pause" : "record");
-      if (record === "hold") this.link.do("save");
-      if (one.undo.step(one.pressed(5), now)) this.link.do("undo");
-      if (one.recentre.step(one.pressed(3), now)) this.recentre(head);
+      if (record === "press") {
+        one.pauses = this.status.recording; // at once: what comes while it is held is not of the take
+        if (one.pauses) this.link.do("pause");
+      }
+      if (record === "short" && !one.pauses) this.link.do("record");
+      if (record === "long") this.link.do("save");
+      if (one.undo.step(one.pressed(5), now) === "press") this.link.do("undo");
+      if (one.recentre.step(one.pressed(3), now) === "press") this.recentre(head);
     }
   }
 
@@ -197,19 +203,15 @@ export class Headset {
   choose() {
     const { controllers } = this;
     if (this.holder && !controllers[this.holder].wants) {
-      this.hint = controllers[this.holder].pose ? HELP : ["The controller was out of sight.", "Squeeze again to carry on."];
+      this.hint = controllers[this.holder].pose ? HELP : LOST;
       this.clutch.release();
       this.holder = null;
     }
-    const wanting = this.holder ?? Object.keys(controllers).find((side) => controllers[side].wants);
-    if (!wanting) return;
-    if (!this.holder) {
-      this.hint = HELP;
-      this.grasp(wanting);
-      controllers[wanting].pulse();
-    } else if (this.left && !same(this.left, this.hand)) {
-      this.grasp(wanting); // an undo, or another device, has placed the object: it is carried on from there
-    }
+    const wanting = Object.keys(controllers).find((side) => controllers[side].wants);
+    if (this.holder || !wanting) return;
+    this.hint = HELP;
+    this.grasp(wanting);
+    controllers[wanting].pulse();
   }
 
   /** The joint's state by the controllers that do not carry; by the one that does, where there is no other. */
@@ -228,13 +230,18 @@ export class Headset {
 
   move(dt, time) {
     const { hand } = this;
+    if (this.left && !same(this.left, hand)) {
+      // an undo, or another device, has placed the object: it is carried on from there, and no trigger takes it back
+      for (const one of Object.values(this.controllers)) one.joint.drop();
+      if (this.holder) this.grasp(this.holder);
+    }
     this.choose();
     const state = this.bent(dt);
     if (this.holder || state !== hand.state || this.status.recording) {
       const object = this.holder ? this.clutch.carried(this.controllers[this.holder].pose) : hand;
       hand.set(object.position, object.quaternion, state, "headset", time);
     }
-    this.left = { position: hand.position, quaternion: hand.quaternion };
+    this.left = { position: hand.position, quaternion: hand.quaternion, state: hand.state };
   }
 
   show(time, views) {
@@ -310,5 +317,5 @@ class Controller {
 }
 
 function same(a, b) {
-  return ["position", "quaternion"].every((key) => a[key].every((c, k) => c === b[key][k]));
+  return a.state === b.state && ["position", "quaternion"].every((key) => a[key].every((c, k) => c === b[key][k]));
 }
