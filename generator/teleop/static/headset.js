@@ -17,6 +17,8 @@ const HELP = [
   "Squeeze to carry the object. The other hand's stick or trigger moves the joint.",
   "A or X: record or pause, held: save.  B or Y: undo.  Stick pressed: recentre.",
 ];
+const WATCHES = ["Another page drives.", "You watch."];
+const ALONE = ["The connection is lost.", "It is tried again and again; a recording is paused."];
 const LOST = ["The controller was out of sight.", "Squeeze again to carry on."];
 
 /**
@@ -247,11 +249,12 @@ export class Headset {
   show(time, views) {
     if (time - this.told > 100) {
       this.told = time;
-      const { recording, paused, seconds, notice } = this.status;
+      const { recording, paused, seconds } = this.status;
       const { state, limits } = this.hand;
       const joint = this.link.hello?.joint_type;
       const latency = this.link.latency()?.[0] ?? null;
-      const lines = this.link.drives ? this.hint : ["Another page drives.", "You watch."];
+      const notice = this.link.drives ? this.status.notice : null;
+      const lines = this.link.drives ? this.hint : this.link.state === "open" ? WATCHES : ALONE;
       this.room.tell({ recording, paused, seconds, state, limits, joint, notice, latency, lines });
     }
     const shown = Object.entries(this.controllers)
