@@ -2,7 +2,7 @@
 
     python -m benchmarks.headset_filter --mocap /path/to/mocap
 
-prints a table for some settings; those of `freeart21.one_euro.HEADSET` are marked. The noise is assumed, not measured
+prints a table for some settings; those of `freeart21.one_euro.headset` are marked. The noise is assumed, not measured
 (no headset was at hand): white, .3 mm and .1 degrees a sample and axis, and a hand's tremor at 10 Hz, .2 mm and .1
 degrees. Lag is of captured motion (ARCTIC's tracks, every third file, brought to a headset's 72 Hz by splines)
 without noise: how long ago the filter's answer was true, by the part of its error along the motion. *Fast* are the
@@ -22,12 +22,12 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from freeart21 import se3
 from freeart21.formats.captured import read_track
-from freeart21.one_euro import HEADSET, Band, OneEuro, filtered
+from freeart21.one_euro import Band, OneEuro, filtered, headset
 from freeart21.se3 import Array
 
 HZ = 72.0
-TRIED = [HEADSET] + [
-    OneEuro(Band(low, p), Band(low, r), None)
+TRIED = [headset("revolute")] + [
+    OneEuro(Band(low, p), Band(low, r), Band(low, r))
     for low, p, r in ((1, 0, 0), (1, 10, 1), (1, 30, 3), (1, 60, 5), (0.5, 100, 10), (3, 60, 5))
 ]
 
@@ -54,7 +54,7 @@ def main(mocap: Path) -> None:
         assert settings.position is not None and settings.rotation is not None
         after = _spread(filtered(settings, still, held, np.zeros(len(still)))[0][int(HZ) :])
         lags = np.array([_lags(settings, *take) for take in takes])
-        mark = " *" if settings == HEADSET else ""
+        mark = " *" if settings is TRIED[0] else ""
         table.add_row(
             f"{settings.position.min_cutoff_hz:g}{mark}",
             f"{settings.position.beta:g}, {settings.rotation.beta:g}",
@@ -64,11 +64,15 @@ def main(mocap: Path) -> None:
     Console(width=140).print(table)
 
 
-def _at_headset_rate(path: Path) -> tuple[Array, Array]:
+def _at_headset_rate(path: Path) -> tuple[Array, Array, Array]:
     take = read_track(path)
     times = np.arange(take.times[0], take.times[-1], 1 / HZ)
     turns = RotationSpline(take.times, Rotation.from_matrix(take.Ts[:, :3, :3]))(times).as_matrix()
-    return times, se3.pose(turns, CubicSpline(take.times, take.Ts[:, :3, 3])(times))
+    return (
+        times,
+        se3.pose(turns, CubicSpline(take.times, take.Ts[:, :3, 3])(times)),
+        CubicSpline(take.times, take.states)(times),
+    )
 
 
 def _noisy(times: Array, rng: np.random.Generator) -> Array:
@@ -85,9 +89,9 @@ def _spread(Ts: Array) -> tuple[float, float]:
     return mm, degrees
 
 
-def _lags(settings: OneEuro, times: Array, Ts: Array) -> tuple[float, float, float, float]:
+def _lags(settings: OneEuro, times: Array, Ts: Array, states: Array) -> tuple[float, float, float, float]:
     """Median lag, ms, of fast places, others, fast turns, others."""
-    out = filtered(settings, times, Ts, np.zeros(len(times)))[0]
+    out = filtered(settings, times, Ts, states)[0]
     R, back = Ts[:, :3, :3], np.swapaxes(Ts[:-1, :3, :3], 1, 2)
     v, w = HZ * np.diff(Ts[:, :3, 3], axis=0), HZ * se3.log_so3(R[1:] @ back)
     away = (Ts - out)[1:, :3, 3], se3.log_so3(R[1:] @ np.swapaxes(out[1:, :3, :3], 1, 2))

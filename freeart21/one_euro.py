@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from freeart21 import se3
+from freeart21.joint import JointType
 from freeart21.se3 import Array
 
 Vector = tuple[float, ...]
@@ -41,31 +42,49 @@ class OneEuro:
     """Of the speed: the paper's value, which its authors found to need no tuning."""
 
 
-HEADSET = OneEuro(position=Band(1.0, 100.0), rotation=Band(1.0, 10.0), state=None)
-"""Of controllers held in the hand. By `python -m benchmarks.headset_filter` a held controller's noise (assumed: .6 mm
-and .25 degrees, half of it a hand's tremor at 10 Hz) becomes 4.1 and 4.7 times less; captured motion of eleven takes
-lags 3 and 5 ms where it is fastest (5 % of each take) and 10 and 13 ms elsewhere (places, turns). The joint's state
-is a stick's, summed over time: it has no noise to take away."""
+def headset(joint_type: JointType) -> OneEuro:
+    """What controllers held in the hand want, for a hinge's or a slide's joint.
+
+    By `python -m benchmarks.headset_filter` a held controller's noise (assumed: .6 mm and .25 degrees, half of it a
+    hand's tremor at 10 Hz) becomes 4.1 and 4.5 times less, and captured motion of eleven takes lags 3 and 4 ms where it
+    is fastest (5 % of each take) and 6 ms elsewhere (places, turns). A joint's speed counts as a turn's or a place's.
+    """
+    place, turn = Band(1.0, 100.0), Band(1.0, 10.0)
+    return OneEuro(place, turn, turn if joint_type == "revolute" else place)
 
 
 class PoseFilter:
-    """The filter, sample by sample."""
+    """The filter, sample by sample.
+
+    Each quantity asks for a cutoff by its own speed, and the largest is used for all of them: what is filtered goes one
+    share of its way. So pose and joint are together what they were together some milliseconds ago, as somebody saw
+    them, and not a pose of one moment with a joint of another: in one of the first takes such an object left the
+    picture that it had been kept in.
+    """
 
     def __init__(self, settings: OneEuro) -> None:
-        hz = settings.speed_cutoff_hz
-        self._position = None if settings.position is None else _Filter(settings.position, hz, _minus, _plus)
-        self._rotation = None if settings.rotation is None else _Filter(settings.rotation, hz, _turn_to, _turned)
-        self._state = None if settings.state is None else _Filter(settings.state, hz, _minus, _plus)
+        self._settings = settings
+        self._time = 0.0
+        self._parts: tuple[_Filter, _Filter, _Filter] | None = None
 
     def step(self, time: float, position: Vector, quaternion: Vector, state: float) -> tuple[Vector, Vector, float]:
         """The filtered position (3,) m, unit quaternion (4,) wxyz and state of a sample at `time` s; times grow."""
-        if self._position is not None:
-            position = self._position.step(time, position)
-        if self._rotation is not None:
-            quaternion = self._rotation.step(time, quaternion)
-        if self._state is not None:
-            (state,) = self._state.step(time, (state,))
-        return position, quaternion, state
+        given, wanted = self._settings, (position, quaternion, (state,))
+        if self._parts is None:
+            self._parts = (
+                _Filter(given.position, _minus, _plus, position),
+                _Filter(given.rotation, _turn_to, _turned, quaternion),
+                _Filter(given.state, _minus, _plus, (state,)),
+            )
+        else:
+            dt, parts = time - self._time, self._parts
+            a = _share(given.speed_cutoff_hz, dt)
+            b = _share(max(part.cutoff(value, a, dt) for part, value in zip(parts, wanted, strict=True)), dt)
+            for part, value in zip(parts, wanted, strict=True):
+                part.go(value, b)
+        self._time = time
+        place, turn, joint = self._parts
+        return place.at, turn.at, joint.at[0]
 
 
 def filtered(settings: OneEuro, times: Array, Ts: Array, states: Array) -> tuple[Array, Array]:
@@ -78,35 +97,39 @@ def filtered(settings: OneEuro, times: Array, Ts: Array, states: Array) -> tuple
 
 
 class _Filter:
-    """The paper's Algorithm 1, for anything with a difference (a vector) and a way to add one."""
+    """One quantity in the paper's Algorithm 1: anything with a difference (a vector) and a way to add one."""
 
     def __init__(
         self,
-        band: Band,
-        speed_cutoff_hz: float,
+        band: Band | None,
         minus: Callable[[Vector, Vector], Vector],
         plus: Callable[[Vector, Vector], Vector],
+        at: Vector,
     ) -> None:
-        self._band, self._speed_hz, self._minus, self._plus = band, speed_cutoff_hz, minus, plus
-        self._time = 0.0
-        self._at: Vector | None = None
-        self._speed: Vector = ()
+        self.at = at
+        """Where the filter stands."""
+        self._band, self._minus, self._plus = band, minus, plus
+        self._speed = minus(at, at)
 
-    def step(self, time: float, value: Vector) -> Vector:
-        if self._at is None:
-            self._time, self._at, self._speed = time, value, self._minus(value, value)
-            return value
-        dt, away = time - self._time, self._minus(value, self._at)
-        a = _share(self._speed_hz, dt)
+    def cutoff(self, value: Vector, a: float, dt: float) -> float:
+        """The cutoff that it asks for, Hz, once its speed has gone a share `a` to the one it needs to `value`."""
+        if self._band is None:
+            return 0.0
+        away = self._minus(value, self.at)
         self._speed = tuple(v + a * (d / dt - v) for v, d in zip(self._speed, away, strict=True))
-        b = _share(self._band.min_cutoff_hz + self._band.beta * math.hypot(*self._speed), dt)
-        self._at, self._time = self._plus(self._at, tuple(b * d for d in away)), time
-        return self._at
+        return self._band.min_cutoff_hz + self._band.beta * math.hypot(*self._speed)
+
+    def go(self, value: Vector, share: float) -> None:
+        """Go so much of the way to `value`; all of it, where nothing is filtered."""
+        if self._band is None:
+            self.at = value
+        else:
+            self.at = self._plus(self.at, tuple(share * d for d in self._minus(value, self.at)))
 
 
 def _share(cutoff_hz: float, dt: float) -> float:
     """How far a low pass goes to a new value in `dt` seconds, of 1."""
-    return 1 / (1 + 1 / (2 * math.pi * cutoff_hz * dt))
+    return 1 / (1 + 1 / (2 * math.pi * cutoff_hz * dt)) if cutoff_hz > 0 else 0.0
 
 
 def _minus(a: Vector, b: Vector) -> Vector:

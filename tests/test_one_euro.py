@@ -14,9 +14,10 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files.take import header, read_take, sample, write_take
 from freeart21.formats.captured import read_track
-from freeart21.one_euro import HEADSET, Band, OneEuro, PoseFilter, filtered
+from freeart21.one_euro import Band, OneEuro, PoseFilter, filtered, headset
 from generator.motion import track
 
+HEADSET = headset("revolute")
 BAND = Band(1.2, 0.7)
 ALL = OneEuro(BAND, BAND, BAND, 0.9)
 TIMES = 3 + np.cumsum(np.random.default_rng(1).uniform(0.002, 0.05, 300))  # as irregular as a radio link
@@ -54,8 +55,9 @@ def wandering(seed: int) -> tuple[np.ndarray, np.ndarray]:
 def test_numbers_are_filtered_as_the_paper_says() -> None:
     Ts, states = wandering(0)
     Ts[:, 1:3, 3] = 0.2  # one coordinate moves: the vector's speed is its own
-    out, smooth = filtered(ALL, TIMES, Ts, states)
+    _, smooth = filtered(OneEuro(None, None, BAND, 0.9), TIMES, Ts, states)
     np.testing.assert_allclose(smooth, paper(states, BAND, 0.9), atol=1e-12)
+    out, _ = filtered(OneEuro(BAND, None, None, 0.9), TIMES, Ts, states)
     np.testing.assert_allclose(out[:, 0, 3], paper(Ts[:, 0, 3], BAND, 0.9), atol=1e-12)
     np.testing.assert_allclose(out[:, 1:3, 3], 0.2, atol=1e-12)
 
@@ -64,9 +66,37 @@ def test_a_turn_about_one_axis_is_filtered_as_its_angle_over_many_turns() -> Non
     angles = np.cumsum(np.abs(np.random.default_rng(2).normal(0.2, 0.1, len(TIMES))))  # 9 turns
     axis = np.array([2.0, -1, 2]) / 3
     Ts = se3.pose(se3.exp_so3(angles[:, None] * axis), np.zeros(3))
-    out, _ = filtered(ALL, TIMES, Ts, angles)
+    out, _ = filtered(OneEuro(None, BAND, None, 0.9), TIMES, Ts, angles)
     expected = se3.exp_so3(paper(angles, BAND, 0.9)[:, None] * axis)
     np.testing.assert_allclose(out[:, :3, :3], expected, atol=1e-9)
+
+
+def test_all_go_one_share_of_their_way_the_largest_that_one_of_them_wants() -> None:
+    Ts, states = wandering(8)
+    states[:150] = states[0]  # first the pose moves alone, then the joint
+    Ts[150:] = Ts[150]
+    out, smooth = filtered(ALL, TIMES, Ts, states)
+    alone = [filtered(only, TIMES, Ts, states) for only in _each(BAND)]
+
+    def shares(Ts_out: np.ndarray, states_out: np.ndarray) -> np.ndarray:
+        """How far each quantity went of its way, (n - 1, 3); NaN where there was none to go."""
+        turned, left = (
+            se3.rotation_angle(R[1:, :3, :3] @ np.swapaxes(Ts_out[:-1, :3, :3], 1, 2)) for R in (Ts_out, Ts)
+        )
+        gone, way = (np.linalg.norm(p[1:, :3, 3] - Ts_out[:-1, :3, 3], axis=1) for p in (Ts_out, Ts))
+        went, far = (np.abs(s[1:] - states_out[:-1]) for s in (states_out, states))
+        done, wanted = np.stack([gone, turned, went], 1), np.stack([way, left, far], 1)
+        return np.where(wanted > 1e-6, done / np.maximum(wanted, 1e-6), np.nan)
+
+    found = shares(out, smooth)
+    assert np.nanmax(np.nanmax(found, 1) - np.nanmin(found, 1)) < 1e-6
+    first = [shares(*one)[0, k] for k, one in enumerate(alone[:2])]
+    np.testing.assert_allclose(found[0, :2], max(first), atol=1e-9)
+    assert min(first) < max(first) - 1e-4
+
+
+def _each(band: Band) -> list[OneEuro]:
+    return [OneEuro(band, None, None, 0.9), OneEuro(None, band, None, 0.9), OneEuro(None, None, band, 0.9)]
 
 
 def test_the_filter_knows_no_axes() -> None:
@@ -86,7 +116,8 @@ def test_sample_by_sample_it_is_the_same_to_the_last_bit_whatever_a_quaternion_s
     assert np.array_equal(se3.pose_from_wxyz(positions, quaternions), out) and np.array_equal(values, smooth)
     flipped = PoseFilter(ALL)
     for k, q in enumerate(se3.wxyz(Ts)):
-        _, turn, _ = flipped.step(TIMES[k], (0.0, 0.0, 0.0), tuple((q * (-1) ** k).tolist()), 0.0)
+        place = tuple(Ts[k, :3, 3].tolist())
+        _, turn, _ = flipped.step(TIMES[k], place, tuple((q * (-1) ** k).tolist()), float(states[k]))
         np.testing.assert_allclose(np.abs(np.dot(turn, quaternions[k])), 1, atol=1e-12)
 
 

@@ -24,15 +24,22 @@ from browser import Browser, browser
 from headset_rig import Rig
 
 from freeart21 import se3
-from freeart21.files.take import read_take
+from freeart21.camera import Camera
+from freeart21.files.take import Take, read_take
 from freeart21.files.truth import read_truth
-from freeart21.one_euro import HEADSET, PoseFilter
+from freeart21.one_euro import PoseFilter, headset
+from generator.motion import track
+from generator.motion.body import Body
+from generator.motion.framing import extent
+from generator.motion.plan import PRESETS
 from generator.recorder import RecordSettings, record
+from generator.session import entry_of, load_object
 
 for _needed in ("aiohttp", "cryptography", "qrcode"):
     pytest.importorskip(_needed, reason="the extra teleop is not installed")
 needs_headset = pytest.mark.skipif(not headset_rig.HAS_IWER, reason="needs Chromium and iwer, see CONTRIBUTING.md")
 PATIENCE_S = 120.0
+HEADSET = headset("revolute")
 
 
 @dataclasses.dataclass
@@ -213,6 +220,50 @@ def test_a_take_of_two_controllers_holds_what_was_sent_and_replays_it_through_th
     np.testing.assert_allclose(got, Ts, atol=1e-4)
     np.testing.assert_allclose(truth.states, states, atol=1e-4)
     assert truth.source["track"]["filter"] == {"one_euro": dataclasses.asdict(HEADSET)}
+
+
+WILD = """
+(async () => {
+  const { Hand, fromRotationVector, multiply, rotate, minus } = await import(
+    document.querySelector("script[type=module]").src.replace("main.js", "hand.js"));
+  const hand = new Hand(), out = [];
+  hand.meet(teleop.link.hello);
+  let seed = SEED;
+  const random = () => (seed = (seed * 16807) % 2147483647) / 2147483647;
+  const waves = Array.from({ length: 7 }, () => [0.5 * random(), random(), 0.5 * random(), random()]);
+  const wave = (k, t) => [0, 2].reduce((sum, i) =>
+    sum + Math.sin(2 * Math.PI * (waves[k][i] * t + waves[k][i + 1])) / (1 + i / 2), 0);
+  const [low, high] = hand.limits, step = (4 * (high - low)) / 72;
+  for (let i = 0; i < 1440; i++) {
+    const t = i / 72;
+    const q = multiply(fromRotationVector([0, 1, 2].map((k) => 1.2 * wave(k, t))), hand.start.quaternion);
+    const middle = [0.15 * wave(3, t), 0.12 * wave(4, t), 0.35 + 0.12 * wave(5, t)];
+    const wanted = wave(6, t) > 0 ? high : low; // as a trigger that snaps
+    const state = hand.state + Math.min(Math.max(wanted - hand.state, -step), step);
+    hand.set(minus(middle, rotate(q, hand.centre)), q, state, "headset");
+    out.push([t, ...hand.position, ...hand.quaternion, hand.state]);
+  }
+  return out;
+})()
+"""
+"""Twenty seconds of a hand that pushes the object against the borders of its picture, and snaps its joint."""
+
+
+@needs_headset
+def test_what_was_kept_in_the_picture_stays_in_it_through_the_filter(rig: Rig, tmp_path: Path) -> None:
+    settings = RecordSettings()
+    loaded = load_object(entry_of("stapler", settings), settings, tmp_path)
+    meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
+    body = Body.of(meshes, loaded.joint)
+    camera = Camera.from_fov(640, 360, np.radians(PRESETS["handheld"].fov_y_degrees))
+    for seed in (3, 4):  # with an unfiltered joint beside a filtered pose, both left the picture
+        rows = np.array(rig.page.run(WILD.replace("SEED", str(seed))))
+        Ts = se3.pose_from_wxyz(rows[:, 1:4], rows[:, 4:8])
+        take = Take("wild", "", "", "headset", "camera", "revolute", rows[:, 0], Ts, rows[:, 8], HEADSET)
+        stretch = track.resampled(take, 30.0, track.frames_of(take, 30.0))
+        low, high = extent(stretch.Ts, stretch.states, body, camera)
+        assert np.minimum(low, [640, 360] - high).min() > 0
+        assert np.ptp(stretch.states) > 1 and np.ptp(stretch.Ts[:, :3, 3], axis=0).min() > 0.05
 
 
 def _like(move: dict, take, k: int) -> bool:

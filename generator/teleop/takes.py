@@ -12,7 +12,7 @@ from freeart21.files import atomic
 from freeart21.files.places import check_place
 from freeart21.files.take import header, sample
 from freeart21.joint import JointType
-from freeart21.one_euro import HEADSET
+from freeart21.one_euro import headset
 from generator.teleop.driving import Driving
 
 MOST_FILES = 10_000
@@ -50,7 +50,9 @@ class Takes:
         raise fault
 
     def _text(self, driving: Driving) -> bytes:
-        held = HEADSET if "headset" in driving.devices else None  # controllers in hands shake, mice do not
+        held = (
+            headset(self._joint_type) if "headset" in driving.devices else None
+        )  # controllers in hands shake, mice do not
         head = header(", ".join(driving.devices) or "none", "camera", self._joint_type, held)
         return ("\n".join([head, *(sample(*s) for s in driving.take.samples())]) + "\n").encode()
 
