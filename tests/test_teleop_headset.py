@@ -289,7 +289,9 @@ def test_a_session_that_ends_pauses_and_another_can_begin(rig: Rig) -> None:
     rig.press("right", "squeeze", 1)
     rig.frames()
     words = rig.page.run("document.querySelector('#headset').textContent")
+    assert rig.page.run("link.immersive")
     rig.page.run("headset().session.end()")
+    assert not rig.page.run("link.immersive")
     assert rig.said() == ["pause"]
     assert words == "Leave headset"
     assert rig.page.run("viewed") == [[1280, 720], [300, 200]]
@@ -323,7 +325,7 @@ def test_who_only_watches_moves_nothing_and_a_line_that_breaks_lets_go(rig: Rig)
 def test_the_picture_hangs_before_the_eyes(rig: Rig) -> None:
     rig.page.run(
         "(() => { const x = picture.getContext('2d'); x.fillStyle = '#00ff00'; x.fillRect(0, 0, 640, 360);"
-        "x.fillStyle = '#ff0000'; x.fillRect(0, 0, 320, 180); link.shown(); })()"
+        "x.fillStyle = '#ff0000'; x.fillRect(0, 0, 320, 180); link.shown(picture); })()"
     )
     rig.frames(3)
     look = """

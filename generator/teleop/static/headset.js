@@ -25,7 +25,7 @@ const LOST = ["The controller was out of sight.", "Squeeze again to carry on."];
  * Show `button` where a headset can be had, and begin a session when it is pressed.
  * @param hand The commanded pose and state (hand.js).
  * @param link The connection (link.js).
- * @param picture The canvas that shows the camera's newest picture.
+ * @param picture The canvas that shows the camera's newest picture: where nothing moves, no other comes.
  * @param button An element that is hidden.
  * @returns What is going on: {session: Headset or null}.
  */
@@ -47,7 +47,7 @@ export async function startHeadset({ hand, link, picture, button }) {
     button.hidden = !(await offers());
   };
   navigator.xr?.addEventListener?.("devicechange", look);
-  link.onpicture(() => now.session?.room.show(picture));
+  link.onpicture((bitmap) => now.session?.room.show(bitmap));
   await look();
   const words = label.textContent;
   button.addEventListener("click", async () => {
@@ -60,9 +60,11 @@ export async function startHeadset({ hand, link, picture, button }) {
     try {
       now.session = await Headset.begin(hand, link, () => {
         now.session = null;
+        link.immersive = false;
         say(words);
         if (shape) link.view(...shape);
       });
+      link.immersive = true;
       link.view(...PANEL_PIXELS);
       now.session.room.show(picture);
       say("Leave headset");
