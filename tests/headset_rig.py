@@ -102,7 +102,7 @@ ALONE = """
   hand.onchange = (device, time) =>
     sent.push({ device, time, position: [...hand.position], quaternion: [...hand.quaternion], state: hand.state });
   window.link = {
-    hello: { joint_type: "revolute" }, status: { recording: false, seconds: 0 }, drives: true, state: "open",
+    hello: { joint_type: "revolute" }, status: { recording: false, seconds: 0 }, drives: true, state: "open", send() {},
     do: (what) => said.push(what), shape: [300, 200], view: (...size) => viewed.push(size),
     latency: () => [21.4, 40], onpicture(f) { this.shown = f; },
   };

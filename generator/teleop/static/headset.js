@@ -65,6 +65,8 @@ export async function startHeadset({ hand, link, picture, button }) {
         if (shape) link.view(...shape);
       });
       link.immersive = true;
+      hand.device = "headset"; // of what is sent before anything moves, too
+      link.send(hand, hand.device);
       link.view(...PANEL_PIXELS);
       now.session.room.show(picture);
       say("Leave headset");
