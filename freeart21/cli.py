@@ -191,7 +191,7 @@ def record(
         skip_missing: Leave out meshes that an object names but does not have and, with `all`, objects that are not in
             --partnet-root.
         motion: tumble (when not given), inspect, wave, turntable, static_base, release, human, or track:FILE, a take
-            that is replayed where its joint moves most.
+            (or teleop:FILE).
         carry: Factor on a take's way, 1 for its metres; by the objects' sizes when not given.
         preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).
         sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
@@ -216,11 +216,13 @@ def record(
     from generator.recorder import RecordSettings, built_in_names
 
     track = None
-    if motion is not None and motion.startswith("track:"):
-        motion, file = "track", motion.removeprefix("track:")
-        track = Path(file) if file else None
+    if motion is not None and motion.startswith(("track:", "teleop:")):
+        file = motion.partition(":")[2]
+        motion, track = "track", Path(file) if file else None
     if track is not None:
         lasts = frames_of(read_track(track), RecordSettings.fps)
+        if frames is not None and frames < lasts:
+            print(f"{track} lasts {lasts} frames; the {frames} over which its joint moves most are recorded")
         frames = lasts if frames is None else min(frames, lasts)
     settings = RecordSettings(
         frames=300 if frames is None else frames,
@@ -278,6 +280,44 @@ def record(
     if not made:
         print(f"{out} holds {'this sequence' if len(jobs) == 1 else f'these {len(jobs)} sequences'} already")
     return 0
+
+
+def teleop(
+    name: Annotated[str, Positional],
+    out: Path,
+    seed: int = 0,
+    partnet_root: Path | None = None,
+    joint: str | None = None,
+    skip_missing: bool = False,
+    host: str = "127.0.0.1",
+    port: int = 8021,
+    width: int = 640,
+    height: int = 360,
+) -> None:
+    """Move an object and its joint by hand, live in a browser, and record it as a take.
+
+    Prints an address with a secret token: who has it drives, or watches. `freeart21 record NAME --motion track:TAKE`
+    replays a take at full quality. Needs the extra `teleop`.
+
+    Args:
+        name: Object of the catalog (`freeart21 objects`), a URDF as PATH.urdf, or a PartNet-Mobility id.
+        out: File of the take; nothing is replaced, and further takes are numbered.
+        seed: Seed of the object's shape and colours.
+        partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf or ROOT/dataset/41083.
+        joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
+        skip_missing: Leave out meshes that the object names but does not have.
+        host: Address to listen at; 0.0.0.0 is all that this machine has. Beyond 127.0.0.1 the page is served by https,
+            with a certificate that is made for this machine and kept.
+        port: Port to listen at; 0 takes a free one.
+        width: Of the live picture, pixels; a page of another shape gets as many.
+        height: Of the live picture, pixels.
+    """
+    from generator.session import RecordSettings
+    from generator.teleop.start import TeleopSettings, serve
+
+    record = RecordSettings(seed=seed, partnet_root=partnet_root, joint=joint, skip_missing=skip_missing)
+    record.check()
+    serve(name, out, TeleopSettings(host, port, width, height), record)
 
 
 def verify(data: Annotated[Path, Positional], deep: bool = False, truth: Path | None = None) -> int:
@@ -722,6 +762,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         demo,
         objects,
         record,
+        teleop,
         verify,
         convert,
         reconstruct,

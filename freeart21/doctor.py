@@ -35,6 +35,7 @@ _OPTIONAL = {
     "gsplat": "freeart21[torch]",
     "mani_skill": "freeart21[maniskill]",
     "mujoco": "freeart21[dev]",
+    "aiohttp": "freeart21[teleop]",
 }
 
 _PROBE_CV2 = "import cv2; print(cv2.__version__)"

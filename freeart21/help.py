@@ -24,6 +24,10 @@ OPTION_GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
         "how it moves": ("motion", "carry", "seed", "effects", "let_go"),
         "how it is filmed": ("frames", "preset", "sensor", "queries", "width", "height", "shader"),
     },
+    "teleop": {
+        "what is moved": ("seed", "partnet_root", "joint", "skip_missing"),
+        "the server and its picture": ("host", "port", "width", "height"),
+    },
     "measure": {
         "of files": ("asset", "joint", "columns", "unit_t", "unit_q", "unit_effort", "zero", "reverse", "held_out"),
         "what drove it, and how sure the asset is": (

@@ -24,6 +24,9 @@ from generator.surface import srgb
 _T_SAPIEN_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """SAPIEN's camera axes (x forward, y left, z up) from ours (x right, y down, z forward)."""
 
+_MOST_VIEWS = 4
+"""Sizes of pictures for which the engine's buffers are kept: making them anew takes as long as a picture."""
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -82,7 +85,6 @@ class Scene:
 
         sapien.render.set_log_level("error")
         sapien.render.set_camera_shader_dir(shader)
-        self.camera = camera
         self._linear = shader == "trivial"  # the unlit shader gives linear colours, the others sRGB
         self._scene = sapien.Scene()
         self._scene.set_ambient_light([0.30, 0.30, 0.32])
@@ -104,13 +106,24 @@ class Scene:
         self._object = _load(self._scene, urdf)
         self._joint_names = [joint.name for joint in self._object.active_joints]
         self._label = _labels(self._object, groups, urdf)
-        self._view = self._scene.add_camera(
-            "camera", camera.width, camera.height, 2 * np.arctan(0.5 * camera.height / camera.K[1, 1]), near, far
-        )
-        self._view.set_perspective_parameters(
-            near, far, camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], 0.0
-        )
-        self._view.entity.set_pose(sapien.Pose())
+        self._depths = near, far
+        self._views: dict[tuple[int, int], Any] = {}
+        self.use(camera)
+
+    def use(self, camera: Camera) -> None:
+        """Draw with this camera from now on; it stands where any other stood."""
+        import sapien
+
+        K, size, (near, far) = camera.K, (camera.width, camera.height), self._depths
+        view = self._views.pop(size, None)
+        if view is None:
+            if len(self._views) == _MOST_VIEWS:
+                self._scene.remove_entity(self._views.pop(next(iter(self._views))).entity)
+            view = self._scene.add_camera("camera", *size, 2 * np.arctan(0.5 * camera.height / K[1, 1]), near, far)
+            view.entity.set_pose(sapien.Pose())
+        view.set_perspective_parameters(near, far, K[0, 0], K[1, 1], K[0, 2], K[1, 2], 0.0)
+        self._views[size] = view
+        self.camera, self._view = camera, view
 
     def fix_lamps(self, T_camera_world: Array) -> None:
         """Fix the lamps in the world as they stand about a camera at `T_camera_world` (4, 4)."""
@@ -174,6 +187,13 @@ class Scene:
         """(height, width, 3) colours of the last view, sRGB."""
         picture = self._view.get_picture("Color")
         return encoded(picture[..., :3]) if self._linear else _rounded(picture)
+
+    def colour_and_cover(self) -> NDArray[np.float32]:
+        """(height, width, 4) of the last view as the engine gives it: colours, 0 to 1, and 1 where there is something.
+
+        The colours are sRGB; those of the shader 'trivial' are linear.
+        """
+        return np.asarray(self._view.get_picture("Color"))
 
     def linear_rgb(self) -> NDArray[np.float32]:
         """(height, width, 3) light of the last view, 0 to 1."""

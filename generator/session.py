@@ -278,7 +278,18 @@ def _tracked(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Ca
         scripted = plan_motion("tumble", body.meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset)
         R_first = scripted.Ts_camera_object[0, :3, :3]
     Ts = tracks.tracked(body, stretch, states, take, R_first, camera, preset, carry)
-    said = {"name": take.name, "sha256": take.sha256, "form": take.form, "device": take.device, "poses": take.poses}
+    if take.poses == "camera" and carried:
+        Ts, more = tracks.farther(Ts, states, body, camera)
+        carried["carry"] *= more
+    said: dict[str, Any] = {
+        "name": take.name,
+        "sha256": take.sha256,
+        "form": take.form,
+        "device": take.device,
+        "poses": take.poses,
+    }
+    if take.filter is not None:
+        said["filter"] = {"one_euro": asdict(take.filter)}
     plan = Plan(Ts, states, world_of("tumble", Ts, body), said | {"begins_s": stretch.begins_s} | fitted | carried)
     tracks.check_in_view(take.name, plan, body, camera, depth_bounds(Ts, diagonal)[0], s.fps)
     return plan

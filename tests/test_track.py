@@ -22,7 +22,7 @@ from freeart21.files.take import header, read_take, sample, write_take
 from freeart21.files.truth import read_truth
 from freeart21.formats.captured import ARCTIC_SIZES_M, read_track
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, bounding_diagonal
 from generator.dataset import jobs_of
 from generator.golden import verify_deep
 from generator.motion import track
@@ -30,6 +30,7 @@ from generator.motion.body import UPRIGHT, Body
 from generator.motion.framing import MARGIN, extent, placed_as_moved
 from generator.motion.plan import PRESETS
 from generator.recorder import RecordSettings, record
+from generator.session import entry_of, load_object, planned
 from generator.urdf_folder import load_urdf
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -320,6 +321,45 @@ def test_what_leaves_the_picture_or_comes_too_near_is_refused_in_a_line(
     with pytest.raises(FreeArtError, match=said) as caught:
         record("flip_lighter", tmp_path / "data", dataclasses.replace(SMALL, motion="track", track=tmp_path / "a.txt"))
     assert "\n" not in str(caught.value) and not (tmp_path / "data").exists()
+
+
+def test_a_take_of_one_object_is_replayed_on_all_others_and_fills_the_picture_alike(tmp_path: Path) -> None:
+    """Of the size that it tells: it stands as it is on that one, and as much nearer as others are smaller."""
+    times, camera = np.arange(31) / 30, Camera.from_fov(320, 180, 0.7)
+    settings = dataclasses.replace(SMALL, motion="track", track=tmp_path / "a.txt", frames=31, width=320, height=180)
+    fills, ways = {}, {}
+    for k, name in enumerate(("stapler", "flip_cap_usb", "filing_cabinet", "office_scissors", "cover_phone")):
+        loaded = load_object(entry_of(name, settings), settings, tmp_path / name)
+        meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
+        if k == 0:
+            size = bounding_diagonal(*meshes)
+            Ts = se3.pose(se3.exp_so3(times[:, None] * np.array([0.2, 1.1, 0.3])), np.array([0.0, 0, 3.0 * size]))
+            samples = zip(times, Ts, 0.3 * times, strict=True)
+            write_take(tmp_path / "a.txt", "mouse", "camera", "revolute", samples, size=size)
+            assert read_track(tmp_path / "a.txt").size == size
+        _, plan = planned(loaded, settings)
+        low, high = extent(plan.Ts_camera_object, plan.states, Body.of(meshes, loaded.joint), camera)
+        assert (low >= 0).all() and (high <= [320, 180]).all()
+        far = np.linalg.norm(plan.Ts_camera_object[:, :3, 3], axis=1).mean()
+        ways[name] = far / bounding_diagonal(*meshes)
+        fills[name] = np.linalg.norm(high - low, axis=1).mean()
+        if k == 0:
+            np.testing.assert_allclose(plan.Ts_camera_object, Ts, atol=1e-12)
+        else:
+            assert plan.source["carry"] == pytest.approx(far / (3.0 * size), rel=1e-6)
+            np.testing.assert_allclose(plan.Ts_camera_object[:, :3, :3], Ts[:, :3, :3], atol=1e-12)
+    assert all(3.0 - 1e-6 <= way < 4.5 for way in ways.values()), ways
+    assert max(fills.values()) < 2 * min(fills.values()), fills
+
+
+@pytest.mark.parametrize("size", ["0", "-1", "NaN", '"big"', "1e9"])
+def test_a_size_that_is_none_is_refused_in_a_line(tmp_path: Path, size: str) -> None:
+    taken(tmp_path / "a.txt")
+    first, *rest = (tmp_path / "a.txt").read_text().splitlines()
+    (tmp_path / "a.txt").write_text("\n".join([first[:-1] + f', "size": {size}}}', *rest]))
+    with pytest.raises(FreeArtError, match=r"a\.txt.*'size'") as caught:
+        read_track(tmp_path / "a.txt")
+    assert "\n" not in str(caught.value)
 
 
 def test_the_command_takes_the_take_s_length_unless_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,8 @@
 
 Poses are the object's frame in the camera's axes (x right, y down, z forward). `poses` is "camera" where they are meant
 as they stand, and "first" where only their change since the first sample is: the turn, and the way of the object's
-origin. Quaternions are wxyz.
+origin. Quaternions are wxyz. Samples are as they were taken; where they want smoothing before use, as those of a
+controller in the hand do, the first line has a key more: `"filter": {"one_euro": {...}}` (`freeart21.one_euro`).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
@@ -24,6 +25,7 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.joint import JointType
+from freeart21.one_euro import Band, OneEuro
 from freeart21.se3 import Array
 
 TAKE_SCHEMA = "freeart21/take/1"
@@ -34,6 +36,8 @@ Meaning = Literal["camera", "first"]
 _UNIT = {"revolute": "rad", "prismatic": "m"}
 _FARTHEST = 1e4
 """Metres, seconds and radians beyond which a sample is none; a clock may begin anywhere."""
+_MOST_IN_FILTER = 1e4
+"""Hz, and Hz for a unit of speed, beyond which a filter does nothing at any rate that a take has."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,10 @@ class Take:
     """(n, 4, 4) the object's frame in the camera's axes."""
     states: Array
     """(n,) joint state, rad or m."""
+    filter: OneEuro | None = None
+    """What the samples are to be smoothed by before use; None where they are good as they are."""
+    size: float | None = None
+    """Metres, the diagonal of the box of the object that was moved; None where nobody told."""
 
     def __post_init__(self) -> None:
         n = len(self.times)
@@ -72,12 +80,18 @@ class Take:
         far = max(np.ptp(self.times), np.abs(self.Ts[:, :3, 3]).max(), np.abs(self.states).max())
         if not far <= _FARTHEST:
             raise FreeArtError(f"{self.name} holds a number of {far:.3g}, expected at most {_FARTHEST:g} s, m or rad")
+        if self.size is not None and not 0 < self.size <= _FARTHEST:
+            raise FreeArtError(f"{self.name}: 'size' is {self.size:g} m, expected more than 0, at most {_FARTHEST:g}")
 
 
-def header(device: str, poses: Meaning, joint_type: JointType) -> str:
+def header(
+    device: str, poses: Meaning, joint_type: JointType, filter: OneEuro | None = None, size: float | None = None
+) -> str:
     """The first line of a take's file, without its end."""
     units = {"time": "s", "position": "m", "state": _UNIT[joint_type]}
-    return _line({"schema": TAKE_SCHEMA, "device": device, "poses": poses, "joint_type": joint_type, "units": units})
+    head = {"schema": TAKE_SCHEMA, "device": device, "poses": poses, "joint_type": joint_type, "units": units}
+    smoothed = {} if filter is None else {"filter": {"one_euro": asdict(filter)}}
+    return _line(head | smoothed | ({} if size is None else {"size": float(size)}))
 
 
 def sample(time: float, T: Array, state: float) -> str:
@@ -88,10 +102,16 @@ def sample(time: float, T: Array, state: float) -> str:
 
 
 def write_take(
-    path: Path, device: str, poses: Meaning, joint_type: JointType, samples: Iterable[tuple[float, Array, float]]
+    path: Path,
+    device: str,
+    poses: Meaning,
+    joint_type: JointType,
+    samples: Iterable[tuple[float, Array, float]],
+    filter: OneEuro | None = None,
+    size: float | None = None,
 ) -> None:
     """Write a take, whole or not at all; `samples` are (time in s, pose (4, 4), state in rad or m)."""
-    lines = [header(device, poses, joint_type), *(sample(*s) for s in samples)]
+    lines = [header(device, poses, joint_type, filter, size), *(sample(*s) for s in samples)]
     atomic.write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
@@ -120,6 +140,8 @@ def read_take(path: Path) -> Take:
         table[:, 0],
         Ts,
         table[:, 8],
+        _filter(head.get("filter"), path),
+        None if head.get("size") is None else float(checked.numbers(head, "size", (), path)),
     )
 
 
@@ -141,6 +163,38 @@ def _one_of(head: dict[str, Any], key: str, known: tuple[str, ...], path: Path) 
     if head.get(key) not in known:
         raise FreeArtError(f"{path}: '{key}' is {head.get(key)!r}, expected {' or '.join(known)}")
     return str(head[key])
+
+
+def _filter(given: object, path: Path) -> OneEuro | None:
+    """What the first line says of a filter; FreeArtError names what is none."""
+    if given is None:
+        return None
+    inner = _keys(given, "'filter'", {"one_euro"}, path)["one_euro"]
+    said = _keys(inner, "'filter.one_euro'", {field.name for field in fields(OneEuro)}, path)
+    bands: dict[str, Band | None] = {}
+    for name in ("position", "rotation", "state"):
+        bands[name] = None
+        if said[name] is not None:
+            band = _keys(said[name], f"'filter.one_euro.{name}'", {field.name for field in fields(Band)}, path)
+            where = f"{path}: 'filter.one_euro.{name}"
+            bands[name] = Band(
+                _bounded(band["min_cutoff_hz"], f"{where}.min_cutoff_hz'", 1e-3),
+                _bounded(band["beta"], f"{where}.beta'", 0.0),
+            )
+    speed = _bounded(said["speed_cutoff_hz"], f"{path}: 'filter.one_euro.speed_cutoff_hz'", 1e-3)
+    return OneEuro(bands["position"], bands["rotation"], bands["state"], speed)
+
+
+def _keys(given: object, what: str, keys: set[str], path: Path) -> dict[str, Any]:
+    if not isinstance(given, dict) or set(given) != keys:
+        raise FreeArtError(f"{path}: {what} is {str(given)[:60]}, expected an object of {', '.join(sorted(keys))}")
+    return given
+
+
+def _bounded(value: Any, what: str, least: float) -> float:
+    if not _is_number(value) or not least <= value <= _MOST_IN_FILTER:
+        raise FreeArtError(f"{what} is {str(value)[:60]}, expected {least:g} to {_MOST_IN_FILTER:g}")
+    return float(value)
 
 
 def _sample(line: bytes, where: str) -> list[float]:

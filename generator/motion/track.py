@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21 import se3
+from freeart21 import one_euro, se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files.take import Take
@@ -20,6 +20,8 @@ from generator.motion.plan import Plan, Preset
 
 MOST_FRAMES = 100_000
 _ROUNDING = 1e-6  # of a frame, and of a way: numbers in files are rounded
+_SAME_SIZE = 1e-3  # part by which sizes of one object differ at most: meshes in files are rounded
+_FARTHER, _FARTHEST = 1.05, 4.0  # steps by which an object is placed farther off, and how far at most
 
 
 @dataclass(frozen=True)
@@ -45,18 +47,21 @@ def frames_of(take: Take, fps: float) -> int:
 def resampled(take: Take, fps: float, frames: int) -> Stretch:
     """The `frames` frames of a take over which its joint moves most, the earliest such.
 
-    Between samples places and states are linear in time, and turns go the shortest way at a steady rate (slerp). Raises
-    FreeArtError when the take is shorter.
+    The take's filter, if it names one, smooths its samples. Between them places and states are linear in time, and
+    turns go the shortest way at a steady rate (slerp). Raises FreeArtError when the take is shorter.
     """
     count = frames_of(take, fps)
     if frames > count:
         raise FreeArtError(f"{take.name} lasts {count} frames at {fps:g} a second, fewer than {frames}")
     times = np.minimum(take.times[0] + np.arange(count) / fps, take.times[-1])
-    states = np.interp(times, take.times, take.states)
+    Ts, taken = take.Ts, take.states
+    if take.filter is not None:
+        Ts, taken = one_euro.filtered(take.filter, take.times, Ts, taken)
+    states = np.interp(times, take.times, taken)
     moved = np.ptp(np.lib.stride_tricks.sliding_window_view(states, frames), axis=1)
     first = int(np.argmax(moved >= (1 - _ROUNDING) * moved.max()))  # the last digits decide nothing
     part = slice(first, first + frames)
-    return Stretch(_between(take.times, take.Ts, times[part]), states[part], first / fps)
+    return Stretch(_between(take.times, Ts, times[part]), states[part], first / fps)
 
 
 def fitted(states: Array, take: Take, body: Body) -> tuple[Array, dict[str, Any]]:
@@ -83,7 +88,8 @@ def carried(take: Take, diagonal: float, carry: float | None) -> tuple[float, di
 
     `carry` says so itself, 1 for the take's own metres. Where it is None the way is as long in sizes of the object as
     it was in those of the one that was taken. Of that one ARCTIC's tracks tell no more than that it is one of theirs:
-    where the object may be of its size, metres stay metres. Our takes tell nothing of its size, and keep theirs, too.
+    where the object may be of its size, metres stay metres. A take of ours that does not tell the size keeps its own,
+    too. Of poses before the camera the way is that from the camera: what is half as large comes twice as near.
     """
     if take.poses == "camera":
         if carry is not None:
@@ -91,12 +97,13 @@ def carried(take: Take, diagonal: float, carry: float | None) -> tuple[float, di
                 f"{take.name}: its poses stand before the camera as they are, so that no way is scaled by "
                 f"{carry:g}; expected no carry"
             )
-        return 1.0, {}
+        if take.size is None or abs(diagonal / take.size - 1) < _SAME_SIZE:
+            return 1.0, {}
     if carry is not None:
         return carry, {"carry": carry}
-    if take.form != ARCTIC_FORM:
+    if take.form != ARCTIC_FORM and take.size is None:
         return 1.0, {"carry": 1.0}
-    size = float(np.clip(diagonal, *ARCTIC_SIZES_M))
+    size = float(np.clip(diagonal, *ARCTIC_SIZES_M)) if take.size is None else take.size
     return diagonal / size, {"carry": diagonal / size, "size": diagonal, "taken_with": size}
 
 
@@ -129,9 +136,23 @@ def tracked(
     way times `carry`.
     """
     if take.poses == "camera" or R_first is None:
-        return stretch.Ts
+        return se3.pose(stretch.Ts[:, :3, :3], carry * stretch.Ts[:, :3, 3]) if carry != 1 else stretch.Ts
     R, t = stretch.Ts[:, :3, :3], stretch.Ts[:, :3, 3]
     return placed_as_moved(R @ R[0].T @ R_first, carry * (t - t[0]), states, body, camera, preset)
+
+
+def farther(Ts: Array, states: Array, body: Body, camera: Camera) -> tuple[Array, float]:
+    """Poses (n, 4, 4) so far off that another object than the one that was taken stays in the picture, and how many
+    times as far: of two things of one size one may be wider. It stays where it was in the picture, only smaller."""
+    factor, size = 1.0, np.array([camera.width, camera.height], float)
+    while factor < _FARTHEST:
+        placed = se3.pose(Ts[:, :3, :3], factor * Ts[:, :3, 3])
+        if (se3.transform(placed, body.points(states))[..., 2] > 0).all():
+            low, high = extent(placed, states, body, camera)
+            if (low >= 0).all() and (high <= size).all():
+                return placed, factor
+        factor *= _FARTHER
+    return Ts, 1.0
 
 
 def check_in_view(name: str, plan: Plan, body: Body, camera: Camera, near: float, fps: float) -> None:

@@ -1,0 +1,249 @@
+"""What tests of teleoperation share: a server without a simulator, a page that is no browser, and the real command."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import cv2
+import numpy as np
+from aiohttp import web
+
+from freeart21 import se3
+from generator.teleop import wire
+from generator.teleop.driving import Placement
+from generator.teleop.gate import Gate
+from generator.teleop.server import Server
+from generator.teleop.stage import Mark, Shown
+from generator.teleop.takes import Takes
+
+ROOT = Path(__file__).resolve().parents[1]
+PATIENCE_S = 90.0
+"""The simulator takes seconds to start, and many times that on a machine that has other work."""
+TOKEN = "the-token-of-a-test"
+BOUNDS = wire.Bounds(0.0, 1.0, 5.0)
+START = Placement(se3.pose(np.eye(3), [0.0, 0.0, 1.0]), 0.0)
+FACTS = {"object": "thing", "joint": "hinge", "joint_type": "revolute"}
+JPEG = cv2.imencode(".jpg", np.full((360, 640, 3), 60, np.uint8))[1].tobytes()
+
+
+class NoStage:
+    """A stage that shows the same picture at once."""
+
+    def __init__(self) -> None:
+        self.size, self.ready, self.last = (640, 360), True, Shown(JPEG, Mark(), 0.0)
+        self.show = lambda: None
+
+    def want(self, place: Placement, mark: Mark) -> None:
+        self.last = Shown(JPEG, mark, 0.0)
+        self.show()
+
+    def resize(self, size: tuple[int, int]) -> None:
+        self.size = size
+
+    def fps(self, now: float) -> float:
+        return 0.0
+
+    def drawing_ms(self) -> float:
+        return 0.0
+
+
+@dataclass
+class Served:
+    """A server in this process."""
+
+    server: Server
+    port: int
+    token: str
+    log: list[str] = field(default_factory=list)
+
+    @property
+    def address(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    @property
+    def url(self) -> str:
+        return f"{self.address}/?token={self.token}"
+
+
+@contextlib.asynccontextmanager
+async def served(
+    out: Path, facts: dict[str, Any] = FACTS, bounds: wire.Bounds = BOUNDS, start: Placement = START
+) -> AsyncIterator[Served]:
+    """A server of the product's own code, whose object nobody draws."""
+    log: list[str] = []
+    gates = Gate.of(TOKEN, "http", ("127.0.0.1", "localhost"), 0)
+    server = Server(facts, bounds, start, NoStage(), Takes(out, "revolute"), gates, log.append)  # type: ignore[arg-type]
+    runner = web.AppRunner(server.app(), access_log=None)
+    await runner.setup()
+    site = web.TCPSite(runner, "127.0.0.1", 0)
+    await site.start()
+    port = runner.addresses[0][1]
+    server._gate = Gate.of(TOKEN, "http", ("127.0.0.1", "localhost"), port)
+    ticking = asyncio.create_task(server.tick())
+    try:
+        yield Served(server, port, TOKEN, log)
+    finally:
+        ticking.cancel()
+        await server.close()
+        await runner.cleanup()
+
+
+@contextlib.contextmanager
+def served_aside(out: Path, *what: Any) -> Iterator[Served]:
+    """`served`, in a thread of its own."""
+    loop, ready = asyncio.new_event_loop(), queue.SimpleQueue[Served]()
+
+    async def serve() -> None:
+        async with served(out, *what) as at:
+            ready.put(at)
+            await end.wait()
+
+    end = asyncio.Event()
+    thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), daemon=True)
+    thread.start()
+    try:
+        yield ready.get(timeout=30)
+    finally:
+        loop.call_soon_threadsafe(end.set)
+        thread.join(30)
+        loop.close()
+
+
+class Page:
+    """A page without a browser: its messages, and what it was told."""
+
+    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
+        self.socket = socket
+        self.n = 0
+        self.pictures: list[tuple[int, float]] = []
+        self.told: list[dict[str, Any]] = []
+        self._reading = asyncio.create_task(self._read())
+
+    async def _read(self) -> None:
+        async for message in self.socket:
+            if message.type == aiohttp.WSMsgType.BINARY:
+                n, time_ms, _ = wire.taken_apart(message.data)
+                self.pictures.append((n, time_ms))
+                await self.say({"type": "seen", "n": len(self.pictures)})
+            else:
+                self.told.append(json.loads(message.data))
+
+    def last(self, kind: str) -> dict[str, Any] | None:
+        return next((m for m in reversed(self.told) if m["type"] == kind), None)
+
+    async def say(self, message: Any) -> None:
+        with contextlib.suppress(ConnectionError):
+            await self.socket.send_str(message if isinstance(message, str) else json.dumps(message))
+
+    async def move(self, state: float = 0.0, **changed: Any) -> dict[str, Any]:
+        self.n += 1
+        message = a_move(self.n, state) | {"epoch": self.epoch} | changed
+        await self.say(message)
+        return message
+
+    async def do(self, what: str) -> None:
+        await self.say({"type": "do", "what": what, "n": self.n})
+
+    @property
+    def epoch(self) -> int:
+        return next((m["epoch"] for m in reversed(self.told) if m["type"] in ("hello", "place")), 0)
+
+    async def until(self, true: Any, what: str = "") -> None:
+        """Wait until something is true."""
+        end = time.monotonic() + PATIENCE_S
+        while not true():
+            assert time.monotonic() < end, f"never came: {what} {self.told[-1:]}"
+            await asyncio.sleep(0.005)
+
+    async def status(self, **wanted: Any) -> dict[str, Any]:
+        """Wait for a status that says so."""
+        await self.until(
+            lambda: all((self.last("status") or {}).get(k) == v for k, v in wanted.items()), f"status {wanted}"
+        )
+        found = self.last("status")
+        assert found is not None
+        return found
+
+
+@contextlib.asynccontextmanager
+async def page(address: str, token: str = TOKEN, **headers: str) -> AsyncIterator[Page]:
+    """A page that has got its hello."""
+    given = {"Origin": address} | headers
+    async with (
+        aiohttp.ClientSession() as session,
+        session.ws_connect(f"{address}/ws?token={token}&v=1", headers=given, max_msg_size=0) as socket,
+    ):
+        one = Page(socket)
+        await one.until(lambda: one.last("status") is not None, "hello and status")
+        yield one
+
+
+def a_move(n: int, state: float = 0.0) -> dict[str, Any]:
+    """A move that is as it should be."""
+    position, quaternion = [0.01 * n, 0.0, 1.0], se3.wxyz(se3.exp_so3([0.0, 0.02 * n, 0.0])).tolist()
+    return {
+        "type": "move",
+        "n": n,
+        "time": time.monotonic() * 1e3,
+        "position": [min(x, 1.0) for x in position],
+        "quaternion": quaternion,
+        "state": state,
+        "device": "mouse",
+    }
+
+
+@dataclass
+class Started:
+    """The real command in a process of its own."""
+
+    process: subprocess.Popen[str]
+    url: str
+
+    @property
+    def address(self) -> str:
+        return self.url.partition("/?")[0]
+
+    @property
+    def token(self) -> str:
+        return self.url.partition("token=")[2]
+
+    def stop(self, number: int = signal.SIGTERM) -> tuple[int, str]:
+        """Exit code, and standard error."""
+        self.process.send_signal(number)
+        return self.process.wait(60), (self.process.stderr.read() if self.process.stderr else "")
+
+
+@contextlib.contextmanager
+def started(out: Path, *more: str, name: str = "stapler") -> Iterator[Started]:
+    """`freeart21 teleop NAME --out OUT --port 0`, until the block ends."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    command = [sys.executable, "-m", "freeart21", "teleop", name, "--out", str(out), "--port", "0", *more]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, cwd=ROOT
+    )
+    try:
+        assert process.stdout is not None and process.stderr is not None
+        url = process.stdout.readline().strip()
+        assert url.startswith("http"), process.stderr.read()
+        yield Started(process, url)
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            process.wait(60)
+        for pipe in (process.stdout, process.stderr):
+            if pipe is not None:
+                pipe.close()

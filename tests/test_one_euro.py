@@ -1,0 +1,221 @@
+"""The one-euro filter against the paper's algorithm on numbers, and takes that ask for it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+from freeart21.files.take import header, read_take, sample, write_take
+from freeart21.formats.captured import read_track
+from freeart21.one_euro import Band, OneEuro, PoseFilter, filtered, headset
+from generator.motion import track
+
+HEADSET = headset("revolute")
+BAND = Band(1.2, 0.7)
+ALL = OneEuro(BAND, BAND, BAND, 0.9)
+TIMES = 3 + np.cumsum(np.random.default_rng(1).uniform(0.002, 0.05, 300))  # as irregular as a radio link
+SHARED = Path(__file__).resolve().parents[1].parent / "shared"
+
+
+def paper(values: np.ndarray, band: Band, speed_cutoff: float) -> np.ndarray:
+    """Algorithm 1 of Casiez et al. (2012) on numbers, as printed."""
+
+    def alpha(rate: float, cutoff: float) -> float:
+        tau, te = 1 / (2 * math.pi * cutoff), 1 / rate
+        return 1 / (1 + tau / te)
+
+    out, dx_hat = [float(values[0])], 0.0
+    for k in range(1, len(values)):
+        rate = 1 / (TIMES[k] - TIMES[k - 1])
+        dx = (values[k] - out[-1]) * rate
+        a = alpha(rate, speed_cutoff)
+        dx_hat = a * dx + (1 - a) * dx_hat
+        a = alpha(rate, band.min_cutoff_hz + band.beta * abs(dx_hat))
+        out.append(a * values[k] + (1 - a) * out[-1])
+    return np.array(out)
+
+
+def wandering(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and states that hold, turn by whole turns and jump."""
+    rng = np.random.default_rng(seed)
+    steps = rng.normal(size=(len(TIMES), 6)) * rng.choice([0.001, 0.05, 0.5], (len(TIMES), 1))
+    turns = [np.eye(3)]
+    for w in steps[1:, 3:]:
+        turns.append(turns[-1] @ se3.exp_so3(w))
+    return se3.pose(np.array(turns), np.cumsum(steps[:, :3], 0)), np.cumsum(steps[:, 0])
+
+
+def test_numbers_are_filtered_as_the_paper_says() -> None:
+    Ts, states = wandering(0)
+    Ts[:, 1:3, 3] = 0.2  # one coordinate moves: the vector's speed is its own
+    _, smooth = filtered(OneEuro(None, None, BAND, 0.9), TIMES, Ts, states)
+    np.testing.assert_allclose(smooth, paper(states, BAND, 0.9), atol=1e-12)
+    out, _ = filtered(OneEuro(BAND, None, None, 0.9), TIMES, Ts, states)
+    np.testing.assert_allclose(out[:, 0, 3], paper(Ts[:, 0, 3], BAND, 0.9), atol=1e-12)
+    np.testing.assert_allclose(out[:, 1:3, 3], 0.2, atol=1e-12)
+
+
+def test_a_turn_about_one_axis_is_filtered_as_its_angle_over_many_turns() -> None:
+    angles = np.cumsum(np.abs(np.random.default_rng(2).normal(0.2, 0.1, len(TIMES))))  # 9 turns
+    axis = np.array([2.0, -1, 2]) / 3
+    Ts = se3.pose(se3.exp_so3(angles[:, None] * axis), np.zeros(3))
+    out, _ = filtered(OneEuro(None, BAND, None, 0.9), TIMES, Ts, angles)
+    expected = se3.exp_so3(paper(angles, BAND, 0.9)[:, None] * axis)
+    np.testing.assert_allclose(out[:, :3, :3], expected, atol=1e-9)
+
+
+def test_all_go_one_share_of_their_way_the_largest_that_one_of_them_wants() -> None:
+    Ts, states = wandering(8)
+    states[:150] = states[0]  # first the pose moves alone, then the joint
+    Ts[150:] = Ts[150]
+    out, smooth = filtered(ALL, TIMES, Ts, states)
+    alone = [filtered(only, TIMES, Ts, states) for only in _each(BAND)]
+
+    def shares(Ts_out: np.ndarray, states_out: np.ndarray) -> np.ndarray:
+        """How far each quantity went of its way, (n - 1, 3); NaN where there was none to go."""
+        turned, left = (
+            se3.rotation_angle(R[1:, :3, :3] @ np.swapaxes(Ts_out[:-1, :3, :3], 1, 2)) for R in (Ts_out, Ts)
+        )
+        gone, way = (np.linalg.norm(p[1:, :3, 3] - Ts_out[:-1, :3, 3], axis=1) for p in (Ts_out, Ts))
+        went, far = (np.abs(s[1:] - states_out[:-1]) for s in (states_out, states))
+        done, wanted = np.stack([gone, turned, went], 1), np.stack([way, left, far], 1)
+        return np.where(wanted > 1e-6, done / np.maximum(wanted, 1e-6), np.nan)
+
+    found = shares(out, smooth)
+    assert np.nanmax(np.nanmax(found, 1) - np.nanmin(found, 1)) < 1e-6
+    first = [shares(*one)[0, k] for k, one in enumerate(alone[:2])]
+    np.testing.assert_allclose(found[0, :2], max(first), atol=1e-9)
+    assert min(first) < max(first) - 1e-4
+
+
+def _each(band: Band) -> list[OneEuro]:
+    return [OneEuro(band, None, None, 0.9), OneEuro(None, band, None, 0.9), OneEuro(None, None, band, 0.9)]
+
+
+def test_the_filter_knows_no_axes() -> None:
+    Ts, states = wandering(3)
+    out, _ = filtered(ALL, TIMES, Ts, states)
+    A, B = se3.exp_se3([0.3, 0.1, -2, 1, 2, -0.5]), se3.pose(se3.exp_so3([0.4, -1, 2]), np.zeros(3))
+    np.testing.assert_allclose(filtered(ALL, TIMES, A @ Ts @ B, states)[0], A @ out @ B, atol=1e-9)
+
+
+def test_sample_by_sample_it_is_the_same_to_the_last_bit_whatever_a_quaternion_s_sign() -> None:
+    Ts, states = wandering(4)
+    out, smooth = filtered(ALL, TIMES, Ts, states)
+    running, rows = PoseFilter(ALL), []
+    for k, q in enumerate(se3.wxyz(Ts)):
+        rows.append(running.step(TIMES[k], tuple(Ts[k, :3, 3].tolist()), tuple(q.tolist()), float(states[k])))
+    positions, quaternions, values = (np.array(column) for column in zip(*rows, strict=True))
+    assert np.array_equal(se3.pose_from_wxyz(positions, quaternions), out) and np.array_equal(values, smooth)
+    flipped = PoseFilter(ALL)
+    for k, q in enumerate(se3.wxyz(Ts)):
+        place = tuple(Ts[k, :3, 3].tolist())
+        _, turn, _ = flipped.step(TIMES[k], place, tuple((q * (-1) ** k).tolist()), float(states[k]))
+        np.testing.assert_allclose(np.abs(np.dot(turn, quaternions[k])), 1, atol=1e-12)
+
+
+def test_what_is_none_stays_and_what_stands_still_stays() -> None:
+    Ts, states = wandering(5)
+    out, smooth = filtered(OneEuro(None, None, None), TIMES, Ts, states)
+    np.testing.assert_allclose(out, Ts, atol=1e-12)
+    assert np.array_equal(smooth, states)
+    still = np.tile(Ts[7], (len(TIMES), 1, 1))
+    np.testing.assert_allclose(filtered(HEADSET, TIMES, still, states)[0], still, atol=1e-12)
+
+
+def test_held_it_is_steadier_and_moved_it_follows() -> None:
+    rng, n = np.random.default_rng(6), len(TIMES)
+    noise = se3.pose(se3.exp_so3(0.002 * rng.normal(size=(n, 3))), 5e-4 * rng.normal(size=(n, 3)))
+    held, _ = filtered(HEADSET, TIMES, noise, np.zeros(n))
+    for part in (held[50:, :3, 3] / 5e-4, se3.log_so3(held[50:, :3, :3]) / 0.002):
+        assert np.std(part) < 0.5
+    path = np.sin(2 * (TIMES - TIMES[0]))[:, None]
+    swept = se3.pose(se3.exp_so3(path * [0, 1.5, 0]), path * [0.3, 0, 0])
+    out, _ = filtered(HEADSET, TIMES, swept, np.zeros(n))
+    middle = np.abs(np.gradient(path[:, 0], TIMES)) > 1.5
+    assert np.linalg.norm((out - swept)[middle, :3, 3], axis=1).max() < 0.02 * 0.6  # 20 ms of its speed
+    assert se3.rotation_angle(out[middle, :3, :3] @ np.swapaxes(swept[middle, :3, :3], 1, 2)).max() < 0.02 * 3
+
+
+# --- takes ------------------------------------------------------------------------------------------------------------
+
+
+def _taken(path: Path, settings: OneEuro | None) -> np.ndarray:
+    Ts, states = wandering(7)
+    write_take(path, "a test", "camera", "revolute", zip(TIMES, Ts, states, strict=True), settings)
+    return Ts
+
+
+def test_a_take_s_filter_is_read_as_written_and_used_before_the_recorder_s_clock(tmp_path: Path) -> None:
+    Ts = _taken(tmp_path / "a.jsonl", ALL)
+    take = read_track(tmp_path / "a.jsonl")
+    assert take.filter == ALL
+    np.testing.assert_allclose(take.Ts, Ts, atol=1e-12)  # as it was taken
+    count = track.frames_of(take, 30.0)
+    smooth, smooth_states = filtered(ALL, take.times, take.Ts, take.states)
+    plain = dataclasses.replace(take, Ts=smooth, states=smooth_states, filter=None)
+    ours, expected = track.resampled(take, 30.0, count), track.resampled(plain, 30.0, count)
+    assert np.array_equal(ours.Ts, expected.Ts) and np.array_equal(ours.states, expected.states)
+    assert np.abs(ours.Ts - track.resampled(dataclasses.replace(take, filter=None), 30.0, count).Ts).max() > 0.01
+
+
+@pytest.mark.parametrize("settings", [HEADSET, None])
+def test_no_filter_no_key_and_null_is_none(tmp_path: Path, settings: OneEuro | None) -> None:
+    _taken(tmp_path / "a.jsonl", settings)
+    assert read_take(tmp_path / "a.jsonl").filter == settings
+    first, _, rest = (tmp_path / "a.jsonl").read_text().partition("\n")
+    assert ("filter" in json.loads(first)) == (settings is not None)
+    (tmp_path / "a.jsonl").write_text(json.dumps({**json.loads(first), "filter": None}) + "\n" + rest)
+    assert read_take(tmp_path / "a.jsonl").filter is None
+
+
+GOOD = dataclasses.asdict(HEADSET)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (7, "'filter' is 7, expected an object of one_euro"),
+        ({}, "'filter' is {}, expected an object of one_euro"),
+        ({"kalman": GOOD}, "expected an object of one_euro"),
+        ({"one_euro": GOOD, "more": 1}, "expected an object of one_euro"),
+        ({"one_euro": None}, "'filter.one_euro' is None, expected an object of position, rotation"),
+        ({"one_euro": {"position": None}}, "'filter.one_euro' is .*expected an object of"),
+        ({"one_euro": {**GOOD, "speed_cutoff_hz": 0}}, "speed_cutoff_hz' is 0, expected 0.001 to 10000"),
+        ({"one_euro": {**GOOD, "speed_cutoff_hz": "1"}}, "speed_cutoff_hz' is 1, expected"),
+        (
+            {"one_euro": {**GOOD, "state": {}}},
+            "'filter.one_euro.state' is {}, expected an object of beta, min_cutoff_hz",
+        ),
+        ({"one_euro": {**GOOD, "state": {"min_cutoff_hz": True, "beta": 1}}}, "state.min_cutoff_hz' is True"),
+        ({"one_euro": {**GOOD, "state": {"min_cutoff_hz": 1, "beta": -1}}}, "state.beta' is -1, expected 0 to"),
+        ({"one_euro": {**GOOD, "state": {"min_cutoff_hz": 1, "beta": float("nan")}}}, "state.beta' is nan"),
+        ({"one_euro": {**GOOD, "state": {"min_cutoff_hz": 1, "beta": 1e300}}}, r"state.beta' is 1e\+300"),
+    ],
+)
+def test_a_filter_that_is_none_is_refused_in_a_line(tmp_path: Path, given: object, said: str) -> None:
+    head = {**json.loads(header("a test", "first", "revolute")), "filter": given}
+    samples = [sample(k / 10, se3.pose(np.eye(3), [0, 0, 1]), 0.1 * k) for k in range(3)]
+    (tmp_path / "a.txt").write_text("\n".join([json.dumps(head), *samples]))
+    with pytest.raises(FreeArtError, match=said) as caught:
+        read_track(tmp_path / "a.txt")
+    assert "a.txt" in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.skipif(not (SHARED / "mocap").is_dir(), reason="captured motion is not on this machine")
+def test_captured_motion_lags_a_few_milliseconds_where_it_is_fast() -> None:
+    take = read_track(SHARED / "mocap" / "s1_laptop_use_03.object.npy")
+    times = np.arange(take.times[0], take.times[-1], 1 / 72)
+    Ts = track._between(take.times, take.Ts, times)
+    out, _ = filtered(HEADSET, times, Ts, np.zeros(len(times)))
+    velocity, error = np.gradient(Ts[:, :3, 3], 1 / 72, axis=0), (Ts - out)[:, :3, 3]
+    speed = np.linalg.norm(velocity, axis=1)
+    lag = (error * velocity).sum(1) / np.maximum(speed, 1e-9) ** 2
+    assert np.median(lag[speed > np.quantile(speed, 0.95)]) < 0.010

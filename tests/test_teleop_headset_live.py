@@ -1,0 +1,310 @@
+"""A headset against the real server, beyond this machine: https, the token, and takes that replay as they were made."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import http.client
+import json
+import os
+import re
+import socket
+import ssl
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import headset_rig
+import numpy as np
+import pytest
+from browser import Browser, browser
+from headset_rig import Rig
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.files.take import Take, read_take
+from freeart21.files.truth import read_truth
+from freeart21.one_euro import PoseFilter, headset
+from generator.motion import track
+from generator.motion.body import Body
+from generator.motion.framing import extent
+from generator.motion.plan import PRESETS
+from generator.recorder import RecordSettings, record
+from generator.session import entry_of, load_object
+
+for _needed in ("aiohttp", "cryptography", "qrcode"):
+    pytest.importorskip(_needed, reason="the extra teleop is not installed")
+needs_headset = pytest.mark.skipif(not headset_rig.HAS_IWER, reason="needs Chromium and iwer, see CONTRIBUTING.md")
+PATIENCE_S = 120.0
+HEADSET = headset("revolute")
+
+
+@dataclasses.dataclass
+class Served:
+    """A server of ours."""
+
+    address: str
+    port: int
+    token: str
+    out: Path
+    state: Path
+    log: Path
+
+    def client(self) -> ssl.SSLContext:
+        """What believes this server's certificate alone."""
+        text = (self.state / "freeart21" / "teleop" / "key-and-certificate.pem").read_text()
+        return ssl.create_default_context(cadata=text[text.index("-----BEGIN CERTIFICATE") :])
+
+    def status(self, path: str, name: str = "127.0.0.1") -> int:
+        """What a request for `path` gets, TLS checked."""
+        connection = http.client.HTTPSConnection(name, self.port, context=self.client(), timeout=20)
+        connection.request("GET", path)
+        return connection.getresponse().status
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    folder = tmp_path_factory.mktemp("teleop")
+    state, out, log = folder / "state", folder / "takes" / "take.jsonl", folder / "log"
+    command = [sys.executable, "-m", "freeart21", "teleop", "stapler", "--out", str(out)]
+    with log.open("w") as to:
+        process = subprocess.Popen(
+            [*command, "--host", "0.0.0.0", "--port", "0", "--width", "320", "--height", "180"],
+            stdout=subprocess.PIPE,
+            stderr=to,
+            text=True,
+            cwd=headset_rig.ROOT,
+            env={**os.environ, "XDG_STATE_HOME": str(state)},
+        )
+    try:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        assert address.startswith("https://"), log.read_text()
+        parts = urlsplit(address)
+        assert parts.port is not None
+        yield Served(address, parts.port, parts.query.removeprefix("token="), out, state, log)
+    finally:
+        process.terminate()
+        process.wait(60)
+
+
+def test_beyond_this_machine_it_is_https_with_its_own_names_and_the_printed_fingerprint(served: Served) -> None:
+    with (
+        socket.create_connection(("127.0.0.1", served.port), 20) as raw,
+        served.client().wrap_socket(raw, server_hostname="localhost") as secure,
+    ):
+        digest = hashlib.sha256(secure.getpeercert(binary_form=True) or b"").digest()
+    assert ":".join(f"{byte:02X}" for byte in digest) in served.log.read_text()
+    for name in ("127.0.0.1", "localhost", socket.gethostname()):
+        assert served.status(f"/?token={served.token}", name) == 200
+    plain = http.client.HTTPConnection("127.0.0.1", served.port, timeout=20)
+    with pytest.raises((OSError, http.client.HTTPException)):
+        plain.request("GET", f"/?token={served.token}")
+        plain.getresponse()
+
+
+def test_without_the_token_nobody_gets_in(served: Served) -> None:
+    for query in ("", "?token=", "?token=wrong", f"?token={served.token[:-1]}"):
+        assert {served.status(f"/{name}{query}") for name in ("", "headset.js", "ws")} == {403}
+    assert served.status(f"/room.js?token={served.token}") == 200
+    assert served.token not in served.log.read_text()
+
+
+@pytest.fixture
+def rig(served: Served) -> Iterator[Rig]:
+    with browser() as page:
+        headset_rig.emulate(page, "quest")
+        page.ask(
+            "Security.setIgnoreCertificateErrors", ignore=True
+        )  # as a person does who has compared the fingerprint
+        page.open(f"https://127.0.0.1:{served.port}/?token={served.token}", 480, 270)
+        page.run(
+            "(async () => { window.now = await teleop.headset; window.hand = teleop.hand; window.sent = [];"
+            "teleop.link.tap = (move) => sent.push(move); })()"
+        )
+        made = Rig(page)
+        for side, x in (("left", -0.25), ("right", 0.25)):
+            made.pose(side, se3.pose(np.eye(3), [x, 1.4, -0.4]))
+        made.enter()
+        yield made
+        assert not page.errors
+
+
+def until(page: Browser, what: str) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not page.run(f"(() => {{ const s = teleop.link.status; return {what}; }})()"):
+        assert time.monotonic() < end, (what, page.run("teleop.link.status"), page.errors)
+        time.sleep(0.02)
+
+
+def press(rig: Rig, button: str, frames: int = 2) -> None:
+    rig.press("right", button, 1)
+    rig.frames(frames)
+    rig.press("right", button, 0)
+    rig.frames(2)
+
+
+def carried_about(rig: Rig) -> None:
+    """Three grasps and a sweep of the joint, while the take is recorded."""
+    press(rig, "a-button")
+    until(rig.page, "s.recording")
+    for grasp in range(3):
+        rig.pose("right", se3.pose(np.eye(3), [0.25, 1.4, -0.4]))
+        rig.press("right", "squeeze", 1)
+        rig.frames()
+        rig.stick("left", 0, -0.7 if grasp != 1 else 0.6)
+        for k in range(12):
+            turn = se3.exp_so3([0.03 * k, 0.05 * k, -0.02 * k])
+            rig.pose("right", se3.pose(turn, np.array([0.25, 1.4, -0.4]) + 0.002 * k * np.array([1, -0.5, 0.3])))
+            rig.frames(1)
+        rig.press("right", "squeeze", 0)
+        rig.stick("left", 0, 0)
+        rig.frames()
+
+
+def wanted(moves: list[dict], times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and states at `times` of the moves that were sent, each through the filter, then linear in time."""
+    running, at, rows = PoseFilter(HEADSET), [], []
+    for move in moves:
+        at.append(1e-3 * (move["time"] - moves[0]["time"]))
+        rows.append(running.step(at[-1], tuple(move["position"]), tuple(move["quaternion"]), move["state"]))
+    Ts, states = [], []
+    for t in times:
+        k = int(np.clip(np.searchsorted(at, t, side="right") - 1, 0, len(at) - 2))
+        u = (t - at[k]) / (at[k + 1] - at[k])
+        (p, q, s), (p1, q1, s1) = rows[k], rows[k + 1]
+        a, b = np.array(q), np.array(q1) * np.sign(np.dot(q, q1))
+        # between neighbours a millisecond's turn is small: the chord is the arc
+        Ts.append(se3.pose_from_wxyz((1 - u) * np.array(p) + u * np.array(p1), (1 - u) * a + u * b))
+        states.append((1 - u) * s + u * s1)
+    return np.array(Ts), np.array(states)
+
+
+@needs_headset
+def test_a_take_of_two_controllers_holds_what_was_sent_and_replays_it_through_the_filter(
+    rig: Rig, served: Served, tmp_path: Path
+) -> None:
+    carried_about(rig)
+    rig.press("right", "a-button", 1)  # held: saved
+    until(rig.page, "!s.recording && s.notice.startsWith('saved')")
+    rig.press("right", "a-button", 0)
+    take = read_take(served.out)
+    assert take.filter == HEADSET and take.device == "headset" and take.poses == "camera"
+    sent, n = rig.page.run("sent"), len(take.times)
+    rows = np.array([[*m["position"], *np.ravel(_turn(m)), m["state"]] for m in sent])
+    stored = np.concatenate([take.Ts[:, :3, 3], take.Ts[:, :3, :3].reshape(n, 9), take.states[:, None]], 1)
+    # what was sent is what is stored; before the recording the object stood still, so that the times have to tell
+    fits = [k for k in range(len(rows) - n + 1) if np.abs(rows[k : k + n] - stored).max() < 1e-9]
+    at = 1e-3 * np.array([move["time"] for move in sent])
+    first = min(fits, key=lambda k: np.abs(np.diff(at[k : k + n]) - np.diff(take.times)).max())
+    moves, page_s = sent[first : first + n], at[first : first + n]
+    # the server's clock may learn while it listens; it never learns more than a packet was late
+    np.testing.assert_allclose(take.times - take.times[0], page_s - page_s[0], atol=0.02)
+    path, turns = np.ptp(take.Ts[:, :3, 3], axis=0), se3.rotation_angle(take.Ts[:, :3, :3] @ take.Ts[0, :3, :3].T)
+    assert np.linalg.norm(path) > 0.03 and turns.max() > 1.2 and np.ptp(take.states) > 0.2
+    assert np.linalg.norm(np.diff(take.Ts[:, :3, 3], axis=0), axis=1).max() < 0.02  # nothing jumps
+
+    settings = RecordSettings(
+        frames=20, width=96, height=54, shader="trivial", queries=1, edge=0.5, motion="track", track=served.out
+    )
+    sequence = record("stapler", tmp_path / "data", settings)
+    truth = read_truth(tmp_path / "data" / "truth" / sequence)
+    replayed = [{**move, "time": 1e3 * t} for move, t in zip(moves, take.times, strict=True)]
+    Ts, states = wanted(replayed, truth.source["track"]["begins_s"] + np.arange(20) / 30)
+    got = truth.Ts_camera_moving if "base" in truth.source["moving_links"] else truth.Ts_camera_reference
+    np.testing.assert_allclose(got, Ts, atol=1e-4)
+    np.testing.assert_allclose(truth.states, states, atol=1e-4)
+    assert truth.source["track"]["filter"] == {"one_euro": dataclasses.asdict(HEADSET)}
+
+
+WILD = """
+(async () => {
+  const { Hand, fromRotationVector, multiply, rotate, minus } = await import(
+    document.querySelector("script[type=module]").src.replace("main.js", "hand.js"));
+  const hand = new Hand(), out = [];
+  hand.meet(teleop.link.hello);
+  let seed = SEED;
+  const random = () => (seed = (seed * 16807) % 2147483647) / 2147483647;
+  const waves = Array.from({ length: 7 }, () => [0.5 * random(), random(), 0.5 * random(), random()]);
+  const wave = (k, t) => [0, 2].reduce((sum, i) =>
+    sum + Math.sin(2 * Math.PI * (waves[k][i] * t + waves[k][i + 1])) / (1 + i / 2), 0);
+  const [low, high] = hand.limits, step = (4 * (high - low)) / 72;
+  for (let i = 0; i < 1440; i++) {
+    const t = i / 72;
+    const q = multiply(fromRotationVector([0, 1, 2].map((k) => 1.2 * wave(k, t))), hand.start.quaternion);
+    const middle = [0.15 * wave(3, t), 0.12 * wave(4, t), 0.35 + 0.12 * wave(5, t)];
+    const wanted = wave(6, t) > 0 ? high : low; // as a trigger that snaps
+    const state = hand.state + Math.min(Math.max(wanted - hand.state, -step), step);
+    hand.set(minus(middle, rotate(q, hand.centre)), q, state, "headset");
+    out.push([t, ...hand.position, ...hand.quaternion, hand.state]);
+  }
+  return out;
+})()
+"""
+"""Twenty seconds of a hand that pushes the object against the borders of its picture, and snaps its joint."""
+
+
+@needs_headset
+def test_what_was_kept_in_the_picture_stays_in_it_through_the_filter(rig: Rig, tmp_path: Path) -> None:
+    settings = RecordSettings()
+    loaded = load_object(entry_of("stapler", settings), settings, tmp_path)
+    meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
+    body = Body.of(meshes, loaded.joint)
+    camera = Camera.from_fov(640, 360, np.radians(PRESETS["handheld"].fov_y_degrees))
+    for seed in (3, 4):  # with an unfiltered joint beside a filtered pose, both left the picture
+        rows = np.array(rig.page.run(WILD.replace("SEED", str(seed))))
+        Ts = se3.pose_from_wxyz(rows[:, 1:4], rows[:, 4:8])
+        take = Take("wild", "", "", "headset", "camera", "revolute", rows[:, 0], Ts, rows[:, 8], HEADSET)
+        stretch = track.resampled(take, 30.0, track.frames_of(take, 30.0))
+        low, high = extent(stretch.Ts, stretch.states, body, camera)
+        assert np.minimum(low, [640, 360] - high).min() > 0
+        assert np.ptp(stretch.states) > 1 and np.ptp(stretch.Ts[:, :3, 3], axis=0).min() > 0.05
+
+
+def _turn(move: dict) -> np.ndarray:
+    return se3.pose_from_wxyz([0, 0, 0], move["quaternion"])[:3, :3]
+
+
+@needs_headset
+def test_a_session_that_ends_pauses_the_take_which_the_desk_can_save(rig: Rig, served: Served) -> None:
+    carried_about(rig)
+    # some browsers call a page hidden while its session is in the headset
+    rig.page.run("Object.defineProperty(document, 'hidden', {get: () => true, configurable: true})")
+    rig.page.run("document.dispatchEvent(new Event('visibilitychange'))")
+    rig.frames(5)
+    count = rig.page.run("teleop.link.status.samples")
+    until(rig.page, f"s.recording && s.samples > {count}")
+    rig.page.run("now.session.session.end()")
+    until(rig.page, "s.paused && !s.recording")
+    assert rig.page.run("teleop.link.status.samples") > 30
+    before = set(served.out.parent.iterdir())
+    rig.page.run("document.querySelector('#save').click()")
+    until(rig.page, "s.notice.startsWith('saved')")
+    (path,) = set(served.out.parent.iterdir()) - before
+    assert read_take(path).device == "headset"
+    head = json.loads(path.read_text().partition("\n")[0])
+    assert re.fullmatch(r"take(-\d+)?\.jsonl", path.name) and set(head["filter"]) == {"one_euro"}
+
+
+@needs_headset
+def test_an_undo_in_the_headset_goes_on_without_a_jump(rig: Rig, served: Served) -> None:
+    carried_about(rig)
+    rig.pose("right", se3.pose(np.eye(3), [0.25, 1.4, -0.4]))
+    rig.press("right", "squeeze", 1)
+    rig.frames()
+    press(rig, "b-button")
+    until(rig.page, "s.notice.endsWith('undone')")
+    rig.frames(5)
+    for k in range(8):
+        rig.pose("right", se3.pose(np.eye(3), [0.25 + 0.002 * k, 1.4, -0.4]))
+        rig.frames(1)
+    rig.press("right", "a-button", 1)
+    until(rig.page, "!s.recording && s.notice.startsWith('saved')")
+    newest = max(served.out.parent.glob("take*.jsonl"), key=lambda path: path.stat().st_mtime_ns)
+    take = read_take(newest)
+    assert np.linalg.norm(np.diff(take.Ts[:, :3, 3], axis=0), axis=1).max() < 0.02
+    turns = se3.rotation_angle(take.Ts[1:, :3, :3] @ np.swapaxes(take.Ts[:-1, :3, :3], 1, 2))
+    assert turns.max() < 0.2
