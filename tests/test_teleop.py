@@ -172,7 +172,9 @@ def test_a_pause_leaves_no_gap_and_no_jump() -> None:
     driving.move(wire.Move(0, 0, driving.epoch, place.T, place.state, "keys"), 40.0)
     driving.move(wire.Move(0, 0, driving.epoch, place.T, place.state, "keys"), 40.5)
     assert np.diff(driving.take.times[-3:]) == pytest.approx([STEP_S, 0.5])
-    assert driving.take.last.is_like(left) and list(driving.devices) == ["mouse", "keys"]
+    assert driving.take.last.is_like(left) and list(driving.devices) == ["mouse"], "keys moved nothing"
+    driving.move(wire.Move(0, 0, driving.epoch, place.T, place.state + 0.01, "keys"), 40.6)
+    assert list(driving.devices) == ["mouse", "keys"]
 
 
 def test_undo_drops_the_last_seconds_and_goes_on_from_there() -> None:

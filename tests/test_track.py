@@ -352,6 +352,23 @@ def test_a_take_of_one_object_is_replayed_on_all_others_and_fills_the_picture_al
     assert max(fills.values()) < 2 * min(fills.values()), fills
 
 
+@pytest.mark.parametrize("path", sorted((ROOT / "examples" / "takes").glob("*.jsonl")), ids=lambda path: path.stem)
+def test_the_example_takes_are_replayed_as_they_were_taken(path: Path, tmp_path: Path) -> None:
+    take, name = read_track(path), path.stem.rpartition("-")[0]
+    settings = dataclasses.replace(
+        SMALL, motion="track", track=path, frames=track.frames_of(take, 30), width=320, height=180
+    )
+    _, plan = planned(
+        load_object(entry_of(name, settings), settings, tmp_path), settings
+    )  # refuses what leaves the view
+    assert plan.source["states"] == "as taken" and "carry" not in plan.source and take.size is not None
+    assert (take.filter is not None) == (take.device == "headset")
+    turned = np.arccos(
+        np.clip((plan.Ts_camera_object[:, :3, :3] * plan.Ts_camera_object[0, :3, :3]).sum((1, 2)) / 2 - 0.5, -1, 1)
+    )
+    assert turned.max() > 0.5 and np.ptp(plan.states) > 0.3
+
+
 @pytest.mark.parametrize("size", ["0", "-1", "NaN", '"big"', "1e9"])
 def test_a_size_that_is_none_is_refused_in_a_line(tmp_path: Path, size: str) -> None:
     taken(tmp_path / "a.txt")

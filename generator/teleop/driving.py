@@ -147,7 +147,7 @@ class Driving:
         place = Placement(move.T, move.state)
         moved = not place.is_like(self.place)
         if self.phase == "recording":
-            if self.take.add(time_s, place):
+            if self.take.add(time_s, place) and moved:  # a page that only says that it holds still has used nothing
                 self.devices[move.device] = None
         elif moved:
             if not len(self._trail):
