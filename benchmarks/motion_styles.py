@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -248,24 +248,12 @@ def _middle(values: Array, percent: float = 50) -> float:
 # --- what `human` draws from ------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Law:
-    """ln y = at + slope * (ln x - about) and a normal error."""
-
-    at: float
-    slope: float
-    about: float
-    spread: float
-
-    def __str__(self) -> str:
-        return f"Law({', '.join(f'{v:.2f}' for v in astuple(self))})"
-
-
-def law(x: Array, y: Array) -> Law:
-    """By least squares."""
+def law(x: Array, y: Array) -> str:
+    """The law of y by x, by least squares, as `human_hand` writes it."""
     about = float(np.log(x).mean())
     slope, at = np.polyfit(np.log(x) - about, np.log(y), 1)
-    return Law(float(at), float(slope), about, float(np.std(np.log(y) - at - slope * (np.log(x) - about))))
+    spread = np.std(np.log(y) - at - slope * (np.log(x) - about))
+    return f"Law({at:.2f}, {slope:.2f}, {about:.2f}, {spread:.2f})"
 
 
 def drawn_from(takes: list[Take]) -> dict[str, str]:
@@ -291,14 +279,14 @@ def drawn_from(takes: list[Take]) -> dict[str, str]:
     return {
         "SWEEP_DEGREES": f"({np.mean([s.mean() for s in sweeps]):.2f}, {np.std([s.mean() for s in sweeps]):.2f}, "
         f"{np.sqrt(np.mean([s.var() for s in sweeps])):.2f})",
-        "SWEEP_SECONDS": str(law(degrees, seconds)),
-        "SWEEP_WAY": str(law(degrees, np.maximum(ways, 1e-3))),
+        "SWEEP_SECONDS": law(degrees, seconds),
+        "SWEEP_WAY": law(degrees, np.maximum(ways, 1e-3)),
         "AT_ONCE": f"{np.mean(gaps <= 0.1):.2f}",
         "PAUSE_SECONDS": _log(gaps[gaps > 0.1]),
         "ON, BACK": f"{np.mean(bends > 0.5):.2f}, {np.mean(bends < -0.5):.2f}",
         "TO_END": f"({np.mean(to_end[far]):.2f}, {np.mean(to_end[~far]):.2f})",
         "PARTWAY": f"({np.percentile(part, 5):.2f}, {np.percentile(part, 95):.2f})",
-        "JOINT_SECONDS": str(law(shares, joint_s)),
+        "JOINT_SECONDS": law(shares, joint_s),
         "JOINT_AT_ONCE": f"{np.mean(rests <= 0.1):.2f}",
         "JOINT_REST_SECONDS": _log(rests[rests > 0.1]),
         "TURNED_ROUND": f"{np.mean(turned):.2f}",

@@ -34,8 +34,8 @@ def cannot_write(path: Path, error: OSError) -> CannotWrite:
     return CannotWrite(f"cannot write {path}: {reason(error)}")
 
 
-def write_bytes(path: Path, data: bytes, sync: bool = True) -> None:
-    """Write `data` to `path` whole or not at all; parent folders are made.
+def write_bytes(path: Path, data: bytes, sync: bool = True, mode: int = 0o644) -> None:
+    """Write `data` to `path` whole or not at all, with these permissions; parent folders are made.
 
     Without `sync` the file may be lost, not half-written, when the machine (rather than the process) stops before
     somebody calls `os.sync`. Raises CannotWrite, and KeyboardInterrupt once the process was told to stop.
@@ -48,7 +48,7 @@ def write_bytes(path: Path, data: bytes, sync: bool = True) -> None:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
             file.flush()
-            os.fchmod(file.fileno(), 0o644)
+            os.fchmod(file.fileno(), mode)
             if sync:
                 os.fsync(file.fileno())
         Path(aside).replace(path)

@@ -14,7 +14,6 @@ import re
 import socket
 import ssl
 import stat
-import tempfile
 import threading
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
@@ -22,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from freeart21.errors import FreeArtError
-from freeart21.files.atomic import cannot_write
+from freeart21.files import atomic
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -82,7 +81,7 @@ def own_certificate(
         if set(wanted) <= set(_names_in(kept)) and timedelta(days=1) < left <= timedelta(days=DAYS):
             return Certificate(path, _fingerprint(kept), _names_in(kept))
     made, pem = _made(wanted, now)
-    _write_private(path, pem)
+    atomic.write_bytes(path, pem, mode=0o600)
     return Certificate(path, _fingerprint(made), _names_in(made))
 
 
@@ -162,7 +161,7 @@ def _private(folder: Path) -> Path:
             raise FreeArtError(f"{folder} is not a folder of this user's: no key is kept in it; move it away")
         folder.chmod(0o700)
     except OSError as error:
-        raise cannot_write(folder, error) from error
+        raise atomic.cannot_write(folder, error) from error
     return folder
 
 
@@ -236,21 +235,3 @@ def _fingerprint(certificate: x509.Certificate) -> str:
 
     digest = hashlib.sha256(certificate.public_bytes(Encoding.DER)).digest()
     return ":".join(f"{byte:02X}" for byte in digest)
-
-
-def _write_private(path: Path, data: bytes) -> None:
-    """Write `data` whole or not at all, readable by this user alone."""
-    aside: str | None = None
-    try:
-        handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")  # of mode 0600
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(aside).replace(path)
-        aside = None
-    except OSError as error:
-        raise cannot_write(path, error) from error
-    finally:
-        if aside is not None:
-            Path(aside).unlink(missing_ok=True)
