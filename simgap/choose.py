@@ -45,6 +45,8 @@ class Choice:
     tried: tuple[Judged, ...] = ()
     drift: Drift | None = None
     """What speaks against the best set, or would against the nearest single effect."""
+    in_part: bool = False
+    """Whether the sets of `explaining` are but what dominates: they leave a remainder without a name."""
 
 
 def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Choice:

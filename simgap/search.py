@@ -3,14 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
 from simgap.data import FitRun
-from simgap.fit import SURE, Fit, Problem, Starts, Theory, fitted, grown, joined, misfit, pieces, placed, resettled
+from simgap.fit import (
+    SURE,
+    Fit,
+    Problem,
+    Starts,
+    Theory,
+    fitted,
+    grown,
+    grown_mild,
+    joined,
+    misfit,
+    pieces,
+    placed,
+    resettled,
+)
 from simgap.force_guess import LocalForce, local_force, places
 from simgap.guess import Guess, guesses, off
 from simgap.settings import ChoiceSettings
@@ -43,6 +57,8 @@ _ALL_ALONG = (
     "viscous_damping",
 )
 """Effects that take energy, and forces without a place: they act wherever the joint is."""
+LOSSES = ("coulomb_friction", "quadratic_drag", "viscous_damping")
+"""What takes energy all along: every joint has some of them."""
 _SLACKS = (0.003, 0.01, 0.03)
 """Parts of the way moved through that a slack is tried at."""
 _HOPEFUL = 6.0
@@ -104,6 +120,8 @@ class Search:
     names: tuple[str, ...]
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     _first: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
+    _lossy: bool = False
+    """Whether all sets of losses have been fitted."""
     _forces: dict[tuple[str, ...], LocalForce] = field(default_factory=dict)
 
     def base(self) -> Fit:
@@ -116,6 +134,15 @@ class Search:
         """Floors that the best effect would explain of what the asset alone leaves, to first order."""
         fall = self.base().rss - min((guess.cost for guess in self._guesses()[2]), default=np.inf)
         return float(np.sqrt(max(fall, 0.0) / sum(len(run.q) for run in self.train)))
+
+    def losses(self) -> list[Fit]:
+        """Every set of losses fitted from the asset as it is told, not from what it must be off by to do without."""
+        sets = [names for k in (1, 2, 3) for names in combinations(LOSSES, k) if set(names) <= set(self.names)]
+        if not self._lossy:
+            self._lossy = True
+            for names in sets:
+                self.keep(grown_mild(Theory(self.problem, names), self.train))
+        return [self.fits[names] for names in sets]
 
     def _guesses(self) -> tuple[tuple[FitRun, ...], Fit, list[Guess]]:
         """Stretches that a first-order look can span, the asset alone fitted to them, and first guesses of every effect
@@ -133,6 +160,8 @@ class Search:
 
     def singles(self) -> list[Fit]:
         """Every effect alone, the best first."""
+        if self.base().level > _FAR:
+            self.losses()
         cut, at, found = self._guesses()
         rough = []
         for name in list(dict.fromkeys(guess.name for guess in found))[: self.settings.singles]:
@@ -298,7 +327,10 @@ class Search:
                 best.append(other)  # which has the name when it does as well
         damped = [e for e in order if _hides_damping(e[1]) and e[2].name == "viscous_damping"]
         best += [entry for entry in damped if not any(e is entry for e in best)]
-        return self._resettled([self._started(*entry[1:]) for entry in best])
+        level = [self._started(*entry[1:]) for entry in best]
+        size, known = len(parents[0].theory.names) + 1, {fit.theory.names for fit in level}
+        lost = [fit for fit in (self.losses() if self._lossy else ()) if len(fit.theory.names) == size]
+        return self._resettled(level + [fit for fit in lost if fit.theory.names not in known])
 
     def _resettled(self, level: list[Fit]) -> list[Fit]:
         """The best ones with a new look at their starts; all of them sorted."""

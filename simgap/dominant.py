@@ -1,0 +1,163 @@
+"""What dominates where more is missing than any set of effects explains: a name in part.
+
+Real machines leave a remainder above their sensor's noise. All sets are judged by one score, the log predictive density
+of the runs kept back (`predictive`). Beside them in the table stand forces without a name, which the nearest set has
+been given to first order: of position, of velocity, friction of two levels. The smallest set within one standard error
+of the best stands in part, unless such a force takes a good part of the gap: then that dominates, and has no name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from freeart21.se3 import Array
+from simgap.choose import Choice
+from simgap.fit import Fit, placed
+from simgap.guess import Linear, neutral_value
+from simgap.judge import Fold, Judged, excess, judged, rms
+from simgap.objections import bounded, helps
+from simgap.predictive import Score, error_of, smallest, stretch_densities
+from simgap.search import Search
+from simgap.settings import ChoiceSettings
+
+_STRETCHES = 8
+"""Of the runs kept back, at least, whose scores are paired: fewer tell no standard error."""
+_GAINS = (0.5, 2.0)
+"""Of what a drive is told to give, between which a gain may be named beside a remainder: a drive that is off by more is
+another drive, or a loss holds it."""
+_END = 0.01
+"""Part of a range that counts as its end."""
+_NAMELESS = {
+    "position": ("detent", "return_spring"),
+    "velocity": ("coulomb_friction", "quadratic_drag", "stribeck_friction", "viscous_damping"),
+    "direction": ("return_spring",),
+}
+"""Forces without a name, by the effects whose columns span them; of direction: a constant push, which with friction is
+friction of two levels."""
+_FROM = ("coulomb_friction", "load_friction", "quadratic_drag", "stribeck_friction", "viscous_damping")
+"""What takes energy: no force of position does."""
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A force without a name beside a set, before runs kept back."""
+
+    kind: str
+    """position, velocity or direction."""
+    floors: float
+    """That are left with it."""
+
+
+def in_part(choice: Choice, search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Choice:
+    """The choice with what dominates in the place of nothing, or of names that leave many floors; as it was where
+    nothing dominates."""
+    if not choice.gap or (choice.explaining and not doubtful(choice.explaining[0], settings)):
+        return choice
+    known = {j.names: j for j in (*choice.tried, *choice.explaining)}
+    for fit in search.losses():
+        if fit.theory.names not in known:
+            known[fit.theory.names] = judged(fit, folds)
+    able = [j for j in known.values() if _may_dominate(j, choice.base, settings)]
+    if not able:
+        return _silent(choice)
+    by_score = {score.names: j for j in able for score in (scored(j, folds),)}
+    scores = [scored(j, folds) for j in by_score.values()]
+    best = smallest(scores)
+    standing = [by_score[score.names] for score in best]
+    standing = [j for j in standing if not takes_much(rests(j, folds), j, choice.base, settings)]
+    if not standing:
+        return _silent(choice)
+    return replace(choice, explaining=tuple(standing), best=standing[0], in_part=True)
+
+
+def _silent(choice: Choice) -> Choice:
+    """Without a name that leaves many floors, or rests on what may not be."""
+    return replace(choice, explaining=()) if choice.explaining else choice
+
+
+def doubtful(judgement: Judged, settings: ChoiceSettings) -> bool:
+    """Whether a set leaves many floors, or has a number that no machine has."""
+    return judgement.floors > settings.many_floors or _at_end(judgement.fit)
+
+
+def _may_dominate(judgement: Judged, base: Judged, settings: ChoiceSettings) -> bool:
+    """Whether a set has a loss, no number at its end, and takes most of the gap."""
+    if not set(judgement.names) & set(_FROM) or bounded(judgement) or _at_end(judgement.fit):
+        return False
+    most = {run: r for run, r in judgement.strict.items()}
+    before = {run: base.strict[run] for run in most}
+    return excess(rms(most)) < settings.dominant * excess(rms(before)) and helps(judgement, base, settings)
+
+
+def _at_end(fit: Fit) -> bool:
+    """Whether a number of an effect lies at the end of what it may be, or a size is nothing."""
+    for cls in fit.theory.classes:
+        own = [(r, x) for r, x in zip(fit.theory.ranges(), fit.theta, strict=True) if r.owner == cls.name]
+        first, size = own[0]
+        if abs(size - neutral_value(cls)) < 1e-3 * first.size * (first.lower < 0 or size <= first.lower):
+            return True
+        if any(x > r.upper - _END * (r.upper - r.lower) for r, x in own):
+            return True
+        if any(r.lower < 0 and x < r.lower + _END * (r.upper - r.lower) for r, x in own):
+            return True
+        if cls.name == "actuator_gain" and not _GAINS[0] < size < _GAINS[1]:
+            return True
+    return False
+
+
+def scored(judgement: Judged, folds: tuple[Fold, ...]) -> Score:
+    """The set's log predictive density of what was kept back."""
+    fitted_runs = {run.name: run for fold in folds for run in fold.train}
+    back = [run for fold in folds for run in fold.test]
+    fitted_there = [run for run in fitted_runs.values() if run.name in judgement.fit.residuals]
+    own, seen = (judgement.fit.residuals, fitted_there) if fitted_there else (judgement.strict, back)
+    error = error_of(own, seen)
+    count = -(-_STRETCHES // len(back))
+    parts = [stretch_densities(judgement.strict[run.name], run, error, count) for run in back]
+    return Score(judgement.names, np.concatenate(parts), error)
+
+
+def rests(judgement: Judged, folds: tuple[Fold, ...]) -> tuple[Rest, ...]:
+    """What forces without a name leave beside the set, fitted to first order where it was fitted, before what was kept
+    back; only where some runs are kept back from all fits."""
+    if len(folds) != 1 or set(judgement.fit.starts) != {run.name for run in folds[0].train}:
+        return ()
+    fit, (train, test) = judgement.fit, (folds[0].train, folds[0].test)
+    there = placed(fit, test, judgement.starts or None)
+    first, second = Linear(fit, train), Linear(there, test)
+    found = []
+    for kind, names in _NAMELESS.items():
+        new = [name for name in names if name not in fit.theory.names]
+        columns = [
+            np.concatenate([at.parameters, *(_columns(at, name, kind) for name in new)]) for at in (first, second)
+        ]
+        left = second.freed - _told(columns[0], first.freed) @ columns[1]
+        found.append(Rest(kind, float(np.sqrt(np.mean(left**2)))))
+    return tuple(found)
+
+
+def _columns(at: Linear, name: str, kind: str) -> Array:
+    """(m, N) of an effect at all its places; of a spring's at two of them the difference, a push."""
+    rows = at.columns(name)
+    return rows[-1:] - rows[:1] if kind == "direction" else rows
+
+
+def _told(columns: Array, told: Array) -> Array:
+    """(m,) sizes of columns (m, N) in what is left (N,), each of them no larger than all that is left."""
+    size = np.maximum(np.linalg.norm(columns, axis=1), 1e-9)
+    scaled = columns / size[:, None]
+    ridge = len(columns) / max(float(told @ told), 1e-12)
+    return np.asarray(np.linalg.solve(scaled @ scaled.T + ridge * np.eye(len(columns)), scaled @ told) / size)
+
+
+def takes_much(found: Sequence[Rest], judgement: Judged, base: Judged, settings: ChoiceSettings) -> bool:
+    """Whether a force without a name does away with most of what the set leaves, and that is a good part of the gap."""
+    here = judgement.floors
+    return any(
+        excess(rest.floors) < settings.much_better * excess(here)
+        and here**2 - rest.floors**2 > (settings.nameless_dominates * base.floors) ** 2
+        for rest in found
+    )
