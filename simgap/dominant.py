@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from freeart21.se3 import Array
+from simgap import alike
 from simgap.choose import Choice
 from simgap.fit import Fit, placed
 from simgap.guess import Linear, neutral_value
@@ -37,8 +38,11 @@ _NAMELESS = {
 }
 """Forces without a name, by the effects whose columns span them; of direction: a constant push, which with friction is
 friction of two levels."""
-_FROM = ("coulomb_friction", "load_friction", "quadratic_drag", "stribeck_friction", "viscous_damping")
+_LOSSES = ("coulomb_friction", "load_friction", "quadratic_drag", "stribeck_friction", "viscous_damping")
 """What takes energy: no force of position does."""
+_EVERYWHERE = (*_LOSSES, "armature", "encoder_offset", "gravity_offset", "actuator_gain")
+"""What every machine has, more or less. What only some have (a notch, a catch, a spring, play, a stop) is hardly told
+from forces of position without a name where a remainder is left, so that is no name in part."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ class Rest:
 def in_part(choice: Choice, search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Choice:
     """The choice with what dominates in the place of nothing, or of names that leave many floors; as it was where
     nothing dominates."""
-    if not choice.gap or (choice.explaining and not doubtful(choice.explaining[0], settings)):
+    if not choice.gap or choice.refused or (choice.explaining and not doubtful(choice.explaining[0], settings)):
         return choice
     known = {j.names: j for j in (*choice.tried, *choice.explaining)}
     for fit in search.losses():
@@ -63,14 +67,29 @@ def in_part(choice: Choice, search: Search, folds: tuple[Fold, ...], settings: C
     able = [j for j in known.values() if _may_dominate(j, choice.base, settings)]
     if not able:
         return _silent(choice)
-    by_score = {score.names: j for j in able for score in (scored(j, folds),)}
-    scores = [scored(j, folds) for j in by_score.values()]
-    best = smallest(scores)
-    standing = [by_score[score.names] for score in best]
-    standing = [j for j in standing if not takes_much(rests(j, folds), j, choice.base, settings)]
+    of = {j.names: j for j in able}
+    scores = {names: scored(j, folds) for names, j in of.items()}
+    near = smallest(list(scores.values()))
+    best = of[near[0].names]
+    for fit in alike.twins(search, best.fit):  # the same where the load on the bearing stays as it is
+        other = judged(fit, folds)
+        if _may_dominate(other, choice.base, settings):
+            of[other.names], scores[other.names] = other, scored(other, folds)
+    near = smallest([s for s in scores.values() if len(s.names) == len(best.names)])
+    standing = [of[score.names] for score in near]
+    others = [j for j in known.values() if not set(j.names) <= set(_EVERYWHERE)]
+    standing = [j for j in standing if not takes_much(_nameless(j, others, folds), j, choice.base, settings)]
     if not standing:
         return _silent(choice)
     return replace(choice, explaining=tuple(standing), best=standing[0], in_part=True)
+
+
+def _nameless(judgement: Judged, others: Sequence[Judged], folds: tuple[Fold, ...]) -> tuple[Rest, ...]:
+    """What stands against a set: forces without a name beside it, and sets without it, of what only some machines
+    have."""
+    own = set(judgement.names)
+    without = [Rest(" with ".join(j.names), j.floors) for j in others if not own <= set(j.names)]
+    return (*rests(judgement, folds), *without)
 
 
 def _silent(choice: Choice) -> Choice:
@@ -85,7 +104,8 @@ def doubtful(judgement: Judged, settings: ChoiceSettings) -> bool:
 
 def _may_dominate(judgement: Judged, base: Judged, settings: ChoiceSettings) -> bool:
     """Whether a set has a loss, no number at its end, and takes most of the gap."""
-    if not set(judgement.names) & set(_FROM) or bounded(judgement) or _at_end(judgement.fit):
+    names = set(judgement.names)
+    if not names & set(_LOSSES) or names - set(_EVERYWHERE) or bounded(judgement) or _at_end(judgement.fit):
         return False
     most = {run: r for run, r in judgement.strict.items()}
     before = {run: base.strict[run] for run in most}
@@ -109,14 +129,20 @@ def _at_end(fit: Fit) -> bool:
 
 
 def scored(judgement: Judged, folds: tuple[Fold, ...]) -> Score:
-    """The set's log predictive density of what was kept back."""
-    fitted_runs = {run.name: run for fold in folds for run in fold.train}
+    """The set's log predictive density of what was kept back; and, where some runs are kept back for good, of those
+    that were fitted, less half the logarithm of their readings for each number (Schwarz 1978): what is kept back may
+    be of one kind of motion, which tells little of the other."""
+    fitted_to = [
+        run for run in {r.name: r for f in folds for r in f.train}.values() if run.name in judgement.fit.starts
+    ]
     back = [run for fold in folds for run in fold.test]
-    fitted_there = [run for run in fitted_runs.values() if run.name in judgement.fit.residuals]
-    own, seen = (judgement.fit.residuals, fitted_there) if fitted_there else (judgement.strict, back)
+    own, seen = (judgement.fit.residuals, fitted_to) if fitted_to else (judgement.strict, back)
     error = error_of(own, seen)
-    count = -(-_STRETCHES // len(back))
-    parts = [stretch_densities(judgement.strict[run.name], run, error, count) for run in back]
+    parts = [stretch_densities(judgement.strict[r.name], r, error, -(-_STRETCHES // len(back))) for r in back]
+    if len(folds) == 1:
+        count, p = -(-_STRETCHES // len(seen)), len(judgement.fit.theta)
+        price = 0.5 * p * np.log(sum(len(run.q) for run in seen)) / (count * len(seen))
+        parts += [stretch_densities(own[run.name], run, error, count) - price for run in seen]
     return Score(judgement.names, np.concatenate(parts), error)
 
 

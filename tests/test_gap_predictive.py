@@ -1,0 +1,62 @@
+"""How probable a theory makes runs it never saw, and what is named in part by that; some 40 s."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_case import asset_of, measured_of
+from scipy.stats import multivariate_t
+
+from freeart21.files.asset import read_asset
+from simgap.predictive import FREEDOM, ModelError, Score, lead, log_densities, smallest
+from simgap.verdict import Verdict
+from simgap.workflow import find_gap
+
+
+def test_the_density_is_that_of_a_student_t_with_the_dense_covariance():
+    rng = np.random.default_rng(0)
+    times, left = np.cumsum(rng.uniform(0.002, 0.03, 60)), rng.normal(0, 3, 60)
+    K = np.eye(60) + 2.5**2 * np.exp(-np.abs(times[:, None] - times) / 0.2)
+    told = log_densities(left, times, 2.5, 0.2)
+    for n in (1, 7, 60):
+        dense = multivariate_t(np.zeros(n), K[:n, :n], df=FREEDOM).logpdf(left[:n])
+        assert told[n - 1] == pytest.approx(dense, abs=1e-9)
+
+
+def test_the_smallest_within_one_standard_error_stands_and_its_like_are_rivals():
+    error, even = ModelError(0.1, 1.0), np.array([3.0, -3.0, 3.0, -3.0, 3.0, -3.0, 3.0, -3.0])
+    best = Score(("a", "b"), np.full(8, 10.0) + even, error)
+    pair = Score(("a", "c"), np.full(8, 9.9) - even, error)
+    one, far = Score(("a",), np.full(8, 5.0), error), Score(("b",), np.full(8, 9.0) + even, error)
+    assert lead(best, far) == pytest.approx((8.0, 0.0))
+    assert [s.names for s in smallest([pair, one, best, far])] == [("a", "b"), ("a", "c")]
+    near = replace(one, parts=best.parts - 0.1 + 0.2 * even)
+    assert [s.names for s in smallest([pair, near, best, far])] == [("a",)]
+
+
+def verdict(folder: Path, seed: int, **hidden: float) -> Verdict:
+    return find_gap(read_asset(asset_of(folder), "j"), measured_of(seed, runs=6, seconds=6.0, **hidden))
+
+
+def test_what_dominates_is_named_in_part_where_a_remainder_has_no_name(tmp_path: Path):
+    found = verdict(tmp_path, 3, dry=0.12, drag=0.06, cog=0.25, count=9.0)
+    losses = {"coulomb_friction", "load_friction", "quadratic_drag", "viscous_damping"}
+    assert found.verdict in ("named", "ambiguous") and found.in_part, found
+    assert {named.effect.name for named in found.effects} <= losses
+    assert all(losses >= set(names) for names in found.rivals)
+    assert "has no name; it is most in run" in found.sentence
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        {"dry": 0.25, "spring": 0.02, "rest": 10.0, "hardens": 0.0},  # 0.2 N m more one way: friction of two levels
+        {"spring": 3.0, "rest": 0.3, "hardens": 2.0},  # a spring that is bent
+    ],
+)
+def test_what_is_outside_the_library_is_not_named(tmp_path: Path, hidden: dict[str, float]):
+    found = verdict(tmp_path, 5, **hidden)
+    assert found.verdict == "unexplained" and not found.effects, found
