@@ -198,6 +198,7 @@ def joined(motion: Verdict, geometry: KinematicsFinding | None, kind: JointType)
         rivals=tuple(sets) if answer == "ambiguous" else (),
         next_experiment=" ".join(filter(None, (geometry.next_experiment, motion.next_experiment))) or None,
         sentence=said if motion.verdict == "no_gap" else f"{said} {motion.sentence}",
+        in_part=motion.in_part and answer in ("named", "ambiguous"),
     )
 
 
