@@ -17,10 +17,10 @@ from freeart21.se3 import Array
 from simgap import alike
 from simgap.choose import Choice
 from simgap.fit import Fit, placed
-from simgap.guess import Linear, neutral_value
+from simgap.guess import Linear
 from simgap.judge import Fold, Judged, excess, judged, rms
-from simgap.objections import bounded, helps
-from simgap.predictive import Score, error_of, smallest, stretch_densities
+from simgap.objections import bounded
+from simgap.predictive import Score, error_of, lead, smallest, stretch_densities
 from simgap.search import Search
 from simgap.settings import ChoiceSettings
 
@@ -58,18 +58,25 @@ class Rest:
 def in_part(choice: Choice, search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Choice:
     """The choice with what dominates in the place of nothing, or of names that leave many floors; as it was where
     nothing dominates."""
-    if not choice.gap or choice.refused or (choice.explaining and not doubtful(choice.explaining[0], settings)):
+    said = choice.explaining
+    if not choice.gap or choice.refused or (said and not doubtful(said[0], settings)):
         return choice
-    known = {j.names: j for j in (*choice.tried, *choice.explaining)}
+    known = {j.names: j for j in (*choice.tried, *said)}
     for fit in search.losses():
         if fit.theory.names not in known:
             known[fit.theory.names] = judged(fit, folds)
-    able = [j for j in known.values() if _may_dominate(j, choice.base, settings)]
+    stood = {j.names for j in said if not _at_end(j.fit)}
+    able = [j for j in known.values() if j.names in stood or _may_dominate(j, choice.base, settings)]
+    odd = bool(said) and said[0].floors <= settings.many_floors
     if not able:
-        return _silent(choice)
+        return choice if odd else replace(choice, explaining=())
     of = {j.names: j for j in able}
     scores = {names: scored(j, folds) for names, j in of.items()}
     near = smallest(list(scores.values()))
+    if odd:  # a number that hardly any machine has stands where it does better than losses
+        ahead, error = lead(scored(said[0], folds), max(scores.values(), key=lambda s: s.total))
+        if ahead > error:
+            return choice
     best = of[near[0].names]
     for fit in alike.twins(search, best.fit):  # the same where the load on the bearing stays as it is
         other = judged(fit, folds)
@@ -80,7 +87,7 @@ def in_part(choice: Choice, search: Search, folds: tuple[Fold, ...], settings: C
     others = [j for j in known.values() if not set(j.names) <= set(_EVERYWHERE)]
     standing = [j for j in standing if not takes_much(_nameless(j, others, folds), j, choice.base, settings)]
     if not standing:
-        return _silent(choice)
+        return replace(choice, explaining=())
     return replace(choice, explaining=tuple(standing), best=standing[0], in_part=True)
 
 
@@ -92,38 +99,29 @@ def _nameless(judgement: Judged, others: Sequence[Judged], folds: tuple[Fold, ..
     return (*rests(judgement, folds), *without)
 
 
-def _silent(choice: Choice) -> Choice:
-    """Without a name that leaves many floors, or rests on what may not be."""
-    return replace(choice, explaining=()) if choice.explaining else choice
-
-
 def doubtful(judgement: Judged, settings: ChoiceSettings) -> bool:
     """Whether a set leaves many floors, or has a number that no machine has."""
     return judgement.floors > settings.many_floors or _at_end(judgement.fit)
 
 
 def _may_dominate(judgement: Judged, base: Judged, settings: ChoiceSettings) -> bool:
-    """Whether a set has a loss, no number at its end, and takes most of the gap."""
+    """Whether a set has a loss, no number at its end, and halves the gap in most of the runs kept back."""
     names = set(judgement.names)
     if not names & set(_LOSSES) or names - set(_EVERYWHERE) or bounded(judgement) or _at_end(judgement.fit):
         return False
-    most = {run: r for run, r in judgement.strict.items()}
-    before = {run: base.strict[run] for run in most}
-    return excess(rms(most)) < settings.dominant * excess(rms(before)) and helps(judgement, base, settings)
+    gaps = [(rms({run: r}), rms({run: base.strict[run]})) for run, r in judgement.strict.items()]
+    return float(np.mean([excess(now) < settings.dominant * excess(was) for now, was in gaps])) > 0.5
 
 
 def _at_end(fit: Fit) -> bool:
-    """Whether a number of an effect lies at the end of what it may be, or a size is nothing."""
+    """Whether a number of an effect lies at the end of what it may be."""
     for cls in fit.theory.classes:
         own = [(r, x) for r, x in zip(fit.theory.ranges(), fit.theta, strict=True) if r.owner == cls.name]
-        first, size = own[0]
-        if abs(size - neutral_value(cls)) < 1e-3 * first.size * (first.lower < 0 or size <= first.lower):
-            return True
         if any(x > r.upper - _END * (r.upper - r.lower) for r, x in own):
             return True
         if any(r.lower < 0 and x < r.lower + _END * (r.upper - r.lower) for r, x in own):
             return True
-        if cls.name == "actuator_gain" and not _GAINS[0] < size < _GAINS[1]:
+        if cls.name == "actuator_gain" and not _GAINS[0] < own[0][1] < _GAINS[1]:
             return True
     return False
 

@@ -105,7 +105,7 @@ def _answer(gap: Gap) -> Section:
     tiles = _tiles(gap)
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in (*gap.notes, *verdict.notes))
     html = (
-        f'<p class="verdict {escape(verdict.verdict)}"><b>{escape(_WORDS[verdict.verdict] + ', in part' * verdict.in_part)}</b></p>'
+        f'<p class="verdict {escape(verdict.verdict)}"><b>{escape(_WORDS[verdict.verdict] + ", in part" * verdict.in_part)}</b></p>'
         f'<p class="sentence">{escape(verdict.sentence)}</p>'
         f'<div class="tiles">{"".join(tiles)}</div>{notes}'
     )

@@ -119,7 +119,7 @@ class ChoiceSettings:
     many_floors: float = 10.0
     """Floors that a name may leave of runs kept back and be all that is said: more is a name in part."""
     dominant: float = 0.5
-    """Part of the gap that what dominates may leave."""
+    """Part of a run's gap that what dominates may leave."""
     nameless_dominates: float = 0.1
     """Part of the gap from which on a force without a name, that does away with most of what a set leaves, dominates
     as well. Not measured."""
