@@ -19,7 +19,7 @@ from simgap.choose import Choice
 from simgap.fit import Fit, placed
 from simgap.guess import Linear
 from simgap.judge import Fold, Judged, excess, judged, rms
-from simgap.objections import bounded
+from simgap.objections import bounded, drifting
 from simgap.predictive import Score, error_of, lead, smallest, stretch_densities
 from simgap.search import Search
 from simgap.settings import ChoiceSettings
@@ -59,7 +59,7 @@ def in_part(choice: Choice, search: Search, folds: tuple[Fold, ...], settings: C
     """The choice with what dominates in the place of nothing, or of names that leave many floors; as it was where
     nothing dominates."""
     said = choice.explaining
-    if not choice.gap or choice.refused or (said and not doubtful(said[0], settings)):
+    if not choice.gap or (said and not doubtful(said[0], settings)):
         return choice
     known = {j.names: j for j in (*choice.tried, *said)}
     for fit in search.losses():
@@ -77,6 +77,10 @@ def in_part(choice: Choice, search: Search, folds: tuple[Fold, ...], settings: C
         ahead, error = lead(scored(said[0], folds), max(scores.values(), key=lambda s: s.total))
         if ahead > error:
             return choice
+    if choice.refused:  # what explained the runs stands for something without a name: only what does better may stand
+        ahead, error = lead(max(scores.values(), key=lambda s: s.total), scored(choice.best, folds))
+        if ahead <= error:
+            return choice
     best = of[near[0].names]
     for fit in alike.twins(search, best.fit):  # the same where the load on the bearing stays as it is
         other = judged(fit, folds)
@@ -86,6 +90,8 @@ def in_part(choice: Choice, search: Search, folds: tuple[Fold, ...], settings: C
     standing = [of[score.names] for score in near]
     others = [j for j in known.values() if not set(j.names) <= set(_EVERYWHERE)]
     standing = [j for j in standing if not takes_much(_nameless(j, others, folds), j, choice.base, settings)]
+    if choice.refused:
+        standing = [j for j in standing if drifting(j, folds, settings) is None]
     if not standing:
         return replace(choice, explaining=())
     return replace(choice, explaining=tuple(standing), best=standing[0], in_part=True)
