@@ -40,6 +40,7 @@ _NAMELESS = {
 friction of two levels."""
 _LOSSES = ("coulomb_friction", "load_friction", "quadratic_drag", "stribeck_friction", "viscous_damping")
 """What takes energy: no force of position does."""
+_DRY = ("coulomb_friction", "load_friction", "stribeck_friction")
 _EVERYWHERE = (*_LOSSES, "armature", "encoder_offset", "gravity_offset", "actuator_gain")
 """What every machine has, more or less. What only some have (a notch, a catch, a spring, play, a stop) is hardly told
 from forces of position without a name where a remainder is left, so that is no name in part."""
@@ -89,6 +90,8 @@ def in_part(choice: Choice, search: Search, folds: tuple[Fold, ...], settings: C
     near = smallest([s for s in scores.values() if len(s.names) == len(best.names)])
     standing = [of[score.names] for score in near]
     others = [j for j in known.values() if not set(j.names) <= set(_EVERYWHERE)]
+    odd_ones = [j for j in known.values() if _at_end(j.fit)]
+    standing = [j for j in standing if not _beaten(j, scores[j.names], odd_ones, folds)]
     standing = [j for j in standing if not takes_much(_nameless(j, others, folds), j, choice.base, settings)]
     if choice.refused:
         standing = [j for j in standing if drifting(j, folds, settings) is None]
@@ -100,9 +103,22 @@ def in_part(choice: Choice, search: Search, folds: tuple[Fold, ...], settings: C
 def _nameless(judgement: Judged, others: Sequence[Judged], folds: tuple[Fold, ...]) -> tuple[Rest, ...]:
     """What stands against a set: forces without a name beside it, and sets without it, of what only some machines
     have."""
-    own = set(judgement.names)
-    without = [Rest(" with ".join(j.names), j.floors) for j in others if not own <= set(j.names)]
+    own = _plainly(judgement.names)
+    without = [Rest(" with ".join(j.names), j.floors) for j in others if not own <= _plainly(j.names)]
     return (*rests(judgement, folds), *without)
+
+
+def _beaten(judgement: Judged, score: Score, odd: Sequence[Judged], folds: tuple[Fold, ...]) -> bool:
+    """Whether a set with a number that no machine has, and without this one, does better: it stands for what has no
+    name, and that is more of what is missing than this one is."""
+    own = _plainly(judgement.names)
+    rivals = [scored(j, folds) for j in odd if not own <= _plainly(j.names)]
+    return any(ahead > error for ahead, error in (lead(rival, score) for rival in rivals))
+
+
+def _plainly(names: Sequence[str]) -> set[str]:
+    """The names, all dry friction being one."""
+    return {"coulomb_friction" if name in _DRY else name for name in names}
 
 
 def doubtful(judgement: Judged, settings: ChoiceSettings) -> bool:
