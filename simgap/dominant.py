@@ -29,6 +29,9 @@ _STRETCHES = 8
 _GAINS = (0.5, 2.0)
 """Of what a drive is told to give, between which a gain may be named beside a remainder: a drive that is off by more is
 another drive, or a loss holds it."""
+_LEAST = 0.02
+"""Part of the largest loss's force, up to the top speed, that another has at least: less dominates nothing. Not
+measured."""
 _END = 0.01
 """Part of a range that counts as its end."""
 _NAMELESS = {
@@ -131,8 +134,23 @@ def _may_dominate(judgement: Judged, base: Judged, settings: ChoiceSettings) -> 
     names = set(judgement.names)
     if not names & set(_LOSSES) or names - set(_EVERYWHERE) or bounded(judgement) or _at_end(judgement.fit):
         return False
+    if _slight(judgement.fit):
+        return False
     gaps = [(rms({run: r}), rms({run: base.strict[run]})) for run, r in judgement.strict.items()]
     return float(np.mean([excess(now) < settings.dominant * excess(was) for now, was in gaps])) > 0.5
+
+
+def _slight(fit: Fit) -> bool:
+    """Whether a loss of the set takes next to no force beside another."""
+    problem = fit.theory.problem
+    speed = problem.speed * np.linspace(0.05, 1.0, 20)
+    middle = np.full(len(speed), problem.reference[1])
+    forces = [
+        float(np.sqrt(np.mean((e.law(middle, -speed, problem.load, 1.0, *e.values()) * np.ones(len(speed))) ** 2)))
+        for e in fit.effects
+        if e.name in _LOSSES
+    ]
+    return min(forces) < _LEAST * max(forces)
 
 
 def _at_end(fit: Fit) -> bool:

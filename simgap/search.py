@@ -120,8 +120,8 @@ class Search:
     names: tuple[str, ...]
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     _first: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
-    _lossy: bool = False
-    """Whether all sets of losses have been fitted."""
+    _losses: dict[tuple[str, ...], Fit] = field(default_factory=dict)
+    """Of every set of losses, from the asset as it is told."""
     _forces: dict[tuple[str, ...], LocalForce] = field(default_factory=dict)
 
     def base(self) -> Fit:
@@ -138,11 +138,25 @@ class Search:
     def losses(self) -> list[Fit]:
         """Every set of losses fitted from the asset as it is told, not from what it must be off by to do without."""
         sets = [names for k in (1, 2, 3) for names in combinations(LOSSES, k) if set(names) <= set(self.names)]
-        if not self._lossy:
-            self._lossy = True
-            for names in sets:
-                self.keep(grown_mild(Theory(self.problem, names), self.train))
-        return [self.fits[names] for names in sets]
+        for names in sets:
+            if names not in self._losses:
+                self._losses[names] = grown_mild(Theory(self.problem, names), self.train)
+        own = self._losses.items()
+        return [min((fit, self.fits.get(names, fit)), key=lambda f: f.cost) for names, fit in own]
+
+    def _with_losses(self, size: int) -> list[Fit]:
+        """Those of a size that fit better than the same set, or than all that was found: others tell a search
+        nothing."""
+        if self.base().level <= _FAR:
+            return []
+        level = [fit.cost for names, fit in self.fits.items() if len(names) == size]
+        found = []
+        for fit in self.losses():
+            names = fit.theory.names
+            known = self.fits.get(names)
+            if len(names) == size and fit.cost < (known.cost if known is not None else min(level, default=np.inf)):
+                found.append(self.keep(fit))
+        return found
 
     def _guesses(self) -> tuple[tuple[FitRun, ...], Fit, list[Guess]]:
         """Stretches that a first-order look can span, the asset alone fitted to them, and first guesses of every effect
@@ -160,8 +174,6 @@ class Search:
 
     def singles(self) -> list[Fit]:
         """Every effect alone, the best first."""
-        if self.base().level > _FAR:
-            self.losses()
         cut, at, found = self._guesses()
         rough = []
         for name in list(dict.fromkeys(guess.name for guess in found))[: self.settings.singles]:
@@ -174,6 +186,7 @@ class Search:
         for fit in _hopeful(rough)[:most]:
             self.keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
         far = self._left_out()
+        self._with_losses(1)
         for name, plainer in PLAINER.items():
             if (name,) in self.fits and (plainer,) in self.fits:
                 self._keep_from(name, self.fits[(plainer,)])
@@ -328,8 +341,8 @@ class Search:
         damped = [e for e in order if _hides_damping(e[1]) and e[2].name == "viscous_damping"]
         best += [entry for entry in damped if not any(e is entry for e in best)]
         level = [self._started(*entry[1:]) for entry in best]
-        size, known = len(parents[0].theory.names) + 1, {fit.theory.names for fit in level}
-        lost = [fit for fit in (self.losses() if self._lossy else ()) if len(fit.theory.names) == size]
+        lost = self._with_losses(len(parents[0].theory.names) + 1)
+        known = {fit.theory.names for fit in level}
         return self._resettled(level + [fit for fit in lost if fit.theory.names not in known])
 
     def _resettled(self, level: list[Fit]) -> list[Fit]:
