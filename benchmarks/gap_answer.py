@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import time
 import traceback
 from concurrent.futures import ProcessPoolExecutor
@@ -22,6 +23,8 @@ from typing import Any
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core a process
 os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["NUMBA_NUM_THREADS"] = "1"
+sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != Path(__file__).resolve().parent]
+"""Else benchmarks/export.py, beside this script, stands for the package of that name."""
 
 
 def answer(case: Path, out: Path, without: str | None) -> None:

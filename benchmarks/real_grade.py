@@ -28,7 +28,7 @@ def graded(known: dict[str, Any], groups: dict[str, list[str]], said: dict[str, 
     """Grade and reasons of an answer, as `verdict.json` has it; None is no answer."""
     if said is None:
         return "silent", ["no answer"]
-    kind = said["verdict"]
+    kind = "named_in_part" if said["verdict"] == "named" and said.get("in_part") else said["verdict"]
     if known["answer"] == "unexplained":
         return ("right", []) if kind in ("unexplained", "not_excited") else ("wrong", [f"{kind}, expected unexplained"])
     if kind == "no_gap":
@@ -113,7 +113,7 @@ def closed(said: dict[str, Any] | None) -> dict[str, float | int | None]:
 def overclaims(said: dict[str, Any]) -> bool:
     """Whether an answer names what is missing, nearly all of it, while many floors of the gap are left."""
     done = closed(said)
-    if said["verdict"] != "named" or done["share"] is None or done["after"] is None:
+    if said["verdict"] != "named" or said.get("in_part") or done["share"] is None or done["after"] is None:
         return False
     return done["share"] >= CLAIMED and done["after"] > LEFT
 

@@ -45,6 +45,10 @@ class Choice:
     tried: tuple[Judged, ...] = ()
     drift: Drift | None = None
     """What speaks against the best set, or would against the nearest single effect."""
+    refused: bool = False
+    """Whether a set explained the runs, and something that has no name may be all that it stands for."""
+    in_part: bool = False
+    """Whether the sets of `explaining` are but what dominates: they leave a remainder without a name."""
 
 
 def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) -> Choice:
@@ -101,12 +105,14 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: ChoiceSettings) ->
         drifts = [drifting(j, folds, settings) for j in found]
         lasting = tuple(j for j, drift in zip(found, drifts, strict=True) if not drift)
         if not lasting or (len(lasting) == 1 and surpassed(lasting[0], search, base, settings)):
-            return Choice(base, p, (), (lasting or found)[0], bar, True, tuple(tried), None if lasting else drifts[0])
+            drift = None if lasting else drifts[0]
+            return Choice(base, p, (), (lasting or found)[0], bar, True, tuple(tried), drift, refused=True)
         lasting = tuple(as_added(j, search, folds, settings) for j in lasting)
         return Choice(base, p, lasting, lasting[0], bar, True, tuple(tried))
     alone = min((j for j in tried if len(j.names) == 1), key=lambda j: j.error)
     drift = drifting(alone, folds, settings) if alone.floors < _NEAR * base.floors else None
-    return Choice(base, p, (), min(tried, key=lambda j: j.error), bar, True, tuple(tried), drift)
+    best = min(tried, key=lambda j: j.error)
+    return Choice(base, p, (), best, bar, True, tuple(tried), drift, refused=bool(standing))
 
 
 def last(

@@ -80,6 +80,7 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
         return Verdict("unexplained", (), (), _gaps(runs, before, before, floor), (), later, said)
     best = choice.explaining[0]
     named = with_intervals(best)
+    rest = f" {capital(remainder(best, runs, floor, problem))}" if choice.in_part else ""
     gaps = _gaps(runs, before, best, floor)
     kind = problem.plant.joint_type
     words = " and ".join(effect_words(n.effect, kind) for n in named)
@@ -87,7 +88,8 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
         sets = tuple(j.names for j in choice.explaining)
         experiment = next_experiment([j.fit for j in choice.explaining], runs)
         or_else = ", or ".join(_listed(j) for j in choice.explaining)
-        return Verdict("ambiguous", named, (), gaps, sets, experiment, f"These runs cannot decide: {or_else}.")
+        said = f"These runs cannot decide{' what dominates' * choice.in_part}: {or_else}.{sure_of(sets)}{rest}"
+        return Verdict("ambiguous", named, (), gaps, sets, experiment, said, in_part=choice.in_part)
     idle = unmoved(best)
     if idle:
         said = f"Something is missing, perhaps {words}, but these runs do not move enough of it to say how much."
@@ -98,11 +100,42 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
     closed = float(np.clip((was - now) / max(was - 1.0, 1e-9), 0.0, 1.0))
     flags = [bool(run.held_out) for run in runs]
     of = runs_text([out for out in flags if out != alone], not any(flags))
-    said = f"The simulation misses this: {words}. {closed_text(closed, of)}{'; no other run shows any' * alone}."
+    closing = f"{closed_text(closed, of)}{'; no other run shows any' * alone}."
+    if choice.in_part:
+        said = f"Most of what the simulation misses is this: {words}. {closing}{rest}"
+        return Verdict("named", named, (), gaps, (), None, said, in_part=True)
+    said = f"The simulation misses this: {words}. {closing}"
     if best.borne > _REMAINS:
         rest = _length(best.borne * floor.still, problem)
         said += f" What remains, {rest} or {best.borne:.2g} times the sensor's noise, has no name."
     return Verdict("named", named, (), gaps, (), None, said)
+
+
+def sure_of(sets: tuple[tuple[str, ...], ...]) -> str:
+    """What all rivals have."""
+    shared = [name for name in sets[0] if all(name in names for names in sets)]
+    return f" Sure is {' and '.join(plain(name) for name in shared)}." if shared else ""
+
+
+def remainder(best: Judged, runs: tuple[FitRun, ...], floor: Floor, problem: Problem) -> str:
+    """What a name in part leaves, and where most of it is: in which run, at which places and speeds."""
+    floors = {name: float(np.sqrt(np.mean(r * r))) for name, r in best.strict.items()}
+    name = max(floors, key=lambda run: floors[run])
+    said = f"what remains, {_length(best.floors * floor.still, problem)} or {best.floors:.3g} times the sensor's noise"
+    run = next((run for run in runs if run.name == name and len(run.q) == len(best.strict[name])), None)
+    if run is None:
+        return f"{said}, has no name; it is most in {name}."
+    power = best.strict[name] ** 2
+    fast = np.abs(run.speed) > np.median(np.abs(run.speed))
+    high = run.q > np.median(run.q)
+    ways = {
+        "where it moves fast": fast,
+        "where it moves slowly": ~fast,
+        "in the upper half of its way": high,
+        "in the lower half of its way": ~high,
+    }
+    where = max(ways, key=lambda way: float(power[ways[way]].sum()))
+    return f"{said}, has no name; it is most in run {name}, {where}."
 
 
 def changing(drift: Drift) -> str:

@@ -38,6 +38,9 @@ SURE = 1e12
 """Times how well a parameter is known beforehand, for what is as good as fixed."""
 _SHORT, _LONG = 1.5, 5.0
 """Crossings of its range, at its top speed, that a stretch lasts for."""
+_STRETCHES, _LONGER, _MILD, _MILD_STEPS = 4, 3.0, 0.02, 6
+"""Into which a run that hardly crosses its range is cut, and each of them again; times by which stretches of long runs
+grow; part of the forces at work that a loss begins with; iterations on stretches."""
 
 Starts = dict[str, tuple[float, float]]
 
@@ -249,6 +252,35 @@ def grown(theory: Theory, runs: tuple[FitRun, ...], theta: Array | None = None, 
     at, known = stretched(theory, runs, theta, _SHORT, iterations)
     at, known = stretched(theory, runs, at, _LONG, iterations, known)
     return resettled(fitted(theory, runs, at, known), runs)
+
+
+def grown_mild(theory: Theory, runs: tuple[FitRun, ...]) -> Fit:
+    """The theory fitted from the asset as it is told, its effects mild beside the forces at work, to ever longer
+    stretches: as `grown`, but those of a motion that takes its whole run to cross the range are parts of that."""
+    longest = max(float(run.times_s[-1] - run.times_s[0]) for run in runs)
+    crossings = longest / theory.problem.crossing_s
+    ways = [_SHORT, _LONG] if crossings > _STRETCHES * _SHORT else [crossings / _STRETCHES**2, crossings / _STRETCHES]
+    while _LONGER * _STRETCHES / 2 * ways[-1] < crossings:
+        ways.append(_LONGER * ways[-1])
+    at, known = _mild(theory, runs), None
+    for way in ways:
+        at, known = stretched(theory, runs, at, way, _MILD_STEPS, known)
+    return resettled(fitted(theory, runs, at, known), runs)
+
+
+def _mild(theory: Theory, runs: tuple[FitRun, ...]) -> Array:
+    """(p,) the neutral point, the first size of every force a small part of the forces at work."""
+    problem, theta = theory.problem, theory.neutral()
+    q, v = (np.concatenate([getattr(run, k)[::5] for run in runs]) for k in ("q", "speed"))
+    for cls in theory.classes:
+        if cls.acts not in ("force", "drive"):
+            continue
+        i = next(i for i, r in enumerate(theory.ranges()) if r.owner == cls.name)
+        others = [theta[i + k] for k in range(1, len(theory.fitted_of(cls)))]
+        unit = float(np.sqrt(np.mean((cls.law(q, v, problem.load, 1.0, 1.0, *others) * np.ones(len(q))) ** 2)))
+        theta[i] = _MILD * problem.force / max(unit, 1e-12)
+    low, high = (np.array([getattr(r, k) for r in theory.ranges()]) for k in ("lower", "upper"))
+    return np.asarray(np.clip(theta, low, high))
 
 
 def stretched(

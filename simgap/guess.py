@@ -85,6 +85,8 @@ class Linear:
         self.bases = [np.linalg.qr(J.T)[0] for J in starts]
         self.freed = left = np.concatenate([self._freed(i, r[None])[0] for i, r in enumerate(residuals)])
         rest = np.concatenate([self._freed(i, J) for i, J in enumerate(parameters)], 1)
+        self.parameters = rest
+        """(p, N) what a unit of every parameter does to all readings, the starts being free."""
         self.rest = rest = rest[self._free(rest @ left)]
         size = np.linalg.norm(rest, axis=1) if len(rest) else np.zeros(0)
         self.span = np.linalg.qr(rest[size > 1e-9].T)[0] if (size > 1e-9).any() else np.zeros((len(left), 0))

@@ -399,4 +399,4 @@ def _rolled_back(verdict: Verdict, certain: tuple[Named, ...], bad: Sequence[Nam
         sentence = f"This is mended: {words}. What else simulation and measurement differ by is not known: {what}."
     else:
         sentence = f"Simulation and measurement differ, and nothing known here mends it: {what}."
-    return replace(verdict, verdict="unexplained", effects=kept, rivals=(), gaps=gaps, sentence=sentence)
+    return replace(verdict, verdict="unexplained", effects=kept, rivals=(), gaps=gaps, sentence=sentence, in_part=False)

@@ -104,8 +104,9 @@ def _answer(gap: Gap) -> Section:
     verdict = gap.verdict
     tiles = _tiles(gap)
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in (*gap.notes, *verdict.notes))
+    word = _WORDS[verdict.verdict] + ", in part" * verdict.in_part
     html = (
-        f'<p class="verdict {escape(verdict.verdict)}"><b>{escape(_WORDS[verdict.verdict])}</b></p>'
+        f'<p class="verdict {escape(verdict.verdict)}"><b>{escape(word)}</b></p>'
         f'<p class="sentence">{escape(verdict.sentence)}</p>'
         f'<div class="tiles">{"".join(tiles)}</div>{notes}'
     )

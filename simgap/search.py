@@ -3,14 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
 from simgap.data import FitRun
-from simgap.fit import SURE, Fit, Problem, Starts, Theory, fitted, grown, joined, misfit, pieces, placed, resettled
+from simgap.fit import (
+    SURE,
+    Fit,
+    Problem,
+    Starts,
+    Theory,
+    fitted,
+    grown,
+    grown_mild,
+    joined,
+    misfit,
+    pieces,
+    placed,
+    resettled,
+)
 from simgap.force_guess import LocalForce, local_force, places
 from simgap.guess import Guess, guesses, off
 from simgap.settings import ChoiceSettings
@@ -43,6 +57,8 @@ _ALL_ALONG = (
     "viscous_damping",
 )
 """Effects that take energy, and forces without a place: they act wherever the joint is."""
+LOSSES = ("coulomb_friction", "quadratic_drag", "viscous_damping")
+"""What takes energy all along: every joint has some of them."""
 _SLACKS = (0.003, 0.01, 0.03)
 """Parts of the way moved through that a slack is tried at."""
 _HOPEFUL = 6.0
@@ -104,6 +120,8 @@ class Search:
     names: tuple[str, ...]
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     _first: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
+    _losses: dict[tuple[str, ...], Fit] = field(default_factory=dict)
+    """Of every set of losses, from the asset as it is told."""
     _forces: dict[tuple[str, ...], LocalForce] = field(default_factory=dict)
 
     def base(self) -> Fit:
@@ -116,6 +134,29 @@ class Search:
         """Floors that the best effect would explain of what the asset alone leaves, to first order."""
         fall = self.base().rss - min((guess.cost for guess in self._guesses()[2]), default=np.inf)
         return float(np.sqrt(max(fall, 0.0) / sum(len(run.q) for run in self.train)))
+
+    def losses(self) -> list[Fit]:
+        """Every set of losses fitted from the asset as it is told, not from what it must be off by to do without."""
+        sets = [names for k in (1, 2, 3) for names in combinations(LOSSES, k) if set(names) <= set(self.names)]
+        for names in sets:
+            if names not in self._losses:
+                self._losses[names] = grown_mild(Theory(self.problem, names), self.train)
+        own = self._losses.items()
+        return [min((fit, self.fits.get(names, fit)), key=lambda f: f.cost) for names, fit in own]
+
+    def _with_losses(self, size: int) -> list[Fit]:
+        """Those of a size that fit better than the same set, or than all that was found: others tell a search
+        nothing."""
+        if self.base().level <= _FAR:
+            return []
+        level = [fit.cost for names, fit in self.fits.items() if len(names) == size]
+        found = []
+        for fit in self.losses():
+            names = fit.theory.names
+            known = self.fits.get(names)
+            if len(names) == size and fit.cost < (known.cost if known is not None else min(level, default=np.inf)):
+                found.append(self.keep(fit))
+        return found
 
     def _guesses(self) -> tuple[tuple[FitRun, ...], Fit, list[Guess]]:
         """Stretches that a first-order look can span, the asset alone fitted to them, and first guesses of every effect
@@ -145,6 +186,7 @@ class Search:
         for fit in _hopeful(rough)[:most]:
             self.keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
         far = self._left_out()
+        self._with_losses(1)
         for name, plainer in PLAINER.items():
             if (name,) in self.fits and (plainer,) in self.fits:
                 self._keep_from(name, self.fits[(plainer,)])
@@ -298,7 +340,10 @@ class Search:
                 best.append(other)  # which has the name when it does as well
         damped = [e for e in order if _hides_damping(e[1]) and e[2].name == "viscous_damping"]
         best += [entry for entry in damped if not any(e is entry for e in best)]
-        return self._resettled([self._started(*entry[1:]) for entry in best])
+        level = [self._started(*entry[1:]) for entry in best]
+        lost = self._with_losses(len(parents[0].theory.names) + 1)
+        known = {fit.theory.names for fit in level}
+        return self._resettled(level + [fit for fit in lost if fit.theory.names not in known])
 
     def _resettled(self, level: list[Fit]) -> list[Fit]:
         """The best ones with a new look at their starts; all of them sorted."""

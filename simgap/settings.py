@@ -116,6 +116,13 @@ class ChoiceSettings:
     """A set whose held-out error is within this factor of the best is its rival,"""
     rival_sum: float = 9.0
     """... and so is one whose sum of squares is not larger by this many units of noise,"""
+    many_floors: float = 10.0
+    """Floors that a name may leave of runs kept back and be all that is said: more is a name in part."""
+    dominant: float = 0.5
+    """Part of a run's gap that what dominates may leave."""
+    nameless_dominates: float = 0.1
+    """Part of the gap from which on a force without a name, that does away with most of what a set leaves, dominates
+    as well. Not measured."""
     rival_power: float = 0.2
     """... unless another beats it on held-out runs and, by this part of noise's power, on those that both were fitted
     to."""

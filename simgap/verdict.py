@@ -82,12 +82,15 @@ class Verdict:
     """Names of the effects that the asset beside the verdict got: those that are certain, and helped in SAPIEN."""
     notes: tuple[str, ...] = ()
     """What of the data was left out or thinned, and why: a line each."""
+    in_part: bool = False
+    """Whether what is named is but what dominates, or may be: a remainder above the sensor's noise has no name."""
 
     def to_json(self, joint_type: JointType) -> dict[str, Any]:
         """As it stands in verdict.json."""
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
+            "in_part": self.in_part,
             "sentence": self.sentence,
             "effects": [_named_to_json(named, joint_type) for named in self.effects],
             "added": list(self.added),

@@ -22,6 +22,7 @@ from freeart21.measured import Measured
 from simgap.choose import Choice, chosen
 from simgap.data import FitRun, fit_runs, thinned
 from simgap.decide import moves_enough, says_enough, silent_verdict, verdict_of
+from simgap.dominant import in_part
 from simgap.finding import KinematicsFinding
 from simgap.fit import Fit, Problem, Reader, Starts, confirmed, placed
 from simgap.floor import Floor
@@ -77,7 +78,7 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
     fitted_runs = folds[0].train if len(folds) == 1 else runs
     encoder = any(run.poses is None for run in measured.runs)
     search = Search(problem, fitted_runs, settings.choice, candidates(problem, fitted_runs, encoder, settings.without))
-    choice = chosen(search, folds, settings.choice)
+    choice = in_part(chosen(search, folds, settings.choice), search, folds, settings.choice)
     motion = verdict_of(choice, runs, floor, problem)
     anew = unseen(motion.gaps)
     before = replayed_of(choice.base.fit, folds, runs, anew)
@@ -197,6 +198,7 @@ def joined(motion: Verdict, geometry: KinematicsFinding | None, kind: JointType)
         rivals=tuple(sets) if answer == "ambiguous" else (),
         next_experiment=" ".join(filter(None, (geometry.next_experiment, motion.next_experiment))) or None,
         sentence=said if motion.verdict == "no_gap" else f"{said} {motion.sentence}",
+        in_part=motion.in_part and answer in ("named", "ambiguous"),
     )
 
 

@@ -1,0 +1,66 @@
+"""How probable a theory makes runs it never saw, and what is named in part by that; some 40 s."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_case import asset_of, measured_of
+from scipy.stats import multivariate_t
+
+from freeart21.files.asset import read_asset
+from simgap.predictive import FREEDOM, ModelError, Score, lead, log_densities, smallest
+from simgap.verdict import Verdict
+from simgap.workflow import find_gap
+
+
+def test_the_density_is_that_of_a_student_t_with_the_dense_covariance():
+    rng = np.random.default_rng(0)
+    times, left = np.cumsum(rng.uniform(0.002, 0.03, 60)), rng.normal(0, 3, 60)
+    K = np.eye(60) + 2.5**2 * np.exp(-np.abs(times[:, None] - times) / 0.2)
+    told = log_densities(left, times, 2.5, 0.2)
+    for n in (1, 7, 60):
+        dense = multivariate_t(np.zeros(n), K[:n, :n], df=FREEDOM).logpdf(left[:n])
+        assert told[n - 1] == pytest.approx(dense, abs=1e-9)
+
+
+def test_the_smallest_within_one_standard_error_stands_and_its_like_are_rivals():
+    error, even = ModelError(0.1, 1.0), np.array([3.0, -3.0, 3.0, -3.0, 3.0, -3.0, 3.0, -3.0])
+    best = Score(("a", "b"), np.full(8, 10.0) + even, error)
+    pair = Score(("a", "c"), np.full(8, 9.9) - even, error)
+    one, far = Score(("a",), np.full(8, 5.0), error), Score(("b",), np.full(8, 9.0) + even, error)
+    assert lead(best, far) == pytest.approx((8.0, 0.0))
+    assert [s.names for s in smallest([pair, one, best, far])] == [("a", "b"), ("a", "c")]
+    near = replace(one, parts=best.parts - 0.1 + 0.2 * even)
+    assert [s.names for s in smallest([pair, near, best, far])] == [("a",)]
+
+
+def verdict(folder: Path, seed: int, **hidden: float) -> Verdict:
+    return find_gap(read_asset(asset_of(folder), "j"), measured_of(seed, **hidden))
+
+
+def test_what_dominates_is_named_in_part_where_a_remainder_has_no_name(tmp_path: Path):
+    found = verdict(tmp_path, 3, dry=0.12, drag=0.06, cog=0.1, count=9.0)  # cogging is in no library
+    assert found.verdict in ("named", "ambiguous") and found.in_part, found
+    dry = {"coulomb_friction", "load_friction"}
+    sets = found.rivals or [tuple(named.effect.name for named in found.effects)]
+    assert all("quadratic_drag" in names and dry & set(names) and len(names) == 2 for names in sets)
+    sizes = {named.effect.name: named.effect for named in found.effects}
+    assert sizes["quadratic_drag"].values()[0] == pytest.approx(0.06, rel=0.2)
+    assert "has no name; it is most in run" in found.sentence
+    assert found.to_json("revolute")["in_part"] is True
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        # friction of two levels: 0.2 N m more one way
+        {"dry": 0.25, "spring": 0.02, "rest": 10.0, "hardens": 0.0, "runs": 6, "seconds": 6.0},
+        {"spring": 3.0, "rest": 0.3, "hardens": 0.6},  # a spring that is bent
+    ],
+)
+def test_what_is_outside_the_library_is_not_named_not_even_in_part(tmp_path: Path, hidden: dict[str, float]):
+    found = verdict(tmp_path, 5, **hidden)
+    assert found.verdict == "unexplained" and not found.effects and not found.in_part, found
