@@ -130,9 +130,12 @@ def doubtful(judgement: Judged, settings: ChoiceSettings) -> bool:
 
 
 def _may_dominate(judgement: Judged, base: Judged, settings: ChoiceSettings) -> bool:
-    """Whether a set has a loss, no number at its end, and halves the gap in most of the runs kept back."""
+    """Whether a set has a loss, one dry friction at most, no number at its end, and halves the gap in most of the runs
+    kept back."""
     names = set(judgement.names)
     if not names & set(_LOSSES) or names - set(_EVERYWHERE) or bounded(judgement) or _at_end(judgement.fit):
+        return False
+    if len(names & set(_DRY)) > 1:  # one contact has one law of friction
         return False
     if _slight(judgement.fit):
         return False
