@@ -72,7 +72,8 @@ def test_a_spoilt_motion_is_mended_and_kept(clip):
         assert np.isfinite(found.free[k].covariances).all()
     off = found.poses.states - clip.states
     deviations = np.abs(off - np.median(off)) / found.poses.state_std
-    assert 0.2 < np.median(deviations) < 2 and found.poses.joint_std is not None, "a state's is about its error"
+    # .196 on one processor, above .2 on others; a deviation too large by ten would be .02, one too small by ten 2
+    assert 0.1 < np.median(deviations) < 2 and found.poses.joint_std is not None, "a state's is about its error"
     new = found.in_place_of(grown)
     assert (new.labels == grown.labels)[grown.labels > 0].mean() > 0.95 and new.poses.cost == grown.poses.cost
 
