@@ -96,8 +96,7 @@ def in_part(choice: Choice, search: Search, folds: tuple[Fold, ...], settings: C
     odd_ones = [j for j in known.values() if _at_end(j.fit)]
     standing = [j for j in standing if not _beaten(j, scores[j.names], odd_ones, folds)]
     standing = [j for j in standing if not takes_much(_nameless(j, others, folds), j, choice.base, settings)]
-    if choice.refused:
-        standing = [j for j in standing if drifting(j, folds, settings) is None]
+    standing = [j for j in standing if drifting(j, folds, settings) is None]
     if not standing:
         return replace(choice, explaining=())
     return replace(choice, explaining=tuple(standing), best=standing[0], in_part=True)
