@@ -26,6 +26,7 @@ from freeart21.one_euro import Band, OneEuro, filtered, headset
 from freeart21.se3 import Array
 
 HZ = 72.0
+"""Frames a second of a headset: the least that the Quest and the PICO offer."""
 TRIED = [headset("revolute")] + [
     OneEuro(Band(low, p), Band(low, r), Band(low, r))
     for low, p, r in ((1, 0, 0), (1, 10, 1), (1, 30, 3), (1, 60, 5), (0.5, 100, 10), (3, 60, 5))

@@ -35,6 +35,7 @@ from generator.session import RecordSettings, load_object, planned
 SCHEMA = "freeart21/benchmark-motion-styles/1"
 SHARED = ROOT.parent / "shared"
 FRAMES = 300
+"""Of a stretch: as many as a sequence has when not told otherwise."""
 STYLES = ("tumble", "inspect", "wave", "turntable", "static_base", "human")
 DRAWN_FROM = ("s1", "s4")
 """Subjects whose takes `human` draws from; those of all others are held out."""

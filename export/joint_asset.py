@@ -29,7 +29,8 @@ BALL = 4e-5
 """Of mass times length squared: the least inertia about its own centre, that of a ball of a hundredth of the length
 (2/5 r^2). Engines take no point masses; a period is 2e-5 longer for it."""
 _SMALL = 1e-3
-"""m: radius of the ball of a part that has no length."""
+"""m: radius of the ball of a part that has no length. Not measured; engines need some inertia,
+and what only slides does not feel it."""
 
 
 @dataclass(frozen=True)
