@@ -40,6 +40,10 @@ class Run:
     """(n,) whether the parts were seen when the poses were measured."""
     held_out: bool | None = None
     """Whether a fit must never see it; None when nobody said."""
+    voltage: Array | None = None
+    """(n,) V at the actuator's motor, NaN where none was logged; between those as `Measured.interpolation` says."""
+    enabled: Array | None = None
+    """(n,) whether the actuator was on, above 0, until the next value; NaN where none was logged."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,8 @@ class Measured:
     effort_kind: EffortKind | None = None
     """Whether efforts pass the actuator or push the moving part itself; None without efforts."""
     actuator: Actuator | None = None
-    """Stiffness and damping of the position law that follows `q_command`; its functions of time are empty."""
+    """What the actuator is known to be: its position law, limits and motor; its functions of time are empty. What it
+    is not known for may be missing from the simulation."""
     inertia_relative: float = 0.0
     """How far the asset's inertia may be off, as a part of it; 0 is exact."""
     gravity_relative: float = 0.0
@@ -92,5 +97,5 @@ def without_copies(runs: tuple[Run, ...]) -> tuple[tuple[Run, ...], tuple[str, .
 def _readings(run: Run) -> bytes:
     """All that was measured in a run, whenever its clock began."""
     since = np.round(run.times_s - run.times_s[0], 9)
-    series = (since, run.q, run.effort, run.q_command, run.poses)
+    series = (since, run.q, run.effort, run.q_command, run.poses, run.voltage, run.enabled)
     return b"|".join(b"" if values is None else np.ascontiguousarray(values).tobytes() for values in series)

@@ -140,6 +140,7 @@ class SimulatedAsset:
         self._poses = [e for e in effects if e.acts == "pose"]
         self._gain = float(np.prod([e.gain() for e in effects]))
         self._delay = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
+        self._offset = float(np.sum([e.bias_force() for e in effects]))
         added = float(np.sum([e.inertia() for e in effects]))
         self._slack = slacks[0] if slacks else None
         self._inertia = self.joint_inertia + (0.0 if self._slack else added)
@@ -357,7 +358,7 @@ class SimulatedAsset:
             self._drive_q, self._drive_qd = self._q + 0.5 * side * slack.width, self._qd
         else:
             asked = self._actuator_force(self._drive_q + 0.5 * h * self._drive_qd, self._drive_qd, t)
-            damping = self._gain * self._actuator.damping if self._actuator else 0.0
+            damping = self._actuator_damping(self._drive_q, self._drive_qd, t)
             before, push = self._drive_qd, 0.0
             self._drive_qd += h * asked / (J + h * damping)
             self._drive_q += 0.5 * h * (before + self._drive_qd)
@@ -390,7 +391,15 @@ class SimulatedAsset:
         return sum(law(q, qd, 0.0, m, *v) for (law, v), m in zip(self._forces, self._memories, strict=True))
 
     def _actuator_force(self, q: float, qd: float, t: float) -> float:
-        return self._gain * self._actuator.force(q, qd, t - self._delay) if self._actuator else 0.0
+        """What the actuator gives, by the command of as long ago as it is late."""
+        when = t - self._delay
+        if self._actuator is None or not self._actuator.on(when):
+            return 0.0
+        return self._gain * self._actuator.force(q, qd, when) + self._offset
+
+    def _actuator_damping(self, q: float, qd: float, t: float) -> float:
+        """By what that falls with speed."""
+        return self._gain * self._actuator.damped(q, qd, t - self._delay) if self._actuator else 0.0
 
     def _acting_force(self, q: float, qd: float, t: float) -> float:
         """Effects and actuator, this as far as it touches the part."""
@@ -401,13 +410,13 @@ class SimulatedAsset:
             return acting + self._actuator_force(q + 0.5 * self._side * self._slack.width, qd, t)
         return acting
 
-    def _damping_slope(self, q: float, qd: float) -> float:
+    def _damping_slope(self, q: float, qd: float, t: float) -> float:
         """What the forces that act change by with speed, N*m*s/rad or N*s/m."""
         slope, dv = 0.0, 1e-3 * max(abs(qd), 1e-3)
         for law, values in self._dampers:
             slope += (law(q, qd + dv, 0.0, 0.0, *values) - law(q, qd - dv, 0.0, 0.0, *values)) / (2 * dv)
-        if self._actuator and self._actuator.q_command is not None and (self._slack is None or self._side):
-            slope -= self._gain * self._actuator.damping
+        if self._actuator and (self._slack is None or self._side):
+            slope -= self._actuator_damping(q, qd, t)
         return slope
 
     def _bearing_load(self, q: float, qd: float) -> float:
@@ -435,7 +444,7 @@ class SimulatedAsset:
         """
         inertia = self._inertia + (self._drive_inertia if self._side else 0.0)
         inverse_phi1 = 1.0
-        slope = self._damping_slope(q, qd)
+        slope = self._damping_slope(q, qd, self.time_s + 0.5 * h)
         if slope < 0:
             z = -slope * h / inertia
             inverse_phi1 = z / -np.expm1(-z) if z > 1e-9 else 1.0
@@ -450,7 +459,7 @@ class SimulatedAsset:
         if self.joint_inertia <= 0:
             return
         stiffness = float(np.sum([e.steepness() for e in self.effects]))
-        servo = self._gain * self._actuator.stiffness if self._actuator else 0.0
+        servo = self._gain * self._actuator.law.stiffness if self._actuator else 0.0
         rate = (stiffness + servo) / self._inertia
         if self._slack:
             rate = max(rate, servo / self._drive_inertia)

@@ -164,7 +164,7 @@ BAD_HEADERS = [
     ({"gravity": [0, 0, -9810]}, "'gravity' is 9810 long, expected m/s^2"),
     ({"runs": [{"file": "run_0.csv", "held_out": True}]}, "all 1 runs are held out"),
     ({"actuator": {"type": "velocity"}}, "the actuator's type is 'velocity', expected 'position'"),
-    ({"actuator": {"type": "position", "stiffness": -1, "damping": 0}}, "stiffness and damping are -1 and 0"),
+    ({"actuator": {"type": "position", "stiffness": -1, "damping": 0}}, "'stiffness' is -1, expected 0 or more"),
     ({"interpolation": "cubic"}, "'interpolation' is 'cubic', expected held or linear or unknown"),
     ({"effort": "guessed"}, "'effort' is 'guessed', expected commanded or external"),
     ({"asset_uncertainty": {"inertia_relative": 10}}, "'inertia_relative' is 10, expected 0 (exact) to below 1"),

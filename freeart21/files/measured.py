@@ -13,6 +13,7 @@ import numpy as np
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
+from freeart21.files.actuator_json import actuator_from_json
 from freeart21.joint import JOINT_TYPES, JointType
 from freeart21.measured import (
     EFFORT_KINDS,
@@ -42,10 +43,13 @@ MAX_POSITION = 1e4
 """rad or m; more is no position of a joint."""
 MIN_SAMPLES = 20
 """Fewer readings say nothing of a motion."""
-COLUMNS = ("t_s", "q", "effort", "q_command")
+DRIVES = ("effort", "q_command", "voltage", "enabled")
+"""Columns of what drove the joint."""
+COLUMNS = ("t_s", "q", *DRIVES)
+_ALIKE = {"t_s": "s", "voltage": "V", "enabled": "1"}
 UNITS: dict[str, dict[str, str]] = {
-    "revolute": {"t_s": "s", "q": "rad", "effort": "N*m", "q_command": "rad"},
-    "prismatic": {"t_s": "s", "q": "m", "effort": "N", "q_command": "m"},
+    "revolute": {"q": "rad", "effort": "N*m", "q_command": "rad", **_ALIKE},
+    "prismatic": {"q": "m", "effort": "N", "q_command": "m", **_ALIKE},
 }
 
 
@@ -147,7 +151,10 @@ def _read_run(file: Path, entry: dict[str, Any], kind: JointType, rate_hz: float
     if how == "csv":
         table, lines = _read_csv(file)
         _check_series(file, table["t_s"], table["q"], [f"line {k}" for k in lines], "readings of q that are numbers")
-        return Run(name, table["t_s"], table["q"], table.get("effort"), table.get("q_command"), None, None, held_out)
+        effort, command, voltage, enabled = (table.get(column) for column in DRIVES)
+        return Run(
+            name, table["t_s"], table["q"], effort, command, None, None, held_out, voltage=voltage, enabled=enabled
+        )
     if how == "poses":
         return _read_poses(file, name, rate_hz, held_out)
     if how == "rgbd":
@@ -285,11 +292,11 @@ def _check_channels(
     """Every column has its unit, and whoever drives says how."""
     for run in runs:
         columns: tuple[str, ...] = () if run.poses is not None else ("t_s", "q")
-        columns += tuple(c for c in ("effort", "q_command") if getattr(run, c) is not None)
+        columns += tuple(c for c in DRIVES if getattr(run, c) is not None)
         for column in columns:
             if column not in units:
                 raise FreeArtError(f"{path}: run '{run.name}' has '{column}', whose unit is not in 'units'")
-        for column in ("effort", "q_command"):
+        for column in DRIVES:
             values = getattr(run, column)
             if values is not None and not (np.isfinite(values[0]) and not np.isinf(values).any()):
                 raise FreeArtError(
@@ -298,22 +305,19 @@ def _check_channels(
                 )
         if run.effort is not None and efforts is None:
             raise FreeArtError(f"{path}: run '{run.name}' has efforts, but 'effort' does not say commanded or external")
-        if run.q_command is not None and actuator is None:
+        if run.q_command is not None and (actuator is None or not actuator.stiffness):
             raise FreeArtError(f"{path}: run '{run.name}' has 'q_command', but there is no 'actuator' that follows it")
+        if run.voltage is not None and (actuator is None or actuator.motor is None):
+            raise FreeArtError(f"{path}: run '{run.name}' has 'voltage', but there is no 'actuator' of type 'dc_motor'")
+        told = (
+            run.q_command is not None or run.voltage is not None or (run.effort is not None and efforts == "commanded")
+        )
+        if run.enabled is not None and not told:
+            raise FreeArtError(f"{path}: run '{run.name}' has 'enabled', but nothing that was commanded")
 
 
 def _actuator(data: dict[str, Any], path: Path) -> Actuator | None:
-    if data.get("actuator") is None:
-        return None
-    given = _object(data, "actuator", path)
-    if given.get("type") != "position":
-        raise FreeArtError(f"{path}: the actuator's type is {given.get('type')!r}, expected 'position'")
-    stiffness, damping = (_number(given, key, path) for key in ("stiffness", "damping"))
-    if min(stiffness, damping) < 0:
-        raise FreeArtError(
-            f"{path}: the actuator's stiffness and damping are {stiffness:g} and {damping:g}, expected 0 or more"
-        )
-    return Actuator(None, stiffness, damping)
+    return actuator_from_json(_object(data, "actuator", path), path) if data.get("actuator") is not None else None
 
 
 def _object(data: dict[str, Any], key: str, path: Path) -> dict[str, Any]:

@@ -22,19 +22,42 @@ HALFWAY = 0.5
 
 def inputs_of(run: Run, measured: Measured, longest_s: float = np.inf) -> Inputs:
     """What drove a run; no value lasts longer than `longest_s` where a curve is to be followed."""
-    if run.effort is None and run.q_command is None:
+    if run.effort is None and run.q_command is None and run.voltage is None:
         return Inputs()
     nothing = np.zeros(len(run.times_s))
-    effort = nothing if run.effort is None else run.effort
+    asked, push = told_efforts(run, measured)
     command = nothing if run.q_command is None else run.q_command
-    commanded = measured.effort_kind == "commanded"
-    logged = np.stack([command, effort if commanded else nothing, nothing if commanded else effort])
+    logged = np.stack([command, nothing if asked is None else asked, nothing if push is None else push])
     times, series, beside = _as_held(run.times_s, logged, measured.interpolation, longest_s)
-    told = np.concatenate([series, beside])
+    on = enabled_at(run, times, asked is not None)
+    told = np.concatenate([series, beside, [on]])
     new = np.append(True, (np.diff(told) != 0).any(0))  # a value lasts: only where it changes matters
-    asked = np.full(int(new.sum()), np.nan) if run.q_command is None else series[0, new]
+    follows = np.full(int(new.sum()), np.nan) if run.q_command is None else series[0, new]
     extra = np.ascontiguousarray(beside[:, new]) if beside.any() else None
-    return Inputs(np.ascontiguousarray(times[new]), asked, series[1, new].copy(), series[2, new].copy(), extra)
+    drives = None if on.all() else on[new]
+    return Inputs(
+        np.ascontiguousarray(times[new]), follows, series[1, new].copy(), series[2, new].copy(), extra, drives
+    )
+
+
+def told_efforts(run: Run, measured: Measured) -> tuple[Array | None, Array | None]:
+    """(n,) what the actuator was told to give, by voltage too, and what pushed the part itself; None for nothing."""
+    asked = run.effort if measured.effort_kind == "commanded" else None
+    motor = measured.actuator.motor if measured.actuator is not None else None
+    if run.voltage is not None and motor is not None:
+        volts = motor.per_volt * run.voltage
+        asked = volts if asked is None else asked + volts
+    return asked, run.effort if measured.effort_kind == "external" else None
+
+
+def enabled_at(run: Run, at: Array, told: bool) -> NDArray[np.bool_]:
+    """(m,) whether the actuator is on at the times `at`; `told` is whether it was told an effort."""
+    if not told and run.q_command is None:
+        return np.zeros(len(at), bool)
+    if run.enabled is None:
+        return np.ones(len(at), bool)
+    known = np.isfinite(run.enabled)
+    return np.asarray(logged_at(run.times_s[known], run.enabled[known], "held", at) > 0)
 
 
 def logged_at(times: Array, values: Array, how: Interpolation, at: Array) -> Array:

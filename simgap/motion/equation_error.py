@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from freeart21.effects.base import Effect
 from freeart21.measured import Measured, Run
-from freeart21.mechanics import JointMechanics
+from freeart21.mechanics import DriveLaw, JointMechanics
 from freeart21.se3 import Array
-from simgap.measure.inputs import logged_at
+from simgap.measure.inputs import enabled_at, logged_at, told_efforts
 from simgap.measure.swings import reversals, unit_numbers
 
 _ORDER = 4  # of the local polynomials
@@ -152,14 +152,18 @@ def _forces(
     gain = float(np.prod([e.gain() for e in effects]))
     late = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
     acting, how = np.zeros(len(t)), measured.interpolation
-    if run.q_command is not None and measured.actuator is not None:
-        law = measured.actuator
-        asked = logged_at(run.times_s, run.q_command, how, t - late)
-        acting += gain * (law.stiffness * (asked - q) - law.damping * qd)
-    if run.effort is not None:
-        commanded = measured.effort_kind == "commanded"
-        effort = logged_at(run.times_s, run.effort, how, t - late if commanded else t)
-        acting += (gain if commanded else 1.0) * effort
+    effort, push = told_efforts(run, measured)
+    on = enabled_at(run, t - late, effort is not None)
+    if on.any():
+        law = DriveLaw() if measured.actuator is None else measured.actuator.law
+        asked, told = (
+            other if values is None else logged_at(run.times_s, values, how, t - late)
+            for values, other in ((run.q_command, np.full(len(t), np.nan)), (effort, np.zeros(len(t))))
+        )
+        given = gain * law.forces(q, qd, asked, told) + float(np.sum([e.bias_force() for e in effects]))
+        acting += np.where(on, given, 0.0)
+    if push is not None:
+        acting += logged_at(run.times_s, push, how, t)
     for effect in effects:
         if effect.acts == "force":
             memory: float | Array = 0.0

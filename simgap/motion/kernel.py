@@ -21,7 +21,8 @@ GAIN, COMMAND_DELAY, STIFFNESS, DAMPING = 8, 9, 10, 11
 LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
 READING_DELAY, Q0, QD0, TRAVEL, GRIPPING, SPRINGY, GIVE = 16, 17, 18, 19, 20, 21, 22
 SHAFT_INERTIA, SHAFT_BACK, SHAFT_SWING, HOLDING = 23, 24, 25, 26
-HEAD = 27
+OFFSET, DEAD_BAND, MOST_ASKED, BACK_EMF, MOST = 27, 28, 29, 30, 31
+HEAD = 32
 """Places in the vector of numbers that describes one simulation; behind them each effect has FORM, then parameters."""
 FORM = 7
 """How the size of an effect may depart from its formula: with speed, with position, with a power of position; and the
@@ -67,11 +68,26 @@ def _sum(acts, terms, p, memory, q, v, load):  # pragma: no cover
 
 @jit
 def _actuator(p, q, v, position, effort):  # pragma: no cover
-    """Force of the actuator at the position and speed that it sees; `position` is NaN without a position law."""
+    """Force of the actuator at the position and speed that it sees (`mechanics.DriveLaw`); `position` is NaN without a
+    position law, `effort` while it is off."""
+    if np.isnan(effort):
+        return 0.0
     asked = effort
     if not np.isnan(position):
-        asked += p[STIFFNESS] * (position - q) - p[DAMPING] * v
-    return p[GAIN] * asked
+        error = position - q
+        asked += p[STIFFNESS] * (error - min(max(error, -p[DEAD_BAND]), p[DEAD_BAND])) - p[DAMPING] * v
+    asked = min(max(asked, -p[MOST_ASKED]), p[MOST_ASKED]) - p[BACK_EMF] * v
+    return p[GAIN] * min(max(asked, -p[MOST]), p[MOST]) + p[OFFSET]
+
+
+@jit
+def _steers(p, q, v, position, effort):  # pragma: no cover
+    """Whether the actuator's force follows the position there: it is on, beyond its dead band and within its limits."""
+    error = position - q
+    if np.isnan(effort) or np.isnan(error) or (p[DEAD_BAND] > 0.0 and abs(error) <= p[DEAD_BAND]):
+        return False
+    asked = effort + p[STIFFNESS] * (error - min(max(error, -p[DEAD_BAND]), p[DEAD_BAND])) - p[DAMPING] * v
+    return abs(asked) < p[MOST_ASKED] and abs(asked - p[BACK_EMF] * v) < p[MOST]
 
 
 @jit
@@ -79,7 +95,7 @@ def _pushed(p, x, v, position, effort):  # pragma: no cover
     """Force of an actuator whose flank touches at x, or whose shaft's far end is there: as far as that gives way under
     the force, GIVE times it, of a flank times it to the power of 2/3 (Hertz), the actuator is ahead."""
     F = _actuator(p, x, v, position, effort)
-    if p[GIVE] == 0.0 or np.isnan(position) or F == 0.0:
+    if p[GIVE] == 0.0 or F == 0.0 or not _steers(p, x, v, position, effort):
         return F
     power = 1.0 if p[SLACK_WIDTH] == 0.0 else 2.0 / 3.0
     ahead = math.copysign(p[GIVE] * abs(F) ** power, F)
@@ -300,7 +316,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, coarse
         if done == n:
             return
         # inputs
-        position, asked, push, until = np.nan, 0.0, 0.0, np.inf
+        position, asked, push, until = np.nan, np.nan, 0.0, np.inf
         if inputs > 0:
             while late + 1 < inputs and t_in[late + 1] + delayed <= now + 1e-12:
                 late += 1

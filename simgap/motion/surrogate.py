@@ -19,7 +19,7 @@ from freeart21.effects.armature import Armature
 from freeart21.effects.backlash import Backlash
 from freeart21.joint import JointType
 from freeart21.measured import Measured
-from freeart21.mechanics import JointMechanics
+from freeart21.mechanics import DriveLaw, JointMechanics
 from freeart21.se3 import Array
 from generator.simulate import load
 from simgap.geometry.placing import place
@@ -39,9 +39,18 @@ class Plant:
     upper: float
     effects: tuple[Effect, ...] = ()
     """Effects that the asset has already."""
-    stiffness: float = 0.0
-    """Of the actuator's position law."""
-    damping: float = 0.0
+    drive: DriveLaw = DriveLaw()  # noqa: RUF009 (frozen)
+    """What the actuator gives."""
+
+    @property
+    def stiffness(self) -> float:
+        """Of the actuator's position law."""
+        return self.drive.stiffness
+
+    @property
+    def damping(self) -> float:
+        """Of the actuator's position law."""
+        return self.drive.damping
 
     @property
     def joint_type(self) -> JointType:
@@ -81,8 +90,7 @@ def plant_of(asset: Asset, measured: Measured) -> Plant:
         simulated.lower,
         simulated.upper,
         tuple(asset.effects.get(asset.joint, ())),
-        actuator.stiffness if actuator else 0.0,
-        actuator.damping if actuator else 0.0,
+        actuator.law if actuator else DriveLaw(),
     )
 
 
@@ -104,6 +112,13 @@ class Inputs:
     beside: Array | None = None
     """(3, i) what commands, efforts and pushes have besides if each is held until its next row (`Nuisance.holding` 1);
     None for nothing."""
+    on: NDArray[np.bool_] | None = None
+    """(i,) whether the actuator is on; None for always."""
+
+    @property
+    def told(self) -> Array:
+        """(i,) commanded efforts as the kernel takes them: NaN while the actuator is off."""
+        return self.effort if self.on is None else np.where(self.on, self.effort, np.nan)
 
     @cached_property
     def held(self) -> bool:
@@ -174,7 +189,10 @@ def numbers_of(
     head[kernel.GAIN] = np.prod([effect.gain() for effect in effects])
     head[kernel.COMMAND_DELAY] = sum(effect.delay() for effect in effects if effect.acts == "command")
     head[kernel.READING_DELAY] = sum(effect.delay() for effect in effects if effect.kind == "sensing")
-    head[kernel.STIFFNESS], head[kernel.DAMPING] = plant.stiffness, plant.damping
+    head[kernel.OFFSET] = sum(effect.bias_force() for effect in effects)
+    drive = plant.drive
+    head[kernel.STIFFNESS], head[kernel.DAMPING] = drive.stiffness, drive.damping
+    head[kernel.DEAD_BAND : kernel.MOST + 1] = drive.dead_band, drive.most_asked, drive.back_emf, drive.most
     head[kernel.HOLDING] = nuisance.holding
     head[kernel.LOWER], head[kernel.UPPER] = plant.lower, plant.upper
     parts = [head]
@@ -223,7 +241,10 @@ def step_of(
 ) -> Steps:
     """Longest steps, s, at which the fastest oscillation is stepped finely, with the position law off unless `held`,
     and none blows up: away from the places of effects that have one, and near them."""
-    gain = float(np.prod([effect.gain() for effect in effects])) if held else 0.0
+    gain = float(np.prod([effect.gain() for effect in effects]))
+    damping = gain * plant.drive.back_emf
+    gain = gain if held else 0.0
+    damping += gain * plant.damping
     inertia = plant.mechanics.inertia
     local = (settings.phase_per_step / settings.local_phase_per_step) ** 2
     slack = next((effect for effect in effects if isinstance(effect, Backlash)), None)
@@ -231,7 +252,7 @@ def step_of(
     weight = float(np.hypot(*plant.gravity_terms[0, :2]))
 
     def longest(stiffness: float) -> float:
-        rate = np.sqrt(stiffness / inertia + gain * plant.stiffness / driven) + 0.1 * gain * plant.damping / driven
+        rate = np.sqrt(stiffness / inertia + gain * plant.stiffness / driven) + 0.1 * damping / driven
         return float(np.clip(settings.phase_per_step / max(rate, 1e-9), settings.min_step_s, settings.max_step_s))
 
     away = weight + sum(effect.steepness() for effect in effects if not is_local(type(effect)))
@@ -272,7 +293,7 @@ class Batch:
     def of(runs: Sequence[tuple[Array, Inputs]]) -> Batch:
         """Of the times and the inputs of some runs."""
         own = {id(i): i for _, i in runs}
-        told = [(i.times_s, i.command, i.effort, i.push) for i in own.values()]
+        told = [(i.times_s, i.command, i.told, i.push) for i in own.values()]
         first, second, third, fourth = (np.concatenate([t[k] for t in told]).astype(float) for k in range(4))
         extras = [np.zeros((3, len(i.times_s))) if i.beside is None else i.beside for i in own.values()]
         ends = dict(zip(own, np.cumsum([len(i.times_s) for i in own.values()]), strict=True))

@@ -22,6 +22,8 @@ import numpy as np
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.actuator_json import actuator_to_json
+from freeart21.files.measured import DRIVES
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
 from simgap.verdict import SHOWS
@@ -279,7 +281,7 @@ def _write_job(
         "assets": [_address(before), _address(after)],
         "joint": before.joint,
         "gravity": np.asarray(measured.gravity, float).tolist(),
-        "actuator": None if law is None else [law.stiffness, law.damping],
+        "actuator": None if law is None else actuator_to_json(law),
         "effort": measured.effort_kind,
         "interpolation": measured.interpolation,
         "off": [asdict(o) for o in off],
@@ -293,7 +295,7 @@ def _write_job(
         known = np.isfinite(replay.run.q)
         arrays[f"times_{i}"], arrays[f"q_{i}"] = replay.run.times_s[known], replay.run.q[known]
         arrays[f"clock_{i}"] = replay.run.times_s
-        for name in ("effort", "q_command"):
+        for name in DRIVES:
             values = getattr(replay.run, name)
             if values is not None:
                 arrays[f"{name}_{i}"] = values
