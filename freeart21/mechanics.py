@@ -33,6 +33,8 @@ class JointMechanics:
     """(3,) kg*m: mass times centre of mass at q = 0."""
     gravity: Array
     """(3,) m/s^2."""
+    tensor_zero: Array | None = None
+    """(3, 3) kg*m^2 about the pivot, and in the directions of the frame, at q = 0; only a base that turns needs it."""
 
     @cached_property
     def _arms(self) -> tuple[Array, Array, Array]:

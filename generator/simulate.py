@@ -39,6 +39,8 @@ from freeart21.se3 import Array
 
 GRAVITY = (0.0, 0.0, -9.81)
 """m/s^2, world frame."""
+Sway = Callable[[float, float], float]
+"""Position and time to a force, N*m or N."""
 
 _CREEP_SPEED = 1e-6  # rad/s or m/s at which the saturated damper of Coulomb friction reaches its limit
 _PHASE_PER_STEP = 0.1  # rad of the stiffest oscillation per internal step: the period is then 0.04 % short (0.1^2 / 24)
@@ -87,6 +89,7 @@ class SimulatedAsset:
         self._recalls: list[tuple[int, Any, tuple[float, ...]]] = []
         self._slack: Backlash | None = None
         self._actuator: Actuator | None = None
+        self._sway: Sway | None = None
         q = float(np.clip(0.0, joint.lower, joint.upper))
         self.set_state(q)
         pose = self._joint.global_pose.to_transformation_matrix().astype(float)
@@ -111,6 +114,7 @@ class SimulatedAsset:
             self.joint_inertia,
             (to_parent @ np.append(self._mass_moment_zero, self.moving_mass))[:3],
             to_parent[:3, :3] @ self.gravity,
+            _turned(_tensor(self.world_joint, mechanics), to_parent[:3, :3] @ self.world_joint.transform(-q)[:3, :3]),
         )
         """What the joint carries, in the frame of its parent link."""
         self.set_effects(asset.effects.get(asset.joint, ()))
@@ -156,6 +160,11 @@ class SimulatedAsset:
         """Let this drive the joint from now on; None for nothing. Its times are those of `time_s`."""
         self._actuator = actuator
         self._plan_substeps()
+
+    def set_sway(self, sway: Sway | None) -> None:
+        """Let the base be moved: position and time (`time_s`) to the force that the joint feels of it, N*m or N, seen
+        from the base, which stays where it is. What bearings carry of it is not counted."""
+        self._sway = sway
 
     def _forget(self) -> None:
         """Effects with memory begin anew, from the state of now."""
@@ -327,6 +336,7 @@ class SimulatedAsset:
             return 0.0, 0.0, 0.0
         friction = sum(law(limit, 0.0, self._bearing_load(limit, 0.0), 0.0, *v) for law, v in self._drives)
         pull = float(self.mechanics.gravity_force(limit)) + self._effect_force(limit, 0.0) + push
+        pull += self._sway(limit, t) if self._sway else 0.0
         drive, press = towards * self._actuator_force(limit, 0.0, t), towards * pull + friction
         links = self._inertia - shaft.value
         stays, taken = thrown(speed, press, drive, links, shaft.value, shaft.throw_back, shaft.swing)
@@ -403,7 +413,7 @@ class SimulatedAsset:
 
     def _acting_force(self, q: float, qd: float, t: float) -> float:
         """Effects and actuator, this as far as it touches the part."""
-        acting = self._effect_force(q, qd)
+        acting = self._effect_force(q, qd) + (self._sway(q, t) if self._sway else 0.0)
         if self._slack is None:
             return acting + self._actuator_force(q, qd, t)
         if self._side:
@@ -565,6 +575,7 @@ def roll_out(
     gravity: ArrayLike = GRAVITY,
     force: Callable[[float], float] | None = None,
     actuator: Actuator | None = None,
+    sway: Sway | None = None,
 ) -> RollOut:
     """The joint's trajectory from position `q0` and velocity `qd0` (rad or m, URDF joint values), base fixed.
 
@@ -577,6 +588,7 @@ def roll_out(
         gravity: (3,) m/s^2.
         force: seconds since the start to an external generalised force on the joint, N*m or N.
         actuator: what drives the joint, through the effects that an actuator has; its times are since the start.
+        sway: what the joint feels of a base that is moved, see `SimulatedAsset.set_sway`.
 
     Raises FreeArtError when the moving part has no mass, or the start lies beyond the limits.
     """
@@ -591,6 +603,7 @@ def roll_out(
     simulated.set_state(q0, qd0)
     simulated.time_s = 0.0
     simulated.set_actuator(actuator)
+    simulated.set_sway(sway)
     states = np.empty((n + 1, 2))
     states[0] = q0, qd0
     try:
@@ -599,6 +612,7 @@ def roll_out(
             states[i + 1] = simulated.state()
     finally:
         simulated.set_actuator(None)
+        simulated.set_sway(None)
     q, qd = states[:, 0].copy(), states[:, 1].copy()
     times = np.arange(n + 1, dtype=float) * simulated.timestep_s
     return RollOut(times, q, qd, simulated.energy(q, qd), readings(simulated.effects, times, q))
@@ -684,6 +698,19 @@ def _link_mechanics(link: Any) -> tuple[float, Array, Array]:
     if link.mass < _MASSLESS:
         return 0.0, frame[:3, 3], np.zeros((3, 3))
     return float(link.mass), frame[:3, 3], R @ np.diag(link.inertia.astype(float)) @ R.T
+
+
+def _tensor(joint: Joint, mechanics: list[tuple[float, Array, Array]]) -> Array:
+    """(3, 3) kg*m^2 of links about the joint's pivot."""
+    total = np.zeros((3, 3))
+    for mass, centre, inertia in mechanics:
+        arm = centre - joint.pivot
+        total += inertia + mass * ((arm @ arm) * np.eye(3) - np.outer(arm, arm))
+    return total
+
+
+def _turned(tensor: Array, R: Array) -> Array:
+    return np.asarray(R @ tensor @ R.T)
 
 
 def _joint_inertia(joint: Joint, mechanics: list[tuple[float, Array, Array]]) -> float:

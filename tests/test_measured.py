@@ -145,7 +145,10 @@ BAD_HEADERS = [
     ({"units": {"t_s": "s", "q": "deg"}}, "'q' of a revolute joint is in 'deg', expected 'rad'"),
     ({"units": {"t_s": "s"}}, "has 'q', whose unit is not in 'units'"),
     ({"gravity": [0, -9.81]}, "'gravity' has shape (2,), expected (3,)"),
-    ({"base": "moving"}, "base is 'moving', expected 'fixed'"),
+    ({"base": "shaky"}, "base is 'shaky', expected 'fixed', 'moving' or an object with its axis"),
+    ({"base": "moving"}, "base is 'moving', but no run has a column of its motion"),
+    ({"base": {"axis": [0, 0, 1]}}, "the base has an axis, but no run has a column 'base_angle'"),
+    ({"base": {"axis": [0, 0, 2]}}, "the base's axis is 2 long, expected a unit vector"),
     ({"sampling": {"rate_hz": 0, "timestamps": "recorded"}}, "'rate_hz' is 0, expected a number above 0"),
     (
         {"sampling": {"rate_hz": 100, "timestamps": "guessed"}},

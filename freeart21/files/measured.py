@@ -12,7 +12,7 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
+from freeart21.files import base_json, checked
 from freeart21.files.actuator_json import actuator_from_json
 from freeart21.joint import JOINT_TYPES, JointType
 from freeart21.measured import (
@@ -45,8 +45,8 @@ MIN_SAMPLES = 20
 """Fewer readings say nothing of a motion."""
 DRIVES = ("effort", "q_command", "voltage", "enabled")
 """Columns of what drove the joint."""
-COLUMNS = ("t_s", "q", *DRIVES)
-_ALIKE = {"t_s": "s", "voltage": "V", "enabled": "1"}
+COLUMNS = ("t_s", "q", *DRIVES, *base_json.COLUMNS)
+_ALIKE = {"t_s": "s", "voltage": "V", "enabled": "1", **base_json.COLUMNS}
 UNITS: dict[str, dict[str, str]] = {
     "revolute": {"q": "rad", "effort": "N*m", "q_command": "rad", **_ALIKE},
     "prismatic": {"q": "m", "effort": "N", "q_command": "m", **_ALIKE},
@@ -63,8 +63,6 @@ def read_measured(folder: Path) -> Measured:
     if data.get("version") != VERSION:
         raise FreeArtError(f"{path} has version {data.get('version')!r}, expected {VERSION}")
     kind = cast(JointType, _one_of(data, "joint_type", JOINT_TYPES, path))
-    if data.get("base", "fixed") != "fixed":
-        raise FreeArtError(f"{path}: base is {data['base']!r}, expected 'fixed'")
     sampling = _object(data, "sampling", path)
     rate = _positive(sampling, "rate_hz", path)
     if rate > MAX_RATE_HZ:
@@ -81,6 +79,9 @@ def read_measured(folder: Path) -> Measured:
     _check_rate(runs, rate, path)
     units = _units(data, kind, path)
     _check_channels(runs, units, efforts, actuator, path)
+    bases = [run.base for run in runs if run.base is not None]
+    turned = any(base.angle is not None for base in bases)
+    base_axis = base_json.base_axis_of(data.get("base", "fixed"), bool(bases), turned, path)
     gravity = checked.numbers(data, "gravity", (3,), path)
     if np.linalg.norm(gravity) > MAX_GRAVITY:
         raise FreeArtError(
@@ -100,6 +101,7 @@ def read_measured(folder: Path) -> Measured:
         inertia_relative=_relative(uncertainty, "inertia_relative", path),
         gravity_relative=_relative(uncertainty, "gravity_relative", path),
         runs=runs,
+        base_axis=base_axis,
         notes=notes,
     )
 
@@ -153,8 +155,9 @@ def _read_run(file: Path, entry: dict[str, Any], kind: JointType, rate_hz: float
         _check_series(file, table["t_s"], table["q"], [f"line {k}" for k in lines], "readings of q that are numbers")
         effort, command, voltage, enabled = (table.get(column) for column in DRIVES)
         return Run(
-            name, table["t_s"], table["q"], effort, command, None, None, held_out, voltage=voltage, enabled=enabled
-        )
+            name, table["t_s"], table["q"], effort, command, None, None, held_out, voltage, enabled,
+            base_json.base_of(table, file),
+        )  # fmt: skip
     if how == "poses":
         return _read_poses(file, name, rate_hz, held_out)
     if how == "rgbd":
@@ -293,6 +296,7 @@ def _check_channels(
     for run in runs:
         columns: tuple[str, ...] = () if run.poses is not None else ("t_s", "q")
         columns += tuple(c for c in DRIVES if getattr(run, c) is not None)
+        columns += tuple(base_json.base_columns(run.base))
         for column in columns:
             if column not in units:
                 raise FreeArtError(f"{path}: run '{run.name}' has '{column}', whose unit is not in 'units'")

@@ -11,6 +11,7 @@ from itertools import product
 
 import numpy as np
 
+from freeart21.base_motion import sway_force
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
 from simgap.fitting.theory import Problem, Theory
@@ -88,7 +89,8 @@ def _driven(plant: Plant, run: FitRun, times: Array, q: Array, qd: Array) -> Arr
     bias = float(np.sum([e.bias_force() for e in plant.effects]))
     given = gain * plant.drive.forces(q, qd, command, effort) + bias
     on = True if inputs.on is None else inputs.on[at]
-    return np.asarray(push + np.where(on, given, 0.0))
+    swayed = 0.0 if inputs.sway is None else sway_force(inputs.sway[:, at], q)
+    return np.asarray(push + np.where(on, given, 0.0) + swayed)
 
 
 def _known(plant: Plant, q: Array, qd: Array, qdd: Array) -> Array:

@@ -92,7 +92,7 @@ def candidates(
     commanded = any(np.any(run.inputs.effort) or np.isfinite(run.inputs.command).any() for run in runs)
     told = any(np.any(run.inputs.effort) for run in runs)
     near = problem.near_stop
-    driven = commanded or any(np.any(run.inputs.push) for run in runs)
+    driven = commanded or any(np.any(run.inputs.push) or run.inputs.sway is not None for run in runs)
     slack = any(effect.acts == "slack" for effect in problem.plant.effects)
 
     def possible(cls: type[Effect]) -> bool:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from freeart21.measured import Interpolation, Measured, Run
 from freeart21.mechanics import course
 from freeart21.se3 import Array
-from simgap.motion.surrogate import Inputs
+from simgap.measure.base_motion import Sway, sway_of
+from simgap.motion.surrogate import Inputs, Plant
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Of a stretch as -1 to 1: exact for the cubics that curves are, and for their first moments."""
@@ -20,8 +21,60 @@ HALFWAY = 0.5
 """Part that is taken to be held of what nobody knows, where that is not fitted."""
 
 
-def inputs_of(run: Run, measured: Measured, longest_s: float = np.inf) -> Inputs:
-    """What drove a run; no value lasts longer than `longest_s` where a curve is to be followed."""
+def inputs_of(run: Run, measured: Measured, longest_s: float = np.inf, plant: Plant | None = None) -> Inputs:
+    """What drove a run; no value lasts longer than `longest_s` where a curve is to be followed.
+
+    A base that moves is told of the `plant` that stands on it.
+    """
+    driven = _driven_inputs(run, measured, longest_s)
+    if run.base is None or plant is None:
+        return driven
+    return _swayed(driven, base_sway(run, measured, plant), longest_s)
+
+
+def base_sway(run: Run, measured: Measured, plant: Plant) -> Sway:
+    """What the joint feels of its base in a run in which that moves."""
+    assert run.base is not None
+    T, side = plant.T_parent_canonical, plant.base_is_parent
+    return sway_of(run.times_s, run.base, measured.base_axis, plant.mechanics, T, side)
+
+
+def _swayed(driven: Inputs, sway: Sway, longest_s: float) -> Inputs:
+    """The inputs with those of a base that moves: in each of its steps two values, with impulse and way of the
+    straight line between its ends."""
+    span = np.diff(sway.times_s)
+    parts = np.maximum(np.ceil(span / (2 * longest_s)), 1).astype(int)
+    row = np.repeat(np.arange(len(span)), parts)
+    span = span[row] / parts[row]
+    begin = sway.times_s[row] + span * (np.arange(len(row)) - (np.cumsum(parts) - parts)[row])
+    first, last = sway.at(begin), sway.at(begin + span)
+    mean, tilt = 0.5 * (first + last), (last - first) / 3  # as `_as_held` has it
+    terms = np.stack([mean - tilt, mean + tilt], -1).reshape(len(mean), -1)
+    own = np.append((begin[:, None] + span[:, None] * np.array([0.0, 0.5])).ravel(), sway.times_s[-1])
+    terms = np.append(terms, sway.terms[:, -1:], 1)
+    times = np.union1d(own, driven.times_s)
+
+    def lasting(values: Array, since: Array, none: float) -> Array:
+        if not len(since):
+            return np.full((*values.shape[:-1], len(times)), none)
+        return np.asarray(values[..., np.clip(np.searchsorted(since, times, side="right") - 1, 0, len(since) - 1)])
+
+    d, on = driven, None
+    if d.on is not None or not len(d.times_s):
+        on = lasting(np.ones(0) if d.on is None else d.on.astype(float), d.times_s, 0.0) > 0
+    return Inputs(
+        times,
+        lasting(d.command, d.times_s, np.nan),
+        lasting(d.effort, d.times_s, 0.0),
+        lasting(d.push, d.times_s, 0.0),
+        None if d.beside is None else lasting(d.beside, d.times_s, 0.0),
+        on,
+        np.ascontiguousarray(lasting(terms, own, 0.0)),
+    )
+
+
+def _driven_inputs(run: Run, measured: Measured, longest_s: float) -> Inputs:
+    """What an actuator or a push made."""
     if run.effort is None and run.q_command is None and run.voltage is None:
         return Inputs()
     nothing = np.zeros(len(run.times_s))

@@ -12,12 +12,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from freeart21.base_motion import sway_force
 from freeart21.effects.base import Effect
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import DriveLaw, JointMechanics
 from freeart21.se3 import Array
-from simgap.measure.inputs import enabled_at, logged_at, told_efforts
+from simgap.measure.inputs import base_sway, enabled_at, logged_at, told_efforts
 from simgap.measure.swings import reversals, unit_numbers
+from simgap.motion.surrogate import Plant
 
 _ORDER = 4  # of the local polynomials
 _SHORTEST = 7  # readings of a window
@@ -61,6 +63,7 @@ def missing_force(
     upper: float,
     effects: tuple[Effect, ...] = (),
     runs: tuple[Run, ...] | None = None,
+    plant: Plant | None = None,
 ) -> MissingForce:
     """The force that the asset's equation lacks, with `effects` acting.
 
@@ -71,6 +74,7 @@ def missing_force(
         upper: limit.
         effects: those that are in the simulation.
         runs: which to look at; None takes all that are not held out. Their `q` must be known.
+        plant: what says where the base is, where runs move it.
     """
     runs = tuple(r for r in measured.runs if not r.held_out) if runs is None else runs
     pieces, impacts, how = [], [], measured.interpolation
@@ -85,6 +89,8 @@ def missing_force(
         near = np.convolve(touching, np.ones(2 * half + 1), "same") > 0
         impacts += _impacts(t, raw, touching)
         acting = _forces(measured, mechanics, run, effects, t, q, qd, qdd)
+        if run.base is not None and plant is not None:
+            acting = acting[0] + sway_force(base_sway(run, measured, plant).at(t), q), acting[1]
         given, gravity = (np.convolve(force, kernel, "same") for force in acting)  # as smooth as qdd is
         since = _since_reversal(q)
         command = (

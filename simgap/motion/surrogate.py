@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from freeart21.asset import Asset
+from freeart21.base_motion import WAYS
 from freeart21.effects import Effect
 from freeart21.effects.armature import Armature
 from freeart21.effects.backlash import Backlash
@@ -39,6 +40,10 @@ class Plant:
     upper: float
     effects: tuple[Effect, ...] = ()
     """Effects that the asset has already."""
+    T_parent_canonical: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) where the canonical frame is."""
+    base_is_parent: bool = True
+    """Whether the joint moves the moving part, not the reference part (the base)."""
     drive: DriveLaw = DriveLaw()  # noqa: RUF009 (frozen)
     """What the actuator gives."""
 
@@ -84,12 +89,14 @@ def _gravity_terms(mechanics: JointMechanics) -> Array:
 def plant_of(asset: Asset, measured: Measured) -> Plant:
     """The joint of `asset` under the gravity and the actuator of `measured`; loads the asset in SAPIEN, neutral."""
     simulated = load(asset)
-    actuator = measured.actuator
+    actuator, placed = measured.actuator, place(asset, measured.gravity)
     return Plant(
-        place(asset, measured.gravity).mechanics,
+        placed.mechanics,
         simulated.lower,
         simulated.upper,
         tuple(asset.effects.get(asset.joint, ())),
+        placed.T_parent_canonical,
+        placed.child_moves,
         actuator.law if actuator else DriveLaw(),
     )
 
@@ -114,6 +121,8 @@ class Inputs:
     None for nothing."""
     on: NDArray[np.bool_] | None = None
     """(i,) whether the actuator is on; None for always."""
+    sway: Array | None = None
+    """(8, i) what the joint feels of a base that moves (`base_motion.sway_terms`); None for one at rest."""
 
     @property
     def told(self) -> Array:
@@ -194,6 +203,7 @@ def numbers_of(
     head[kernel.STIFFNESS], head[kernel.DAMPING] = drive.stiffness, drive.damping
     head[kernel.DEAD_BAND : kernel.MOST + 1] = drive.dead_band, drive.most_asked, drive.back_emf, drive.most
     head[kernel.HOLDING] = nuisance.holding
+    head[kernel.MOMENT_SCALE], head[kernel.MASS_SCALE] = nuisance.gravity, nuisance.inertia
     head[kernel.LOWER], head[kernel.UPPER] = plant.lower, plant.upper
     parts = [head]
     for effect in effects:
@@ -282,8 +292,9 @@ class Batch:
     times_s: Array
     begins: NDArray[np.int64]
     """(r + 1,) where the times of each run begin, and where they all end."""
-    series: tuple[Array, Array, Array, Array, Array]
-    """Times, commands, efforts, pushes and (3, i) `Inputs.beside` of all inputs."""
+    series: tuple[Array, Array, Array, Array, Array, Array]
+    """Times, commands, efforts, pushes, (3, i) `Inputs.beside` and (8, i) `Inputs.sway` of all inputs, this (8, 0) when
+    no base moves."""
     enters: NDArray[np.int64]
     """(r, 2) where the inputs of each run begin and end: stretches of one run share them."""
     held: NDArray[np.bool_]
@@ -296,11 +307,14 @@ class Batch:
         told = [(i.times_s, i.command, i.told, i.push) for i in own.values()]
         first, second, third, fourth = (np.concatenate([t[k] for t in told]).astype(float) for k in range(4))
         extras = [np.zeros((3, len(i.times_s))) if i.beside is None else i.beside for i in own.values()]
+        sways = [np.zeros((WAYS, len(i.times_s))) if i.sway is None else i.sway for i in own.values()]
+        if all(i.sway is None for i in own.values()):
+            sways = [np.zeros((WAYS, 0))]
         ends = dict(zip(own, np.cumsum([len(i.times_s) for i in own.values()]), strict=True))
         return Batch(
             np.concatenate([times for times, _ in runs]).astype(float),
             np.cumsum([0, *(len(times) for times, _ in runs)]),
-            (first, second, third, fourth, np.concatenate(extras, 1)),
+            (first, second, third, fourth, np.concatenate(extras, 1), np.concatenate(sways, 1)),
             np.array([(ends[id(i)] - len(i.times_s), ends[id(i)]) for _, i in runs]),
             np.array([i.held for _, i in runs]),
         )

@@ -24,12 +24,15 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.actuator_json import actuator_from_json
 from freeart21.files.asset import movable_joint, read_asset
+from freeart21.files.base_json import BASE
 from freeart21.files.urdf import parsed
+from freeart21.measured import BaseAxis, BaseSeries
 from freeart21.mechanics import Actuator, between
 from freeart21.se3 import Array
 from generator import simulate
 from simgap.geometry.placing import place
 from simgap.geometry.track_geometry import at_point, displacement
+from simgap.measure.base_motion import sway_of
 
 HALVINGS = 6
 SHARE = 0.4
@@ -60,6 +63,12 @@ class _Stage:
         own_effects = tuple(_under_scaled(e, inertia) for e in asset.effects.get(asset.joint, ()))
         self.effects = (*own_effects, *((offset,) if any(offset.values()) else ()))
         self.gravity, self.job = placed.gravity, job
+        self.placed, self.mass = placed, inertia
+        weight, own_weight = (
+            (np.hypot(*pair) for pair in ((own[0] + cosine, own[1] + sine), own)) if revolute else (1, 1)
+        )
+        self.moment = float(weight / own_weight) if own_weight > 0 else inertia
+        """Of the part: factors of its mass, and of its moment about the joint, that goes with its weight."""
         self.holding = float(off["holding"])
 
     def load(self, timestep_s: float) -> simulate.SimulatedAsset:
@@ -87,11 +96,23 @@ class _Stage:
         push = effort if self.job["effort"] == "external" else None
         asked = None if push else effort
         actuator = self._driven(told("q_command"), asked, told("voltage"), told("enabled", 0.0, "held"))
+        sway = self._sway(data, i, begin)
         q0 = float(np.clip(start[0], self.lower, self.upper))
         seconds = float(np.ceil((times[-1] - first) / h) * h) + h
-        rolled = simulate.roll_out(loaded, q0, start[1], duration_s=seconds, force=push, actuator=actuator)
+        rolled = simulate.roll_out(loaded, q0, start[1], duration_s=seconds, force=push, actuator=actuator, sway=sway)
         q = np.interp(times - first, rolled.times_s, rolled.q)
         return np.asarray(q + sum((effect.reading_error(q) for effect in sensing), np.zeros(len(q))))
+
+    def _sway(self, data: Any, i: int, begin: float) -> simulate.Sway | None:
+        """What the joint feels in run `i` of a base that moves."""
+        base = BaseSeries(*(data.get(f"base_{name}_{i}") for name in BASE))
+        if all(getattr(base, name) is None for name in BASE):
+            return None
+        turns = self.job["base"]
+        axis = None if turns is None else BaseAxis(np.array(turns["axis"]), np.array(turns["point"]))
+        placed = self.placed
+        found = sway_of(data[f"clock_{i}"], base, axis, placed.mechanics, placed.T_parent_canonical, placed.child_moves)
+        return found.function(begin, self.moment, self.mass)
 
     def _driven(self, command: Any, effort: Any, voltage: Any, enabled: Any) -> Actuator | None:
         """What drives the joint by these functions of time, each of which may be missing."""
