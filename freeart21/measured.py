@@ -68,6 +68,9 @@ class Run:
     """(n,) whether the actuator was on, above 0, until the next value; NaN where none was logged."""
     base: BaseSeries | None = None
     """How the base moved; None at rest."""
+    qd: Array | None = None
+    """(n,) velocity as read, rad/s or m/s, NaN where there is no reading. Fits look at positions; it tells what torque
+    goes with what speed (`simgap.motion.torque_residual`)."""
 
 
 @dataclass(frozen=True)

@@ -115,8 +115,9 @@ def effects_of(name: str):
 def test_the_fast_simulation_is_the_equation(name: str, tmp_path: Path):
     measured = measured_of(name)
     plant = plant_of(read_asset(asset_of(tmp_path)), measured)
-    ours = simulate(plant, effects_of(name), TIMES, 0.3, 0.0, inputs_of(measured.runs[0], measured, 0.01))
-    assert np.abs(ours - TRUE[name][:, 0]).max() < 2e-5
+    for longest, within in ((np.inf, 2e-5), (0.01, 5e-5)):  # as it was logged, and taken together
+        ours = simulate(plant, effects_of(name), TIMES, 0.3, 0.0, inputs_of(measured.runs[0], measured, longest))
+        assert np.abs(ours - TRUE[name][:, 0]).max() < within
 
 
 @NAMES

@@ -21,6 +21,7 @@ def write_measured(folder: Path, measured: Measured) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     units = UNITS[measured.joint_type]
     columns = {"t_s", "q"} | {c for c in DRIVES for r in measured.runs if getattr(r, c) is not None}
+    columns |= {"qd" for run in measured.runs if run.qd is not None}
     columns |= {column for run in measured.runs for column in base_columns(run.base)}
     actuator = measured.actuator
     atomic.write_json(
@@ -81,7 +82,7 @@ def _write_run(folder: Path, run: Run) -> dict[str, str | bool]:
 
 def _write_csv(path: Path, run: Run) -> None:
     """Every number to its last digit; a reading that is missing is an empty cell."""
-    series = {"t_s": run.times_s, "q": run.q, **{column: getattr(run, column) for column in DRIVES}}
+    series = {"t_s": run.times_s, "q": run.q, "qd": run.qd, **{column: getattr(run, column) for column in DRIVES}}
     series |= base_columns(run.base)
     table = {name: values.tolist() for name, values in series.items() if values is not None}
     rows = (

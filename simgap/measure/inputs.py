@@ -10,13 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.measured import Interpolation, Measured, Run
-from freeart21.mechanics import course
+from freeart21.mechanics import DriveLaw, course
 from freeart21.se3 import Array
 from simgap.measure.base_motion import Sway, sway_of
 from simgap.motion.surrogate import Inputs, Plant
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Of a stretch as -1 to 1: exact for the cubics that curves are, and for their first moments."""
+_DENSE = 4.0
+"""Values in the longest time that one may last, from which on they are taken together: a log of 10 kHz would have a
+simulation step a hundred times as finely as it needs."""
+_LEAP = 0.05
+"""Of the range of a series, from one value to the next, that is a step of it and not taken together with the next."""
+_BENT = 4.0
+"""Times shorter than the longest time that the values last in which a drive with limits or a dead band is told of:
+means do not tell what it gives."""
 HALFWAY = 0.5
 """Part that is taken to be held of what nobody knows, where that is not fitted."""
 
@@ -51,7 +59,7 @@ def _swayed(driven: Inputs, sway: Sway, longest_s: float) -> Inputs:
     mean, tilt = 0.5 * (first + last), (last - first) / 3  # as `_as_held` has it
     terms = np.stack([mean - tilt, mean + tilt], -1).reshape(len(mean), -1)
     own = np.append((begin[:, None] + span[:, None] * np.array([0.0, 0.5])).ravel(), sway.times_s[-1])
-    terms = np.append(terms, sway.terms[:, -1:], 1)
+    own, terms = _together(own, np.append(terms, sway.terms[:, -1:], 1), longest_s, np.zeros(0))
     times = np.union1d(own, driven.times_s)
 
     def lasting(values: Array, since: Array, none: float) -> Array:
@@ -82,6 +90,12 @@ def _driven_inputs(run: Run, measured: Measured, longest_s: float) -> Inputs:
     command = nothing if run.q_command is None else run.q_command
     logged = np.stack([command, nothing if asked is None else asked, nothing if push is None else push])
     times, series, beside = _as_held(run.times_s, logged, measured.interpolation, longest_s)
+    switched = np.zeros(0) if run.enabled is None else run.times_s[1:][np.diff(run.enabled > 0)]
+    law = DriveLaw() if measured.actuator is None else measured.actuator.law
+    bent = law.dead_band > 0 or min(law.most, law.most_asked) < np.inf
+    lasts = longest_s / _BENT if bent else longest_s
+    times, both = _together(times, np.concatenate([series, beside]), lasts, switched)
+    series, beside = both[:3], both[3:]
     on = enabled_at(run, times, asked is not None)
     told = np.concatenate([series, beside, [on]])
     new = np.append(True, (np.diff(told) != 0).any(0))  # a value lasts: only where it changes matters
@@ -137,6 +151,36 @@ class _Logged:
         since = np.maximum(at - self.times[row], 0.0)
         a, b, c, d = self.terms[row].T
         return a, a + since * (b + since * (c + since * d))
+
+
+def _together(times: Array, values: Array, longest_s: float, kept: Array) -> tuple[Array, Array]:
+    """Values (k, i) that last from `times` (i,), those far denser than `longest_s` taken together, but not across the
+    times `kept`: two for each such time, with their impulse and the way that they move a free part by."""
+    begin, end = times[0], times[-1]
+    if not np.isfinite(longest_s) or (end - begin) / len(times) > longest_s / _DENSE:
+        return times, values
+    edges = begin + longest_s * np.arange(int((end - begin) / longest_s) + 1)
+    leaps = times[1:][(np.abs(np.diff(values)) > _LEAP * np.ptp(values, axis=1, keepdims=True)).any(0)]
+    kept = np.append(kept, leaps) if len(leaps) < len(edges) else kept
+    edges = np.unique(np.clip(np.concatenate([edges, kept, [end]]), begin, end))
+    spans, at = np.diff(edges), edges - begin
+    impulse, moment = np.diff(_passed(times - begin, values, at), axis=-1)
+    tilt = 4 * (moment - impulse * 0.5 * (at[1:] + at[:-1])) / spans**2
+    pairs = np.stack([impulse / spans - tilt, impulse / spans + tilt], -1).reshape(len(values), -1)
+    halves = (edges[:-1, None] + spans[:, None] * np.array([0.0, 0.5])).ravel()
+    return np.append(halves, end), np.append(pairs, values[:, -1:], 1)
+
+
+def _passed(since: Array, values: Array, at: Array) -> Array:
+    """(2, k, m) integrals up to the times `at` (m,) of values (k, i), which last from `since` (i,), and of these times
+    time."""
+    row = np.clip(np.searchsorted(since, at, side="right") - 1, 0, len(since) - 1)
+    ahead, zero = at - since[row], np.zeros((len(values), 1))
+    whole = values[:, :-1] * np.diff(since)
+    sums = [np.cumsum(part, 1) for part in (whole, whole * 0.5 * (since[1:] + since[:-1]))]
+    before = np.stack([np.concatenate([zero, part], 1)[:, row] for part in sums])
+    own = values[:, row] * ahead
+    return before + np.stack([own, own * 0.5 * (at + since[row])])
 
 
 def _as_held(times: Array, logged: Array, how: Interpolation, longest_s: float) -> tuple[Array, Array, Array]:
