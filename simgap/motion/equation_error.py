@@ -79,7 +79,7 @@ def missing_force(
     runs = tuple(r for r in measured.runs if not r.held_out) if runs is None else runs
     pieces, impacts, how = [], [], measured.interpolation
     for index, run in enumerate(runs):
-        smooth = _smoothed(run)
+        smooth = smoothed(run)
         if smooth is None:
             continue
         t, raw, q, qd, qdd, kernel = smooth
@@ -88,7 +88,7 @@ def missing_force(
         touching = _touching(q, lower, upper)
         near = np.convolve(touching, np.ones(2 * half + 1), "same") > 0
         impacts += _impacts(t, raw, touching)
-        acting = _forces(measured, mechanics, run, effects, t, q, qd, qdd)
+        acting = known_forces(measured, mechanics, run, effects, t, q, qd, qdd)
         if run.base is not None and plant is not None:
             acting = acting[0] + sway_force(base_sway(run, measured, plant).at(t), q), acting[1]
         given, gravity = (np.convolve(force, kernel, "same") for force in acting)  # as smooth as qdd is
@@ -122,7 +122,7 @@ def missing_force(
     )
 
 
-def _smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | None:
+def smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | None:
     """Even times; position as read, smoothed, velocity, acceleration; and what acceleration is smoothed by.
 
     None for too short a run. A local polynomial's second derivative (Savitzky and Golay 1964) is exactly the true
@@ -144,7 +144,7 @@ def _smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | Non
     return t, raw, q, qd, qdd, np.convolve(kernel, [1 / 12, 10 / 12, 1 / 12])
 
 
-def _forces(
+def known_forces(
     measured: Measured,
     mechanics: JointMechanics,
     run: Run,
