@@ -14,6 +14,7 @@ from freeart21.effects.stribeck_friction import StribeckFriction
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured, Run
+from simgap.motion.equation_error import smoothed
 from simgap.motion.surrogate import plant_of
 from simgap.motion.torque_residual import breakaways, explained, torque_residual
 
@@ -66,6 +67,16 @@ def test_a_stribeck_curve_under_a_biased_drive_is_found_with_its_numbers(tmp_pat
     plain = explained(seen, ("coulomb_friction", "viscous_damping", "actuator_offset"))
     assert right.after < 0.06 < 0.1 < plain.after < right.before
     assert explained(seen, ()).after == right.before
+
+
+def test_a_long_run_that_never_turns_back_keeps_its_acceleration():
+    """The widest window's polynomials have all their digits; and what forces are seen through is a mean."""
+    times = np.arange(20_000) / 1000
+    smooth = smoothed(Run("r", times, 3.0 * times**2 + 100.0))
+    assert smooth is not None
+    _, _, _, _, qdd, kernel = smooth
+    np.testing.assert_allclose(qdd, 6.0, rtol=2e-3)
+    assert kernel.sum() == pytest.approx(1.0, rel=2e-3)
 
 
 def test_what_is_in_the_simulation_is_no_residual(tmp_path: Path):

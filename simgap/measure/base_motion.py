@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from freeart21 import se3
-from freeart21.base_motion import Motion, sway_force, sway_terms
+from freeart21.base_motion import Motion, sway_terms
 from freeart21.errors import FreeArtError
 from freeart21.measured import BaseAxis, BaseSeries
 from freeart21.mechanics import JointMechanics
@@ -41,8 +43,19 @@ class Sway:
 
     def function(self, begin_s: float, moment: float = 1.0, mass: float = 1.0) -> Callable[[float, float], float]:
         """Position and seconds since `begin_s` to the force, N*m or N, of a part with these factors of moment and
-        mass."""
-        return lambda q, t: float(sway_force(self.at(begin_s + t), q, moment, mass))
+        mass: for a simulator that asks at every step."""
+        times, rows = self.times_s.tolist(), self.terms.T.tolist()
+
+        def force(q: float, t: float) -> float:
+            t += begin_s
+            i = min(max(bisect_right(times, t) - 1, 0), len(times) - 2)
+            share = min(max((t - times[i]) / (times[i + 1] - times[i]), 0.0), 1.0)
+            a, b, k, c1, s1, c2, s2, n = (x + share * (y - x) for x, y in zip(rows[i], rows[i + 1], strict=True))
+            c, s = math.cos(q), math.sin(q)
+            own = k + c1 * c + s1 * s + c2 * (c * c - s * s) + 2 * s2 * s * c + n * q
+            return moment * (a * c + b * s) + mass * own
+
+        return force
 
 
 def sway_of(

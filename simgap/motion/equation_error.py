@@ -23,6 +23,7 @@ from simgap.motion.surrogate import Plant
 
 _ORDER = 4  # of the local polynomials
 _SHORTEST = 7  # readings of a window
+_LONGEST = 501  # readings of one: scipy's coefficients lose their digits beyond (of 3,333 accelerations were 20-fold)
 _WINDOWS_PER_HALF_SWING = 6  # what is narrower is blurred, and noise grows with the power 2.5
 _IMPACT_READINGS = (5, 12)  # fewest and most on either side of an impact
 
@@ -138,7 +139,7 @@ def smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | None
     raw = np.interp(t, run.times_s[known], run.q[known])
     turns = len(reversals(raw, 0.1 * float(np.ptp(raw))))
     window = int(len(raw) / max(turns, 1) / _WINDOWS_PER_HALF_SWING) // 2 * 2 + 1
-    window = min(max(window, _SHORTEST), len(raw) // 4 * 2 - 1)
+    window = min(max(window, _SHORTEST), _LONGEST, len(raw) // 4 * 2 - 1)
     q, qd, qdd = (savgol_filter(raw, window, _ORDER, deriv=k, delta=step) for k in range(3))
     kernel = np.cumsum(np.cumsum(savgol_coeffs(window, _ORDER, deriv=2)))[:-2]  # its second difference is the filter
     return t, raw, q, qd, qdd, np.convolve(kernel, [1 / 12, 10 / 12, 1 / 12])
