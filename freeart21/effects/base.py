@@ -77,7 +77,8 @@ class Effect(ABC):
                  sticks under any load up to level. Set-valued: needs events, or SAPIEN's drive as a saturated damper.
       "inertia"  `law` is an inertia (kg*m^2 or kg) that turns with the joint.
       "stop"     `law` is the speed after an impact at a limit that came in with qd; without any, impacts leave 0.
-      "command"  acts on the actuator only: it gets `gain()` times the force that the command of `delay()` s ago makes.
+      "command"  acts on the actuator only: it gives `gain()` times the force that the command of `delay()` s ago makes,
+                 and `bias_force()` besides while it is on.
       "slack"    the actuator's side is a body of its own, see `backlash`.
     kinematics, "pose": `displacement` takes the moving part from where the ideal joint has it to where it truly is.
     sensing, "reading": what is written down at time t is q(t - delay()) + reading_error(q(t - delay())).
@@ -97,6 +98,8 @@ class Effect(ABC):
     """The types of joint that can have this effect."""
     needs_load: ClassVar[bool] = False
     """Whether `law` looks at the load."""
+    needs_effort: ClassVar[bool] = False
+    """Whether runs tell it only in which the actuator was told its effort."""
     knows_speed: ClassVar[bool] = True
     """Whether the force of one that acts as "force" changes with speed."""
     departs: ClassVar[tuple[float, float]] = (0.2, 0.2)
@@ -171,6 +174,10 @@ class Effect(ABC):
     def gain(self) -> float:
         """Part of the actuator's force that arrives."""
         return 1.0
+
+    def bias_force(self) -> float:
+        """Force of the actuator, N*m or N, beside what was commanded."""
+        return 0.0
 
     def delay(self) -> float:
         """Seconds by which a command ("command") or a reading ("reading") comes late."""

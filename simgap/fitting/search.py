@@ -90,8 +90,9 @@ def candidates(
     """Names of the effects, `without` some, that these runs could show at all; without an `encoder` part poses told the
     positions."""
     commanded = any(np.any(run.inputs.effort) or np.isfinite(run.inputs.command).any() for run in runs)
+    told = any(np.any(run.inputs.effort) for run in runs)
     near = problem.near_stop
-    driven = commanded or any(np.any(run.inputs.push) for run in runs)
+    driven = commanded or any(np.any(run.inputs.push) or run.inputs.sway is not None for run in runs)
     slack = any(effect.acts == "slack" for effect in problem.plant.effects)
 
     def possible(cls: type[Effect]) -> bool:
@@ -101,6 +102,8 @@ def candidates(
             return False
         if any(s.revolute_unit == "rad/s" and s.lower >= problem.speed for s in cls.parameters().values()):
             return False  # nothing moves as fast as it acts
+        if cls.needs_effort and not told:
+            return False
         if cls.acts == "command" or cls.acts == "slack":
             return commanded and not (slack and cls.acts == "slack")
         if cls.acts == "stop":

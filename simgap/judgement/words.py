@@ -24,6 +24,7 @@ PLAIN: dict[str, str] = {
     "end_stop_bounce": "a stop that throws it back",
     "actuator_delay": "a drive that acts late",
     "actuator_gain": "a drive weaker or stronger than told",
+    "actuator_offset": "a drive that pushes a little without being told",
     "armature": "inertia of the drive itself",
     "axis_tilt": "an axis that points elsewhere",
     "pivot_offset": "an axis that lies elsewhere",

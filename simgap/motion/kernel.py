@@ -21,7 +21,11 @@ GAIN, COMMAND_DELAY, STIFFNESS, DAMPING = 8, 9, 10, 11
 LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
 READING_DELAY, Q0, QD0, TRAVEL, GRIPPING, SPRINGY, GIVE = 16, 17, 18, 19, 20, 21, 22
 SHAFT_INERTIA, SHAFT_BACK, SHAFT_SWING, HOLDING = 23, 24, 25, 26
-HEAD = 27
+OFFSET, DEAD_BAND, MOST_ASKED, BACK_EMF, MOST = 27, 28, 29, 30, 31
+MOMENT_SCALE, MASS_SCALE, SWAYS = 32, 33, 34
+"""Of a base that moves: factors of the rows of `base_motion.sway_terms`, and whether it does. What it does now:"""
+SWAY_COS, SWAY_SIN, SWAY_CONST, SWAY_COS2, SWAY_SIN2, SWAY_LINEAR = 35, 36, 37, 38, 39, 40
+HEAD = 41
 """Places in the vector of numbers that describes one simulation; behind them each effect has FORM, then parameters."""
 FORM = 7
 """How the size of an effect may depart from its formula: with speed, with position, with a power of position; and the
@@ -67,11 +71,26 @@ def _sum(acts, terms, p, memory, q, v, load):  # pragma: no cover
 
 @jit
 def _actuator(p, q, v, position, effort):  # pragma: no cover
-    """Force of the actuator at the position and speed that it sees; `position` is NaN without a position law."""
+    """Force of the actuator at the position and speed that it sees (`mechanics.DriveLaw`); `position` is NaN without a
+    position law, `effort` while it is off."""
+    if np.isnan(effort):
+        return 0.0
     asked = effort
     if not np.isnan(position):
-        asked += p[STIFFNESS] * (position - q) - p[DAMPING] * v
-    return p[GAIN] * asked
+        error = position - q
+        asked += p[STIFFNESS] * (error - min(max(error, -p[DEAD_BAND]), p[DEAD_BAND])) - p[DAMPING] * v
+    asked = min(max(asked, -p[MOST_ASKED]), p[MOST_ASKED]) - p[BACK_EMF] * v
+    return p[GAIN] * min(max(asked, -p[MOST]), p[MOST]) + p[OFFSET]
+
+
+@jit
+def _steers(p, q, v, position, effort):  # pragma: no cover
+    """Whether the actuator's force follows the position there: it is on, beyond its dead band and within its limits."""
+    error = position - q
+    if np.isnan(effort) or np.isnan(error) or (p[DEAD_BAND] > 0.0 and abs(error) <= p[DEAD_BAND]):
+        return False
+    asked = effort + p[STIFFNESS] * (error - min(max(error, -p[DEAD_BAND]), p[DEAD_BAND])) - p[DAMPING] * v
+    return abs(asked) < p[MOST_ASKED] and abs(asked - p[BACK_EMF] * v) < p[MOST]
 
 
 @jit
@@ -79,7 +98,7 @@ def _pushed(p, x, v, position, effort):  # pragma: no cover
     """Force of an actuator whose flank touches at x, or whose shaft's far end is there: as far as that gives way under
     the force, GIVE times it, of a flank times it to the power of 2/3 (Hertz), the actuator is ahead."""
     F = _actuator(p, x, v, position, effort)
-    if p[GIVE] == 0.0 or np.isnan(position) or F == 0.0:
+    if p[GIVE] == 0.0 or F == 0.0 or not _steers(p, x, v, position, effort):
         return F
     power = 1.0 if p[SLACK_WIDTH] == 0.0 else 2.0 / 3.0
     ahead = math.copysign(p[GIVE] * abs(F) ** power, F)
@@ -88,11 +107,21 @@ def _pushed(p, x, v, position, effort):  # pragma: no cover
 
 
 @jit
+def _swayed(p, q):  # pragma: no cover
+    """Force of a base that moves (`base_motion.sway_force`)."""
+    c, s = math.cos(q), math.sin(q)
+    F = p[SWAY_CONST] + p[SWAY_LINEAR] * q + p[SWAY_COS] * c + p[SWAY_SIN] * s
+    return F + p[SWAY_COS2] * (c * c - s * s) + 2.0 * p[SWAY_SIN2] * s * c
+
+
+@jit
 def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no cover
     """All forces on the part but friction."""
     F = p[GRAVITY_CONST] + push
     if p[GRAVITY_COS] != 0.0 or p[GRAVITY_SIN] != 0.0:
         F += p[GRAVITY_COS] * math.cos(q) + p[GRAVITY_SIN] * math.sin(q)
+    if p[SWAYS] != 0.0:
+        F += _swayed(p, q)
     F += _sum(FORCE, terms, p, memory, q, v, 0.0)
     if p[SLACK_WIDTH] == 0.0:
         F += _pushed(p, q, v, position, effort)
@@ -278,7 +307,7 @@ def _parting(p, meeting):  # pragma: no cover
 
 
 @jit
-def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, coarse, fine, out):  # pragma: no cover
+def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, coarse, fine, out):  # pragma: no cover
     """Positions `out` (n,) as read at `times` (n,), for one vector of numbers, by steps that are `coarse` but near the
     place of an effect that has one."""
     n, inputs = len(times), len(t_in)
@@ -300,7 +329,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, coarse
         if done == n:
             return
         # inputs
-        position, asked, push, until = np.nan, 0.0, 0.0, np.inf
+        position, asked, push, until = np.nan, np.nan, 0.0, np.inf
         if inputs > 0:
             while late + 1 < inputs and t_in[late + 1] + delayed <= now + 1e-12:
                 late += 1
@@ -309,6 +338,12 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, coarse
             position = command[late] + p[HOLDING] * beside[0, late]
             asked = effort[late] + p[HOLDING] * beside[1, late]
             push = pushes[early] + p[HOLDING] * beside[2, early]
+            if p[SWAYS] != 0.0:
+                b, m = p[MOMENT_SCALE], p[MASS_SCALE]
+                p[SWAY_COS] = b * sway[0, early] + m * sway[3, early]
+                p[SWAY_SIN] = b * sway[1, early] + m * sway[4, early]
+                p[SWAY_CONST], p[SWAY_LINEAR] = m * sway[2, early], m * sway[7, early]
+                p[SWAY_COS2], p[SWAY_SIN2] = m * sway[5, early], m * sway[6, early]
             if late + 1 < inputs:
                 until = t_in[late + 1] + delayed
             if early + 1 < inputs:
@@ -500,18 +535,20 @@ def _made(stamp: int) -> Any:
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def sweep(
-        numbers, terms, which, times, begins, t_in, command, effort, pushes, beside, enters, steps, out
+        numbers, terms, which, times, begins, t_in, command, effort, pushes, beside, sway, enters, steps, out
     ):  # pragma: no cover
         if stamp < 0:
             return
-        memory, done = np.zeros(len(terms)), 0
+        memory, done, p = np.zeros(len(terms)), 0, np.empty(numbers.shape[1])
         for row in range(len(numbers)):
             run = which[row]
             first, last = enters[run, 0], enters[run, 1]
             own = times[begins[run] : begins[run + 1]]
             memory[:] = 0.0
+            p[:] = numbers[row]
+            p[SWAYS] = 1.0 if sway.shape[1] > 0 else 0.0
             _roll(
-                numbers[row],
+                p,
                 terms,
                 memory,
                 own,
@@ -520,6 +557,7 @@ def _made(stamp: int) -> Any:
                 effort[first:last],
                 pushes[first:last],
                 beside[:, first:last],
+                sway[:, first:last],
                 steps[run, 0],
                 steps[run, 1],
                 out[done : done + len(own)],
@@ -530,10 +568,10 @@ def _made(stamp: int) -> Any:
 
 
 sweep = _made(STAMP)
-"""sweep(numbers (m, k), terms (t, 4), which (m,), times, begins, t_in, command, effort, pushes, beside, enters, steps,
-out): m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r] to
-begins[r + 1], its inputs from enters[r, 0] to enters[r, 1]; its steps are steps[r], coarse and fine. `terms` are law,
-what it does (FORCE, DRIVE, STOP), where its numbers begin, and whether it has a place, near which steps are fine.
-Inputs last from `t_in` to the next, with HOLDING times `beside` (3, i) added to the three. Into `out`, one behind the
-other, the positions of every row at the times of its run. A run that leaves all bounds reads 1e6; one with events
-without end stays where they begin."""
+"""sweep(numbers (m, k), terms (t, 4), which (m,), times, begins, t_in, command, effort, pushes, beside, sway, enters,
+steps, out): m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r]
+to begins[r + 1], its inputs from enters[r, 0] to enters[r, 1]; its steps are steps[r], coarse and fine. `terms` are
+law, what it does (FORCE, DRIVE, STOP), where its numbers begin, and whether it has a place, near which steps are fine.
+Inputs last from `t_in` to the next, with HOLDING times `beside` (3, i) added to the three; so does `sway` (8, i), of
+bases that move, (8, 0) where none does. Into `out`, one behind the other, the positions of every row at the times of
+its run. A run that leaves all bounds reads 1e6; one with events without end stays where they begin."""

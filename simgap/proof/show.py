@@ -22,6 +22,9 @@ import numpy as np
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.actuator_json import actuator_to_json
+from freeart21.files.base_json import BASE
+from freeart21.files.measured import DRIVES
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
 from simgap.verdict import SHOWS
@@ -274,14 +277,15 @@ def _write_job(
     seconds: float,
     poses: tuple[PosesReplayed, ...],
 ) -> None:
-    law = measured.actuator
+    law, turns = measured.actuator, measured.base_axis
     job: dict[str, Any] = {
         "assets": [_address(before), _address(after)],
         "joint": before.joint,
         "gravity": np.asarray(measured.gravity, float).tolist(),
-        "actuator": None if law is None else [law.stiffness, law.damping],
+        "actuator": None if law is None else actuator_to_json(law),
         "effort": measured.effort_kind,
         "interpolation": measured.interpolation,
+        "base": None if turns is None else {"axis": turns.axis.tolist(), "point": turns.point.tolist()},
         "off": [asdict(o) for o in off],
         "timestep_s": timestep_s,
         "seconds": seconds,
@@ -293,10 +297,14 @@ def _write_job(
         known = np.isfinite(replay.run.q)
         arrays[f"times_{i}"], arrays[f"q_{i}"] = replay.run.times_s[known], replay.run.q[known]
         arrays[f"clock_{i}"] = replay.run.times_s
-        for name in ("effort", "q_command"):
+        for name in DRIVES:
             values = getattr(replay.run, name)
             if values is not None:
                 arrays[f"{name}_{i}"] = values
+        for name in BASE:
+            values = getattr(replay.run.base, name, None)
+            if values is not None:
+                arrays[f"base_{name}_{i}"] = values
     for i, track in enumerate(poses):
         for k in (0, 1):
             arrays[f"poses_{k}_{i}"], arrays[f"states_{k}_{i}"] = track.poses[k], track.states[k]
