@@ -38,7 +38,9 @@ class Machine:
 
     @property
     def axis(self) -> np.ndarray:
-        return {"door": np.array([0.0, 0, 1]), "drawer": np.array([1.0, 0, 0])}.get(self.kind, np.array([0.0, 1, 0]))
+        """(3,) unit; a lid's is turned so that gravity closes it."""
+        axes = {"door": (0.0, 0.0, 1.0), "drawer": (1.0, 0.0, 0.0), "lid": (0.0, -1.0, 0.0)}
+        return np.array(axes.get(self.kind, (0.0, 1.0, 0.0)))
 
     @property
     def arm(self) -> np.ndarray:
