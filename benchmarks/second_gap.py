@@ -1,11 +1,11 @@
 """How well `freeart21 gap` names what is hidden by a world that shares nothing with it: draw, ask, score.
 
-    python -m benchmarks.second_gap --seed 1 --share 0.1 --out DIR        # a development draw, some 34 cases
-    python -m benchmarks.second_gap --release --out DIR                   # the release's draw, 325 cases: scored once, tuned on never
+    python -m benchmarks.second_gap --seed 1 --share 0.1 --out DIR    # a development draw, some 34 cases
+    python -m benchmarks.second_gap --release --out DIR          # the release's 336 cases: scored once, tuned on never
 
-A draw that was stopped goes on where it was. Labels lie in DIR-sealed and are read when all answers are hashed. The world itself is
-`benchmarks/second_world`; its docstring says how it was made, and what it may not be changed for. Never use the release's seed for
-anything else: a draw that was looked at is a development draw.
+A draw that was stopped goes on where it was. Labels lie in DIR-sealed and are read when all answers are hashed. The
+world itself is `benchmarks/second_world`; its docstring says how it was made, and what it may not be changed for. Never
+use the release's seed for anything else: a draw that was looked at is a development draw.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from benchmarks.second_world import asked, seal, tables
 from benchmarks.second_world.draw import specs
 from benchmarks.second_world.grade import grade
 
-RELEASE = 32_0001  # the seed of the release's draw, not run while the world was made
+RELEASE = 320_001  # the seed of the release's draw, not run while the world was made
 RESULTS = Path(__file__).parent / "results" / "second_gap.json"
 
 
 def _draw(seed: int, share: float, out: Path, sealed: Path, jobs: int) -> int:
     """All cases, written; how many there are."""
-    todo = specs(share, seed)
+    todo, salt = specs(share, seed), seal.salt_in(sealed)
     if (out / "manifest.json").is_file():
         return len(todo)
     with ProcessPoolExecutor(jobs) as pool:
-        for done in [pool.submit(seal.make, spec, seed, i, out, sealed) for i, spec in enumerate(todo)]:
+        for done in [pool.submit(seal.make, spec, seed, i, salt, out, sealed) for i, spec in enumerate(todo)]:
             done.result()
-    seal.close(seed, len(todo), out, sealed)
+    seal.close(seed, salt, len(todo), out, sealed)
     return len(todo)
 
 
@@ -67,7 +67,7 @@ def _commit() -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--share", type=float, default=0.1, help="of the full draw of 325 cases")
+    parser.add_argument("--share", type=float, default=0.1, help="of the full draw of 336 cases")
     parser.add_argument("--release", action="store_true", help="the release's draw: its own seed, all cases")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--jobs", type=int, default=1)
@@ -77,12 +77,12 @@ def main() -> None:
     seed, share = (RELEASE, 1.0) if args.release else (args.seed, args.share)
     if seed == RELEASE and not args.release:
         parser.error(f"--seed: {RELEASE} is the release's; run it with --release, or take another")
-    settings = {"seed": seed, "share": share, "limit_s": args.limit}
-    asked_for = args.out / "settings.json"
-    if asked_for.is_file() and json.loads(asked_for.read_text()) != settings:
-        parser.error(f"--out: {args.out} holds another draw, {json.loads(asked_for.read_text())}")
-    seal.write_json(asked_for, settings)
+    settings = {"seed": seed, "share": share}
     sealed, began = args.out.with_name(args.out.name + "-sealed"), time.time()
+    drawn = sealed / "settings.json"
+    if drawn.is_file() and json.loads(drawn.read_text()) != settings:
+        parser.error(f"--out: {args.out} holds another draw, {json.loads(drawn.read_text())}")
+    seal.write_json(drawn, settings)
     count = _draw(seed, share, args.out, sealed, args.jobs)
     print(f"{count} cases drawn, {time.time() - began:.0f} s", file=sys.stderr, flush=True)
     _ask(args.out, args.jobs, args.limit)
@@ -96,7 +96,7 @@ def main() -> None:
             "processor": platform.processor(),
             "python": platform.python_version(),
         },
-        "settings": settings | {"cases": count, "jobs": args.jobs, "release": args.release},
+        "settings": settings | {"limit_s": args.limit, "cases": count, "jobs": args.jobs, "release": args.release},
         "manifest_sha256": seal.sha256(args.out / "manifest.json"),
         "answers_sha256": seal.sha256(args.out / "answers.json"),
         "goals": tables.GOALS,

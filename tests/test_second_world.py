@@ -94,7 +94,7 @@ def test_dry_friction_holds_what_is_below_it():
     for share in (0.15, 0.3):  # above sliding and below breakaway; above both
         states = pulled(p, share * m.weight)
         if share == 0.15:
-            assert np.abs(states[:, 0]).max() < 2 * 3e-3 * math.log(4) # LuGre: 6 mrad ln(1 / (1 - .75))
+            assert np.abs(states[:, 0]).max() < 2 * 3e-3 * math.log(4)  # LuGre: 6 mrad ln(1 / (1 - .75))
             assert np.ptp(states[-100:, 0]) < 1e-6  # and it does not creep
         else:
             assert np.abs(states[:, 0]).max() > 0.1
@@ -123,12 +123,14 @@ def test_stops_and_catches():
     for wanted in (0.3, 0.6):
         effect = hidden.Effect("end_stop_bounce", wanted, {"depth": 0.01, "speed": 3.0})
         p, _ = hidden.apply(effect, m, dead, hidden.Sensing())
-        t, states = swing(p, (1e-9, -3.0), 0.1, 20000, longest=1e-5)
+        _, states = swing(p, (1e-9, -3.0), 0.1, 20000, longest=1e-5)
         back = states[:, 1].max() / 3.0
         assert back == pytest.approx(wanted, abs=0.12)  # Hunt and Crossley's restitution is no constant
         assert 0.003 < -states[:, 0].min() < 0.015
     door = replace(machine("door"), low=0.0)
-    p, _ = hidden.apply(hidden.Effect("latch", 1.0, {"in": 0.04, "out": 0.08}), door, truth(door, REST), hidden.Sensing())
+    p, _ = hidden.apply(
+        hidden.Effect("latch", 1.0, {"in": 0.04, "out": 0.08}), door, truth(door, REST), hidden.Sensing()
+    )
     assert np.abs(pulled(p, 0.9)[:, 0]).max() < 0.08
     assert pulled(p, 1.1)[-1, 0] > 0.5
 
@@ -152,7 +154,8 @@ REFERENCES = ["stribeck_friction", "load_friction", "viscous_damping", "return_s
 
 @pytest.mark.parametrize("name", REFERENCES)
 def test_it_agrees_with_an_adaptive_solver(name):
-    """Against scipy's Radau at tight tolerances, over all the laws: what the fixed step leaves is under 1/100 of a quantum."""
+    """Against scipy's Radau at tight tolerances, over all the laws: what the fixed step leaves is under 1/100 of a
+    quantum."""
     from scipy.integrate import solve_ivp
 
     rng = np.random.default_rng(8)
@@ -250,9 +253,9 @@ def test_a_case_on_disk_is_as_planned_and_reads(tmp_path):
     from freeart21.files.measured import read_measured
 
     spec = draw.Spec("null", (), "arm", "and pushed")
-    seal.make(spec, 3, 0, tmp_path / "out", tmp_path / "sealed")
-    seal.close(3, 1, tmp_path / "out", tmp_path / "sealed")
-    folder = tmp_path / "out" / "cases" / seal.case_id(3, 0)
+    seal.make(spec, 3, 0, "salt", tmp_path / "out", tmp_path / "sealed")
+    seal.close(3, "salt", 1, tmp_path / "out", tmp_path / "sealed")
+    folder = tmp_path / "out" / "cases" / seal.case_id("salt", 0)
     case = draw.draw_case(spec, 3, 0)
     for i, run in enumerate(case.plan.runs):
         assert (folder / "measured" / f"run{i}.csv").stat().st_size == sensor.size_of(run)
@@ -280,7 +283,15 @@ def test_metadata_do_not_tell_nulls_from_the_rest():
         m = draw_machine(spec.kind, rng)
         runs = protocols.draw_plan(spec.protocol, m, rng).runs
         sizes = [sensor.size_of(run) for run in runs]
-        rows.append([len(runs), sum(len(r.stamps) for r in runs), sum(sizes), np.ptp(sizes), sum(r.role == "free" for r in runs)])
+        rows.append(
+            [
+                len(runs),
+                sum(len(r.stamps) for r in runs),
+                sum(sizes),
+                np.ptp(sizes),
+                sum(r.role == "free" for r in runs),
+            ]
+        )
         null.append(stratum == "null")
     x = np.array(rows, float)
     x = (x - x.mean(0)) / x.std(0)
@@ -292,7 +303,7 @@ def test_metadata_do_not_tell_nulls_from_the_rest():
 def test_a_draw_is_the_same_twice_and_has_every_stratum():
     assert draw.specs(0.1, 9) == draw.specs(0.1, 9)
     assert {s.stratum for s in draw.specs(0.05, 9)} == set(draw.COUNTS)
-    ids = [seal.case_id(9, i) for i in range(400)]
+    ids = [seal.case_id("salt", i) for i in range(400)]
     assert len(set(ids)) == 400 and ids != sorted(ids)
 
 
@@ -302,7 +313,11 @@ def test_a_draw_is_the_same_twice_and_has_every_stratum():
 def label(stratum, *names, kind="pendulum", protocol="usual", group=(), **more):
     effects = [{"name": n, "size": 0.2, "form": {}, "same_form": True, "value": 0.2, "unit": "N*m"} for n in names]
     base = {"stratum": stratum, "kind": kind, "protocol": protocol, "effects": effects, "floors": [9.0] * len(names)}
-    return base | {"group": list(group), "inertia": 1.1, "known_force": True, "steady_load": kind in ("drawer", "door")} | more
+    return (
+        base
+        | {"group": list(group), "inertia": 1.1, "known_force": True, "steady_load": kind in ("drawer", "door")}
+        | more
+    )
 
 
 def answer(verdict, *names, rivals=(), part=False, low=0.1, high=0.3):
@@ -359,7 +374,10 @@ def test_the_figures_of_graded_rows():
     f = tables.figures(rows)
     assert (f["pairs called by one wrong name"]["hits"], f["pairs called by one wrong name"]["of"]) == (1, 3)
     assert (f["false alarms on nulls"]["hits"], f["false alarms on nulls"]["of"]) == (2, 3)
-    assert (f["wrong names where the truth is outside"]["hits"], f["wrong names where the truth is outside"]["of"]) == (2, 5)
+    assert (f["wrong names where the truth is outside"]["hits"], f["wrong names where the truth is outside"]["of"]) == (
+        2,
+        5,
+    )
     assert tables.rate(0, 59)["high"] == pytest.approx(1 - 0.025 ** (1 / 59))
     assert any("cogging -> named detent" in line for line in tables.lines(rows))
 

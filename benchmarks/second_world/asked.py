@@ -18,7 +18,8 @@ LIMIT = 300.0  # s an answer may take; the issue's goal for ten runs of 60 s is 
 
 
 def ask(case: Path, out: Path, limit: float = LIMIT) -> dict:
-    """The answer to a case, kept in `out`, a file: verdict.json beside exit code, seconds and the last line of errors."""
+    """The answer to a case, kept in `out`, a file: verdict.json beside exit code, seconds and the last line of
+    errors."""
     if out.is_file():
         return json.loads(out.read_text())
     with tempfile.TemporaryDirectory() as scratch:

@@ -1,9 +1,11 @@
-"""One verdict against one label: a word for the outcome, the wrong names in it, intervals, gap closed. No case is graded by hand.
+"""One verdict against one label: a word for the outcome, the wrong names in it, intervals, gap closed. No case is
+graded by hand.
 
-Outcomes: `exact`; `by physics` (a twin of it, or rivals that are all twins); `partly` (some of a pair, nothing wrong, or of an effect
-from outside what is truly there, said in part); `open` (rivals, the truth among them); `wrong` (a name that is not there); `wrong
-rivals` (rivals without the truth); `overclaimed` (a part said to be the whole); `refused` (unexplained); `missed` (no gap, or not
-excited); `failed` (no answer). Where nothing is to be named: `right`, `near` (no gap where nothing moved), `alarm` (unexplained), `wrong`.
+Outcomes: `exact`; `by physics` (a twin of it, or rivals that are all twins); `partly` (some of a pair, nothing wrong,
+or of an effect from outside what is truly there, said in part); `open` (rivals, the truth among them); `wrong` (a name
+that is not there); `wrong rivals` (rivals without the truth); `overclaimed` (a part said to be the whole); `refused`
+(unexplained); `missed` (no gap, or not excited); `failed` (no answer). Where nothing is to be named: `right`, `near`
+(no gap where nothing moved), `alarm` (unexplained), `wrong`.
 """
 
 from __future__ import annotations
@@ -122,8 +124,9 @@ def _unit(text: str) -> dict[str, int]:
 
 
 def intervals(verdict: dict, label: dict) -> list[dict]:
-    """Each hidden effect that is named and has a size of the same meaning: whether the 90 % interval holds it. Parameters are found
-    by their unit. Without a known force only ratios to the inertia can be seen, so then the size at the asset's inertia counts, too."""
+    """Each hidden effect that is named and has a size of the same meaning: whether the 90 % interval holds it.
+    Parameters are found by their unit. Without a known force only ratios to the inertia can be seen, so then the size
+    at the asset's inertia counts, too."""
     out = []
     for effect in label["effects"]:
         said = next((e for e in verdict["effects"] if e["name"] == effect["name"]), None)
@@ -150,7 +153,8 @@ def intervals(verdict: dict, label: dict) -> list[dict]:
 
 
 def closed(verdict: dict) -> float | None:
-    """Share of the gap above the floor that is gone on held-out runs; None where there was none to speak of (twice the floor)."""
+    """Share of the gap above the floor that is gone on held-out runs; None where there was none to speak of (twice the
+    floor)."""
     rows = [row for row in verdict["gap"] if row["held_out"]]
     before, after, floor = (sum(row[key] for row in rows) for key in ("before", "after", "floor"))
     return (before - after) / (before - floor) if rows and before > 2 * floor else None

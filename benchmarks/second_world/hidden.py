@@ -1,7 +1,8 @@
-"""The effects that can be hidden: what each does to a machine, how large it may be, and on which machines it is looked for.
+"""The effects that can be hidden: what each does to a machine, how large it may be, and on which machines it is looked
+for.
 
-Sizes are from facts of real rigs (tau/I .15 to 3 rad/s^2, b/I .05 to .6 1/s, c/I .003 to .02) where there are any; others are what
-mechanics of such machines have, not measured.
+Sizes are from facts of real rigs (tau/I .15 to 3 rad/s^2, b/I .05 to .6 1/s, c/I .003 to .02) where there are any;
+others are what mechanics of such machines have, not measured.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class Sensing:
-    """What lies between the joint and the log: reading = scale q + offset, `late` s behind its stamp; commands arrive `delay` s late."""
+    """What lies between the joint and the log: reading = scale q + offset, `late` s behind its stamp; commands arrive
+    `delay` s late."""
 
     scale: float = 1.0
     offset: float = 0.0
@@ -30,7 +32,8 @@ class Sensing:
 
 @dataclass(frozen=True)
 class Effect:
-    """One hidden effect: `size` is its strength (scaled for weak cases), `form` all else, `value` and `unit` what an interval is held to."""
+    """One hidden effect: `size` is its strength (scaled for weak cases), `form` all else, `value` and `unit` what an
+    interval is held to."""
 
     name: str
     size: float
@@ -74,6 +77,8 @@ def _oil(m: Machine, rng: Rng) -> Effect:
 def _dry_size(m: Machine, rng: Rng) -> float:
     if m.kind in ("door", "drawer"):
         return m.inertia * _scale(m) * _log(rng, 0.1, 0.6)
+    if m.kind == "arm":  # gears
+        return m.weight * _log(rng, 0.05, 0.4)
     return min(m.inertia * _log(rng, 0.15, 3.0), 0.12 * m.weight)
 
 
@@ -311,6 +316,22 @@ def true_value(effect: Effect) -> float:
     return 1 + effect.size if effect.name in ("encoder_scale", "actuator_gain") else effect.size
 
 
+def plainer(effect: Effect) -> Effect | None:
+    """The library's effect that does nearly the same, at about its size: unless runs tell the two apart, naming it is
+    no fault."""
+    f = effect.form
+    match effect.name:
+        case "stribeck_friction" | "asymmetric_friction" | "temperature_drift":
+            return Effect("coulomb_friction", 1.2 * effect.size, {"travel": f["travel"]})
+        case "time_varying_damping":
+            return Effect("viscous_damping", effect.size, {"power": 1.0})
+        case "cable_torque":
+            return Effect("return_spring", 0.6 * effect.size, {"at": f["at"], "harden": 0.0})
+        case "magnet":
+            return Effect("detent", 1.3 * effect.size / f["wide"], {"at": f["at"], "wide": 0.6 * f["wide"]})
+    return None
+
+
 # Which machines and protocols an effect is looked for on: what a sensible experimenter would do who suspects it.
 WHERE: dict[str, list[tuple[str, str]]] = {
     "viscous_damping": [("pendulum", "usual"), ("door", "usual"), ("drawer", "usual"), ("pendulum", "free")],
@@ -395,6 +416,7 @@ STILL: list[tuple[str, str]] = [
 
 
 def longest(p: np.ndarray) -> float:
-    """s a step: finer where bristles, teeth or a stop are quick. Halving it moves nothing by a tenth of a quantum (tests)."""
+    """s a step: finer where bristles, teeth or a stop are quick. Halving it moves nothing by a tenth of a quantum
+    (tests)."""
     quick = p[w.TRAVEL] > 0 or p[w.ROTOR] > 0 or p[w.STOP_K] > 0
     return 5e-5 if quick else 1e-4

@@ -1,11 +1,13 @@
 """The physics of one joint with whatever acts on it, and an integrator that finds its events.
 
-State: q, v (rad or m, and per second), z (bristle deflection of LuGre, rad or m), qm, vm (a rotor behind a belt or behind play).
-All numbers are SI and float64. Formulas differ on purpose from plain textbook terms: dry friction is LuGre (Canudas de Wit et al.
-1995), oil is a power |v|^p, a stop gives way as Hunt and Crossley's (1975), springs harden.
+State: q, v (rad or m, and per second), z (bristle deflection of LuGre, rad or m), qm, vm (a rotor behind a belt or
+behind play). All numbers are SI and float64. Formulas differ on purpose from plain textbook terms: dry friction is
+LuGre (Canudas de Wit et al. 1995), oil is a power |v|^p, a stop gives way as Hunt and Crossley's (1975), springs
+harden.
 
-Classical Runge-Kutta of order 4 at a fixed small step; steps end at every change of a command, and where the joint meets a stop
-or a catch, at the instant found by bisection. `tests/test_second_world.py` holds it to scipy's solve_ivp and to MuJoCo.
+Classical Runge-Kutta of order 4 at a fixed small step; steps end at every change of a command, and where the joint
+meets a stop or a catch, at the instant found by bisection. `tests/test_second_world.py` holds it to scipy's solve_ivp
+and to MuJoCo.
 """
 
 from __future__ import annotations
@@ -126,7 +128,8 @@ def _between(p, gap, rate):
 
 @numba.njit(cache=True)
 def _rates(p, t, y, command, effort, caught):
-    """Time derivatives of the state; `effort` is what is really applied, `command` the drive's target when it reaches it."""
+    """Time derivatives of the state; `effort` is what is really applied, `command` the drive's target when it reaches
+    it."""
     q, v, z, qm, vm = y[0], y[1], y[2], y[3], y[4]
     pull = p[GA] * math.cos(q) + p[GB] * math.sin(q) + p[GC]
     force = pull + effort
@@ -208,7 +211,8 @@ def _beyond(p, y, caught, resting):
 
 @numba.njit(cache=True)
 def integrate(p, knots, command, effort, start, longest):
-    """States (n, 5) at `knots` (n,), s. Between knots i and i + 1 command and effort go straight from [i, 0] to [i, 1]."""
+    """States (n, 5) at `knots` (n,), s. Between knots i and i + 1 command and effort go straight from [i, 0] to [i,
+    1]."""
     n = len(knots)
     states = np.empty((n, 5))
     y = start.copy()
@@ -222,7 +226,7 @@ def integrate(p, knots, command, effort, start, longest):
         if span <= 0.0:
             states[k + 1] = y
             continue
-        steps = int(math.ceil(span / longest))
+        steps = math.ceil(span / longest)
         for s in range(steps):
             left = t + span * (s + 1) / steps - (t + span * s / steps)
             now = t + span * s / steps

@@ -17,8 +17,9 @@ KINDS = ("pendulum", "lid", "door", "drawer", "arm")
 class Machine:
     """A joint as told. Base frame: z up, but for a drawer's slope; the joint's axis goes through the origin.
 
-    `mass` kg, `lever` m from axis to centre of mass (0 of a drawer), `inertia` kg m^2 about the axis (kg of a drawer), `size` (3,) m
-    of the box, `slope` rad by which a drawer runs downhill, `low`, `high` the stops, `stiffness`, `damping` of the drive or 0.
+    `mass` kg, `lever` m from axis to centre of mass (0 of a drawer), `inertia` kg m^2 about the axis (kg of a drawer),
+    `size` (3,) m of the box, `slope` rad by which a drawer runs downhill, `low`, `high` the stops, `stiffness`,
+    `damping` of the drive or 0.
     """
 
     kind: str
@@ -68,7 +69,8 @@ class Machine:
 
 
 def draw_machine(kind: str, rng: np.random.Generator) -> Machine:
-    """One of its kind: .1 to 1 m, .05 to 20 kg by its volume at a density of 60 to 600 kg/m^3 (hollow wood to solid)."""
+    """One of its kind: .1 to 1 m, .05 to 20 kg by its volume at a density of 60 to 600 kg/m^3 (hollow wood to
+    solid)."""
     length = math.exp(rng.uniform(math.log(0.12), math.log(0.6 if kind in ("pendulum", "arm") else 0.9)))
     width, thick = length * rng.uniform(0.2, 0.8), length * rng.uniform(0.04, 0.12)
     mass = float(np.clip(rng.uniform(60, 600) * length * width * thick, 0.05, 20.0))
@@ -79,7 +81,7 @@ def draw_machine(kind: str, rng: np.random.Generator) -> Machine:
         lever = 0.8 * length
         inertia = mass * (lever**2 + (0.3 * length) ** 2 / 12)
         weight = mass * GRAVITY * lever
-        stiffness = weight * rng.uniform(4, 12)
+        stiffness = weight * rng.uniform(2, 10)
         damping = 2 * rng.uniform(0.25, 0.7) * math.sqrt(stiffness * inertia)
         return Machine(kind, mass, lever, inertia, (0.3 * length,) * 3, 0.0, -2.8, 2.8, stiffness, damping)
     low, high = {"pendulum": (-3.1, 3.1), "lid": (0.0, 2.0), "door": (-2.2, 2.2)}[kind]
@@ -102,7 +104,8 @@ class Nuisance:
 
 
 def draw_nuisance(machine: Machine, rng: np.random.Generator) -> Nuisance:
-    """Inertia within 10 % (a drawer's mass within 5 %), centre of mass within 5 %, base tilted by .3 degrees (facts, section 6)."""
+    """Inertia within 10 % (a drawer's mass within 5 %), centre of mass within 5 %, base tilted by .3 degrees (facts,
+    section 6)."""
     way = rng.uniform(0, 2 * math.pi)
     tilt = math.radians(0.3) * np.array([math.cos(way), math.sin(way)])
     weight = float(rng.uniform(-0.05, 0.05))

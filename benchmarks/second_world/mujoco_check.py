@@ -13,8 +13,9 @@ STEP = 1e-4  # s; halving it moves the angles of the test by less than 1e-5 rad
 def swing(
     machine: Machine, p: np.ndarray, start: tuple[float, float], times: np.ndarray, command: float = 0.0
 ) -> np.ndarray:
-    """(n,) positions at `times` (n,), s, of a machine whose base stands straight. Oil and air have to be plain (|v|, |v|^2), springs
-    straight; rotors sit on the joint (`armature` is what `p` has beyond the machine's inertia); the drive holds `command`."""
+    """(n,) positions at `times` (n,), s, of a machine whose base stands straight. Oil and air have to be plain (|v|,
+    |v|^2), springs straight; rotors sit on the joint (`armature` is what `p` has beyond the machine's inertia); the
+    drive holds `command`."""
     import mujoco
 
     x, y, z = machine.arm

@@ -1,6 +1,6 @@
-"""What counts as right by physics, written down before any case was asked: names that no data of the kind can tell apart, families,
-and what of an effect outside the library is truly there. From a note on confusions of such tests (exact gauges and practical pairs).
-"""
+"""What counts as right by physics, written down before any case was asked: names that no data of the kind can tell
+apart, families, and what of an effect outside the library is truly there. From a note on confusions of such tests
+(exact gauges and practical pairs)."""
 
 from __future__ import annotations
 
@@ -33,9 +33,7 @@ def equals(name: str, label: dict) -> dict[str, str]:
         out[other] = "friction a load differs from dry friction only where the load does, and here it is constant"
     if name in ("gravity_offset", "encoder_offset") and label["kind"] != "drawer":
         other = "encoder_offset" if name == "gravity_offset" else "gravity_offset"
-        out[other] = (
-            "readings of a joint under gravity see only the sum of encoder zero, lean in the plane, and angle of the centre of mass"
-        )
+        out[other] = "a joint under gravity shows but the sum of encoder zero, lean and angle of the centre of mass"
     if name in ("actuator_delay", "time_offset") and label["kind"] == "arm" and label["protocol"] == "usual":
         other = "time_offset" if name == "actuator_delay" else "actuator_delay"
         out[other] = (

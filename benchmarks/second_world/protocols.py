@@ -22,8 +22,9 @@ FAR = 2.5  # rad that a pendulum may not pass, so that none goes over the top
 class Run:
     """One run. Times are the run's own, s, the log begins at LEAD.
 
-    `stamps` (n,) of rows; `start` (q, v); `times` (m,) and `values` (m,) are corners of what is commanded, held or joined by straight
-    lines (`held`); `role` is `free`, `effort` or `q_command`; `lost` (n,) rows without a reading; `session` s into the session.
+    `stamps` (n,) of rows; `start` (q, v); `times` (m,) and `values` (m,) are corners of what is commanded, held or
+    joined by straight lines (`held`); `role` is `free`, `effort` or `q_command`; `lost` (n,) rows without a reading;
+    `session` s into the session.
     """
 
     stamps: np.ndarray
@@ -56,7 +57,8 @@ class Plan:
 
 
 def inputs(run: Run, late: np.ndarray | float = 0.0, lag: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Knots (k,) and what is commanded between them (k - 1, 2), corners `late` by their own delays and readings older by `lag`."""
+    """Knots (k,) and what is commanded between them (k - 1, 2), corners `late` by their own delays and readings older
+    by `lag`."""
     times = np.maximum.accumulate(run.times + late)
     knots = np.unique(np.concatenate([[0.0], times[times > 0], run.stamps - lag]))
     moved = replace(run, times=times)
@@ -75,8 +77,8 @@ def simulate(
     longest: float = 1e-4,
     asked: bool = False,
 ) -> np.ndarray:
-    """(n, 5) states of the real machine at the run's rows. Efforts that are `asked` of an actuator pass through its gain, and are
-    late; those from outside do neither."""
+    """(n, 5) states of the real machine at the run's rows. Efforts that are `asked` of an actuator pass through its
+    gain, and are late; those from outside do neither."""
     knots, drive = inputs(run, late if asked or run.role == "q_command" else 0.0, lag)
     p = p.copy()
     p[w.CLOCK] = run.session
@@ -205,8 +207,8 @@ def _command(sketch: _Sketch, machine: Machine, seconds: float, rng: np.random.G
 
 
 def draw_plan(name: str, machine: Machine, rng: np.random.Generator) -> Plan:
-    """A session by protocol `name`: `usual`, `free` (nothing pushes), `and pushed` (an arm, its drive off), `caught` (a door at its
-    catch), `asked` (efforts are an actuator's, not a hand's) or `still`."""
+    """A session by protocol `name`: `usual`, `free` (nothing pushes), `and pushed` (an arm, its drive off), `caught` (a
+    door at its catch), `asked` (efforts are an actuator's, not a hand's) or `still`."""
     n = int(rng.integers(6, 11))
     rate = float(rng.uniform(50, 250))
     held = bool(rng.random() < 0.5)
@@ -241,7 +243,8 @@ def draw_plan(name: str, machine: Machine, rng: np.random.Generator) -> Plan:
 
 
 def _tamed(run: Run, machine: Machine) -> Run:
-    """The push made gentler until the machine as told stays off its stops and off the top; a lid may fall on its stop."""
+    """The push made gentler until the machine as told stays off its stops and off the top; a lid may fall on its
+    stop."""
     if run.role != "effort":
         return run
     p = truth(machine, Nuisance())

@@ -1,14 +1,16 @@
-"""Data apart from labels: what stands in a draw's folder tells nothing, and its hashes say that nobody changed it afterwards.
+"""Data apart from labels: what stands in a draw's folder tells nothing, and its hashes say that nobody changed it
+afterwards.
 
-OUT/cases/ID/ is what `gap` sees, OUT/manifest.json the SHA-256 of every file of it and of the labels; the labels, with the salt from
-which the ids are, are in a folder of their own. Answers are hashed in OUT/answers.json before the labels are opened.
+OUT/cases/ID/ is what `gap` sees, OUT/manifest.json the SHA-256 of every file of it and of the labels; the labels, with
+the salt from which the ids are, are in a folder of their own. Answers are hashed in OUT/answers.json before the labels
+are opened.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
+import secrets
 import shutil
 from dataclasses import asdict
 from pathlib import Path
@@ -32,16 +34,20 @@ def write_json(path: Path, doc: object) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     new = path.with_name(path.name + ".new")
     new.write_text(json.dumps(doc, indent=1) + "\n")
-    os.replace(new, path)
+    new.replace(path)
 
 
-def salt_of(seed: int) -> str:
-    return hashlib.sha256(f"second world, draw {seed}".encode()).hexdigest()
+def salt_in(sealed: Path) -> str:
+    """The draw's salt, from nothing but chance, kept with the labels."""
+    path = sealed / "salt.json"
+    if not path.is_file():
+        write_json(path, secrets.token_hex(32))
+    return json.loads(path.read_text())
 
 
-def case_id(seed: int, index: int) -> str:
+def case_id(salt: str, index: int) -> str:
     """Ten hex digits that follow nothing: neither the order of the cases nor what they are."""
-    return hashlib.sha256(f"{salt_of(seed)}/{index}".encode()).hexdigest()[:10]
+    return hashlib.sha256(f"{salt}/{index}".encode()).hexdigest()[:10]
 
 
 def label(case: d.Case) -> dict:
@@ -73,9 +79,9 @@ def label(case: d.Case) -> dict:
     }
 
 
-def make(spec: d.Spec, seed: int, index: int, out: Path, sealed: Path) -> None:
+def make(spec: d.Spec, seed: int, index: int, salt: str, out: Path, sealed: Path) -> None:
     """One case, drawn, measured and written; left alone where it is there already."""
-    name = case_id(seed, index)
+    name = case_id(salt, index)
     folder, secret = out / "cases" / name, sealed / "cases" / f"{name}.json"
     if folder.exists() and secret.exists():
         return
@@ -88,14 +94,14 @@ def make(spec: d.Spec, seed: int, index: int, out: Path, sealed: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     sensor.write(new, case.machine, case.plan, readings)
     write_json(secret, label(case))
-    os.replace(new, folder)
+    new.replace(folder)
 
 
-def close(seed: int, count: int, out: Path, sealed: Path) -> None:
+def close(seed: int, salt: str, count: int, out: Path, sealed: Path) -> None:
     """Labels in one file, and the manifest of everything."""
-    names = [case_id(seed, i) for i in range(count)]
+    names = [case_id(salt, i) for i in range(count)]
     labels = {name: json.loads((sealed / "cases" / f"{name}.json").read_text()) for name in names}
-    write_json(sealed / LABELS, {"seed": seed, "salt": salt_of(seed), "cases": labels})
+    write_json(sealed / LABELS, {"seed": seed, "salt": salt, "cases": labels})
     files = sorted(path for name in names for path in (out / "cases" / name).rglob("*") if path.is_file())
     hashes = {str(path.relative_to(out)): sha256(path) for path in files}
     write_json(

@@ -1,4 +1,5 @@
-"""From the joint's motion to a measured set on disk, as docs/formats.md has it: quantised, noisy, with stamps that are a little off."""
+"""From the joint's motion to a measured set on disk, as docs/formats.md has it: quantised, noisy, with stamps that are
+a little off."""
 
 from __future__ import annotations
 
@@ -38,7 +39,8 @@ def draw_encoder(machine: Machine, rng: np.random.Generator) -> Encoder:
 def clean(
     p: np.ndarray, sensing: Sensing, run: Run, plan: Plan, jitter: np.ndarray, finest: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What an encoder without noise reads (n,), and the joint's speed there. `jitter` (m,) in shares, one a corner of the command."""
+    """What an encoder without noise reads (n,), and the joint's speed there. `jitter` (m,) in shares, one a corner of
+    the command."""
     late = sensing.delay * (1 + JITTER * jitter) if sensing.delay else 0.0
     states = protocols.simulate(p, run, late, sensing.late, finest, plan.effort_kind == "commanded")
     return sensing.scale * states[:, 0] + sensing.offset, states[:, 1]
