@@ -129,6 +129,13 @@ def _targets(omega: float, seconds: float, rng: np.random.Generator, t: np.ndarr
     return 0.65 * np.sin(f[0] * s + rng.uniform(0, 6)) + 0.35 * np.sin(f[1] * s + rng.uniform(0, 6))
 
 
+def _rounded(values: np.ndarray, seconds: float) -> np.ndarray:
+    """Corners of a smooth command rounded off over `seconds` (six rows, so that straight lines between rows follow it)."""
+    bell = np.hanning(2 * max(2, round(seconds / GRID / 2)) + 1)[1:-1]
+    wide = np.pad(values, len(bell) // 2, mode="edge")
+    return np.convolve(wide, bell / bell.sum(), mode="valid")
+
+
 @dataclass(frozen=True)
 class _Sketch:
     """A run before its times are drawn: start, role, size of what is commanded and its shape."""
@@ -214,7 +221,8 @@ def draw_plan(name: str, machine: Machine, rng: np.random.Generator) -> Plan:
     held = bool(rng.random() < 0.5)
     brief = {"lid": (3.0, 4.0), "door": (3.0, 6.0), "drawer": (3.0, 4.5)}.get(machine.kind, (5.0, 15.0))
     empty = bool(held or rng.random() < 0.5)  # lost readings are empty cells, or rows that are not there
-    told = ("held" if rng.random() < 0.5 else "unknown") if held else ("linear" if rng.random() < 0.5 else "unknown")
+    sure = rng.random() < 0.5
+    told = ("held" if sure else "unknown") if held else ("linear" if sure and rate > 100 else "unknown")
     runs: list[Run] = []
     session = 0.0
     for i, sketch in enumerate(_sketches(name, machine, n, rng)):
@@ -226,7 +234,8 @@ def draw_plan(name: str, machine: Machine, rng: np.random.Generator) -> Plan:
             times = np.concatenate([[0.0], stamps[:: int(rng.integers(1, 3))]])
         else:
             times = np.arange(0.0, stamps[-1] + 2 * GRID, GRID)
-        values = np.round(_command(sketch, machine, seconds, rng, times), 6)
+        values = _command(sketch, machine, seconds, rng, times)
+        values = np.round(values if held else _rounded(values, 6 / rate), 6)
         if held:
             values[0] = values[1]
         run = Run(stamps, sketch.start, sketch.role, times, values, held, lost, session, held_out=i % 4 == 2)
