@@ -409,7 +409,7 @@ STILL: list[tuple[str, str]] = [
     ("time_offset", "pendulum"),
     ("quadratic_drag", "pendulum"),
     ("quadratic_drag", "door"),
-    ("viscous_damping", "drawer"),
+    ("quadratic_drag", "drawer"),
     ("actuator_gain", "arm"),
     ("actuator_delay", "arm"),
 ]
