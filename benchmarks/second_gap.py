@@ -24,7 +24,7 @@ from benchmarks.second_world.draw import specs
 from benchmarks.second_world.grade import grade
 
 RELEASE = 320_001  # the seed of the release's draw, not run while the world was made
-RESULTS = Path(__file__).parent / "results" / "second_gap.json"
+RESULTS = Path(__file__).parent / "results"
 
 
 def _draw(seed: int, share: float, out: Path, sealed: Path, jobs: int) -> int:
@@ -72,7 +72,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--limit", type=float, default=asked.LIMIT, help="seconds an answer may take")
-    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument(
+        "--results", type=Path, help="[benchmarks/results/second_gap.json, second_gap-dev.json of others]"
+    )
     args = parser.parse_args()
     seed, share = (RELEASE, 1.0) if args.release else (args.seed, args.share)
     if seed == RELEASE and not args.release:
@@ -105,7 +107,7 @@ def main() -> None:
         "confusions": tables.confusions(rows),
         "rows": rows,
     }
-    seal.write_json(args.results, doc)
+    seal.write_json(args.results or RESULTS / ("second_gap.json" if args.release else "second_gap-dev.json"), doc)
 
 
 if __name__ == "__main__":

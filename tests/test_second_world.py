@@ -390,5 +390,8 @@ def test_intervals_are_held_to_what_the_data_can_tell():
     assert not inside(label("clear", C), 0.17, 0.19)
     assert inside(label("clear", C, known_force=False), 0.17, 0.19)  # .2 at an inertia of 1.1 is .182 at the asset's
     other = label("clear", C)
-    other["effects"][0]["unit"] = "N*m*s/rad"
-    assert intervals(answer("named", C)["verdict"], other) == []
+    for unit in ("N*m*s/rad", "rad", "1"):
+        other["effects"][0]["unit"] = unit
+        assert intervals(answer("named", C)["verdict"], other) == []
+    other["effects"][0]["unit"] = "m*N"
+    assert len(intervals(answer("named", C)["verdict"], other)) == 1

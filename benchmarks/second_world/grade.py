@@ -110,7 +110,10 @@ def _of_nothing(verdict: dict, right: str, truth: list[str]) -> tuple[str, set[s
 
 
 def _unit(text: str) -> dict[str, int]:
-    """Powers of a unit's parts, radians left out: N*m*s/rad is N m s."""
+    """Powers of a unit's parts, radians left out: N*m*s/rad is N m s; an angle alone and a plain number stay what they
+    are."""
+    if text in ("rad", "1"):
+        return {text: 1}
     powers: dict[str, int] = {}
     sign = 1
     for token in re.findall(r"[*/]|[A-Za-z]+(?:\^?\d+)?", text.replace("**", "^")):

@@ -130,7 +130,7 @@ def _targets(omega: float, seconds: float, rng: np.random.Generator, t: np.ndarr
 
 
 def _rounded(values: np.ndarray, seconds: float) -> np.ndarray:
-    """Corners of a smooth command rounded off over `seconds` (six rows, so that straight lines between rows follow it)."""
+    """Corners of a smooth command rounded off over `seconds` (straight lines between rows follow it then)."""
     bell = np.hanning(2 * max(2, round(seconds / GRID / 2)) + 1)[1:-1]
     wide = np.pad(values, len(bell) // 2, mode="edge")
     return np.convolve(wide, bell / bell.sum(), mode="valid")
