@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.second_world import draw, hidden, protocols, seal, sensor, tables
+from benchmarks.second_world import draw, hidden, protocols, seal, sensor, strata, tables
 from benchmarks.second_world import laws as w
 from benchmarks.second_world.grade import grade, intervals
 from benchmarks.second_world.machines import KINDS, Nuisance, draw_machine, truth
@@ -276,7 +276,7 @@ def test_a_case_on_disk_is_as_planned_and_reads(tmp_path):
 def test_metadata_do_not_tell_nulls_from_the_rest():
     """Runs, rows, rate and bytes of 160 plans: the nearest neighbour guesses null or not no better than chance does."""
     rows, null = [], []
-    names = list(hidden.WHERE)
+    names = list(strata.WHERE)
     for i in range(160):
         rng = np.random.default_rng(100 + i)
         stratum = "null" if i % 2 else ("clear" if i % 4 else "outside")

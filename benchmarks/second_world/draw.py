@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.second_world import hidden as h
+from benchmarks.second_world import strata
 from benchmarks.second_world.hidden import DRAWS, Effect
 from benchmarks.second_world.machines import GRAVITY, Machine, Nuisance, draw_machine, draw_nuisance
 from benchmarks.second_world.protocols import Plan, draw_plan
@@ -64,22 +65,22 @@ def specs(share: float, seed: int) -> list[Spec]:
 
 def _kinds(stratum: str) -> list:
     if stratum == "pair":
-        return list(h.PAIRS)
+        return list(strata.PAIRS)
     if stratum == "gauge":
-        return list(h.GAUGES)
+        return list(strata.GAUGES)
     if stratum == "still":
-        return list(h.STILL)
-    return list(h.OUTSIDE) if stratum == "outside" else list(h.SINGLES)
+        return list(strata.STILL)
+    return list(strata.OUTSIDE) if stratum == "outside" else list(strata.SINGLES)
 
 
 def _where(name: str, rng: np.random.Generator) -> tuple[str, str]:
-    places = h.WHERE[name]
+    places = strata.WHERE[name]
     return places[int(rng.integers(len(places)))]
 
 
 def _spec(stratum: str, what, rng: np.random.Generator) -> Spec:
     if stratum == "pair":
-        return Spec(stratum, what, *h.PAIR_WHERE[what])
+        return Spec(stratum, what, *strata.PAIR_WHERE[what])
     if stratum == "gauge":
         name, kind, protocol, group = what
         return Spec(stratum, (name,), kind, protocol, group)
@@ -87,7 +88,7 @@ def _spec(stratum: str, what, rng: np.random.Generator) -> Spec:
         return Spec(stratum, (what[0],), what[1], "still")
     kind, protocol = _where(what, rng)
     if stratum == "null":  # measured as somebody would who looks for one of all these effects
-        kind, protocol = _where(list(h.WHERE)[int(rng.integers(len(h.WHERE)))], rng)
+        kind, protocol = _where(list(strata.WHERE)[int(rng.integers(len(strata.WHERE)))], rng)
         return Spec(stratum, (), kind, protocol)
     return Spec(stratum, (what,), kind, protocol)
 

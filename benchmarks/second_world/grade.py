@@ -13,8 +13,8 @@ from __future__ import annotations
 import re
 from itertools import permutations
 
-from benchmarks.second_world.hidden import OUTSIDE
 from benchmarks.second_world.physics_says import FAMILIES, equals, part_of
+from benchmarks.second_world.strata import OUTSIDE
 
 RIGHT = {"exact", "by physics"}
 
