@@ -122,11 +122,11 @@ def _spring(m: Machine, rng: Rng) -> Effect:
 
 
 def _lean(m: Machine, rng: Rng) -> Effect:
-    return Effect("gravity_offset", _side(rng) * math.radians(rng.uniform(2, 8)), {}, False)
+    return Effect("gravity_offset", _side(rng) * math.radians(rng.uniform(4, 10)), {}, False)
 
 
 def _zero(m: Machine, rng: Rng) -> Effect:
-    return Effect("encoder_offset", _side(rng) * math.radians(rng.uniform(2, 8)), {}, True, _unit(m, "angle"))
+    return Effect("encoder_offset", _side(rng) * math.radians(rng.uniform(4, 10)), {}, True, _unit(m, "angle"))
 
 
 def _stretch(m: Machine, rng: Rng) -> Effect:
