@@ -74,6 +74,9 @@ class JudgementSettings:
     """Floors of error that an explanation of a small gap may leave of a run; the floor is an estimate."""
     explained_part: float = 0.1
     """Part of a large gap that it may leave besides."""
+    hardly: float = 2.0
+    """Floors that it may leave of three runs in four and no larger set is looked at: of our own world's true formulas
+    hardly any leaves more."""
     most: float = 10.0
     """Floors that it may leave of a run in any case: more is a name in part."""
     met: float = 0.75

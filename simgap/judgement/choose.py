@@ -61,7 +61,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: JudgementSettings)
     if ahead <= error and sum(plain) < (1 - settings.met) * len(plain):
         return Choice(base, best, table=tuple(table))
     found = Choice(base, best, gap=True, table=tuple(table))
-    standing = nearest(h for h in table if h.names and named_whole(h, base, settings))
+    standing = nearest(_no_larger([h for h in table if h.names and named_whole(h, base, settings)], settings))
     told = {h.names: beside(h, folds) for h in standing}
     whole = [h for h in standing if not any(refutes(n, base, settings) for n in told[h.names])]
     whole = [h for h in whole if not _plainer_without_name(h, table, folds)]
@@ -106,6 +106,17 @@ def named_whole(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSet
     }
     chose = [met[run] for run in shown if run in hypothesis.left]
     return sum(met.values()) >= settings.met * len(met) and sum(chose) >= 0.5 * len(chose)
+
+
+def _no_larger(whole: list[Hypothesis], settings: JudgementSettings) -> list[Hypothesis]:
+    """Of the sets those no larger than the smallest that leaves hardly more than noise: a real effect is not its
+    formula, and what that leaves is not worth another name, however sure it is."""
+    enough = [
+        len(h.names)
+        for h in whole
+        if sum(floors <= settings.hardly for floors in h.by_run.values()) >= settings.met * len(h.by_run)
+    ]
+    return [h for h in whole if len(h.names) <= min(enough, default=len(h.names))]
 
 
 def refutes(rival: Nameless, base: Hypothesis, settings: JudgementSettings) -> bool:
