@@ -106,12 +106,19 @@ class Effect(ABC):
     """By what part of itself a real one may differ from its formula: over the range of speeds, and over that of
     positions, there once as a slope and once between middle and ends. What has a speed or a place of its own, over
     those."""
-    keeps: ClassVar[bool] = False
-    """Whether it keeps to its formula so well that the sizes it departs by explain nothing: they only tell how well it
-    can be known."""
-    tails: ClassVar[tuple[float, int]] = (1.5, 2)
-    """Of an effect with a place: how many widths from there its ends are, and the power, 2 or 4, of the distance with
-    which they differ from the middle."""
+    widths: ClassVar[float] = 1.5
+    """Of an effect with a place: how many widths from there its ends are."""
+
+    becomes: ClassVar[str | None] = None
+    """The plainer effect that this one is in a special case: that one has the name unless it does worse."""
+    twin: ClassVar[str | None] = None
+    """The effect that does the same wherever the load on the bearing stays as it is."""
+    dissipates: ClassVar[bool] = False
+    """Whether it takes energy from the joint wherever that moves."""
+    common: ClassVar[bool] = False
+    """Whether every machine has it, more or less, as all have friction and none must have a notch."""
+    spans: ClassVar[tuple[str, ...]] = ()
+    """Forces of any shape that it helps to make: of "position", of "velocity", of "direction" alone."""
 
     def __post_init__(self) -> None:
         for field, spec in self.parameters().items():

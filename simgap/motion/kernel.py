@@ -19,19 +19,19 @@ INERTIA, GRAVITY_COS, GRAVITY_SIN, GRAVITY_CONST = 0, 1, 2, 3
 LOAD_ARM2, LOAD_WEIGHT2, LOAD_ACROSS, LOAD_TURNED = 4, 5, 6, 7
 GAIN, COMMAND_DELAY, STIFFNESS, DAMPING = 8, 9, 10, 11
 LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
-READING_DELAY, Q0, QD0, TRAVEL, GRIPPING, SPRINGY, GIVE = 16, 17, 18, 19, 20, 21, 22
-SHAFT_INERTIA, SHAFT_BACK, SHAFT_SWING, HOLDING = 23, 24, 25, 26
-OFFSET, DEAD_BAND, MOST_ASKED, BACK_EMF, MOST = 27, 28, 29, 30, 31
-MOMENT_SCALE, MASS_SCALE, SWAYS = 32, 33, 34
+READING_DELAY, Q0, QD0, TRAVEL, GRIPPING = 16, 17, 18, 19, 20
+SHAFT_INERTIA, SHAFT_BACK, SHAFT_SWING, HOLDING = 21, 22, 23, 24
+OFFSET, DEAD_BAND, MOST_ASKED, BACK_EMF, MOST = 25, 26, 27, 28, 29
+MOMENT_SCALE, MASS_SCALE, SWAYS = 30, 31, 32
 """Of a base that moves: factors of the rows of `base_motion.sway_terms`, and whether it does. What it does now:"""
-SWAY_COS, SWAY_SIN, SWAY_CONST, SWAY_COS2, SWAY_SIN2, SWAY_LINEAR = 35, 36, 37, 38, 39, 40
-LIMITED = 41
+SWAY_COS, SWAY_SIN, SWAY_CONST, SWAY_COS2, SWAY_SIN2, SWAY_LINEAR = 33, 34, 35, 36, 37, 38
+LIMITED = 39
 """Whether the actuator is more than a position law and an effort."""
-HEAD = 42
-"""Places in the vector of numbers that describes one simulation; behind them each effect has FORM, then parameters."""
-FORM = 7
-"""How the size of an effect may depart from its formula: with speed, with position, with a power of position; and the
-speed, the middle and the half width by which it does, and that power, 2 or 4."""
+HEAD = 40
+"""Places in the vector of numbers that describes one simulation; behind them each effect has its place, then its
+parameters."""
+PLACE = 2
+"""The middle and the half width of where an effect acts that has a place."""
 
 _BISECTIONS = 25
 _SPARE_STEPS = 4000
@@ -49,25 +49,12 @@ _STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
 
 
 @jit
-def _form(p, at, q, v):  # pragma: no cover
-    """By what factor the size of the effect at `at` departs from its formula."""
-    a, b, c = p[at], p[at + 1], p[at + 2]
-    if a == 0.0 and b == 0.0 and c == 0.0:
-        return 1.0
-    speed = min(2.0 * abs(v) / p[at + 3], 2.0) - 1.0
-    x = min(max((q - p[at + 4]) / p[at + 5], -1.2), 1.2)
-    curve = x * x * x * x if p[at + 6] > 2.0 else x * x
-    return max(1.0 + a * speed + b * x + c * (2.0 * curve - 1.0), 0.0)
-
-
-@jit
 def _sum(acts, terms, p, memory, q, v, load):  # pragma: no cover
     """Sum of all forces, or of all friction levels."""
     total = 0.0
     for k in range(len(terms)):
         if terms[k, 1] == acts:
-            at = terms[k, 2]
-            total += _form(p, at, q, v) * law(terms[k, 0], q, v, load, memory[k], p, at + FORM)
+            total += law(terms[k, 0], q, v, load, memory[k], p, terms[k, 2] + PLACE)
     return total
 
 
@@ -95,37 +82,6 @@ def _actuator(p, q, v, position, effort):  # pragma: no cover
 
 
 @jit
-def _steers(p, q, v, position, effort):  # pragma: no cover
-    """Whether the actuator's force follows the position there: beyond its dead band and within its limits."""
-    error = position - q
-    if p[LIMITED] == 0.0 or np.isnan(error):
-        return not np.isnan(error)
-    asked = effort + p[STIFFNESS] * (error - min(max(error, -p[DEAD_BAND]), p[DEAD_BAND])) - p[DAMPING] * v
-    return abs(error) > p[DEAD_BAND] and abs(asked) < p[MOST_ASKED] and abs(asked - p[BACK_EMF] * v) < p[MOST]
-
-
-@jit
-def _pushed(p, x, v, position, effort):  # pragma: no cover
-    """Force of an actuator whose flank touches at x, or whose shaft's far end is there."""
-    if p[LIMITED] == 0.0 and p[GIVE] == 0.0:
-        return _asked(p, x, v, position, effort)
-    return _given(p, x, v, position, effort)
-
-
-@jit
-def _given(p, x, v, position, effort):  # pragma: no cover
-    """The same where flank or shaft give way under the force, GIVE times it, a flank times it to the power of 2/3
-    (Hertz): by as much the actuator is ahead."""
-    F = _actuator(p, x, v, position, effort)
-    if p[GIVE] == 0.0 or F == 0.0 or not _steers(p, x, v, position, effort):
-        return F
-    power = 1.0 if p[SLACK_WIDTH] == 0.0 else 2.0 / 3.0
-    ahead = math.copysign(p[GIVE] * abs(F) ** power, F)
-    faster = -power * ahead / F * p[GAIN] * p[STIFFNESS] * v
-    return F - p[GAIN] * (p[STIFFNESS] * ahead + p[DAMPING] * faster) / (1.0 + p[GAIN] * p[STIFFNESS] * ahead / F)
-
-
-@jit
 def _swayed(p, q):  # pragma: no cover
     """Force of a base that moves (`base_motion.sway_force`)."""
     c, s = math.cos(q), math.sin(q)
@@ -143,9 +99,9 @@ def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no
         F += _swayed(p, q)
     F += _sum(FORCE, terms, p, memory, q, v, 0.0)
     if p[SLACK_WIDTH] == 0.0:
-        F += _pushed(p, q, v, position, effort)
+        F += _actuator(p, q, v, position, effort)
     elif side != 0:
-        F += _pushed(p, q + 0.5 * side * p[SLACK_WIDTH], v, position, effort)
+        F += _actuator(p, q + 0.5 * side * p[SLACK_WIDTH], v, position, effort)
     return F
 
 
@@ -232,7 +188,7 @@ def _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position,
 def _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Force of the drive side on the part while they touch."""
     a, _ = _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
-    return _pushed(p, y[2], y[3], position, effort) - p[SLACK_INERTIA] * a
+    return _actuator(p, y[2], y[3], position, effort) - p[SLACK_INERTIA] * a
 
 
 @jit
@@ -246,7 +202,7 @@ def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
         if q < p[LOWER] or q > p[UPPER]:
             found |= _LIMIT
         for k in range(len(terms)):
-            if terms[k, 1] == FORCE and remember(terms[k, 0], q, memory[k], p, terms[k, 2] + FORM) != memory[k]:
+            if terms[k, 1] == FORCE and remember(terms[k, 0], q, memory[k], p, terms[k, 2] + PLACE) != memory[k]:
                 found |= _MEMORY
     if p[SLACK_WIDTH] > 0.0:
         if side == 0:
@@ -272,8 +228,8 @@ def _passes(terms, p, a, b):  # pragma: no cover
     for k in range(len(terms)):
         if terms[k, 3]:
             at = terms[k, 2]
-            reach = _REACH * p[at + 5]
-            if min(a, b) <= p[at + 4] + reach and max(a, b) >= p[at + 4] - reach:
+            reach = _REACH * p[at + 1]
+            if min(a, b) <= p[at] + reach and max(a, b) >= p[at] - reach:
                 return True
     return False
 
@@ -296,10 +252,7 @@ def _rebound(terms, p, v):  # pragma: no cover
     after = 0.0
     for k in range(len(terms)):
         if terms[k, 1] == STOP:
-            at = terms[k, 2]
-            s = min(2.0 * abs(v) / p[at + 3], 2.0) - 1.0
-            form = max(1.0 + p[at] * s + p[at + 2] * (2.0 * s * s - 1.0), 0.0)
-            speed = form * law(terms[k, 0], 0.0, v, 0.0, 0.0, p, at + FORM)
+            speed = law(terms[k, 0], 0.0, v, 0.0, 0.0, p, terms[k, 2] + PLACE)
             if abs(speed) > abs(after):
                 after = speed
     return min(abs(after), abs(v)) * (1.0 if after > 0 else -1.0)
@@ -318,15 +271,6 @@ def _taken_back(terms, p, memory, limit, towards, v, side, push, position, effor
 
 
 @jit
-def _parting(p, meeting):  # pragma: no cover
-    """Speed at which the sides of a slack part that met with `meeting` (of the part, seen from the drive side): slow
-    ones come back (Hunt and Crossley 1975), at SPRINGY half of it."""
-    if p[SPRINGY] == 0.0:
-        return 0.0
-    return -meeting / (1.0 + abs(meeting) / p[SPRINGY])
-
-
-@jit
 def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, coarse, fine, out):  # pragma: no cover
     """Positions `out` (n,) as read at `times` (n,), for one vector of numbers, by steps that are `coarse` but near the
     place of an effect that has one."""
@@ -337,7 +281,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
     y = (p[Q0], p[QD0], p[Q0], p[QD0])
     for k in range(len(terms)):
         if terms[k, 1] == FORCE:
-            memory[k] = remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + FORM)
+            memory[k] = remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + PLACE)
     gain, offset = p[GAIN], p[OFFSET]
     if inputs == 0:
         p[GAIN] = p[OFFSET] = 0.0
@@ -505,30 +449,22 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
         if found & _MEMORY:
             for k in range(len(terms)):
                 if terms[k, 1] == FORCE:
-                    memory[k] = remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + FORM)
+                    memory[k] = remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + PLACE)
         if found & _PARTED and not found & (_STOPPED | _LIMIT):  # what stops takes its drive side with it
             side = 0
         if found & _MET:
             side = 1 if y[2] > y[0] else -1
-            back = _parting(p, y[1] - y[3])
         if found & _MET and frozen and resting * side > 0:  # the part is pressed on its limit, and gives way no further
-            at, w1 = y[0] + 0.5 * side * p[SLACK_WIDTH], max(abs(back), p[SHAFT_BACK] * abs(y[3]))
+            at, w1 = y[0] + 0.5 * side * p[SLACK_WIDTH], p[SHAFT_BACK] * abs(y[3])
             pressed = side * _actuator(p, y[2], y[3], position, asked) / p[SLACK_INERTIA]
             if w1 > 0.5 * step * max(pressed, 0.0):
                 y, side = (y[0], 0.0, at, -side * w1), 0
             else:
                 y = (y[0], 0.0, at, 0.0)
         elif found & _MET:
-            a, b = _slopes(y, terms, p, memory, frozen, slide, grip, 0, push, position, asked, loaded)
-            press = side * (b - a)
             both = p[INERTIA] + p[SLACK_INERTIA]
             together = (p[INERTIA] * y[1] + p[SLACK_INERTIA] * y[3]) / both
-            at = y[0] + 0.5 * side * p[SLACK_WIDTH]
-            if abs(back) > 0.5 * step * max(press, 0.0):
-                y = (y[0], together + back * p[SLACK_INERTIA] / both, at, together - back * p[INERTIA] / both)
-                side = 0
-            else:  # they would meet again within a step: they stay together
-                y = (y[0], together, at, together)
+            y = (y[0], together, y[0] + 0.5 * side * p[SLACK_WIDTH], together)
         if found & _LIMIT:
             towards = 1 if y[0] - p[LOWER] > p[UPPER] - y[0] else -1
             limit = p[UPPER] if towards > 0 else p[LOWER]

@@ -156,7 +156,7 @@ def terms_of(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[
         if effect.name in laws.LAWS:
             place = is_local(effect if isinstance(effect, type) else type(effect))
             rows.append((laws.LAWS[effect.name], laws.ACTS[effect.acts], at, place))
-            at += kernel.FORM + len(effect.parameters())
+            at += kernel.PLACE + len(effect.parameters())
     return np.array(rows, np.int64).reshape(-1, 4)
 
 
@@ -164,8 +164,6 @@ def numbers_of(
     plant: Plant,
     effects: tuple[Effect, ...],
     nuisance: Nuisance = Nuisance(),
-    forms: dict[str, tuple[float, float, float]] | None = None,
-    reference: tuple[float, float, float] = (1.0, 0.0, 1.0),
 ) -> Array:
     """The kernel's vector for these effects, start state 0.
 
@@ -173,9 +171,6 @@ def numbers_of(
         plant: the joint.
         effects: all effects, those of the asset among them.
         nuisance: how the asset is off.
-        forms: name of an effect to how its size departs from its formula with speed, position and a power of position.
-        reference: largest speed, middle and half range of position, to which `forms` refer where an effect has no
-            speed or place of its own.
     """
     mechanics = plant.mechanics
     head = np.zeros(kernel.HEAD)
@@ -210,27 +205,20 @@ def numbers_of(
     parts = [head]
     for effect in effects:
         if effect.name in laws.LAWS:
-            form = (forms or {}).get(effect.name, (0.0, 0.0, 0.0))
-            parts += [np.array((*form, *_around(effect, reference))), np.array(effect.values())]
+            parts += [np.array(_place_of(effect)), np.array(effect.values())]
     return np.concatenate(parts)
 
 
-def _around(effect: Effect, reference: tuple[float, float, float]) -> tuple[float, float, float, float]:
-    """Speed, middle and half width of the range over which an effect departs from its formula, and the power with
-    which it does: its own, if it has."""
-    speed, middle, half = reference
-    power = 2
+def _place_of(effect: Effect) -> tuple[float, float]:
+    """Middle and half width of where an effect acts that has a place; 0 and 1 of another."""
     place: float | None = None
     for name, spec in effect.parameters().items():
         value = float(getattr(effect, name))
-        if spec.revolute_unit == "rad/s":
-            speed = max(2 * value, 1e-9)
-        elif spec.revolute_unit == "rad" and spec.lower < 0:
+        if spec.revolute_unit == "rad" and spec.lower < 0:
             place = value
         elif spec.revolute_unit == "rad" and place is not None:
-            (widths, power), middle = effect.tails, place
-            half = max(widths * value, 1e-9)
-    return speed, middle, half, float(power)
+            return place, max(effect.widths * value, 1e-9)
+    return 0.0, 1.0
 
 
 def _load_terms(mechanics: JointMechanics) -> tuple[float, float, float, float]:

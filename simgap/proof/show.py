@@ -27,7 +27,7 @@ from freeart21.files.base_json import BASE
 from freeart21.files.measured import DRIVES
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
-from simgap.verdict import SHOWS
+from simgap.verdict import Use
 
 SECONDS = 120.0
 """What is not replayed by then is given up."""
@@ -55,7 +55,7 @@ class Replayed:
     floor: float
     """rad or m: noise of the readings."""
     regime: str = ""
-    held_out: bool = True
+    use: Use = "confirming"
 
 
 @dataclass(frozen=True)
@@ -119,9 +119,7 @@ class ReplayGap:
     gap_after: float
     floor: float
     regime: str
-    held_out: bool
-    stretches: int = 1
-    """How many the run was judged in, each from a start of its own."""
+    use: Use
 
 
 @dataclass(frozen=True)
@@ -237,20 +235,11 @@ def _run(folder: Path, count: int, seconds: float, progress: Progress | None) ->
         progress(count, count)
 
 
-def judged_runs(runs: Sequence[ReplayGap]) -> list[ReplayGap]:
-    """Held-out runs; all when there is none of these that shows a gap."""
-    told = any(run.held_out and run.gap_before > SHOWS * run.floor for run in runs)
-    return [run for run in runs if run.held_out or not told]
-
-
 def helps(runs: Sequence[ReplayGap], poses: tuple[PoseGap, ...] = ()) -> bool:
     """Whether the gap, in floors, is smaller in all, in no regime (nor off the joint) wider by a quarter floor, and in
-    no run by half a floor: runs of one regime may be of different kinds all the same.
-
-    Of the runs, those of `judged_runs` count.
-    """
+    no run by half a floor: runs of one regime may be of different kinds all the same."""
     groups: dict[str, list[tuple[float, float]]] = {}
-    for run in judged_runs(runs):
+    for run in runs:
         groups.setdefault(run.regime, []).append((run.gap_before / run.floor, run.gap_after / run.floor))
     for track in [p for p in poses if p.held_out] or poses:
         groups.setdefault(" off the joint", []).append((track.before / track.floor, track.after / track.floor))
@@ -370,5 +359,5 @@ def _gap(replay: Replayed, before: Array, after: Array) -> ReplayGap:
         gaps[1],
         replay.floor,
         replay.regime,
-        replay.held_out,
+        replay.use,
     )
