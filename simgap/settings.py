@@ -86,6 +86,9 @@ class JudgementSettings:
     good_part: float = 0.1
     """Part of the gap from which on what has no name, or another set, dominates as well. Of right names in a draw of
     our own world nothing nameless took more than .03, of wrong ones .15 to .5."""
+    rival_part: float = 1 / 3
+    """Part of what a set takes of the gap, from which on what has no name and takes so much is no remainder of it. Drag
+    in the place of oil, left out of the library, leaves it .45; dry friction and drag of a real pendulum .24."""
     much_better: float = 0.6
     """Part of what a set leaves, beyond noise, that such a thing must leave at most."""
     drift: float = 0.2

@@ -156,12 +156,12 @@ def dominating(
 
 
 def overtakes(rival: Nameless, hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether a force without a name speaks against a set that is named in part: one of the set's own kind, as friction
-    of speed is beside a loss, as against any set; of another kind it is what remains, unless it takes about as much."""
-    if rival.kind == "time" or any(rival.kind in EFFECTS[name].spans for name in hypothesis.names):
+    """Whether a force without a name speaks against a set that is named in part: it takes a third of what the set does,
+    and is no mere remainder; or sizes change over the session."""
+    if rival.kind == "time":
         return refutes(rival, base, settings)
     taken = float(np.sqrt(max(base.floors**2 - hypothesis.floors**2, 0.0)))
-    return rival.ahead > 0 and rival.taken > settings.dominant * taken
+    return rival.ahead > 0 and rival.taken > settings.rival_part * taken
 
 
 def _may_dominate(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
