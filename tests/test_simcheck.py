@@ -78,27 +78,29 @@ def test_it_finds_no_error_in_a_sound_asset_and_one_in_a_broken_one(tmp_path):
     assert "simcheck.inertia.tensor" in failed
 
 
-def test_the_benchmark_counts_what_the_checker_says(tmp_path, monkeypatch):
+def test_the_benchmark_counts_what_the_checker_says_and_keeps_what_passed(tmp_path, monkeypatch):
     from benchmarks import simcheck
 
-    report = SimpleNamespace(
-        rows=[Row("simcheck.a", "simcheck", "pass", "warn: thin"), Row("simcheck.b", "simcheck", "fail", "no mass")],
-        failed=(),
-        seconds={"simcheck": 3.0},
-    )
-    asked = []
-    monkeypatch.setattr(simcheck, "check", lambda *given, **also: asked.append(given) or report)
+    asked, rows = [], [Row("simcheck.a", "simcheck", "pass", "warn: thin"), Row("simcheck.b", "simcheck", "fail", "no")]
+    report = SimpleNamespace(rows=rows, failed=(), seconds={"simcheck": 3.0})
+    monkeypatch.setattr(simcheck, "check", lambda *given, **also: asked.append(also) or report)
     monkeypatch.setattr(simcheck, "_export", lambda truth, asset, kept: None)
     monkeypatch.setattr(simcheck, "_versions", lambda: {"simcheck": "0.2.0"})
     write_little(tmp_path / "lid")
     benchmark = SimpleNamespace(truth=lambda name: tmp_path)
-    for _ in range(2):  # the second time from its file
-        row = simcheck._row("lid", benchmark, (), tmp_path)
-        assert row["failed"] == ["simcheck.b (simcheck): no mass"] and row["pieces"] == 2 and row["passed"] == 0
-        assert row["warned"] == ["simcheck.a (simcheck): warn: thin"] and row["seconds"] == 3.0
-    assert len(asked) == 1
+
+    def row() -> dict:
+        return simcheck._row("lid", benchmark, (), tmp_path, 900.0)
+
+    for _ in range(2):
+        found = row()
+        assert found["failed"] == ["simcheck.b (simcheck): no"] and found["pieces"] == 2 and found["passed"] == 0
+        assert found["warned"] == ["simcheck.a (simcheck): warn: thin"] and found["seconds"] == 3.0
+    assert asked == [{"simcheck": True, "limit_s": 900.0}] * 2
+    rows.pop()
+    assert row() == row() and len(asked) == 3
     assert json.loads((tmp_path / "lid.row.json").read_text())["row"]["pieces"] == 2
     urdf = read_asset(tmp_path / "lid").urdf
     urdf.write_text(urdf.read_text() + " ")
-    simcheck._row("lid", benchmark, (), tmp_path)
-    assert len(asked) == 2
+    row()
+    assert len(asked) == 4
