@@ -176,7 +176,8 @@ def _may_dominate(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementS
         return False
     if at_end(fit) or _slight(fit, settings) or not _usual_gain(fit, settings):
         return False
-    halved = [excess(hypothesis.by_run[run]) < settings.dominant * excess(base.by_run[run]) for run in hypothesis.left]
+    after, before = hypothesis.by_run, base.by_run
+    halved = [excess(after[run]) < settings.dominant * excess(before[run]) for run in after if before[run] > SHOWS]
     return sum(halved) > 0.5 * len(halved)
 
 
