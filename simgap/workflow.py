@@ -27,8 +27,8 @@ from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.kinematics import KinematicsSettings, find_geometry_of
 from simgap.judgement.choose import Choice, chosen
 from simgap.judgement.decide import Confirmed, moves_enough, says_enough, silent_verdict, verdict_of
-from simgap.judgement.hypotheses import Hypothesis
-from simgap.judgement.predictive import lead
+from simgap.judgement.hypotheses import FORM, Hypothesis
+from simgap.judgement.predictive import DECISIVE, FREEDOM, lead
 from simgap.judgement.split import Split, split_of
 from simgap.judgement.words import amount, effect_words, plain
 from simgap.measure.data import FitRun, fit_runs, thinned
@@ -38,7 +38,7 @@ from simgap.page.publish import Draft, off_of, publish, with_positions
 from simgap.page.report import Ranked
 from simgap.proof.show import SECONDS, Progress, ReplayGap
 from simgap.settings import GapSettings
-from simgap.verdict import Named, Verdict
+from simgap.verdict import SHOWS, Named, Verdict
 
 DEFAULTS = GapSettings()
 MOST_RANKED = 12
@@ -67,7 +67,9 @@ def judged_by(settings: GapSettings) -> dict[str, Any]:
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(file.read_bytes())
-    return {"freeart21": __version__, "code": digest.hexdigest()[:12], "settings": asdict(settings.judgement)}
+    fixed = {"form": FORM, "freedom": FREEDOM, "decisive": DECISIVE, "shows": SHOWS}
+    told = {**asdict(settings.judgement), **fixed}
+    return {"freeart21": __version__, "code": digest.hexdigest()[:12], "settings": told}
 
 
 def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft:
