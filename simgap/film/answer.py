@@ -1,0 +1,420 @@
+"""From what was found to the answer: what the confirming frames confirm, what cannot be told, and what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.camera_faults import CameraFaults, at_share
+from freeart21.recording import Recording
+from freeart21.se3 import Array
+from simgap.film.choose import benjamini_hochberg, sign_flip_p
+from simgap.film.colour import Colours
+from simgap.film.counts import LEAST_FLYING, LEAST_HOLES, Family
+from simgap.film.geometry import LEAST_PX, Geometry, thinned
+from simgap.film.library import Design
+from simgap.film.linear import LinearFit, density, fitted, left
+from simgap.film.missing import MissingPart
+from simgap.film.samples import Rows
+from simgap.film.scene import FilmScene
+from simgap.film.verdict import FilmGap, FilmVerdict, Named, Parameter, Where
+from simgap.film.where import LEVEL, FilmMap, maps_of
+from simgap.film.words import PLAIN, UNITS, listed, told
+
+NINETY = 1.645
+TWICE = 2.0
+"""Floors, or times its gain, from which on what a nameless rival explains is no more what a name explains."""
+HALF = 0.5
+"""Share of its gap that a name leaves, on confirming frames, where such a rival explains twice as much: then it is not
+what is there."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What fits and choice have come to."""
+
+    recording: Recording
+    scene: FilmScene
+    frames: NDArray[np.int64]
+    split: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+    """Indices into `frames`: to fit, to choose, to confirm."""
+    rows: Rows
+    design: Design
+    geometry: Geometry
+    camera: CameraFaults
+    """Geometry alone."""
+    simulated_with: CameraFaults
+    """The camera about which the rows are."""
+    families: tuple[Family, Family, Family]
+    """Noise, holes, flying pixels."""
+    drift: Colours | None
+    part: MissingPart | None
+    shut: frozenset[str]
+    quiet: float
+    """Floor of a pixel's noise, metres."""
+
+    @property
+    def maps(self) -> tuple[FilmMap, ...]:
+        """Where the films part."""
+        return maps_of(self.rows, errors_of(self))
+
+
+@dataclass(frozen=True)
+class _Claim:
+    """An effect before it is confirmed."""
+
+    name: str
+    gains: Array
+    values: dict[str, Any]
+    spreads: dict[str, float]
+    certain: bool
+    refused: str = ""
+    """Why it is not named, whatever it gains."""
+
+
+def answered(found: Found) -> FilmVerdict:
+    """The answer."""
+    claims = [*_geometric(found), *_counted(found), *_coloured(found)]
+    p = np.array([sign_flip_p(c.gains) for c in claims])
+    adjusted = benjamini_hochberg(p) if len(p) else p
+    named, camera, refused = [], CameraFaults(), list[str]()
+    for claim, value in sorted(zip(claims, adjusted, strict=True), key=lambda c: -float(c[0].gains.mean())):
+        if claim.refused or value > LEVEL or claim.gains.mean() <= 0:
+            refused.append(claim.refused or f"{PLAIN[claim.name]}: not confirmed by the frames kept back (p = {value:.2g})")
+            continue
+        parameters = {k: _parameter(k, v, claim.spreads.get(k)) for k, v in claim.values.items()}
+        named.append(Named(claim.name, parameters, float(value), float(claim.gains.mean()), claim.certain))
+        if claim.certain:
+            camera = replace(camera, **claim.values)
+    names = [n.name for n in named]
+    gaps = _gaps(found, names)
+    maps = found.maps
+    remains = [*refused, *_left(found, gaps, names)]
+    rivals = _rivals(found, names)
+    if named or found.part is not None:
+        verdict: Any = "ambiguous" if rivals else "named"
+    else:
+        verdict = "unexplained" if remains else "no_gap"
+    best = CameraFaults(**{k: v for c in claims if c.name in names for k, v in c.values.items()})
+    return FilmVerdict(
+        verdict,
+        _sentence(verdict, named, rivals, found, remains, best),
+        tuple(named),
+        rivals,
+        found.part,
+        _cannot_tell(found),
+        tuple(remains),
+        tuple(Where(m.what, m.over, m.adjusted, _place(m)) for m in maps if m.adjusted <= LEVEL and m.flagged.any()),
+        tuple(gaps),
+        {k: [int(f) for f in found.frames[i]] for k, i in zip(("fit", "choose", "confirm"), found.split, strict=True)},
+        camera,
+        found.scene.placed.source,
+    )
+
+
+def _parameter(name: str, value: Any, spread: float | None) -> Parameter:
+    unit = UNITS[name]
+    if isinstance(value, tuple) or spread is None or not np.isfinite(spread):
+        return Parameter(value, None, None, unit)
+    return Parameter(float(value), float(value - NINETY * spread), float(value + NINETY * spread), unit)
+
+
+# --- claims -----------------------------------------------------------------------------------------------------------
+
+
+def _geometric(found: Found) -> list[_Claim]:
+    """Every effect of the geometry, by what frames lose when it alone is taken out."""
+    g, design, confirm = found.geometry, found.design, found.split[2]
+    if not g.chosen:
+        return []
+    blocks = thinned(design.blocks, 9000)
+    fitting, judging = [b.of(found.split[0]) for b in blocks], [b.of(confirm) for b in blocks]
+    full = density(judging, g.fit, confirm)
+    whole_gain = float((full - density(judging, g.null_fit, confirm)).mean())
+    shared = set.intersection(*({_name(k) for k in keys} for keys in g.rivals))
+    rival = max((t for t in g.tried if t.nameless and len(t.names) == 1), key=lambda t: t.mean)
+    chosen = next(t for t in g.tried if t.names == tuple(e.key for e in g.chosen))
+    closed = _closed(found)
+    refused = ""
+    if rival.mean - g.null.mean > TWICE * (chosen.mean - g.null.mean) and closed < HALF:
+        refused = (
+            f"depth errors by {rival.names[0]} explain {(rival.mean - g.null.mean) / max(chosen.mean - g.null.mean, 1e-9):.1f} "
+            f"times as much as {listed([PLAIN[e.name] for e in g.chosen])}"
+        )
+    claims = []
+    for effect in g.chosen:
+        others = [c for e in g.chosen if e is not effect for c in design.columns[e.key]]
+        without = fitted(fitting, others)
+        values, spreads = {}, {}
+        for k, (field, column) in enumerate(zip(effect.parameters, design.columns[effect.key], strict=True)):
+            at = g.fit.chosen.index(column)
+            values[field] = float(effect.signs[k] * g.fit.beta[at])
+            spreads[field] = float(np.sqrt(max(g.fit.covariance[at, at], 0.0)))
+        gains = full - density(judging, without, confirm)
+        claims.append(_Claim(effect.name, gains, values, spreads, effect.name in shared, refused))
+    return claims if whole_gain > 0 else []
+
+
+def _name(key: str) -> str:
+    return key.partition(",")[0]
+
+
+def _closed(found: Found) -> float:
+    """Share of the gap in depth and outlines that the geometry closes on confirming frames: the most of the three."""
+    before, after = _sizes(found, found.geometry.null_fit), _sizes(found, found.geometry.fit)
+    return max(1 - a / b if b > 0 else 0.0 for a, b in zip(after, before, strict=True))
+
+
+def _sizes(found: Found, fit: LinearFit) -> list[float]:
+    return [size for size, _ in left(found.design.blocks, fit, found.split[2])]
+
+
+def _counted(found: Found) -> list[_Claim]:
+    """Noise, holes and flying pixels."""
+    claims = []
+    for family in found.families:
+        if not family.chosen:
+            continue
+        rival = max((t for t in family.tried if t.nameless), key=lambda t: t.mean, default=None)
+        chosen = next(t for t in family.tried if t.names == family.chosen)
+        refused = ""
+        if (
+            rival is not None
+            and rival.mean - family.null.mean > TWICE * (chosen.mean - family.null.mean)
+            and family.after > HALF * family.before
+        ):
+            refused = f"{family.kind} by {rival.names[0]} explain more than {listed([PLAIN[n] for n in family.chosen])}"
+        for name in family.chosen:
+            fields = _FIELDS[name]
+            values = {k: v for k, v in family.values.items() if k in fields}
+            spreads = {k: v for k, v in family.spreads.items() if k in fields and k != "noise_at"}
+            certain = all(name in set_ for set_ in family.rivals)
+            claims.append(_Claim(name, family.gains, values, spreads, certain, refused))
+    return claims
+
+
+_FIELDS: dict[str, tuple[str, ...]] = {
+    "axial_noise": ("noise", "noise_at"),
+    "noise_growth": ("noise_growth",),
+    "noise_grazing": ("noise_grazing",),
+    "holes": ("holes",),
+    "dark_holes": ("dark_share", "dark_level"),
+    "grazing_holes": ("grazing_share", "grazing_angle"),
+    "flying_pixels": ("flying_share", "flying_reach"),
+}
+
+
+def _coloured(found: Found) -> list[_Claim]:
+    """Drifts of exposure and tone."""
+    drift = found.drift
+    if drift is None or not drift.chosen or drift.null is None:
+        return []
+    rival = max((t for t in drift.tried if t.nameless and len(t.names) == 1), key=lambda t: t.mean)
+    chosen = next(t for t in drift.tried if t.names == drift.chosen)
+    refused = ""
+    if (
+        rival.mean - drift.null.mean > TWICE * (chosen.mean - drift.null.mean) and drift.after > HALF * drift.before
+    ) or drift.after > drift.before:
+        refused = f"brightness that changes by {rival.names[0]} explains more than {listed([PLAIN[n] for n in drift.chosen])}"
+    values = {"exposure_drift": {"exposure": drift.exposure}, "gamma_drift": {"gamma": drift.gamma}}
+    return [
+        _Claim(name, drift.gains, values[name], {}, all(name in s for s in drift.rivals), refused)
+        for name in drift.chosen
+    ]
+
+
+# --- what is left -----------------------------------------------------------------------------------------------------
+
+
+def _gaps(found: Found, names: Sequence[str]) -> list[FilmGap]:
+    """Before and after on confirming frames; what is not named closes nothing."""
+    noise, lost, flies = found.families
+    geometric = any(e.name in names for e in found.geometry.chosen)
+    before = _sizes(found, found.geometry.null_fit)
+    after = _sizes(found, found.geometry.fit) if geometric else before
+    own = noise.values.get("noise", 0.0) if "axial_noise" in names else 0.0
+    floors = (float(np.hypot(found.design.blocks[0].least[0], own)), LEAST_PX, LEAST_PX)
+    gaps = [
+        FilmGap(what, unit, b, a, floor)
+        for what, unit, b, a, floor in zip(
+            ("depth of inner pixels", "outline of the mask", "outline of the depth"),
+            ("m", "px", "px"),
+            before,
+            after,
+            floors,
+            strict=True,
+        )
+    ]
+    for family, unit in ((noise, "m"), (lost, ""), (flies, "")):
+        closed = bool(set(family.chosen) & set(names))
+        what = {"noise": "noise of single pixels", "holes": "pixels lost", "flying pixels": "pixels that fly at edges"}
+        gaps.append(FilmGap(what[family.kind], unit, family.before, family.after if closed else family.before, family.floor))
+    drift = found.drift
+    if drift is not None and drift.null is not None:
+        closed = bool(set(drift.chosen) & set(names))
+        gaps.append(FilmGap("brightness of frames", "stops", drift.before, drift.after if closed else drift.before, drift.floor))
+    return gaps
+
+
+def _left(found: Found, gaps: Sequence[FilmGap], names: Sequence[str]) -> list[str]:
+    """What is above the floor without a name, a line each."""
+    out = []
+    g = found.geometry
+    nameless = [t for t in g.tried if t.nameless]
+    chosen = next(t for t in g.tried if not t.nameless and t.names == tuple(e.key for e in g.chosen))
+    for gap in gaps:
+        bound = {"pixels lost": LEAST_HOLES, "pixels that fly at edges": LEAST_FLYING}.get(gap.quantity, TWICE * gap.floor)
+        if gap.after <= bound:
+            continue
+        size = f"{1e3 * gap.after:.2g} mm" if gap.unit == "m" else f"{gap.after:.2g} {gap.unit}".strip()
+        if gap.unit == "" and gap.quantity != "":
+            size = f"{100 * gap.after:.2g} %"
+        how = ""
+        if gap.quantity == "depth of inner pixels":
+            best = max(nameless, key=lambda t: t.mean)
+            tau, sigma = g.fit.tau[0], g.fit.sigma[0]
+            if best.mean - chosen.mean > 0.01 * abs(chosen.mean) and best.mean > chosen.mean + 1:
+                how = f", mostly by {best.names[-1]}"
+            elif tau > sigma:
+                how = ", that changes from frame to frame"
+        out.append(f"{gap.quantity}: {size} {how}".strip().replace(" ,", ","))
+    return out
+
+
+def _rivals(found: Found, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    """Sets that cannot be told apart, of the first kind that has any and was confirmed."""
+    kinds = [tuple(tuple(dict.fromkeys(_name(k) for k in keys)) for keys in found.geometry.rivals)]
+    kinds += [family.rivals for family in found.families]
+    if found.drift is not None:
+        kinds.append(found.drift.rivals)
+    for sets in kinds:
+        if len(sets) > 1 and set(sets[0]) & set(names):
+            return sets
+    return ()
+
+
+def _cannot_tell(found: Found) -> tuple[tuple[str, str], ...]:
+    out = []
+    if found.scene.same_video:
+        why = (
+            "the asset was reconstructed from this camera's own video and has taken it on in its size and shape; "
+            "an asset of known size (export --scale, or a CAD model) would tell"
+        )
+        out.append(("depth_scale, depth_offset, depth_curve, focal_length, principal_point", why))
+    if "depth_delay" in found.shut:
+        out.append(("depth_delay", "the object hardly moves in the picture: under half a pixel a frame"))
+    if found.drift is None:
+        out.append(("exposure_drift, gamma_drift", "the asset says nothing of its colours"))
+    bright, angle = found.rows["measured_brightness"], np.degrees(np.arccos(np.clip(found.rows["cosine"], 0, 1)))
+    if np.quantile(bright, 0.02) > 0.3:
+        out.append(("dark_holes", f"no surface is darker than {100 * np.quantile(bright, 0.02):.0f} %"))
+    if np.quantile(angle, 0.98) < 55:
+        out.append(("grazing_holes", f"no surface is seen flatter than {np.quantile(angle, 0.98):.0f} degrees"))
+    return tuple(out)
+
+
+# --- words ------------------------------------------------------------------------------------------------------------
+
+
+def _sentence(
+    verdict: str,
+    named: Sequence[Named],
+    rivals: Sequence[Sequence[str]],
+    found: Found,
+    remains: Sequence[str],
+    best: CameraFaults,
+) -> str:
+    lines = []
+    sure = [told(n.name, best) for n in named if n.certain]
+    if sure:
+        lines.append(f"{_capital(listed(sure))}.")
+    if rivals:
+        lines.append(f"These frames cannot decide between {', or '.join(listed([PLAIN[n] for n in r]) for r in rivals)}.")
+    if found.part is not None:
+        size = " x ".join(f"{1e3 * v:.0f}" for v in found.part.size)
+        lines.append(f"The asset lacks something of about {size} mm that moves with its {found.part.part} part.")
+    if verdict == "no_gap":
+        lines.append("The simulated film is like the measured one: nothing exceeds what the comparison can tell.")
+    if verdict == "unexplained":
+        lines.append("The films part, and nothing in the library explains it.")
+    if remains:
+        lines.append(f"Left: {'; '.join(remains)}.")
+    return " ".join(lines)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _place(m: FilmMap) -> str:
+    """A flagged map in words: its largest stretch."""
+    factor = {"mm": 1e3, "%": 100.0}.get(m.unit, 1.0)
+    if len(m.rows):
+        at = np.unravel_index(int(np.nanargmax(np.where(m.flagged, np.abs(m.before), -1))), m.before.shape)
+        u, v = (float(e[i] + e[i + 1]) / 2 for e, i in ((m.edges, at[1]), (m.rows, at[0])))
+        return f"{m.what}: {factor * float(m.before[at]):+.2g} {m.unit} at {u:.0f}, {v:.0f} px from the principal point"
+    k = int(np.nanargmax(np.where(m.flagged, np.abs(m.before), -1)))
+    low, high = m.edges[k], m.edges[k + 1]
+    return f"{m.what}: {factor * float(m.before[k]):+.2g} {m.unit} at {m.over} {low:.2g} to {high:.2g} {m.over_unit}".strip()
+
+
+# --- maps -------------------------------------------------------------------------------------------------------------
+
+
+def errors_of(found: Found) -> dict[str, tuple[Array, Array]]:
+    """Before and after of every row, for the maps. Before: the asset's film with an ideal camera, to first order."""
+    rows, camera, sim = found.rows, found.camera, found.simulated_with
+    z = rows["z"]
+    geometry = _put_back(found)
+    bias = camera.depth_scale * z + camera.depth_offset + camera.depth_curve * z * z
+    out = {"depth error": (rows["error"] + geometry[0], rows["error"] - bias)}
+    lost = np.isnan(rows["error"]).astype(float)
+    holes = CameraFaults(**{k: v for k, v in found.families[1].values.items()})
+    if lost.mean() >= LEAST_HOLES / 2:
+        frame = rows.of("error")
+        share = np.bincount(frame, lost) / np.maximum(np.bincount(frame), 1)
+        out["holes"] = (lost - share[frame], lost - holes.lost(rows["measured_brightness"], rows["cosine"]))
+    out["outline of the mask"] = (rows["mask_off"] + geometry[1], rows["mask_off"])
+    out["outline of the depth"] = (rows["depth_off"] + geometry[2], rows["depth_off"])
+    if found.families[2].before >= LEAST_FLYING / 2:
+        flies = rows["flying"].astype(float)
+        f = found.families[2].values
+        told_share = np.where(rows["band"] <= f.get("flying_reach", 0.0), f.get("flying_share", 0.0), 0.0)
+        out["pixels at edges"] = (flies - flies.mean(), flies - told_share)
+    if found.drift is not None and found.drift.null is not None:
+        share = np.array([f.share for f in rows.frames])[rows.of("stops")]
+        d = found.drift
+        curve = np.interp(share, np.linspace(0, 1, max(len(d.exposure), 1)), d.exposure or (0.0,))
+        tone = np.interp(share, np.linspace(0, 1, max(len(d.gamma), 1)), d.gamma or (0.0,)) * rows["light"]
+        stops = rows["stops"] - np.nanmedian(rows["stops"])
+        then = rows["stops"] - curve - tone
+        out["brightness of the picture"] = (stops, then - np.nanmedian(then))
+    del sim
+    return out
+
+
+def _put_back(found: Found) -> tuple[Array, Array, Array]:
+    """What the geometry that the film was simulated with does to the rows, to first order."""
+    rows, d = found.rows, found.design
+    inner, mask, depth = np.isfinite(rows["error"]), np.isfinite(rows["mask_off"]), np.isfinite(rows["depth_off"])
+    sizes = len(inner), len(mask), len(mask)
+    out = tuple(np.zeros(n) for n in sizes)
+    from simgap.film.library import GEOMETRY, design_of
+
+    same = len(d.blocks[0].y) == int(inner.sum())
+    blocks = d.blocks if same else design_of(rows, 1e-3, found.scene.placed.exact).blocks
+    for effect in GEOMETRY:
+        if effect.key != effect.name or effect.name in ("depth_scale", "depth_offset", "depth_curve"):
+            continue
+        for field, column in zip(effect.parameters, d.columns[effect.key], strict=True):
+            value = float(getattr(found.simulated_with, field))
+            for o, kept, b in zip(out, (inner, mask, depth), blocks, strict=True):
+                o[kept] += value * b.columns[:, column]
+    return out[0], out[1], out[2]
+
+
+__all__ = ["Found", "answered", "asdict", "at_share", "errors_of"]
