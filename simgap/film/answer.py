@@ -15,7 +15,7 @@ from freeart21.se3 import Array
 from simgap.film.choose import benjamini_hochberg, sign_flip_p
 from simgap.film.colour import Colours
 from simgap.film.counts import LEAST_FLYING, LEAST_HOLES, Family
-from simgap.film.geometry import LEAST_PX, Geometry, thinned
+from simgap.film.geometry import LEAST_DEPTH, Geometry, thinned
 from simgap.film.library import Design
 from simgap.film.linear import LinearFit, density, fitted, left
 from simgap.film.missing import MissingPart
@@ -25,6 +25,8 @@ from simgap.film.verdict import FilmGap, FilmVerdict, Named, Parameter, Where
 from simgap.film.where import LEVEL, FilmMap, maps_of
 from simgap.film.words import PLAIN, UNITS, listed, told
 
+ROUNDED_PX = 0.41
+"""Root mean square of the difference of two outlines that are both rounded to whole pixels: 1 / sqrt(6)."""
 NINETY = 1.645
 TWICE = 2.0
 """Floors, or times its gain, from which on what a nameless rival explains is no more what a name explains."""
@@ -81,10 +83,11 @@ def answered(found: Found) -> FilmVerdict:
     claims = [*_geometric(found), *_counted(found), *_coloured(found)]
     p = np.array([sign_flip_p(c.gains) for c in claims])
     adjusted = benjamini_hochberg(p) if len(p) else p
-    named, camera, refused = [], CameraFaults(), list[str]()
+    named, camera, notes = [], CameraFaults(), list[str]()
     for claim, value in sorted(zip(claims, adjusted, strict=True), key=lambda c: -float(c[0].gains.mean())):
         if claim.refused or value > LEVEL or claim.gains.mean() <= 0:
-            refused.append(claim.refused or f"{PLAIN[claim.name]}: not confirmed by the frames kept back (p = {value:.2g})")
+            unsure = f"{PLAIN[claim.name]}: not confirmed by the frames kept back (p = {value:.2g})"
+            notes.append(claim.refused or unsure)
             continue
         parameters = {k: _parameter(k, v, claim.spreads.get(k)) for k, v in claim.values.items()}
         named.append(Named(claim.name, parameters, float(value), float(claim.gains.mean()), claim.certain))
@@ -93,7 +96,7 @@ def answered(found: Found) -> FilmVerdict:
     names = [n.name for n in named]
     gaps = _gaps(found, names)
     maps = found.maps
-    remains = [*refused, *_left(found, gaps, names)]
+    remains = _left(found, gaps, names)
     rivals = _rivals(found, names)
     if named or found.part is not None:
         verdict: Any = "ambiguous" if rivals else "named"
@@ -108,12 +111,34 @@ def answered(found: Found) -> FilmVerdict:
         found.part,
         _cannot_tell(found),
         tuple(remains),
-        tuple(Where(m.what, m.over, m.adjusted, _place(m)) for m in maps if m.adjusted <= LEVEL and m.flagged.any()),
+        tuple(
+            Where(m.what, m.over, m.adjusted, _place(m))
+            for m in maps
+            if m.adjusted <= LEVEL and m.flagged.any() and _shows(m.what, gaps, found)
+        ),
         tuple(gaps),
         {k: [int(f) for f in found.frames[i]] for k, i in zip(("fit", "choose", "confirm"), found.split, strict=True)},
         camera,
         found.scene.placed.source,
+        tuple(dict.fromkeys(notes)),
     )
+
+
+def _shows(what: str, gaps: Sequence[FilmGap], found: Found) -> bool:
+    """Whether the gap that a map is of is above its floor: smaller ones are real, too, but nothing to speak of."""
+    gap = next((g for g in gaps if g.quantity == _OF_MAP[what]), None)
+    return gap is not None and gap.before > _bound(gap, found)
+
+
+_OF_MAP = {
+    "depth error": "depth of inner pixels",
+    "holes": "pixels lost",
+    "outline of the mask": "outline of the mask",
+    "outline of the depth": "outline of the depth",
+    "pixels at edges": "pixels that fly at edges",
+    "brightness of the picture": "brightness of frames",
+}
+"""What a map is of, to the gap."""
 
 
 def _parameter(name: str, value: Any, spread: float | None) -> Parameter:
@@ -237,7 +262,7 @@ def _gaps(found: Found, names: Sequence[str]) -> list[FilmGap]:
     before = _sizes(found, found.geometry.null_fit)
     after = _sizes(found, found.geometry.fit) if geometric else before
     own = noise.values.get("noise", 0.0) if "axial_noise" in names else 0.0
-    floors = (float(np.hypot(found.design.blocks[0].least[0], own)), LEAST_PX, LEAST_PX)
+    floors = (float(np.hypot(found.design.blocks[0].least[0], own)), ROUNDED_PX, ROUNDED_PX)
     gaps = [
         FilmGap(what, unit, b, a, floor)
         for what, unit, b, a, floor in zip(
@@ -267,7 +292,7 @@ def _left(found: Found, gaps: Sequence[FilmGap], names: Sequence[str]) -> list[s
     nameless = [t for t in g.tried if t.nameless]
     chosen = next(t for t in g.tried if not t.nameless and t.names == tuple(e.key for e in g.chosen))
     for gap in gaps:
-        bound = {"pixels lost": LEAST_HOLES, "pixels that fly at edges": LEAST_FLYING}.get(gap.quantity, TWICE * gap.floor)
+        bound = _bound(gap, found)
         if gap.after <= bound:
             continue
         size = f"{1e3 * gap.after:.2g} mm" if gap.unit == "m" else f"{gap.after:.2g} {gap.unit}".strip()
@@ -283,6 +308,15 @@ def _left(found: Found, gaps: Sequence[FilmGap], names: Sequence[str]) -> list[s
                 how = ", that changes from frame to frame"
         out.append(f"{gap.quantity}: {size} {how}".strip().replace(" ,", ","))
     return out
+
+
+def _bound(gap: FilmGap, found: Found) -> float:
+    """What a gap must exceed to be called left."""
+    if gap.quantity == "depth of inner pixels":
+        return max(TWICE * gap.floor, LEAST_DEPTH * float(np.median(found.rows["z"])))
+    if gap.quantity in ("pixels lost", "pixels that fly at edges"):
+        return gap.floor
+    return (1.25 if gap.unit == "px" else TWICE) * gap.floor
 
 
 def _rivals(found: Found, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:

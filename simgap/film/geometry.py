@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +13,13 @@ from simgap.film.library import GEOMETRY, NAMELESS, Design, Effect
 from simgap.film.linear import Block, LinearFit, density, fitted
 
 MOST = 3
-"""Effects of a set that are tried together; more are added one by one while they help."""
+"""Effects of a set up to which several are widened; more are added one by one while they help."""
 LEAST_DEPTH, LEAST_PX = 5e-4, 0.15
 """An effect is not named that moves depth by less than this share of the distance and outlines by less than this many
 pixels, both as root mean squares: no camera is so good (Tolgyessy 2021: 1 part in 1,000), and no mask."""
-ROWS = 9000
+BEAM = 5
+"""Sets of each size that are widened: greedy search picks the best single effect and cannot reach a pair without it."""
+ROWS = 5000
 """Of a kind, that a search reads."""
 
 
@@ -80,10 +81,18 @@ def search(
     null = attempt(())
     assert null is not None
     effects = [e for e in GEOMETRY if e.name not in shut]
-    for count in range(1, most + 1):
-        for several in combinations(effects, count):
-            if len({e.name for e in several}) == count:
-                attempt(tuple(e.key for e in several))
+    if _at_the_floor(fits[()], blocks):
+        return Geometry((), ((),), fits[()], tuple(tried), null, fits[()])
+    beam: list[tuple[str, ...]] = [()]
+    for _ in range(most):
+        wider = {
+            tuple(e.key for e in effects if e.key in (*keys, more.key))
+            for keys in beam
+            for more in effects
+            if more.name not in {by_key(k).name for k in keys}
+        }
+        level = [(attempt(keys), keys) for keys in sorted(wider)]
+        beam = [keys for found, keys in sorted(level, key=lambda f: -(f[0].mean if f[0] else -np.inf))[:BEAM]]
     first, alike = smallest(tried, LEAST_SHARE)
     while len(first.names) >= most:
         more = [e for e in effects if e.name not in {by_key(k).name for k in first.names}]
@@ -106,6 +115,13 @@ def search(
             rivals.append(t.names)
     return Geometry(
         tuple(by_key(k) for k in first.names), tuple(rivals), fits[first.names], ordered, null, fits[()]
+    )
+
+
+def _at_the_floor(fit: LinearFit, blocks: Sequence[Block]) -> bool:
+    """Whether the film as it is lacks nothing that the comparison could tell."""
+    return all(
+        s <= 1.01 * b.least[0] and t <= 1.01 * b.least[1] for s, t, b in zip(fit.sigma, fit.tau, blocks, strict=True)
     )
 
 

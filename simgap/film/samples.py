@@ -146,7 +146,10 @@ def rows_of(
     faults: CameraFaults | None = None,
     tell: Callable[[], None] = lambda: None,
 ) -> Rows:
-    """The rows of `frames`, about the simulated camera with the geometry of `faults`."""
+    """The rows of `frames`, about the simulated camera with the geometry of `faults`.
+
+    What `faults` says of the depth's size and noise changes no row but those at edges, where it says what flies.
+    """
     faults = faults or CameraFaults()
     fps = 1 / float(np.median(np.diff(recording.times_s)))
     rows = []
@@ -297,7 +300,9 @@ def _band(depth: Drawn, frame: Frame, faults: CameraFaults, rng: np.random.Gener
     for dv in range(5):
         for du in range(5):
             alike += np.abs(padded[v + dv, u + du] - d) < np.maximum(0.01 * d, 3 * noise)
-    beyond = d - z.flat[k] > np.maximum(0.015 * z.flat[k], 5 * noise)
+    near = z.flat[k].astype(float)
+    near = near * (1 + faults.depth_scale) + faults.depth_offset + faults.depth_curve * near**2
+    beyond = d - near > np.maximum(0.015 * near, 5 * noise)
     return distance.flat[k].astype(float), (d > 0) & beyond & (alike - 1 < 5)
 
 

@@ -69,8 +69,15 @@ def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVer
     quiet = max(depth_floor(middle, film.depth_unit), film.depth_unit / np.sqrt(12))
     noisy = noise(rows, split, quiet)
     lost = holes(rows, split)
-    if noisy.values:  # what flies is told from what is merely noisy
-        rows = rows_of(film.recording, film.scene, frames, replace(simulated_with, **noisy.values), tell)
+    said = replace(
+        simulated_with,
+        **noisy.values,
+        depth_scale=camera.depth_scale,
+        depth_offset=camera.depth_offset,
+        depth_curve=camera.depth_curve,
+    )
+    if said != simulated_with:  # what flies is told from what is noisy, or off as a whole
+        rows = rows_of(film.recording, film.scene, frames, said, tell)
     families = (noisy, lost, flying(rows, split))
     drift = colours(rows, split) if film.scene.coloured else None
     part = missing_part(film.recording, film.scene, rows, split)
