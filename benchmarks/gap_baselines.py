@@ -28,9 +28,9 @@ def answers(folder: str) -> dict[str, Any]:
     """Baseline to {"names", "closed"} for one case; a failure says so and names nothing."""
     from freeart21.files.asset import read_asset
     from freeart21.files.measured import read_measured
-    from simgap.data import fit_runs
-    from simgap.fit import Theory, fitted
-    from simgap.surrogate import plant_of
+    from simgap.fitting.fit import Theory, fitted
+    from simgap.measure.data import fit_runs
+    from simgap.motion.surrogate import plant_of
     from simgap.workflow import DEFAULTS, problem_of
 
     measured = read_measured(Path(folder) / "measured")
@@ -50,7 +50,7 @@ def answers(folder: str) -> dict[str, Any]:
 
 
 def _closed(base: Any, fit: Any, test: Any) -> float | None:
-    from simgap.fit import placed
+    from simgap.fitting.fit import placed
 
     before, after = _floors(placed(base, test).residuals), _floors(placed(fit, test).residuals)
     return (before - after) / (before - 1) if before > 1.5 else None
@@ -61,9 +61,9 @@ def _floors(residuals: dict[str, Array]) -> float:
 
 
 def _fit_all(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> dict[str, Any]:
-    from simgap.fit import Theory, fitted, joined
-    from simgap.guess import off
-    from simgap.search import candidates
+    from simgap.fitting.fit import Theory, fitted, joined
+    from simgap.fitting.guess import off
+    from simgap.fitting.search import candidates
 
     names = tuple(n for n in candidates(problem, train) if n != "backlash")  # a body of its own, not a parameter
     theory = Theory(problem, tuple(sorted(names)))
@@ -81,7 +81,7 @@ def _fit_all(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> d
 
 
 def _greedy(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> dict[str, Any]:
-    from simgap.search import Search, candidates
+    from simgap.fitting.search import Search, candidates
 
     search = Search(problem, train, settings.choice, candidates(problem, train))
     n = sum(len(run.q) for run in train)
@@ -101,8 +101,8 @@ def _greedy(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> di
 
 def _true(problem: Any, base: Any) -> tuple[float, Array]:
     """Inertia, and gravity's parts of cos q, of sin q and constant (3,), as far as the asset may be off by them."""
-    from simgap.fit import Reader
-    from simgap.surrogate import kernel, numbers_of
+    from simgap.fitting.fit import Reader
+    from simgap.motion.surrogate import kernel, numbers_of
 
     numbers = numbers_of(problem.plant, problem.plant.effects, Reader(base.theory).nuisance(base.theta))
     return float(numbers[kernel.INERTIA]), numbers[kernel.GRAVITY_COS : kernel.GRAVITY_CONST + 1]
@@ -204,7 +204,7 @@ def _gp(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> dict[s
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-    from simgap.fit import placed
+    from simgap.fitting.fit import placed
 
     q, speed, _, force = _collected(problem, base, train)
     chosen = np.random.default_rng(0).permutation(len(q))[:_MOST_POINTS]

@@ -641,7 +641,7 @@ def measure(
             f"(0 9.81 0 for a level camera); got {len(sources)} folders, gravity {gravity}"
         )
     if results and gravity is not None:
-        from simgap.measure import measure_result
+        from simgap.measure.reconstruction import measure_result
 
         measure_result(results[0], out, gravity, 30.0 if rate_hz is None else rate_hz)
         _say_next(results[0] / "asset", out)

@@ -19,24 +19,24 @@ from freeart21.files.measured import read_measured
 from freeart21.files.places import ANSWER, check_place
 from freeart21.joint import JointType
 from freeart21.measured import Measured
-from simgap.choose import Choice, chosen
-from simgap.data import FitRun, fit_runs, thinned
-from simgap.decide import moves_enough, says_enough, silent_verdict, verdict_of
-from simgap.dominant import in_part
-from simgap.finding import KinematicsFinding
-from simgap.fit import Fit, Problem, Reader, Starts, confirmed, placed
-from simgap.floor import Floor
-from simgap.judge import Fold, Judged, folds_of, p_value
-from simgap.kinematics import KinematicsSettings, find_geometry_of
-from simgap.publish import Draft, off_of, publish, with_positions
-from simgap.report import Ranked
-from simgap.search import Search, candidates
+from simgap.fitting.fit import Fit, Problem, Reader, Starts, confirmed, placed
+from simgap.fitting.search import Search, candidates
+from simgap.geometry.finding import KinematicsFinding
+from simgap.geometry.kinematics import KinematicsSettings, find_geometry_of
+from simgap.judgement.choose import Choice, chosen
+from simgap.judgement.decide import moves_enough, says_enough, silent_verdict, verdict_of
+from simgap.judgement.dominant import in_part
+from simgap.judgement.judge import Fold, Judged, folds_of, p_value
+from simgap.judgement.words import amount, effect_words, plain
+from simgap.measure.data import FitRun, fit_runs, thinned
+from simgap.measure.floor import Floor
+from simgap.motion.surrogate import Nuisance, Plant, plant_of
+from simgap.page.publish import Draft, off_of, publish, with_positions
+from simgap.page.report import Ranked
+from simgap.proof.show import SECONDS, Progress, ReplayGap
+from simgap.proof.stretches import stretches_of
 from simgap.settings import GapSettings
-from simgap.show import SECONDS, Progress, ReplayGap
-from simgap.stretches import stretches_of
-from simgap.surrogate import Nuisance, Plant, plant_of
 from simgap.verdict import Named, Verdict, unseen
-from simgap.words import amount, effect_words, plain
 
 DEFAULTS = GapSettings()
 _ORDER = ("no_gap", "not_excited", "named", "ambiguous", "unexplained")

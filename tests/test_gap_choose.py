@@ -21,15 +21,15 @@ from freeart21.effects.stribeck_friction import StribeckFriction
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
-from simgap import choose, intervals, objections
-from simgap import search as search_module
-from simgap.choose import earned, last, rivals
-from simgap.data import FitRun, fit_runs
-from simgap.fit import Fit, Theory, fitted
-from simgap.judge import Judged, folds_of, p_value
-from simgap.search import Search, caught, relaxed
+from simgap.fitting import search as search_module
+from simgap.fitting.fit import Fit, Theory, fitted
+from simgap.fitting.search import Search, caught, relaxed
+from simgap.judgement import choose, intervals, objections
+from simgap.judgement.choose import earned, last, rivals
+from simgap.judgement.judge import Judged, folds_of, p_value
+from simgap.measure.data import FitRun, fit_runs
+from simgap.motion.surrogate import plant_of
 from simgap.settings import ChoiceSettings, GapSettings
-from simgap.surrogate import plant_of
 from simgap.verdict import Verdict
 from simgap.workflow import find_gap, problem_of
 

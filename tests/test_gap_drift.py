@@ -10,7 +10,7 @@ import pytest
 from gap_case import asset_of, measured_of
 
 from freeart21.files.asset import read_asset
-from simgap import drift
+from simgap.judgement import drift
 from simgap.workflow import find_gap
 
 RUNS = 8

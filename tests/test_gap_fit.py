@@ -14,9 +14,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap import workflow
-from simgap.ceiling import ceiling
-from simgap.data import fit_runs
-from simgap.fit import (
+from simgap.fitting.fit import (
     Problem,
     Theory,
     confirmed,
@@ -29,14 +27,16 @@ from simgap.fit import (
     steady,
     tangent,
 )
-from simgap.floor import floor_of
-from simgap.force_guess import local_force, places
-from simgap.guess import _grid
-from simgap.judge import Fold, folds_of
-from simgap.least_squares import Prior, charge, solve, weight
-from simgap.search import Search, beside, candidates, relaxed, stilled
+from simgap.fitting.force_guess import local_force, places
+from simgap.fitting.guess import _grid
+from simgap.fitting.least_squares import Prior, charge, solve, weight
+from simgap.fitting.search import Search, beside, candidates, relaxed, stilled
+from simgap.judgement.ceiling import ceiling
+from simgap.judgement.judge import Fold, folds_of
+from simgap.measure.data import fit_runs
+from simgap.measure.floor import floor_of
+from simgap.motion.surrogate import plant_of, simulate
 from simgap.settings import GapSettings
-from simgap.surrogate import plant_of, simulate
 from simgap.workflow import problem_of
 
 SETTINGS = GapSettings()

@@ -11,7 +11,7 @@ from gap_case import asset_of, measured_of
 from scipy.stats import multivariate_t
 
 from freeart21.files.asset import read_asset
-from simgap.predictive import FREEDOM, ModelError, Score, lead, log_densities, smallest
+from simgap.judgement.predictive import FREEDOM, ModelError, Score, lead, log_densities, smallest
 from simgap.verdict import Verdict
 from simgap.workflow import find_gap
 

@@ -24,23 +24,23 @@ from freeart21.files.asset import read_asset
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, held
 from generator.simulate import roll_out
-from simgap import replay
-from simgap.data import fit_runs
-from simgap.equation_error import missing_force
-from simgap.finding import KinematicsFinding
-from simgap.fit import Theory, fitted
-from simgap.kinematics import find_geometry_of
-from simgap.localise import residual_maps
-from simgap.placing import place
-from simgap.publish import GEOMETRY, _as_fitted, publish
-from simgap.report import length_text
+from simgap.fitting.fit import Theory, fitted
+from simgap.geometry.finding import KinematicsFinding
+from simgap.geometry.kinematics import find_geometry_of
+from simgap.geometry.placing import place
+from simgap.measure.data import fit_runs
+from simgap.motion.equation_error import missing_force
+from simgap.motion.localise import residual_maps
+from simgap.motion.surrogate import plant_of
+from simgap.page.publish import GEOMETRY, _as_fitted, publish
+from simgap.page.report import length_text
+from simgap.proof import replay
+from simgap.proof.show import Off, Replayed, ReplayGap, _read_answer, show
+from simgap.proof.stretches import Stretch, as_replays, at_fault, stretches_of
+from simgap.proof.writeback import repaired
 from simgap.settings import GapSettings
-from simgap.show import Off, Replayed, ReplayGap, _read_answer, show
-from simgap.stretches import Stretch, as_replays, at_fault, stretches_of
-from simgap.surrogate import plant_of
 from simgap.verdict import RunGap, Verdict
 from simgap.workflow import certain_of, joined, problem_of
-from simgap.writeback import repaired
 
 TILT = AxisTilt(0.02, -0.015)
 

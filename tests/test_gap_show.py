@@ -33,17 +33,17 @@ from freeart21.files.places import ANSWER, check_place
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator
 from generator.simulate import joint_motion, roll_out
-from simgap.equation_error import missing_force
-from simgap.kinematics import find_geometry_of
-from simgap.localise import residual_maps
-from simgap.placing import place
-from simgap.publish import GEOMETRY, Draft, off_of, publish, with_positions
-from simgap.report import Ranked
-from simgap.show import Off, Replayed, helps, show
-from simgap.surrogate import Nuisance, plant_of, simulate
+from simgap.geometry.kinematics import find_geometry_of
+from simgap.geometry.placing import place
+from simgap.judgement.words import closed_text, runs_text, with_closed
+from simgap.motion.equation_error import missing_force
+from simgap.motion.localise import residual_maps
+from simgap.motion.surrogate import Nuisance, plant_of, simulate
+from simgap.page.publish import GEOMETRY, Draft, off_of, publish, with_positions
+from simgap.page.report import Ranked
+from simgap.proof.show import Off, Replayed, helps, show
+from simgap.proof.writeback import repaired
 from simgap.verdict import Named, RunGap, Verdict
-from simgap.words import closed_text, runs_text, with_closed
-from simgap.writeback import repaired
 
 MASS, ARM, G = 1.2, 0.3, 9.81
 INERTIA = 0.01 + MASS * ARM**2
@@ -214,7 +214,7 @@ def test_meshes_from_elsewhere_come_into_the_copy(tmp_path: Path, named_as: str)
 )
 def test_not_everything_that_a_urdf_names_is_copied(tmp_path: Path, name: str, said: str, monkeypatch):
     asset = bob(tmp_path / "a")
-    monkeypatch.setattr("simgap.asset_files.MAX_BYTES", 1000)
+    monkeypatch.setattr("simgap.proof.asset_files.MAX_BYTES", 1000)
     (tmp_path / "a/big.obj").write_bytes(b"#" * 1001)
     visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
     asset.urdf.write_text(asset.urdf.read_text().replace("</inertial>", f"</inertial>{visual}"))

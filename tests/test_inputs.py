@@ -17,10 +17,10 @@ from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, between, course, held
 from generator.simulate import roll_out
-from simgap.data import stride_of, thinned
-from simgap.inputs import inputs_of, logged_at
-from simgap.show import Off, Replayed, show
-from simgap.surrogate import Nuisance, plant_of, simulate
+from simgap.measure.data import stride_of, thinned
+from simgap.measure.inputs import inputs_of, logged_at
+from simgap.motion.surrogate import Nuisance, plant_of, simulate
+from simgap.proof.show import Off, Replayed, show
 from simgap.workflow import find_gap
 
 TIMES = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.6])

@@ -14,10 +14,10 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured, Run
-from simgap.finding import KinematicsFinding
-from simgap.kinematics import find_geometry_of
-from simgap.placing import place
-from simgap.pose_model import Geometry, PoseModel, Track, Weighting
+from simgap.geometry.finding import KinematicsFinding
+from simgap.geometry.kinematics import find_geometry_of
+from simgap.geometry.placing import place
+from simgap.geometry.pose_model import Geometry, PoseModel, Track, Weighting
 
 PIVOT = np.array([0.1, -0.2, 0.3])
 ARM = np.array([0.25, 0.0, -0.1])  # from the pivot to the middle of the part at q = 0

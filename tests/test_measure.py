@@ -22,9 +22,9 @@ from freeart21.files.truth import read_truth
 from generator.measure import TrackerNoise, measure_truths
 from generator.recorder import RecordSettings, record
 from generator.simulate import joint_motion, load, roll_out
-from simgap.kinematics import find_geometry_of
-from simgap.measure import measure_result
-from simgap.placing import place
+from simgap.geometry.kinematics import find_geometry_of
+from simgap.geometry.placing import place
+from simgap.measure.reconstruction import measure_result
 
 OIL = ViscousDamping(1.5e-4)
 

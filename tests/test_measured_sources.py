@@ -10,7 +10,7 @@ from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 from freeart21.formats.measured_series import SeriesSettings, measure_series
 from generator.simulate import roll_out
-from simgap.surrogate import plant_of
+from simgap.motion.surrogate import plant_of
 from simgap.workflow import find_gap
 
 SOURCES = measured_sources.sources()

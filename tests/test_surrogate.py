@@ -15,9 +15,9 @@ from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from freeart21.mechanics import Actuator, held
 from generator.simulate import roll_out
-from simgap import kernel, laws
+from simgap.motion import kernel, laws
+from simgap.motion.surrogate import Batch, Inputs, Nuisance, numbers_of, plant_of, simulate, step_of, sweep, terms_of
 from simgap.settings import SurrogateSettings
-from simgap.surrogate import Batch, Inputs, Nuisance, numbers_of, plant_of, simulate, step_of, sweep, terms_of
 
 MASS, ARM, G = 1.6, 0.5, 9.81
 GRAVITY = np.array([0.0, 0.0, -G])

@@ -1,0 +1,1 @@
+"""The exporter: a reconstruction becomes a URDF with meshes that simulators load."""

@@ -1,0 +1,74 @@
+"""The door: one asset, the rules of its files, and its trial in every installed engine."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from export.check.engines.base import MODULES, SETTINGS
+from export.check.report import CheckReport, Row
+from export.check.rules import ENGINE_RULES
+from export.check.subject import find_subject
+from export.check.trial_process import ask
+from freeart21.errors import FreeArtError
+
+ENGINES = tuple(MODULES)
+TIME_LIMIT_S = 60.0
+"""Seconds that the files, or one engine, may take: three times what the heaviest known asset needs."""
+SIMCHECK_LIMIT_S = 120.0
+
+
+def check(
+    path: Path,
+    engines: Iterable[str] | None = None,
+    *,
+    simcheck: bool = False,
+    limit_s: float = TIME_LIMIT_S,
+) -> CheckReport:
+    """What every rule says of the asset at `path`: an asset folder, a folder with one URDF or MJCF, or such a file.
+
+    Args:
+        path: the asset; nothing in it is trusted, and no file outside of its folder is opened.
+        engines: names of `ENGINES` to try it in; None is all of them, those that are not installed are skipped.
+        simcheck: run the public checker of that name, too, if it is installed.
+        limit_s: seconds that the look through the files, and each engine, may take; simcheck at least 120.
+
+    Each engine runs in a process of its own, one after the other. Raises FreeArtError when there is no asset at `path`,
+    a file is named that lies outside of its folder, or an engine is not known.
+    """
+    wanted = ENGINES if engines is None else tuple(engines)
+    for engine in wanted:
+        if engine not in ENGINES:
+            raise FreeArtError(f"there is no engine '{engine}'; engines: {', '.join(ENGINES)}")
+    subject = find_subject(path)
+    request: dict[str, Any] = {
+        "folder": str(subject.folder.absolute()),
+        "urdf": subject.urdf and str(subject.urdf.absolute()),
+        "mjcf": subject.mjcf and str(subject.mjcf.absolute()),
+    }
+    answer = ask({**request, "engine": "file"}, limit_s)
+    rows, versions, seconds, settings = list(answer.rows), {}, {"file": answer.seconds}, {}
+    request["lowest"] = answer.facts.get("lowest")
+    blocked = answer.facts.get("blocked", "its files could not be looked through")
+    for engine in wanted:
+        if importlib.util.find_spec(MODULES[engine]) is None:
+            versions[engine] = "not installed"
+            rows += [Row(rule, engine, "skip", "not installed") for rule in ENGINE_RULES]
+        elif blocked:
+            rows += [Row(rule, engine, "skip", blocked) for rule in ENGINE_RULES]
+        else:
+            answer = ask({**request, "engine": engine}, limit_s)
+            rows += answer.rows
+            versions[engine] = str(answer.facts.get("version", ""))
+            settings[engine] = SETTINGS[engine]
+            seconds[engine] = answer.seconds
+    if simcheck:
+        if importlib.util.find_spec("simcheck") is None:
+            raise FreeArtError("simcheck is not installed: pip install 'freeart21[simcheck]'")
+        answer = ask({**request, "engine": "simcheck"}, max(limit_s, SIMCHECK_LIMIT_S))
+        rows += answer.rows
+        versions["simcheck"] = str(answer.facts.get("version", ""))
+        seconds["simcheck"] = answer.seconds
+    return CheckReport(str(path), tuple(rows), versions, settings, seconds)

@@ -1,0 +1,130 @@
+"""Drake: its own URDF parser, a discrete multibody plant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
+from export.check.engines.plain_urdf import plain_urdf
+from freeart21.files.urdf import UrdfInertial
+from freeart21.se3 import Array
+
+_STEP_S, _FRICTION = 0.002, 0.5
+
+
+def load(file: Path, folder: Path, setting: Setting) -> DrakeWorld:
+    """The asset in a plant of its own."""
+    from pydrake.geometry import (
+        AddContactMaterial,
+        AddRigidHydroelasticProperties,
+        DefaultProximityProperties,
+        HalfSpace,
+        ProximityProperties,
+        SceneGraphConfig,
+    )
+    from pydrake.math import RigidTransform
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+    from pydrake.systems.framework import DiagramBuilder
+
+    builder = DiagramBuilder()
+    plant, geometry = AddMultibodyPlantSceneGraph(builder, time_step=_STEP_S)
+    # a box on a plane has but one contact point where nothing is hydroelastic, and sinks in within seconds
+    said = DefaultProximityProperties(
+        compliance_type="compliant", dynamic_friction=_FRICTION, static_friction=_FRICTION
+    )
+    geometry.set_config(SceneGraphConfig(default_proximity_properties=said))
+    (model,) = Parser(plant).AddModels(plain_urdf(file, folder))
+    plant.mutable_gravity_field().set_gravity_vector([0, 0, -GRAVITY if setting.gravity else 0.0])
+    if setting.floor:
+        hard = ProximityProperties()
+        AddContactMaterial(properties=hard, friction=CoulombFriction(_FRICTION, _FRICTION))
+        AddRigidHydroelasticProperties(hard)
+        plant.RegisterCollisionGeometry(plant.world_body(), RigidTransform(), HalfSpace(), "floor", hard)
+    bodies = [plant.get_body(k) for k in plant.GetBodyIndices(model)]
+    hung = {plant.get_joint(k).child_body().name() for k in plant.GetJointIndices(model)}
+    root = next((body for body in bodies if body.name() not in hung), None)
+    if root is not None and setting.fixed:
+        plant.WeldFrames(plant.world_frame(), root.body_frame())
+    plant.Finalize()
+    return DrakeWorld(builder.Build(), plant, model, bodies, root)
+
+
+class DrakeWorld(World):
+    """See `World`."""
+
+    def __init__(self, diagram: Any, plant: Any, model: Any, bodies: list[Any], root: Any):
+        from pydrake.systems.analysis import Simulator
+
+        self.plant, self.root = plant, root
+        self.bodies = {body.name(): body for body in bodies}
+        self.simulator = Simulator(diagram)
+        self.context = plant.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
+        joints = [plant.get_joint(k) for k in plant.GetJointIndices(model)]
+        ends = [j for j in joints if j.child_body().name() in self.bodies and j.parent_body().name() in self.bodies]
+        self.parents = {name: None for name in self.bodies}
+        self.parents |= {j.child_body().name(): j.parent_body().name() for j in ends}
+        self.drake_joints = {joint.name(): joint for joint in ends if joint.num_velocities() == 1}
+        self.joints = tuple(
+            EngineJoint(
+                name,
+                joint.parent_body().name(),
+                joint.child_body().name(),
+                float(joint.position_lower_limits()[0]),
+                float(joint.position_upper_limits()[0]),
+            )
+            for name, joint in self.drake_joints.items()
+        )
+
+    def inertials(self) -> dict[str, UrdfInertial]:
+        """See `World`."""
+        found = {}
+        for name, body in self.bodies.items():
+            M = body.CalcSpatialInertiaInBodyFrame(self.context)
+            centre = np.asarray(M.get_com(), float)
+            about = np.asarray(M.CalcRotationalInertia().CopyToFullMatrix3(), float)
+            mass = float(M.get_mass())
+            about = about - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+            found[name] = UrdfInertial(mass, centre, about)
+        return found
+
+    def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
+        """See `World`."""
+        at, speed = self.plant.GetPositions(self.context).copy(), self.plant.GetVelocities(self.context).copy()
+        for name, joint in self.drake_joints.items():
+            at[joint.position_start()] = q.get(name, 0.0)
+            speed[joint.velocity_start()] = (qd or {}).get(name, 0.0)
+        self.plant.SetPositions(self.context, at)
+        self.plant.SetVelocities(self.context, speed)
+        self.simulator.Initialize()
+
+    def place(self, T_world_root: Array) -> None:
+        """See `World`."""
+        from pydrake.math import RigidTransform
+
+        T: Any = np.array(T_world_root, float)
+        self.plant.SetFreeBodyPose(self.context, self.root, RigidTransform(T))
+        self.simulator.Initialize()
+
+    def state(self) -> tuple[dict[str, float], dict[str, float]]:
+        """See `World`."""
+        at, speed = self.plant.GetPositions(self.context), self.plant.GetVelocities(self.context)
+        q = {name: float(at[joint.position_start()]) for name, joint in self.drake_joints.items()}
+        return q, {name: float(speed[joint.velocity_start()]) for name, joint in self.drake_joints.items()}
+
+    def poses(self) -> dict[str, Array]:
+        """See `World`."""
+        found = {name: body.EvalPoseInWorld(self.context) for name, body in self.bodies.items()}
+        return {name: np.asarray(T.GetAsMatrix4(), float) for name, T in found.items()}
+
+    def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
+        """See `World`."""
+        forces = np.zeros(self.plant.num_velocities())
+        for name, force in (push or {}).items():
+            forces[self.drake_joints[name].velocity_start()] = force
+        self.plant.get_applied_generalized_force_input_port().FixValue(self.context, forces)
+        self.simulator.AdvanceTo(self.simulator.get_context().get_time() + seconds)

@@ -1,0 +1,174 @@
+"""MuJoCo: MJCF as it is, URDF through MuJoCo's own compiler."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
+from export.check.engines.plain_urdf import plain_urdf
+from freeart21 import se3
+from freeart21.files.urdf import UrdfInertial, parsed_xml
+from freeart21.se3 import Array
+
+_LARGEST_STEP_S = 0.002
+
+
+def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
+    """The asset in a scene of its own."""
+    import mujoco
+
+    urdf = parsed_xml(file.read_bytes(), file).tag == "robot"
+    if urdf:
+        words = ET.Element("mujoco")
+        ET.SubElement(words, "compiler", fusestatic="false", strippath="false", discardvisual="true")
+        file = plain_urdf(file, folder, words)
+    spec = mujoco.MjSpec.from_file(str(file))
+    tops = list(spec.worldbody.bodies)
+    if len(tops) != 1:
+        raise ValueError(f"its world has {len(tops)} bodies, expected one")
+    root = tops[0]
+    free = [joint for joint in root.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    if setting.fixed:
+        for joint in free:
+            spec.delete(joint)
+        if urdf or free:  # in a fixed base MuJoCo lets neighbours collide that nobody else lets collide
+            _part_neighbours(spec, root)
+        root.pos, root.quat = [0, 0, 0], [1, 0, 0, 0]
+    elif not free:
+        root.add_freejoint()
+    if setting.floor:
+        spec.worldbody.add_geom(
+            name="floor of the check", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], contype=1, conaffinity=1
+        )
+        for geom in spec.geoms:  # a geom that collides with anything collides with the plane
+            if geom.contype or geom.conaffinity:
+                geom.contype |= 1
+    spec.option.gravity = [0, 0, -GRAVITY if setting.gravity else 0.0]
+    spec.option.timestep = min(spec.option.timestep, _LARGEST_STEP_S)
+    spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    return MujocoWorld(spec.compile(), root.name)
+
+
+def _part_neighbours(spec: Any, root: Any) -> None:
+    waiting = [root]
+    while waiting:
+        body = waiting.pop()
+        for child in body.bodies:
+            spec.add_exclude(bodyname1=body.name, bodyname2=child.name)
+            waiting.append(child)
+
+
+class MujocoWorld(World):
+    """See `World`."""
+
+    def __init__(self, model: Any, root: str):
+        import mujoco
+
+        self.model, self.data = model, mujoco.MjData(model)
+        names = [model.body(b).name for b in range(model.nbody)]
+        self.root = root
+        self.parents = {
+            names[b]: None if names[b] == root else names[model.body_parentid[b]] for b in range(1, model.nbody)
+        }
+        kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+        self.joints = tuple(self._joint(j, names) for j in range(model.njnt) if int(model.jnt_type[j]) in kinds)
+        mujoco.mj_forward(model, self.data)
+
+    def _joint(self, j: int, names: list[str]) -> EngineJoint:
+        body, limited = self.model.jnt_bodyid[j], self.model.jnt_limited[j]
+        lower, upper = self.model.jnt_range[j] if limited else (-np.inf, np.inf)
+        return EngineJoint(
+            self.model.joint(j).name, names[self.model.body_parentid[body]], names[body], float(lower), float(upper)
+        )
+
+    def inertials(self) -> dict[str, UrdfInertial]:
+        """See `World`."""
+        found = {}
+        for b in range(1, self.model.nbody):
+            R = se3.pose_from_wxyz(np.zeros(3), self.model.body_iquat[b])[:3, :3]
+            tensor = R @ np.diag(self.model.body_inertia[b]) @ R.T
+            found[self.model.body(b).name] = UrdfInertial(
+                float(self.model.body_mass[b]), self.model.body_ipos[b].copy(), tensor
+            )
+        return found
+
+    def put(self, q: Mapping[str, float], qd: Mapping[str, float] | None = None) -> None:
+        """See `World`."""
+        import mujoco
+
+        for joint in self.joints:
+            self.data.joint(joint.name).qpos[0] = q.get(joint.name, 0.0)
+            self.data.joint(joint.name).qvel[0] = (qd or {}).get(joint.name, 0.0)
+        mujoco.mj_forward(self.model, self.data)
+
+    def place(self, T_world_root: Array) -> None:
+        """See `World`."""
+        import mujoco
+
+        at = self.model.body(self.root).jntadr[0]
+        address = self.model.jnt_qposadr[at]
+        self.data.qpos[address : address + 7] = [*T_world_root[:3, 3], *se3.wxyz(T_world_root)]
+        mujoco.mj_forward(self.model, self.data)
+
+    def state(self) -> tuple[dict[str, float], dict[str, float]]:
+        """See `World`."""
+        q = {j.name: float(self.data.joint(j.name).qpos[0]) for j in self.joints}
+        return q, {j.name: float(self.data.joint(j.name).qvel[0]) for j in self.joints}
+
+    def poses(self) -> dict[str, Array]:
+        """See `World`."""
+        import mujoco
+
+        mujoco.mj_kinematics(self.model, self.data)
+        return {n: se3.pose(self.data.body(n).xmat.reshape(3, 3), self.data.body(n).xpos) for n in self.parents}
+
+    def advance(self, seconds: float, push: Mapping[str, float] | None = None) -> None:
+        """See `World`."""
+        import mujoco
+
+        for joint in self.joints:
+            address = self.model.jnt_dofadr[self.model.joint(joint.name).id]
+            self.data.qfrc_applied[address] = (push or {}).get(joint.name, 0.0)
+        mujoco.mj_step(self.model, self.data, max(1, round(seconds / self.model.opt.timestep)))
+
+    def energy(self) -> float | None:
+        """See `World`: potential energy of gravity and springs, and kinetic energy."""
+        import mujoco
+
+        mujoco.mj_forward(self.model, self.data)
+        return float(self.data.energy.sum())
+
+    def lowest(self) -> float | None:
+        """See `World`."""
+        heights = [
+            self._lowest(g)
+            for g in range(self.model.ngeom)
+            if (self.model.geom_contype[g] or self.model.geom_conaffinity[g]) and self.model.geom_bodyid[g]
+        ]
+        return min(heights, default=None)
+
+    def _lowest(self, g: int) -> float:
+        import mujoco
+
+        model, R, at = self.model, self.data.geom_xmat[g].reshape(3, 3), self.data.geom_xpos[g][2]
+        size, down = model.geom_size[g], np.abs(R[2])
+        match mujoco.mjtGeom(int(model.geom_type[g])):
+            case mujoco.mjtGeom.mjGEOM_MESH:
+                first, count = (int(a[model.geom_dataid[g]]) for a in (model.mesh_vertadr, model.mesh_vertnum))
+                return float((model.mesh_vert[first : first + count] @ R[2]).min() + at)
+            case mujoco.mjtGeom.mjGEOM_BOX:
+                return float(at - down @ size)
+            case mujoco.mjtGeom.mjGEOM_SPHERE:
+                return float(at - size[0])
+            case mujoco.mjtGeom.mjGEOM_CAPSULE:
+                return float(at - size[0] - down[2] * size[1])
+            case mujoco.mjtGeom.mjGEOM_CYLINDER:
+                return float(at - np.hypot(*R[2, :2]) * size[0] - down[2] * size[1])
+            case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+                return float(at - np.linalg.norm(R[2] * size))
+        return float(at)

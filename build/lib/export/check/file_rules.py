@@ -1,0 +1,174 @@
+"""The rules that are judged from the files alone."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from export.check.mjcf_tree import NotRead, named_files, tree_of_mjcf
+from export.check.report import Row
+from export.check.rules import FILE_RULES
+from export.check.tree import Tree, tree_of_urdf
+from export.checklist import Files, Finding, shapes_of, urdf_findings
+from export.inertia import Inertial, unphysical
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+from freeart21.files.urdf import named_inside, parsed, read_urdf
+
+GROUND_M = 1e-3
+"""How far the lowest collision point may be from z = 0: what an asset at rest may drift (`trial.DRIFT_M`)."""
+_FATAL = ("paths.exist", "inertia.physical", "limits.ordered", "numbers and meshes")
+"""Rules without which a trial says nothing; a link without inertia gets one of the engine's own."""
+_SHOWN = 3
+"""Findings of one rule that are told; of more, how many."""
+
+
+def file_rows(
+    urdf: Path | None, mjcf: Path | None, folder: Path, facts: dict[str, Any], say: Callable[[str], None]
+) -> Iterator[Row]:
+    """A row for every rule of the files, `say` told each one that may take long.
+
+    `facts` gets 'lowest', the height, m, of the lowest collision point in the root's frame with the joints as loaded
+    (None when nothing collides), and 'blocked', why no engine can be expected to load it (empty when nothing speaks
+    against it).
+    """
+    facts |= {"lowest": None, "blocked": ""}
+    if urdf is None:
+        assert mjcf is not None
+        yield from _mjcf_rows(mjcf, folder, facts)
+        return
+    say("numbers and meshes")
+    robot = parsed(urdf)
+    findings = urdf_findings(robot, urdf, folder)
+    stop = [f for f in findings if f.item == "tree" or f.rule in _FATAL]
+    skipped: dict[str, str] = {}
+    if stop:
+        facts["blocked"] = f"{stop[0].rule} fails"
+    if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):
+        skipped = dict.fromkeys(
+            list(FILE_RULES)[list(FILE_RULES).index("inertia.centre-inside") :], "the tree or its files are not whole"
+        )
+    else:
+        say("mesh.readable")
+        files = partial(named_inside, urdf, folder=folder)
+        findings += _visuals(robot, files)
+        try:
+            tree = tree_of_urdf(read_urdf(urdf))
+        except FreeArtError as error:
+            findings.append(Finding("numbers and meshes", str(error)))
+            facts["blocked"] = "numbers and meshes fails"
+        else:
+            findings += _damped(tree)
+            say("stands.on-ground")
+            findings += _ground(tree, robot, files, facts, skipped)
+    yield from rows_of(findings, skipped)
+
+
+def rows_of(findings: list[Finding], skipped: dict[str, str]) -> Iterator[Row]:
+    """A row for every rule of the files, from what is wrong and what was not judged."""
+    for rule in FILE_RULES:
+        wrong = [finding.detail for finding in findings if finding.rule == rule]
+        if wrong:
+            more = f" (and {len(wrong) - _SHOWN} more)" if len(wrong) > _SHOWN else ""
+            yield Row(rule, "file", "fail", "; ".join(wrong[:_SHOWN]) + more, float(len(wrong)), "findings")
+        elif rule in skipped:
+            yield Row(rule, "file", "skip", skipped[rule])
+        else:
+            yield Row(rule, "file", "pass")
+
+
+def _visuals(robot: ET.Element, files: Files) -> Iterator[Finding]:
+    for link in robot.findall("link"):
+        for k, visual in enumerate(link.findall("visual")):
+            alone = ET.Element("link", link.attrib)
+            alone.append(visual)
+            where = f"visual {k} of link '{link.get('name')}'"
+            try:
+                shapes = shapes_of(alone, "visual", files)
+            except Exception as error:  # parsers of many formats
+                yield Finding("mesh.readable", f"{where}: {(str(error).splitlines() or [''])[0]}")
+                continue
+            for _, mesh in shapes:
+                if not len(mesh.faces) or not np.isfinite(mesh.vertices).all() or not mesh.area > 0:
+                    yield Finding("mesh.readable", f"{where} has no surface")
+                elif not _closed(mesh):
+                    yield Finding("mesh.watertight", f"{where} is not closed")
+
+
+def _closed(mesh: trimesh.Trimesh) -> bool:
+    """Whether each edge has two faces, with corners of equal position taken for one: seams of textures split them."""
+    _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    faces = place.reshape(-1)[mesh.faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    return bool((count % 2 == 0).all())
+
+
+def _damped(tree: Tree) -> Iterator[Finding]:
+    for joint in tree.movable:
+        if not (joint.damping > 0 or joint.friction > 0):
+            yield Finding("dynamics.damped", f"joint '{joint.name}' has neither damping nor friction")
+
+
+def _ground(
+    tree: Tree, robot: ET.Element, files: Files, facts: dict[str, Any], skipped: dict[str, str]
+) -> Iterator[Finding]:
+    Ts = tree.link_poses(tree.complete({joint.name: joint.loaded for joint in tree.movable}))
+    heights = []
+    for link in robot.findall("link"):
+        for T, mesh in shapes_of(link, "collision", files):
+            if len(mesh.vertices):
+                heights.append(float(se3.transform(Ts[link.get("name", "")] @ T, mesh.vertices)[:, 2].min()))
+    if not heights:
+        skipped["stands.on-ground"] = "nothing of it collides"
+        return
+    facts["lowest"] = min(heights)
+    if abs(min(heights)) > GROUND_M:
+        said = f"its lowest collision point is at z = {1e3 * min(heights):.4g} mm, expected 0 within {1e3 * GROUND_M:g}"
+        yield Finding("stands.on-ground", said)
+
+
+def _mjcf_rows(mjcf: Path, folder: Path, facts: dict[str, Any]) -> Iterator[Row]:
+    """What can be said of an MJCF without MuJoCo."""
+    findings = [
+        Finding("paths.exist", f"file '{file.name}' does not exist")
+        for file in named_files(mjcf, folder)
+        if not file.is_file()
+    ]
+    if findings:
+        facts["blocked"] = "paths.exist fails"
+    judged = {"paths.exist"}
+    try:
+        tree = tree_of_mjcf(mjcf)
+    except NotRead as error:
+        why = f"{error}, which only MuJoCo reads"
+        yield from rows_of(findings, {rule: why for rule in FILE_RULES if rule not in judged})
+        return
+    except FreeArtError as error:
+        tree = None
+        findings.append(Finding("numbers and meshes", str(error)))
+    judged |= {"numbers and meshes", "tree.one-root", "tree.one-parent", "tree.links-exist"}
+    if tree is not None:
+        judged |= {"inertia.physical", "limits.ordered", "limits.zero-within", "dynamics.damped"}
+        findings += [*_damped(tree), *_numbers(tree)]
+    yield from rows_of(findings, {rule: "of URDFs alone" for rule in FILE_RULES if rule not in judged})
+
+
+def _numbers(tree: Tree) -> Iterator[Finding]:
+    for name, body in tree.inertials.items():
+        wrong = unphysical(Inertial(body.mass, body.centre, body.inertia))
+        if wrong:
+            yield Finding("inertia.physical", f"body '{name}': {wrong}", broken=True)
+    for joint in tree.movable:
+        said = f"joint '{joint.name}' has limits {joint.lower:g} to {joint.upper:g}"
+        if not joint.ordered:
+            yield Finding("limits.ordered", f"{said}, expected lower < upper")
+        elif not joint.lower <= 0 <= joint.upper:
+            yield Finding("limits.zero-within", f"{said}, expected zero within")

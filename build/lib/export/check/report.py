@@ -1,0 +1,113 @@
+"""What came of a check: a row for every rule and where it was judged."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import freeart21
+from export.check.rules import RULES
+
+SCHEMA = "freeart21/check/1"
+Verdict = Literal["pass", "fail", "skip"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One rule, judged once."""
+
+    rule: str
+    """Stable id, a key of `rules.RULES`; the rules of simcheck are `simcheck.` and its own id."""
+    engine: str
+    """'file' for what is read from the files alone, else the engine or checker."""
+    verdict: Verdict
+    reason: str = ""
+    """What is wrong or why it was skipped; of a pass, what was measured, if anything."""
+    value: float | None = None
+    """The measured number that was held against the rule's bar, in `unit`."""
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """All rows of one asset."""
+
+    path: str
+    """As it was named."""
+    rows: tuple[Row, ...]
+    engines: dict[str, str] = field(default_factory=dict)
+    """Engine to version, or why it was not used."""
+    settings: dict[str, str] = field(default_factory=dict)
+    """Engine to the time step and contact settings that it ran with."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Engine to wall time, its start included."""
+
+    @property
+    def failed(self) -> tuple[Row, ...]:
+        """The rows that fail."""
+        return tuple(row for row in self.rows if row.verdict == "fail")
+
+    @property
+    def passed(self) -> bool:
+        """Whether no rule failed and one at least was judged."""
+        return not self.failed and any(row.verdict == "pass" for row in self.rows)
+
+    def to_json(self) -> dict[str, Any]:
+        """For a file: everything, and what each rule that appears is good for."""
+        named = {row.rule: asdict(RULES[row.rule]) for row in self.rows if row.rule in RULES}
+        return {
+            "schema": SCHEMA,
+            "path": self.path,
+            "checked_by": f"freeart21 {freeart21.__version__}",
+            "passed": self.passed,
+            "rows": [asdict(row) for row in self.rows],
+            "rules": named,
+            "engines": self.engines,
+            "settings": self.settings,
+            "seconds": self.seconds,
+        }
+
+
+def print_report(report: CheckReport) -> None:
+    """A table of the rules against where they were judged, then every failure and every skip in a line of its own."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    engines = list(dict.fromkeys(row.engine for row in report.rows if not row.rule.startswith("simcheck.")))
+    marks = {"pass": "[green]pass[/]", "fail": "[bold red]fail[/]", "skip": "[dim]skip[/]"}
+    worst: dict[tuple[str, str], Verdict] = {}
+    order: tuple[Verdict, ...] = ("skip", "pass", "fail")
+    for row in report.rows:
+        key = (row.rule, row.engine)
+        worst[key] = max(worst.get(key, "skip"), row.verdict, key=order.index)
+    table = Table("rule", *engines, title=escape(f"check-asset {Path(report.path).name}"))
+    for rule in dict.fromkeys(row.rule for row in report.rows if not row.rule.startswith("simcheck.")):
+        table.add_row(rule, *(marks[worst[rule, e]] if (rule, e) in worst else "" for e in engines))
+    console = Console()
+    console.print(table)
+    for row in report.failed:
+        print(f"fail  {row.rule} ({row.engine}): {row.reason}")
+    skips: dict[tuple[str, str], list[str]] = {}
+    for row in report.rows:
+        if row.verdict == "skip" and not row.rule.startswith("simcheck."):
+            skips.setdefault((row.engine, row.reason), []).append(row.rule)
+    for (engine, reason), rules in skips.items():
+        which = rules[0] if len(rules) == 1 else f"{len(rules)} rules"
+        print(f"skip  {which} ({engine}): {reason}")
+    theirs = [row for row in report.rows if row.rule.startswith("simcheck.")]
+    for row in theirs:
+        if row.verdict == "pass" and row.reason.startswith("warn: "):
+            print(f"note  {row.rule} ({row.engine}): {row.reason.removeprefix('warn: ')}")
+    for engine, seconds in report.seconds.items():
+        settings = f"; {report.settings[engine]}" if engine in report.settings else ""
+        print(f"{engine} {report.engines.get(engine, '')}: {seconds:.1f} s{settings}")
+
+
+def write_report(path: Path, report: CheckReport) -> None:
+    """The report as a JSON file."""
+    from freeart21.files import atomic
+
+    atomic.write_bytes(path, (json.dumps(report.to_json(), indent=1) + "\n").encode())

@@ -1,0 +1,98 @@
+"""What is checked: an asset folder of ours, a folder with one URDF or MJCF, or such a file. Nothing is trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.files.asset import read_asset
+from freeart21.files.urdf import MAX_URDF_BYTES, named_inside, parsed_xml
+
+MAX_FILE_BYTES = 256 << 20
+"""Bytes of one file that is named."""
+MAX_BYTES = 1 << 30
+"""Bytes of all of them."""
+_LOOKED_AT = 100
+"""Files of a folder of which it is asked whether they are a URDF or MJCF."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The files of one asset; at least one of URDF and MJCF."""
+
+    folder: Path
+    """No file outside of it is opened."""
+    urdf: Path | None
+    mjcf: Path | None
+
+
+def find_subject(path: Path) -> Subject:
+    """The asset at `path`.
+
+    Raises FreeArtError when there is none or it is not clear which, when a file declares a document type (so entities),
+    names a file outside of the folder, or is too large.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FreeArtError(f"{path} does not exist")
+    if path.is_file():
+        kind = _kind(path)
+        if kind is None:
+            raise FreeArtError(f"{path} is no asset: expected a folder, a URDF (<robot>) or an MJCF (<mujoco>)")
+        subject = Subject(path.parent, path if kind == "robot" else None, path if kind == "mujoco" else None)
+    elif (path / "asset.json").is_file():
+        urdf = read_asset(path).urdf
+        beside = urdf.with_suffix(".xml")
+        subject = Subject(path.resolve(), urdf, beside if _kind(beside) == "mujoco" else None)  # as the URDF's is
+    else:
+        subject = _in_folder(path)
+    _check_files(subject)
+    return subject
+
+
+def _in_folder(folder: Path) -> Subject:
+    """The only URDF or MJCF of a folder or, where it holds none itself, of the folders below."""
+    for pattern in ("*", "*/*"):
+        files = sorted(islice((f for f in folder.glob(pattern) if f.suffix in (".urdf", ".xml")), _LOOKED_AT))
+        kinds = {file: _kind(file) for file in files}
+        urdfs = [file for file, kind in kinds.items() if kind == "robot"]
+        mjcfs = [file for file, kind in kinds.items() if kind == "mujoco"]
+        if len(urdfs) == 1:
+            beside = urdfs[0].with_suffix(".xml")
+            return Subject(folder, urdfs[0], beside if beside in mjcfs else None)
+        if not urdfs and len(mjcfs) == 1:
+            return Subject(folder, None, mjcfs[0])
+        if urdfs or mjcfs:
+            names = ", ".join(file.relative_to(folder).as_posix() for file in [*urdfs, *mjcfs])
+            raise FreeArtError(f"{folder} holds several URDF or MJCF files; name one of {names}")
+    raise FreeArtError(f"{folder} is no asset: it holds neither asset.json nor a URDF or MJCF file")
+
+
+def _kind(path: Path) -> str | None:
+    """'robot' or 'mujoco', from the root element; None for other files."""
+    if path.suffix.lower() not in (".urdf", ".xml") or not path.is_file():
+        return None
+    data = checked.require_file(path, MAX_URDF_BYTES).read_bytes()
+    tag = parsed_xml(data, path).tag
+    return tag if tag in ("robot", "mujoco") else None
+
+
+def _check_files(subject: Subject) -> None:
+    files: set[Path] = set()
+    if subject.urdf is not None:
+        for element in parsed_xml(subject.urdf.read_bytes(), subject.urdf).iter():
+            if element.get("filename"):
+                files.add(named_inside(subject.urdf, element.get("filename", ""), subject.folder))
+    if subject.mjcf is not None:
+        from export.check.mjcf_tree import named_files
+
+        files |= set(named_files(subject.mjcf, subject.folder))
+    sizes = {file: file.stat().st_size for file in files if file.is_file()}
+    for file, size in sizes.items():
+        if size > MAX_FILE_BYTES:
+            raise FreeArtError(f"{file} has {size} bytes, at most {MAX_FILE_BYTES} are read")
+    if sum(sizes.values()) > MAX_BYTES:
+        raise FreeArtError(f"{subject.folder} names files of {sum(sizes.values())} bytes, at most {MAX_BYTES} are read")

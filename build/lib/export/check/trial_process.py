@@ -1,0 +1,171 @@
+"""The process in which an asset is looked through, or tried in one engine: what crashes or hangs there ends it alone.
+
+It reads one request from standard input and writes a line of JSON for each rule that it begins and each row that it
+has, each after a mark, whatever native code prints in between.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from export.check.report import Row
+from export.check.rules import ENGINE_RULES, FILE_RULES
+from freeart21 import child
+from freeart21.errors import FreeArtError
+
+MARK = "freeart21-check:"
+_MEMORY = 12 << 30
+"""Bytes of address space that a trial may take."""
+_LONGEST_OUTPUT = 4 << 20
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a process found."""
+
+    rows: tuple[Row, ...]
+    facts: dict[str, Any]
+    """What the file stage found out, and the engine's version."""
+    seconds: float
+
+
+def ask(request: dict[str, Any], limit_s: float) -> Answer:
+    """The rows of one stage, asked in a process of its own; a rule at which it crashed or hung has failed."""
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory() as place, tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as errors:
+        process = subprocess.Popen(
+            child.command("export.check.trial_process"),
+            stdin=subprocess.PIPE,
+            stdout=said,
+            stderr=errors,
+            env={**_environment(), "TMPDIR": place},
+        )
+        end = ""
+        try:
+            process.communicate(json.dumps(request).encode(), timeout=limit_s)
+        except subprocess.TimeoutExpired:
+            end = f"it took more than {limit_s:g} s"
+        finally:
+            process.kill()
+            process.wait()
+        said.seek(0)
+        lines = said.read(_LONGEST_OUTPUT).decode(errors="replace").splitlines()
+        errors.seek(0)
+        last = (errors.read(_LONGEST_OUTPUT).decode(errors="replace").strip().splitlines() or [""])[-1][:200]
+    if not end and process.returncode != 0:
+        how = f"signal {-process.returncode}" if process.returncode < 0 else f"exit code {process.returncode}"
+        end = f"it ended the engine ({how}){': ' + last if last else ''}"
+    return _understood(request["engine"], lines, end, time.monotonic() - began)
+
+
+def _environment() -> dict[str, str]:
+    import os
+
+    threads = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    return {**os.environ, **dict.fromkeys(threads, "1")}
+
+
+def _understood(engine: str, lines: list[str], end: str, seconds: float) -> Answer:
+    rows: list[Row] = []
+    facts: dict[str, Any] = {}
+    trying = ""
+    for line in lines:
+        if line.startswith(MARK):
+            told = json.loads(line[len(MARK) :])
+            trying = told.get("trying", trying)
+            facts |= told.get("facts", {})
+            if "row" in told:
+                rows.append(Row(**told["row"]))
+    if end:
+        rules = list(FILE_RULES if engine == "file" else ENGINE_RULES)
+        done = {row.rule for row in rows}
+        failed = trying or rules[0]
+        rows.append(Row(failed, engine, "fail", end))
+        rows += [Row(r, engine, "skip", "not reached") for r in rules if r not in done and r != failed]
+    return Answer(tuple(rows), facts, seconds)
+
+
+# ---- in the process
+
+
+def main() -> None:
+    """Answer the request on standard input."""
+    request = json.loads(sys.stdin.read())
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    try:
+        for row in _rows(request):
+            _tell(row=asdict(row))
+    except Exception as error:  # hostile files reach parsers of many libraries
+        print(child.one_line(error), file=sys.stderr)
+        _leave(1)
+    _leave(0)
+
+
+def _leave(code: int) -> None:
+    """Without the engine's teardown, in which some crash."""
+    import os
+
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+def _tell(**what: object) -> None:
+    print(f"\n{MARK}{json.dumps(what)}", flush=True)
+
+
+def _rows(request: dict[str, Any]) -> Iterator[Row]:
+    engine, folder = request["engine"], Path(request["folder"])
+    urdf, mjcf = (Path(request[key]) if request.get(key) else None for key in ("urdf", "mjcf"))
+    if engine == "file":
+        from export.check.file_rules import file_rows
+
+        facts: dict[str, Any] = {}
+        yield from file_rows(urdf, mjcf, folder, facts, lambda rule: _tell(trying=rule))
+        _tell(facts=facts)
+        return
+    if engine == "simcheck":
+        from export.check.simcheck_rules import simcheck_rows
+
+        file = urdf or mjcf
+        assert file is not None
+        yield from simcheck_rows(file)
+        _tell(facts={"version": metadata.version("simcheck")})
+        return
+    from export.check.engines.base import load_world
+    from export.check.trial import Trial
+
+    _tell(facts={"version": metadata.version(engine)})
+    file = mjcf if engine == "mujoco" and mjcf is not None else urdf
+    if file is None:
+        for rule in ENGINE_RULES:
+            yield Row(rule, engine, "skip", "it is tried with URDFs alone")
+        return
+    trial = Trial(engine, _tree(urdf, mjcf), request.get("lowest"), partial(load_world, engine, file, folder))
+    yield from trial.rows(lambda rule: _tell(trying=rule))
+
+
+def _tree(urdf: Path | None, mjcf: Path | None) -> Any:
+    from export.check.mjcf_tree import NotRead, tree_of_mjcf
+    from export.check.tree import tree_of_urdf
+    from freeart21.files.urdf import read_urdf
+
+    if urdf is not None:
+        return tree_of_urdf(read_urdf(urdf))
+    assert mjcf is not None
+    try:
+        return tree_of_mjcf(mjcf)
+    except (NotRead, FreeArtError):
+        return None

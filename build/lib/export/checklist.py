@@ -1,0 +1,340 @@
+"""What an asset must be before it is shipped, as code: one finding for each thing that is wrong."""
+
+from __future__ import annotations
+
+import importlib.util
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from export.inertia import Inertial, unphysical
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.files.asset import read_asset
+from freeart21.files.urdf import link_poses, named_inside, numbers, origin_pose, parsed, read_urdf_joints, told
+from freeart21.se3 import Array
+from generator.simulate import joint_motion
+
+MAX_HULLS = 256
+"""Collision geometries a link may have: a thin-walled part within 2 mm takes up to some hundred."""
+MAX_MESH_BYTES = 256 << 20
+"""Bytes of a mesh or material file that is looked through."""
+Files = Callable[[str], Path]
+"""Where the file is that a URDF names."""
+FK_TOLERANCE = 1e-6
+"""Rotation entries and metres by which two simulators may disagree on where a link is."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong with an asset."""
+
+    rule: str
+    """The rule that it breaks, such as 'limits.zero-within'."""
+    detail: str
+    """What is wrong, got and expected."""
+    broken: bool = False
+    """Whether the asset is no body at all (a mass or inertia that none has), rather than a poor one."""
+
+    @property
+    def item(self) -> str:
+        """The point of the checklist that the rule belongs to, such as 'limits'."""
+        return self.rule.partition(".")[0]
+
+    def __str__(self) -> str:
+        return f"{self.item}: {self.detail}"
+
+
+def check_asset(folder: Path) -> list[Finding]:
+    """Everything that is wrong with the asset in `folder`; empty when it may be shipped.
+
+    Reads the URDF as text, looks at every file that it names, reloads it in SAPIEN (and its MJCF in MuJoCo when that is
+    installed) and compares where the moving link goes. A folder that is no asset at all is one finding.
+    """
+    folder = Path(folder)
+    try:
+        asset = read_asset(folder)
+        robot = parsed(asset.urdf)
+    except (FreeArtError, ValueError, OverflowError, RecursionError) as error:
+        return [Finding("asset", str(error))]
+    findings = urdf_findings(robot, asset.urdf, asset.urdf.parent)
+    if findings:
+        return findings
+    try:
+        return list(_reload(asset, robot))
+    except Exception as error:  # hostile numbers reach parsers and geometry of many libraries
+        return [Finding("numbers and meshes", _said(error))]
+
+
+def urdf_findings(robot: ET.Element, urdf: Path, folder: Path) -> list[Finding]:
+    """What is wrong with the URDF's text, and with the files that it names in `folder`; nothing is simulated."""
+    masses = [finding for link in robot.findall("link") for finding in _masses(link, robot)]
+    findings = [*_tree(robot), *_names(robot), *_paths(robot, urdf, folder)]
+    if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):  # the rest needs a tree with all its files
+        return [*findings, *masses]
+    findings += masses
+    files = partial(named_inside, urdf, folder=folder)
+    try:
+        for link in robot.findall("link"):
+            if not any(finding.broken for finding in masses):
+                findings += _mass_centre(link, files)
+            findings += _collisions(link, files)
+            findings += _textures(link, files, folder)
+        for joint in robot.findall("joint"):
+            findings += [*_axis(joint), *_limits(joint)]
+    except Exception as error:  # hostile numbers reach parsers and geometry of many libraries
+        findings.append(Finding("numbers and meshes", _said(error)))
+    return findings
+
+
+def _said(error: Exception) -> str:
+    lines = str(error).splitlines() or [""]
+    return lines[0] if isinstance(error, FreeArtError) else f"{type(error).__name__}: {lines[0]}"
+
+
+def _tree(robot: ET.Element) -> Iterator[Finding]:
+    links = [link.get("name", "") for link in robot.findall("link")]
+    ends = [(told(j, "parent", "link"), told(j, "child", "link")) for j in robot.findall("joint")]
+    for end in {e for pair in ends for e in pair}:
+        if end not in links:
+            yield Finding("tree.links-exist", f"a joint names link '{end}'; links: {', '.join(links)}")
+    children = [child for _, child in ends]
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1:
+        yield Finding("tree.one-root", f"roots are {', '.join(roots) or 'none'}, expected one")
+    hung = set(roots)
+    while grown := {child for parent, child in ends if parent in hung} - hung:
+        hung |= grown
+    if roots and set(links) - hung:
+        yield Finding("tree.one-root", f"links {', '.join(sorted(set(links) - hung))} do not hang on the root")
+    for child in sorted({c for c in children if children.count(c) > 1}):
+        yield Finding("tree.one-parent", f"link '{child}' is the child of {children.count(child)} joints, expected one")
+
+
+def _names(robot: ET.Element) -> Iterator[Finding]:
+    groups = {
+        "link": robot.findall("link"),
+        "joint": robot.findall("joint"),
+        "visual": list(robot.iter("visual")),
+        "collision": list(robot.iter("collision")),
+    }
+    for kind, elements in groups.items():
+        names = [e.get("name", "") for e in elements if kind in ("link", "joint") or e.get("name")]
+        for name in sorted({n for n in names if names.count(n) > 1 or not n}):
+            yield Finding(
+                "names.unique", f"{kind} name '{name}' is used {names.count(name)} times, expected unique names"
+            )
+
+
+def _paths(robot: ET.Element, urdf: Path, folder: Path) -> Iterator[Finding]:
+    for element in [*robot.iter("mesh"), *robot.iter("texture")]:
+        name = element.get("filename", "")
+        if not name or Path(name).is_absolute() or "://" in name or " " in name or ".." in Path(name).parts:
+            expected = "expected a relative path without spaces in the asset's folder"
+            yield Finding("paths.relative", f"file '{name}', {expected}")
+        try:
+            there = named_inside(urdf, name, folder).is_file()
+        except FreeArtError:
+            there = False
+        if not there:
+            yield Finding("paths.exist", f"file '{name}' does not exist")
+
+
+def _masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:
+    """Mass and inertia as numbers alone: what no body can have is broken."""
+    name = link.get("name")
+    if link.find("inertial") is None:
+        if any(told(j, "child", "link") == name for j in robot.findall("joint") if j.get("type") != "fixed"):
+            yield Finding("inertia.present", f"link '{name}' moves and has no <inertial>", broken=True)
+        return
+    rows = ("ixx ixy ixz", "ixy iyy iyz", "ixz iyz izz")
+    try:
+        inertia = np.array([[_number(link, "inertial/inertia", key, "0") for key in row.split()] for row in rows])
+        wrong = unphysical(Inertial(_number(link, "inertial/mass", "value", "0"), _mass_place(link), inertia))
+    except (FreeArtError, np.linalg.LinAlgError) as error:
+        wrong = f"mass, centre or inertia cannot be read: {error}"
+    if wrong:
+        yield Finding("inertia.physical", f"link '{name}': {wrong}", broken=True)
+
+
+def _mass_centre(link: ET.Element, files: Files) -> Iterator[Finding]:
+    """The centre of mass, which lies among the link's collision geometry."""
+    points = [se3.transform(T, mesh.vertices) for T, mesh in shapes_of(link, "collision", files)]
+    if points and link.find("inertial") is not None:
+        box, centre = np.concatenate(points), _mass_place(link)
+        if (centre < box.min(0) - 1e-6).any() or (centre > box.max(0) + 1e-6).any():
+            off = "has its centre of mass outside of its collision box"
+            yield Finding("inertia.centre-inside", f"link '{link.get('name')}' {off}")
+
+
+def _mass_place(link: ET.Element) -> Array:
+    return numbers(told(link, "inertial/origin", "xyz", "0 0 0"), 3, f"link '{link.get('name')}' has xyz")
+
+
+def _collisions(link: ET.Element, files: Files) -> Iterator[Finding]:
+    name = link.get("name")
+    if link.find("visual") is not None and link.find("collision") is None:
+        yield Finding("collision.present", f"link '{name}' can be seen but not touched: it has no collision geometry")
+    n = len(link.findall("collision"))
+    if n > MAX_HULLS:
+        yield Finding("collision.few", f"link '{name}' has {n} collision geometries, expected at most {MAX_HULLS}")
+    for k, (_, mesh) in enumerate(shapes_of(link, "collision", files)):
+        convex = mesh.convex_hull.volume if len(mesh.faces) else 0.0
+        if not mesh.is_watertight or not mesh.volume > 0:
+            yield Finding(
+                "collision.closed", f"mesh {k} of link '{name}' is not a closed solid with its faces outwards"
+            )
+        elif mesh.volume < convex * (1 - 1e-3):
+            filled = f"it fills {mesh.volume / convex:.1%} of its hull"
+            yield Finding("collision.convex", f"mesh {k} of link '{name}' is not convex: {filled}")
+
+
+def _textures(link: ET.Element, files: Files, folder: Path) -> Iterator[Finding]:
+    for mesh in link.findall("visual/geometry/mesh"):
+        path = files(mesh.get("filename", ""))
+        if path.suffix.lower() != ".obj":
+            continue
+        for library in _words(path, "mtllib"):
+            material = checked.inside(folder, str((path.parent / library).resolve()))
+            if not material.is_file():
+                yield Finding("textures.exist", f"{path.name} names {library}, which does not exist")
+                continue
+            for image in _words(material, "map_Kd"):
+                if not (material.parent / image).is_file():
+                    yield Finding("textures.exist", f"{material.name} names {image}, which does not exist")
+
+
+def _axis(joint: ET.Element) -> Iterator[Finding]:
+    if joint.get("type") == "fixed":
+        return
+    name = joint.get("name")
+    length = float(np.linalg.norm(numbers(told(joint, "axis", "xyz", "1 0 0"), 3, f"joint '{name}' has axis")))
+    if abs(length - 1) > 1e-6:
+        yield Finding("axis.unit", f"joint '{name}' has an axis of length {length:.6g}, expected 1")
+
+
+def _limits(joint: ET.Element) -> Iterator[Finding]:
+    name = joint.get("name")
+    if joint.get("type") not in ("revolute", "prismatic"):
+        return
+    if joint.find("limit") is None:
+        yield Finding("limits.present", f"joint '{name}' has no <limit>")
+        return
+    lower, upper = (_number(joint, "limit", key, "0") for key in ("lower", "upper"))
+    if not lower < upper:
+        yield Finding("limits.ordered", f"joint '{name}' has limits {lower:g} to {upper:g}, expected lower < upper")
+    elif not lower <= 0 <= upper:
+        yield Finding("limits.zero-within", f"joint '{name}' has limits {lower:g} to {upper:g}, expected zero within")
+    for key in ("effort", "velocity"):
+        value = _number(joint, "limit", key, "0")
+        if not value > 0:
+            yield Finding(f"limits.{key}", f"joint '{name}' has {key} {value:g}, expected more than 0")
+
+
+def _reload(asset: Asset, robot: ET.Element) -> Iterator[Finding]:
+    """The moving link's way as the URDF's numbers say it, against SAPIEN and MuJoCo."""
+    joint = next(j for j in robot.findall("joint") if j.get("name") == asset.joint)
+    lower, upper = (_number(joint, "limit", key, default) for key, default in (("lower", "-1"), ("upper", "1")))
+    positions = np.linspace(lower, upper, 7)
+    said = np.stack([_T_reference_moving(asset, q) for q in positions])
+    zero = _T_reference_moving(asset, asset.state_zero)
+    C = asset.T_canonical_reference
+    expected = C @ said @ se3.inverse(zero) @ se3.inverse(C)
+    try:
+        plain = replace(asset, effects={})  # kinematic effects go beyond the URDF
+        off = float(np.abs(joint_motion(plain, positions - asset.state_zero) - expected).max())
+    except FreeArtError as fault:
+        yield Finding("reload", str(fault))
+        return
+    if off > FK_TOLERANCE:
+        yield Finding("reload", f"SAPIEN moves '{asset.moving_link}' to {off:.2g} from where the URDF says")
+    mjcf = asset.urdf.with_suffix(".xml")
+    if mjcf.is_file() and importlib.util.find_spec("mujoco"):
+        yield from _reload_mujoco(asset, mjcf, positions, said)
+
+
+def _reload_mujoco(asset: Asset, mjcf: Path, positions: Array, said: Array) -> Iterator[Finding]:
+    import mujoco
+
+    try:
+        model = mujoco.MjModel.from_xml_path(str(mjcf))
+    except ValueError as error:
+        yield Finding("mujoco", str(error).splitlines()[0])
+        return
+    data = mujoco.MjData(model)
+
+    def pose(body: str) -> Array:
+        return se3.pose(data.body(body).xmat.reshape(3, 3), data.body(body).xpos)
+
+    worst = 0.0
+    for q, T in zip(positions, said, strict=True):
+        data.joint(asset.joint).qpos[0] = q
+        mujoco.mj_kinematics(model, data)
+        off = np.abs(se3.inverse(pose(asset.reference_link)) @ pose(asset.moving_link) - T).max()
+        worst = max(worst, float(off))
+    if worst > FK_TOLERANCE:
+        yield Finding("mujoco", f"MuJoCo puts '{asset.moving_link}' {worst:.2g} from where the URDF says")
+
+
+def _T_reference_moving(asset: Asset, q: float) -> Array:
+    """Forward kinematics from the URDF's numbers alone, other joints as held."""
+    Ts = link_poses(read_urdf_joints(asset.urdf), {**asset.held, asset.joint: q})
+    return se3.inverse(Ts[asset.reference_link]) @ Ts[asset.moving_link]
+
+
+def shapes_of(link: ET.Element, tag: str, files: Files) -> list[tuple[Array, trimesh.Trimesh]]:
+    """Pose in the link and mesh of every visual or collision (`tag`) of a link that has a shape, scaled.
+
+    Raises FreeArtError when a mesh cannot be read or a size is none.
+    """
+    found = []
+    where = f"link '{link.get('name')}'"
+    for element in link.findall(tag):
+        shape = element.find("geometry/*")
+        solid = None if shape is None else _solid(shape, files, where)
+        if solid is not None:
+            found.append((origin_pose(element, where), solid))
+    return found
+
+
+def _solid(shape: ET.Element, files: Files, where: str) -> trimesh.Trimesh | None:
+    """The mesh of a geometry in its own frame; None for a kind that URDF does not know."""
+
+    def size(attribute: str, count: int = 1, default: str | None = None) -> Array:
+        return numbers(shape.get(attribute, default), count, f"{where} has {attribute}")
+
+    match shape.tag:
+        case "box":
+            return trimesh.creation.box(size("size", 3))
+        case "sphere":
+            return trimesh.creation.icosphere(3, float(size("radius")[0]))
+        case "cylinder":
+            return trimesh.creation.cylinder(float(size("radius")[0]), float(size("length")[0]))
+        case "capsule":
+            return trimesh.creation.capsule(float(size("length")[0]), float(size("radius")[0]))
+        case "mesh":
+            path = files(shape.get("filename", ""))
+            try:
+                loaded = trimesh.load_mesh(checked.require_file(path, MAX_MESH_BYTES), process=False)
+            except Exception as error:
+                raise FreeArtError(f"{path} is not a readable mesh: {error}") from error
+            return loaded.apply_scale(size("scale", 3, "1 1 1"))
+    return None
+
+
+def _words(path: Path, key: str) -> list[str]:
+    """What follows `key` on the lines of an OBJ or MTL file that begin with it."""
+    with checked.require_file(path, MAX_MESH_BYTES).open(encoding="utf-8", errors="replace") as file:
+        return [line[len(key) :].strip() for line in file if line.startswith(key + " ")]
+
+
+def _number(element: ET.Element, path: str, attribute: str, default: str) -> float:
+    what = f"{element.tag} '{element.get('name')}' has {attribute}"
+    return float(numbers(told(element, path, attribute, default), 1, what)[0])

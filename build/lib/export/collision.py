@@ -1,0 +1,138 @@
+"""What a part collides with: convex pieces that follow its surface within a tolerance, so that openings stay open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import manifold3d
+import numpy as np
+from numpy.typing import NDArray
+
+from export.decomposition import Tolerance, convex_pieces, thickened
+from export.fidelity import Fidelity, measured
+from export.outside import even_directions, outside_of
+from export.primitive_fit import primitive_of
+from export.primitives import Primitive
+from freeart21.errors import FreeArtError
+from freeart21.mesh import Mesh
+
+_LEVEL = 5e-5
+"""m by which a primitive may miss the ground: of a foot 1 cm long that is a tilt of .005."""
+
+
+@dataclass(frozen=True)
+class CollisionSettings:
+    """How a part is cut into convex pieces."""
+
+    tolerance_m: float = 1.2e-3
+    """m by which a piece may stand out of the part. Of parts under 6 cm a fiftieth of their size; of large ones half
+    the spacing of the points that are looked at, 1.5 mm for a cabinet of 65 cm."""
+    max_hulls: int = 256
+    """Pieces a part may have; beyond, the tolerance is widened. A stapler's base takes 62."""
+    max_vertices: int = 48
+    """Vertices a piece may have; PhysX takes at most 255, MuJoCo likes few."""
+    min_thickness_m: float = 1e-3
+    """Thinner pieces are made this thick: simulators refuse flat solids."""
+    primitives: bool = True
+    """Whether boxes, cylinders and balls stand for pieces that are as good as such."""
+    patches: int = 2500
+    """Pieces that the surface is split into at most, before they are joined."""
+    pairs: int = 60_000
+    """Pairs of pieces at most whose joining is thought of: bounds the time."""
+
+
+@dataclass(frozen=True)
+class Collision:
+    """The convex pieces of a part, and how true they are to it."""
+
+    hulls: tuple[Mesh, ...]
+    """Closed convex meshes in the part's frame."""
+    primitives: tuple[Primitive, ...]
+    """Pieces that are a box, a cylinder or a ball."""
+    fidelity: Fidelity
+
+    @property
+    def shapes(self) -> list[Mesh]:
+        """All of them as meshes."""
+        return [*self.hulls, *(shape.mesh() for shape in self.primitives)]
+
+
+def convex_parts(mesh: Mesh, settings: CollisionSettings, ground: float | None = None) -> Collision:
+    """The part as at most `max_hulls` convex pieces, primitives where these are as good.
+
+    Pieces end at `ground`, the height z, m, of the plane that the object stands on: pieces that stand out of the part
+    by different amounts would make it tilt. Raises FreeArtError when the mesh has no area.
+    """
+    outside = outside_of(mesh)
+    stands_out = max(min(settings.tolerance_m, outside.size / 50), outside.spacing / 2)
+    tolerance = Tolerance(
+        stands_out,
+        stands_out / 12,
+        settings.min_thickness_m,
+        settings.patches,
+        settings.pairs,
+        settings.max_vertices,
+    )
+    pieces = convex_pieces(outside, tolerance, settings.max_hulls)
+    hulls: list[Mesh] = []
+    primitives: list[Primitive] = []
+    for piece in pieces:
+        shape = primitive_of(piece, outside, stands_out) if settings.primitives else None
+        if shape is not None and (ground is None or _stands(shape.mesh(), ground, stands_out)):
+            primitives.append(shape)
+            continue
+        hull = convex_hull(piece, settings.min_thickness_m, settings.max_vertices)
+        hulls.append(hull if ground is None else _grounded(hull, ground, stands_out, settings))
+    shapes = [*hulls, *(shape.mesh() for shape in primitives)]
+    return Collision(tuple(hulls), tuple(primitives), measured(outside, shapes))
+
+
+def _stands(shape: Mesh, ground: float, near: float) -> bool:
+    """Whether a shape ends at the ground, or above all that is taken to touch it."""
+    low = float(shape.vertices[:, 2].min()) - ground
+    return abs(low) <= _LEVEL or low > near
+
+
+def _grounded(hull: Mesh, ground: float, near: float, settings: CollisionSettings) -> Mesh:
+    """A convex piece cut off at z = `ground`, to which corners less than `near` above it are moved down.
+
+    One that would be left thinner than allowed is moved up instead.
+    """
+    z = hull.vertices[:, 2]
+    lack = ground - float(z.min())
+    if lack < -near:
+        return hull
+    if float(z.max()) < ground + settings.min_thickness_m:
+        return Mesh(hull.vertices + np.array([0.0, 0.0, lack]), hull.faces)
+    if lack > 0:
+        solid = manifold3d.Manifold(manifold3d.Mesh64(np.array(hull.vertices), hull.faces.astype(np.uint64, order="C")))
+        hull = _mesh(solid.trim_by_plane((0, 0, 1), ground), np.zeros(3))
+    points = np.array(hull.vertices)
+    points[points[:, 2] < ground + near, 2] = ground
+    return convex_hull(points, settings.min_thickness_m, settings.max_vertices)
+
+
+def convex_hull(points: NDArray[np.float64], min_thickness_m: float, max_vertices: int) -> Mesh:
+    """The closed convex hull of points (n, 3), made at least `min_thickness_m` thick in every direction.
+
+    When it has more than `max_vertices`, only the points furthest in as many even directions are kept. Raises
+    FreeArtError without points.
+    """
+    if len(points) == 0:
+        raise FreeArtError("there are no points to make a convex hull of")
+    hull = _hull(thickened(points, min_thickness_m))
+    if len(hull.vertices) > max_vertices:
+        furthest = np.unique(np.argmax(hull.vertices @ even_directions(max_vertices).T, axis=0))
+        hull = _hull(hull.vertices[furthest])
+    return hull
+
+
+def _hull(points: NDArray[np.float64]) -> Mesh:
+    """By manifold3d: qhull's triangles, less those without area, leave gaps where three points are on a line."""
+    middle = points.mean(0)
+    return _mesh(manifold3d.Manifold.hull_points(np.ascontiguousarray(points - middle)), middle)
+
+
+def _mesh(solid: manifold3d.Manifold, origin: NDArray[np.float64]) -> Mesh:
+    found = solid.to_mesh64()
+    return Mesh(np.asarray(found.vert_properties)[:, :3] + origin, np.asarray(found.tri_verts).astype(np.int64))

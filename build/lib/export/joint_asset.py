@@ -1,0 +1,155 @@
+"""An asset of one joint from a few numbers, for those who have a recording of a joint and no URDF of it.
+
+    pendulum   about the y axis of its base, hanging down at 0
+    door       about z, upright; its centre of mass along x at 0. Without a length a rotor
+    drawer     along x, level
+
+The moving part weighs what it weighs in a small ball at its centre of mass; inertia that it has beyond that of its mass
+there is the ball's own, the same about every axis.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from export.model import number_text
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic
+from freeart21.files.places import JOINT_ASSET, check_place
+
+Kind = Literal["pendulum", "door", "drawer"]
+KINDS: tuple[str, ...] = get_args(Kind)
+G = 9.81
+"""m/s^2, where a period tells an inertia: what `freeart21 measure` takes when nobody says another."""
+BALL = 4e-5
+"""Of mass times length squared: the least inertia about its own centre, that of a ball of a hundredth of the length
+(2/5 r^2). Engines take no point masses; a period is 2e-5 longer for it."""
+_SMALL = 1e-3
+"""m: radius of the ball of a part that has no length. Not measured; engines need some inertia,
+and what only slides does not feel it."""
+
+
+@dataclass(frozen=True)
+class JointNumbers:
+    """What is known of a joint and its moving part; None is not known."""
+
+    kind: Kind
+    mass: float
+    """kg, of the moving part."""
+    length: float | None = None
+    """m from the joint's axis to the centre of mass; of a drawer none."""
+    inertia: float | None = None
+    """kg*m^2 about the joint's axis; that of the mass at its distance when None."""
+    period: float | None = None
+    """s of a small free swing of a pendulum, there and back: tells the length, or beside a length the inertia."""
+    lower: float | None = None
+    """rad or m; None is no limit."""
+    upper: float | None = None
+    name: str = "hinge"
+    """Of the joint."""
+
+
+def write_joint_asset(out: Path, numbers: JointNumbers) -> None:
+    """Write a URDF of that joint; FreeArtError, in one line, when the numbers contradict each other."""
+    if Path(out).suffix != ".urdf":
+        raise FreeArtError(f"{out}: expected the name of a URDF file to write, such as {numbers.kind}.urdf")
+    text = urdf_of(numbers)
+    check_place(out, JOINT_ASSET)
+    atomic.write_bytes(out, text)
+
+
+def urdf_of(numbers: JointNumbers) -> bytes:
+    """The URDF as text."""
+    length, own = _mass_properties(numbers)
+    centre = {"pendulum": (0.0, 0.0, -length), "door": (length, 0.0, 0.0), "drawer": (0.0, 0.0, 0.0)}[numbers.kind]
+    axis = {"pendulum": (0, 1, 0), "door": (0, 0, 1), "drawer": (1, 0, 0)}[numbers.kind]
+    robot = ET.Element("robot", name=numbers.kind)
+    robot.append(ET.Comment(f" {JOINT_ASSET.mark.decode()} "))
+    ET.SubElement(robot, "link", name="base")
+    part = ET.SubElement(robot, "link", name="part")
+    inertial = ET.SubElement(part, "inertial")
+    ET.SubElement(inertial, "origin", xyz=number_text(*centre))
+    ET.SubElement(inertial, "mass", value=repr(float(numbers.mass)))
+    same, none = dict.fromkeys(("ixx", "iyy", "izz"), repr(own)), dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+    ET.SubElement(inertial, "inertia", same | none)
+    visual = ET.SubElement(part, "visual")
+    ET.SubElement(visual, "origin", xyz=number_text(*(c / 2 for c in centre)))
+    thick = max(0.1 * length, 0.02)
+    size = [max(abs(c), thick) for c in centre]
+    ET.SubElement(ET.SubElement(visual, "geometry"), "box", size=number_text(*size))
+    low, high = (-math.inf if numbers.lower is None else numbers.lower, numbers.upper)
+    free = numbers.lower is None and high is None
+    turns = numbers.kind != "drawer"
+    kind = "continuous" if free and turns else "revolute" if turns else "prismatic"
+    joint = ET.SubElement(robot, "joint", name=numbers.name, type=kind)
+    ET.SubElement(joint, "parent", link="base")
+    ET.SubElement(joint, "child", link="part")
+    ET.SubElement(joint, "axis", xyz=number_text(*axis))
+    if not free:
+        assert high is not None  # _mass_properties has seen to it
+        ET.SubElement(joint, "limit", lower=repr(float(low)), upper=repr(float(high)), effort="0", velocity="0")
+    ET.indent(robot)
+    return ET.tostring(robot, encoding="utf-8", xml_declaration=True) + b"\n"
+
+
+def _mass_properties(numbers: JointNumbers) -> tuple[float, float]:
+    """Distance of the centre of mass from the axis, m, and the part's inertia about its own centre, kg*m^2."""
+    _check(numbers)
+    mass, length, inertia = numbers.mass, numbers.length, numbers.inertia
+    if numbers.kind == "drawer":
+        return 0.0, 0.4 * mass * _SMALL**2
+    if numbers.period is not None:
+        swung = G * (numbers.period / (2 * math.pi)) ** 2  # of the simple pendulum of that period: I / (m l)
+        if length is None:
+            length = swung / (1 + BALL)
+        else:
+            inertia = mass * length * swung
+    if length is None:
+        raise FreeArtError(
+            f"a {numbers.kind} needs --length, metres from its axis to the centre of mass"
+            + (", or --period" if numbers.kind == "pendulum" else "; 0 for a rotor")
+        )
+    point = mass * length**2
+    if inertia is None and length == 0:
+        raise FreeArtError("a part whose centre of mass is on its axis (--length 0) needs --inertia, kg*m^2")
+    least = BALL * point
+    own = least if inertia is None else inertia - point
+    if inertia is not None and own < -1e-6 * point:
+        raise FreeArtError(
+            f"an inertia of {inertia:.4g} kg*m^2 about the axis is too small: {mass:g} kg at {length:g} m "
+            f"have {point:.4g} alone"
+        )
+    return length, max(own, least)
+
+
+def _check(numbers: JointNumbers) -> None:
+    """FreeArtError when a number cannot be one, or is of another kind of joint."""
+    if numbers.kind not in KINDS:
+        raise FreeArtError(f"there is no kind '{numbers.kind}' of joint; kinds: {', '.join(KINDS)}")
+    for name in ("mass", "length", "inertia", "period", "lower", "upper"):
+        value = getattr(numbers, name)
+        if value is not None and not math.isfinite(value):
+            raise FreeArtError(f"--{name} {value}: expected a finite number")
+        if value is not None and name in ("mass", "inertia", "period") and value <= 0:
+            raise FreeArtError(f"--{name} {value:g}: expected a number above 0")
+    if numbers.length is not None and numbers.length < 0:
+        raise FreeArtError(f"--length {numbers.length:g}: expected 0 or more")
+    if numbers.kind == "pendulum" and numbers.length == 0:
+        raise FreeArtError("--length 0: a pendulum's centre of mass is off its axis; a rotor is of --kind door")
+    alien = [n for n in ("length", "inertia", "period") if getattr(numbers, n) is not None]
+    if numbers.kind == "drawer" and alien:
+        raise FreeArtError(f"--{alien[0]}: a drawer has a mass alone")
+    if numbers.kind == "door" and numbers.period is not None:
+        raise FreeArtError("--period: nothing pulls an upright door back; expected --inertia")
+    if None not in (numbers.period, numbers.inertia):
+        raise FreeArtError("--period and --inertia: a period tells an inertia; expected one of them")
+    if (numbers.lower is None) != (numbers.upper is None):
+        raise FreeArtError("--lower and --upper: expected both limits, or none")
+    if numbers.lower is not None and numbers.upper is not None and not numbers.lower < numbers.upper:
+        raise FreeArtError(f"--lower {numbers.lower:g} --upper {numbers.upper:g}: expected the lower one to be less")
+    if not numbers.name.strip():
+        raise FreeArtError("--joint: expected a name that is not empty")

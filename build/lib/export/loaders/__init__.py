@@ -1,0 +1,62 @@
+"""Loaders that an asset carries: each puts back what one engine drops of its joint.
+
+The files `load_*.py` here are copied into assets as they are. They import nothing of this package: what they need to
+know of their asset stands beside them, in `joint.json`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from export.model import WORLD
+from freeart21.asset import Asset
+from freeart21.effects.armature import Armature
+from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects.return_spring import ReturnSpring
+from freeart21.effects.viscous_damping import ViscousDamping
+from freeart21.files import atomic
+from freeart21.files.urdf import read_urdf
+
+FOLDER = "loaders"
+SCHEMA = "freeart21/loaders/1"
+ENGINES = ("sapien", "mujoco", "pybullet", "drake")
+
+
+def write_loaders(folder: Path, asset: Asset) -> None:
+    """Write `loaders/` into an asset's folder, whose URDF and effects are in their final form."""
+    (folder / FOLDER).mkdir(exist_ok=True)
+    for engine in ENGINES:
+        name = f"load_{engine}.py"
+        atomic.write_bytes(folder / FOLDER / name, Path(__file__).with_name(name).read_bytes())
+    atomic.write_json(folder / FOLDER / "joint.json", joint_numbers(asset))
+
+
+def joint_numbers(asset: Asset) -> dict[str, object]:
+    """What a loader needs to know of the asset's joint: SI units, what acts on it added up by kind."""
+    urdf = read_urdf(asset.urdf)
+    joint = urdf.joints[asset.joint]
+    effects = asset.effects.get(asset.joint, ())
+    springs = [effect for effect in effects if isinstance(effect, ReturnSpring)]
+    stiffness = sum(spring.stiffness for spring in springs)
+    pull = sum(spring.stiffness * spring.rest for spring in springs)
+    return {
+        "schema": SCHEMA,
+        "urdf": asset.urdf.name,
+        "mjcf": asset.urdf.with_suffix(".xml").name,
+        "base": base_of(asset),
+        "base_link": joint.parent,
+        "joint": asset.joint,
+        "type": joint.joint_type,
+        "damping": sum(effect.coefficient for effect in effects if isinstance(effect, ViscousDamping)),
+        "friction": sum(effect.level for effect in effects if isinstance(effect, CoulombFriction)),
+        "armature": sum(effect.value for effect in effects if isinstance(effect, Armature)),
+        "stiffness": stiffness,
+        "rest": pull / stiffness if stiffness else 0.0,
+        "velocity": joint.velocity,
+        "effects": sorted({effect.name for effect in effects}),
+    }
+
+
+def base_of(asset: Asset) -> str:
+    """Whether the asset's base is "free" or "fixed", as its URDF says by the name of its root."""
+    return "fixed" if read_urdf(asset.urdf).root == WORLD else "free"

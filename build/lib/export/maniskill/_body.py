@@ -1,0 +1,195 @@
+"""The object in ManiSkill's scene, stepped with its effects by `generator.simulate`."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+import sapien
+import torch
+from mani_skill.utils.logging_utils import logger
+from mani_skill.utils.structs import Articulation, Pose
+
+from export.maniskill.assets import loadable, span
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.effects.base import readings
+from freeart21.errors import FreeArtError
+from freeart21.se3 import Array
+from generator import simulate
+
+NAME = "object"
+"""Of the articulation in ManiSkill's scene, its states and its files."""
+
+
+class Body:
+    """One articulated object in a ManiSkill scene of the CPU, one joint of which moves under its effects."""
+
+    def __init__(self, scene: Any, asset: Asset, scale: float, timestep_s: float, fixed_base: bool):
+        self._scene, self._timestep = scene, timestep_s
+        sub_scene = scene.sub_scenes[0]
+        with loadable(asset, scale) as readable:
+            self.simulated = simulate.load(
+                readable,
+                timestep_s=timestep_s,
+                fixed_base=fixed_base,
+                scene=sub_scene,
+                visuals=scene.can_render(),
+                limited=True,
+            )
+            _fetch(self.simulated.articulation)
+        simulated = self.simulated
+        if simulated.joint_inertia <= 0:
+            raise FreeArtError(f"{asset.urdf} joint '{asset.joint}' moves nothing of mass")
+        unseen = [effect.name for effect in simulated.effects if effect.kind == "kinematics"]
+        if unseen:
+            logger.warning(f"{asset.urdf}: ManiSkill does not show what {', '.join(unseen)} would do")
+        self._fixed = fixed_base
+        self._joint = next(j for j in simulated.articulation.active_joints if j.name == asset.joint)
+        self._held_limits = False
+        self.links = {link.name: link for link in simulated.articulation.links}
+        """Name in the URDF to the engine's link."""
+        self.lower, self.upper = span(simulated.lower, simulated.upper, simulated.world_joint.type == "prismatic")
+        """Where the joint is asked to go, rad or m."""
+        self.articulation = _managed(simulated.articulation, scene)
+        self.moving = [link for name, link in self.links.items() if name in simulated.moving_links]
+        self._senses = any(effect.kind == "sensing" for effect in simulated.effects)
+        late = sum(e.delay() for e in simulated.effects if e.kind == "sensing")
+        self._history: deque[tuple[float, float]] = deque(maxlen=2 + int(np.ceil(late / timestep_s)))
+        if not fixed_base:
+            self._keep_limits(True)
+
+    # state
+
+    def put(self, q: float, T_world_root: Array | None = None) -> None:
+        """The joint at `q`, at rest, the effects without memory, the clock at 0; the root, if given, at its pose."""
+        if T_world_root is not None:
+            self.simulated.set_base_pose(T_world_root)
+        self.simulated.time_s = 0.0
+        self.simulated.set_state(q)
+        self._history.clear()
+        self._note()
+
+    def fetch(self) -> None:
+        """Take the state that somebody else has given the engine."""
+        articulation = self.simulated.articulation
+        self.simulated.set_state(float(articulation.qpos[0]), float(articulation.qvel[0]))
+        self.simulated.base_moved()
+        self._history.clear()
+        self._note()
+
+    @property
+    def q(self) -> float:
+        """Position of the joint, rad or m."""
+        return self.simulated.state()[0]
+
+    @property
+    def qd(self) -> float:
+        """Velocity of the joint, rad/s or m/s."""
+        return self.simulated.state()[1]
+
+    @property
+    def q_measured(self) -> float:
+        """What a sensor with the asset's sensing effects reads now."""
+        if not self._senses:
+            return self.q
+        times, q = np.array(self._history).T
+        return float(readings(self.simulated.effects, times, q)[-1])
+
+    @property
+    def root_pose(self) -> Array:
+        """(4, 4) T_world_root."""
+        pose = self.simulated.articulation.root_pose
+        return se3.pose_from_wxyz(pose.p.astype(float), pose.q.astype(float))
+
+    def bounds(self) -> Array:
+        """(2, 3) smallest and largest corner of the collision shapes as they stand, world frame; m."""
+        mesh = self.articulation.get_first_collision_mesh(to_world_frame=True)
+        if mesh is None or not len(mesh.vertices):
+            raise FreeArtError(f"{self.simulated.asset.urdf} has no collision shapes, expected some")
+        return np.asarray(mesh.bounds, float)
+
+    def moving_centre(self) -> Array:
+        """(3,) centre of mass of the moving part, world frame, m."""
+        masses = np.array([link.mass for link in self.moving])
+        centres = np.array([(link.entity_pose * link.cmass_local_pose).p for link in self.moving], float)
+        return np.asarray(masses @ centres / masses.sum())
+
+    def part_ids(self) -> np.ndarray:
+        """(n, 2) int16: id of each link in segmentation pictures, and 1 for the parent's side, 2 for the moving one."""
+        return np.array(
+            [
+                (link.entity.per_scene_id, 2 if name in self.simulated.moving_links else 1)
+                for name, link in self.links.items()
+            ],
+            np.int16,
+        )
+
+    # stepping
+
+    def before_step(self) -> None:
+        """What acts in ManiSkill's next step of the engine; further steps that stiff effects need are made here."""
+        simulated, px = self.simulated, self._scene.px
+        if not self._fixed:
+            simulated.base_moved()
+        n = simulated.substeps
+        self._h = px.timestep = self._timestep / n
+        for _ in range(n - 1):
+            self._begin()
+            px.step()
+            simulated.after_engine(self._h)
+        self._begin()
+
+    def after_step(self) -> None:
+        """Take what the engine's step has made."""
+        self.simulated.after_engine(self._h)
+        self._scene.px.timestep = self._timestep
+        self._note()
+
+    def settle(self) -> None:
+        """Let the engine stand where the joint is; within a step its position runs half a step ahead."""
+        self.simulated.link_pose(self.simulated.asset.reference_link)
+
+    def _begin(self) -> None:
+        if self._fixed:
+            resting = self.qd == 0 and self.q in (self.simulated.lower, self.simulated.upper)
+            self._keep_limits(resting)
+        self.simulated.before_engine(self._h)
+
+    def _keep_limits(self, kept: bool) -> None:
+        """Whether the engine knows the joint's limits.
+
+        `generator.simulate` times impacts at limits and lets the part bounce, for which the engine must not. But what
+        pushes a part that rests at a limit has to feel it, and a base that is free takes the impulse: there the limits
+        are the engine's, and impacts are inelastic.
+        """
+        if kept != self._held_limits:
+            own, wide = (self.simulated.lower, self.simulated.upper), (-simulate.WIDE, simulate.WIDE)
+            self._joint.set_limits(np.array([np.clip(own, *wide) if kept else wide], np.float32))
+            self._held_limits = kept
+
+    def _note(self) -> None:
+        if self._senses:
+            self._history.append((self.simulated.time_s, self.q))
+
+
+def _managed(articulation: Any, scene: Any) -> Articulation:
+    """ManiSkill's view of an articulation of SAPIEN, which it names and registers as its builder does."""
+    for link in articulation.links:
+        link.name = f"scene-0-{NAME}_{link.name}"
+        link.joint.name = f"scene-0-{NAME}_{link.joint.name}"
+    articulation.name = f"scene-0_{NAME}"
+    managed = Articulation.create_from_physx_articulations([articulation], scene, torch.zeros(1, dtype=torch.int32))
+    managed.initial_pose = Pose.create(sapien.Pose())
+    scene.articulations[NAME] = managed
+    scene.add_to_state_dict_registry(managed)
+    return managed
+
+
+def _fetch(articulation: Any) -> None:
+    """Let SAPIEN read meshes and pictures now: it puts that off, and their files may be temporary."""
+    for link in articulation.links:
+        body = link.entity.find_component_by_type(sapien.render.RenderBodyComponent)
+        for shape in body.render_shapes if body is not None else ():
+            _ = getattr(shape, "parts", None)

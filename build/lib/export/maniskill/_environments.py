@@ -1,0 +1,291 @@
+"""FreeArt21-Open-v1: the joint of an object that stands there is to be brought to a state. FreeArt21-FreeMoving-v1: the
+same while the object is carried about. By a robot, or by a motor in the joint itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import sapien
+import torch
+from mani_skill.envs.sapien_env import BaseEnv
+from mani_skill.sensors.camera import CameraConfig
+from mani_skill.utils import sapien_utils
+from mani_skill.utils.building.ground import build_ground
+from mani_skill.utils.registration import register_env
+from mani_skill.utils.scene_builder.table import TableSceneBuilder
+from mani_skill.utils.structs.types import SceneConfig, SimConfig
+
+from export.maniskill._agent import OBJECT, ObjectAgent
+from export.maniskill._body import Body
+from export.maniskill._hand import Hand
+from export.maniskill.assets import find_asset
+from export.maniskill.motion import CarriedMotion, drawn_motion
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+from freeart21.se3 import Array
+
+TOLERANCE = 0.02
+"""Of the joint's span: so near its target the joint has to come to rest."""
+AT_REST = 0.1
+"""Spans a second: slower than this is at rest."""
+OPENED = 0.9
+"""Of the way from the start to the farther end of the span is the target, as in ManiSkill's cabinets."""
+_SIM_HZ, _CONTROL_HZ = 500, 20  # against 1 kHz, a released joint is off by less than 0.1 %: see docs/maniskill.md
+_BEFORE_ROBOT = 0.12  # m from ManiSkill's place for a panda's hand at rest to the object's near side
+_SECONDS = 10  # of an episode
+_TURN, _SHIFT = 0.1, 0.01  # rad and m by which a standing object is displaced at random
+
+
+class ObjectEnvironment(BaseEnv):
+    """What both environments share: one object, one joint, a target, reward and success.
+
+    Args:
+        asset: what `assets.find_asset` takes.
+        joint: the joint that moves; None takes the asset's.
+        object_seed: sizes and colours of a procedural object.
+        scale: lengths of the object over those of its files; for PartNet-Mobility, which is not metric.
+        target: share of the joint's span, from its lower end, that is the target; None is `OPENED` of the way.
+        start: the same for where the joint begins; None is the position nearest to zero.
+        tolerance: share of the joint's span.
+        robot_uids: a robot, or `freeart21_object` (also "none"): no robot, the joint's own motor is the agent.
+    """
+
+    SUPPORTED_ROBOTS: ClassVar[Any] = ["panda", OBJECT]
+    agent: Any
+
+    def __init__(
+        self,
+        *args: Any,
+        asset: str | Path = "drawer_unit",
+        joint: str | None = None,
+        object_seed: int = 0,
+        scale: float = 1.0,
+        target: float | None = None,
+        start: float | None = None,
+        tolerance: float = TOLERANCE,
+        robot_uids: Any = OBJECT,
+        **kwargs: Any,
+    ):
+        for name, share in (("target", target), ("start", start), ("tolerance", tolerance)):
+            if share is not None and not 0 <= share <= 1:
+                raise FreeArtError(f"{name} is {share:g}, expected a share of the joint's span, 0 to 1")
+        self._asset, self._scale = find_asset(asset, joint, object_seed), scale
+        self._target_share, self._start_share, self._tolerance = target, start, tolerance
+        self._target = 0.0
+        robot_uids = OBJECT if robot_uids in (None, "none") else robot_uids
+        super().__init__(*args, robot_uids=robot_uids, **kwargs)
+
+    @property
+    def _default_sim_config(self) -> SimConfig:
+        return SimConfig(
+            sim_freq=_SIM_HZ,
+            control_freq=_CONTROL_HZ,
+            scene_config=SceneConfig(enable_enhanced_determinism=True),
+        )
+
+    # scene
+
+    _fixed_base: bool = True
+    _held: bool = False
+
+    def _load_agent(self, options: dict[str, Any], *args: Any, **kwargs: Any) -> None:
+        self.body = Body(self.scene, self._asset, self._scale, self.sim_timestep, self._fixed_base)
+        self.body.put(self._position(self._start_share, None))
+        self._T_root_rest = self._standing()
+        low, high = self.body.bounds()
+        self._size = float(np.linalg.norm(high - low))
+        self._centre_root = 0.5 * (low + high)
+        """Of the object in its root's frame, as it began."""
+        self.hand = Hand(self.scene, self.body) if self._held else None
+        if self.robot_uids == OBJECT:
+            self.agent = ObjectAgent(self.scene, self._control_freq, self._control_mode, self.body, self.hand)
+        else:
+            super()._load_agent(options, sapien.Pose(p=[-0.615, 0, 0]))
+
+    def _standing(self) -> Array:
+        """(4, 4) of the root: upright, on z = 0; its middle above the origin, or its near side before the robot."""
+        low, high = self.body.bounds()
+        T = np.eye(4)
+        near = -0.5 * (high[0] - low[0]) if self.robot_uids == OBJECT else _BEFORE_ROBOT
+        T[:3, 3] = near - low[0], -0.5 * (low[1] + high[1]), -low[2]
+        return T
+
+    def _camera(self, uid: str, side: int) -> CameraConfig:
+        middle = se3.transform(self._T_root_rest, self._centre_root)
+        pose = sapien_utils.look_at(middle + 1.6 * self._size * np.array([-0.75, 0.5, 0.6]), middle)
+        size = self._size
+        return CameraConfig(uid, pose, side, side, fov=0.8, near=0.02 * size, far=max(20 * size, 5.0))
+
+    @property
+    def _default_sensor_configs(self) -> list[CameraConfig]:
+        return [self._camera("base_camera", 128)]
+
+    @property
+    def _default_human_render_camera_configs(self) -> CameraConfig:
+        return self._camera("render_camera", 512)
+
+    def reset(self, seed: Any = None, options: dict[str, Any] | None = None) -> Any:
+        """As ManiSkill's, which leaves out that gymnasium's own generator is seeded; its checker asks for it."""
+        if seed is not None:
+            gymnasium.Env.reset(self, seed=int(np.ravel(seed)[0]))
+        return super().reset(seed=seed, options=options)
+
+    # joint
+
+    def _position(self, share: float | None, otherwise: float | None) -> float:
+        """The position, rad or m, of a share of the span; None: `otherwise`, or the one nearest to zero."""
+        low, high = self.body.lower, self.body.upper
+        if share is not None:
+            return low + share * (high - low)
+        return float(np.clip(0.0, low, high)) if otherwise is None else otherwise
+
+    def _begin(self, start: float, target: float, T_world_root: Array) -> None:
+        self._target = target
+        self.body.put(start, T_world_root)
+
+    def _before_simulation_step(self) -> None:
+        if self.hand is not None:
+            self.hand.move(self.body.simulated.time_s, self.sim_timestep)
+        self.body.before_step()
+
+    def _after_simulation_step(self) -> None:
+        self.body.after_step()
+
+    def _after_control_step(self) -> None:
+        self.body.settle()
+
+    # state
+
+    def get_state_dict(self) -> dict[str, Any]:
+        """ManiSkill's states, and the target."""
+        return {**super().get_state_dict(), "target": self._tensor([self._target])}
+
+    def set_state_dict(self, state: dict[str, Any], env_idx: Any = None) -> None:
+        """Put everything where `state` has it. Effects with memory forget it."""
+        super().set_state_dict(state, env_idx)
+        self.body.fetch()
+        if "target" in state:
+            self._target = float(np.asarray(state["target"]).reshape(-1)[0])
+
+    # observations and rewards
+
+    def evaluate(self) -> dict[str, torch.Tensor]:
+        """`success`: within the tolerance of the target, and at rest; and how far away, in spans of the joint."""
+        span = self.body.upper - self.body.lower
+        away = abs(self.body.q - self._target) / span
+        success = away <= self._tolerance and abs(self.body.qd) <= AT_REST * span
+        return {"success": torch.tensor([success]), "joint_error": torch.tensor([away], dtype=torch.float32)}
+
+    def _get_obs_extra(self, info: dict[str, Any]) -> dict[str, torch.Tensor]:
+        obs = {"target_qpos": self._tensor([self._target])}
+        if hasattr(self.agent, "tcp"):
+            obs["tcp_pose"] = self.agent.tcp.pose.raw_pose
+        if self.obs_mode_struct.use_state:
+            obs["joint_qpos"], obs["joint_qvel"] = self._tensor([self.body.q]), self._tensor([self.body.qd])
+            obs["object_pose"] = self.body.articulation.pose.raw_pose
+            obs["moving_part_pos"] = self._tensor(self.body.moving_centre())
+            if hasattr(self.agent, "tcp"):
+                obs["tcp_to_moving_part"] = obs["moving_part_pos"] - self.agent.tcp.pose.p
+        if self.obs_mode_struct.visual.segmentation:
+            obs["part_ids"] = torch.from_numpy(self.body.part_ids()[None].copy())
+        return obs
+
+    def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
+        """As ManiSkill's, but tensors of their own in every observation."""
+        return {
+            uid: {name: value.clone() for name, value in params.items()}
+            for uid, params in super().get_sensor_params().items()
+        }
+
+    def _tensor(self, values: Any) -> torch.Tensor:
+        return torch.tensor(np.array([values], np.float32), device=self.device)
+
+    def compute_dense_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
+        """Up to 1 for the joint near its target, and 1 for the robot's hand near the moving part; 3 on success."""
+        reward = 1 - torch.tanh(5 * info["joint_error"])
+        if hasattr(self.agent, "tcp"):
+            away = self._tensor(self.body.moving_centre()) - self.agent.tcp.pose.p
+            reward = reward + 1 - torch.tanh(5 * torch.linalg.norm(away, dim=1))
+        return torch.where(info["success"], torch.full_like(reward, 3.0), reward)
+
+    def compute_normalized_dense_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
+        """The dense reward over 3."""
+        return self.compute_dense_reward(obs, action, info) / 3
+
+
+@register_env("FreeArt21-Open-v1", max_episode_steps=_SECONDS * _CONTROL_HZ)
+class OpenEnvironment(ObjectEnvironment):
+    """An object stands on a table or on the ground; its joint is to come to rest at the target.
+
+    Args:
+        base: "fixed" nails the object down, "free" lets it slide and topple.
+    """
+
+    def __init__(self, *args: Any, base: str = "fixed", robot_uids: Any = "panda", **kwargs: Any):
+        if base not in ("fixed", "free"):
+            raise FreeArtError(f"base is '{base}', expected fixed or free")
+        self._fixed_base = base == "fixed"
+        super().__init__(*args, robot_uids=robot_uids, **kwargs)
+
+    def _load_scene(self, options: dict[str, Any]) -> None:
+        self._table = None
+        if self.robot_uids == OBJECT:
+            build_ground(self.scene)
+        else:
+            self._table = TableSceneBuilder(self, robot_init_qpos_noise=0.02)
+            self._table.build()
+
+    def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
+        if self._table is not None:
+            self._table.initialize(env_idx)
+        rng = self._batched_episode_rng[0]
+        turn, shift = rng.uniform(-_TURN, _TURN), rng.uniform(-_SHIFT, _SHIFT, 2)
+        moved = se3.exp_se3(np.array([0, 0, 0, 0, 0, turn]))
+        moved[:2, 3] = shift
+        start = self._position(self._start_share, None)
+        farther = max((self.body.lower, self.body.upper), key=lambda end: abs(end - start))
+        target = self._position(self._target_share, start + OPENED * (farther - start))
+        self._begin(start, target, moved @ self._T_root_rest)
+
+
+@register_env("FreeArt21-FreeMoving-v1", max_episode_steps=_SECONDS * _CONTROL_HZ)
+class FreeMovingEnvironment(ObjectEnvironment):
+    """An object is carried through the air by a hand that is not seen; its joint is to come to rest at the target.
+
+    The hand goes a way that is drawn from the seed, or that `options` of `reset` give: `base_times` (n,) s and
+    `base_poses` (n, 7), position and quaternion w, x, y, z of the root link, with `start` and `target` of the joint,
+    rad or m. In the control mode `pd_joint_pos_base_delta_pose` the action leads it.
+    """
+
+    SUPPORTED_ROBOTS: ClassVar[Any] = [OBJECT]
+    _fixed_base = False
+    _held = True
+
+    def _load_scene(self, options: dict[str, Any]) -> None:
+        """Nothing but the object."""
+
+    def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
+        rng = self._batched_episode_rng[0]
+        low, high = self.body.lower, self.body.upper
+        drawn = low + rng.uniform(0.1, 0.9, 2) * (high - low)
+        start = options.get("start", self._position(self._start_share, drawn[0]))
+        target = options.get("target", self._position(self._target_share, drawn[1]))
+        begins = se3.exp_se3(np.concatenate([np.zeros(3), rng.uniform(-1, 1, 3)]))
+        centre = se3.transform(self._T_root_rest, self._centre_root)
+        begins[:3, 3] = centre - begins[:3, :3] @ self._centre_root
+        motion = drawn_motion(rng, begins, centre, self._size, _SECONDS)
+        if "base_poses" in options:
+            rows = np.asarray(options["base_poses"], float)
+            motion = CarriedMotion(np.asarray(options["base_times"]), se3.pose_from_wxyz(rows[:, :3], rows[:, 3:]))
+        self._begin(float(start), float(target), motion.at(0.0)[0])
+        assert self.hand is not None
+        self.hand.follow(motion)
+
+    def set_state_dict(self, state: dict[str, Any], env_idx: Any = None) -> None:
+        """Put everything where `state` has it; the hand goes on along its way from there."""
+        super().set_state_dict(state, env_idx)
+        assert self.hand is not None
+        self.hand.catch()

@@ -1,0 +1,123 @@
+"""What an environment may be given as its object: a name of the catalog, a folder, a URDF; at any size."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from freeart21 import catalog
+from freeart21.asset import Asset
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.files.asset import read_asset
+from freeart21.files.urdf import parsed
+from freeart21.formats.maniskill import objects_place
+from generator.object_folder import object_folder, sapien_urdf
+from generator.simulate import named_file
+
+PARTNET = "mobility.urdf"
+_SCALES = (1e-4, 1e4)
+
+
+def find_asset(asset: str | Path, joint: str | None = None, object_seed: int = 0) -> Asset:
+    """The asset that `asset` names.
+
+    Args:
+        asset: an asset folder (asset.json), a PartNet-Mobility folder (mobility.urdf), a URDF, a folder that holds one,
+            or a procedural object of the catalog, which is made of `object_seed` in `objects_place()`.
+        joint: the joint that moves; None takes what the folder says, or the only movable one.
+        object_seed: sizes and colours of a procedural object.
+
+    Raises FreeArtError when there is none, or its joint is not clear.
+    """
+    path = Path(asset)
+    if not path.exists():
+        if str(asset) not in catalog.built_in_names():
+            raise FreeArtError(
+                f"asset '{asset}' is neither a file or folder nor an object of the catalog: "
+                f"{', '.join(catalog.built_in_names())}"
+            )
+        path = object_folder(str(asset), object_seed, objects_place())
+    if (path / PARTNET).is_file() and not (path / "asset.json").is_file():
+        return read_asset(path / PARTNET, joint or _scored(path))
+    return read_asset(path, joint)
+
+
+def _scored(folder: Path) -> str | None:
+    """The joint that one of our PartNet-Mobility folders calls the scored one, or the catalog of a real one."""
+    meta = folder / "meta.json"
+    said = checked.read_json(meta).get("scored_joint") if meta.is_file() else None
+    known = next((entry.joint for entry in catalog.CATALOG if entry.name == folder.resolve().name), None)
+    return said if isinstance(said, str) else known
+
+
+@contextlib.contextmanager
+def loadable(asset: Asset, scale: float) -> Iterator[Asset]:
+    """`asset` as SAPIEN can load it with its pictures, at `scale` times its lengths; valid inside the `with`.
+
+    Masses grow with scale^3 and moments of inertia with scale^5. Raises FreeArtError for an asset with effects at
+    another scale than 1: they were measured on a thing of its size.
+    """
+    if not _SCALES[0] <= scale <= _SCALES[1]:
+        raise FreeArtError(f"scale is {scale:g}, expected {_SCALES[0]:g} to {_SCALES[1]:g}")
+    if scale != 1 and any(asset.effects.values()):
+        raise FreeArtError(
+            f"{asset.urdf} has effects, which hold for its own size only: expected scale 1, got {scale:g}"
+        )
+    with sapien_urdf(asset.urdf) as readable, tempfile.TemporaryDirectory() as place:
+        if scale == 1:
+            yield replace(asset, urdf=readable)
+            return
+        urdf = Path(place) / asset.urdf.name
+        ET.ElementTree(_scaled(readable, scale)).write(urdf, encoding="utf-8")
+        T = asset.T_canonical_reference.copy()
+        T[:3, 3] *= scale
+        travel = _travel(readable, scale)
+        held = {name: q * travel.get(name, 1.0) for name, q in asset.held.items()}
+        zero = asset.state_zero * travel.get(asset.joint, 1.0)
+        yield replace(asset, urdf=urdf, T_canonical_reference=T, state_zero=zero, held=held)
+
+
+def _travel(urdf: Path, scale: float) -> dict[str, float]:
+    """Joint name to `scale`, for the joints whose positions are lengths."""
+    return {j.get("name", ""): scale for j in parsed(urdf).findall("joint") if j.get("type") == "prismatic"}
+
+
+def _scaled(urdf: Path, scale: float) -> ET.Element:
+    root = parsed(urdf)
+
+    def times(element: ET.Element, name: str, factor: float, default: str | None = None) -> None:
+        text = element.get(name, default)
+        if text is not None:
+            element.set(name, " ".join(repr(factor * float(word)) for word in text.split()))
+
+    for origin in root.iter("origin"):
+        times(origin, "xyz", scale)
+    for mesh in root.iter("mesh"):
+        mesh.set("filename", str(named_file(urdf, mesh.get("filename", ""))))
+        times(mesh, "scale", scale, "1 1 1")
+    for tag, name in (("box", "size"), ("sphere", "radius"), ("cylinder", "radius"), ("cylinder", "length")):
+        for shape in root.iter(tag):
+            times(shape, name, scale)
+    for mass in root.iter("mass"):
+        times(mass, "value", scale**3)
+    for inertia in root.iter("inertia"):
+        for name in inertia.attrib:
+            times(inertia, name, scale**5)
+    for joint in root.findall("joint"):
+        for limit in joint.findall("limit") if joint.get("type") == "prismatic" else ():
+            times(limit, "lower", scale)
+            times(limit, "upper", scale)
+    return root
+
+
+def span(lower: float, upper: float, prismatic: bool) -> tuple[float, float]:
+    """Where a joint is asked to go: its limits, or half a turn, or 0.1 m, either way where it has none."""
+    free = 0.1 if prismatic else float(np.pi)
+    return (lower if np.isfinite(lower) else -free), (upper if np.isfinite(upper) else free)

@@ -1,0 +1,21 @@
+"""What parts may be made of, and how heavy that is: video tells no material."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+Material = Literal["plastic", "wood", "steel", "aluminium", "glass", "rubber", "cardboard"]
+MATERIALS: tuple[str, ...] = get_args(Material)
+DENSITIES: dict[str, float] = {
+    "plastic": 1050.0,
+    "wood": 700.0,
+    "steel": 7850.0,
+    "aluminium": 2700.0,
+    "glass": 2500.0,
+    "rubber": 1200.0,
+    "cardboard": 700.0,
+}
+"""kg/m^3, round figures of their kind, from memory and without a source: ABS and polystyrene, beech and birch ply,
+carbon steel, pure aluminium, soda-lime glass, filled rubber, solid board (corrugated is a third of it)."""
+DEFAULT: Material = "plastic"
+"""What people hold in their hands is most often moulded."""

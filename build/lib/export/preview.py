@@ -1,0 +1,162 @@
+"""A picture of an asset, made from its own files: closed on the left, open on the right, on the ground, in plain light.
+
+Drawn by a small rasteriser of our own, so that every machine can, with a graphics driver or without.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.files import atomic, checked
+from freeart21.files.urdf import link_poses
+from freeart21.se3 import Array
+from freeart21.view.link_shapes import ShownUrdf, read_shown
+
+FILE = "preview.png"
+SIDE = 512
+"""Pixels of each of the two pictures, each way."""
+_FINER = 2
+"""Pixels, each way, that one of the picture is the mean of."""
+_FROM = (-1.0, -1.4, 0.9)
+"""Where the camera stands from the object, if all sides show as much of it."""
+_SIDES = 24
+"""Directions round the object that are tried."""
+_HABIT = 0.05
+"""Part of the picture that the opposite side has to show more to be taken instead: so much less is
+not seen by eye."""
+_LIGHT = (-0.35, -0.5, 0.8)
+_AMBIENT = 0.55
+"""Share of the light that comes from everywhere."""
+_GROUND = (236, 238, 241)
+_FILL = 0.86
+"""Share of the picture's side that both states together take."""
+
+
+def write_preview(folder: Path, asset: Asset) -> None:
+    """Write preview.png (`SIDE`, 2 `SIDE`) of the asset that stands finished in `folder`, in parallel projection.
+
+    The left picture has the joint at the limit nearest to zero, the right one at the other.
+    """
+    atomic.write_bytes(folder / FILE, checked.encode_png(picture_of(asset)))
+
+
+def picture_of(asset: Asset) -> NDArray[np.uint8]:
+    """(`SIDE`, 2 `SIDE`, 3) RGB of the asset at both ends of its joint, at one scale."""
+    shown = read_shown(asset.urdf)
+    joint = shown.urdf.joints[asset.joint]
+    ends = sorted((joint.lower, joint.upper), key=abs)
+    poses = [link_poses(shown.urdf.joints, {**asset.held, asset.joint: q}) for q in ends]
+    every = [
+        se3.transform(Ts[link], piece.mesh.vertices[:: len(piece.mesh.vertices) // 2000 + 1])
+        for Ts in poses
+        for link in shown.visuals
+        for piece in shown.visuals[link]
+    ]
+    R = _towards(_best_eye(np.concatenate(every)))
+    boxes, drawn = [], []
+    for Ts in poses:
+        points = [p for link in shown.visuals for p in _seen(shown, link, Ts[link], R)]
+        drawn.append(points)
+        boxes += [piece[0] for piece in points]
+    low, high = np.concatenate(boxes).min(0), np.concatenate(boxes).max(0)
+    scale = _FILL * SIDE * _FINER / max(float((high - low)[:2].max()), 1e-9)
+    shift = 0.5 * SIDE * _FINER - scale * 0.5 * (low + high)[:2]
+    return np.hstack([_drawn(pieces, scale, shift, R) for pieces in drawn])
+
+
+def _best_eye(points: Array) -> Array:
+    """(3,) where to stand: the side from which points (n, 3), of both states, cover most of the picture."""
+    turns = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    eyes = se3.exp_so3(turns[:, None] * np.array([0.0, 0.0, 1.0])) @ np.array(_FROM)
+    covers = [ConvexHull(points @ _towards(eye)[:2].T, qhull_options="QJ").volume for eye in eyes]
+    habit = 1 - _HABIT * np.abs(np.remainder(turns + np.pi, 2 * np.pi) - np.pi) / np.pi
+    return np.asarray(eyes[int(np.argmax(covers * habit))])
+
+
+def _towards(eye: Array) -> Array:
+    """(3, 3) rows: right, down and away from an eye that looks at the origin, z up."""
+    away = -eye / np.linalg.norm(eye)
+    right = np.cross(away, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(away, right), away])
+
+
+def _seen(shown: ShownUrdf, link: str, T: Array, R: Array) -> list[tuple[Array, NDArray, Array, NDArray]]:
+    """Of every visual: corners (V, 3) right, down and away; triangles; texture coordinates or colours; the texture."""
+    pieces = []
+    for piece in shown.visuals[link]:
+        points = se3.transform(T, piece.mesh.vertices) @ R.T
+        if piece.texture is not None and piece.uv is not None and piece.texture.is_file():
+            image = checked.read_rgb(piece.texture)
+            size = np.array([image.shape[1], image.shape[0]])
+            marks = np.stack([piece.uv[:, 0], 1 - piece.uv[:, 1]], -1) * size - 0.5
+        else:
+            colours = piece.mesh.colours
+            image = np.zeros((0, 0, 3), np.uint8)
+            marks = np.full((len(points), 3), 190.0) if colours is None else colours.astype(float)
+        pieces.append((points, piece.mesh.faces, np.ascontiguousarray(marks, float), image))
+    return pieces
+
+
+def _drawn(pieces: list[tuple[Array, NDArray, Array, NDArray]], scale: float, shift: Array, R: Array) -> NDArray:
+    side = SIDE * _FINER
+    colour = np.empty((side, side, 3))
+    colour[:] = _GROUND
+    depth = np.full((side, side), np.inf)
+    light = R @ (np.array(_LIGHT) / np.linalg.norm(_LIGHT))
+    for points, faces, marks, image in pieces:
+        placed = np.column_stack([scale * points[:, :2] + shift, points[:, 2] * scale])
+        _draw(colour, depth, placed, faces, marks, image, light)
+    small = cv2.resize(colour.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+    return np.clip(np.rint(small), 0, 255).astype(np.uint8)
+
+
+@njit(cache=True)
+def _draw(colour, depth, points, faces, marks, image, light):
+    """Draw triangles, `points` (V, 3) in pixels right, down and away, where they are nearer than `depth`."""
+    height, width = depth.shape
+    for f in range(len(faces)):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        a, b, c = points[i], points[j], points[k]
+        whole = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if whole == 0:
+            continue
+        normal = np.cross(b - a, c - a)
+        facing = (normal @ light) / max(np.sqrt(normal @ normal), 1e-30)
+        if normal[2] > 0:  # seen from behind
+            facing = -facing
+        shade = _AMBIENT + (1 - _AMBIENT) * max(facing, 0.0)
+        left, right = max(min(a[0], b[0], c[0]), 0.0), min(max(a[0], b[0], c[0]), float(width))
+        top, bottom = max(min(a[1], b[1], c[1]), 0.0), min(max(a[1], b[1], c[1]), float(height))
+        for y in range(int(np.ceil(top - 0.5)), int(np.floor(bottom - 0.5)) + 1):
+            for x in range(int(np.ceil(left - 0.5)), int(np.floor(right - 0.5)) + 1):
+                if x >= width or y >= height:
+                    continue
+                px, py = x + 0.5, y + 0.5
+                u = ((b[0] - px) * (c[1] - py) - (b[1] - py) * (c[0] - px)) / whole
+                v = ((c[0] - px) * (a[1] - py) - (c[1] - py) * (a[0] - px)) / whole
+                w = 1 - u - v
+                if u < 0 or v < 0 or w < 0:
+                    continue
+                z = u * a[2] + v * b[2] + w * c[2]
+                if z >= depth[y, x]:
+                    continue
+                depth[y, x] = z
+                if marks.shape[1] == 2:
+                    s = u * marks[i, 0] + v * marks[j, 0] + w * marks[k, 0]
+                    t = u * marks[i, 1] + v * marks[j, 1] + w * marks[k, 1]
+                    column = min(max(int(np.rint(s)), 0), image.shape[1] - 1)
+                    row = min(max(int(np.rint(t)), 0), image.shape[0] - 1)
+                    for m in range(3):
+                        colour[y, x, m] = shade * image[row, column, m]
+                else:
+                    for m in range(3):
+                        colour[y, x, m] = shade * (u * marks[i, m] + v * marks[j, m] + w * marks[k, m])

@@ -1,0 +1,91 @@
+"""An asset as URDF: relative paths, unique names, full limits, inertia, and what URDF can say of the effects."""
+
+from __future__ import annotations
+
+import warnings
+import xml.etree.ElementTree as ET
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from export.model import WORLD, AssetModel, LinkModel, number_text
+from export.primitives import Box, Cylinder, Primitive, Sphere
+
+
+def urdf_text(model: AssetModel) -> bytes:
+    """The URDF file. Metres, radians, kilograms; the reference link is the root, or hangs fixed on a link `world`.
+
+    What `<mujoco>` says keeps MuJoCo from dropping visual meshes and folders and from melting the reference link into
+    the world; others pass it by.
+    """
+    robot = ET.Element("robot", name=model.name)
+    compiler = {"strippath": "false", "discardvisual": "false", "fusestatic": "false"}
+    ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", compiler)
+    if model.base == "fixed":
+        ET.SubElement(robot, "link", name=WORLD)
+        nailed = ET.SubElement(robot, "joint", name=f"{WORLD}_to_{model.root.name}", type="fixed")
+        ET.SubElement(nailed, "parent", link=WORLD)
+        ET.SubElement(nailed, "child", link=model.root.name)
+    for link in (model.root, model.child):
+        robot.append(_link(link))
+    robot.append(_joint(model))
+    ET.indent(robot)
+    return ET.tostring(robot, encoding="utf-8", xml_declaration=True) + b"\n"
+
+
+def _link(link: LinkModel) -> ET.Element:
+    element = ET.Element("link", name=link.name)
+    inertial = ET.SubElement(element, "inertial")
+    ET.SubElement(inertial, "origin", xyz=number_text(*link.inertial.centre), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=number_text(link.inertial.mass))
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = link.inertial.inertia
+    moments = {"ixx": xx, "ixy": xy, "ixz": xz, "iyy": yy, "iyz": yz, "izz": zz}
+    ET.SubElement(inertial, "inertia", {name: number_text(value) for name, value in moments.items()})
+    _mesh(ET.SubElement(element, "visual", name=f"{link.name}_visual"), link.visual)
+    for k, hull in enumerate(link.hulls):
+        _mesh(ET.SubElement(element, "collision", name=f"{link.name}_collision_{k:02d}"), hull)
+    for k, shape in enumerate(link.primitives, len(link.hulls)):
+        _primitive(ET.SubElement(element, "collision", name=f"{link.name}_collision_{k:02d}"), shape)
+    return element
+
+
+def _mesh(element: ET.Element, filename: str) -> None:
+    ET.SubElement(element, "origin", xyz="0 0 0", rpy="0 0 0")
+    ET.SubElement(ET.SubElement(element, "geometry"), "mesh", filename=filename)
+
+
+def _primitive(element: ET.Element, shape: Primitive) -> None:
+    T = shape.T_link_shape
+    with warnings.catch_warnings():  # of gimbal lock: one of its many answers will do
+        warnings.simplefilter("ignore", UserWarning)
+        rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")  # about fixed axes, as URDF's roll, pitch and yaw
+    ET.SubElement(element, "origin", xyz=number_text(*T[:3, 3]), rpy=number_text(*rpy))
+    geometry = ET.SubElement(element, "geometry")
+    match shape:
+        case Box():
+            ET.SubElement(geometry, "box", size=number_text(*shape.size))
+        case Cylinder():
+            ET.SubElement(geometry, "cylinder", radius=number_text(shape.radius), length=number_text(shape.length))
+        case Sphere():
+            ET.SubElement(geometry, "sphere", radius=number_text(shape.radius))
+
+
+def _joint(model: AssetModel) -> ET.Element:
+    joint = model.joint
+    element = ET.Element("joint", name=joint.name, type=joint.type)
+    ET.SubElement(element, "parent", link=model.root.name)
+    ET.SubElement(element, "child", link=model.child.name)
+    ET.SubElement(element, "origin", xyz=number_text(*joint.pivot), rpy="0 0 0")
+    ET.SubElement(element, "axis", xyz=number_text(*joint.axis))
+    ET.SubElement(
+        element,
+        "limit",
+        lower=number_text(joint.lower),
+        upper=number_text(joint.upper),
+        effort=number_text(model.effort),
+        velocity=number_text(model.velocity),
+    )
+    said = [effect.urdf_dynamics() for effect in model.effects]
+    dynamics = {word: float(np.sum([words.get(word, 0.0) for words in said])) for word in ("damping", "friction")}
+    ET.SubElement(element, "dynamics", {word: number_text(value) for word, value in dynamics.items()})
+    return element

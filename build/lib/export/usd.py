@@ -1,0 +1,288 @@
+"""An asset as USD, written from its URDF: UsdGeom meshes, UsdPhysics bodies and joints, metres, kilograms, z up.
+
+What UsdPhysics cannot say of a joint is written in the names of two engines: Coulomb friction as `staticFrictionEffort`
+and `dynamicFrictionEffort` of NVIDIA's PhysxJointAxisAPI (PhysX 5.6, Isaac Sim 5; N*m or N) and as `newton:friction`.
+PhysX's older `physxJoint:jointFriction` is a coefficient of the joint's load, another law, and is not written. Both
+schemas are not part of usd-core: their names stand as plain tokens, and readers that do not know them pass them by.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from export.loaders import joint_numbers
+from export.model import WORLD
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.urdf import UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, named_inside, read_urdf
+from freeart21.se3 import Array
+
+MAX_MESH_BYTES = 256 << 20
+
+
+def available() -> bool:
+    """Whether usd-core is installed."""
+    return importlib.util.find_spec("pxr") is not None
+
+
+def write_usd(path: Path, asset: Asset) -> None:
+    """Write the asset as a USD layer, beside its URDF, whose meshes' pictures it names; binary when `path` is .usdc.
+
+    Raises FreeArtError when usd-core is not installed.
+    """
+    if not available():
+        raise FreeArtError("usd-core is not installed, which writes USD: pip install 'freeart21[usd]'")
+    from pxr import Kind, Sdf, Usd, UsdGeom, UsdPhysics
+
+    urdf = read_urdf(asset.urdf)
+    layer = Sdf.Layer.CreateAnonymous(path.suffix)
+    stage = Usd.Stage.Open(layer)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    root = UsdGeom.Xform.Define(stage, f"/{_word(urdf.name or 'object')}")
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root.GetPrim()).SetKind(Kind.Tokens.component)
+    poses = urdf.link_poses(asset.held)
+    bodies: dict[str, Any] = {}
+    for name, link in urdf.links.items():
+        if not (name == WORLD == urdf.root):
+            bodies[name] = _body(stage, root.GetPath(), link, poses[name], asset.urdf)
+    for joint in urdf.joints.values():
+        _joint(stage, root.GetPath(), joint, bodies, asset)
+    if urdf.root in bodies:
+        UsdPhysics.ArticulationRootAPI.Apply(bodies[urdf.root].GetPrim())
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / path.name
+        layer.Export(str(made))
+        atomic.write_bytes(path, made.read_bytes())
+
+
+def _word(name: str) -> str:
+    from pxr import Tf
+
+    return str(Tf.MakeValidIdentifier(name))
+
+
+def _body(stage: Any, root: Any, link: UrdfLink, T_root_link: Array, urdf: Path) -> Any:
+    """A rigid body with what it looks like and what it collides with."""
+    from pxr import UsdGeom, UsdPhysics
+
+    body = UsdGeom.Xform.Define(stage, root.AppendChild(_word(link.name)))
+    _place(body, T_root_link)
+    UsdPhysics.RigidBodyAPI.Apply(body.GetPrim())
+    if link.inertial is not None:
+        _mass(body, link.inertial)
+    for k, shape in enumerate(link.visuals):
+        geom = _shape(stage, body.GetPath().AppendChild(f"visual_{k:02d}"), shape, urdf)
+        _look(stage, root, f"{link.name}_{k:02d}", geom, shape, urdf)
+    for k, shape in enumerate(link.collisions):
+        geom = _shape(stage, body.GetPath().AppendChild(f"collision_{k:02d}"), shape, urdf)
+        geom.CreatePurposeAttr(UsdGeom.Tokens.guide)
+        UsdPhysics.CollisionAPI.Apply(geom.GetPrim())
+        if shape.kind == "mesh":
+            approximation = UsdPhysics.MeshCollisionAPI.Apply(geom.GetPrim())
+            approximation.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+    return body
+
+
+def _mass(body: Any, of: UrdfInertial) -> None:
+    """Mass, and inertia as moments about principal axes."""
+    from pxr import Gf, UsdPhysics
+
+    moments, axes = np.linalg.eigh(of.inertia)
+    axes = axes * np.where(axes[np.abs(axes).argmax(0), range(3)] < 0, -1.0, 1.0)  # one of several same answers
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    mass = UsdPhysics.MassAPI.Apply(body.GetPrim())
+    mass.CreateMassAttr(of.mass)
+    mass.CreateCenterOfMassAttr(Gf.Vec3f(*of.centre.tolist()))
+    mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
+    mass.CreatePrincipalAxesAttr(_quaternion(se3.pose(axes, np.zeros(3))))
+
+
+def _joint(stage: Any, root: Any, joint: UrdfJoint, bodies: dict[str, Any], asset: Asset) -> None:
+    """The joint between two bodies, or between the world and the body that is nailed to it."""
+    from pxr import Gf, UsdPhysics
+
+    kinds = {"revolute": UsdPhysics.RevoluteJoint, "prismatic": UsdPhysics.PrismaticJoint, None: UsdPhysics.FixedJoint}
+    made = kinds[joint.joint_type].Define(stage, root.AppendChild(_word(joint.name)))
+    along_x = _rotation_of_x(joint.axis) if joint.joint_type else np.eye(4)
+    if joint.parent in bodies:
+        made.CreateBody0Rel().SetTargets([bodies[joint.parent].GetPath()])
+    else:
+        UsdPhysics.ArticulationRootAPI.Apply(made.GetPrim())
+    made.CreateBody1Rel().SetTargets([bodies[joint.child].GetPath()])
+    made.CreateLocalPos0Attr(Gf.Vec3f(*joint.T_parent_joint[:3, 3].tolist()))
+    made.CreateLocalRot0Attr(_quaternion(joint.T_parent_joint @ along_x))
+    made.CreateLocalPos1Attr(Gf.Vec3f(0.0))
+    made.CreateLocalRot1Attr(_quaternion(along_x))
+    if joint.joint_type is None:
+        return
+    per_unit = float(np.degrees(1.0)) if joint.joint_type == "revolute" else 1.0  # UsdPhysics counts degrees
+    made.CreateAxisAttr(UsdPhysics.Tokens.x)
+    if np.isfinite([joint.lower, joint.upper]).all():
+        made.CreateLowerLimitAttr(per_unit * joint.lower)
+        made.CreateUpperLimitAttr(per_unit * joint.upper)
+    if joint.name == asset.joint:
+        _dynamics(made.GetPrim(), joint, joint_numbers(asset), per_unit)
+
+
+def _dynamics(prim: Any, joint: UrdfJoint, said: dict[str, Any], per_unit: float) -> None:
+    """Damping and spring as a drive, in force per degree; friction, armature and speed limit in the engines' names."""
+    from pxr import Sdf, UsdPhysics
+
+    axis = {"revolute": "angular", "prismatic": "linear"}[said["type"]]
+    drive = UsdPhysics.DriveAPI.Apply(prim, axis)
+    drive.CreateTypeAttr("force")
+    drive.CreateDampingAttr(said["damping"] / per_unit)
+    drive.CreateStiffnessAttr(said["stiffness"] / per_unit)
+    drive.CreateTargetPositionAttr(said["rest"] * per_unit)
+    if joint.effort is not None:
+        drive.CreateMaxForceAttr(joint.effort)
+    values = {
+        f"physxJointAxis:{axis}:staticFrictionEffort": said["friction"],
+        f"physxJointAxis:{axis}:dynamicFrictionEffort": said["friction"],
+        f"physxJointAxis:{axis}:armature": said["armature"],
+        "newton:friction": said["friction"],
+        "newton:armature": said["armature"],
+    }
+    if joint.velocity is not None:
+        values[f"physxJointAxis:{axis}:maxJointVelocity"] = joint.velocity * per_unit
+        values["newton:velocityLimit"] = joint.velocity * per_unit
+    for schema in (f"PhysxJointAxisAPI:{axis}", "NewtonJointAPI"):
+        prim.AddAppliedSchema(schema)
+    for name, value in values.items():
+        prim.CreateAttribute(name, Sdf.ValueTypeNames.Float, False).Set(float(value))
+
+
+def _shape(stage: Any, path: Any, shape: UrdfShape, urdf: Path) -> Any:
+    """The shape at its place in its link."""
+    from pxr import Gf, UsdGeom
+
+    match shape.kind:
+        case "mesh":
+            geom = _mesh(UsdGeom.Mesh.Define(stage, path), shape, urdf)
+            _place(geom, shape.T_link_shape)
+            return geom
+        case "box":
+            geom = UsdGeom.Cube.Define(stage, path)
+            geom.CreateSizeAttr(1.0)
+            geom.CreateExtentAttr([Gf.Vec3f(-0.5), Gf.Vec3f(0.5)])
+            _place(geom, shape.T_link_shape)
+            geom.AddScaleOp().Set(Gf.Vec3f(*shape.size.tolist()))
+            return geom
+        case "sphere":
+            geom = UsdGeom.Sphere.Define(stage, path)
+            geom.CreateRadiusAttr(float(shape.size[0]))
+        case "cylinder":
+            geom = UsdGeom.Cylinder.Define(stage, path)
+            geom.CreateRadiusAttr(float(shape.size[0]))
+            geom.CreateHeightAttr(float(shape.size[1]))
+            geom.CreateAxisAttr(UsdGeom.Tokens.z)
+        case _:
+            raise FreeArtError(f"{urdf} has a shape '{shape.kind}', expected mesh, box, sphere or cylinder")
+    half = np.array([shape.size[0], shape.size[0], 0.5 * shape.size[1] if len(shape.size) > 1 else shape.size[0]])
+    geom.CreateExtentAttr([Gf.Vec3f(*(-half).tolist()), Gf.Vec3f(*half.tolist())])
+    _place(geom, shape.T_link_shape)
+    return geom
+
+
+def _mesh(geom: Any, shape: UrdfShape, urdf: Path) -> Any:
+    from pxr import Sdf, UsdGeom, Vt
+
+    path = checked.require_file(named_inside(urdf, shape.filename), MAX_MESH_BYTES)
+    mesh = trimesh.load_mesh(path, process=False)
+    points = np.ascontiguousarray(mesh.vertices * shape.size, np.float32)
+    geom.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    geom.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
+    geom.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces.reshape(-1), np.int32)))
+    geom.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
+    geom.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    uv = getattr(mesh.visual, "uv", None)
+    if uv is not None and len(uv) == len(points):
+        told = UsdGeom.PrimvarsAPI(geom).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+        told.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(uv, np.float32)))
+        normals = np.ascontiguousarray(mesh.vertex_normals, np.float32)
+        geom.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
+        geom.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    return geom
+
+
+def _look(stage: Any, root: Any, name: str, geom: Any, shape: UrdfShape, urdf: Path) -> None:
+    """UsdPreviewSurface of the mesh's first material: its picture, or its colour."""
+    from pxr import Gf, Sdf, UsdShade
+
+    picture, colour = _material(named_inside(urdf, shape.filename)) if shape.kind == "mesh" else (None, None)
+    if colour is None:
+        colour = (0.7, 0.7, 0.7) if shape.rgba is None else tuple(shape.rgba[:3].tolist())
+    stage.DefinePrim(root.AppendChild("Looks"), "Scope")
+    path = root.AppendChild("Looks").AppendChild(_word(name))
+    material = UsdShade.Material.Define(stage, path)
+    surface = UsdShade.Shader.Define(stage, path.AppendChild("surface"))
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(1.0)
+    diffuse = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    if picture is None:
+        diffuse.Set(Gf.Vec3f(*colour))
+    else:
+        reader = UsdShade.Shader.Define(stage, path.AppendChild("st"))
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+        where = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+        texture = UsdShade.Shader.Define(stage, path.AppendChild("picture"))
+        texture.CreateIdAttr("UsdUVTexture")
+        file = f"./{picture.relative_to(urdf.parent.resolve()).as_posix()}"
+        texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(file))
+        texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(where)
+        diffuse.ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+    output = surface.CreateOutput("surface", Sdf.ValueTypeNames.Token)
+    material.CreateSurfaceOutput().ConnectToSource(output)
+    UsdShade.MaterialBindingAPI.Apply(geom.GetPrim()).Bind(material)
+
+
+def _material(obj: Path) -> tuple[Path | None, tuple[float, ...] | None]:
+    """Picture and colour of the first material of an OBJ file; None for what it does not say."""
+    library = _first(obj, "mtllib") if obj.suffix.lower() == ".obj" else None
+    mtl = obj.parent / library if library else None
+    if mtl is None or not mtl.is_file():
+        return None, None
+    picture, colour = _first(mtl, "map_Kd"), _first(mtl, "Kd")
+    found = checked.inside(obj.parent, picture) if picture else None
+    return found, tuple(float(word) for word in colour.split()) if colour else None
+
+
+def _first(path: Path, key: str) -> str | None:
+    """What follows `key` on the first line that begins with it."""
+    with checked.require_file(path, MAX_MESH_BYTES).open(encoding="utf-8", errors="replace") as file:
+        return next((line[len(key) :].strip() for line in file if line.startswith(key + " ")), None)
+
+
+def _place(geom: Any, T: Array) -> None:
+    from pxr import Gf, UsdGeom
+
+    geom.AddTranslateOp().Set(Gf.Vec3d(*T[:3, 3].tolist()))
+    geom.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(*np.asarray(se3.wxyz(T), float).tolist()))
+
+
+def _quaternion(T: Array) -> Any:
+    from pxr import Gf
+
+    return Gf.Quatf(*np.asarray(se3.wxyz(T), float).tolist())
+
+
+def _rotation_of_x(axis: Array) -> Array:
+    """(4, 4) the shortest rotation that brings x to the unit vector `axis`."""
+    x = np.eye(3)[0]
+    across = np.cross(x, axis)
+    sine, cosine = float(np.linalg.norm(across)), float(axis @ x)
+    across = across / sine if sine > 1e-12 else np.eye(3)[2]
+    return se3.pose(se3.exp_so3(np.arctan2(sine, cosine) * across), np.zeros(3))

@@ -1,0 +1,220 @@
+"""Inside of a surface that may be open (generalised winding number, Jacobson et al. 2013), and distance to it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from freeart21.mesh import Mesh
+from freeart21.se3 import Array
+
+LEAF = 8
+"""Triangles that a leaf of the tree may hold."""
+MANY = 2_000
+"""Points from which on threads are worth their start."""
+FAR = 2.0
+"""Radii of a node from its middle beyond which all its triangles are one dipole (Barill et al. 2018, who take 2)."""
+
+
+class Winding:
+    """How often the triangles of a mesh wind round a point: 1 inside a closed surface, 0 outside, between when open."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        """`mesh` in any frame; its triangles face outwards."""
+        corners = mesh.vertices[mesh.faces]
+        order, self._first, self._count, self._right = _tree(np.ascontiguousarray(corners.mean(1)), LEAF)
+        self._order = order
+        self._corners = np.ascontiguousarray(corners[order])
+        a, b, c = np.moveaxis(self._corners, 1, 0)
+        self._nodes = _dipoles(self._corners, 0.5 * np.cross(b - a, c - a), self._first, self._count)
+
+    def number(self, points: Array) -> Array:
+        """(n,) winding number at points (n, 3)."""
+        return self._each(_number, points, FAR)
+
+    def distance(self, points: Array) -> Array:
+        """(n,) to the nearest triangle from points (n, 3)."""
+        return self.nearest(points)[0]
+
+    def nearest(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
+        """(n,) distance from points (n, 3) to the nearest triangle, and (n,) which of the mesh's it is."""
+        found = self._each(_distance, points)
+        return found[:, 0], self._order[found[:, 1].astype(np.int64)]
+
+    def _each(self, kernel: Callable[..., Array], points: Array, *more: float) -> Array:
+        """(n, ...) what a kernel says of points (n, 3), on all cores when there are many."""
+        points = np.ascontiguousarray(points, float)
+
+        def of(some: Array) -> Array:
+            return kernel(some, self._corners, self._nodes, self._first, self._count, self._right, *more)
+
+        if len(points) < MANY:
+            return of(points)
+        with ThreadPoolExecutor() as pool:
+            return np.concatenate(list(pool.map(of, np.array_split(points, os.cpu_count() or 1))))
+
+
+def _tree(
+    middles: Array, leaf: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Order of the triangles; of each node its first triangle, their count, and its right child (0 in a leaf).
+
+    Nodes stand in preorder, so that the left child follows its parent; each is cut at the median of its longest side.
+    """
+    order = np.arange(len(middles))
+    first: list[int] = []
+    count: list[int] = []
+    right: list[int] = []
+    waiting = [(0, len(middles), -1)]
+    while waiting:
+        start, stop, parent = waiting.pop()
+        if parent >= 0:
+            right[parent] = len(first)
+        first.append(start)
+        count.append(stop - start)
+        right.append(0)
+        if stop - start > leaf:
+            own = order[start:stop]
+            side = int(np.argmax(np.ptp(middles[own], axis=0)))
+            half = (stop - start) // 2
+            order[start:stop] = own[np.argpartition(middles[own, side], half)]
+            here = len(first) - 1
+            waiting += [(start + half, stop, here), (start, start + half, -1)]
+    return order, np.array(first), np.array(count), np.array(right)
+
+
+def _dipoles(corners: Array, normals: Array, first: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
+    """(N, 7) of each node: its area's middle, its radius, and the sum of its triangles' area vectors."""
+    nodes = np.zeros((len(first), 7))
+    areas = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+    middles = corners.mean(1)
+    for k, (start, n) in enumerate(zip(first, count, strict=True)):
+        own = slice(start, start + n)
+        middle = areas[own] @ middles[own] / areas[own].sum()
+        radius = np.sqrt(((corners[own] - middle) ** 2).sum(-1).max())
+        nodes[k] = (*middle, radius, *normals[own].sum(0))
+    return nodes
+
+
+@njit(cache=True, nogil=True)
+def _number(points, corners, nodes, first, count, right, far):
+    found = np.zeros(len(points))
+    stack = np.empty(128, np.int64)
+    for i in range(len(points)):
+        x, y, z = points[i]
+        total, top = 0.0, 1
+        stack[0] = 0
+        while top > 0:
+            top -= 1
+            k = stack[top]
+            dx, dy, dz = nodes[k, 0] - x, nodes[k, 1] - y, nodes[k, 2] - z
+            square = dx * dx + dy * dy + dz * dz
+            if square > (far * nodes[k, 3]) ** 2:
+                total += (nodes[k, 4] * dx + nodes[k, 5] * dy + nodes[k, 6] * dz) / (square * np.sqrt(square))
+            elif right[k] > 0:
+                stack[top], stack[top + 1] = k + 1, right[k]
+                top += 2
+            else:
+                for f in range(first[k], first[k] + count[k]):
+                    total += _solid_angle(corners[f], x, y, z)
+        found[i] = total / (4 * np.pi)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _distance(points, corners, nodes, first, count, right):
+    """(n, 2) distance and place in `corners` of the nearest triangle."""
+    found = np.empty((len(points), 2))
+    stack = np.empty(128, np.int64)
+    for i in range(len(points)):
+        best, which, top = np.inf, 0, 1
+        stack[0] = 0
+        while top > 0:
+            top -= 1
+            k = stack[top]
+            if _clear(nodes[k], points[i]) >= best:
+                continue
+            if right[k] > 0:
+                near, far = k + 1, right[k]
+                if _clear(nodes[far], points[i]) < _clear(nodes[near], points[i]):
+                    near, far = far, near
+                stack[top], stack[top + 1] = far, near
+                top += 2
+            else:
+                for f in range(first[k], first[k] + count[k]):
+                    away = _to_triangle(points[i], corners[f])
+                    if away < best:
+                        best, which = away, f
+        found[i, 0], found[i, 1] = best, which
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _clear(node, p):
+    """Distance from p that no triangle of a node can be below."""
+    x, y, z = node[0] - p[0], node[1] - p[1], node[2] - p[2]
+    return np.sqrt(x * x + y * y + z * z) - node[3]
+
+
+@njit(cache=True, nogil=True)
+def _to_triangle(p, triangle):
+    s, t = _nearest(p, triangle)
+    x = p[0] - (1 - s - t) * triangle[0, 0] - s * triangle[1, 0] - t * triangle[2, 0]
+    y = p[1] - (1 - s - t) * triangle[0, 1] - s * triangle[1, 1] - t * triangle[2, 1]
+    z = p[2] - (1 - s - t) * triangle[0, 2] - s * triangle[1, 2] - t * triangle[2, 2]
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@njit(cache=True, nogil=True)
+def _dot(ax, ay, az, bx, by, bz):
+    return ax * bx + ay * by + az * bz
+
+
+@njit(cache=True, nogil=True)
+def _nearest(p, triangle):
+    """Barycentric coordinates (second, third corner) of a triangle's point nearest to p (Ericson 2005, 5.1.5)."""
+    ux, uy, uz = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
+    vx, vy, vz = triangle[2, 0] - triangle[0, 0], triangle[2, 1] - triangle[0, 1], triangle[2, 2] - triangle[0, 2]
+    x, y, z = p[0] - triangle[0, 0], p[1] - triangle[0, 1], p[2] - triangle[0, 2]
+    uu, uv, vv = _dot(ux, uy, uz, ux, uy, uz), _dot(ux, uy, uz, vx, vy, vz), _dot(vx, vy, vz, vx, vy, vz)
+    d1, d2 = _dot(ux, uy, uz, x, y, z), _dot(vx, vy, vz, x, y, z)
+    d3, d4, d5, d6 = d1 - uu, d2 - uv, d1 - uv, d2 - vv
+    if d1 <= 0 and d2 <= 0:
+        return 0.0, 0.0
+    if d3 >= 0 and d4 <= d3:
+        return 1.0, 0.0
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0 and d1 >= 0 and d3 <= 0:
+        return d1 / (d1 - d3), 0.0
+    if d6 >= 0 and d5 <= d6:
+        return 0.0, 1.0
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0 and d2 >= 0 and d6 <= 0:
+        return 0.0, d2 / (d2 - d6)
+    va = d3 * d6 - d5 * d4
+    if va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        return 1 - w, w
+    total = va + vb + vc
+    return vb / total, vc / total
+
+
+@njit(cache=True, nogil=True)
+def _solid_angle(triangle, x, y, z):
+    """Of a triangle (3, 3) seen from a point (van Oosterom and Strackee 1983)."""
+    ax, ay, az = triangle[0, 0] - x, triangle[0, 1] - y, triangle[0, 2] - z
+    bx, by, bz = triangle[1, 0] - x, triangle[1, 1] - y, triangle[1, 2] - z
+    cx, cy, cz = triangle[2, 0] - x, triangle[2, 1] - y, triangle[2, 2] - z
+    a, b, c = (
+        np.sqrt(ax * ax + ay * ay + az * az),
+        np.sqrt(bx * bx + by * by + bz * bz),
+        np.sqrt(cx * cx + cy * cy + cz * cz),
+    )
+    volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
+    return 2 * np.arctan2(volume, a * b * c + ab * c + bc * a + ca * b)

@@ -1,0 +1,38 @@
+"""The process `freeart21`: hears a stop signal from the first moment, before anything large is loaded."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import Any
+
+
+def _at_once(number: int, frame: Any) -> None:
+    print("freeart21: stopped", file=sys.stderr, flush=True)
+    os._exit(128 + number)
+
+
+if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, _at_once)  # nothing is under way yet; `listen` takes it over
+
+from freeart21 import stopping  # noqa: E402
+
+
+def main() -> None:
+    """Run the command line."""
+    stopping.listen()
+    from freeart21.ending import in_one_line
+
+    try:
+        with in_one_line():
+            from freeart21.cli import main as command
+
+            command()
+    finally:  # what is left is Python's own end
+        for number in stopping.SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,60 @@
+"""The effect library: every physical effect the product knows by name, one module with one class each."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from abc import ABCMeta
+from typing import Any
+
+from freeart21.effects.base import Effect, perpendiculars, readings
+from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects.return_spring import ReturnSpring
+from freeart21.effects.viscous_damping import ViscousDamping
+from freeart21.errors import FreeArtError
+from freeart21.joint import JointType
+
+__all__ = [
+    "EFFECTS",
+    "CoulombFriction",
+    "Effect",
+    "ReturnSpring",
+    "ViscousDamping",
+    "effect_from_json",
+    "effects_from_urdf_dynamics",
+    "perpendiculars",
+    "readings",
+]
+
+
+def _found() -> dict[str, type[Effect]]:
+    """Every effect class that a module of this package defines, by name; a module is named as its effect."""
+    found: dict[str, type[Effect]] = {}
+    for info in sorted(pkgutil.iter_modules(__path__), key=lambda info: info.name):
+        module = importlib.import_module(f"{__name__}.{info.name}")
+        for value in vars(module).values():
+            if isinstance(value, ABCMeta) and issubclass(value, Effect) and getattr(value, "name", None) == info.name:
+                found[info.name] = value
+    return found
+
+
+EFFECTS: dict[str, type[Effect]] = _found()
+"""Name to class, in alphabetical order."""
+
+
+def effect_from_json(data: Any, joint_type: JointType, where: str) -> Effect:
+    """The effect of one effects.json entry; FreeArtError names `where` and lists the known effects."""
+    name = data.get("effect") if isinstance(data, dict) else None
+    if not isinstance(name, str) or name not in EFFECTS:
+        raise FreeArtError(f"{where}: unknown effect '{name}'; effects: {', '.join(sorted(EFFECTS))}")
+    return EFFECTS[name].from_json(data, joint_type, where)
+
+
+def effects_from_urdf_dynamics(damping: float, friction: float) -> tuple[Effect, ...]:
+    """The meaning of URDF `<dynamics>`: viscous damping (N*m*s/rad or N*s/m) and Coulomb friction (N*m or N)."""
+    effects: list[Effect] = []
+    if damping:
+        effects.append(ViscousDamping(damping))
+    if friction:
+        effects.append(CoulombFriction(friction))
+    return tuple(effects)

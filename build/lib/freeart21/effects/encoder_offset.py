@@ -1,0 +1,23 @@
+"""Encoder offset: the position sensor's zero is off."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from freeart21.effects.base import Acts, Effect, Kind, parameter
+
+
+@dataclass(frozen=True)
+class EncoderOffset(Effect):
+    """reading = q + offset."""
+
+    name: ClassVar[str] = "encoder_offset"
+    kind: ClassVar[Kind] = "sensing"
+    acts: ClassVar[Acts] = "reading"
+
+    offset: float = parameter("rad", "m", -100.0, 100.0, "reading at q = 0", scale=0.05)
+
+    def reading_error(self, q: ArrayLike) -> Any:
+        return self.offset + 0.0 * np.asarray(q, float)

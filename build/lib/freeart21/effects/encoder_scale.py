@@ -1,0 +1,24 @@
+"""Encoder scale: the position sensor counts too much or too little per turn or metre."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from freeart21.effects.base import Acts, Effect, Kind, parameter
+
+
+@dataclass(frozen=True)
+class EncoderScale(Effect):
+    """reading = factor * q."""
+
+    name: ClassVar[str] = "encoder_scale"
+    kind: ClassVar[Kind] = "sensing"
+    acts: ClassVar[Acts] = "reading"
+    departs: ClassVar[tuple[float, float]] = (0.05, 0.05)  # scales are bent a little
+
+    factor: float = parameter("1", "1", 0.1, 10.0, "reading per position", scale=0.1)
+
+    def reading_error(self, q: ArrayLike) -> Any:
+        return (self.factor - 1.0) * np.asarray(q, float)

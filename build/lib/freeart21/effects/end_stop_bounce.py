@@ -1,0 +1,29 @@
+"""End-stop bounce: the limits throw the joint back instead of stopping it dead."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from freeart21.effects.base import Acts, Effect, parameter
+
+
+@dataclass(frozen=True)
+class EndStopBounce(Effect):
+    """Speed after an impact at a limit = -restitution * speed before it / (1 + fading * |speed before it|).
+
+    Without fading this is Newton's law of restitution. Real stops throw fast parts back less than slow ones (Goldsmith
+    1960; Hunt and Crossley 1975): at a speed of 1 / fading half of the restitution is left. Without the effect limits
+    are perfectly inelastic. Of several, the largest counts. URDF and MJCF have no word for it (MuJoCo's `solreflimit`
+    is a soft limit).
+    """
+
+    name: ClassVar[str] = "end_stop_bounce"
+    acts: ClassVar[Acts] = "stop"
+
+    restitution: float = parameter("1", "1", 0.0, 1.0, "speed after a slow impact per speed before it", scale=0.3)
+    fading: float = parameter("s/rad", "s/m", 0.0, 1e6, "how fast that falls with speed", scale=0.1, default=0.0)
+
+    @staticmethod
+    def law(q: Any, qd: Any, load: Any, memory: Any, restitution: Any, fading: Any) -> Any:
+        return -restitution * qd / (1.0 + fading * np.abs(qd))

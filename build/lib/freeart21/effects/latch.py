@@ -1,0 +1,43 @@
+"""Latch: a catch that holds the joint at a position until it is pulled hard enough."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from freeart21.effects.base import Acts, Effect, parameter
+
+
+@dataclass(frozen=True)
+class Latch(Effect):
+    """While caught, force = -hold * (q - position) / travel. It lets go where |q - position| passes travel, so at a
+    pull of just `hold`, and catches again within capture * travel of the position: closing it takes less work than
+    opening it.
+
+    A linear spring with hysteresis, the least that has a release force and a closed state of its own. Its memory is 1
+    while caught, else 0; it starts caught when the joint starts within the capture range. URDF and MJCF have no word
+    for it.
+    """
+
+    name: ClassVar[str] = "latch"
+    acts: ClassVar[Acts] = "force"
+    knows_speed: ClassVar[bool] = False
+    departs: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
+    tails: ClassVar[tuple[float, int]] = (1.0, 2)  # and ease before they let go
+
+    hold: float = parameter("N*m", "N", 0.0, 1e4, "pull at which it lets go", scale=1.0)
+    position: float = parameter("rad", "m", -100.0, 100.0, "where it holds the joint", scale=0.1)
+    travel: float = parameter("rad", "m", 1e-5, 10.0, "distance from there at which it lets go", scale=0.02)
+    capture: float = parameter("1", "1", 0.0, 1.0, "part of the travel within which it catches", scale=0.5)
+
+    @staticmethod
+    def law(q: Any, qd: Any, load: Any, memory: Any, hold: Any, position: Any, travel: Any, capture: Any) -> Any:
+        return -hold * memory * (q - position) / travel
+
+    @staticmethod
+    def remember(q: Any, memory: Any, hold: Any, position: Any, travel: Any, capture: Any) -> Any:
+        away = np.abs(q - position)
+        return 1.0 * ((away <= capture * travel) | ((memory > 0.5) & (away <= travel)))
+
+    def steepness(self) -> float:
+        return self.hold / self.travel

@@ -1,0 +1,30 @@
+"""Return spring: a force towards a rest position, in proportion to the distance from it."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from freeart21.effects.base import Acts, Effect, parameter
+
+
+@dataclass(frozen=True)
+class ReturnSpring(Effect):
+    """force = -stiffness * (q - rest). URDF has no word for it."""
+
+    name: ClassVar[str] = "return_spring"
+    acts: ClassVar[Acts] = "force"
+    knows_speed: ClassVar[bool] = False
+    departs: ClassVar[tuple[float, float]] = (0.0, 0.05)  # it may harden a little; it knows no speed
+    keeps: ClassVar[bool] = True  # what hardens as much as it pleases is a cable, a magnet, a belt
+
+    stiffness: float = parameter("N*m/rad", "N/m", 0.0, 1e6, "force per displacement", scale=1.0)
+    rest: float = parameter("rad", "m", -100.0, 100.0, "position without force", scale=0.1)
+
+    @staticmethod
+    def law(q: Any, qd: Any, load: Any, memory: Any, stiffness: Any, rest: Any) -> Any:
+        return -stiffness * (q - rest)
+
+    def steepness(self) -> float:
+        return self.stiffness
+
+    def mjcf_joint(self) -> dict[str, float | tuple[float, ...]]:
+        return {"stiffness": self.stiffness, "springref": self.rest}

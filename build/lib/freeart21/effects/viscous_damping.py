@@ -1,0 +1,30 @@
+"""Viscous damping: a force against the motion, in proportion to its speed."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from freeart21.effects.base import Acts, Effect, parameter
+
+
+@dataclass(frozen=True)
+class ViscousDamping(Effect):
+    """force = -coefficient * qd."""
+
+    name: ClassVar[str] = "viscous_damping"
+    acts: ClassVar[Acts] = "force"
+    departs: ClassVar[tuple[float, float]] = (0.2, 0.1)  # oils thin with speed; films are much the same everywhere
+
+    coefficient: float = parameter("N*m*s/rad", "N*s/m", 0.0, 1e4, "force per speed", scale=0.1)
+
+    @staticmethod
+    def law(q: Any, qd: Any, load: Any, memory: Any, coefficient: Any) -> Any:
+        return -coefficient * qd
+
+    def damping(self) -> float:
+        return self.coefficient
+
+    def urdf_dynamics(self) -> dict[str, float]:
+        return {"damping": self.coefficient}
+
+    def mjcf_joint(self) -> dict[str, float | tuple[float, ...]]:
+        return {"damping": self.coefficient}

@@ -1,0 +1,34 @@
+"""Wobble: the moving part rocks in its worn joint, in time rather than with the joint's position."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from freeart21.effects.base import Acts, Effect, Kind, parameter, perpendiculars
+from freeart21.mechanics import JointMechanics
+from freeart21.se3 import Array
+
+
+@dataclass(frozen=True)
+class Wobble(Effect):
+    """A turn by amplitude * sin(2 pi frequency t + phase) about the direction cos(direction) * first + sin(direction) *
+    second across the axis, `perpendiculars(axis)`, through the pivot: a second mode, written as a steady oscillation.
+    """
+
+    name: ClassVar[str] = "wobble"
+    kind: ClassVar[Kind] = "kinematics"
+    acts: ClassVar[Acts] = "pose"
+
+    amplitude: float = parameter("rad", "rad", 0.0, 0.8, "largest turn", scale=0.01)
+    frequency: float = parameter("Hz", "Hz", 0.0, 1000.0, "oscillations a second", scale=1.0)
+    phase: float = parameter("rad", "rad", -7.0, 7.0, "phase at t = 0", scale=1.0)
+    direction: float = parameter("rad", "rad", -7.0, 7.0, "where across the axis it turns about", scale=1.0)
+
+    def displacement(self, q: ArrayLike, t: ArrayLike, mechanics: JointMechanics) -> Array:
+        joint, (first, second) = mechanics.joint, perpendiculars(mechanics.joint.axis)
+        t = np.asarray(t, float) + 0.0 * np.asarray(q, float)
+        angle = self.amplitude * np.sin(2 * np.pi * self.frequency * t + self.phase)
+        axis = np.cos(self.direction) * first + np.sin(self.direction) * second
+        return replace(joint, type="revolute", axis=axis).transform(angle)

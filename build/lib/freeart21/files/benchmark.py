@@ -1,0 +1,145 @@
+"""A benchmark folder: sequences, truths, and a list of every file with its hash."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+
+SCHEMA = "freeart21/benchmark/1"
+WORK = ".recording"
+"""Folder of what is under way, in a data folder that is being recorded."""
+JOB_SCHEMA = "freeart21/recording-job/1"
+"""Of job.json there: what is being made, in full."""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """benchmark.json of a data folder."""
+
+    folder: Path
+    name: str
+    version: str
+    split: str
+    sequences: tuple[str, ...]
+    hidden: str = ""
+    """Salted SHA-256 of the truth that was left out (`freeart21.files.hidden`); empty when it is in the folder."""
+    apart: Path | None = None
+    """Where the truth lies that was left out; None when nobody said."""
+    salt: str = ""
+    """Of its hashes."""
+
+    def sequence(self, name: str) -> Path:
+        """The sequence folder of `name`."""
+        return self.folder / "sequences" / name
+
+    def truth(self, name: str) -> Path:
+        """The truth folder of `name`. Raises FreeArtError when it was left out, and nobody said where it is."""
+        if self.hidden and self.apart is None:
+            raise FreeArtError(
+                f"{self.folder} was packed without its truth, which only its makers have; got no --truth"
+            )
+        return (self.apart or self.folder) / "truth" / name
+
+    def chosen(self, names: Sequence[str] | None) -> tuple[str, ...]:
+        """Those of its sequences that `names` says, in its own order; all when it is None.
+
+        Raises FreeArtError when one is not among them.
+        """
+        if names is None:
+            return self.sequences
+        for name in names:
+            if name not in self.sequences:
+                known = ", ".join(self.sequences[:30]) + (", ..." if len(self.sequences) > 30 else "")
+                raise FreeArtError(f"{self.folder} has no sequence '{name}'; it has {known}")
+        return tuple(name for name in self.sequences if name in names)
+
+
+def file_sha256(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return (
+            hashlib.file_digest(file, "sha256").hexdigest()
+            if hasattr(hashlib, "file_digest")
+            else hashlib.sha256(file.read()).hexdigest()
+        )
+
+
+def write_benchmark(folder: Path, name: str, version: str, split: str) -> Benchmark:
+    """Write benchmark.json over all sequences that have both their video and their truth."""
+    sequences = tuple(sorted(p.parent.name for p in (folder / "sequences").glob("*/sequence.json")))
+    files = sorted(
+        p for sub in ("sequences", "truth") for s in sequences for p in (folder / sub / s).rglob("*") if p.is_file()
+    )
+    atomic.write_json(
+        folder / "benchmark.json",
+        {
+            "schema": SCHEMA,
+            "name": name,
+            "version": version,
+            "split": split,
+            "sequences": list(sequences),
+            "sha256": {str(p.relative_to(folder)): file_sha256(p) for p in files},
+        },
+    )
+    return Benchmark(folder, name, version, split, sequences)
+
+
+def is_unfinished(folder: Path) -> bool:
+    """Whether an interrupted (or running) recording waits in `folder`."""
+    return (folder / WORK / "job.json").is_file()
+
+
+def unfinished(folder: Path) -> FreeArtError:
+    """The error of a data folder that is not whole yet: how far it is, and how to go on."""
+    try:
+        jobs = checked.read_json(folder / WORK / "job.json", JOB_SCHEMA).get("jobs")
+    except FreeArtError:
+        jobs = None
+    names = [str(job.get("sequence")) for job in jobs if isinstance(job, dict)] if isinstance(jobs, list) else []
+    done = sum((folder / "sequences" / name / "sequence.json").is_file() for name in names)
+    return FreeArtError(
+        f"{folder} is an unfinished recording ({done} of {len(names)} sequences are done): the `freeart21 record` "
+        f"command that began it goes on; to give it up remove {folder / WORK}"
+    )
+
+
+def read_benchmark(folder: Path, truth: Path | None = None) -> Benchmark:
+    """The benchmark in `folder`; `truth` is where its truth lies, if that was left out.
+
+    Raises FreeArtError when it is broken, or `truth` is not the truth that was left out.
+    """
+    folder = Path(folder)
+    path = folder / "benchmark.json"
+    if not path.is_file() and is_unfinished(folder):
+        raise unfinished(folder)
+    if not path.is_file():
+        raise FreeArtError(f"{folder} is not a benchmark: it has no benchmark.json")
+    data = checked.read_json(path, SCHEMA)
+    sequences = data.get("sequences")
+    if not isinstance(sequences, list) or not all(isinstance(s, str) and Path(s).name == s for s in sequences):
+        raise FreeArtError(f"{path}: 'sequences' is not a list of folder names")
+    benchmark = Benchmark(
+        folder,
+        checked.text(data, "name", path),
+        checked.text(data, "version", path),
+        checked.text(data, "split", path),
+        tuple(sequences),
+        checked.text(data, "hidden", path) if "hidden" in data else "",
+    )
+    if truth is None:
+        return benchmark
+    from freeart21.files.hidden import read_hidden  # which reads benchmarks
+
+    if not benchmark.hidden:
+        raise FreeArtError(f"{folder} holds its truth itself: {truth} is not needed")
+    found = read_hidden(truth)
+    if found.digest != benchmark.hidden:
+        raise FreeArtError(
+            f"{truth} is not the truth of {folder}: its digest is {found.digest[:12]}, expected {benchmark.hidden[:12]}"
+        )
+    return replace(benchmark, apart=Path(truth), salt=found.salt)

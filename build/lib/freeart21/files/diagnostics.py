@@ -1,0 +1,189 @@
+"""diagnostics.json and confidence/ of a result folder: what a method can say of its own work without knowing the truth.
+
+Written beside prediction.json by methods that measure it; results without it are just as good. No scorer reads it. What
+a result tells already (states and their standard deviations, poses, masks, `seen`) is not told again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.se3 import Array
+
+SCHEMA = "freeart21/diagnostics/1"
+FILE = "diagnostics.json"
+MAX_BYTES = 32 << 20
+"""A hundred thousand frames take less."""
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """How well n frames of both parts (reference, moving) agree with each other. NaN where nothing could be measured.
+
+    A frame's samples of a part are carried into other frames by the poses of both, and looked up there.
+    """
+
+    pixels: Array
+    """(n, 2) pixels of each part in the picture."""
+    confidence: Array
+    """(n, 2) mean probability, 0 to 1, that the labels give to the part that they name."""
+    inliers: Array
+    """(n, 2) share, 0 to 1, of samples that meet the same part's surface within `gate_m`."""
+    outside: Array
+    """(n, 2) share, 0 to 1, of samples that fall off the foreground."""
+    residual_m: Array
+    """(n, 2) metres: root mean square distance of inliers to the surface's planes, by the free poses."""
+    jointed_residual_m: Array
+    """(n, 2) metres: the same by poses that obey the joint."""
+    gate_m: float
+    """Metres: samples farther from the surface are no inliers."""
+    footprint_m: float
+    """Metres that a pixel covers at the object."""
+    noise_m: float
+    """Metres: standard deviation of depth, once planes are fitted to it."""
+    diagonal_m: float
+    """Metres: estimated size of the object."""
+    peak_bytes: int | None = None
+    """Most memory that the process has held, if known."""
+    confidence_maps: NDArray[np.uint8] | None = None
+    """(n, height, width) probability, in 255ths, of the label that every pixel was given; 0 where it has none."""
+    unexplained: Array | None = None
+    """(n,) share, 0 to 1, of the object's pixels that follow neither part's motion into other frames, if known."""
+    other_motion_cost: Array | None = None
+    """(n, 2) mean cost of each part's pixels under the other part's motion, where the joint moves; 0.5 is a misfit of a
+    standard deviation. If known."""
+    rival_distance: Array | None = None
+    """(n,) how far, rad or m, another state is that explains the frame as well; 0 when none does. If known."""
+    type_residuals_m: Array | None = None
+    """(2,) metres: median misfit of the measured poses to the best joint of this type, and to that of the other. If
+    known."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in _OF_FRAMES and np.shape(value) != (len(self.pixels), 2):
+                raise FreeArtError(
+                    f"diagnostics {field.name} has shape {np.shape(value)}, expected ({len(self.pixels)}, 2)"
+                )
+
+        for name, shape in _shapes(len(self)).items():
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != shape:
+                raise FreeArtError(f"diagnostics {name} has shape {np.shape(value)}, expected {shape}")
+        maps = self.confidence_maps
+        if maps is not None and (maps.ndim != 3 or len(maps) != len(self) or maps.dtype != np.uint8):
+            raise FreeArtError(
+                f"diagnostics confidence_maps has shape {maps.shape} {maps.dtype}, "
+                f"expected ({len(self)}, height, width) uint8"
+            )
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def exchanged(self) -> Diagnostics:
+        """The same with the parts' names exchanged."""
+        turned = {name: getattr(self, name)[:, ::-1] for name in _OF_FRAMES}
+        cost = self.other_motion_cost
+        return replace(self, **turned, other_motion_cost=None if cost is None else cost[:, ::-1])
+
+
+_OF_FRAMES = ("pixels", "confidence", "inliers", "outside", "residual_m", "jointed_residual_m")
+_MAY_MISS = ("unexplained", "other_motion_cost", "rival_distance", "type_residuals_m")
+_SHARES = ("confidence", "inliers", "outside", "unexplained")
+_LENGTHS = ("gate_m", "footprint_m", "noise_m", "diagonal_m")
+
+
+def _shapes(n: int) -> dict[str, tuple[int, ...]]:
+    """Of what need not be known."""
+    return dict(zip(_MAY_MISS, ((n,), (n, 2), (n,), (2,)), strict=True))
+
+
+def diagnostics_to_json(diagnostics: Diagnostics) -> dict[str, Any]:
+    """Plain values, arrays to six digits; null where nothing was measured. The maps are not among them."""
+    data: dict[str, Any] = {"schema": SCHEMA}
+    for name in _OF_FRAMES:
+        data[name] = [[_six_digits(v) for v in row] for row in np.asarray(getattr(diagnostics, name), float).tolist()]
+    for name in _MAY_MISS:
+        value = getattr(diagnostics, name)
+        if value is not None:
+            flat = [_six_digits(v) for v in np.ravel(value).tolist()]
+            data[name] = flat if np.ndim(value) == 1 else [flat[i : i + 2] for i in range(0, len(flat), 2)]
+    return (
+        data | {name: float(getattr(diagnostics, name)) for name in _LENGTHS} | {"peak_bytes": diagnostics.peak_bytes}
+    )
+
+
+def diagnostics_from_json(data: dict[str, Any], path: Path) -> Diagnostics:
+    """What `diagnostics_to_json` wrote; raises FreeArtError naming `path`."""
+    arrays = {name: checked.numbers(data, name, (None, 2), path, nullable=True) for name in _OF_FRAMES}
+    n = len(arrays["pixels"])
+    for name, shape in _shapes(n).items():
+        if data.get(name) is not None:
+            arrays[name] = checked.numbers(data, name, shape, path, nullable=True)
+    for name, array in arrays.items():
+        if name in _OF_FRAMES and len(array) != n:
+            raise FreeArtError(f"{path}: '{name}' has {len(array)} frames, expected {n} as 'pixels'")
+        low, high = np.nanmin(array, initial=0.0), np.nanmax(array, initial=0.0)
+        most = 1.0 if name in _SHARES else np.inf
+        if low < 0 or high > most or not np.isfinite(high):
+            raise FreeArtError(f"{path}: '{name}' reaches from {low:g} to {high:g}, expected 0 to {most:g}")
+    for name in _LENGTHS:
+        if not _is_number(data.get(name)) or not 0 <= data[name] < np.inf:
+            raise FreeArtError(f"{path}: '{name}' is {data.get(name)!r}, expected metres, not negative")
+    peak = data.get("peak_bytes")
+    if peak is not None and (not isinstance(peak, int) or isinstance(peak, bool) or peak < 0):
+        raise FreeArtError(f"{path}: 'peak_bytes' is {peak!r}, expected a whole number or null")
+    lengths = {name: float(data[name]) for name in _LENGTHS}
+    return Diagnostics(**arrays, **lengths, peak_bytes=peak)  # type: ignore[arg-type]
+
+
+def write_diagnostics(folder: Path, diagnostics: Diagnostics) -> None:
+    """Write diagnostics.json and, when there are maps, confidence/."""
+    atomic.write_json(folder / FILE, diagnostics_to_json(diagnostics))
+    for i, image in enumerate(() if diagnostics.confidence_maps is None else diagnostics.confidence_maps):
+        atomic.write_bytes(confidence_file(folder, i), checked.encode_png(image))
+
+
+def read_diagnostics(folder: Path, n: int) -> Diagnostics | None:
+    """The diagnostics in a result folder of `n` frames, None when it has none; FreeArtError when they are no such.
+
+    Without the maps: those are read one by one by `read_confidence`.
+    """
+    path = Path(folder) / FILE
+    if not path.exists():
+        return None
+    found = diagnostics_from_json(checked.read_json(checked.require_file(path, MAX_BYTES), SCHEMA), path)
+    if len(found) != n:
+        raise FreeArtError(f"{path} is of {len(found)} frames, expected {n} as in prediction.json")
+    return found
+
+
+def confidence_file(folder: Path, index: int) -> Path:
+    """Where the confidence map of frame `index` stands."""
+    return Path(folder) / "confidence" / f"{index:05d}.png"
+
+
+def read_confidence(folder: Path, index: int, shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """The confidence map of frame `index`, which must be of `shape` (height, width); raises FreeArtError."""
+    path = confidence_file(folder, index)
+    found = checked.read_labels(path)
+    if found.shape != shape:
+        raise FreeArtError(
+            f"{path} is {found.shape[1]} x {found.shape[0]}, expected {shape[1]} x {shape[0]} as the part masks"
+        )
+    return found
+
+
+def _six_digits(value: float) -> float | None:
+    return float(f"{value:.6g}") if np.isfinite(value) else None
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,0 +1,351 @@
+"""A measured set on disk: measured.json and one file or folder a run."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.joint import JOINT_TYPES, JointType
+from freeart21.measured import (
+    EFFORT_KINDS,
+    INTERPOLATIONS,
+    TIMESTAMPS,
+    EffortKind,
+    Interpolation,
+    Measured,
+    Run,
+    Timestamps,
+    without_copies,
+)
+from freeart21.mechanics import Actuator
+from freeart21.se3 import Array
+
+VERSION = 1
+MAX_CSV_BYTES = 64 << 20
+MAX_BYTES = 256 << 20
+"""Of all runs together."""
+MAX_SAMPLES = 1_000_000
+"""Of a run."""
+MAX_RUNS = 1000
+MAX_RATE_HZ = 1e5
+MAX_GRAVITY = 50.0
+"""m/s^2; more is another unit."""
+MAX_POSITION = 1e4
+"""rad or m; more is no position of a joint."""
+MIN_SAMPLES = 20
+"""Fewer readings say nothing of a motion."""
+COLUMNS = ("t_s", "q", "effort", "q_command")
+UNITS: dict[str, dict[str, str]] = {
+    "revolute": {"t_s": "s", "q": "rad", "effort": "N*m", "q_command": "rad"},
+    "prismatic": {"t_s": "s", "q": "m", "effort": "N", "q_command": "m"},
+}
+
+
+def read_measured(folder: Path) -> Measured:
+    """The measured set in a folder; FreeArtError says in one line what is wrong with it."""
+    folder = Path(folder)
+    path = folder / "measured.json"
+    if not folder.is_dir() or not path.is_file():
+        raise FreeArtError(f"{folder} is not a measured set: expected a folder with measured.json")
+    data = checked.read_json(path)
+    if data.get("version") != VERSION:
+        raise FreeArtError(f"{path} has version {data.get('version')!r}, expected {VERSION}")
+    kind = cast(JointType, _one_of(data, "joint_type", JOINT_TYPES, path))
+    if data.get("base", "fixed") != "fixed":
+        raise FreeArtError(f"{path}: base is {data['base']!r}, expected 'fixed'")
+    sampling = _object(data, "sampling", path)
+    rate = _positive(sampling, "rate_hz", path)
+    if rate > MAX_RATE_HZ:
+        raise FreeArtError(f"{path}: 'rate_hz' is {rate:g}, expected at most {MAX_RATE_HZ:g} readings a second")
+    timestamps = cast(Timestamps, _one_of(sampling, "timestamps", TIMESTAMPS, path))
+    efforts = cast(EffortKind, _one_of(data, "effort", EFFORT_KINDS, path)) if data.get("effort") is not None else None
+    between = _one_of(data, "interpolation", INTERPOLATIONS, path) if "interpolation" in data else "held"
+    actuator = _actuator(data, path)
+    uncertainty = _object(data, "asset_uncertainty", path) if data.get("asset_uncertainty") is not None else {}
+    listed = _listed_runs(data, path)
+    files = _run_files(folder, listed, path)
+    runs = tuple(_read_run(file, entry, kind, rate, path) for file, entry in zip(files, listed, strict=True))
+    runs, notes = without_copies(runs)
+    _check_rate(runs, rate, path)
+    units = _units(data, kind, path)
+    _check_channels(runs, units, efforts, actuator, path)
+    gravity = checked.numbers(data, "gravity", (3,), path)
+    if np.linalg.norm(gravity) > MAX_GRAVITY:
+        raise FreeArtError(
+            f"{path}: 'gravity' is {np.linalg.norm(gravity):.4g} long, expected m/s^2, some 9.81 on earth"
+        )
+    if all(run.held_out for run in runs):
+        raise FreeArtError(f"{path}: all {len(runs)} runs are held out, expected at least one to fit to")
+    return Measured(
+        joint=checked.text(data, "joint", path),
+        joint_type=kind,
+        gravity=gravity,
+        rate_hz=rate,
+        timestamps=timestamps,
+        effort_kind=efforts,
+        actuator=actuator,
+        interpolation=cast(Interpolation, between),
+        inertia_relative=_relative(uncertainty, "inertia_relative", path),
+        gravity_relative=_relative(uncertainty, "gravity_relative", path),
+        runs=runs,
+        notes=notes,
+    )
+
+
+def _listed_runs(data: dict[str, Any], path: Path) -> list[dict[str, Any]]:
+    listed = data.get("runs")
+    if not isinstance(listed, list) or not all(isinstance(e, dict) and isinstance(e.get("file"), str) for e in listed):
+        raise FreeArtError(f"{path}: 'runs' must be a list of objects with a 'file'")
+    if not 1 <= len(listed) <= MAX_RUNS:
+        raise FreeArtError(f"{path} has {len(listed)} runs, expected 1 to {MAX_RUNS}")
+    for entry in listed:
+        if entry.get("held_out") not in (None, True, False):
+            raise FreeArtError(
+                f"{path}: run '{entry['file']}' has held_out {entry['held_out']!r}, expected true or false"
+            )
+    return listed
+
+
+def _run_files(folder: Path, listed: list[dict[str, Any]], path: Path) -> list[Path]:
+    """The file of every run, each another, their names another, and all together not too large."""
+    files: dict[Path, str] = {}
+    names: dict[str, str] = {}
+    for entry in listed:
+        file, said = checked.inside(folder, entry["file"]), entry["file"]
+        file = (file / "poses.npz").resolve() if file.is_dir() and entry.get("kind") == "poses" else file
+        if file in files:
+            raise FreeArtError(
+                f"{path}: 'runs' names a file twice, as '{files[file]}' and '{said}', expected each once"
+            )
+        name = _name_of(said)
+        if name in names:
+            raise FreeArtError(
+                f"{path}: runs '{names[name]}' and '{said}' would both be called '{name}', expected names of their own"
+            )
+        files[file], names[name] = said, said
+    total = sum(file.stat().st_size for file in files if file.is_file())
+    if total > MAX_BYTES:
+        raise FreeArtError(f"{path}: the runs have {total} bytes together, at most {MAX_BYTES} are read")
+    return list(files)
+
+
+def _name_of(file: str) -> str:
+    """What the run of a file is called."""
+    return str(Path(file.removesuffix("poses.npz") if file.endswith("/poses.npz") else file)).removesuffix(".csv")
+
+
+def _read_run(file: Path, entry: dict[str, Any], kind: JointType, rate_hz: float, path: Path) -> Run:
+    how, name, held_out = entry.get("kind", "csv"), _name_of(entry["file"]), entry.get("held_out")
+    if how == "csv":
+        table, lines = _read_csv(file)
+        _check_series(file, table["t_s"], table["q"], [f"line {k}" for k in lines], "readings of q that are numbers")
+        return Run(name, table["t_s"], table["q"], table.get("effort"), table.get("q_command"), None, None, held_out)
+    if how == "poses":
+        return _read_poses(file, name, rate_hz, held_out)
+    if how == "rgbd":
+        raise FreeArtError(
+            f"{path}: run '{entry['file']}' is of kind 'rgbd': run `freeart21 reconstruct` on it, then `freeart21 "
+            "measure` on the result, which makes runs of kind 'poses'"
+        )
+    raise FreeArtError(f"{path}: run '{entry['file']}' has kind {how!r}, expected csv, poses or rgbd")
+
+
+def _read_csv(file: Path) -> tuple[dict[str, Array], list[int]]:
+    """Column name to (n,) numbers, and the line of each; an empty cell of a column other than t_s is NaN."""
+    if file.is_dir():
+        raise FreeArtError(f"{file} is a folder, expected a CSV file; a folder with poses.npz is of kind 'poses'")
+    try:
+        text = checked.require_file(file, MAX_CSV_BYTES).read_text("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FreeArtError(f"{file} is not text: {error}") from error
+    if "\0" in text:
+        raise FreeArtError(
+            f"{file} is not text: it has a NUL byte in line {text[: text.index(chr(0))].count(chr(10)) + 1}"
+        )
+    reader = csv.reader(io.StringIO(text))
+    try:
+        numbered = [(reader.line_num, row) for row in reader if row]
+    except csv.Error as error:
+        raise FreeArtError(f"{file} line {reader.line_num} is not CSV: {error}") from error
+    header = [cell.strip() for cell in numbered[0][1]] if numbered else []
+    for column in ("t_s", "q"):
+        if column not in header:
+            raise FreeArtError(f"{file} has no column '{column}'; its columns: {_short(', '.join(header)) or 'none'}")
+    unknown = [column for column in header if column not in COLUMNS]
+    if unknown or len(set(header)) != len(header):
+        raise FreeArtError(
+            f"{file} has columns {_short(', '.join(header))}; expected each once of {', '.join(COLUMNS)}"
+        )
+    if len(numbered) - 1 > MAX_SAMPLES:
+        raise FreeArtError(f"{file} has {len(numbered) - 1} samples, at most {MAX_SAMPLES} are read: thin them out")
+    values = np.empty((len(numbered) - 1, len(header)))
+    for i, (line, row) in enumerate(numbered[1:]):
+        try:
+            values[i] = [float(cell) if cell.strip() else np.nan for cell in row]
+        except ValueError as error:
+            raise FreeArtError(
+                f"{file} line {line} is '{_short(','.join(row))}', expected {len(header)} numbers"
+            ) from error
+    table = {column: np.ascontiguousarray(values[:, i]) for i, column in enumerate(header)}
+    return table, [line for line, _ in numbered[1:]]
+
+
+def _short(text: str, most: int = 80) -> str:
+    """The text on one line, and not much of it."""
+    text = " ".join(text.split())
+    return text if len(text) <= most else text[:most] + "..."
+
+
+def _read_poses(file: Path, name: str, rate_hz: float, held_out: bool | None) -> Run:
+    """Poses as a result folder has them; their times are `times_s` when it is there, else even at the rate."""
+    data = checked.read_npz(file, ("T_camera_reference", "T_camera_moving"))
+    for key in ("times_s", "seen"):
+        with contextlib.suppress(FreeArtError):
+            data |= checked.read_npz(file, (key,))
+    for key, values in data.items():
+        if values.dtype.kind not in "fiub":
+            raise FreeArtError(f"{file}: '{key}' is of type {values.dtype}, expected numbers")
+    reference, moving = (np.asarray(data[k], float) for k in ("T_camera_reference", "T_camera_moving"))
+    n = len(reference) if reference.ndim else 0
+    if reference.shape != (n, 4, 4) or moving.shape != (n, 4, 4):
+        raise FreeArtError(f"{file} has poses of shapes {reference.shape} and {moving.shape}, expected (n, 4, 4) twice")
+    if n > MAX_SAMPLES:
+        raise FreeArtError(f"{file} has {n} poses, at most {MAX_SAMPLES} are read: thin them out")
+    times = np.asarray(data.get("times_s", np.arange(n) / rate_hz), float)
+    seen = np.asarray(data["seen"] if "seen" in data else np.ones(n), bool)
+    if times.shape != (n,) or seen.ndim not in (1, 2) or len(seen) != n:
+        raise FreeArtError(
+            f"{file} has {n} poses, times of shape {times.shape} and seen flags of shape {seen.shape}, expected one "
+            "time and seen flag a pose"
+        )
+    usable = np.isfinite(reference).all((1, 2)) & np.isfinite(moving).all((1, 2))
+    seen = np.asarray(usable & (seen.all(1) if seen.ndim == 2 else seen))
+    poses = np.tile(np.eye(4), (n, 1, 1))
+    if usable.any():
+        poses[usable] = se3.inverse(se3.check_poses(f"{file} T_camera_reference", reference[usable])) @ se3.check_poses(
+            f"{file} T_camera_moving", moving[usable]
+        )
+    places = [f"pose {i}" for i in range(n)]
+    _check_series(file, times, np.where(seen, 0.0, np.nan), places, "poses in which both parts were seen")
+    return Run(name, times, np.full(n, np.nan), None, None, poses, seen, held_out)
+
+
+def _check_series(file: Path, times: Array, q: Array, places: list[str], what: str) -> None:
+    if len(times) < MIN_SAMPLES:
+        raise FreeArtError(f"{file} has {len(times)} samples, expected {MIN_SAMPLES} or more: the run is too short")
+    if not np.isfinite(times).all():
+        raise FreeArtError(f"{file}: the time is not a number in {places[int(np.argmin(np.isfinite(times)))]}")
+    steps = np.diff(times)
+    if not (steps > 0).all():
+        i = int(np.argmin(steps > 0))
+        raise FreeArtError(
+            f"{file}: times must increase, but {places[i + 1]} has {times[i + 1]:g} s after {times[i]:g} s"
+        )
+    readings = int(np.isfinite(q).sum())
+    if readings < MIN_SAMPLES:
+        raise FreeArtError(f"{file} has {readings} {what}, expected {MIN_SAMPLES} or more")
+    far = np.nan_to_num(np.abs(q), posinf=0.0) > MAX_POSITION
+    if far.any():
+        i = int(np.argmax(far))
+        raise FreeArtError(f"{file}: q is {q[i]:g} in {places[i]}, expected rad or m, {MAX_POSITION:g} at most")
+
+
+def _check_rate(runs: tuple[Run, ...], rate_hz: float, path: Path) -> None:
+    """Times in another unit than seconds."""
+    for run in runs:
+        step = float(np.median(np.diff(run.times_s)))
+        if not 1 / 30 < step * rate_hz < 30:
+            raise FreeArtError(
+                f"{path}: run '{run.name}' has {step:g} s from reading to reading, but 'rate_hz' is {rate_hz:g}: "
+                f"expected some {1 / rate_hz:g} s (are its times seconds?)"
+            )
+
+
+def _units(data: dict[str, Any], kind: JointType, path: Path) -> dict[str, str]:
+    units = _object(data, "units", path)
+    for column, unit in units.items():
+        if column not in COLUMNS:
+            raise FreeArtError(f"{path}: units of '{column}', expected {', '.join(COLUMNS)}")
+        if unit != UNITS[kind][column]:
+            raise FreeArtError(f"{path}: '{column}' of a {kind} joint is in {unit!r}, expected '{UNITS[kind][column]}'")
+    return units
+
+
+def _check_channels(
+    runs: tuple[Run, ...], units: dict[str, str], efforts: str | None, actuator: Actuator | None, path: Path
+) -> None:
+    """Every column has its unit, and whoever drives says how."""
+    for run in runs:
+        columns: tuple[str, ...] = () if run.poses is not None else ("t_s", "q")
+        columns += tuple(c for c in ("effort", "q_command") if getattr(run, c) is not None)
+        for column in columns:
+            if column not in units:
+                raise FreeArtError(f"{path}: run '{run.name}' has '{column}', whose unit is not in 'units'")
+        for column in ("effort", "q_command"):
+            values = getattr(run, column)
+            if values is not None and not (np.isfinite(values[0]) and not np.isinf(values).any()):
+                raise FreeArtError(
+                    f"{path}: run '{run.name}' has '{column}' that is not a number, expected one in the first row, and "
+                    "in others one or an empty cell"
+                )
+        if run.effort is not None and efforts is None:
+            raise FreeArtError(f"{path}: run '{run.name}' has efforts, but 'effort' does not say commanded or external")
+        if run.q_command is not None and actuator is None:
+            raise FreeArtError(f"{path}: run '{run.name}' has 'q_command', but there is no 'actuator' that follows it")
+
+
+def _actuator(data: dict[str, Any], path: Path) -> Actuator | None:
+    if data.get("actuator") is None:
+        return None
+    given = _object(data, "actuator", path)
+    if given.get("type") != "position":
+        raise FreeArtError(f"{path}: the actuator's type is {given.get('type')!r}, expected 'position'")
+    stiffness, damping = (_number(given, key, path) for key in ("stiffness", "damping"))
+    if min(stiffness, damping) < 0:
+        raise FreeArtError(
+            f"{path}: the actuator's stiffness and damping are {stiffness:g} and {damping:g}, expected 0 or more"
+        )
+    return Actuator(None, stiffness, damping)
+
+
+def _object(data: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
+    value = data.get(key)
+    if not isinstance(value, dict):
+        raise FreeArtError(f"{path}: '{key}' is {value!r}, expected an object")
+    return value
+
+
+def _one_of(data: dict[str, Any], key: str, choices: tuple[str, ...], path: Path) -> str:
+    value = data.get(key)
+    if value not in choices:
+        raise FreeArtError(f"{path}: '{key}' is {value!r}, expected {' or '.join(choices)}")
+    return str(value)
+
+
+def _number(data: dict[str, Any], key: str, path: Path) -> float:
+    value = data.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise FreeArtError(f"{path}: '{key}' is {value!r}, expected a finite number")
+    return float(value)
+
+
+def _positive(data: dict[str, Any], key: str, path: Path) -> float:
+    value = _number(data, key, path)
+    if value <= 0:
+        raise FreeArtError(f"{path}: '{key}' is {value:g}, expected a number above 0")
+    return value
+
+
+def _relative(data: dict[str, Any], key: str, path: Path) -> float:
+    value = _number(data, key, path) if key in data else 0.0
+    if not 0 <= value < 1:
+        raise FreeArtError(f"{path}: '{key}' is {value:g}, expected 0 (exact) to below 1")
+    return value

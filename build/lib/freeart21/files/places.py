@@ -1,0 +1,213 @@
+"""Where a command may write. One rule, so that nothing is lost.
+
+A command replaces an older output of its own kind and nothing else: one that has the kind's mark, and in which nothing
+lies that the kind's writer does not write. It never writes over, around or into what it reads, nor into another output,
+nor through a link. Whatever else stands there is refused, before any work is done and once more at its end.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+
+_HEAD = 4096
+"""Bytes of a file in which its mark stands: our writers put the schema first."""
+_PICTURE = "[0-9]" * 5 + ".png"
+_REST = (".*.part", ".*.old", ".*.lock")
+"""What killed processes leave, which holds nothing of anybody's."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """A kind of output: how an older one is known, and what may lie in it."""
+
+    what: str
+    mark: bytes
+    """Stands in the head of the marker file, or of the output itself when that is one file."""
+    marker: str = ""
+    """Of a folder: the file in it that has the mark."""
+    files: tuple[str, ...] = ()
+    """Of a folder: patterns (fnmatch; '*' crosses '/') of all that its writer writes, and later commands into it."""
+    listed: bool = False
+    """Whether the marker file names, in its list "files", what else was written."""
+
+    def marks(self, path: Path) -> bool:
+        """Whether an output of this kind stands at `path`."""
+        file = path / self.marker if self.marker else path
+        try:
+            with file.open("rb") as opened:
+                return self.mark in opened.read(_HEAD)
+        except OSError:
+            return False
+
+
+def _json(kind: str) -> bytes:
+    return f'"schema": "freeart21/{kind}/'.encode()
+
+
+ASSET = Output(
+    "asset",
+    _json("asset"),
+    "asset.json",
+    (
+        *("asset.json", "effects.json", "object.urdf", "object.xml", "object.usdc", "LOSSES.md", "preview.png"),
+        *("loaders/load_*.py", "loaders/joint.json", "loaders/__pycache__/load_*.pyc"),
+        *(f"meshes/*.{end}" for end in ("obj", "mtl", "png")),
+    ),
+)
+RESULT = Output(
+    "result",
+    _json("prediction"),
+    "prediction.json",
+    (
+        *(
+            "prediction.json",
+            "poses.npz",
+            "diagnostics.json",
+            "gaussians.ply",
+            "parts/reference.ply",
+            "parts/moving.ply",
+        ),
+        *(f"{folder}/{_PICTURE}" for folder in ("part_mask", "confidence", "renders", "renders_other")),
+        *(f"asset/{pattern}" for pattern in ASSET.files),  # derived from the result, and stale with it
+    ),
+)
+ANSWER = Output("answer of gap", _json("verdict"), "verdict.json", ("verdict.json", "index.html"), listed=True)
+SITE = Output("site", _json("site"), "site.json", ("site.json",), listed=True)
+DEMO = Output("demo", _json("demo"), "demo.json", ("demo.json",), listed=True)
+PAGE = Output("page", b'<meta name="generator" content="freeart21')
+SUITE = Output("suite of rows", _json("suite"), "suite.json", ("*",))
+"""Grows: a suite goes on in its folder, and replaces nothing there but what its own jobs made."""
+SCORES = Output("table of scores", _json("scores"))
+SHEET = Output("contact sheet", b"freeart21 contact sheet")
+JOINT_ASSET = Output("asset of a few numbers", b"freeart21 joint-asset")
+
+
+def import_of(layout: str) -> Output:
+    """The results folder that `freeart21 import` makes of results in `layout`; an older one of that layout only."""
+    files = ("method.json", *(f"*/{pattern}" for pattern in RESULT.files))
+    return Output(f"import of {layout} results", f'"imported": "{layout}"'.encode(), "method.json", files)
+
+
+_SEQUENCE = Output("sequence", _json("sequence"), "sequence.json")
+_TRUTH = Output("truth", _json("truth"), "truth.json")
+_DATA = Output("data folder", _json("benchmark"), "benchmark.json")
+_UNDER_WAY = Output("unfinished recording", _json("recording-job"), ".recording/job.json")
+_CLOSED = (_SEQUENCE, _TRUTH, _DATA, _UNDER_WAY, RESULT, ASSET, ANSWER, SITE)
+"""Folders that hold what one command wrote, and into which no other one writes."""
+_GROWING = ("benchmark.json", ".recording", "sequences", "examples")
+"""What a folder holds to which recordings are added."""
+
+
+def check_place(out: Path, kind: Output | None, inputs: Iterable[Path] = (), into: Path | None = None) -> None:
+    """FreeArtError, in one line, unless `out` may be written; nothing is written yet.
+
+    Args:
+        out: the output, a folder or a file.
+        kind: an older one of it may be replaced; None lets nothing be replaced.
+        inputs: what is read to make it.
+        into: the one input that may hold `out`, as a result holds its asset.
+    """
+    out = Path(out)
+    require_replaceable(out, kind)
+    _check_around(out, inputs, into)
+
+
+def check_growing(out: Path, inputs: Iterable[Path] = ()) -> None:
+    """FreeArtError, in one line, unless recordings may be added to the folder `out`: a data folder, or an empty one."""
+    out = Path(out)
+    _check_path(out)
+    if out.exists() and not out.is_dir():
+        raise FreeArtError(f"{out} is a file, expected a data folder or a new one")
+    if out.is_dir() and any(out.iterdir()) and not any((out / name).exists() for name in _GROWING):
+        raise FreeArtError(f"{out} holds other things and is no data folder; choose another place")
+    if out.is_dir() and not os.access(out, os.W_OK | os.X_OK):
+        raise FreeArtError(f"cannot write {out}: it may not be written")
+    for kind in _CLOSED:
+        if kind not in (_DATA, _UNDER_WAY) and kind.marks(out):
+            raise FreeArtError(f"{out} is a {kind.what}, expected a data folder or a new one")
+    _check_around(out, inputs, None)
+
+
+def require_replaceable(out: Path, kind: Output | None) -> None:
+    """FreeArtError unless nothing stands at `out`, or an older output of `kind` in which nothing else lies."""
+    _check_path(out)
+    if not out.exists():
+        return
+    if kind is None:
+        raise FreeArtError(f"{out} exists; choose another place or remove it first")
+    if out.is_dir() != bool(kind.marker):
+        is_, expected = ("a folder", "a file") if out.is_dir() else ("a file", "a folder")
+        raise FreeArtError(f"{out} is {is_}, expected {expected} for the {kind.what}; choose another place")
+    if kind.marker and not any(out.iterdir()):
+        return
+    if not kind.marks(out):
+        lacks = f"it has no {kind.marker} of ours" if kind.marker else "it lacks our mark"
+        raise FreeArtError(
+            f"{out} exists and is no older {kind.what} ({lacks}); choose another place or remove it first"
+        )
+    foreign = _foreign(out, kind)
+    if foreign:
+        more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
+        raise FreeArtError(
+            f"{out} is an older {kind.what}, but {foreign[0]}{more} in it would be lost; move that away, or choose "
+            "another place"
+        )
+
+
+def _foreign(out: Path, kind: Output) -> list[str]:
+    """What lies in the folder `out`, without being part of such an output: links, too, wherever they lead."""
+    found, named = [], _listed(out / kind.marker) if kind.listed else frozenset[str]()
+    for place, folders, files in os.walk(out):
+        links = [name for name in folders if (Path(place) / name).is_symlink()]
+        for name in (*files, *links):
+            path = Path(place) / name
+            inside = path.relative_to(out).as_posix()
+            if any(fnmatchcase(part, rest) for part in path.relative_to(out).parts for rest in _REST):
+                continue
+            known = inside in named or any(fnmatchcase(inside, pattern) for pattern in kind.files)
+            if path.is_symlink() or not known:
+                found.append(inside)
+    return sorted(found)
+
+
+def _listed(marker: Path) -> frozenset[str]:
+    try:
+        files = checked.read_json(marker).get("files")
+    except FreeArtError:
+        files = None
+    return frozenset(map(str, files)) if isinstance(files, list) else frozenset()
+
+
+def _check_path(out: Path) -> None:
+    """The place itself is no link, and it can be made: the folders above are folders, and may be written."""
+    if out.is_symlink():
+        raise FreeArtError(f"{out} is a link; name the place itself")
+    above = next((folder for folder in out.absolute().parents if folder.exists() or folder.is_symlink()), None)
+    if above is None or not above.is_dir():
+        raise FreeArtError(f"cannot write {out}: {above} is not a folder")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise FreeArtError(f"cannot write {out}: the folder {above} may not be written")
+
+
+def _check_around(out: Path, inputs: Iterable[Path], into: Path | None) -> None:
+    place = out.resolve()
+    allowed = None if into is None else Path(into).resolve()
+    for path in inputs:
+        given = Path(path).resolve()
+        if place == given:
+            raise FreeArtError(f"{out} is what would be read; choose another place to write")
+        if place in given.parents:
+            raise FreeArtError(f"{out} holds {path}, which would be read; choose another place to write")
+        if given in place.parents and given != allowed and given.is_dir():
+            raise FreeArtError(f"{out} lies in {path}, which would be read; choose another place to write")
+    for folder in place.parents:
+        for kind in _CLOSED:
+            if folder != allowed and kind.marks(folder):
+                raise FreeArtError(f"{out} lies in the {kind.what} {folder}; choose another place to write")

@@ -1,0 +1,305 @@
+"""A result folder: what a method says of one sequence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.articulation import PARTS, Articulation
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.diagnostics import Diagnostics, write_diagnostics
+from freeart21.files.gaussians import GAUSSIANS, read_gaussians, write_gaussians
+from freeart21.files.joint_json import joint_from_json, joint_to_json
+from freeart21.files.mesh_file import read_ply, write_ply
+from freeart21.files.places import RESULT
+from freeart21.gaussians import Gaussians
+from freeart21.reconstruction import PIECES, VERDICTS, Failure, Piece, Reconstruction, Trust
+
+SCHEMA = "freeart21/prediction/1"
+METHOD_SCHEMA = "freeart21/method/1"
+MAX_FRAMES = 100_000
+RENDERS = ("renders", "renders_other")
+"""Folders of the held-out views: posed by the part that the result calls the reference part, and by the other one."""
+MAX_REASONS, MAX_REASON = 100, 1000
+"""Lines, and characters of each, that are read of why an answer is doubtful."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """Who made a set of results: method.json."""
+
+    name: str
+    code: str = ""
+    """Address and version of the code."""
+    settings: dict[str, Any] | None = None
+    hardware: str = ""
+    lacks: tuple[Piece, ...] = ()
+    """What it does not make, for any sequence: its numbers are left out (never priced), and the files hold fillers."""
+
+
+def write_method(folder: Path, method: Method) -> None:
+    """Write method.json of a results folder."""
+    atomic.write_json(
+        folder / "method.json",
+        {
+            "schema": METHOD_SCHEMA,
+            "name": method.name,
+            "code": method.code,
+            "settings": method.settings or {},
+            "hardware": method.hardware,
+            **({"lacks": list(method.lacks)} if method.lacks else {}),
+        },
+    )
+
+
+def write_own_method(folder: Path, method: Method) -> bool:
+    """Write method.json if `folder` is a folder of this method's results; whether it did.
+
+    It is when the method.json there says the same of who wrote it (`code` up to the version) or, without one, when
+    nothing lies there but results and hidden files. Whatever else a parent of a result may hold stays as it is.
+    """
+    if (folder / "method.json").exists():
+        try:
+            ours = read_method(folder).code.split(" ")[0] == method.code.split(" ")[0]
+        except FreeArtError:
+            ours = False
+    else:
+        seen = [path for path in folder.iterdir() if not path.name.startswith(".")]
+        ours = all((path / "prediction.json").is_file() for path in seen)
+    if ours:
+        write_method(folder, method)
+    return ours
+
+
+def read_method(folder: Path) -> Method:
+    """The method of a results folder; one without method.json is named after the folder."""
+    path = folder / "method.json"
+    if not path.is_file():
+        return Method(folder.name)
+    data = checked.read_json(path, METHOD_SCHEMA)
+    words = [str(data.get(key, "")) for key in ("code", "hardware")]
+    return Method(checked.text(data, "name", path), words[0], data.get("settings"), words[1], lacks_of(data, path))
+
+
+def lacks_of(data: dict[str, Any], path: Path) -> tuple[Piece, ...]:
+    """The optional 'lacks' of method.json; raises FreeArtError naming `path`."""
+    said = data.get("lacks", [])
+    if not isinstance(said, list) or not all(piece in PIECES for piece in said):
+        raise FreeArtError(f"{path}: 'lacks' is {_shortened(said)}, expected a list of {', '.join(PIECES)}")
+    return tuple(piece for piece in PIECES if piece in said)
+
+
+def write_result(
+    folder: Path,
+    result: Reconstruction | Failure,
+    settings: dict[str, Any] | None = None,
+    renders: list[NDArray[np.uint8]] | None = None,
+    diagnostics: Diagnostics | None = None,
+    renders_other: list[NDArray[np.uint8]] | None = None,
+) -> None:
+    """Write one result folder, replacing an older one whole, with its asset; FreeArtError when anything else is there.
+
+    `renders` are the held-out views (height, width, 3), `renders_other` the same with the moving part in the reference
+    part's place; `diagnostics` are of a reconstruction. All three may be left out.
+    """
+    with atomic.new_folder(folder, RESULT) as aside:
+        if isinstance(result, Failure):
+            atomic.write_json(
+                aside / "prediction.json",
+                {
+                    "schema": SCHEMA,
+                    "status": "failed",
+                    "stage": result.stage,
+                    "reason": result.reason,
+                    "seconds": result.seconds,
+                    "settings": settings or {},
+                },
+            )
+            return
+        n = len(result)
+        std = result.state_std if result.state_std is not None else np.full(n, np.nan)
+        joint = result.articulation.joint
+        said = {} if result.trust is None else {"trust": _trust_to_json(result.trust)}
+        if result.axis_std is not None or result.pivot_std is not None:
+            said["joint_std"] = {"axis_rad": result.axis_std, "pivot_m": result.pivot_std}
+        atomic.write_json(
+            aside / "prediction.json",
+            {
+                "schema": SCHEMA,
+                "status": "ok",
+                **said,
+                "joint": joint_to_json(joint),
+                "states": result.states,
+                "state_unit": joint.state_unit,
+                "state_std": std,
+                "seen": result.seen,
+                "seconds": result.seconds,
+                "settings": settings or {},
+                **({"anchor": result.anchor} if result.anchor else {}),
+            },
+        )
+        covariances = result.covariances if result.covariances is not None else np.full((n, 2, 6, 6), np.nan)
+        np.savez_compressed(
+            aside / "poses.npz",
+            T_camera_reference=result.Ts_camera_reference,
+            T_camera_moving=result.Ts_camera_moving,
+            covariances=covariances,
+            seen=result.seen,
+        )
+        for i, mask in enumerate(result.part_masks):
+            atomic.write_bytes(aside / "part_mask" / f"{i:05d}.png", checked.encode_png(mask))
+        for name in PARTS:
+            write_ply(aside / "parts" / f"{name}.ply", result.articulation.part(name))
+        if result.appearance is not None:
+            write_gaussians(aside / GAUSSIANS, result.appearance)
+        if diagnostics is not None:
+            write_diagnostics(aside, diagnostics)
+        for other, images in enumerate((renders, renders_other)):
+            for i, image in enumerate(images or []):
+                atomic.write_bytes(aside / RENDERS[other] / f"{i:05d}.png", checked.encode_png(image))
+
+
+def read_result(
+    folder: Path, masks: list[NDArray[np.uint8]] | None = None, appearance: bool = True
+) -> Reconstruction | Failure:
+    """The reconstruction or failure in a result folder, from any method: bounded, checked, nothing executed.
+
+    `masks` are those of part_mask/, all frames, when they have been read before. Without `appearance`, which no number
+    is made of, gaussians.ply is left alone.
+    """
+    folder = Path(folder)
+    header = folder / "prediction.json"
+    if not header.is_file():
+        raise FreeArtError(f"{folder} is not a result: it has no prediction.json")
+    data = checked.read_json(header, SCHEMA)
+    seconds = data.get("seconds") or {}
+    if not isinstance(seconds, dict) or not all(isinstance(value, int | float) for value in seconds.values()):
+        raise FreeArtError(f"{header}: 'seconds' is {seconds!r}, expected a number for every stage")
+    seconds = {str(stage): float(value) for stage, value in seconds.items()}
+    if data.get("status") == "failed":
+        return Failure(checked.text(data, "stage", header), checked.text(data, "reason", header), seconds)
+    if data.get("status") != "ok":
+        raise FreeArtError(f"{header}: status is {data.get('status')!r}, expected 'ok' or 'failed'")
+    states = checked.numbers(data, "states", (None,), header)
+    n = len(states)
+    if n > MAX_FRAMES:
+        raise FreeArtError(f"{header} has {n} states, at most {MAX_FRAMES} are read")
+    poses = checked.read_npz(folder / "poses.npz", ("T_camera_reference", "T_camera_moving"))
+    std = checked.numbers(data, "state_std", (n,), header, nullable=True) if "state_std" in data else None
+    seen = checked.numbers(data, "seen", (n, 2), header).astype(bool) if "seen" in data else np.ones((n, 2), bool)
+    return Reconstruction(
+        Articulation(
+            joint_from_json(data.get("joint"), header),
+            *(read_ply(folder / "parts" / f"{name}.ply")[0] for name in PARTS),
+        ),
+        states,
+        poses["T_camera_reference"],
+        poses["T_camera_moving"],
+        _read_masks(folder, n) if masks is None else np.stack(masks),
+        seen,
+        std,
+        _read_covariances(folder / "poses.npz", n),
+        seconds,
+        _read_trust(data, header),
+        *_read_joint_std(data, header),
+        anchor=_read_anchor(data, n, header),
+        appearance=read_appearance(folder) if appearance else None,
+    )
+
+
+def read_appearance(folder: Path) -> Gaussians | None:
+    """What the answer in a result folder looks like, or None when it has no gaussians.ply; raises FreeArtError."""
+    path = folder / GAUSSIANS
+    return read_gaussians(path, parted=True) if path.exists() or path.is_symlink() else None
+
+
+def read_render(folder: Path, index: int, other: bool = False) -> NDArray[np.uint8] | None:
+    """The held-out view `index` that the method rendered, (height, width, 3), or None when there is none.
+
+    With `other`, the view that it rendered with its moving part in the reference part's place.
+    """
+    path = folder / RENDERS[other] / f"{index:05d}.png"
+    return checked.read_rgb(path) if path.is_file() else None
+
+
+def _trust_to_json(trust: Trust) -> dict[str, Any]:
+    return {"verdict": trust.verdict, "reasons": list(trust.reasons)}
+
+
+def _read_trust(data: dict[str, Any], path: Path) -> Trust | None:
+    """The optional 'trust' of prediction.json; raises FreeArtError naming `path`."""
+    said = data.get("trust")
+    if said is None:
+        return None
+    if not isinstance(said, dict) or said.get("verdict") not in VERDICTS:
+        raise FreeArtError(f"{path}: 'trust' is {_shortened(said)}, expected a verdict, {' or '.join(VERDICTS)}")
+    reasons = said.get("reasons", [])
+    lines = isinstance(reasons, list) and len(reasons) <= MAX_REASONS and all(isinstance(r, str) for r in reasons)
+    if not lines or any(len(r) > MAX_REASON or not r.isprintable() for r in reasons):
+        raise FreeArtError(
+            f"{path}: the reasons of 'trust' are {_shortened(reasons)}, expected at most {MAX_REASONS} plain lines of "
+            f"at most {MAX_REASON} characters"
+        )
+    if said["verdict"] == "sound" and reasons:
+        raise FreeArtError(f"{path}: 'trust' is sound with {len(reasons)} reasons for doubt, expected none")
+    return Trust(said["verdict"], tuple(reasons))
+
+
+def _read_anchor(data: dict[str, Any], n: int, path: Path) -> int:
+    """The optional 'anchor' of prediction.json; raises FreeArtError naming `path`."""
+    said = data.get("anchor", 0)
+    if not isinstance(said, int) or isinstance(said, bool) or not 0 <= said < n:
+        raise FreeArtError(f"{path}: 'anchor' is {_shortened(said)}, expected a frame from 0 to {n - 1}")
+    return said
+
+
+def _read_joint_std(data: dict[str, Any], path: Path) -> tuple[float | None, float | None]:
+    """The optional 'joint_std' of prediction.json: axis, rad, and pivot, metres; raises FreeArtError naming `path`."""
+    said = data.get("joint_std")
+    if said is None:
+        return None, None
+    if not isinstance(said, dict):
+        raise FreeArtError(f"{path}: 'joint_std' is {_shortened(said)}, expected axis_rad and pivot_m")
+    found = []
+    for name in ("axis_rad", "pivot_m"):
+        value = said.get(name)
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if value is not None and not (number and 0 <= value < np.inf):
+            raise FreeArtError(f"{path}: joint_std '{name}' is {_shortened(value)}, expected 0 or more, or null")
+        found.append(None if value is None else float(value))
+    return found[0], found[1]
+
+
+def _shortened(value: Any) -> str:
+    """At most sixty characters of a value that came from outside."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _read_masks(folder: Path, n: int) -> NDArray[np.uint8]:
+    masks = [checked.read_labels(folder / "part_mask" / f"{i:05d}.png") for i in range(n)]
+    for i, mask in enumerate(masks):
+        if mask.shape != masks[0].shape or mask.max(initial=0) > 2:
+            raise FreeArtError(
+                f"{folder}/part_mask/{i:05d}.png has shape {mask.shape} and labels up to {mask.max()}, "
+                f"expected {masks[0].shape} and 0, 1, 2"
+            )
+    return np.stack(masks)
+
+
+def _read_covariances(path: Path, n: int) -> NDArray[np.float64] | None:
+    with np.load(path, allow_pickle=False) as data:
+        if "covariances" not in data:
+            return None
+    given = checked.read_npz(path, ("covariances",))["covariances"]
+    if given.shape != (n, 2, 6, 6) or given.dtype.kind not in "fiu":
+        raise FreeArtError(
+            f"{path}: covariances has shape {given.shape} {given.dtype}, expected ({n}, 2, 6, 6) numbers"
+        )
+    covariances = given.astype(float)
+    return None if np.isnan(covariances).all() else covariances

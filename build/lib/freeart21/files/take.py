@@ -1,0 +1,217 @@
+"""A take: how somebody moved an object and its joint, against time; as a text of one JSON object a line.
+
+    {"schema": "freeart21/take/1", "device": "mouse", "poses": "first", "joint_type": "revolute",
+     "units": {"time": "s", "position": "m", "state": "rad"}}                               (one line)
+    {"time": 0.0, "position": [0, 0, 0.5], "quaternion": [1, 0, 0, 0], "state": 0.2}        (a line a sample)
+
+Poses are the object's frame in the camera's axes (x right, y down, z forward). `poses` is "camera" where they are meant
+as they stand, and "first" where only their change since the first sample is: the turn, and the way of the object's
+origin. Quaternions are wxyz. Samples are as they were taken; where they want smoothing before use, as those of a
+controller in the hand do, the first line has a key more: `"filter": {"one_euro": {...}}` (`freeart21.one_euro`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Literal, cast, get_args
+
+import numpy as np
+
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.joint import JointType
+from freeart21.one_euro import Band, OneEuro
+from freeart21.se3 import Array
+
+TAKE_SCHEMA = "freeart21/take/1"
+MAX_TAKE_BYTES = 64 << 20
+"""About 400,000 samples: an hour at 100 Hz."""
+MAX_SAMPLES = 500_000
+Meaning = Literal["camera", "first"]
+_UNIT = {"revolute": "rad", "prismatic": "m"}
+_FARTHEST = 1e4
+"""Metres, seconds and radians beyond which a sample is none; a clock may begin anywhere."""
+_MOST_IN_FILTER = 1e4
+"""Hz, and Hz for a unit of speed, beyond which a filter does nothing at any rate that a take has."""
+
+
+@dataclass(frozen=True)
+class Take:
+    """How an object was moved, sample by sample."""
+
+    name: str
+    """Of its file, without the folder."""
+    sha256: str
+    """Of the file's bytes."""
+    form: str
+    """Its schema, or whose layout it is."""
+    device: str
+    """What it was taken with."""
+    poses: Meaning
+    """Whether the poses are meant as they stand in the camera's axes, or as their change since the first."""
+    joint_type: JointType
+    times: Array
+    """(n,) seconds, growing."""
+    Ts: Array
+    """(n, 4, 4) the object's frame in the camera's axes."""
+    states: Array
+    """(n,) joint state, rad or m."""
+    filter: OneEuro | None = None
+    """What the samples are to be smoothed by before use; None where they are good as they are."""
+    size: float | None = None
+    """Metres, the diagonal of the box of the object that was moved; None where nobody told."""
+
+    def __post_init__(self) -> None:
+        n = len(self.times)
+        if not 2 <= n <= MAX_SAMPLES:
+            raise FreeArtError(f"{self.name} holds {n} samples, expected 2 to {MAX_SAMPLES}")
+        back = np.flatnonzero(np.diff(self.times) <= 0)
+        if len(back):
+            i = int(back[0]) + 1
+            raise FreeArtError(
+                f"{self.name}: sample {i} is of {self.times[i]:g} s, after one of {self.times[i - 1]:g} s; expected "
+                "times that grow"
+            )
+        far = max(np.ptp(self.times), np.abs(self.Ts[:, :3, 3]).max(), np.abs(self.states).max())
+        if not far <= _FARTHEST:
+            raise FreeArtError(f"{self.name} holds a number of {far:.3g}, expected at most {_FARTHEST:g} s, m or rad")
+        if self.size is not None and not 0 < self.size <= _FARTHEST:
+            raise FreeArtError(f"{self.name}: 'size' is {self.size:g} m, expected more than 0, at most {_FARTHEST:g}")
+
+
+def header(
+    device: str, poses: Meaning, joint_type: JointType, filter: OneEuro | None = None, size: float | None = None
+) -> str:
+    """The first line of a take's file, without its end."""
+    units = {"time": "s", "position": "m", "state": _UNIT[joint_type]}
+    head = {"schema": TAKE_SCHEMA, "device": device, "poses": poses, "joint_type": joint_type, "units": units}
+    smoothed = {} if filter is None else {"filter": {"one_euro": asdict(filter)}}
+    return _line(head | smoothed | ({} if size is None else {"size": float(size)}))
+
+
+def sample(time: float, T: Array, state: float) -> str:
+    """The line of a sample, without its end; `T` (4, 4)."""
+    T = np.asarray(T, float)
+    numbers = {"position": T[:3, 3].tolist(), "quaternion": se3.wxyz(T).tolist()}
+    return _line({"time": float(time), **numbers, "state": float(state)})
+
+
+def write_take(
+    path: Path,
+    device: str,
+    poses: Meaning,
+    joint_type: JointType,
+    samples: Iterable[tuple[float, Array, float]],
+    filter: OneEuro | None = None,
+    size: float | None = None,
+) -> None:
+    """Write a take, whole or not at all; `samples` are (time in s, pose (4, 4), state in rad or m)."""
+    lines = [header(device, poses, joint_type, filter, size), *(sample(*s) for s in samples)]
+    atomic.write_bytes(path, ("\n".join(lines) + "\n").encode())
+
+
+def read_take(path: Path) -> Take:
+    """The take in `path`; FreeArtError names the line that is wrong."""
+    data = checked.require_file(path, MAX_TAKE_BYTES).read_bytes()
+    lines = data.splitlines()
+    head = _object(lines[0] if lines else b"", f"{path} line 1")
+    if head.get("schema") != TAKE_SCHEMA:
+        raise FreeArtError(f"{path} has schema {head.get('schema')!r}, expected '{TAKE_SCHEMA}'")
+    joint_type = _one_of(head, "joint_type", get_args(JointType), path)
+    poses = _one_of(head, "poses", get_args(Meaning), path)
+    units = {"time": "s", "position": "m", "state": _UNIT[joint_type]}
+    if head.get("units") != units:
+        raise FreeArtError(f"{path}: 'units' is {head.get('units')!r}, expected {units}")
+    rows = [_sample(line, f"{path} line {k}") for k, line in enumerate(lines[1 : MAX_SAMPLES + 2], start=2)]
+    table = np.array(rows, float).reshape(-1, 9)
+    Ts = se3.pose_from_wxyz(table[:, 1:4], table[:, 4:8]) if len(table) else np.zeros((0, 4, 4))
+    return Take(
+        path.name,
+        hashlib.sha256(data).hexdigest(),
+        TAKE_SCHEMA,
+        checked.text(head, "device", path),
+        cast(Meaning, poses),
+        cast(JointType, joint_type),
+        table[:, 0],
+        Ts,
+        table[:, 8],
+        _filter(head.get("filter"), path),
+        None if head.get("size") is None else float(checked.numbers(head, "size", (), path)),
+    )
+
+
+def _line(data: dict[str, Any]) -> str:
+    return json.dumps(data, allow_nan=False)
+
+
+def _object(line: bytes, where: str) -> dict[str, Any]:
+    try:
+        data = json.loads(line.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise FreeArtError(f"{where} is not JSON: {str(error) or type(error).__name__}") from error
+    if not isinstance(data, dict):
+        raise FreeArtError(f"{where} holds a {type(data).__name__}, expected an object")
+    return data
+
+
+def _one_of(head: dict[str, Any], key: str, known: tuple[str, ...], path: Path) -> str:
+    if head.get(key) not in known:
+        raise FreeArtError(f"{path}: '{key}' is {head.get(key)!r}, expected {' or '.join(known)}")
+    return str(head[key])
+
+
+def _filter(given: object, path: Path) -> OneEuro | None:
+    """What the first line says of a filter; FreeArtError names what is none."""
+    if given is None:
+        return None
+    inner = _keys(given, "'filter'", {"one_euro"}, path)["one_euro"]
+    said = _keys(inner, "'filter.one_euro'", {field.name for field in fields(OneEuro)}, path)
+    bands: dict[str, Band | None] = {}
+    for name in ("position", "rotation", "state"):
+        bands[name] = None
+        if said[name] is not None:
+            band = _keys(said[name], f"'filter.one_euro.{name}'", {field.name for field in fields(Band)}, path)
+            where = f"{path}: 'filter.one_euro.{name}"
+            bands[name] = Band(
+                _bounded(band["min_cutoff_hz"], f"{where}.min_cutoff_hz'", 1e-3),
+                _bounded(band["beta"], f"{where}.beta'", 0.0),
+            )
+    speed = _bounded(said["speed_cutoff_hz"], f"{path}: 'filter.one_euro.speed_cutoff_hz'", 1e-3)
+    return OneEuro(bands["position"], bands["rotation"], bands["state"], speed)
+
+
+def _keys(given: object, what: str, keys: set[str], path: Path) -> dict[str, Any]:
+    if not isinstance(given, dict) or set(given) != keys:
+        raise FreeArtError(f"{path}: {what} is {str(given)[:60]}, expected an object of {', '.join(sorted(keys))}")
+    return given
+
+
+def _bounded(value: Any, what: str, least: float) -> float:
+    if not _is_number(value) or not least <= value <= _MOST_IN_FILTER:
+        raise FreeArtError(f"{what} is {str(value)[:60]}, expected {least:g} to {_MOST_IN_FILTER:g}")
+    return float(value)
+
+
+def _sample(line: bytes, where: str) -> list[float]:
+    """Time, position, quaternion, state."""
+    data = _object(line, where)
+    row: list[float] = []
+    for key, count in (("time", 1), ("position", 3), ("quaternion", 4), ("state", 1)):
+        given = data.get(key)
+        values: list[Any] = given if isinstance(given, list) else [given]
+        if len(values) != count or isinstance(given, list) == (count == 1) or not all(map(_is_number, values)):
+            noun = "a finite number" if count == 1 else f"{count} finite numbers"
+            raise FreeArtError(f"{where}: '{key}' is {str(given)[:60]}, expected {noun}")
+        row += [float(v) for v in values]
+    if abs(np.linalg.norm(row[4:8]) - 1) > 1e-3:
+        raise FreeArtError(f"{where}: 'quaternion' has length {np.linalg.norm(row[4:8]):.4g}, expected 1")
+    return row
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e15

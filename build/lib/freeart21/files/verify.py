@@ -1,0 +1,165 @@
+"""Looks through a data folder: every hash and format, and whether each video and its truth tell the same story."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.files.benchmark import file_sha256, is_unfinished, read_benchmark, unfinished
+from freeart21.files.hidden import traces
+from freeart21.files.sequence import read_sequence
+from freeart21.files.truth import read_truth
+from freeart21.recording import Recording
+from freeart21.truth import Truth
+
+_SEEN_BY_METHODS = {"sequence.json", "queries.json", "rgb", "depth", "mask"}
+_SEQUENCE_KEYS = {"schema", "camera", "depth_scale", "times_s", "licence"}
+_CLOSE = 1e-9
+_SIGHTED = ("hand",)  # sensors whose depth shows more than the object
+
+
+@dataclass
+class Report:
+    """What was looked at, and what is wrong."""
+
+    files: int = 0
+    sequences: int = 0
+    findings: list[str] = field(default_factory=list)
+    """One line each: the file, what is wrong, what was expected."""
+
+
+def verify(data: Path, truth: Path | None = None) -> Report:
+    """Look through the data folder `data`. Raises FreeArtError when it has no readable benchmark.json, or not yet.
+
+    One that was packed without its truth is looked through for traces of it; with `truth`, where that lies, video and
+    truth are compared as in any other folder.
+    """
+    data = Path(data)
+    if is_unfinished(data):
+        raise unfinished(data)
+    benchmark = read_benchmark(data, truth)
+    listed = checked.read_json(data / "benchmark.json").get("sha256")
+    if not isinstance(listed, dict):
+        raise FreeArtError(
+            f"{data}/benchmark.json: 'sha256' is {type(listed).__name__}, expected file names and hashes"
+        )
+    report = Report(len(listed), len(benchmark.sequences))
+    report.findings += _files(data, listed)
+    for name in benchmark.sequences:
+        try:
+            if benchmark.hidden:
+                report.findings += traces(benchmark.sequence(name))
+            if not benchmark.hidden or benchmark.apart:
+                report.findings += _sequence(benchmark.sequence(name), benchmark.truth(name))
+        except FreeArtError as error:
+            report.findings.append(str(error) if name in str(error) else f"{name}: {error}")
+    return report
+
+
+def _files(data: Path, listed: dict[str, Any]) -> Iterator[str]:
+    here = {str(path.relative_to(data)) for path in data.rglob("*") if not path.is_dir()} - {"benchmark.json"}
+    for name in sorted(set(listed) | here):
+        path = data / name
+        if name not in here:
+            yield f"{path} is missing: benchmark.json lists it"
+        elif name not in listed:
+            yield f"{path} is not listed in benchmark.json"
+        elif path.is_symlink() or not path.is_file():
+            yield f"{path} is not a plain file"
+        elif file_sha256(path) != listed[name]:
+            yield f"{path} has another content than benchmark.json says: its SHA-256 differs"
+
+
+def _sequence(folder: Path, truth_folder: Path) -> Iterator[str]:
+    recording, truth = read_sequence(folder), read_truth(truth_folder)
+    yield from _apart(folder)
+    n = len(recording)
+    if len(truth) != n:
+        yield f"{truth_folder} is of {len(truth)} frames, its sequence has {n}"
+        return
+    if truth.seen.shape != (n, 2):
+        yield f"{truth_folder}/seen.npz has shape {truth.seen.shape}, expected ({n}, 2)"
+        return
+    yield from _counts(folder, truth_folder, n, len(recording.queries))
+    yield from _kinematics(truth_folder, truth)
+    yield from _frames(folder, truth_folder, recording, truth)
+    yield from _queries(truth_folder, recording, truth)
+
+
+def _apart(folder: Path) -> Iterator[str]:
+    """What a method may see is there, and nothing besides."""
+    for path in sorted(folder.iterdir()):
+        if path.name not in _SEEN_BY_METHODS:
+            yield f"{path} does not belong into what a method may see; expected {', '.join(sorted(_SEEN_BY_METHODS))}"
+    for key in sorted(set(json.loads((folder / "sequence.json").read_text("utf-8"))) - _SEQUENCE_KEYS):
+        yield f"{folder}/sequence.json says '{key}', which a method may not see"
+
+
+def _counts(folder: Path, truth_folder: Path, frames: int, queries: int) -> Iterator[str]:
+    """As many pictures as frames and views: one too many says as much as one too few."""
+    for path, n in (
+        *((folder / sub, frames) for sub in ("rgb", "depth", "mask")),
+        (truth_folder / "part_mask", frames),
+        (truth_folder / "queries" / "rgb", queries),
+        (truth_folder / "queries" / "mask", queries),
+    ):
+        here = {p.name for p in path.iterdir()} if path.is_dir() else set()
+        expected = {f"{i:05d}.png" for i in range(n)}
+        if here != expected:
+            odd = sorted(here ^ expected)[0]
+            yield f"{path} holds {len(here)} files, expected {n} from 00000.png on; the first that differs is {odd}"
+    said = checked.read_json(truth_folder / "truth.json").get("queries")
+    if said != queries:
+        yield f"{truth_folder}/truth.json says {said} held-out views, {folder}/queries.json has {queries}"
+
+
+def _kinematics(folder: Path, truth: Truth) -> Iterator[str]:
+    joint, states = truth.articulation.joint, truth.states
+    slack = 1e-6 * max(1.0, truth.range_of_motion)
+    beyond = np.flatnonzero((states < joint.lower - slack) | (states > joint.upper + slack))
+    if len(beyond):
+        i = int(beyond[0])
+        yield (
+            f"{folder}: the state of frame {i} is {states[i]:.6g} {joint.state_unit}, "
+            f"expected {joint.lower:.6g} to {joint.upper:.6g}"
+        )
+    error = np.abs(truth.Ts_camera_reference @ joint.transform(states) - truth.Ts_camera_moving).max((1, 2))
+    if error.max() > _CLOSE:
+        i = int(error.argmax())
+        yield f"{folder}: the moving part's pose of frame {i} is {error[i]:.3g} off what joint and state say"
+
+
+def _frames(folder: Path, truth_folder: Path, recording: Recording, truth: Truth) -> Iterator[str]:
+    sensors = str(truth.source.get("sensor", "clean")).split("+")
+    for i in range(len(recording)):
+        frame, part_mask = recording.frame(i), truth.part_mask(i)
+        if part_mask.shape != frame.mask.shape or part_mask.max(initial=0) > 2:
+            yield f"{truth_folder}/part_mask/{i:05d}.png has shape {part_mask.shape}, labels up to {part_mask.max()}"
+            continue
+        if not np.array_equal(frame.mask, part_mask > 0):
+            n = int(np.sum(frame.mask != (part_mask > 0)))
+            yield f"{folder}/mask/{i:05d}.png differs in {n} pixels from the truth's part_mask"
+        seen = [int(np.sum(part_mask == 1)), int(np.sum(part_mask == 2))]
+        if not np.array_equal(truth.seen[i], seen):
+            yield f"{truth_folder}/seen.npz says {truth.seen[i].tolist()} of frame {i}, its part_mask shows {seen}"
+        if not set(sensors) & set(_SIGHTED) and (stray := int(np.sum((frame.depth > 0) & ~frame.mask))):
+            yield f"{folder}/depth/{i:05d}.png has depth at {stray} pixels outside the mask"
+        if "clean" in sensors and (bare := int(np.sum((frame.depth == 0) & frame.mask))):
+            yield f"{folder}/depth/{i:05d}.png has no depth at {bare} pixels of the mask, and the sensor was clean"
+
+
+def _queries(folder: Path, recording: Recording, truth: Truth) -> Iterator[str]:
+    size = (recording.camera.height, recording.camera.width)
+    for i in range(len(recording.queries)):
+        rgb, mask = truth.query_rgb(i), truth.query_mask(i)
+        if rgb.shape[:2] != size or mask.shape != size:
+            yield f"{folder}/queries: view {i} is {rgb.shape[1]} x {rgb.shape[0]}, expected {size[1]} x {size[0]}"
+        elif not mask.any():
+            yield f"{folder}/queries/mask/{i:05d}.png shows nothing"

@@ -1,0 +1,67 @@
+"""Motion captured by others as a take: told by its content, whatever its name.
+
+ARCTIC's object tracks (Fan et al., CVPR 2023) are arrays (n, 7) at 30 Hz: the joint (rad), the object's turn in the
+world (axis times angle, rad), its place (mm). The world's z points up; it is taken to be seen by a level camera.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.files.take import MAX_SAMPLES, MAX_TAKE_BYTES, Take, read_take
+
+ARCTIC_HZ = 30.0
+ARCTIC_FORM = "ARCTIC object track"
+ARCTIC_SIZES_M = (0.24, 0.39)
+"""Diagonals of the boxes round the objects that were moved: ketchup bottle .24, mixer .32, laptop .39. A track does not
+say which object it is of. Of the other eight objects no mesh was at hand."""
+_NUMPY = b"\x93NUMPY"
+_LEVEL = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+"""Axes of a level camera that looks along the world's x, from the world's."""
+
+
+def read_track(path: Path) -> Take:
+    """The take in `path`: ours (`freeart21.files.take`), or a track of ARCTIC. Raises FreeArtError in one line."""
+    with checked.require_file(path, MAX_TAKE_BYTES).open("rb") as file:
+        begins = file.read(len(_NUMPY))
+    if begins == _NUMPY:
+        return _arctic(path)
+    if begins.lstrip()[:1] != b"{":
+        raise FreeArtError(f"{path} is no take: expected lines of JSON (freeart21/take/1) or a NumPy array of ARCTIC")
+    return read_take(path)
+
+
+def _arctic(path: Path) -> Take:
+    try:  # mapped, so that a header that promises more than the file holds allocates nothing
+        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError, OverflowError) as error:
+        raise FreeArtError(f"{path} is not a readable array: {' '.join(str(error).split())}") from error
+    if mapped.ndim != 2 or mapped.shape[1] != 7 or mapped.dtype.kind != "f" or not 2 <= len(mapped) <= MAX_SAMPLES:
+        raise FreeArtError(
+            f"{path} has shape {mapped.shape} {mapped.dtype}, expected (2 to {MAX_SAMPLES}, 7) of floating point"
+        )
+    rows = np.array(mapped, float)
+    if not np.isfinite(rows).all():
+        raise FreeArtError(f"{path} has entries that are not finite, the first in row {_first_odd(rows)}")
+    Ts_world = se3.pose(se3.exp_so3(rows[:, 1:4]), 1e-3 * rows[:, 4:])
+    return Take(
+        path.name,
+        hashlib.sha256(path.read_bytes()).hexdigest(),
+        ARCTIC_FORM,
+        "motion capture",
+        "first",
+        "revolute",
+        np.arange(len(rows)) / ARCTIC_HZ,
+        se3.pose(_LEVEL, np.zeros(3)) @ Ts_world,
+        rows[:, 0],
+    )
+
+
+def _first_odd(rows: np.ndarray) -> int:
+    return int(np.flatnonzero(~np.isfinite(rows).all(1))[0])

@@ -1,0 +1,285 @@
+"""From one layout of recordings to another, each sequence written whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic
+from freeart21.files.benchmark import is_unfinished, read_benchmark, unfinished, write_benchmark
+from freeart21.files.places import check_growing
+from freeart21.files.sequence import read_sequence, write_frame, write_header, write_queries
+from freeart21.files.truth import read_truth, write_truth
+from freeart21.formats import foreign, freeart21_official, maniskill, rgbd_folder, video2articulation
+from freeart21.formats.foreign import Foreign, Progress, safe_name
+from freeart21.recording import Recording
+from freeart21.truth import Truth
+
+Layout = Literal["native", "rgbd", "official", "video2articulation", "maniskill"]
+Target = Literal["official", "native", "maniskill"]
+TruthMaker = Callable[[Foreign, Path], Truth]
+"""The whole truth of a foreign recording, from a folder of PartNet-Mobility objects; FreeArtError says what lacks."""
+
+_FARTHER = 10.0  # depth beyond this many times the object's farthest point is given up for a finer scale
+
+
+@dataclass(frozen=True)
+class Converted:
+    """One sequence that was written."""
+
+    name: str
+    """Of the source."""
+    folder: Path
+    """The sequence or example folder."""
+    with_truth: bool
+    notes: tuple[str, ...]
+    """What the user should know, a line each: what is missing, what was odd."""
+
+
+def find_sources(source: Path, layout: Layout | None = None) -> list[tuple[Layout, Path]]:
+    """The recordings in `source`: itself, or those that it holds, of one layout; the first that fits, or `layout`.
+
+    native: a sequence folder, or a data folder with sequences/. rgbd: a plain folder of pictures, or a folder of such.
+    official: an example, or a folder of examples, or one that holds examples/. video2articulation: a view folder, or
+    any folder above. maniskill: a folder with trajectories, NAME.h5 and NAME.json, each episode a recording.
+    """
+    source = Path(source)
+    if not source.is_dir():
+        raise FreeArtError(f"{source} is not a folder")
+    for kind in get_args(Layout) if layout is None else (layout,):
+        found = list(_of_layout(source, kind))
+        if found:
+            return [(kind, folder) for folder in found]
+    wanted = "of a known layout" if layout is None else f"of the layout {layout}"
+    raise FreeArtError(
+        f"{source} holds no recording {wanted}: a native one has sequence.json, a plain one rgb/ or color/, "
+        "depth/*.png, masks/ and cam_K.txt or camera_intrinsic.json, an official example rgb/, depth/*.npz and "
+        "cam_K.txt, a Video2Articulation-S view camera_pose.npy and intrinsics.npy, "
+        "ManiSkill's trajectories of FreeArt21 environments NAME.h5 and NAME.json"
+    )
+
+
+def _of_layout(source: Path, layout: Layout) -> Iterator[Path]:
+    if layout == "maniskill":
+        yield from maniskill.episodes(source)
+        return
+    fits, patterns = {
+        "native": (lambda folder: (folder / "sequence.json").is_file(), ("sequences/*", "*")),
+        "rgbd": (rgbd_folder.is_rgbd_folder, ("*",)),
+        "official": (freeart21_official.is_example, ("examples/*", "*")),
+        "video2articulation": (
+            video2articulation.is_view,
+            ("view_*", "joint_*/view_*", "*/joint_*/view_*", "*/*/joint_*/view_*", "*/*/*/joint_*/view_*"),
+        ),
+    }[layout]
+    if fits(source):
+        yield source
+        return
+    for pattern in patterns:
+        found = [folder for folder in sorted(source.glob(pattern)) if fits(folder)]
+        if found:
+            yield from found
+            return
+
+
+def convert(
+    source: Path,
+    out: Path,
+    to: Target,
+    layout: Layout | None = None,
+    truth_of: TruthMaker | None = None,
+    partnet_root: Path | None = None,
+    meta: Path | None = None,
+    hold_out: bool = False,
+    depth_unit: float = rgbd_folder.MILLIMETRE,
+    fps: float = rgbd_folder.FPS,
+    progress: Callable[[str, int, int], None] = lambda name, done, total: None,
+) -> Iterator[Converted]:
+    """Convert every recording in `source`, one after the other.
+
+    to="native" writes out/sequences/SEQ and, when `truth_of` can make it, out/truth/SEQ: both, or the sequence alone.
+    Objects are looked for in `partnet_root`, or, for an official example, where the official code keeps them: in
+    data/partnet-mobility-v0/dataset beside examples/. Renews out/benchmark.json when every sequence has its truth.
+
+    to="official" writes out/examples/NAME and, when the object's files are at hand (the truth's own, or
+    partnet_root/ID), out/data/partnet-mobility-v0/dataset/NAME. `hold_out` makes the official split of 5 %.
+
+    to="maniskill" writes out/NAME.h5 and out/NAME.json, a trajectory that FreeArt21-FreeMoving-v1 replays: of
+    recordings whose truth is known, and whose object's files are at hand.
+
+    `meta` is Video2Articulation's meta file; `depth_unit` (metres) and `fps` are of plain folders. `progress` is called
+    with a sequence's name, the frames done, their total.
+    Raises FreeArtError, in one line; what was written before stays, and is whole.
+    """
+    out = Path(out)
+    check_growing(out, (source,))
+    label = _label(out) if to == "native" else None
+    for kind, folder in find_sources(source, layout):
+        if kind == to:
+            raise FreeArtError(f"{folder} is of the layout {to} already")
+        if kind == "rgbd":
+            recording = rgbd_folder.read_rgbd_folder(folder, depth_unit, fps)
+        else:
+            recording = _read(kind, folder, meta, partnet_root)
+        tick = functools.partial(progress, recording.name)
+        with _tidy(out):
+            if to == "maniskill":
+                yield _write_maniskill(out, recording, _object_folder(kind, folder, recording, partnet_root))
+            elif to == "native":
+                yield _write_native(out, recording, truth_of, partnet_root or _root_beside(kind, folder), tick)
+            else:
+                files = _object_folder(kind, folder, recording, partnet_root)
+                yield _write_official(out, recording, files, hold_out, tick)
+    if label is not None and _all_have_truth(out):
+        write_benchmark(out, *label)
+
+
+def _label(out: Path) -> tuple[str, str, str]:
+    """Name, version and split of the data folder: as it has them, if it is one already."""
+    if is_unfinished(out):
+        raise unfinished(out)
+    if not (out / "benchmark.json").exists():
+        return out.resolve().name, "1", "public"
+    known = read_benchmark(out)
+    return known.name, known.version, known.split
+
+
+def _read(kind: Layout, folder: Path, meta: Path | None, partnet_root: Path | None) -> Foreign:
+    if kind == "official":
+        return freeart21_official.read_example(folder)
+    if kind == "video2articulation":
+        return video2articulation.read_view(folder, meta)
+    if kind == "maniskill":
+        return maniskill.read_episode(folder)
+    recording, name = read_sequence(folder), folder.resolve().name
+    truth_folder = _truth_folder(folder)
+    if not truth_folder.is_dir():
+        return Foreign(name, name, recording, None, f"there is no {truth_folder}")
+    truth = read_truth(truth_folder)
+    object_id = str(truth.source.get("object") or name)
+    read = Foreign(name, object_id, recording, None)
+    known = freeart21_official.known_of_truth(truth, _object_folder("native", folder, read, partnet_root))
+    return Foreign(name, object_id, recording, known)
+
+
+def _truth_folder(sequence: Path) -> Path:
+    return sequence.resolve().parent.parent / "truth" / sequence.resolve().name
+
+
+def _object_folder(kind: Layout, folder: Path, recording: Foreign, partnet_root: Path | None) -> Path | None:
+    """The object's PartNet-Mobility folder, when it is at hand."""
+    beside = _truth_folder(folder) / "object" if kind == "native" else None
+    name = safe_name(recording.object_id)
+    mine = (None, None) if partnet_root is None else (partnet_root / name, partnet_root / "dataset" / name)
+    return next((place for place in (beside, *mine) if place is not None and (place / "mobility.urdf").is_file()), None)
+
+
+def _root_beside(kind: Layout, folder: Path) -> Path | None:
+    """Where the official code keeps its objects, beside examples/, and where an environment had its own."""
+    if kind == "maniskill":
+        return maniskill.objects_beside(folder)
+    root = folder.resolve().parent.parent / freeart21_official.OBJECTS
+    return root if kind == "official" and root.is_dir() else None
+
+
+def _write_native(
+    out: Path, read: Foreign, truth_of: TruthMaker | None, root: Path | None, tick: Progress
+) -> Converted:
+    sequence, truth_folder = (out / sub / read.name for sub in ("sequences", "truth"))
+    for folder in (sequence, truth_folder):
+        if folder.exists():
+            raise FreeArtError(f"{folder} exists; choose another place or remove it first")
+    n, recording = len(read.recording), read.recording
+    scale = _depth_scale(recording, lambda done: tick(done, 2 * n))
+    truth, lacks = _truth(read, truth_of, root)
+    with atomic.new_folder(sequence) as aside:
+        for i, frame in enumerate(recording.frames()):
+            write_frame(aside, i, frame, scale)
+            tick(n + i + 1, 2 * n)
+        write_queries(aside, ())  # held-out views need pictures, which no foreign layout has
+        write_header(aside, recording.camera, scale, recording.times_s, recording.licence)
+        if truth is not None:
+            write_truth(truth_folder, truth, 0)
+    notes = (*read.notes, *((f"without truth: {lacks}",) if lacks else ()))
+    return Converted(read.name, sequence, truth is not None, notes)
+
+
+def _truth(read: Foreign, truth_of: TruthMaker | None, root: Path | None) -> tuple[Truth | None, str]:
+    if read.known is None:
+        return None, read.lacks
+    if truth_of is None or root is None:
+        return None, f"the object's meshes are needed: name the folder that holds {read.object_id} by --partnet-root"
+    try:
+        return truth_of(read, root), ""
+    except FreeArtError as error:
+        return None, str(error)
+
+
+def _depth_scale(recording: Recording, tick: Callable[[int], None]) -> float:
+    """Metres per unit: 1, 2 or 5 times a power of ten, the finest that holds the scene in 16 bits.
+
+    What lies beyond ten times the object's farthest point may be lost.
+    """
+    farthest = on_object = 0.0
+    for i, frame in enumerate(recording.frames()):
+        farthest = max(farthest, float(frame.depth.max(initial=0)))
+        on_object = max(on_object, float(frame.depth[frame.mask].max(initial=0)))
+        tick(i + 1)
+    if farthest <= 0:
+        raise FreeArtError(f"{recording.name} has no depth in any frame")
+    least = min(farthest, _FARTHER * on_object if on_object > 0 else farthest) / 65000
+    power = 10.0 ** np.floor(np.log10(least))
+    return float(f"{next(power * k for k in (1, 2, 5, 10) if power * k >= least * (1 - 1e-12)):.1g}")
+
+
+def _write_official(out: Path, read: Foreign, object_folder: Path | None, hold_out: bool, tick: Progress) -> Converted:
+    folder = freeart21_official.write_example(out, read.name, read.recording, read.known, object_folder, hold_out, tick)
+    notes = list(read.notes)
+    if read.known is None:
+        notes.append(f"pictures only: {read.lacks}")
+    elif object_folder is None:
+        notes.append(
+            f"without the object's files, which their evaluator needs: {read.object_id} is not at hand (--partnet-root)"
+        )
+    return Converted(read.name, folder, read.known is not None, tuple(notes))
+
+
+def _write_maniskill(out: Path, read: Foreign, object_folder: Path | None) -> Converted:
+    if (out / f"{read.name}.h5").exists():
+        raise FreeArtError(f"{out / read.name}.h5 exists; choose another place or remove it first")
+    if read.known is None or object_folder is None:
+        lacks = read.lacks or f"{read.object_id} is not at hand (--partnet-root)"
+        raise FreeArtError(f"{read.name} gives no motion to replay: {lacks}")
+    known, recording = read.known, read.recording
+    poses = foreign.T_SAPIEN_CV @ known.Ts_camera_object
+    file = maniskill.write_trajectory(
+        out, read.name, object_folder.resolve(), recording.times_s, known.states, poses, recording.camera
+    )
+    return Converted(read.name, file, True, read.notes)
+
+
+def _all_have_truth(out: Path) -> bool:
+    sequences = [path.parent.name for path in (out / "sequences").glob("*/sequence.json")]
+    return bool(sequences) and all((out / "truth" / name / "truth.json").is_file() for name in sequences)
+
+
+@contextlib.contextmanager
+def _tidy(out: Path) -> Iterator[None]:
+    """When the block fails, folders that it made and left empty go, too."""
+    new = not out.exists()
+    try:
+        yield
+    except BaseException:
+        objects = freeart21_official.OBJECTS
+        made = [Path("sequences"), Path("truth"), Path("examples"), objects, *objects.parents]
+        for place in made if new else made[:-1]:
+            with contextlib.suppress(OSError):
+                (out / place).rmdir()
+        raise

@@ -1,0 +1,223 @@
+"""What all foreign layouts share: camera axes, depth units, numbered files, and what such a folder knows."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.joint import Joint
+from freeart21.recording import Recording
+from freeart21.se3 import Array
+
+Image = NDArray[np.uint8]
+Progress = Callable[[int, int], None]
+"""Called with the number of frames done and their total."""
+
+T_GL_CV: Array = np.diag([1.0, -1.0, -1.0, 1.0])
+"""OpenGL camera (x right, y up, z backward) from ours (x right, y down, z forward)."""
+
+T_SAPIEN_CV: Array = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]], float)
+"""SAPIEN camera (x forward, y left, z up) from ours."""
+
+FARTHEST_M = 100.0
+"""The far plane of both data sets: a larger depth is not in metres."""
+MAX_FRAMES = 100_000
+
+_LEAST_MM = 20  # whole numbers that stay below it are no millimetres: nothing is filmed from two centimetres
+_UNIT_NORM = 0.05  # how far a stored quaternion's norm may be from one
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a foreign folder knows of the truth.
+
+    The object's frame is that of its URDF's root link (z up). The sides are those of the scored joint: the root link's
+    (parent) and the other (child).
+    """
+
+    states: Array
+    """(n,) joint state, rad or m."""
+    Ts_camera_object: Array
+    """(n, 4, 4) poses of the root link."""
+    side: Callable[[int], Image]
+    """Frame index to (height, width): 0 neither, 1 parent side, 2 child side."""
+    joint_name: str | None = None
+    """Of the scored joint in the object's URDF; None when the layout does not say."""
+    joint: Joint | None = None
+    """Motion of the child against the parent side in the object's frame; None when only the URDF can tell."""
+    held: dict[str, float] = field(default_factory=dict)
+    """Where the other joints stood, rad or m, as far as the layout tells."""
+    source: dict[str, Any] = field(default_factory=dict)
+    """Where it came from."""
+
+    def __post_init__(self) -> None:
+        states = np.asarray(self.states, float)
+        poses = se3.check_poses("known T_camera_object", self.Ts_camera_object)
+        if states.ndim != 1 or len(poses) != len(states) or not np.isfinite(states).all():
+            raise FreeArtError(f"known states have shape {states.shape}, expected ({len(poses)},) finite numbers")
+        object.__setattr__(self, "states", states)
+
+    def parts(self, joint: Joint) -> Parts:
+        """Reference and moving part for the child-against-parent motion `joint`.
+
+        The side with more pixels over all frames is the reference; when that is the child side, the axis turns round
+        and the states stay. Reads every part mask.
+        """
+        counts = np.array([np.bincount(self.side(i).ravel(), minlength=3)[1:3] for i in range(len(self.states))])
+        order = (1, 0) if counts[:, 1].sum() > counts[:, 0].sum() else (0, 1)
+        Ts = self.Ts_camera_object, self.Ts_camera_object @ joint.transform(self.states)
+        own = joint if order == (0, 1) else replace(joint, axis=-joint.axis)
+        label = np.array([0, 1 + order.index(0), 1 + order.index(1)], np.uint8)
+        return Parts(order, own, (Ts[order[0]], Ts[order[1]]), counts[:, list(order)], lambda i: label[self.side(i)])
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Which side became the reference part, and what follows from it."""
+
+    order: tuple[int, int]
+    """Side (0 parent, 1 child) of the reference and of the moving part."""
+    joint: Joint
+    """Motion of the moving part against the reference part, in the object's frame."""
+    Ts_camera: tuple[Array, Array]
+    """Poses (n, 4, 4) of reference and moving part."""
+    seen: NDArray[np.int64]
+    """(n, 2) pixels of reference and moving part."""
+    part_mask: Callable[[int], Image]
+    """Frame index to (height, width): 0 neither, 1 reference, 2 moving."""
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """A foreign folder, read."""
+
+    name: str
+    """A name for the sequence that it becomes: letters, digits, '.', '-' and '_'."""
+    object_id: str
+    """The object's PartNet-Mobility id, as the folder has it."""
+    recording: Recording
+    known: Known | None
+    """None when too little of the truth is there; `lacks` says what."""
+    lacks: str = ""
+    notes: tuple[str, ...] = ()
+    """What the user should know, a line each."""
+
+
+def numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
+    """Frame number to file, of the files in `folder` whose whole name is a number, of any count of digits.
+
+    Symbolic links count by their name. Raises FreeArtError when the folder is missing, or two files have one number
+    (0001.png and 00001.png).
+    """
+    if not folder.is_dir():
+        raise FreeArtError(f"{folder} is missing")
+    found: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in suffixes and re.fullmatch(r"[0-9]{1,9}", path.stem):
+            number = int(path.stem)
+            if number in found:
+                raise FreeArtError(f"{folder}: {found[number].name} and {path.name} are both frame {number}")
+            found[number] = path
+    return found
+
+
+def safe_name(name: str) -> str:
+    """`name` as a plain folder name."""
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip(".-")
+    if not plain:
+        raise FreeArtError(f"'{name}' gives no folder name")
+    return plain
+
+
+def within(folder: Path, path: Path) -> Path:
+    """`path`, which lies in `folder` also when links are followed; FreeArtError otherwise."""
+    return checked.inside(folder, str(path.relative_to(folder)))
+
+
+def depth_metres(raw: NDArray[Any], where: Path) -> NDArray[np.float32]:
+    """(height, width) z-depth in metres, 0 where there is none, of one file's array.
+
+    The type decides first: whole numbers are millimetres, floating point is metres. Then the range: floats beyond the
+    far plane (median above 100) are millimetres all the same, and whole numbers that never reach 20 are refused.
+    Not finite and negative values are none. Files of one data set differ, so each is judged alone.
+    """
+    raw = raw[..., 0] if raw.ndim == 3 and raw.shape[2] == 1 else raw
+    if raw.ndim != 2 or raw.dtype.kind not in "fiu":
+        raise FreeArtError(f"{where}: depth has shape {raw.shape} {raw.dtype}, expected (height, width) of numbers")
+    depth = raw.astype(np.float32)
+    depth[~np.isfinite(depth) | (depth < 0)] = 0
+    some = depth[depth > 0]
+    if raw.dtype.kind in "iu":
+        if len(some) and some.max() < _LEAST_MM:
+            raise FreeArtError(
+                f"{where}: depth is {raw.dtype} with no value above {some.max():g}, "
+                "expected millimetres in whole numbers"
+            )
+        return depth / np.float32(1000)
+    return depth / np.float32(1000) if len(some) and np.median(some) > FARTHEST_M else depth
+
+
+def read_npy(path: Path, shape: tuple[int | None, ...]) -> Array:
+    """The float64 array of an .npy file, without pickle, of bounded size; None in `shape` is any length."""
+    checked.require_file(path, checked.MAX_ARRAY_BYTES)
+    try:
+        array = np.load(path, allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise FreeArtError(f"{path} is not a readable .npy file without pickled objects: {error}") from error
+    fits = array.ndim == len(shape) and all(s in (None, a) for s, a in zip(shape, array.shape, strict=True))
+    if not fits or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+        wanted = ", ".join("n" if s is None else str(s) for s in shape)
+        raise FreeArtError(f"{path} has shape {array.shape} {array.dtype}, expected ({wanted}) of finite numbers")
+    return array.astype(float)
+
+
+def read_matrix(path: Path) -> Array:
+    """The rows of numbers, parted by blanks or commas, of a text file; FreeArtError where a word is no number."""
+    text = checked.require_file(path, 1 << 16).read_text("utf-8", errors="replace").replace(",", " ")
+    try:
+        return np.array([[float(word) for word in line.split()] for line in text.splitlines() if line.strip()])
+    except ValueError:
+        raise FreeArtError(f"{path} is not a 3 x 3 matrix of numbers") from None
+
+
+def read_any_json(path: Path) -> Any:
+    """Whatever JSON is in `path`."""
+    try:
+        return json.loads(checked.require_file(path, checked.MAX_JSON_BYTES).read_text("utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise FreeArtError(f"{path} is not JSON: {error}") from error
+
+
+def read_foreground(path: Path) -> NDArray[np.bool_]:
+    """(height, width) foreground of a mask picture: above 127, or above 0 when no value exceeds 1."""
+    grey = checked.read_image(path, cv2.IMREAD_GRAYSCALE)
+    return np.asarray(grey > (127 if grey.max(initial=0) > 1 else 0))
+
+
+def poses_from_rows(rows: ArrayLike, where: str) -> Array:
+    """(n, 4, 4) poses of rows (n, 7): position, then quaternion w, x, y, z of about unit length."""
+    rows = np.asarray(rows, float)
+    norms = np.linalg.norm(rows[:, 3:], axis=1)
+    bad = np.flatnonzero(~(np.abs(norms - 1) <= _UNIT_NORM))
+    if len(bad) or not np.isfinite(rows).all():
+        at = int(bad[0]) if len(bad) else 0
+        raise FreeArtError(f"{where}: quaternion {at} has length {norms[at]:.3g}, expected 1 (w, x, y, z)")
+    return se3.pose_from_wxyz(rows[:, :3], rows[:, 3:])
+
+
+def same_count(folder: Path, counts: dict[str, int]) -> None:
+    """FreeArtError when the counts (file name to number of entries) differ."""
+    if len(set(counts.values())) > 1:
+        told = ", ".join(f"{name} {count}" for name, count in counts.items())
+        raise FreeArtError(f"{folder}: the numbers of frames differ: {told}")

@@ -1,0 +1,369 @@
+"""The official FreeArt-21 release: one folder an object, `examples/<id>/`.
+
+    rgb/NNNNN.png   depth/NNNNN.npz ('depth', float32 z-depth, metres, 0 is none)   masks/NNNNN.png   vis/NNNNN.png
+    rendered_masks/mask_0|mask_1/NNNN.png   parent and child side of the scored joint; 4 or 5 digits
+    object_poses.json    [{position, quaternion wxyz}]   the URDF's root link in the world
+    joint_states.json    [[q, ...]]                      or dicts with one of several keys
+    camera_params.json   [{model_matrix}]                world from OpenGL camera, 4x4; the camera stands still
+    cam_K.txt            3x3
+    eval/                after the split: the held-out frames in the same layout, and split_info.json
+
+Seen in FreeArtGS@061c6c8: file names, keys and digits (preprocessing/split_eval_subset.py, utils/utils.py,
+evaluate/compute_mask_miou.py), states (evaluate/eval_data.py), quaternion order, model_matrix of the first frame only
+(evaluate/convert_objposes_to_camposes.py), poses are the root link's (evaluate/evaluate_freeartgs.py: its three turns
+undo its mesh-frame turn exactly), mask_1 is the moving part (evaluate/mask_utils.py); and how such folders were made in
+Zarad0X/sapien_video_gen@88b1497:teleop_obj.py. The pictures are rasterised, so pixel centres are at +0.5 as ours.
+Frames carry no times: 30 a second are assumed.
+"""
+
+from __future__ import annotations
+
+import random
+import shutil
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.urdf import read_urdf_joints
+from freeart21.formats import foreign
+from freeart21.formats.foreign import Foreign, Image, Known, Progress
+from freeart21.recording import Frame, Recording
+from freeart21.se3 import Array
+from freeart21.truth import Truth
+
+FPS = 30.0
+LICENCE = (
+    "FreeArt-21 as released by its authors; objects under the PartNet-Mobility terms of use; not to be redistributed"
+)
+SIDECAR = "freeart21.json"
+"""What the layout has no place for (times, licence, the joint's name); their code leaves it alone."""
+SIDECAR_SCHEMA = "freeart21/official/1"
+EVAL_SHARE = 0.05
+EVAL_SEED = 0
+OBJECTS = Path("data/partnet-mobility-v0/dataset")
+"""Where their evaluator looks for <id>/mobility.urdf, beside examples/."""
+
+_LARGEST_STATE = 1e6
+_STATE_KEYS = ("angle_rad", "angle", "value", "qpos", "state", "theta", "translation")
+_STATE_LISTS = ("frames", "values", "joint_values", "joint_states")
+
+
+def is_example(folder: Path) -> bool:
+    """Whether `folder` looks like an official example."""
+    return (folder / "cam_K.txt").is_file() and (folder / "rgb").is_dir() and (folder / "depth").is_dir()
+
+
+def read_example(folder: Path) -> Foreign:
+    """The official example in `folder`; frames load lazily.
+
+    After the official split, the video is what the split left in the folder and its times tell the gaps; the held-out
+    frames are not part of it. Raises FreeArtError, in one line, when a frame is missing, numbers of frames differ, or a
+    file is not what it should be.
+    """
+    folder = Path(folder)
+    if not is_example(folder):
+        raise FreeArtError(f"{folder} is not an official FreeArt-21 example: expected rgb/, depth/ and cam_K.txt")
+    rgb = foreign.numbered(folder / "rgb", (".png", ".jpg", ".jpeg"))
+    depth = foreign.numbered(folder / "depth", (".npz",))
+    masks = foreign.numbered(folder / "masks", (".png",))
+    n = len(rgb)
+    if not 0 < n <= foreign.MAX_FRAMES:
+        raise FreeArtError(f"{folder}/rgb has {n} frames, expected 1 to {foreign.MAX_FRAMES}")
+    foreign.same_count(folder, {"rgb": n, "depth": len(depth), "masks": len(masks)})
+    for sub, files in (("rgb", rgb), ("depth", depth), ("masks", masks)):
+        absent = sorted(set(range(n)) - set(files))
+        if absent:
+            raise FreeArtError(f"{folder}/{sub}: frame {absent[0]} is missing, expected 0 to {n - 1}")
+    extra = _sidecar(folder)
+    train = _train_indices(folder, n)
+    times = checked.numbers(extra, "times_s", (None,), folder / SIDECAR) if extra else np.arange(max(train) + 1) / FPS
+    if len(times) <= max(train):
+        raise FreeArtError(
+            f"{folder / SIDECAR} has {len(times)} times, expected one for each of {max(train) + 1} frames"
+        )
+    camera = Camera(foreign.read_matrix(folder / "cam_K.txt"), *_size(rgb[0]))
+
+    def load(index: int) -> Frame:
+        path = foreign.within(folder, depth[index])
+        raw = checked.read_npz(path, ("depth",))["depth"]
+        return Frame(
+            checked.read_rgb(foreign.within(folder, rgb[index])),
+            foreign.depth_metres(raw, path),
+            foreign.read_foreground(foreign.within(folder, masks[index])),
+        )
+
+    name = folder.resolve().name
+    recording = Recording(camera, times[train], load, (), extra.get("licence") or LICENCE, name)
+    known, lacks = _known(folder, n, train, (camera.height, camera.width), extra)
+    return Foreign(foreign.safe_name(name), name, recording, known, lacks)
+
+
+def read_states(path: Path) -> Array:
+    """(n,) joint states, rad or m, of a joint_states.json in any of the forms that the official evaluator takes.
+
+    Where an entry is a list (qpos of several joints), the first counts, as there; but when the first never moves and
+    just one other does, that one. Unlike there, an entry without a known number is an error and not zero.
+    """
+    data = foreign.read_any_json(path)
+    if isinstance(data, dict):
+        lists = [data[key] for key in _STATE_LISTS if isinstance(data.get(key), list)]
+        data = lists[0] if lists else [data[key] for key in sorted((k for k in data if k.isdigit()), key=int)]
+    if not isinstance(data, list) or not data:
+        raise FreeArtError(f"{path} holds no list of joint states")
+    if all(isinstance(entry, list) and entry for entry in data):
+        rows = [[_state(value, path, i) for value in entry] for i, entry in enumerate(data)]
+        if len({len(row) for row in rows}) > 1:
+            raise FreeArtError(f"{path}: entries name different numbers of joints")
+        spans = np.ptp(np.array(rows), axis=0)
+        moving = np.flatnonzero(spans > 1e-9)
+        return np.array(rows)[:, moving[0] if spans[0] <= 1e-9 and len(moving) == 1 else 0]
+    return np.array([_state(entry, path, i) for i, entry in enumerate(data)])
+
+
+def read_object_poses(folder: Path) -> Array:
+    """(n, 4, 4) camera from the object's root link, of the object_poses.json and camera_params.json in `folder`."""
+    Ts_world_object = _object_poses(folder / "object_poses.json")
+    Ts_world_gl = _cameras(folder / "camera_params.json")
+    if len(Ts_world_gl) > 1:
+        foreign.same_count(folder, {"object_poses.json": len(Ts_world_object), "camera_params.json": len(Ts_world_gl)})
+    return np.asarray(se3.inverse(Ts_world_gl @ foreign.T_GL_CV) @ Ts_world_object)
+
+
+def eval_indices(frames: int, share: float = EVAL_SHARE, seed: int = EVAL_SEED) -> list[int]:
+    """Frames that the official split holds out: `random.Random(seed).sample`, sorted."""
+    count = max(1, round(frames * share))
+    return list(range(frames)) if count >= frames else sorted(random.Random(seed).sample(range(frames), count))
+
+
+def write_example(
+    root: Path,
+    name: str,
+    recording: Recording,
+    known: Known | None,
+    object_folder: Path | None = None,
+    hold_out: bool = False,
+    progress: Progress = lambda done, total: None,
+) -> Path:
+    """Write `root/examples/name`, and the object to `root/data/partnet-mobility-v0/dataset/name` when it is given.
+
+    Both or neither. Their scripts take an object's id up to the first '_' of the name, so '_' becomes '-'. The camera
+    is written at rest at the world's origin and all motion given to the object. Without `known` there are pictures and
+    cam_K.txt only. `hold_out` splits as their split_eval_subset.py would, into the folder and its eval/.
+    """
+    name = foreign.safe_name(name).replace("_", "-")
+    folder, copied = root / "examples" / name, root / OBJECTS / name
+    for place in (folder, copied):
+        if place.exists():
+            raise FreeArtError(f"{place} exists; choose another place or remove it first")
+    n = len(recording)
+    if known is not None:
+        foreign.same_count(folder, {"video": n, "truth": len(known.states)})
+    held_out = eval_indices(n) if hold_out else []
+    if hold_out and len(held_out) == n:
+        raise FreeArtError(f"cannot hold frames out of {n}")
+    groups = {"": [i for i in range(n) if i not in set(held_out)], "eval": held_out}
+    with ExitStack() as stack:
+        aside = stack.enter_context(atomic.new_folder(folder))
+        if object_folder is not None:
+            object_aside = stack.enter_context(atomic.new_folder(copied))
+            shutil.copytree(object_folder, object_aside, dirs_exist_ok=True)
+        done = 0
+        for sub, frames in groups.items():
+            if not frames:
+                continue
+            for new, i in enumerate(frames):
+                _write_frame(aside / sub, new, recording.frame(i), None if known is None else known.side(i))
+                done += 1
+                progress(done, n)
+            _write_K(aside / sub / "cam_K.txt", recording.camera.K)
+            if known is not None:
+                _write_lists(aside / sub, known.Ts_camera_object[frames], known.states[frames])
+        if held_out:
+            info = {"eval_original_indices": held_out, "train_original_indices": groups[""]}
+            atomic.write_json(aside / "eval" / "split_info.json", info)
+        _write_sidecar(aside / SIDECAR, recording, known)
+    return folder
+
+
+def known_of_truth(truth: Truth, object_folder: Path | None) -> Known:
+    """What an official example tells of a native truth: the root link's poses, and the sides of the joint.
+
+    Which side became the reference part is told by the URDF in `object_folder` and the links that the truth's source
+    names; without them the reference part is taken for the parent side.
+    """
+    turned = _child_is_reference(truth, object_folder)
+    label = np.array([0, 2, 1] if turned else [0, 1, 2], np.uint8)
+    joint = truth.articulation.joint
+    return Known(
+        truth.states,
+        truth.Ts_camera_moving if turned else truth.Ts_camera_reference,
+        lambda i: label[np.minimum(truth.part_mask(i), 2)],
+        str(truth.source.get("joint") or joint.name),
+        replace(joint, axis=-joint.axis) if turned else joint,
+        source=truth.source,
+    )
+
+
+def _child_is_reference(truth: Truth, object_folder: Path | None) -> bool:
+    links = truth.source.get("reference_links")
+    urdf = None if object_folder is None else object_folder / "mobility.urdf"
+    if not isinstance(links, list | tuple) or urdf is None or not urdf.is_file():
+        return False
+    joint = read_urdf_joints(urdf).get(str(truth.source.get("joint") or truth.articulation.joint.name))
+    return joint is not None and joint.child in links
+
+
+def _known(
+    folder: Path, n: int, train: list[int], size: tuple[int, int], extra: dict[str, Any]
+) -> tuple[Known | None, str]:
+    for name in ("object_poses.json", "joint_states.json", "camera_params.json"):
+        if not (folder / name).is_file():
+            return None, f"it has no {name}"
+    if not (folder / "rendered_masks" / "mask_0").is_dir():
+        return None, "it has no rendered_masks/mask_0"
+    Ts_camera_object = read_object_poses(folder)
+    states = read_states(folder / "joint_states.json")
+    foreign.same_count(folder, {"rgb": n, "object_poses.json": len(Ts_camera_object), "joint_states.json": len(states)})
+    joint = extra.get("joint")
+    known = Known(
+        states,
+        Ts_camera_object,
+        _side_reader(folder, n, train, size),
+        joint if isinstance(joint, str) else None,
+        source={"layout": "FreeArt-21 official", "example": folder.resolve().name, "frames": train},
+    )
+    return known, ""
+
+
+def _side_reader(folder: Path, n: int, train: list[int], size: tuple[int, int]) -> Callable[[int], Image]:
+    """Frame index to sides. The official split leaves 4-digit part masks alone, so they may go by the old numbers."""
+    sides = [foreign.numbered(folder / "rendered_masks" / f"mask_{k}", (".png",)) for k in (0, 1)]
+    foreign.same_count(folder / "rendered_masks", {"mask_0": len(sides[0]), "mask_1": len(sides[1])})
+    numbers = list(range(n)) if len(sides[0]) == n else train
+    for k, files in enumerate(sides):
+        absent = sorted(set(numbers) - set(files))
+        if absent:
+            raise FreeArtError(f"{folder}/rendered_masks/mask_{k}: frame {absent[0]} is missing, expected {n} frames")
+
+    def side(i: int) -> Image:
+        parent, child = (foreign.read_foreground(foreign.within(folder, files[numbers[i]])) for files in sides)
+        if parent.shape != size or child.shape != size:
+            raise FreeArtError(
+                f"{folder}: part masks of frame {i} are {parent.shape[1]} x {parent.shape[0]} and "
+                f"{child.shape[1]} x {child.shape[0]}, expected {size[1]} x {size[0]}"
+            )
+        return np.where(child, 2, parent).astype(np.uint8)
+
+    return side
+
+
+def _train_indices(folder: Path, n: int) -> list[int]:
+    """Original number of each frame: after the official split, what split_info.json says."""
+    path = folder / "eval" / "split_info.json"
+    if not path.is_file():
+        return list(range(n))
+    train = checked.read_json(path).get("train_original_indices")
+    whole = isinstance(train, list) and all(type(i) is int and 0 <= i < foreign.MAX_FRAMES for i in train)
+    if not isinstance(train, list) or not whole or train != sorted(set(train)):
+        raise FreeArtError(f"{path}: train_original_indices is not a rising list of frame numbers")
+    if len(train) != n:
+        raise FreeArtError(f"{path} names {len(train)} frames of the video, but {folder}/rgb has {n}")
+    return list(train)
+
+
+def _object_poses(path: Path) -> Array:
+    entries = foreign.read_any_json(path)
+    rows = []
+    for i, entry in enumerate(entries if isinstance(entries, list) else []):
+        parts = [entry.get("position"), entry.get("quaternion")] if isinstance(entry, dict) else [None, None]
+        try:
+            rows.append(np.concatenate([np.array(parts[0], float).reshape(3), np.array(parts[1], float).reshape(4)]))
+        except (TypeError, ValueError):
+            raise FreeArtError(f"{path}: pose {i} needs 'position' of 3 and 'quaternion' of 4 numbers") from None
+    if not rows:
+        raise FreeArtError(f"{path} holds no list of poses")
+    return foreign.poses_from_rows(np.array(rows), str(path))
+
+
+def _cameras(path: Path) -> Array:
+    """(n or 1, 4, 4) world from OpenGL camera."""
+    entries = foreign.read_any_json(path)
+    entries = [entries] if isinstance(entries, dict) else entries
+    matrices = []
+    for i, entry in enumerate(entries if isinstance(entries, list) else []):
+        try:
+            matrices.append(np.array(entry["model_matrix"], float).reshape(4, 4))
+        except (TypeError, ValueError, KeyError):
+            raise FreeArtError(f"{path}: camera {i} has no 'model_matrix' of 4 x 4 numbers") from None
+    if not matrices:
+        raise FreeArtError(f"{path} holds no list of cameras")
+    return se3.check_poses(f"{path} model_matrix", np.array(matrices), tolerance=1e-3)
+
+
+def _state(entry: Any, path: Path, i: int) -> float:
+    inner = entry.get("joint") if isinstance(entry, dict) and isinstance(entry.get("joint"), dict) else None
+    values = [entry]
+    for held in (entry, inner):
+        if isinstance(held, dict):
+            values = [held[key] for key in _STATE_KEYS if key in held] or values
+            if values != [entry]:
+                break
+    value = values[0][0] if isinstance(values[0], list) and values[0] else values[0]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST_STATE:
+        raise FreeArtError(
+            f"{path}: state {i} is {entry!r}, expected a number or one of {', '.join(_STATE_KEYS)}"[:300]
+        )
+    return float(value)
+
+
+def _size(path: Path) -> tuple[int, int]:
+    """Width and height of a picture."""
+    height, width = checked.read_rgb(path).shape[:2]
+    return width, height
+
+
+def _sidecar(folder: Path) -> dict[str, Any]:
+    path = folder / SIDECAR
+    return checked.read_json(path, SIDECAR_SCHEMA) if path.is_file() else {}
+
+
+def _write_frame(folder: Path, index: int, frame: Frame, side: Image | None) -> None:
+    name = f"{index:05d}.png"
+    grey = frame.depth * (255.0 / max(float(frame.depth.max(initial=0)), 1e-9))
+    pictures = {"rgb": frame.rgb, "masks": frame.mask.astype(np.uint8) * 255, "vis": grey.astype(np.uint8)}
+    if side is not None:
+        pictures |= {f"rendered_masks/mask_{k}": (side == k + 1).astype(np.uint8) * 255 for k in (0, 1)}
+    for sub, picture in pictures.items():
+        atomic.write_bytes(folder / sub / name, checked.encode_png(picture))
+    (folder / "depth").mkdir(exist_ok=True)
+    np.savez_compressed(folder / "depth" / f"{index:05d}.npz", depth=frame.depth.astype(np.float32))
+
+
+def _write_K(path: Path, K: Array) -> None:
+    atomic.write_bytes(path, "".join(" ".join(f"{v:.17g}" for v in row) + "\n" for row in K).encode())
+
+
+def _write_lists(folder: Path, Ts_camera_object: Array, states: Array) -> None:
+    Ts_world_object = foreign.T_SAPIEN_CV @ Ts_camera_object
+    T_world_gl = foreign.T_SAPIEN_CV @ se3.inverse(foreign.T_GL_CV)
+    camera = {
+        "model_matrix": T_world_gl,
+        "camera_pose": {"position": [0.0, 0.0, 0.0], "quaternion": [1.0, 0.0, 0.0, 0.0]},
+    }
+    poses = zip(Ts_world_object[:, :3, 3], se3.wxyz(Ts_world_object), strict=True)
+    atomic.write_json(folder / "object_poses.json", [{"position": p, "quaternion": q} for p, q in poses])
+    atomic.write_json(folder / "joint_states.json", [[float(q)] for q in states])
+    atomic.write_json(folder / "camera_params.json", [camera] * len(states))
+
+
+def _write_sidecar(path: Path, recording: Recording, known: Known | None) -> None:
+    facts = {"times_s": recording.times_s, "licence": recording.licence}
+    atomic.write_json(path, {"schema": SIDECAR_SCHEMA, **facts, "joint": None if known is None else known.joint_name})

@@ -1,0 +1,148 @@
+"""An articulated object as 3D Gaussians: both parts in one canonical frame, each Gaussian with a weight of its part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+
+Floats = NDArray[np.float32]
+
+LIGHT_TERMS = (1, 4, 9, 16, 25)
+"""Numbers of spherical harmonics up to the degrees 0 to 4."""
+FAINT_COPY = 0.02
+"""Opacity up to which a Gaussian's copy under the other part's motion is left out of pictures: five grey levels, and
+twice the splats if all had one."""
+TURNED_AWAY = -0.1
+"""Cosine of the angle between normal and view from which on a disc shows its back, and is left out."""
+
+_WIDTHS = {"means": 3, "quaternions": 4, "scales": 3, "opacities": 0, "colours": 3, "part_weights": 0, "normals": 3}
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """N Gaussians in the canonical frame of an `Articulation`, joint state zero; arrays are float32.
+
+    In a frame with joint motion J, a Gaussian is drawn where it is with its opacity times w, and moved by J with its
+    opacity times 1 - w, w its part weight (paper, Blended Rendering). With `light` it is a disc that shows its outer
+    face alone; others' Gaussians, which know no light, show from all sides.
+    """
+
+    means: Floats
+    """(N, 3) metres."""
+    quaternions: Floats
+    """(N, 4) unit, wxyz: canonical from Gaussian."""
+    scales: Floats
+    """(N, 3) standard deviations along the Gaussian's own axes, metres."""
+    opacities: Floats
+    """(N,) 0 to 1."""
+    colours: Floats
+    """(N, 3) sRGB, 0 to 1, in mean light."""
+    part_weights: Floats
+    """(N,) 0 to 1: 1 is the reference part's, 0 the moving part's."""
+    normals: Floats
+    """(N, 3) unit, outward."""
+    light: Floats | None = None
+    """(L, 3) how light depends on where a normal points in the recording camera's frame, whose lamps do not turn with
+    the object: coefficients of `spherical_harmonics`, of mean 1 over the video. A picture shows colours times light.
+    None is the same light from everywhere."""
+
+    def __post_init__(self) -> None:
+        n = len(self.means)
+        for name, width in _WIDTHS.items():
+            array = np.array(getattr(self, name), np.float32)
+            expected = (n, width) if width else (n,)
+            if array.shape != expected:
+                raise FreeArtError(f"gaussians' {name} have shape {array.shape}, expected {expected}")
+            if not np.isfinite(array).all():
+                raise FreeArtError(f"gaussians' {name} are not all finite")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        if self.light is not None:
+            light = np.array(self.light, np.float32)
+            if light.ndim != 2 or light.shape[0] not in LIGHT_TERMS or light.shape[1] != 3:
+                terms = ", ".join(map(str, LIGHT_TERMS))
+                raise FreeArtError(f"gaussians' light has shape {light.shape}, expected ({terms}; 3)")
+            light.flags.writeable = False
+            object.__setattr__(self, "light", light)
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def moved(self, T_new_old: ArrayLike) -> Gaussians:
+        """The same in another canonical frame, `T_new_old` (4, 4)."""
+        T = np.asarray(T_new_old, float)
+        return replace(
+            self,
+            means=se3.transform(T, self.means).astype(np.float32),
+            quaternions=multiply(se3.wxyz(T), self.quaternions).astype(np.float32),
+            normals=(self.normals @ T[:3, :3].T).astype(np.float32),
+        )
+
+
+def multiply(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
+    """Quaternion product (..., 4), wxyz: the rotation b, then a."""
+    aw, ax, ay, az = np.moveaxis(np.asarray(a, float), -1, 0)
+    bw, bx, by, bz = np.moveaxis(np.asarray(b, float), -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        -1,
+    )
+
+
+def rotations(quaternions: ArrayLike) -> NDArray[np.float64]:
+    """(..., 3, 3) of quaternions (..., 4), wxyz, of any length."""
+    q = np.asarray(quaternions, float)
+    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def spherical_harmonics(directions: ArrayLike, terms: int) -> NDArray[np.float64]:
+    """(..., terms) real spherical harmonics of unit vectors (..., 3), orthonormal, by degree l and order -l to l.
+
+    `terms` is one of LIGHT_TERMS.
+    """
+    x, y, z = np.moveaxis(np.asarray(directions, float), -1, 0)
+    xx, yy, zz = x * x, y * y, z * z
+    found = [
+        np.full_like(x, 0.28209479177387814),
+        0.4886025119029199 * y,
+        0.4886025119029199 * z,
+        0.4886025119029199 * x,
+        1.0925484305920792 * x * y,
+        1.0925484305920792 * y * z,
+        0.31539156525252005 * (3 * zz - 1),
+        1.0925484305920792 * x * z,
+        0.5462742152960396 * (xx - yy),
+        0.5900435899266435 * y * (3 * xx - yy),
+        2.890611442640554 * x * y * z,
+        0.4570457994644658 * y * (5 * zz - 1),
+        0.3731763325901154 * z * (5 * zz - 3),
+        0.4570457994644658 * x * (5 * zz - 1),
+        1.445305721320277 * z * (xx - yy),
+        0.5900435899266435 * x * (xx - 3 * yy),
+        2.5033429417967046 * x * y * (xx - yy),
+        1.7701307697799304 * y * z * (3 * xx - yy),
+        0.9461746957575601 * x * y * (7 * zz - 1),
+        0.6690465435572892 * y * z * (7 * zz - 3),
+        0.10578554691520431 * (zz * (35 * zz - 30) + 3),
+        0.6690465435572892 * x * z * (7 * zz - 3),
+        0.47308734787878004 * (xx - yy) * (7 * zz - 1),
+        1.7701307697799304 * x * z * (xx - 3 * yy),
+        0.6258357354491761 * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
+    ]
+    return np.stack(found[:terms], -1)

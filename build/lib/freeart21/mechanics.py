@@ -1,0 +1,170 @@
+"""What a joint carries and what drives it: mass, inertia and gravity of the moving part, and the actuator."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from freeart21.joint import Joint
+from freeart21.se3 import Array
+
+
+@dataclass(frozen=True)
+class JointMechanics:
+    """A rigid moving part on a joint whose base is at rest; all in one frame, that of the joint's parent link.
+
+    The generalised equation of free motion is inertia * qdd = gravity_force(q).
+    """
+
+    joint: Joint
+    """Axis and pivot; states are URDF joint values."""
+    mass: float
+    """kg."""
+    inertia: float
+    """kg*m^2 about a revolute joint's axis, kg along a prismatic joint's."""
+    moment_zero: Array
+    """(3,) kg*m: mass times centre of mass at q = 0."""
+    gravity: Array
+    """(3,) m/s^2."""
+
+    @cached_property
+    def _arms(self) -> tuple[Array, Array, Array]:
+        """(3,) each, kg*m from the pivot at q = 0: along the axis, across it, and the latter turned by 90 degrees."""
+        arm, axis = self.moment_zero - self.mass * self.joint.pivot, self.joint.axis
+        along = (arm @ axis) * axis
+        return along, arm - along, np.cross(axis, arm)
+
+    def moment(self, q: ArrayLike) -> Array:
+        """(..., 3) kg*m: mass times the vector from the joint's pivot to the centre of mass, at `q` (...)."""
+        (along, across, turned), q = self._arms, np.asarray(q, float)[..., None]
+        if self.joint.type == "prismatic":
+            return np.asarray(along + across + self.mass * q * self.joint.axis)
+        return np.asarray(along + np.cos(q) * across + np.sin(q) * turned)
+
+    def gravity_moment(self, q: ArrayLike) -> Array:
+        """(..., 3) N*m: the moment of gravity about the joint's pivot."""
+        return np.cross(self.moment(q), self.gravity)
+
+    def gravity_force(self, q: ArrayLike) -> Array:
+        """(...) N*m or N: gravity's generalised force on the joint."""
+        if self.joint.type == "prismatic":
+            return np.full(np.shape(q), self.mass * self.joint.axis @ self.gravity)
+        return np.asarray(self.gravity_moment(q) @ self.joint.axis)
+
+    def load(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
+        """(...) N: size of the bearing's force on the moving part at position, velocity and acceleration (...).
+
+        Revolute: |m a - m g|, a the acceleration of the centre of mass. Prismatic: its part across the axis, where the
+        acceleration has none. Moments on the bearing are not counted, nor where a push meets the part.
+        """
+        weight, axis = self.mass * self.gravity, self.joint.axis
+        if self.joint.type == "prismatic":
+            return np.full(np.shape(q), np.linalg.norm(weight - (weight @ axis) * axis))
+        (_, across, turned), q = self._arms, np.asarray(q, float)
+        c, s = np.cos(q)[..., None], np.sin(q)[..., None]
+        qd, qdd = np.asarray(qd, float)[..., None], np.asarray(qdd, float)[..., None]
+        force = qdd * (c * turned - s * across) - qd**2 * (c * across + s * turned) - weight
+        return np.asarray(np.sqrt((force * force).sum(-1)))
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """What drives a joint: a position law, a commanded effort, or both; a measured set's `actuator` and `effort`.
+
+    force = stiffness * (q_command(t) - q) - damping * qd + effort(t).
+    """
+
+    q_command: Callable[[float], float] | None = None
+    """Seconds to commanded position, rad or m; None for no position law."""
+    stiffness: float = 0.0
+    """N*m/rad or N/m."""
+    damping: float = 0.0
+    """N*m*s/rad or N*s/m; acts with a position law only."""
+    effort: Callable[[float], float] | None = None
+    """Seconds to commanded force, N*m or N."""
+
+    def force(self, q: float, qd: float, t: float) -> float:
+        """The force that is asked for at position `q` and velocity `qd` by the command of time `t`."""
+        asked = 0.0 if self.effort is None else self.effort(t)
+        if self.q_command is not None:
+            asked += self.stiffness * (self.q_command(t) - q) - self.damping * qd
+        return asked
+
+
+def held(times_s: ArrayLike, values: ArrayLike, over_s: float = 0.0) -> Callable[[float], float]:
+    """A recorded series (n,), times rising, as a function of time: each value lasts until the next one.
+
+    With `over_s` its mean over so many seconds, half of them on either side: what a simulator that takes one force a
+    step of that length must be given for the impulse to be right.
+    """
+    return between(times_s, values, "held", over_s)
+
+
+def between(
+    times_s: ArrayLike, values: ArrayLike, how: str, over_s: float = 0.0, holding: float = 0.5
+) -> Callable[[float], float]:
+    """A recorded series (n,) as a function of time, as `course` has it between the rows; `over_s` as in `held`.
+
+    A value that is NaN was not logged. Of a series of which nobody knows ("unknown") `holding` is the part that is
+    held, the rest being smooth.
+    """
+    known = np.isfinite(np.asarray(values, float))
+    times = [float(t) for t in np.asarray(times_s)[known]]
+    rows = course(times, np.asarray(values, float)[known], how)
+    rows[:, 1:] *= 1.0 - holding if how == "unknown" else 1.0
+    spans = np.diff(times, append=times[-1])
+    areas = rows / np.arange(1, 5)
+    passed = [0.0, *np.cumsum(_polynomial(areas.T, spans) * spans)[:-1].tolist()]
+    series, whole = rows.tolist(), areas.tolist()
+
+    def since(t: float) -> tuple[int, float]:
+        i = bisect_right(times, t) - 1
+        return (i, t - times[i]) if i >= 0 else (0, 0.0)
+
+    def value(t: float) -> float:
+        i, after = since(t)
+        return float(_polynomial(series[i], after))
+
+    def integral(t: float) -> float:
+        i, after = since(t)
+        before = min(t - times[0], 0.0) * series[0][0]
+        return passed[i] + float(_polynomial(whole[i], after)) * after + before
+
+    if over_s <= 0:
+        return value
+    return lambda t: (integral(t + 0.5 * over_s) - integral(t - 0.5 * over_s)) / over_s
+
+
+def course(times_s: ArrayLike, values: ArrayLike, how: str) -> Array:
+    """(n, 4) a recorded series (n,), times rising, as polynomials of the time since each row; its last value stays.
+
+    "held" until the next row, "linear" to it, or ("unknown") as smooth as it may have been: cubics that pass each row
+    with the slope of the parabola through it and its neighbours (Catmull and Rom 1974). A straight line through the
+    rows of a smooth motion loses (w dt)^2 / 12 of it, w its angular frequency: a sensor's scale that is none.
+    """
+    times, series = np.asarray(times_s, float), np.asarray(values, float)
+    rows = np.zeros((len(series), 4))
+    rows[:, 0] = series
+    if how == "held" or len(series) < 2:
+        return rows
+    spans = np.diff(times)
+    mean = np.diff(series) / spans
+    if how == "linear":
+        rows[:-1, 1] = mean
+        return rows
+    slopes = np.gradient(series, times, edge_order=2 if len(series) > 2 else 1)
+    rows[:-1, 1] = slopes[:-1]
+    rows[:-1, 2] = (3 * mean - 2 * slopes[:-1] - slopes[1:]) / spans
+    rows[:-1, 3] = (slopes[:-1] + slopes[1:] - 2 * mean) / spans**2
+    return rows
+
+
+def _polynomial(terms: Any, x: Any) -> Any:
+    """Of four terms, the constant first."""
+    return terms[0] + x * (terms[1] + x * (terms[2] + x * terms[3]))

@@ -1,0 +1,74 @@
+"""A triangle mesh as plain arrays: what one rigid part looks like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles with optional vertex colours."""
+
+    vertices: NDArray[np.float64]
+    """(V, 3) metres."""
+    faces: NDArray[np.int64]
+    """(F, 3) vertex indices, counter-clockwise seen from outside."""
+    colours: NDArray[np.uint8] | None = None
+    """(V, 3) RGB, or None."""
+
+    def __post_init__(self) -> None:
+        vertices = np.array(self.vertices, np.float64).reshape(-1, 3)
+        faces = np.array(self.faces, np.int64).reshape(-1, 3)
+        if not np.isfinite(vertices).all():
+            raise FreeArtError("mesh has vertices that are not finite")
+        if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+            raise FreeArtError(f"mesh faces name vertex {int(faces.max())}, expected 0 to {len(vertices) - 1}")
+        colours = self.colours
+        if colours is not None:
+            colours = np.array(colours, np.uint8).reshape(-1, 3)
+            if len(colours) != len(vertices):
+                raise FreeArtError(f"mesh has {len(colours)} colours for {len(vertices)} vertices")
+        for name, array in (("vertices", vertices), ("faces", faces), ("colours", colours)):
+            if array is not None:
+                array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def empty(self) -> bool:
+        """No triangle at all."""
+        return len(self.faces) == 0
+
+    def moved(self, T_new_old: ArrayLike) -> Mesh:
+        """The mesh with its vertices mapped by `T_new_old` (4, 4)."""
+        return replace(self, vertices=se3.transform(T_new_old, self.vertices))
+
+    def with_faces(self, kept: NDArray[np.bool_]) -> Mesh:
+        """The mesh of the faces `kept` (F,) alone, without vertices that none of them uses."""
+        faces = self.faces[kept]
+        used, new = np.unique(faces, return_inverse=True)
+        return Mesh(self.vertices[used], new.reshape(-1, 3), None if self.colours is None else self.colours[used])
+
+    def areas(self) -> NDArray[np.float64]:
+        """(F,) triangle areas, m^2."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def bounding_diagonal(*meshes: Mesh) -> float:
+    """Length, metres, of the diagonal of the axis-aligned box round all meshes; 0 when all are empty."""
+    points = [mesh.vertices[np.unique(mesh.faces)] for mesh in meshes if not mesh.empty]
+    return float(np.linalg.norm(np.ptp(np.concatenate(points), axis=0))) if points else 0.0
+
+
+def middle(mesh: Mesh) -> NDArray[np.float64]:
+    """(3,) the middle of a mesh's box; the origin when it is empty."""
+    if mesh.empty:
+        return np.zeros(3)
+    used = mesh.vertices[np.unique(mesh.faces)]
+    return (used.min(0) + used.max(0)) / 2

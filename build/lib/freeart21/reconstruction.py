@@ -1,0 +1,118 @@
+"""A method's answer to a recording: a reconstruction, or a failure with its reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.articulation import Articulation
+from freeart21.errors import FreeArtError
+from freeart21.gaussians import Gaussians
+from freeart21.se3 import Array, check_poses
+
+
+@dataclass(frozen=True)
+class Failure:
+    """No answer, and why: priced by the protocol, never dropped."""
+
+    stage: str
+    """The stage that gave up, such as 'segmentation'."""
+    reason: str
+    """One line a person understands."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Seconds per stage until then."""
+
+
+Piece = Literal["joint", "states", "poses", "masks", "meshes", "renders"]
+PIECES: tuple[Piece, ...] = get_args(Piece)
+"""What a method may not make at all, and say so in its method.json (`freeart21.files.result.Method.lacks`)."""
+Verdict = Literal["sound", "doubtful"]
+VERDICTS: tuple[str, ...] = get_args(Verdict)
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What a method says of its own answer without knowing the truth."""
+
+    verdict: Verdict
+    reasons: tuple[str, ...] = ()
+    """One line each, why it is doubtful; none when it is sound."""
+
+    def __post_init__(self) -> None:
+        if self.verdict not in VERDICTS:
+            raise FreeArtError(f"trust is '{self.verdict}', expected {' or '.join(VERDICTS)}")
+        if self.verdict == "sound" and self.reasons:
+            raise FreeArtError(f"trust is 'sound' with {len(self.reasons)} reasons for doubt, expected none")
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """Two parts, their joint, and where both were in every frame.
+
+    The canonical frame is the method's own affair (ours: the camera frame with the object as in frame 0); both meshes
+    stand in it at state zero. The part poses are measured, NOT derived from the joint.
+    """
+
+    articulation: Articulation
+    states: NDArray[np.float64]
+    """(n,) joint state in every frame, rad or m; interpolated where the moving part was not seen."""
+    Ts_camera_reference: Array
+    """(n, 4, 4) camera from canonical, reference part."""
+    Ts_camera_moving: Array
+    """(n, 4, 4) camera from canonical, moving part."""
+    part_masks: NDArray[np.uint8]
+    """(n, height, width): 0 neither, 1 reference, 2 moving."""
+    seen: NDArray[np.bool_]
+    """(n, 2) whether the reference and the moving part were seen well enough to be measured."""
+    state_std: NDArray[np.float64] | None = None
+    """(n,) standard deviation of each state, rad or m; NaN where unknown; None when not estimated at all."""
+    covariances: Array | None = None
+    """(n, 2, 6, 6) of the left twist (v, w) of each part pose, reference then moving; None when not estimated."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Seconds per stage."""
+    trust: Trust | None = None
+    """None when the method does not say."""
+    axis_std: float | None = None
+    """Standard deviation of the axis's direction, rad: root mean square of its two tilts; None when not estimated."""
+    pivot_std: float | None = None
+    """Standard deviation, metres, of the axis line across itself at the point nearest the moving part's centre: root
+    mean square of both ways; None when not estimated, and for a prismatic joint."""
+
+    anchor: int = 0
+    """The one frame whose poses are meant, when the method makes no poses of the other frames (it lacks 'poses')."""
+
+    appearance: Gaussians | None = None
+    """What it looks like, as Gaussians in the canonical frame; None when the method does not make them."""
+
+    def __post_init__(self) -> None:
+        n = len(self.states)
+        if n == 0 or not np.isfinite(self.states).all():
+            raise FreeArtError("reconstruction states must be finite, one a frame")
+        for name in ("Ts_camera_reference", "Ts_camera_moving"):
+            object.__setattr__(self, name, check_poses(f"reconstruction {name}", getattr(self, name)))
+        shapes = {
+            "Ts_camera_reference": (n, 4, 4),
+            "Ts_camera_moving": (n, 4, 4),
+            "seen": (n, 2),
+            "state_std": (n,),
+            "covariances": (n, 2, 6, 6),
+        }
+        for name, expected in shapes.items():
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != expected:
+                raise FreeArtError(f"reconstruction {name} has shape {np.shape(value)}, expected {expected}")
+        for name in ("axis_std", "pivot_std"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < np.inf:
+                raise FreeArtError(f"reconstruction {name} is {value}, expected a finite number, not negative")
+        if self.part_masks.ndim != 3 or len(self.part_masks) != n or self.part_masks.max(initial=0) > 2:
+            raise FreeArtError(
+                f"reconstruction part_masks has shape {self.part_masks.shape}, expected ({n}, height, width) "
+                "with values 0, 1, 2"
+            )
+
+    def __len__(self) -> int:
+        return len(self.states)

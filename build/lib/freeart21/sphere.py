@@ -1,0 +1,38 @@
+"""Directions: evenly spread over the sphere, and how much of it a set of views covers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.se3 import Array
+
+CELLS = 48
+"""Equal shares into which the sphere of views is divided."""
+REACH_DEGREES = 30.0
+"""A cell is covered by any view within this angle of its middle."""
+
+
+def sphere(n: int) -> Array:
+    """n unit vectors (n, 3), evenly spread: a Fibonacci lattice (Swinbank and Purser 2006), each of equal area."""
+    z = 1 - 2 * (np.arange(n) + 0.5) / n
+    angle = np.pi * (1 + 5**0.5) * np.arange(n)
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
+
+
+def covered_cells(views: Array) -> NDArray[np.bool_]:
+    """(..., CELLS) which cells each of the unit vectors `views` (..., 3) covers."""
+    return views @ sphere(CELLS).T >= np.cos(np.radians(REACH_DEGREES))
+
+
+def coverage(views: Array) -> float:
+    """Share of the sphere's cells that `views` (n, 3), unit vectors from the object to the camera, cover."""
+    return float(covered_cells(np.asarray(views, float)).any(0).mean())
+
+
+def view_directions(Ts_camera_object: Array, centre: Array) -> Array:
+    """(n, 3) unit vectors, object frame, from its point `centre` (3,) to the camera, in poses (n, 4, 4)."""
+    R, t = Ts_camera_object[:, :3, :3], Ts_camera_object[:, :3, 3]
+    towards = -np.einsum("nji,nj->ni", R, t) - centre
+    return towards / np.linalg.norm(towards, axis=1, keepdims=True)

@@ -1,0 +1,290 @@
+"""The 3D view: a tree of links with sliders for its joints, and what is drawn on each link."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.files import checked
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.se3 import Array
+from freeart21.view.document import Section, data_url, embed_array, embed_points
+from freeart21.view.simplify import arrow, joined, simplified, turning_arrow
+from freeart21.view.splats import SplatLayers, splat_data
+
+MAX_FACES_PER_LAYER = 50_000
+MAX_TEXTURE_SIDE = 1024
+
+
+@dataclass(frozen=True)
+class Slider:
+    """One joint state that the reader of the page may set."""
+
+    name: str
+    type: Literal["revolute", "prismatic"]
+    lower: float
+    """Left end, rad or m."""
+    upper: float
+    """Right end, rad or m."""
+    value: float
+    """Where it stands at first, rad or m."""
+    states: NDArray[np.float64] | None = None
+    """(n,) state in every frame of the video, which the slider can follow."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid body of the scene."""
+
+    parent: int
+    """Index of an earlier link, or -1 for the world."""
+    T_parent_link: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) where the link stands in its parent at state zero."""
+    joint: Joint | None = None
+    """How it moves: it stands at `T_parent_link @ joint.transform(q)`, the axis in the link's own frame."""
+    slider: int = -1
+    """Which slider drives it: q = scale * slider + offset."""
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What the legend shows and hides with one click."""
+
+    name: str
+    colour: str
+    """'#rrggbb', of its legend mark and of its surfaces unless these show their own."""
+    style: Literal["solid", "ghost", "axis"] = "solid"
+    """'ghost' is see-through; an 'axis' shines through what stands before it."""
+    shown: bool = True
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One mesh, drawn on a link."""
+
+    mesh: Mesh
+    """In the link's frame, metres."""
+    link: int
+    layer: int
+    uv: NDArray[np.float64] | None = None
+    """(V, 2) texture coordinates."""
+    texture: Path | None = None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All that the 3D view shows."""
+
+    links: tuple[Link, ...]
+    sliders: tuple[Slider, ...]
+    layers: tuple[Layer, ...]
+    surfaces: tuple[Surface, ...]
+    up: Array
+    """(3,) up in the world of the scene."""
+    towards_viewer: Array
+    """(3,) direction from the scene to the eye at first."""
+    camera: Camera | None = None
+    """The recording camera, for looking through it."""
+    Ts_camera_world: Array | None = None
+    """(n, 4, 4) the recording camera from the world of the scene, in every frame."""
+    splats: SplatLayers | None = None
+    """What two of the layers look like as Gaussians."""
+
+
+def link_poses(links: Sequence[Link], values: Sequence[float]) -> list[Array]:
+    """(4, 4) world from link, for every link, when the sliders stand at `values`. The scripts do the same."""
+    poses: list[Array] = []
+    for link in links:
+        T = (poses[link.parent] if link.parent >= 0 else np.eye(4)) @ link.T_parent_link
+        if link.joint is not None:
+            q = link.offset + (link.scale * values[link.slider] if link.slider >= 0 else 0.0)
+            T = T @ link.joint.transform(q)
+        poses.append(T)
+    return poses
+
+
+def axis_mesh(joint: Joint, near: ArrayLike, size: float, length: float = 1.15) -> Mesh:
+    """An arrow along the axis, with a second one bent round it for a revolute joint: positive motion, at a glance.
+
+    It stands at the axis point nearest to `near` (3,); `size` (m) is the diagonal of what it belongs to, of which the
+    arrow has `length`.
+    """
+    centre = joint.pivot + joint.axis * (joint.axis @ (np.asarray(near) - joint.pivot))
+    if joint.type == "prismatic":
+        centre = np.asarray(near, float)
+    radius = 0.008 * size / length
+    shape = arrow(length * size, radius)
+    if joint.type == "revolute":
+        shape = joined(shape, turning_arrow(0.085 * size, 0.7 * radius, 0.36 * length * size))
+    other = np.eye(3)[np.argmin(np.abs(joint.axis))]
+    x = np.cross(other, joint.axis)
+    x /= np.linalg.norm(x)
+    return shape.moved(se3.pose(np.stack([x, np.cross(joint.axis, x), joint.axis], -1), centre))
+
+
+def slider_range(joint: Joint, states: ArrayLike | None = None, size: float = 1.0) -> tuple[float, float]:
+    """Ends of a joint's slider, rad or m: its limits and all its states; without a limit half a turn, or `size`."""
+    known = [] if states is None else [float(np.min(states)), float(np.max(states))]
+    free = np.pi if joint.type == "revolute" else size
+    ends = known + [limit for limit in (joint.lower, joint.upper) if np.isfinite(limit)]
+    lower = min(ends) if np.isfinite(joint.lower) or known else -free
+    upper = max(ends) if np.isfinite(joint.upper) or known else free
+    return (lower, upper) if upper > lower else (lower - 0.1 * free, upper + 0.1 * free)
+
+
+def gathered(points: ArrayLike) -> Array:
+    """(m, 3) of points (n, 3), without the hundredth that is farthest from their middle: strays of a fit."""
+    points = np.asarray(points, float)
+    distances = np.linalg.norm(points - np.median(points, 0), axis=1)
+    return points[distances <= np.quantile(distances, 0.99, method="higher")]
+
+
+def scene_section(
+    scene: Scene, title: str = "In 3D", place: Literal["right", "full"] = "right", max_faces: int = MAX_FACES_PER_LAYER
+) -> Section:
+    """The 3D view of a scene. Layers of more than `max_faces` triangles are simplified for display."""
+    surfaces = [
+        part
+        for layer in range(len(scene.layers))
+        for part in _light(
+            [surface for surface in scene.surfaces if surface.layer == layer and not surface.mesh.empty], max_faces
+        )
+    ]
+    textures = sorted({surface.texture for surface in surfaces if surface.texture is not None})
+    data = scene_data(scene)
+    data["surfaces"] = [_surface_data(surface, textures) for surface in surfaces]
+    data["textures"] = [_texture_url(path) for path in textures]
+    html, count = '<div class="scene"></div>', 0 if scene.splats is None else len(scene.splats.gaussians)
+    if scene.splats is not None and count > scene.splats.at_most:
+        html += f'<p class="note">Shown are the {scene.splats.at_most:,} of {count:,} Gaussians that cover most.</p>'
+    return Section(title, html, "scene", data, place)
+
+
+def scene_data(scene: Scene) -> dict[str, Any]:
+    """What the script of the 3D view reads of a scene, but for its surfaces and textures."""
+    centre, radius = _bounds(scene)
+    return {
+        "links": [_link_data(link) for link in scene.links],
+        "sliders": [
+            {
+                "name": s.name,
+                "type": s.type,
+                "lower": s.lower,
+                "upper": s.upper,
+                "value": s.value,
+                "states": s.states,
+            }
+            for s in scene.sliders
+        ],
+        "layers": [
+            {"name": layer.name, "colour": layer.colour, "style": layer.style, "shown": layer.shown}
+            for layer in scene.layers
+        ],
+        "surfaces": [],
+        "textures": [],
+        "up": scene.up,
+        "towards_viewer": scene.towards_viewer,
+        "centre": centre,
+        "radius": radius,
+        "camera": None
+        if scene.camera is None
+        else {"K": scene.camera.K, "width": scene.camera.width, "height": scene.camera.height},
+        "gaussians": None if scene.splats is None else splat_data(scene.splats),
+        "camera_poses": None if scene.Ts_camera_world is None else np.round(scene.Ts_camera_world[:, :3], 6),
+    }
+
+
+def _light(surfaces: list[Surface], max_faces: int) -> list[Surface]:
+    """The surfaces of one layer, joined where they look alike, with `max_faces` triangles in all at most."""
+    alike: dict[tuple[int, Path | None], list[Surface]] = {}
+    for surface in surfaces:
+        alike.setdefault((surface.link, surface.texture), []).append(surface)
+    total = sum(len(surface.mesh.faces) for surface in surfaces)
+    light = []
+    for (link, texture), group in alike.items():
+        mesh = joined(*(surface.mesh for surface in group))
+        if all(surface.mesh.colours is not None for surface in group):
+            colours = [surface.mesh.colours for surface in group if surface.mesh.colours is not None]
+            mesh = Mesh(mesh.vertices, mesh.faces, np.concatenate(colours))
+        uv = np.concatenate([s.uv for s in group if s.uv is not None]) if texture is not None else None
+        if total > max_faces:
+            if texture is not None and uv is not None:
+                mesh, texture, uv = Mesh(mesh.vertices, mesh.faces, _sampled(texture, uv)), None, None
+            mesh = simplified(mesh, max(4, max_faces * len(mesh.faces) // total))
+        light.append(Surface(mesh, link, surfaces[0].layer, uv, texture))
+    return light
+
+
+def _sampled(texture: Path, uv: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """(V, 3) colours of a repeating texture at (V, 2) coordinates."""
+    image = checked.read_rgb(texture)
+    height, width = image.shape[:2]
+    return image[((1 - uv[:, 1] % 1) * height).astype(int) % height, (uv[:, 0] % 1 * width).astype(int) % width]
+
+
+def _texture_url(path: Path) -> str:
+    image = checked.read_image(path, cv2.IMREAD_COLOR)
+    scale = min(1.0, MAX_TEXTURE_SIDE / max(image.shape[:2]))
+    if scale < 1:
+        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return data_url("image/jpeg", cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
+
+
+def _link_data(link: Link) -> dict[str, Any]:
+    joint = link.joint
+    return {
+        "parent": link.parent,
+        "T": link.T_parent_link,
+        "slider": link.slider,
+        "scale": link.scale,
+        "offset": link.offset,
+        "joint": None if joint is None else {"type": joint.type, "axis": joint.axis, "pivot": joint.pivot},
+    }
+
+
+def _surface_data(surface: Surface, textures: list[Path]) -> dict[str, Any]:
+    mesh = surface.mesh
+    return {
+        "link": surface.link,
+        "layer": surface.layer,
+        "vertices": embed_points(mesh.vertices),
+        "faces": embed_array(mesh.faces, "u16" if len(mesh.vertices) <= 1 << 16 else "u32"),
+        "colours": None if mesh.colours is None else embed_array(mesh.colours, "u8"),
+        "uv": None if surface.uv is None else embed_points(surface.uv),
+        "texture": -1 if surface.texture is None else textures.index(surface.texture),
+    }
+
+
+def _bounds(scene: Scene) -> tuple[Array, float]:
+    """Centre and radius, metres, of the ball that is shown at first.
+
+    It holds all solid surfaces with the sliders at their first values, and nearly all of them at the sliders' ends;
+    where there are none, the Gaussians without strays.
+    """
+    solid = [s for s in scene.surfaces if scene.layers[s.layer].style == "solid" and not s.mesh.empty]
+    held = [(s.link, s.mesh.vertices[s.mesh.faces[:, 0]]) for s in solid]
+    if not held and scene.splats is not None:
+        held = [(link, gathered(scene.splats.gaussians.means)) for link in set(scene.splats.links)]
+    if not held:
+        return np.zeros(3), 1.0
+
+    def points(values: list[float]) -> Array:
+        poses = link_poses(scene.links, values)
+        return np.concatenate([se3.transform(poses[link], vertices) for link, vertices in held])
+
+    first = points([s.value for s in scene.sliders])
+    centre = (first.min(0) + first.max(0)) / 2
+    ends = [[s.lower for s in scene.sliders], [s.upper for s in scene.sliders]]
+    radius, *reach = (float(np.linalg.norm(p - centre, axis=1).max()) for p in (first, *map(points, ends)))
+    return centre, max(radius, 0.92 * max(reach), 1e-6)

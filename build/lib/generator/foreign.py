@@ -1,0 +1,103 @@
+"""The whole truth of a foreign recording: what its folder knows, and the meshes of its PartNet-Mobility object."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from freeart21 import catalog
+from freeart21.articulation import Articulation
+from freeart21.errors import FreeArtError
+from freeart21.formats.foreign import Foreign, Known, safe_name
+from freeart21.joint import Joint
+from freeart21.mesh import bounding_diagonal
+from freeart21.truth import Truth
+from generator import partnet
+from generator.truth_mesh import outer_faces, visible_faces
+
+EDGE = 0.02
+"""Longest edge of the truth meshes, as a share of the object's diagonal: as in recordings of our own."""
+VISIBLE_EVERY = 3
+
+_SAME_AXIS_DEGREES = 1.0
+_SAME_PLACE = 0.01  # of the diagonal
+_SAME_STATE = 1e-3
+
+
+def truth_of(read: Foreign, partnet_root: Path, joint: str | None = None, skip_missing: bool = False) -> Truth:
+    """The truth of `read`, with meshes from partnet_root/ID (or partnet_root/dataset/ID) and no held-out views.
+
+    The joint is the one named, or the one that the layout or the catalog names, or the only movable one. Raises
+    FreeArtError when the object is not there or unfit, or is not the one that was filmed: its joint sits elsewhere, or
+    its other joints stood otherwise than the loader holds them.
+    """
+    known = read.known
+    if known is None:
+        raise FreeArtError(read.lacks)
+    folder = partnet.folder_of(safe_name(read.object_id), partnet_root)
+    if folder is None:
+        raise FreeArtError(f"PartNet-Mobility object {read.object_id} is not in {partnet_root}")
+    named = joint or known.joint_name
+    if named is None:
+        named = next((entry.joint for entry in catalog.CATALOG if entry.name == read.object_id), None)
+    loaded = partnet.load(folder, named, skip_missing)
+    coarse = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
+    diagonal = bounding_diagonal(*coarse)
+    _check_same(read, known, loaded, diagonal)
+    parts = known.parts(loaded.joint)
+    fine = [side.surface.subdivided(EDGE * diagonal).mesh() for side in loaded.sides]
+    meshes = fine[parts.order[0]], fine[parts.order[1]]
+    frames = range(0, len(known.states), VISIBLE_EVERY)
+    shown = ((parts.Ts_camera[0][i], parts.Ts_camera[1][i], parts.part_mask(i) > 0) for i in frames)
+    visible = visible_faces(meshes, read.recording.camera, shown)
+    outer = [o | v for o, v in zip(outer_faces(meshes, parts.joint), visible, strict=True)]
+    links = [side.links for side in loaded.sides]
+    return Truth(
+        Articulation(parts.joint, *(mesh.with_faces(o) for mesh, o in zip(meshes, outer, strict=True))),
+        known.states,
+        *parts.Ts_camera,
+        parts.seen,
+        (outer[0][outer[0]], outer[1][outer[1]]),
+        (visible[0][outer[0]], visible[1][outer[1]]),
+        parts.part_mask,
+        lambda i: np.zeros((0, 0, 3), np.uint8),
+        lambda i: np.zeros((0, 0), bool),
+        known.source
+        | {
+            "object": read.object_id,
+            "category": loaded.category,
+            "object_source": "partnet",
+            "joint": loaded.joint.name,
+            "held": loaded.asset.held,
+            "reference_links": links[parts.order[0]],
+            "moving_links": links[parts.order[1]],
+        },
+    )
+
+
+def _check_same(read: Foreign, known: Known, loaded: partnet.PartNetObject, diagonal: float) -> None:
+    wrong = sorted(n for n, q in known.held.items() if abs(loaded.asset.held.get(n, q) - q) > _SAME_STATE)
+    if wrong:
+        name = wrong[0]
+        raise FreeArtError(
+            f"{read.name}: joint '{name}' stood at {known.held[name]:.3g}, but the object is loaded with it at "
+            f"{loaded.asset.held[name]:.3g}"
+        )
+    if known.joint is not None:
+        fault = _difference(known.joint, loaded.joint, diagonal)
+        if fault:
+            raise FreeArtError(f"{loaded.name}: its {loaded.joint.name} is not the joint of {read.name}: {fault}")
+
+
+def _difference(seen: Joint, urdf: Joint, diagonal: float) -> str:
+    """What differs between the joint that the poses show and the URDF's; empty when nothing does."""
+    if seen.type != urdf.type:
+        return f"{seen.type} in the recording, {urdf.type} in the URDF"
+    angle = float(np.degrees(np.arccos(np.clip(seen.axis @ urdf.axis, -1, 1))))
+    if angle > _SAME_AXIS_DEGREES:
+        return f"the axes are {angle:.1f} deg apart"
+    apart = float(np.linalg.norm(np.cross(seen.pivot - urdf.pivot, urdf.axis)))
+    if seen.type == "revolute" and apart > _SAME_PLACE * diagonal:
+        return f"the axes are {apart:.3g} apart, with a diagonal of {diagonal:.3g}"
+    return ""

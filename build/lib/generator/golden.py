@@ -1,0 +1,127 @@
+"""Checks a data folder against its truth without trusting the recorder: rays and a second rendering must agree with it.
+
+- Depth and part masks of some frames are cast anew (Embree) from the truth's meshes at the truth's poses.
+- The held-out views are rendered anew from the object's own URDF in the truth folder, posed by the truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.files.benchmark import read_benchmark
+from freeart21.files.sequence import read_sequence
+from freeart21.files.truth import read_truth
+from freeart21.recording import Recording
+from freeart21.truth import Truth
+from generator import partnet
+from generator.rays import Caster
+from generator.scene import Picture, Scene
+
+DEPTH_SHARE = 0.002
+"""Largest error of the depth away from edges, as a share of the object's diagonal."""
+ODD_PIXELS = 0.005
+"""Share of pixels that may be off: edges within a part, which the part mask does not show."""
+LEAST_PSNR = 35.0
+"""Of a held-out view rendered anew, dB, inside its mask."""
+
+
+def verify_deep(data: Path, frames: int = 5, views: int = 5, apart: Path | None = None) -> list[str]:
+    """What is wrong with the data folder `data`, one line each, by some `frames` and `views` of every sequence.
+
+    Depth is looked at where the sensor was clean; objects are rendered anew where the truth holds their files, which it
+    does not for PartNet-Mobility. `apart` is where a packed folder's truth lies. Raises FreeArtError when the folder
+    cannot be read or this machine cannot render.
+    """
+    benchmark = read_benchmark(Path(data), apart)
+    findings: list[str] = []
+    for name in benchmark.sequences:
+        recording, truth = read_sequence(benchmark.sequence(name)), read_truth(benchmark.truth(name))
+        findings += cast_findings(name, recording, truth, frames)
+        if (benchmark.truth(name) / "object").is_dir():
+            findings += render_findings(name, recording, truth, benchmark.truth(name), views)
+    return findings
+
+
+def cast_findings(name: str, recording: Recording, truth: Truth, frames: int) -> Iterator[str]:
+    """Findings on depth and masks of some frames, spread over the video."""
+    sensors = set(str(truth.source.get("sensor", "clean")).split("+"))
+    caster = Caster((truth.articulation.reference, truth.articulation.moving))
+    for i in np.unique(np.linspace(0, len(truth) - 1, frames).astype(int)):
+        hits = caster.look(recording.camera, (truth.Ts_camera_reference[i], truth.Ts_camera_moving[i]))
+        part_mask, frame = truth.part_mask(int(i)), recording.frame(int(i))
+        labels = (hits.side + 1).reshape(part_mask.shape)
+        wrong = labels != part_mask
+        if "hand" in sensors:  # the hand may hide what the rays meet
+            wrong &= part_mask > 0
+        share = wrong.sum() / max(int((part_mask > 0).sum()), 1)
+        if share > 0.01:
+            yield f"{name}: in frame {i} {100 * share:.1f} % of the pixels show another part than rays meet"
+        if "clean" not in sensors:
+            continue
+        flat = inside(part_mask) & inside(labels) & (labels == part_mask) & frame.mask
+        error = np.abs(hits.distance.reshape(part_mask.shape)[flat] - frame.depth[flat])
+        odd = float(np.mean(error > DEPTH_SHARE * truth.diagonal)) if flat.any() else 0.0
+        if odd > ODD_PIXELS:
+            yield (
+                f"{name}: in frame {i} the depth of {100 * odd:.1f} % of the pixels away from edges is more than "
+                f"{100 * DEPTH_SHARE:g} % of the diagonal off what rays meet"
+            )
+
+
+def render_findings(name: str, recording: Recording, truth: Truth, folder: Path, views: int) -> Iterator[str]:
+    """Findings on some held-out views, rendered anew from the object in the truth's `folder`."""
+    psnr = np.array([value for _, value in rendered_anew(recording, truth, folder, views)])
+    for i in np.flatnonzero(psnr < LEAST_PSNR):
+        yield f"{name}: view {i}, rendered anew from truth/{name}/object, has {psnr[i]:.1f} dB, expected {LEAST_PSNR:g}"
+
+
+def rendered_anew(recording: Recording, truth: Truth, folder: Path, views: int) -> Iterator[tuple[Picture, float]]:
+    """The first `views` held-out views from the object in the truth's `folder`, and their PSNR, dB, inside the mask."""
+    source = truth.source
+    loaded = partnet.load(folder / "object", source.get("joint"))
+    parent_is_reference = loaded.asset.reference_link in source.get("reference_links", ())
+    Ts_camera_world = checked.read_npz(folder / "world.npz", ("T_camera_world",))["T_camera_world"]
+    if Ts_camera_world.shape != truth.Ts_camera_reference.shape:
+        raise FreeArtError(f"{folder}/world.npz has shape {Ts_camera_world.shape}, expected a pose a frame")
+    scene = _scene(loaded, recording.camera, truth)
+    scene.fix_lamps(Ts_camera_world[0])
+    for i, query in enumerate(recording.queries[:views]):
+        T, state = (
+            query.T_newcam_cam @ truth.Ts_camera_reference[query.pose_of_frame],
+            truth.states[query.state_of_frame],
+        )
+        if not parent_is_reference:
+            T = T @ truth.articulation.joint.transform(state)
+        positions = {**loaded.asset.held, loaded.joint.name: float(state)}
+        picture = scene.render(T, positions, query.T_newcam_cam @ Ts_camera_world[query.pose_of_frame])
+        yield picture, psnr(picture.rgb, truth.query_rgb(i), truth.query_mask(i))
+
+
+def _scene(loaded: partnet.PartNetObject, camera: Camera, truth: Truth) -> Scene:
+    shader = str(truth.source.get("shader", "default"))
+    reach = float(np.linalg.norm(truth.Ts_camera_reference[:, :3, 3], axis=1).max()) + 4 * truth.diagonal
+    return Scene(loaded.asset.urdf, [side.links for side in loaded.sides], camera, 1e-3 * reach, reach, shader)
+
+
+def psnr(rgb: NDArray[np.uint8], expected: NDArray[np.uint8], mask: NDArray[np.bool_]) -> float:
+    """Peak signal-to-noise ratio, dB, over the pixels of `mask` (h, w); infinite for equal pictures."""
+    error = (rgb[mask].astype(float) - expected[mask].astype(float)) ** 2
+    mean = float(error.mean()) if error.size else 0.0
+    return float(np.inf) if mean == 0 else float(10 * np.log10(255**2 / mean))
+
+
+def inside(labels: NDArray[Any]) -> NDArray[np.bool_]:
+    """(h, w) pixels whose eight neighbours have the same label."""
+    same = np.ones(labels.shape, bool)
+    for dv in (-1, 0, 1):
+        for du in (-1, 0, 1):
+            same &= np.roll(labels, (dv, du), (0, 1)) == labels
+    return same

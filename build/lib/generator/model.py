@@ -1,0 +1,125 @@
+"""What a procedural object is before it is written: links made of pieces, each piece one material."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from manifold3d import Manifold
+from numpy.typing import NDArray
+
+from freeart21.joint import JointType
+
+Finish = Literal["plastic", "metal", "wood", "rubber", "paper"]
+
+SHINE: dict[str, tuple[float, float]] = {
+    "plastic": (0.25, 60.0),
+    "metal": (0.55, 120.0),
+    "wood": (0.08, 20.0),
+    "rubber": (0.03, 8.0),
+    "paper": (0.02, 4.0),
+}
+"""Finish to specular strength (MTL Ks) and exponent (MTL Ns)."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a piece looks and what it weighs."""
+
+    name: str
+    colour: tuple[float, float, float]
+    """RGB, 0 to 1, as it should look (sRGB); of no effect where there is a texture."""
+    finish: Finish
+    density: float
+    """kg/m^3."""
+    texture: NDArray[np.uint8] | None = None
+    """(h, w, 3) RGB, or None for a plain colour."""
+    tile_m: float | None = None
+    """Metres that one texture covers; None fits it once to the piece's bounding box."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One solid of one material, in the object's frame (z up, metres) with all joints at zero."""
+
+    name: str
+    solid: Manifold
+    material: Material
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """The joint that carries a link."""
+
+    type: JointType
+    parent: str
+    """Name of the parent link."""
+    axis: tuple[float, float, float]
+    """In the object's frame."""
+    pivot: tuple[float, float, float]
+    """Metres, in the object's frame."""
+    lower: float
+    upper: float
+    """Limits, rad or m."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid part."""
+
+    semantic: str
+    """What PartNet-Mobility calls such a part, for example 'rotation_lid'."""
+    pieces: tuple[Piece, ...]
+    hinge: Hinge | None = None
+    """None for the root link."""
+
+    @property
+    def mass(self) -> float:
+        """kg, by the materials' densities."""
+        return float(sum(piece.solid.volume() * piece.material.density for piece in self.pieces))
+
+
+@dataclass(frozen=True)
+class ObjectModel:
+    """A procedural object. Links are 'link_0', 'link_1', ... and the joint of link_k is 'joint_k'; the root is last."""
+
+    name: str
+    category: str
+    """A PartNet-Mobility category, such as 'Stapler'."""
+    links: tuple[Link, ...]
+    scored_joint: int
+    """Index of the joint that is recorded; the others stay at zero."""
+    seed: int
+
+    @property
+    def diagonal(self) -> float:
+        """Metres: the diagonal of the axis-aligned box round all solids, joints at zero."""
+        boxes = np.array([piece.solid.bounding_box() for link in self.links for piece in link.pieces])
+        return float(np.linalg.norm(boxes[:, 3:].max(0) - boxes[:, :3].min(0)))
+
+    def scaled(self, factor: float) -> ObjectModel:
+        """The object `factor` times as large, of the same materials: solids, pivots, slides and texture tiles grow."""
+        return replace(self, links=tuple(_scaled_link(link, factor) for link in self.links))
+
+
+def _scaled_link(link: Link, factor: float) -> Link:
+    pieces = tuple(
+        replace(
+            piece,
+            solid=piece.solid.scale((factor, factor, factor)),
+            material=replace(
+                piece.material, tile_m=None if piece.material.tile_m is None else factor * piece.material.tile_m
+            ),
+        )
+        for piece in link.pieces
+    )
+    hinge = link.hinge
+    if hinge is None:
+        return replace(link, pieces=pieces)
+    x, y, z = hinge.pivot
+    slide = factor if hinge.type == "prismatic" else 1.0
+    grown = replace(
+        hinge, pivot=(factor * x, factor * y, factor * z), lower=slide * hinge.lower, upper=slide * hinge.upper
+    )
+    return replace(link, pieces=pieces, hinge=grown)

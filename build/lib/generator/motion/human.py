@@ -1,0 +1,88 @@
+"""The style `human`: an object in a person's hands, as motion capture shows it (`human_hand` has the measures)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from freeart21 import se3
+from freeart21.se3 import Array
+from generator.motion import human_hand, timing, turns
+from generator.motion.human_hand import BACK, ON, Sweep
+from generator.motion.styles import Course, Task, long_rest, start_view, welcome
+
+_TREMOR = 2.1
+"""Times `timing.tremor`: an object held still then turns by .040 degrees a frame in the median, as measured, and shifts
+by .0003 diagonals."""
+_AWAY = 0.8
+"""Of the distance is a diagonal of the object, where it fills the picture by two thirds at 40 degrees of view."""
+_ROOM = np.array([0.20, 0.08, 0.20])
+"""How far the object is carried right, down and away, as shares of the distance: what is carried further is small in
+the picture. People carry it further (in 10 s by .1 to 1.5 diagonals each way)."""
+_DIRECTIONS = 48  # of which a sweep takes one
+_RAMP = 0.2  # s in which a hand lets go, or takes hold
+
+
+def human(task: Task, rng: np.random.Generator) -> Course:
+    """In a person's hands: sweeps, holds, corrections, put down at times, the joint worked in strokes of its own."""
+    # candidates differ in directions alone: the choice among them favours no larger sweeps, and no fewer rests
+    hand = human_hand.hand(task.frames, task.fps, np.random.default_rng([*task.seed, 11]))
+    course = human_hand.joint_strokes(task.frames, task.fps, rng, long_rest(task, rng))
+    states = task.body.state(course.shares) if task.states is None else task.states
+    Rs = turns.upright_at(start_view(task, states, rng))[None]
+    place, before = np.zeros(3), np.zeros(3)
+    sway, rate = np.zeros((task.frames, 3)), np.zeros(task.frames)
+    for sweep in hand.sweeps:
+        arrives = int(np.clip(sweep.start + sweep.length, 0, task.frames - 1))
+        wanted, _ = welcome(task, states, course, arrives)
+        axis = _axis(Rs[-1], sweep, before, task.atlas.directions, wanted, rng)
+        to = _carried(place, _AWAY * sweep.way, rng)
+        done = sweep.course(task.frames)
+        Rs = se3.exp_so3(np.radians(sweep.degrees) * done[:, None] * axis) @ Rs
+        sway += done[:, None] * (to - place)
+        rate += sweep.degrees * np.gradient(done)
+        place, before = to, axis
+    Rs = np.broadcast_to(Rs, (task.frames, 3, 3))
+    held = _TREMOR * _in_hand(hand.laid, task.frames, task.fps)[:, None]
+    sway += 0.5 * held * timing.tremor(task.frames, task.fps, rng) * [1, 1, 0]
+    Rs = se3.exp_so3(held * timing.tremor(task.frames, task.fps, rng)) @ Rs
+    pace = float(np.median(turns.steps_degrees(Rs)))
+    clock = timing.clock(rate / max(float(rate.mean()), 1e-9))
+    return Course(Rs, sway, clock, states, pace * task.fps / 30, human_hand.FASTEST)
+
+
+def _axis(
+    R: Array,
+    sweep: Sweep,
+    before: Array,
+    directions: Array,
+    wanted: Array,
+    rng: np.random.Generator,
+) -> Array:
+    """(3,) the axis of a sweep from `R` (3, 3), camera axes: on, back or aside, as often as people do, and of these the
+    one that ends at the most welcome view."""
+    axes = rng.normal(size=(_DIRECTIONS, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    cosine, luck = axes @ before, rng.uniform()
+    kind = cosine > 0.5 if luck < ON else cosine < -0.5 if luck < ON + BACK else np.abs(cosine) <= 0.5
+    axes = axes[kind] if kind.any() and before.any() else axes
+    ends = -(se3.exp_so3(np.radians(sweep.degrees) * axes) @ R)[:, 2]
+    near = (ends @ directions.T).argmax(1)
+    score = 3.0 * wanted[near] + rng.uniform(0, 0.5, len(axes))  # the weights of `turns.tour`
+    return np.asarray(axes[int(score.argmax())])
+
+
+def _carried(place: Array, way: float, rng: np.random.Generator) -> Array:
+    """(3,) where a sweep of this way ends: of a few directions the one that stays nearest to the middle."""
+    steps = rng.normal(size=(3, 3))
+    ends = place + way * steps / np.linalg.norm(steps, axis=1, keepdims=True)
+    best = ends[int(np.abs(ends / _ROOM).max(1).argmin())]
+    return np.asarray(np.clip(best, -_ROOM, _ROOM))
+
+
+def _in_hand(laid: tuple[tuple[float, float], ...], frames: int, fps: float) -> Array:
+    """(frames,) 1 in the hand, 0 while the object is put down."""
+    t, held = np.arange(frames, dtype=float), np.ones(frames)
+    for a, b in laid:
+        ramp = _RAMP * fps
+        held *= 1 - timing.ease((t - a) / ramp) * timing.ease((b - t) / ramp)
+    return held

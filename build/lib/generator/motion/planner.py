@@ -1,0 +1,164 @@
+"""Plans a motion: draws candidates of a style, judges what they show by the atlas, counts in the best, takes one."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import se3, sphere
+from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.se3 import Array
+from generator.motion import turns
+from generator.motion.body import UPRIGHT, Body
+from generator.motion.framing import placed
+from generator.motion.human import human
+from generator.motion.plan import MOTIONS, PRESETS, Plan, Preset
+from generator.motion.release import released_plan
+from generator.motion.styles import HEIGHTS, STYLES, Course, Hardship, Task
+from generator.motion.visibility import Atlas
+
+FEW = 0.05
+"""Below this share of the object's pixels a part is hard to follow."""
+_HARD_SHARE = (0.19, 0.32)  # of the frames in which a hard motion shows fewer
+_GONE_FRAMES = (9, 40)
+_HARD, _GONE = 0.5, 0.4  # shares of seeds that are hard where they can be, and of these that let a side disappear
+_HIDEABLE = 0.008  # share of the directions from which a side must be hidden, for its motions to be hard at all
+_COUNTED = 4
+
+
+def plan_motion(
+    style: str,
+    meshes: tuple[Mesh, Mesh],
+    joint: Joint,
+    camera: Camera,
+    frames: int,
+    fps: float,
+    seed: int,
+    preset: Preset = PRESETS["handheld"],
+    states: Array | None = None,
+    hard: bool | None = None,
+) -> Plan:
+    """The motion `style` of an object: a plan of `frames` poses and states, all of which follow from the seed.
+
+    About a third of all (object, seed) are hard: the smaller side shows less than 5 % of the object's pixels in 19 to
+    32 % of the frames; in some of these it is out of sight for a while. Frame 0 shows both sides. Where the shape
+    of an object lets no view hide a side, the motion hides it as far as it can.
+
+    Args:
+        style: one of MOTIONS.
+        meshes: the sides of the joint, parent and child, in the object's frame (z up), of the preset's size.
+        joint: what moves the second mesh.
+        camera: intrinsics; the object stays inside its picture.
+        frames: 2 or more.
+        fps: frames a second.
+        seed: of everything random.
+        preset: size and distance.
+        states: (frames,) joint states to take, rad or m, instead of planned ones; 'release' needs them.
+        hard: whether the smaller side is to be hidden for long; None lets object and seed decide.
+
+    Raises FreeArtError for an unknown style and for states that do not fit.
+    """
+    if style not in MOTIONS:
+        raise FreeArtError(f"unknown motion '{style}'; motions: {', '.join(MOTIONS)}")
+    if frames < 2 or fps <= 0:
+        raise FreeArtError(f"cannot plan {frames} frames at {fps:g} a second; expected 2 or more, above 0 a second")
+    if states is None and style == "release":
+        raise FreeArtError("motion 'release' needs the joint's states, rolled out by generator.release")
+    if states is not None:
+        states = np.asarray(states, float)
+        if states.shape != (frames,) or not np.isfinite(states).all():
+            raise FreeArtError(f"given states have shape {states.shape}, expected {frames} finite numbers")
+    body = Body.of(meshes, joint)
+    if style == "release":
+        assert states is not None
+        return released_plan(body, states, camera, preset, seed)
+    atlas, heights = _atlas(body, camera, frames), HEIGHTS.get(style, (-1.0, 1.0))
+    task = Task(body, atlas, frames, fps, "hidden", states, heights, (seed, _key(body)))
+    task = replace(task, hardship=_hardship(task, seed, hard))
+    rng = np.random.default_rng([seed, 2, MOTIONS.index(style), _key(body)])
+    drawn = int(np.clip(frames // 8, 6, 20 if task.hardship == "none" else 36))
+    candidates = [(human if style == "human" else STYLES[style])(task, rng) for _ in range(drawn)]
+    guessed = [_score(c, task, task.atlas.shares(_views(c.Rs), c.states)) for c in candidates]
+    still = style == "turntable"
+    best: tuple[float, Plan] | None = None
+    for k in sorted(range(len(candidates)), key=lambda k: -guessed[k])[:_COUNTED]:
+        course = candidates[k]
+        Ts = placed(course.Rs, course.sway, course.clock, course.states, body, camera, preset, still)
+        score = _score(course, task, task.atlas.counted(Ts, course.states))
+        if best is None or score > best[0]:
+            best = score, Plan(Ts, course.states, world_of(style, Ts, body))
+    assert best is not None
+    return best[1]
+
+
+def _atlas(body: Body, camera: Camera, frames: int) -> Atlas:
+    distance = body.radius * max(1.1 * camera.K[1, 1] / (0.5 * camera.height), 1.6)
+    return Atlas(body, distance) if frames >= 60 else Atlas(body, distance, 96, 4)
+
+
+def _hardship(task: Task, seed: int, hard: bool | None) -> Hardship:
+    """What object and seed decide: another object of the same seed is another case.
+
+    Objects whose sides always show are left out, and the others are hard the more often.
+    """
+    luck, kind = np.random.default_rng([seed, 7, _key(task.body)]).uniform(0, 1, 2)
+    if hard is None:
+        hard = bool(luck < _HARD and task.hidden_area().max() > _HIDEABLE)
+    if not hard:
+        return "none"
+    gone = replace(task, hardship="gone").hidden_area().max() > _HIDEABLE
+    return "gone" if gone and kind < _GONE else "hidden"
+
+
+def _key(body: Body) -> int:
+    """A number that tells objects apart by their proportions: two of the same seed move differently."""
+    extents = np.concatenate([np.ptp(h, axis=0) for h in body.hulls]) / body.radius
+    return zlib.crc32(" ".join(f"{x:.3f}" for x in extents).encode())
+
+
+def _views(Rs: Array) -> Array:
+    """(n, 3) directions from the object to the camera."""
+    return -Rs[:, 2]
+
+
+def _score(course: Course, task: Task, shares: Array) -> float:
+    """How well a motion does what it shall, rounded so that the last digits decide nothing."""
+    first, few = min(float(shares[0]), 0.15) / 0.15, float(np.mean(shares < FEW))
+    shown = float(np.minimum(shares, 0.2).mean()) / 0.2
+    score = 1.5 * first + sphere.coverage(_views(course.Rs)) + shown
+    if task.hardship == "none":
+        score -= 4.0 * max(few - 0.10, 0.0)
+    else:
+        low, high = _HARD_SHARE
+        score -= 15.0 * (max(low - few, 0.0) + 0.3 * max(few - high, 0.0))
+    away = _longest(shares < 1e-9)
+    if task.hardship == "gone":
+        low, high = _GONE_FRAMES
+        score += 3.0 * min(away / low, 1.0) - 2.0 * max(away / high - 1, 0.0)
+    else:
+        score -= min(away / 20, 2.0)
+    steps = turns.steps_degrees(course.Rs) * task.fps / 30
+    score -= 2.0 * max(float(steps.max()) - course.fastest, 0.0)
+    median = float(np.median(steps))
+    score -= 6.0 * max(0.92 * course.pace - median, median - 1.1 * course.pace, 0.0)
+    return round(score, 3)
+
+
+def _longest(flags: NDArray[np.bool_]) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, int), [0]])))
+    return int(np.diff(edges)[::2].max(initial=0))
+
+
+def world_of(style: str, Ts: Array, body: Body) -> Array:
+    """(n, 4, 4) camera from world: under the object at rest (static_base), else where the object is in frame 0."""
+    foot = se3.pose(np.eye(3), [*body.centre[:2], min(float(h[:, 2].min()) for h in body.hulls)])
+    if style == "static_base":
+        return Ts @ foot
+    R = Ts[0, :3, :3] if style == "turntable" else UPRIGHT
+    return np.broadcast_to(se3.pose(R, se3.transform(Ts[0], body.centre[None])[0]), Ts.shape).copy()

@@ -1,0 +1,186 @@
+"""A take replayed: the object and its joint moved before the camera as somebody moved them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import one_euro, se3
+from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from freeart21.files.take import Take
+from freeart21.formats.captured import ARCTIC_FORM, ARCTIC_SIZES_M
+from freeart21.se3 import Array
+from generator.motion.body import Body
+from generator.motion.framing import extent, placed_as_moved
+from generator.motion.plan import Plan, Preset
+
+MOST_FRAMES = 100_000
+_ROUNDING = 1e-6  # of a frame, and of a way: numbers in files are rounded
+_SAME_SIZE = 1e-3  # part by which sizes of one object differ at most: meshes in files are rounded
+_FARTHER, _FARTHEST = 1.05, 4.0  # steps by which an object is placed farther off, and how far at most
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A take at the recorder's clock, or the part of it that is recorded."""
+
+    Ts: Array
+    """(n, 4, 4)."""
+    states: Array
+    """(n,) as the take has them."""
+    begins_s: float
+    """Seconds from the take's beginning."""
+
+
+def frames_of(take: Take, fps: float) -> int:
+    """How many frames, `fps` a second, a take lasts; the first is its first sample."""
+    frames = float(np.ptp(take.times)) * fps + _ROUNDING + 1
+    if frames > MOST_FRAMES:
+        raise FreeArtError(f"{take.name} lasts {np.ptp(take.times):.0f} s, expected at most {MOST_FRAMES / fps:.0f} s")
+    return int(frames)
+
+
+def resampled(take: Take, fps: float, frames: int) -> Stretch:
+    """The `frames` frames of a take over which its joint moves most, the earliest such.
+
+    The take's filter, if it names one, smooths its samples. Between them places and states are linear in time, and
+    turns go the shortest way at a steady rate (slerp). Raises FreeArtError when the take is shorter.
+    """
+    count = frames_of(take, fps)
+    if frames > count:
+        raise FreeArtError(f"{take.name} lasts {count} frames at {fps:g} a second, fewer than {frames}")
+    times = np.minimum(take.times[0] + np.arange(count) / fps, take.times[-1])
+    Ts, taken = take.Ts, take.states
+    if take.filter is not None:
+        Ts, taken = one_euro.filtered(take.filter, take.times, Ts, taken)
+    states = np.interp(times, take.times, taken)
+    moved = np.ptp(np.lib.stride_tricks.sliding_window_view(states, frames), axis=1)
+    first = int(np.argmax(moved >= (1 - _ROUNDING) * moved.max()))  # the last digits decide nothing
+    part = slice(first, first + frames)
+    return Stretch(_between(take.times, Ts, times[part]), states[part], first / fps)
+
+
+def fitted(states: Array, take: Take, body: Body) -> tuple[Array, dict[str, Any]]:
+    """The states (n,) of a take for the body's joint, and what was done to them.
+
+    As they are where the joint is of the take's type and reaches all of its states; else the take's range becomes the
+    joint's. Raises FreeArtError when it must and the take's joint stands still.
+    """
+    joint, low, high = body.joint, float(take.states.min()), float(take.states.max())
+    if take.joint_type == joint.type and joint.lower <= low and high <= joint.upper:
+        return states, {"states": "as taken"}
+    if not high > low:
+        raise FreeArtError(
+            f"{take.name}: its joint ({take.joint_type}) stands still at {low:.4g}, where joint '{joint.name}' cannot "
+            f"be: {joint.type}, {body.lower:.4g} to {body.upper:.4g}"
+        )
+    done = {"states": "scaled", "from": [take.joint_type, low, high], "to": [joint.type, body.lower, body.upper]}
+    shares = (states - low) / (high - low)
+    return np.clip(body.state(shares), body.lower, body.upper), done
+
+
+def carried(take: Take, diagonal: float, carry: float | None) -> tuple[float, dict[str, Any]]:
+    """By how much the way of a take is scaled for an object of this `diagonal`, metres, and what was done to it.
+
+    `carry` says so itself, 1 for the take's own metres. Where it is None the way is as long in sizes of the object as
+    it was in those of the one that was taken. Of that one ARCTIC's tracks tell no more than that it is one of theirs:
+    where the object may be of its size, metres stay metres. A take of ours that does not tell the size keeps its own,
+    too. Of poses before the camera the way is that from the camera: what is half as large comes twice as near.
+    """
+    if take.poses == "camera":
+        if carry is not None:
+            raise FreeArtError(
+                f"{take.name}: its poses stand before the camera as they are, so that no way is scaled by "
+                f"{carry:g}; expected no carry"
+            )
+        if take.size is None or abs(diagonal / take.size - 1) < _SAME_SIZE:
+            return 1.0, {}
+    if carry is not None:
+        return carry, {"carry": carry}
+    if take.form != ARCTIC_FORM and take.size is None:
+        return 1.0, {"carry": 1.0}
+    size = float(np.clip(diagonal, *ARCTIC_SIZES_M)) if take.size is None else take.size
+    return diagonal / size, {"carry": diagonal / size, "size": diagonal, "taken_with": size}
+
+
+def told(source: dict[str, Any]) -> str:
+    """What was done to a take, as `carried` and `fitted` have it, in words."""
+    words = []
+    if source.get("carry", 1.0) != 1.0:
+        words.append(f"its way scaled by {source['carry']:.2g}")
+        if "size" in source:
+            words[-1] += f" (an object of {source['size']:.2g} m for one of {source['taken_with']:.2g} m)"
+    if source.get("states") == "scaled":
+        words.append("its states scaled to the joint's range")
+    return f"{source.get('name')}: {' and '.join(words) or 'as it was taken'}"
+
+
+def tracked(
+    body: Body,
+    stretch: Stretch,
+    states: Array,
+    take: Take,
+    R_first: Array | None,
+    camera: Camera,
+    preset: Preset,
+    carry: float = 1.0,
+) -> Array:
+    """(n, 4, 4) camera from object as in a stretch of a take.
+
+    Poses that are meant as their change since the first begin with the rotation `R_first` (3, 3), so far before the
+    camera that the object stays in the picture as large as `preset` says, and go on by the take's own turns, and by its
+    way times `carry`.
+    """
+    if take.poses == "camera" or R_first is None:
+        return se3.pose(stretch.Ts[:, :3, :3], carry * stretch.Ts[:, :3, 3]) if carry != 1 else stretch.Ts
+    R, t = stretch.Ts[:, :3, :3], stretch.Ts[:, :3, 3]
+    return placed_as_moved(R @ R[0].T @ R_first, carry * (t - t[0]), states, body, camera, preset)
+
+
+def farther(Ts: Array, states: Array, body: Body, camera: Camera) -> tuple[Array, float]:
+    """Poses (n, 4, 4) so far off that another object than the one that was taken stays in the picture, and how many
+    times as far: of two things of one size one may be wider. It stays where it was in the picture, only smaller."""
+    factor, size = 1.0, np.array([camera.width, camera.height], float)
+    while factor < _FARTHEST:
+        placed = se3.pose(Ts[:, :3, :3], factor * Ts[:, :3, 3])
+        if (se3.transform(placed, body.points(states))[..., 2] > 0).all():
+            low, high = extent(placed, states, body, camera)
+            if (low >= 0).all() and (high <= size).all():
+                return placed, factor
+        factor *= _FARTHER
+    return Ts, 1.0
+
+
+def check_in_view(name: str, plan: Plan, body: Body, camera: Camera, near: float, fps: float) -> None:
+    """FreeArtError says of the first frame in which the object is nearer than `near` metres, or leaves the picture."""
+    depth = se3.transform(plan.Ts_camera_object, body.points(plan.states))[..., 2].min(1)
+    close = np.flatnonzero(depth <= near)
+    if len(close):
+        i = int(close[0])
+        raise FreeArtError(
+            f"{name}: the object is {depth[i]:.3g} m before the camera in frame {i} ({i / fps:.2f} s), expected more "
+            f"than {near:.2g} m"
+        )
+    low, high = extent(plan.Ts_camera_object, plan.states, body, camera)
+    size = np.array([camera.width, camera.height], float)
+    beyond: Array = np.maximum(-low, high - size).max(1)
+    out: NDArray[np.int64] = np.flatnonzero(beyond > 0)
+    if len(out):
+        i = int(out[0])
+        raise FreeArtError(
+            f"{name}: the object leaves the picture in frame {i} ({i / fps:.2f} s), by {beyond[i]:.0f} pixels, and is "
+            f"outside in {len(out)} of {len(beyond)} frames; expected none"
+        )
+
+
+def _between(at: Array, Ts: Array, times: Array) -> Array:
+    """Poses (m, 4, 4) at `times` (m,) between those (n, 4, 4) at `at` (n,)."""
+    k = np.clip(np.searchsorted(at, times, side="right") - 1, 0, len(at) - 2)
+    u = ((times - at[k]) / (at[k + 1] - at[k]))[:, None]
+    R, t = Ts[:, :3, :3], Ts[:, :3, 3]
+    turn = se3.log_so3(np.swapaxes(R[k], 1, 2) @ R[k + 1])
+    return se3.pose(R[k] @ se3.exp_so3(u * turn), (1 - u) * t[k] + u * t[k + 1])

@@ -1,0 +1,25 @@
+"""Objects as folders that a simulator can load: a procedural one is written, one of PartNet-Mobility made readable.
+
+With `simulate` the only door of this room for others: `export.maniskill` makes objects of the catalog through it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from generator import objects
+from generator.partnet_files import sapien_urdf
+from generator.partnet_writer import write_partnet
+
+__all__ = ["object_folder", "sapien_urdf"]
+
+
+def object_folder(name: str, seed: int, place: Path) -> Path:
+    """The folder place/NAME-sSEED of the procedural object `name` of the catalog, written unless it is there.
+
+    Raises FreeArtError when the catalog holds no procedural object of that name.
+    """
+    folder = Path(place) / f"{name}-s{seed}"
+    if not (folder / "mobility.urdf").is_file():
+        write_partnet(objects.build(name, seed), folder)
+    return folder

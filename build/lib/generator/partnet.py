@@ -1,0 +1,270 @@
+"""Loads a PartNet-Mobility folder, real or written by `generator.partnet_writer`.
+
+What such folders are like (each point has a test, `test_quirk_NN_...`):
+
+- mobility.urdf alone is the truth: mobility_v2.json turns some axes round and counts in degrees, and the names and ids
+  of semantics.txt and meta.json may differ. Other URDFs beside it (ManiSkill's mobility_cvx, mobility_fixed) are not
+  looked at. Limits may be "-0.0".
+- The link `base` is empty; the last joint fixes the real root to it, turning y-up meshes to z-up. Parts that are free
+  in the world ("free" in semantics.txt, as a stapler's base) hang on it, too: the recorder moves the root.
+- Links have no inertia and joints no dynamics, effort or velocity; collision shapes repeat the visual ones.
+- Link frames sit on their joints, meshes stay in the object's frame: their origin is minus the sum of joint origins.
+- Visual names repeat. Sliders may have their origin at zero, so their pivot means nothing.
+- Joints may be continuous, without limits. A slider that also turns is two joints, by way of an empty helper link, and
+  its limits may exclude zero: joints are held, and recorded, within their limits only.
+- Meshes are drawn twice, once a side, and have inner faces; units are not metric (the diagonal is about 2).
+- Meshes, pictures and material libraries may be absent (see `generator.partnet_files`); files that the URDF does not
+  name may lie about.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from freeart21.asset import Asset
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.files.asset import movable_joint, read_semantics
+from freeart21.files.urdf import Urdf, UrdfJoint, UrdfLink, children, read_urdf
+from freeart21.joint import Joint
+from freeart21.se3 import Array
+from generator.motion import motion_range
+from generator.partnet_files import Gaps, inside, read_obj
+from generator.surface import Surface
+
+URDF_NAME = "mobility.urdf"
+
+# fmt: off
+INCOMPLETE = frozenset((
+    "10090", "10108", "10356", "11538", "12115", "9918", "9987", "10546", "11260", "11887", "12071", "12542",
+    "12578", "12584", "12612", "23724", "25144", "29525", "30857", "32213", "32746", "2780", "39138", "43142",
+    "3380", "3593", "7130", "7138", "7347", "7221", "7306", "7320", "8966",
+))
+# fmt: on
+"""Objects whose URDF names meshes that nobody has: they had no faces and were never shipped (SAPIEN's issues 33 and
+201; the list is r-pad's missing_objs.txt). One, the scissors 10546, is FreeArt-21's."""
+
+
+@dataclass(frozen=True)
+class Visual:
+    """One mesh of a link."""
+
+    mesh: Path
+    T_link_mesh: Array
+    scale: Array
+
+
+@dataclass(frozen=True)
+class Side:
+    """All links on one side of the scored joint."""
+
+    links: tuple[str, ...]
+    surface: Surface
+    """In the object's frame, the scored joint at zero and the others held."""
+
+
+@dataclass(frozen=True)
+class PartNetObject:
+    """A loaded object and the two sides of its scored joint.
+
+    The object's frame is that of the URDF's root link (z up), the scored joint at zero.
+    """
+
+    name: str
+    """The folder's name."""
+    category: str
+    """As meta.json says; 'unknown' when it does not."""
+    asset: Asset
+    """Reference link = the joint's parent, moving link = its child; canonical frame = the object's frame."""
+    joint: Joint
+    """Motion of the child side against the parent side, in the object's frame."""
+    parent_side: Side
+    child_side: Side
+    semantics: dict[str, str]
+    """Link name to semantics.txt's kind and name, such as 'slider drawer'; mobility_v2.json may use other names."""
+    missing: tuple[str, ...]
+    """Mesh files that the URDF names and that are absent (only with `skip_missing`, or in one of `INCOMPLETE`)."""
+    notes: tuple[str, ...]
+    """What a user should know of this object, one line each: what it lacks, and what was made of it."""
+
+    @property
+    def sides(self) -> tuple[Side, Side]:
+        """Parent side, child side."""
+        return self.parent_side, self.child_side
+
+
+def folder_of(name: str, root: Path) -> Path | None:
+    """Where the object `name` is in `root`: ROOT/NAME or, as the data set unpacks, ROOT/dataset/NAME; None if not."""
+    return next((place for place in (root / name, root / "dataset" / name) if place.is_dir()), None)
+
+
+def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> PartNetObject:
+    """The object in `folder`, with the joint named (or the one that meta.json calls scored, or the only movable one).
+
+    Raises FreeArtError, in one line, when a file is missing or unreadable, when the joint is unknown (the movable ones
+    are listed) or has no range, or when a side has no surface. `skip_missing` leaves out absent mesh files instead, as
+    is always done for the objects `INCOMPLETE`.
+    """
+    folder = Path(folder)
+    urdf = folder / URDF_NAME
+    if not urdf.is_file():
+        raise FreeArtError(f"{folder} is not a PartNet-Mobility object: it has no {URDF_NAME}")
+    meta = _meta(folder)
+    read = read_tree(urdf)
+    joints = read.joints
+    scored = movable_joint(urdf, joint or meta.get("scored_joint"))
+    if not scored.lower < scored.upper:
+        raise FreeArtError(
+            f"{urdf}: joint '{scored.name}' cannot move: its limits are [{scored.lower:g}, {scored.upper:g}]"
+        )
+    held = {
+        j.name: float(np.clip(0.0, j.lower, j.upper)) for j in joints.values() if j.joint_type and j.name != scored.name
+    }
+    Ts = read.link_poses(held)
+    visuals = {link.name: _visuals(link, folder, urdf) for link in read.links.values()}
+    gaps = Gaps()
+    absent = _absent(visuals, folder, urdf, skip_missing or folder.resolve().name in INCOMPLETE)
+    gaps.meshes.update(absent)
+    below = _below(joints, scored.child)
+    child = _side(scored, tuple(name for name in visuals if name in below), visuals, Ts, folder, gaps)
+    parent = _side(scored, tuple(name for name in visuals if name not in below), visuals, Ts, folder, gaps)
+    T_object_joint = Ts[scored.parent] @ scored.T_parent_joint
+    assert scored.joint_type is not None
+    moving = Joint(
+        scored.name,
+        scored.joint_type,
+        T_object_joint[:3, :3] @ scored.axis,
+        T_object_joint[:3, 3],
+        scored.lower + 0.0,
+        scored.upper + 0.0,
+    )
+    asset = Asset(
+        urdf,
+        scored.name,
+        scored.parent,
+        scored.child,
+        Ts[scored.parent],
+        held=held,
+        source={"format": "PartNet-Mobility", "object": folder.name},
+    )
+    notes = (*gaps.notes(), *_joint_notes(moving, held), *_meta_notes(meta, folder))
+    category = str(meta.get("model_cat", "unknown"))
+    return PartNetObject(
+        folder.name, category, asset, moving, parent, child, read_semantics(folder / "semantics.txt"), absent, notes
+    )
+
+
+def _joint_notes(moving: Joint, held: dict[str, float]) -> list[str]:
+    notes = []
+    if not np.isfinite([moving.lower, moving.upper]).all():
+        low, high = motion_range(moving)
+        unit = "rad" if moving.type == "revolute" else "m"
+        notes.append(f"joint '{moving.name}' has no limits: it is moved from {low:.4g} to {high:.4g} {unit}")
+    if not moving.lower <= 0 <= moving.upper:
+        notes.append(f"joint '{moving.name}' never stands at 0: its limits are [{moving.lower:g}, {moving.upper:g}]")
+    notes += [f"joint '{name}' cannot stand at 0 and is held at {q:g}" for name, q in held.items() if q != 0]
+    return notes
+
+
+def _meta_notes(meta: dict, folder: Path) -> list[str]:
+    said = str(meta.get("anno_id", folder.name))
+    ours = "scored_joint" in meta
+    return [] if ours or said == folder.name else [f"meta.json calls the object {said}; the folder's name is kept"]
+
+
+def read_tree(urdf: Path) -> Urdf:
+    """The URDF; FreeArtError when it is not one tree of links, or a joint is not understood.
+
+    (SAPIEN would take an unknown type for a fixed joint, and fails without saying where for much else.)
+    """
+    read = read_urdf(urdf)
+    try:
+        urdf.read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FreeArtError(f"{urdf} is not UTF-8 text: {error}") from error
+    for j in read.joints.values():
+        if j.joint_type is None and j.type != "fixed":
+            raise FreeArtError(
+                f"{urdf}: joint '{j.name}' has type '{j.type}', expected fixed, revolute, continuous or prismatic"
+            )
+        if j.joint_type and j.type != "continuous" and not j.limited:
+            raise FreeArtError(f"{urdf}: joint '{j.name}' is {j.type} and has no <limit>, expected lower and upper")
+        if j.lower > j.upper:
+            raise FreeArtError(
+                f"{urdf}: joint '{j.name}' has limits [{j.lower:g}, {j.upper:g}], expected lower <= upper"
+            )
+    read.root  # noqa: B018  raises unless there is one
+    return read
+
+
+def _meta(folder: Path) -> dict:
+    path = folder / "meta.json"
+    meta = checked.read_json(path) if path.is_file() else {}
+    if not isinstance(meta.get("scored_joint", ""), str):
+        raise FreeArtError(f"{path}: scored_joint is {meta['scored_joint']!r}, expected a joint's name")
+    return meta
+
+
+def _visuals(link: UrdfLink, folder: Path, urdf: Path) -> list[Visual]:
+    visuals = []
+    for shape in link.visuals:
+        where = f"{urdf}: link '{link.name}'"
+        if shape.kind != "mesh" or not shape.filename:
+            raise FreeArtError(f"{where} has a visual that is not a mesh; expected <mesh filename=...>")
+        if not shape.filename.lower().endswith(".obj"):
+            raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected an .obj file")
+        path = inside(folder, shape.filename, f"{where} has the mesh")
+        if not shape.size.all():
+            raise FreeArtError(f"{where} has a mesh of scale {shape.size.tolist()}, expected none to be zero")
+        visuals.append(Visual(path, shape.T_link_shape, shape.size))
+    return visuals
+
+
+def _absent(visuals: dict[str, list[Visual]], folder: Path, urdf: Path, may_lack: bool) -> tuple[str, ...]:
+    """Mesh files named but not there; FreeArtError unless the object may lack some."""
+    meshes = {v.mesh for of_link in visuals.values() for v in of_link}
+    absent = tuple(sorted(str(mesh.relative_to(folder.resolve())) for mesh in meshes if not mesh.is_file()))
+    if absent and not may_lack:
+        more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""
+        raise FreeArtError(
+            f"{urdf} names the mesh {absent[0]}, which does not exist{more}; --skip-missing leaves absent meshes out"
+        )
+    return absent
+
+
+def _side(
+    scored: UrdfJoint,
+    links: tuple[str, ...],
+    visuals: dict[str, list[Visual]],
+    Ts: dict[str, Array],
+    folder: Path,
+    gaps: Gaps,
+) -> Side:
+    pieces = [
+        read_obj(v.mesh, folder, gaps).moved(Ts[name] @ v.T_link_mesh, v.scale)
+        for name in links
+        for v in visuals[name]
+        if v.mesh.is_file()
+    ]
+    surface = Surface.joined(pieces)
+    if len(surface.faces) == 0:
+        lacks = gaps.notes()[:1] and f" ({gaps.notes()[0]})"
+        raise FreeArtError(
+            f"{folder / URDF_NAME}: joint '{scored.name}' has no surface on the side of links "
+            f"{', '.join(links) or '(none)'}{lacks or ''}"
+        )
+    return Side(links, surface)
+
+
+def _below(joints: dict[str, UrdfJoint], link: str) -> set[str]:
+    """`link` and every link that hangs on it."""
+    hanging, found, at = children(joints.values()), {link}, [link]
+    while at:
+        for j in hanging.get(at.pop(), ()):
+            if j.child not in found:
+                found.add(j.child)
+                at.append(j.child)
+    return found

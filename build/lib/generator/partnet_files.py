@@ -1,0 +1,332 @@
+"""What lies in a PartNet-Mobility folder: meshes, materials and pictures; and a copy that SAPIEN can read.
+
+Not every object of the data set is whole. What is made do with is noted, and what is wrong is refused, in one line:
+
+- A mesh that is absent, or has no face, is left out (`generator.partnet` decides which absent ones may be).
+- A picture or a material library that is absent leaves the plain colour, as SAPIEN has it: Kd, or a grey of 0.6.
+- SAPIEN itself refuses meshes without faces and materials without their picture, so it is given a copy without them.
+- A picture replaces Kd, and Kd is linear: so SAPIEN paints.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import io
+import re
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from trimesh.exchange.obj import load_obj
+from trimesh.geometry import triangulate_quads
+
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.files.urdf import parsed
+from freeart21.se3 import Array
+from generator.surface import Paint, Surface, srgb
+
+MAX_OBJ_BYTES = 256 << 20
+MAX_MTL_BYTES = 4 << 20
+_LARGEST = 1e6  # a coordinate beyond this is no object's
+_NO_KD = 0.6  # what SAPIEN's reader (Assimp) takes for a material that says nothing
+_FACE = re.compile(r"^[ \t]*f[ \t]", re.MULTILINE)
+_FACE_LINE = re.compile(r"^[ \t]*f[ \t]+(.*)", re.MULTILINE)
+_BACK_INDEX = re.compile(r"^[ \t]*f[ \t].*-\d", re.MULTILINE)
+_NO_INDEX = re.compile(r"^[ \t]*f(?:[ \t]+[\d/-]+)*[ \t]+(?:0+|-\d+)(?:/|\s|$)", re.MULTILINE)
+_LIBRARY = re.compile(r"^[ \t]*mtllib[ \t]+(.*\S)", re.MULTILINE)
+_USED = re.compile(r"^[ \t]*usemtl[ \t]+(.*\S)", re.MULTILINE)
+_PICTURES = ("map_", "bump", "disp", "norm", "decal", "refl")  # how the MTL lines begin that name a picture
+
+
+@dataclass
+class Gaps:
+    """What an object lacks, found while it is read; names as the files give them."""
+
+    meshes: set[str] = field(default_factory=set)
+    """Named by the URDF and absent."""
+    empty: set[str] = field(default_factory=set)
+    """Meshes without faces."""
+    libraries: set[str] = field(default_factory=set)
+    """Material libraries that are absent."""
+    pictures: set[str] = field(default_factory=set)
+    """Pictures that are absent."""
+    transparent: set[str] = field(default_factory=set)
+    """Material libraries with a material that lets light through."""
+
+    def notes(self) -> tuple[str, ...]:
+        """One line for each kind of gap."""
+        told = (
+            (self.meshes, "absent meshes are left out"),
+            (self.empty, "meshes without faces are left out"),
+            (self.libraries, "absent material libraries leave plain grey"),
+            (self.pictures, "absent pictures leave the plain colour"),
+            (self.transparent, "materials are transparent: colour shows what is behind them, depth and mask do not"),
+        )
+        return tuple(f"{what}: {_few(names)}" for names, what in told if names)
+
+
+def _few(names: set[str]) -> str:
+    """Up to three of the names, in order, and how many more."""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(sorted(names)[:3]) + more
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a material of an MTL file looks in SAPIEN."""
+
+    colour: NDArray[np.uint8]
+    """(3,) sRGB of Kd."""
+    picture: Path | None = None
+    """The picture of its colour, which replaces Kd."""
+
+
+def inside(folder: Path, name: str, what: str) -> Path:
+    """The file `name` in `folder`; FreeArtError when it is elsewhere, also by way of a link."""
+    if "://" in name or name.startswith(("/", "\\")):
+        raise FreeArtError(f"{what} '{name}', expected a path inside {folder}")
+    try:
+        path = checked.inside(folder, name)
+        path.is_file()
+    except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a name too long
+        raise FreeArtError(f"{what} '{name[:80]}', which cannot be looked up: {error}") from error
+    except FreeArtError as error:
+        raise FreeArtError(f"{what} '{name}', which leads out of the folder {folder}") from error
+    return path
+
+
+def read_obj(path: Path, folder: Path, gaps: Gaps) -> Surface:
+    """The triangles of an OBJ file of the object in `folder`, with its materials; adds to `gaps` what is not there.
+
+    Raises FreeArtError, in one line, when the file is no OBJ, names corners that do not exist or are not finite, when
+    a picture is there and unreadable, or when a file lies outside `folder`.
+    """
+    text = _text(path, MAX_OBJ_BYTES)
+    materials = read_materials(path, text, folder, gaps)
+    if not _FACE.search(text):
+        gaps.empty.add(_name(path, folder))
+        return Surface.joined([])
+    if _BACK_INDEX.search(text):
+        text = _absolute(text)
+    if _NO_INDEX.search(text):
+        raise FreeArtError(f"{path} is not a readable OBJ file: a face names a vertex before the first")
+    used = "".join(f"newmtl {name}\n" for name in dict.fromkeys(_USED.findall(text)))
+    text = "mtllib used\n" + _LIBRARY.sub("", text)
+    try:  # materials are grouped by name only: the libraries are read above
+        read = load_obj(io.StringIO(text), resolver={"used": used.encode()}, group_material=True)
+        pieces = [_piece(geometry, materials) for geometry in read.get("geometry", {}).values()]
+    except (ValueError, IndexError, KeyError, TypeError, AttributeError) as error:
+        raise FreeArtError(f"{path} is not a readable OBJ file: {' '.join(str(error).split())}") from error
+    surface = Surface.joined(pieces)
+    if not (np.abs(surface.vertices) < _LARGEST).all():
+        raise FreeArtError(f"{path} has vertices that are not finite or beyond {_LARGEST:g}")
+    if len(surface.faces) == 0:
+        raise FreeArtError(f"{path} is not a readable OBJ file: it has faces, but none of three corners or more")
+    return surface
+
+
+def _piece(geometry: dict, materials: dict[str, Material]) -> Surface:
+    visual, vertices = geometry.get("visual"), np.asarray(geometry["vertices"], float)
+    faces = triangulate_quads(geometry["faces"]).reshape(-1, 3)  # and polygons: fans
+    if len(faces) and (vertices.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices)):
+        raise IndexError("a face names a vertex that does not exist")
+    uv = getattr(visual, "uv", None)
+    name = getattr(getattr(visual, "material", None), "name", None) or ""
+    material = materials.get(name) or Material(srgb(np.full(3, _NO_KD)))
+    picture = None
+    if material.picture is not None:
+        picture = _read_picture(material.picture, material.picture.stat().st_mtime_ns)
+    colour = material.colour if picture is None else np.full(3, 255, np.uint8)
+    count = len(vertices)
+    return Surface(
+        vertices,
+        faces,
+        np.zeros((count, 2)) if uv is None else np.nan_to_num(np.asarray(uv, float)[:, :2]),
+        np.zeros(count, np.int64),
+        (Paint(colour, picture),),
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def _read_picture(path: Path, changed_ns: int) -> NDArray[np.uint8]:
+    """The picture as it was at the time `changed_ns`; the meshes of an object share few pictures."""
+    return checked.read_rgb(path)
+
+
+def _absolute(text: str) -> str:
+    """OBJ text without negative indices, which count back from the last vertex above them."""
+    counts, lines = {"v": 0, "vt": 0, "vn": 0}, []
+    for line in text.splitlines():
+        words = line.split()
+        if words and words[0] in counts:
+            counts[words[0]] += 1
+        elif words and words[0] == "f":
+            above = tuple(counts.values())
+            corners = (
+                "/".join(
+                    str(int(index) + 1 + n) if index.startswith("-") else index
+                    for index, n in zip(corner.split("/"), above, strict=False)
+                )
+                for corner in words[1:]
+            )
+            line = "f " + " ".join(corners)
+        lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
+def read_materials(obj: Path, text: str, folder: Path, gaps: Gaps) -> dict[str, Material]:
+    """Material name to material, from the libraries that the OBJ file `obj` of this text names."""
+    materials: dict[str, Material] = {}
+    for library in _LIBRARY.findall(text):
+        mtl = _neighbour(obj, library, folder, "material library")
+        if mtl is None:
+            gaps.libraries.add(library)
+            continue
+        name = ""
+        for line in _text(mtl, MAX_MTL_BYTES).splitlines():
+            key, _, rest = line.strip().partition(" ")
+            rest = rest.strip()
+            if key == "newmtl":
+                name = rest
+                materials[name] = Material(srgb(np.full(3, _NO_KD)))
+            elif name and key == "Kd":
+                materials[name] = Material(srgb(_colour(rest, mtl)), materials[name].picture)
+            elif name and key == "d" and 0 < _floats(rest.removeprefix("-halo"), mtl, "d")[0] < 1:
+                gaps.transparent.add(_name(mtl, folder))
+            elif name and key.startswith(_PICTURES):
+                picture = _picture(rest, mtl, folder)
+                if picture is None:
+                    gaps.pictures.add(rest)
+                elif key == "map_Kd":
+                    materials[name] = Material(materials[name].colour, picture)
+    return materials
+
+
+def _picture(rest: str, mtl: Path, folder: Path) -> Path | None:
+    """The file that what follows `map_Kd` names: all of it, or its last word after options; None when it is absent."""
+    for name in dict.fromkeys((rest, *rest.split()[-1:])):
+        path = _neighbour(mtl, name.replace("\\", "/"), folder, "picture")
+        if path is not None:
+            return path
+    return None
+
+
+def _neighbour(beside: Path, name: str, folder: Path, what: str) -> Path | None:
+    """The file `name` as seen from the file `beside`, inside `folder`; None when it is absent."""
+    here = beside.parent.resolve().relative_to(folder.resolve())
+    path = inside(folder, name if name.startswith("/") else f"{here}/{name}", f"{beside} names the {what}")
+    return path if path.is_file() else None
+
+
+def _colour(rest: str, mtl: Path) -> Array:
+    values = _floats(rest, mtl, "Kd")
+    return np.clip(values[:3] if len(values) >= 3 else np.full(3, values[0]), 0, 1)
+
+
+def _floats(rest: str, mtl: Path, key: str) -> Array:
+    values = np.array([])
+    with contextlib.suppress(ValueError):
+        values = np.array([float(word) for word in rest.split()])
+    if len(values) == 0 or not np.isfinite(values).all():
+        raise FreeArtError(f"{mtl}: {key} is '{rest}', expected numbers")
+    return values
+
+
+def _text(path: Path, limit: int) -> str:
+    """A file's text, its lines ended by a plain line feed and without a byte order mark."""
+    data = checked.require_file(path, limit).read_bytes()
+    return data.decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _name(path: Path, folder: Path) -> str:
+    return str(path.resolve().relative_to(folder.resolve()))
+
+
+# --- for SAPIEN -------------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def sapien_urdf(urdf: Path) -> Iterator[Path]:
+    """A URDF that SAPIEN can load, valid inside the `with`: `urdf` itself, or a copy without what its folder lacks.
+
+    In the copy absent meshes and meshes without faces are left out, as visuals and as collision shapes, materials go
+    without absent pictures, and meshes that their scale mirrors have their faces turned round (SAPIEN would show them
+    from within). Only OBJ files are looked into.
+    """
+    root = parsed(urdf)
+    with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
+        changed = False
+        for link in root.iter("link"):
+            for shape in [s for s in link if s.tag in ("visual", "collision")]:
+                mesh = shape.find("geometry/mesh")
+                if mesh is None or "://" in mesh.get("filename", ""):
+                    continue
+                path = urdf.absolute().parent / mesh.get("filename", "")
+                mirrored = np.prod(_scale(mesh)) < 0
+                usable = _usable(path, Path(place), bool(mirrored))
+                changed |= usable != path
+                if usable is None:
+                    link.remove(shape)
+                else:
+                    mesh.set("filename", str(usable))
+        if changed:
+            for texture in root.iter("texture"):
+                texture.set("filename", str(urdf.absolute().parent / texture.get("filename", "")))
+            ET.ElementTree(root).write(Path(place) / urdf.name, encoding="utf-8")
+        yield Path(place) / urdf.name if changed else urdf
+
+
+def _scale(mesh: ET.Element) -> Array:
+    values = np.ones(3)
+    with contextlib.suppress(ValueError):
+        values = np.array([float(word) for word in mesh.get("scale", "1 1 1").split()])
+    return values
+
+
+def _usable(path: Path, place: Path, mirrored: bool) -> Path | None:
+    """The mesh file itself, or None when there is nothing to show, or a copy in `place`.
+
+    The copy goes without absent pictures; its faces are turned round when it is to be `mirrored`.
+    """
+    if path.suffix.lower() != ".obj":
+        return path
+    if not path.is_file():
+        return None
+    text = _text(path, MAX_OBJ_BYTES)
+    if not _FACE.search(text):
+        return None
+    libraries = [mtl for name in _LIBRARY.findall(text) if (mtl := path.parent / name).is_file()]
+    lines = [_found(line, path.parent) for mtl in libraries for line in _text(mtl, MAX_MTL_BYTES).splitlines()]
+    if all(as_it_is for _, as_it_is in lines) and not mirrored and not any(map(_marked, (path, *libraries))):
+        return path
+    if mirrored:
+        text = _FACE_LINE.sub(lambda face: "f " + " ".join(reversed(face[1].split())), text)
+    stem = place / f"mesh-{len(list(place.iterdir()))}"
+    stem.with_suffix(".mtl").write_text("\n".join(line for line, _ in lines) + "\n")
+    stem.with_suffix(".obj").write_text(f"mtllib {stem.name}.mtl\n" + _LIBRARY.sub("", text))
+    return stem.with_suffix(".obj")
+
+
+def _found(line: str, folder: Path) -> tuple[str, bool]:
+    """An MTL line with its picture's full path, or empty when that is absent; and whether it would do as it is."""
+    key, _, rest = line.strip().partition(" ")
+    rest = rest.strip()
+    if not key.startswith(_PICTURES):
+        return line, True
+    for name in dict.fromkeys((rest, *rest.split()[-1:])):
+        for path in (name, name.replace("\\", "/")):
+            if (folder / path).is_file():
+                return f"{key} {rest.removesuffix(name)}{(folder / path).resolve()}", path == name
+    return "", False
+
+
+def _marked(path: Path) -> bool:
+    """Whether a file begins with a byte order mark, which hides its first line from SAPIEN."""
+    with path.open("rb") as file:
+        return file.read(3) == b"\xef\xbb\xbf"

@@ -1,0 +1,217 @@
+"""Writes a procedural object as a PartNet-Mobility folder, with the habits of real ones (see `generator.partnet`)."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+from manifold3d import Manifold
+from numpy.typing import NDArray
+
+from freeart21.files import atomic, checked
+from freeart21.se3 import Array
+from generator import textures
+from generator.model import SHINE, Link, Material, ObjectModel, Piece
+from generator.shapes import triangles
+
+R_ROOT_MESH: Array = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Root frame (z up) from PartNet-Mobility's mesh frame (y up): the rotation rpy (pi/2, 0, -pi/2) of its last joint."""
+
+_ROOT_RPY = "1.570796326794897 0 -1.570796326794897"
+_CREASE = np.cos(np.radians(40.0))
+_JSON_KIND = {"revolute": "hinge", "prismatic": "slider"}
+
+
+def write_partnet(model: ObjectModel, folder: Path) -> Path:
+    """Write `model` as the new folder `folder`: mobility.urdf, mobility_v2.json, meshes, pictures and the rest."""
+    with atomic.new_folder(folder) as aside:
+        names = _write_meshes(model, aside)
+        atomic.write_bytes(aside / "mobility.urdf", _urdf(model, names))
+        atomic.write_bytes(aside / "mobility_v2.json", json.dumps(_mobility(model), separators=(",", ":")).encode())
+        semantics = "".join(f"link_{k} {link.semantic}\n" for k, link in enumerate(model.links))
+        atomic.write_bytes(aside / "semantics.txt", semantics.encode())
+        atomic.write_json(
+            aside / "meta.json",
+            {
+                "model_id": f"{model.name}-s{model.seed}",
+                "anno_id": f"{model.name}-s{model.seed}",
+                "version": "1",
+                "model_cat": model.category,
+                "scored_joint": f"joint_{model.scored_joint}",
+                "link_mass_kg": {f"link_{k}": round(link.mass, 6) for k, link in enumerate(model.links)},
+            },
+        )
+        corners = np.concatenate([_mesh_frame(piece.solid)[0] for link in model.links for piece in link.pieces])
+        atomic.write_json(aside / "bounding_box.json", {"min": corners.min(0), "max": corners.max(0)})
+    return folder
+
+
+def _mesh_frame(solid: Manifold) -> tuple[Array, NDArray[np.int64]]:
+    vertices, faces = triangles(solid)
+    return vertices @ R_ROOT_MESH, faces
+
+
+def _write_meshes(model: ObjectModel, folder: Path) -> list[list[tuple[str, str]]]:
+    """Write textured_objs/ and images/; returns for every link its (visual name, mesh file) pairs."""
+    names: list[list[tuple[str, str]]] = []
+    part = count = 0
+    for link in model.links:
+        names.append([])
+        for piece in link.pieces:
+            part += 1
+            for (
+                body
+            ) in piece.solid.decompose():  # pieces in several bodies give duplicate visual names, as in real objects
+                count += 1
+                stem = f"original-{count}"
+                atomic.write_bytes(folder / "textured_objs" / f"{stem}.obj", _obj(body, piece, stem))
+                atomic.write_bytes(folder / "textured_objs" / f"{stem}.mtl", _mtl(piece.material, part))
+                names[-1].append((f"{piece.name}-{part}", f"textured_objs/{stem}.obj"))
+            atomic.write_bytes(folder / "images" / f"texture_{part}.png", checked.encode_png(_picture(piece.material)))
+    return names
+
+
+def _obj(body: Manifold, piece: Piece, stem: str) -> bytes:
+    """OBJ text in the mesh frame, with crease-split normals and box-projected texture coordinates."""
+    vertices, faces = triangles(body)
+    uv = box_uv(vertices, faces, piece.material.tile_m)
+    normals = crease_normals(vertices, faces) @ R_ROOT_MESH
+    uv_table, uv_at = np.unique(np.round(uv.reshape(-1, 2), 6), axis=0, return_inverse=True)
+    n_table, n_at = np.unique(np.round(normals.reshape(-1, 3), 5), axis=0, return_inverse=True)
+    indices = np.stack([faces, uv_at.reshape(-1, 3), n_at.reshape(-1, 3)], -1).reshape(-1, 9) + 1
+    lines = [f"mtllib {stem}.mtl", f"o {stem}"]
+    lines += ["v " + _row(v, 9) for v in vertices @ R_ROOT_MESH]
+    lines += ["vt " + _row(t, 6) for t in uv_table]
+    lines += ["vn " + _row(n, 5) for n in n_table]
+    lines += [f"usemtl {piece.material.name}"]
+    lines += ["f " + " ".join("/".join(map(str, corner)) for corner in row.reshape(3, 3)) for row in indices]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _row(values: Array, digits: int) -> str:
+    return " ".join(f"{v:.{digits}g}" for v in values)
+
+
+def _mtl(material: Material, part: int) -> bytes:
+    strength, exponent = SHINE[material.finish]
+    lines = [
+        f"newmtl {material.name}",
+        "illum 2",
+        "d 1",
+        f"Ns {exponent:g}",
+        "Kd 1 1 1",
+        f"Ks {strength:g} {strength:g} {strength:g}",
+        f"map_Kd ../images/texture_{part}.png",
+    ]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _picture(material: Material) -> NDArray[np.uint8]:
+    """Also plain colours become pictures: SAPIEN takes Kd as linear but pictures as sRGB."""
+    return textures.plain(material.colour) if material.texture is None else material.texture
+
+
+def box_uv(vertices: Array, faces: NDArray[np.int64], tile_m: float | None) -> Array:
+    """Texture coordinates (F, 3, 2) projected along each face's main axis, so that pictures read upright from outside.
+
+    `tile_m` is the length, metres, of one repeat; None fits one picture to the bounding box of the vertices (V, 3).
+    """
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    axis = np.abs(normal).argmax(1)
+    positive = np.take_along_axis(normal, axis[:, None], 1)[:, 0] > 0
+    across = np.where(axis == 0, 1, 0)  # u runs along y on x faces, along x on y and z faces
+    mirrored = np.where(axis == 1, positive, ~positive)
+    up = np.where(axis == 2, 1, 2)
+    low, high = vertices.min(0), vertices.max(0)
+    uv = np.empty((len(faces), 3, 2))
+    for k, along in enumerate((across, up)):
+        coordinate = np.take_along_axis(corners, along[:, None, None], 2)[..., 0] - low[along][:, None]
+        span = np.maximum((high - low)[along][:, None], 1e-9)
+        flip = mirrored if k == 0 else np.zeros(len(faces), bool)
+        coordinate = np.where(flip[:, None], span - coordinate, coordinate)
+        uv[..., k] = coordinate / (span if tile_m is None else tile_m)
+    return uv
+
+
+def crease_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
+    """Corner normals (F, 3, 3): at each vertex the area-weighted mean over the faces within 40 degrees of this one."""
+    corners = vertices[faces]
+    area_normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    unit = area_normal / np.maximum(np.linalg.norm(area_normal, axis=1, keepdims=True), 1e-20)
+    order = np.argsort(faces.reshape(-1), kind="stable")
+    counts = np.bincount(faces.reshape(-1), minlength=len(vertices))
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    vertex = faces.reshape(-1)[order]
+    repeats = counts[vertex]
+    mine = np.repeat(order, repeats)  # every corner, once for each corner that shares its vertex
+    offset = np.arange(len(mine)) - np.repeat(np.cumsum(repeats) - repeats, repeats)
+    other = order[np.repeat(starts[vertex], repeats) + offset]
+    near = np.einsum("ij,ij->i", unit[mine // 3], unit[other // 3]) >= _CREASE
+    total = np.zeros((faces.size, 3))
+    np.add.at(total, mine[near], area_normal[other[near] // 3])
+    return (total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)).reshape(-1, 3, 3)
+
+
+def _urdf(model: ObjectModel, names: list[list[tuple[str, str]]]) -> bytes:
+    """The URDF: no inertia, dynamics or effort, meshes placed by minus the sum of joint origins, root joint last."""
+    robot = ET.Element("robot", name=f"partnet_{model.name}")
+    ET.SubElement(robot, "link", name="base")
+    for k, link in enumerate(model.links):
+        origin = _text(-_origin(model, f"link_{k}"))
+        element = ET.SubElement(robot, "link", name=f"link_{k}")
+        for kind in ("visual", "collision"):
+            for name, mesh in names[k]:
+                shape = ET.SubElement(element, kind, {"name": name} if kind == "visual" else {})
+                ET.SubElement(shape, "origin", xyz=origin)
+                ET.SubElement(ET.SubElement(shape, "geometry"), "mesh", filename=mesh)
+        _add_joint(robot, model, k, link)
+    ET.indent(robot, "\t")
+    return b'<?xml version="1.0" ?>\n' + ET.tostring(robot) + b"\n"
+
+
+def _add_joint(robot: ET.Element, model: ObjectModel, k: int, link: Link) -> None:
+    hinge = link.hinge
+    joint = ET.SubElement(robot, "joint", name=f"joint_{k}", type="fixed" if hinge is None else hinge.type)
+    if hinge is None:
+        ET.SubElement(joint, "origin", rpy=_ROOT_RPY, xyz="0 0 0")
+    else:
+        ET.SubElement(joint, "origin", xyz=_text(_origin(model, f"link_{k}") - _origin(model, hinge.parent)))
+        ET.SubElement(joint, "axis", xyz=_text(np.array(hinge.axis, float) @ R_ROOT_MESH))
+    ET.SubElement(joint, "child", link=f"link_{k}")
+    ET.SubElement(joint, "parent", link="base" if hinge is None else hinge.parent)
+    if hinge is not None:
+        ET.SubElement(joint, "limit", lower=repr(float(hinge.lower)), upper=repr(float(hinge.upper)))
+
+
+def _origin(model: ObjectModel, link: str) -> Array:
+    """(3,) where a link's frame stands in the mesh frame: the sum of the joint origins down to it."""
+    hinge = model.links[int(link.removeprefix("link_"))].hinge
+    return np.zeros(3) if hinge is None else np.array(hinge.pivot, float) @ R_ROOT_MESH
+
+
+def _mobility(model: ObjectModel) -> list[dict]:
+    entries, part = [], 0
+    for k, link in enumerate(model.links):
+        parts = [{"id": part + i + 1, "name": piece.name, "children": []} for i, piece in enumerate(link.pieces)]
+        part += len(parts)
+        kind, name = link.semantic.split(" ", 1)
+        entry = {"id": k, "parent": -1, "joint": kind, "name": name, "parts": parts, "jointData": {}}
+        if link.hinge is not None:
+            unit = 180 / np.pi if link.hinge.type == "revolute" else 1.0
+            entry["parent"], entry["joint"] = int(link.hinge.parent.removeprefix("link_")), _JSON_KIND[link.hinge.type]
+            entry["jointData"] = {
+                "axis": {
+                    "origin": (np.array(link.hinge.pivot, float) @ R_ROOT_MESH).tolist(),
+                    "direction": (np.array(link.hinge.axis, float) @ R_ROOT_MESH).tolist(),
+                },
+                "limit": {"a": link.hinge.lower * unit, "b": link.hinge.upper * unit, "noLimit": False},
+            }
+        entries.append(entry)
+    return entries
+
+
+def _text(values: Array) -> str:
+    return " ".join(repr(float(v) + 0.0) for v in values)

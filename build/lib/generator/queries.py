@@ -1,0 +1,97 @@
+"""Held-out views: poses and states of different frames, seen by a camera that moved a little."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.recording import Query
+from freeart21.se3 import Array
+from generator.motion import hull_points
+
+
+@dataclass(frozen=True)
+class QuerySettings:
+    """How far the camera of a held-out view stands from the recording one."""
+
+    turn_degrees: float = 15.0
+    """Largest turn of the camera about the object."""
+    shift: float = 0.04
+    """Largest translation besides, as a share of the distance to the object."""
+    margin: float = 0.02
+    """Strip along the picture's border, as a share of its height, that the object never enters."""
+
+
+@dataclass(frozen=True)
+class PlannedQuery:
+    """One held-out view, and how to render it."""
+
+    query: Query
+    T_camera_reference: Array
+    """(4, 4) the moved camera from the canonical frame, reference part."""
+    state: float
+    """Joint state, rad or m."""
+
+
+def plan_queries(
+    meshes: tuple[Mesh, Mesh],
+    joint: Joint,
+    camera: Camera,
+    Ts_camera_reference: Array,
+    states: Array,
+    n: int,
+    seed: int,
+    settings: QuerySettings | None = None,
+) -> tuple[PlannedQuery, ...]:
+    """`n` views: the reference part as in a random frame, the joint as in another, the camera moved.
+
+    `meshes` are reference and moving part, and `joint` moves the second. The whole object is in each picture: moves of
+    the camera that cut it off are drawn again, a little smaller each time, and so are the frames when none will do.
+    Raises FreeArtError when no such view is found.
+    """
+    settings = settings or QuerySettings()
+    rng = np.random.default_rng([seed, 3])
+    hulls = hull_points(meshes[0]), hull_points(meshes[1])
+    views: list[PlannedQuery] = []
+    for _ in range(100 * n):
+        if len(views) == n:
+            break
+        a, b = (int(k) for k in rng.choice(len(states), 2, replace=False))
+        T, q = Ts_camera_reference[a], float(states[b])
+        points = np.concatenate([se3.transform(T, hulls[0]), se3.transform(T @ joint.transform(q), hulls[1])])
+        move = _fitting_move(rng, camera, points, settings)
+        if move is not None:
+            views.append(PlannedQuery(Query(a, b, move), move @ T, q))
+    if len(views) < n:
+        raise FreeArtError(f"only {len(views)} of {n} held-out views keep the object in the picture")
+    return tuple(views)
+
+
+def _fitting_move(rng: np.random.Generator, camera: Camera, points: Array, settings: QuerySettings) -> Array | None:
+    """A camera move (4, 4) that keeps all points (k, 3) in the picture; None when only tiny ones would."""
+    centre = (points.min(0) + points.max(0)) / 2
+    for size in 0.95 ** np.arange(30):
+        T_newcam_cam = _camera_move(rng, centre, float(size), settings)
+        if _inside(camera, se3.transform(T_newcam_cam, points), settings.margin):
+            return T_newcam_cam
+    return None
+
+
+def _camera_move(rng: np.random.Generator, centre: Array, size: float, settings: QuerySettings) -> Array:
+    """A turn about the object's centre and a small translation: up to the settings' amounts times `size`."""
+    axis = rng.normal(size=3)
+    angle = np.radians(settings.turn_degrees) * size * rng.uniform(0.3, 1.0)
+    R = se3.exp_so3(angle * axis / np.linalg.norm(axis))
+    shift = size * settings.shift * np.linalg.norm(centre) * rng.uniform(-1, 1, 3)
+    return se3.pose(R, centre + shift - R @ centre)
+
+
+def _inside(camera: Camera, points_camera: Array, margin: float) -> bool:
+    uv, strip = camera.project(points_camera), margin * camera.height
+    return bool((uv >= strip).all() and (uv <= np.array([camera.width, camera.height]) - strip).all())

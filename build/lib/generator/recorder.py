@@ -1,0 +1,24 @@
+"""The recorder's door: one object becomes a sequence folder, which a method may see, and a truth folder, which not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from freeart21.catalog import built_in_names
+from generator.dataset import Job, jobs_of, record_jobs
+from generator.session import LICENCES, RecordSettings, nice_scale, other_way_round
+
+__all__ = ["LICENCES", "Job", "RecordSettings", "built_in_names", "nice_scale", "other_way_round", "record"]
+
+
+def record(name: str, out: Path, settings: RecordSettings | None = None) -> str:
+    """Record the object `name` of the catalog into the data folder `out`; returns the sequence's name.
+
+    Writes `out/sequences/SEQ` and `out/truth/SEQ`, both or neither, and renews `out/benchmark.json`; a sequence that is
+    there already, of the same settings, is left alone. Progress shows when standard error is a terminal. Raises
+    FreeArtError when the object is unknown, its files are unfit, the sequence exists from other settings, or this
+    machine cannot render.
+    """
+    jobs = jobs_of([name], settings or RecordSettings())
+    record_jobs(out, jobs)
+    return jobs[0].sequence

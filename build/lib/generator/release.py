@@ -1,0 +1,113 @@
+"""The motion 'release': the joint of a fixed, tipped object is let go, and SAPIEN says how it moves.
+
+The masses of a procedural object are those of its materials. A PartNet-Mobility object has none: its parts weigh what
+SAPIEN makes of their convex collision shapes at 1000 kg/m^3.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from freeart21.asset import Asset
+from freeart21.effects.base import Effect
+from freeart21.errors import FreeArtError
+from freeart21.files.urdf import parsed
+from freeart21.se3 import Array
+from generator import simulate
+from generator.model import Link, ObjectModel
+from generator.motion.body import Body
+from generator.motion.release import tipped
+from generator.partnet import PartNetObject
+from generator.partnet_writer import R_ROOT_MESH
+from generator.shapes import triangles
+
+_TIMESTEP_S = 1e-3
+
+
+def released_states(
+    loaded: PartNetObject,
+    effects: tuple[Effect, ...],
+    frames: int,
+    fps: float,
+    seed: int = 0,
+    start: float | None = None,
+    model: ObjectModel | None = None,
+) -> Array:
+    """Joint states (frames,), rad or m, after the joint was let go at rest in frame 0.
+
+    Args:
+        loaded: the object; its base is fixed as `generator.motion.release.tipped` says, which 'release' plans show too.
+        effects: what acts on the joint besides gravity; none at all means no loss.
+        frames: 2 or more.
+        fps: frames a second.
+        seed: decides where the joint is let go when `start` does not: within the last tenth of its way up.
+        start: state to let go at, rad or m.
+        model: the procedural object that was loaded, whose materials give the masses.
+
+    Raises FreeArtError when the start lies beyond the limits or the moving part has no mass.
+    """
+    parent, child = (side.surface.mesh() for side in loaded.sides)
+    body = Body.of((parent, child), loaded.joint)
+    R_world_object, top = tipped(body)
+    if start is None:
+        way = 0.1 * (body.upper - body.lower) * float(np.random.default_rng([seed, 4]).uniform())
+        start = top + way if loaded.joint.type == "prismatic" else top - way
+    if not body.lower <= start <= body.upper:
+        raise FreeArtError(
+            f"the joint cannot be let go at {start:g}, expected a state within {body.lower:g} to {body.upper:g}"
+        )
+    per_frame = int(np.ceil(1 / (fps * _TIMESTEP_S)))
+    with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
+        asset = loaded.asset if model is None else weighed(loaded.asset, model, Path(place))
+        asset = replace(asset, effects={asset.joint: tuple(effects)})
+        rolled = simulate.roll_out(
+            asset,
+            start,
+            duration_s=(frames - 1) / fps,
+            timestep_s=1 / (fps * per_frame),
+            gravity=R_world_object.T @ np.array(simulate.GRAVITY),
+        )
+    return rolled.q[::per_frame][:frames]
+
+
+def weighed(asset: Asset, model: ObjectModel, folder: Path, shapes: bool = False) -> Asset:
+    """`asset`, written from `model`, with a URDF in `folder` that has inertia by the materials, and maybe shapes."""
+    root = parsed(asset.urdf)
+    for element in root.findall("link"):
+        for shape in () if shapes else (*element.findall("visual"), *element.findall("collision")):
+            element.remove(shape)
+        name = element.get("name", "")
+        if name.startswith("link_"):
+            link = model.links[int(name.removeprefix("link_"))]
+            pivot = np.zeros(3) if link.hinge is None else np.array(link.hinge.pivot, float)
+            element.append(_inertial(link, pivot))
+    path = folder / "weighed.urdf"
+    path.write_bytes(ET.tostring(root))
+    return replace(asset, urdf=path)
+
+
+def _inertial(link: Link, pivot: Array) -> ET.Element:
+    """The URDF's <inertial> of a link, in its frame: at `pivot` (3,) of the object, with the mesh frame's axes."""
+    mass, moment, about_zero = 0.0, np.zeros(3), np.zeros((3, 3))
+    for piece in link.pieces:
+        solid = trimesh.Trimesh(*triangles(piece.solid), process=False)
+        solid.density = piece.material.density
+        m, c = float(solid.mass), np.asarray(solid.center_mass)
+        mass += m
+        moment += m * c
+        about_zero += np.asarray(solid.moment_inertia) + m * (c @ c * np.eye(3) - np.outer(c, c))
+    centre = moment / mass
+    inertia = about_zero - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    centre, inertia = (centre - pivot) @ R_ROOT_MESH, R_ROOT_MESH.T @ inertia @ R_ROOT_MESH
+    element = ET.Element("inertial")
+    ET.SubElement(element, "origin", xyz=" ".join(repr(float(x)) for x in centre))
+    ET.SubElement(element, "mass", value=repr(mass))
+    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    ET.SubElement(element, "inertia", {name: repr(float(inertia[at])) for name, at in entries.items()})
+    return element

@@ -1,0 +1,196 @@
+"""What the camera adds to a rendered video: named sensors, each of which may be joined with others by '+'.
+
+- clean: nothing.
+- noise2: depth with Gaussian noise of 2 % of itself.
+- tof: depth as a time-of-flight camera gives it (`generator.tof`).
+- hand: a hand holds the object and hides some of it (`generator.hand`); it is no part of the mask, but has depth.
+- blur: motion blur; light is averaged over the exposure. Poses, states, depth and mask are those of its middle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+from freeart21.mesh import Mesh
+from freeart21.se3 import Array
+from generator.hand import HandMotion
+from generator.motion import Plan, hull_points
+from generator.partnet import PartNetObject
+from generator.scene import Scene, encoded
+from generator.tof import TimeOfFlight, infrared_albedo
+
+SENSORS: tuple[str, ...] = ("clean", "noise2", "tof", "blur", "hand")
+"""Names of the sensors."""
+
+EXPOSURE_S = 1 / 60
+"""Time for which blur's shutter is open, half a frame at 30 a second; never longer than a frame."""
+
+NOISE2_SHARE = 0.02
+"""Standard deviation of noise2's depth, as a share of the depth."""
+
+_STREAM = 4
+"""Random stream of the sensors: frame i draws from [seed, _STREAM, i], whatever was drawn before."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One frame of the video, as the camera gives it, and what it truly shows."""
+
+    rgb: NDArray[np.uint8]
+    """(height, width, 3)."""
+    depth: NDArray[np.float32]
+    """(height, width) z-depth, metres; 0 where there is none."""
+    mask: NDArray[np.bool_]
+    """(height, width) where the object is seen: `side` > 0."""
+    side: NDArray[np.uint8]
+    """(height, width): 0 no object, 1 the scored joint's parent side, 2 its child side; true, whatever `depth` says."""
+
+
+class Sensor:
+    """Films one planned motion. Made by `make_sensor`."""
+
+    def __init__(
+        self,
+        name: str,
+        scene: Scene,
+        plan: Plan,
+        loaded: PartNetObject,
+        meshes: tuple[Mesh, Mesh],
+        seed: int,
+        fps: float,
+    ) -> None:
+        self.name = name
+        self._parts = set(name.split("+"))
+        self._scene, self._plan, self._loaded, self._seed = scene, plan, loaded, seed
+        self._exposure = min(EXPOSURE_S * fps, 1.0)
+        self._hulls = hull_points(meshes[0]), hull_points(meshes[1])
+        self._tof = TimeOfFlight(scene.camera, seed)
+        scene.fix_lamps(plan.Ts_camera_world[0])
+        self._begun: int | None = None
+        self._hand: HandMotion | None = None
+        if "hand" in self._parts:
+            self._hand = HandMotion(plan, loaded.joint, meshes, scene.camera, seed)
+            scene.set_props(self._hand.hand.pieces())
+
+    def shoot(self, i: int) -> Shot:
+        """Frame `i` of the video: the same whatever was shot before."""
+        count = sub_frames(self.motion_px(i)) if "blur" in self._parts else 1
+        light = self._light(i, count)
+        if self._begun != i:
+            self._draw(i)
+        self._begun = None
+        rgb = self._scene.rgb() if light is None else encoded((light + self._scene.linear_rgb()) / np.float32(count))
+        depth, side = self._scene.depth_and_side()
+        rng = np.random.default_rng([self._seed, _STREAM, i])
+        if "noise2" in self._parts:
+            depth = noise2(depth, rng)
+        elif "tof" in self._parts:
+            base, gloss = self._scene.materials()
+            depth = self._tof.measure(depth, infrared_albedo(base), gloss, rng)
+        return Shot(rgb, depth, side > 0, side)
+
+    def begin(self, i: int) -> None:
+        """Let the renderer draw frame `i` while the caller does something else; `shoot` then takes the picture."""
+        if "blur" not in self._parts:
+            self._draw(i)
+            self._begun = i
+
+    def _draw(self, t: float) -> None:
+        """Draw the scene at time `t`, in frames."""
+        held, joint = self._loaded.asset.held, self._loaded.joint.name
+        state = float(np.interp(t, np.arange(len(self._plan.states)), self._plan.states))
+        T = between(self._plan.Ts_camera_object, t)
+        hand = None if self._hand is None else self._hand.poses(t, T, state)
+        self._scene.shoot(T, {**held, joint: state}, between(self._plan.Ts_camera_world, t), hand)
+
+    def _light(self, i: int, count: int) -> NDArray[np.float32] | None:
+        """Sum of the light of all `count` sub-frames of frame `i` but the middle one; None when there is no other."""
+        light = None
+        for k in range(count):
+            if k != count // 2:
+                self._draw(i + self._exposure * ((k + 0.5) / count - 0.5))
+                light = self._scene.linear_rgb() if light is None else light + self._scene.linear_rgb()
+        return light
+
+    def motion_px(self, i: int) -> float:
+        """How far corners of object and hand move in the picture at most while frame `i` is exposed, pixels."""
+        ends = []
+        for t in (i - self._exposure / 2, i + self._exposure / 2):
+            T = between(self._plan.Ts_camera_object, t)
+            state = float(np.interp(t, np.arange(len(self._plan.states)), self._plan.states))
+            Ts = T, T @ self._loaded.joint.transform(state)
+            points = np.concatenate([se3.transform(T, hull) for T, hull in zip(Ts, self._hulls, strict=True)])
+            if self._hand is not None:
+                points = np.concatenate([points, self._hand.poses(t, T, state)[:, :3, 3]])
+            ends.append(self._scene.camera.project(points))
+        return float(np.nanmax(np.linalg.norm(ends[1] - ends[0], axis=1), initial=0.0))
+
+
+def make_sensor(
+    name: str,
+    scene: Scene,
+    plan: Plan,
+    loaded: PartNetObject,
+    meshes: tuple[Mesh, Mesh],
+    seed: int,
+    fps: float,
+) -> Sensor:
+    """The sensor `name` before `scene`, filming `plan`.
+
+    Args:
+        name: one of `SENSORS`, or several joined by '+', such as 'tof+blur'.
+        scene: holds `loaded`.
+        plan: the motion; its first camera says where the lamps stand in the world.
+        loaded: the object.
+        meshes: parent side and child side in the object's frame at joint state zero.
+        seed: of everything random.
+        fps: frames per second.
+
+    Raises FreeArtError when the name is unknown or joins what cannot be joined.
+    """
+    check_sensor(name)
+    return Sensor(name, scene, plan, loaded, meshes, seed, fps)
+
+
+def check_sensor(name: str) -> None:
+    """Raises FreeArtError unless `name` is a sensor or sensors joined by '+'."""
+    parts = name.split("+")
+    for part in parts:
+        if part not in SENSORS:
+            raise FreeArtError(f"unknown sensor '{part}'; sensors: {', '.join(SENSORS)}, or several joined by '+'")
+    if len(set(parts)) < len(parts) or ("clean" in parts and len(parts) > 1) or {"noise2", "tof"} <= set(parts):
+        raise FreeArtError(
+            f"sensor '{name}' joins what does not go together: each name once, clean alone, noise2 or tof but not both"
+        )
+
+
+def between(Ts: Array, t: float) -> Array:
+    """The pose (4, 4) at time `t`, in frames, of poses (n, 4, 4): constant twists from frame to frame, and beyond."""
+    k = int(np.clip(np.floor(t), 0, max(len(Ts) - 2, 0)))
+    if t == k or len(Ts) == 1:
+        return Ts[k]
+    if t == k + 1:
+        return Ts[k + 1]
+    return Ts[k] @ se3.exp_se3((t - k) * se3.log_se3(se3.inverse(Ts[k]) @ Ts[k + 1]))
+
+
+def sub_frames(motion_px: float) -> int:
+    """How many pictures make up an exposure in which the picture moves by `motion_px`: one a pixel, odd, at most 9.
+
+    Odd, so that the middle of the exposure, where depth and truth are taken, is one of them.
+    """
+    return min(2 * int(np.ceil((motion_px - 0.5) / 2)) + 1, 9) if motion_px > 0.5 else 1
+
+
+def noise2(depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Depth with Gaussian noise of 2 % of itself, drawn afresh for every pixel; 0 stays 0.
+
+    It knows no edges, angles or materials.
+    """
+    noise = rng.standard_normal(depth.shape, np.float32)
+    return depth * (np.float32(1) + np.float32(NOISE2_SHARE) * noise)

@@ -1,0 +1,506 @@
+"""One recording: an object, its planned motion and its scene become a sequence folder and a truth folder."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import catalog
+from freeart21.articulation import Articulation
+from freeart21.camera import Camera
+from freeart21.effects import Effect, effect_from_json
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.asset import EFFECTS_SCHEMA
+from freeart21.files.benchmark import file_sha256
+from freeart21.files.sequence import MAX_SIDE, encode_depth, write_header, write_queries
+from freeart21.files.take import MAX_TAKE_BYTES
+from freeart21.files.truth import write_truth
+from freeart21.formats.captured import read_track
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh, bounding_diagonal
+from freeart21.se3 import Array
+from freeart21.truth import Truth
+from generator import objects, partnet, urdf_folder
+from generator.frame_writer import FrameWriter
+from generator.model import ObjectModel
+from generator.motion import MOTIONS, PRESETS, Plan, motion_range, plan_motion
+from generator.motion import track as tracks
+from generator.motion.body import Body
+from generator.motion.planner import world_of
+from generator.partnet_writer import write_partnet
+from generator.progress import Progress
+from generator.queries import PlannedQuery, plan_queries
+from generator.release import released_states
+from generator.scene import Picture, Scene, simulator
+from generator.sensor import check_sensor, make_sensor
+from generator.truth_mesh import outer_faces, visible_faces
+
+LICENCES = {
+    "procedural": "CC0-1.0",
+    "partnet": "PartNet-Mobility terms of use; not to be redistributed",
+    "urdf": "that of the object",
+}
+"""Licence of a recording by the source of its object."""
+
+ACCESS = "https://sapien.ucsd.edu/downloads"
+"""Where to ask for PartNet-Mobility."""
+
+_PICTURES = ("sequence/rgb", "sequence/depth", "sequence/mask", "side")
+"""What a frame leaves in the work folder, one picture each; `side` is true and goes to the truth only."""
+
+TRACK = "track"
+"""The motion that is a take's: `RecordSettings.track` names its file."""
+
+SHADERS = ("default", "trivial")
+"""SAPIEN's camera shaders that give all the recorder needs."""
+
+MOST_PICTURES = 100_000
+"""Frames, and held-out views: their files are numbered by five digits."""
+MOST_PIXELS = 1 << 24
+"""Of a picture, 4096 x 4096: as 3 bytes each they stay below the 64 MiB that `checked` reads of one file."""
+
+MOST_CARRY = 100.0
+"""Largest factor on the way of a take: from millimetres to the size of a room. Not measured."""
+
+_END_OF_PNG = b"\x00\x00\x00\x00IEND\xaeB`\x82"
+
+
+@dataclass(frozen=True)
+class RecordSettings:
+    """How one object is recorded."""
+
+    frames: int = 300
+    """Pictures of the video."""
+    seed: int = 0
+    """Of everything random: the object's sizes and colours, the motion, the sensor, the held-out views."""
+    width: int = 640
+    height: int = 360
+    """Size of the pictures, pixels."""
+    fov_y_degrees: float | None = None
+    """Vertical field of view; None takes the preset's."""
+    fps: float = 30.0
+    """Pictures per second."""
+    queries: int = 20
+    """Held-out views."""
+    motion: str = "tumble"
+    """How the object is moved: one of `generator.motion.MOTIONS`, or TRACK."""
+    track: Path | None = None
+    """File of the take that the motion TRACK replays (`freeart21.formats.captured.read_track`)."""
+    carry: float | None = None
+    """Factor on the way of a take whose poses are changes since the first; None takes sizes for it
+    (`generator.motion.track.carried`)."""
+    preset: str = "handheld"
+    """How large the object is and how far away: one of `generator.motion.PRESETS`."""
+    sensor: str = "clean"
+    """What the camera adds: one of `generator.sensor.SENSORS`, or several joined by '+'."""
+    effects: Path | None = None
+    """effects.json of the released joint, for the motion 'release'."""
+    let_go: float | None = None
+    """Share of the released joint's range, from its lower limit, at which it is let go; None draws it from the seed."""
+    partnet_root: Path | None = None
+    """Folder that holds PartNet-Mobility objects, one folder an id."""
+    urdf: Path | None = None
+    """The object's own URDF, of an object that is in no catalog."""
+    joint: str | None = None
+    """Scored joint; None takes the catalog's, or the only movable one."""
+    skip_missing: bool = False
+    """Leave out mesh files that an object names but does not have, rather than refuse the object."""
+    shader: str = "default"
+    """SAPIEN's camera shader, one of `SHADERS`.
+
+    'default' lights the object: highlights and shading that change as it turns are part of the task. 'trivial' (unlit,
+    three times as fast, no compile wait) is for tests. 'minimal' will not do: it gives depth in whole millimetres.
+    """
+    edge: float = 0.02
+    """Longest edge of the truth meshes, as a share of the object's diagonal."""
+    visible_every: int = 3
+    """Every how many frames the truth's visible faces are looked for."""
+
+    def check(self) -> None:
+        """FreeArtError, in one line, when these settings make no recording."""
+        if self.seed < 0:
+            raise FreeArtError(f"cannot draw from seed {self.seed}; expected 0 or more")
+        if self.frames < 2 or self.fps <= 0 or self.queries < 0 or min(self.width, self.height) < 16:
+            raise FreeArtError(
+                f"cannot record {self.frames} frames of {self.width} x {self.height} at {self.fps:g} a second with "
+                f"{self.queries} held-out views; expected at least 2 frames of 16 x 16, more than 0 a second and 0 "
+                "views or more"
+            )
+        if max(self.frames, self.queries) > MOST_PICTURES:
+            raise FreeArtError(
+                f"cannot record {self.frames} frames and {self.queries} held-out views; expected at most "
+                f"{MOST_PICTURES} each: their files are numbered by five digits"
+            )
+        if max(self.width, self.height) > MAX_SIDE or self.width * self.height > MOST_PIXELS:
+            raise FreeArtError(
+                f"cannot record pictures of {self.width} x {self.height}; expected at most {MAX_SIDE} a side and "
+                f"{MOST_PIXELS} pixels (4096 x 4096) in all: readers take no larger ones"
+            )
+        if (self.motion == TRACK) != (self.track is not None):
+            raise FreeArtError("the motion track needs the file of a take, and only it has one; expected track:FILE")
+        if self.track is not None:
+            checked.require_file(self.track, MAX_TAKE_BYTES)
+        if self.carry is not None and not (self.track is not None and 0 <= self.carry <= MOST_CARRY):
+            raise FreeArtError(
+                f"the way cannot be scaled by {self.carry:g} in the motion {self.motion}; expected 0 to "
+                f"{MOST_CARRY:g}, and the motion track:FILE"
+            )
+        motions = (*MOTIONS, TRACK)
+        named = ("motion", self.motion, motions), ("preset", self.preset, PRESETS), ("shader", self.shader, SHADERS)
+        for what, value, known in named:
+            if value not in known:
+                raise FreeArtError(f"unknown {what} '{value}'; {what}s: {', '.join(known)}")
+        check_sensor(self.sensor)
+        if self.effects is not None and self.motion != "release":
+            raise FreeArtError(
+                f"effects act on a joint that is let go: they go with the motion release, not {self.motion}"
+            )
+        if self.let_go is not None and not (self.motion == "release" and 0 <= self.let_go <= 1):
+            raise FreeArtError(
+                f"the joint cannot be let go at {self.let_go:g} of its range in the motion {self.motion}; expected 0 "
+                "to 1, and the motion release"
+            )
+
+    def described(self) -> dict[str, Any]:
+        """All that decides the recording's bytes, as JSON: without places on this machine."""
+        facts = asdict(self)
+        del facts["partnet_root"]
+        facts["effects"] = None if self.effects is None else checked.read_json(self.effects)
+        for later in ("let_go", "track", "urdf"):
+            if getattr(self, later) is None:
+                del facts[later]  # what was recorded before there was a choice
+        if self.track is None:
+            del facts["carry"]
+        if self.urdf is not None:
+            facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_folder.digest(self.urdf)}
+        if self.track is not None:
+            facts["track"] = {"name": self.track.name, "sha256": file_sha256(self.track)}
+        return facts
+
+
+def record_object(name: str, settings: RecordSettings, work: Path, progress: Progress) -> None:
+    """Record the object `name` into the folder `work`: it then holds `sequence` and `truth`, both whole.
+
+    A folder that an interrupted call left goes on from there, with the same result to the last byte: its frames are
+    kept and only the missing ones are drawn. `truth` appears last. Raises FreeArtError when the object's files are
+    unfit, this machine cannot render, or the disk refuses.
+    """
+    if (work / "truth").is_dir():
+        return
+    atomic.sweep(work)
+    entry = entry_of(name, settings)
+    loaded = load_object(entry, settings, work / "object")
+    released = settings.motion == "release" and entry.source == "procedural"
+    session = Session(loaded, settings, work, progress, build(entry.name, settings) if released else None)
+    session.film()
+    parts = session.parts()
+    views = session.plan_views(parts)
+    write_queries(work / "sequence", tuple(view.query for view in views))
+    times_s = np.arange(settings.frames) / settings.fps
+    write_header(work / "sequence", session.camera, session.depth_scale, times_s, LICENCES[entry.source])
+    facts = {"object": name, "category": loaded.category, "object_source": entry.source}
+    rough = work / "rough_truth"
+    shutil.rmtree(rough, ignore_errors=True)
+    write_truth(rough, session.truth(parts, views, facts), len(views))
+    try:
+        np.savez_compressed(rough / "world.npz", T_camera_world=session.plan.Ts_camera_world)
+        if entry.source == "procedural":
+            shutil.copytree(work / "object" / name, rough / "object")
+        rough.replace(work / "truth")
+    except OSError as error:
+        raise atomic.cannot_write(work / "truth", error) from error
+
+
+def entry_of(name: str, settings: RecordSettings) -> catalog.CatalogEntry:
+    """The catalog's entry of `name`, or one made for the settings' URDF or a number of PartNet-Mobility's."""
+    if settings.urdf is not None:
+        return catalog.CatalogEntry(name, "unknown", None, None, "urdf", None)
+    return catalog.find(name, partnet=settings.partnet_root is not None)
+
+
+def load_object(entry: catalog.CatalogEntry, settings: RecordSettings, place: Path) -> partnet.PartNetObject:
+    """The object of the catalog's `entry`, loaded from its PartNet-Mobility folder.
+
+    A procedural object's folder is made in `place`, of the preset's size, unless it is there, and so is one of a URDF;
+    others are the user's.
+    """
+    if settings.urdf is not None:
+        return urdf_folder.load_urdf(settings.urdf, place / entry.name, settings.joint, settings.skip_missing)
+    folder = place / entry.name if entry.source == "procedural" else partnet_folder(entry.name, settings.partnet_root)
+    if entry.source == "procedural" and not folder.is_dir():
+        write_partnet(build(entry.name, settings), folder)
+    return partnet.load(folder, settings.joint or entry.joint, settings.skip_missing)
+
+
+def build(name: str, settings: RecordSettings) -> ObjectModel:
+    """The procedural object `name`, of the settings' seed and preset's size."""
+    model, diagonal = objects.build(name, settings.seed), PRESETS[settings.preset].diagonal_m
+    return model if diagonal is None else model.scaled(diagonal / model.diagonal)
+
+
+def planned(
+    loaded: partnet.PartNetObject, settings: RecordSettings, model: ObjectModel | None = None
+) -> tuple[Camera, Plan]:
+    """The camera, and the motion before it. `model` gives the masses of a procedural object that is let go."""
+    preset, s = PRESETS[settings.preset], settings
+    fov_y = preset.fov_y_degrees if s.fov_y_degrees is None else s.fov_y_degrees
+    camera = Camera.from_fov(s.width, s.height, np.radians(fov_y))
+    if s.motion == TRACK:
+        return camera, _tracked(loaded, s, camera)
+    meshes = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
+    states = None
+    if s.motion == "release":
+        effects = () if s.effects is None else _effects(s.effects, loaded.joint)
+        low, high = motion_range(loaded.joint)
+        start = None if s.let_go is None else low + s.let_go * (high - low)
+        states = released_states(loaded, effects, s.frames, s.fps, s.seed, start, model)
+    return camera, plan_motion(s.motion, meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset, states)
+
+
+def _tracked(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Camera) -> Plan:
+    """The motion of the settings' take; poses that are meant as changes begin as seen in scripted motion."""
+    assert settings.track is not None
+    s, preset, take = settings, PRESETS[settings.preset], read_track(settings.track)
+    body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
+    stretch = tracks.resampled(take, s.fps, s.frames)
+    states, fitted = tracks.fitted(stretch.states, take, body)
+    diagonal = bounding_diagonal(*body.meshes)
+    carry, carried = tracks.carried(take, diagonal, s.carry)
+    R_first = None
+    if take.poses == "first":
+        scripted = plan_motion("tumble", body.meshes, loaded.joint, camera, s.frames, s.fps, s.seed, preset)
+        R_first = scripted.Ts_camera_object[0, :3, :3]
+    Ts = tracks.tracked(body, stretch, states, take, R_first, camera, preset, carry)
+    if take.poses == "camera" and carried:
+        Ts, more = tracks.farther(Ts, states, body, camera)
+        carried["carry"] *= more
+    said: dict[str, Any] = {
+        "name": take.name,
+        "sha256": take.sha256,
+        "form": take.form,
+        "device": take.device,
+        "poses": take.poses,
+    }
+    if take.filter is not None:
+        said["filter"] = {"one_euro": asdict(take.filter)}
+    plan = Plan(Ts, states, world_of("tumble", Ts, body), said | {"begins_s": stretch.begins_s} | fitted | carried)
+    tracks.check_in_view(take.name, plan, body, camera, depth_bounds(Ts, diagonal)[0], s.fps)
+    return plan
+
+
+def depth_bounds(Ts_camera_object: Array, diagonal: float) -> tuple[float, float]:
+    """Nearest and furthest depth, metres, that is drawn of an object of this diagonal, at poses (n, 4, 4)."""
+    reach = float(np.linalg.norm(Ts_camera_object[:, :3, 3], axis=1).max() + 2 * diagonal)
+    return 1e-3 * reach, reach
+
+
+def _effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
+    """The effects that an effects.json gives to the joint."""
+    entries = checked.read_json(path, EFFECTS_SCHEMA).get("joints")
+    if not isinstance(entries, dict) or not all(isinstance(v, list) for v in entries.values()):
+        raise FreeArtError(f"{path}: 'joints' must map joint names to lists of effects")
+    if joint.name not in entries:
+        raise FreeArtError(f"{path} says nothing of '{joint.name}'; its joints: {', '.join(entries) or 'none'}")
+    effects = tuple(effect_from_json(e, joint.type, f"{path} joint '{joint.name}'") for e in entries[joint.name])
+    odd = [effect.name for effect in effects if effect.kind != "dynamics" or effect.acts == "command"]
+    if odd:
+        raise FreeArtError(
+            f"{path} gives joint '{joint.name}' {', '.join(odd)}: a joint that is let go is filmed with what works on "
+            "its motion alone, not with effects of geometry, sensors or drives"
+        )
+    return effects
+
+
+def partnet_folder(name: str, root: Path | None) -> Path:
+    """The folder of the PartNet-Mobility object `name`; FreeArtError says where to ask for it when it is not there."""
+    if root is None:
+        raise FreeArtError(
+            f"object '{name}' is from PartNet-Mobility: name the folder that holds {name} by --partnet-root; "
+            f"who has none may ask for access at {ACCESS}"
+        )
+    folder = partnet.folder_of(name, root)
+    if folder is None:
+        raise FreeArtError(
+            f"PartNet-Mobility object {name} is not in {root}; ask for access to the dataset at {ACCESS} and unpack it "
+            f"so that {root / name / partnet.URDF_NAME} exists"
+        )
+    return folder
+
+
+def nice_scale(least: float) -> float:
+    """The smallest 1, 2 or 5 times a power of ten that is at least `least`."""
+    power = 10.0 ** np.floor(np.log10(least))
+    return float(f"{next(power * k for k in (1, 2, 5, 10) if power * k >= least * (1 - 1e-12)):.1g}")
+
+
+def other_way_round(joint: Joint) -> Joint:
+    """The joint as motion of its parent side against its child side, with the same states: the axis turns round."""
+    return replace(joint, axis=-joint.axis)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Which side of the joint became the reference part, and what follows from it."""
+
+    order: tuple[int, int]
+    """Side (0 parent, 1 child) of the reference and of the moving part."""
+    joint: Joint
+    """Motion of the moving part against the reference part."""
+    Ts_camera: tuple[Array, Array]
+    """Poses (n, 4, 4) of reference and moving part."""
+    seen: NDArray[np.int64]
+    """(n, 2) pixels of reference and moving part."""
+
+
+class Session:
+    """One recording under way: the scene, the planned motion, and a work folder for its pictures."""
+
+    def __init__(
+        self,
+        loaded: partnet.PartNetObject,
+        settings: RecordSettings,
+        work: Path,
+        progress: Progress,
+        model: ObjectModel | None = None,
+    ) -> None:
+        self.loaded, self.settings, self._work, self._progress = loaded, settings, work, progress
+        coarse = loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()
+        diagonal = bounding_diagonal(*coarse)
+        fine = [side.surface.subdivided(settings.edge * diagonal).mesh() for side in loaded.sides]
+        self.meshes: tuple[Mesh, Mesh] = fine[0], fine[1]
+        self.camera, self.plan = planned(loaded, settings, model)
+        near, far = depth_bounds(self.plan.Ts_camera_object, diagonal)
+        self.depth_scale = nice_scale(far / 65000)
+        groups = [side.links for side in loaded.sides]
+        self.scene = Scene(loaded.asset.urdf, groups, self.camera, near, far, settings.shader)
+        self.sensor = make_sensor(settings.sensor, self.scene, self.plan, loaded, coarse, settings.seed, settings.fps)
+        self._may_hide = "hand" in settings.sensor.split("+")
+        self._counts = np.zeros((settings.frames, 2), np.int64)
+        self._done = 0
+
+    def film(self) -> None:
+        """Draw all frames of the video that the work folder does not hold yet.
+
+        While a frame is encoded and written, the renderer draws the next one. Raises FreeArtError when a picture is
+        empty though nothing stands before the object: under heavy load a software renderer was seen to fail so.
+        """
+        n = self.settings.frames
+        kept = [all(_is_whole(self._work / sub / f"{i:05d}.png") for sub in _PICTURES) for i in range(n)]
+        with FrameWriter() as writer:
+            for i in range(n):
+                if kept[i]:
+                    side = self._side(i)
+                else:
+                    shot = self.sensor.shoot(i)
+                    if i + 1 < n and not kept[i + 1]:
+                        self.sensor.begin(i + 1)
+                    side = shot.side
+                    if not self._may_hide:
+                        self._require_seen(side, f"frame {i}")
+                    mask = shot.mask.view(np.uint8) * np.uint8(255)
+                    images = shot.rgb, encode_depth(shot.depth, self.depth_scale), mask, side
+                    writer.put({self._work / sub / f"{i:05d}.png": m for sub, m in zip(_PICTURES, images, strict=True)})
+                self._counts[i] = np.count_nonzero(side == 1), np.count_nonzero(side == 2)
+                self._tick()
+
+    def parts(self) -> Parts:
+        """Reference and moving part of the video: the side with more pixels over all frames is the reference."""
+        counts = self._counts
+        order = (1, 0) if counts[:, 1].sum() > counts[:, 0].sum() else (0, 1)
+        joint = self.loaded.joint
+        Ts = self.plan.Ts_camera_object, self.plan.Ts_camera_object @ joint.transform(self.plan.states)
+        own = joint if order == (0, 1) else other_way_round(joint)
+        return Parts(order, own, (Ts[order[0]], Ts[order[1]]), counts[:, list(order)])
+
+    def plan_views(self, parts: Parts) -> tuple[PlannedQuery, ...]:
+        """The held-out views of the video."""
+        meshes = self.meshes[parts.order[0]], self.meshes[parts.order[1]]
+        n, seed = self.settings.queries, self.settings.seed
+        return plan_queries(meshes, parts.joint, self.camera, parts.Ts_camera[0], self.plan.states, n, seed)
+
+    def truth(self, parts: Parts, views: tuple[PlannedQuery, ...], facts: dict[str, Any]) -> Truth:
+        """The truth of the video; renders the held-out views, which are clean whatever the sensor.
+
+        Faces that nothing outside can ever see (where solids of one part meet) are left out: no video tells of them,
+        and handed in as an answer the truth must score perfect.
+        """
+        order = parts.order
+        meshes = self.meshes[order[0]], self.meshes[order[1]]
+        visible = visible_faces(meshes, self.camera, self._shown(parts))
+        outer = [o | v for o, v in zip(outer_faces(meshes, parts.joint), visible, strict=True)]
+        label = np.array([0, 1 + order.index(0), 1 + order.index(1)], np.uint8)
+        pictures = [self._view(i, view, parts) for i, view in enumerate(views)]
+        return Truth(
+            Articulation(parts.joint, *(mesh.with_faces(o) for mesh, o in zip(meshes, outer, strict=True))),
+            self.plan.states,
+            *parts.Ts_camera,
+            parts.seen,
+            (outer[0][outer[0]], outer[1][outer[1]]),
+            (visible[0][outer[0]], visible[1][outer[1]]),
+            lambda i: label[self._side(i)],
+            lambda i: pictures[i].rgb,
+            lambda i: pictures[i].side > 0,
+            facts | simulator() | self._source(order),
+        )
+
+    def _shown(self, parts: Parts) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
+        """Poses of both parts and foreground of some frames."""
+        for i in range(0, self.settings.frames, self.settings.visible_every):
+            yield parts.Ts_camera[0][i], parts.Ts_camera[1][i], self._side(i) > 0
+
+    def _side(self, i: int) -> NDArray[np.uint8]:
+        return checked.read_labels(self._work / "side" / f"{i:05d}.png")
+
+    def _source(self, order: tuple[int, int]) -> dict[str, Any]:
+        settings, links = self.settings, [side.links for side in self.loaded.sides]
+        track = {} if self.plan.source is None else {"track": self.plan.source}
+        return track | {
+            "seed": settings.seed,
+            "motion": settings.motion,
+            "sensor": settings.sensor,
+            "shader": settings.shader,
+            "joint": self.loaded.joint.name,
+            "held": self.loaded.asset.held,
+            "semantics": self.loaded.semantics,
+            "notes": self.loaded.notes,
+            "reference_links": links[order[0]],
+            "moving_links": links[order[1]],
+            "settings": settings.described(),
+        }
+
+    def _view(self, i: int, view: PlannedQuery, parts: Parts) -> Picture:
+        """Held-out view `i`: the lamps stay; the root link stands with the parent side, whichever part it is."""
+        T_parent = (view.T_camera_reference, view.T_camera_reference @ parts.joint.transform(view.state))
+        positions = {**self.loaded.asset.held, self.loaded.joint.name: view.state}
+        query = view.query
+        T_camera_world = query.T_newcam_cam @ self.plan.Ts_camera_world[query.pose_of_frame]
+        picture = self.scene.render(T_parent[parts.order.index(0)], positions, T_camera_world)
+        self._require_seen(picture.side, f"held-out view {i}")
+        self._tick()
+        return picture
+
+    @staticmethod
+    def _require_seen(side: NDArray[np.uint8], what: str) -> None:
+        if not side.any():
+            raise FreeArtError(f"the renderer drew nothing of the object in {what}; run the same command again")
+
+    def _tick(self) -> None:
+        self._done += 1
+        self._progress(self._done, self.settings.frames + self.settings.queries)
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a PNG file is there to its end: after a power cut a file may be there without its content."""
+    try:
+        with path.open("rb") as file:
+            file.seek(-len(_END_OF_PNG), 2)
+            return file.read() == _END_OF_PNG
+    except OSError:
+        return False

@@ -1,0 +1,117 @@
+"""A painted triangle surface, which can be made fine enough to carry its colours at the vertices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+from freeart21.mesh import Mesh
+from freeart21.se3 import Array
+
+
+@dataclass(frozen=True)
+class Paint:
+    """A plain colour, or a picture that repeats."""
+
+    colour: NDArray[np.uint8]
+    """(3,) RGB."""
+    picture: NDArray[np.uint8] | None = None
+    """(h, w, 3) RGB, multiplied by the colour; v = 0 is its lowest row."""
+
+    def at(self, uv: Array) -> NDArray[np.uint8]:
+        """Colours (n, 3) at texture coordinates (n, 2): the nearest texel."""
+        if self.picture is None:
+            return np.broadcast_to(self.colour, (len(uv), 3))
+        h, w = self.picture.shape[:2]
+        column = np.floor((uv[:, 0] % 1.0) * w).astype(int).clip(0, w - 1)
+        row = np.floor((1.0 - uv[:, 1] % 1.0) * h).astype(int).clip(0, h - 1)
+        return np.rint(self.picture[row, column] * (self.colour / 255.0)).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Triangles whose vertices carry texture coordinates and a paint."""
+
+    vertices: Array
+    """(V, 3) metres."""
+    faces: NDArray[np.int64]
+    """(F, 3)."""
+    uv: Array
+    """(V, 2)."""
+    paint: NDArray[np.int64]
+    """(V,) index into `paints`."""
+    paints: tuple[Paint, ...]
+
+    @classmethod
+    def joined(cls, surfaces: Sequence[Surface]) -> Surface:
+        """All surfaces as one."""
+        if not surfaces:
+            return cls(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 2)), np.zeros(0, np.int64), ())
+        first_vertex = np.cumsum([0, *(len(s.vertices) for s in surfaces)])
+        first_paint = np.cumsum([0, *(len(s.paints) for s in surfaces)])
+        return cls(
+            np.concatenate([s.vertices for s in surfaces]),
+            np.concatenate([s.faces + first_vertex[k] for k, s in enumerate(surfaces)]),
+            np.concatenate([s.uv for s in surfaces]),
+            np.concatenate([s.paint + first_paint[k] for k, s in enumerate(surfaces)]),
+            tuple(paint for s in surfaces for paint in s.paints),
+        )
+
+    def moved(self, T_new_old: Array, scale: ArrayLike = 1.0) -> Surface:
+        """The surface scaled about its origin, then mapped by `T_new_old` (4, 4)."""
+        scale = np.broadcast_to(np.asarray(scale, float), (3,))
+        faces = self.faces[:, ::-1] if np.prod(scale) < 0 else self.faces
+        return replace(self, vertices=se3.transform(T_new_old, self.vertices * scale), faces=faces)
+
+    def subdivided(self, longest: float) -> Surface:
+        """The same surface with every edge at most `longest` metres: too long edges are halved, the longest first.
+
+        An edge is halved at its middle on both of its faces or on neither, so that no gap opens. Raises FreeArtError
+        when that would make more than 20 million triangles.
+        """
+        vertices, uv, paint, todo = self.vertices, self.uv, self.paint, self.faces
+        done: list[NDArray[np.int64]] = []
+        while len(todo):
+            corners = vertices[todo]
+            lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+            k = lengths.argmax(1)
+            fine = lengths[np.arange(len(todo)), k] <= longest
+            done.append(todo[fine])
+            todo, k = todo[~fine], k[~fine]
+            if len(todo) == 0:
+                break
+            if len(todo) + sum(map(len, done)) > 20_000_000:
+                raise FreeArtError(
+                    f"cannot divide a surface of {len(self.faces)} triangles to edges of {longest:.3g} m"
+                )
+            rows = np.arange(len(todo))
+            a, b, c = todo[rows, k], todo[rows, (k + 1) % 3], todo[rows, (k + 2) % 3]
+            edges, at = np.unique(np.sort(np.stack([a, b], 1), axis=1), axis=0, return_inverse=True)
+            m = len(vertices) + at.reshape(-1)
+            vertices = np.concatenate([vertices, vertices[edges].mean(1)])
+            uv = np.concatenate([uv, uv[edges].mean(1)])
+            paint = np.concatenate([paint, paint[edges[:, 0]]])
+            todo = np.concatenate([np.stack([a, m, c], 1), np.stack([m, b, c], 1)])
+        return replace(self, vertices=vertices, uv=uv, paint=paint, faces=np.concatenate(done) if done else self.faces)
+
+    def mesh(self) -> Mesh:
+        """The plain mesh, coloured at its vertices; triangles without area are left out."""
+        colours = np.zeros((len(self.vertices), 3), np.uint8)
+        for k, paint in enumerate(self.paints):
+            here = self.paint == k
+            colours[here] = paint.at(self.uv[here])
+        corners = self.vertices[self.faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        return Mesh(self.vertices, self.faces[area > 0], colours)
+
+
+def srgb(linear: Array) -> NDArray[np.uint8]:
+    """sRGB bytes of linear light, 0 to 1, such as an MTL file's Kd (IEC 61966-2-1)."""
+    linear = np.clip(linear, 0, 1)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.rint(255 * encoded).astype(np.uint8)

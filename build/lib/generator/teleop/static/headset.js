@@ -1,0 +1,328 @@
+// The object in the hands of a person in a headset: WebXR in, the hand's pose and state out.
+//
+// One controller carries the object while it is squeezed, whoever squeezes first; the other's stick or trigger moves the
+// joint. Only indices of the "xr-standard" mapping are used (trigger 0, squeeze 1, stick 3 and axes 2 and 3, buttons 4
+// and 5), which PICO's and Quest's controllers share.
+
+import { Button, Clutch, JointGrip, facing, heading, roomToCamera } from "./clutch.js";
+import { Room } from "./room.js";
+
+const SQUEEZED = 0.5; // from here on a squeeze holds ...
+const LET_GO = 0.3; // ... until it is less than this, so that a hand that trembles does not let go. Not measured.
+const SAVE_S = 1; // how long the record button is held to save. Not measured.
+const LONGEST_STEP_S = 0.1; // a stick moves the joint by no more than it does in this time, however late a frame comes
+const PANEL_PIXELS = [1280, 720]; // what the panel in the room can show; the server may draw fewer
+const COLOURS = { holds: [0.3, 0.64, 1], tracked: [0.75, 0.78, 0.82] };
+const HELP = [
+  "Squeeze to carry the object. The other hand's stick or trigger moves the joint.",
+  "A or X: record or pause, held: save.  B or Y: undo.  Stick pressed: recentre.",
+];
+const WATCHES = ["Another page drives.", "You watch."];
+const ALONE = ["The connection is lost.", "It is tried again and again; a recording is paused."];
+const LOST = ["The controller was out of sight.", "Squeeze again to carry on."];
+
+/**
+ * Show `button` where a headset can be had, and begin a session when it is pressed.
+ * @param hand The commanded pose and state (hand.js).
+ * @param link The connection (link.js).
+ * @param picture The canvas that shows the camera's newest picture: where nothing moves, no other comes.
+ * @param button An element that is hidden.
+ * @returns What is going on: {session: Headset or null}.
+ */
+export async function startHeadset({ hand, link, picture, button }) {
+  const now = { session: null };
+  const label = button.querySelector("span") ?? button;
+  const say = (text) => (label.textContent = text);
+  if (!window.isSecureContext) {
+    button.hidden = false;
+    button.disabled = true;
+    say("Headset needs https");
+    button.title =
+      "Browsers give headsets to pages of https alone, or of this machine itself: start the server with --host, or " +
+      "connect the headset by cable (adb reverse).";
+    return now;
+  }
+  const offers = () => navigator.xr?.isSessionSupported("immersive-vr").catch(() => false) ?? false;
+  const look = async () => {
+    button.hidden = !(await offers());
+  };
+  navigator.xr?.addEventListener?.("devicechange", look);
+  link.onpicture((bitmap) => now.session?.room.show(bitmap));
+  await look();
+  const words = label.textContent;
+  button.addEventListener("click", async () => {
+    if (now.session) {
+      await now.session.session.end();
+      return;
+    }
+    button.disabled = true;
+    const shape = link.shape;
+    try {
+      now.session = await Headset.begin(hand, link, () => {
+        now.session = null;
+        link.immersive = false;
+        say(words);
+        if (shape) link.view(...shape);
+      });
+      link.immersive = true;
+      hand.device = "headset"; // of what is sent before anything moves, too
+      link.send(hand, hand.device);
+      link.view(...PANEL_PIXELS);
+      now.session.room.show(picture);
+      say("Leave headset");
+    } catch (error) {
+      say("No headset answered");
+      button.title = error.message;
+    } finally {
+      button.disabled = false;
+    }
+  });
+  return now;
+}
+
+/** One session. */
+export class Headset {
+  static async begin(hand, link, ended) {
+    const session = await navigator.xr.requestSession("immersive-vr", { optionalFeatures: ["local-floor"] });
+    try {
+      const canvas = document.createElement("canvas");
+      const gl = canvas.getContext("webgl2", { xrCompatible: true, antialias: false });
+      if (!gl) throw new Error("this browser has no WebGL2");
+      await gl.makeXRCompatible();
+      const layer = new XRWebGLLayer(session, gl);
+      await session.updateRenderState({ baseLayer: layer, depthNear: 0.05, depthFar: 50 });
+      let floor = true;
+      const space = await session.requestReferenceSpace("local-floor").catch(() => {
+        floor = false;
+        return session.requestReferenceSpace("local");
+      });
+      return new Headset({ session, space, floor, gl, layer, hand, link, ended });
+    } catch (error) {
+      await session.end().catch(() => {});
+      throw error;
+    }
+  }
+
+  constructor({ session, space, floor, gl, layer, hand, link, ended }) {
+    Object.assign(this, { session, space, floor, layer, hand, link });
+    this.room = new Room(gl);
+    this.clutch = new Clutch();
+    this.holder = null; // "left" or "right", while it carries
+    this.controllers = { left: new Controller(), right: new Controller() };
+    this.toCamera = null;
+    this.before = null; // ms, of the last frame
+    this.hint = HELP;
+    this.told = 0;
+    this.left = null; // where the hand had the object after the last frame
+    space.addEventListener("reset", () => {
+      this.letGo(); // the room's coordinates have jumped
+      this.toCamera = null;
+    });
+    session.addEventListener("visibilitychange", () => this.looked());
+    session.addEventListener("end", () => {
+      this.rest();
+      gl.getExtension("WEBGL_lose_context")?.loseContext(); // a page may have few of them
+      ended();
+    });
+    session.requestAnimationFrame((time, frame) => this.step(time, frame));
+  }
+
+  /** The person opened the headset's menu, or took it off: nothing moves, and nothing is recorded. */
+  looked() {
+    if (this.session.visibilityState !== "visible") this.rest();
+  }
+
+  rest() {
+    this.letGo();
+    if (this.link.drives) this.link.do("pause"); // of no recording it is none
+  }
+
+  get status() {
+    return this.link.status ?? {};
+  }
+
+  letGo() {
+    this.clutch.release();
+    this.holder = null;
+    for (const one of Object.values(this.controllers)) one.drop();
+  }
+
+  step(time, frame) {
+    this.session.requestAnimationFrame((next, nextFrame) => this.step(next, nextFrame));
+    const dt = this.before === null ? 0 : Math.min((time - this.before) / 1000, LONGEST_STEP_S);
+    this.before = time;
+    const viewer = frame.getViewerPose(this.space);
+    if (!viewer) return;
+    if (!this.toCamera) this.recentre(viewer.transform);
+    this.read(frame);
+    if (this.session.visibilityState === "visible" && this.link.drives) {
+      this.press(time / 1000, viewer.transform);
+      this.move(dt, time);
+    } else {
+      this.letGo();
+    }
+    this.show(time, viewer.views);
+  }
+
+  /** The panel hangs before the head, and the room's axes are the head's heading, from now on. */
+  recentre({ position, orientation }) {
+    const ahead = heading([orientation.w, orientation.x, orientation.y, orientation.z]);
+    this.toCamera = roomToCamera(ahead);
+    this.room.hang([position.x, position.y, position.z], facing(ahead));
+    if (this.holder) this.grasp(this.holder);
+  }
+
+  /** What both controllers say in this frame. */
+  read(frame) {
+    const sources = [...this.session.inputSources].filter(
+      (source) => source.gamepad?.mapping === "xr-standard" && !source.hand,
+    );
+    for (const [side, one] of Object.entries(this.controllers)) {
+      const source = sources.find((candidate) => candidate.handedness === side);
+      const space = source?.gripSpace ?? source?.targetRaySpace;
+      const found = space && frame.getPose(space, this.space);
+      one.read(source, found);
+    }
+  }
+
+  press(now, head) {
+    for (const one of Object.values(this.controllers)) {
+      const record = one.record.step(one.pressed(4), now);
+      if (record === "press") {
+        one.pauses = this.status.recording; // at once: what comes while it is held is not of the take
+        if (one.pauses) this.link.do("pause");
+      }
+      if (record === "short" && !one.pauses) this.link.do("record");
+      if (record === "long") this.link.do("save");
+      if (one.undo.step(one.pressed(5), now) === "press") this.link.do("undo");
+      if (one.recentre.step(one.pressed(3), now) === "press") this.recentre(head);
+    }
+  }
+
+  grasp(side) {
+    this.clutch.pivot = this.hand.centre;
+    this.clutch.grasp(this.hand, this.controllers[side].pose, this.toCamera);
+    this.holder = side;
+  }
+
+  /** Who carries: whoever squeezed first, until the squeeze ends or the controller is not seen. */
+  choose() {
+    const { controllers } = this;
+    if (this.holder && !controllers[this.holder].wants) {
+      this.hint = controllers[this.holder].pose ? HELP : LOST;
+      this.clutch.release();
+      this.holder = null;
+    }
+    const wanting = Object.keys(controllers).find((side) => controllers[side].wants);
+    if (this.holder || !wanting) return;
+    this.hint = HELP;
+    this.grasp(wanting);
+    controllers[wanting].pulse();
+  }
+
+  /** The joint's state by the controllers that do not carry; by the one that does, where there is no other. */
+  bent(dt) {
+    let { state } = this.hand;
+    const tracked = Object.values(this.controllers).filter((one) => one.pose).length;
+    for (const [side, one] of Object.entries(this.controllers)) {
+      if (one.pose && (side !== this.holder || tracked === 1)) {
+        state = one.joint.moved(state, one.stick, one.value(0), this.hand.limits, dt);
+      } else {
+        one.joint.drop();
+      }
+    }
+    return state;
+  }
+
+  move(dt, time) {
+    const { hand } = this;
+    if (this.left && !same(this.left, hand)) {
+      // an undo, or another device, has placed the object: it is carried on from there, and no trigger takes it back
+      for (const one of Object.values(this.controllers)) one.joint.drop();
+      if (this.holder) this.grasp(this.holder);
+    }
+    this.choose();
+    const state = this.bent(dt);
+    if (this.holder || state !== hand.state || this.status.recording) {
+      const object = this.holder ? this.clutch.carried(this.controllers[this.holder].pose) : hand;
+      hand.set(object.position, object.quaternion, state, "headset", time);
+    }
+    this.left = { position: hand.position, quaternion: hand.quaternion, state: hand.state };
+  }
+
+  show(time, views) {
+    if (time - this.told > 100) {
+      this.told = time;
+      const { recording, paused, seconds } = this.status;
+      const { state, limits } = this.hand;
+      const joint = this.link.hello?.joint_type;
+      const latency = this.link.latency()?.[0] ?? null;
+      const notice = this.link.drives ? this.status.notice : null;
+      const lines = this.link.drives ? this.hint : this.link.state === "open" ? WATCHES : ALONE;
+      this.room.tell({ recording, paused, seconds, state, limits, joint, notice, latency, lines });
+    }
+    const shown = Object.entries(this.controllers)
+      .filter(([, one]) => one.pose)
+      .map(([side, one]) => ({ ...one.pose, colour: side === this.holder ? COLOURS.holds : COLOURS.tracked }));
+    this.room.draw(this.layer, views, shown, this.floor);
+  }
+}
+
+/** What is known of one controller. */
+class Controller {
+  constructor() {
+    this.joint = new JointGrip();
+    this.record = new Button(SAVE_S);
+    this.undo = new Button();
+    this.recentre = new Button();
+    this.pose = null;
+    this.located = false; // whether its position was ever a measured one
+    this.drop();
+  }
+
+  /** Mean nothing until all is let go. */
+  drop() {
+    this.wants = false; // to carry
+    this.squeezed = true;
+    for (const part of [this.joint, this.record, this.undo, this.recentre]) part.drop();
+  }
+
+  /** @param found XRPose, or nothing where the controller is not seen. */
+  read(source, found) {
+    this.gamepad = source?.gamepad ?? null;
+    // an emulated position is guessed, and jumps when cameras see the controller again; but some headsets know no other
+    if (found && !found.emulatedPosition) this.located = true;
+    if (!found || (found.emulatedPosition && this.located)) {
+      if (this.pose) this.drop();
+      this.pose = null;
+      return;
+    }
+    const { position: p, orientation: q } = found.transform;
+    this.pose = { position: [p.x, p.y, p.z], quaternion: [q.w, q.x, q.y, q.z] };
+    const squeeze = this.value(1);
+    if (squeeze < LET_GO) this.wants = this.squeezed = false;
+    if (squeeze > SQUEEZED && !this.squeezed) this.wants = this.squeezed = true;
+  }
+
+  value(index) {
+    return this.gamepad?.buttons[index]?.value ?? 0;
+  }
+
+  pressed(index) {
+    return this.pose !== null && (this.gamepad?.buttons[index]?.pressed ?? false);
+  }
+
+  /** The stick's axis towards the person. */
+  get stick() {
+    return this.gamepad?.axes[3] ?? 0;
+  }
+
+  /** A short tick in the hand. */
+  pulse() {
+    this.gamepad?.hapticActuators?.[0]?.pulse?.(0.4, 25)?.catch?.(() => {});
+  }
+}
+
+function same(a, b) {
+  return a.state === b.state && ["position", "quaternion"].every((key) => a[key].every((c, k) => c === b[key][k]));
+}

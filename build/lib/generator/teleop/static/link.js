@@ -1,0 +1,198 @@
+// The websocket: moves out, pictures in. It connects again by itself, and never lets moves or pictures queue.
+
+const STEP_MS = 1000 / 60;
+const KEEP_ALIVE_MS = 1000 / 30;
+const MOST_WAITING = 1 << 14; // bytes that the network has not taken; a move that waits would only be late
+const FIRST_WAIT_MS = 250, LONGEST_WAIT_MS = 5000;
+const KEPT = 100; // latencies
+
+export class Link {
+  constructor(token) {
+    this.hello = null;
+    this.status = null;
+    this.state = "connecting"; // or "open", "lost"
+    this.retryAt = 0;
+    this.failures = 0;
+    this.latencies = [];
+    this.immersive = false; // in a headset, where the page itself may count as hidden
+    this.tap = null; // told of every move that is sent
+    this._token = token;
+    this._listeners = { picture: [], status: [], hello: [], place: [], size: [], state: [] };
+    this._hand = null;
+    this._n = 0;
+    this._dirty = false;
+    this._lastSent = -Infinity;
+    this._seen = 0;
+    this._lastShown = -1;
+    this._decoding = false;
+    this._next = null;
+    this._arrivals = [];
+    setInterval(() => this._keepAlive(), KEEP_ALIVE_MS);
+    setInterval(() => this._ping(), 1000);
+    this._connect();
+  }
+
+  onpicture(f) { this._listeners.picture.push(f); }
+  onstatus(f) { this._listeners.status.push(f); }
+  onhello(f) { this._listeners.hello.push(f); }
+  onplace(f) { this._listeners.place.push(f); }
+  onsize(f) { this._listeners.size.push(f); }
+  onstate(f) { this._listeners.state.push(f); }
+
+  get drives() { return this.hello !== null && this.hello.role === "driver" && this.state === "open"; }
+
+  /** The hand has moved: send it, now or with the next step; 60 a second at most, but all that has a `time` of its own, ms. */
+  send(hand, device, time = null) {
+    this._hand = hand;
+    this._device = device;
+    this._dirty = true;
+    if (time === null) this.flush();
+    else this._transmit(time);
+  }
+
+  /** Send what waits for its step. */
+  flush() {
+    if (this._dirty && performance.now() - this._lastSent >= STEP_MS - 1.5) this._transmit();
+  }
+
+  /** Ask for something: record, pause, undo, save, reset, drive. */
+  do(what) {
+    if (!this.drives && what !== "drive") return;
+    if (this._dirty) this._transmit();
+    this._say({ type: "do", what, n: this._n });
+  }
+
+  /** Tell the size of the picture on the screen, in its pixels. */
+  view(width, height) {
+    this.shape = [width, height];
+    this._view = { type: "view", width: Math.max(1, Math.round(width)), height: Math.max(1, Math.round(height)) };
+    if (this.drives) this._say(this._view);
+  }
+
+  /** Median and 95th percentile of the last latencies, ms; null before the first. */
+  latency() {
+    if (!this.latencies.length) return null;
+    const sorted = [...this.latencies].sort((a, b) => a - b);
+    const at = (share) => sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))];
+    return [at(0.5), at(0.95)];
+  }
+
+  /** Pictures that came in the last second. */
+  fps() {
+    const now = performance.now();
+    this._arrivals = this._arrivals.filter((t) => now - t < 1000);
+    return this._arrivals.length;
+  }
+
+  _transmit(time = performance.now()) {
+    if (!this.drives || !this._hand || this._socket.bufferedAmount > MOST_WAITING) return;
+    const hand = this._hand;
+    this._n += 1;
+    const move = {
+      type: "move", n: this._n, time, epoch: hand.epoch, position: hand.position,
+      quaternion: hand.quaternion, state: hand.state, device: this._device,
+    };
+    this._say(move);
+    if (this.tap) this.tap(move);
+    this._lastSent = performance.now();
+    this._dirty = false;
+  }
+
+  _keepAlive() {
+    if (this.status && this.status.recording && performance.now() - this._lastSent >= KEEP_ALIVE_MS - 2) this._transmit();
+  }
+
+  _ping() {
+    this._say({ type: "ping", time: performance.now(), latency: this.latency() });
+  }
+
+  _say(message) {
+    if (this._socket && this._socket.readyState === WebSocket.OPEN) this._socket.send(JSON.stringify(message));
+  }
+
+  _tell(what, ...given) {
+    for (const f of this._listeners[what]) f(...given);
+  }
+
+  _become(state) {
+    this.state = state;
+    this._tell("state", state);
+  }
+
+  _connect() {
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    const socket = new WebSocket(`${scheme}://${location.host}/ws?token=${encodeURIComponent(this._token)}&v=1`);
+    socket.binaryType = "arraybuffer";
+    this._socket = socket;
+    socket.onopen = () => {
+      this._n = this._seen = 0;
+      this._lastShown = -1;
+      this._ping();
+    };
+    socket.onmessage = (event) => {
+      if (typeof event.data === "string") this._read(JSON.parse(event.data));
+      else this._picture(event.data);
+    };
+    socket.onclose = () => {
+      this.failures += 1;
+      const wait = Math.min(FIRST_WAIT_MS * 1.6 ** (this.failures - 1), LONGEST_WAIT_MS) * (0.8 + 0.4 * Math.random());
+      this.retryAt = performance.now() + wait;
+      this._become("lost");
+      setTimeout(() => this._connect(), wait);
+    };
+  }
+
+  _read(message) {
+    if (message.type === "hello") {
+      this.hello = message;
+      this.failures = 0;
+      this._dirty = false;
+      this._become("open");
+      this._tell("hello", message);
+      if (this._view && this.drives) this._say(this._view);
+    } else if (message.type === "status") {
+      this.status = message;
+      this._tell("status", message);
+    } else if (message.type === "place") {
+      this._dirty = false;
+      this._tell("place", message);
+    } else if (message.type === "size") {
+      if (this.hello) Object.assign(this.hello, { width: message.width, height: message.height });
+      this._tell("size", message);
+    }
+  }
+
+  _picture(data) {
+    this._arrivals.push(performance.now());
+    const view = new DataView(data);
+    if (this._next) this._disposed();
+    this._next = { n: view.getUint32(0, true), time: view.getFloat64(4, true), jpeg: data.slice(12), from: this._socket };
+    this._decode();
+  }
+
+  async _decode() {
+    if (this._decoding || !this._next) return;
+    this._decoding = true;
+    const { n, time, jpeg, from } = this._next;
+    this._next = null;
+    try {
+      const bitmap = await createImageBitmap(new Blob([jpeg], { type: "image/jpeg" }));
+      this._tell("picture", bitmap);
+      bitmap.close();
+      if (from === this._socket && time > 0 && n > this._lastShown && this.drives) {
+        this.latencies.push(performance.now() - time);
+        if (this.latencies.length > KEPT) this.latencies.shift();
+        this._lastShown = n;
+      }
+      if (from === this._socket) this._disposed();
+    } finally {
+      this._decoding = false;
+    }
+    this._decode();
+  }
+
+  _disposed() {
+    this._seen += 1;
+    this._say({ type: "seen", n: this._seen });
+  }
+}

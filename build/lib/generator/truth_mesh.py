@@ -1,0 +1,131 @@
+"""Truth meshes: fine enough to be flagged face by face, with what can be seen at all and what a video showed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.se3 import Array
+from generator.motion import motion_range
+from generator.rays import Caster, Hits
+
+Flags = tuple[NDArray[np.bool_], NDArray[np.bool_]]
+
+_DIRECTIONS = 40
+_GRID = 100
+_ESCAPES = 30
+_SAME = 1e-6  # of the side's size: corners no further apart are one corner
+
+
+def outer_faces(meshes: tuple[Mesh, Mesh], joint: Joint, states: int = 5) -> Flags:
+    """Per side (F,) faces that a ray from outside can hit at one of `states` joint states spread over the range.
+
+    First parallel rays from 40 directions, others at each state; then, for faces that these missed (smaller than the
+    rays' spacing, or deep inside), rays from their centres outwards, in 30 directions, others at each state: a face is
+    outer when one of them escapes. What shows through a slit in less than about one direction in fifty may be missed.
+    """
+    caster = Caster(meshes)
+    flags = (np.zeros(len(meshes[0].faces), bool), np.zeros(len(meshes[1].faces), bool))
+    twins = same_faces(meshes[0]), same_faces(meshes[1])
+    poses = [(np.eye(4), joint.transform(q)) for q in np.linspace(*motion_range(joint), states)]
+    directions = _sphere(_DIRECTIONS * states)
+    for k, Ts in enumerate(poses):
+        _mark_from_outside(caster, meshes, Ts, directions[k::states], flags)
+    _spread(flags, twins)
+    directions = _sphere(_ESCAPES * states)
+    for k, Ts in enumerate(poses):
+        _mark_escaping(caster, meshes, Ts, directions[k::states], flags, twins)
+    return flags
+
+
+def visible_faces(
+    meshes: tuple[Mesh, Mesh], camera: Camera, views: Iterable[tuple[Array, Array, NDArray[np.bool_]]]
+) -> Flags:
+    """Per side (F,) faces hit by a pixel's ray in one of the views, and the faces that lie on those.
+
+    A view is the pose of each side (4, 4) and the foreground (height, width) to look at.
+    """
+    caster = Caster(meshes)
+    flags = (np.zeros(len(meshes[0].faces), bool), np.zeros(len(meshes[1].faces), bool))
+    for T_first, T_second, foreground in views:
+        _mark(caster.look(camera, (T_first, T_second), foreground), flags)
+    _spread(flags, (same_faces(meshes[0]), same_faces(meshes[1])))
+    return flags
+
+
+def same_faces(mesh: Mesh) -> NDArray[np.int64]:
+    """(F,) group of each face: faces with the same three corners, whichever way round, share one.
+
+    PartNet-Mobility draws most faces twice, once for each way to look at them; a ray hits either.
+    """
+    if mesh.empty:
+        return np.zeros(0, np.int64)
+    cell = max(_SAME * float(np.ptp(mesh.vertices, axis=0).max()), 1e-12)
+    corner = np.unique(np.rint(mesh.vertices / cell).astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
+    return np.unique(np.sort(corner[mesh.faces], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _spread(flags: Flags, twins: tuple[NDArray[np.int64], NDArray[np.int64]]) -> None:
+    """What holds for a face holds for the faces that lie on it."""
+    for flag, group in zip(flags, twins, strict=True):
+        marked = np.zeros(group.max(initial=-1) + 1, bool)
+        marked[group[flag]] = True
+        flag |= marked[group]
+
+
+def _mark(hits: Hits, flags: Flags) -> None:
+    for k in (0, 1):
+        flags[k][hits.face[hits.side == k]] = True
+
+
+def _mark_from_outside(
+    caster: Caster, meshes: tuple[Mesh, Mesh], Ts: tuple[Array, Array], directions: Array, flags: Flags
+) -> None:
+    corners = np.concatenate([se3.transform(T, m.vertices) for T, m in zip(Ts, meshes, strict=True)])
+    low, high = corners.min(0), corners.max(0)
+    centre, radius = (low + high) / 2, 0.5 * np.linalg.norm(high - low)
+    offsets = (np.arange(_GRID) + 0.5) / _GRID * 2 - 1
+    u, v = (g.reshape(-1, 1) for g in np.meshgrid(offsets, offsets))
+    for direction in directions:
+        across = np.linalg.svd(direction[None])[2][1:]
+        origins = centre - 2 * radius * direction + radius * (u * across[0] + v * across[1])
+        _mark(caster.cast(origins, np.broadcast_to(direction, origins.shape), Ts), flags)
+
+
+def _mark_escaping(
+    caster: Caster,
+    meshes: tuple[Mesh, Mesh],
+    Ts: tuple[Array, Array],
+    directions: Array,
+    flags: Flags,
+    twins: tuple[NDArray[np.int64], NDArray[np.int64]],
+) -> None:
+    for k, (T, mesh) in enumerate(zip(Ts, meshes, strict=True)):
+        rest = np.flatnonzero(~flags[k])
+        rest = rest[np.unique(twins[k][rest], return_index=True)[1]]  # one of each pair of faces that lie together
+        corners = se3.transform(T, mesh.vertices)[mesh.faces[rest]]
+        middle = corners.mean(1)
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        step = 1e-5 * float(np.ptp(mesh.vertices, axis=0).max()) if len(rest) else 0.0
+        for direction in directions:
+            cosine = normal @ direction
+            todo = np.flatnonzero((np.abs(cosine) > 0.15) & ~flags[k][rest])
+            out = np.sign(cosine[todo])[:, None] * normal[todo]
+            hits = caster.cast(middle[todo] + step * out, np.broadcast_to(direction, (len(todo), 3)), Ts)
+            flags[k][rest[todo[hits.side < 0]]] = True
+    _spread(flags, twins)
+
+
+def _sphere(n: int) -> Array:
+    """n directions (n, 3), evenly spread (Fibonacci)."""
+    z = 1 - 2 * (np.arange(n) + 0.5) / n
+    angle = np.pi * (1 + 5**0.5) * np.arange(n)
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)

@@ -1,0 +1,182 @@
+"""Any URDF with meshes, brought into the shape of a PartNet-Mobility folder, which the one loader reads.
+
+Meshes (OBJ, STL, PLY) become OBJ files with a picture for every colour. A visual that the URDF gives a colour has it;
+else the mesh's own materials count, else it is grey. A mesh that bounds no volume (open, or faces of it turned round)
+is drawn twice, once a side, as PartNet-Mobility's are: renderers show a face from its front alone. Collision shapes are
+left out; joints, inertia, origins and scales stay as they are. What a mesh names must lie in the URDF's folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.asset import movable_joint
+from freeart21.files.urdf import UrdfShape, named_inside, parsed
+from generator import partnet, textures
+from generator.model import SHINE
+from generator.partnet_files import MAX_OBJ_BYTES, Gaps, read_obj
+from generator.surface import Paint, Surface
+
+_NOTES = "notes.json"
+"""What the URDF's folder lacks, kept beside what was made of it."""
+_GREY = np.full(3, 153, np.uint8)
+_OTHERS = (".stl", ".ply")
+_BEYOND = 1e6  # a coordinate beyond this is no object's
+
+
+def object_name(urdf: Path) -> str:
+    """What an object of this file is called; FreeArtError unless it may be the name of a folder."""
+    name = urdf.stem
+    if not name or not all(c.isalnum() or c in "-_." for c in name) or name.startswith("."):
+        raise FreeArtError(f"{urdf}: '{name}' cannot name a recording; expected letters, digits, '-', '_' and '.'")
+    return name
+
+
+def digest(urdf: Path) -> str:
+    """SHA-256, hexadecimal, of the URDF and of the meshes that it shows."""
+    sums = hashlib.sha256()
+    names = {shape.filename for link in partnet.read_tree(urdf).links.values() for shape in link.visuals}
+    for path in (urdf, *(named_inside(urdf, name) for name in sorted(names) if name)):
+        sums.update(hashlib.sha256(path.read_bytes() if path.is_file() else b"").digest())
+    return sums.hexdigest()
+
+
+def load_urdf(urdf: Path, folder: Path, joint: str | None = None, skip_missing: bool = False) -> partnet.PartNetObject:
+    """The object of a URDF by the joint named, or the only movable one; `folder` is written unless it is there.
+
+    Raises FreeArtError, in one line, as `generator.partnet.load` does.
+    """
+    scored = movable_joint(urdf, joint).name
+    try:
+        if not folder.is_dir():
+            write_folder(urdf, folder, skip_missing)
+        loaded = partnet.load(folder, scored)
+        told = checked.read_json(folder / _NOTES)["notes"]
+        return replace(loaded, notes=(*told, *loaded.notes))
+    except atomic.CannotWrite:
+        raise
+    except FreeArtError as error:
+        raise FreeArtError(str(error).replace(str(folder / partnet.URDF_NAME), str(urdf))) from error
+
+
+def write_folder(urdf: Path, folder: Path, skip_missing: bool = False) -> Path:
+    """Write the new folder `folder` with mobility.urdf, OBJ meshes and pictures of what `urdf` shows."""
+    read, robot = partnet.read_tree(urdf), parsed(urdf)
+    gaps = Gaps()
+    with atomic.new_folder(folder) as aside:
+        count = 0
+        for element in [*robot]:
+            if element.tag not in ("link", "joint"):
+                robot.remove(element)
+        for link in robot.findall("link"):
+            for collision in link.findall("collision"):
+                link.remove(collision)
+            shapes = read.links[link.get("name", "")].visuals
+            for visual, shape in zip(link.findall("visual"), shapes, strict=True):
+                surface = _surface(shape, urdf, f"{urdf}: link '{link.get('name')}'", skip_missing, gaps)
+                if surface is None or len(surface.faces) == 0:
+                    link.remove(visual)
+                    continue
+                count += 1
+                surface = surface if _bounds_volume(surface) else _both_sides(surface)
+                for own in visual.findall("material"):
+                    visual.remove(own)
+                mesh = visual.find("geometry/mesh")
+                assert mesh is not None
+                mesh.set("filename", f"textured_objs/{_write(surface, aside, f'mesh-{count}')}")
+        atomic.write_json(aside / _NOTES, {"notes": gaps.notes()})
+        atomic.write_bytes(aside / partnet.URDF_NAME, ET.tostring(robot))
+    return folder
+
+
+def clear_notes(folder: Path) -> None:
+    """Leave what a URDF shows in `folder`, and nothing that was said of it."""
+    (folder / _NOTES).unlink()
+
+
+def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, gaps: Gaps) -> Surface | None:
+    """What a visual shows, in its mesh's own frame; None where its file is absent and may be."""
+    if shape.kind != "mesh" or not shape.filename:
+        raise FreeArtError(f"{where} has a visual that is a {shape.kind or 'nothing'}, expected <mesh filename=...>")
+    if not shape.size.all():
+        raise FreeArtError(f"{where} has a mesh of scale {shape.size.tolist()}, expected none to be zero")
+    path, ending = named_inside(urdf, shape.filename), Path(shape.filename).suffix.lower()
+    if ending not in (".obj", *_OTHERS):
+        raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected .obj, {' or '.join(_OTHERS)}")
+    if not path.is_file():
+        if skip_missing:
+            gaps.meshes.add(shape.filename)
+            return None
+        raise FreeArtError(
+            f"{where} names the mesh {shape.filename}, which does not exist; --skip-missing leaves absent meshes out"
+        )
+    surface = read_obj(path, urdf.parent, gaps) if ending == ".obj" else _read_plain(path, ending)
+    if shape.rgba is None:
+        return surface
+    colour = Paint(np.rint(255 * np.clip(shape.rgba[:3], 0, 1)).astype(np.uint8))
+    return replace(surface, paint=np.zeros_like(surface.paint), paints=(colour,))
+
+
+def _read_plain(path: Path, ending: str) -> Surface:
+    """The triangles of a mesh file without materials."""
+    data = checked.require_file(path, MAX_OBJ_BYTES).read_bytes()
+    try:
+        mesh = trimesh.load_mesh(io.BytesIO(data), file_type=ending[1:])
+        vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
+    except Exception as error:  # trimesh raises of many kinds
+        raise FreeArtError(f"{path} is not a readable {ending} file: {' '.join(str(error).split())}") from error
+    if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
+        raise FreeArtError(f"{path} is not a readable {ending} file: it has no faces, or they name absent vertices")
+    if not (np.abs(vertices) < _BEYOND).all():
+        raise FreeArtError(f"{path} has vertices that are not finite or beyond {_BEYOND:g}")
+    count = len(vertices)
+    return Surface(vertices, faces, np.zeros((count, 2)), np.zeros(count, np.int64), (Paint(_GREY),))
+
+
+def _bounds_volume(surface: Surface) -> bool:
+    """Whether the surface is closed and its faces all look out of it."""
+    return bool(trimesh.Trimesh(surface.vertices, surface.faces, process=True).is_volume)
+
+
+def _both_sides(surface: Surface) -> Surface:
+    """The surface, and once more with its faces turned round."""
+    return Surface.joined([surface, replace(surface, faces=surface.faces[:, ::-1])])
+
+
+def _write(surface: Surface, folder: Path, stem: str) -> str:
+    """Write a surface as textured_objs/STEM.obj, with materials and pictures; its file's name."""
+    strength, exponent = SHINE["plastic"]
+    lines, materials = [f"mtllib {stem}.mtl"], []
+    lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in surface.vertices.tolist()]
+    lines += [f"vt {u:.6g} {v:.6g}" for u, v in surface.uv.tolist()]
+    of_face = surface.paint[surface.faces[:, 0]]
+    for k, paint in enumerate(surface.paints):
+        faces = surface.faces[of_face == k] + 1
+        if len(faces) == 0:
+            continue
+        lines.append(f"usemtl paint-{k}")
+        lines += [f"f {a}/{a} {b}/{b} {c}/{c}" for a, b, c in faces.tolist()]
+        picture = textures.plain(tuple((paint.colour / 255.0).tolist())) if paint.picture is None else paint.picture
+        atomic.write_bytes(folder / "images" / f"{stem}-{k}.png", checked.encode_png(picture))
+        # pictures also of plain colours: SAPIEN takes Kd as linear
+        materials += [
+            f"newmtl paint-{k}",
+            "illum 2",
+            "d 1",
+            f"Ns {exponent:g}",
+            "Kd 1 1 1",
+            f"Ks {strength:g} {strength:g} {strength:g}",
+            f"map_Kd ../images/{stem}-{k}.png",
+        ]
+    atomic.write_bytes(folder / "textured_objs" / f"{stem}.obj", ("\n".join(lines) + "\n").encode())
+    atomic.write_bytes(folder / "textured_objs" / f"{stem}.mtl", ("\n".join(materials) + "\n").encode())
+    return f"{stem}.obj"

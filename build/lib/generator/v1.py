@@ -1,0 +1,166 @@
+"""FreeArt-21 v1: which shapes and motions its sequences have, frozen so that results can be compared for years.
+
+The public split is for tuning, the test split is only scored. `freeart21_v1.json` holds a fingerprint of every
+sequence's shape and motion. A change that moves one of them is a new version of the benchmark: give it a new number and
+new fingerprints by `python -m generator.v1 --write`, and say so in the changelog.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+import numpy as np
+import tyro
+
+from freeart21 import catalog
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.benchmark import read_benchmark
+from freeart21.se3 import Array
+from generator import objects
+from generator.dataset import Job, Label
+from generator.model import ObjectModel
+from generator.progress import progress_bar
+from generator.session import RecordSettings, load_object, planned
+
+NAME, VERSION = "freeart21-v1", "1"
+Split = Literal["public", "test"]
+
+SEEDS: dict[Split, int] = {"public": 1, "test": 42}
+"""Seed of all sequences of a split: of shapes, motions and views."""
+
+_STYLES = ("tumble", "inspect", "wave")
+_FROZEN = Path(__file__).with_name("freeart21_v1.json")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One sequence of the benchmark."""
+
+    object: str
+    """Name in the catalog."""
+    sequence: str
+    """Name of its folders; tells nothing in the test split."""
+    seed: int
+    motion: str
+
+
+def entries(split: Split) -> tuple[Entry, ...]:
+    """The 21 sequences of a split: every category has one object of each style, and the splits differ in which."""
+    found = []
+    for k, name in enumerate(catalog.built_in_names()):
+        seed, turn = SEEDS[split], get_args(Split).index(split)
+        opaque = hashlib.sha256(f"{NAME} {split} {name} {seed}".encode()).hexdigest()[:8]
+        sequence = f"{name}-v{VERSION}" if split == "public" else f"test-{opaque}"
+        found.append(Entry(name, sequence, seed, _STYLES[(k + k // 3 + turn) % 3]))
+    return tuple(found)
+
+
+def jobs(split: Split, settings: RecordSettings | None = None) -> list[Job]:
+    """What the recorder has to do for a split; `settings` are the benchmark's own but for seed and motion."""
+    settings = settings or RecordSettings()
+    return [Job(e.object, e.sequence, replace(settings, seed=e.seed, motion=e.motion)) for e in entries(split)]
+
+
+def label(split: Split, settings: RecordSettings) -> Label:
+    """What benchmark.json says of a split; it has another name when `settings` are not the benchmark's own."""
+    own = RecordSettings(seed=settings.seed, motion=settings.motion)
+    return Label(NAME if settings == own else f"{NAME}-changed", VERSION, split)
+
+
+def keep_apart(out: Path, jobs: Sequence[Job], label: Label | None) -> None:
+    """FreeArtError when the folder `out` would bear the benchmark's name with other sequences than its own.
+
+    `label` is that of the `jobs`; None takes the folder's, or the folder's name.
+    """
+    known = read_benchmark(out) if (out / "benchmark.json").is_file() else None
+    if label is None and (known.name if known else out.resolve().name) == NAME:
+        raise FreeArtError(f"{out} is {NAME}, which has sequences of its own only; choose a folder of another name")
+    strange = set(known.sequences if known else ()) - {job.sequence for job in jobs}
+    if label is not None and strange:
+        raise FreeArtError(
+            f"{out} holds {min(strange)}, which is not of {label.name} {label.split}; choose another folder"
+        )
+
+
+def frozen() -> dict[str, dict[str, str]]:
+    """Sequence name to the fingerprints of its shape and motion when this version was made, both splits."""
+    return checked.read_json(_FROZEN)["sequences"]
+
+
+def shape_fingerprint(entry: Entry) -> str:
+    """SHA-256, hexadecimal, of an object's solids, joints and mean colours, rounded to micrometres."""
+    return _digest(_shape(objects.build(entry.object, entry.seed)))
+
+
+def motion_fingerprint(entry: Entry, settings: RecordSettings | None = None) -> str:
+    """SHA-256, hexadecimal, of a sequence's poses and states, rounded to 1e-4 where machines agree (m, rad).
+
+    `settings` are the benchmark's own when not given, but for seed and motion.
+    """
+    settings = replace(settings or RecordSettings(), seed=entry.seed, motion=entry.motion)
+    with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
+        plan = planned(load_object(catalog.find(entry.object), settings, Path(place)), settings)[1]
+    return _digest([_text(plan.Ts_camera_object[:, :3], 4), _text(plan.states, 4)])
+
+
+def fingerprints(entry: Entry) -> dict[str, str]:
+    """Both fingerprints of a sequence."""
+    return {"shape": shape_fingerprint(entry), "motion": motion_fingerprint(entry)}
+
+
+def _digest(facts: list[str]) -> str:
+    return hashlib.sha256("\n".join(facts).encode()).hexdigest()
+
+
+def _shape(model: ObjectModel) -> list[str]:
+    facts = []
+    for link in model.links:
+        facts.append(link.semantic)
+        if link.hinge is not None:
+            hinge = link.hinge
+            numbers = _text(np.array([*hinge.axis, *hinge.pivot, hinge.lower, hinge.upper]), 6)
+            facts.append(f"{hinge.type} {hinge.parent} {numbers}")
+        for piece in link.pieces:
+            look = piece.material.texture
+            colour = np.array(piece.material.colour) * 255 if look is None else look.reshape(-1, 3).mean(0)
+            facts.append(f"{piece.name} {piece.material.finish} {_text(colour, 0)}")
+            facts.append(_text(np.array(piece.solid.bounding_box()), 6))
+    return facts
+
+
+def _text(values: Array, digits: int) -> str:
+    return " ".join(f"{v + 0.0:.{digits}f}" for v in np.round(values, digits).ravel() + 0.0)
+
+
+def main(
+    write: Annotated[bool, tyro.conf.arg(help="Take what the sequences are now for what they shall be.")] = False,
+) -> int:
+    """Compare all sequences with their frozen fingerprints; exit code 1 when one differs."""
+    every = [entry for split in get_args(Split) for entry in entries(split)]
+    now = {}
+    with progress_bar("fingerprints") as progress:
+        for k, entry in enumerate(every):
+            now[entry.sequence] = fingerprints(entry)
+            progress(k + 1, len(every))
+    if write:
+        atomic.write_json(_FROZEN, {"name": NAME, "version": VERSION, "sequences": now})
+        return 0
+    known = frozen()
+    changed = [e for e in every if known.get(e.sequence) != now[e.sequence]]
+    for e in changed:
+        what = " and ".join(k for k, v in now[e.sequence].items() if known.get(e.sequence, {}).get(k) != v)
+        print(f"{NAME}: {what} of {e.sequence} ({e.object}, seed {e.seed}, {e.motion}) changed: that is a new version")
+    if not changed:
+        print(json.dumps({"name": NAME, "version": VERSION, "unchanged": len(every)}))
+    return int(bool(changed))
+
+
+if __name__ == "__main__":
+    raise SystemExit(tyro.cli(main))

@@ -1,0 +1,276 @@
+"""Methods side by side on one benchmark, by one protocol: statistics by group, and how sure their differences are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import pandas as pd
+
+from freeart21.errors import FreeArtError
+from freeart21.files.benchmark import read_benchmark
+from freeart21.joint import JointType
+from leaderboard.archive import results_folder
+from leaderboard.categories import UNKNOWN, category_of
+from leaderboard.kept import kept_scores
+from leaderboard.paired import Interval, paired_intervals
+from leaderboard.protocol import Metric, Protocol
+from leaderboard.protocols import DEFAULT, protocol_named
+from leaderboard.rows import Row, Scores, Statistic
+from leaderboard.score import benchmark_facts, statistic
+from leaderboard.scores_file import read_scores
+
+By = Literal["type", "category", "sequence"]
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """One method of a comparison."""
+
+    name: str
+    """What it is called here: the method's name, and where it was found when several have the same."""
+    scores: Scores
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One method over a group of sequences; failures and missing ones at their price."""
+
+    sequences: int
+    failures: int
+    statistics: dict[str, Statistic]
+    """Metric id to its statistic; without those that have no one unit in the group, or no number."""
+
+    @property
+    def coverage(self) -> float:
+        """Fraction that was measured."""
+        return 1 - self.failures / self.sequences if self.sequences else 0.0
+
+
+@dataclass(frozen=True)
+class Group:
+    """Sequences that are summed up together."""
+
+    by: By
+    name: str
+    sequences: tuple[str, ...]
+    types: tuple[JointType, ...]
+    """Joint types that occur in it."""
+
+    def unit(self, metric: Metric) -> str | None:
+        """The metric's unit in this group; None where there is none, or no common one."""
+        return metric.unit(self.types[0] if len(self.types) == 1 else "all")
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How much more a method's number is than another's, over the sequences for which both have one."""
+
+    method: str
+    other: str
+    metric: str
+    interval: Interval
+    verdict: Literal["better", "worse", "open"]
+    """Of `method`; 'open' while 0 lies within the interval, or there are too few sequences for one."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Several methods, scored by the same code and protocol on the same benchmark."""
+
+    rules: Protocol
+    benchmark: dict[str, str]
+    entrants: tuple[Entrant, ...]
+    categories: dict[str, str]
+    """Every sequence of the benchmark, in its order, to its object's category."""
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def types(self) -> dict[str, JointType]:
+        """Sequence to its joint's true type, for those that somebody was scored on, in the benchmark's order."""
+        found = {row.sequence: row.joint_type for entrant in self.entrants for row in entrant.scores.rows}
+        return {name: found[name] for name in self.categories if name in found}
+
+    def row(self, entrant: Entrant, sequence: str) -> Row | None:
+        """The row of a method for a sequence; None when it was not scored on it."""
+        return self._rows[entrant.name].get(sequence)
+
+    def groups(self, by: By) -> tuple[Group, ...]:
+        """The groups: joint types and then all together, or categories, or each sequence for itself."""
+        kinds: dict[str, list[str]] = {}
+        for name, kind in self.types.items():
+            kinds.setdefault({"type": kind, "category": self.categories[name], "sequence": name}[by], []).append(name)
+        order = get_args(JointType) if by == "type" else kinds if by == "sequence" else sorted(kinds)
+        found = [self._group(by, kind, kinds[kind]) for kind in order if kind in kinds]
+        return (*found, self._group(by, "all", list(self.types))) if by == "type" and len(found) > 1 else tuple(found)
+
+    def standing(self, entrant: Entrant, group: Group) -> Standing:
+        """What the method reached in the group."""
+        rows = [row for name in group.sequences if (row := self.row(entrant, name)) is not None]
+        statistics = {}
+        for metric in self.rules.metrics:
+            numbers = [v for row in rows if (v := row.values.get(metric.id)) is not None]
+            if numbers and group.unit(metric) is not None:
+                statistics[metric.id] = statistic(numbers, metric.direction)
+        return Standing(len(rows), sum(row.status != "ok" for row in rows), statistics)
+
+    def differences(self, group: Group) -> tuple[Difference, ...]:
+        """Each method less each one before it, for every metric that both have a number of in the group."""
+        pairs = list(combinations(self.entrants, 2))
+        found = []
+        for metric in self.rules.metrics if pairs else ():
+            if group.unit(metric) is None:
+                continue
+            numbers = {entrant.name: self._numbers(entrant, group, metric) for entrant in self.entrants}
+            columns = np.stack([numbers[later.name] - numbers[first.name] for first, later in pairs], axis=1)
+            for (first, later), interval in zip(pairs, paired_intervals(columns), strict=True):
+                if interval is not None:
+                    found.append(Difference(later.name, first.name, metric.id, interval, _verdict(interval, metric)))
+        return tuple(found)
+
+    def frame(self) -> pd.DataFrame:
+        """A line a sequence and method: sequence, type, category, method, status, and every metric in its unit."""
+        lines = []
+        for name, kind in self.types.items():
+            for entrant in self.entrants:
+                row = self.row(entrant, name)
+                if row is not None:
+                    facts = {"sequence": name, "type": kind, "category": self.categories[name]}
+                    lines.append({**facts, "method": entrant.name, "status": row.status, **row.values})
+        table = pd.DataFrame(lines)
+        return table.astype({metric.id: float for metric in self.rules.metrics})
+
+    @cached_property
+    def _rows(self) -> dict[str, dict[str, Row]]:
+        return {entrant.name: {row.sequence: row for row in entrant.scores.rows} for entrant in self.entrants}
+
+    def _group(self, by: By, name: str, sequences: list[str]) -> Group:
+        types = tuple(kind for kind in get_args(JointType) if any(self.types[s] == kind for s in sequences))
+        return Group(by, name, tuple(sequences), types)
+
+    def _numbers(self, entrant: Entrant, group: Group, metric: Metric) -> np.ndarray:
+        """(n,) the method's number for every sequence of the group, NaN where it has none."""
+        rows = [self.row(entrant, name) for name in group.sequences]
+        values = [None if row is None else row.values.get(metric.id) for row in rows]
+        return np.array([np.nan if value is None else value for value in values])
+
+
+def compare_results(
+    results: Sequence[Path],
+    data: Path,
+    protocol: str | None = None,
+    keep: Path | None = None,
+    progress: Callable[[Path, Row, int], None] | None = None,
+    truth: Path | None = None,
+) -> Comparison:
+    """The comparison of `results`: results folders, or a .zip of one, which are scored (`kept_scores`), or tables of
+    `score --out`.
+
+    `protocol` None takes that of the tables, or the default when there is none. Raises FreeArtError in one line when
+    tables are of another protocol, of another benchmark than `data` or of other truths, or were scored by other code:
+    such numbers are never set side by side. `truth` is where a packed data folder's truth lies.
+    """
+    if not results:
+        raise FreeArtError("compare: nothing was named; name results folders, or tables of `freeart21 score --out`")
+    places = [Path(place) for place in results]
+    there = [place.resolve() for place in places]
+    twice = [place for place, path in zip(places, there, strict=True) if there.count(path) > 1]
+    if twice:
+        raise FreeArtError(f"{twice[-1]} is named twice; a method is compared with others")
+    benchmark = read_benchmark(data, truth)
+    tables = {place: read_scores(place) for place in places if place.is_file() and place.suffix.lower() != ".zip"}
+    name = protocol or next((table.protocol for table in tables.values()), DEFAULT)
+    rules = protocol_named(name)
+    for place, table in tables.items():
+        if table.protocol != rules.name:
+            raise FreeArtError(
+                f"{place} is scored by {table.protocol}, expected {rules.name}: numbers of different protocols are not "
+                "to be set side by side"
+            )
+
+    def scored(place: Path) -> Scores:
+        if place in tables:
+            return tables[place]
+        told = None if progress is None else lambda row, of: progress(place, row, of)
+        with results_folder(place) as folder:
+            return kept_scores(folder, data, rules.name, keep, told, truth=truth)
+
+    found = [(place, scored(place)) for place in places]
+    facts = benchmark_facts(benchmark)
+    notes = _checked(found, facts, benchmark.sequences)
+    known = not benchmark.hidden or benchmark.apart is not None  # tables alone can be compared without any truth
+    categories = {name: category_of(benchmark.truth(name)) if known else UNKNOWN for name in benchmark.sequences}
+    return Comparison(rules, facts, _entrants(found), categories, notes)
+
+
+def _checked(found: list[tuple[Path, Scores]], facts: dict[str, str], sequences: tuple[str, ...]) -> tuple[str, ...]:
+    """FreeArtError unless all tables may be set side by side; what the reader should know of them besides."""
+    first, reference = found[0]
+    truths: dict[str, tuple[Path, str]] = {}
+    for place, scores in found:
+        if scores.benchmark["sha256"] != facts["sha256"]:
+            raise FreeArtError(
+                f"{place} is scored on {_set(scores.benchmark)}, expected {_set(facts)}: another benchmark, or another "
+                "state of it"
+            )
+        if scores.made_with.get("scoring") != reference.made_with.get("scoring"):
+            raise FreeArtError(
+                f"{place} is scored by other code ({_code(scores)}) than {first} ({_code(reference)}): score it again, "
+                "or name its results folder instead"
+            )
+        for row in scores.rows:
+            if row.sequence not in sequences:
+                raise FreeArtError(f"{place} has a row for {row.sequence}, which is no sequence of {_set(facts)}")
+            if row.truth_sha256 is not None:
+                other, said = truths.setdefault(row.sequence, (place, row.truth_sha256))
+                if said != row.truth_sha256:
+                    raise FreeArtError(f"{place} is scored against another truth of {row.sequence} than {other}")
+    return (*_environment_notes(found), *_partial_notes(found, sequences))
+
+
+def _environment_notes(found: list[tuple[Path, Scores]]) -> list[str]:
+    reference = found[0][1].made_with.get("libraries")
+    return [
+        f"{place} was scored with other versions of libraries than {found[0][0]}: the last digits may differ"
+        for place, scores in found[1:]
+        if scores.made_with.get("libraries") != reference
+    ]
+
+
+def _partial_notes(found: list[tuple[Path, Scores]], sequences: tuple[str, ...]) -> list[str]:
+    return [
+        f"{place} has rows for {len(scores.rows)} of {len(sequences)} sequences: its means are over these"
+        for place, scores in found
+        if len(scores.rows) < len(sequences)
+    ]
+
+
+def _entrants(found: list[tuple[Path, Scores]]) -> tuple[Entrant, ...]:
+    """Each table with a name that no other one has."""
+    names = [scores.method.name for _, scores in found]
+    places = [place.resolve().name for place, _ in found]
+    full = [n if names.count(n) == 1 else f"{n} ({place})" for n, place in zip(names, places, strict=True)]
+    unique = [n if full.count(n) == 1 else f"{n} {full[: k + 1].count(n)}" for k, n in enumerate(full)]
+    while len(set(unique)) < len(unique):  # a name that is what another one was numbered to
+        unique = [n if unique.count(n) == 1 else f"{n} {unique[: k + 1].count(n)}" for k, n in enumerate(unique)]
+    return tuple(Entrant(name, scores) for name, (_, scores) in zip(unique, found, strict=True))
+
+
+def _verdict(interval: Interval, metric: Metric) -> Literal["better", "worse", "open"]:
+    if not interval.sure:
+        return "open"
+    return "better" if (interval.mean > 0) == (metric.direction == "up") else "worse"
+
+
+def _set(facts: dict[str, str]) -> str:
+    return f"{facts['name']} {facts['version']} ({facts['sha256'][:12]})"
+
+
+def _code(scores: Scores) -> str:
+    said: Any = scores.made_with.get("scoring")
+    return f"scoring {str(said)[:12]}"

@@ -1,0 +1,335 @@
+"""A comparison as tables of words, which are then written for a screen, in Markdown or in LaTeX."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from leaderboard import paired
+from leaderboard.compare import By, Comparison, Difference, Entrant, Group, Standing
+from leaderboard.protocol import Metric
+from leaderboard.rows import Statistic
+from leaderboard.submission import printable
+from leaderboard.tables import NOTHING, WIDTH, column_foot, column_head, decimals, ranking_metrics, sign
+
+_LONGEST_NAME = 22
+"""Characters of a method's name in a line of the screen."""
+_MARKS = {"better": " ✓", "worse": " ✗", "open": ""}
+_LATEX = {
+    **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
+    **{c: f"\\{c}" for c in "&%$#_{}"},
+    **{NOTHING: "--", "±": r"$\pm$", "°": r"$^{\circ}$", "↑": r"$\uparrow$", "↓": r"$\downarrow$"},
+    **{
+        "✓": r"$\checkmark$",
+        "✗": r"$\times$",
+        "²": r"$^{2}$",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        "|": r"\textbar{}",
+    },
+}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What stands in one place of a table."""
+
+    text: str
+    best: bool = False
+    """Whether it is to stand out."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table in words: the first column names the row."""
+
+    title: str
+    head: tuple[str, ...]
+    """A head a column, in lines."""
+    sections: tuple[tuple[str, tuple[tuple[Cell, ...], ...]], ...]
+    """Name and rows of each section."""
+
+
+def grids(comparison: Comparison, by: By) -> tuple[Grid, ...]:
+    """The tables of a comparison: means with standard deviations, medians with the worst, and differences of the
+    methods to the first one; by sequence the numbers themselves."""
+    groups, metrics = comparison.groups(by), ranking_metrics(comparison.rules)
+    if by == "sequence":
+        return (_grid(comparison, groups, metrics, _value, "each sequence", False),)
+    found = [
+        _grid(comparison, groups, metrics, _mean, "mean ± standard deviation", True),
+        _grid(comparison, groups, metrics, _median, "median (worst)", True),
+    ]
+    return (*found, *_difference_grids(comparison, groups, metrics))
+
+
+def legend(comparison: Comparison, by: By) -> tuple[str, ...]:
+    """What the tables mean, in lines."""
+    lines = [
+        f"Protocol {comparison.rules.name} on {comparison.benchmark['name']} {comparison.benchmark['version']}: "
+        f"{len(comparison.types)} sequences; failures and missing ones are in every number, at their price.",
+    ]
+    if by != "sequence":
+        lines.append("Standard deviations are of a sample (ddof 1). measured: rows that were not priced. Best in bold.")
+    if by != "sequence" and len(comparison.entrants) > 1:
+        lines.append(
+            f"Differences: mean over the same sequences, {100 * paired.LEVEL:g} % interval ({paired.KIND}; "
+            f"{paired.RESAMPLES} resamples, seed {paired.SEED}); none below {paired.fewest()} sequences. "
+            f"✓ better, ✗ worse than {comparison.entrants[0].name}; unmarked: 0 lies within, or there is no interval. "
+            "Where nothing differs, one interval in twenty leaves 0 out."
+        )
+    lacking = [
+        f"{NOTHING} {entrant.name} makes no {', '.join(entrant.scores.method.lacks)}."
+        for entrant in comparison.entrants
+        if entrant.scores.method.lacks
+    ]
+    return tuple(printable(line) for line in (*lines, *lacking, *comparison.notes))
+
+
+# ---- what stands in a cell
+
+
+def _grid(
+    comparison: Comparison,
+    groups: tuple[Group, ...],
+    metrics: Sequence[Metric],
+    cell: Callable[[Standing, Group, Metric], str],
+    what: str,
+    summed: bool,
+) -> Grid:
+    rules = comparison.rules
+    typed = summed and any(metric.id == "joint_type" for metric in rules.metrics)
+    head = ["method", "measured", *(["type\n↑"] if typed else [])]
+    head += [f"{column_head(metric)}\n{column_foot(metric)}" for metric in metrics]
+    sections = []
+    for group in groups:
+        standings = [comparison.standing(entrant, group) for entrant in comparison.entrants]
+        best = {metric.id: _best(standings, metric, "median" if cell is _median else "mean") for metric in metrics}
+        rows = []
+        for k, (entrant, standing) in enumerate(zip(comparison.entrants, standings, strict=True)):
+            cells = [Cell(entrant.name), Cell(_measured(comparison, entrant, group, standing, summed))]
+            if typed:
+                right = standing.statistics.get("joint_type")
+                cells.append(Cell(NOTHING if right is None else f"{100 * right.mean:.0f}%"))
+            cells += [Cell(cell(standing, group, metric), k in best[metric.id]) for metric in metrics]
+            rows.append(tuple(cells))
+        sections.append((_section(comparison, group), tuple(rows)))
+    return Grid(f"{rules.name}, {what}", tuple(head), tuple(sections))
+
+
+def _section(comparison: Comparison, group: Group) -> str:
+    if group.by == "sequence":
+        return f"{group.name}: {comparison.categories[group.name]}, {group.types[0]}"
+    n = len(group.sequences)
+    return f"{group.name}, {n} sequence{'' if n == 1 else 's'}"
+
+
+def _measured(comparison: Comparison, entrant: Entrant, group: Group, standing: Standing, summed: bool) -> str:
+    if summed:
+        return f"{standing.sequences - standing.failures}/{standing.sequences}"
+    row = comparison.row(entrant, group.name)
+    return NOTHING if row is None else row.status
+
+
+def _best(standings: Sequence[Standing], metric: Metric, by: Literal["mean", "median"]) -> set[int]:
+    """Which of several methods have the best mean (or median); none when only one has any."""
+    found = {k: getattr(s.statistics[metric.id], by) for k, s in enumerate(standings) if metric.id in s.statistics}
+    if len(found) < 2:
+        return set()
+    best = max(found.values()) if metric.direction == "up" else min(found.values())
+    return {k for k, value in found.items() if value == best}
+
+
+def _found(standing: Standing, group: Group, metric: Metric) -> tuple[Statistic | None, str, str]:
+    """The statistic, its unit, and what to write behind its numbers where the column's head has no unit."""
+    unit = group.unit(metric) or ""
+    return standing.statistics.get(metric.id), unit, "" if metric.unit("all") else sign(unit)
+
+
+def number(value: float, unit: str) -> str:
+    """A number of a unit with the digits that are written everywhere; whole from 1000 on."""
+    return f"{value:.{decimals(unit) if abs(value) < 999.5 else 0}f}"
+
+
+def _mean(standing: Standing, group: Group, metric: Metric) -> str:
+    found, unit, behind = _found(standing, group, metric)
+    if found is None:
+        return NOTHING
+    spread = "" if found.std is None else f" ± {number(found.std, unit)}"
+    return f"{number(found.mean, unit)}{spread}{behind}"
+
+
+def _median(standing: Standing, group: Group, metric: Metric) -> str:
+    found, unit, behind = _found(standing, group, metric)
+    return NOTHING if found is None else f"{number(found.median, unit)} ({number(found.worst, unit)}){behind}"
+
+
+def _value(standing: Standing, group: Group, metric: Metric) -> str:
+    found, unit, behind = _found(standing, group, metric)
+    return NOTHING if found is None else f"{number(found.mean, unit)}{behind}"
+
+
+def _difference_grids(comparison: Comparison, groups: tuple[Group, ...], metrics: Sequence[Metric]) -> Iterator[Grid]:
+    """One table: a section for each method but the first, a row a metric, a column a group."""
+    first = comparison.entrants[0]
+    found: dict[tuple[str, str, str], Difference] = {}
+    for group in groups:
+        for one in comparison.differences(group) if len(comparison.entrants) > 1 else ():
+            if one.other == first.name:
+                found[one.method, one.metric, group.name] = one
+    sections = []
+    for entrant in comparison.entrants[1:]:
+        rows = []
+        for metric in metrics:
+            name = " ".join(column_head(metric).split())
+            cells = [_difference(found.get((entrant.name, metric.id, g.name)), g, metric) for g in groups]
+            rows.append((Cell(f"{name} {'↑' if metric.direction == 'up' else '↓'}"), *cells))
+        sections.append((f"{entrant.name} less {first.name}", tuple(rows)))
+    if sections:
+        title = f"{comparison.rules.name}, differences to {first.name}"
+        yield Grid(title, ("", *(group.name for group in groups)), tuple(sections))
+
+
+def _difference(found: Difference | None, group: Group, metric: Metric) -> Cell:
+    unit = group.unit(metric)
+    if found is None or unit is None:
+        return Cell(NOTHING)
+    interval = found.interval
+    text = f"{'+' if interval.mean > 0 else ''}{number(interval.mean, unit)}{sign(unit)}"
+    if interval.low is not None and interval.high is not None:
+        text += f" [{number(interval.low, unit)}, {number(interval.high, unit)}]{_MARKS[found.verdict]}"
+    return Cell(text, found.verdict == "better")
+
+
+# ---- on a screen
+
+
+def print_comparison(comparison: Comparison, by: By, console: Console | None = None) -> None:
+    """Print the tables, each in as many pieces as it takes, and what they mean."""
+    console = console or Console()
+    if not console.is_terminal:  # a file or a pipe has no width of its own
+        console.width = max(console.width, WIDTH)
+    for grid in grids(comparison, by):
+        for piece in pieces(grid, console.width):
+            console.print(f"\n[bold]{escape(printable(piece.title))}[/]")
+            console.print(_rich(piece))
+    for line in legend(comparison, by):
+        console.print(f"  {escape(line)}", style="dim")
+
+
+def pieces(grid: Grid, width: int) -> Iterator[Grid]:
+    """The table cut between its columns so that each piece fits `width` characters; the first column is in each."""
+    widths = [_width(grid, k) for k in range(len(grid.head))]
+    at = 1
+    while at < len(widths):
+        end, room = at, width - widths[0]
+        while end < len(widths) and (end == at or widths[end] <= room):
+            room -= widths[end]
+            end += 1
+        chosen = [0, *range(at, end)]
+        sections = tuple((name, tuple(tuple(row[k] for k in chosen) for row in rows)) for name, rows in grid.sections)
+        more = " (goes on)" if at > 1 else ""
+        yield Grid(grid.title + more, tuple(grid.head[k] for k in chosen), sections)
+        at = end
+
+
+def _width(grid: Grid, column: int) -> int:
+    """Characters that a column takes on a screen, its gap included."""
+    texts = [*grid.head[column].split("\n"), *(row[column].text for _, rows in grid.sections for row in rows)]
+    if column == 0:
+        texts += [name for name, _ in grid.sections]
+    longest = max(map(len, texts))
+    return (min(longest, _LONGEST_NAME + 4) if column == 0 else longest) + 2
+
+
+def _rich(grid: Grid) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for k, head in enumerate(grid.head):
+        left = k == 0
+        table.add_column(
+            head,
+            justify="left" if left else "right",
+            no_wrap=not left,
+            overflow="fold",
+            max_width=_LONGEST_NAME + 4 if left else None,
+        )
+    for name, rows in grid.sections:
+        table.add_section()
+        table.add_row(f"[bold]{escape(printable(name))}[/]")
+        for row in rows:
+            first = f"  {_cut(printable(row[0].text), _LONGEST_NAME)}"
+            table.add_row(escape(first), *(f"[bold]{escape(c.text)}[/]" if c.best else escape(c.text) for c in row[1:]))
+    return table
+
+
+def _cut(text: str, longest: int) -> str:
+    return text if len(text) <= longest else f"{text[: longest - 1]}…"
+
+
+# ---- in Markdown and LaTeX
+
+
+def markdown(comparison: Comparison, by: By) -> str:
+    """All tables as Markdown, with what they mean below."""
+    parts = [f"<!-- freeart21 comparison by {by} -->"]
+    for grid in grids(comparison, by):
+        lines = [f"### {_plain(grid.title)}", ""]
+        lines.append("| " + " | ".join(["", *(_plain(" ".join(head.split())) for head in grid.head)]) + " |")
+        lines.append("|---|---|" + "---:|" * (len(grid.head) - 1))
+        for name, rows in grid.sections:
+            for k, row in enumerate(rows):
+                words = [f"**{_plain(c.text)}**" if c.best else _plain(c.text) for c in row]
+                lines.append("| " + " | ".join([_plain(name) if k == 0 else "", *words]) + " |")
+        parts.append("\n".join(lines))
+    return "\n\n".join([*parts, *map(_plain, legend(comparison, by))]) + "\n"
+
+
+def latex(comparison: Comparison, by: By) -> str:
+    """All tables as LaTeX, to be read by \\input; it needs booktabs, graphicx (to fit the page's width) and amssymb."""
+    parts = [
+        f"% freeart21 comparison by {by}; in the preamble: \\usepackage{{booktabs,graphicx,amssymb}}",
+        *(f"% {_ascii(line)}" for line in legend(comparison, by)),
+    ]
+    for grid in grids(comparison, by):
+        last = len(grid.head)
+        lines = [r"\begin{table}[htbp]", r"\centering", rf"\caption{{{_tex(grid.title)}}}"]
+        lines += [r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"]
+        lines += [rf"\begin{{tabular}}{{l{'r' * (last - 1)}}}", r"\toprule"]
+        heads = [head.split("\n") for head in grid.head]
+        depth = max(map(len, heads))
+        for line in range(depth):
+            words = [([""] * (depth - len(head)) + head)[line] for head in heads]
+            lines.append(" & ".join(map(_tex, words)) + r" \\")
+        for name, rows in grid.sections:
+            lines += [r"\midrule", rf"\multicolumn{{{last}}}{{l}}{{\textit{{{_tex(name)}}}}} \\"]
+            for row in rows:
+                words = [rf"\textbf{{{_tex(c.text)}}}" if c.best else _tex(c.text) for c in row]
+                lines.append(" & ".join(words) + r" \\")
+        lines += [r"\bottomrule", r"\end{tabular}}", r"\end{table}"]
+        parts.append("\n".join(lines))
+    return "\n\n".join(parts) + "\n"
+
+
+def _plain(text: str) -> str:
+    """Text that Markdown shows as it is."""
+    return re.sub(r"([\\`*_\[\]|~#])", r"\\\1", html.escape(printable(text), quote=False))
+
+
+def _tex(text: str) -> str:
+    """Text that pdfLaTeX shows as it is; letters beyond Latin-1, which its fonts may not have, are '?'."""
+    words = "".join(_LATEX.get(c, c if ord(c) < 0x100 else "?") for c in printable(text))
+    return re.sub(r"(?<![\w-])-(?=\d)", "$-$", words)
+
+
+def _ascii(text: str) -> str:
+    """Text for a comment of LaTeX; the marks by their names."""
+    words = printable(text).replace("✓", "check mark").replace("✗", "cross")
+    return words.encode("ascii", "replace").decode()

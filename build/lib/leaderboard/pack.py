@@ -1,0 +1,234 @@
+"""A data folder in two: what methods may see, to be handed out, and its truth, to score against elsewhere.
+
+The public half is a function of what a video shows: pictures are decoded and encoded anew, JSON is read and written
+anew, sequences get names that tell nothing, all times are one. Names and the salt of the truth's hash come from a key
+that stays with the makers, so both halves can be made at any time, in any order, with the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import os
+import secrets
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from freeart21 import stopping
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.benchmark import SCHEMA, Benchmark, file_sha256, read_benchmark
+from freeart21.files.hidden import MARKER, PICTURES, digest
+from freeart21.files.hidden import SCHEMA as HIDDEN_SCHEMA
+from freeart21.files.places import Output, require_replaceable
+from freeart21.files.sequence import encode_depth, header_json, queries_json, read_sequence
+
+KEY_SCHEMA = "freeart21/pack-key/1"
+EPOCH_S = 315532800
+"""1980-01-01, the first moment that a ZIP knows: the time of every file of a pack."""
+PUBLIC = Output(
+    "packed set",
+    b'"schema": "freeart21/benchmark/1",\n "hidden": ',
+    "benchmark.json",
+    (
+        *("benchmark.json", "sequences/*/sequence.json", "sequences/*/queries.json"),
+        *(f"sequences/*/{sub}/{'[0-9]' * 5}.png" for sub in PICTURES),
+    ),
+)
+TRUTH = Output("hidden truth", b'"schema": "freeart21/hidden-truth/', MARKER, (MARKER, "truth/*"))
+THREADS = 2
+
+Progress = Callable[[int, int], None]
+"""Told of pictures (or files) that are done, of how many."""
+_Files = Iterator[tuple[str, bytes]]
+
+
+@dataclass(frozen=True)
+class Names:
+    """What the halves call the sequences, and the salt of the truth's hash."""
+
+    salt: str
+    packed: dict[str, str]
+    """Name of a sequence in the data folder to its name in both halves."""
+
+
+def key_place(data: Path) -> Path:
+    """Where the key of a data folder lies when no place is named: beside it."""
+    data = Path(data).resolve()
+    return data.parent / f"{data.name}.key"
+
+
+def read_key(path: Path) -> bytes:
+    """The key in the file `path`, which is made, for its owner's eyes only, where there is none."""
+    path = Path(path)
+    if not path.exists() and not path.is_symlink():
+        atomic.write_json(path, {"schema": KEY_SCHEMA, "key": secrets.token_hex(32)})
+        path.chmod(0o600)
+    said = checked.text(checked.read_json(path, KEY_SCHEMA), "key", path)
+    try:
+        key = bytes.fromhex(said)
+    except ValueError:
+        key = b""
+    if len(key) < 16:
+        raise FreeArtError(f"{path}: 'key' is no key, expected 32 or more hexadecimal digits")
+    return key
+
+
+def names_of(benchmark: Benchmark, key: bytes, keep_names: bool) -> Names:
+    """What the halves of `benchmark` call its sequences under `key`."""
+
+    def keyed(what: str) -> str:
+        return hmac.new(key, what.encode(), "sha256").hexdigest()
+
+    packed = {name: name if keep_names else f"seq-{keyed(f'sequence {name}')[:12]}" for name in benchmark.sequences}
+    return Names(keyed("salt"), packed)
+
+
+def pack_public(
+    data: Path, out: Path, key: Path | None = None, keep_names: bool = False, progress: Progress = lambda done, of: None
+) -> None:
+    """Write what methods may see of the data folder `data` to `out`: a folder, or a ZIP where its name ends so.
+
+    `keep_names` leaves the sequences' names as they are, which tell what objects they show. `key` is a file, made where
+    there is none; None takes `key_place`. A set that was packed before gives the same again. Raises FreeArtError when
+    `data` is broken, or when something else stands at `out` (a ZIP is never replaced).
+    """
+    benchmark = read_benchmark(data)
+    if benchmark.hidden:
+        names, hidden = {name: name for name in benchmark.sequences}, benchmark.hidden
+    else:
+        found = names_of(benchmark, read_key(key or key_place(data)), keep_names)
+        names, hidden = found.packed, digest(found.salt, _truth_hashes(benchmark, found))
+    _write(Path(out), PUBLIC, _public_files(benchmark, names, hidden, progress))
+
+
+def pack_truth(
+    data: Path, out: Path, key: Path | None = None, keep_names: bool = False, progress: Progress = lambda done, of: None
+) -> None:
+    """Write the truth of the data folder `data` to `out`, to score against what `pack_public` wrote; as that does."""
+    benchmark = read_benchmark(data)
+    if benchmark.hidden:
+        raise FreeArtError(f"{data} was packed without its truth: there is none to write")
+    names = names_of(benchmark, read_key(key or key_place(data)), keep_names)
+    _write(Path(out), TRUTH, _truth_files(benchmark, names, progress))
+
+
+def _public_files(benchmark: Benchmark, names: dict[str, str], hidden: str, progress: Progress) -> _Files:
+    """Name and bytes of every file of the public half; benchmark.json last."""
+    hashes: dict[str, str] = {}
+    recordings = {names[name]: benchmark.sequence(name) for name in benchmark.sequences}
+    of = sum(len(read_sequence(folder)) for folder in recordings.values())
+    done = 0
+    with ThreadPoolExecutor(THREADS) as pool:
+        for name, folder in sorted(recordings.items()):
+            for file, content in _sequence_files(folder, pool):
+                hashes[f"sequences/{name}/{file}"] = hashlib.sha256(content).hexdigest()
+                yield f"sequences/{name}/{file}", content
+                if file.startswith("mask/"):
+                    done += 1
+                    progress(done, of)
+    facts = {"name": benchmark.name, "version": benchmark.version, "split": benchmark.split}
+    listed = {"sequences": sorted(recordings), "sha256": dict(sorted(hashes.items()))}
+    yield "benchmark.json", atomic.json_text({"schema": SCHEMA, "hidden": hidden, **facts, **listed}).encode()
+
+
+def _sequence_files(folder: Path, pool: ThreadPoolExecutor) -> _Files:
+    """All that a method may see of one sequence, made anew from what it shows."""
+    recording = read_sequence(folder)
+    scale = float(checked.read_json(folder / "sequence.json")["depth_scale"])
+
+    def pictures(i: int) -> list[tuple[str, bytes]]:
+        stopping.check()
+        frame = recording.frame(i)
+        shown = {"rgb": frame.rgb, "depth": encode_depth(frame.depth, scale), "mask": frame.mask.astype(np.uint8) * 255}
+        for sub, image in shown.items():
+            if image.shape[:2] != (recording.camera.height, recording.camera.width):
+                raise FreeArtError(f"{folder}/{sub}/{i:05d}.png is of another size than its camera")
+        return [(f"{sub}/{i:05d}.png", checked.encode_png(image)) for sub, image in shown.items()]
+
+    yield "sequence.json", _json(header_json(recording.camera, scale, recording.times_s, recording.licence))
+    yield "queries.json", _json(queries_json(recording.queries))
+    for files in pool.map(pictures, range(len(recording))):
+        yield from files
+
+
+def _truth_files(benchmark: Benchmark, names: Names, progress: Progress) -> _Files:
+    """Name and bytes of every file of the truth, as they are; the marker last."""
+    hashes = _truth_hashes(benchmark, names)
+    places = dict(_truth_places(benchmark, names))
+    for done, (name, path) in enumerate(sorted(places.items())):
+        yield name, path.read_bytes()
+        progress(done + 1, len(places))
+    facts = {"name": benchmark.name, "version": benchmark.version, "split": benchmark.split, "salt": names.salt}
+    mapping = {packed: name for name, packed in sorted(names.packed.items(), key=lambda pair: pair[1])}
+    yield MARKER, _json({"schema": HIDDEN_SCHEMA, **facts, "names": mapping, "sha256": hashes})
+
+
+def _truth_places(benchmark: Benchmark, names: Names) -> Iterator[tuple[str, Path]]:
+    """Name in the truth half and place of every file of the truth."""
+    for sequence in benchmark.sequences:
+        folder = benchmark.truth(sequence)
+        if not (folder / "truth.json").is_file():
+            raise FreeArtError(f"{folder} holds no truth: it has no truth.json")
+        for path in sorted(folder.rglob("*")):
+            if path.is_symlink():
+                raise FreeArtError(f"{path} is a link, expected the file itself")
+            if path.is_file():
+                yield f"truth/{names.packed[sequence]}/{path.relative_to(folder).as_posix()}", path
+
+
+def _truth_hashes(benchmark: Benchmark, names: Names) -> dict[str, str]:
+    return dict(sorted((name, file_sha256(path)) for name, path in _truth_places(benchmark, names)))
+
+
+def _json(data: dict[str, object]) -> bytes:
+    return atomic.json_text(data).encode()
+
+
+def _write(out: Path, kind: Output, files: _Files) -> None:
+    """Write `files` to a folder or a ZIP, whole or not at all, every time of theirs the same."""
+    if out.suffix == ".zip":
+        _write_zip(out, files)
+        return
+    with atomic.new_folder(out, kind) as aside:
+        for name, content in files:
+            stopping.check()
+            path = aside / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+            path.chmod(0o644)
+        for path in sorted(aside.rglob("*"), reverse=True):  # what is within before the folder
+            if path.is_dir():
+                path.chmod(0o755)
+            os.utime(path, (EPOCH_S, EPOCH_S))
+        os.utime(aside, (EPOCH_S, EPOCH_S))
+
+
+def _write_zip(out: Path, files: _Files) -> None:
+    require_replaceable(out, None)
+    aside: Path | None = None
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.ASIDE)
+        aside = Path(name)
+        with os.fdopen(handle, "wb") as opened, zipfile.ZipFile(opened, "w") as archive:
+            for inside, content in files:
+                stopping.check()
+                entry = zipfile.ZipInfo(f"{out.stem}/{inside}", (1980, 1, 1, 0, 0, 0))
+                entry.create_system, entry.external_attr = 3, 0o100644 << 16
+                archive.writestr(entry, content)  # stored: pictures are packed already
+        aside.chmod(0o644)
+        require_replaceable(out, None)
+        aside.replace(out)
+        aside = None
+    except OSError as error:
+        raise atomic.cannot_write(out, error) from error
+    finally:
+        if aside is not None:
+            aside.unlink(missing_ok=True)

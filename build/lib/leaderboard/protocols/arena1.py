@@ -1,0 +1,294 @@
+"""arena-1: the joint as a motion, limits included, by the metric of ArticulateArena (arXiv 2609.33931).
+
+A joint is the unordered pair of its end twists {lower xi, upper xi}; the distance of two joints is that of their pairs
+under the kinetic-energy norm of the true moving part, in metres. Our own implementation makes the numbers everywhere;
+where the package `articulatearena` (extra [arena]) is installed, each is computed by it too, and the two must agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.spatial import QhullError
+
+from freeart21.errors import FreeArtError
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import Piece, Reconstruction
+from freeart21.se3 import Array
+from freeart21.truth import Truth
+from leaderboard import metrics
+from leaderboard.matching import match
+from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, plain
+
+KAPPA = np.pi
+"""Metres at which the compact metric bends: the setting of their benchmark."""
+LEAST_VOLUME = 1e-12
+"""m^3 up to which a closed mesh is no solid, and its convex hull is taken."""
+AGREEMENT = 1e-9
+"""Share by which the package's number may differ from ours."""
+
+
+@dataclass(frozen=True)
+class Solid:
+    """The mass distribution of a rigid part."""
+
+    mass: float
+    """Volume times density 1: only ratios count."""
+    centre: Array
+    """(3,) of mass, metres."""
+    inertia: Array
+    """(3, 3) about the centre of mass, positive definite."""
+
+    def square(self, twist: Array) -> float:
+        """m^2: the mean squared speed of the part's points under `twist` (v, w) (6,), which is twice its kinetic
+        energy over its mass."""
+        v, w = twist[:3], twist[3:]
+        at_centre = v + np.cross(w, self.centre)
+        return float(w @ self.inertia @ w / self.mass + at_centre @ at_centre)
+
+
+def measure(
+    truth: Truth,
+    answer: Reconstruction,
+    renders: Sequence[Render],
+    asset: Shape | None = None,
+    renders_other: Sequence[Render] | None = None,
+    constants: None = None,
+    lacks: tuple[Piece, ...] = (),
+) -> Measured:
+    """Every number of arena-1 for an answer of as many frames as the truth.
+
+    `renders`, `asset` and `renders_other` are not looked at, and there are no constants to choose. `lacks`: what the
+    method does not make; numbers that need it mean nothing.
+    """
+    matched = match(truth, answer, lacks)
+    true, aligned = truth.articulation.joint, matched.answer
+    states, joint = at_true_zero(truth, aligned, lacks)
+    solid = solid_of(truth.articulation.moving)
+    values: dict[str, float | None] = {
+        "joint_type": float(joint.type == true.type),
+        "twist_shown": distance(true.spanning(truth.states), joint.spanning(states), solid),
+        "twist_compact": distance(true, joint, solid, KAPPA),
+    }
+    notes: tuple[str, ...] = ()
+    if not bounded(true):
+        values["twist"] = None
+    elif bounded(joint):
+        values["twist"] = distance(true, joint, solid)
+    else:
+        notes = ("the joint has no limits, the true one has: no finite distance, twist is priced",)
+    return Measured(plain(values), matched.swapped, notes=notes)
+
+
+def at_true_zero(truth: Truth, aligned: Reconstruction, lacks: tuple[Piece, ...] = ()) -> tuple[Array, Joint]:
+    """States (n,) and joint of an aligned answer, limits with them, counted from the truth's state zero.
+
+    Where a method puts its state zero is its own affair: the offset of strict-2's `state` is taken off. States of
+    another joint type have no such offset: they are zero in the frame in which the truth is nearest its zero. Without
+    states, the answer's zero is its anchor frame.
+    """
+    true, joint, states = truth.articulation.joint, aligned.articulation.joint, aligned.states
+    sign = 1.0 if true.axis @ joint.axis >= 0 else -1.0
+    if "states" in lacks:
+        shift = sign * truth.states[aligned.anchor] if joint.type == true.type else 0.0
+    elif joint.type != true.type:
+        shift = -states[int(np.argmin(np.abs(truth.states)))]
+    else:
+        shift = -sign * metrics.state_offset(truth.states, states, sign, true.type == "revolute")
+    moved = Joint(joint.name, joint.type, joint.axis, joint.pivot, joint.lower + shift, joint.upper + shift)
+    return states + shift, moved
+
+
+def bounded(joint: Joint) -> bool:
+    """Whether the joint has both limits."""
+    return bool(np.isfinite([joint.lower, joint.upper]).all())
+
+
+def solid_of(mesh: Mesh) -> Solid:
+    """`mesh` as a body of uniform density: its inside where it is closed, else that of its convex hull.
+
+    A flat mesh, for which theirs has no body, is a sheet of uniform mass.
+    """
+    body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
+    if not (body.is_watertight and body.volume > LEAST_VOLUME):
+        try:
+            body = body.convex_hull
+        except QhullError:
+            return _sheet(mesh)
+        with np.errstate(invalid="ignore"):  # the centre of no volume is divided by it
+            if not body.volume > LEAST_VOLUME:
+                return _sheet(mesh)
+    inertia = 0.5 * (body.moment_inertia + body.moment_inertia.T)
+    least = float(np.linalg.eigvalsh(inertia)[0])
+    if least <= 0:
+        inertia = inertia + (1e-9 - least) * np.eye(3)
+    return Solid(float(body.mass), np.array(body.center_mass, float), inertia)
+
+
+def _sheet(mesh: Mesh) -> Solid:
+    """The triangles of `mesh` as a thin sheet of mass 1 a square metre."""
+    corners, areas = mesh.vertices[mesh.faces], mesh.areas()
+    centre = np.average(corners.mean(1), axis=0, weights=areas)
+    from_centre = corners - centre
+    sums = from_centre.sum(1)  # a triangle's second moment is A/12 (sum of v v' + sum v sum v')
+    moment = np.einsum("f,fki,fkj->ij", areas, from_centre, from_centre) + np.einsum("f,fi,fj->ij", areas, sums, sums)
+    return Solid(float(areas.sum()), centre, (np.trace(moment) * np.eye(3) - moment) / 12)
+
+
+def ends(joint: Joint, solid: Solid, kappa: float | None = None) -> tuple[Array, Array]:
+    """The end twists (v, w) (6,) of a joint, lower and upper; with `kappa` bent into the unit ball of the norm.
+
+    Bent, an end without a limit is the unit twist that it goes towards.
+    """
+    if kappa is None:
+        return joint.lower * joint.screw, joint.upper * joint.screw
+    size = np.sqrt(solid.square(joint.screw))
+    lower, upper = (np.tanh(limit * size / kappa) / size * joint.screw for limit in (joint.lower, joint.upper))
+    return lower, upper
+
+
+def distance(true: Joint, joint: Joint, solid: Solid, kappa: float | None = None) -> float:
+    """The distance of two joints of one frame: metres, or without a unit in [0, 2 sqrt 2] when bent by `kappa`."""
+    found = pair_distance(ends(true, solid, kappa), ends(joint, solid, kappa), solid.square)
+    if theirs := _package():
+        beside = _by_package(theirs, true, joint, solid, kappa)
+        if abs(beside - found) > AGREEMENT * max(1.0, found):
+            raise FreeArtError(
+                f"arena-1: articulatearena {theirs.__version__} gives {beside!r}, we give {found!r}, expected the same"
+            )
+    return found
+
+
+def pair_distance(a: tuple[Array, Array], b: tuple[Array, Array], square: Callable[[Array], float]) -> float:
+    """Root of the smaller sum of squares over the two ways to pair the ends of `a` with those of `b`."""
+    straight = square(a[0] - b[0]) + square(a[1] - b[1])
+    crossed = square(a[0] - b[1]) + square(a[1] - b[0])
+    return float(np.sqrt(min(straight, crossed)))
+
+
+def still_distance(joint: Joint, solid: Solid, kappa: float | None = None) -> float:
+    """The distance of a joint to one that does not move: what the tree distance charges for a joint not found."""
+    nothing = np.zeros(6), np.zeros(6)
+    return pair_distance(ends(joint, solid, kappa), nothing, solid.square)
+
+
+def prices(truth: Truth) -> dict[str, float | None]:
+    """What a joint that does not move costs."""
+    joint, solid = truth.articulation.joint, solid_of(truth.articulation.moving)
+    return {
+        "twist": still_distance(joint, solid) if bounded(joint) else None,
+        "twist_shown": still_distance(joint.spanning(truth.states), solid),
+        "twist_compact": still_distance(joint, solid, KAPPA),
+    }
+
+
+@cache
+def _package() -> Any:
+    """The package `articulatearena`, or None where it is not installed."""
+    try:
+        import articulatearena
+    except ImportError:
+        return None
+    return articulatearena
+
+
+def _by_package(package: Any, true: Joint, joint: Joint, solid: Solid, kappa: float | None) -> float:
+    """The same distance by `articulatearena`, whose twists are (w, v)."""
+    norm = package.make_kinetic_energy_norm(package.LinkInertia(solid.mass, solid.centre, solid.inertia))
+    pairs = []
+    for one in (true, joint):
+        twist = package.screw_twist(one.axis, one.pivot, one.type).data
+        if kappa is None:
+            pair = package.make_endpoint_pair(twist, one.lower, one.upper)
+            pairs += [pair.u.data, pair.v.data]
+            continue
+        forward, backward = package.continuous_joint_repr(twist, norm)
+        for limit in (one.lower, one.upper):
+            if np.isfinite(limit):
+                pairs.append(package.radial_compactify(limit * twist, kappa, norm))
+            else:
+                pairs.append(forward if limit > 0 else backward)
+    return float(package.joint_metric(*pairs, norm))
+
+
+_NOTHING = "what a joint that does not move costs"
+_METRIC = (
+    "sqrt of the smaller of |a1-b1|^2 + |a2-b2|^2 and |a1-b2|^2 + |a2-b1|^2 for the end twists (limit times unit "
+    "screw) of the two joints, under the kinetic-energy norm, divided by the mass, of the true moving part as a solid "
+    "of uniform density "
+)
+
+ARENA_1 = Protocol(
+    "arena-1",
+    "The joint as a motion, by the metric E of ArticulateArena (arXiv 2609.33931): one true metric for type, axis, "
+    "place and limits, blind to the axis's sign and to where the pivot lies along it. Parts are matched and poses "
+    "aligned as by strict-2; positions are counted from the truth's state zero, the prediction's offset taken off as "
+    "strict-2's `state` does. The joint is measured from the asset, reloaded and driven in SAPIEN, with its own "
+    "limits; without an asset, read from the files and marked so. A failure or a missing sequence costs what their "
+    "tree distance charges for a joint that is not found: its distance to a joint that does not move. That is no cap: "
+    "a joint that moves the part elsewhere may be further from the truth than none. Means and sample standard "
+    "deviations (ddof 1) are over all sequences of a joint type.",
+    (
+        Metric(
+            "joint_type",
+            "fraction",
+            "fraction",
+            "up",
+            0.0,
+            "1 when the joint's type is right, else 0; the metric itself knows no types",
+            label="joint type",
+            needs=("joint",),
+        ),
+        Metric(
+            "twist",
+            "m",
+            "m",
+            "down",
+            None,
+            f"{_METRIC}(its convex hull where the mesh is not closed), at state zero; none where the true joint has no "
+            "limits",
+            label="joint as a motion (E)",
+            column="E",
+            price_from=_NOTHING,
+            needs=("joint",),
+        ),
+        Metric(
+            "twist_shown",
+            "m",
+            "m",
+            "down",
+            None,
+            "the same with the smallest and largest state in the video as the limits of both: what the joint is, "
+            "whatever its stated limits",
+            label="joint as a motion, over the states of the video",
+            column="E\nshown",
+            needs=(
+                "joint",
+                "states",
+            ),
+            price_from=_NOTHING,
+        ),
+        Metric(
+            "twist_compact",
+            "1",
+            "1",
+            "down",
+            None,
+            "the same as twist with each end u replaced by tanh(|u| / pi m) u / |u|, which joints without limits have, "
+            "too",
+            label="joint as a motion, compact (E phi)",
+            column="E phi",
+            price_from=_NOTHING,
+            needs=("joint",),
+        ),
+    ),
+    measure,
+    asset="joint",
+    price_from=prices,
+)

@@ -1,0 +1,225 @@
+"""itaco-1: what iTACO's evaluate.py computes on Video2Articulation-S, in deg and cm instead of rad and m.
+
+Re-implemented from its definitions (3dlg-hcvc/video2articulation, evaluate.py). There the object's base stands still
+and methods are told its frame; our answers have a frame of their own, which is laid on the truth's in the first frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from freeart21 import se3
+from freeart21.reconstruction import Piece, Reconstruction
+from freeart21.se3 import Array
+from freeart21.truth import Truth
+from leaderboard import metrics
+from leaderboard.matching import Matched, match
+from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, plain
+from leaderboard.protocols.paper1 import SURFACES, posed_surfaces
+from leaderboard.published import PUBLISHED
+
+MOVING = 2
+"""The moving part's value in part masks."""
+
+
+@dataclass(frozen=True)
+class Itaco1:
+    """The constants of the protocol: other values are another protocol."""
+
+    samples: int = 10_000
+    """Points on each surface."""
+    seed: int = 0
+    """Of the samples; theirs are not seeded."""
+
+
+def measure(
+    truth: Truth,
+    answer: Reconstruction,
+    renders: Sequence[Render],
+    asset: Shape | None = None,
+    renders_other: Sequence[Render] | None = None,
+    constants: Itaco1 | None = None,
+    lacks: tuple[Piece, ...] = (),
+) -> Measured:
+    """Every number of itaco-1 for an answer of as many frames as the truth, with masks of the truth's size.
+
+    `renders`, `asset` and `renders_other` are not looked at. `lacks`: what the method does not make; numbers that need
+    it mean nothing.
+    """
+    c = constants or Itaco1()
+    matched = match(truth, answer, lacks, rename=False, align=first_alignment)
+    aligned, true = matched.answer, truth.articulation.joint
+    joint, revolute = aligned.articulation.joint, true.type == "revolute"
+    angle, shift = metrics.camera_error(truth.Ts_camera_reference, aligned.Ts_camera_reference)
+    values: dict[str, float | None] = {
+        "joint_type": float(joint.type == true.type),
+        "axis": np.rad2deg(metrics.axis_error(true.axis, joint.axis)),
+        "state": (np.rad2deg(1.0) if revolute else 100) * state_error(truth.states, aligned.states),
+        "miou": moving_map_iou(truth, answer),
+        "camera_rotation": np.rad2deg(angle),
+        "camera_position": 100 * shift,
+        **_surface_values(truth, matched, c),
+    }
+    if revolute:
+        values["position"] = 100 * metrics.line_to_line(true.axis, true.pivot, joint.axis, joint.pivot)
+    return Measured(plain(values), False)
+
+
+def first_alignment(Ts_camera_truth: Array, Ts_camera_predicted: Array, centre_truth: Array) -> Array:
+    """T_truth_pred (4, 4) of the first of the frames (n, 4, 4); `centre_truth` is not looked at."""
+    return se3.inverse(Ts_camera_truth[0]) @ Ts_camera_predicted[0]
+
+
+def state_error(states_truth: Array, states: Array) -> float:
+    """Mean absolute difference of the sizes of joint states (n,), rad or m: no sign is seen, an offset is paid for."""
+    return float(np.mean(np.abs(np.abs(states_truth) - np.abs(states))))
+
+
+def moving_map_iou(truth: Truth, answer: Reconstruction) -> float:
+    """Intersection over union of the moving part's pixels, mean over the frames in which truth or answer has any.
+
+    1 where no frame has any: there was nothing to find, and nothing was said.
+    """
+    ratios = []
+    for i, labels in enumerate(answer.part_masks):
+        true, said = truth.part_mask(i) == MOVING, labels == MOVING
+        if union := int((true | said).sum()):
+            ratios.append((true & said).sum() / union)
+    return float(np.mean(ratios)) if ratios else 1.0
+
+
+def _surface_values(truth: Truth, matched: Matched, c: Itaco1) -> dict[str, float | None]:
+    """Chamfer distances in the first frame, as the alignment puts them; no entry where the answer has no surface."""
+    frame = matched.answer.anchor if "states" in matched.lacks else 0
+    motions = truth.articulation.joint.transform(truth.states)
+    true = posed_surfaces(Shape((truth.articulation.reference, truth.articulation.moving), motions), frame)
+    found = posed_surfaces(matched.shape, frame)
+    points = {
+        id: (true[id].sample(c.samples, (c.seed, 0, k)), found[id].sample(c.samples, (c.seed, 1, k)))
+        for k, id in enumerate(SURFACES)
+        if not found[id].empty
+    }
+    return {id: 100 * metrics.squared_chamfer(*pair) for id, pair in points.items()}
+
+
+def _surface(id: str, name: str, what: str) -> Metric:
+    return Metric(
+        id,
+        "dm²",
+        "dm²",
+        "down",
+        100.0,
+        (
+            f"{what}: 100 times squared metres (theirs prints m^2): mean squared distance of 10,000 points of the "
+            "prediction to the nearest of 10,000 of the truth (all faces of the mesh), plus that of the truth's to the "
+            "prediction's, in the first frame, nothing registered"
+        ),
+        label=f'{name} (printed as "cm")',
+        column=name,
+        needs=("meshes",) if id.endswith("_s") else ("joint", "meshes"),  # the moving part is posed by the joint
+    )
+
+
+ITACO_1 = Protocol(
+    "itaco-1",
+    "What iTACO's evaluate.py computes on Video2Articulation-S, re-implemented; angles in deg and lengths in cm, where "
+    "theirs has rad and m. Parts go by the names that the answer gives them. T_truth_pred is that of the first frame, "
+    "T_camera_reference(truth)^-1 T_camera_reference(prediction): their methods are told the object's frame, ours have "
+    "one of their own. Everything is read from the answer's files; an asset is not looked at. The type of the joint is "
+    "a flag and prices nothing. Where theirs gives NaN: an arccos beyond 1 is clipped; the position error of parallel "
+    "axes is the distance from a point of one to the other; where no frame has a moving pixel, the moving map counts "
+    "1. A failure costs what theirs gives one (90 deg, 1 m, no overlap), its surfaces what theirs gives a missing part "
+    "(1 m^2, printed 100). Means and sample standard deviations (ddof 1) are over all sequences of a joint type.",
+    (
+        Metric(
+            "joint_type",
+            "fraction",
+            "fraction",
+            "up",
+            0.0,
+            "1 when the joint's type is right, else 0; no other number minds it",
+            label="joint type",
+            needs=("joint",),
+        ),
+        Metric(
+            "axis",
+            "deg",
+            "deg",
+            "down",
+            90.0,
+            "angle between the axes, whatever their signs",
+            label="axis",
+            column="axis",
+            needs=("joint",),
+        ),
+        Metric(
+            "position",
+            "cm",
+            None,
+            "down",
+            100.0,
+            "distance between the two axes as lines; point to line when they are parallel within 1e-6",
+            label="position",
+            column="position",
+            needs=("joint",),
+        ),
+        Metric(
+            "state",
+            "deg",
+            "cm",
+            "down",
+            90.0,
+            "mean over all frames of | |truth| - |prediction| |: the sign is not seen, an offset is paid for, and the "
+            "number says little where states cross 0",
+            label="state",
+            column="state",
+            needs=(
+                "joint",
+                "states",
+            ),
+            prismatic_price=100.0,
+        ),
+        _surface("cd_w", "CD-w", "whole object"),
+        _surface("cd_m", "CD-m", "moving part"),
+        _surface("cd_s", "CD-s", "reference part"),
+        Metric(
+            "miou",
+            "fraction",
+            "fraction",
+            "up",
+            0.0,
+            "intersection over union of the moving part, mean over the frames in which truth or prediction has any",
+            label="moving map (mIoU)",
+            column="map",
+            needs=("masks",),
+        ),
+        Metric(
+            "camera_rotation",
+            "deg",
+            "deg",
+            "down",
+            90.0,
+            "mean angle of the camera, seen from the reference part",
+            label="camera rotation",
+            column="cam.\nrot.",
+            needs=("poses",),
+        ),
+        Metric(
+            "camera_position",
+            "cm",
+            "cm",
+            "down",
+            100.0,
+            "mean distance of the camera, seen from the reference part",
+            label="camera position",
+            column="cam.\npos.",
+            needs=("poses",),
+        ),
+    ),
+    measure,
+    asset="none",
+    published=tuple(row for row in PUBLISHED if row.protocol == "itaco-1"),
+)

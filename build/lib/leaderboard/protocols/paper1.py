@@ -1,0 +1,293 @@
+"""paper-1: what the evaluator that FreeArtGS released computes, so that our rows can be laid beside the paper's tables.
+
+Re-implemented from its definitions (FreeArtGS/FreeArtGS at 061c6c8, evaluate/; the alignment `average` of its script),
+with the failure values of iTACO's evaluator where it has none. What it cannot see is said in docs/protocols.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from freeart21 import se3
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import Piece, Reconstruction
+from freeart21.se3 import Array
+from freeart21.truth import Truth
+from leaderboard import metrics
+from leaderboard.matching import Matched, match
+from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, plain
+from leaderboard.published import PUBLISHED
+from leaderboard.registration import registered
+from leaderboard.surface import Surface
+
+SURFACES = ("cd_w", "cd_m", "cd_s")
+PARALLEL = 1e-6
+"""Length of the cross product of two axes up to which they are parallel, and the position error is 0."""
+EQUAL_DB = 99.0
+"""PSNR of equal pictures."""
+
+
+@dataclass(frozen=True)
+class Paper1:
+    """The constants of the protocol: other values are another protocol."""
+
+    samples: int = 10_000
+    """Points on each surface."""
+    seed: int = 0
+    """Of the samples; theirs are not seeded."""
+
+
+def measure(
+    truth: Truth,
+    answer: Reconstruction,
+    renders: Sequence[Render],
+    asset: Shape | None = None,
+    renders_other: Sequence[Render] | None = None,
+    constants: Paper1 | None = None,
+    lacks: tuple[Piece, ...] = (),
+) -> Measured:
+    """Every number of paper-1 for an answer of as many frames as the truth, with masks of the truth's size.
+
+    `renders` holds the answer's picture of each held-out query, or None where it has none; `asset` and `renders_other`
+    are not looked at. `lacks`: what the method does not make; numbers that need it mean nothing.
+    """
+    c = constants or Paper1()
+    matched = match(truth, answer, lacks, rename=False, align=average_alignment)
+    aligned, true = matched.answer, truth.articulation.joint
+    revolute = true.type == "revolute"
+    states = aligned.states
+    if aligned.articulation.joint.type == "revolute":  # theirs turns them so, which shows where the true joint slides
+        states = np.mod(states, 2 * np.pi)
+    angle, shift = metrics.camera_error(truth.Ts_camera_reference, aligned.Ts_camera_reference)
+    surfaces, notes = surface_values(truth, matched, c)
+    values: dict[str, float | None] = {
+        "joint_type": float(aligned.articulation.joint.type == true.type),
+        "axis": np.rad2deg(metrics.axis_error(true.axis, aligned.articulation.joint.axis)),
+        "state": (np.rad2deg(1.0) if revolute else 100) * state_error(truth.states, states, revolute),
+        "camera_rotation": np.rad2deg(angle),
+        "camera_position": 100 * shift,
+        "miou": matched.miou,
+        "psnr": picture_value(truth, renders),
+        **surfaces,
+    }
+    if revolute:
+        values["position"] = 100 * position_error(true, aligned.articulation.joint)
+    return Measured(plain(values), False, notes=notes)
+
+
+def average_alignment(Ts_camera_truth: Array, Ts_camera_predicted: Array, centre_truth: Array) -> Array:
+    """T_truth_pred (4, 4): the plain mean over frames of T_camera_truth^-1 @ T_camera_predicted (n, 4, 4).
+
+    Translations are averaged at the origin of the prediction's own frame, rotations as quaternions turned to the side
+    of the first; nothing is trimmed. `centre_truth` is not looked at.
+    """
+    Ts = se3.inverse(Ts_camera_truth) @ Ts_camera_predicted
+    quaternions = Rotation.from_matrix(Ts[:, :3, :3]).as_quat()
+    quaternions = np.where(quaternions @ quaternions[0] < 0, -1.0, 1.0)[:, None] * quaternions
+    mean = quaternions.mean(0)
+    if np.linalg.norm(mean) < 1e-12:  # turned every way: theirs has no answer either
+        mean = quaternions[0]
+    return se3.pose(Rotation.from_quat(mean).as_matrix(), Ts[:, :3, 3].mean(0))
+
+
+def position_error(true: Joint, joint: Joint) -> float:
+    """Distance, metres, between the two axes as lines; 0 when they are parallel, however far apart."""
+    n = np.cross(joint.axis, true.axis)
+    length = float(np.linalg.norm(n))
+    return float(abs(n @ (joint.pivot - true.pivot)) / length) if length > PARALLEL else 0.0
+
+
+def state_error(states_truth: Array, states: Array, wrapped: bool) -> float:
+    """Mean absolute difference of joint states (n,), rad or m, for the better sign of all of them.
+
+    The median of the differences is taken off; `wrapped` differences are brought to [-pi, pi) before and after.
+    """
+    wrap = metrics.wrap if wrapped else np.asarray
+    errors = []
+    for sign in (1.0, -1.0):
+        difference = wrap(states_truth - sign * states)
+        errors.append(float(np.mean(np.abs(wrap(difference - np.median(difference))))))
+    return min(errors)
+
+
+def posed_surfaces(shape: Shape, frame: int) -> dict[str, Surface]:
+    """Whole object, moving and reference part of `shape` as in `frame`, canonical frame, by the ids of SURFACES."""
+    reference, moving = shape.parts[0], shape.parts[1].moved(shape.motions[frame])
+    whole = Mesh(
+        np.concatenate([reference.vertices, moving.vertices]),
+        np.concatenate([reference.faces, moving.faces + len(reference.vertices)]),
+    )
+    return dict(zip(SURFACES, (Surface(whole), Surface(moving), Surface(reference)), strict=True))
+
+
+def surface_values(truth: Truth, matched: Matched, c: Paper1) -> tuple[dict[str, float | None], tuple[str, ...]]:
+    """Chamfer distances in the first frame, each surface registered to its own truth first; and a note of the floor.
+
+    No entry where the answer has no surface. Without states the frame is the anchor's.
+    """
+    frame = matched.answer.anchor if "states" in matched.lacks else 0
+    motions = truth.articulation.joint.transform(truth.states)
+    true = posed_surfaces(Shape((truth.articulation.reference, truth.articulation.moving), motions), frame)
+    found = posed_surfaces(matched.shape, frame)
+    values: dict[str, float | None] = {}
+    floors = []
+    for k, id in enumerate(SURFACES):
+        if found[id].empty:
+            continue
+        target, points = true[id].sample(c.samples, (c.seed, 0, k)), found[id].sample(c.samples, (c.seed, 1, k))
+        distance = 100 * metrics.squared_chamfer(se3.transform(registered(points, target), points), target)
+        floor = 100 * metrics.squared_chamfer(true[id].sample(c.samples, (c.seed, 2, k)), target)
+        values[id] = distance
+        if distance < 2 * floor:
+            floors.append(f"{id} {floor:.3g}")
+    said = f"near the floor, what two samplings of the truth itself are apart: {', '.join(floors)}" if floors else ""
+    return values, (said,) if said else ()
+
+
+def picture_value(truth: Truth, renders: Sequence[Render]) -> float | None:
+    """PSNR, dB, averaged over the queries that show the object; None when there is no such query."""
+    ratios = []
+    for i, render in enumerate(renders):
+        mask = truth.query_mask(i)
+        if not mask.any():
+            continue
+        error = 0.0 if render is None else np.mean((truth.query_rgb(i)[mask].astype(float) - render[mask]) ** 2)
+        ratios.append(0.0 if render is None else EQUAL_DB if error == 0 else 10 * np.log10(255**2 / error))
+    return float(np.mean(ratios)) if ratios else None
+
+
+def _surface(id: str, name: str, what: str) -> Metric:
+    return Metric(
+        id,
+        "dm²",
+        "dm²",
+        "down",
+        100.0,
+        (
+            f"{what}: printed as cm, but it is 100 times squared metres: mean squared distance of 10,000 points of "
+            "the prediction to the nearest of 10,000 of the truth (all faces of the mesh, inner ones too), plus that "
+            "of the truth's to the prediction's, in the first frame, after this surface alone was registered to its "
+            "truth"
+        ),
+        label=f'{name} (printed as "cm")',
+        column=name,
+        needs=("meshes",) if id.endswith("_s") else ("joint", "meshes"),  # the moving part is posed by the joint
+    )
+
+
+PAPER_1 = Protocol(
+    "paper-1",
+    "What the evaluator released by FreeArtGS computes, re-implemented; to be laid beside that paper's tables, and "
+    "beside nothing else. Parts go by the names that the answer gives them. T_truth_pred is the plain mean over all "
+    "frames of T_camera_reference(truth)^-1 T_camera_reference(prediction), translations at the prediction's origin. "
+    "Everything is read from the answer's files; an asset is not looked at. The type of the joint is a flag and prices "
+    "nothing. Lengths are in cm. The evaluator searches the joint state of each held-out picture for the best PSNR: "
+    "an answer holds finished pictures, so that search cannot be made, and the pictures are scored as they are. A "
+    "missing part costs 100 as theirs; where theirs ends without a number, a failure costs what iTACO's evaluator says "
+    "(90 deg, 1 m). Means and sample standard deviations (ddof 1) are over all sequences of a joint type.",
+    (
+        Metric(
+            "joint_type",
+            "fraction",
+            "fraction",
+            "up",
+            0.0,
+            "1 when the joint's type is right, else 0; no other number minds it",
+            label="joint type",
+            needs=("joint",),
+        ),
+        Metric(
+            "axis",
+            "deg",
+            "deg",
+            "down",
+            90.0,
+            "angle between the axes, whatever their signs",
+            label="axis",
+            column="axis",
+            needs=("joint",),
+        ),
+        Metric(
+            "position",
+            "cm",
+            None,
+            "down",
+            100.0,
+            "distance between the two axes as lines; 0 when they are parallel (|a x b| up to 1e-6), however far apart",
+            label="position",
+            column="position",
+            needs=("joint",),
+        ),
+        Metric(
+            "state",
+            "deg",
+            "cm",
+            "down",
+            90.0,
+            "mean absolute difference over all frames for the better of the two signs, whatever the axis, the median "
+            "difference taken off; revolute differences wrapped",
+            label="state",
+            column="state",
+            needs=(
+                "joint",
+                "states",
+            ),
+            prismatic_price=100.0,
+        ),
+        _surface("cd_w", "CD-w", "whole object"),
+        _surface("cd_m", "CD-m", "moving part"),
+        _surface("cd_s", "CD-s", "reference part"),
+        Metric(
+            "psnr",
+            "dB",
+            "dB",
+            "up",
+            0.0,
+            "held-out queries, uint8, over the pixels of the truth's mask, mean over queries; 99 for equal pictures; a "
+            "missing picture counts 0 (theirs leaves it out)",
+            label="PSNR",
+            column="PSNR",
+            needs=("renders",),
+        ),
+        Metric(
+            "miou",
+            "fraction",
+            "fraction",
+            "up",
+            0.0,
+            "intersection over union, mean over all frames and both parts, for the better of the two labelings; a part "
+            "absent in both counts 1",
+            label="mIoU",
+            column="mIoU",
+            needs=("masks",),
+        ),
+        Metric(
+            "camera_rotation",
+            "deg",
+            "deg",
+            "down",
+            90.0,
+            "mean angle of the camera, seen from the reference part, after the alignment",
+            label="camera rotation",
+            needs=("poses",),
+        ),
+        Metric(
+            "camera_position",
+            "cm",
+            "cm",
+            "down",
+            100.0,
+            "mean distance of the camera, seen from the reference part, after the alignment",
+            label="camera position",
+            needs=("poses",),
+        ),
+    ),
+    measure,
+    asset="none",
+    published=tuple(row for row in PUBLISHED if row.protocol == "paper-1"),
+)

@@ -1,0 +1,138 @@
+"""How strict-2 measures one answer against one truth: as strict-1, but for what is written in docs/protocols.md.
+
+Surfaces are those of the asset as the simulator poses them, with those of the part files beside; the moving part's
+poses count, too; held-out views may be given for both choices of the reference part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from freeart21 import se3
+from freeart21.reconstruction import Piece, Reconstruction
+from freeart21.truth import Truth
+from leaderboard import metrics
+from leaderboard.matching import Matched, match
+from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, plain
+from leaderboard.protocols.strict1 import STRICT_1, Strict1, answer_values, picture_values, prices, surface_values
+
+
+def measure(
+    truth: Truth,
+    answer: Reconstruction,
+    renders: Sequence[Render],
+    asset: Shape | None = None,
+    renders_other: Sequence[Render] | None = None,
+    constants: Strict1 | None = None,
+    lacks: tuple[Piece, ...] = (),
+) -> Measured:
+    """Every number of strict-2 for an answer of as many frames as the truth, with masks of the truth's size.
+
+    `asset` is the asset's own shape in the answer's canonical frame; None when there is no asset, and the part files
+    stand for it. `renders` holds the answer's picture of each held-out query, or None where it has none;
+    `renders_other` the same when the other part is the reference part, or None when the answer has none of these.
+    `lacks`: what the method does not make; numbers that need it mean nothing.
+    """
+    c = constants or Strict1()
+    matched = match(truth, answer, lacks)
+    parts = surface_values(truth, matched, matched.shape, c)
+    if asset is None:
+        surfaces = parts
+    else:
+        named = asset.swapped() if matched.swapped else asset
+        surfaces = surface_values(truth, matched, named.moved(matched.T_truth_pred), c)
+    other_views = matched.swapped and renders_other is not None
+    values = {
+        **answer_values(truth, matched, c),
+        **moving_pose_values(truth, matched),
+        **surfaces,
+        **{f"{id}_parts": value for id, value in parts.items()},
+        **picture_values(truth, renders_other if other_views and renders_other is not None else renders),
+    }
+    return Measured(plain(values), matched.swapped, other_views)
+
+
+def moving_pose_values(truth: Truth, matched: Matched) -> dict[str, float | None]:
+    """The moving part's pose errors after an alignment of its own: its frame and state zero are the method's affair."""
+    centre, Ts = matched.outer[1].centre, matched.answer.Ts_camera_moving
+    T_truth_pred = metrics.align(truth.Ts_camera_moving, Ts, centre)
+    angle, shift = metrics.pose_error(truth.Ts_camera_moving, Ts @ se3.inverse(T_truth_pred), centre)
+    return {
+        "pose_moving_rotation": float(np.rad2deg(angle)),
+        "pose_moving_translation": 100 * shift / matched.diagonal,
+    }
+
+
+_OWN_ALIGNMENT = (
+    "over all frames after an alignment of its own, the robust mean of the moving part's poses: its canonical frame "
+    "and state zero are the method's affair, so this is how well the part is followed, whatever the joint"
+)
+
+
+def _of_parts(metric: Metric) -> Metric:
+    """The same number from the part files, beside the asset's."""
+    return replace(
+        metric,
+        id=f"{metric.id}_parts",
+        definition=f"{metric.id} measured from parts/*.ply instead of the asset's visual meshes",
+        beside=metric.id,
+        label=f"{metric.label}, from the part files",
+        column="",
+    )
+
+
+def _strict_2_metrics() -> tuple[Metric, ...]:
+    """Those of strict-1, the moving part's poses after the reference part's, and surfaces of the part files beside."""
+    metrics: list[Metric] = []
+    for metric in STRICT_1.metrics:
+        metrics.append(metric)
+        if metric.id == "pose_translation":
+            metrics += [
+                Metric(
+                    "pose_moving_rotation",
+                    "deg",
+                    "deg",
+                    "down",
+                    180.0,
+                    f"mean geodesic error of the moving part {_OWN_ALIGNMENT}",
+                    label="rotation of the moving part",
+                    column="moving\npart",
+                    needs=("poses",),
+                ),
+                Metric(
+                    "pose_moving_translation",
+                    "%",
+                    "%",
+                    "down",
+                    100.0,
+                    f"mean distance of the moving part's centre {_OWN_ALIGNMENT}",
+                    label="place of the moving part",
+                    needs=("poses",),
+                ),
+            ]
+        if metric.id == "fscore":
+            metrics += [_of_parts(m) for m in STRICT_1.metrics if m.id.startswith("chamfer") or m.id == "fscore"]
+    return tuple(metrics)
+
+
+STRICT_2 = Protocol(
+    "strict-2",
+    STRICT_1.preamble.replace(
+        "The joint is measured from the asset, reloaded and driven in SAPIEN, states beyond its limits driven to the "
+        "limit; without an asset, read from the files and marked so.",
+        "The joint is measured from the asset, reloaded and driven in SAPIEN, states beyond its limits driven to the "
+        "limit. Surfaces are the asset's own visual meshes, placed by the simulator's link poses at the answer's "
+        "states; those of the part files stand beside. Without an asset both are read from the files and marked so. An "
+        "asset with a broken mesh or mass is a failure. Held-out views may be given for both choices of the reference "
+        "part; those of the matched choice count. A price is a cap: no number costs more than a failure.",
+    ),
+    _strict_2_metrics(),
+    measure,
+    asset="whole",
+    capped=True,
+    ranking=True,
+    price_from=prices,
+)

@@ -1,0 +1,129 @@
+"""Reference rows, made from the truth: what a scorer must give to the truth itself, to nothing, and to a dice.
+
+They say whether the scoring of a data folder can be believed: the truth must score perfect, the other two badly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+import freeart21
+from freeart21 import se3
+from freeart21.articulation import Articulation
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic
+from freeart21.files.benchmark import read_benchmark
+from freeart21.files.result import Method, write_method, write_result
+from freeart21.files.sequence import read_sequence
+from freeart21.files.truth import read_truth
+from freeart21.joint import Joint
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import Reconstruction
+from freeart21.truth import Truth
+
+Kind = Literal["truth", "static", "random"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+
+def write_reference(kind: Kind, data: Path, out: Path, seed: int = 0, sequences: Sequence[str] | None = None) -> None:
+    """Write the results folder `out`, without assets, of a reference row over the data folder `data`.
+
+    'truth' answers with the truth, held-out views included. 'static' knows the object as it is in frame 0, holds it for
+    one rigid thing that stands still, and gives a joint that never moves. 'random' draws poses, joint, states, masks
+    and shapes from `seed`. The same arguments give the same bytes. `sequences` chooses some of the data folder's.
+
+    Raises FreeArtError when `kind` is unknown, `out` exists, or the data folder or one of `sequences` is none.
+    """
+    if kind not in KINDS:
+        raise FreeArtError(f"unknown reference row '{kind}'; reference rows: {', '.join(KINDS)}")
+    benchmark = read_benchmark(data)
+    settings = {"kind": kind, **({"seed": seed} if kind == "random" else {})}
+    with atomic.new_folder(Path(out)) as aside:
+        code = f"freeart21 {freeart21.__version__}, reference row made from the truth"
+        write_method(aside, Method(Path(out).resolve().name, code, settings))
+        for name in benchmark.chosen(sequences):
+            truth = read_truth(benchmark.truth(name))
+            rng = np.random.default_rng([seed, *name.encode()])
+            answer = {"truth": truth_answer, "static": static_answer, "random": random_answer}[kind](truth, rng)
+            views = range(len(read_sequence(benchmark.sequence(name)).queries)) if kind == "truth" else ()
+            write_result(aside / name, answer, settings, [truth.query_rgb(i) for i in views] or None)
+
+
+def truth_answer(truth: Truth, rng: np.random.Generator | None = None) -> Reconstruction:
+    """`truth` as an answer."""
+    return Reconstruction(
+        truth.articulation,
+        truth.states,
+        truth.Ts_camera_reference,
+        truth.Ts_camera_moving,
+        _masks(truth),
+        truth.seen > 0,
+    )
+
+
+def static_answer(truth: Truth, rng: np.random.Generator | None = None) -> Reconstruction:
+    """Nothing moves: the object of frame 0, for ever there, all of it one part; a hinge that is never used."""
+    answer, n = truth_answer(truth), len(truth)
+    still = np.repeat(truth.Ts_camera_reference[:1], n, 0)
+    parts = truth.articulation
+    moving = parts.moving.moved(parts.joint.transform(truth.states[0]))
+    joint = Joint("none", "revolute", np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0, 1.0)
+    return replace(
+        answer,
+        articulation=Articulation(joint, parts.reference, moving),
+        states=np.zeros(n),
+        Ts_camera_reference=still,
+        Ts_camera_moving=still,
+        part_masks=(answer.part_masks > 0).astype(np.uint8),
+        seen=np.repeat([[True, False]], n, 0),
+    )
+
+
+def random_answer(truth: Truth, rng: np.random.Generator) -> Reconstruction:
+    """Numbers from a dice, of the object's size and place: a joint of either type, poses, states, masks, two boxes."""
+    answer, n, size = truth_answer(truth), len(truth), truth.diagonal
+    axis = _directions(rng, 1)[0]
+    reach = float(np.pi if rng.random() < 0.5 else size)
+    kind: Literal["revolute", "prismatic"] = "revolute" if reach == np.pi else "prismatic"
+    joint = Joint("any", kind, axis, rng.normal(size=3) * size if kind == "revolute" else np.zeros(3), -reach, reach)
+    place = truth.Ts_camera_reference[0, :3, 3]
+    Ts = [
+        se3.pose(
+            se3.exp_so3(_directions(rng, n) * rng.uniform(0, np.pi, (n, 1))),
+            place + 0.5 * size * rng.normal(size=(n, 3)),
+        )
+        for _ in range(2)
+    ]
+    masks = np.where(answer.part_masks > 0, rng.integers(0, 3, answer.part_masks.shape), 0).astype(np.uint8)
+    return replace(
+        answer,
+        articulation=Articulation(joint, _box(rng, size), _box(rng, size)),
+        states=rng.uniform(-reach, reach, n),
+        Ts_camera_reference=Ts[0],
+        Ts_camera_moving=Ts[1],
+        part_masks=masks,
+    )
+
+
+def _masks(truth: Truth) -> NDArray[np.uint8]:
+    return np.stack([truth.part_mask(i) for i in range(len(truth))])
+
+
+def _directions(rng: np.random.Generator, n: int) -> NDArray[Any]:
+    """(n, 3) unit vectors, every direction as likely."""
+    v = rng.normal(size=(n, 3))
+    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
+
+
+def _box(rng: np.random.Generator, size: float) -> Mesh:
+    """A box somewhere within `size` of the origin."""
+    corners = (np.array(list(np.ndindex(2, 2, 2))) - 0.5) * rng.uniform(0.1, 0.6, 3) * size
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    return Mesh(corners + rng.uniform(-0.5, 0.5, 3) * size, faces)

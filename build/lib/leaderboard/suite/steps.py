@@ -1,0 +1,99 @@
+"""What the suite's jobs do, each in a process of its own: functions of plain arguments, called by `freeart21.jobs`."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from freeart21 import child
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.jobs.work import dies_with_us, last_line, waited
+from leaderboard.protocols import Metric, protocol_named
+from leaderboard.reference import Kind, write_reference
+from leaderboard.rows import Scores
+from leaderboard.score import score_results
+from leaderboard.scores_file import write_scores
+
+
+def reference(kind: Kind, data: str, out: str, sequences: Sequence[str]) -> None:
+    """Make the results folder of a reference row."""
+    write_reference(kind, Path(data), Path(out), sequences=sequences)
+
+
+def record(commands: Sequence[Sequence[str]], out: str) -> None:
+    """Record one sequence after the other into the data folder `out`; those that are there are left alone."""
+    for words in commands:
+        code, line = _freeart21("record", *words, "--out", out)
+        if code:
+            raise FreeArtError(line or f"record ended with exit code {code}")
+
+
+def export(result: str) -> dict[str, Any]:
+    """Export a result; returns what became of it. A result that is no answer, or cannot be exported, has no asset.
+
+    Raises FreeArtError when that says nothing of the result: when the disk refused, or the exporter crashed.
+    """
+    folder = Path(result)
+    said = checked.read_json(folder / "prediction.json")
+    if said.get("status") != "ok":
+        return {"asset": False, "why": f"no answer: {said.get('reason')}"}
+    atomic.mend(folder / "asset")
+    code, line = _freeart21("export", str(folder), "--out", str(folder / "asset"))
+    if (folder / "asset" / "asset.json").is_file() and code in (0, 1):
+        return {"asset": True, "why": line}
+    if code == 1 and "cannot write" not in line:
+        return {"asset": False, "why": line}
+    raise FreeArtError(line or f"export ended with exit code {code}")
+
+
+def score(results: str, data: str, protocol: str, out: str, sequences: Sequence[str]) -> dict[str, Any]:
+    """Score a row, write its table, and return its statistics and which numbers are not those of a perfect answer."""
+    scores = score_results(Path(results), Path(data), protocol, sequences=sequences)
+    write_scores(Path(out), scores)
+    return {"summaries": [asdict(summary) for summary in scores.summaries], "imperfect": imperfect(scores)}
+
+
+TOLERANCE = 0.01
+"""By which a number of the truth itself may be off, in its unit: deg, %, dB or a fraction."""
+
+
+def imperfect(scores: Scores) -> list[str]:
+    """What a table of the truth should not show, a line a number: all that is further than TOLERANCE from perfect."""
+    rules = protocol_named(scores.protocol)
+    return [
+        f"{row.sequence}: {metric.id} {value:.4g}, expected {perfect(metric):g}"
+        for row in scores.rows
+        for metric in rules.metrics
+        if (value := row.values.get(metric.id)) is not None and abs(value - perfect(metric)) > TOLERANCE
+    ]
+
+
+def perfect(metric: Metric) -> float:
+    """The number of a perfect answer."""
+    if metric.direction == "down":
+        return 0.0
+    return 100.0 if "dB" in (metric.revolute_unit, metric.prismatic_unit) else 1.0
+
+
+def _freeart21(*words: str) -> tuple[int, str]:
+    """Exit code and last line on standard error of a command of ours; what it says goes to this job's streams, too."""
+    with tempfile.TemporaryFile() as errors:
+        process = subprocess.Popen(
+            [*child.command("freeart21.__main__"), *words],
+            stdin=subprocess.DEVNULL,
+            stderr=errors,
+            preexec_fn=dies_with_us(),
+        )
+        try:
+            code = waited(process)
+        finally:
+            errors.seek(0)
+            said = errors.read().decode(errors="replace")
+            print(said, end="", file=sys.stderr, flush=True)
+    return code, last_line(said).removeprefix("freeart21: ")

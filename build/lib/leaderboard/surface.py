@@ -1,0 +1,295 @@
+"""A triangle surface to sample and to measure to: exact point-to-triangle distance through a bounding-volume tree."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from freeart21.mesh import Mesh
+from freeart21.se3 import Array
+
+LEAF_SIZE = 4
+"""Triangles a leaf may hold; 2, 4 and 8 were measured within 15 % of each other on 80k and 330k faces."""
+FLATTEST = 1e-12
+"""Triangles whose area is below this share of their longest edge squared are lines: they are left out."""
+SMALLEST = 1e-60
+"""m^2: triangles below it are points; their squares would underflow."""
+SLACK = 1e-12
+"""Metres added to what bounds a search, so that rounding cannot hide the nearest triangle."""
+_CHUNK = 16_384
+_Tree = tuple[Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]
+"""Corners (F, 9) and planes (F, 8) of the triangles in leaf order; boxes (N, 6), `first` and `count` of the nodes."""
+_DEPTH = 64  # halving 2^64 triangles needs no deeper stack
+
+
+class Surface:
+    """The triangles of a mesh, metres, in the mesh's own frame. May be empty."""
+
+    def __init__(self, mesh: Mesh, faces: NDArray[np.bool_] | None = None) -> None:
+        """The surface of `mesh`, or of those of its faces that `faces` (F,) selects; lines and points are left out."""
+        corners = mesh.vertices[mesh.faces if faces is None else mesh.faces[faces]]
+        edges = corners - np.roll(corners, 1, axis=1)
+        areas = 0.5 * np.linalg.norm(np.cross(edges[:, 1], edges[:, 2]), axis=1)
+        solid = areas > np.maximum(FLATTEST * (edges**2).sum(-1).max(-1, initial=0.0), SMALLEST)
+        self.corners: Array = np.ascontiguousarray(corners[solid])
+        """(F, 3, 3) corner k of triangle i at [i, k]."""
+        self.areas: Array = areas[solid]
+        """(F,) m^2."""
+
+    @property
+    def empty(self) -> bool:
+        """No triangle with an area."""
+        return len(self.corners) == 0
+
+    @property
+    def area(self) -> float:
+        """m^2."""
+        return float(self.areas.sum())
+
+    @property
+    def centre(self) -> Array:
+        """(3,) centre of the surface's area: it moves with the surface, whatever the frame."""
+        return np.average(self.corners.mean(1), axis=0, weights=self.areas)
+
+    def sample(self, count: int, seed: tuple[int, ...]) -> Array:
+        """(count, 3) points spread evenly over the area, the same for the same seed; (0, 3) from an empty surface.
+
+        The points are independent: the first k of them are a fair sample too. Barycentric sampling by the square root
+        (Osada et al. 2002, eq. 1).
+        """
+        if self.empty:
+            return np.zeros((0, 3))
+        u = np.random.default_rng(seed).random((count, 3))
+        cumulative = np.cumsum(self.areas)
+        chosen = np.searchsorted(cumulative, u[:, 0] * cumulative[-1], side="right")
+        a, b, c = np.moveaxis(self.corners[np.minimum(chosen, len(self.corners) - 1)], 1, 0)
+        root, share = np.sqrt(u[:, 1:2]), u[:, 2:]
+        return (1 - root) * a + root * (1 - share) * b + root * share * c
+
+    def distance(self, points: ArrayLike, at_most: ArrayLike | None = None) -> Array:
+        """Distance (n,), metres, from `points` (n, 3) to the nearest point of the surface; inf when it is empty.
+
+        With `at_most` (n,) the answer is the smaller of the two, and far parts are not looked at.
+        """
+        points = np.asarray(points, float).reshape(-1, 3)
+        limits = np.full(len(points), np.inf) if at_most is None else np.asarray(at_most, float)
+        if self.empty or not len(points):
+            return limits.copy()
+        order = _along_curve(points)  # neighbours follow each other: they share what they look at, and bound each other
+        points, limits, tree = points[order], limits[order], self._tree
+
+        def measure(at: int) -> Array:
+            return _nearest(points[at : at + _CHUNK], limits[at : at + _CHUNK], *tree)
+
+        starts = range(0, len(points), _CHUNK)
+        if len(starts) == 1:
+            found = measure(0)
+        else:
+            with ThreadPoolExecutor(min(os.cpu_count() or 1, len(starts))) as pool:
+                found = np.concatenate(list(pool.map(measure, starts)))
+        distances = np.empty(len(points))
+        distances[order] = found
+        return distances
+
+    @cached_property
+    def _tree(self) -> _Tree:
+        order, lower, upper, first, count = _build(self.corners, LEAF_SIZE)
+        corners = np.ascontiguousarray(self.corners[order]).reshape(-1, 9)
+        return corners, _planes(corners), np.hstack([lower, upper]), first, count
+
+
+def _along_curve(points: Array) -> NDArray[np.int64]:
+    """The order of `points` (n, 3) along a Z-order curve of 1024 cells a side (Morton 1966), by place within a cell."""
+    return _curve_order(points, points.min(0), max(float(np.ptp(points, axis=0).max()), SMALLEST))
+
+
+@njit(cache=True, nogil=True)
+def _curve_order(points, low, extent):
+    """Sorted by the 30 bits of each cell, ten at a time from the lowest; whatever is not finite has bits, too."""
+    n = len(points)
+    keys, order, other = np.empty(n, np.int64), np.arange(n), np.empty(n, np.int64)
+    for i in range(n):
+        key = np.int64(0)
+        for k in range(3):
+            bits = np.int64((points[i, k] - low[k]) / extent * 1023)
+            bits = (bits | (bits << 16)) & 0x030000FF
+            bits = (bits | (bits << 8)) & 0x0300F00F
+            bits = (bits | (bits << 4)) & 0x030C30C3
+            bits = (bits | (bits << 2)) & 0x09249249
+            key |= bits << (2 - k)
+        keys[i] = key
+    for shift in (0, 10, 20):
+        starts = np.zeros(1025, np.int64)
+        for i in range(n):
+            starts[((keys[i] >> shift) & 1023) + 1] += 1
+        for cell in range(1024):
+            starts[cell + 1] += starts[cell]
+        for i in range(n):
+            at = (keys[order[i]] >> shift) & 1023
+            other[starts[at]] = order[i]
+            starts[at] += 1
+        order, other = other, order
+    return order
+
+
+@njit(cache=True, nogil=True)
+def _build(corners, leaf_size):
+    """A tree of boxes, each node halved at the median of its longest side of triangle centres.
+
+    Node i is a leaf of `count[i]` triangles from `first[i]` of the returned order, or has the children first[i] and
+    first[i] + 1.
+    """
+    n = len(corners)
+    centres = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+    order = np.arange(n)
+    lower, upper = np.empty((2 * n, 3)), np.empty((2 * n, 3))
+    first, count = np.zeros(2 * n, np.int64), np.zeros(2 * n, np.int64)
+    begin, end = np.zeros(2 * n, np.int64), np.zeros(2 * n, np.int64)
+    end[0], nodes, node = n, 1, 0
+    while node < nodes:
+        members = order[begin[node] : end[node]]
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        middle_low, middle_high = np.full(3, np.inf), np.full(3, -np.inf)
+        for i in members:
+            for k in range(3):
+                for c in range(3):
+                    low[k] = min(low[k], corners[i, c, k])
+                    high[k] = max(high[k], corners[i, c, k])
+                middle_low[k] = min(middle_low[k], centres[i, k])
+                middle_high[k] = max(middle_high[k], centres[i, k])
+        lower[node], upper[node] = low, high
+        if len(members) <= leaf_size:
+            first[node], count[node] = begin[node], len(members)
+        else:
+            axis = np.argmax(middle_high - middle_low)
+            members[:] = members[np.argsort(centres[members, axis])]
+            half = begin[node] + len(members) // 2
+            first[node] = nodes
+            begin[nodes], end[nodes] = begin[node], half
+            begin[nodes + 1], end[nodes + 1] = half, end[node]
+            nodes += 2
+        node += 1
+    return order, lower[:nodes].copy(), upper[:nodes].copy(), first[:nodes].copy(), count[:nodes].copy()
+
+
+@njit(cache=True, nogil=True)
+def _planes(corners):
+    """Of each triangle (n, 9) what says how far a point is from its plane: (n, 8) a corner, the normal (as long as
+    twice the area), the normal's square, and nothing, so that each lies in a cache line of its own."""
+    planes = np.zeros((len(corners), 8))
+    for i in range(len(corners)):
+        t = corners[i]
+        abx, aby, abz = t[3] - t[0], t[4] - t[1], t[5] - t[2]
+        bcx, bcy, bcz = t[6] - t[3], t[7] - t[4], t[8] - t[5]
+        nx, ny, nz = aby * bcz - abz * bcy, abz * bcx - abx * bcz, abx * bcy - aby * bcx
+        planes[i, 0], planes[i, 1], planes[i, 2] = t[0], t[1], t[2]
+        planes[i, 3], planes[i, 4], planes[i, 5] = nx, ny, nz
+        planes[i, 6] = nx * nx + ny * ny + nz * nz
+    return planes
+
+
+@njit(cache=True, nogil=True)
+def _nearest(points, limits, corners, planes, boxes, first, count):
+    """Distance from each point (n, 3) to the triangles, or its limit (n,) when that is smaller; nearer boxes first.
+
+    No point is further away than from the triangle nearest to the one before it. With SLACK on top, such a bound leaves
+    every digit of the answer as it is: what it hides is farther by more than rounding.
+    """
+    nodes, bounds = np.empty(_DEPTH, np.int64), np.empty(_DEPTH)
+    distances = np.empty(len(points))
+    before = -1
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        reach = limits[i]
+        if before >= 0:
+            reach = min(reach, np.sqrt(_to_triangle(x, y, z, corners, planes, before, np.inf)) * (1 + 1e-9) + SLACK)
+        nearest, found = reach * reach, -1
+        nodes[0], bounds[0], top = 0, _to_box(x, y, z, boxes, 0), 1
+        while top > 0:
+            top -= 1
+            if bounds[top] >= nearest:
+                continue
+            node = nodes[top]
+            while count[node] == 0:
+                child = first[node]
+                near, far = child, child + 1
+                bound, farther = _to_box(x, y, z, boxes, near), _to_box(x, y, z, boxes, far)
+                if farther < bound:
+                    near, far, bound, farther = far, near, farther, bound
+                if farther < nearest:
+                    nodes[top], bounds[top] = far, farther
+                    top += 1
+                if bound >= nearest:
+                    break
+                node = near
+            else:
+                for t in range(first[node], first[node] + count[node]):
+                    square = _to_triangle(x, y, z, corners, planes, t, nearest)
+                    if square != nearest:
+                        nearest, found = square, t
+        if found >= 0:
+            before = found
+            distances[i] = np.sqrt(nearest)
+        else:
+            distances[i] = reach
+    return distances
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _to_box(x, y, z, boxes, i):
+    """Squared distance from a point to box `i` of (n, 6), its lowest corner and its highest; 0 inside."""
+    dx = max(boxes[i, 0] - x, 0.0, x - boxes[i, 3])
+    dy = max(boxes[i, 1] - y, 0.0, y - boxes[i, 4])
+    dz = max(boxes[i, 2] - z, 0.0, z - boxes[i, 5])
+    return dx * dx + dy * dy + dz * dz
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _to_triangle(x, y, z, corners, planes, i, best):
+    """Squared distance from a point to triangle `i`, or `best` when that is smaller."""
+    apx, apy, apz = x - planes[i, 0], y - planes[i, 1], z - planes[i, 2]
+    nx, ny, nz = planes[i, 3], planes[i, 4], planes[i, 5]
+    height = nx * apx + ny * apy + nz * apz
+    square = planes[i, 6]
+    if height * height >= best * square:
+        return best
+    return _within_reach(x, y, z, corners[i], apx, apy, apz, nx, ny, nz, height, square, best)
+
+
+@njit(cache=True, nogil=True)
+def _within_reach(x, y, z, t, apx, apy, apz, nx, ny, nz, height, square, best):
+    """Squared distance from a point to the triangle `t` (9,), or `best` when that is smaller.
+
+    To its plane when the point lies over its inside (the same side of all three edges), else to the nearest edge.
+    Unlike barycentric forms it keeps its digits on triangles as thin as FLATTEST allows.
+    """
+    abx, aby, abz = t[3] - t[0], t[4] - t[1], t[5] - t[2]
+    bcx, bcy, bcz = t[6] - t[3], t[7] - t[4], t[8] - t[5]
+    cax, cay, caz = t[0] - t[6], t[1] - t[7], t[2] - t[8]
+    bpx, bpy, bpz = x - t[3], y - t[4], z - t[5]
+    cpx, cpy, cpz = x - t[6], y - t[7], z - t[8]
+    if (
+        nx * (aby * apz - abz * apy) + ny * (abz * apx - abx * apz) + nz * (abx * apy - aby * apx) >= 0.0
+        and nx * (bcy * bpz - bcz * bpy) + ny * (bcz * bpx - bcx * bpz) + nz * (bcx * bpy - bcy * bpx) >= 0.0
+        and nx * (cay * cpz - caz * cpy) + ny * (caz * cpx - cax * cpz) + nz * (cax * cpy - cay * cpx) >= 0.0
+    ):
+        return height * height / square
+    return min(
+        best,
+        _to_edge(abx, aby, abz, apx, apy, apz),
+        _to_edge(bcx, bcy, bcz, bpx, bpy, bpz),
+        _to_edge(cax, cay, caz, cpx, cpy, cpz),
+    )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _to_edge(ex, ey, ez, px, py, pz):
+    """Squared distance from a point to the edge e, both seen from the edge's start."""
+    s = min(max((ex * px + ey * py + ez * pz) / (ex * ex + ey * ey + ez * ez), 0.0), 1.0)
+    dx, dy, dz = px - s * ex, py - s * ey, pz - s * ez
+    return dx * dx + dy * dy + dz * dz

@@ -1,0 +1,78 @@
+"""What pixels look like, behind one interface: the paper clusters, connects and fills by DINO features.
+
+The default is made by hand from colour, gradients and 3D geometry; a learned one takes its place by being a `Features`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruct.scene import Scene
+from reconstruct.settings import FeatureSettings
+
+Descriptors = NDArray[np.float64]
+
+
+class Features(Protocol):
+    """What the segmentation asks of features. Euclidean distance between descriptors says how unlike pixels are."""
+
+    def describe(self, frame: int, pixels: NDArray[np.integer[Any]]) -> Descriptors:
+        """(m, d) descriptors of `pixels` (m, 2), row and column, of one frame: phi_t(u) of the supplement."""
+        ...
+
+    def similarity(self, squared_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """s_t(u, p) of the supplement, 0 to 1, from squared distances of descriptors of one frame.
+
+        Of unit descriptors the cosine is 1 - squared_distance / 2.
+        """
+        ...
+
+
+class HandMade:
+    """Colour, gradients, place, normal and curvature, each in units of what tells two surfaces apart.
+
+    Place is the camera-frame point against the object's middle, in object diagonals: the frame's own, since nobody
+    knows yet how the object turns. So descriptors of one frame compare, those of distant frames do not.
+    """
+
+    def __init__(self, scene: Scene, settings: FeatureSettings) -> None:
+        self.scene, self.settings = scene, settings
+
+    def describe(self, frame: int, pixels: NDArray[np.integer[Any]]) -> Descriptors:
+        """(m, 3 + 2 + 3 + 3 + 1) descriptors; see `Features`. A cue whose scale is 0 is left out."""
+        scene, s = self.scene, self.settings
+        points = scene.points[frame].astype(float)
+        centre = np.median(points[scene.valid[frame]], axis=0) if scene.valid[frame].any() else np.zeros(3)
+        cues = [
+            (scene.features[frame], s.colour),
+            (self._gradients(frame), s.gradient),
+            ((points - centre) / scene.diagonal, s.place),
+            (scene.normals[frame], s.normal),
+            (self._curvature(frame)[..., None], s.curvature),
+        ]
+        at = tuple(np.asarray(pixels).T)
+        return np.concatenate([cue[at].astype(float) / scale for cue, scale in cues if scale > 0], 1)
+
+    def similarity(self, squared_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """A Gaussian of the distance: the cosine of the (infinitely long) feature vectors of that kernel."""
+        return np.exp(-0.5 * squared_distance)
+
+    def _gradients(self, frame: int) -> NDArray[np.float32]:
+        """(h, w, 2) square roots of the structure tensor's eigenvalues, grey levels a pixel: edges, then corners."""
+        grey = cv2.cvtColor(self.scene.rgb[frame], cv2.COLOR_RGB2GRAY).astype(np.float32)
+        inner = cv2.erode(self.scene.mask[frame].astype(np.uint8), np.ones((3, 3), np.uint8))
+        gx, gy = (cv2.Sobel(grey, cv2.CV_32F, *d, scale=0.125) * inner for d in ((1, 0), (0, 1)))
+        xx, xy, yy = (cv2.GaussianBlur(a * b, (0, 0), 1.5) for a, b in ((gx, gx), (gx, gy), (gy, gy)))
+        middle, spread = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
+        return np.sqrt(np.maximum(np.stack([middle + spread, middle - spread], -1), 0))
+
+    def _curvature(self, frame: int) -> NDArray[np.float32]:
+        """(h, w) 0 on a plane, towards 1 where the normals round a pixel differ."""
+        normals = self.scene.normals[frame]
+        mean = cv2.GaussianBlur(normals, (0, 0), 2.0)
+        weight = cv2.GaussianBlur(self.scene.valid[frame].astype(np.float32), (0, 0), 2.0)
+        return np.clip(1 - np.linalg.norm(mean, axis=2) / np.maximum(weight, 1e-3), 0, 1).astype(np.float32)

@@ -1,0 +1,73 @@
+"""Adam (Kingma and Ba 2015) over the Gaussians that a frame shows: others keep their moments."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from reconstruct.gaussians.model import Parameters
+from reconstruct.gaussians.rasteriser import Floats
+from reconstruct.kernels import in_threads
+
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
+"""Of 3D Gaussian splatting (Kerbl et al. 2023)."""
+
+
+class Adam:
+    """Steps `Parameters` in place; counts a Gaussian's own steps, since frames show it or not."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.first, self.second = parameters.zeros(), parameters.zeros()
+        self.steps = np.zeros(len(parameters), np.int32)
+        self.light_steps = np.zeros(1, np.int32)
+
+    def step(
+        self, parameters: Parameters, gradient: dict[str, Floats], shown: NDArray[np.bool_], rates: dict[str, float]
+    ) -> None:
+        """One step of the Gaussians `shown` (N,), and of the light, at `rates` by name."""
+        self.steps += shown
+        self.light_steps += 1
+        for name, values in parameters.arrays().items():
+            light = name == "light"
+            rows = np.ones(1, bool) if light else shown
+            count = self.light_steps if light else self.steps
+            shape = (1, -1) if light else (len(values), -1)
+            flat = [
+                a.reshape(shape)
+                for a in (values, gradient[name], getattr(self.first, name), getattr(self.second, name))
+            ]
+            in_threads(partial(_step_some, (*flat, rows, count, np.float32(rates[name]))), len(flat[0]), 2000)
+
+    def kept(self, which: NDArray[np.int64], fresh: NDArray[np.bool_]) -> None:
+        """Go on with the Gaussians `which` (M,), of which `fresh` (M,) begin anew."""
+        for moments in (self.first, self.second):
+            for name, values in moments.arrays().items():
+                if name != "light":
+                    taken = values[which]
+                    taken[fresh] = 0
+                    setattr(moments, name, taken)
+        self.steps = np.where(fresh, 0, self.steps[which]).astype(np.int32)
+
+
+def _step_some(arguments: tuple[Any, ...], begin: int, end: int) -> None:
+    _step(begin, end, *arguments)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+def _step(begin, end, values, gradient, first, second, shown, steps, rate):  # pragma: no cover
+    one, beta1, beta2 = np.float32(1), np.float32(BETA1), np.float32(BETA2)
+    for n in range(begin, end):
+        if not shown[n]:
+            continue
+        under1, under2 = one / (one - beta1 ** steps[n]), one / (one - beta2 ** steps[n])
+        for k in range(values.shape[1]):
+            g = gradient[n, k]
+            first[n, k] = beta1 * first[n, k] + (one - beta1) * g
+            second[n, k] = beta2 * second[n, k] + (one - beta2) * g * g
+            root = math.sqrt(second[n, k] * under2) + np.float32(EPSILON)
+            values[n, k] -= rate * first[n, k] * under1 / root

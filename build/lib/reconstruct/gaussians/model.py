@@ -1,0 +1,222 @@
+"""The articulated model that is optimised: canonical Gaussians of both parts, one soft part weight each, and light.
+
+Paper, Blended Rendering: G_i = w (G o I) u (1 - w)(G o J_i). What it lacks is light: lamps stand still while the object
+turns, so a Gaussian's colour is its own times what falls on a surface that is turned as it is, the same for all of
+them (irradiance in spherical harmonics: Ramamoorthi and Hanrahan 2001).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from freeart21.gaussians import FAINT_COPY, TURNED_AWAY, Gaussians
+from freeart21.se3 import Array
+from reconstruct.gaussians.rasteriser import Floats, SplatGradients, Splats
+from reconstruct.kernels import in_threads
+
+_F = np.float32
+_MOST_TERMS = 25
+DARKEST = 0.02
+"""Of mean light, the least that falls anywhere."""
+
+
+@dataclass
+class Parameters:
+    """All that Adam steps, float32; or its gradient."""
+
+    means: Floats
+    """(N, 3) metres."""
+    quaternions: Floats
+    """(N, 4) wxyz, of any length; the third axis is the outward normal."""
+    log_scales: Floats
+    """(N, 3)."""
+    opacity_logits: Floats
+    """(N,)."""
+    colours: Floats
+    """(N, 3) sRGB in mean light; may leave 0 to 1 while it is optimised."""
+    weight_logits: Floats
+    """(N,) of the part weights."""
+    light: Floats
+    """(L, 3) as `Gaussians.light`."""
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def kept(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Parameters:
+        """Those Gaussians alone."""
+        own = {name: values[which] for name, values in self.arrays().items() if name != "light"}
+        return Parameters(**own, light=self.light)
+
+    def zeros(self) -> Parameters:
+        """Of the same shapes."""
+        return Parameters(*(np.zeros_like(getattr(self, f.name)) for f in fields(self)))
+
+    def arrays(self) -> dict[str, Floats]:
+        """Name to array."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def gaussians(self, blended: bool = True) -> Gaussians:
+        """What they stand for; without `blended` the part weights are 0 or 1."""
+        q = self.quaternions / np.linalg.norm(self.quaternions, axis=1, keepdims=True)
+        w, x, y, z = q.T
+        normals = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
+        weights = sigmoid(self.weight_logits)
+        return Gaussians(
+            self.means,
+            q,
+            np.exp(self.log_scales),
+            sigmoid(self.opacity_logits),
+            np.clip(self.colours, 0, 1),
+            weights if blended else np.round(weights),
+            normals,
+            self.light,
+        )
+
+
+def sigmoid(x: Floats) -> Floats:
+    """1 / (1 + exp(-x))."""
+    return np.asarray(1 / (1 + np.exp(-x)), np.float32)
+
+
+def logit(p: Floats) -> Floats:
+    """The inverse of `sigmoid`, of p cut to 1e-4 from 0 and 1."""
+    p = np.clip(p, 1e-4, 1 - 1e-4)
+    return np.asarray(np.log(p / (1 - p)), np.float32)
+
+
+Back = Callable[[SplatGradients], dict[str, Floats]]
+
+
+def splats_of(gaussians: Gaussians, Ts: Array, lit: Array | None = None) -> tuple[Splats, Back]:
+    """What to draw in a frame with poses Ts (2, 4, 4) of the two parts, and the way back.
+
+    `lit` (2, 4, 4) are the parts' poses before the recording camera, whose lamps they stand in; Ts when None.
+
+    A disc shows its outer face alone: those turned away stay out, as do copies too faint to matter. The way back gives
+    derivatives by means, quaternions, scales, opacities, colours, part_weights and light, with the normal that light
+    falls on held fixed, and `screen` and `drawn` as `SplatGradients` has them, summed over a Gaussian's copies.
+    """
+    poses = np.ascontiguousarray(Ts, np.float32)
+    opacities, weights = gaussians.opacities, gaussians.part_weights
+    index, motion = _select(gaussians.means, gaussians.normals, opacities, weights, poses)
+    light = np.full((1, 3), 1 / 0.28209479, np.float32) if gaussians.light is None else gaussians.light
+    m = len(index)
+    colours, shades = np.empty((m, 3), np.float32), np.empty((m, 3), np.float32)
+    harmonics = np.empty((m, len(light)), np.float32)
+    turned = poses if lit is None else np.ascontiguousarray(lit, np.float32)
+    shading = (index, motion, gaussians.normals, gaussians.colours, turned, light, harmonics, shades, colours)
+    in_threads(lambda a, b: _light(a, b, *shading), m, 2000)
+    share = np.where(motion == 0, weights[index], 1 - weights[index])
+    shape = (gaussians.means[index], gaussians.quaternions[index], gaussians.scales[index], opacities[index] * share)
+    splats = Splats(*shape, colours, motion)
+
+    def back(d: SplatGradients) -> dict[str, Floats]:
+        n = len(gaussians)
+        by_shade = d.colours * gaussians.colours[index] * (shades > _F(DARKEST))
+        sign = np.where(motion == 0, _F(1), _F(-1))
+        columns = {
+            "means": d.means,
+            "quaternions": d.quaternions,
+            "scales": d.scales,
+            "opacities": d.opacities * share,
+            "colours": d.colours * shades,
+            "part_weights": d.opacities * opacities[index] * sign,
+            "screen": d.screen,
+            "drawn": d.drawn.astype(np.float32),
+        }
+        found = {}
+        for name, values in columns.items():
+            width = math.prod(values.shape[1:])
+            total = np.zeros((n, width), np.float32)
+            _sum_copies(index, values.reshape(m, width), total)
+            found[name] = total.reshape(n, *values.shape[1:])
+        return {**found, "light": harmonics.T @ by_shade}
+
+    return splats, back
+
+
+@njit(nogil=True, cache=True)
+def _select(means, normals, opacities, weights, poses):  # pragma: no cover
+    """(m,) numbers of the Gaussians to be drawn, and (m,) under which motion; those under motion 0 first."""
+    index, motion = np.empty(2 * len(means), np.int64), np.empty(2 * len(means), np.uint8)
+    m = 0
+    for k in range(2):
+        T = poses[k]
+        # the camera in the canonical frame
+        c0 = -(T[0, 0] * T[0, 3] + T[1, 0] * T[1, 3] + T[2, 0] * T[2, 3])
+        c1 = -(T[0, 1] * T[0, 3] + T[1, 1] * T[1, 3] + T[2, 1] * T[2, 3])
+        c2 = -(T[0, 2] * T[0, 3] + T[1, 2] * T[1, 3] + T[2, 2] * T[2, 3])
+        for g in range(means.shape[0]):
+            if opacities[g] * (weights[g] if k == 0 else 1 - weights[g]) <= FAINT_COPY:
+                continue
+            x, y, z = c0 - means[g, 0], c1 - means[g, 1], c2 - means[g, 2]
+            facing = normals[g, 0] * x + normals[g, 1] * y + normals[g, 2] * z
+            if facing < TURNED_AWAY * math.sqrt(x * x + y * y + z * z):
+                continue
+            index[m], motion[m] = g, k
+            m += 1
+    return index[:m].copy(), motion[:m].copy()
+
+
+@njit(nogil=True, cache=True)
+def _sum_copies(index, values, total):  # pragma: no cover
+    for e in range(index.shape[0]):
+        for d in range(values.shape[1]):
+            total[index[e], d] += values[e, d]
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def _harmonics(x, y, z, found):  # pragma: no cover
+    """As `freeart21.gaussians.spherical_harmonics`, of one direction, as many as `found` has room for."""
+    terms = found.shape[0]
+    found[0] = _F(0.28209479)
+    if terms > 1:
+        found[1], found[2], found[3] = _F(0.48860251) * y, _F(0.48860251) * z, _F(0.48860251) * x
+    if terms > 4:
+        found[4], found[5] = _F(1.09254843) * x * y, _F(1.09254843) * y * z
+        found[6], found[7] = _F(0.31539157) * (_F(3) * z * z - _F(1)), _F(1.09254843) * x * z
+        found[8] = _F(0.54627422) * (x * x - y * y)
+    if terms > 9:
+        found[9] = _F(0.59004359) * y * (_F(3) * x * x - y * y)
+        found[10] = _F(2.89061144) * x * y * z
+        found[11] = _F(0.45704580) * y * (_F(5) * z * z - _F(1))
+        found[12] = _F(0.37317633) * z * (_F(5) * z * z - _F(3))
+        found[13] = _F(0.45704580) * x * (_F(5) * z * z - _F(1))
+        found[14] = _F(1.44530572) * z * (x * x - y * y)
+        found[15] = _F(0.59004359) * x * (x * x - _F(3) * y * y)
+    if terms > 16:
+        found[16] = _F(2.50334294) * x * y * (x * x - y * y)
+        found[17] = _F(1.77013077) * y * z * (_F(3) * x * x - y * y)
+        found[18] = _F(0.94617470) * x * y * (_F(7) * z * z - _F(1))
+        found[19] = _F(0.66904654) * y * z * (_F(7) * z * z - _F(3))
+        found[20] = _F(0.10578555) * (z * z * (_F(35) * z * z - _F(30)) + _F(3))
+        found[21] = _F(0.66904654) * x * z * (_F(7) * z * z - _F(3))
+        found[22] = _F(0.47308735) * (x * x - y * y) * (_F(7) * z * z - _F(1))
+        found[23] = _F(1.77013077) * x * z * (x * x - _F(3) * y * y)
+        found[24] = _F(0.62583574) * (x * x * (x * x - _F(3) * y * y) - y * y * (_F(3) * x * x - y * y))
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def _light(begin, end, index, motion, normals, colours, poses, light, harmonics, shades, lit):  # pragma: no cover
+    """Spherical harmonics of the normals as the camera has them, the light there, and the colours in it."""
+    for k in range(begin, end):
+        g, M = index[k], poses[motion[k]]
+        a, b, c = normals[g, 0], normals[g, 1], normals[g, 2]
+        _harmonics(
+            M[0, 0] * a + M[0, 1] * b + M[0, 2] * c,
+            M[1, 0] * a + M[1, 1] * b + M[1, 2] * c,
+            M[2, 0] * a + M[2, 1] * b + M[2, 2] * c,
+            harmonics[k],
+        )
+        for d in range(3):
+            shade = _F(0)
+            for t in range(light.shape[0]):
+                shade += harmonics[k, t] * light[t, d]
+            shades[k, d] = max(_F(DARKEST), shade)
+            lit[k, d] = colours[g, d] * shades[k, d]

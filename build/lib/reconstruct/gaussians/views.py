@@ -1,0 +1,215 @@
+"""Held-out views from the Gaussians, with what they do not explain taken from the video.
+
+A view is the Gaussians' picture plus a mean of residuals, video less the Gaussians' picture of its frame, from the
+frames that saw each place most alike (an unstructured lumigraph, Buehler et al. 2001, of residuals): shadows,
+highlights, and texture finer than a Gaussian. Where no frame saw a place, the Gaussians stand alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.gaussians import Gaussians
+from freeart21.reconstruction import Reconstruction
+from freeart21.recording import Query, Recording
+from freeart21.se3 import Array
+from reconstruct.gaussians.losses import COVERED
+from reconstruct.gaussians.model import splats_of
+from reconstruct.gaussians.numba_backend import rasterise
+from reconstruct.gaussians.rasteriser import Floats, Lens, Picture
+from reconstruct.kernels import in_threads
+from reconstruct.lumigraph import seen_alike
+
+Image = NDArray[np.uint8]
+
+FRAMES, PIXELS = 300, 20_000_000
+"""Frames whose residuals are looked at, evenly drawn, and the pixels that they have at most together."""
+ALIKE, SPREAD = 48, 24
+"""Of these, the frames for one part of one view: so many that see it turned most alike, and so many evenly drawn."""
+REACH = 0.2
+"""Pixels: standard deviation of the weight of a frame's pixel beside the place. Half a pixel, or none but bilinear
+weights, blurs: .2 dB less on two objects."""
+RIM = 0.05
+"""Opacity from which a pixel beside a covered one shows the object: a pixel that the object touches has its colour in
+pictures without anti-aliasing. With 0.5, pictures lacked their rim: 1 to 2 dB less."""
+TOLERANCE = 3.0
+"""Footprints by which a frame's depth may differ from the view's at one place."""
+
+
+def posed(result: Reconstruction, query: Query, other: bool) -> tuple[Array, Array]:
+    """Poses (4, 4) of both parts before the new camera: the state's frame b, the pose of one of them in frame a.
+
+    That one is the result's reference part, or with `other` its moving part.
+    """
+    J = result.articulation.joint.transform(float(result.states[query.state_of_frame]))
+    if other:
+        T = query.T_newcam_cam @ result.Ts_camera_moving[query.pose_of_frame]
+        return T @ se3.inverse(J), T
+    T = query.T_newcam_cam @ result.Ts_camera_reference[query.pose_of_frame]
+    return T, T @ J
+
+
+def render_views(result: Reconstruction, recording: Recording, with_video: bool) -> tuple[list[Image], list[Image]]:
+    """One picture (height, width, 3) for each query, white where there is nothing: posed by the reference part, and by
+    the moving part. `with_video` adds what the frames show beyond the Gaussians."""
+    assert result.appearance is not None
+    film = _Film.of(result, recording) if with_video else None
+    first, second = (
+        [_view(result.appearance, posed(result, q, other), film, recording.camera, q) for q in recording.queries]
+        for other in (False, True)
+    )
+    return first, second
+
+
+def _lens(camera: Camera) -> Lens:
+    K = camera.K
+    return Lens(K[0, 0], K[1, 1], K[0, 2], K[1, 2], camera.width, camera.height)
+
+
+def _drawn(gaussians: Gaussians, Ts: Array, lens: Lens, lit: Array) -> tuple[Picture, Floats]:
+    """The picture, and colours (h, w, 3) 0 to 255 of what it shows."""
+    picture, _ = rasterise(splats_of(gaussians, Ts, lit)[0], Ts, lens)
+    over = 255 / np.maximum(picture.alpha, 1e-3)[..., None]
+    return picture, np.clip(picture.colour * over, 0, 255).astype(np.float32)
+
+
+def _depth(picture: Picture) -> Floats:
+    return np.where(picture.alpha > RIM, picture.depth / np.maximum(picture.alpha, RIM), 0).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _Film:
+    """What frames of the video show beyond the Gaussians, cropped to where the object ever is."""
+
+    residuals: Floats
+    """(n, h, w, 3) grey levels."""
+    depth: Floats
+    """(n, h, w) metres, of the Gaussians; 0 where they or the object are not."""
+    part: Image
+    """(n, h, w) 1 where the reference part shows, 2 where the moving part does."""
+    Ts: Array
+    """(2, n, 4, 4) camera from canonical of both parts."""
+    seen: NDArray[np.bool_]
+    """(n, 2)."""
+    lens: Lens
+
+    @classmethod
+    def of(cls, result: Reconstruction, recording: Recording) -> _Film:
+        ever: NDArray[np.bool_] = result.part_masks.max(0) > 0
+        rows, columns = np.flatnonzero(ever.any(1)), np.flatnonzero(ever.any(0))
+        box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)) if len(rows) else (slice(1), slice(1))
+        h, w = ever[box].shape
+        whole = _lens(recording.camera)
+        lens = replace(whole, cx=whole.cx - (box[1].start or 0), cy=whole.cy - (box[0].start or 0), width=w, height=h)
+        most = int(np.clip(PIXELS // (h * w), 1, min(FRAMES, len(recording))))
+        frames = np.linspace(0, len(recording) - 1, most).round().astype(int)
+        Ts = np.stack([result.Ts_camera_reference[frames], result.Ts_camera_moving[frames]])
+        residuals, depth = np.zeros((most, h, w, 3), np.float32), np.zeros((most, h, w), np.float32)
+        part = np.zeros((most, h, w), np.uint8)
+        assert result.appearance is not None
+        for k, i in enumerate(frames):
+            frame = recording.frame(int(i))
+            picture, colours = _drawn(result.appearance, Ts[:, k], lens, Ts[:, k])
+            on = frame.mask[box] & (picture.alpha > COVERED)
+            residuals[k] = np.where(on[..., None], frame.rgb[box] - colours, 0)
+            depth[k] = np.where(on, _depth(picture), 0)
+            part[k] = np.where(on, 1 + (picture.moving > 0.5 * picture.alpha), 0)
+        return cls(residuals, depth, part, Ts, result.seen[frames], lens)
+
+    def frames_like(self, part: int, T_camera_part: Array) -> NDArray[np.int64]:
+        """Frames in which the part was seen: those that have it turned most alike, and some from all round."""
+        seen = np.flatnonzero(self.seen[:, part])
+        if len(seen) <= ALIKE + SPREAD:
+            return seen
+        turn = se3.rotation_angle(self.Ts[part, seen, :3, :3] @ T_camera_part[:3, :3].T)
+        alike = seen[np.argsort(turn, kind="stable")[:ALIKE]]
+        return np.union1d(alike, seen[np.linspace(0, len(seen) - 1, SPREAD).round().astype(int)])
+
+
+def _view(gaussians: Gaussians, poses: tuple[Array, Array], film: _Film | None, camera: Camera, query: Query) -> Image:
+    Ts, back = np.stack(poses), se3.inverse(query.T_newcam_cam)
+    lens = _lens(camera)
+    picture, colours = _drawn(gaussians, Ts, lens, back @ Ts)
+    covered = (picture.alpha > COVERED).astype(np.uint8)
+    shown = (picture.alpha > RIM) & (cv2.dilate(covered, np.ones((3, 3))) > 0)
+    image = np.where(shown[..., None], colours, 255)
+    if film is not None:
+        normals = _normals(gaussians, Ts, lens)
+        points = camera.rays() * _depth(picture)[..., None]
+        for part in range(2):
+            on = shown & ((picture.moving > 0.5 * picture.alpha) == bool(part))
+            if on.any():
+                image[on] += _residuals(film, part, Ts[part], back, points[on], normals[on])
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def _normals(gaussians: Gaussians, Ts: Array, lens: Lens) -> Array:
+    """(h, w, 3) unit normals in the camera's frame, drawn as colours are."""
+    unlit = replace(gaussians, colours=gaussians.normals, light=None)
+    splats, _ = splats_of(unlit, Ts)
+    R = np.ascontiguousarray(Ts[splats.motion][:, :3, :3], np.float32)
+    turned = np.einsum("nij,nj->ni", R, splats.colours).astype(np.float32)
+    total = rasterise(replace(splats, colours=turned), Ts, lens)[0].colour.astype(float)
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=2, keepdims=True), 1e-9), float)
+
+
+def _residuals(film: _Film, part: int, T: Array, back: Array, points: Array, normals: Array) -> Array:
+    """(n, 3) grey levels that the frames show beyond the Gaussians at a part's points (n, 3), camera frame of a view.
+
+    T (4, 4) is the part's pose there, `back` takes the view's camera to the recording one.
+    """
+    inverse = se3.inverse(T)
+    own = se3.transform(inverse, points)
+    views = inverse[:3, 3] - own
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
+    tolerance = TOLERANCE * float(np.median(points[:, 2])) / film.lens.fx
+    found = np.zeros((len(points), 3))
+    lens = (film.lens.fx, film.lens.fy, film.lens.cx - 0.5, film.lens.cy - 0.5)
+    pictures = (film.Ts[part], film.frames_like(part, back @ T), film.residuals, film.depth, film.part, part + 1)
+    arguments = (own, normals @ T[:3, :3], normals @ back[:3, :3].T, views, *pictures, *lens, tolerance, found)
+    in_threads(lambda a, b: _blend(a, b, *arguments), len(points), 200)
+    return found
+
+
+@njit(nogil=True, cache=True)
+def _blend(
+    begin, end, points, normals, lit, views, Ts, frames, residuals, depth, parts, part, fx, fy, cx, cy, tolerance,
+    found,
+):  # pragma: no cover  # fmt: skip
+    """Weighted means of the residuals of the pixels nearest to `points`, part frame.
+
+    Normals and directions to the new camera are in the part's frame, too; `lit` are the normals in the recording
+    camera's, with which the lamps stand.
+    """
+    h, w = parts.shape[1:]
+    total = np.zeros(3)
+    for k in range(begin, end):
+        total[:] = 0
+        weight = 0.0
+        for i in frames:
+            good, u, v, pz, tilt = seen_alike(Ts[i], points[k], normals[k], lit[k], views[k], fx, fy, cx, cy)
+            if good == 0:
+                continue
+            x0, y0 = math.floor(u), math.floor(v)
+            if x0 < 0 or y0 < 0 or x0 >= w - 1 or y0 >= h - 1:
+                continue
+            slope = tolerance + 0.7 * tilt
+            for row in range(y0, y0 + 2):
+                for column in range(x0, x0 + 2):
+                    if parts[i, row, column] != part or abs(depth[i, row, column] - pz) > slope:
+                        continue
+                    s = good * math.exp(-((u - column) ** 2 + (v - row) ** 2) / (2 * REACH * REACH))
+                    weight += s
+                    for d in range(3):
+                        total[d] += s * residuals[i, row, column, d]
+        if weight > 0:
+            for d in range(3):
+                found[k, d] = total[d] / weight

@@ -1,0 +1,151 @@
+"""What the frames show, as the Gaussians are held to it: windows round the object at the recording's resolution."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.recording import Frame, Recording
+from reconstruct.gaussians.losses import Target
+from reconstruct.gaussians.rasteriser import Floats, Lens
+from reconstruct.kernels import each_in_threads
+from reconstruct.scene import Scene, depth_noise
+
+MARGIN = 8
+"""Pixels of a frame's window round its mask."""
+NOISE_FRAMES = 12
+"""Frames that the noise of depth is taken from."""
+EXACT, AS_COLOUR = 0.1, 0.015
+"""Footprints to which the model's depth can be right, and the error of colour, sRGB from 0 to 1, that weighs as much as
+a standard deviation of depth's: what a model of a video is off by. With the paper's weight for depth outlines, which
+Gaussians blur, drew the surface of the clean torch_lighter .4 pixels inward; with 10 times that, .01."""
+JUMP = 4.0
+"""Footprints, and deviations of noise, between neighbours' depths beyond which neither is believed: sensors mix what
+they see there."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """What a frame shows of the object, and through which lens."""
+
+    lens: Lens
+    rgb: NDArray[np.uint8]
+    """(h, w, 3)."""
+    depth: Floats
+    """(h, w) metres; minus the depth of what is not the object; 0 where there is none or it is not believed."""
+    mask: NDArray[np.bool_]
+    """(h, w) foreground."""
+    corner: tuple[int, int]
+    """Column and row of its first pixel in the recording's picture."""
+
+    def target(self) -> Target:
+        """The same as numbers."""
+        colour = self.rgb.astype(np.float32) / np.float32(255)
+        return Target(colour, np.maximum(self.depth, 0), self.mask, np.maximum(-self.depth, 0))
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Those of all frames."""
+
+    frames: tuple[Window | None, ...]
+    """None where a frame shows nothing."""
+    footprint: float
+    """Metres a pixel covers at the object."""
+    noise: float
+    """Metres: standard deviation of the depth."""
+    diagonal: float
+    """Metres: the object's size."""
+    factor: int
+    """Pixels of the recording, each way, that one of a window's stands for."""
+
+    @property
+    def shown(self) -> NDArray[np.bool_]:
+        """(n,) frames that show the object."""
+        return np.array([window is not None for window in self.frames])
+
+    @property
+    def depth_unit(self) -> float:
+        """Metres that the loss of depth counts in: half the object's diagonal, as the paper's objects, of about 2 m,
+        have metres; less where the sensor is so exact that depth has more to say than colour."""
+        return min(self.diagonal / 2, math.hypot(self.noise, EXACT * self.footprint) / AS_COLOUR)
+
+    def in_crop(self, i: int, image: Floats, scene: Scene) -> Floats:
+        """A picture (h, w) of frame i's window as the scene's crop (h, w) of that frame has it; NaN beyond."""
+        h, w = scene.mask.shape[1:]
+        left, top = self[i].corner
+        found = np.full((h, w), np.nan, np.float32)
+        x = (scene.origin[i, 0] + np.arange(w) * scene.factor + scene.factor // 2 - left) // self.factor
+        y = (scene.origin[i, 1] + np.arange(h) * scene.factor + scene.factor // 2 - top) // self.factor
+        columns, rows = (x >= 0) & (x < image.shape[1]), (y >= 0) & (y < image.shape[0])
+        found[np.ix_(rows, columns)] = image[np.ix_(y[rows], x[columns])]
+        return found
+
+    def __getitem__(self, i: int) -> Window:
+        window = self.frames[i]
+        assert window is not None, i
+        return window
+
+
+def windows_of(recording: Recording, scene: Scene, most_pixels: int) -> Windows:
+    """The windows of a recording, sampled down by a whole factor where foregrounds have more than `most_pixels`."""
+    pixels = float(np.mean(scene.mask.sum((1, 2)))) * scene.factor**2
+    factor = max(1, math.ceil(math.sqrt(pixels / most_pixels)))
+    footprint = scene.footprint / scene.factor * factor
+    K = recording.camera.K
+    some = [recording.frame(i) for i in np.linspace(0, len(recording) - 1, NOISE_FRAMES).round().astype(int)]
+    noise = depth_noise(np.stack([np.where(frame.mask, frame.depth, 0) for frame in some]).astype(np.float32))
+
+    def load(i: int) -> Window | None:
+        return _window(recording.frame(i), K, factor, JUMP * footprint + 4 * noise)
+
+    frames = tuple(each_in_threads(load, len(recording)))
+    return Windows(frames, footprint, noise, scene.diagonal, factor)
+
+
+def _window(frame: Frame, K: NDArray[np.float64], factor: int, jump: float) -> Window | None:
+    ys, xs = np.flatnonzero(frame.mask.any(1)), np.flatnonzero(frame.mask.any(0))
+    if not len(xs):
+        return None
+    height, width = frame.mask.shape
+    margin = MARGIN * factor
+    top, left = max(0, int(ys[0]) - margin), max(0, int(xs[0]) - margin)
+    h, w = (min(height, int(ys[-1]) + 1 + margin) - top), (min(width, int(xs[-1]) + 1 + margin) - left)
+    h, w = h // factor * factor, w // factor * factor
+    box = np.s_[top : top + h, left : left + w]
+    mask = frame.mask[box]
+    near = np.where(mask, frame.depth[box], 0).astype(np.float32)
+    low = cv2.erode(np.where(near > 0, near, np.float32(np.inf)), np.ones((3, 3)))
+    sound = (near > 0) & (cv2.dilate(near, np.ones((3, 3))) - low < jump)
+    depth = np.where(mask, np.where(sound, near, 0), -frame.depth[box]).astype(np.float32)
+    rgb = frame.rgb[box]
+    if factor > 1:
+        size = (w // factor, h // factor)
+        rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+        mask = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
+        depth = _at_centres(depth, factor)
+        depth = np.where(mask, np.maximum(depth, 0), np.minimum(depth, 0))
+    lens = Lens(
+        K[0, 0] / factor,
+        K[1, 1] / factor,
+        (K[0, 2] - left) / factor,
+        (K[1, 2] - top) / factor,
+        w // factor,
+        h // factor,
+    )
+    return Window(lens, rgb.copy(), depth.copy(), mask.copy(), (left, top))
+
+
+def _at_centres(depth: Floats, factor: int) -> Floats:
+    """Depth (h, w), signed as a window's, at the centres of blocks of `factor` pixels each way; 0 where it is in doubt.
+
+    An even block's centre lies between four pixels: any one of them would be half a pixel off the lens and the colours.
+    """
+    middle = ((factor - 1) // 2, factor // 2)
+    four = np.stack([depth[i::factor, j::factor] for i in middle for j in middle])
+    alike = (four > 0).all(0) | (four < 0).all(0)
+    return np.where(alike, four.mean(0), 0).astype(np.float32)

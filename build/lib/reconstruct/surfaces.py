@@ -1,0 +1,340 @@
+"""Fusion of every part's depth into a coloured mesh. What no frame showed gets no triangle."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from skimage.measure import marching_cubes
+
+from freeart21 import se3
+from freeart21.mesh import Mesh
+from freeart21.se3 import Array
+from reconstruct.evidence import evenly
+from reconstruct.kernels import in_threads
+from reconstruct.scene import Floats, Scene
+from reconstruct.settings import SurfaceSettings
+
+Labels = NDArray[np.uint8]
+Faces = NDArray[np.int64]
+
+BLOCK = 4
+"""Voxels along the edge of a block: the unit in which the neighbourhood of the surface is marked."""
+
+FOREIGN = 3
+"""Frames that must see the other part at a place before it can be taken from this one."""
+EMPTY = 0.5
+"""Weight of a background pixel's word that a place is free; a pixel that faces the surface squarely has 1."""
+
+
+def fuse(
+    scene: Scene, labels: Labels, part: int, Ts: Array, used: NDArray[np.bool_], settings: SurfaceSettings
+) -> Mesh:
+    """The mesh of one part (1 or 2), in the frame that `Ts` (n, 4, 4) take to the camera; empty when never seen.
+
+    A truncated signed distance field averaged over the frames `used` (n,) (Curless and Levoy 1996), of distances to
+    the pixels' planes; pixels of the other part and of the background say what is free, and cells no frame spoke of
+    are left open.
+    """
+    frames = evenly(np.flatnonzero(used), settings.max_frames)
+    points = _cloud(scene, labels, part, Ts, frames)
+    if len(points) < 100:
+        return _nothing()
+    T_part_grid, shape, voxel = _grid(scene, points, settings)
+    Ts_grid = Ts @ T_part_grid
+    reach = settings.truncation * voxel + 2 * scene.noise
+    near = _near_blocks(se3.transform(se3.inverse(T_part_grid), points), voxel, shape, reach)
+    field, weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    pictures = (scene.points, scene.normals, scene.mask, labels, _to_rim(scene, labels, part, frames))
+    lens = (scene.fx, scene.fy, scene.cx, scene.cy)
+    distances = (reach, settings.behind * voxel + 2 * scene.noise, 0.5 * voxel + scene.noise)
+    blocks = np.argwhere(near)
+    arguments = (field, weight, blocks, voxel, Ts_grid, frames, *pictures, part, *lens, *distances)
+    in_threads(lambda begin, end: _integrate(begin, end, *arguments), len(blocks), 100)
+    known = weight > 0
+    if not (field[known] < 0).any():
+        return _nothing()
+    field[~known] = 1
+    vertices, faces, _, _ = marching_cubes(field, 0.0)
+    vertices, faces = _observed(vertices, faces, known)
+    vertices, faces = _large_pieces(vertices, faces, settings.min_component)
+    vertices = (vertices * voxel).astype(float)
+    tolerance = 2 * voxel + 3 * scene.noise
+    colours, foreign = _colours(scene, labels, part, Ts_grid, frames, vertices, faces, tolerance, settings.sharpness)
+    mesh = Mesh(se3.transform(T_part_grid, vertices), faces, colours)
+    return mesh.with_faces(foreign[faces].sum(1) == 0)
+
+
+def _nothing() -> Mesh:
+    return Mesh(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), np.uint8))
+
+
+def _cloud(scene: Scene, labels: Labels, part: int, Ts: Array, frames: NDArray[np.int64]) -> Array:
+    """The part's points in its own frame, one of three."""
+    clouds = [np.zeros((0, 3))]
+    for i in frames:
+        mine = (labels[i] == part) & scene.valid[i]
+        clouds.append(se3.transform(se3.inverse(Ts[i]), scene.points[i][mine][::3]))
+    return np.concatenate(clouds)
+
+
+def _grid(scene: Scene, points: Array, settings: SurfaceSettings) -> tuple[Array, NDArray[np.int64], float]:
+    """T_part_grid of a box along the principal axes of the points, its voxels each way, and a voxel's edge, metres.
+
+    The grid's frame has the centre of the first voxel at its origin.
+    """
+    axes = np.linalg.eigh(np.cov(points.T))[1]
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    along = points @ axes
+    low, high = np.percentile(along, 0.1, axis=0), np.percentile(along, 99.9, axis=0)
+    voxel = settings.voxel * scene.footprint
+    for _ in range(3):
+        pad = (settings.truncation + 3) * voxel + 2 * scene.noise + 0.01 * scene.diagonal
+        volume = float(np.prod(high - low + 2 * pad))
+        voxel = max(voxel, (volume / settings.max_voxels) ** (1 / 3))
+    shape = (np.ceil((high - low + 2 * pad) / voxel / BLOCK).astype(int) + 1) * BLOCK
+    return se3.pose(axes, axes @ (low - pad)), shape, voxel
+
+
+def _near_blocks(points_grid: Array, voxel: float, shape: NDArray[np.int64], reach: float) -> NDArray[np.bool_]:
+    """(shape / BLOCK) blocks within `reach`, metres, of a point."""
+    blocks = shape // BLOCK
+    at = np.floor(points_grid / (BLOCK * voxel)).astype(int)
+    at = at[((at >= 0) & (at < blocks)).all(1)]
+    near = np.zeros(blocks, bool)
+    near[tuple(at.T)] = True
+    return binary_dilation(near, np.ones((3, 3, 3)), math.ceil((reach + voxel) / (BLOCK * voxel)))
+
+
+def _to_rim(scene: Scene, labels: Labels, part: int, frames: NDArray[np.int64]) -> Floats:
+    """(frames, h, w) pixels to the part's rim: its pixels beside others, or beside what lies well behind them.
+
+    Positive within the part, 0 on the rim; outside of it minus the distance to the part.
+    """
+    distance = np.zeros((len(frames), *scene.mask.shape[1:]), np.float32)
+    jump = 4 * (scene.footprint + scene.noise)
+    for k, i in enumerate(frames):
+        mine = labels[i] == part
+        depth = scene.points[i, ..., 2]
+        depth = np.where(mine & scene.valid[i], depth, np.where(scene.mask[i] | (depth == 0), np.float32(1e6), -depth))
+        rim = (cv2.dilate(depth, np.ones((3, 3))) > depth + jump) & mine
+        distance[k] = _distance(rim) * mine - _distance(mine)
+    return distance
+
+
+def _distance(places: NDArray[np.bool_]) -> Floats:
+    """(h, w) pixels to the nearest of the places, or the picture's size when there is none."""
+    if not places.any():
+        return np.full(places.shape, sum(places.shape), np.float32)
+    return cv2.distanceTransform((~places).astype(np.uint8), cv2.DIST_L2, 5).astype(np.float32, copy=False)
+
+
+def _observed(vertices: Array, faces: Faces, known: NDArray[np.bool_]) -> tuple[Array, Faces]:
+    """Faces all of whose vertices lie between two voxels that some frame measured."""
+    lower, upper = np.floor(vertices).astype(int), np.ceil(vertices).astype(int)
+    seen = known[tuple(lower.T)] & known[tuple(upper.T)]
+    return _used_only(vertices, faces[seen[faces].all(1)])
+
+
+def _large_pieces(vertices: Array, faces: Faces, least: float) -> tuple[Array, Faces]:
+    """Connected pieces with at least the share `least` of the largest piece's faces."""
+    if len(faces) == 0:
+        return vertices, faces
+    n = len(vertices)
+    rows, columns = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
+    piece = connected_components(coo_matrix((np.ones(len(rows)), (rows, columns)), (n, n)), directed=False)[1]
+    sizes = np.bincount(piece[faces[:, 0]])
+    return _used_only(vertices, faces[sizes[piece[faces[:, 0]]] >= least * sizes.max()])
+
+
+def _used_only(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
+    """The same faces without vertices that none of them uses."""
+    used, new = np.unique(faces, return_inverse=True)
+    return vertices[used], new.reshape(-1, 3).astype(np.int64)
+
+
+def vertex_normals(vertices: Array, faces: Faces) -> Array:
+    """(V, 3) unit outward normals, faces counted by area."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    face_normals = np.cross(b - a, c - a)
+    normals = np.stack(
+        [sum(np.bincount(faces[:, k], face_normals[:, d], len(vertices)) for k in range(3)) for d in range(3)], 1
+    )
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+
+
+def _colours(
+    scene: Scene,
+    labels: Labels,
+    part: int,
+    Ts: Array,
+    frames: NDArray[np.int64],
+    vertices: Array,
+    faces: Faces,
+    tolerance: float,
+    sharpness: float,
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """(V, 3) RGB from the frames that see a vertex best; one that no frame saw takes that of the nearest seen.
+
+    And (V,) vertices of the other part: where its pixels lie on them far oftener than this part's, a few pixels were
+    labelled wrongly.
+    """
+    normals = vertex_normals(vertices, faces)
+    colours, weight = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
+    owners = np.zeros((len(vertices), 2), np.int32)
+    lens = (scene.fx, scene.fy, scene.cx, scene.cy)
+    pictures = (scene.rgb, scene.points, scene.edge, labels)
+    arguments = (vertices, normals, Ts, frames, *pictures, part, *lens, tolerance, sharpness, colours, weight, owners)
+    in_threads(lambda begin, end: _sample_colours(begin, end, *arguments), len(vertices), 1000)
+    seen = weight > 0
+    if seen.any() and not seen.all():
+        colours[~seen] = colours[seen][cKDTree(vertices[seen]).query(vertices[~seen])[1]]
+    foreign = (owners[:, 1] >= FOREIGN) & (owners[:, 1] > 2 * owners[:, 0])
+    return np.clip(np.rint(colours), 0, 255).astype(np.uint8), foreign
+
+
+@njit(nogil=True, cache=True)
+def _sample_colours(
+    begin, end, vertices, normals, Ts, frames, rgb, points, edge, labels, part, fx, fy, cx, cy, tolerance, sharpness,
+    colours, weights, owners,
+):  # pragma: no cover  # fmt: skip
+    """Mean of bilinear samples, weighted by the cosine of the view angle over depth to the power `sharpness`.
+
+    `owners` (V, 2) counts the frames whose nearest pixel lies on the vertex: of this part, and of the other.
+    """
+    h, w = labels.shape[1], labels.shape[2]
+    for k in range(begin, end):
+        total = np.zeros(3)
+        sample = np.zeros(3)
+        weight = 0.0
+        for f in range(frames.shape[0]):
+            i = frames[f]
+            T = Ts[i]
+            px = T[0, 0] * vertices[k, 0] + T[0, 1] * vertices[k, 1] + T[0, 2] * vertices[k, 2] + T[0, 3]
+            py = T[1, 0] * vertices[k, 0] + T[1, 1] * vertices[k, 1] + T[1, 2] * vertices[k, 2] + T[1, 3]
+            pz = T[2, 0] * vertices[k, 0] + T[2, 1] * vertices[k, 1] + T[2, 2] * vertices[k, 2] + T[2, 3]
+            if pz <= 0:
+                continue
+            facing = 0.0
+            for d in range(3):
+                n = T[d, 0] * normals[k, 0] + T[d, 1] * normals[k, 1] + T[d, 2] * normals[k, 2]
+                facing -= n * (px if d == 0 else py if d == 1 else pz)
+            facing /= math.sqrt(px * px + py * py + pz * pz)
+            if facing < 0.1:
+                continue
+            u, v = fx * px / pz + cx[i], fy * py / pz + cy[i]
+            x0, y0 = math.floor(u), math.floor(v)
+            if x0 < 0 or y0 < 0 or x0 >= w - 1 or y0 >= h - 1:
+                continue
+            x, y = x0 + (u - x0 > 0.5), y0 + (v - y0 > 0.5)
+            if facing > 0.3 and abs(points[i, y, x, 2] - pz) <= tolerance and labels[i, y, x] > 0:
+                owners[k, 0 if labels[i, y, x] == part else 1] += 1
+            share = 0.0
+            sample[:] = 0
+            slope = tolerance + 0.7 * (pz / fx) * math.sqrt(1 - min(1.0, facing * facing)) / facing
+            for dy in range(2):
+                for dx in range(2):
+                    x, y = x0 + dx, y0 + dy
+                    z = points[i, y, x, 2]
+                    if labels[i, y, x] != part or z <= 0 or abs(z - pz) > slope:
+                        continue
+                    s = (1 - abs(u - x)) * (1 - abs(v - y)) * (0.3 if edge[i, y, x] else 1.0)
+                    share += s
+                    for d in range(3):
+                        sample[d] += s * rgb[i, y, x, d]
+            if share < 0.1:
+                continue
+            good = (share * facing / pz) ** sharpness
+            weight += good
+            for d in range(3):
+                total[d] += good * sample[d] / share
+        weights[k] = weight
+        if weight > 0:
+            for d in range(3):
+                colours[k, d] = total[d] / weight
+
+
+@njit(nogil=True, cache=True)
+def _integrate(
+    begin, end, field, weight, blocks, voxel, Ts, frames, points, normals, mask, labels, to_rim, part, fx, fy, cx, cy,
+    reach, behind, sure,
+):  # pragma: no cover  # fmt: skip
+    """Average, over frames, of the distance in units of `reach`, in [-1, 1]; > 0 is free. Blocks begin to end.
+
+    A pixel of the part is a piece of plane. In front of it the distance counts in full; behind it, where the far side
+    of a thin sheet may be, it counts less and less from `sure` to `behind`. Any other pixel says that what lies in
+    front of its surface is free. No free place is farther from the part than, across the picture, from the part's rim.
+    """
+    h, w = labels.shape[1], labels.shape[2]
+    sums, weights = np.zeros((BLOCK, BLOCK, BLOCK)), np.zeros((BLOCK, BLOCK, BLOCK))
+    for block in range(begin, end):
+        first = blocks[block] * BLOCK
+        sums[:], weights[:] = 0, 0
+        for f in range(frames.shape[0]):
+            i = frames[f]
+            T = Ts[i]
+            for a in range(BLOCK):
+                for b in range(BLOCK):
+                    x, y, z = (first[0] + a) * voxel, (first[1] + b) * voxel, first[2] * voxel
+                    row_x = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+                    row_y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+                    row_z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+                    for c in range(BLOCK):
+                        pz = row_z + T[2, 2] * (c * voxel)
+                        if pz <= 0:
+                            continue
+                        px, py = row_x + T[0, 2] * (c * voxel), row_y + T[1, 2] * (c * voxel)
+                        u = fx * px / pz + cx[i]
+                        v = fy * py / pz + cy[i]
+                        xi, yi = math.floor(u + 0.5), math.floor(v + 0.5)
+                        if xi < 1 or yi < 1 or xi >= w - 1 or yi >= h - 1:
+                            continue
+                        value, vote = 1.0, EMPTY
+                        label = labels[i, yi, xi]
+                        mine = label == part
+                        around = -points[i, yi, xi, 2]
+                        if around > 0 and pz > around - reach:
+                            continue
+                        if mask[i, yi, xi]:
+                            depth = points[i, yi, xi, 2]
+                            if depth <= 0 or label == 0 or pz - depth > 2.2 * reach:
+                                continue
+                            n0, n1, n2 = normals[i, yi, xi, 0], normals[i, yi, xi, 1], normals[i, yi, xi, 2]
+                            across = n0 * px + n1 * py + n2 * pz
+                            distance = across - (n0 * points[i, yi, xi, 0] + n1 * points[i, yi, xi, 1] + n2 * depth)
+                            if distance < -behind:
+                                continue
+                            facing = -across / math.sqrt(px * px + py * py + pz * pz)
+                            if facing < 0.05:
+                                continue
+                            vote = facing * facing
+                            if distance < 0:
+                                if not mine:
+                                    continue
+                                if distance < -sure:
+                                    vote *= (distance + behind) / (behind - sure)
+                            elif not mine and distance < 2 * sure:
+                                continue
+                            value = min(1.0, distance / reach)
+                        if value > 0 and to_rim[f, yi, xi] != 0 and abs(to_rim[f, yi, xi]) < 12:
+                            x0, y0 = math.floor(u), math.floor(v)
+                            p, q = u - x0, v - y0
+                            rim = (1 - q) * ((1 - p) * to_rim[f, y0, x0] + p * to_rim[f, y0, x0 + 1]) + q * (
+                                (1 - p) * to_rim[f, y0 + 1, x0] + p * to_rim[f, y0 + 1, x0 + 1]
+                            )
+                            value = min(value, max(0.0, abs(rim) - 0.5) * pz / (fx * reach))
+                        sums[a, b, c] += vote * value
+                        weights[a, b, c] += vote
+        for a in range(BLOCK):
+            for b in range(BLOCK):
+                for c in range(BLOCK):
+                    if weights[a, b, c] > 0:
+                        field[first[0] + a, first[1] + b, first[2] + c] = sums[a, b, c] / weights[a, b, c]
+                        weight[first[0] + a, first[1] + b, first[2] + c] = weights[a, b, c]

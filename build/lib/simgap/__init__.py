@@ -1,0 +1,1 @@
+"""Finding where simulation and measurement disagree, naming the missing effect, adding it."""

@@ -1,0 +1,169 @@
+"""First guesses of what acts at a place only, by the force that the equation of motion lacks there.
+
+A catch holds the joint where a simulation without it runs away: no small change of that simulation tells what it would
+take. The readings' own accelerations do. They are noisy and biased, so these are places to begin a fit, no more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from freeart21.effects import EFFECTS, Effect
+from freeart21.se3 import Array
+from simgap.fitting.theory import Problem, Theory
+from simgap.measure.data import FitRun
+from simgap.measure.inputs import HALFWAY
+from simgap.motion.surrogate import Plant, is_local
+
+_READINGS = 7
+"""Of a window whose parabola tells speed and acceleration."""
+_PLACES, _WIDTHS = 41, (0.012, 0.02, 0.03, 0.045, 0.065, 0.1, 0.15)
+"""Places over the way moved through, and parts of it that a width may have."""
+_RATIOS = (0.25, 0.5, 0.8)
+_SURE = 1e9
+"""One over the standard deviation of what is beyond doubt."""
+_BESIDE = 0.02
+"""Part of the way moved through next to a limit where the contact's own force is unknown."""
+
+
+@dataclass(frozen=True)
+class LocalForce:
+    """Samples of all runs in a row, (n,) each but `smooth`."""
+
+    q: Array
+    qd: Array
+    force: Array
+    """N*m or N that the motion has beyond the asset's equation."""
+    weight: Array
+    """One over the force's noise; 0 next to a limit."""
+    smooth: Array
+    """(n, k) what the asset may be off by, and what any friction would make."""
+    first: Array
+    """Whether a run begins here."""
+    sure: Array
+    """(k,) one over the standard deviation of what is known of the factors of `smooth` beforehand."""
+
+
+def local_force(problem: Problem, runs: tuple[FitRun, ...], effects: tuple[Effect, ...] = ()) -> LocalForce:
+    """The force that the asset's equation lacks in the runs with `effects` added."""
+    plant = replace(problem.plant, effects=(*problem.plant.effects, *effects))
+    parts = [_of_run(problem, plant, run) for run in runs if len(run.q) >= _READINGS]
+    doubts = {r.name: 1 / r.prior for r in Theory(problem, ()).ranges()}
+    sure = np.array([doubts.get(name, _SURE) for name in ("inertia", "gravity", "lean_1", "lean_2")] + 4 * [0.0])
+    q, qd, force, weight, smooth, first = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return LocalForce(q, qd, force, weight, smooth, first, sure)
+
+
+def _of_run(problem: Problem, plant: Plant, run: FitRun) -> tuple[Array, ...]:
+    t, x, sigma = (np.lib.stride_tricks.sliding_window_view(s, _READINGS) for s in (run.times_s, run.q, run.sigma))
+    middle = t[:, _READINGS // 2]
+    t = t - middle[:, None]
+    powers = t[:, :, None] ** np.arange(3)
+    inverse = np.linalg.pinv(powers / (reach := np.abs(t).max(1))[:, None, None] ** np.arange(3))
+    terms = (inverse @ x[:, :, None])[..., 0]
+    q, qd, qdd = terms[:, 0], terms[:, 1] / reach, 2 * terms[:, 2] / reach**2
+    noise = 2 * np.linalg.norm(inverse[:, 2], axis=1) / reach**2 * sigma.mean(1)
+    ways = plant.gravity_terms @ np.stack([np.cos(q), np.sin(q), np.ones(len(q))])
+    acting = ways[0] + _driven(plant, run, middle, q, qd) + _known(plant, q, qd, qdd)
+    slack = _BESIDE * (problem.q_high - problem.q_low)
+    near = (x.min(1) < plant.lower + slack) | (x.max(1) > plant.upper - slack)
+    inertia = plant.mechanics.inertia
+    smooth = np.stack([inertia * qdd, *ways, np.ones(len(q)), np.sign(qd), qd, qd * np.abs(qd)], -1)
+    first = np.arange(len(q)) == 0
+    return q, qd, inertia * qdd - acting, np.where(near, 0.0, 1 / (inertia * noise)), smooth, first
+
+
+def _driven(plant: Plant, run: FitRun, times: Array, q: Array, qd: Array) -> Array:
+    """(n,) what command and pushes make."""
+    inputs = run.inputs
+    if not len(inputs.times_s):
+        return np.zeros(len(times))
+    at = np.clip(np.searchsorted(inputs.times_s, times, side="right") - 1, 0, len(inputs.times_s) - 1)
+    series = np.stack([inputs.command, inputs.effort, inputs.push])
+    command, effort, push = (series if inputs.beside is None else series + HALFWAY * inputs.beside)[:, at]
+    law = plant.stiffness * (command - q) - plant.damping * qd
+    return np.asarray(push + effort + np.where(np.isfinite(law), law, 0.0))
+
+
+def _known(plant: Plant, q: Array, qd: Array, qdd: Array) -> Array:
+    """(n,) forces of the effects that the asset has already."""
+    load = plant.mechanics.load(q, qd, qdd)
+    total = np.zeros(len(q))
+    for effect in plant.effects:
+        memory: float | Array = 0.0
+        if type(effect).remember is not Effect.remember:
+            memory, now = np.zeros(len(q)), 0.0
+            for i, at in enumerate(q):
+                now = memory[i] = float(effect.remember(at, now, *effect.values()))
+        total += effect.force(q, qd, 0.0, memory) - np.sign(qd) * effect.drive_limit(q, qd, load)
+    return total
+
+
+def places(problem: Problem, seen: LocalForce, name: str, most: int) -> list[dict[str, float]]:
+    """Parameters of an effect with a place and a width, at most so many, the best first; none of any other effect."""
+    cls, kind = EFFECTS[name], problem.plant.joint_type
+    specs = cls.parameters(kind)
+    size, *others = specs
+    if not is_local(cls):
+        return []
+    span = problem.q_high - problem.q_low
+    grids = []
+    for other in others:
+        spec = specs[other]
+        if spec.unit(kind) == "1":
+            grids.append(list(_RATIOS))
+        elif spec.lower >= 0:
+            grids.append([part * span for part in _WIDTHS])
+        else:
+            grids.append(list(np.linspace(problem.q_low, problem.q_high, _PLACES)))
+    grid = np.array(list(product(*grids)))
+    values = np.insert(grid, 0, 1.0, 1).T[:, :, None]  # one row of points for each parameter
+    columns = cls.law(seen.q, seen.qd, 0.0, _memory(cls, seen, values), *values) * seen.weight
+    costs, sizes = _left(seen, np.asarray(columns))
+    spec = specs[size]
+    costs = np.where((sizes > spec.lower) & (sizes < spec.upper), costs, np.inf)
+    found: list[dict[str, float]] = []
+    for i in np.argsort(costs):
+        point = {size: float(sizes[i]), **{n: float(v) for n, v in zip(others, grid[i], strict=True)}}
+        if len(found) == most or not np.isfinite(costs[i]):
+            break
+        if not any(_alike(point, other, specs.keys() - {size}, 0.06 * span) for other in found):
+            found.append(point)
+    return found
+
+
+def _memory(cls: type[Effect], seen: LocalForce, values: Array) -> Array:
+    """(g, n) what an effect with memory would know at every sample, for all points (p, g, 1) of the grid."""
+    if cls.remember is Effect.remember:
+        return np.zeros((1, 1))
+    now, out = np.zeros(values.shape[1]), np.empty((values.shape[1], len(seen.q)))
+    for i, (q, first) in enumerate(zip(seen.q, seen.first, strict=True)):
+        now = cls.remember(q, 0.0 * now if first else now, *values[..., 0])
+        out[:, i] = now
+    return out
+
+
+def _left(seen: LocalForce, columns: Array) -> tuple[Array, Array]:
+    """(g,) sums of squares with each of the columns (g, n) and all that is smooth at their best, and their sizes."""
+    k = len(seen.sure)
+    smooth = np.concatenate([seen.smooth * seen.weight[:, None], np.diag(seen.sure)])  # as if read besides, as zeros
+    scale = np.linalg.norm(smooth, axis=0)
+    basis = np.linalg.svd(smooth[:, scale > 1e-9] / scale[scale > 1e-9], full_matrices=False)[0]
+    force = np.append(seen.force * seen.weight, np.zeros(k))
+    force = force - basis @ (basis.T @ force)
+    columns = np.concatenate([columns, np.zeros((len(columns), k))], 1)
+    columns = columns - (columns @ basis) @ basis.T
+    power = np.maximum((columns**2).sum(1), 1e-12)
+    along = columns @ force
+    return float(force @ force) - along**2 / power, along / power
+
+
+def _alike(first: dict[str, float], second: dict[str, float], names: set[str], reach: float) -> bool:
+    """Whether two points are neighbours: places within reach, all else within a factor of 2."""
+    return all(
+        abs(first[n] - second[n]) < reach or (min(first[n], second[n]) > 0 and 0.5 < first[n] / second[n] < 2)
+        for n in names
+    )

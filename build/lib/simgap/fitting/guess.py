@@ -1,0 +1,231 @@
+"""First guesses for fits: what each effect would have to be to explain what a smaller set leaves, to first order.
+
+Each effect is switched on a little at every point of a coarse grid of its places, widths and speeds; what that does to
+the readings is compared with the residual, the starts of the runs and the smaller set's own parameters being free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from freeart21.effects import EFFECTS, Effect
+from freeart21.se3 import Array
+from simgap.fitting.fit import Fit, Problem, Range, Reader, Theory, joined, tangent
+from simgap.measure.data import FitRun
+from simgap.motion import kernel
+from simgap.motion.surrogate import readings_of, step_of, sweep, terms_of
+
+_PLACES = 13
+_REBOUNDS = (0.15, 0.5)
+"""Restitutions that are tried."""
+_MILD = 0.05
+"""Part of the forces at work that a force is switched on with."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """One starting point of a larger set."""
+
+    name: str
+    """Of the added effect."""
+    point: dict[str, float]
+    cost: float
+    """Sum of squares that it would leave, to first order."""
+
+
+def neutral_value(cls: type[Effect]) -> float:
+    """First parameter's value at which the effect does nothing (or next to nothing, where its bounds forbid that)."""
+    return {"actuator_gain": 1.0, "encoder_scale": 1.0}.get(cls.name, 0.0)
+
+
+def off(problem: Problem, name: str) -> dict[str, float]:
+    """Parameters at which an effect does next to nothing."""
+    own = [r for r in Theory(problem, (name,)).ranges() if r.owner == name]
+    value = neutral_value(EFFECTS[name])
+    middles = {r.name: float(np.clip(0.0 if _is_size(r, own) else 3 * r.size, r.lower, r.upper)) for r in own}
+    return {**middles, own[0].name: float(np.clip(value, own[0].lower, own[0].upper))}
+
+
+def guesses(fit: Fit, runs: tuple[FitRun, ...], names: tuple[str, ...]) -> list[Guess]:
+    """Starting points of all sets of one effect more than `fit`, the most promising first; `runs` must have starts."""
+    linear = Linear(fit, runs)
+    found = [guess for name in names if name not in fit.theory.names for guess in linear.guesses(name)]
+    return sorted(found, key=lambda guess: guess.cost)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """An effect switched on a little at all its places, widths and speeds."""
+
+    theory: Theory
+    own: list[Range]
+    """Of the effect."""
+    sizes: list[Range]
+    """Those that it is linear in."""
+    others: list[str]
+    grid: list[tuple[float, ...]]
+    """Values of the others."""
+    zero: dict[str, float]
+    """The effect switched off."""
+    columns: Array
+    """(grid x sizes, N)"""
+
+
+class Linear:
+    """The readings about a fit, the directions of its starts and parameters taken out."""
+
+    def __init__(self, fit: Fit, runs: tuple[FitRun, ...], weights: dict[str, float] | None = None):
+        self.fit, self.runs, self.problem = fit, runs, fit.theory.problem
+        self._roots = np.sqrt([(weights or {}).get(run.name, 1.0) for run in runs])
+        residuals, starts, parameters = tangent(fit, runs)
+        self.now = [run.q - r * run.sigma for run, r in zip(runs, residuals, strict=True)]
+        self.bases = [np.linalg.qr(J.T)[0] for J in starts]
+        self.freed = left = np.concatenate([self._freed(i, r[None])[0] for i, r in enumerate(residuals)])
+        rest = np.concatenate([self._freed(i, J) for i, J in enumerate(parameters)], 1)
+        self.parameters = rest
+        """(p, N) what a unit of every parameter does to all readings, the starts being free."""
+        self.rest = rest = rest[self._free(rest @ left)]
+        size = np.linalg.norm(rest, axis=1) if len(rest) else np.zeros(0)
+        self.span = np.linalg.qr(rest[size > 1e-9].T)[0] if (size > 1e-9).any() else np.zeros((len(left), 0))
+        self.left = left - self.span @ (self.span.T @ left)
+        self.cost = float(self.left @ self.left)
+
+    def _free(self, downhill: Array) -> Array:
+        """(p,) whether a parameter may still move, and is not held by a bound."""
+        ranges, theta = self.fit.theory.ranges(), self.fit.theta
+        near = 1e-6 * np.array([r.upper - r.lower for r in ranges])
+        low = theta <= np.array([r.lower for r in ranges]) + near
+        high = theta >= np.array([r.upper for r in ranges]) - near
+        return np.asarray(~((low & (downhill < 0)) | (high & (downhill > 0))))
+
+    def _freed(self, i: int, rows: Array) -> Array:
+        """(m, n) changes of run i, its start being free, by its weight."""
+        return np.asarray(rows - (rows @ self.bases[i]) @ self.bases[i].T) * self._roots[i]
+
+    def columns(self, name: str) -> Array:
+        """(m, N) what a unit of the effect's sizes does to all readings, at all points of its grid."""
+        return self._gridded(name).columns
+
+    def _gridded(self, name: str) -> _Grid:
+        names = tuple(sorted((*self.fit.theory.names, name)))
+        theory = Theory(self.problem, names, self.fit.theory.relaxed)
+        own = [r for r in theory.ranges() if r.owner == name]
+        sizes = [r for r in own if _is_size(r, own)]
+        grid = list(product(*[_grid(r, self.problem) for r in own if r not in sizes]))
+        others = [r.name for r in own if r not in sizes]
+        zero = off(self.problem, name)
+        trials: list[tuple[dict[str, float], float]] = []
+        for places in grid:
+            point = {**zero, **dict(zip(others, map(float, places), strict=True))}
+            for r in sizes:
+                step = self._step(name, point, r)
+                trials.append(({**point, r.name: point[r.name] + step}, step))
+        columns = (
+            self._responses(theory, name, [point for point, _ in trials]) / np.array([s for _, s in trials])[:, None]
+        )
+        return _Grid(theory, own, sizes, others, grid, zero, columns)
+
+    def guesses(self, name: str) -> list[Guess]:
+        """All points of the effect's grid."""
+        at = self._gridded(name)
+        theory, own, sizes, others, grid, zero = at.theory, at.own, at.sizes, at.others, at.grid, at.zero
+        columns = at.columns - (at.columns @ self.span) @ self.span.T
+        found = []
+        for i in range(len(grid)):
+            rows = slice(i * len(sizes), (i + 1) * len(sizes))
+            A = columns[rows].T
+            if np.linalg.norm(A) < 1e-9:
+                continue
+            moves = np.linalg.lstsq(A, self.left, rcond=1e-6)[0]
+            point = {**zero, **dict(zip(others, map(float, grid[i]), strict=True))}
+            values = {
+                r.name: float(np.clip(point[r.name] + m, r.lower, r.upper)) for r, m in zip(sizes, moves, strict=True)
+            }
+            taken = self.left - A @ np.array([values[r.name] - point[r.name] for r in sizes])
+            found.append(Guess(name, {**point, **values}, float(taken @ taken)))
+        if EFFECTS[name].acts == "stop":  # what hardly comes back stays: a small change tells little
+            found += self._straight(theory, name, [{**zero, sizes[0].name: value} for value in _REBOUNDS])
+        elif len(own) == 2 and len(sizes) == 1 and len(grid) == _PLACES:
+            found += self._between(name, own, columns[0], columns[-1], float(grid[0][0]), float(grid[-1][0]))
+        found.sort(key=lambda guess: guess.cost)
+        return [self._nudged(guess, sizes) for guess in found]
+
+    def _straight(self, theory: Theory, name: str, points: list[dict[str, float]]) -> list[Guess]:
+        """These very points."""
+        taken = self._responses(theory, name, points)
+        taken = self.left - (taken - (taken @ self.span) @ self.span.T)
+        return [Guess(name, point, float(row @ row)) for point, row in zip(points, taken, strict=True)]
+
+    def _between(self, name: str, own: list[Range], first: Array, last: Array, low: float, high: float) -> list[Guess]:
+        """The point of a law that is linear in its place, too, such as a spring's: between two places, or beyond."""
+        a, b = np.linalg.lstsq(np.stack([first, last], 1), self.left, rcond=1e-6)[0]
+        size, place = own
+        if not size.lower < a + b < size.upper:
+            return []
+        at = float(np.clip(low + b / (a + b) * (high - low), place.lower, place.upper))
+        share = (at - low) / (high - low)
+        taken = self.left - (a + b) * ((1 - share) * first + share * last)
+        return [Guess(name, {size.name: float(a + b), place.name: at}, float(taken @ taken))]
+
+    def _nudged(self, guess: Guess, sizes: list[Range]) -> Guess:
+        """A size of 0 gives a fit nothing to hold on to."""
+        if all(guess.point[r.name] == max(r.lower, neutral_value(EFFECTS[guess.name])) for r in sizes):
+            r = sizes[0]
+            step = 0.2 * self._step(guess.name, guess.point, r)
+            return Guess(guess.name, {**guess.point, r.name: guess.point[r.name] + step}, guess.cost)
+        return guess
+
+    def _step(self, name: str, point: dict[str, float], r: Range) -> float:
+        """How far the effect is switched on."""
+        cls = EFFECTS[name]
+        if cls.acts not in ("force", "drive"):
+            return min(r.size, 0.1) if cls.acts != "inertia" else r.size
+        q = np.concatenate([run.q[::5] for run in self.runs])
+        v = np.concatenate([run.speed[::5] for run in self.runs])
+        unit = {**point, r.name: 1.0}
+        values = [unit.get(n, 0.0) for n in cls.parameters()]
+        size = float(np.sqrt(np.mean(np.square(cls.law(q, v, self.problem.load, 1.0, *values) * np.ones(len(q))))))
+        return float(min(_MILD * self.problem.force / max(size, 1e-9), 1e-2 * r.upper))
+
+    def _responses(self, theory: Theory, name: str, points: list[dict[str, float]]) -> Array:
+        """(m, N) changes of all readings in floors, the starts being free."""
+        reader = Reader(theory)
+        made = [reader.numbers(joined(theory, self.fit, {name: point})) for point in points]
+        table = np.array([numbers for numbers, _ in made])
+        steps = {held: step_of(self.problem.plant, made[0][1], self.problem.surrogate, held) for held in (True, False)}
+        terms, parts = terms_of(made[0][1]), []
+        for i, run in enumerate(self.runs):
+            table[:, kernel.Q0], table[:, kernel.QD0] = self.fit.starts[run.name]
+            q = sweep(table, terms, run.times_s, run.inputs, steps[run.inputs.held])
+            if reader.sensing:
+                q = np.stack([readings_of(effects, row) for (_, effects), row in zip(made, q, strict=True)])
+            parts.append(self._freed(i, (q - self.now[i]) / run.sigma))
+        return np.concatenate(parts, 1)
+
+
+def _is_size(r: Range, own: list[Range]) -> bool:
+    """Whether the effect is linear in this parameter, more or less: the first one, and other forces."""
+    if r is own[0] or r.name == own[0].name:
+        return True
+    spec = EFFECTS[r.owner].parameters()[r.name]
+    return spec.revolute_unit == "N*m" or spec.prismatic_unit == "N"
+
+
+def _grid(r: Range, problem: Problem) -> list[float]:
+    """Values of a place, a width, a speed or a ratio that are worth trying."""
+    span = problem.q_high - problem.q_low
+    unit = EFFECTS[r.owner].parameters()[r.name].unit(problem.plant.joint_type)
+    if unit in ("rad", "m") and r.lower < problem.q_low and r.upper > problem.q_high:
+        return list(np.linspace(problem.q_low, problem.q_high, _PLACES))
+    if unit in ("rad", "m"):
+        return [float(np.clip(part * span, r.lower, r.upper)) for part in (0.02, 0.06, 0.15)]
+    if unit in ("rad/s", "m/s"):
+        return [float(np.clip(part * r.upper, r.lower, r.upper)) for part in (0.05, 0.2)]
+    if unit in ("kg*m^2", "kg"):
+        return [0.2 * problem.plant.mechanics.inertia]
+    if unit in ("s/rad", "s/m"):
+        return [r.lower]
+    return [0.5 * min(r.upper, 1.0)]

@@ -1,0 +1,216 @@
+"""Levenberg and Marquardt's method for many runs that share parameters and have a start state each.
+
+A start state touches its own run only. It is taken out of the normal equations (variable projection: Golub and Pereyra
+1973), damped by itself, and moves less, or stays, where its move makes its run worse: so one run that meets a stop
+otherwise than its linear picture says holds up nothing but itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.se3 import Array
+
+Look = Callable[[NDArray[np.int64], Array, Array], list[Array]]
+"""(runs (m,), starts (m, 2), parameters (p,)) to the residuals of each of these runs, in floors."""
+Slopes = Callable[[Array, Array, list[Array], bool], list[Array]]
+"""(starts (r, 2), parameters, residuals, whether the parameters move) to (2 [+ p], n) of every run: what a unit of its
+start and of every parameter takes from its residuals."""
+
+_TRIALS = 6
+_SHORTER = np.array([0.3, 0.1, 0.03])
+"""Parts of a start's move that are tried where all of it makes its run worse."""
+_ENOUGH = 0.3
+"""Part of a gain that is not worth another step, below which the first-order look must promise one for any to be
+taken."""
+_OUTLIER = 3.0
+"""Times the usual error, or floors where that is less than the floor, beyond which a run counts for less."""
+
+
+@dataclass
+class State:
+    """Where the search is."""
+
+    theta: Array
+    """(p,)"""
+    starts: Array
+    """(r, 2)"""
+    parts: list[Array]
+    """Residuals of every run."""
+    cost: float
+    normal: Array
+    """(p, p) information of the parameters, the starts being free."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Bounds of the parameters, (p,) each, and what is known of them beforehand."""
+
+    low: Array
+    high: Array
+    neutral: Array
+    weight: Array
+    """(p, p) inverse of the covariance."""
+
+    def cost(self, theta: Array) -> float:
+        """Of parameters away from what is known."""
+        return float((theta - self.neutral) @ self.weight @ (theta - self.neutral))
+
+
+def solve(
+    theta: Array,
+    starts: Array,
+    look: Look,
+    slopes: Slopes,
+    prior: Prior,
+    lower: float,
+    upper: float,
+    iterations: int,
+    free: bool = True,
+) -> State:
+    """The least sum of squares from `theta` (p,) and `starts` (r, 2); `lower`, `upper` bound start positions.
+
+    Without `free` only the starts move. A run that is missed by far more than the others has an error of its own, which
+    no formula is near enough to meet and of which only its size is known: its part of the cost is `charge`.
+    """
+    p, runs = len(theta), len(starts)
+    every = np.arange(runs)
+    parts = look(every, starts, theta)
+    costs = np.array([part @ part for part in parts])
+    sizes = np.array([len(part) for part in parts])
+    damping, own, normal = 1e-3, np.full(runs, 1e-3), np.zeros((p, p))
+    for _ in range(iterations):
+        weights = weight(costs / sizes)
+        total = float(weights @ costs) + prior.cost(theta)
+        table = slopes(starts, theta, parts, free)
+        blocks = np.array([J @ J.T for J in table])
+        rights = np.array([J @ part for J, part in zip(table, parts, strict=True)])
+        normal = _information(blocks, weights, prior, p) if free else normal
+        gain, moved, enough = 0.0, False, 1e-4 * total + 1e-2
+        for trials in range(_TRIALS):
+            shift, moves = _step(theta, blocks, rights, weights, damping, own, prior, free)
+            if not trials and _promised(shift, moves, theta, blocks, rights, weights, prior, free) < _ENOUGH * enough:
+                break
+            trial = np.clip(theta + shift, prior.low, prior.high)
+            there = starts + moves
+            there[:, 0] = np.clip(there[:, 0], lower, upper)
+            new_starts, new_parts = there.copy(), look(every, there, trial)
+            new_costs = np.array([part @ part for part in new_parts])
+            taken = np.full(runs, True)
+            worse = np.flatnonzero(new_costs > costs)
+            for i, row in zip(worse, look(worse, starts[worse], trial) if len(worse) else (), strict=True):
+                if (cost := row @ row) < new_costs[i]:
+                    new_starts[i], new_parts[i], new_costs[i], taken[i] = starts[i], row, cost, False
+            which = np.repeat(every[~taken], len(_SHORTER))
+            if len(which):
+                ways = starts[which] + np.tile(_SHORTER, runs - taken.sum())[:, None] * (there - starts)[which]
+                for i, way, row in zip(which, ways, look(which, ways, trial), strict=True):
+                    if (cost := row @ row) < new_costs[i]:
+                        new_starts[i], new_parts[i], new_costs[i] = way, row, cost
+            new_total = float(weights @ new_costs) + prior.cost(trial)
+            own = np.where(taken, np.maximum(own / 10, 1e-9), np.minimum(own * 10, 1e3))
+            if new_total < total:
+                gain, moved = total - new_total, True
+                theta, starts, parts, costs = trial, new_starts, new_parts, new_costs
+                damping = max(damping / 10, 1e-9)
+                break
+            damping *= 8
+        if not moved or gain < enough:
+            break
+    return State(theta, starts, parts, float(sizes @ charge(costs / sizes)) + prior.cost(theta), normal)
+
+
+def charge(powers: Array) -> Array:
+    """(r,) what each reading of runs costs that are missed by mean squares `powers` (r,), floors squared: those, up to
+    some times the usual one, and beyond as their logarithm, the likelihood of an error whose size is unknown."""
+    most = _most(powers)
+    return np.asarray(np.where(powers <= most, powers, most * (1 + np.log(np.maximum(powers, most) / most))))
+
+
+def weight(powers: Array) -> Array:
+    """(r,) slope of `charge`, the usual error held."""
+    return np.asarray(np.minimum(1.0, _most(powers) / np.maximum(powers, 1e-12)))
+
+
+def _most(powers: Array) -> float:
+    return _OUTLIER**2 * max(float(np.median(powers)), 1.0)
+
+
+def _information(blocks: Array, weights: Array, prior: Prior, p: int) -> Array:
+    """(p, p) of the parameters, all starts free and undamped."""
+    return np.asarray(prior.weight + _beyond_starts(blocks, weights, 1e-9)[0])
+
+
+def _beyond_starts(blocks: Array, weights: Array, ridge: Array | float) -> tuple[Array, Array, Array]:
+    """What runs tell of the parameters (p, p), their starts taken out; what a unit of a run's start stands for in them
+    (r, p, 2); inverses of the starts' own blocks (r, 2, 2), their diagonals larger by the part `ridge` (r,)."""
+    inner = blocks[:, :2, :2].copy()
+    inner[:, (0, 1), (0, 1)] = inner[:, (0, 1), (0, 1)] * (1 + np.broadcast_to(ridge, len(blocks))[:, None]) + 1e-12
+    inverses = np.linalg.inv(inner)
+    cross = blocks[:, 2:, :2] @ inverses
+    told = blocks[:, 2:, 2:] - cross @ blocks[:, :2, 2:]
+    return np.tensordot(weights, told, 1), cross, np.asarray(inverses)
+
+
+def _step(
+    theta: Array,
+    blocks: Array,
+    rights: Array,
+    weights: Array,
+    damping: float,
+    own: Array,
+    prior: Prior,
+    free: bool,
+) -> tuple[Array, Array]:
+    """Moves of the parameters (p,) and of the starts (r, 2)."""
+    told, cross, inverses = _beyond_starts(blocks, weights, own + 1e-9)
+    shift, of_starts = np.zeros(len(theta)), rights[:, :2]
+    if free and len(theta):
+        beyond = rights[:, 2:] - (cross @ rights[:, :2, None])[..., 0]
+        g = weights @ beyond - prior.weight @ (theta - prior.neutral)
+        size = np.diag(prior.weight) + weights @ np.diagonal(blocks[:, 2:, 2:], axis1=1, axis2=2)
+        shift = _bounded(theta, prior.weight + told, g, damping * size, prior)
+        of_starts = of_starts - blocks[:, :2, 2:] @ shift
+    return shift, (inverses @ of_starts[..., None])[..., 0]
+
+
+def _promised(
+    shift: Array,
+    moves: Array,
+    theta: Array,
+    blocks: Array,
+    rights: Array,
+    weights: Array,
+    prior: Prior,
+    free: bool,
+) -> float:
+    """By how much the cost would fall, were all as linear as it looks."""
+    steps = np.hstack([moves, np.tile(shift, (len(moves), 1))]) if free else moves
+    falls = 2 * (steps * rights).sum(1) - np.einsum("ri,rij,rj->r", steps, blocks, steps)
+    return float(weights @ falls) + prior.cost(theta) - prior.cost(theta + shift)
+
+
+def _bounded(theta: Array, A: Array, g: Array, ridge: Array, prior: Prior) -> Array:
+    """The damped step, with what would leave its bounds held there."""
+    active = ridge > 0
+    shift = np.zeros(len(theta))
+    for _ in range(len(theta) + 1):
+        index = np.flatnonzero(active)
+        if not len(index):
+            break
+        scale = np.sqrt(np.maximum(np.diag(A)[index] + ridge[index], 1e-300))
+        M = (A[np.ix_(index, index)] + np.diag(ridge[index])) / np.outer(scale, scale)
+        move = np.linalg.lstsq(
+            M, (g[index] - A[np.ix_(index, np.flatnonzero(~active))] @ shift[~active]) / scale, None
+        )[0]
+        shift[index] = move / scale
+        out = active & ((theta + shift < prior.low) | (theta + shift > prior.high))
+        if not out.any():
+            break
+        shift[out] = np.clip(theta[out] + shift[out], prior.low[out], prior.high[out]) - theta[out]
+        active &= ~out
+    return shift

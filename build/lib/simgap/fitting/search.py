@@ -1,0 +1,556 @@
+"""Which effects explain the runs: fits of one, two and three effects, every larger set started from its subsets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import combinations, product
+
+import numpy as np
+
+from freeart21.effects import EFFECTS, Effect
+from freeart21.se3 import Array
+from simgap.fitting.fit import (
+    SURE,
+    Fit,
+    Problem,
+    Starts,
+    Theory,
+    fitted,
+    grown,
+    grown_mild,
+    joined,
+    misfit,
+    pieces,
+    placed,
+    resettled,
+)
+from simgap.fitting.force_guess import LocalForce, local_force, places
+from simgap.fitting.guess import Guess, guesses, off
+from simgap.fitting.theory import SHAFT
+from simgap.measure.data import FitRun
+from simgap.motion.surrogate import is_local
+from simgap.settings import ChoiceSettings
+
+_CROSSINGS = (0.25, 0.8, 2.5, 6.0)
+"""Crossings of the range at top speed that stretches last for: fits grow from some through all longer ones to whole
+runs."""
+_USUAL = 2
+"""Which of these a first-order look sees all effects in. In shorter ones it finds what catches or throws back, where
+the asset alone is lost; they hardly tell what acts all along."""
+_SCREEN = 2
+_PLACES = 2
+"""Starting points that the missing force tells, for an effect with a place."""
+_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES = (-0.3, 0.0, 0.3), (0.6, 1.0, 1.6), (0.65, 0.8, 1.0, 1.25), (0.3, 0.5, 0.7)
+"""Of the way over which a catch holds: parts by which it may lie elsewhere; how much stiffer it may be; parts of that
+way which are tried, and of those where it takes hold."""
+_PARTS, _BACK, _SWINGS = (None, -0.5, 0.0, 0.5), (0.3, 0.85), (0.2, 0.5, 0.8)
+"""Of a drive on its shaft: how much of the doubt in the part's own inertia is the drive's instead; what comes back, and
+how fast, as parts of what may be."""
+_CATCHES = 3
+"""How many of these are fitted, beside what was found."""
+_ALL_ALONG = (
+    "coulomb_friction",
+    "gravity_offset",
+    "load_friction",
+    "quadratic_drag",
+    "return_spring",
+    "viscous_damping",
+)
+"""Effects that take energy, and forces without a place: they act wherever the joint is."""
+LOSSES = ("coulomb_friction", "quadratic_drag", "viscous_damping")
+"""What takes energy all along: every joint has some of them."""
+_SLACKS = (0.003, 0.01, 0.03)
+"""Parts of the way moved through that a slack is tried at."""
+_HOPEFUL = 6.0
+"""Times the least sum of squares on stretches that another effect may leave there and still be fitted to whole runs."""
+_FAR, _WILD = 2.0, 4.0
+"""Floors of error beyond which runs are looked at in stretches, and stretches in shorter ones."""
+_LOST = 8.0
+"""Floors of error of a set beyond which what is added to it is first fitted to stretches, whatever it is."""
+_RELAXING = 8
+"""Iterations of a fit whose sizes are freed."""
+_GIVES = (0.15, 0.45)
+"""Parts of the most that the flanks of a slack may give way, and throw back, that freed sizes begin from."""
+_ENDING = {"peak": 0.8, "width": 1.3, "curve": -0.75}
+"""Of a notch that ends, beside one that fades away: parts of size and width, and of the most by which it may end."""
+_GROWING = 4
+"""Iterations of a fit to stretches."""
+
+
+PLAINER = {
+    "stribeck_friction": "coulomb_friction",
+    "backlash": "armature",
+}
+"""Effect to the one that it becomes in a special case: the plainer one has the name unless it does worse."""
+
+
+def candidates(
+    problem: Problem, runs: tuple[FitRun, ...], encoder: bool = True, without: tuple[str, ...] = ()
+) -> tuple[str, ...]:
+    """Names of the effects, `without` some, that these runs could show at all; without an `encoder` part poses told the
+    positions."""
+    commanded = any(np.any(run.inputs.effort) or np.isfinite(run.inputs.command).any() for run in runs)
+    near = problem.near_stop
+    driven = commanded or any(np.any(run.inputs.push) for run in runs)
+    slack = any(effect.acts == "slack" for effect in problem.plant.effects)
+
+    def possible(cls: type[Effect]) -> bool:
+        if problem.plant.joint_type not in cls.joint_types or cls.kind == "kinematics":
+            return False
+        if cls.name in ("encoder_offset", "encoder_scale") and not encoder:
+            return False
+        if any(s.revolute_unit == "rad/s" and s.lower >= problem.speed for s in cls.parameters().values()):
+            return False  # nothing moves as fast as it acts
+        if cls.acts == "command" or cls.acts == "slack":
+            return commanded and not (slack and cls.acts == "slack")
+        if cls.acts == "stop":
+            return near
+        return cls.name != "time_offset" or driven or near
+
+    return tuple(name for name, cls in EFFECTS.items() if possible(cls) and name not in without)
+
+
+@dataclass
+class Search:
+    """All fits to the runs that may be fitted, kept."""
+
+    problem: Problem
+    train: tuple[FitRun, ...]
+    settings: ChoiceSettings
+    names: tuple[str, ...]
+    fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
+    _first: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
+    _losses: dict[tuple[str, ...], Fit] = field(default_factory=dict)
+    """Of every set of losses, from the asset as it is told."""
+    _forces: dict[tuple[str, ...], LocalForce] = field(default_factory=dict)
+
+    def base(self) -> Fit:
+        """Nothing missing but what the asset may be off by."""
+        if () not in self.fits:
+            self.fits[()] = grown(Theory(self.problem, ()), self.train)
+        return self.fits[()]
+
+    def hinted(self) -> float:
+        """Floors that the best effect would explain of what the asset alone leaves, to first order."""
+        fall = self.base().rss - min((guess.cost for guess in self._guesses()[2]), default=np.inf)
+        return float(np.sqrt(max(fall, 0.0) / sum(len(run.q) for run in self.train)))
+
+    def losses(self) -> list[Fit]:
+        """Every set of losses fitted from the asset as it is told, not from what it must be off by to do without."""
+        sets = [names for k in (1, 2, 3) for names in combinations(LOSSES, k) if set(names) <= set(self.names)]
+        for names in sets:
+            if names not in self._losses:
+                self._losses[names] = grown_mild(Theory(self.problem, names), self.train)
+        own = self._losses.items()
+        return [min((fit, self.fits.get(names, fit)), key=lambda f: f.cost) for names, fit in own]
+
+    def _with_losses(self, size: int) -> list[Fit]:
+        """Those of a size that fit better than the same set, or than all that was found: others tell a search
+        nothing."""
+        if self.base().level <= _FAR:
+            return []
+        level = [fit.cost for names, fit in self.fits.items() if len(names) == size]
+        found = []
+        for fit in self.losses():
+            names = fit.theory.names
+            known = self.fits.get(names)
+            if len(names) == size and fit.cost < (known.cost if known is not None else min(level, default=np.inf)):
+                found.append(self.keep(fit))
+        return found
+
+    def _guesses(self) -> tuple[tuple[FitRun, ...], Fit, list[Guess]]:
+        """Stretches that a first-order look can span, the asset alone fitted to them, and first guesses of every effect
+        alone by them."""
+        if self._first is None:
+            cut, at = self._cut(self.base(), True)
+            self._first = cut, at, guesses(at, cut, self.names)
+        return self._first
+
+    @property
+    def tries(self) -> int:
+        """Effects at all their places, widths and speeds that were looked at: any of them might be the best by
+        chance."""
+        return max(len(self._guesses()[2]), len(self.names))
+
+    def singles(self) -> list[Fit]:
+        """Every effect alone, the best first."""
+        cut, at, found = self._guesses()
+        rough = []
+        for name in list(dict.fromkeys(guess.name for guess in found))[: self.settings.singles]:
+            points = [guess.point for guess in self._apart([guess for guess in found if guess.name == name])]
+            rough.append(self._best(name, points, cut, at))
+        rough = self._with_sudden(rough, cut, at)
+        most = self.settings.contenders + 1
+        for fewer, runs in enumerate(self._longer(cut)):
+            rough = [self._stretched(fit, runs) for fit in _hopeful(rough)[: most - fewer]]
+        for fit in _hopeful(rough)[:most]:
+            self.keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
+        far = self._left_out()
+        self._with_losses(1)
+        for name, plainer in PLAINER.items():
+            if (name,) in self.fits and (plainer,) in self.fits:
+                self._keep_from(name, self.fits[(plainer,)])
+                self._keep_plain(self.fits[(name,)], plainer)
+        if ("armature",) in self.fits and ("backlash",) in self.fits:
+            self._with_slack(self.fits[("armature",)])
+        return self._resettled([self.fits[(name,)] for name in self.names if (name,) in self.fits and name not in far])
+
+    def _left_out(self) -> list[str]:
+        """Where no effect alone explains the runs, fits of those that first guesses tell nothing of: in stretches a
+        start of its own did what the stop before it should have done, a joint that creeps is far from one that falls,
+        and one that friction holds tells nothing of what would have moved it. Gives those of them that act all along
+        and are not even nearer than all that were guessed."""
+        if min((fit.level for fit in self.fits.values()), default=np.inf) <= self.settings.explained:
+            return []
+        for name in self.names:
+            if EFFECTS[name].acts == "stop":
+                self.of((name,))
+        new = [name for name in _ALL_ALONG if name in self.names and (name,) not in self.fits]
+        least = min(fit.cost for fit in self.fits.values())
+        return [name for name in new if self.of((name,)).cost >= least]
+
+    def _with_slack(self, armature: Fit) -> None:
+        """Backlash from an armature of its drive's inertia, with a slack so narrow that it hardly makes a difference:
+        through a wide one far from the true one all impacts fall elsewhere."""
+        theory, span = Theory(self.problem, ("backlash",)), self.problem.q_high - self.problem.q_low
+        inertia = next(iter(armature.effects)).inertia()
+        if self.fits[("backlash",)].cost < armature.cost or inertia <= 0:
+            return
+        points = [{"width": part * span, "drive_inertia": inertia} for part in _SLACKS]
+        starts = [joined(theory, armature, {"backlash": point}) for point in points]
+        tried = [fitted(theory, self.train, theta, armature.starts, _SCREEN) for theta in starts]
+        best = min(tried, key=lambda fit: fit.cost)
+        self.keep(fitted(theory, self.train, best.theta, best.starts))
+
+    def _apart(self, own: list[Guess]) -> list[Guess]:
+        """The best first guesses of one effect that differ: neighbours on the grid lead to the same fit."""
+        kept: list[Guess] = []
+        for guess in own:
+            if len(kept) < self.problem.fit.starts and not any(self._alike(guess, other) for other in kept):
+                kept.append(guess)
+        return kept
+
+    def _alike(self, first: Guess, second: Guess) -> bool:
+        """Whether all but the sizes of two guesses are about the same: places within a tenth of the way moved through,
+        widths and speeds within a factor of 2."""
+        reach = 0.1 * (self.problem.q_high - self.problem.q_low)
+        own = [r for r in Theory(self.problem, (first.name,)).ranges() if r.owner == first.name]
+        for r in own[1:]:
+            a, b = first.point[r.name], second.point[r.name]
+            if abs(a - b) > reach if r.lower < 0 else max(a, b) > 2 * min(a, b):
+                return False
+        return True
+
+    def _with_sudden(self, rough: list[Fit], cut: tuple[FitRun, ...], at: Fit) -> list[Fit]:
+        """Fits of effects to stretches, those of what catches or throws back begun in shorter ones."""
+        short = self._short(self.base(), at, True)
+        if short is None:
+            return rough
+        found = guesses(short[1], short[0], tuple(name for name in self.names if is_sudden(EFFECTS[name])))
+        best = {fit.theory.names: fit for fit in rough}
+        for name in dict.fromkeys(guess.name for guess in found):
+            own = self._apart([guess for guess in found if guess.name == name])
+            fit = self._best(name, [guess.point for guess in own] + self._places(name), *short)
+            fit = self._lengthened(fit, short[0], len(cut))
+            fit = min(fit, best.get((name,), fit), key=lambda f: f.cost)
+            best[(name,)] = fit
+        return list(best.values())
+
+    def _lengthened(self, fit: Fit, cut: tuple[FitRun, ...], fewest: int = 0) -> Fit:
+        """The fit on ever longer stretches, down to the fewest."""
+        for runs in self._longer(cut):
+            if len(runs) >= fewest:
+                fit = self._stretched(fit, runs)
+        return fit
+
+    def _best(self, name: str, points: list[dict[str, float]], cut: tuple[FitRun, ...], at: Fit) -> Fit:
+        """`at`, a fit to stretches, with the effect, from the best of these points of it."""
+        theory = Theory(self.problem, tuple(sorted((*at.theory.names, name))))
+        return tried_of(theory, [joined(theory, at, {name: point}) for point in points], cut, at.starts)
+
+    def _places(self, name: str, beside: tuple[Effect, ...] = ()) -> list[dict[str, float]]:
+        """First guesses of an effect with a place by the force that is missing there."""
+        key = tuple(effect.name for effect in beside)
+        if key not in self._forces:
+            self._forces[key] = local_force(self.problem, self.train, beside)
+        return places(self.problem, self._forces[key], name, _PLACES)
+
+    def _longer(self, cut: tuple[FitRun, ...]) -> list[tuple[FitRun, ...]]:
+        """The runs in stretches longer than these, ever longer, whole ones left out."""
+        found, count = [], len(cut)
+        for crossings in _CROSSINGS:
+            runs = pieces(self.train, crossings * self.problem.crossing_s)
+            if len(self.train) < len(runs) < count:
+                found.append(runs)
+                count = len(runs)
+        return found
+
+    def _stretched(self, fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+        """The fit on longer stretches."""
+        longer = fitted(fit.theory, runs, fit.theta, fit.starts, _GROWING)
+        return caught(longer, runs)
+
+    def _whole(self, fit: Fit, parent: Fit) -> Fit:
+        """The fit to stretches on whole runs, from its own starts or those of a smaller set's fit to them."""
+        first = {run.name: fit.starts[f"{run.name}#0"] for run in self.train}
+        ways = [fitted(fit.theory, self.train, fit.theta, at, _SCREEN) for at in (first, parent.starts)]
+        return self._finished(min(ways, key=lambda way: way.cost))
+
+    def _finished(self, fit: Fit) -> Fit:
+        """The fit to whole runs to its end."""
+        fit = caught(fit, self.train)
+        return fitted(fit.theory, self.train, fit.theta, fit.starts)
+
+    def _keep_from(self, name: str, plainer: Fit) -> None:
+        """A general effect fits no worse than the plainer one that it may become, where their parameters agree."""
+        fit = self.fits[(name,)]
+        shared = {key: float(x) for (owner, key), x in plainer.values.items() if owner in plainer.theory.names}
+        if fit.cost > plainer.cost and set(shared) <= set(EFFECTS[name].parameters()):
+            point = {**off(self.problem, name), **shared}
+            theta = joined(fit.theory, plainer, {name: point})
+            self.keep(fitted(fit.theory, self.train, theta, plainer.starts))
+
+    def _keep_plain(self, general: Fit, plainer: str) -> None:
+        """A plainer effect that fits worse is fitted again from where the general one is: that may be its special
+        case."""
+        theory = Theory(self.problem, (plainer,))
+        point = {name: value for (_, name), value in general.values.items() if name in EFFECTS[plainer].parameters()}
+        if point and general.cost < self.fits[(plainer,)].cost:
+            self.keep(fitted(theory, self.train, joined(theory, general, {plainer: point}), general.starts))
+
+    def larger(self, parents: list[Fit]) -> list[Fit]:
+        """The most promising sets of one effect more than some of `parents`, fitted; of every parent's at least one:
+        the best single effect is often none of a pair."""
+        rough: dict[tuple[str, ...], tuple[float, Fit, Guess, Fit, tuple[FitRun, ...]]] = {}
+        for parent in parents:
+            cut, at = self._cut(parent)
+            scale = parent.cost / max(at.rss, 1e-9)  # of what is left in stretches, to that of whole runs
+            for guess in guesses(at, cut, self.names):
+                names = tuple(sorted((*parent.theory.names, guess.name)))
+                cost = guess.cost * scale
+                if names not in self.fits and (names not in rough or cost < rough[names][0]):
+                    rough[names] = (cost, parent, guess, at, cut)
+        order = sorted(rough.values(), key=lambda entry: entry[0])
+        firsts = [next(e for e in order if e[1] is parent) for parent in parents if any(e[1] is parent for e in order)]
+        best = (firsts + [e for e in order if not any(e is f for f in firsts)])[: self.settings.shortlist]
+        for entry in tuple(best):
+            plainer = PLAINER.get(entry[2].name)
+            other = rough.get(tuple(sorted((*entry[1].theory.names, plainer)))) if plainer else None
+            if other is not None and not any(e is other for e in best):
+                best.append(other)  # which has the name when it does as well
+        damped = [e for e in order if _hides_damping(e[1]) and e[2].name == "viscous_damping"]
+        best += [entry for entry in damped if not any(e is entry for e in best)]
+        level = [self._started(*entry[1:]) for entry in best]
+        lost = self._with_losses(len(parents[0].theory.names) + 1)
+        known = {fit.theory.names for fit in level}
+        return self._resettled(level + [fit for fit in lost if fit.theory.names not in known])
+
+    def _resettled(self, level: list[Fit]) -> list[Fit]:
+        """The best ones with a new look at their starts; all of them sorted."""
+        level = sorted(level, key=lambda fit: fit.cost)
+        for fit in level[: self.settings.parents]:
+            self.fits[fit.theory.names] = resettled(fit, self.train)
+        return sorted((self.fits[fit.theory.names] for fit in level), key=lambda fit: fit.cost)
+
+    def _started(self, parent: Fit, guess: Guess, at: Fit, cut: tuple[FitRun, ...]) -> Fit:
+        """The set of `parent` and the guessed effect, from the parent's fit, which is `at` on stretches."""
+        theory = Theory(self.problem, tuple(sorted((*parent.theory.names, guess.name))))
+        points = [guess.point]
+        alone = self.fits.get((guess.name,))
+        if alone is not None:
+            values = zip(alone.theory.ranges(), alone.theta, strict=True)
+            points.append({r.name: float(x) for r, x in values if r.owner == guess.name})
+        sudden = is_sudden(EFFECTS[guess.name])
+        if cut is self.train or not (sudden or parent.level > _LOST):
+            # what acts smoothly is found from the smaller set's own course
+            points_at = [joined(theory, parent, {guess.name: point}) for point in points]
+            return self.keep(self._finished(tried_of(theory, points_at, self.train, parent.starts, _SCREEN)))
+        begin = (self._short(parent, at, False) if sudden else None) or (cut, at)
+        fit = self._best(guess.name, points + self._places(guess.name, parent.effects), *begin)
+        return self.keep(self._whole(self._lengthened(fit, begin[0]), parent))
+
+    def of(self, names: tuple[str, ...]) -> Fit:
+        """The fit of this very set, started from its best subset."""
+        if names not in self.fits:
+            smaller = [self.fits[s] for n in names if (s := tuple(m for m in names if m != n)) in self.fits]
+            parent = min(smaller, key=lambda fit: fit.cost) if smaller else self.base()
+            new = tuple(n for n in names if n not in parent.theory.names)
+            if len(new) > 1:
+                parent = self.of(names[:-1])
+                new = names[-1:]
+            cut, at = self._cut(parent)
+            self._started(parent, guesses(at, cut, new)[0], at, cut)
+        return self.fits[names]
+
+    def without(self, fit: Fit, name: str) -> Fit:
+        """The set of `fit` without one effect, started from `fit`."""
+        theory = Theory(self.problem, tuple(n for n in fit.theory.names if n != name))
+        return self.keep(fitted(theory, self.train, joined(theory, fit, {}), fit.starts))
+
+    def keep(self, fit: Fit) -> Fit:
+        """Remember a fit, after making sure that it is no worse than any of a smaller set."""
+        for name in fit.theory.names:
+            smaller = self.fits.get(tuple(n for n in fit.theory.names if n != name))
+            if smaller is not None and smaller.cost < fit.cost - 1e-3 - 1e-6 * fit.cost:
+                theta = joined(fit.theory, smaller, {name: off(self.problem, name)})
+                again = fitted(fit.theory, self.train, theta, smaller.starts)
+                fit = min(fit, again, key=lambda f: f.cost)
+        kept = self.fits.get(fit.theory.names)
+        self.fits[fit.theory.names] = fit if kept is None or fit.cost < kept.cost else kept
+        return self.fits[fit.theory.names]
+
+    def _cut(self, fit: Fit, free: bool = False) -> tuple[tuple[FitRun, ...], Fit]:
+        """The runs as they are where a first-order look may span them, else in stretches; and the fit there, its
+        parameters fitted anew where `free`."""
+        if fit.level < _FAR:
+            return self.train, stilled(fit)
+        return self._pieces(fit, _CROSSINGS[_USUAL], free)
+
+    def _short(self, fit: Fit, at: Fit, free: bool) -> tuple[tuple[FitRun, ...], Fit] | None:
+        """Stretches that a fit, `at` the usual ones, is not lost in, and the fit there; None where it is not lost."""
+        found = None
+        for crossings in _CROSSINGS[:_USUAL][::-1]:
+            if (found[1] if found else at).level < _WILD:
+                break
+            found = self._pieces(fit, crossings, free)
+        return found
+
+    def _pieces(self, fit: Fit, crossings: float, free: bool) -> tuple[tuple[FitRun, ...], Fit]:
+        cut = pieces(self.train, crossings * self.problem.crossing_s)
+        at = fitted(fit.theory, cut, fit.theta, None, _GROWING) if free else placed(fit, cut)
+        return cut, stilled(at)
+
+
+def tried_of(
+    theory: Theory, points: list[Array], runs: tuple[FitRun, ...], starts: Starts, iterations: int = _GROWING
+) -> Fit:
+    """The best of a few iterations from each of the points."""
+    return min((fitted(theory, runs, point, starts, iterations) for point in points), key=lambda fit: fit.cost)
+
+
+def caught(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The fit with what no slope leads to tried anew: the place of a catch and the way over which it holds, which show
+    in when it lets go and when it takes hold, and how a drive comes back from a limit, after which all goes on sooner
+    or later."""
+    points = [*_catches(fit), *_shafts(fit)]
+    if not points:
+        return fit
+    low, high = (np.array([getattr(r, k) for r in fit.theory.ranges()]) for k in ("lower", "upper"))
+    tried = [np.clip(theta, low, high) for theta in points]
+    order = np.argsort([misfit(fit.theory, runs, theta, fit.starts) for theta in tried], kind="stable")
+    best = [fit.theta, *(tried[i] for i in order[:_CATCHES])]
+    return min(fit, tried_of(fit.theory, best, runs, fit.starts, _SCREEN), key=lambda f: f.cost)
+
+
+def _catches(fit: Fit) -> list[Array]:
+    """(p,) points about a fit at which its catch holds elsewhere, or over another way; none without one."""
+    ranges, found = fit.theory.ranges(), []
+    for cls in fit.theory.classes:
+        if cls.remember is Effect.remember:
+            continue
+        kind = fit.theory.problem.plant.joint_type
+        own = {i: cls.parameters()[r.name] for i, r in enumerate(ranges) if r.owner == cls.name}
+        size = min(own)
+        width = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower >= 0)
+        place = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower < 0)
+        ratio = next(i for i, spec in own.items() if spec.unit(kind) == "1")
+        for shift, stiffer, part, share in product(_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES):
+            theta = fit.theta.copy()
+            theta[place] += shift * theta[width]
+            theta[[size, width]] *= part
+            theta[size] *= stiffer
+            theta[ratio] = share
+            found.append(theta)
+    return found
+
+
+def _shafts(fit: Fit) -> list[Array]:
+    """(p,) points about a fit of the same inertia in all, at which its drive has another part of it and comes back from
+    limits otherwise; none without a drive on a shaft that swings."""
+    at = {(r.owner, r.name): i for i, r in enumerate(fit.theory.ranges())}
+    if (SHAFT, "swing") not in at:
+        return []
+    own, drive = fit.theory.problem.plant.mechanics.inertia, at["armature", "value"]
+    part, doubt, found = at.get(("asset", "inertia")), fit.theory.problem.inertia_relative, []
+    for taken, back, swing in product(_PARTS if part is not None else _PARTS[:1], _BACK, _SWINGS):
+        theta = fit.theta.copy()
+        theta[[at[SHAFT, "rebound"], at[SHAFT, "swing"]]] = back, swing
+        if taken is not None:
+            theta[drive] += (theta[part] - (1 + taken * doubt)) * own
+            theta[part] = 1 + taken * doubt
+        found.append(theta)
+    return found
+
+
+def _hides_damping(fit: Fit) -> bool:
+    """Whether a drive comes and goes: where its inertia and its slack are off, first guesses of damping are worth
+    nothing, and it looks like a delay."""
+    return any(cls.acts in ("slack", "inertia") for cls in fit.theory.classes)
+
+
+def is_sudden(cls: type[Effect]) -> bool:
+    """Whether an effect catches or throws back: a course with it differs from one without it at once."""
+    return cls.acts == "stop" or is_local(cls)
+
+
+def stilled(fit: Fit) -> Fit:
+    """The fit with starts that run into a limit from next to it at rest there: a dead stop makes no difference between
+    them, any other does."""
+    plant, near = fit.theory.problem.plant, 2 * fit.theory.problem.sigma
+    if "end_stop_bounce" in fit.theory.names:
+        return fit
+    starts = {}
+    for name, (q, v) in fit.starts.items():
+        below, above = q < plant.lower + near and v < 0, q > plant.upper - near and v > 0
+        starts[name] = (plant.lower, 0.0) if below else ((plant.upper, 0.0) if above else (q, v))
+    return replace(fit, starts=starts)
+
+
+def _hopeful(fits: list[Fit]) -> list[Fit]:
+    """The fits to the same runs, best first, without those far behind."""
+    order = sorted(fits, key=lambda fit: fit.cost)
+    return [fit for i, fit in enumerate(order) if i < 2 or fit.cost < _HOPEFUL * order[0].cost]
+
+
+def relaxed(fit: Fit, runs: tuple[FitRun, ...], bent: bool = False) -> Fit:
+    """The same effects, their sizes free to depart from their formulas within the form tolerance; if `bent`, springs by
+    far more.
+
+    Flanks that do not give way at all hide that they could, and a narrow notch that it could be a wide one that ends:
+    such fits begin from there, too.
+    """
+    theory = Theory(fit.theory.problem, fit.theory.names, relaxed=True, bent=bent)
+    points = [joined(theory, fit, {})]
+    flanks = np.array([r.owner == "backlash form" for r in theory.ranges()])
+    if flanks.any():
+        most = np.array([r.upper for r in theory.ranges()])
+        points += [np.where(flanks, part * most, points[0]) for part in _GIVES]
+    if "detent" in theory.names:
+        own = {r.name: i for i, r in enumerate(theory.ranges()) if r.owner in ("detent", "detent form")}
+        ending = points[0].copy()
+        ending[own["peak"]] *= _ENDING["peak"]
+        ending[own["width"]] *= _ENDING["width"]
+        ending[own["curve"]] = _ENDING["curve"] * theory.ranges()[own["curve"]].upper
+        points.append(ending)
+    found = [fitted(theory, runs, point, fit.starts, _RELAXING) for point in points]
+    return caught(min(found, key=lambda way: way.cost), runs)
+
+
+def beside(fit: Fit, free: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The same effects fitted beside an asset that is off as in `free`, where the sizes are free to depart from their
+    formulas: else the asset's doubts stand in for these departures, in quiet runs too."""
+    ranges, asset = fit.theory.ranges(), free.values
+    own = [r.owner == "asset" for r in ranges]
+    theta = np.array([asset[r.owner, r.name] if it else x for r, x, it in zip(ranges, fit.theta, own, strict=True)])
+    about = np.array([x if it else r.neutral for r, x, it in zip(ranges, theta, own, strict=True)])
+    sure = np.diag([(SURE if it else 1.0) / r.prior**2 for r, it in zip(ranges, own, strict=True)])
+    known = replace(fit, theta=about, normal=sure)
+    return replace(fitted(fit.theory, runs, theta, fit.starts, known=known), normal=fit.normal)
+
+
+def prompt(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The same effects as a simulator has them: dry friction is there at once after a reversal."""
+    theory = Theory(fit.theory.problem, fit.theory.names, prompt=True)
+    if len(theory.ranges()) == len(fit.theta):
+        return fit
+    return resettled(fitted(theory, runs, joined(theory, fit, {}), fit.starts), runs)

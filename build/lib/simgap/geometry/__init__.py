@@ -1,0 +1,1 @@
+"""The joint's own geometry, from part poses alone."""

@@ -1,0 +1,353 @@
+"""Measured poses of the moving part against a joint with kinematic effects: the model, its derivatives, its fit.
+
+The motion of the moving part from joint position zero, in the frame of the joint's parent link, is
+X(q, t) J(q) B noise: J the ideal joint, X the effects' displacements, B a small constant by which the tracker's idea of
+the part's frame is off. Noise acts in the part's frame. The position q is free in every frame, so only what leaves the
+joint's own motion tells of geometry. Twists are (v, w), translation first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.effects import EFFECTS, perpendiculars
+from freeart21.effects.base import Effect
+from freeart21.effects.eccentricity import Eccentricity
+from freeart21.effects.wobble import Wobble
+from freeart21.joint import Joint
+from freeart21.mechanics import JointMechanics
+from freeart21.se3 import Array
+
+STATIC: dict[str, int] = {"axis_tilt": 2, "pivot_offset": 2, "screw_pitch": 1, "sag": 1, "eccentricity": 2}
+"""Effects that depend on the joint's position alone, and how many coordinates each has; first one outermost."""
+_STEP = 1e-5  # of a coordinate's scale in central differences
+_SCALES = {"axis_tilt": 0.02, "pivot_offset": 0.005, "screw_pitch": 0.005, "sag": 1e-3, "eccentricity": 0.002}
+_PARTS = (1.0, 0.5, 0.25, 0.125)  # of a step that are tried
+_DONE = 1e-3  # scales by which the last round moved a coordinate
+_MOST_REGISTRATION = 3.0  # standard deviations: beyond, it is no longer the tracker
+_WIDE = 100.0  # scales: standard deviation of the prior that keeps unexcited coordinates finite
+
+
+@dataclass(frozen=True)
+class Track:
+    """One run of poses, frames in which the part was seen."""
+
+    name: str
+    times_s: Array
+    """(n,) s, rising."""
+    motions: Array
+    """(n, 4, 4) motion of the moving part from joint position zero, in the parent link's frame, metres."""
+
+
+@dataclass(frozen=True)
+class Rock:
+    """A steady rocking of the part across the axis: what `wobble` says, with a phase for each run."""
+
+    frequency: float
+    """Hz."""
+    coefficients: Array
+    """(runs, 2, 2) rad: about the first and second direction across the axis, of sine and cosine."""
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """One point of the model: coordinates of the static effects, registration, rocking."""
+
+    names: tuple[str, ...]
+    """Static effects, in the order of STATIC."""
+    values: Array
+    """(k,) their coordinates: parameters, but amplitude * (cos, sin)(phase) for eccentricity."""
+    registration: Array
+    """(6,) twist of B."""
+    rock: Rock | None = None
+
+    def effects(self) -> tuple[Effect, ...]:
+        """The static effects as the library has them, outermost first."""
+        return tuple(effect_of(name, values) for name, values in self.split())
+
+    def split(self) -> list[tuple[str, Array]]:
+        """Name and coordinates of every static effect."""
+        ends = np.cumsum([STATIC[name] for name in self.names])[:-1]
+        return list(zip(self.names, np.split(self.values, ends), strict=True)) if self.names else []
+
+    @classmethod
+    def zero(cls, names: tuple[str, ...]) -> Geometry:
+        """No deviation of these effects."""
+        ordered = tuple(name for name in STATIC if name in names)
+        return cls(ordered, np.zeros(sum(STATIC[name] for name in ordered)), np.zeros(6))
+
+
+def effect_of(name: str, values: Array) -> Effect:
+    """A static effect from its coordinates; what lies beyond a bound is put on it."""
+    values = np.clip(values, *_ends(name))
+    if name == "eccentricity":
+        most = _ends(name)[1][0]
+        return Eccentricity(float(min(np.hypot(*values), most)), float(np.arctan2(values[1], values[0])))
+    return EFFECTS[name](*values.tolist())
+
+
+def _ends(name: str) -> tuple[Array, Array]:
+    """(k,) lowest and highest of every coordinate of a static effect, as the library bounds its parameters."""
+    specs = list(EFFECTS[name].parameters().values())
+    if name == "eccentricity":
+        return np.full(2, -specs[0].upper), np.full(2, specs[0].upper)
+    return np.array([p.lower for p in specs]), np.array([p.upper for p in specs])
+
+
+def coordinate_scales(names: tuple[str, ...]) -> Array:
+    """(k,) a usual size of every coordinate."""
+    return np.concatenate([np.full(STATIC[name], _SCALES[name]) for name in names] or [np.zeros(0)])
+
+
+@dataclass(frozen=True)
+class Weighting:
+    """What the noise of a pose is: its covariance in the part's frame, and how far it lasts."""
+
+    covariance: Array
+    """(6, 6) of the twist (m, rad)."""
+    correlation: float = 1.0
+    """Frames that count as one, 1 or more."""
+    registration_std: tuple[float, float] = (1e-3, 1e-3)
+    """Metres and radians by which the tracker's part frame may be off."""
+
+    @cached_property
+    def whitening(self) -> Array:
+        """(6, 6) L with L covariance L^T = 1."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance))
+
+    @property
+    def registration_precision(self) -> Array:
+        """(6,) of the registration's coordinates, as many-fold as frames count."""
+        metres, radians = self.registration_std
+        return self.correlation / np.repeat([metres**2, radians**2], 3)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The model about one point, frames of all runs in a row; everything whitened and free of the joint's own motion.
+
+    residual = data - columns @ (coordinates, registration) - rocks @ coefficients.
+    """
+
+    data: Array
+    """(n, 6)."""
+    columns: Array
+    """(n, 6, k + 6)."""
+    rocks: Array
+    """(n, 6, 2) of a turn about the first and the second direction across the axis."""
+    run: NDArray[np.int64]
+    """(n,) number of the run."""
+    times_s: Array
+    """(n,)."""
+    q: Array
+    """(n,)."""
+    left_to_whitened: Array
+    """(n, 6, 6) of a twist in the parent's frame, acting outermost."""
+
+
+def first_positions(joint: Joint, motions: Array) -> Array:
+    """(n,) joint positions by the joint's own direction alone: the twist about it, or the shift along it."""
+    if joint.type == "prismatic":
+        return np.asarray((motions[:, :3, 3]) @ joint.axis)
+    q = se3.wxyz(motions)
+    return np.unwrap(2 * np.arctan2(q[:, 1:] @ joint.axis, q[:, 0]))
+
+
+class PoseModel:
+    """The model of some runs; `linear` and `fit` work on all frames of all runs at once."""
+
+    def __init__(self, tracks: tuple[Track, ...], mechanics: JointMechanics):
+        self.tracks, self.mechanics, self.joint = tracks, mechanics, mechanics.joint
+        self.run = np.repeat(np.arange(len(tracks)), [len(t.times_s) for t in tracks])
+        self.times_s = np.concatenate([t.times_s for t in tracks])
+        self.motions = np.concatenate([t.motions for t in tracks])
+        self.q0 = np.concatenate([first_positions(self.joint, t.motions) for t in tracks])
+        first, second = perpendiculars(self.joint.axis)
+        self.rock_screws = np.stack([replace(self.joint, type="revolute", axis=axis).screw for axis in (first, second)])
+
+    def poses(self, point: Geometry, q: Array) -> Array:
+        """(n, 4, 4) motions by the model at positions `q` (n,)."""
+        X = self._rocked(point)
+        for effect in point.effects():
+            X = X @ effect.displacement(q, self.times_s, self.mechanics)
+        return X @ self.joint.transform(q) @ se3.exp_se3(point.registration)
+
+    def residuals(self, point: Geometry, q: Array) -> Array:
+        """(n, 6) twists from the model to what was measured, in the part's frame."""
+        return se3.log_se3(se3.inverse(self.poses(point, q)) @ self.motions)
+
+    def positions(self, point: Geometry, weighting: Weighting, q: Array | None = None, rounds: int = 3) -> Array:
+        """(n,) the position in every frame that leaves the least residual; a step that leaves more is not gone."""
+        q = self.q0 if q is None else q
+        along = self._tangents(point, q) @ weighting.whitening.T
+        y = self.residuals(point, q) @ weighting.whitening.T
+        for _ in range(rounds):
+            moved = q + (along * y).sum(-1) / (along * along).sum(-1)
+            left = self.residuals(point, moved) @ weighting.whitening.T
+            less = (left**2).sum(-1) < (y**2).sum(-1)
+            q, y = np.where(less, moved, q), np.where(less[:, None], left, y)
+        return q
+
+    def linear(self, point: Geometry, q: Array, weighting: Weighting) -> Linear:
+        """The model about `point` and `q`, as absolute coordinates."""
+        L = weighting.whitening
+        M = self.poses(point, q)
+        y = se3.log_se3(se3.inverse(M) @ self.motions)
+        to_part = se3.adjoint(se3.inverse(M))
+        columns = np.concatenate(
+            [to_part @ self._effect_twists(point, q), np.broadcast_to(np.eye(6), (len(q), 6, 6))], -1
+        )
+        along = self._tangents(point, q) @ L.T
+        along = along / np.linalg.norm(along, axis=-1, keepdims=True)
+        project = (np.eye(6) - along[:, :, None] * along[:, None, :]) @ L
+        columns = project @ columns
+        rocks = project @ (to_part @ self.rock_screws.T)
+        data = (project @ y[..., None])[..., 0] + columns @ np.concatenate([point.values, point.registration])
+        if point.rock is not None:
+            data = data + (rocks @ self._rock_angles(point.rock)[..., None])[..., 0]
+        return Linear(data, columns, rocks, self.run, self.times_s, q, project @ to_part)
+
+    def fit(
+        self, point: Geometry, weighting: Weighting, frames: NDArray[np.bool_] | None = None, rounds: int = 6
+    ) -> tuple[Geometry, Array]:
+        """Coordinates and registration (rocking as it is) of least weighted squares, by Gauss-Newton; positions (n,).
+
+        Steps that make the squares larger are halved. `frames` (n,) says which frames count; all have their position
+        found.
+        """
+        q = self.positions(point, weighting)
+        prior = priors(point.names, weighting)
+        k = len(point.values)
+
+        def squares(at: Geometry, q: Array) -> float:
+            left = self.residuals(at, q) @ weighting.whitening.T
+            size = np.concatenate([at.values, at.registration])
+            return float((left**2).sum(-1)[... if frames is None else frames].sum() + prior @ size**2)
+
+        least = squares(point, q)
+        for _ in range(rounds):
+            lin = self.linear(point, q, weighting)
+            A, b = normal_equations(lin.columns, lin.data - self.rocking(lin, point), frames)
+            found = solved_within(A + np.diag(prior), b, *bounds(point.names, weighting))
+            step = found - np.concatenate([point.values, point.registration])
+            for part in _PARTS:
+                here = part * step
+                moved = replace(point, values=point.values + here[:k], registration=point.registration + here[k:])
+                q_moved = self.positions(moved, weighting, q, rounds=2)
+                now = squares(moved, q_moved)
+                if now <= least:
+                    break
+            else:
+                break
+            point, q, least = moved, q_moved, now
+            if np.abs(here[:k] / coordinate_scales(point.names)).max(initial=0.0) < _DONE:
+                break
+        return point, q
+
+    def rocking(self, lin: Linear, point: Geometry) -> Array:
+        """(n, 6) what rocking gives to `lin`'s data."""
+        if point.rock is None:
+            return np.zeros((len(self.times_s), 6))
+        return np.asarray((lin.rocks @ self._rock_angles(point.rock)[..., None])[..., 0])
+
+    def _rock_angles(self, rock: Rock) -> Array:
+        """(n, 2) rad."""
+        waves = waves_at(rock.frequency, self.times_s)
+        return np.einsum("nab,nb->na", rock.coefficients[self.run], waves)
+
+    def _rocked(self, point: Geometry) -> Array:
+        if point.rock is None:
+            return np.broadcast_to(np.eye(4), (len(self.times_s), 4, 4))
+        return se3.exp_se3(self._rock_angles(point.rock) @ self.rock_screws)
+
+    def _tangents(self, point: Geometry, q: Array) -> Array:
+        """(n, 6) twist of the part, in its frame, per unit of q."""
+        h = 1e-4
+        return se3.log_se3(se3.inverse(self.poses(point, q - h)) @ self.poses(point, q + h)) / (2 * h)
+
+    def _effect_twists(self, point: Geometry, q: Array) -> Array:
+        """(n, 6, k) derivative of the displacement by every coordinate, as a twist in the parent's frame, outermost."""
+        before = self._rocked(point)
+        columns = []
+        for name, values in point.split():
+            to_outer = se3.adjoint(before)
+            h = _STEP * _SCALES[name]
+            low, high = _ends(name)
+            base = np.clip(values, low + h, high - h)  # a one-sided difference where the other side does not exist
+            for i in range(len(values)):
+                ends = [
+                    effect_of(name, base + s * h * np.eye(len(values))[i]).displacement(q, self.times_s, self.mechanics)
+                    for s in (-1, 1)
+                ]
+                columns.append((to_outer @ (se3.log_se3(ends[1] @ se3.inverse(ends[0])) / (2 * h))[..., None])[..., 0])
+            before = before @ effect_of(name, values).displacement(q, self.times_s, self.mechanics)
+        return np.stack(columns, -1) if columns else np.zeros((len(q), 6, 0))
+
+
+def bounds(names: tuple[str, ...], weighting: Weighting) -> tuple[Array, Array]:
+    """(k + 6,) twice: what coordinates and registration can be at all: no sag upwards, a tracker not far off."""
+    metres, radians = weighting.registration_std
+    box = _MOST_REGISTRATION * np.repeat([metres, radians], 3)
+    ends = [*(_ends(name) for name in names), (-box, box)]
+    return np.concatenate([low for low, _ in ends]), np.concatenate([high for _, high in ends])
+
+
+def solved_within(A: Array, b: Array, low: Array, high: Array) -> Array:
+    """(k,) x of least x A x / 2 - b x, each within its bounds; those beyond are put on them, until none is."""
+    x = np.asarray(np.linalg.solve(A, b), float)
+    held = np.zeros(len(b), bool)
+    for _ in range(len(b)):
+        out = ~held & ((x < low) | (x > high))
+        if not out.any():
+            break
+        held |= out
+        x[held] = np.clip(x, low, high)[held]
+        free = ~held
+        if free.any():
+            x[free] = np.linalg.solve(A[np.ix_(free, free)], b[free] - A[np.ix_(free, held)] @ x[held])
+    return np.clip(x, low, high)
+
+
+def priors(names: tuple[str, ...], weighting: Weighting) -> Array:
+    """(k + 6,) precisions about zero: wide ones for the coordinates, the tracker's for the registration."""
+    return np.concatenate([(_WIDE * coordinate_scales(names)) ** -2.0, weighting.registration_precision])
+
+
+def normal_equations(columns: Array, data: Array, frames: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
+    """(k, k) and (k,) of least squares over the frames chosen; columns (n, 6, k), data (n, 6)."""
+    if frames is not None:
+        columns, data = columns[frames], data[frames]
+    flat = columns.reshape(-1, columns.shape[-1])
+    return flat.T @ flat, flat.T @ data.reshape(-1)
+
+
+def waves_at(frequency: float, times_s: Array) -> Array:
+    """(n, 2) sine and cosine."""
+    angle = 2 * np.pi * frequency * times_s
+    return np.stack([np.sin(angle), np.cos(angle)], -1)
+
+
+def rock_direction(rock: Rock) -> Array:
+    """(2,) unit vector on the directions across the axis about which it rocks most."""
+    return np.asarray(np.linalg.svd(np.concatenate(list(rock.coefficients), -1))[0][:, 0])
+
+
+def wobble_of(rock: Rock) -> Wobble:
+    """The library's effect: amplitude over all runs, phase of the first run."""
+    stacked = np.concatenate(list(rock.coefficients), -1)
+    u = np.linalg.svd(stacked)[0][:, 0]
+    u = u * (1.0 if u[int(np.argmax(np.abs(u)))] > 0 else -1.0)
+    waves = u @ rock.coefficients  # (runs, 2)
+    amplitude = float(np.sqrt((waves**2).sum(-1).mean()))
+    phase = float(np.arctan2(waves[0, 1], waves[0, 0]))
+    return Wobble(min(amplitude, 0.8), rock.frequency, phase, float(np.arctan2(u[1], u[0])))
+
+
+def named_effects(point: Geometry) -> tuple[Effect, ...]:
+    """All effects of a point of the model, outermost displacement first."""
+    return (*(() if point.rock is None else (wobble_of(point.rock),)), *point.effects())

@@ -1,0 +1,89 @@
+"""How well the sizes of effects are known: 90 % intervals, and what of an effect is a force."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from freeart21.effects import Effect
+from freeart21.effects.armature import Armature
+from freeart21.effects.backlash import Backlash
+from simgap.fitting.fit import Fit, information, tempered, unit_of
+from simgap.fitting.guess import neutral_value
+from simgap.fitting.theory import FORM_WAYS, SHAFT
+from simgap.judgement.judge import Judged
+from simgap.verdict import Named
+
+NORMAL_90 = 1.645
+
+
+def with_intervals(judgement: Judged) -> tuple[Named, ...]:
+    """The effects with 90 % intervals, strongest first: the one without which most would be left.
+
+    What a parameter becomes when the sizes are free to depart from their formulas is as good an estimate of it, as far
+    as the runs tell it beside these departures; and the size of an effect that departs from its formula by some part of
+    itself is known to that part only.
+    """
+    fit, unit = judgement.fit, unit_of(tempered(judgement.left))
+    ranges, free = fit.theory.ranges(), judgement.free or fit
+    errors = dict(zip(free.values, np.sqrt(np.diag(_covariance(free, unit))), strict=True))
+    found = []
+    for effect in fit.effects:
+        own = {r.name: i for i, r in enumerate(ranges) if r.owner == effect.name}
+        specs, part, ends = effect.parameters(), _departure(effect, free, errors), {}
+        for name, i in own.items():
+            x, key = fit.theta[i], (effect.name, name)
+            size = 0.0 if is_place(effect, name) else x - neutral_value(type(effect)) * (i == min(own.values()))
+            spread = NORMAL_90 * np.sqrt(errors[key] ** 2 + (free.values[key] - x) ** 2 + (part * size) ** 2)
+            ends[name] = max(x - spread, specs[name].lower), min(x + spread, specs[name].upper)
+        if isinstance(effect, Armature | Backlash):
+            ends["throw_back"] = _of_shaft(fit, errors, effect, "rebound")
+        if isinstance(effect, Armature):
+            ends["swing"] = _of_shaft(fit, errors, effect, "swing")
+        low, high = ({name: float(end[k]) for name, end in ends.items()} for k in (0, 1))
+        i = min(own.values())
+        weight = (fit.theta[i] - neutral_value(type(effect))) ** 2 * fit.normal[i, i]
+        found.append((float(weight), Named(effect, low, high)))
+    found.sort(key=lambda pair: -pair[0])
+    return tuple(named for _, named in found)
+
+
+def _of_shaft(fit: Fit, errors: dict[tuple[str, str], float], effect: Effect, name: str) -> tuple[float, float]:
+    """90 % interval of what a drive has of its shaft, fitted as SHAFT's `name`; nothing where stops bounce by
+    themselves."""
+    ranges, told = fit.theory.ranges(), {"rebound": "throw_back", "swing": "swing"}[name]
+    at = next((i for i, r in enumerate(ranges) if (r.owner, r.name) == (SHAFT, name)), None)
+    if at is None:
+        return 0.0, 0.0
+    spread, ends = NORMAL_90 * errors[SHAFT, name], []
+    for x in (fit.theta[at] - spread, fit.theta[at] + spread):
+        theta = fit.theta.copy()
+        theta[at] = np.clip(x, ranges[at].lower, ranges[at].upper)
+        ends.append(float(next(getattr(e, told) for e in fit.theory.effects(theta) if e.name == effect.name)))
+    return ends[0], ends[1]
+
+
+def is_place(effect: Effect, name: str) -> bool:
+    """Whether a parameter of a force is a position."""
+    spec = effect.parameters()[name]
+    return effect.acts == "force" and spec.revolute_unit == "rad" and spec.lower < 0
+
+
+def _departure(effect: Effect, free: Fit, errors: dict[tuple[str, str], float]) -> float:
+    """Part of itself by which an effect departs from its formula in a fit in which it may, as far as that is known;
+    what its kind usually does where the fit has no way for it."""
+    ways = [key for key in free.values if key[0] == f"{effect.name} form" and key[1] in FORM_WAYS]
+    told = np.sqrt(sum(free.values[key] ** 2 + errors[key] ** 2 for key in ways))
+    return float(min(told, max(effect.departs))) if ways else max(effect.departs)
+
+
+def _covariance(fit: Fit, unit: float) -> np.ndarray:
+    """(p, p) of the parameters; `unit` is that of noise."""
+    normal = information(fit, unit)
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
+
+
+def is_force(effect: Effect, name: str) -> bool:
+    """Whether a parameter of an effect is a force or a moment."""
+    spec = effect.parameters()[name]
+    return spec.revolute_unit == "N*m" or spec.prismatic_unit == "N"

@@ -1,0 +1,122 @@
+"""Numbers and effects in the words of a mechanic."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from freeart21.effects.base import Effect
+from freeart21.joint import JointType
+
+PLAIN: dict[str, str] = {
+    "viscous_damping": "damping as by oil",
+    "coulomb_friction": "dry friction",
+    "stribeck_friction": "friction that sticks before it slides",
+    "quadratic_drag": "drag that grows with the square of speed",
+    "load_friction": "friction that grows with the load",
+    "return_spring": "a spring",
+    "gravity_offset": "a pull of gravity other than the model's",
+    "detent": "a notch that it clicks into",
+    "latch": "a catch that holds it",
+    "backlash": "play in the drive",
+    "end_stop_bounce": "a stop that throws it back",
+    "actuator_delay": "a drive that acts late",
+    "actuator_gain": "a drive weaker or stronger than told",
+    "armature": "inertia of the drive itself",
+    "axis_tilt": "an axis that points elsewhere",
+    "pivot_offset": "an axis that lies elsewhere",
+    "screw_pitch": "a thread: it shifts along its axis as it turns",
+    "wobble": "rocking in a worn bearing",
+    "sag": "sagging under its weight",
+    "eccentricity": "a pin out of round",
+    "encoder_offset": "a sensor whose zero is off",
+    "encoder_scale": "a sensor whose scale is off",
+    "time_offset": "a sensor whose clock is off",
+}
+"""Effect name to what a mechanic would call it; no effect needs one to work."""
+
+
+def plain(name: str) -> str:
+    """What a mechanic would call the effect of this name."""
+    return PLAIN.get(name, name.replace("_", " "))
+
+
+def amount(value: float, unit: str) -> str:
+    """A number with its SI unit as people write it, such as '12 mN m'."""
+    unit = unit.replace("*", " ")
+    if unit == "1":
+        return f"{value:.3g}"
+    if unit == "rad":
+        return f"{np.degrees(value):.3g}°"
+    size = abs(value)
+    if unit in ("m", "s", "N m", "N", "m/rad") and 0 < size < 0.1:
+        return f"{1e3 * value:.3g} m{unit}" if size >= 1e-4 else f"{1e6 * value:.3g} µ{unit}"
+    return f"{value:.3g} {unit}"
+
+
+def effect_words(effect: Effect, joint_type: JointType) -> str:
+    """An effect with its numbers, such as 'dry friction (level 0.12 N m)'."""
+    numbers = ", ".join(
+        f"{name} {amount(getattr(effect, name), spec.unit(joint_type))}"
+        for name, spec in effect.parameters(joint_type).items()
+    )
+    return f"{plain(effect.name)} ({numbers})"
+
+
+def span_text(quantity: str, low: float, high: float, joint_type: JointType) -> str:
+    """A range of a quantity in degrees or centimetres, their speeds, or seconds."""
+    if quantity == "time":
+        return f"{low:.1f} to {high:.1f} s"
+    factor, unit = (np.degrees(1.0), "°") if joint_type == "revolute" else (100.0, " cm")
+    per = "/s" if quantity == "velocity" else ""
+    digits = max(0, 1 - int(np.floor(np.log10(max(factor * (high - low), 1e-6)))))
+    ends = [f"{round(factor * v, digits) + 0.0:.{digits}f}" for v in (low, high)]
+    return f"{ends[0]} to {ends[1]}{unit}{per}"
+
+
+_CLOSED = re.compile(r"With it -?\d+% of the gap on [^.;]* is gone(?:; no other run shows any)?")
+
+
+def runs_text(held_out: Sequence[bool], in_turn: bool = False) -> str:
+    """Which runs a figure is of, such as '2 runs that were not fitted' or '1 fitted run and 2 that were not fitted'.
+
+    `held_out` says it of each run; `in_turn` is for runs of which none is held out for good, but each from the fit that
+    it is judged by.
+    """
+    out, n = sum(map(bool, held_out)), len(held_out)
+    if in_turn:
+        return f"{_runs(n)}, each held out in turn" if n != 1 else "1 run, its stretches held out in turn"
+    verb = "was" if out == 1 else "were"
+    if out == n:
+        return f"{_runs(n)} that {verb} not fitted"
+    fitted = f"{n - out} fitted run{'s' * (n - out != 1)}"
+    return f"{fitted} and {out} that {verb} not fitted" if out else fitted
+
+
+def _runs(count: int) -> str:
+    return f"{count} run{'s' * (count != 1)}"
+
+
+def closed_text(part: float, which: str) -> str:
+    """How much of the gap beyond the sensor's noise an answer closes, and on `which` runs; nobody closes more than all
+    of it."""
+    return f"With it {min(part, 1.0):.0%} of the gap on {which} is gone"
+
+
+def with_closed(sentence: str, part: float, which: str) -> str:
+    """The sentence with another closed part, of other runs."""
+    return _CLOSED.sub(closed_text(part, which), sentence)
+
+
+def number_text(value: float, unit: str) -> str:
+    """A parameter as a table shows it: `amount`, infinite ends as words."""
+    if not np.isfinite(value):
+        return "no bound"
+    return amount(value, unit)
+
+
+def capital(text: str) -> str:
+    """The text with its first letter large."""
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,102 @@
+"""What the sensor itself leaves: noise, quantisation, and time stamps that are a little off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from freeart21.se3 import Array
+
+_WINDOWS = ((5, 3), (11, 4))
+"""Neighbouring readings, and the order of the polynomial through them."""
+_MOST = 1000
+"""Windows of a run that are looked at."""
+_BINS = 6
+_FAR = 8
+"""Readings on either side that tell how fast they move."""
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Standard deviation of a reading: sqrt(still^2 + (stamp * speed)^2)."""
+
+    still: float
+    """rad or m, at rest."""
+    stamp_s: float
+    """Seconds by which time stamps scatter."""
+
+    def sigma(self, speed: Array) -> Array:
+        """(n,) standard deviations at speeds (n,), rad/s or m/s."""
+        return np.asarray(np.hypot(self.still, self.stamp_s * speed))
+
+
+def floor_of(series: list[tuple[Array, Array]]) -> Floor:
+    """The floor of one sensor from its runs (times (n,), readings (n,), both finite).
+
+    What neighbouring readings leave that no polynomial through them explains is, robustly and as a function of speed,
+    the noise; quantisation is at least a twelfth of its step squared. Few neighbours take even motion over a sensor's
+    steps for noise, many take fast turns for it: the lesser of both counts.
+    """
+    readings = np.concatenate([q for _, q in series])
+    step = _quantum(readings)
+    smallest = 1e-7 * max(float(np.ptp(readings)), 1e-9)
+    found = [_scatter(series, *window, step) for window in _WINDOWS]
+    still2, stamp2 = min(found, key=lambda f: f[0] + f[2] * f[1])[:2]
+    return Floor(float(np.sqrt(max(still2, step**2 / 12, smallest**2))), float(np.sqrt(stamp2)))
+
+
+def _scatter(series: list[tuple[Array, Array]], points: int, order: int, step: float) -> tuple[float, float, float]:
+    """Variance at rest, its growth with speed squared, and the mean square of speed."""
+    parts = [_left(t, q, points, order) for t, q in series if len(q) >= points]
+    if not parts:
+        return np.inf, 0.0, 0.0
+    left2, speed, ways = (np.concatenate(column) for column in zip(*parts, strict=True))
+    told = ways > step  # a sensor at rest shows the same step again and again, and hides its noise
+    if told.sum() > max(100, 0.05 * len(told)):
+        left2, speed = left2[told], speed[told]
+    free = points - order - 1
+    bins = [part for part in np.array_split(np.argsort(speed), _BINS) if len(part)]
+    variance = np.array([np.median(left2[part]) for part in bins]) / chi2.median(free)
+    squares = np.array([np.mean(speed[part] ** 2) for part in bins])
+    return (*_line(squares, variance), float(np.mean(squares)))
+
+
+def _left(times: Array, q: Array, points: int, order: int) -> tuple[Array, Array, Array]:
+    """Of every so many neighbours: the sum of squares beyond a polynomial, their speed, and how far five of them move,
+    by readings further apart; (n - points + 1,) each."""
+    n = len(times) - points + 1
+    at = np.arange(n)[:: -(-n // _MOST)]
+    t, values = times[at[:, None] + np.arange(points)], q[at[:, None] + np.arange(points)]
+    long = np.maximum(t[:, -1:] - t[:, :1], 1e-12)
+    basis = np.linalg.qr(((t - t.mean(1, keepdims=True)) / long)[..., None] ** np.arange(order + 1))[0]
+    around = values - values.mean(1, keepdims=True)
+    left = around - (basis @ (basis.transpose(0, 2, 1) @ around[..., None]))[..., 0]
+    first, last = np.maximum(at - _FAR, 0), np.minimum(at + points - 1 + _FAR, len(q) - 1)
+    return (
+        (left**2).sum(1),
+        np.abs(values[:, -1] - values[:, 0]) / long[:, 0],
+        np.abs(q[last] - q[first]) * 4 / (last - first),
+    )
+
+
+def _line(x: Array, y: Array) -> tuple[float, float]:
+    """Intercept and slope, neither below 0, of y over x by relative least squares."""
+    weight = 1 / np.maximum(y, 1e-3 * y.max() + 1e-300)
+    A = np.stack([np.ones_like(x), x], 1) * weight[:, None]
+    if np.linalg.matrix_rank(A) == 2:
+        still, stamp = np.linalg.lstsq(A, y * weight, rcond=None)[0]
+        if still >= 0 and stamp >= 0:
+            return float(still), float(stamp)
+        if still < 0 and stamp > 0:
+            return float(y[0]), float(max(y[-1] - y[0], 0.0) / x[-1])
+    return float(np.mean(y)), 0.0
+
+
+def _quantum(q: Array) -> float:
+    """Step between neighbouring values where readings are few distinct ones, else 0."""
+    values = np.unique(np.round(q, 12))
+    if len(values) > 0.5 * len(q) or len(values) < 2:
+        return 0.0
+    return float(np.median(np.diff(values)))

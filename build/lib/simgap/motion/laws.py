@@ -1,0 +1,72 @@
+"""The effects' formulas, compiled: a choice among them by number, which costs no more than the formula."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+
+from freeart21.effects import EFFECTS, Effect, armature
+
+FORCE, DRIVE, STOP = 0, 1, 2
+ACTS = {"force": FORCE, "drive": DRIVE, "stop": STOP}
+
+LAWS: dict[str, int] = {name: i for i, name in enumerate(n for n in EFFECTS if EFFECTS[n].acts in ACTS)}
+"""Number of each law that the kernel knows."""
+
+
+jit = njit(error_model="numpy", fastmath={"contract"}, _nrt=False)  # type: ignore[call-overload]  # no arrays are made
+
+_TAKEN = {  # a slice would cost more than the formula
+    1: jit(lambda p, at: (p[at],)),
+    2: jit(lambda p, at: (p[at], p[at + 1])),
+    3: jit(lambda p, at: (p[at], p[at + 1], p[at + 2])),
+    4: jit(lambda p, at: (p[at], p[at + 1], p[at + 2], p[at + 3])),
+    5: jit(lambda p, at: (p[at], p[at + 1], p[at + 2], p[at + 3], p[at + 4])),
+    6: jit(lambda p, at: (p[at], p[at + 1], p[at + 2], p[at + 3], p[at + 4], p[at + 5])),
+}
+
+
+def _law_among(names: list[str]) -> Any:
+    """A compiled choice among the laws of the effects `names`."""
+    number, formula, taken = _pieces(names[0], "law")
+    others = _law_among(names[1:]) if len(names) > 1 else jit(lambda which, q, qd, load, memory, p, at: 0.0)
+
+    @jit
+    def choose(which, q, qd, load, memory, p, at):  # pragma: no cover
+        if which == number:
+            return 1.0 * formula(q, qd, load, memory, *taken(p, at))
+        return others(which, q, qd, load, memory, p, at)
+
+    return choose
+
+
+def _memory_among(names: list[str]) -> Any:
+    """A compiled choice among the memories of the effects `names`; 0 for all others."""
+    if not names:
+        return jit(lambda which, q, memory, p, at: 0.0)
+    number, formula, taken = _pieces(names[0], "remember")
+    others = _memory_among(names[1:])
+
+    @jit
+    def choose(which, q, memory, p, at):  # pragma: no cover
+        if which == number:
+            return 1.0 * formula(q, memory, *taken(p, at))
+        return others(which, q, memory, p, at)
+
+    return choose
+
+
+def _pieces(name: str, formula: str) -> tuple[int, Any, Any]:
+    return LAWS[name], jit(getattr(EFFECTS[name], formula)), _TAKEN[len(EFFECTS[name].parameters())]
+
+
+law = _law_among(list(LAWS))
+remember = _memory_among([n for n in LAWS if EFFECTS[n].remember is not Effect.remember])
+thrown = jit(armature.thrown)
+_files = (__file__, armature.__file__, *(inspect.getfile(EFFECTS[n]) for n in LAWS))
+STAMP = int.from_bytes(hashlib.sha256(b"".join(Path(file).read_bytes() for file in _files)).digest()[:7], "big")
+"""Of all these formulas: another one when any of them changes."""

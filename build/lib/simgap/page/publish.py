@@ -1,0 +1,402 @@
+"""From an explanation to what stands on disk: the repaired asset, shown in SAPIEN or rolled back, verdict and page."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.effects.base import Effect
+from freeart21.effects.gravity_offset import GravityOffset
+from freeart21.measured import Measured, Run
+from freeart21.mechanics import JointMechanics
+from freeart21.se3 import Array
+from simgap.geometry.finding import KinematicsFinding
+from simgap.geometry.placing import Placed, place
+from simgap.geometry.track_geometry import lever_of, middle_of
+from simgap.judgement.words import plain, runs_text, with_closed
+from simgap.motion.equation_error import missing_force
+from simgap.motion.localise import residual_maps, where
+from simgap.motion.surrogate import Nuisance, Plant
+from simgap.page.report import GEOMETRY, Gap, Ranked, write_report
+from simgap.proof.show import (
+    SECONDS,
+    CannotReplay,
+    Off,
+    PosesReplayed,
+    Progress,
+    Replayed,
+    ReplayGap,
+    Shown,
+    alike,
+    closed_alike,
+    helps,
+    judged_runs,
+    show,
+)
+from simgap.proof.stretches import Stretch, as_replays, at_fault, judged_so, said_of
+from simgap.proof.writeback import repaired
+from simgap.verdict import Named, RunGap, Verdict, unseen
+
+MOST_REPLAYS = 6
+"""Runs that SAPIEN replays; of every regime some."""
+_MOST_POSES = 150
+
+
+@dataclass(frozen=True)
+class Draft:
+    """What fits and choice have come to, before SAPIEN has seen it."""
+
+    verdict: Verdict
+    """Gaps as the fits have them; those of replayed runs are measured anew."""
+    starts: dict[str, tuple[tuple[float, float], tuple[float, float]]] = field(default_factory=dict)
+    """Run name to its start state (rad or m, and a second) with the asset as it was, and with the effects."""
+    off: tuple[Off, Off] = (Off(), Off())
+    """How far the asset is off in these two fits."""
+    ranking: tuple[Ranked, ...] = ()
+    geometry: KinematicsFinding | None = None
+    regimes: dict[str, str] = field(default_factory=dict)
+    """Run name to regime."""
+    floor: float = 0.0
+    """rad or m."""
+    moves_otherwise: bool = True
+    """Whether the motion along the joint is other than simulated; without that, nothing is said of where."""
+    certain: tuple[Named, ...] = ()
+    """Effects that are named without doubt, whatever is said of the rest: only these go into the asset."""
+    curves: tuple[ReplayGap, ...] = ()
+    """Held-out runs as the fits' own simulation has them, by the asset as it is and by the best that was found."""
+    stretches: Callable[[str], tuple[Stretch, ...]] | None = None
+    """Run name to the run in stretches: takes seconds, for a run that hangs on a hair."""
+
+
+def off_of(plant: Plant, nuisance: Nuisance) -> Off:
+    """How a fit's nuisance changes inertia and gravity."""
+    terms = plant.gravity_terms
+    true = nuisance.gravity * (terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2])
+    cosine, sine, constant = (float(v) for v in true - terms[0])
+    return Off(nuisance.inertia, (cosine, sine, constant), nuisance.holding)
+
+
+def with_positions(measured: Measured, geometry: KinematicsFinding | None) -> Measured:
+    """The set with the poses of its runs replaced by positions along the joint, the named geometry taken out."""
+    if geometry is None:
+        return measured
+    of = {track.name: track for track in geometry.tracks}
+    runs = tuple(
+        replace(run, times_s=of[run.name].times_s, q=of[run.name].q, poses=None, seen=None)
+        if run.poses is not None and run.name in of
+        else run
+        for run in measured.runs
+    )
+    return replace(measured, runs=runs)
+
+
+def publish(
+    asset: Asset,
+    measured: Measured,
+    draft: Draft,
+    folder: Path,
+    title: str,
+    seconds: float | None = None,
+    seed: int = 0,
+    replay_seconds: float = SECONDS,
+    progress: Progress | None = None,
+) -> Verdict:
+    """Write asset/, verdict.json and index.html into `folder`; the verdict as it stands after the replay in SAPIEN.
+
+    Only effects that are certain are written into asset/. Those that do not help on runs that were not fitted are
+    rolled back, motion and geometry each by itself, and the verdict is then unexplained. The best of several rivals is
+    replayed, too, for the page, but not written.
+
+    Args:
+        asset: as it was.
+        measured: all runs, poses too.
+        draft: what the fits came to.
+        folder: must exist.
+        title: of the page.
+        seconds: what the verdict took, for the page.
+        seed: of permutations.
+        replay_seconds: when these are over the replay is given up; the answer stays, and says so.
+        progress: told how many runs are replayed.
+    """
+    placed = place(asset, measured.gravity)
+    runs = with_positions(measured, draft.geometry)
+    acting = asset.effects.get(asset.joint, ())
+    found = missing_force(*_as_fitted(runs, placed, acting, draft.off[0], _limits(asset)))
+    maps = residual_maps(found, seed)
+    verdict = draft.verdict
+    if draft.moves_otherwise and not verdict.where:
+        verdict = replace(verdict, where=where(maps, found, measured.joint_type))
+    tried = verdict.effects if verdict.verdict in ("named", "ambiguous") else draft.certain
+    shown, kept = None, draft.certain
+    notes: list[str] = []
+    if tried:
+        trial, began = Trial(asset, measured, runs, draft, placed, tried), time.monotonic()
+        shown, why = trial.replayed(replay_seconds, progress)
+        hair = ""
+        if shown is not None:
+            shown, hair = trial.judged_in_stretches(shown, replay_seconds - (time.monotonic() - began))
+        verdict, kept, notes = _judged(verdict, draft.certain, tried, shown, why, replay_seconds)
+        notes = [hair, *notes] if hair else notes
+    source = {"verdict": verdict.verdict, "effects": [n.effect.name for n in kept]} if kept else None
+    repaired(asset, tuple(n.effect for n in kept), folder / "asset", source)
+    verdict = replace(verdict, added=tuple(n.effect.name for n in kept))
+    verdict.write(folder / "verdict.json", measured.joint_type)
+    write_report(
+        folder / "index.html",
+        Gap(
+            title,
+            measured.joint,
+            measured.joint_type,
+            verdict,
+            draft.ranking,
+            maps,
+            shown,
+            draft.geometry,
+            tuple(notes),
+            seconds,
+            draft.curves,
+        ),
+    )
+    return verdict
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Effects that are tried in SAPIEN."""
+
+    asset: Asset
+    measured: Measured
+    runs: Measured
+    """The same with positions in the place of poses."""
+    draft: Draft
+    placed: Placed
+    tried: tuple[Named, ...]
+
+    def replayed(self, seconds: float, progress: Progress | None) -> tuple[Shown | None, str]:
+        """What SAPIEN shows, or why it cannot; None for nothing to show."""
+        draft, runs = self.draft, self.runs
+        moving = any(n.effect.kind != "kinematics" for n in self.tried)
+        picked = _picked([run for run in runs.runs if run.name in draft.starts], draft) if moving else []
+        replays = tuple(self._whole(run) for run in picked)
+        tracks: tuple[PosesReplayed, ...] = ()
+        if draft.geometry is not None and any(n.effect.kind == "kinematics" for n in self.tried):
+            tracks = _tracks(self.measured, draft.geometry, self.placed, self.asset.state_zero)
+        if not replays and not tracks:
+            return None, ""
+        try:
+            return self._shown(replays, tracks, seconds, progress), ""
+        except CannotReplay as error:
+            return None, str(error)
+
+    def judged_in_stretches(self, shown: Shown, seconds: float) -> tuple[Shown, str]:
+        """What was shown with the one run in stretches that alone speaks against the repair, if it does not do so any
+        more then, and what must be said of it; else what was shown, and nothing."""
+        whole, stretches = at_fault(shown.runs), self.draft.stretches
+        if whole is None or stretches is None or seconds <= 0:
+            return shown, ""
+        run = next(run for run in self.runs.runs if run.name == whole.run)
+        pieces = as_replays(self._whole(run), stretches(run.name))
+        try:
+            parts = self._shown(pieces, (), seconds, None)
+        except CannotReplay:
+            return shown, ""
+        if parts.given_up or parts.unsure:
+            return shown, ""
+        again = judged_so(shown, whole, parts)
+        if not helps(again.runs):
+            return shown, ""
+        joined = next(gap for gap in again.runs if gap.run == whole.run)
+        return again, said_of(whole, joined)
+
+    def _whole(self, run: Run) -> Replayed:
+        draft = self.draft
+        return Replayed(run, *draft.starts[run.name], draft.floor, draft.regimes.get(run.name, ""), bool(run.held_out))
+
+    def _shown(
+        self,
+        replays: tuple[Replayed, ...],
+        tracks: tuple[PosesReplayed, ...],
+        seconds: float,
+        progress: Progress | None,
+    ) -> Shown:
+        with tempfile.TemporaryDirectory(prefix="freeart21-") as place_:
+            mended = repaired(self.asset, tuple(n.effect for n in self.tried), Path(place_) / "asset")
+            off = self.draft.off
+            return show(self.asset, mended, self.runs, replays, off, poses=tracks, seconds=seconds, progress=progress)
+
+
+def _judged(
+    verdict: Verdict,
+    certain: tuple[Named, ...],
+    tried: tuple[Named, ...],
+    shown: Shown | None,
+    why: str,
+    seconds: float,
+) -> tuple[Verdict, tuple[Named, ...], list[str]]:
+    """The verdict after the replay, the effects that go into the asset, and what else must be said."""
+    notes: list[str] = []
+    if shown is None and not why:
+        return verdict, certain, notes
+    if shown is None:
+        bad = [n for n in tried if n.effect.kind != "kinematics"]
+        notes.append(f"SAPIEN could not replay {_names(bad or tried)}: {why}")
+        return _rolled_back(verdict, certain, bad or list(tried)), _without(certain, bad or list(tried)), notes
+    fitted = {gap.regime for gap in verdict.gaps if not gap.held_out}
+    verdict = replace(verdict, gaps=_measured_gaps(verdict.gaps, shown))
+    same = closed_alike(shown, fitted)[0] if shown.runs else None
+    if same is not None:
+        of = runs_text([run.held_out for run in alike(shown, fitted)])
+        verdict = replace(verdict, sentence=with_closed(verdict.sentence, same, f"{of}, replayed in SAPIEN,"))
+    if shown.given_up:
+        done = len(shown.runs) + len(shown.unsure)
+        notes.append(
+            f"SAPIEN's replay took more than {seconds:g} s and was given up: {done} of {done + len(shown.given_up)} "
+            "runs are replayed. " + ("" if done else "Gaps of the motion are the fits' own, not SAPIEN's.")
+        )
+        if not done:
+            unsure = "SAPIEN has not confirmed it: the replay took too long."
+            verdict = replace(verdict, sentence=f"{verdict.sentence} {unsure}")
+    motion = helps(shown.runs) if shown.runs else None
+    geometry = helps((), shown.poses) if shown.poses else None
+    bad = [n for n in tried if (geometry if n.effect.kind == "kinematics" else motion) is False]
+    if bad:
+        of = runs_text([run.held_out for run in judged_runs(shown.runs)] or [p.held_out for p in shown.poses])
+        notes.append(
+            f"A repair with {_names(bad)} was tried and rolled back: replayed in SAPIEN it did not help on {of}, or "
+            "made some of their motion worse."
+        )
+        return _rolled_back(verdict, certain, bad), _without(certain, bad), notes
+    rest = [n for n in tried if n not in certain]
+    if rest:
+        notes.append(
+            f"The asset was not given {_names(rest)}: that is not certain. Curves and gaps after show what it would do."
+        )
+    if shown.unsure:
+        notes.append(
+            f"Not judged by its replay: {', '.join(shown.unsure)}. Such a run hangs on a hair, and the fineness of "
+            "SAPIEN's time steps changes its course: its gaps are the fits' own."
+        )
+    if np.isfinite(shown.numerics) and shown.numerics > 0.25:
+        notes.append(
+            f"Halving SAPIEN's time step down to {1e3 * shown.timestep_s:g} ms still changed a run by "
+            f"{shown.numerics:.2g} floors: gaps are no surer than that."
+        )
+    return verdict, certain, notes
+
+
+def _names(effects: Sequence[Named]) -> str:
+    return ", ".join(named.effect.name for named in effects)
+
+
+def _without(certain: tuple[Named, ...], bad: Sequence[Named]) -> tuple[Named, ...]:
+    return tuple(named for named in certain if named not in bad)
+
+
+def _as_fitted(
+    runs: Measured, placed: Placed, acting: tuple[Effect, ...], off: Off, limits: tuple[float, float]
+) -> tuple[Measured, JointMechanics, float, float, tuple[Effect, ...], tuple[Run, ...]]:
+    """What `missing_force` takes, held-out runs too: by as much as the asset is known to be off there is no gap."""
+    if off == Off():
+        return runs, placed.mechanics, *limits, acting, runs.runs
+    cosine, sine, constant = off.gravity
+    if placed.mechanics.joint.type == "revolute":
+        other = GravityOffset(cosine=cosine, sine=sine)
+    else:
+        other = GravityOffset(constant=constant)
+    exact = replace(runs, inertia_relative=0.0, gravity_relative=0.0)
+    mechanics = replace(placed.mechanics, inertia=placed.mechanics.inertia * off.inertia)
+    return exact, mechanics, *limits, (*acting, other), runs.runs
+
+
+def _limits(asset: Asset) -> tuple[float, float]:
+    from freeart21.files.asset import movable_joint
+
+    joint = movable_joint(asset.urdf, asset.joint)
+    return joint.lower, joint.upper
+
+
+def _picked(runs: list[Run], draft: Draft) -> list[Run]:
+    """Runs to replay: held out ones, the regimes in turn; all when none is, or when none of them shows a gap, those of
+    the widest gaps first."""
+    gaps = {gap.run: gap.before / gap.floor for gap in draft.verdict.gaps}
+    pool = [run for run in runs if run.held_out]
+    if not pool or unseen(draft.verdict.gaps):
+        pool = sorted(runs, key=lambda run: -gaps.get(run.name, 0.0)) if pool else runs
+    by_regime: dict[str, list[Run]] = {}
+    for run in pool:
+        by_regime.setdefault(draft.regimes.get(run.name, ""), []).append(run)
+    turns = [group[k] for k in range(len(pool)) for group in by_regime.values() if k < len(group)]
+    return turns[:MOST_REPLAYS]
+
+
+def _tracks(
+    measured: Measured, geometry: KinematicsFinding, placed: Placed, state_zero: float
+) -> tuple[PosesReplayed, ...]:
+    if not geometry.effects:
+        return ()
+    of = {run.name: run for run in measured.runs}
+    T_canonical_parent = se3.inverse(placed.T_parent_canonical)
+    middle = middle_of(placed.mechanics)
+    at_zero = placed.mechanics.joint.transform(state_zero)
+    tracks = sorted(geometry.tracks, key=lambda t: not t.held_out)
+    found = []
+    for track in [t for t in tracks if t.held_out] or tracks[:3]:
+        motions = placed.track(of[track.name]).motions
+        kept = np.unique(np.linspace(0, len(motions) - 1, min(_MOST_POSES, len(motions))).astype(int))
+        poses = [placed.poses(motions[kept] @ se3.exp_se3(-b)) for b in geometry.registrations]
+        states: tuple[Array, Array] = (track.q_before[kept] - state_zero, track.q[kept] - state_zero)
+        found.append(
+            PosesReplayed(
+                track.name,
+                (poses[0], poses[1]),
+                states,
+                track.times_s[kept] + track.time_shift_s,
+                se3.transform(T_canonical_parent @ at_zero, middle[None])[0],
+                lever_of(placed.mechanics, middle),
+                track.floor,
+                track.held_out,
+            )
+        )
+    return tuple(found)
+
+
+def _measured_gaps(gaps: tuple[RunGap, ...], shown: Shown) -> tuple[RunGap, ...]:
+    """Gaps with those that SAPIEN measured in their places, and those of the geometry."""
+    replayed = {run.run: run for run in shown.runs}
+    out = [
+        replace(
+            gap,
+            before=replayed[gap.run].gap_before,
+            after=replayed[gap.run].gap_after,
+            stretches=replayed[gap.run].stretches,
+        )
+        if gap.run in replayed
+        else gap
+        for gap in gaps
+    ]
+    out += [RunGap(p.run, p.before, p.after, p.floor, p.held_out, GEOMETRY) for p in shown.poses]
+    return tuple(out)
+
+
+def _rolled_back(verdict: Verdict, certain: tuple[Named, ...], bad: Sequence[Named]) -> Verdict:
+    """Unexplained but for what helped; the gaps of what did not are as before."""
+    kept = _without(certain, bad)
+    bent = any(named.effect.kind == "kinematics" for named in bad)
+    moved = any(named.effect.kind != "kinematics" for named in bad)
+    gaps = tuple(
+        replace(gap, after=gap.before) if (bent if gap.regime == GEOMETRY else moved) else gap for gap in verdict.gaps
+    )
+    what = "the best repair of it did not help, or made some motion worse"
+    if kept:
+        words = ", ".join(plain(named.effect.name) for named in kept)
+        sentence = f"This is mended: {words}. What else simulation and measurement differ by is not known: {what}."
+    else:
+        sentence = f"Simulation and measurement differ, and nothing known here mends it: {what}."
+    return replace(verdict, verdict="unexplained", effects=kept, rivals=(), gaps=gaps, sentence=sentence, in_part=False)

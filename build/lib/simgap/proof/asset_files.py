@@ -1,0 +1,157 @@
+"""The files of an asset into a folder of their own: all that its URDF, and the MJCF beside it, name, wherever it lies.
+
+A file in the asset's folder keeps its place. One that is named by an absolute path, by package:// or from a folder
+above goes to `outside/`, and its name in the copy says so: the new folder needs no other. Whatever a URDF names may
+come from strangers, so only meshes and pictures are taken, of bounded size, and nothing is written outside the folder.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from freeart21.errors import FreeArtError
+from freeart21.files.urdf import parsed_xml
+from generator import simulate
+
+MAX_FILE_BYTES = 512 << 20
+MAX_BYTES = 2 << 30
+ENDINGS = (
+    *(".obj", ".stl", ".dae", ".ply", ".off", ".glb", ".gltf", ".bin", ".msh", ".mtl"),
+    *(".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".hdr", ".ktx"),
+)
+"""Of files that are copied: meshes, their materials, pictures."""
+OUTSIDE = "outside"
+_NAMED_FILES = ("mesh", "texture", "hfield")
+_BESIDE_MESH = ("mtllib", "map_Kd", "map_Ka", "map_Ks", "map_d", "map_Bump", "map_bump", "bump", "norm")
+
+
+@dataclass
+class _Copy:
+    """What was copied so far."""
+
+    home: Path
+    """Absolute folder of the URDF."""
+    folder: Path
+    total: int = 0
+    done: dict[Path, str] = field(default_factory=dict)
+    """Source to its name in the folder."""
+    places: dict[Path, str] = field(default_factory=dict)
+    """Folder outside of the asset's to its place in the new one."""
+
+    def take(self, source: Path, told: str) -> str:
+        """Copy a file and what it names itself; its name in the new folder."""
+        source = Path(os.path.normpath(source))
+        if source not in self.done:
+            if source.is_relative_to(self.home):
+                base, place = self.home, ""
+            else:
+                base, place = source.parent, self._place(source.parent)
+            self._copy(source, base, place, told)
+        return self.done[source]
+
+    def _copy(self, source: Path, base: Path, place: str, told: str) -> None:
+        name = str(Path(place) / source.relative_to(base))
+        if source.suffix.lower() not in ENDINGS:
+            raise FreeArtError(f"{told} names file '{source}', expected a mesh or a picture ({', '.join(ENDINGS)})")
+        size = source.stat().st_size
+        self.total += size
+        if size > MAX_FILE_BYTES or self.total > MAX_BYTES:
+            raise FreeArtError(
+                f"{told} names file '{source}' of {size} bytes, {self.total} with those before: at most "
+                f"{MAX_FILE_BYTES} each and {MAX_BYTES} together are copied"
+            )
+        target = self.folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, target)
+        self.done[source] = name
+        for other in _beside(source):
+            if other.is_relative_to(base) and other not in self.done and other.suffix.lower() in ENDINGS:
+                self._copy(other, base, place, str(source))  # what lies elsewhere is a colour at most
+
+    def _place(self, folder: Path) -> str:
+        if folder not in self.places:
+            used = {*self.places.values(), *(f"{OUTSIDE}/{p.name}" for p in (self.home / OUTSIDE).glob("*"))}
+            self.places[folder] = next(n for n in (f"{OUTSIDE}/{k}" for k in range(len(used) + 1)) if n not in used)
+        return self.places[folder]
+
+
+def copied(urdf: Path, folder: Path) -> dict[str, bytes]:
+    """Copy the files that the asset of `urdf` needs into `folder`.
+
+    Returns the URDF, and the MJCF when there is one beside it, by file name, with their files named as in the copy;
+    nobody has written these two yet. Raises FreeArtError when a named file is missing, too large, or neither mesh nor
+    picture.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    home = Path(os.path.normpath(urdf.absolute().parent))
+    copy = _Copy(home, folder)
+    out = {}
+    robot = parsed_xml(urdf.read_bytes(), urdf, comments=True)
+    for element in _naming(robot, "filename"):
+        name = element.get("filename", "")
+        element.set("filename", copy.take(simulate.named_file(urdf, name), str(urdf)))
+    out[urdf.name] = written(robot, declared=True)
+    mjcf = mjcf_beside(urdf)
+    if mjcf.is_file():
+        model = parsed_xml(mjcf.read_bytes(), mjcf, comments=True)
+        if model.tag == "mujoco":  # else it is something of the same name
+            out[mjcf.name] = _mjcf(mjcf, model, copy)
+    if (home / "semantics.txt").is_file():
+        shutil.copyfile(home / "semantics.txt", folder / "semantics.txt")
+    return out
+
+
+def mjcf_beside(urdf: Path) -> Path:
+    """Where the MJCF of a URDF stands."""
+    return urdf.with_suffix(".mjcf" if urdf.suffix == ".xml" else ".xml")
+
+
+def written(root: ET.Element, declared: bool = False) -> bytes:
+    """The element as a file."""
+    return ET.tostring(root, encoding="utf-8", xml_declaration=declared or None) + b"\n"
+
+
+def _naming(root: ET.Element, attribute: str) -> list[ET.Element]:
+    return [e for tag in _NAMED_FILES for e in root.iter(tag) if e.get(attribute)]
+
+
+def _mjcf(path: Path, root: ET.Element, copy: _Copy) -> bytes:
+    """The MJCF with its files named from its own folder: its compiler's folders go."""
+    folders: dict[str, str] = {}
+    for compiler in root.iter("compiler"):
+        every = compiler.attrib.pop("assetdir", None)
+        for tag, word in (("mesh", "meshdir"), ("hfield", "meshdir"), ("texture", "texturedir")):
+            said = compiler.get(word, every)
+            if said is not None:
+                folders[tag] = said
+        for word in ("meshdir", "texturedir"):
+            compiler.attrib.pop(word, None)
+    for element in _naming(root, "file"):
+        name = element.get("file", "")
+        source = copy.home / folders.get(element.tag, "") / name
+        if not source.is_file():
+            raise FreeArtError(f"{path} names file '{name}', which does not exist")
+        element.set("file", copy.take(source, str(path)))
+    return written(root)
+
+
+def _beside(source: Path) -> list[Path]:
+    """What an OBJ or MTL file names, if it is there."""
+    if source.suffix.lower() not in (".obj", ".mtl"):
+        return []
+    found: list[Path] = []
+    with source.open(encoding="utf-8", errors="replace") as file:
+        for line in file:
+            word, _, rest = line.strip().partition(" ")
+            if word not in _BESIDE_MESH or not rest.strip():
+                continue
+            for name in (rest.strip(), rest.split()[-1]):  # with spaces, or after options
+                other = Path(os.path.normpath(source.parent / name.replace("\\", "/")))
+                if other.is_file() and other not in found:
+                    found.append(other)
+                    break
+    return found

@@ -1,0 +1,131 @@
+"""Named effects into a copy of the asset: URDF says what it can, effects.json says all, MJCF says what it can."""
+
+from __future__ import annotations
+
+import dataclasses
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from export.beside import write_beside
+from export.loaders import FOLDER as LOADERS
+from export.mjcf import STIFF_FRICTION, joint_words
+from export.mjcf_of_urdf import mjcf_of_urdf
+from freeart21.asset import Asset
+from freeart21.effects.backlash import Backlash
+from freeart21.effects.base import Effect
+from freeart21.effects.return_spring import ReturnSpring
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic
+from freeart21.files.asset import read_asset, write_asset_json
+from freeart21.files.urdf import parsed_xml
+from generator import simulate
+from simgap.proof.asset_files import copied, mjcf_beside, written
+
+_ONE_SIZE = ("viscous_damping", "coulomb_friction", "quadratic_drag", "load_friction", "armature")
+"""Effects whose first number is a size: two of them are one with the sum; of what their shafts throw back the larger
+counts, as in a simulation."""
+_POSE_TOLERANCE = 1e-6  # single precision of the engine, metres and rotation entries
+
+
+def repaired(asset: Asset, effects: tuple[Effect, ...], folder: Path, source: dict[str, Any] | None = None) -> Asset:
+    """Write a copy of the asset with `effects` added to its joint's into `folder`, reload it, and give it back.
+
+    Args:
+        asset: stays as it is.
+        effects: what is missing; those of one size add to what the asset has already.
+        folder: takes the files; need not exist, must hold nothing else.
+        source: what asset.json shall say of where the repair came from.
+
+    Raises FreeArtError when the joint cannot have an effect, a named file cannot be copied, or the reloaded asset is
+    not the same but for its effects.
+    """
+    joined = {**asset.effects, asset.joint: joined_effects(asset.effects.get(asset.joint, ()), effects)}
+    texts = copied(asset.urdf, folder)
+    urdf, mjcf = folder / asset.urdf.name, mjcf_beside(asset.urdf)
+    atomic.write_bytes(urdf, urdf_with_effects(texts[urdf.name], joined, asset.urdf))
+    if mjcf.name in texts:
+        atomic.write_bytes(folder / mjcf.name, mjcf_with_effects(texts[mjcf.name], asset.joint, joined, mjcf))
+    told = {key: value for key, value in asset.source.items() if key != "dynamics"}  # measured now, not guessed
+    told |= {"repair": source} if source else {}
+    mended = replace(asset, urdf=urdf, effects=joined, source=told)
+    if mjcf.name not in texts:
+        atomic.write_bytes(folder / mjcf.name, mjcf_of_urdf(mended))
+    write_asset_json(folder, mended)
+    if (asset.urdf.parent / LOADERS).is_dir():  # what came from our exporter tells of effects in more files
+        write_beside(folder, mended)
+    return _reloaded(asset, joined, folder)
+
+
+def joined_effects(had: tuple[Effect, ...], new: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    """The effects of both, those of one size, and springs, as one; FreeArtError when both have a backlash."""
+    out = list(had)
+    for effect in new:
+        same = next((i for i, e in enumerate(out) if e.name == effect.name), None)
+        if same is not None and effect.name in _ONE_SIZE:
+            pairs = {name: (getattr(out[same], name), getattr(effect, name)) for name in effect.parameters()}
+            size = next(iter(pairs))
+            both = {name: sum(pair) if name == size else max(pair) for name, pair in pairs.items()}
+            out[same] = dataclasses.replace(effect, **both)  # type: ignore[type-var]
+        elif same is not None and isinstance(effect, ReturnSpring):
+            out[same] = _one_spring(out[same], effect)
+        elif same is not None and isinstance(effect, Backlash):
+            raise FreeArtError("the asset's joint has an effect 'backlash' already, expected at most one")
+        else:
+            out.append(effect)
+    return tuple(out)
+
+
+def _one_spring(a: Effect, b: Effect) -> ReturnSpring:
+    """Two springs side by side, which MJCF can say only as one."""
+    assert isinstance(a, ReturnSpring) and isinstance(b, ReturnSpring)
+    stiffness = a.stiffness + b.stiffness
+    rest = (a.stiffness * a.rest + b.stiffness * b.rest) / stiffness if stiffness else a.rest
+    return ReturnSpring(stiffness, rest)
+
+
+def urdf_with_effects(text: bytes, effects: dict[str, tuple[Effect, ...]], where: Path) -> bytes:
+    """The URDF with `<dynamics>` of every joint as its effects say; everything else, comments too, stays."""
+    root = parsed_xml(text, where, comments=True)
+    for joint in root.findall("joint"):
+        acting = effects.get(joint.get("name", ""), ())
+        said = [effect.urdf_dynamics() for effect in acting]
+        sums = {word: float(np.sum([s.get(word, 0.0) for s in said])) for word in ("damping", "friction")}
+        element = joint.find("dynamics")
+        if element is None and not any(sums.values()):
+            continue
+        element = ET.SubElement(joint, "dynamics") if element is None else element
+        for word, value in sums.items():
+            element.set(word, repr(value))
+    return written(root, declared=True)
+
+
+def mjcf_with_effects(text: bytes, joint: str, effects: dict[str, tuple[Effect, ...]], where: Path) -> bytes:
+    """The MJCF with the words of its joint as the effects say; FreeArtError when it has no such joint."""
+    root = parsed_xml(text, where, comments=True)
+    element = next((e for e in root.iter("joint") if e.get("name") == joint), None)
+    if element is None:
+        names = ", ".join(e.get("name", "") for e in root.iter("joint"))
+        raise FreeArtError(f"{where} has no joint '{joint}'; joints: {names or 'none'}")
+    for word in ("damping", "frictionloss", *STIFF_FRICTION, "armature", "stiffness", "springref"):
+        element.attrib.pop(word, None)
+    for word, said in joint_words(effects.get(joint, ()), joint).items():
+        element.set(word, said)
+    return written(root)
+
+
+def _reloaded(asset: Asset, effects: dict[str, tuple[Effect, ...]], folder: Path) -> Asset:
+    """The asset as read from `folder`, checked: effects as given, and the joint where it was."""
+    read = read_asset(folder)
+    if read.effects != {name: said for name, said in effects.items() if said}:
+        raise FreeArtError(f"{folder} has effects {read.effects} once reloaded, expected {effects}")
+    states = np.array([-0.3, 0.0, 0.4])
+    plain = (replace(a, effects={}) for a in (asset, read))
+    before, after = (simulate.joint_motion(a, states) for a in plain)
+    off = float(np.abs(before - after).max())
+    if off > _POSE_TOLERANCE:
+        raise FreeArtError(f"{folder} moves its joint {off:.2g} from where the asset did, expected the same")
+    return read

@@ -1,0 +1,118 @@
+"""The answer: what is missing in the simulation, where, how sure, and what would tell more."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from freeart21.effects import Effect
+from freeart21.files import atomic
+from freeart21.joint import JointType
+
+SCHEMA = "freeart21/verdict/1"
+Answer = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
+ANSWERS: tuple[str, ...] = get_args(Answer)
+
+
+@dataclass(frozen=True)
+class Named:
+    """One effect of the answer, with 90 % intervals of its parameters."""
+
+    effect: Effect
+    low: dict[str, float]
+    high: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Where:
+    """A range of some quantity in which simulation and measurement part."""
+
+    quantity: str
+    """Such as position, velocity, distance since reversal, distance to limit, command, time."""
+    low: float
+    high: float
+    p_value: float
+    text: str
+
+
+@dataclass(frozen=True)
+class RunGap:
+    """How far simulation and measurement of one run are apart: root mean squares, rad or m."""
+
+    run: str
+    before: float
+    after: float
+    floor: float
+    """What the sensor's own noise leaves."""
+    held_out: bool
+    regime: str
+    """Which kind of motion the run is, such as 'small' or 'large' swings."""
+    stretches: int = 1
+    """How many it was judged in, each from a start of its own: more than 1 for one that hangs on a hair."""
+
+
+SHOWS = 1.25
+"""Floors from which on a run shows a gap of its own."""
+
+
+def unseen(gaps: Sequence[RunGap]) -> bool:
+    """Whether none of the runs that were not fitted shows a gap; what was fitted alone must tell then."""
+    held_out = [gap for gap in gaps if gap.held_out]
+    return bool(held_out) and all(gap.before <= SHOWS * gap.floor for gap in held_out)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What `freeart21 gap` found."""
+
+    verdict: Answer
+    effects: tuple[Named, ...]
+    """The missing effects, strongest first; of an ambiguous verdict the best of the rivals."""
+    where: tuple[Where, ...]
+    gaps: tuple[RunGap, ...]
+    rivals: tuple[tuple[str, ...], ...]
+    """Sets of effects that the data can't tell apart, the best one first; empty when there is no doubt."""
+    next_experiment: str | None
+    """What would tell the rivals apart, or excite what lay still."""
+    sentence: str
+    """The verdict for a mechanic."""
+    added: tuple[str, ...] = ()
+    """Names of the effects that the asset beside the verdict got: those that are certain, and helped in SAPIEN."""
+    notes: tuple[str, ...] = ()
+    """What of the data was left out or thinned, and why: a line each."""
+    in_part: bool = False
+    """Whether what is named is but what dominates, or may be: a remainder above the sensor's noise has no name."""
+
+    def to_json(self, joint_type: JointType) -> dict[str, Any]:
+        """As it stands in verdict.json."""
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "in_part": self.in_part,
+            "sentence": self.sentence,
+            "effects": [_named_to_json(named, joint_type) for named in self.effects],
+            "added": list(self.added),
+            "where": [vars(where) for where in self.where],
+            "gap": [vars(gap) for gap in self.gaps],
+            "rivals": [list(names) for names in self.rivals],
+            "next_experiment": self.next_experiment,
+            "notes": list(self.notes),
+        }
+
+    def write(self, path: Path, joint_type: JointType) -> None:
+        """Write verdict.json whole or not at all, with the names of the files that lie beside it ("files")."""
+        files = sorted(file.relative_to(path.parent).as_posix() for file in path.parent.rglob("*") if file.is_file())
+        atomic.write_json(path, {**self.to_json(joint_type), "files": files})
+
+
+def _named_to_json(named: Named, joint_type: JointType) -> dict[str, Any]:
+    said = named.effect.to_json(joint_type)
+    return {
+        "name": said["effect"],
+        "parameters": {
+            name: {**entry, "low": named.low[name], "high": named.high[name]}
+            for name, entry in said["parameters"].items()
+        },
+    }

@@ -1,0 +1,287 @@
+"""The five steps, from an asset and what was measured of it to a verdict."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from freeart21.asset import Asset
+from freeart21.effects.base import Effect
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import movable_joint, read_asset
+from freeart21.files.atomic import new_folder
+from freeart21.files.lock import only_writer
+from freeart21.files.measured import read_measured
+from freeart21.files.places import ANSWER, check_place
+from freeart21.joint import JointType
+from freeart21.measured import Measured
+from simgap.fitting.fit import Fit, Problem, Reader, Starts, confirmed, placed
+from simgap.fitting.search import Search, candidates
+from simgap.geometry.finding import KinematicsFinding
+from simgap.geometry.kinematics import KinematicsSettings, find_geometry_of
+from simgap.judgement.choose import Choice, chosen
+from simgap.judgement.decide import moves_enough, says_enough, silent_verdict, verdict_of
+from simgap.judgement.dominant import in_part
+from simgap.judgement.judge import Fold, Judged, folds_of, p_value
+from simgap.judgement.words import amount, effect_words, plain
+from simgap.measure.data import FitRun, fit_runs, thinned
+from simgap.measure.floor import Floor
+from simgap.motion.surrogate import Nuisance, Plant, plant_of
+from simgap.page.publish import Draft, off_of, publish, with_positions
+from simgap.page.report import Ranked
+from simgap.proof.show import SECONDS, Progress, ReplayGap
+from simgap.proof.stretches import stretches_of
+from simgap.settings import GapSettings
+from simgap.verdict import Named, Verdict, unseen
+
+DEFAULTS = GapSettings()
+_ORDER = ("no_gap", "not_excited", "named", "ambiguous", "unexplained")
+"""Answers; of two the later one stands."""
+
+
+def find_gap(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) -> Verdict:
+    """What the simulation of `asset` lacks, by what was measured of it; nothing is written.
+
+    Raises FreeArtError when the measurement is not of this asset's joint, or its units cannot be right.
+    """
+    return explain(asset, measured, settings).verdict
+
+
+def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) -> Draft:
+    """Measure, tell geometry from dynamics, name: all but what SAPIEN has to show."""
+    draft = _explained(asset, measured, settings)
+    notes = (*measured.notes, *thinned(measured))
+    return replace(draft, verdict=replace(draft.verdict, notes=notes))
+
+
+def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft:
+    check_match(asset, measured)
+    geometry = find_geometry_of(asset, measured, KinematicsSettings(without=settings.without))
+    positions = with_positions(measured, geometry)
+    plant = plant_of(asset, measured)
+    runs, floor = as_tracked(*fit_runs(positions, plant), geometry)
+    moved = moves_enough(runs, floor, settings.choice)
+    if not moved or not says_enough(runs, settings.choice):
+        motion = silent_verdict(runs, floor, moved)
+        return Draft(
+            joined(motion, geometry, measured.joint_type),
+            geometry=geometry,
+            floor=floor.still,
+            certain=certain_of(motion, geometry),
+        )
+    problem = problem_of(plant, measured, runs, floor, settings)
+    folds = folds_of(runs)
+    fitted_runs = folds[0].train if len(folds) == 1 else runs
+    encoder = any(run.poses is None for run in measured.runs)
+    search = Search(problem, fitted_runs, settings.choice, candidates(problem, fitted_runs, encoder, settings.without))
+    choice = in_part(chosen(search, folds, settings.choice), search, folds, settings.choice)
+    motion = verdict_of(choice, runs, floor, problem)
+    anew = unseen(motion.gaps)
+    before = replayed_of(choice.base.fit, folds, runs, anew)
+    after = replayed_of(choice.explaining[0].fit, folds, runs, anew) if choice.explaining else before
+    return Draft(
+        joined(motion, geometry, measured.joint_type),
+        {run.name: (before[1][run.name], after[1][run.name]) for run in runs},
+        (off_of(plant, nuisance_of(before[0])), off_of(plant, nuisance_of(after[0]))),
+        ranking_of(choice),
+        geometry,
+        {run.name: run.regime for run in runs},
+        floor.still,
+        motion.verdict != "no_gap",
+        certain_of(motion, geometry),
+        curves_of(choice, runs),
+        partial(stretches_of, runs, before[0], after[0]),
+    )
+
+
+def as_tracked(
+    runs: tuple[FitRun, ...], floor: Floor, geometry: KinematicsFinding | None
+) -> tuple[tuple[FitRun, ...], Floor]:
+    """Runs with the noise that part poses have: a tracker's errors last, so that neighbouring readings hide them."""
+    noise = {} if geometry is None else {track.name: track.q_std for track in geometry.tracks}
+    if not noise:
+        return runs, floor
+    louder = tuple(replace(run, sigma=np.maximum(run.sigma, noise.get(run.name, 0.0))) for run in runs)
+    if len(noise) < len(runs):
+        return louder, floor
+    return louder, replace(floor, still=max(floor.still, float(np.median(list(noise.values())))))
+
+
+def curves_of(choice: Choice, runs: tuple[FitRun, ...]) -> tuple[ReplayGap, ...]:
+    """Held-out runs as the fits' own simulation has them, by the asset as it is and by the best that was found."""
+    best = choice.explaining[0] if choice.explaining else choice.best
+    found = []
+    for run in runs:
+        off = [j.strict.get(run.name) for j in (choice.base, best)]
+        if off[0] is None or off[1] is None:
+            continue
+        before, after = (run.q - residual * run.sigma for residual in off if residual is not None)
+        gap_before, gap_after, floor = (
+            float(np.sqrt(np.mean(series**2))) for series in (before - run.q, after - run.q, run.sigma)
+        )
+        out = bool(run.held_out)
+        found.append(
+            ReplayGap(run.name, run.times_s, run.q, before, after, gap_before, gap_after, floor, run.regime, out)
+        )
+    return tuple(found)
+
+
+def replayed_of(fit: Fit, folds: tuple[Fold, ...], runs: tuple[FitRun, ...], anew: bool = False) -> tuple[Fit, Starts]:
+    """The fit as it is replayed, with its effects just as they are and the asset off as the replayed runs tell, and
+    where every run starts; `anew` if fitted runs will be replayed, too, whose starts suit the asset as those tell it
+    that were fitted."""
+    if len(folds) == 1:
+        there = confirmed(fit, folds[0].test)
+        own = placed(there, folds[0].train, fit.starts).starts if anew else fit.starts
+        return there, {**own, **there.starts}
+    known = all(run.name in fit.starts for run in runs)
+    return fit, fit.starts if known else {**placed(fit, runs).starts, **fit.starts}
+
+
+def nuisance_of(fit: Fit) -> Nuisance:
+    """How the asset is off by this fit."""
+    return Reader(fit.theory).nuisance(fit.theta)
+
+
+def ranking_of(choice: Choice) -> tuple[Ranked, ...]:
+    """All that was tried before held-out runs, the best first."""
+    tried = sorted(
+        {j.names: j for j in (choice.base, *choice.tried, *choice.explaining)}.values(), key=lambda j: j.floors
+    )
+    return tuple(
+        Ranked(j.names, j.floors, p_value(choice.base, j, len(choice.tried)) if j.names else None, spread=spread_of(j))
+        for j in tried
+    )
+
+
+def spread_of(judgement: Judged) -> tuple[float, float]:
+    """The least and the largest error of one run, in floors."""
+    runs = [float(np.sqrt(np.mean(residual**2))) for residual in judgement.strict.values()]
+    return min(runs), max(runs)
+
+
+def certain_of(motion: Verdict, geometry: KinematicsFinding | None) -> tuple[Named, ...]:
+    """The effects that are named without doubt, whatever may be said of the rest: these go into the asset."""
+    return (
+        *(named_of(geometry) if geometry is not None and geometry.verdict == "named" else ()),
+        *(motion.effects if motion.verdict == "named" else ()),
+    )
+
+
+def named_of(geometry: KinematicsFinding) -> tuple[Named, ...]:
+    """The effects of the joint's geometry, with their intervals."""
+    return tuple(Named(*each) for each in zip(geometry.effects, geometry.low, geometry.high, strict=True))
+
+
+def joined(motion: Verdict, geometry: KinematicsFinding | None, kind: JointType) -> Verdict:
+    """The verdict on motion along the joint, and what part poses say of the joint itself."""
+    if geometry is None or geometry.verdict in ("no_gap", "not_excited"):
+        return motion
+    answer = max(motion.verdict, geometry.verdict, key=_ORDER.index)
+    told = ("named",) if answer == "unexplained" else ("named", "ambiguous")
+    crooked_effects = named_of(geometry) if geometry.verdict in told else ()
+    kept = (*crooked_effects, *(motion.effects if motion.verdict in told else ()))
+    sets = [
+        tuple(dict.fromkeys((*crooked, *other)))
+        for crooked in geometry.rivals or (tuple(e.name for e in geometry.effects),)
+        for other in motion.rivals or (tuple(n.effect.name for n in kept[len(crooked_effects) :]),)
+    ]
+    said = sentence_of(geometry, kind)
+    return replace(
+        motion,
+        verdict=answer,
+        effects=kept,
+        rivals=tuple(sets) if answer == "ambiguous" else (),
+        next_experiment=" ".join(filter(None, (geometry.next_experiment, motion.next_experiment))) or None,
+        sentence=said if motion.verdict == "no_gap" else f"{said} {motion.sentence}",
+        in_part=motion.in_part and answer in ("named", "ambiguous"),
+    )
+
+
+def sentence_of(geometry: KinematicsFinding, kind: JointType) -> str:
+    """What part poses say of the joint, with its numbers."""
+    if geometry.verdict == "named":
+        words = " and ".join(_how_far(effect, kind) for effect in geometry.effects)
+        return f"The joint is not where the asset has it: {words}."
+    if geometry.verdict == "ambiguous":
+        sets = ", or ".join(" with ".join(plain(name) for name in names) for names in geometry.rivals)
+        return f"The joint is not where the asset has it, but these poses cannot decide how: {sets}."
+    off = max((track.gap_before for track in geometry.tracks), default=0.0)
+    return f"The part strays from its joint by {amount(off, 'm')}, and no effect of the library explains it."
+
+
+def _how_far(effect: Effect, kind: JointType) -> str:
+    """The effect in words; of one with a direction, how far in all."""
+    sizes = {n: s.unit(kind) for n, s in effect.parameters(kind).items() if n.endswith(("_first", "_second"))}
+    if len(sizes) != 2:
+        return effect_words(effect, kind)
+    far = float(np.hypot(*(getattr(effect, n) for n in sizes)))
+    return f"{plain(effect.name)}, by {amount(far, next(iter(sizes.values())))}"
+
+
+def check_match(asset: Asset, measured: Measured) -> None:
+    """Raise FreeArtError when the measured joint is not the asset's."""
+    joint = movable_joint(asset.urdf, measured.joint)
+    if joint.joint_type != measured.joint_type:
+        raise FreeArtError(
+            f"{asset.urdf}: joint '{joint.name}' is {joint.joint_type}, but the measurement says {measured.joint_type}"
+        )
+
+
+def problem_of(
+    plant: Plant, measured: Measured, runs: tuple[FitRun, ...], floor: Floor, settings: GapSettings
+) -> Problem:
+    """What all fits share."""
+    motion = np.concatenate([run.q for run in runs])
+    speed = np.concatenate([run.speed for run in runs])
+    driven = any(len(run.inputs.times_s) for run in runs)
+    load = plant.mechanics.load(motion, speed, np.zeros(len(speed)))
+    return Problem(
+        plant,
+        measured.inertia_relative,
+        measured.gravity_relative,
+        float(min(run.q.min() for run in runs)),
+        float(max(run.q.max() for run in runs)),
+        float(max(np.quantile(np.abs(run.speed), 0.99) for run in runs)),
+        floor.still,
+        force_at_work(plant, runs),
+        float(np.sqrt(np.mean(load**2))),
+        driven and measured.interpolation == "unknown",
+        settings.fit,
+        settings.surrogate,
+    )
+
+
+def force_at_work(plant: Plant, runs: tuple[FitRun, ...]) -> float:
+    """Root mean square of inertia times acceleration, N*m or N, roughly: from the slopes of speeds."""
+    squares = [np.mean(np.gradient(run.speed, run.times_s) ** 2) for run in runs]
+    return max(float(plant.mechanics.inertia * np.sqrt(np.mean(squares))), 1e-9)
+
+
+def gap_folder(
+    asset: Path,
+    measured: Path,
+    out: Path,
+    settings: GapSettings = DEFAULTS,
+    replay_seconds: float = SECONDS,
+    progress: Progress | None = None,
+) -> Verdict:
+    """`find_gap` from folders to a folder with verdict, repaired asset and page, which appears whole or not at all.
+
+    Only an older answer is replaced. SAPIEN's replay is given up after `replay_seconds`; `progress` is told how many
+    runs are replayed. Raises FreeArtError when `out` holds anything else, or asset or measurement.
+    """
+    check_place(out, ANSWER, (asset, measured))
+    runs = read_measured(measured)
+    loaded = read_asset(asset, runs.joint, guesses=False)
+    with only_writer(out), new_folder(out, ANSWER) as aside:
+        began = time.perf_counter()
+        draft = explain(loaded, runs, settings)
+        seconds = time.perf_counter() - began
+        named = Path(measured).resolve()
+        title = named.parent.name if named.name == "measured" else named.name
+        return publish(loaded, runs, draft, aside, title, seconds, settings.seed, replay_seconds, progress)

@@ -1,0 +1,309 @@
+"""What is fitted: a set of effects that may be missing, how far the asset itself may be off, and their bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from freeart21.effects import EFFECTS, Effect
+from freeart21.effects.armature import Armature
+from freeart21.effects.backlash import Backlash
+from freeart21.effects.encoder_offset import EncoderOffset
+from freeart21.effects.encoder_scale import EncoderScale
+from freeart21.se3 import Array
+from simgap.motion import kernel, laws
+from simgap.motion.surrogate import Nuisance, Plant, numbers_of
+from simgap.settings import FitSettings, SurrogateSettings
+
+_FRICTION = "friction form"
+"""Owner of how all dry friction that is missing builds up."""
+SHAFT = "shaft form"
+"""Owner of how a drive's inertia comes back when the part stops dead: no shaft is stiff."""
+HOLDING = "holding"
+"""The asset's number that says how inputs go on between their rows; no lateness of half a row is an effect."""
+
+
+FORM_WAYS = ("speed", "position", "curve", "tilt")
+"""Along what the size of an effect departs from its formula: see `kernel.FORM`; the last one is a sensor's."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """One number that is fitted."""
+
+    owner: str
+    """Name of an effect, 'asset', or an effect's name with ' form'."""
+    name: str
+    lower: float
+    upper: float
+    size: float
+    """A usual size."""
+    prior: float = np.inf
+    """Standard deviation of what is known of it beforehand, about its neutral value."""
+    neutral: float = 0.0
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What all fits to one measured set share."""
+
+    plant: Plant
+    inertia_relative: float
+    gravity_relative: float
+    q_low: float
+    q_high: float
+    speed: float
+    """Largest speed of all runs."""
+    sigma: float
+    """Floor at rest."""
+    force: float = 1.0
+    """Root mean square of the forces at work, N*m or N."""
+    load: float = 1.0
+    """A usual force on the bearing, N."""
+    unknown_inputs: bool = False
+    """Whether nobody knows if commands and efforts last until their next rows or go on smoothly: where between the two
+    they are is then fitted, either end being as likely as any place between."""
+    fit: FitSettings = field(default_factory=FitSettings)
+    surrogate: SurrogateSettings = field(default_factory=SurrogateSettings)
+
+    @property
+    def reference(self) -> tuple[float, float, float]:
+        """Largest speed, middle and half range of position."""
+        return self.speed, 0.5 * (self.q_low + self.q_high), max(0.5 * (self.q_high - self.q_low), 1e-9)
+
+    @property
+    def near_stop(self) -> bool:
+        """Whether any run comes to a limit."""
+        near = 0.02 * (self.q_high - self.q_low)
+        return self.q_low < self.plant.lower + near or self.q_high > self.plant.upper - near
+
+    @property
+    def crossing_s(self) -> float:
+        """Seconds in which the range moved through is crossed at top speed: how fast all goes here."""
+        return (self.q_high - self.q_low) / max(self.speed, 1e-9)
+
+
+@dataclass(frozen=True)
+class Theory:
+    """A set of effects that may be missing, and what of it is fitted."""
+
+    problem: Problem
+    names: tuple[str, ...]
+    relaxed: bool = False
+    """Whether the sizes of the effects may depart from their formulas, within the form tolerance."""
+    bent: bool = False
+    """Whether effects that keep to their formulas may depart from them, too, and by far more than any does."""
+    prompt: bool = False
+    """Whether dry friction is there at once after a reversal, as in simulators; else it builds up, as real friction
+    does."""
+
+    @property
+    def classes(self) -> tuple[type[Effect], ...]:
+        """Of the added effects."""
+        return tuple(EFFECTS[name] for name in self.names)
+
+    def ranges(self) -> tuple[Range, ...]:
+        """All that is fitted, but the starts."""
+        problem, found = self.problem, []
+        if problem.inertia_relative > 0:
+            r = problem.inertia_relative
+            found.append(Range("asset", "inertia", 1 - r, 1 + r, r, r, 1.0))
+        terms = problem.plant.gravity_terms
+        if problem.gravity_relative > 0 and np.any(terms[0]):
+            r = problem.gravity_relative
+            found.append(Range("asset", "gravity", 1 - r, 1 + r, r, r, 1.0))
+        size = float(np.linalg.norm(terms[0]))
+        for i in (1, 2):
+            column = float(np.linalg.norm(terms[i]))
+            lean = problem.fit.tilt_rad
+            if i == 1 and problem.plant.joint_type == "revolute" and column > 0:
+                lean += problem.gravity_relative * size / column  # a centre of mass that is off turns the pull, too
+            if lean > 0 and column > 1e-6 * np.linalg.norm(terms):
+                found.append(Range("asset", f"lean_{i}", -lean, lean, lean, lean))
+        if problem.unknown_inputs:
+            found.append(Range("asset", HOLDING, 0.0, 1.0, 0.25, 1 / np.sqrt(12), 0.5))
+        for cls in self.classes:
+            found += [self._range(cls, name) for name in self.fitted_of(cls)]
+        if not self.prompt and any(cls.acts == "drive" for cls in self.classes):
+            found.append(Range(_FRICTION, "travel_root", 0.1, 1.0, 0.3, 0.5, 0.3))
+            found.append(Range(_FRICTION, "gripping", 0.0, 2.0, 0.3, 0.5, 0.5))
+        if (
+            any(cls.acts in ("inertia", "slack") for cls in self.classes)
+            and problem.near_stop
+            and "end_stop_bounce" not in self.names
+        ):
+            # part of the most that a shaft gives back; where no run tells, as if all of that were as likely
+            found.append(Range(SHAFT, "rebound", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
+            if "armature" in self.names and not any(cls.acts == "slack" for cls in self.classes):
+                found.append(Range(SHAFT, "swing", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
+        if self.relaxed:
+            for cls in self.classes:
+                found += self._form(cls)
+        return tuple(found)
+
+    def fitted_of(self, cls: type[Effect]) -> list[str]:
+        """The parameters of an effect that are its own: what a shaft gives back, and when, is fitted in their place."""
+        return [n for n in cls.parameters(self.problem.plant.joint_type) if n not in ("throw_back", "swing")]
+
+    def _form(self, cls: type[Effect]) -> list[Range]:
+        """How the effect may depart from its formula."""
+        owner, (fast, far), e = f"{cls.name} form", cls.departs, self.problem.fit.rebound_tolerance
+        if cls.keeps:
+            far = self.problem.fit.bend_tolerance if self.bent else 0.0
+        if cls.acts == "stop":  # a real stop throws back slow parts better than fast ones
+            return [Range(owner, "speed", -e, e, e, e), Range(owner, "curve", -e, e, e, e)]
+        if cls.name in laws.LAWS:
+            return [Range(owner, k, -r, r, r, r) for k, r in zip(FORM_WAYS, (fast, far, far), strict=False) if r > 0]
+        found = []
+        acting = {*(cls.acts for cls in self.classes), *(effect.acts for effect in self.problem.plant.effects)}
+        if cls.acts == "inertia" and "slack" not in acting:
+            twist = self.problem.fit.twist_tolerance
+            found.append(Range(owner, "give", 0.0, twist, 0.1 * twist, twist))
+        if cls.acts == "slack":  # its flanks give way, and throw back what meets them slowly
+            give, springy = self.problem.fit.give_tolerance, self.problem.fit.springy_tolerance
+            found.append(Range(owner, "give", 0.0, give, 0.1 * give, give))
+            found.append(Range(owner, "springy", 0.0, springy, 0.1 * springy, springy))
+        if cls.name == "encoder_offset" and "encoder_scale" not in self.names:  # a zero that is not all the same
+            found.append(Range(owner, "tilt", -far, far, far, far))
+        return found
+
+    def _range(self, cls: type[Effect], name: str) -> Range:
+        """Bounds and size of an effect's parameter on these data: nothing beyond what was moved through."""
+        spec, problem = cls.parameters()[name], self.problem
+        unit, span = spec.unit(problem.plant.joint_type), problem.q_high - problem.q_low
+        low, high, size = spec.lower, spec.upper, spec.scale
+        local = any(s.lower >= 0 and s.revolute_unit == "rad" for s in cls.parameters().values())
+        if unit in ("rad", "m") and cls.acts == "reading":
+            low, high, size = -0.6 * span, 0.6 * span, 0.1 * span
+        elif unit in ("rad", "m") and spec.lower < 0:
+            reach = 0.1 * span if local else 3 * span
+            low, high, size = problem.q_low - reach, problem.q_high + reach, 0.1 * span
+        elif unit in ("rad", "m") and cls.acts != "drive":
+            # what is wider than a third of the way moved through is no local effect, and looks like a spring
+            low, high, size = max(2 * problem.sigma, 1e-3 * span), 0.35 * span, 0.05 * span
+        elif unit in ("rad/s", "m/s"):
+            low, high, size = 0.01 * problem.speed, problem.speed, 0.1 * problem.speed
+        elif unit == "s":
+            low, high = max(spec.lower, -0.5), 0.5
+        elif unit in ("kg*m^2", "kg"):
+            size = 0.1 * problem.plant.mechanics.inertia
+            low = 1e-3 * size if cls.acts == "inertia" else 0.2 * size  # a lighter drive side moves no otherwise
+            low, high = max(spec.lower, low), 1e3 * size
+        elif unit in ("s/rad", "s/m"):
+            # impacts of one speed do not tell it: without need it is none
+            usual = 1 / problem.speed
+            return Range(cls.name, name, low, 50 * usual, 0.5 * usual, usual)
+        elif unit == "1":
+            high = min(spec.upper, 10.0)
+        return Range(cls.name, name, max(low, spec.lower), min(high, spec.upper), size)
+
+    def neutral(self) -> Array:
+        """(p,) a point at which the asset is right; effects are at half their usual size."""
+        return np.array(
+            [
+                np.clip(r.neutral if r.owner == "asset" or "form" in r.owner else 0.5 * r.size, r.lower, r.upper)
+                for r in self.ranges()
+            ]
+        )
+
+    def effects(self, theta: Array) -> tuple[Effect, ...]:
+        """The added effects at parameters (p,)."""
+        return Reader(self).added(theta)
+
+
+class Reader:
+    """Turns parameters into the kernel's vectors."""
+
+    def __init__(self, theory: Theory):
+        self.theory: Theory = theory
+        self.ranges = theory.ranges()
+        self.base = theory.problem.plant.effects
+        self.owners = [r.owner for r in self.ranges]
+        self.fitted = [(cls, theory.fitted_of(cls)) for cls in theory.classes]
+        self.sensing = any(e.kind == "sensing" for e in self.base) or any(c.kind == "sensing" for c in theory.classes)
+
+    def effects(self, theta: Array) -> tuple[Effect, ...]:
+        """The asset's own effects and the added ones."""
+        return (*self.base, *self.added(theta))
+
+    def added(self, theta: Array) -> tuple[Effect, ...]:
+        """The added effects at parameters (p,)."""
+        made: list[Effect] = []
+        for cls, names in self.fitted:
+            at = self.owners.index(cls.name)
+            made.append(cls(**dict(zip(names, map(float, theta[at : at + len(names)]), strict=True))))
+        return tuple(self._thrown(theta, e, made) for e in made) if SHAFT in self.owners else tuple(made)
+
+    def _thrown(self, theta: Array, effect: Effect, added: Sequence[Effect]) -> Effect:
+        """The effect, if it is a drive, as it comes back from limits: a rotor on its shaft by its own share of all
+        inertia, but behind a slack the drive side."""
+        slack = any(e.acts == "slack" for e in (*self.base, *added))
+        if isinstance(effect, Backlash):
+            return replace(effect, throw_back=self.throw_back(theta, self.behind(theta, added)))
+        if not isinstance(effect, Armature) or slack:
+            return effect
+        part = self.nuisance(theta).inertia * self.theory.problem.plant.mechanics.inertia
+        share = effect.value / (part + effect.value)
+        return replace(effect, throw_back=self.throw_back(theta, share), swing=self.swing(theta, share))
+
+    def throw_back(self, theta: Array, share: float) -> float:
+        """Part of its speed that a drive comes back with, whose `share` of all inertia is known.
+
+        Of the drive's inertia alone on a shaft that stops at the other end, a damping ratio z is left of that of both:
+        see `Armature`.
+        """
+        z = self.theory.problem.fit.shaft_damping * np.sqrt(1 - share)
+        most = np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z))
+        return float(theta[self.owners.index(SHAFT)] * most)
+
+    def swing(self, theta: Array, share: float) -> float:
+        """Seconds in which the drive alone swings by a radian on its shaft, slower than it and the part together."""
+        found = [x for r, x in zip(self.ranges, theta, strict=True) if (r.owner, r.name) == (SHAFT, "swing")]
+        most = self.theory.problem.fit.swing_tolerance * self.theory.problem.crossing_s
+        return float(found[0] * most / np.sqrt(1 - share)) if found else 0.0
+
+    def behind(self, theta: Array, added: Sequence[Effect]) -> float:
+        """Part of all inertia that is a drive's, as large as it may be: what is taken for the part's own inertia beyond
+        the least that this may be is the drive's as well."""
+        own, doubt = self.theory.problem.plant.mechanics.inertia, self.theory.problem.inertia_relative
+        drive = sum(e.drive_inertia if isinstance(e, Backlash) else e.inertia() for e in added)
+        taken = self.nuisance(theta).inertia
+        return float((drive + (taken - 1 + doubt) * own) / (taken * own + drive))
+
+    def nuisance(self, theta: Array) -> Nuisance:
+        """How the asset is off."""
+        asset = {r.name: float(x) for r, x in zip(self.ranges, theta, strict=True) if r.owner == "asset"}
+        return Nuisance(
+            asset.get("inertia", 1.0),
+            asset.get("gravity", 1.0),
+            (asset.get("lean_1", 0.0), asset.get("lean_2", 0.0)),
+            asset.get(HOLDING, 0.0),
+        )
+
+    def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
+        """The vector, start left at 0, and all effects."""
+        nuisance = self.nuisance(theta)
+        forms, effects = {}, self.effects(theta)
+        if self.theory.relaxed:
+            told = {(r.owner, r.name): float(x) for r, x in zip(self.ranges, theta, strict=True) if "form" in r.owner}
+            for name in self.theory.names:
+                if name in laws.LAWS:
+                    speed, position, curve = (told.get((f"{name} form", way), 0.0) for way in FORM_WAYS[:3])
+                    forms[name] = (speed, position, curve)
+            free = {name: x for (_, name), x in told.items()}
+            if "tilt" in free:
+                offset = next(e for e in effects if isinstance(e, EncoderOffset)).offset
+                effects = (*effects, EncoderScale(1 + free["tilt"] * offset / self.theory.problem.reference[2]))
+        problem = self.theory.problem
+        numbers = numbers_of(problem.plant, effects, nuisance, forms, problem.reference)
+        if self.theory.relaxed:
+            numbers[kernel.SPRINGY] = free.get("springy", 0.0) * problem.speed
+            power = 2 / 3 if numbers[kernel.SLACK_WIDTH] else 1
+            numbers[kernel.GIVE] = free.get("give", 0.0) * (problem.q_high - problem.q_low) / problem.force**power
+        if _FRICTION in self.owners:
+            root, gripping = theta[(at := self.owners.index(_FRICTION)) : at + 2]
+            numbers[kernel.TRAVEL] = problem.fit.travel_tolerance * (problem.q_high - problem.q_low) * root**2
+            numbers[kernel.GRIPPING] = gripping
+        return numbers, effects

@@ -1,0 +1,1 @@
+"""Which set stands, and what is said of it."""

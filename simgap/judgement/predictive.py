@@ -1,0 +1,136 @@
+"""How probable a theory makes runs that it never saw, when it is not quite right: one formula for every theory.
+
+A reading is off by the sensor's white noise, 1 floor, and by the model's own error, an Ornstein-Uhlenbeck process whose
+scale is a share of the run's own motion; share and correlation time are the likeliest on the runs that were fitted. A
+run may be worse altogether than others are: its covariance has an unknown factor, so that its readings are Student's t
+(a Student-t process: Shah, Wilson and Ghahramani 2014).
+
+    log p(y) = lgamma((v + n) / 2) - lgamma(v / 2) - n/2 log(v pi) - 1/2 log |K| - (v + n)/2 log(1 + y' K^-1 y / v)
+    K = I + s^2 exp(-|t - t'| / T)
+
+in n steps, by the Kalman filter of that process (Hartikainen and Sarkka 2010).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.special import gammaln
+
+from freeart21.se3 import Array
+from simgap.measure.data import FitRun
+
+FREEDOM = 4.0
+"""v: the fewest whole degrees of freedom but for which runs would have no finite kurtosis at all. Not measured."""
+_SHARES = np.geomspace(1e-5, 1.0, 26)
+"""Of a run's own motion that the model's error is tried at."""
+_TIMES = np.geomspace(2.0, 2000.0, 10)
+"""Readings that it lasts for, likewise."""
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """By how much a theory is off beyond the sensor's noise."""
+
+    share: float
+    """Standard deviation, as a part of that of the run's own motion."""
+    seconds: float
+    """Correlation time."""
+
+
+@njit(cache=True)
+def _filtered(left: Array, times: Array, scale: float, seconds: float) -> tuple[Array, Array]:  # pragma: no cover
+    """(n,) of the first 1, 2, ... n readings: y' K^-1 y and log |K|, with white noise of 1."""
+    squares, logs = np.empty(len(left)), np.empty(len(left))
+    mean, variance, square, log = 0.0, scale * scale, 0.0, 0.0
+    for i in range(len(left)):
+        if i:
+            kept = np.exp(-(times[i] - times[i - 1]) / seconds)
+            mean, variance = kept * mean, kept * kept * variance + scale * scale * (1.0 - kept * kept)
+        spread, off = variance + 1.0, left[i] - mean
+        square += off * off / spread
+        log += np.log(spread)
+        squares[i], logs[i] = square, log
+        mean += variance / spread * off
+        variance -= variance * variance / spread
+    return squares, logs
+
+
+def log_densities(left: Array, times_s: Array, scale: float, seconds: float) -> Array:
+    """(n,) log density of the first 1, 2, ... n readings.
+
+    Args:
+        left: (n,) reading less prediction, in floors.
+        times_s: (n,)
+        scale: standard deviation of the model's error, in floors.
+        seconds: its correlation time.
+    """
+    squares, logs = _filtered(np.asarray(left, float), np.asarray(times_s, float), float(scale), float(seconds))
+    n, v = np.arange(1, len(left) + 1), FREEDOM
+    whole = gammaln((v + n) / 2) - gammaln(v / 2) - n / 2 * np.log(v * np.pi)
+    return np.asarray(whole - 0.5 * logs - (v + n) / 2 * np.log1p(squares / v))
+
+
+def motion_of(run: FitRun) -> float:
+    """Standard deviation of a run's readings, in floors."""
+    return float(np.std(run.q) / np.sqrt(np.mean(run.sigma**2)))
+
+
+def error_of(residuals: dict[str, Array], runs: Sequence[FitRun]) -> ModelError:
+    """The likeliest model error of `residuals` (in floors, by run), those of `runs` that they name."""
+    seen = [run for run in runs if run.name in residuals]
+    step = float(np.median(np.concatenate([np.diff(run.times_s) for run in seen])))
+    motions = [motion_of(run) for run in seen]
+
+    def likely(share: float, seconds: float) -> float:
+        told = zip(seen, motions, strict=True)
+        return sum(float(log_densities(residuals[r.name], r.times_s, share * m, seconds)[-1]) for r, m in told)
+
+    tried = [(likely(share, n * step), share, n * step) for share in _SHARES for n in _TIMES]
+    _, share, seconds = max(tried)
+    return ModelError(float(share), float(seconds))
+
+
+def stretch_densities(left: Array, run: FitRun, error: ModelError, count: int) -> Array:
+    """(count,) log density of every stretch of a run, given what came before it; the run's own is their sum."""
+    sums = log_densities(left, run.times_s, error.share * motion_of(run), error.seconds)
+    ends = np.array([len(left) * (k + 1) // count for k in range(count)]) - 1
+    return np.diff(sums[ends], prepend=0.0)
+
+
+@dataclass(frozen=True)
+class Score:
+    """A theory before runs that it never saw."""
+
+    names: tuple[str, ...]
+    parts: Array
+    """(k,) log density of every stretch, the same stretches for all theories."""
+    error: ModelError
+
+    @property
+    def total(self) -> float:
+        """Log density of all runs."""
+        return float(self.parts.sum())
+
+
+def lead(score: Score, other: Score) -> tuple[float, float]:
+    """By how much a theory makes the runs more probable than another does, and the standard error of that: stretches
+    are paired, since they are hard or easy for both."""
+    more = score.parts - other.parts
+    return float(more.sum()), float(np.sqrt(len(more)) * np.std(more, ddof=1)) if len(more) > 1 else float("inf")
+
+
+def smallest(scores: Sequence[Score]) -> tuple[Score, ...]:
+    """The smallest theories within one standard error of the best, the most probable first (Breiman's rule; those are a
+    model confidence set of their size)."""
+    best = max(scores, key=lambda s: s.total)
+    near = []
+    for score in scores:
+        behind, error = lead(best, score)
+        if score is best or behind <= error:
+            near.append(score)
+    fewest = min(len(s.names) for s in near)
+    return tuple(sorted((s for s in near if len(s.names) == fewest), key=lambda s: -s.total))

@@ -1,0 +1,175 @@
+"""Runs as a fit sees them: readings with their noise, inputs, a first guess of the start, and the regime."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from freeart21.errors import FreeArtError
+from freeart21.measured import Measured
+from freeart21.se3 import Array
+from simgap.measure.floor import Floor, floor_of
+from simgap.measure.inputs import inputs_of
+from simgap.measure.swings import reversals
+from simgap.motion.surrogate import Inputs, Plant, step_of
+
+MAX_SAMPLES = 1500
+"""Readings of a run that a fit looks at, where they are enough; more are thinned out evenly."""
+LEAST_A_SWING = 4.0
+"""Readings of half a swing that are left: a sine is told by two; twice that leaves its end apart from its middle."""
+MOST_SAMPLES = 6000
+"""Readings of a run that a fit looks at at most: its time grows with them. Not measured."""
+
+
+_BEGINNINGS_S = (0.06, 0.12, 0.25)
+"""Of a run, that tell its first velocity: a short one is noisy, a long one may hold an impact."""
+
+
+@dataclass(frozen=True)
+class FitRun:
+    """One run, or a stretch of one."""
+
+    name: str
+    times_s: Array
+    """(n,) of the readings."""
+    q: Array
+    """(n,) readings."""
+    sigma: Array
+    """(n,) standard deviations of the readings."""
+    speed: Array
+    """(n,) rough velocities."""
+    inputs: Inputs
+    held_out: bool | None
+    regime: str = ""
+    turn: int = 0
+    """Its place in the order of recording."""
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """A first guess of the state at the first reading."""
+        return self.starts[0]
+
+    @cached_property
+    def starts(self) -> list[tuple[float, float]]:
+        """First guesses of the state at the first reading, by parabolas through beginnings ever longer."""
+        found = []
+        for seconds in _BEGINNINGS_S:
+            k = max(7, int(np.searchsorted(self.times_s, self.times_s[0] + seconds)))
+            k = min(len(self.q), k)
+            t = (self.times_s[:k] - self.times_s[0]) / (self.times_s[k - 1] - self.times_s[0])
+            powers = t[:, None] ** np.arange(3 if k > 4 else 2)
+            fit = np.linalg.lstsq(powers, self.q[:k], None)[0]
+            found.append((float(fit[0]), float(fit[1] / (self.times_s[k - 1] - self.times_s[0]))))
+        return found
+
+    def between(self, begin: int, end: int) -> FitRun:
+        """The stretch of readings begin to end."""
+        cut = slice(begin, end)
+        return replace(self, times_s=self.times_s[cut], q=self.q[cut], sigma=self.sigma[cut], speed=self.speed[cut])
+
+
+def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floor]:
+    """All runs of a measured set, whose positions are known, and the floor of its sensor.
+
+    Raises FreeArtError when the readings cannot be positions of this joint: far beyond its limits, or in degrees.
+    """
+    series = []
+    for run in measured.runs:
+        good = np.isfinite(run.q)
+        series.append((run.times_s[good], run.q[good]))
+    _check_units(measured, plant, series)
+    floor = floor_of(series)
+    runs, longest = [], step_of(plant, plant.effects)[0]
+    for turn, (run, (times, q)) in enumerate(zip(measured.runs, series, strict=True)):
+        stride = stride_of(times, q)
+        speed = rough_speed(times, q)
+        runs.append(
+            FitRun(
+                run.name,
+                np.ascontiguousarray(times[::stride]),
+                q[::stride],
+                floor.sigma(speed[::stride]),
+                speed[::stride],
+                inputs_of(run, measured, longest),
+                run.held_out,
+                turn=turn,
+            )
+        )
+    return _with_regimes(runs), floor
+
+
+def stride_of(times: Array, q: Array) -> int:
+    """Of how many readings one is looked at: as few as the motion needs, where there are many."""
+    few = -(-len(times) // MAX_SAMPLES)
+    if few == 1:
+        return 1
+    turns = reversals(q, 0.1 * float(np.ptp(q)))
+    swing = float(np.median(np.diff(turns))) if len(turns) >= 3 else np.inf
+    return max(1, -(-len(times) // MOST_SAMPLES), int(min(few, swing / LEAST_A_SWING)))
+
+
+def thinned(measured: Measured) -> tuple[str, ...]:
+    """A line for each run of which not all readings are looked at."""
+    notes = []
+    for run in measured.runs:
+        good = np.isfinite(run.q)
+        stride = stride_of(run.times_s[good], run.q[good]) if good.any() else 1
+        if stride > 1:
+            rate = float(1 / np.median(np.diff(run.times_s[good])))
+            notes.append(
+                f"run '{run.name}': one reading of {stride} is looked at, {rate / stride:.3g} of {rate:.3g} a second"
+            )
+    return tuple(notes)
+
+
+def rough_speed(times: Array, q: Array) -> Array:
+    """(n,) slope of a straight line through five neighbours."""
+    reach = min(2, (len(q) - 1) // 2)
+    width = 2 * reach + 1
+    pad_t, pad_q = (
+        np.pad(times, reach, mode="reflect", reflect_type="odd"),
+        np.pad(q, reach, mode="reflect", reflect_type="odd"),
+    )
+    t = np.lib.stride_tricks.sliding_window_view(pad_t, width)
+    v = np.lib.stride_tricks.sliding_window_view(pad_q, width)
+    t = t - t.mean(1, keepdims=True)
+    return np.asarray((t * v).sum(1) / (t * t).sum(1))
+
+
+def _with_regimes(runs: list[FitRun]) -> tuple[FitRun, ...]:
+    """Runs named by how they move: driven or free, and small or large against the others of their kind."""
+    driven = [
+        bool(len(run.inputs.times_s))
+        and bool(np.any(run.inputs.effort) or np.any(run.inputs.push) or np.isfinite(run.inputs.command).any())
+        for run in runs
+    ]
+    fast = np.array([float(np.sqrt(np.mean(run.speed**2))) for run in runs])
+    named = []
+    for i, run in enumerate(runs):
+        kin = fast[[d == driven[i] for d in driven]]
+        middle = np.sqrt(kin.min() * kin.max())
+        size = "" if kin.max() < 1.5 * kin.min() else (" slow" if fast[i] < middle else " fast")
+        named.append(replace(run, regime=("driven" if driven[i] else "free") + size))
+    return tuple(named)
+
+
+def _check_units(measured: Measured, plant: Plant, series: list[tuple[Array, Array]]) -> None:
+    unit, foreign = ("rad", "degrees") if plant.joint_type == "revolute" else ("m", "mm")
+    for run, (_, q) in zip(measured.runs, series, strict=True):
+        low, high = float(q.min()), float(q.max())
+        span = plant.upper - plant.lower
+        if np.isfinite(span):
+            beyond = max(plant.lower - low, high - plant.upper)
+            if beyond > 0.25 * span + (0.3 if unit == "rad" else 0.0):
+                raise FreeArtError(
+                    f"run '{run.name}' reads {low:.4g} to {high:.4g} {unit}, but joint '{measured.joint}' has limits "
+                    f"{plant.lower:.4g} to {plant.upper:.4g} {unit}: are its units {foreign}?"
+                )
+        turns = np.abs(np.diff(q[[0, *reversals(q, 0.1 * float(np.ptp(q))), -1]]))
+        if unit == "rad" and len(turns) >= 3 and np.median(turns) > 4 * np.pi:
+            raise FreeArtError(
+                f"run '{run.name}' swings by {np.median(turns):.4g} rad between turns of joint '{measured.joint}', "
+                "expected less than 2 turns: are its units degrees?"
+            )

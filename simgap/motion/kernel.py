@@ -1,0 +1,539 @@
+"""One joint under any effects, compiled: classical Runge-Kutta steps between events, each at its own time.
+
+Events are: friction stops the joint (it then sticks, or slides back), an impact at a limit, a memory that changes, the
+two sides of a slack that meet or part, and an input that jumps. A step in which one happens is cut there, by regula
+falsi or by bisection.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from simgap.motion.laws import DRIVE, FORCE, STAMP, STOP, jit, law, remember, thrown
+
+INERTIA, GRAVITY_COS, GRAVITY_SIN, GRAVITY_CONST = 0, 1, 2, 3
+LOAD_ARM2, LOAD_WEIGHT2, LOAD_ACROSS, LOAD_TURNED = 4, 5, 6, 7
+GAIN, COMMAND_DELAY, STIFFNESS, DAMPING = 8, 9, 10, 11
+LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
+READING_DELAY, Q0, QD0, TRAVEL, GRIPPING, SPRINGY, GIVE = 16, 17, 18, 19, 20, 21, 22
+SHAFT_INERTIA, SHAFT_BACK, SHAFT_SWING, HOLDING = 23, 24, 25, 26
+HEAD = 27
+"""Places in the vector of numbers that describes one simulation; behind them each effect has FORM, then parameters."""
+FORM = 7
+"""How the size of an effect may depart from its formula: with speed, with position, with a power of position; and the
+speed, the middle and the half width by which it does, and that power, 2 or 4."""
+
+_BISECTIONS = 25
+_SPARE_STEPS = 4000
+"""Steps cut short by events that a simulation may have besides twice its whole ones."""
+_FALSI = 7
+_HAIR = 2.0**-25
+"""Of a step, beyond which an event that was just found has surely happened: as close as bisection comes."""
+_BENDING = 0.02
+"""Part of the friction level that may still build up unseen."""
+_YIELD = 0.98
+"""Of the friction level: beyond, a part at rest gives way no further before it slides."""
+_REACH = 2.0
+"""Half widths about its middle within which an effect that has a place is stepped finely."""
+_STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
+
+
+@jit
+def _form(p, at, q, v):  # pragma: no cover
+    """By what factor the size of the effect at `at` departs from its formula."""
+    a, b, c = p[at], p[at + 1], p[at + 2]
+    if a == 0.0 and b == 0.0 and c == 0.0:
+        return 1.0
+    speed = min(2.0 * abs(v) / p[at + 3], 2.0) - 1.0
+    x = min(max((q - p[at + 4]) / p[at + 5], -1.2), 1.2)
+    curve = x * x * x * x if p[at + 6] > 2.0 else x * x
+    return max(1.0 + a * speed + b * x + c * (2.0 * curve - 1.0), 0.0)
+
+
+@jit
+def _sum(acts, terms, p, memory, q, v, load):  # pragma: no cover
+    """Sum of all forces, or of all friction levels."""
+    total = 0.0
+    for k in range(len(terms)):
+        if terms[k, 1] == acts:
+            at = terms[k, 2]
+            total += _form(p, at, q, v) * law(terms[k, 0], q, v, load, memory[k], p, at + FORM)
+    return total
+
+
+@jit
+def _actuator(p, q, v, position, effort):  # pragma: no cover
+    """Force of the actuator at the position and speed that it sees; `position` is NaN without a position law."""
+    asked = effort
+    if not np.isnan(position):
+        asked += p[STIFFNESS] * (position - q) - p[DAMPING] * v
+    return p[GAIN] * asked
+
+
+@jit
+def _pushed(p, x, v, position, effort):  # pragma: no cover
+    """Force of an actuator whose flank touches at x, or whose shaft's far end is there: as far as that gives way under
+    the force, GIVE times it, of a flank times it to the power of 2/3 (Hertz), the actuator is ahead."""
+    F = _actuator(p, x, v, position, effort)
+    if p[GIVE] == 0.0 or np.isnan(position) or F == 0.0:
+        return F
+    power = 1.0 if p[SLACK_WIDTH] == 0.0 else 2.0 / 3.0
+    ahead = math.copysign(p[GIVE] * abs(F) ** power, F)
+    faster = -power * ahead / F * p[GAIN] * p[STIFFNESS] * v
+    return F - p[GAIN] * (p[STIFFNESS] * ahead + p[DAMPING] * faster) / (1.0 + p[GAIN] * p[STIFFNESS] * ahead / F)
+
+
+@jit
+def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no cover
+    """All forces on the part but friction."""
+    F = p[GRAVITY_CONST] + push
+    if p[GRAVITY_COS] != 0.0 or p[GRAVITY_SIN] != 0.0:
+        F += p[GRAVITY_COS] * math.cos(q) + p[GRAVITY_SIN] * math.sin(q)
+    F += _sum(FORCE, terms, p, memory, q, v, 0.0)
+    if p[SLACK_WIDTH] == 0.0:
+        F += _pushed(p, q, v, position, effort)
+    elif side != 0:
+        F += _pushed(p, q + 0.5 * side * p[SLACK_WIDTH], v, position, effort)
+    return F
+
+
+@jit
+def _level(terms, p, memory, q, v, qdd):  # pragma: no cover
+    """Friction level, under the load that the bearing carries at this acceleration; the load may be left out."""
+    if p[LOAD_WEIGHT2] == 0.0 and p[LOAD_ARM2] == 0.0:
+        return _sum(DRIVE, terms, p, memory, q, v, 0.0)
+    c, s = math.cos(q), math.sin(q)
+    load2 = p[LOAD_ARM2] * (qdd * qdd + v**4) + p[LOAD_WEIGHT2]
+    load2 -= 2.0 * qdd * (c * p[LOAD_TURNED] - s * p[LOAD_ACROSS])
+    load2 += 2.0 * v * v * (c * p[LOAD_ACROSS] + s * p[LOAD_TURNED])
+    return _sum(DRIVE, terms, p, memory, q, v, math.sqrt(max(load2, 0.0)))
+
+
+@jit
+def _bristle(p, slide, grip, q):  # pragma: no cover
+    """How far friction has built up at `q`, -1 to 1: `grip` is that where a motion in direction `slide` began, and
+    where it did."""
+    if p[TRAVEL] == 0.0:
+        return 1.0 * slide
+    return slide + (grip[0] - slide) * math.exp(-abs(q - grip[1]) / p[TRAVEL])
+
+
+@jit
+def _friction(level, p, q, v, slide, grip):  # pragma: no cover
+    """Force against the motion: LuGre's, whose bristles bend over TRAVEL and damp by GRIPPING times the usual (Canudas
+    de Wit, Olsson, Astrom and Lischinsky 1995); the level at once without TRAVEL."""
+    if p[TRAVEL] == 0.0:
+        return slide * level
+    bent = _bristle(p, slide, grip, q)
+    return level * bent + p[GRIPPING] * math.sqrt(level * p[INERTIA] / p[TRAVEL]) * abs(v) * (slide - bent)
+
+
+@jit
+def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+    """Of a moving part; `slide` is the direction in which it slides against friction, 0 without friction."""
+    inertia = p[INERTIA] + (p[SLACK_INERTIA] if side != 0 else 0.0)
+    free = _acting(terms, p, memory, q, v, side, push, position, effort) / inertia
+    if slide == 0:
+        return free
+    qdd = free - _friction(_level(terms, p, memory, q, v, free), p, q, v, slide, grip) / inertia
+    if loaded:
+        for _ in range(4):  # the load depends on the acceleration that friction changes
+            qdd = free - _friction(_level(terms, p, memory, q, v, qdd), p, q, v, slide, grip) / inertia
+    return qdd
+
+
+@jit
+def _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+    """Accelerations of part and drive side at y = (q, v, x, w)."""
+    a = 0.0
+    if not frozen:
+        a = _acceleration(terms, p, memory, y[0], y[1], slide, grip, side, push, position, effort, loaded)
+    b = 0.0
+    if p[SLACK_WIDTH] > 0.0:
+        b = a if side != 0 else _actuator(p, y[2], y[3], position, effort) / p[SLACK_INERTIA]
+    return a, b
+
+
+@jit
+def _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+    """State after `h` by the classical Runge-Kutta step, nothing changing but the state."""
+    q, v, x, w = y
+    a1, b1 = _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
+    v2, w2 = v + 0.5 * h * a1, w + 0.5 * h * b1
+    y2 = (q + 0.5 * h * v, v2, x + 0.5 * h * w, w2)
+    a2, b2 = _slopes(y2, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
+    v3, w3 = v + 0.5 * h * a2, w + 0.5 * h * b2
+    y3 = (q + 0.5 * h * v2, v3, x + 0.5 * h * w2, w3)
+    a3, b3 = _slopes(y3, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
+    v4, w4 = v + h * a3, w + h * b3
+    y4 = (q + h * v3, v4, x + h * w3, w4)
+    a4, b4 = _slopes(y4, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
+    q1 = q + h * (v + 2 * v2 + 2 * v3 + v4) / 6
+    v1 = v + h * (a1 + 2 * a2 + 2 * a3 + a4) / 6
+    if side != 0:
+        return q1, v1, q1 + 0.5 * side * p[SLACK_WIDTH], v1
+    return q1, v1, x + h * (w + 2 * w2 + 2 * w3 + w4) / 6, w + h * (b1 + 2 * b2 + 2 * b3 + b4) / 6
+
+
+@jit
+def _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+    """Force of the drive side on the part while they touch."""
+    a, _ = _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
+    return _pushed(p, y[2], y[3], position, effort) - p[SLACK_INERTIA] * a
+
+
+@jit
+def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+    """What has happened by the state `y`, as bits."""
+    found = 0
+    q, v, x, w = y
+    if not frozen:
+        if slide * v < 0:
+            found |= _STOPPED
+        if q < p[LOWER] or q > p[UPPER]:
+            found |= _LIMIT
+        for k in range(len(terms)):
+            if terms[k, 1] == FORCE and remember(terms[k, 0], q, memory[k], p, terms[k, 2] + FORM) != memory[k]:
+                found |= _MEMORY
+    if p[SLACK_WIDTH] > 0.0:
+        if side == 0:
+            apart = x - q
+            if abs(apart) >= 0.5 * p[SLACK_WIDTH] and apart * (w - v) > 0:
+                found |= _MET
+        elif side * _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded) < 0:
+            found |= _PARTED
+    return found
+
+
+@jit
+def _apart(what, y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
+    """What is left until the sides of a slack part meet (how far they are apart), or part (the force between them)."""
+    if what == _MET:
+        return 0.5 * p[SLACK_WIDTH] - abs(y[2] - y[0])
+    return side * _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
+
+
+@jit
+def _passes(terms, p, a, b):  # pragma: no cover
+    """Whether a way from a to b comes near the place of an effect that has one."""
+    for k in range(len(terms)):
+        if terms[k, 3]:
+            at = terms[k, 2]
+            reach = _REACH * p[at + 5]
+            if min(a, b) <= p[at + 4] + reach and max(a, b) >= p[at + 4] - reach:
+                return True
+    return False
+
+
+@jit
+def _settled(y, p, load, part, side):  # pragma: no cover
+    """State and grip of a part at rest that gives way to a `load`, over the friction level, until friction bears it."""
+    load = min(max(load, -_YIELD), _YIELD)
+    if abs(load - part) < 1e-9:
+        return y, (part, y[0])
+    way = 1.0 if load > part else -1.0
+    q = y[0] + way * p[TRAVEL] * math.log((way - part) / (way - load))
+    q = min(max(q, p[LOWER]), p[UPPER])
+    return (q, 0.0, q + 0.5 * side * p[SLACK_WIDTH] if side != 0 else y[2], y[3]), (load, q)
+
+
+@jit
+def _rebound(terms, p, v):  # pragma: no cover
+    """Speed after an impact that came in with `v`."""
+    after = 0.0
+    for k in range(len(terms)):
+        if terms[k, 1] == STOP:
+            at = terms[k, 2]
+            s = min(2.0 * abs(v) / p[at + 3], 2.0) - 1.0
+            form = max(1.0 + p[at] * s + p[at + 2] * (2.0 * s * s - 1.0), 0.0)
+            speed = form * law(terms[k, 0], 0.0, v, 0.0, 0.0, p, at + FORM)
+            if abs(speed) > abs(after):
+                after = speed
+    return min(abs(after), abs(v)) * (1.0 if after > 0 else -1.0)
+
+
+@jit
+def _taken_back(terms, p, memory, limit, towards, v, side, push, position, effort):  # pragma: no cover
+    """Seconds at a limit, and speed after them, of a part that came in with `v` and whose drive takes it back."""
+    drive, press, others = 0.0, 0.0, p[INERTIA] - p[SHAFT_INERTIA]
+    if p[SHAFT_SWING] > 0.0:
+        drive = towards * _actuator(p, limit, 0.0, position, effort)
+        press = towards * _acting(terms, p, memory, limit, 0.0, side, push, position, effort) - drive
+        press += _level(terms, p, memory, limit, 0.0, 0.0)
+    stays, speed = thrown(abs(v), press, drive, others, p[SHAFT_INERTIA], p[SHAFT_BACK], p[SHAFT_SWING])
+    return stays, -towards * speed
+
+
+@jit
+def _parting(p, meeting):  # pragma: no cover
+    """Speed at which the sides of a slack part that met with `meeting` (of the part, seen from the drive side): slow
+    ones come back (Hunt and Crossley 1975), at SPRINGY half of it."""
+    if p[SPRINGY] == 0.0:
+        return 0.0
+    return -meeting / (1.0 + abs(meeting) / p[SPRINGY])
+
+
+@jit
+def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, coarse, fine, out):  # pragma: no cover
+    """Positions `out` (n,) as read at `times` (n,), for one vector of numbers, by steps that are `coarse` but near the
+    place of an effect that has one."""
+    n, inputs = len(times), len(t_in)
+    dry, loaded = False, p[LOAD_ARM2] > 0
+    for k in range(len(terms)):
+        dry |= terms[k, 1] == DRIVE
+    y = (p[Q0], p[QD0], p[Q0], p[QD0])
+    for k in range(len(terms)):
+        if terms[k, 1] == FORCE:
+            memory[k] = remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + FORM)
+    delayed, now = p[COMMAND_DELAY], times[0] - p[READING_DELAY]
+    end = times[n - 1] - p[READING_DELAY]
+    late = early = 0  # the inputs that act now, through the actuator and directly
+    side, done, resting, passed = 0, 0, 0, -np.inf
+    waits, leaves = -np.inf, 0.0  # until when a drive keeps the part at a limit, and with what speed it goes then
+    grip = (0.0 if y[1] == 0.0 else math.copysign(1.0, y[1]), y[0])
+    most = _SPARE_STEPS + 2 * (int((end - now) / fine) + 2 * inputs)
+    for _ in range(most):
+        if done == n:
+            return
+        # inputs
+        position, asked, push, until = np.nan, 0.0, 0.0, np.inf
+        if inputs > 0:
+            while late + 1 < inputs and t_in[late + 1] + delayed <= now + 1e-12:
+                late += 1
+            while early + 1 < inputs and t_in[early + 1] <= now + 1e-12:
+                early += 1
+            position = command[late] + p[HOLDING] * beside[0, late]
+            asked = effort[late] + p[HOLDING] * beside[1, late]
+            push = pushes[early] + p[HOLDING] * beside[2, early]
+            if late + 1 < inputs:
+                until = t_in[late + 1] + delayed
+            if early + 1 < inputs:
+                until = min(until, t_in[early + 1])
+        step = fine if fine < coarse and (now < passed or _passes(terms, p, y[0], y[0])) else coarse
+        h = max(min(step, until - now), 1e-9)
+        # what holds the part
+        q, v = y[0], y[1]
+        frozen, still, slide, F = False, True, 0, 0.0
+        if now < waits:
+            frozen, h = True, min(h, waits - now)
+        elif v == 0.0 and (dry or resting != 0):
+            F = _acting(terms, p, memory, q, 0.0, side, push, position, asked)
+            held = _level(terms, p, memory, q, 0.0, 0.0) if dry else 0.0
+            if abs(F) <= held or (resting != 0 and resting * F >= -held):
+                frozen = True
+                if p[TRAVEL] > 0.0 and resting == 0 and held > 0.0:
+                    y, grip = _settled(y, p, F / held, grip[0], side)
+                    still, q = y[0] == q, y[0]
+            else:
+                slide, resting = (1 if F > 0 else -1) if dry else 0, 0
+        elif dry:
+            slide, resting = 1 if v > 0 else -1, 0
+        else:
+            resting = 0
+        if p[TRAVEL] > 0.0 and slide != 0:
+            grip = (grip[0], q)
+            if abs(slide - grip[0]) > _BENDING:  # steps that see the bristles bend
+                if v == 0.0:
+                    h = min(h, math.sqrt(p[TRAVEL] * p[INERTIA] / max(abs(F), 1e-12)))
+                else:
+                    h = min(h, 0.5 * p[TRAVEL] / abs(v))
+                h = max(h, 0.01 * step)
+        if frozen and still and p[SLACK_WIDTH] == 0.0:
+            until = min(until, waits) if now < waits else until
+            h = max(min(until, end) - now, 1e-9)  # until something else acts
+        # a step, cut where something happens
+        after = _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+        if step > fine and _passes(terms, p, q, after[0]):
+            passed = now + h
+            continue
+        found = _events(after, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+        if v * after[1] < 0.0 and not found & _LIMIT:  # it turns within the step: was it at a limit there?
+            turn = v / (v - after[1]) * h
+            peak = q + 0.55 * turn * v
+            if peak < p[LOWER] or peak > p[UPPER]:
+                there = _advanced(y, turn, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+                if there[0] < p[LOWER] or there[0] > p[UPPER]:
+                    after, h = there, turn
+                    found = _events(after, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+        if found in (_STOPPED, _LIMIT):  # where a smooth number passes zero: regula falsi (Illinois)
+            aim = 0.0 if found == _STOPPED else (p[LOWER] if after[0] < p[LOWER] else p[UPPER])
+            which = 1 if found == _STOPPED else 0
+            low, high, f_low, f_high = 0.0, h, y[which] - aim, after[which] - aim
+            if f_low * f_high < 0.0:
+                kept = 0
+                for _ in range(_FALSI):
+                    mid = (low * f_high - high * f_low) / (f_high - f_low)
+                    there = _advanced(
+                        y, mid, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded
+                    )
+                    f_mid = there[which] - aim
+                    if f_mid * f_high > 0.0:
+                        high, f_high, after = mid, f_mid, there
+                        f_low = 0.5 * f_low if kept == 1 else f_low
+                        kept = 1
+                    else:
+                        low, f_low, after = mid, f_mid, there
+                        f_high = 0.5 * f_high if kept == -1 else f_high
+                        kept = -1
+                    h = mid
+                    if abs(f_mid) < 1e-12:
+                        break
+                found |= _SURE
+        elif found in (_MET, _PARTED):  # the same, and a hair beyond, where it has happened
+            low, high, root = 0.0, h, 0.0
+            f_low = _apart(found, y, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+            f_high = _apart(found, after, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+            if f_low * f_high < 0.0:
+                kept = 0
+                for _ in range(_FALSI):
+                    root = (low * f_high - high * f_low) / (f_high - f_low)
+                    there = _advanced(
+                        y, root, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded
+                    )
+                    f_root = _apart(
+                        found, there, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded
+                    )
+                    if f_root * f_high > 0.0:
+                        high, f_high = root, f_root
+                        f_low = 0.5 * f_low if kept == 1 else f_low
+                        kept = 1
+                    else:
+                        low, f_low = root, f_root
+                        f_high = 0.5 * f_high if kept == -1 else f_high
+                        kept = -1
+                    if abs(f_root) < 1e-12:
+                        break
+            root = min(root + _HAIR * h, h)
+            there = _advanced(y, root, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+            beyond = _events(there, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+            if beyond:
+                after, found, h = there, beyond | _SURE, root
+        if found and not found & _SURE:
+            low, high = 0.0, h
+            for _ in range(_BISECTIONS):
+                mid = 0.5 * (low + high)
+                there = _advanced(y, mid, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+                at_mid = _events(there, terms, p, memory, frozen, slide, grip, side, push, position, asked, loaded)
+                if at_mid:
+                    high, after, found = mid, there, at_mid
+                else:
+                    low = mid
+            h = high
+        if not abs(after[0]) < 1e6:
+            for i in range(done, n):
+                out[i] = 1e6
+            return
+        # readings within the step: the cubic with its ends' positions and speeds
+        last = now + h >= end - 1e-12
+        while done < n and (times[done] - p[READING_DELAY] <= now + h or last):
+            s = min((times[done] - p[READING_DELAY] - now) / h, 1.0)
+            u = 1.0 - s
+            out[done] = u * u * ((1 + 2 * s) * q + s * h * v) + s * s * ((1 + 2 * u) * after[0] - u * h * after[1])
+            done += 1
+        now += h
+        y = after
+        if waits > -np.inf and now >= waits - 1e-12:
+            y, resting, waits = (y[0], leaves, y[2], y[3]), 0, -np.inf
+        if slide != 0:
+            grip = (_bristle(p, slide, grip, y[0]), y[0])
+        # what the event changes
+        if found & _MEMORY:
+            for k in range(len(terms)):
+                if terms[k, 1] == FORCE:
+                    memory[k] = remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + FORM)
+        if found & _PARTED and not found & (_STOPPED | _LIMIT):  # what stops takes its drive side with it
+            side = 0
+        if found & _MET:
+            side = 1 if y[2] > y[0] else -1
+            back = _parting(p, y[1] - y[3])
+        if found & _MET and frozen and resting * side > 0:  # the part is pressed on its limit, and gives way no further
+            at, w1 = y[0] + 0.5 * side * p[SLACK_WIDTH], max(abs(back), p[SHAFT_BACK] * abs(y[3]))
+            pressed = side * _actuator(p, y[2], y[3], position, asked) / p[SLACK_INERTIA]
+            if w1 > 0.5 * step * max(pressed, 0.0):
+                y, side = (y[0], 0.0, at, -side * w1), 0
+            else:
+                y = (y[0], 0.0, at, 0.0)
+        elif found & _MET:
+            a, b = _slopes(y, terms, p, memory, frozen, slide, grip, 0, push, position, asked, loaded)
+            press = side * (b - a)
+            both = p[INERTIA] + p[SLACK_INERTIA]
+            together = (p[INERTIA] * y[1] + p[SLACK_INERTIA] * y[3]) / both
+            at = y[0] + 0.5 * side * p[SLACK_WIDTH]
+            if abs(back) > 0.5 * step * max(press, 0.0):
+                y = (y[0], together + back * p[SLACK_INERTIA] / both, at, together - back * p[INERTIA] / both)
+                side = 0
+            else:  # they would meet again within a step: they stay together
+                y = (y[0], together, at, together)
+        if found & _LIMIT:
+            towards = 1 if y[0] - p[LOWER] > p[UPPER] - y[0] else -1
+            limit = p[UPPER] if towards > 0 else p[LOWER]
+            back, stays = _rebound(terms, p, y[1]), 0.0
+            if p[SHAFT_BACK] > 0.0 and p[SLACK_WIDTH] == 0.0:
+                seconds, taken = _taken_back(terms, p, memory, limit, towards, y[1], side, push, position, asked)
+                if abs(taken) > abs(back):
+                    back, stays = taken, seconds
+            inward = towards * _acting(terms, p, memory, limit, 0.0, side, push, position, asked) / p[INERTIA]
+            if back * towards >= 0 or (inward > 0 and abs(back) < 0.25 * step * inward):
+                back, resting, stays = 0.0, towards, 0.0  # it would come back within half a step: it stays
+            if stays > 1e-9:
+                waits, leaves, back, resting = now + stays, back, 0.0, towards
+            v = y[1]
+            y = (limit, back, y[2], y[3])
+            if side * towards < 0:  # the drive goes on through the slack
+                y, side = (limit, back, limit + 0.5 * side * p[SLACK_WIDTH], v), 0
+            elif side != 0:
+                own = back if p[SHAFT_BACK] == 0.0 else -p[SHAFT_BACK] * v
+                y = (limit, back, limit + 0.5 * side * p[SLACK_WIDTH], own)
+                side = 0 if own != back else side
+        elif found & _STOPPED:
+            y = (y[0], 0.0, y[2], 0.0 if side != 0 else y[3])
+    for i in range(done, n):  # ever more events in ever less time: it comes to rest here
+        out[i] = y[0]
+
+
+def _made(stamp: int) -> Any:
+    """The door, as a closure over the formulas' stamp: so numba's cache on disk knows when one has changed."""
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def sweep(
+        numbers, terms, which, times, begins, t_in, command, effort, pushes, beside, enters, steps, out
+    ):  # pragma: no cover
+        if stamp < 0:
+            return
+        memory, done = np.zeros(len(terms)), 0
+        for row in range(len(numbers)):
+            run = which[row]
+            first, last = enters[run, 0], enters[run, 1]
+            own = times[begins[run] : begins[run + 1]]
+            memory[:] = 0.0
+            _roll(
+                numbers[row],
+                terms,
+                memory,
+                own,
+                t_in[first:last],
+                command[first:last],
+                effort[first:last],
+                pushes[first:last],
+                beside[:, first:last],
+                steps[run, 0],
+                steps[run, 1],
+                out[done : done + len(own)],
+            )
+            done += len(own)
+
+    return sweep
+
+
+sweep = _made(STAMP)
+"""sweep(numbers (m, k), terms (t, 4), which (m,), times, begins, t_in, command, effort, pushes, beside, enters, steps,
+out): m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r] to
+begins[r + 1], its inputs from enters[r, 0] to enters[r, 1]; its steps are steps[r], coarse and fine. `terms` are law,
+what it does (FORCE, DRIVE, STOP), where its numbers begin, and whether it has a place, near which steps are fine.
+Inputs last from `t_in` to the next, with HOLDING times `beside` (3, i) added to the three. Into `out`, one behind the
+other, the positions of every row at the times of its run. A run that leaves all bounds reads 1e6; one with events
+without end stays where they begin."""

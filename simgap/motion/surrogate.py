@@ -1,0 +1,322 @@
+"""The fast simulation that fits search in: one joint in double precision, any effects of the library, inputs and all.
+
+`kernel` does the stepping; here assets, effects and runs become its vectors of numbers. It must say what
+`generator.simulate` says (a test holds them together).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from freeart21.asset import Asset
+from freeart21.effects import Effect
+from freeart21.effects.armature import Armature
+from freeart21.effects.backlash import Backlash
+from freeart21.joint import JointType
+from freeart21.measured import Measured
+from freeart21.mechanics import JointMechanics
+from freeart21.se3 import Array
+from generator.simulate import load
+from simgap.geometry.placing import place
+from simgap.motion import kernel, laws
+from simgap.settings import SurrogateSettings
+
+Steps = tuple[float, float]
+"""Time steps, s: away from the places of effects that have one, and near them."""
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What the asset says of its joint; frame of the joint's parent link."""
+
+    mechanics: JointMechanics
+    lower: float
+    upper: float
+    effects: tuple[Effect, ...] = ()
+    """Effects that the asset has already."""
+    stiffness: float = 0.0
+    """Of the actuator's position law."""
+    damping: float = 0.0
+
+    @property
+    def joint_type(self) -> JointType:
+        """revolute or prismatic."""
+        return self.mechanics.joint.type
+
+    @cached_property
+    def gravity_terms(self) -> Array:
+        """(3, 3) cosine, sine and constant of gravity's force: as it is, and per rad of lean of the base in two ways.
+
+        The two ways turn gravity towards the direction in the plane of a hinge's motion (a slider's axis), and across.
+        """
+        joint, g = self.mechanics.joint, self.mechanics.gravity
+        size = float(np.linalg.norm(g))
+        if size == 0:
+            return np.zeros((3, 3))
+        first = np.cross(joint.axis, g) if joint.type == "revolute" else joint.axis - (joint.axis @ g) * g / size**2
+        if np.linalg.norm(first) < 1e-6 * size:
+            first = np.cross(np.eye(3)[int(np.argmin(np.abs(g)))], g)
+        first = size * first / np.linalg.norm(first)
+        second = np.cross(g, first) / size
+        return np.stack([_gravity_terms(replace(self.mechanics, gravity=v)) for v in (g, first, second)])
+
+
+def _gravity_terms(mechanics: JointMechanics) -> Array:
+    if mechanics.joint.type == "prismatic":
+        return np.array([0.0, 0.0, float(mechanics.gravity_force(0.0))])
+    return np.append(mechanics.gravity_force([0.0, np.pi / 2]), 0.0)
+
+
+def plant_of(asset: Asset, measured: Measured) -> Plant:
+    """The joint of `asset` under the gravity and the actuator of `measured`; loads the asset in SAPIEN, neutral."""
+    simulated = load(asset)
+    actuator = measured.actuator
+    return Plant(
+        place(asset, measured.gravity).mechanics,
+        simulated.lower,
+        simulated.upper,
+        tuple(asset.effects.get(asset.joint, ())),
+        actuator.stiffness if actuator else 0.0,
+        actuator.damping if actuator else 0.0,
+    )
+
+
+def _nothing() -> Array:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What drove a run; (i,) arrays, each value lasts until the next time."""
+
+    times_s: Array = field(default_factory=_nothing)
+    command: Array = field(default_factory=_nothing)
+    """Commanded positions; NaN without a position law."""
+    effort: Array = field(default_factory=_nothing)
+    """Commanded efforts: they pass the actuator."""
+    push: Array = field(default_factory=_nothing)
+    """External efforts: they act on the part."""
+    beside: Array | None = None
+    """(3, i) what commands, efforts and pushes have besides if each is held until its next row (`Nuisance.holding` 1);
+    None for nothing."""
+
+    @cached_property
+    def held(self) -> bool:
+        """Whether a position law is at work."""
+        return bool(np.isfinite(self.command).any())
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """By how much the asset may be off without anything missing."""
+
+    inertia: float = 1.0
+    """True over the asset's inertia."""
+    gravity: float = 1.0
+    """True over the asset's gravity force."""
+    lean: tuple[float, float] = (0.0, 0.0)
+    """rad by which the base leans, see `Plant.gravity_terms`."""
+    holding: float = 0.0
+    """Of inputs of which nobody knows how they go on between their rows: 0 smoothly, 1 held until the next one."""
+
+
+def terms_of(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[np.int64]:
+    """(t, 4) what the kernel needs to know of those effects that have a law there."""
+    rows, at = [], kernel.HEAD
+    for effect in effects:
+        if effect.name in laws.LAWS:
+            place = is_local(effect if isinstance(effect, type) else type(effect))
+            rows.append((laws.LAWS[effect.name], laws.ACTS[effect.acts], at, place))
+            at += kernel.FORM + len(effect.parameters())
+    return np.array(rows, np.int64).reshape(-1, 4)
+
+
+def numbers_of(
+    plant: Plant,
+    effects: tuple[Effect, ...],
+    nuisance: Nuisance = Nuisance(),
+    forms: dict[str, tuple[float, float, float]] | None = None,
+    reference: tuple[float, float, float] = (1.0, 0.0, 1.0),
+) -> Array:
+    """The kernel's vector for these effects, start state 0.
+
+    Args:
+        plant: the joint.
+        effects: all effects, those of the asset among them.
+        nuisance: how the asset is off.
+        forms: name of an effect to how its size departs from its formula with speed, position and a power of position.
+        reference: largest speed, middle and half range of position, to which `forms` refer where an effect has no
+            speed or place of its own.
+    """
+    mechanics = plant.mechanics
+    head = np.zeros(kernel.HEAD)
+    added = sum(effect.inertia() for effect in effects)
+    slack = next((effect for effect in effects if isinstance(effect, Backlash)), None)
+    head[kernel.INERTIA] = nuisance.inertia * mechanics.inertia + (0.0 if slack else added)
+    if slack:
+        head[kernel.SLACK_WIDTH], head[kernel.SLACK_INERTIA] = slack.width, slack.drive_inertia + added
+        head[kernel.SHAFT_BACK] = slack.throw_back
+    shafts = [effect for effect in effects if isinstance(effect, Armature)]
+    if shafts and not slack:
+        shaft = max(shafts, key=lambda effect: effect.throw_back * effect.value)
+        head[kernel.SHAFT_INERTIA : kernel.SHAFT_SWING + 1] = shaft.value, shaft.throw_back, shaft.swing
+    terms = plant.gravity_terms
+    head[kernel.GRAVITY_COS : kernel.GRAVITY_CONST + 1] = nuisance.gravity * (
+        terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2]
+    )
+    if any(effect.needs_load for effect in effects):
+        head[kernel.LOAD_ARM2 : kernel.LOAD_TURNED + 1] = _load_terms(mechanics)
+    head[kernel.GAIN] = np.prod([effect.gain() for effect in effects])
+    head[kernel.COMMAND_DELAY] = sum(effect.delay() for effect in effects if effect.acts == "command")
+    head[kernel.READING_DELAY] = sum(effect.delay() for effect in effects if effect.kind == "sensing")
+    head[kernel.STIFFNESS], head[kernel.DAMPING] = plant.stiffness, plant.damping
+    head[kernel.HOLDING] = nuisance.holding
+    head[kernel.LOWER], head[kernel.UPPER] = plant.lower, plant.upper
+    parts = [head]
+    for effect in effects:
+        if effect.name in laws.LAWS:
+            form = (forms or {}).get(effect.name, (0.0, 0.0, 0.0))
+            parts += [np.array((*form, *_around(effect, reference))), np.array(effect.values())]
+    return np.concatenate(parts)
+
+
+def _around(effect: Effect, reference: tuple[float, float, float]) -> tuple[float, float, float, float]:
+    """Speed, middle and half width of the range over which an effect departs from its formula, and the power with
+    which it does: its own, if it has."""
+    speed, middle, half = reference
+    power = 2
+    place: float | None = None
+    for name, spec in effect.parameters().items():
+        value = float(getattr(effect, name))
+        if spec.revolute_unit == "rad/s":
+            speed = max(2 * value, 1e-9)
+        elif spec.revolute_unit == "rad" and spec.lower < 0:
+            place = value
+        elif spec.revolute_unit == "rad" and place is not None:
+            (widths, power), middle = effect.tails, place
+            half = max(widths * value, 1e-9)
+    return speed, middle, half, float(power)
+
+
+def _load_terms(mechanics: JointMechanics) -> tuple[float, float, float, float]:
+    """Numbers from which the kernel has the bearing's force (`JointMechanics.load`)."""
+    weight, axis = mechanics.mass * mechanics.gravity, mechanics.joint.axis
+    if mechanics.joint.type == "prismatic":
+        across = weight - (weight @ axis) * axis
+        return 0.0, float(across @ across), 0.0, 0.0
+    arm = mechanics.moment(0.0)
+    across = arm - (arm @ axis) * axis
+    turned = np.cross(axis, across)
+    return float(across @ across), float(weight @ weight), float(across @ weight), float(turned @ weight)
+
+
+def step_of(
+    plant: Plant,
+    effects: tuple[Effect, ...],
+    settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
+    held: bool = True,
+) -> Steps:
+    """Longest steps, s, at which the fastest oscillation is stepped finely, with the position law off unless `held`,
+    and none blows up: away from the places of effects that have one, and near them."""
+    gain = float(np.prod([effect.gain() for effect in effects])) if held else 0.0
+    inertia = plant.mechanics.inertia
+    local = (settings.phase_per_step / settings.local_phase_per_step) ** 2
+    slack = next((effect for effect in effects if isinstance(effect, Backlash)), None)
+    driven = min(inertia, slack.drive_inertia) if slack else inertia
+    weight = float(np.hypot(*plant.gravity_terms[0, :2]))
+
+    def longest(stiffness: float) -> float:
+        rate = np.sqrt(stiffness / inertia + gain * plant.stiffness / driven) + 0.1 * gain * plant.damping / driven
+        return float(np.clip(settings.phase_per_step / max(rate, 1e-9), settings.min_step_s, settings.max_step_s))
+
+    away = weight + sum(effect.steepness() for effect in effects if not is_local(type(effect)))
+    near = away + sum(effect.steepness() * local for effect in effects if is_local(type(effect)))
+    if near > away:  # what a place does next hangs on how it is met
+        away = min(4 * away, near)
+    return creeping(plant, effects, (longest(away), longest(near)), settings)
+
+
+def creeping(plant: Plant, effects: tuple[Effect, ...], steps_s: Steps, settings: SurrogateSettings) -> Steps:
+    """The steps, s, or shorter ones at which a joint in thick oil creeps and does not blow up."""
+    damping = sum(effect.damping() for effect in effects)
+    most = plant.mechanics.inertia / max(damping, 1e-12)
+    coarse, fine = (max(min(step, most), settings.min_step_s) for step in steps_s)
+    return coarse, fine
+
+
+def is_local(cls: type[Effect]) -> bool:
+    """Whether an effect has a place and a width, beyond which it does nothing."""
+    return cls.acts == "force" and any(s.revolute_unit == "rad" and s.lower >= 0 for s in cls.parameters().values())
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Runs one behind the other, as the kernel takes them."""
+
+    times_s: Array
+    begins: NDArray[np.int64]
+    """(r + 1,) where the times of each run begin, and where they all end."""
+    series: tuple[Array, Array, Array, Array, Array]
+    """Times, commands, efforts, pushes and (3, i) `Inputs.beside` of all inputs."""
+    enters: NDArray[np.int64]
+    """(r, 2) where the inputs of each run begin and end: stretches of one run share them."""
+    held: NDArray[np.bool_]
+    """(r,) whether a position law is at work."""
+
+    @staticmethod
+    def of(runs: Sequence[tuple[Array, Inputs]]) -> Batch:
+        """Of the times and the inputs of some runs."""
+        own = {id(i): i for _, i in runs}
+        told = [(i.times_s, i.command, i.effort, i.push) for i in own.values()]
+        first, second, third, fourth = (np.concatenate([t[k] for t in told]).astype(float) for k in range(4))
+        extras = [np.zeros((3, len(i.times_s))) if i.beside is None else i.beside for i in own.values()]
+        ends = dict(zip(own, np.cumsum([len(i.times_s) for i in own.values()]), strict=True))
+        return Batch(
+            np.concatenate([times for times, _ in runs]).astype(float),
+            np.cumsum([0, *(len(times) for times, _ in runs)]),
+            (first, second, third, fourth, np.concatenate(extras, 1)),
+            np.array([(ends[id(i)] - len(i.times_s), ends[id(i)]) for _, i in runs]),
+            np.array([i.held for _, i in runs]),
+        )
+
+    def sweep(self, numbers: Array, terms: NDArray[np.int64], which: NDArray[np.int64], steps_s: Array) -> Array:
+        """True positions, as late as they are read, of m vectors of numbers (m, k), each at the times of run `which`
+        (m,), one behind the other; `steps_s` (r, 2) are the runs' steps."""
+        out = np.empty(int((self.begins[which + 1] - self.begins[which]).sum()))
+        kernel.sweep(numbers, terms, which, self.times_s, self.begins, *self.series, self.enters, steps_s, out)
+        return out
+
+
+def sweep(numbers: Array, terms: NDArray[np.int64], times_s: Array, inputs: Inputs, steps_s: Steps) -> Array:
+    """(m, n) true positions, as late as they are read, at `times_s` (n,), of m vectors of numbers (m, k)."""
+    which = np.zeros(len(numbers), np.int64)
+    flat = Batch.of([(times_s, inputs)]).sweep(numbers, terms, which, np.array([steps_s]))
+    return flat.reshape(len(numbers), len(times_s))
+
+
+def readings_of(effects: tuple[Effect, ...], q: Array) -> Array:
+    """What a sensor with these effects writes down at positions (...); the delay is the kernel's."""
+    return np.asarray(q + sum(effect.reading_error(q) for effect in effects if effect.kind == "sensing"))
+
+
+def simulate(
+    plant: Plant,
+    effects: tuple[Effect, ...],
+    times_s: ArrayLike,
+    q0: float,
+    qd0: float = 0.0,
+    inputs: Inputs = Inputs(),
+    nuisance: Nuisance = Nuisance(),
+    settings: SurrogateSettings = SurrogateSettings(),  # noqa: B008 (frozen)
+) -> Array:
+    """(n,) readings at `times_s` (n,), rising; the state (q0, qd0) is that of the first reading's instant."""
+    numbers = numbers_of(plant, effects, nuisance)
+    numbers[kernel.Q0], numbers[kernel.QD0] = q0, qd0
+    times = np.ascontiguousarray(times_s, float)
+    q = sweep(numbers[None], terms_of(effects), times, inputs, step_of(plant, effects, settings))[0]
+    return readings_of(effects, q)

@@ -1,0 +1,397 @@
+"""The page of a gap: what is missing, how sure that is, where it shows, and how much smaller the gap is with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from freeart21.files import atomic
+from freeart21.joint import JointType
+from freeart21.view.document import Section, document, escape
+from freeart21.view.plot import display_unit
+from freeart21.view.tables import table_section
+from simgap.geometry.finding import KinematicsFinding
+from simgap.geometry.track_geometry import TrackGeometry
+from simgap.judgement.words import capital, effect_words, number_text, plain, runs_text
+from simgap.motion.localise import LEVEL, ResidualMap
+from simgap.page.report_plots import AFTER, BEFORE, Line, chart, interval_drawing, map_drawing, p_text, run_drawings
+from simgap.proof.show import ReplayGap, Shown, alike, closed_alike
+from simgap.verdict import RunGap, Verdict, unseen
+
+GEOMETRY = "geometry"
+"""Regime of a gap that is counted in metres off the joint."""
+ROLLED_BACK = "with the repair that was rolled back"
+MOST_RUNS = 4
+"""Held-out runs that are drawn."""
+_WORDS = {
+    "no_gap": "No gap",
+    "named": "Named",
+    "ambiguous": "More than one answer",
+    "unexplained": "Unexplained",
+    "not_excited": "Cannot tell from these runs",
+}
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One explanation that was tried."""
+
+    names: tuple[str, ...]
+    """Effects; none for the asset as it is."""
+    floors: float
+    """Held-out error in floors: 1 is noise alone."""
+    p_value: float | None = None
+    """Chance that effects that do not exist look as good."""
+    note: str = ""
+    spread: tuple[float, float] | None = None
+    """The least and the largest error of one run, in floors."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """All that the page shows."""
+
+    title: str
+    joint: str
+    joint_type: JointType
+    verdict: Verdict
+    ranking: tuple[Ranked, ...] = ()
+    """Best first."""
+    maps: tuple[ResidualMap, ...] = ()
+    shown: Shown | None = None
+    geometry: KinematicsFinding | None = None
+    notes: tuple[str, ...] = ()
+    """What else should be known, such as that a repair was rolled back."""
+    seconds: float | None = None
+    curves: tuple[ReplayGap, ...] = ()
+    """Held-out runs as the fits have them, for where SAPIEN replayed none."""
+
+
+def write_report(path: Path, gap: Gap) -> None:
+    """Write the page, one file that needs no other."""
+    atomic.write_bytes(path, page(gap).encode())
+
+
+def page(gap: Gap) -> str:
+    """The page as HTML."""
+    verdict = gap.verdict
+    runs = {g.run: g.held_out for g in verdict.gaps}
+    chips = [f"joint {gap.joint}, {gap.joint_type}", f"{len(runs)} runs, {sum(runs.values())} held out"]
+    if gap.seconds is not None:
+        chips.append(f"{gap.seconds:.1f} s")
+    sections = [_answer(gap), *_parameters(gap), *_doubt(gap)]
+    motion, geometry = [*_runs(gap), *_maps(gap)], _geometry(gap)
+    sections += [*motion, *geometry] if _moves_otherwise(gap) else [*geometry, *motion]
+    return document(gap.title, [*sections, *_ranking(gap), *_gaps(gap)], "gap", chips)
+
+
+def _in_turn(gap: Gap) -> bool:
+    """Whether none of the runs of motion is held out for good: the fits then hold out each in turn."""
+    return not any(g.held_out for g in gap.verdict.gaps if g.regime != GEOMETRY)
+
+
+def _moves_otherwise(gap: Gap) -> bool:
+    """Whether the answer is (also) about the motion, not about the joint's geometry alone."""
+    kinds = [named.effect.kind for named in gap.verdict.effects]
+    return not kinds or any(kind != "kinematics" for kind in kinds)
+
+
+def _answer(gap: Gap) -> Section:
+    """The sentence, and the three figures that matter."""
+    verdict = gap.verdict
+    tiles = _tiles(gap)
+    notes = "".join(f'<p class="note">{escape(note)}</p>' for note in (*gap.notes, *verdict.notes))
+    word = _WORDS[verdict.verdict] + ", in part" * verdict.in_part
+    html = (
+        f'<p class="verdict {escape(verdict.verdict)}"><b>{escape(word)}</b></p>'
+        f'<p class="sentence">{escape(verdict.sentence)}</p>'
+        f'<div class="tiles">{"".join(tiles)}</div>{notes}'
+    )
+    return Section("The answer", html, place="full")
+
+
+def _tiles(gap: Gap) -> list[str]:
+    """Gap before, after, floor, and how much is closed: of the motion, and of the poses off the joint."""
+    tiles = []
+    motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY]
+    if _moves_otherwise(gap) and motion:
+        replayed = gap.shown is not None and bool(gap.shown.runs)
+        after = _with(gap) if replayed else None
+        tiles += _sizes(motion, lambda v: length_text(v, gap.joint_type), "", after, _in_turn(gap) and not replayed)
+        tiles += _closed(gap) if replayed and _with(gap) != ROLLED_BACK else []
+    off = [g for g in gap.verdict.gaps if g.regime == GEOMETRY]
+    if off:
+        tiles += _sizes(off, metres_text, "off the joint, ", "after")
+    return tiles
+
+
+def _with(gap: Gap) -> str:
+    """What the second curve of a replayed run is."""
+    if gap.verdict.verdict == "ambiguous":
+        return "with the best of these answers"
+    moved = any(n.effect.kind != "kinematics" and n.effect.name in gap.verdict.added for n in gap.verdict.effects)
+    return "after" if moved else ROLLED_BACK
+
+
+def _sizes(
+    gaps: list[RunGap], text: Callable[[float], str], what: str, after_is: str | None, in_turn: bool = False
+) -> list[str]:
+    """Tiles of the gap before and, if SAPIEN replayed it, after, and of the floor, each with the runs that it is of.
+
+    These are the held-out runs; where there is none, or none of them shows a gap, the fitted ones.
+    """
+    told = [g for g in gaps if g.held_out] if not unseen(gaps) else [g for g in gaps if not g.held_out]
+    judged = [g for g in told or gaps if not after_is or np.isfinite(g.after)] or told or gaps
+    where = runs_text([g.held_out for g in judged], in_turn)
+    before, after, floor = (
+        float(np.sqrt(np.mean([getattr(g, name) ** 2 for g in judged]))) for name in ("before", "after", "floor")
+    )
+    tiles = [_tile(text(before), f"gap before, {what}on {where}", f"{before / floor:.1f} floors")]
+    if after_is and after_is != ROLLED_BACK and np.isfinite(after):
+        tiles.append(_tile(text(after), f"gap {after_is}, {what}on the same, in SAPIEN", f"{after / floor:.1f} floors"))
+    return [*tiles, _tile(text(floor), f"floor, {what}the sensor's noise in the same", "")]
+
+
+def _closed(gap: Gap) -> list[str]:
+    """Tiles of the part of the gap that is closed, in motion as was fitted and in other."""
+    assert gap.shown is not None
+    fitted = {r.regime for r in gap.verdict.gaps if not r.held_out}
+    same, other = closed_alike(gap.shown, fitted)
+    near = alike(gap.shown, fitted)
+    far = [run for run in gap.shown.runs if run not in near]
+    tiles = []
+    if same is not None:
+        what = f"of the gap closed, on {runs_text([run.held_out for run in near])}"
+        kind = "same kind of motion as was fitted" if {r.regime for r in near} <= fitted else "other motion"
+        tiles.append(_tile(f"{100 * min(same, 1.0):.0f} %", what, kind))
+    if other is not None:
+        what = f"closed in other motion, on {runs_text([run.held_out for run in far])}"
+        tiles.append(_tile(f"{100 * min(other, 1.0):.0f} %", what, ", ".join(sorted({run.regime for run in far}))))
+    return tiles
+
+
+def _tile(figure: str, what: str, more: str) -> str:
+    return f"<div><b>{escape(figure)}</b><span>{escape(what)}</span><small>{escape(more)}</small></div>"
+
+
+def _parameters(gap: Gap) -> list[Section]:
+    """Every parameter of the named effects, with its interval."""
+    rows = []
+    for named in gap.verdict.effects:
+        specs = named.effect.parameters(gap.joint_type)
+        for k, (name, spec) in enumerate(specs.items()):
+            unit = spec.unit(gap.joint_type)
+            value, low, high = getattr(named.effect, name), named.low[name], named.high[name]
+            head = (
+                f"<b>{escape(capital(plain(named.effect.name)))}</b><br>{escape(named.effect.name)}" if k == 0 else ""
+            )
+            rows.append(
+                f"<tr><th scope=row>{head}</th><td>{escape(name)}<br><small>{escape(spec.meaning)}</small></td>"
+                f"<td class=number><b>{escape(number_text(value, unit))}</b></td>"
+                f"<td class=number>{escape(number_text(low, unit))} to {escape(number_text(high, unit))}</td>"
+                f"<td>{interval_drawing(value, low, high)}</td></tr>"
+            )
+    if not rows:
+        return []
+    head = "".join(f"<th scope=col>{cell}</th>" for cell in ("", "parameter", "value", "90 % interval", ""))
+    html = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+    html += f'<p class="note">Fitted to {escape(_fitted_text(gap))}.</p>'
+    here = [named.effect.name in gap.verdict.added for named in gap.verdict.effects]
+    if all(here):
+        title = "What was added to the asset"
+    elif any(here):
+        title = f"The best explanation; added to the asset: {', '.join(gap.verdict.added)}"
+    else:
+        title = "The best explanation, not certain, and not added to the asset"
+    return [Section(title, html, place="full")]
+
+
+def _fitted_text(gap: Gap) -> str:
+    """The runs that the answer's numbers are fitted to: those that are not held out."""
+    names = list(dict.fromkeys(g.run for g in gap.verdict.gaps if not g.held_out))
+    return f"run {names[0]}" if len(names) == 1 else f"{len(names)} runs: {', '.join(names)}"
+
+
+def _doubt(gap: Gap) -> list[Section]:
+    """Rivals and the next experiment, and where something remains."""
+    verdict, lines = gap.verdict, []
+    for names in verdict.rivals:
+        said = capital(" and ".join(plain(n) for n in names))
+        lines.append(f"<li>{escape(said)} <small>{escape(', '.join(names))}</small></li>")
+    html = ""
+    if lines:
+        html += "<p>These explain the runs equally well:</p>" + f'<ul class="remarks">{"".join(lines)}</ul>'
+    if verdict.next_experiment:
+        html += f'<p class="next"><b>Next experiment.</b> {escape(verdict.next_experiment)}</p>'
+    title = "What the data cannot tell apart" if lines else "What would tell more"
+    found = [Section(title, html, place="full")] if html else []
+    if verdict.where:
+        spots = "".join(
+            f"<li>{escape(w.text)} <small>p = {escape(p_text(w.p_value))}</small></li>" for w in verdict.where[:8]
+        )
+        more = f'<p class="note">And {len(verdict.where) - 8} more.</p>' if len(verdict.where) > 8 else ""
+        every = {g.run: g.held_out for g in gap.verdict.gaps}
+        title = f"Where it shows, in {runs_text(list(every.values()))}"
+        found.append(Section(title, f'<ul class="remarks two">{spots}</ul>{more}', place="full"))
+    return found
+
+
+def _runs(gap: Gap) -> list[Section]:
+    """Held-out runs before and after, as SAPIEN replays them; as the fits have them where it does not."""
+    replayed = gap.shown.runs if gap.shown is not None else ()
+    most = MOST_RUNS if _moves_otherwise(gap) else 1
+    names: tuple[str, str | None]
+    if replayed:
+        runs, where, names = replayed, "in SAPIEN", ("as the asset was", _with(gap))
+    else:
+        nearest = "with the nearest try, which is no answer" if gap.verdict.verdict == "unexplained" else None
+        runs, where, names = gap.curves, "in the fits' own simulation", ("as the asset is", nearest)
+    sections = []
+    alone = unseen([g for g in gap.verdict.gaps if g.regime != GEOMETRY])
+    for run in sorted(runs, key=lambda r: r.held_out == alone)[:most]:  # first those that tell
+        figures, data = run_drawings(run, gap.joint_type, names)
+        pieces = f"in {run.stretches} stretches" if run.stretches > 1 else ""
+        role = "held out" if run.held_out else "fitted" if replayed else "held out in turn"
+        facts = ", ".join(w for w in (role, run.regime, where, pieces) if w)
+        sizes = [length_text(v, gap.joint_type) for v in (run.gap_before, run.gap_after)]
+        title = f"Run {run.run}, {facts}: {' → '.join(sizes if names[1] else sizes[:1])}"
+        sections.append(Section(title, f'<div class="charts wide">{"".join(figures)}</div>', "curves", data, "full"))
+    return sections
+
+
+def _maps(gap: Gap) -> list[Section]:
+    """Maps of the missing force, the surest first."""
+    if not gap.maps:
+        return []
+    maps = sorted(gap.maps, key=lambda m: m.p_value)
+    drawn = "".join(map_drawing(m, gap.joint_type) for m in maps)
+    told = sum(m.adjusted <= LEVEL for m in maps)
+    note = (
+        "What force the asset's equation lacks, by the accelerations in "
+        f"{runs_text([*{g.run: g.held_out for g in gap.verdict.gaps}.values()])}; bars with standard errors. "
+        f"{told} of {len(maps)} maps differ from nothing beyond chance (half-swings flipped at random, corrected for "
+        "the number of maps); where, is on colour. These maps point; the fits decide."
+    )
+    return [
+        Section(
+            "Where simulation and measurement part",
+            f'<div class="charts maps">{drawn}</div><p class="note">{escape(note)}</p>',
+            place="full",
+        )
+    ]
+
+
+def _geometry(gap: Gap) -> list[Section]:
+    """How far the part is off its joint, by the poses alone."""
+    if gap.geometry is None or not gap.geometry.tracks:
+        return []
+    g = gap.geometry
+    track = sorted(g.tracks, key=lambda t: not t.held_out)[0]
+    figures = "".join(
+        _off_drawing(track, columns, title, unit, factor)
+        for columns, title, unit, factor in (
+            (slice(0, 3), "Off the joint: shift of the part's middle", "mm", 1e3),
+            (slice(3, 6), "Off the joint: turn", "°", 180 / np.pi),
+        )
+    )
+    chosen = tuple(sorted(e.name for e in g.effects))
+    shown = [r for r in g.ranking if len(r[0]) < 2 or tuple(sorted(r[0])) == chosen or r[0] in g.rivals]
+    rows = [
+        (
+            capital(" and ".join(plain(n) for n in names) or "the asset's ideal joint"),
+            ", ".join(names),
+            f"{np.sqrt(loss):.2f}",
+            p_text(p) if names else "",
+            "chosen" if tuple(sorted(names)) == chosen and names else "rival" if names in g.rivals else "",
+        )
+        for names, loss, p in shown
+    ]
+    what = f"Run {track.name}, {'held out' if track.held_out else 'fitted'}"
+    note = (
+        "The position along the joint is free in every frame here, so no dynamics is in it: what remains is geometry. "
+        + capital("; ".join(effect_words(e, gap.joint_type) for e in g.effects))
+    )
+    table = table_section(
+        f"Explanations of the geometry, by poses of {runs_text([t.held_out for t in g.tracks if not t.held_out])}, "
+        "left out in turn",
+        rows,
+        ("", "", "error, in floors", "p of no gain", ""),
+        "full",
+        f"{g.remainder_floors:.1f} floors of displacement go with the position and have no name.",
+    )
+    drawing = Section(
+        f"Off its joint: {what}, {1e3 * track.gap_before:.2g} mm → {1e3 * track.gap_after:.2g} mm "
+        f"(noise {1e3 * track.floor:.2g} mm)",
+        f'<div class="charts wide">{figures}</div><p class="note">{escape(note)}</p>',
+        place="full",
+    )
+    return [drawing, table]
+
+
+def _off_drawing(track: TrackGeometry, columns: slice, title: str, unit: str, factor: float) -> str:
+    kept = np.unique(np.linspace(0, len(track.times_s) - 1, min(500, len(track.times_s))).astype(int))
+    lines = [
+        Line(name, colour, factor * np.linalg.norm(off[kept][:, columns], axis=1))
+        for name, colour, off in (("before", BEFORE, track.off_before), ("after", AFTER, track.off_after))
+    ]
+    return chart(track.times_s[kept] - track.times_s[0], lines, title, unit, height=170)
+
+
+def _ranking(gap: Gap) -> list[Section]:
+    """Every explanation tried, by what it leaves on runs that it was not fitted to."""
+    if not gap.ranking:
+        return []
+    worst = max(np.log10(max(r.floors, 1.0)) for r in gap.ranking) or 1.0
+    rows = []
+    for r in gap.ranking[:12]:
+        names = capital(" and ".join(plain(n) for n in r.names) or "nothing is missing")
+        share = 100 * np.log10(max(r.floors, 1.0)) / worst
+        p = "" if r.p_value is None else p_text(r.p_value)
+        spread = "" if r.spread is None else f"{r.spread[0]:.2f} to {r.spread[1]:.2f}"
+        rows.append(
+            f"<tr><th scope=row>{escape(names)}<br><small>{escape(', '.join(r.names))}</small></th>"
+            f'<td class="bar"><i style="width:{share:.1f}%"></i></td><td class=number>{r.floors:.2f}</td>'
+            f"<td class=number>{escape(spread)}</td>"
+            f"<td class=number>{escape(p)}</td><td>{escape(r.note)}</td></tr>"
+        )
+    head = "".join(f"<th scope=col>{cell}</th>" for cell in ("", "error (log)", "floors", "run by run", "p", ""))
+    html = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+    motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY]
+    of = runs_text([g.held_out for g in motion if g.held_out or _in_turn(gap)], _in_turn(gap))
+    return [Section(f"Explanations, by their error on {of}", html, place="full")]
+
+
+def _gaps(gap: Gap) -> list[Section]:
+    """All runs in numbers."""
+    rows = []
+    for g in gap.verdict.gaps:
+        sizes = [
+            "-" if not np.isfinite(v) else metres_text(v) if g.regime == GEOMETRY else length_text(v, gap.joint_type)
+            for v in (g.before, g.after, g.floor)
+        ]
+        replayed = g.regime == GEOMETRY or (gap.shown is not None and any(r.run == g.run for r in gap.shown.runs))
+        fitted = "fitted" if replayed or not _in_turn(gap) else "held out in turn"
+        rows.append((g.run, "held out" if g.held_out else fitted, g.regime, *sizes))
+    note = ""
+    if gap.shown is not None and gap.shown.runs:
+        note = (
+            "Replayed in a fresh process in SAPIEN, each run at the time step that it needs, "
+            f"{1e3 * gap.shown.timestep_s:g} ms at the finest; the last halving changed a run, before or after, by no "
+            f"more than {gap.shown.numerics:.2g} floors."
+        )
+    return [table_section("Runs", rows, ("", "", "motion", "gap before", "after", "floor"), "full", note)]
+
+
+def metres_text(value: float) -> str:
+    """A displacement in millimetres."""
+    return f"{1e3 * value:.2g} mm" if value < 0.0995 else f"{1e3 * value:.0f} mm"
+
+
+def length_text(value: float, kind: JointType) -> str:
+    """A joint's position or a difference of two, in degrees or millimetres."""
+    if kind == "prismatic":
+        return metres_text(value)
+    return f"{display_unit(kind)[1] * value:.2g}°"

@@ -1,0 +1,177 @@
+"""The fresh process of `simgap.proof.show`: `python -m simgap.proof.replay FOLDER` reads FOLDER/job.json and job.npz.
+
+Results appear one by one, so that those in time count when the others are not: FOLDER/poses.json, then run_0.npz,
+run_1.npz, ... with the readings of both assets, the time step of each and what its last halving changed, in floors.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.effects.base import Effect
+from freeart21.effects.gravity_offset import GravityOffset
+from freeart21.effects.load_friction import LoadFriction
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.asset import movable_joint, read_asset
+from freeart21.files.urdf import parsed
+from freeart21.mechanics import Actuator, between
+from freeart21.se3 import Array
+from generator import simulate
+from simgap.geometry.placing import place
+from simgap.geometry.track_geometry import at_point, displacement
+
+HALVINGS = 6
+SHARE = 0.4
+"""Of the seconds that there are, beyond which no time step is halved twice."""
+ENOUGH, SMALL = 0.1, 0.005
+"""Floors that a halving of the time step may change a replay by, and the part of what that replay is off by anyway: a
+free swing far from the measured one may differ by more at any step, and tells the same."""
+
+
+class _Stage:
+    """One asset in SAPIEN, ready to replay runs."""
+
+    def __init__(self, path: Path, job: dict[str, Any], off: dict[str, Any], folder: Path):
+        asset = read_asset(path, job["joint"], guesses=False)
+        placed = place(asset, np.array(job["gravity"]))
+        self.lower, self.upper = (getattr(movable_joint(asset.urdf, asset.joint), k) for k in ("lower", "upper"))
+        revolute = placed.mechanics.joint.type == "revolute"
+        cosine, sine, constant = off["gravity"]
+        inertia = float(off["inertia"])
+        # heavier links weigh more too; what gravity has beyond the asset's is counted from the asset's own masses
+        if revolute:
+            own = [float(placed.mechanics.gravity_force(q)) for q in (0.0, np.pi / 2)]
+            offset = GravityOffset(cosine=cosine - (inertia - 1) * own[0], sine=sine - (inertia - 1) * own[1])
+        else:
+            own_force = float(placed.mechanics.gravity_force(0.0))
+            offset = GravityOffset(constant=constant - (inertia - 1) * own_force)
+        self.asset = _scaled(asset, inertia, folder)
+        own_effects = tuple(_under_scaled(e, inertia) for e in asset.effects.get(asset.joint, ()))
+        self.effects = (*own_effects, *((offset,) if any(offset.values()) else ()))
+        self.gravity, self.job = placed.gravity, job
+        self.holding = float(off["holding"])
+
+    def load(self, timestep_s: float) -> simulate.SimulatedAsset:
+        """The asset with its effects, and with how it is off."""
+        loaded = simulate.load(self.asset, timestep_s=timestep_s, gravity=self.gravity)
+        loaded.set_effects(self.effects)
+        return loaded
+
+    def replay(self, loaded: simulate.SimulatedAsset, data: Any, i: int, start: tuple[float, float]) -> Array:
+        """(n,) what the sensor reads at the times of run `i`; the state `start` is that of the first reading.
+
+        A sensor that is late reads a state of before: the simulation begins by so much earlier.
+        """
+        times, clock = data[f"times_{i}"], data[f"clock_{i}"]
+        sensing = [effect for effect in loaded.effects if effect.kind == "sensing"]
+        first = float(times[0])
+        begin = first - sum(effect.delay() for effect in sensing)
+        effort, command = (data.get(f"{name}_{i}") for name in ("effort", "q_command"))
+        law, how = self.job["actuator"], self.job["interpolation"]
+        h = loaded.timestep_s
+        follows = between(clock - begin, command, how, h, self.holding) if command is not None and law else None
+        told = between(clock - begin, effort, how, h, self.holding) if effort is not None else None
+        commanded, push = (told if self.job["effort"] == kind else None for kind in ("commanded", "external"))
+        actuator = None
+        if follows is not None or commanded is not None:
+            stiffness, damping = law or (0.0, 0.0)
+            actuator = Actuator(follows, stiffness, damping, commanded)
+        q0 = float(np.clip(start[0], self.lower, self.upper))
+        seconds = float(np.ceil((times[-1] - first) / h) * h) + h
+        rolled = simulate.roll_out(loaded, q0, start[1], duration_s=seconds, force=push, actuator=actuator)
+        q = np.interp(times - first, rolled.times_s, rolled.q)
+        return np.asarray(q + sum((effect.reading_error(q) for effect in sensing), np.zeros(len(q))))
+
+
+def _scaled(asset: Asset, factor: float, folder: Path) -> Asset:
+    """The asset with all its masses and inertias times `factor`, from a URDF in `folder`."""
+    if factor == 1.0:
+        return asset
+    root = parsed(asset.urdf)
+    for inertial in root.iter("inertial"):
+        for element in (*inertial.findall("mass"), *inertial.findall("inertia")):
+            for key, value in element.attrib.items():
+                element.set(key, repr(float(value) * factor))
+    for element in (*root.iter("mesh"), *root.iter("texture")):
+        element.set("filename", str(simulate.named_file(asset.urdf, element.get("filename", ""))))
+    path = folder / f"scaled_{asset.urdf.parent.name}_{factor:.9g}.urdf"
+    path.write_bytes(ET.tostring(root))
+    return replace(asset, urdf=path)
+
+
+def _under_scaled(effect: Effect, factor: float) -> Effect:
+    """The effect that does under masses times `factor` what this one does under the asset's own."""
+    return replace(effect, coefficient=effect.coefficient / factor) if isinstance(effect, LoadFriction) else effect
+
+
+def _replay(folder: Path) -> None:
+    job = checked.read_json(folder / "job.json")
+    data = dict(np.load(folder / "job.npz"))
+    stages = [_Stage(Path(path), job, off, folder) for path, off in zip(job["assets"], job["off"], strict=True)]
+    off = [_pose_gaps(stages, data, i, said) for i, said in enumerate(job["poses"])]
+    atomic.write_json(folder / "poses.json", {"poses": off})
+    starts = [[(float(q), float(qd)) for q, qd in pair] for pair in job["starts"]]
+    end = time.monotonic() + SHARE * float(job["seconds"])
+    for i in range(len(starts)):
+        told = [_converged(stage, data, job, i, starts[i][k], end) for k, stage in enumerate(stages)]
+        aside = folder / f"aside_{i}.npz"
+        (before, *first), (after, *second) = told
+        np.savez(aside, before=before, after=after, steps=np.array([first, second]))
+        aside.replace(folder / f"run_{i}.npz")
+
+
+def _converged(
+    stage: _Stage, data: Any, job: dict[str, Any], i: int, start: tuple[float, float], end: float
+) -> tuple[Array, float, float]:
+    """Readings of one run, the time step that they needed, s, and by how many floors its last halving changed them.
+
+    Each run with each asset by itself: what was added may be stiffer than all that was there, and a run that just
+    passes a notch, or does not, needs far finer steps than one that only swings wider and faster.
+    """
+    floor, h = float(job["floors"][i]), float(job["timestep_s"])
+    least, coarse = h / 2**HALVINGS, None
+    while coarse is None:
+        try:
+            coarse = stage.replay(stage.load(h), data, i, start)
+        except FreeArtError:  # too stiff for such a step
+            if h < 4 * least:
+                raise
+            h /= 2
+    while True:
+        h /= 2
+        fine = stage.replay(stage.load(h), data, i, start)
+        numerics, gap = (float(np.sqrt(np.mean((fine - q) ** 2))) / floor for q in (coarse, data[f"q_{i}"]))
+        if numerics < max(ENOUGH, SMALL * gap) or h <= least or time.monotonic() > end:
+            return fine, h, numerics
+        coarse = fine
+
+
+def _pose_gaps(stages: list[_Stage], data: Any, i: int, said: dict[str, Any]) -> list[float]:
+    """m: how far measured poses of run `i` are from where either asset has the part."""
+    gaps = []
+    for k, stage in enumerate(stages):
+        motion = simulate.joint_motion(stage.asset, data[f"states_{k}_{i}"], data[f"pose_times_{i}"], stage.gravity)
+        off = se3.log_se3(se3.inverse(motion) @ data[f"poses_{k}_{i}"])
+        gaps.append(displacement(at_point(np.array(said["middle"]), off), float(said["lever"])))
+    return gaps
+
+
+def _main() -> None:
+    try:
+        _replay(Path(sys.argv[1]))
+    except FreeArtError as error:
+        sys.exit(str(error))
+
+
+if __name__ == "__main__":
+    _main()
