@@ -22,6 +22,8 @@ WILD, WILDER = 0.05, 4.0
 """Share of the pixels whose noise is so many times larger: Gaussian, with room for the odd pixel. Not measured."""
 LEAST_NOISE = 1.5
 """Floors that a pixel's noise must exceed to be named."""
+LEAST_EXPONENT = 0.2
+"""By which noise grows with distance or angle, to be named: less is hardly any. Not measured."""
 LEAST_HOLES, LEAST_FLYING = 0.01, 0.05
 """Least share of the pixels (of the object; at its edges) that is named. A mask's rim is wrong for as many."""
 FLOOR_RATE = 2e-3
@@ -100,7 +102,7 @@ def chosen_of(
 
 
 def noise(rows: Rows, split: tuple[NDArray[np.int64], ...], floor: float) -> Family:
-    """Noise of single pixels, by the differences of neighbours, which poses and smooth shapes do not touch.
+    """Noise of single pixels, by the differences of pixels near each other, which poses and smooth shapes do not touch.
 
     `floor` is what the step of the measured depth and the asset's own roughness make of it, metres.
     """
@@ -158,7 +160,10 @@ def noise(rows: Rows, split: tuple[NDArray[np.int64], ...], floor: float) -> Fam
 
     return chosen_of(
         "noise", models, {"place in the picture": placed}, _three(split),
-        lambda v: v["noise"] >= LEAST_NOISE * floor, size, floor,
+        lambda v: v["noise"] >= LEAST_NOISE * floor
+        and abs(v.get("noise_growth", 1.0)) >= LEAST_EXPONENT
+        and v.get("noise_grazing", 1.0) >= LEAST_EXPONENT,
+        size, floor,
     )  # fmt: skip
 
 

@@ -35,6 +35,8 @@ class Geometry:
     """Best first."""
     null: Tried
     null_fit: LinearFit
+    beside: dict[str, tuple[Tried, Tried, LinearFit]]
+    """Nameless rival to itself, itself beside the chosen set, and that fit."""
 
 
 def by_key(key: str) -> Effect:
@@ -82,7 +84,7 @@ def search(
     assert null is not None
     effects = [e for e in GEOMETRY if e.name not in shut]
     if _at_the_floor(fits[()], blocks):
-        return Geometry((), ((),), fits[()], tuple(tried), null, fits[()])
+        return Geometry((), ((),), fits[()], tuple(tried), null, fits[()], {})
     beam: list[tuple[str, ...]] = [()]
     for _ in range(most):
         wider = {
@@ -101,10 +103,13 @@ def search(
         if again is first or not any(added):
             break
         first, alike = again, alike_again
+    beside = {}
     for key in NAMELESS:
-        attempt((key,), nameless=True)
+        alone = attempt((key,), nameless=True)
         if first.names:
-            attempt((*first.names, key), nameless=True)
+            both = attempt((*first.names, key), nameless=True)
+            assert alone is not None and both is not None
+            beside[key] = alone, both, fits[*first.names, key]
     ordered = tuple(sorted(tried, key=lambda t: -t.mean))
     own = {tuple(sorted(by_key(k).name for k in first.names))}
     rivals = [first.names]
@@ -114,7 +119,7 @@ def search(
             own.add(names)
             rivals.append(t.names)
     return Geometry(
-        tuple(by_key(k) for k in first.names), tuple(rivals), fits[first.names], ordered, null, fits[()]
+        tuple(by_key(k) for k in first.names), tuple(rivals), fits[first.names], ordered, null, fits[()], beside
     )
 
 

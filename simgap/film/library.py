@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.camera_faults import CameraFaults
+from freeart21.camera_faults import BOUNDS, CameraFaults
 from freeart21.se3 import Array
 from simgap.film.linear import Block
 from simgap.film.samples import Rows
@@ -152,7 +152,7 @@ def faults_of(design: Design, effects: tuple[Effect, ...], chosen: tuple[int, ..
     for effect in effects:
         for name, sign, column in zip(effect.parameters, effect.signs, design.columns[effect.key], strict=True):
             values[name] = values.get(name, 0.0) + sign * float(at[column])
-    return CameraFaults(**values)
+    return CameraFaults(**{name: float(np.clip(v, *BOUNDS[name])) for name, v in values.items()})
 
 
 def hats(x: Array, count: int) -> Array:

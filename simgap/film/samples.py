@@ -29,6 +29,9 @@ EDGE_SHARE = 0.03
 REACH_PX = 7.0
 """How far along its normal an outline is looked for."""
 STEP_PX = 0.25
+PAIR_PX = 4
+"""Pixels apart whose errors are compared for noise: real depth cameras smooth over their neighbours, which then differ by
+less than the noise."""
 BAND_PX = 5.0
 """Pixels from a depth edge, on the nearer surface, where flying pixels are looked for."""
 MOST_INNER, MOST_EDGE, MOST_BAND = 1500, 400, 600
@@ -64,7 +67,12 @@ class FrameRows:
     normal: Array
     """(n, 3) camera frame."""
     pair: Array
-    """(n,) difference of the error to the right-hand neighbour's over root 2, metres; NaN where there is none."""
+    """(n,) second difference of the error over `PAIR_PX` to both sides, over root 6, metres; NaN where there is none.
+
+    It is as large as the noise, and blind to what is smooth.
+    """
+    near: Array
+    """(n,) the same over the next pixels."""
     stops: Array
     """(n,) measured over simulated linear light, powers of two; NaN where a picture is too dark or too bright to tell."""
     light: Array
@@ -194,7 +202,10 @@ def _inner(
     ok = (depth_edges(z)[1] >= INNER_PX) & inside
     error = np.where(frame.depth > 0, frame.depth - z, np.nan)
     pair = np.full(z.shape, np.nan)
-    pair[:, :-1] = np.where(ok[:, 1:] & ok[:, :-1], (error[:, 1:] - error[:, :-1]) / np.sqrt(2), np.nan)
+    near = np.full(z.shape, np.nan)
+    for out, k in ((pair, PAIR_PX), (near, 1)):
+        bent = error[:, 2 * k :] - 2 * error[:, k:-k] + error[:, : -2 * k]
+        out[:, k:-k] = np.where(ok[:, 2 * k :] & ok[:, k:-k] & ok[:, : -2 * k], bent / np.sqrt(6), np.nan)
     slope_v, slope_u = np.gradient(z)
     same = before.depth.part == now.depth.part
     later = np.where(same, before.depth.depth - z, 0.0) * fps / AHEAD
@@ -219,6 +230,7 @@ def _inner(
         now.depth.part.flat[k].astype(int),
         now.depth.normals.reshape(-1, 3)[k].astype(float),
         pair.flat[k],
+        near.flat[k],
         stops,
         np.log2(np.maximum(light, 1e-6)),
     )

@@ -79,7 +79,7 @@ def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVer
     if said != simulated_with:  # what flies is told from what is noisy, or off as a whole
         rows = rows_of(film.recording, film.scene, frames, said, tell)
     families = (noisy, lost, flying(rows, split))
-    drift = colours(rows, split) if film.scene.coloured else None
+    drift = colours(rows, split, film.scene.same_video) if film.scene.coloured else None
     part = missing_part(film.recording, film.scene, rows, split)
     found = Found(
         film.recording,
