@@ -18,8 +18,11 @@ from freeart21.se3 import Array
 from simgap.film.choose import Tried, smallest
 from simgap.film.samples import Rows
 
-WILD, WILDER = 0.05, 4.0
-"""Share of the pixels whose noise is so many times larger: Gaussian, with room for the odd pixel. Not measured."""
+WILD = 0.02
+"""Share of the pixels that may be off by anything (up to a metre): Gaussian, with room for the odd pixel. Not measured."""
+SMOOTH = 0.2
+"""What pixels beside each other must differ by, as a share of what pixels four apart do, to be noise: of a smooth error it
+is a sixteenth, of a Kinect's noise, which is smoothed, half."""
 LEAST_NOISE = 1.5
 """Floors that a pixel's noise must exceed to be named."""
 LEAST_EXPONENT = 0.2
@@ -112,6 +115,8 @@ def noise(rows: Rows, split: tuple[NDArray[np.int64], ...], floor: float) -> Fam
         rows.of("pair")[kept], pair[kept], rows["z"][kept], np.maximum(rows["cosine"][kept], 0.05), rows["at"][kept],
     )  # fmt: skip
     middle = float(np.median(z)) if len(z) else 1.0
+    near = np.abs(rows["near"][np.isfinite(rows["near"])])
+    beside = float(np.sqrt(np.mean(np.minimum(near, np.quantile(near, 0.95)) ** 2))) if len(near) else 0.0
     growth, grazing = np.log(np.maximum(z, 1e-6) / middle), -np.log(cosine)
     names = ("noise_growth", "noise_grazing")
 
@@ -121,7 +126,7 @@ def noise(rows: Rows, split: tuple[NDArray[np.int64], ...], floor: float) -> Fam
             features = np.stack([np.ones(len(e)), growth, grazing], -1)[:, [0, *which]]
             beta = _scale_fit(e[on], features[on], floor)
             values = {"noise": float(np.exp(beta[0])), "noise_at": middle}
-            values |= {names[k - 1]: float(b) for k, b in zip(which, beta[1:], strict=True)}
+            values |= {names[k - 1]: float(np.clip(b, -4, 8)) for k, b in zip(which, beta[1:], strict=True)}
             scale = np.sqrt(floor**2 + np.exp(2 * np.clip(features @ beta, -30, 5)))
             return values, lambda some: _summed(_noise_log(e, scale), frame, some)
 
@@ -161,6 +166,7 @@ def noise(rows: Rows, split: tuple[NDArray[np.int64], ...], floor: float) -> Fam
     return chosen_of(
         "noise", models, {"place in the picture": placed}, _three(split),
         lambda v: v["noise"] >= LEAST_NOISE * floor
+        and beside >= SMOOTH * v["noise"]
         and abs(v.get("noise_growth", 1.0)) >= LEAST_EXPONENT
         and v.get("noise_grazing", 1.0) >= LEAST_EXPONENT,
         size, floor,
@@ -182,9 +188,9 @@ def _scale_fit(e: Array, features: Array, floor: float) -> Array:
 
 
 def _noise_log(e: Array, scale: Array) -> Array:
-    """Log density of noise with standard deviation `scale`."""
-    x = 0.5 * (e / scale) ** 2
-    return np.asarray(np.log(((1 - WILD) * np.exp(-x) + WILD / WILDER * np.exp(-x / WILDER**2)) / scale + 1e-30) - 0.919)
+    """Log density of noise with standard deviation `scale`, metres."""
+    bell = 0.39894 * np.exp(-0.5 * (e / scale) ** 2) / scale
+    return np.asarray(np.log((1 - WILD) * bell + WILD))
 
 
 def _robust(e: Array, otherwise: float = 0.0) -> float:

@@ -62,7 +62,7 @@ def search(
 ) -> Geometry:
     """The smallest set of effects that the frames `choose_on` (indices) ask for.
 
-    Names in `shut` are not tried; sets of up to `most` effects are all tried, larger ones by adding to the best.
+    Names and keys in `shut` are not tried; sets of up to `most` effects are all tried, larger ones by adding to the best.
     """
     blocks = thinned(design.blocks, ROWS)
     fitting = [b.of(fit_on) for b in blocks]
@@ -82,7 +82,7 @@ def search(
 
     null = attempt(())
     assert null is not None
-    effects = [e for e in GEOMETRY if e.name not in shut]
+    effects = [e for e in GEOMETRY if not {e.name, e.key} & shut]
     if _at_the_floor(fits[()], blocks):
         return Geometry((), ((),), fits[()], tuple(tried), null, fits[()], {})
     beam: list[tuple[str, ...]] = [()]

@@ -314,7 +314,7 @@ def _band(depth: Drawn, frame: Frame, faults: CameraFaults, rng: np.random.Gener
             alike += np.abs(padded[v + dv, u + du] - d) < np.maximum(0.01 * d, 3 * noise)
     near = z.flat[k].astype(float)
     near = near * (1 + faults.depth_scale) + faults.depth_offset + faults.depth_curve * near**2
-    beyond = d - near > np.maximum(0.015 * near, 5 * noise)
+    beyond = d - near > np.maximum(EDGE_SHARE * near, 5 * noise)
     return distance.flat[k].astype(float), (d > 0) & beyond & (alike - 1 < 5)
 
 

@@ -64,6 +64,8 @@ def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVer
     shut = ABSORBED if film.scene.same_video else frozenset[str]()
     if not _moves(film):
         shut |= {"depth_delay"}
+    if film.scene.placed.exact:  # told in the frame of the colour camera
+        shut |= {e.key for e in GEOMETRY if e.key != e.name}
     geometry, rows, design, camera, simulated_with = _geometry(film, frames, split, shut, tell)
     middle = float(np.median(rows["z"]))
     quiet = max(depth_floor(middle, film.depth_unit), film.depth_unit / np.sqrt(12))
