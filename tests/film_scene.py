@@ -49,7 +49,7 @@ def _motion() -> tuple[np.ndarray, np.ndarray]:
     """Poses (n, 4, 4) and states: the object is turned about, comes and goes, and the lid opens and closes."""
     Ts, states = [], []
     for i in range(FRAMES):
-        s = i / (FRAMES - 1)
+        s = i / 44  # of a turn of one and a half seconds
         R = se3.exp_so3([0.8 + 0.6 * np.sin(4 * s), 0.6 * np.sin(5 * s + 1), 2.5 * s]) @ se3.exp_so3([np.pi, 0, 0])
         t = np.array([0.05 * np.sin(6 * s), 0.04 * np.cos(5 * s), 0.45 + 0.08 * np.sin(6 * s)])
         Ts.append(se3.pose(R, t))
@@ -60,7 +60,11 @@ def _motion() -> tuple[np.ndarray, np.ndarray]:
 def _cast(parts, poses) -> Frame:
     """One picture: the first hit of the ray through every pixel's centre."""
     rays = CAMERA.rays().reshape(-1, 3)
-    pieces = [(mesh.copy().apply_transform(T), colour) for boxes, T in zip(parts, poses, strict=True) for mesh, colour in boxes]
+    pieces = [
+        (mesh.copy().apply_transform(T), colour)
+        for boxes, T in zip(parts, poses, strict=True)
+        for mesh, colour in boxes
+    ]
     whole = trimesh.util.concatenate([mesh for mesh, _ in pieces])
     colours = np.concatenate([np.tile(colour, (len(mesh.faces), 1)) for mesh, colour in pieces])
     hit, ray = whole.ray.intersects_id(np.zeros_like(rays), rays, multiple_hits=False)

@@ -189,7 +189,9 @@ def second_bounce(film: Recording, metres: float) -> Recording:
     """A smooth bump of the depth that stands still in the picture, as light by way of a wall makes it."""
     v, u = np.mgrid[: film.camera.height, : film.camera.width]
     size = 0.12 * film.camera.width
-    bump = metres * np.exp(-0.5 * (((u - 0.55 * film.camera.width) / size) ** 2 + ((v - 0.45 * film.camera.height) / size) ** 2))
+    bump = metres * np.exp(
+        -0.5 * (((u - 0.55 * film.camera.width) / size) ** 2 + ((v - 0.45 * film.camera.height) / size) ** 2)
+    )
     return changed(film, lambda i, f, rng: with_depth(f, f.depth + bump))
 
 

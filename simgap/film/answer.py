@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from freeart21.camera_faults import CameraFaults, at_share
 from freeart21.recording import Recording
 from freeart21.se3 import Array
-from simgap.film.choose import Tried, benjamini_hochberg, sign_flip_p, standard_error
+from simgap.film.choose import LEAST_SHARE, Tried, benjamini_hochberg, sign_flip_p, standard_error
 from simgap.film.colour import Colours
 from simgap.film.counts import LEAST_FLYING, LEAST_HOLES, Family
 from simgap.film.geometry import LEAST_DEPTH, Geometry, thinned
@@ -198,7 +198,9 @@ def _given_way(found: Found, effect: Effect, chosen: Tried) -> str:
     own = np.array([g.fit.beta[g.fit.chosen.index(c)] for c in columns])
     sizes = np.sqrt(np.mean(np.concatenate([b.columns[:, columns] ** 2 for b in found.design.blocks]), 0))
     for key, (alone, both, fit) in g.beside.items():
-        if alone.mean <= chosen.mean and both.mean - chosen.mean <= 0.5 * (chosen.mean - g.null.mean):
+        more = alone.densities - chosen.densities
+        spare = max(standard_error(more), LEAST_SHARE * (chosen.mean - g.null.mean))
+        if more.mean() <= spare and both.mean - chosen.mean <= HALF * (chosen.mean - g.null.mean):
             continue
         beside = np.array([fit.beta[fit.chosen.index(c)] for c in columns])
         change = float(np.linalg.norm((beside - own) * sizes) / max(np.linalg.norm(own * sizes), 1e-15))
@@ -293,11 +295,15 @@ def _gaps(found: Found, names: Sequence[str]) -> list[FilmGap]:
     for family, unit in ((noise, "m"), (lost, ""), (flies, "")):
         closed = bool(set(family.chosen) & set(names))
         what = {"noise": "noise of single pixels", "holes": "pixels lost", "flying pixels": "pixels that fly at edges"}
-        gaps.append(FilmGap(what[family.kind], unit, family.before, family.after if closed else family.before, family.floor))
+        gaps.append(
+            FilmGap(what[family.kind], unit, family.before, family.after if closed else family.before, family.floor)
+        )
     drift = found.drift
     if drift is not None and drift.null is not None:
         closed = bool(set(drift.chosen) & set(names))
-        gaps.append(FilmGap("brightness of frames", "stops", drift.before, drift.after if closed else drift.before, drift.floor))
+        gaps.append(
+            FilmGap("brightness of frames", "stops", drift.before, drift.after if closed else drift.before, drift.floor)
+        )
     return gaps
 
 
@@ -390,7 +396,9 @@ def _sentence(
     if sure:
         lines.append(f"{_capital(listed(sure))}.")
     if rivals:
-        lines.append(f"These frames cannot decide between {', or '.join(listed([PLAIN[n] for n in r]) for r in rivals)}.")
+        lines.append(
+            f"These frames cannot decide between {', or '.join(listed([PLAIN[n] for n in r]) for r in rivals)}."
+        )
     if found.part is not None:
         size = " x ".join(f"{1e3 * v:.0f}" for v in found.part.size)
         lines.append(f"The asset lacks something of about {size} mm that moves with its {found.part.part} part.")

@@ -54,9 +54,7 @@ class Colours:
     """Why the drift is not named, where it gives way to something nameless."""
 
 
-def colours(
-    rows: Rows, split: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], lit: bool
-) -> Colours:
+def colours(rows: Rows, split: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], lit: bool) -> Colours:
     """Drift of exposure and tone, by frames that were not fitted.
 
     Where the asset's colours hold the light of the film (`lit`), as a reconstruction's do, the tone curve is not asked
@@ -245,5 +243,7 @@ def _given_way(
     for name in names:
         change = np.linalg.norm(np.subtract(beside.curves[name], fit.curves[name]))
         if change > KEEPS * max(float(np.linalg.norm(fit.curves[name])), 1e-12):
-            return "brightness that changes over the picture and with time explains more than a drift of the whole picture"
+            return (
+                "brightness that changes over the picture and with time explains more than a drift of the whole picture"
+            )
     return ""

@@ -20,6 +20,10 @@ from simgap.film.samples import Rows
 
 WILD = 0.02
 """Share of the pixels that may be off by anything (up to a metre): Gaussian, with room for the odd pixel. Not measured."""
+LEAST_DEPTH = 5e-4
+"""Share of the distance that noise must come to, as every error of the depth (`geometry.LEAST_DEPTH`)."""
+LEAST_MORE = 0.05
+"""Share of what the best set gains that another kind of holes must bring: creases lose pixels, too, and are darker."""
 SMOOTH = 0.2
 """What pixels beside each other must differ by, as a share of what pixels four apart do, to be noise: of a smooth error it
 is a sixteenth, of a Kinect's noise, which is smoothed, half."""
@@ -27,7 +31,7 @@ LEAST_NOISE = 1.5
 """Floors that a pixel's noise must exceed to be named."""
 LEAST_EXPONENT = 0.2
 """By which noise grows with distance or angle, to be named: less is hardly any. Not measured."""
-LEAST_HOLES, LEAST_FLYING = 0.01, 0.05
+LEAST_HOLES, LEAST_FLYING = 0.01, 0.1
 """Least share of the pixels (of the object; at its edges) that is named. A mask's rim is wrong for as many."""
 FLOOR_RATE = 2e-3
 """Share of pixels that may be lost, or fly, in a film without fault."""
@@ -71,6 +75,7 @@ def chosen_of(
     matters: Callable[[dict[str, float]], bool],
     size: Callable[[NDArray[np.int64], dict[str, float]], tuple[float, float]],
     floor: float,
+    least_share: float = 0.0,
 ) -> Family:
     """The smallest of `models` within one standard error of the best on the frames that choose."""
     fit_on, choose_on, confirm_on = split
@@ -81,7 +86,7 @@ def chosen_of(
         if not names or matters(values)
     ]
     null = next(t for t in tried if not t.names)
-    first, alike = smallest(tried)
+    first, alike = smallest(tried, least_share)
     for name, model in nameless.items():
         tried.append(Tried((name,), 0, model(fit_on)[1](choose_on), nameless=True))
     values, judged = made[first.names]
@@ -90,9 +95,7 @@ def chosen_of(
     if first.names:
         groups = [np.delete(fit_on, np.arange(g, len(fit_on), 4)) for g in range(4)]
         again = [models[first.names](g)[0] for g in groups if len(g) >= 2]
-        spreads = {
-            name: float(np.sqrt(3) * np.std([a[name] for a in again])) for name in values if len(again) == 4
-        }
+        spreads = {name: float(np.sqrt(3) * np.std([a[name] for a in again])) for name in values if len(again) == 4}
     before, after = size(confirm_on, values)
     ordered = tuple(sorted(tried, key=lambda t: -t.mean))
     return Family(
@@ -165,7 +168,7 @@ def noise(rows: Rows, split: tuple[NDArray[np.int64], ...], floor: float) -> Fam
 
     return chosen_of(
         "noise", models, {"place in the picture": placed}, _three(split),
-        lambda v: v["noise"] >= LEAST_NOISE * floor
+        lambda v: v["noise"] >= max(LEAST_NOISE * floor, LEAST_DEPTH * middle)
         and beside >= SMOOTH * v["noise"]
         and abs(v.get("noise_growth", 1.0)) >= LEAST_EXPONENT
         and v.get("noise_grazing", 1.0) >= LEAST_EXPONENT,
@@ -238,7 +241,9 @@ def holes(rows: Rows, split: tuple[NDArray[np.int64], ...]) -> Family:
                 p = rate(_held(parameters, x))
                 return float(-(g * np.log(p) + (c - g) * np.log(1 - p)).sum() / max(c.sum(), 1))
 
-            best = min((_begun(loss, parameters, level, tilt) for level in _LEVELS for tilt in _TILTS), key=lambda r: r.fun)
+            best = min(
+                (_begun(loss, parameters, level, tilt) for level in _LEVELS for tilt in _TILTS), key=lambda r: r.fun
+            )
             best = minimize(loss, best.x, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-7, "maxiter": 600})
             values = _held(parameters, best.x)
             return values, judged(rate(values))
@@ -282,7 +287,7 @@ def holes(rows: Rows, split: tuple[NDArray[np.int64], ...]) -> Family:
 
     grid = _cells(at, 4)
     nameless = {"place in the picture": free(grid, 16), "part": free(rows["part"], 3)}
-    return chosen_of("holes", models, nameless, _three(split), matters, size, LEAST_HOLES)
+    return chosen_of("holes", models, nameless, _three(split), matters, size, LEAST_HOLES, LEAST_MORE)
 
 
 _HOLES: dict[str, tuple[str, ...]] = {

@@ -12,6 +12,7 @@ from freeart21.se3 import Array
 from simgap.film.linear import Block
 from simgap.film.samples import Rows
 
+
 @dataclass(frozen=True)
 class Effect:
     """One thing that a camera may do, by its parameters' columns."""

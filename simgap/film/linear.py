@@ -111,9 +111,7 @@ def fitted(blocks: Sequence[Block], chosen: Sequence[int], ridge: Array | None =
     return LinearFit(tuple(k), beta, _sandwich(blocks, A, pulls, beta), tuple(sigma), tuple(tau))
 
 
-def _sandwich(
-    blocks: Sequence[Block], A: Array, pulls: dict[int, tuple[Array, Array]], beta: Array
-) -> Array:
+def _sandwich(blocks: Sequence[Block], A: Array, pulls: dict[int, tuple[Array, Array]], beta: Array) -> Array:
     """(k, k) covariance of the parameters from frame to frame."""
     if not pulls:
         return np.zeros((len(beta), len(beta)))

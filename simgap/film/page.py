@@ -75,7 +75,10 @@ def _frame(verdict: FilmVerdict, found: Found) -> Section:
     """The frame kept back that the film as it is misses most."""
     confirm = found.split[2]
     rows = found.rows
-    size = [float(np.nanmedian(np.abs(rows.frames[int(i)].error))) if len(rows.frames[int(i)].error) else 0.0 for i in confirm]
+    size = [
+        float(np.nanmedian(np.abs(rows.frames[int(i)].error))) if len(rows.frames[int(i)].error) else 0.0
+        for i in confirm
+    ]
     index = int(found.frames[confirm[int(np.nanargmax(size))]])
     pictures = shown(found.recording, found.scene, index, verdict.camera)
     names = ("measured", "simulated, as the asset is", "simulated, with the camera's faults")
@@ -110,11 +113,11 @@ def _parameters(verdict: FilmVerdict) -> list[Section]:
     if not rows:
         return []
     sure = [e.name for e in verdict.effects if e.certain]
-    note = "camera.json holds what is certain; `freeart21 record NAME --camera camera.json` films with it." if sure else ""
+    note = (
+        "camera.json holds what is certain; `freeart21 record NAME --camera camera.json` films with it." if sure else ""
+    )
     return [
-        table_section(
-            "What the camera does", rows, ("", "parameter", "value", "90 % interval", "p", ""), "full", note
-        )
+        table_section("What the camera does", rows, ("", "parameter", "value", "90 % interval", "p", ""), "full", note)
     ]
 
 
@@ -163,7 +166,9 @@ def _factor(m: FilmMap) -> float:
 
 def _caption(m: FilmMap) -> str:
     text = f"{m.what[:1].upper()}{m.what[1:]}"
-    return f"<figcaption><b>{escape(text)}</b>, {escape(m.unit)}, by {escape(m.over)}; p = {m.adjusted:.2g}</figcaption>"
+    return (
+        f"<figcaption><b>{escape(text)}</b>, {escape(m.unit)}, by {escape(m.over)}; p = {m.adjusted:.2g}</figcaption>"
+    )
 
 
 def _bars(m: FilmMap, width: int = 330, height: int = 150) -> str:
@@ -183,7 +188,9 @@ def _bars(m: FilmMap, width: int = 330, height: int = 150) -> str:
     for k in range(n):
         x, w = float(ends[k]), float(ends[k + 1] - ends[k])
         if m.flagged[k]:
-            parts.append(f'<rect class="flagged" x="{x:.1f}" width="{w:.1f}" y="{_TOP}" height="{height - _TOP - _BOTTOM}"/>')
+            parts.append(
+                f'<rect class="flagged" x="{x:.1f}" width="{w:.1f}" y="{_TOP}" height="{height - _TOP - _BOTTOM}"/>'
+            )
         for values, colour, at, share in ((before, BEFORE, 0.14, 0.34), (after, AFTER, 0.52, 0.34)):
             if np.isfinite(values[k]):
                 y0, y1 = sorted((down(0.0), down(float(values[k]))))
@@ -240,7 +247,9 @@ def _explanations(found: Found) -> Section:
             error = standard_error(gain)
             spread = f"{error:.2g}" if np.isfinite(error) else ""
             rows.append((kind if k == 0 else "", names, f"{gain.mean():.1f}", spread, mark))
-    note = "Log predictive density that a frame gains over the film as it is, on frames that choose and were not fitted."
+    note = (
+        "Log predictive density that a frame gains over the film as it is, on frames that choose and were not fitted."
+    )
     return table_section("Explanations that were tried", rows, ("", "", "gain", "standard error", ""), "full", note)
 
 

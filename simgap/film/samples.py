@@ -297,7 +297,9 @@ def _crossing(on: NDArray[np.bool_], u: NDArray, v: NDArray, n: Array) -> Array:
     return np.where(told, steps[k] + STEP_PX * part, np.nan)
 
 
-def _band(depth: Drawn, frame: Frame, faults: CameraFaults, rng: np.random.Generator) -> tuple[Array, NDArray[np.bool_]]:
+def _band(
+    depth: Drawn, frame: Frame, faults: CameraFaults, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.bool_]]:
     """Distances to the next depth edge of pixels near one, and whether their measured depth is of no surface."""
     z = depth.depth
     nearer = depth_edges(z)[0]

@@ -74,7 +74,14 @@ def maps_of(rows: Rows, errors: dict[str, tuple[Array, Array]], seed: int = 0) -
         ("brightness of the picture", share[inner], "time", "of the film", inner),
     ):
         if what in errors:
-            add(what, {"depth error": "mm", "brightness of the picture": "stops"}.get(what, "px"), over, over_unit, x, frame)
+            add(
+                what,
+                {"depth error": "mm", "brightness of the picture": "stops"}.get(what, "px"),
+                over,
+                over_unit,
+                x,
+                frame,
+            )
     if "pixels at edges" in errors:
         add("pixels at edges", "%", "distance to the edge", "px", rows["band"], rows.of("band"))
     made = [m for m in made if np.isfinite(m.before).any()]
@@ -102,7 +109,9 @@ def _picture(
     low, high = np.percentile(at, [0.5, 99.5], axis=0) if len(at) else np.array([[-1.0, -1], [1, 1]])
     high = np.maximum(high, low + 1e-9)
     columns, lines = np.linspace(low[0], high[0], 13), np.linspace(low[1], high[1], 10)
-    bins = np.clip(np.searchsorted(lines, at[:, 1]) - 1, 0, 8) * 12 + np.clip(np.searchsorted(columns, at[:, 0]) - 1, 0, 11)
+    bins = np.clip(np.searchsorted(lines, at[:, 1]) - 1, 0, 8) * 12 + np.clip(
+        np.searchsorted(columns, at[:, 0]) - 1, 0, 11
+    )
     mean, p, flagged = _tested(before, bins, frame, kept, 108, rng)
     then = _tested(after, bins, frame, kept & np.isfinite(after), 108, None)[0]
     shape = (9, 12)
