@@ -83,7 +83,7 @@ def _fit_all(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> d
 def _greedy(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> dict[str, Any]:
     from simgap.fitting.search import Search, candidates
 
-    search = Search(problem, train, settings.choice, candidates(problem, train))
+    search = Search(problem, train, settings.search, candidates(problem, train))
     n = sum(len(run.q) for run in train)
 
     def bic(fit: Any) -> float:
@@ -93,7 +93,7 @@ def _greedy(problem: Any, base: Any, train: Any, test: Any, settings: Any) -> di
     following = search.singles()[:1]
     while following and bic(following[0]) < bic(now):
         now = following[0]
-        if len(now.theory.names) == settings.choice.max_effects:
+        if len(now.theory.names) == settings.search.max_effects:
             break
         following = sorted(search.larger([now]), key=lambda fit: fit.cost)[:1]
     return {"names": list(now.theory.names), "closed": _closed(base, now, test)}

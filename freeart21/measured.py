@@ -21,6 +21,28 @@ INTERPOLATIONS: tuple[str, ...] = get_args(Interpolation)
 
 
 @dataclass(frozen=True)
+class BaseSeries:
+    """How the base moved in a run: NaN where nothing was logged, None for what it did not do."""
+
+    position: Array | None = None
+    """(n, 3) m by which it was moved, in the directions that the canonical frame has at angle 0."""
+    acceleration: Array | None = None
+    """(n, 3) m/s^2 in these directions; in place of positions."""
+    angle: Array | None = None
+    """(n,) rad by which it was turned about `Measured.base_axis`."""
+
+
+@dataclass(frozen=True)
+class BaseAxis:
+    """What a base turns about, in its canonical frame."""
+
+    axis: Array
+    """(3,) unit vector."""
+    point: Array
+    """(3,) m: what `BaseSeries.position` and its acceleration are of."""
+
+
+@dataclass(frozen=True)
 class Run:
     """One recording of the joint; (n,) arrays of one length, times rising."""
 
@@ -40,11 +62,20 @@ class Run:
     """(n,) whether the parts were seen when the poses were measured."""
     held_out: bool | None = None
     """Whether a fit must never see it; None when nobody said."""
+    voltage: Array | None = None
+    """(n,) V at the actuator's motor, NaN where none was logged; between those as `Measured.interpolation` says."""
+    enabled: Array | None = None
+    """(n,) whether the actuator was on, above 0, until the next value; NaN where none was logged."""
+    base: BaseSeries | None = None
+    """How the base moved; None at rest."""
+    qd: Array | None = None
+    """(n,) velocity as read, rad/s or m/s, NaN where there is no reading. Fits look at positions; it tells what torque
+    goes with what speed (`simgap.motion.torque_residual`)."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """All runs of one joint of one object, its base at rest."""
+    """All runs of one joint of one object, its base at rest or moved as the runs tell."""
 
     joint: str
     """Name in the asset's URDF."""
@@ -57,7 +88,8 @@ class Measured:
     effort_kind: EffortKind | None = None
     """Whether efforts pass the actuator or push the moving part itself; None without efforts."""
     actuator: Actuator | None = None
-    """Stiffness and damping of the position law that follows `q_command`; its functions of time are empty."""
+    """What the actuator is known to be: its position law, limits and motor; its functions of time are empty. What it
+    is not known for may be missing from the simulation."""
     inertia_relative: float = 0.0
     """How far the asset's inertia may be off, as a part of it; 0 is exact."""
     gravity_relative: float = 0.0
@@ -68,6 +100,8 @@ class Measured:
     """Efforts and commands between their rows: each value lasts until the next one ("held", as by a digital drive that
     is logged at its own rate), they go on straight ("linear"), or nobody knows: they may be held, go on
     smoothly, or anything between the two ("unknown")."""
+    base_axis: BaseAxis | None = None
+    """What the base turns about where runs have an angle of it."""
     notes: tuple[str, ...] = ()
     """What was left out of it, and why: a line each."""
 
@@ -92,5 +126,17 @@ def without_copies(runs: tuple[Run, ...]) -> tuple[tuple[Run, ...], tuple[str, .
 def _readings(run: Run) -> bytes:
     """All that was measured in a run, whenever its clock began."""
     since = np.round(run.times_s - run.times_s[0], 9)
-    series = (since, run.q, run.effort, run.q_command, run.poses)
+    base = BaseSeries() if run.base is None else run.base
+    series = (
+        since,
+        run.q,
+        run.effort,
+        run.q_command,
+        run.poses,
+        run.voltage,
+        run.enabled,
+        base.position,
+        base.acceleration,
+        base.angle,
+    )
     return b"|".join(b"" if values is None else np.ascontiguousarray(values).tobytes() for values in series)

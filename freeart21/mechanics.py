@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,6 +33,8 @@ class JointMechanics:
     """(3,) kg*m: mass times centre of mass at q = 0."""
     gravity: Array
     """(3,) m/s^2."""
+    tensor_zero: Array | None = None
+    """(3, 3) kg*m^2 about the pivot, and in the directions of the frame, at q = 0; only a base that turns needs it."""
 
     @cached_property
     def _arms(self) -> tuple[Array, Array, Array]:
@@ -74,27 +77,125 @@ class JointMechanics:
 
 
 @dataclass(frozen=True)
+class DcMotor:
+    """A DC motor under a voltage V, |V| up to `max_voltage`: force = torque_constant * I at the joint, |I| up to
+    `max_current`, and I = (V - torque_constant * qd) / resistance. Its inductance is left out: it makes milliseconds.
+    """
+
+    torque_constant: float
+    """N*m/A or N/A at the joint, gears included; the same number is its back EMF in V*s/rad or V*s/m."""
+    resistance: float
+    """ohm."""
+    max_voltage: float = math.inf
+    """V."""
+    max_current: float = math.inf
+    """A, either way."""
+
+    @property
+    def per_volt(self) -> float:
+        """Force at rest per volt, N*m/V or N/V."""
+        return self.torque_constant / self.resistance
+
+
+@dataclass(frozen=True)
+class DriveLaw:
+    """The numbers of an actuator that is on, in N*m or N: `force` is what it gives."""
+
+    stiffness: float = 0.0
+    damping: float = 0.0
+    dead_band: float = 0.0
+    most_asked: float = math.inf
+    """Size of what can be asked for, before a motor's back EMF takes its part."""
+    back_emf: float = 0.0
+    """Force against the motion per speed, whatever is asked for."""
+    most: float = math.inf
+    """Size of the force that can be given."""
+
+    def asked(self, q: float, qd: float, q_command: float, effort: float) -> float:
+        """What is asked for at position `q` and velocity `qd`; `q_command` is NaN without a position law."""
+        error = q_command - q
+        if error != error:
+            return effort
+        error -= min(max(error, -self.dead_band), self.dead_band)
+        return effort + self.stiffness * error - self.damping * qd
+
+    def force(self, q: float, qd: float, q_command: float, effort: float) -> float:
+        """N*m or N."""
+        asked = self.asked(q, qd, q_command, effort)
+        asked = min(max(asked, -self.most_asked), self.most_asked) - self.back_emf * qd
+        return min(max(asked, -self.most), self.most)
+
+    def damped(self, q: float, qd: float, q_command: float, effort: float) -> float:
+        """By what the force falls with speed: not at all at its limits, but for a motor's back EMF."""
+        asked = self.asked(q, qd, q_command, effort)
+        falls = self.back_emf + (self.damping if q_command == q_command and abs(asked) < self.most_asked else 0.0)
+        asked = min(max(asked, -self.most_asked), self.most_asked) - self.back_emf * qd
+        return falls if abs(asked) < self.most else 0.0
+
+    def forces(self, q: ArrayLike, qd: ArrayLike, q_command: ArrayLike, effort: ArrayLike) -> Array:
+        """(n,) `force`, of arrays."""
+        with np.errstate(invalid="ignore"):  # NaN stands for no position law
+            return np.asarray(np.vectorize(self.force, otypes=[float])(q, qd, q_command, effort))
+
+
+@dataclass(frozen=True)
 class Actuator:
     """What drives a joint: a position law, a commanded effort, or both; a measured set's `actuator` and `effort`.
 
-    force = stiffness * (q_command(t) - q) - damping * qd + effort(t).
+    Without limits: force = stiffness * (q_command(t) - q) - damping * qd + effort(t).
     """
 
     q_command: Callable[[float], float] | None = None
     """Seconds to commanded position, rad or m; None for no position law."""
     stiffness: float = 0.0
-    """N*m/rad or N/m."""
+    """N*m/rad or N/m; with a `motor` V/rad or V/m."""
     damping: float = 0.0
-    """N*m*s/rad or N*s/m; acts with a position law only."""
+    """N*m*s/rad or N*s/m, with a `motor` V*s/rad or V*s/m; acts with a position law only."""
     effort: Callable[[float], float] | None = None
-    """Seconds to commanded force, N*m or N."""
+    """Seconds to commanded force, N*m or N; of a `motor` what its voltage makes at rest."""
+    dead_band: float = 0.0
+    """rad or m that the position may be off by before the law acts: it acts on what is beyond."""
+    max_effort: float = math.inf
+    """N*m or N that it gives at most, either way."""
+    motor: DcMotor | None = None
+    """What makes the force of a voltage; None for a force that is as asked for."""
+    enabled: Callable[[float], float] | None = None
+    """Seconds to whether it is on (above 0); None for always. What is off gives no force, and no back EMF."""
+
+    @cached_property
+    def law(self) -> DriveLaw:
+        """Its numbers as forces."""
+        motor = self.motor
+        if motor is None:
+            return DriveLaw(self.stiffness, self.damping, self.dead_band, most=self.max_effort)
+        per = motor.per_volt
+        return DriveLaw(
+            per * self.stiffness,
+            per * self.damping,
+            self.dead_band,
+            per * motor.max_voltage,
+            per * motor.torque_constant,
+            min(self.max_effort, motor.torque_constant * motor.max_current),
+        )
+
+    def on(self, t: float) -> bool:
+        """Whether it is on at the time `t`."""
+        return self.enabled is None or self.enabled(t) > 0
 
     def force(self, q: float, qd: float, t: float) -> float:
-        """The force that is asked for at position `q` and velocity `qd` by the command of time `t`."""
-        asked = 0.0 if self.effort is None else self.effort(t)
-        if self.q_command is not None:
-            asked += self.stiffness * (self.q_command(t) - q) - self.damping * qd
-        return asked
+        """The force that is given at position `q` and velocity `qd` by the command of time `t`."""
+        return self.law.force(q, qd, *self._told(t)) if self.on(t) else 0.0
+
+    def damped(self, q: float, qd: float, t: float) -> float:
+        """By what that force falls with speed, N*m*s/rad or N*s/m."""
+        return self.law.damped(q, qd, *self._told(t)) if self.on(t) else 0.0
+
+    def _told(self, t: float) -> tuple[float, float]:
+        """Commanded position, NaN for none, and effort."""
+        return (
+            math.nan if self.q_command is None else self.q_command(t),
+            0.0 if self.effort is None else self.effort(t),
+        )
 
 
 def held(times_s: ArrayLike, values: ArrayLike, over_s: float = 0.0) -> Callable[[float], float]:

@@ -39,6 +39,8 @@ from freeart21.se3 import Array
 
 GRAVITY = (0.0, 0.0, -9.81)
 """m/s^2, world frame."""
+Sway = Callable[[float, float], float]
+"""Position and time to a force, N*m or N."""
 
 _CREEP_SPEED = 1e-6  # rad/s or m/s at which the saturated damper of Coulomb friction reaches its limit
 _PHASE_PER_STEP = 0.1  # rad of the stiffest oscillation per internal step: the period is then 0.04 % short (0.1^2 / 24)
@@ -87,6 +89,7 @@ class SimulatedAsset:
         self._recalls: list[tuple[int, Any, tuple[float, ...]]] = []
         self._slack: Backlash | None = None
         self._actuator: Actuator | None = None
+        self._sway: Sway | None = None
         q = float(np.clip(0.0, joint.lower, joint.upper))
         self.set_state(q)
         pose = self._joint.global_pose.to_transformation_matrix().astype(float)
@@ -111,6 +114,7 @@ class SimulatedAsset:
             self.joint_inertia,
             (to_parent @ np.append(self._mass_moment_zero, self.moving_mass))[:3],
             to_parent[:3, :3] @ self.gravity,
+            _turned(_tensor(self.world_joint, mechanics), to_parent[:3, :3] @ self.world_joint.transform(-q)[:3, :3]),
         )
         """What the joint carries, in the frame of its parent link."""
         self.set_effects(asset.effects.get(asset.joint, ()))
@@ -140,6 +144,7 @@ class SimulatedAsset:
         self._poses = [e for e in effects if e.acts == "pose"]
         self._gain = float(np.prod([e.gain() for e in effects]))
         self._delay = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
+        self._offset = float(np.sum([e.bias_force() for e in effects]))
         added = float(np.sum([e.inertia() for e in effects]))
         self._slack = slacks[0] if slacks else None
         self._inertia = self.joint_inertia + (0.0 if self._slack else added)
@@ -155,6 +160,11 @@ class SimulatedAsset:
         """Let this drive the joint from now on; None for nothing. Its times are those of `time_s`."""
         self._actuator = actuator
         self._plan_substeps()
+
+    def set_sway(self, sway: Sway | None) -> None:
+        """Let the base be moved: position and time (`time_s`) to the force that the joint feels of it, N*m or N, seen
+        from the base, which stays where it is. What bearings carry of it is not counted."""
+        self._sway = sway
 
     def _forget(self) -> None:
         """Effects with memory begin anew, from the state of now."""
@@ -326,6 +336,7 @@ class SimulatedAsset:
             return 0.0, 0.0, 0.0
         friction = sum(law(limit, 0.0, self._bearing_load(limit, 0.0), 0.0, *v) for law, v in self._drives)
         pull = float(self.mechanics.gravity_force(limit)) + self._effect_force(limit, 0.0) + push
+        pull += self._sway(limit, t) if self._sway else 0.0
         drive, press = towards * self._actuator_force(limit, 0.0, t), towards * pull + friction
         links = self._inertia - shaft.value
         stays, taken = thrown(speed, press, drive, links, shaft.value, shaft.throw_back, shaft.swing)
@@ -357,7 +368,7 @@ class SimulatedAsset:
             self._drive_q, self._drive_qd = self._q + 0.5 * side * slack.width, self._qd
         else:
             asked = self._actuator_force(self._drive_q + 0.5 * h * self._drive_qd, self._drive_qd, t)
-            damping = self._gain * self._actuator.damping if self._actuator else 0.0
+            damping = self._actuator_damping(self._drive_q, self._drive_qd, t)
             before, push = self._drive_qd, 0.0
             self._drive_qd += h * asked / (J + h * damping)
             self._drive_q += 0.5 * h * (before + self._drive_qd)
@@ -390,24 +401,32 @@ class SimulatedAsset:
         return sum(law(q, qd, 0.0, m, *v) for (law, v), m in zip(self._forces, self._memories, strict=True))
 
     def _actuator_force(self, q: float, qd: float, t: float) -> float:
-        return self._gain * self._actuator.force(q, qd, t - self._delay) if self._actuator else 0.0
+        """What the actuator gives, by the command of as long ago as it is late."""
+        when = t - self._delay
+        if self._actuator is None or not self._actuator.on(when):
+            return 0.0
+        return self._gain * self._actuator.force(q, qd, when) + self._offset
+
+    def _actuator_damping(self, q: float, qd: float, t: float) -> float:
+        """By what that falls with speed."""
+        return self._gain * self._actuator.damped(q, qd, t - self._delay) if self._actuator else 0.0
 
     def _acting_force(self, q: float, qd: float, t: float) -> float:
         """Effects and actuator, this as far as it touches the part."""
-        acting = self._effect_force(q, qd)
+        acting = self._effect_force(q, qd) + (self._sway(q, t) if self._sway else 0.0)
         if self._slack is None:
             return acting + self._actuator_force(q, qd, t)
         if self._side:
             return acting + self._actuator_force(q + 0.5 * self._side * self._slack.width, qd, t)
         return acting
 
-    def _damping_slope(self, q: float, qd: float) -> float:
+    def _damping_slope(self, q: float, qd: float, t: float) -> float:
         """What the forces that act change by with speed, N*m*s/rad or N*s/m."""
         slope, dv = 0.0, 1e-3 * max(abs(qd), 1e-3)
         for law, values in self._dampers:
             slope += (law(q, qd + dv, 0.0, 0.0, *values) - law(q, qd - dv, 0.0, 0.0, *values)) / (2 * dv)
-        if self._actuator and self._actuator.q_command is not None and (self._slack is None or self._side):
-            slope -= self._gain * self._actuator.damping
+        if self._actuator and (self._slack is None or self._side):
+            slope -= self._actuator_damping(q, qd, t)
         return slope
 
     def _bearing_load(self, q: float, qd: float) -> float:
@@ -435,7 +454,7 @@ class SimulatedAsset:
         """
         inertia = self._inertia + (self._drive_inertia if self._side else 0.0)
         inverse_phi1 = 1.0
-        slope = self._damping_slope(q, qd)
+        slope = self._damping_slope(q, qd, self.time_s + 0.5 * h)
         if slope < 0:
             z = -slope * h / inertia
             inverse_phi1 = z / -np.expm1(-z) if z > 1e-9 else 1.0
@@ -450,7 +469,7 @@ class SimulatedAsset:
         if self.joint_inertia <= 0:
             return
         stiffness = float(np.sum([e.steepness() for e in self.effects]))
-        servo = self._gain * self._actuator.stiffness if self._actuator else 0.0
+        servo = self._gain * self._actuator.law.stiffness if self._actuator else 0.0
         rate = (stiffness + servo) / self._inertia
         if self._slack:
             rate = max(rate, servo / self._drive_inertia)
@@ -556,6 +575,7 @@ def roll_out(
     gravity: ArrayLike = GRAVITY,
     force: Callable[[float], float] | None = None,
     actuator: Actuator | None = None,
+    sway: Sway | None = None,
 ) -> RollOut:
     """The joint's trajectory from position `q0` and velocity `qd0` (rad or m, URDF joint values), base fixed.
 
@@ -568,6 +588,7 @@ def roll_out(
         gravity: (3,) m/s^2.
         force: seconds since the start to an external generalised force on the joint, N*m or N.
         actuator: what drives the joint, through the effects that an actuator has; its times are since the start.
+        sway: what the joint feels of a base that is moved, see `SimulatedAsset.set_sway`.
 
     Raises FreeArtError when the moving part has no mass, or the start lies beyond the limits.
     """
@@ -582,6 +603,7 @@ def roll_out(
     simulated.set_state(q0, qd0)
     simulated.time_s = 0.0
     simulated.set_actuator(actuator)
+    simulated.set_sway(sway)
     states = np.empty((n + 1, 2))
     states[0] = q0, qd0
     try:
@@ -590,6 +612,7 @@ def roll_out(
             states[i + 1] = simulated.state()
     finally:
         simulated.set_actuator(None)
+        simulated.set_sway(None)
     q, qd = states[:, 0].copy(), states[:, 1].copy()
     times = np.arange(n + 1, dtype=float) * simulated.timestep_s
     return RollOut(times, q, qd, simulated.energy(q, qd), readings(simulated.effects, times, q))
@@ -675,6 +698,19 @@ def _link_mechanics(link: Any) -> tuple[float, Array, Array]:
     if link.mass < _MASSLESS:
         return 0.0, frame[:3, 3], np.zeros((3, 3))
     return float(link.mass), frame[:3, 3], R @ np.diag(link.inertia.astype(float)) @ R.T
+
+
+def _tensor(joint: Joint, mechanics: list[tuple[float, Array, Array]]) -> Array:
+    """(3, 3) kg*m^2 of links about the joint's pivot."""
+    total = np.zeros((3, 3))
+    for mass, centre, inertia in mechanics:
+        arm = centre - joint.pivot
+        total += inertia + mass * ((arm @ arm) * np.eye(3) - np.outer(arm, arm))
+    return total
+
+
+def _turned(tensor: Array, R: Array) -> Array:
+    return np.asarray(R @ tensor @ R.T)
 
 
 def _joint_inertia(joint: Joint, mechanics: list[tuple[float, Array, Array]]) -> float:

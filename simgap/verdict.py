@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -12,6 +12,8 @@ from freeart21.files import atomic
 from freeart21.joint import JointType
 
 SCHEMA = "freeart21/verdict/1"
+Use = Literal["fitted", "choosing", "confirming"]
+"""What a run is used for: to fit sets to, to choose among them, or to confirm the choice."""
 Answer = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
 ANSWERS: tuple[str, ...] = get_args(Answer)
 
@@ -49,18 +51,20 @@ class RunGap:
     held_out: bool
     regime: str
     """Which kind of motion the run is, such as 'small' or 'large' swings."""
-    stretches: int = 1
-    """How many it was judged in, each from a start of its own: more than 1 for one that hangs on a hair."""
+    use: Use = "fitted"
 
 
 SHOWS = 1.25
 """Floors from which on a run shows a gap of its own."""
 
 
-def unseen(gaps: Sequence[RunGap]) -> bool:
-    """Whether none of the runs that were not fitted shows a gap; what was fitted alone must tell then."""
-    held_out = [gap for gap in gaps if gap.held_out]
-    return bool(held_out) and all(gap.before <= SHOWS * gap.floor for gap in held_out)
+def told_by(gaps: Sequence[RunGap]) -> list[RunGap]:
+    """The runs that tell what an answer is worth: those that confirm it, else those that chose it, else all."""
+    for use in ("confirming", "choosing"):
+        found = [gap for gap in gaps if gap.use == use]
+        if found:
+            return found
+    return list(gaps)
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,9 @@ class Verdict:
     in_part: bool = False
     """Whether what is named is but what dominates, or may be: a remainder above the sensor's noise has no name."""
 
+    judged_by: dict[str, Any] = field(default_factory=dict)
+    """Version, digest of the code and every number that decides."""
+
     def to_json(self, joint_type: JointType) -> dict[str, Any]:
         """As it stands in verdict.json."""
         return {
@@ -99,6 +106,7 @@ class Verdict:
             "rivals": [list(names) for names in self.rivals],
             "next_experiment": self.next_experiment,
             "notes": list(self.notes),
+            "judged_by": self.judged_by,
         }
 
     def write(self, path: Path, joint_type: JointType) -> None:

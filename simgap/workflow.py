@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
-from dataclasses import replace
-from functools import partial
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from freeart21 import __version__
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
@@ -19,14 +21,15 @@ from freeart21.files.measured import read_measured
 from freeart21.files.places import ANSWER, check_place
 from freeart21.joint import JointType
 from freeart21.measured import Measured
-from simgap.fitting.fit import Fit, Problem, Reader, Starts, confirmed, placed
+from simgap.fitting.fit import Fit, Problem, Reader, Starts, placed
 from simgap.fitting.search import Search, candidates
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.kinematics import KinematicsSettings, find_geometry_of
 from simgap.judgement.choose import Choice, chosen
-from simgap.judgement.decide import moves_enough, says_enough, silent_verdict, verdict_of
-from simgap.judgement.dominant import in_part
-from simgap.judgement.judge import Fold, Judged, folds_of, p_value
+from simgap.judgement.decide import Confirmed, moves_enough, says_enough, silent_verdict, verdict_of
+from simgap.judgement.hypotheses import Hypothesis
+from simgap.judgement.predictive import lead
+from simgap.judgement.split import Split, split_of
 from simgap.judgement.words import amount, effect_words, plain
 from simgap.measure.data import FitRun, fit_runs, thinned
 from simgap.measure.floor import Floor
@@ -34,11 +37,12 @@ from simgap.motion.surrogate import Nuisance, Plant, plant_of
 from simgap.page.publish import Draft, off_of, publish, with_positions
 from simgap.page.report import Ranked
 from simgap.proof.show import SECONDS, Progress, ReplayGap
-from simgap.proof.stretches import stretches_of
 from simgap.settings import GapSettings
-from simgap.verdict import Named, Verdict, unseen
+from simgap.verdict import Named, Verdict
 
 DEFAULTS = GapSettings()
+MOST_RANKED = 12
+"""Sets that the page lists."""
 _ORDER = ("no_gap", "not_excited", "named", "ambiguous", "unexplained")
 """Answers; of two the later one stands."""
 
@@ -55,7 +59,15 @@ def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) 
     """Measure, tell geometry from dynamics, name: all but what SAPIEN has to show."""
     draft = _explained(asset, measured, settings)
     notes = (*measured.notes, *thinned(measured))
-    return replace(draft, verdict=replace(draft.verdict, notes=notes))
+    return replace(draft, verdict=replace(draft.verdict, notes=notes, judged_by=judged_by(settings)))
+
+
+def judged_by(settings: GapSettings) -> dict[str, Any]:
+    """Version, digest of this package's code and every number that decides a verdict."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(file.read_bytes())
+    return {"freeart21": __version__, "code": digest.hexdigest()[:12], "settings": asdict(settings.judgement)}
 
 
 def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft:
@@ -64,9 +76,9 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
     positions = with_positions(measured, geometry)
     plant = plant_of(asset, measured)
     runs, floor = as_tracked(*fit_runs(positions, plant), geometry)
-    moved = moves_enough(runs, floor, settings.choice)
-    if not moved or not says_enough(runs, settings.choice):
-        motion = silent_verdict(runs, floor, moved)
+    moved = moves_enough(runs, floor, settings.judgement)
+    if not moved or not says_enough(runs, settings.judgement):
+        motion = silent_verdict(runs, floor, moved, measured.joint_type)
         return Draft(
             joined(motion, geometry, measured.joint_type),
             geometry=geometry,
@@ -74,28 +86,37 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
             certain=certain_of(motion, geometry),
         )
     problem = problem_of(plant, measured, runs, floor, settings)
-    folds = folds_of(runs)
-    fitted_runs = folds[0].train if len(folds) == 1 else runs
+    split = split_of(runs)
     encoder = any(run.poses is None for run in measured.runs)
-    search = Search(problem, fitted_runs, settings.choice, candidates(problem, fitted_runs, encoder, settings.without))
-    choice = in_part(chosen(search, folds, settings.choice), search, folds, settings.choice)
-    motion = verdict_of(choice, runs, floor, problem)
-    anew = unseen(motion.gaps)
-    before = replayed_of(choice.base.fit, folds, runs, anew)
-    after = replayed_of(choice.explaining[0].fit, folds, runs, anew) if choice.explaining else before
+    names = candidates(problem, split.fitted, encoder, settings.without)
+    choice = chosen(Search(problem, split.fitted, settings.search, names), split.folds, settings.judgement)
+    best = choice.explaining[0] if choice.explaining else choice.base
+    confirmed = Confirmed(*(placed(h.fit, split.confirming) if split.confirming else None for h in (choice.base, best)))
+    motion = verdict_of(choice, split, confirmed, runs, floor, problem)
+    before, after = (
+        started(h, there, split) for h, there in ((choice.base, confirmed.before), (best, confirmed.after))
+    )
     return Draft(
         joined(motion, geometry, measured.joint_type),
-        {run.name: (before[1][run.name], after[1][run.name]) for run in runs},
-        (off_of(plant, nuisance_of(before[0])), off_of(plant, nuisance_of(after[0]))),
+        {run.name: (before[run.name], after[run.name]) for run in runs if run.name in before and run.name in after},
+        (off_of(plant, nuisance_of(choice.base.fit)), off_of(plant, nuisance_of(best.fit))),
         ranking_of(choice),
         geometry,
         {run.name: run.regime for run in runs},
         floor.still,
         motion.verdict != "no_gap",
         certain_of(motion, geometry),
-        curves_of(choice, runs),
-        partial(stretches_of, runs, before[0], after[0]),
+        curves_of(choice, split, confirmed, runs),
+        {run.name: split.use(run.name) for run in runs},
     )
+
+
+def started(hypothesis: Hypothesis, there: Fit | None, split: Split) -> Starts:
+    """Where runs start, by name: those kept to confirm, or those that chose where there are none."""
+    if there is not None:
+        return there.starts
+    test = split.folds[0].test if len(split.folds) == 1 else ()
+    return {**hypothesis.fit.starts, **(placed(hypothesis.fit, test).starts if test else {})}
 
 
 def as_tracked(
@@ -111,35 +132,27 @@ def as_tracked(
     return louder, replace(floor, still=max(floor.still, float(np.median(list(noise.values())))))
 
 
-def curves_of(choice: Choice, runs: tuple[FitRun, ...]) -> tuple[ReplayGap, ...]:
-    """Held-out runs as the fits' own simulation has them, by the asset as it is and by the best that was found."""
+def curves_of(choice: Choice, split: Split, confirmed: Confirmed, runs: tuple[FitRun, ...]) -> tuple[ReplayGap, ...]:
+    """Runs that were not fitted as the fits' own simulation has them, by the asset as it is and by the best set that
+    was found."""
     best = choice.explaining[0] if choice.explaining else choice.best
     found = []
     for run in runs:
-        off = [j.strict.get(run.name) for j in (choice.base, best)]
+        there = [
+            (h.left, c.residuals if c else {}) for h, c in ((choice.base, confirmed.before), (best, confirmed.after))
+        ]
+        off = [left.get(run.name, own.get(run.name)) for left, own in there]
         if off[0] is None or off[1] is None:
             continue
         before, after = (run.q - residual * run.sigma for residual in off if residual is not None)
         gap_before, gap_after, floor = (
             float(np.sqrt(np.mean(series**2))) for series in (before - run.q, after - run.q, run.sigma)
         )
-        out = bool(run.held_out)
+        use = split.use(run.name)
         found.append(
-            ReplayGap(run.name, run.times_s, run.q, before, after, gap_before, gap_after, floor, run.regime, out)
+            ReplayGap(run.name, run.times_s, run.q, before, after, gap_before, gap_after, floor, run.regime, use)
         )
     return tuple(found)
-
-
-def replayed_of(fit: Fit, folds: tuple[Fold, ...], runs: tuple[FitRun, ...], anew: bool = False) -> tuple[Fit, Starts]:
-    """The fit as it is replayed, with its effects just as they are and the asset off as the replayed runs tell, and
-    where every run starts; `anew` if fitted runs will be replayed, too, whose starts suit the asset as those tell it
-    that were fitted."""
-    if len(folds) == 1:
-        there = confirmed(fit, folds[0].test)
-        own = placed(there, folds[0].train, fit.starts).starts if anew else fit.starts
-        return there, {**own, **there.starts}
-    known = all(run.name in fit.starts for run in runs)
-    return fit, fit.starts if known else {**placed(fit, runs).starts, **fit.starts}
 
 
 def nuisance_of(fit: Fit) -> Nuisance:
@@ -148,19 +161,17 @@ def nuisance_of(fit: Fit) -> Nuisance:
 
 
 def ranking_of(choice: Choice) -> tuple[Ranked, ...]:
-    """All that was tried before held-out runs, the best first."""
-    tried = sorted(
-        {j.names: j for j in (choice.base, *choice.tried, *choice.explaining)}.values(), key=lambda j: j.floors
-    )
+    """All sets that were judged, the most probable first."""
+    of = {h.names: h for h in (*choice.table, *choice.explaining)}
+    order = sorted(of.values(), key=lambda h: -h.score.total)
     return tuple(
-        Ranked(j.names, j.floors, p_value(choice.base, j, len(choice.tried)) if j.names else None, spread=spread_of(j))
-        for j in tried
+        Ranked(h.names, h.floors, *lead(h.score, order[0].score), spread=spread_of(h)) for h in order[:MOST_RANKED]
     )
 
 
-def spread_of(judgement: Judged) -> tuple[float, float]:
-    """The least and the largest error of one run, in floors."""
-    runs = [float(np.sqrt(np.mean(residual**2))) for residual in judgement.strict.values()]
+def spread_of(hypothesis: Hypothesis) -> tuple[float, float]:
+    """The least and the largest error of one choosing run, in floors."""
+    runs = [float(np.sqrt(np.mean(residual**2))) for residual in hypothesis.left.values()]
     return min(runs), max(runs)
 
 

@@ -14,6 +14,7 @@ from freeart21 import se3
 from freeart21.effects import EFFECTS, Effect, effect_from_json, effects_from_urdf_dynamics, perpendiculars, readings
 from freeart21.effects.actuator_delay import ActuatorDelay
 from freeart21.effects.actuator_gain import ActuatorGain
+from freeart21.effects.actuator_offset import ActuatorOffset
 from freeart21.effects.armature import Armature
 from freeart21.effects.axis_tilt import AxisTilt
 from freeart21.effects.backlash import Backlash
@@ -51,6 +52,7 @@ MORE = (
     EndStopBounce(0.5),
     ActuatorDelay(0.02),
     ActuatorGain(0.8),
+    ActuatorOffset(-0.2),
     Armature(0.05, 0.1),
     AxisTilt(0.02, -0.03),
     ScrewPitch(0.01),

@@ -13,26 +13,20 @@ from freeart21.effects.latch import Latch
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
-from simgap import workflow
 from simgap.fitting.fit import (
     Problem,
     Theory,
-    confirmed,
     fitted,
-    foretold,
-    misfit,
     pieces,
     placed,
     predicted,
-    steady,
     tangent,
 )
 from simgap.fitting.force_guess import local_force, places
 from simgap.fitting.guess import _grid
 from simgap.fitting.least_squares import Prior, charge, solve, weight
-from simgap.fitting.search import Search, beside, candidates, relaxed, stilled
-from simgap.judgement.ceiling import ceiling
-from simgap.judgement.judge import Fold, folds_of
+from simgap.fitting.search import Search, candidates, stilled
+from simgap.judgement.split import split_of
 from simgap.measure.data import fit_runs
 from simgap.measure.floor import floor_of
 from simgap.motion.surrogate import plant_of, simulate
@@ -108,8 +102,8 @@ def test_what_is_faster_than_all_motion_is_not_looked_for(tmp_path: Path):
 
 def test_a_larger_set_fits_no_worse_than_a_smaller_one(tmp_path: Path):
     setup, runs = problem(tmp_path, measured_of(5, dry=0.1, drag=0.05))
-    train = folds_of(runs)[0].train
-    search = Search(setup, train, SETTINGS.choice, candidates(setup, train))
+    train = split_of(runs).folds[0].train
+    search = Search(setup, train, SETTINGS.search, candidates(setup, train))
     level = search.singles()
     pairs = search.larger(level[:3])
     assert {"coulomb_friction", "quadratic_drag"} in [set(fit.theory.names) for fit in pairs]
@@ -178,40 +172,6 @@ def test_a_start_that_oversteps_goes_on_beside_one_that_is_there():
     assert np.allclose(found.starts, [[1.0, 0.0], [1.0, 0.0]], atol=1e-3)
 
 
-def test_what_runs_leave_open_is_open_before_others_too(tmp_path: Path):
-    setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
-    theory = Theory(setup, ("viscous_damping",))
-    told = fitted(theory, pieces(runs[:1], 0.3)[:2], np.array([1.0, 1.0, 0.0, 0.1]))
-    alone, free = placed(told, runs[3:]), foretold(told, runs[3:])
-    assert free.level < 1.3 < 3 < alone.level
-    away = free.theta - told.theta
-    assert away @ told.normal @ away < 25
-
-
-def test_runs_that_are_not_met_from_starts_nearby_are_looked_for_anew(tmp_path: Path):
-    setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
-    fit = fitted(Theory(setup, ("viscous_damping",)), runs[:3])
-    anew = foretold(fit, runs[3:])
-    wrong = {name: (-2.5 * q, v + 6.0) for name, (q, v) in anew.starts.items()}
-    for near in (anew.starts, wrong):
-        assert foretold(fit, runs[3:], near).level == pytest.approx(anew.level, rel=0.01)
-    assert placed(fit, runs[3:], wrong).level > 5 * anew.level
-
-
-def test_fitted_runs_begin_where_the_replayed_asset_has_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """The replayed asset is as held-out runs tell it; no effect moves with it."""
-    setup, runs = problem(tmp_path, measured_of(3, viscous=0.12))
-    fit = fitted(Theory(setup, ("viscous_damping",)), runs[:3])
-    off = np.where([r.name == "lean_1" for r in fit.theory.ranges()], 5e-3, 0.0)
-    monkeypatch.setattr(workflow, "confirmed", lambda fit, runs: replace(placed(fit, runs), theta=fit.theta + off))
-    folds = (Fold(runs[:3], runs[3:]),)
-    left = [
-        misfit(fit.theory, runs[:3], fit.theta + off, workflow.replayed_of(fit, folds, runs, anew)[1])
-        for anew in (False, True)
-    ]
-    assert left[1] < 0.95 * left[0]
-
-
 def test_where_nothing_is_to_be_gained_nothing_is_tried():
     asked = []
 
@@ -246,67 +206,6 @@ def test_the_missing_force_tells_where_a_catch_is(tmp_path: Path):
     beside = places(setup, local_force(setup, caught, (catch,)), "latch", 1)
     assert not beside or beside[0]["hold"] < 0.2 * 9.0  # nothing is missing with it
     assert places(setup, local_force(setup, caught), "viscous_damping", 2) == []
-
-
-@pytest.mark.parametrize("ripple, surpassed", [(0.0, False), (0.08, True)])
-def test_a_force_without_a_name_shows_what_a_name_leaves(tmp_path: Path, ripple: float, surpassed: bool):
-    setup, runs = problem(tmp_path, measured_of(7, dry=0.15, cog=ripple, count=6.0))
-    train = folds_of(runs)[0].train
-    fit = relaxed(fitted(Theory(setup, ("coulomb_friction",)), train), train)
-    beyond = np.sqrt(max(fit.level**2 - ceiling(fit, train, steady(fit.residuals)) ** 2, 0.0))
-    assert bool(beyond > SETTINGS.choice.nameless) == surpassed
-
-
-def test_an_effect_departs_from_its_formula_as_real_ones_do(tmp_path: Path):
-    """Oil may thin with speed by a fifth; a spring is one or is something else, which bends and knows no speed."""
-    setup, _ = problem(tmp_path, measured_of(9))
-
-    def ways(name: str, bent: bool) -> dict[str, tuple[float, float]]:
-        ranges = Theory(setup, (name,), relaxed=True, bent=bent).ranges()
-        return {r.name: (r.lower, r.upper) for r in ranges if r.owner == f"{name} form"}
-
-    assert ways("return_spring", False) == {}
-    assert ways("return_spring", True) == {"position": (-0.4, 0.4), "curve": (-0.4, 0.4)}
-    for bent in (False, True):
-        assert ways("viscous_damping", bent) == {"speed": (-0.2, 0.2), "position": (-0.1, 0.1), "curve": (-0.1, 0.1)}
-
-
-def test_a_groove_that_ends_is_a_form_of_a_notch(tmp_path: Path):
-    """From a narrow notch with long tails, as a search may end in, freed sizes come to the wide one."""
-    setup, runs = problem(tmp_path, measured_of(31, groove=3.0, centre=0.25, width=0.15))
-    train = folds_of(runs)[0].train
-    narrow = np.array([1.07, 0.95, 0.0, 3.3, 0.25, 0.09])
-    notch = fitted(Theory(setup, ("detent",)), train, narrow, free=False)
-    free = relaxed(notch, train)
-    assert notch.level > 4 and free.level < 1.35
-    assert free.values["detent", "width"] == pytest.approx(0.15, rel=0.2)
-    assert {r.name for r in free.theory.ranges() if r.owner == "detent form"} == {"position", "curve"}
-
-
-def test_a_repair_is_fitted_beside_the_asset_that_freed_sizes_tell(tmp_path: Path):
-    """Oil that thins with speed, taken for the formula's, bends the asset's inertia and weight; freed it does not."""
-    setup, runs = problem(tmp_path, measured_of(32, viscous=0.3, power=0.8))
-    train = folds_of(runs)[0].train
-    plain = fitted(Theory(setup, ("viscous_damping",)), train)
-    free = relaxed(plain, train)
-    added = beside(plain, free, train)
-    for name in ("inertia", "gravity", "lean_1"):
-        assert added.values["asset", name] == pytest.approx(free.values["asset", name], abs=1e-5)
-    assert abs(plain.values["asset", "inertia"] - free.values["asset", "inertia"]) > 2e-3
-    assert added.values["viscous_damping", "coefficient"] != plain.values["viscous_damping", "coefficient"]
-    assert np.array_equal(added.normal, plain.normal) and plain.level < added.level < 2 * plain.level
-
-
-def test_a_replay_has_the_effect_as_it_is_and_the_asset_as_its_own_runs_tell(tmp_path: Path):
-    """Oil that thins a little with speed bends the asset's doubts; other runs put these right, never the oil's size."""
-    setup, runs = problem(tmp_path, measured_of(32, viscous=0.3, power=0.97))
-    fold = folds_of(runs)[0]
-    plain = fitted(Theory(setup, ("viscous_damping",)), fold.train)
-    there = confirmed(plain, fold.test)
-    told = ("viscous_damping", "coefficient")
-    assert there.values[told] == pytest.approx(plain.values[told], rel=1e-6)
-    assert there.level < 0.6 * placed(plain, fold.test).level
-    assert set(there.starts) == {run.name for run in fold.test}
 
 
 def test_a_start_that_presses_into_a_dead_stop_rests_there(tmp_path: Path):

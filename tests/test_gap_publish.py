@@ -8,39 +8,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 from test_gap_show import ARM, INERTIA, MASS, STARTS, G, bob, damped, draft, filmed, held_out, named, pendulum
 
-from freeart21.effects.actuator_delay import ActuatorDelay
 from freeart21.effects.axis_tilt import AxisTilt
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.detent import Detent
 from freeart21.effects.pivot_offset import PivotOffset
 from freeart21.effects.return_spring import ReturnSpring
-from freeart21.effects.time_offset import TimeOffset
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
-from freeart21.measured import Measured, Run
-from freeart21.mechanics import Actuator, held
-from generator.simulate import roll_out
-from simgap.fitting.fit import Theory, fitted
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.kinematics import find_geometry_of
 from simgap.geometry.placing import place
-from simgap.measure.data import fit_runs
 from simgap.motion.equation_error import missing_force
 from simgap.motion.localise import residual_maps
-from simgap.motion.surrogate import plant_of
 from simgap.page.publish import GEOMETRY, _as_fitted, publish
-from simgap.page.report import length_text
 from simgap.proof import replay
-from simgap.proof.show import Off, Replayed, ReplayGap, _read_answer, show
-from simgap.proof.stretches import Stretch, as_replays, at_fault, stretches_of
-from simgap.proof.writeback import repaired
-from simgap.settings import GapSettings
-from simgap.verdict import RunGap, Verdict
-from simgap.workflow import certain_of, joined, problem_of
+from simgap.proof.show import Off, Replayed, _read_answer
+from simgap.verdict import Verdict
+from simgap.workflow import certain_of, joined
 
 TILT = AxisTilt(0.02, -0.015)
 
@@ -143,22 +130,6 @@ def test_a_replay_that_takes_too_long_keeps_the_answer_and_says_so(tmp_path: Pat
     assert told_of[0] == (0, 2) and told_of[-1] == (2, 2)
 
 
-def test_runs_that_were_fitted_are_replayed_where_no_other_shows_the_gap(tmp_path: Path):
-    """A pendulum that hardly moves in the runs held out: of oil these tell nothing."""
-    starts = ((0.9, 0.0), (0.0, 0.0), (0.0, 0.0))
-    asset, measured = bob(tmp_path / "a"), held_out(pendulum(starts, damped), 1, 2)
-    gaps = tuple(RunGap(f"run_{i}", 1e-3 if i else 0.2, np.nan, 1e-3, i > 0, "all") for i in range(3))
-
-    def answer(effect, folder):
-        told = draft(measured, starts, effect)
-        return publish(asset, measured, replace(told, verdict=replace(told.verdict, gaps=gaps)), folder, "quiet")
-
-    verdict = answer(ViscousDamping(0.03), tmp_path / "out")
-    assert verdict.added == ("viscous_damping",)
-    assert verdict.gaps[0].before > 0.03 and verdict.gaps[0].after < 0.1 * verdict.gaps[0].before
-    assert answer(ReturnSpring(3.0, 0.0), tmp_path / "wrong").added == ()
-
-
 def test_what_sapien_cannot_step_is_not_written(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), held_out(pendulum(STARTS[:2], damped, seconds=1.0), 1)
     told = draft(measured, STARTS[:2], Detent(1e4, 0.3, 1e-5))
@@ -216,7 +187,7 @@ def test_what_is_too_stiff_for_a_step_is_stepped_finer():
 def test_a_run_that_hangs_on_a_hair_tells_nothing(tmp_path: Path, change: float | None, told: list[str]):
     """Its gap is 100 floors after, and halving the time step changes that by `change`; None: the other one's, too."""
     measured = pendulum(STARTS[:2], damped, seconds=1.0)
-    runs = tuple(Replayed(run, (0, 0), (0, 0), 1e-3, "all", True) for run in measured.runs)
+    runs = tuple(Replayed(run, (0, 0), (0, 0), 1e-3, "all") for run in measured.runs)
     for i, run in enumerate(measured.runs):
         sure = np.array([[1e-3, 0.02], [1e-3, 0.05]])
         steps = sure if i == 0 and change else np.array([[1e-3, 0.02], [2.5e-4, change or 0.03]])
@@ -252,106 +223,3 @@ def test_what_the_asset_is_off_by_is_no_place_of_a_gap(tmp_path: Path):
     quiet = replace(draft(measured, starts, answer="no_gap"), moves_otherwise=False)
     verdict = publish(asset, measured, quiet, tmp_path / "out", "leaning")
     assert verdict.where == () and "Where it shows" not in (tmp_path / "out/index.html").read_text()
-
-
-# ---------------------------------------------------------------- a run that hangs on a hair
-
-NOTCH = Detent(6.0, 1.0, 0.15)
-"""Holds the bob up on one side; the asset knows it."""
-QUIET = ((-0.6, 0.0), (0.3, 0.0), (-0.4, 0.5), (-0.5, 0.3))
-EDGE = brentq(lambda q: float(NOTCH.law(q, 0, 0, {}, *NOTCH.values())) - MASS * G * ARM * np.sin(q), 0.6, 0.8)
-"""Let go above, the bob stays in the notch; below, it falls out."""
-
-
-def swung(assets, starts, seconds=2.0):
-    """Runs that were not fitted, each of an asset of its own, and the states (every .25 ms) of each."""
-    rng, runs, states = np.random.default_rng(0), [], []
-    for i, (one, start) in enumerate(zip(assets, starts, strict=True)):
-        rolled = roll_out(one, *start, duration_s=seconds, timestep_s=2.5e-4)
-        times = np.arange(round(150 * seconds)) / 150
-        q = np.interp(times, rolled.times_s, rolled.q) + rng.normal(size=len(times)) * 1e-3
-        runs.append(Run(f"run_{i}", times, q, held_out=True))
-        states.append(rolled)
-    return Measured("j", "revolute", np.array([0, 0, -G]), 150.0, "recorded", runs=tuple(runs)), states
-
-
-@pytest.mark.parametrize("odd, stands", [(["hair"], True), (["no oil"], False), (["hair", "hair"], False)])
-def test_one_run_that_hangs_on_a_hair_is_judged_in_stretches(tmp_path: Path, odd: list[str], stands: bool):
-    """With oil a run that is let go by a hair above the notch's edge falls out where its start is off by two floors.
-
-    Oil that one run truly has not stays wrong in stretches, and two runs at fault are no accident.
-    """
-    asset = repaired(bob(tmp_path / "a"), (NOTCH,), tmp_path / "b")
-    oily = repaired(asset, (ViscousDamping(0.03),), tmp_path / "c")
-    starts = (*QUIET, *((EDGE + 2e-3, 0.0) if one == "hair" else (0.55, 0.0) for one in odd))
-    assets = (*[oily] * 4, *(oily if one == "hair" else asset for one in odd))
-    measured, states = swung(assets, starts)
-    asked = []
-
-    def stretches(name: str) -> tuple[Stretch, ...]:
-        asked.append(name)
-        rolled = states[int(name[-1])]
-        at = [(float(rolled.q[k]), float(rolled.qd[k])) for k in (0, 1600, 3200, 4800, 6400)]
-        return tuple(Stretch(60 * k / 150, start, start) for k, start in enumerate(at))
-
-    told = draft(measured, starts, ViscousDamping(0.03), stretches=stretches)
-    missed = {f"run_{i}": (start, (start[0] - 4e-3, 0.0)) for i, start in enumerate(starts) if start[0] > 0.6}
-    told = replace(told, starts={**told.starts, **missed})
-    verdict = publish(asset, measured, told, tmp_path / "out", "a hair")
-    page = (tmp_path / "out/index.html").read_text()
-    assert asked == (["run_4"] if len(odd) == 1 else [])
-    if not stands:
-        assert (verdict.verdict, verdict.added) == ("unexplained", ())
-        assert "was tried and rolled back" in page and "hangs on a hair" not in page
-        return
-    assert (verdict.verdict, verdict.added) == ("named", ("viscous_damping",))
-    gap = next(gap for gap in verdict.gaps if gap.run == "run_4")
-    assert 5 * gap.floor < gap.before < 50 * gap.floor and gap.after < 1.3 * gap.floor
-    assert "run_4 hangs on a hair: as a whole its gap is" in page and "in stretches of 0.4 s" in page
-    count = len(stretches("run_4"))
-    said = {gap["run"]: gap["stretches"] for gap in json.loads((tmp_path / "out/verdict.json").read_text())["gap"]}
-    assert count > 1 and said == {run: count if run == "run_4" else 1 for run in said}
-    assert (
-        f"Run run_4, held out, fast, in SAPIEN, in {count} stretches: {length_text(gap.before, 'revolute')} →" in page
-    )
-    without = replace(told, stretches=None)
-    assert publish(asset, measured, without, tmp_path / "whole", "a hair").verdict == "unexplained"
-
-
-def gap_of(name: str, before: float, after: float, held: bool = True) -> ReplayGap:
-    nothing = np.zeros(1)
-    return ReplayGap(name, nothing, nothing, nothing, nothing, before, after, 1.0, "all", held)
-
-
-def test_one_run_alone_is_at_fault_or_none():
-    fine = [gap_of(f"run_{i}", 10.0, 1.0) for i in range(4)]
-    odd = gap_of("odd", 50.0, 120.0)
-    assert at_fault((*fine, odd)) is odd
-    assert at_fault(tuple(fine)) is None  # nothing speaks against it
-    assert at_fault((*fine[1:], odd)) is None  # three others are too few
-    assert at_fault((*fine, odd, gap_of("odder", 1.0, 2.0))) is None
-    assert at_fault(tuple(gap_of(r.run, r.gap_before, r.gap_before) for r in (*fine, odd))) is None
-    fitted = [gap_of(r.run, 1.0, 1.0) for r in fine]
-    assert at_fault((*fitted, gap_of("fitted", 50.0, 120.0, held=False))) is None
-
-
-def test_stretches_begin_inside_inputs_that_last_and_before_what_is_late(tmp_path: Path):
-    """Efforts act late and go on from stretch to stretch, the sensor is late; SAPIEN follows from the fits' starts."""
-    rng, late = np.random.default_rng(0), (ActuatorDelay(0.08), TimeOffset(0.05))
-    asset = repaired(bob(tmp_path / "a"), (ViscousDamping(0.05), *late), tmp_path / "b")
-    times = 0.3 + 0.01 * np.arange(600)
-    effort = np.repeat(rng.uniform(-1, 1, 30), 20)
-    rolled = roll_out(asset, 0.5, duration_s=6.6, actuator=Actuator(effort=held(times, effort)))
-    q = np.interp(times - 0.05, rolled.times_s, rolled.q) + rng.normal(size=600) * 1e-3
-    measured = Measured("j", "revolute", np.array([0, 0, -G]), 100.0, "recorded", "commanded")
-    measured = replace(measured, runs=(Run("run_0", times, q, effort, held_out=True),))
-    plant = plant_of(asset, measured)
-    runs, floor = fit_runs(measured, plant)
-    setup = problem_of(plant, measured, runs, floor, GapSettings())
-    fit = fitted(Theory(setup, ()), runs)
-    stretches = stretches_of(runs, fit, fit, "run_0")
-    assert len(stretches) >= 4 and stretches[0].begin_s == times[0]
-    whole = Replayed(measured.runs[0], (0.0, 0.0), (0.0, 0.0), floor.still)
-    parts = show(asset, asset, measured, as_replays(whole, stretches))
-    assert sum(len(part.times_s) for part in parts.runs) == len(times)
-    assert max(part.gap_after for part in parts.runs) < 1.4 * floor.still

@@ -43,7 +43,7 @@ from simgap.page.publish import GEOMETRY, Draft, off_of, publish, with_positions
 from simgap.page.report import Ranked
 from simgap.proof.show import Off, Replayed, helps, show
 from simgap.proof.writeback import repaired
-from simgap.verdict import Named, RunGap, Verdict
+from simgap.verdict import Named, RunGap, Use, Verdict
 
 MASS, ARM, G = 1.2, 0.3, 9.81
 INERTIA = 0.01 + MASS * ARM**2
@@ -322,7 +322,7 @@ def test_a_sensor_that_is_late_is_replayed_from_the_state_it_read_first(tmp_path
     measured = replace(pendulum(STARTS[:1], damped, seconds=2.0), runs=(run,))
     start = tuple(float(np.interp(times[0] - late, true.times_s, s)) for s in (true.q, true.qd))
     again = repaired(asset, (TimeOffset(late),), tmp_path / "b")
-    shown = show(asset, again, measured, (Replayed(run, start, start, 1e-3, "free", True),))
+    shown = show(asset, again, measured, (Replayed(run, start, start, 1e-3, "free"),))
     assert shown.runs[0].gap_after < 1e-4
 
 
@@ -369,17 +369,22 @@ def named(*effects):
     return tuple(Named(e, end, end) for e, end in zip(effects, ends, strict=True))
 
 
+def use_of(run):
+    return "confirming" if run.held_out else "fitted"
+
+
 def draft(measured, starts, *effects, answer="named", **more):
     gaps = tuple(
-        RunGap(run.name, 0.1, np.nan, 1e-3, bool(run.held_out), "fast" if abs(s[0]) > 0.5 else "slow")
+        RunGap(run.name, 0.1, np.nan, 1e-3, bool(run.held_out), "fast" if abs(s[0]) > 0.5 else "slow", use_of(run))
         for run, s in zip(measured.runs, starts, strict=True)
     )
     verdict = Verdict(answer, named(*effects), (), gaps, (), None, "Oil is missing.")
     return Draft(
         verdict,
         {run.name: (s, s) for run, s in zip(measured.runs, starts, strict=True)},
-        ranking=(Ranked(tuple(e.name for e in effects), 1.1, 0.001, "chosen"), Ranked((), 90.0)),
+        ranking=(Ranked(tuple(e.name for e in effects), 1.1), Ranked((), 90.0, -500.0, 20.0)),
         regimes={gap.run: gap.regime for gap in gaps},
+        uses={run.name: use_of(run) for run in measured.runs},
         floor=1e-3,
         certain=verdict.effects if answer == "named" else (),
         **more,
@@ -403,77 +408,69 @@ def test_a_verdict_is_published_with_the_gaps_that_sapien_measured(tmp_path: Pat
     assert read_asset(out / "asset").effects == {"j": (ViscousDamping(0.03),)}
     page = (out / "index.html").read_text()
     assert "A &lt;bob&gt;" in page and "<bob>" not in page
-    for said in ("Oil is missing.", "Damping as by oil", "Run run_1, held out, slow", "closed in other motion"):
+    for said in ("Oil is missing.", "Damping as by oil", "Run run_1, confirming, slow", "closed in other motion"):
         assert said in page, said
     assert "http://" not in page.replace("http://www.w3.org", "") and "src=" not in page
 
 
 @pytest.mark.parametrize(
-    ("held", "in_turn", "said"),
+    ("uses", "in_turn", "said"),
     [
-        ((True, True), False, "2 runs that were not fitted"),
-        ((True,), False, "1 run that was not fitted"),
-        ((False,), False, "1 fitted run"),
-        ((False, False, True), False, "2 fitted runs and 1 that was not fitted"),
-        ((False, False, False), True, "3 runs, each held out in turn"),
-        ((False,), True, "1 run, its stretches held out in turn"),
+        (("confirming", "confirming"), False, "2 runs kept to confirm it"),
+        (("choosing",), False, "1 run that chose it"),
+        (("fitted",), False, "1 run that it was fitted to"),
+        (
+            ("fitted", "fitted", "confirming"),
+            False,
+            "2 runs that it was fitted to and 1 run kept to confirm it",
+        ),
+        (("fitted", "fitted", "fitted"), True, "3 runs, each held out in turn"),
+        (("fitted",), True, "1 run, its stretches held out in turn"),
     ],
 )
-def test_runs_are_called_what_they_are(held: tuple[bool, ...], in_turn: bool, said: str):
-    assert runs_text(held, in_turn) == said
+def test_runs_are_called_what_they_are(uses: tuple[Use, ...], in_turn: bool, said: str):
+    assert runs_text(uses, in_turn) == said
 
 
 def test_a_closed_part_is_told_with_the_runs_that_it_is_of():
-    told = f"Oil. {closed_text(0.9, '2 runs, each held out in turn')}; no other run shows any. More."
-    again = with_closed(told, 0.812, "1 fitted run, replayed in SAPIEN,")
-    assert again == "Oil. With it 81% of the gap on 1 fitted run, replayed in SAPIEN, is gone. More."
+    told = f"Oil. {closed_text(0.9, '2 runs, each held out in turn')}. More."
+    again = with_closed(told, 0.812, "1 run that chose it, replayed in SAPIEN,")
+    assert again == "Oil. With it 81% of the gap on 1 run that chose it, replayed in SAPIEN, is gone. More."
 
 
-def _page_of(folder: Path, which: tuple[int, ...], quiet: bool = False) -> str:
-    """The page of oil that is missing, of three runs of which some are held out; `quiet` if those held out stand."""
-    starts = ((0.9, 0.0), (0.0, 0.0), (0.0, 0.0)) if quiet else STARTS
-    asset, measured = bob(folder / "a"), held_out(pendulum(starts, damped), *which)
-    told = draft(measured, starts, ViscousDamping(0.03))
-    if quiet:
-        gaps = (replace(told.verdict.gaps[0], before=0.2), *(replace(g, before=1e-3) for g in told.verdict.gaps[1:]))
-        told = replace(told, verdict=replace(told.verdict, gaps=gaps))
+def _page_of(folder: Path, which: tuple[int, ...]) -> str:
+    """The page of oil that is missing, of three runs of which some are kept to confirm it."""
+    asset, measured = bob(folder / "a"), held_out(pendulum(STARTS, damped), *which)
     (folder / "out").mkdir()
-    publish(asset, measured, told, folder / "out", "oil")
+    publish(asset, measured, draft(measured, STARTS, ViscousDamping(0.03)), folder / "out", "oil")
     return (folder / "out/index.html").read_text()
 
 
-def test_every_figure_says_that_its_runs_were_held_out(tmp_path: Path):
+def test_every_figure_says_what_its_runs_were_used_for(tmp_path: Path):
     page = _page_of(tmp_path, (1, 2))
     for said in (
-        "gap before, on 2 runs that were not fitted",
-        "of the gap closed, on 1 run that was not fitted",
-        "closed in other motion, on 1 run that was not fitted",
-        "Explanations, by their error on 2 runs that were not fitted",
+        "3 runs: 1 fitted, 2 confirming",
+        "gap before, on 2 runs kept to confirm it",
+        "of the gap closed, on 1 run kept to confirm it",
+        "closed in other motion, on 1 run kept to confirm it",
         "Fitted to run run_0.",
-        "by the accelerations in 1 fitted run and 2 that were not fitted",
-        "Run run_1, held out,",
+        "by the accelerations in 1 run that it was fitted to and 2 runs kept to confirm it",
+        "Run run_1, confirming,",
     ):
         assert said in page, said
 
 
-def test_nothing_is_said_of_held_out_runs_where_all_were_fitted(tmp_path: Path):
+def test_nothing_is_said_of_runs_kept_back_where_all_were_fitted(tmp_path: Path):
     page = _page_of(tmp_path, ())
     for said in (
-        "gap before, on 3 fitted runs",
-        "of the gap closed, on 3 fitted runs",
+        "gap before, on 3 runs that it was fitted to",
+        "of the gap closed, on 3 runs that it was fitted to",
         "Explanations, by their error on 3 runs, each held out in turn",
         "Fitted to 3 runs: run_0, run_1, run_2.",
         "Run run_0, fitted,",
     ):
         assert said in page, said
-    assert "not fitted" not in page and "never fitted" not in page and "held-out" not in page
-
-
-def test_a_gap_that_fitted_runs_alone_show_is_told_of_these(tmp_path: Path):
-    """Held-out runs in which the part stands still: 'no gap before and 100 % of it closed' was said of them."""
-    page = _page_of(tmp_path, (1, 2), quiet=True)
-    assert "gap before, on 1 fitted run" in page and "of the gap closed, on 1 fitted run" in page
-    assert page.index("Run run_0, fitted,") < page.index("Run run_1, held out,")  # first the one that tells
+    assert "confirm" not in page and "chose" not in page
 
 
 def test_what_does_not_help_is_rolled_back(tmp_path: Path):
@@ -485,7 +482,7 @@ def test_what_does_not_help_is_rolled_back(tmp_path: Path):
     assert all(gap.after == gap.before for gap in verdict.gaps)
     assert read_asset(out / "asset").effects == {"j": (ViscousDamping(0.01),)}
     page = (out / "index.html").read_text()
-    assert "rolled back: replayed in SAPIEN it did not help on 1 run that was not fitted, or" in page
+    assert "rolled back: replayed in SAPIEN it did not help on 1 run kept to confirm it, or" in page
 
 
 def test_without_a_gap_the_asset_stays_as_it_is(tmp_path: Path):

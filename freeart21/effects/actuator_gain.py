@@ -12,6 +12,7 @@ class ActuatorGain(Effect):
 
     name: ClassVar[str] = "actuator_gain"
     acts: ClassVar[Acts] = "command"
+    common: ClassVar[bool] = True
     departs: ClassVar[tuple[float, float]] = (0.05, 0.05)  # motors saturate a little
 
     factor: float = parameter("1", "1", 0.0, 100.0, "force per commanded force", scale=1.0)

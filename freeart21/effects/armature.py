@@ -26,6 +26,7 @@ class Armature(Effect):
 
     name: ClassVar[str] = "armature"
     acts: ClassVar[Acts] = "inertia"
+    common: ClassVar[bool] = True
 
     value: float = parameter("kg*m^2", "kg", 0.0, 1e4, "added inertia", scale=0.01)
     throw_back: float = parameter("1", "1", 0.0, 1.0, "part of its speed that it comes back with", default=0.0)

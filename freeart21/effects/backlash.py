@@ -25,6 +25,7 @@ class Backlash(Effect):
 
     name: ClassVar[str] = "backlash"
     acts: ClassVar[Acts] = "slack"
+    becomes: ClassVar[str | None] = "armature"
 
     width: float = parameter("rad", "m", 0.0, 10.0, "free travel from one end of the slack to the other", scale=0.02)
     drive_inertia: float = parameter("kg*m^2", "kg", 1e-9, 1e4, "inertia of the drive side", scale=0.01)

@@ -77,7 +77,8 @@ class Effect(ABC):
                  sticks under any load up to level. Set-valued: needs events, or SAPIEN's drive as a saturated damper.
       "inertia"  `law` is an inertia (kg*m^2 or kg) that turns with the joint.
       "stop"     `law` is the speed after an impact at a limit that came in with qd; without any, impacts leave 0.
-      "command"  acts on the actuator only: it gets `gain()` times the force that the command of `delay()` s ago makes.
+      "command"  acts on the actuator only: it gives `gain()` times the force that the command of `delay()` s ago makes,
+                 and `bias_force()` besides while it is on.
       "slack"    the actuator's side is a body of its own, see `backlash`.
     kinematics, "pose": `displacement` takes the moving part from where the ideal joint has it to where it truly is.
     sensing, "reading": what is written down at time t is q(t - delay()) + reading_error(q(t - delay())).
@@ -97,18 +98,27 @@ class Effect(ABC):
     """The types of joint that can have this effect."""
     needs_load: ClassVar[bool] = False
     """Whether `law` looks at the load."""
+    needs_effort: ClassVar[bool] = False
+    """Whether runs tell it only in which the actuator was told its effort."""
     knows_speed: ClassVar[bool] = True
     """Whether the force of one that acts as "force" changes with speed."""
     departs: ClassVar[tuple[float, float]] = (0.2, 0.2)
     """By what part of itself a real one may differ from its formula: over the range of speeds, and over that of
     positions, there once as a slope and once between middle and ends. What has a speed or a place of its own, over
     those."""
-    keeps: ClassVar[bool] = False
-    """Whether it keeps to its formula so well that the sizes it departs by explain nothing: they only tell how well it
-    can be known."""
-    tails: ClassVar[tuple[float, int]] = (1.5, 2)
-    """Of an effect with a place: how many widths from there its ends are, and the power, 2 or 4, of the distance with
-    which they differ from the middle."""
+    widths: ClassVar[float] = 1.5
+    """Of an effect with a place: how many widths from there its ends are."""
+
+    becomes: ClassVar[str | None] = None
+    """The plainer effect that this one is in a special case: that one has the name unless it does worse."""
+    twin: ClassVar[str | None] = None
+    """The effect that does the same wherever the load on the bearing stays as it is."""
+    dissipates: ClassVar[bool] = False
+    """Whether it takes energy from the joint wherever that moves."""
+    common: ClassVar[bool] = False
+    """Whether every machine has it, more or less, as all have friction and none must have a notch."""
+    spans: ClassVar[tuple[str, ...]] = ()
+    """Forces of any shape that it helps to make: of "position", of "velocity", of "direction" alone."""
 
     def __post_init__(self) -> None:
         for field, spec in self.parameters().items():
@@ -171,6 +181,10 @@ class Effect(ABC):
     def gain(self) -> float:
         """Part of the actuator's force that arrives."""
         return 1.0
+
+    def bias_force(self) -> float:
+        """Force of the actuator, N*m or N, beside what was commanded."""
+        return 0.0
 
     def delay(self) -> float:
         """Seconds by which a command ("command") or a reading ("reading") comes late."""

@@ -15,6 +15,10 @@ class CoulombFriction(Effect):
 
     name: ClassVar[str] = "coulomb_friction"
     acts: ClassVar[Acts] = "drive"
+    dissipates: ClassVar[bool] = True
+    common: ClassVar[bool] = True
+    twin: ClassVar[str | None] = "load_friction"
+    spans: ClassVar[tuple[str, ...]] = ("velocity",)
     departs: ClassVar[tuple[float, float]] = (0.1, 0.1)  # a level is what it is
 
     level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force", scale=0.1)

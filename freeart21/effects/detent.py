@@ -19,9 +19,10 @@ class Detent(Effect):
 
     name: ClassVar[str] = "detent"
     acts: ClassVar[Acts] = "force"
+    spans: ClassVar[tuple[str, ...]] = ("position",)
     knows_speed: ClassVar[bool] = False
     departs: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
-    tails: ClassVar[tuple[float, int]] = (1.9, 4)  # and a groove ends somewhere, which a Gaussian does not
+    widths: ClassVar[float] = 1.9  # a groove ends somewhere, which a Gaussian does not
 
     peak: float = parameter("N*m", "N", 0.0, 1e4, "largest holding force", scale=0.1)
     centre: float = parameter("rad", "m", -100.0, 100.0, "position that it holds", scale=0.1)

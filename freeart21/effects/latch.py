@@ -23,7 +23,7 @@ class Latch(Effect):
     acts: ClassVar[Acts] = "force"
     knows_speed: ClassVar[bool] = False
     departs: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
-    tails: ClassVar[tuple[float, int]] = (1.0, 2)  # and ease before they let go
+    widths: ClassVar[float] = 1.0
 
     hold: float = parameter("N*m", "N", 0.0, 1e4, "pull at which it lets go", scale=1.0)
     position: float = parameter("rad", "m", -100.0, 100.0, "where it holds the joint", scale=0.1)

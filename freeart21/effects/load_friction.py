@@ -17,6 +17,9 @@ class LoadFriction(Effect):
 
     name: ClassVar[str] = "load_friction"
     acts: ClassVar[Acts] = "drive"
+    dissipates: ClassVar[bool] = True
+    common: ClassVar[bool] = True
+    twin: ClassVar[str | None] = "coulomb_friction"
     needs_load: ClassVar[bool] = True
     departs: ClassVar[tuple[float, float]] = (0.1, 0.1)  # as Coulomb's
 

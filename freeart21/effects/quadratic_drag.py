@@ -16,6 +16,9 @@ class QuadraticDrag(Effect):
 
     name: ClassVar[str] = "quadratic_drag"
     acts: ClassVar[Acts] = "force"
+    dissipates: ClassVar[bool] = True
+    common: ClassVar[bool] = True
+    spans: ClassVar[tuple[str, ...]] = ("velocity",)
     departs: ClassVar[tuple[float, float]] = (0.2, 0.1)  # the power is not quite 2
 
     coefficient: float = parameter("N*m*s^2/rad^2", "N*s^2/m^2", 0.0, 1e4, "force per speed squared", scale=0.01)

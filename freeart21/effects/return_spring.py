@@ -12,9 +12,9 @@ class ReturnSpring(Effect):
 
     name: ClassVar[str] = "return_spring"
     acts: ClassVar[Acts] = "force"
+    spans: ClassVar[tuple[str, ...]] = ("position", "direction")
     knows_speed: ClassVar[bool] = False
     departs: ClassVar[tuple[float, float]] = (0.0, 0.05)  # it may harden a little; it knows no speed
-    keeps: ClassVar[bool] = True  # what hardens as much as it pleases is a cable, a magnet, a belt
 
     stiffness: float = parameter("N*m/rad", "N/m", 0.0, 1e6, "force per displacement", scale=1.0)
     rest: float = parameter("rad", "m", -100.0, 100.0, "position without force", scale=0.1)

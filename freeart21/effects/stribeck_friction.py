@@ -19,6 +19,10 @@ class StribeckFriction(Effect):
 
     name: ClassVar[str] = "stribeck_friction"
     acts: ClassVar[Acts] = "drive"
+    dissipates: ClassVar[bool] = True
+    common: ClassVar[bool] = True
+    becomes: ClassVar[str | None] = "coulomb_friction"
+    spans: ClassVar[tuple[str, ...]] = ("velocity",)
     departs: ClassVar[tuple[float, float]] = (0.2, 0.1)  # curves of many powers are measured
 
     level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force in fast motion", scale=0.1)

@@ -12,6 +12,9 @@ class ViscousDamping(Effect):
 
     name: ClassVar[str] = "viscous_damping"
     acts: ClassVar[Acts] = "force"
+    dissipates: ClassVar[bool] = True
+    common: ClassVar[bool] = True
+    spans: ClassVar[tuple[str, ...]] = ("velocity",)
     departs: ClassVar[tuple[float, float]] = (0.2, 0.1)  # oils thin with speed; films are much the same everywhere
 
     coefficient: float = parameter("N*m*s/rad", "N*s/m", 0.0, 1e4, "force per speed", scale=0.1)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import csv
-import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,7 +11,9 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
+from freeart21.files import base_json, checked
+from freeart21.files.actuator_json import actuator_from_json
+from freeart21.files.run_table import MAX_SAMPLES, read_table
 from freeart21.joint import JOINT_TYPES, JointType
 from freeart21.measured import (
     EFFORT_KINDS,
@@ -27,13 +28,11 @@ from freeart21.measured import (
 )
 from freeart21.mechanics import Actuator
 from freeart21.se3 import Array
+from freeart21.turns import is_wrapped, near, unwrapped
 
 VERSION = 1
-MAX_CSV_BYTES = 64 << 20
 MAX_BYTES = 256 << 20
 """Of all runs together."""
-MAX_SAMPLES = 1_000_000
-"""Of a run."""
 MAX_RUNS = 1000
 MAX_RATE_HZ = 1e5
 MAX_GRAVITY = 50.0
@@ -42,11 +41,21 @@ MAX_POSITION = 1e4
 """rad or m; more is no position of a joint."""
 MIN_SAMPLES = 20
 """Fewer readings say nothing of a motion."""
-COLUMNS = ("t_s", "q", "effort", "q_command")
+DRIVES = ("effort", "q_command", "voltage", "enabled")
+"""Columns of what drove the joint."""
+COLUMNS = ("t_s", "q", *DRIVES, "qd", *base_json.COLUMNS)
+_ALIKE = {"t_s": "s", "voltage": "V", "enabled": "1", **base_json.COLUMNS}
 UNITS: dict[str, dict[str, str]] = {
-    "revolute": {"t_s": "s", "q": "rad", "effort": "N*m", "q_command": "rad"},
-    "prismatic": {"t_s": "s", "q": "m", "effort": "N", "q_command": "m"},
+    "revolute": {"q": "rad", "qd": "rad/s", "effort": "N*m", "q_command": "rad", **_ALIKE},
+    "prismatic": {"q": "m", "qd": "m/s", "effort": "N", "q_command": "m", **_ALIKE},
 }
+OTHER_UNITS: dict[str, dict[str, float]] = {
+    "rad": {"deg": np.pi / 180},
+    "rad/s": {"deg/s": np.pi / 180},
+    "m": {"mm": 1e-3},
+    "m/s": {"mm/s": 1e-3},
+}
+"""Unit to others that are read in its place, and what one of them is of it."""
 
 
 def read_measured(folder: Path) -> Measured:
@@ -59,8 +68,6 @@ def read_measured(folder: Path) -> Measured:
     if data.get("version") != VERSION:
         raise FreeArtError(f"{path} has version {data.get('version')!r}, expected {VERSION}")
     kind = cast(JointType, _one_of(data, "joint_type", JOINT_TYPES, path))
-    if data.get("base", "fixed") != "fixed":
-        raise FreeArtError(f"{path}: base is {data['base']!r}, expected 'fixed'")
     sampling = _object(data, "sampling", path)
     rate = _positive(sampling, "rate_hz", path)
     if rate > MAX_RATE_HZ:
@@ -72,11 +79,17 @@ def read_measured(folder: Path) -> Measured:
     uncertainty = _object(data, "asset_uncertainty", path) if data.get("asset_uncertainty") is not None else {}
     listed = _listed_runs(data, path)
     files = _run_files(folder, listed, path)
-    runs = tuple(_read_run(file, entry, kind, rate, path) for file, entry in zip(files, listed, strict=True))
-    runs, notes = without_copies(runs)
-    _check_rate(runs, rate, path)
     units = _units(data, kind, path)
+    scales = {column: _scale(unit, UNITS[kind][column]) for column, unit in units.items()}
+    runs = tuple(_read_run(file, entry, kind, rate, scales, path) for file, entry in zip(files, listed, strict=True))
+    runs, turns = _whole_turns(runs, kind, data.get("wrapped"), path)
+    runs, copies = without_copies(runs)
+    notes = (*turns, *copies)
+    _check_rate(runs, rate, path)
     _check_channels(runs, units, efforts, actuator, path)
+    bases = [run.base for run in runs if run.base is not None]
+    turned = any(base.angle is not None for base in bases)
+    base_axis = base_json.base_axis_of(data.get("base", "fixed"), bool(bases), turned, path)
     gravity = checked.numbers(data, "gravity", (3,), path)
     if np.linalg.norm(gravity) > MAX_GRAVITY:
         raise FreeArtError(
@@ -96,6 +109,7 @@ def read_measured(folder: Path) -> Measured:
         inertia_relative=_relative(uncertainty, "inertia_relative", path),
         gravity_relative=_relative(uncertainty, "gravity_relative", path),
         runs=runs,
+        base_axis=base_axis,
         notes=notes,
     )
 
@@ -142,12 +156,19 @@ def _name_of(file: str) -> str:
     return str(Path(file.removesuffix("poses.npz") if file.endswith("/poses.npz") else file)).removesuffix(".csv")
 
 
-def _read_run(file: Path, entry: dict[str, Any], kind: JointType, rate_hz: float, path: Path) -> Run:
+def _read_run(
+    file: Path, entry: dict[str, Any], kind: JointType, rate_hz: float, scales: dict[str, float], path: Path
+) -> Run:
     how, name, held_out = entry.get("kind", "csv"), _name_of(entry["file"]), entry.get("held_out")
     if how == "csv":
-        table, lines = _read_csv(file)
+        table, lines = read_table(file, COLUMNS)
+        table = {c: values * scales[c] if scales.get(c, 1.0) != 1.0 else values for c, values in table.items()}
         _check_series(file, table["t_s"], table["q"], [f"line {k}" for k in lines], "readings of q that are numbers")
-        return Run(name, table["t_s"], table["q"], table.get("effort"), table.get("q_command"), None, None, held_out)
+        effort, command, voltage, enabled = (table.get(column) for column in DRIVES)
+        return Run(
+            name, table["t_s"], table["q"], effort, command, None, None, held_out, voltage, enabled,
+            base_json.base_of(table, file), table.get("qd"),
+        )  # fmt: skip
     if how == "poses":
         return _read_poses(file, name, rate_hz, held_out)
     if how == "rgbd":
@@ -156,52 +177,6 @@ def _read_run(file: Path, entry: dict[str, Any], kind: JointType, rate_hz: float
             "measure` on the result, which makes runs of kind 'poses'"
         )
     raise FreeArtError(f"{path}: run '{entry['file']}' has kind {how!r}, expected csv, poses or rgbd")
-
-
-def _read_csv(file: Path) -> tuple[dict[str, Array], list[int]]:
-    """Column name to (n,) numbers, and the line of each; an empty cell of a column other than t_s is NaN."""
-    if file.is_dir():
-        raise FreeArtError(f"{file} is a folder, expected a CSV file; a folder with poses.npz is of kind 'poses'")
-    try:
-        text = checked.require_file(file, MAX_CSV_BYTES).read_text("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FreeArtError(f"{file} is not text: {error}") from error
-    if "\0" in text:
-        raise FreeArtError(
-            f"{file} is not text: it has a NUL byte in line {text[: text.index(chr(0))].count(chr(10)) + 1}"
-        )
-    reader = csv.reader(io.StringIO(text))
-    try:
-        numbered = [(reader.line_num, row) for row in reader if row]
-    except csv.Error as error:
-        raise FreeArtError(f"{file} line {reader.line_num} is not CSV: {error}") from error
-    header = [cell.strip() for cell in numbered[0][1]] if numbered else []
-    for column in ("t_s", "q"):
-        if column not in header:
-            raise FreeArtError(f"{file} has no column '{column}'; its columns: {_short(', '.join(header)) or 'none'}")
-    unknown = [column for column in header if column not in COLUMNS]
-    if unknown or len(set(header)) != len(header):
-        raise FreeArtError(
-            f"{file} has columns {_short(', '.join(header))}; expected each once of {', '.join(COLUMNS)}"
-        )
-    if len(numbered) - 1 > MAX_SAMPLES:
-        raise FreeArtError(f"{file} has {len(numbered) - 1} samples, at most {MAX_SAMPLES} are read: thin them out")
-    values = np.empty((len(numbered) - 1, len(header)))
-    for i, (line, row) in enumerate(numbered[1:]):
-        try:
-            values[i] = [float(cell) if cell.strip() else np.nan for cell in row]
-        except ValueError as error:
-            raise FreeArtError(
-                f"{file} line {line} is '{_short(','.join(row))}', expected {len(header)} numbers"
-            ) from error
-    table = {column: np.ascontiguousarray(values[:, i]) for i, column in enumerate(header)}
-    return table, [line for line, _ in numbered[1:]]
-
-
-def _short(text: str, most: int = 80) -> str:
-    """The text on one line, and not much of it."""
-    text = " ".join(text.split())
-    return text if len(text) <= most else text[:most] + "..."
 
 
 def _read_poses(file: Path, name: str, rate_hz: float, held_out: bool | None) -> Run:
@@ -274,9 +249,43 @@ def _units(data: dict[str, Any], kind: JointType, path: Path) -> dict[str, str]:
     for column, unit in units.items():
         if column not in COLUMNS:
             raise FreeArtError(f"{path}: units of '{column}', expected {', '.join(COLUMNS)}")
-        if unit != UNITS[kind][column]:
-            raise FreeArtError(f"{path}: '{column}' of a {kind} joint is in {unit!r}, expected '{UNITS[kind][column]}'")
+        own = UNITS[kind][column]
+        known = [own, *(other for other in OTHER_UNITS.get(own, ()) if own != "m" or column in ("q", "q_command"))]
+        if unit not in known:
+            raise FreeArtError(
+                f"{path}: '{column}' of a {kind} joint is in {unit!r}, expected {' or '.join(map(repr, known))}"
+            )
     return units
+
+
+def _scale(unit: str, own: str) -> float:
+    """What one of `unit` is in our own unit of it."""
+    return 1.0 if unit == own else OTHER_UNITS[own][unit]
+
+
+def _whole_turns(
+    runs: tuple[Run, ...], kind: JointType, wrapped: Any, path: Path
+) -> tuple[tuple[Run, ...], tuple[str, ...]]:
+    """The runs without leaps of a turn, and a line for each that had some.
+
+    `wrapped` is what the file says of its angles: true, false, or nothing; then leaps go that are clearly a turn's end.
+    """
+    if wrapped not in (None, True, False):
+        raise FreeArtError(f"{path}: 'wrapped' is {wrapped!r}, expected true or false")
+    if kind != "revolute" or wrapped is False:
+        return runs, ()
+    found, notes = [], []
+    for run in runs:
+        q, jumps = unwrapped(run.q, np.pi) if wrapped or is_wrapped(run.q) else (run.q, 0)
+        command = run.q_command
+        if command is not None and (wrapped or jumps):
+            command, turned = near(command, q)
+            jumps += turned
+        if jumps:
+            how = "" if wrapped else ', as its leaps from one end of a turn to the other show (else "wrapped": false)'
+            notes.append(f"run '{run.name}': angles within one turn were made whole, {jumps} leaps{how}")
+        found.append(replace(run, q=q, q_command=command))
+    return tuple(found), tuple(notes)
 
 
 def _check_channels(
@@ -285,11 +294,13 @@ def _check_channels(
     """Every column has its unit, and whoever drives says how."""
     for run in runs:
         columns: tuple[str, ...] = () if run.poses is not None else ("t_s", "q")
-        columns += tuple(c for c in ("effort", "q_command") if getattr(run, c) is not None)
+        columns += () if run.qd is None else ("qd",)
+        columns += tuple(c for c in DRIVES if getattr(run, c) is not None)
+        columns += tuple(base_json.base_columns(run.base))
         for column in columns:
             if column not in units:
                 raise FreeArtError(f"{path}: run '{run.name}' has '{column}', whose unit is not in 'units'")
-        for column in ("effort", "q_command"):
+        for column in DRIVES:
             values = getattr(run, column)
             if values is not None and not (np.isfinite(values[0]) and not np.isinf(values).any()):
                 raise FreeArtError(
@@ -298,22 +309,19 @@ def _check_channels(
                 )
         if run.effort is not None and efforts is None:
             raise FreeArtError(f"{path}: run '{run.name}' has efforts, but 'effort' does not say commanded or external")
-        if run.q_command is not None and actuator is None:
+        if run.q_command is not None and (actuator is None or not actuator.stiffness):
             raise FreeArtError(f"{path}: run '{run.name}' has 'q_command', but there is no 'actuator' that follows it")
+        if run.voltage is not None and (actuator is None or actuator.motor is None):
+            raise FreeArtError(f"{path}: run '{run.name}' has 'voltage', but there is no 'actuator' of type 'dc_motor'")
+        told = (
+            run.q_command is not None or run.voltage is not None or (run.effort is not None and efforts == "commanded")
+        )
+        if run.enabled is not None and not told:
+            raise FreeArtError(f"{path}: run '{run.name}' has 'enabled', but nothing that was commanded")
 
 
 def _actuator(data: dict[str, Any], path: Path) -> Actuator | None:
-    if data.get("actuator") is None:
-        return None
-    given = _object(data, "actuator", path)
-    if given.get("type") != "position":
-        raise FreeArtError(f"{path}: the actuator's type is {given.get('type')!r}, expected 'position'")
-    stiffness, damping = (_number(given, key, path) for key in ("stiffness", "damping"))
-    if min(stiffness, damping) < 0:
-        raise FreeArtError(
-            f"{path}: the actuator's stiffness and damping are {stiffness:g} and {damping:g}, expected 0 or more"
-        )
-    return Actuator(None, stiffness, damping)
+    return actuator_from_json(_object(data, "actuator", path), path) if data.get("actuator") is not None else None
 
 
 def _object(data: dict[str, Any], key: str, path: Path) -> dict[str, Any]:

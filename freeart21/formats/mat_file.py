@@ -20,7 +20,8 @@ import numpy as np
 from freeart21 import child
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.measured import MAX_BYTES, MAX_CSV_BYTES
+from freeart21.files.measured import MAX_BYTES
+from freeart21.files.run_table import MAX_CSV_BYTES
 from freeart21.se3 import Array
 
 MAX_MATRIX_COLUMNS = 64

@@ -9,6 +9,8 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files.measured import MIN_SAMPLES
 from freeart21.se3 import Array
+from freeart21.turns import near as near
+from freeart21.turns import unwrapped as unwrapped
 
 _SWAPPED, _SWAPPED_STEPS = 0.05, 10
 """Share of rows that may come after later ones, and by how many steps at most, before it is another recording. Not
@@ -76,19 +78,3 @@ def begun(run: Raw, notes: list[str]) -> Raw:
         )
     notes.append(f"{run.name}: the first {first} rows were left out: no value of {' and '.join(drives)} is known there")
     return replace(run, values={role: values[first:] for role, values in run.values.items()})
-
-
-def unwrapped(q: Array) -> tuple[Array, int]:
-    """(n,) positions, rad, without jumps of a whole turn from one reading to the next, and how many there were."""
-    known = np.isfinite(q)
-    straight = q.copy()
-    straight[known] = np.unwrap(q[known], discont=1.5 * np.pi)
-    return straight, int((np.abs(np.diff(straight[known] - q[known])) > 1.0).sum())
-
-
-def near(command: Array, q: Array) -> tuple[Array, int]:
-    """(n,) commands, rad, without jumps of a whole turn, on the positions' turn, and how many turns were undone."""
-    straight, jumps = unwrapped(command)
-    apart = float(np.nanmedian(q - straight))
-    turns = round(apart / (2 * np.pi)) if np.isfinite(apart) else 0
-    return straight + 2 * np.pi * turns, jumps + abs(turns)

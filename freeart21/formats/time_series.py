@@ -27,7 +27,7 @@ import numpy as np
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.measured import MAX_CSV_BYTES, MAX_SAMPLES
+from freeart21.files.run_table import MAX_CSV_BYTES, MAX_SAMPLES
 from freeart21.formats.mat_file import MAX_MATRIX_COLUMNS, read_mat
 from freeart21.se3 import Array
 

@@ -34,8 +34,6 @@ _SPEEDS = (0.0, *(s * part for part in (0.05, 0.1, 0.2, 0.3, 1.0) for s in (-1, 
 _MET = 2.0
 """Floors of error up to which a run is met, wherever it begins."""
 
-SURE = 1e12
-"""Times how well a parameter is known beforehand, for what is as good as fixed."""
 _SHORT, _LONG = 1.5, 5.0
 """Crossings of its range, at its top speed, that a stretch lasts for."""
 _STRETCHES, _LONGER, _MILD, _MILD_STEPS = 4, 3.0, 0.02, 6
@@ -189,7 +187,6 @@ def fitted(
     starts: Starts | None = None,
     iterations: int | None = None,
     free: bool = True,
-    known: Fit | None = None,
 ) -> Fit:
     """The theory fitted to the runs from `theta` (p,) within its bounds.
 
@@ -200,14 +197,11 @@ def fitted(
         starts: first guesses of start states; looked for in the readings where not given.
         iterations: at most; as the settings say when not given.
         free: whether the parameters move; without, only the starts do.
-        known: an earlier fit, to other runs: its parameters are known beforehand as well as those runs told them.
     """
     ranges, plant = theory.ranges(), theory.problem.plant
     low, high = (np.array([getattr(r, k) for r in ranges]) for k in ("lower", "upper"))
     neutral, spread = (np.array([getattr(r, k) for r in ranges]) for k in ("neutral", "prior"))
     weight = np.diag(1 / spread**2)
-    if known is not None:
-        neutral, weight = known.theta, known.normal
     at = np.clip(theory.neutral() if theta is None else theta, low, high)
     model = _Model(theory, runs, at)
     given = starts or {}
@@ -303,41 +297,6 @@ def placed(fit: Fit, runs: tuple[FitRun, ...], starts: Starts | None = None) -> 
     return fitted(fit.theory, runs, fit.theta, starts, iterations=12, free=False)
 
 
-def foretold(fit: Fit, runs: tuple[FitRun, ...], near: Starts | None = None) -> Fit:
-    """The fit before runs that it was not fitted to: their starts are free, and its parameters as free as the runs that
-    it was fitted to leave them, by what they leave of those. A wild run may hang on the fourth digit of a parameter of
-    which three are known.
-
-    Starts are looked for `near` those given, of runs that are not met from there and where none are given, anew.
-    """
-    starts = _placed_near(fit, runs, near) if near else placed(fit, runs).starts
-    known = replace(fit, normal=information(fit, unit_of(fit.tempered)))
-    return fitted(fit.theory, runs, fit.theta, starts, iterations=5, known=known)
-
-
-def _placed_near(fit: Fit, runs: tuple[FitRun, ...], near: Starts) -> Starts:
-    there = placed(fit, runs, near)
-    missed = tuple(run for run in runs if there.floors(run.name) > _MET)
-    if not missed:
-        return there.starts
-    again = placed(fit, missed)
-    better = {run.name for run in missed if again.floors(run.name) < there.floors(run.name)}
-    return {name: (again if name in better else there).starts[name] for name in there.starts}
-
-
-def confirmed(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The same effects, just as they are, before runs that they were not fitted to: the starts are free, and so is by
-    how much the asset is off, beside what the fitted runs say of that. A law that is not quite right turns small doubts
-    of the asset a little beside the mark, and quiet runs tell them better than those do in which it acts: a run counts
-    by what it is missed by."""
-    there = placed(fit, runs)
-    runs = tuple(replace(run, sigma=run.sigma * max(1.0, there.floors(run.name))) for run in runs)
-    known = information(fit, unit_of(fit.tempered))
-    own = np.array([r.owner != "asset" for r in fit.theory.ranges()], bool)
-    known[own, own] += SURE * np.maximum(np.diag(known)[own], 1.0)
-    return fitted(fit.theory, runs, fit.theta, there.starts, iterations=5, known=replace(fit, normal=known))
-
-
 def information(fit: Fit, unit: float) -> Array:
     """(p, p) of the parameters, the starts being free: what the readings say is counted in units of noise, what was
     known before in full."""
@@ -370,6 +329,11 @@ def unit_of(left: dict[str, Array]) -> float:
                 break
             summed += c
     return float(max(power, 1.0) * (1 + 2 * summed))
+
+
+def priced(free: int, readings: int) -> float:
+    """What the log density of the very readings that `free` numbers were fitted to is too large by (Schwarz 1978)."""
+    return 0.5 * free * float(np.log(readings))
 
 
 def settled(theory: Theory, theta: Array, runs: tuple[FitRun, ...]) -> Starts:

@@ -11,6 +11,7 @@ from itertools import product
 
 import numpy as np
 
+from freeart21.base_motion import sway_force
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
 from simgap.fitting.theory import Problem, Theory
@@ -84,8 +85,12 @@ def _driven(plant: Plant, run: FitRun, times: Array, q: Array, qd: Array) -> Arr
     at = np.clip(np.searchsorted(inputs.times_s, times, side="right") - 1, 0, len(inputs.times_s) - 1)
     series = np.stack([inputs.command, inputs.effort, inputs.push])
     command, effort, push = (series if inputs.beside is None else series + HALFWAY * inputs.beside)[:, at]
-    law = plant.stiffness * (command - q) - plant.damping * qd
-    return np.asarray(push + effort + np.where(np.isfinite(law), law, 0.0))
+    gain = float(np.prod([e.gain() for e in plant.effects]))
+    bias = float(np.sum([e.bias_force() for e in plant.effects]))
+    given = gain * plant.drive.forces(q, qd, command, effort) + bias
+    on = True if inputs.on is None else inputs.on[at]
+    swayed = 0.0 if inputs.sway is None else sway_force(inputs.sway[:, at], q)
+    return np.asarray(push + np.where(on, given, 0.0) + swayed)
 
 
 def _known(plant: Plant, q: Array, qd: Array, qdd: Array) -> Array:

@@ -111,7 +111,7 @@ class Linear:
 
     def _gridded(self, name: str) -> _Grid:
         names = tuple(sorted((*self.fit.theory.names, name)))
-        theory = Theory(self.problem, names, self.fit.theory.relaxed)
+        theory = Theory(self.problem, names)
         own = [r for r in theory.ranges() if r.owner == name]
         sizes = [r for r in own if _is_size(r, own)]
         grid = list(product(*[_grid(r, self.problem) for r in own if r not in sizes]))

@@ -9,8 +9,8 @@ import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
+from simgap.fitting import alike
 from simgap.fitting.fit import (
-    SURE,
     Fit,
     Problem,
     Starts,
@@ -22,14 +22,16 @@ from simgap.fitting.fit import (
     misfit,
     pieces,
     placed,
+    priced,
     resettled,
+    unit_of,
 )
 from simgap.fitting.force_guess import LocalForce, local_force, places
 from simgap.fitting.guess import Guess, guesses, off
 from simgap.fitting.theory import SHAFT
 from simgap.measure.data import FitRun
 from simgap.motion.surrogate import is_local
-from simgap.settings import ChoiceSettings
+from simgap.settings import SearchSettings
 
 _CROSSINGS = (0.25, 0.8, 2.5, 6.0)
 """Crossings of the range at top speed that stretches last for: fits grow from some through all longer ones to whole
@@ -67,21 +69,8 @@ _FAR, _WILD = 2.0, 4.0
 """Floors of error beyond which runs are looked at in stretches, and stretches in shorter ones."""
 _LOST = 8.0
 """Floors of error of a set beyond which what is added to it is first fitted to stretches, whatever it is."""
-_RELAXING = 8
-"""Iterations of a fit whose sizes are freed."""
-_GIVES = (0.15, 0.45)
-"""Parts of the most that the flanks of a slack may give way, and throw back, that freed sizes begin from."""
-_ENDING = {"peak": 0.8, "width": 1.3, "curve": -0.75}
-"""Of a notch that ends, beside one that fades away: parts of size and width, and of the most by which it may end."""
 _GROWING = 4
 """Iterations of a fit to stretches."""
-
-
-PLAINER = {
-    "stribeck_friction": "coulomb_friction",
-    "backlash": "armature",
-}
-"""Effect to the one that it becomes in a special case: the plainer one has the name unless it does worse."""
 
 
 def candidates(
@@ -90,8 +79,9 @@ def candidates(
     """Names of the effects, `without` some, that these runs could show at all; without an `encoder` part poses told the
     positions."""
     commanded = any(np.any(run.inputs.effort) or np.isfinite(run.inputs.command).any() for run in runs)
+    told = any(np.any(run.inputs.effort) for run in runs)
     near = problem.near_stop
-    driven = commanded or any(np.any(run.inputs.push) for run in runs)
+    driven = commanded or any(np.any(run.inputs.push) or run.inputs.sway is not None for run in runs)
     slack = any(effect.acts == "slack" for effect in problem.plant.effects)
 
     def possible(cls: type[Effect]) -> bool:
@@ -101,6 +91,8 @@ def candidates(
             return False
         if any(s.revolute_unit == "rad/s" and s.lower >= problem.speed for s in cls.parameters().values()):
             return False  # nothing moves as fast as it acts
+        if cls.needs_effort and not told:
+            return False
         if cls.acts == "command" or cls.acts == "slack":
             return commanded and not (slack and cls.acts == "slack")
         if cls.acts == "stop":
@@ -116,7 +108,7 @@ class Search:
 
     problem: Problem
     train: tuple[FitRun, ...]
-    settings: ChoiceSettings
+    settings: SearchSettings
     names: tuple[str, ...]
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     _first: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
@@ -130,10 +122,49 @@ class Search:
             self.fits[()] = grown(Theory(self.problem, ()), self.train)
         return self.fits[()]
 
-    def hinted(self) -> float:
-        """Floors that the best effect would explain of what the asset alone leaves, to first order."""
-        fall = self.base().rss - min((guess.cost for guess in self._guesses()[2]), default=np.inf)
-        return float(np.sqrt(max(fall, 0.0) / sum(len(run.q) for run in self.train)))
+    def promising(self) -> bool:
+        """Whether any effect could, to first order, make what the asset alone leaves more probable than its numbers
+        cost."""
+        base, (cut, at, found) = self.base(), self._guesses()
+        if cut is not self.train:
+            return True
+        unit, readings = unit_of(base.residuals), sum(len(run.q) for run in self.train)
+        return any(0.5 * (at.rss - guess.cost) / unit > priced(len(guess.point), readings) for guess in found)
+
+    def explored(self) -> list[Fit]:
+        """The best sets of every size, ever larger ones until nothing is left to explain: begun from smaller ones, from
+        the asset as it is told, and from others that do much the same."""
+        level = self.singles()
+        for size in range(1, self.settings.max_effects + 1):
+            if size > 1:
+                level = self.larger(level[: self.settings.parents if size == 2 else self.settings.parents - 1])
+            self._swapped(size)
+            level = self._of_size(size)
+            if min(self.fits.values(), key=lambda fit: fit.cost).level < self.settings.all_told:
+                break
+        every = [fit for fit in self.losses() if self.base().level > _FAR]
+        best = [fit for k in range(1, size + 1) for fit in self._of_size(k)[: self.settings.contenders]]
+        names = {fit.theory.names for fit in best}
+        return best + [fit for fit in every if fit.theory.names not in names]
+
+    def _of_size(self, size: int) -> list[Fit]:
+        """All sets of so many effects, the best first."""
+        return sorted((fit for names, fit in self.fits.items() if len(names) == size), key=lambda fit: fit.cost)
+
+    def _swapped(self, size: int) -> None:
+        """Beside the best sets of a size those with an effect's like in its place, those that they become in special
+        cases, and those with one effect less."""
+        for fit in self._of_size(size)[: self.settings.parents]:
+            for swap in (alike.twins, alike.losses, alike.turned, alike.lighter, alike.narrowed):
+                for at in swap(self.problem, fit, self.names):
+                    self.keep(fitted(at.theory, self.train, at.theta, at.starts))
+            for name in fit.theory.names:
+                rest = {*fit.theory.names} - {name}
+                less = EFFECTS[name].becomes
+                if less in self.names:
+                    self.of(tuple(sorted({*rest, less})))
+                if rest:
+                    self.without(fit, name)
 
     def losses(self) -> list[Fit]:
         """Every set of losses fitted from the asset as it is told, not from what it must be off by to do without."""
@@ -187,8 +218,9 @@ class Search:
             self.keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
         far = self._left_out()
         self._with_losses(1)
-        for name, plainer in PLAINER.items():
-            if (name,) in self.fits and (plainer,) in self.fits:
+        for name in self.names:
+            plainer = EFFECTS[name].becomes
+            if plainer and (name,) in self.fits and (plainer,) in self.fits:
                 self._keep_from(name, self.fits[(plainer,)])
                 self._keep_plain(self.fits[(name,)], plainer)
         if ("armature",) in self.fits and ("backlash",) in self.fits:
@@ -200,7 +232,7 @@ class Search:
         start of its own did what the stop before it should have done, a joint that creeps is far from one that falls,
         and one that friction holds tells nothing of what would have moved it. Gives those of them that act all along
         and are not even nearer than all that were guessed."""
-        if min((fit.level for fit in self.fits.values()), default=np.inf) <= self.settings.explained:
+        if min((fit.level for fit in self.fits.values()), default=np.inf) <= self.settings.lost:
             return []
         for name in self.names:
             if EFFECTS[name].acts == "stop":
@@ -334,7 +366,7 @@ class Search:
         firsts = [next(e for e in order if e[1] is parent) for parent in parents if any(e[1] is parent for e in order)]
         best = (firsts + [e for e in order if not any(e is f for f in firsts)])[: self.settings.shortlist]
         for entry in tuple(best):
-            plainer = PLAINER.get(entry[2].name)
+            plainer = EFFECTS[entry[2].name].becomes
             other = rough.get(tuple(sorted((*entry[1].theory.names, plainer)))) if plainer else None
             if other is not None and not any(e is other for e in best):
                 best.append(other)  # which has the name when it does as well
@@ -510,42 +542,6 @@ def _hopeful(fits: list[Fit]) -> list[Fit]:
     """The fits to the same runs, best first, without those far behind."""
     order = sorted(fits, key=lambda fit: fit.cost)
     return [fit for i, fit in enumerate(order) if i < 2 or fit.cost < _HOPEFUL * order[0].cost]
-
-
-def relaxed(fit: Fit, runs: tuple[FitRun, ...], bent: bool = False) -> Fit:
-    """The same effects, their sizes free to depart from their formulas within the form tolerance; if `bent`, springs by
-    far more.
-
-    Flanks that do not give way at all hide that they could, and a narrow notch that it could be a wide one that ends:
-    such fits begin from there, too.
-    """
-    theory = Theory(fit.theory.problem, fit.theory.names, relaxed=True, bent=bent)
-    points = [joined(theory, fit, {})]
-    flanks = np.array([r.owner == "backlash form" for r in theory.ranges()])
-    if flanks.any():
-        most = np.array([r.upper for r in theory.ranges()])
-        points += [np.where(flanks, part * most, points[0]) for part in _GIVES]
-    if "detent" in theory.names:
-        own = {r.name: i for i, r in enumerate(theory.ranges()) if r.owner in ("detent", "detent form")}
-        ending = points[0].copy()
-        ending[own["peak"]] *= _ENDING["peak"]
-        ending[own["width"]] *= _ENDING["width"]
-        ending[own["curve"]] = _ENDING["curve"] * theory.ranges()[own["curve"]].upper
-        points.append(ending)
-    found = [fitted(theory, runs, point, fit.starts, _RELAXING) for point in points]
-    return caught(min(found, key=lambda way: way.cost), runs)
-
-
-def beside(fit: Fit, free: Fit, runs: tuple[FitRun, ...]) -> Fit:
-    """The same effects fitted beside an asset that is off as in `free`, where the sizes are free to depart from their
-    formulas: else the asset's doubts stand in for these departures, in quiet runs too."""
-    ranges, asset = fit.theory.ranges(), free.values
-    own = [r.owner == "asset" for r in ranges]
-    theta = np.array([asset[r.owner, r.name] if it else x for r, x, it in zip(ranges, fit.theta, own, strict=True)])
-    about = np.array([x if it else r.neutral for r, x, it in zip(ranges, theta, own, strict=True)])
-    sure = np.diag([(SURE if it else 1.0) / r.prior**2 for r, it in zip(ranges, own, strict=True)])
-    known = replace(fit, theta=about, normal=sure)
-    return replace(fitted(fit.theory, runs, theta, fit.starts, known=known), normal=fit.normal)
 
 
 def prompt(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:

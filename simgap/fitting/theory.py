@@ -10,10 +10,8 @@ import numpy as np
 from freeart21.effects import EFFECTS, Effect
 from freeart21.effects.armature import Armature
 from freeart21.effects.backlash import Backlash
-from freeart21.effects.encoder_offset import EncoderOffset
-from freeart21.effects.encoder_scale import EncoderScale
 from freeart21.se3 import Array
-from simgap.motion import kernel, laws
+from simgap.motion import kernel
 from simgap.motion.surrogate import Nuisance, Plant, numbers_of
 from simgap.settings import FitSettings, SurrogateSettings
 
@@ -25,16 +23,12 @@ HOLDING = "holding"
 """The asset's number that says how inputs go on between their rows; no lateness of half a row is an effect."""
 
 
-FORM_WAYS = ("speed", "position", "curve", "tilt")
-"""Along what the size of an effect departs from its formula: see `kernel.FORM`; the last one is a sensor's."""
-
-
 @dataclass(frozen=True)
 class Range:
     """One number that is fitted."""
 
     owner: str
-    """Name of an effect, 'asset', or an effect's name with ' form'."""
+    """Name of an effect, 'asset', or what is fitted beside effects ('friction form', 'shaft form')."""
     name: str
     lower: float
     upper: float
@@ -91,10 +85,6 @@ class Theory:
 
     problem: Problem
     names: tuple[str, ...]
-    relaxed: bool = False
-    """Whether the sizes of the effects may depart from their formulas, within the form tolerance."""
-    bent: bool = False
-    """Whether effects that keep to their formulas may depart from them, too, and by far more than any does."""
     prompt: bool = False
     """Whether dry friction is there at once after a reversal, as in simulators; else it builds up, as real friction
     does."""
@@ -138,36 +128,11 @@ class Theory:
             found.append(Range(SHAFT, "rebound", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
             if "armature" in self.names and not any(cls.acts == "slack" for cls in self.classes):
                 found.append(Range(SHAFT, "swing", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
-        if self.relaxed:
-            for cls in self.classes:
-                found += self._form(cls)
         return tuple(found)
 
     def fitted_of(self, cls: type[Effect]) -> list[str]:
         """The parameters of an effect that are its own: what a shaft gives back, and when, is fitted in their place."""
         return [n for n in cls.parameters(self.problem.plant.joint_type) if n not in ("throw_back", "swing")]
-
-    def _form(self, cls: type[Effect]) -> list[Range]:
-        """How the effect may depart from its formula."""
-        owner, (fast, far), e = f"{cls.name} form", cls.departs, self.problem.fit.rebound_tolerance
-        if cls.keeps:
-            far = self.problem.fit.bend_tolerance if self.bent else 0.0
-        if cls.acts == "stop":  # a real stop throws back slow parts better than fast ones
-            return [Range(owner, "speed", -e, e, e, e), Range(owner, "curve", -e, e, e, e)]
-        if cls.name in laws.LAWS:
-            return [Range(owner, k, -r, r, r, r) for k, r in zip(FORM_WAYS, (fast, far, far), strict=False) if r > 0]
-        found = []
-        acting = {*(cls.acts for cls in self.classes), *(effect.acts for effect in self.problem.plant.effects)}
-        if cls.acts == "inertia" and "slack" not in acting:
-            twist = self.problem.fit.twist_tolerance
-            found.append(Range(owner, "give", 0.0, twist, 0.1 * twist, twist))
-        if cls.acts == "slack":  # its flanks give way, and throw back what meets them slowly
-            give, springy = self.problem.fit.give_tolerance, self.problem.fit.springy_tolerance
-            found.append(Range(owner, "give", 0.0, give, 0.1 * give, give))
-            found.append(Range(owner, "springy", 0.0, springy, 0.1 * springy, springy))
-        if cls.name == "encoder_offset" and "encoder_scale" not in self.names:  # a zero that is not all the same
-            found.append(Range(owner, "tilt", -far, far, far, far))
-        return found
 
     def _range(self, cls: type[Effect], name: str) -> Range:
         """Bounds and size of an effect's parameter on these data: nothing beyond what was moved through."""
@@ -183,6 +148,8 @@ class Theory:
         elif unit in ("rad", "m") and cls.acts != "drive":
             # what is wider than a third of the way moved through is no local effect, and looks like a spring
             low, high, size = max(2 * problem.sigma, 1e-3 * span), 0.35 * span, 0.05 * span
+        elif unit in ("N*m", "N") and cls.acts == "command":
+            size = 0.1 * problem.force
         elif unit in ("rad/s", "m/s"):
             low, high, size = 0.01 * problem.speed, problem.speed, 0.1 * problem.speed
         elif unit == "s":
@@ -284,24 +251,8 @@ class Reader:
 
     def numbers(self, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
         """The vector, start left at 0, and all effects."""
-        nuisance = self.nuisance(theta)
-        forms, effects = {}, self.effects(theta)
-        if self.theory.relaxed:
-            told = {(r.owner, r.name): float(x) for r, x in zip(self.ranges, theta, strict=True) if "form" in r.owner}
-            for name in self.theory.names:
-                if name in laws.LAWS:
-                    speed, position, curve = (told.get((f"{name} form", way), 0.0) for way in FORM_WAYS[:3])
-                    forms[name] = (speed, position, curve)
-            free = {name: x for (_, name), x in told.items()}
-            if "tilt" in free:
-                offset = next(e for e in effects if isinstance(e, EncoderOffset)).offset
-                effects = (*effects, EncoderScale(1 + free["tilt"] * offset / self.theory.problem.reference[2]))
-        problem = self.theory.problem
-        numbers = numbers_of(problem.plant, effects, nuisance, forms, problem.reference)
-        if self.theory.relaxed:
-            numbers[kernel.SPRINGY] = free.get("springy", 0.0) * problem.speed
-            power = 2 / 3 if numbers[kernel.SLACK_WIDTH] else 1
-            numbers[kernel.GIVE] = free.get("give", 0.0) * (problem.q_high - problem.q_low) / problem.force**power
+        effects, problem = self.effects(theta), self.theory.problem
+        numbers = numbers_of(problem.plant, effects, self.nuisance(theta))
         if _FRICTION in self.owners:
             root, gripping = theta[(at := self.owners.index(_FRICTION)) : at + 2]
             numbers[kernel.TRAVEL] = problem.fit.travel_tolerance * (problem.q_high - problem.q_low) * root**2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,9 +62,7 @@ def place(asset: Asset, gravity: Array) -> Placed:
     T_world_parent = simulated.link_pose(joint.parent)
     g = T_world_canonical[:3, :3] @ np.asarray(gravity, float)
     mechanics = simulated.mechanics
-    placed = JointMechanics(
-        mechanics.joint, mechanics.mass, mechanics.inertia, mechanics.moment_zero, T_world_parent[:3, :3].T @ g
-    )
+    placed = replace(mechanics, gravity=T_world_parent[:3, :3].T @ g)
     apart = simulated.link_pose(asset.moving_link)
     simulated.set_state(asset.state_zero + 0.1)
     child_moves = bool(np.abs(simulated.link_pose(asset.moving_link) - apart).max() > 1e-6)

@@ -2,86 +2,113 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from simgap.fitting.fit import Problem, tempered, unit_of
+from freeart21.joint import JointType
+from simgap.fitting.fit import Fit, Problem, tempered, unit_of
 from simgap.fitting.guess import neutral_value
 from simgap.judgement.choose import Choice
-from simgap.judgement.drift import Drift
 from simgap.judgement.experiment import next_experiment
+from simgap.judgement.hypotheses import Hypothesis
 from simgap.judgement.intervals import NORMAL_90, with_intervals
-from simgap.judgement.judge import Judged
+from simgap.judgement.nameless import Nameless
+from simgap.judgement.split import Split
 from simgap.judgement.words import amount, capital, closed_text, effect_words, plain, runs_text
 from simgap.measure.data import FitRun
 from simgap.measure.floor import Floor
-from simgap.settings import ChoiceSettings
-from simgap.verdict import RunGap, Verdict, unseen
+from simgap.settings import JudgementSettings
+from simgap.verdict import RunGap, Verdict, told_by
 
 _ODD = 3.0
 """Times what the other runs are off by at which a run is spoken of."""
 _REMAINS = 1.5
-"""Floors that an explanation leaves, but of the run that is met worst, from which on the rest is spoken of."""
+"""Floors that an explanation leaves of the middle run from which on the rest is spoken of."""
 _NEAR = 0.5
 """Part of the gap that the best try may leave and still be told of where nothing explains it."""
+_SPOKEN = 0.1
+"""Part of the gap that a force without a name takes beside a set to be spoken of."""
+_FORCES = {
+    "position": "a force that depends on where the joint is",
+    "velocity": "friction that depends on speed in another way",
+    "direction": "a push one way, or friction that differs by direction",
+    "time": "a size that changes over the session",
+}
+_LATER = {
+    "position": "Move it slowly through its whole range, both ways, with a known force, and record again.",
+    "velocity": "Record it at several steady speeds, both ways, with a known force.",
+    "direction": "Record the same motion both ways, and once with the base turned round.",
+    "time": "Move it for some minutes, then record these runs again, the last ones first.",
+    "": "Record free motion without any drive, small and large, then the same with known pushes: what is missing in "
+    "both is the joint's, what only in one is the drive's.",
+}
 
 
-def moves_enough(runs: tuple[FitRun, ...], floor: Floor, settings: ChoiceSettings) -> bool:
+@dataclass(frozen=True)
+class Confirmed:
+    """The asset as it is and the best set before confirming runs, all but their start states as fitted; None where
+    there are no such runs."""
+
+    before: Fit | None
+    after: Fit | None
+
+
+def moves_enough(runs: tuple[FitRun, ...], floor: Floor, settings: JudgementSettings) -> bool:
     """Whether any run moves by more than the sensor's noise can hide."""
     return max(float(np.ptp(run.q)) for run in runs) > settings.least_motion * floor.still
 
 
-def says_enough(runs: tuple[FitRun, ...], settings: ChoiceSettings) -> bool:
+def says_enough(runs: tuple[FitRun, ...], settings: JudgementSettings) -> bool:
     """Whether there are readings enough to fit some and hold out others."""
     return sum(len(run.q) for run in runs) >= settings.least_readings
 
 
-def silent_verdict(runs: tuple[FitRun, ...], floor: Floor, moved: bool) -> Verdict:
-    """Nothing moved, or hardly anything was read: nothing is known."""
+def silent_verdict(runs: tuple[FitRun, ...], floor: Floor, moved: bool, joint_type: JointType) -> Verdict:
+    """Nothing moved, or hardly anything was read: nothing is known but what pushes it withstood."""
     gaps = tuple(RunGap(r.name, floor.still, floor.still, floor.still, bool(r.held_out), r.regime) for r in runs)
+    if moved:
+        said, later = "There are too few readings", "Record some runs of a few seconds each, from all over its range."
+    else:
+        pushes = [np.abs(run.inputs.effort) + np.abs(run.inputs.push) for run in runs if len(run.inputs.times_s)]
+        most = max((float(push.max()) for push in pushes), default=0.0)
+        held = f" under {amount(most, 'N*m' if joint_type == 'revolute' else 'N')}" if most > 0 else ""
+        said = f"The joint hardly moved{held}"
+        later = "Let it go from far off its rest position, or push it through its whole range, and record again."
+        if most > 0:
+            later = (
+                f"Push harder than {amount(most, 'N*m' if joint_type == 'revolute' else 'N')} until it moves. {later}"
+            )
     return Verdict(
         "not_excited",
         (),
         (),
         gaps,
         (),
-        "Record some runs of a few seconds each, from all over its range."
-        if moved
-        else "Let it go from far off its rest position, or push it through its whole range, and record again.",
-        f"{'There are too few readings' if moved else 'The joint hardly moved'}: these runs cannot tell whether "
-        "anything is missing in the simulation.",
+        later,
+        f"{said}: these runs cannot tell whether anything is missing in the simulation.",
     )
 
 
-def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: Problem) -> Verdict:
+def verdict_of(
+    choice: Choice, split: Split, confirmed: Confirmed, runs: tuple[FitRun, ...], floor: Floor, problem: Problem
+) -> Verdict:
     """The verdict of a choice."""
-    before = choice.base
+    before, gaps = choice.base, _gaps(runs, choice, split, confirmed)
     if not choice.gap:
         said = (
-            f"Simulation and measurement agree: what is left ({_length(before.borne * floor.still, problem)}) "
+            f"Simulation and measurement agree: what is left ({_length(before.usual * floor.still, problem)}) "
             "is the sensor's noise and what the asset is known to be off by."
         )
-        odd, far = max(((run, float(np.sqrt(np.mean(r * r)))) for run, r in before.strict.items()), key=lambda e: e[1])
-        if far > _ODD * before.borne:
+        odd, far = max(before.by_run.items(), key=lambda entry: entry[1])
+        if far > _ODD * before.usual:
             said += f" But run {odd} goes another way, and nothing explains that one alone: record it again."
-        return Verdict("no_gap", (), (), _gaps(runs, before, before, floor), (), None, said)
+        return Verdict("no_gap", (), (), gaps, (), None, said)
     if not choice.explaining:
-        said = (
-            f"Simulation and measurement differ by {_length(before.floors * floor.still, problem)}, and no effect of "
-            "the library explains it"
-        )
-        if choice.best.names and choice.best.floors < _NEAR * before.floors:
-            said += f"; the nearest, {_listed(choice.best)}, leaves "
-            said += _length(choice.best.floors * floor.still, problem)
-        later = None
-        if choice.drift:
-            said += f". {changing(choice.drift)}"
-            later = "Move it for some minutes, then record these runs again, the last ones first."
-        said += "."
-        return Verdict("unexplained", (), (), _gaps(runs, before, before, floor), (), later, said)
+        return _unexplained(choice, gaps, floor, problem)
     best = choice.explaining[0]
     named = with_intervals(best)
-    rest = f" {capital(remainder(best, runs, floor, problem))}" if choice.in_part else ""
-    gaps = _gaps(runs, before, best, floor)
+    rest = f" {capital(remainder(choice, runs, floor, problem))}" if choice.in_part else ""
     kind = problem.plant.joint_type
     words = " and ".join(effect_words(n.effect, kind) for n in named)
     if len(choice.explaining) > 1:
@@ -90,25 +117,51 @@ def verdict_of(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: 
         or_else = ", or ".join(_listed(j) for j in choice.explaining)
         said = f"These runs cannot decide{' what dominates' * choice.in_part}: {or_else}.{sure_of(sets)}{rest}"
         return Verdict("ambiguous", named, (), gaps, sets, experiment, said, in_part=choice.in_part)
-    idle = unmoved(best)
-    if idle:
+    if unmoved(best):
         said = f"Something is missing, perhaps {words}, but these runs do not move enough of it to say how much."
         wider = "Record larger and smaller motions over the whole range, with pushes of known size."
-        return Verdict("not_excited", named, (), _gaps(runs, before, before, floor), (), wider, said)
-    alone = unseen(gaps)
-    was, now = (j.fit.level if alone else j.floors for j in (before, best))
+        return Verdict("not_excited", named, (), gaps, (), wider, said)
+    told = told_by(gaps)
+    was, now = (float(np.sqrt(np.mean([(getattr(g, k) / g.floor) ** 2 for g in told]))) for k in ("before", "after"))
     closed = float(np.clip((was - now) / max(was - 1.0, 1e-9), 0.0, 1.0))
-    flags = [bool(run.held_out) for run in runs]
-    of = runs_text([out for out in flags if out != alone], not any(flags))
-    closing = f"{closed_text(closed, of)}{'; no other run shows any' * alone}."
+    of = runs_text([gap.use for gap in told], len(split.folds) > 1 and not split.confirming)
+    closing = f"{closed_text(closed, of)}."
+    if not split.confirming:
+        closing += " It is not confirmed: there are too few runs to keep some for that."
     if choice.in_part:
         said = f"Most of what the simulation misses is this: {words}. {closing}{rest}"
         return Verdict("named", named, (), gaps, (), None, said, in_part=True)
     said = f"The simulation misses this: {words}. {closing}"
-    if best.borne > _REMAINS:
-        rest = _length(best.borne * floor.still, problem)
-        said += f" What remains, {rest} or {best.borne:.2g} times the sensor's noise, has no name."
+    if best.usual > _REMAINS:
+        rest = _length(best.usual * floor.still, problem)
+        said += f" What remains, {rest} or {best.usual:.2g} times the sensor's noise, has no name."
     return Verdict("named", named, (), gaps, (), None, said)
+
+
+def _unexplained(choice: Choice, gaps: tuple[RunGap, ...], floor: Floor, problem: Problem) -> Verdict:
+    """What is told where nothing may be named: what comes nearest, and what has no name beside it."""
+    before, best = choice.base, choice.best
+    said = (
+        f"Simulation and measurement differ by {_length(before.floors * floor.still, problem)}, and no effect of "
+        "the library explains it"
+    )
+    if best.names and best.floors < _NEAR * before.floors:
+        said += f"; the nearest, {_listed(best)}, leaves {_length(best.floors * floor.still, problem)}"
+    rival = _spoken(choice)
+    if rival is not None:
+        said += f". Something without a name does better: {_FORCES[rival.kind]}"
+        changes = {name: by for name, by in rival.changes.items() if abs(by) > _SPOKEN}
+        said += "".join(f"; {plain(name)} changes by {by:+.0%}" for name, by in changes.items())
+    later = _LATER[rival.kind if rival is not None else ""]
+    return Verdict("unexplained", (), (), gaps, (), later, f"{said}.")
+
+
+def _spoken(choice: Choice) -> Nameless | None:
+    """The force without a name that is most probable beside what was named or was nearest, and takes a part of the
+    gap."""
+    sure = [n for n in choice.nameless if n.ahead > n.error]
+    able = [n for n in sure if n.taken > _SPOKEN * choice.base.floors or (n.kind == "time" and n.changes)]
+    return max(able, key=lambda n: n.ahead, default=None)
 
 
 def sure_of(sets: tuple[tuple[str, ...], ...]) -> str:
@@ -117,15 +170,17 @@ def sure_of(sets: tuple[tuple[str, ...], ...]) -> str:
     return f" Sure is {' and '.join(plain(name) for name in shared)}." if shared else ""
 
 
-def remainder(best: Judged, runs: tuple[FitRun, ...], floor: Floor, problem: Problem) -> str:
+def remainder(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: Problem) -> str:
     """What a name in part leaves, and where most of it is: in which run, at which places and speeds."""
-    floors = {name: float(np.sqrt(np.mean(r * r))) for name, r in best.strict.items()}
+    best, rival = choice.explaining[0], _spoken(choice)
+    floors = {name: float(np.sqrt(np.mean(r * r))) for name, r in best.left.items()}
     name = max(floors, key=lambda run: floors[run])
     said = f"what remains, {_length(best.floors * floor.still, problem)} or {best.floors:.3g} times the sensor's noise"
-    run = next((run for run in runs if run.name == name and len(run.q) == len(best.strict[name])), None)
+    said += f", has no name{f', and acts as {_FORCES[rival.kind]}' if rival is not None else ''}"
+    run = next((run for run in runs if run.name == name and len(run.q) == len(best.left[name])), None)
     if run is None:
-        return f"{said}, has no name; it is most in {name}."
-    power = best.strict[name] ** 2
+        return f"{said}; it is most in {name}."
+    power = best.left[name] ** 2
     fast = np.abs(run.speed) > np.median(np.abs(run.speed))
     high = run.q > np.median(run.q)
     ways = {
@@ -135,24 +190,15 @@ def remainder(best: Judged, runs: tuple[FitRun, ...], floor: Floor, problem: Pro
         "in the lower half of its way": ~high,
     }
     where = max(ways, key=lambda way: float(power[ways[way]].sum()))
-    return f"{said}, has no name; it is most in run {name}, {where}."
+    return f"{said}; it is most in run {name}, {where}."
 
 
-def changing(drift: Drift) -> str:
-    """How an effect's size changes over the session."""
-    way = "grows" if drift.last > drift.first else "falls"
-    return (
-        f"{capital(plain(drift.name))} is not the same all the session: its size {way} from {drift.first:.2g} times "
-        f"the usual in the first run to {drift.last:.2g} in the last, as of what warms up, wears or slips"
-    )
-
-
-def unmoved(judgement: Judged) -> list[str]:
+def unmoved(hypothesis: Hypothesis) -> list[str]:
     """Names of the effects of which these runs tell no size, were all else known: they hardly stir them.
 
     What an effect shares with the asset's own doubts is no lack of motion, and more of the same would not part them.
     """
-    fit, unit, found = judgement.fit, unit_of(tempered(judgement.left)), []
+    fit, unit, found = hypothesis.fit, unit_of(tempered(hypothesis.left)), []
     ranges = fit.theory.ranges()
     for effect in fit.effects:
         own = [i for i, r in enumerate(ranges) if r.owner == effect.name and not np.isfinite(r.prior)]
@@ -168,24 +214,27 @@ def unmoved(judgement: Judged) -> list[str]:
     return found
 
 
-def _gaps(runs: tuple[FitRun, ...], before: Judged, after: Judged, floor: Floor) -> tuple[RunGap, ...]:
-    """Root mean squares of every run: held out where it was, else as fitted."""
+def _gaps(runs: tuple[FitRun, ...], choice: Choice, split: Split, confirmed: Confirmed) -> tuple[RunGap, ...]:
+    """Root mean squares of every run, rad or m: as the fits predict it where they were not fitted to it, else as
+    fitted."""
+    after = choice.explaining[0] if choice.explaining else choice.base
 
-    def size(judgement: Judged, run: FitRun) -> float:
-        residual = judgement.strict.get(run.name, judgement.fit.residuals.get(run.name))
+    def size(hypothesis: Hypothesis, there: Fit | None, run: FitRun) -> float:
+        own = {**hypothesis.fit.residuals, **hypothesis.left, **(there.residuals if there is not None else {})}
+        residual = own.get(run.name)
         if residual is None:  # a single run was cut into stretches
-            parts = [r for name, r in judgement.strict.items() if name.startswith(f"{run.name}#")]
-            residual = np.concatenate(parts)
+            residual = np.concatenate([r for name, r in own.items() if name.startswith(f"{run.name}#")])
         return float(np.sqrt(np.mean((residual * _sigmas(residual, run)) ** 2)))
 
     return tuple(
         RunGap(
             run.name,
-            size(before, run),
-            size(after, run),
+            size(choice.base, confirmed.before, run),
+            size(after, confirmed.after, run),
             float(np.sqrt(np.mean(run.sigma**2))),
             bool(run.held_out),
             run.regime,
+            split.use(run.name),
         )
         for run in runs
     )
@@ -195,8 +244,8 @@ def _sigmas(residual: np.ndarray, run: FitRun) -> np.ndarray:
     return run.sigma if len(run.sigma) == len(residual) else np.full(len(residual), float(np.mean(run.sigma)))
 
 
-def _listed(judgement: Judged) -> str:
-    return " with ".join(f"{plain(name)} ({name})" for name in judgement.names)
+def _listed(hypothesis: Hypothesis) -> str:
+    return " with ".join(f"{plain(name)} ({name})" for name in hypothesis.names)
 
 
 def _length(value: float, problem: Problem) -> str:

@@ -9,31 +9,30 @@ from freeart21.effects.armature import Armature
 from freeart21.effects.backlash import Backlash
 from simgap.fitting.fit import Fit, information, tempered, unit_of
 from simgap.fitting.guess import neutral_value
-from simgap.fitting.theory import FORM_WAYS, SHAFT
-from simgap.judgement.judge import Judged
+from simgap.fitting.theory import SHAFT
+from simgap.judgement.hypotheses import Hypothesis
 from simgap.verdict import Named
 
 NORMAL_90 = 1.645
 
 
-def with_intervals(judgement: Judged) -> tuple[Named, ...]:
+def with_intervals(hypothesis: Hypothesis) -> tuple[Named, ...]:
     """The effects with 90 % intervals, strongest first: the one without which most would be left.
 
-    What a parameter becomes when the sizes are free to depart from their formulas is as good an estimate of it, as far
-    as the runs tell it beside these departures; and the size of an effect that departs from its formula by some part of
-    itself is known to that part only.
+    Noise is counted as what the set leaves of choosing runs, and as long as that lasts; and the size of an effect that
+    departs from its formula by some part of itself is known to that part only.
     """
-    fit, unit = judgement.fit, unit_of(tempered(judgement.left))
-    ranges, free = fit.theory.ranges(), judgement.free or fit
-    errors = dict(zip(free.values, np.sqrt(np.diag(_covariance(free, unit))), strict=True))
+    fit, unit = hypothesis.fit, unit_of(tempered(hypothesis.left))
+    ranges = fit.theory.ranges()
+    errors = dict(zip(fit.values, np.sqrt(np.diag(_covariance(fit, unit))), strict=True))
     found = []
     for effect in fit.effects:
         own = {r.name: i for i, r in enumerate(ranges) if r.owner == effect.name}
-        specs, part, ends = effect.parameters(), _departure(effect, free, errors), {}
+        specs, part, ends = effect.parameters(), max(effect.departs), {}
         for name, i in own.items():
-            x, key = fit.theta[i], (effect.name, name)
+            x = fit.theta[i]
             size = 0.0 if is_place(effect, name) else x - neutral_value(type(effect)) * (i == min(own.values()))
-            spread = NORMAL_90 * np.sqrt(errors[key] ** 2 + (free.values[key] - x) ** 2 + (part * size) ** 2)
+            spread = NORMAL_90 * np.hypot(errors[effect.name, name], part * size)
             ends[name] = max(x - spread, specs[name].lower), min(x + spread, specs[name].upper)
         if isinstance(effect, Armature | Backlash):
             ends["throw_back"] = _of_shaft(fit, errors, effect, "rebound")
@@ -68,22 +67,8 @@ def is_place(effect: Effect, name: str) -> bool:
     return effect.acts == "force" and spec.revolute_unit == "rad" and spec.lower < 0
 
 
-def _departure(effect: Effect, free: Fit, errors: dict[tuple[str, str], float]) -> float:
-    """Part of itself by which an effect departs from its formula in a fit in which it may, as far as that is known;
-    what its kind usually does where the fit has no way for it."""
-    ways = [key for key in free.values if key[0] == f"{effect.name} form" and key[1] in FORM_WAYS]
-    told = np.sqrt(sum(free.values[key] ** 2 + errors[key] ** 2 for key in ways))
-    return float(min(told, max(effect.departs))) if ways else max(effect.departs)
-
-
 def _covariance(fit: Fit, unit: float) -> np.ndarray:
     """(p, p) of the parameters; `unit` is that of noise."""
     normal = information(fit, unit)
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
-
-
-def is_force(effect: Effect, name: str) -> bool:
-    """Whether a parameter of an effect is a force or a moment."""
-    spec = effect.parameters()[name]
-    return spec.revolute_unit == "N*m" or spec.prismatic_unit == "N"

@@ -94,11 +94,18 @@ def error_of(residuals: dict[str, Array], runs: Sequence[FitRun]) -> ModelError:
     return ModelError(float(share), float(seconds))
 
 
-def stretch_densities(left: Array, run: FitRun, error: ModelError, count: int) -> Array:
-    """(count,) log density of every stretch of a run, given what came before it; the run's own is their sum."""
-    sums = log_densities(left, run.times_s, error.share * motion_of(run), error.seconds)
+def stretch_densities(left: Array, run: FitRun, error: ModelError, count: int, least: float = 0.0) -> Array:
+    """(count,) log density of every stretch of a run, given what came before it; the run's own is their sum. The
+    model's error is `least` floors at least."""
+    scale = float(np.hypot(error.share * motion_of(run), least))
+    sums = log_densities(left, run.times_s, scale, error.seconds)
     ends = np.array([len(left) * (k + 1) // count for k in range(count)]) - 1
     return np.diff(sums[ends], prepend=0.0)
+
+
+DECISIVE = float(np.log(20.0))
+"""Log probability that sets must differ by to be told apart at all, where all runs agree on it: twenty to one is strong
+evidence (Kass and Raftery 1995)."""
 
 
 @dataclass(frozen=True)
@@ -108,29 +115,33 @@ class Score:
     names: tuple[str, ...]
     parts: Array
     """(k,) log density of every stretch, the same stretches for all theories."""
-    error: ModelError
+    price: float = 0.0
+    """What the fitted ones among them are too large by, for the numbers that were fitted."""
 
     @property
     def total(self) -> float:
         """Log density of all runs."""
-        return float(self.parts.sum())
+        return float(self.parts.sum()) - self.price
 
 
 def lead(score: Score, other: Score) -> tuple[float, float]:
     """By how much a theory makes the runs more probable than another does, and the standard error of that: stretches
-    are paired, since they are hard or easy for both."""
+    are paired, since they are hard or easy for both; never less than what is decisive."""
     more = score.parts - other.parts
-    return float(more.sum()), float(np.sqrt(len(more)) * np.std(more, ddof=1)) if len(more) > 1 else float("inf")
+    error = float(np.sqrt(len(more)) * np.std(more, ddof=1)) if len(more) > 1 else float("inf")
+    return score.total - other.total, max(error, DECISIVE)
 
 
 def smallest(scores: Sequence[Score]) -> tuple[Score, ...]:
     """The smallest theories within one standard error of the best, the most probable first (Breiman's rule; those are a
-    model confidence set of their size)."""
+    model confidence set of their size). Of theories of one size the predictions count, and not the price: two that
+    predict the same are told apart by nothing."""
     best = max(scores, key=lambda s: s.total)
     near = []
     for score in scores:
         behind, error = lead(best, score)
-        if score is best or behind <= error:
+        dearer = score.price - best.price if len(score.names) == len(best.names) else 0.0
+        if score is best or behind - max(dearer, 0.0) <= error:
             near.append(score)
     fewest = min(len(s.names) for s in near)
     return tuple(sorted((s for s in near if len(s.names) == fewest), key=lambda s: -s.total))

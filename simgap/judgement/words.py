@@ -9,6 +9,7 @@ import numpy as np
 
 from freeart21.effects.base import Effect
 from freeart21.joint import JointType
+from simgap.verdict import Use
 
 PLAIN: dict[str, str] = {
     "viscous_damping": "damping as by oil",
@@ -24,6 +25,7 @@ PLAIN: dict[str, str] = {
     "end_stop_bounce": "a stop that throws it back",
     "actuator_delay": "a drive that acts late",
     "actuator_gain": "a drive weaker or stronger than told",
+    "actuator_offset": "a drive that pushes a little without being told",
     "armature": "inertia of the drive itself",
     "axis_tilt": "an axis that points elsewhere",
     "pivot_offset": "an axis that lies elsewhere",
@@ -76,23 +78,18 @@ def span_text(quantity: str, low: float, high: float, joint_type: JointType) -> 
     return f"{ends[0]} to {ends[1]}{unit}{per}"
 
 
-_CLOSED = re.compile(r"With it -?\d+% of the gap on [^.;]* is gone(?:; no other run shows any)?")
+_CLOSED = re.compile(r"With it -?\d+% of the gap on [^.;]* is gone")
+_DID = {"fitted": "that it was fitted to", "choosing": "that chose it", "confirming": "kept to confirm it"}
 
 
-def runs_text(held_out: Sequence[bool], in_turn: bool = False) -> str:
-    """Which runs a figure is of, such as '2 runs that were not fitted' or '1 fitted run and 2 that were not fitted'.
-
-    `held_out` says it of each run; `in_turn` is for runs of which none is held out for good, but each from the fit that
-    it is judged by.
-    """
-    out, n = sum(map(bool, held_out)), len(held_out)
+def runs_text(uses: Sequence[Use], in_turn: bool = False) -> str:
+    """Which runs a figure is of, such as '2 runs kept to confirm it'; `in_turn` is for runs of which none is held out
+    for good, but each from the fit that it is judged by."""
     if in_turn:
-        return f"{_runs(n)}, each held out in turn" if n != 1 else "1 run, its stretches held out in turn"
-    verb = "was" if out == 1 else "were"
-    if out == n:
-        return f"{_runs(n)} that {verb} not fitted"
-    fitted = f"{n - out} fitted run{'s' * (n - out != 1)}"
-    return f"{fitted} and {out} that {verb} not fitted" if out else fitted
+        return (
+            f"{_runs(len(uses))}, each held out in turn" if len(uses) != 1 else "1 run, its stretches held out in turn"
+        )
+    return " and ".join(f"{_runs(uses.count(use))} {did}" for use, did in _DID.items() if use in uses)
 
 
 def _runs(count: int) -> str:

@@ -92,7 +92,7 @@ def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floo
                 q[::stride],
                 floor.sigma(speed[::stride]),
                 speed[::stride],
-                inputs_of(run, measured, longest),
+                inputs_of(run, measured, longest, plant),
                 run.held_out,
                 turn=turn,
             )
@@ -142,7 +142,12 @@ def _with_regimes(runs: list[FitRun]) -> tuple[FitRun, ...]:
     """Runs named by how they move: driven or free, and small or large against the others of their kind."""
     driven = [
         bool(len(run.inputs.times_s))
-        and bool(np.any(run.inputs.effort) or np.any(run.inputs.push) or np.isfinite(run.inputs.command).any())
+        and bool(
+            np.any(run.inputs.effort)
+            or np.any(run.inputs.push)
+            or np.isfinite(run.inputs.command).any()
+            or np.any(run.inputs.sway)
+        )
         for run in runs
     ]
     fast = np.array([float(np.sqrt(np.mean(run.speed**2))) for run in runs])

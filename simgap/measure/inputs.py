@@ -10,31 +10,121 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.measured import Interpolation, Measured, Run
-from freeart21.mechanics import course
+from freeart21.mechanics import DriveLaw, course
 from freeart21.se3 import Array
-from simgap.motion.surrogate import Inputs
+from simgap.measure.base_motion import Sway, sway_of
+from simgap.motion.surrogate import Inputs, Plant
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Of a stretch as -1 to 1: exact for the cubics that curves are, and for their first moments."""
+_DENSE = 4.0
+"""Values in the longest time that one may last, from which on they are taken together: a log of 10 kHz would have a
+simulation step a hundred times as finely as it needs."""
+_LEAP = 0.05
+"""Of the range of a series, from one value to the next, that is a step of it and not taken together with the next."""
+_BENT = 4.0
+"""Times shorter than the longest time that the values last in which a drive with limits or a dead band is told of:
+means do not tell what it gives."""
 HALFWAY = 0.5
 """Part that is taken to be held of what nobody knows, where that is not fitted."""
 
 
-def inputs_of(run: Run, measured: Measured, longest_s: float = np.inf) -> Inputs:
-    """What drove a run; no value lasts longer than `longest_s` where a curve is to be followed."""
-    if run.effort is None and run.q_command is None:
+def inputs_of(run: Run, measured: Measured, longest_s: float = np.inf, plant: Plant | None = None) -> Inputs:
+    """What drove a run; no value lasts longer than `longest_s` where a curve is to be followed.
+
+    A base that moves is told of the `plant` that stands on it.
+    """
+    driven = _driven_inputs(run, measured, longest_s)
+    if run.base is None or plant is None:
+        return driven
+    return _swayed(driven, base_sway(run, measured, plant), longest_s)
+
+
+def base_sway(run: Run, measured: Measured, plant: Plant) -> Sway:
+    """What the joint feels of its base in a run in which that moves."""
+    assert run.base is not None
+    T, side = plant.T_parent_canonical, plant.base_is_parent
+    return sway_of(run.times_s, run.base, measured.base_axis, plant.mechanics, T, side)
+
+
+def _swayed(driven: Inputs, sway: Sway, longest_s: float) -> Inputs:
+    """The inputs with those of a base that moves: in each of its steps two values, with impulse and way of the
+    straight line between its ends."""
+    span = np.diff(sway.times_s)
+    parts = np.maximum(np.ceil(span / (2 * longest_s)), 1).astype(int)
+    row = np.repeat(np.arange(len(span)), parts)
+    span = span[row] / parts[row]
+    begin = sway.times_s[row] + span * (np.arange(len(row)) - (np.cumsum(parts) - parts)[row])
+    first, last = sway.at(begin), sway.at(begin + span)
+    mean, tilt = 0.5 * (first + last), (last - first) / 3  # as `_as_held` has it
+    terms = np.stack([mean - tilt, mean + tilt], -1).reshape(len(mean), -1)
+    own = np.append((begin[:, None] + span[:, None] * np.array([0.0, 0.5])).ravel(), sway.times_s[-1])
+    own, terms = _together(own, np.append(terms, sway.terms[:, -1:], 1), longest_s, np.zeros(0))
+    times = np.union1d(own, driven.times_s)
+
+    def lasting(values: Array, since: Array, none: float) -> Array:
+        if not len(since):
+            return np.full((*values.shape[:-1], len(times)), none)
+        return np.asarray(values[..., np.clip(np.searchsorted(since, times, side="right") - 1, 0, len(since) - 1)])
+
+    d, on = driven, None
+    if d.on is not None or not len(d.times_s):
+        on = lasting(np.ones(0) if d.on is None else d.on.astype(float), d.times_s, 0.0) > 0
+    return Inputs(
+        times,
+        lasting(d.command, d.times_s, np.nan),
+        lasting(d.effort, d.times_s, 0.0),
+        lasting(d.push, d.times_s, 0.0),
+        None if d.beside is None else lasting(d.beside, d.times_s, 0.0),
+        on,
+        np.ascontiguousarray(lasting(terms, own, 0.0)),
+    )
+
+
+def _driven_inputs(run: Run, measured: Measured, longest_s: float) -> Inputs:
+    """What an actuator or a push made."""
+    if run.effort is None and run.q_command is None and run.voltage is None:
         return Inputs()
     nothing = np.zeros(len(run.times_s))
-    effort = nothing if run.effort is None else run.effort
+    asked, push = told_efforts(run, measured)
     command = nothing if run.q_command is None else run.q_command
-    commanded = measured.effort_kind == "commanded"
-    logged = np.stack([command, effort if commanded else nothing, nothing if commanded else effort])
+    logged = np.stack([command, nothing if asked is None else asked, nothing if push is None else push])
     times, series, beside = _as_held(run.times_s, logged, measured.interpolation, longest_s)
-    told = np.concatenate([series, beside])
+    switched = np.zeros(0) if run.enabled is None else run.times_s[1:][np.diff(run.enabled > 0)]
+    law = DriveLaw() if measured.actuator is None else measured.actuator.law
+    bent = law.dead_band > 0 or min(law.most, law.most_asked) < np.inf
+    lasts = longest_s / _BENT if bent else longest_s
+    times, both = _together(times, np.concatenate([series, beside]), lasts, switched)
+    series, beside = both[:3], both[3:]
+    on = enabled_at(run, times, asked is not None)
+    told = np.concatenate([series, beside, [on]])
     new = np.append(True, (np.diff(told) != 0).any(0))  # a value lasts: only where it changes matters
-    asked = np.full(int(new.sum()), np.nan) if run.q_command is None else series[0, new]
+    follows = np.full(int(new.sum()), np.nan) if run.q_command is None else series[0, new]
     extra = np.ascontiguousarray(beside[:, new]) if beside.any() else None
-    return Inputs(np.ascontiguousarray(times[new]), asked, series[1, new].copy(), series[2, new].copy(), extra)
+    drives = None if on.all() else on[new]
+    return Inputs(
+        np.ascontiguousarray(times[new]), follows, series[1, new].copy(), series[2, new].copy(), extra, drives
+    )
+
+
+def told_efforts(run: Run, measured: Measured) -> tuple[Array | None, Array | None]:
+    """(n,) what the actuator was told to give, by voltage too, and what pushed the part itself; None for nothing."""
+    asked = run.effort if measured.effort_kind == "commanded" else None
+    motor = measured.actuator.motor if measured.actuator is not None else None
+    if run.voltage is not None and motor is not None:
+        volts = motor.per_volt * run.voltage
+        asked = volts if asked is None else asked + volts
+    return asked, run.effort if measured.effort_kind == "external" else None
+
+
+def enabled_at(run: Run, at: Array, told: bool) -> NDArray[np.bool_]:
+    """(m,) whether the actuator is on at the times `at`; `told` is whether it was told an effort."""
+    if not told and run.q_command is None:
+        return np.zeros(len(at), bool)
+    if run.enabled is None:
+        return np.ones(len(at), bool)
+    known = np.isfinite(run.enabled)
+    return np.asarray(logged_at(run.times_s[known], run.enabled[known], "held", at) > 0)
 
 
 def logged_at(times: Array, values: Array, how: Interpolation, at: Array) -> Array:
@@ -61,6 +151,36 @@ class _Logged:
         since = np.maximum(at - self.times[row], 0.0)
         a, b, c, d = self.terms[row].T
         return a, a + since * (b + since * (c + since * d))
+
+
+def _together(times: Array, values: Array, longest_s: float, kept: Array) -> tuple[Array, Array]:
+    """Values (k, i) that last from `times` (i,), those far denser than `longest_s` taken together, but not across the
+    times `kept`: two for each such time, with their impulse and the way that they move a free part by."""
+    begin, end = times[0], times[-1]
+    if not np.isfinite(longest_s) or (end - begin) / len(times) > longest_s / _DENSE:
+        return times, values
+    edges = begin + longest_s * np.arange(int((end - begin) / longest_s) + 1)
+    leaps = times[1:][(np.abs(np.diff(values)) > _LEAP * np.ptp(values, axis=1, keepdims=True)).any(0)]
+    kept = np.append(kept, leaps) if len(leaps) < len(edges) else kept
+    edges = np.unique(np.clip(np.concatenate([edges, kept, [end]]), begin, end))
+    spans, at = np.diff(edges), edges - begin
+    impulse, moment = np.diff(_passed(times - begin, values, at), axis=-1)
+    tilt = 4 * (moment - impulse * 0.5 * (at[1:] + at[:-1])) / spans**2
+    pairs = np.stack([impulse / spans - tilt, impulse / spans + tilt], -1).reshape(len(values), -1)
+    halves = (edges[:-1, None] + spans[:, None] * np.array([0.0, 0.5])).ravel()
+    return np.append(halves, end), np.append(pairs, values[:, -1:], 1)
+
+
+def _passed(since: Array, values: Array, at: Array) -> Array:
+    """(2, k, m) integrals up to the times `at` (m,) of values (k, i), which last from `since` (i,), and of these times
+    time."""
+    row = np.clip(np.searchsorted(since, at, side="right") - 1, 0, len(since) - 1)
+    ahead, zero = at - since[row], np.zeros((len(values), 1))
+    whole = values[:, :-1] * np.diff(since)
+    sums = [np.cumsum(part, 1) for part in (whole, whole * 0.5 * (since[1:] + since[:-1]))]
+    before = np.stack([np.concatenate([zero, part], 1)[:, row] for part in sums])
+    own = values[:, row] * ahead
+    return before + np.stack([own, own * 0.5 * (at + since[row])])
 
 
 def _as_held(times: Array, logged: Array, how: Interpolation, longest_s: float) -> tuple[Array, Array, Array]:

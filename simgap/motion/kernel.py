@@ -19,13 +19,17 @@ INERTIA, GRAVITY_COS, GRAVITY_SIN, GRAVITY_CONST = 0, 1, 2, 3
 LOAD_ARM2, LOAD_WEIGHT2, LOAD_ACROSS, LOAD_TURNED = 4, 5, 6, 7
 GAIN, COMMAND_DELAY, STIFFNESS, DAMPING = 8, 9, 10, 11
 LOWER, UPPER, SLACK_WIDTH, SLACK_INERTIA = 12, 13, 14, 15
-READING_DELAY, Q0, QD0, TRAVEL, GRIPPING, SPRINGY, GIVE = 16, 17, 18, 19, 20, 21, 22
-SHAFT_INERTIA, SHAFT_BACK, SHAFT_SWING, HOLDING = 23, 24, 25, 26
-HEAD = 27
-"""Places in the vector of numbers that describes one simulation; behind them each effect has FORM, then parameters."""
-FORM = 7
-"""How the size of an effect may depart from its formula: with speed, with position, with a power of position; and the
-speed, the middle and the half width by which it does, and that power, 2 or 4."""
+READING_DELAY, Q0, QD0, TRAVEL, GRIPPING = 16, 17, 18, 19, 20
+SHAFT_INERTIA, SHAFT_BACK, SHAFT_SWING, HOLDING = 21, 22, 23, 24
+OFFSET, DEAD_BAND, MOST_ASKED, BACK_EMF, MOST = 25, 26, 27, 28, 29
+MOMENT_SCALE, MASS_SCALE, SWAYS = 30, 31, 32
+"""Of a base that moves: factors of the rows of `base_motion.sway_terms`, and whether it does. What it does now:"""
+SWAY_COS, SWAY_SIN, SWAY_CONST, SWAY_COS2, SWAY_SIN2, SWAY_LINEAR = 33, 34, 35, 36, 37, 38
+HEAD = 39
+"""Places in the vector of numbers that describes one simulation; behind them each effect has its place, then its
+parameters."""
+PLACE = 2
+"""The middle and the half width of where an effect acts that has a place."""
 
 _BISECTIONS = 25
 _SPARE_STEPS = 4000
@@ -43,48 +47,35 @@ _STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
 
 
 @jit
-def _form(p, at, q, v):  # pragma: no cover
-    """By what factor the size of the effect at `at` departs from its formula."""
-    a, b, c = p[at], p[at + 1], p[at + 2]
-    if a == 0.0 and b == 0.0 and c == 0.0:
-        return 1.0
-    speed = min(2.0 * abs(v) / p[at + 3], 2.0) - 1.0
-    x = min(max((q - p[at + 4]) / p[at + 5], -1.2), 1.2)
-    curve = x * x * x * x if p[at + 6] > 2.0 else x * x
-    return max(1.0 + a * speed + b * x + c * (2.0 * curve - 1.0), 0.0)
-
-
-@jit
 def _sum(acts, terms, p, memory, q, v, load):  # pragma: no cover
     """Sum of all forces, or of all friction levels."""
     total = 0.0
     for k in range(len(terms)):
         if terms[k, 1] == acts:
-            at = terms[k, 2]
-            total += _form(p, at, q, v) * law(terms[k, 0], q, v, load, memory[k], p, at + FORM)
+            total += law(terms[k, 0], q, v, load, memory[k], p, terms[k, 2] + PLACE)
     return total
 
 
 @jit
 def _actuator(p, q, v, position, effort):  # pragma: no cover
-    """Force of the actuator at the position and speed that it sees; `position` is NaN without a position law."""
+    """Force of the actuator at the position and speed that it sees (`mechanics.DriveLaw`); `position` is NaN without a
+    position law, `effort` while it is off."""
+    if np.isnan(effort):
+        return 0.0
     asked = effort
     if not np.isnan(position):
-        asked += p[STIFFNESS] * (position - q) - p[DAMPING] * v
-    return p[GAIN] * asked
+        error = position - q
+        asked += p[STIFFNESS] * (error - min(max(error, -p[DEAD_BAND]), p[DEAD_BAND])) - p[DAMPING] * v
+    asked = min(max(asked, -p[MOST_ASKED]), p[MOST_ASKED]) - p[BACK_EMF] * v
+    return p[GAIN] * min(max(asked, -p[MOST]), p[MOST]) + p[OFFSET]
 
 
 @jit
-def _pushed(p, x, v, position, effort):  # pragma: no cover
-    """Force of an actuator whose flank touches at x, or whose shaft's far end is there: as far as that gives way under
-    the force, GIVE times it, of a flank times it to the power of 2/3 (Hertz), the actuator is ahead."""
-    F = _actuator(p, x, v, position, effort)
-    if p[GIVE] == 0.0 or np.isnan(position) or F == 0.0:
-        return F
-    power = 1.0 if p[SLACK_WIDTH] == 0.0 else 2.0 / 3.0
-    ahead = math.copysign(p[GIVE] * abs(F) ** power, F)
-    faster = -power * ahead / F * p[GAIN] * p[STIFFNESS] * v
-    return F - p[GAIN] * (p[STIFFNESS] * ahead + p[DAMPING] * faster) / (1.0 + p[GAIN] * p[STIFFNESS] * ahead / F)
+def _swayed(p, q):  # pragma: no cover
+    """Force of a base that moves (`base_motion.sway_force`)."""
+    c, s = math.cos(q), math.sin(q)
+    F = p[SWAY_CONST] + p[SWAY_LINEAR] * q + p[SWAY_COS] * c + p[SWAY_SIN] * s
+    return F + p[SWAY_COS2] * (c * c - s * s) + 2.0 * p[SWAY_SIN2] * s * c
 
 
 @jit
@@ -93,11 +84,13 @@ def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no
     F = p[GRAVITY_CONST] + push
     if p[GRAVITY_COS] != 0.0 or p[GRAVITY_SIN] != 0.0:
         F += p[GRAVITY_COS] * math.cos(q) + p[GRAVITY_SIN] * math.sin(q)
+    if p[SWAYS] != 0.0:
+        F += _swayed(p, q)
     F += _sum(FORCE, terms, p, memory, q, v, 0.0)
     if p[SLACK_WIDTH] == 0.0:
-        F += _pushed(p, q, v, position, effort)
+        F += _actuator(p, q, v, position, effort)
     elif side != 0:
-        F += _pushed(p, q + 0.5 * side * p[SLACK_WIDTH], v, position, effort)
+        F += _actuator(p, q + 0.5 * side * p[SLACK_WIDTH], v, position, effort)
     return F
 
 
@@ -183,7 +176,7 @@ def _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position,
 def _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Force of the drive side on the part while they touch."""
     a, _ = _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
-    return _pushed(p, y[2], y[3], position, effort) - p[SLACK_INERTIA] * a
+    return _actuator(p, y[2], y[3], position, effort) - p[SLACK_INERTIA] * a
 
 
 @jit
@@ -197,7 +190,7 @@ def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
         if q < p[LOWER] or q > p[UPPER]:
             found |= _LIMIT
         for k in range(len(terms)):
-            if terms[k, 1] == FORCE and remember(terms[k, 0], q, memory[k], p, terms[k, 2] + FORM) != memory[k]:
+            if terms[k, 1] == FORCE and remember(terms[k, 0], q, memory[k], p, terms[k, 2] + PLACE) != memory[k]:
                 found |= _MEMORY
     if p[SLACK_WIDTH] > 0.0:
         if side == 0:
@@ -223,8 +216,8 @@ def _passes(terms, p, a, b):  # pragma: no cover
     for k in range(len(terms)):
         if terms[k, 3]:
             at = terms[k, 2]
-            reach = _REACH * p[at + 5]
-            if min(a, b) <= p[at + 4] + reach and max(a, b) >= p[at + 4] - reach:
+            reach = _REACH * p[at + 1]
+            if min(a, b) <= p[at] + reach and max(a, b) >= p[at] - reach:
                 return True
     return False
 
@@ -247,10 +240,7 @@ def _rebound(terms, p, v):  # pragma: no cover
     after = 0.0
     for k in range(len(terms)):
         if terms[k, 1] == STOP:
-            at = terms[k, 2]
-            s = min(2.0 * abs(v) / p[at + 3], 2.0) - 1.0
-            form = max(1.0 + p[at] * s + p[at + 2] * (2.0 * s * s - 1.0), 0.0)
-            speed = form * law(terms[k, 0], 0.0, v, 0.0, 0.0, p, at + FORM)
+            speed = law(terms[k, 0], 0.0, v, 0.0, 0.0, p, terms[k, 2] + PLACE)
             if abs(speed) > abs(after):
                 after = speed
     return min(abs(after), abs(v)) * (1.0 if after > 0 else -1.0)
@@ -269,16 +259,7 @@ def _taken_back(terms, p, memory, limit, towards, v, side, push, position, effor
 
 
 @jit
-def _parting(p, meeting):  # pragma: no cover
-    """Speed at which the sides of a slack part that met with `meeting` (of the part, seen from the drive side): slow
-    ones come back (Hunt and Crossley 1975), at SPRINGY half of it."""
-    if p[SPRINGY] == 0.0:
-        return 0.0
-    return -meeting / (1.0 + abs(meeting) / p[SPRINGY])
-
-
-@jit
-def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, coarse, fine, out):  # pragma: no cover
+def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, coarse, fine, out):  # pragma: no cover
     """Positions `out` (n,) as read at `times` (n,), for one vector of numbers, by steps that are `coarse` but near the
     place of an effect that has one."""
     n, inputs = len(times), len(t_in)
@@ -288,7 +269,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, coarse
     y = (p[Q0], p[QD0], p[Q0], p[QD0])
     for k in range(len(terms)):
         if terms[k, 1] == FORCE:
-            memory[k] = remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + FORM)
+            memory[k] = remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + PLACE)
     delayed, now = p[COMMAND_DELAY], times[0] - p[READING_DELAY]
     end = times[n - 1] - p[READING_DELAY]
     late = early = 0  # the inputs that act now, through the actuator and directly
@@ -300,7 +281,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, coarse
         if done == n:
             return
         # inputs
-        position, asked, push, until = np.nan, 0.0, 0.0, np.inf
+        position, asked, push, until = np.nan, np.nan, 0.0, np.inf
         if inputs > 0:
             while late + 1 < inputs and t_in[late + 1] + delayed <= now + 1e-12:
                 late += 1
@@ -309,6 +290,12 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, coarse
             position = command[late] + p[HOLDING] * beside[0, late]
             asked = effort[late] + p[HOLDING] * beside[1, late]
             push = pushes[early] + p[HOLDING] * beside[2, early]
+            if p[SWAYS] != 0.0:
+                b, m = p[MOMENT_SCALE], p[MASS_SCALE]
+                p[SWAY_COS] = b * sway[0, early] + m * sway[3, early]
+                p[SWAY_SIN] = b * sway[1, early] + m * sway[4, early]
+                p[SWAY_CONST], p[SWAY_LINEAR] = m * sway[2, early], m * sway[7, early]
+                p[SWAY_COS2], p[SWAY_SIN2] = m * sway[5, early], m * sway[6, early]
             if late + 1 < inputs:
                 until = t_in[late + 1] + delayed
             if early + 1 < inputs:
@@ -444,30 +431,22 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, coarse
         if found & _MEMORY:
             for k in range(len(terms)):
                 if terms[k, 1] == FORCE:
-                    memory[k] = remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + FORM)
+                    memory[k] = remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + PLACE)
         if found & _PARTED and not found & (_STOPPED | _LIMIT):  # what stops takes its drive side with it
             side = 0
         if found & _MET:
             side = 1 if y[2] > y[0] else -1
-            back = _parting(p, y[1] - y[3])
         if found & _MET and frozen and resting * side > 0:  # the part is pressed on its limit, and gives way no further
-            at, w1 = y[0] + 0.5 * side * p[SLACK_WIDTH], max(abs(back), p[SHAFT_BACK] * abs(y[3]))
+            at, w1 = y[0] + 0.5 * side * p[SLACK_WIDTH], p[SHAFT_BACK] * abs(y[3])
             pressed = side * _actuator(p, y[2], y[3], position, asked) / p[SLACK_INERTIA]
             if w1 > 0.5 * step * max(pressed, 0.0):
                 y, side = (y[0], 0.0, at, -side * w1), 0
             else:
                 y = (y[0], 0.0, at, 0.0)
         elif found & _MET:
-            a, b = _slopes(y, terms, p, memory, frozen, slide, grip, 0, push, position, asked, loaded)
-            press = side * (b - a)
             both = p[INERTIA] + p[SLACK_INERTIA]
             together = (p[INERTIA] * y[1] + p[SLACK_INERTIA] * y[3]) / both
-            at = y[0] + 0.5 * side * p[SLACK_WIDTH]
-            if abs(back) > 0.5 * step * max(press, 0.0):
-                y = (y[0], together + back * p[SLACK_INERTIA] / both, at, together - back * p[INERTIA] / both)
-                side = 0
-            else:  # they would meet again within a step: they stay together
-                y = (y[0], together, at, together)
+            y = (y[0], together, y[0] + 0.5 * side * p[SLACK_WIDTH], together)
         if found & _LIMIT:
             towards = 1 if y[0] - p[LOWER] > p[UPPER] - y[0] else -1
             limit = p[UPPER] if towards > 0 else p[LOWER]
@@ -500,18 +479,20 @@ def _made(stamp: int) -> Any:
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def sweep(
-        numbers, terms, which, times, begins, t_in, command, effort, pushes, beside, enters, steps, out
+        numbers, terms, which, times, begins, t_in, command, effort, pushes, beside, sway, enters, steps, out
     ):  # pragma: no cover
         if stamp < 0:
             return
-        memory, done = np.zeros(len(terms)), 0
+        memory, done, p = np.zeros(len(terms)), 0, np.empty(numbers.shape[1])
         for row in range(len(numbers)):
             run = which[row]
             first, last = enters[run, 0], enters[run, 1]
             own = times[begins[run] : begins[run + 1]]
             memory[:] = 0.0
+            p[:] = numbers[row]
+            p[SWAYS] = 1.0 if sway.shape[1] > 0 else 0.0
             _roll(
-                numbers[row],
+                p,
                 terms,
                 memory,
                 own,
@@ -520,6 +501,7 @@ def _made(stamp: int) -> Any:
                 effort[first:last],
                 pushes[first:last],
                 beside[:, first:last],
+                sway[:, first:last],
                 steps[run, 0],
                 steps[run, 1],
                 out[done : done + len(own)],
@@ -530,10 +512,10 @@ def _made(stamp: int) -> Any:
 
 
 sweep = _made(STAMP)
-"""sweep(numbers (m, k), terms (t, 4), which (m,), times, begins, t_in, command, effort, pushes, beside, enters, steps,
-out): m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r] to
-begins[r + 1], its inputs from enters[r, 0] to enters[r, 1]; its steps are steps[r], coarse and fine. `terms` are law,
-what it does (FORCE, DRIVE, STOP), where its numbers begin, and whether it has a place, near which steps are fine.
-Inputs last from `t_in` to the next, with HOLDING times `beside` (3, i) added to the three. Into `out`, one behind the
-other, the positions of every row at the times of its run. A run that leaves all bounds reads 1e6; one with events
-without end stays where they begin."""
+"""sweep(numbers (m, k), terms (t, 4), which (m,), times, begins, t_in, command, effort, pushes, beside, sway, enters,
+steps, out): m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r]
+to begins[r + 1], its inputs from enters[r, 0] to enters[r, 1]; its steps are steps[r], coarse and fine. `terms` are
+law, what it does (FORCE, DRIVE, STOP), where its numbers begin, and whether it has a place, near which steps are fine.
+Inputs last from `t_in` to the next, with HOLDING times `beside` (3, i) added to the three; so does `sway` (8, i), of
+bases that move, (8, 0) where none does. Into `out`, one behind the other, the positions of every row at the times of
+its run. A run that leaves all bounds reads 1e6; one with events without end stays where they begin."""

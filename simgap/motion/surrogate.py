@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from freeart21.asset import Asset
+from freeart21.base_motion import WAYS
 from freeart21.effects import Effect
 from freeart21.effects.armature import Armature
 from freeart21.effects.backlash import Backlash
 from freeart21.joint import JointType
 from freeart21.measured import Measured
-from freeart21.mechanics import JointMechanics
+from freeart21.mechanics import DriveLaw, JointMechanics
 from freeart21.se3 import Array
 from generator.simulate import load
 from simgap.geometry.placing import place
@@ -39,9 +40,22 @@ class Plant:
     upper: float
     effects: tuple[Effect, ...] = ()
     """Effects that the asset has already."""
-    stiffness: float = 0.0
-    """Of the actuator's position law."""
-    damping: float = 0.0
+    T_parent_canonical: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) where the canonical frame is."""
+    base_is_parent: bool = True
+    """Whether the joint moves the moving part, not the reference part (the base)."""
+    drive: DriveLaw = DriveLaw()  # noqa: RUF009 (frozen)
+    """What the actuator gives."""
+
+    @property
+    def stiffness(self) -> float:
+        """Of the actuator's position law."""
+        return self.drive.stiffness
+
+    @property
+    def damping(self) -> float:
+        """Of the actuator's position law."""
+        return self.drive.damping
 
     @property
     def joint_type(self) -> JointType:
@@ -75,14 +89,15 @@ def _gravity_terms(mechanics: JointMechanics) -> Array:
 def plant_of(asset: Asset, measured: Measured) -> Plant:
     """The joint of `asset` under the gravity and the actuator of `measured`; loads the asset in SAPIEN, neutral."""
     simulated = load(asset)
-    actuator = measured.actuator
+    actuator, placed = measured.actuator, place(asset, measured.gravity)
     return Plant(
-        place(asset, measured.gravity).mechanics,
+        placed.mechanics,
         simulated.lower,
         simulated.upper,
         tuple(asset.effects.get(asset.joint, ())),
-        actuator.stiffness if actuator else 0.0,
-        actuator.damping if actuator else 0.0,
+        placed.T_parent_canonical,
+        placed.child_moves,
+        actuator.law if actuator else DriveLaw(),
     )
 
 
@@ -104,6 +119,15 @@ class Inputs:
     beside: Array | None = None
     """(3, i) what commands, efforts and pushes have besides if each is held until its next row (`Nuisance.holding` 1);
     None for nothing."""
+    on: NDArray[np.bool_] | None = None
+    """(i,) whether the actuator is on; None for always."""
+    sway: Array | None = None
+    """(8, i) what the joint feels of a base that moves (`base_motion.sway_terms`); None for one at rest."""
+
+    @property
+    def told(self) -> Array:
+        """(i,) commanded efforts as the kernel takes them: NaN while the actuator is off."""
+        return self.effort if self.on is None else np.where(self.on, self.effort, np.nan)
 
     @cached_property
     def held(self) -> bool:
@@ -132,7 +156,7 @@ def terms_of(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[
         if effect.name in laws.LAWS:
             place = is_local(effect if isinstance(effect, type) else type(effect))
             rows.append((laws.LAWS[effect.name], laws.ACTS[effect.acts], at, place))
-            at += kernel.FORM + len(effect.parameters())
+            at += kernel.PLACE + len(effect.parameters())
     return np.array(rows, np.int64).reshape(-1, 4)
 
 
@@ -140,8 +164,6 @@ def numbers_of(
     plant: Plant,
     effects: tuple[Effect, ...],
     nuisance: Nuisance = Nuisance(),
-    forms: dict[str, tuple[float, float, float]] | None = None,
-    reference: tuple[float, float, float] = (1.0, 0.0, 1.0),
 ) -> Array:
     """The kernel's vector for these effects, start state 0.
 
@@ -149,9 +171,6 @@ def numbers_of(
         plant: the joint.
         effects: all effects, those of the asset among them.
         nuisance: how the asset is off.
-        forms: name of an effect to how its size departs from its formula with speed, position and a power of position.
-        reference: largest speed, middle and half range of position, to which `forms` refer where an effect has no
-            speed or place of its own.
     """
     mechanics = plant.mechanics
     head = np.zeros(kernel.HEAD)
@@ -174,33 +193,30 @@ def numbers_of(
     head[kernel.GAIN] = np.prod([effect.gain() for effect in effects])
     head[kernel.COMMAND_DELAY] = sum(effect.delay() for effect in effects if effect.acts == "command")
     head[kernel.READING_DELAY] = sum(effect.delay() for effect in effects if effect.kind == "sensing")
-    head[kernel.STIFFNESS], head[kernel.DAMPING] = plant.stiffness, plant.damping
+    head[kernel.OFFSET] = sum(effect.bias_force() for effect in effects)
+    drive = plant.drive
+    head[kernel.STIFFNESS], head[kernel.DAMPING] = drive.stiffness, drive.damping
+    head[kernel.DEAD_BAND : kernel.MOST + 1] = drive.dead_band, drive.most_asked, drive.back_emf, drive.most
     head[kernel.HOLDING] = nuisance.holding
+    head[kernel.MOMENT_SCALE], head[kernel.MASS_SCALE] = nuisance.gravity, nuisance.inertia
     head[kernel.LOWER], head[kernel.UPPER] = plant.lower, plant.upper
     parts = [head]
     for effect in effects:
         if effect.name in laws.LAWS:
-            form = (forms or {}).get(effect.name, (0.0, 0.0, 0.0))
-            parts += [np.array((*form, *_around(effect, reference))), np.array(effect.values())]
+            parts += [np.array(_place_of(effect)), np.array(effect.values())]
     return np.concatenate(parts)
 
 
-def _around(effect: Effect, reference: tuple[float, float, float]) -> tuple[float, float, float, float]:
-    """Speed, middle and half width of the range over which an effect departs from its formula, and the power with
-    which it does: its own, if it has."""
-    speed, middle, half = reference
-    power = 2
+def _place_of(effect: Effect) -> tuple[float, float]:
+    """Middle and half width of where an effect acts that has a place; 0 and 1 of another."""
     place: float | None = None
     for name, spec in effect.parameters().items():
         value = float(getattr(effect, name))
-        if spec.revolute_unit == "rad/s":
-            speed = max(2 * value, 1e-9)
-        elif spec.revolute_unit == "rad" and spec.lower < 0:
+        if spec.revolute_unit == "rad" and spec.lower < 0:
             place = value
         elif spec.revolute_unit == "rad" and place is not None:
-            (widths, power), middle = effect.tails, place
-            half = max(widths * value, 1e-9)
-    return speed, middle, half, float(power)
+            return place, max(effect.widths * value, 1e-9)
+    return 0.0, 1.0
 
 
 def _load_terms(mechanics: JointMechanics) -> tuple[float, float, float, float]:
@@ -223,7 +239,10 @@ def step_of(
 ) -> Steps:
     """Longest steps, s, at which the fastest oscillation is stepped finely, with the position law off unless `held`,
     and none blows up: away from the places of effects that have one, and near them."""
-    gain = float(np.prod([effect.gain() for effect in effects])) if held else 0.0
+    gain = float(np.prod([effect.gain() for effect in effects]))
+    damping = gain * plant.drive.back_emf
+    gain = gain if held else 0.0
+    damping += gain * plant.damping
     inertia = plant.mechanics.inertia
     local = (settings.phase_per_step / settings.local_phase_per_step) ** 2
     slack = next((effect for effect in effects if isinstance(effect, Backlash)), None)
@@ -231,7 +250,7 @@ def step_of(
     weight = float(np.hypot(*plant.gravity_terms[0, :2]))
 
     def longest(stiffness: float) -> float:
-        rate = np.sqrt(stiffness / inertia + gain * plant.stiffness / driven) + 0.1 * gain * plant.damping / driven
+        rate = np.sqrt(stiffness / inertia + gain * plant.stiffness / driven) + 0.1 * damping / driven
         return float(np.clip(settings.phase_per_step / max(rate, 1e-9), settings.min_step_s, settings.max_step_s))
 
     away = weight + sum(effect.steepness() for effect in effects if not is_local(type(effect)))
@@ -261,8 +280,9 @@ class Batch:
     times_s: Array
     begins: NDArray[np.int64]
     """(r + 1,) where the times of each run begin, and where they all end."""
-    series: tuple[Array, Array, Array, Array, Array]
-    """Times, commands, efforts, pushes and (3, i) `Inputs.beside` of all inputs."""
+    series: tuple[Array, Array, Array, Array, Array, Array]
+    """Times, commands, efforts, pushes, (3, i) `Inputs.beside` and (8, i) `Inputs.sway` of all inputs, this (8, 0) when
+    no base moves."""
     enters: NDArray[np.int64]
     """(r, 2) where the inputs of each run begin and end: stretches of one run share them."""
     held: NDArray[np.bool_]
@@ -272,14 +292,17 @@ class Batch:
     def of(runs: Sequence[tuple[Array, Inputs]]) -> Batch:
         """Of the times and the inputs of some runs."""
         own = {id(i): i for _, i in runs}
-        told = [(i.times_s, i.command, i.effort, i.push) for i in own.values()]
+        told = [(i.times_s, i.command, i.told, i.push) for i in own.values()]
         first, second, third, fourth = (np.concatenate([t[k] for t in told]).astype(float) for k in range(4))
         extras = [np.zeros((3, len(i.times_s))) if i.beside is None else i.beside for i in own.values()]
+        sways = [np.zeros((WAYS, len(i.times_s))) if i.sway is None else i.sway for i in own.values()]
+        if all(i.sway is None for i in own.values()):
+            sways = [np.zeros((WAYS, 0))]
         ends = dict(zip(own, np.cumsum([len(i.times_s) for i in own.values()]), strict=True))
         return Batch(
             np.concatenate([times for times, _ in runs]).astype(float),
             np.cumsum([0, *(len(times) for times, _ in runs)]),
-            (first, second, third, fourth, np.concatenate(extras, 1)),
+            (first, second, third, fourth, np.concatenate(extras, 1), np.concatenate(sways, 1)),
             np.array([(ends[id(i)] - len(i.times_s), ends[id(i)]) for _, i in runs]),
             np.array([i.held for _, i in runs]),
         )

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from simgap.judgement.words import plain, runs_text, with_closed
 from simgap.motion.equation_error import missing_force
 from simgap.motion.localise import residual_maps, where
 from simgap.motion.surrogate import Nuisance, Plant
-from simgap.page.report import GEOMETRY, Gap, Ranked, write_report
+from simgap.page.report import GEOMETRY, Gap, Ranked, use_of, write_report
 from simgap.proof.show import (
     SECONDS,
     CannotReplay,
@@ -37,12 +36,10 @@ from simgap.proof.show import (
     alike,
     closed_alike,
     helps,
-    judged_runs,
     show,
 )
-from simgap.proof.stretches import Stretch, as_replays, at_fault, judged_so, said_of
 from simgap.proof.writeback import repaired
-from simgap.verdict import Named, RunGap, Verdict, unseen
+from simgap.verdict import Named, RunGap, Use, Verdict
 
 MOST_REPLAYS = 6
 """Runs that SAPIEN replays; of every regime some."""
@@ -70,9 +67,10 @@ class Draft:
     certain: tuple[Named, ...] = ()
     """Effects that are named without doubt, whatever is said of the rest: only these go into the asset."""
     curves: tuple[ReplayGap, ...] = ()
-    """Held-out runs as the fits' own simulation has them, by the asset as it is and by the best that was found."""
-    stretches: Callable[[str], tuple[Stretch, ...]] | None = None
-    """Run name to the run in stretches: takes seconds, for a run that hangs on a hair."""
+    """Runs that were not fitted as the fits' own simulation has them, by the asset as it is and by the best that was
+    found."""
+    uses: dict[str, Use] = field(default_factory=dict)
+    """Run name to what it was used for."""
 
 
 def off_of(plant: Plant, nuisance: Nuisance) -> Off:
@@ -137,13 +135,9 @@ def publish(
     shown, kept = None, draft.certain
     notes: list[str] = []
     if tried:
-        trial, began = Trial(asset, measured, runs, draft, placed, tried), time.monotonic()
+        trial = Trial(asset, measured, runs, draft, placed, tried)
         shown, why = trial.replayed(replay_seconds, progress)
-        hair = ""
-        if shown is not None:
-            shown, hair = trial.judged_in_stretches(shown, replay_seconds - (time.monotonic() - began))
         verdict, kept, notes = _judged(verdict, draft.certain, tried, shown, why, replay_seconds)
-        notes = [hair, *notes] if hair else notes
     source = {"verdict": verdict.verdict, "effects": [n.effect.name for n in kept]} if kept else None
     repaired(asset, tuple(n.effect for n in kept), folder / "asset", source)
     verdict = replace(verdict, added=tuple(n.effect.name for n in kept))
@@ -195,29 +189,15 @@ class Trial:
         except CannotReplay as error:
             return None, str(error)
 
-    def judged_in_stretches(self, shown: Shown, seconds: float) -> tuple[Shown, str]:
-        """What was shown with the one run in stretches that alone speaks against the repair, if it does not do so any
-        more then, and what must be said of it; else what was shown, and nothing."""
-        whole, stretches = at_fault(shown.runs), self.draft.stretches
-        if whole is None or stretches is None or seconds <= 0:
-            return shown, ""
-        run = next(run for run in self.runs.runs if run.name == whole.run)
-        pieces = as_replays(self._whole(run), stretches(run.name))
-        try:
-            parts = self._shown(pieces, (), seconds, None)
-        except CannotReplay:
-            return shown, ""
-        if parts.given_up or parts.unsure:
-            return shown, ""
-        again = judged_so(shown, whole, parts)
-        if not helps(again.runs):
-            return shown, ""
-        joined = next(gap for gap in again.runs if gap.run == whole.run)
-        return again, said_of(whole, joined)
-
     def _whole(self, run: Run) -> Replayed:
         draft = self.draft
-        return Replayed(run, *draft.starts[run.name], draft.floor, draft.regimes.get(run.name, ""), bool(run.held_out))
+        return Replayed(
+            run,
+            *draft.starts[run.name],
+            draft.floor,
+            draft.regimes.get(run.name, ""),
+            draft.uses.get(run.name, "fitted"),
+        )
 
     def _shown(
         self,
@@ -248,11 +228,11 @@ def _judged(
         bad = [n for n in tried if n.effect.kind != "kinematics"]
         notes.append(f"SAPIEN could not replay {_names(bad or tried)}: {why}")
         return _rolled_back(verdict, certain, bad or list(tried)), _without(certain, bad or list(tried)), notes
-    fitted = {gap.regime for gap in verdict.gaps if not gap.held_out}
+    fitted = {gap.regime for gap in verdict.gaps if gap.use == "fitted"}
     verdict = replace(verdict, gaps=_measured_gaps(verdict.gaps, shown))
     same = closed_alike(shown, fitted)[0] if shown.runs else None
     if same is not None:
-        of = runs_text([run.held_out for run in alike(shown, fitted)])
+        of = runs_text([run.use for run in alike(shown, fitted)])
         verdict = replace(verdict, sentence=with_closed(verdict.sentence, same, f"{of}, replayed in SAPIEN,"))
     if shown.given_up:
         done = len(shown.runs) + len(shown.unsure)
@@ -267,7 +247,7 @@ def _judged(
     geometry = helps((), shown.poses) if shown.poses else None
     bad = [n for n in tried if (geometry if n.effect.kind == "kinematics" else motion) is False]
     if bad:
-        of = runs_text([run.held_out for run in judged_runs(shown.runs)] or [p.held_out for p in shown.poses])
+        of = runs_text([run.use for run in shown.runs] or [use_of(p) for p in shown.poses])
         notes.append(
             f"A repair with {_names(bad)} was tried and rolled back: replayed in SAPIEN it did not help on {of}, or "
             "made some of their motion worse."
@@ -323,16 +303,15 @@ def _limits(asset: Asset) -> tuple[float, float]:
 
 
 def _picked(runs: list[Run], draft: Draft) -> list[Run]:
-    """Runs to replay: held out ones, the regimes in turn; all when none is, or when none of them shows a gap, those of
-    the widest gaps first."""
-    gaps = {gap.run: gap.before / gap.floor for gap in draft.verdict.gaps}
-    pool = [run for run in runs if run.held_out]
-    if not pool or unseen(draft.verdict.gaps):
-        pool = sorted(runs, key=lambda run: -gaps.get(run.name, 0.0)) if pool else runs
+    """Runs to replay, of those with a start: the regimes in turn."""
     by_regime: dict[str, list[Run]] = {}
-    for run in pool:
-        by_regime.setdefault(draft.regimes.get(run.name, ""), []).append(run)
-    turns = [group[k] for k in range(len(pool)) for group in by_regime.values() if k < len(group)]
+    for use in ("confirming", "choosing", "fitted"):  # only where there is none of one kind the next one tells
+        pool = [run for run in runs if draft.uses.get(run.name, "fitted") == use]
+        for run in pool:
+            by_regime.setdefault(draft.regimes.get(run.name, ""), []).append(run)
+        if pool:
+            break
+    turns = [group[k] for k in range(len(runs)) for group in by_regime.values() if k < len(group)]
     return turns[:MOST_REPLAYS]
 
 
@@ -375,13 +354,12 @@ def _measured_gaps(gaps: tuple[RunGap, ...], shown: Shown) -> tuple[RunGap, ...]
             gap,
             before=replayed[gap.run].gap_before,
             after=replayed[gap.run].gap_after,
-            stretches=replayed[gap.run].stretches,
         )
         if gap.run in replayed
         else gap
         for gap in gaps
     ]
-    out += [RunGap(p.run, p.before, p.after, p.floor, p.held_out, GEOMETRY) for p in shown.poses]
+    out += [RunGap(p.run, p.before, p.after, p.floor, p.held_out, GEOMETRY, use_of(p)) for p in shown.poses]
     return tuple(out)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
@@ -18,8 +19,8 @@ from simgap.geometry.track_geometry import TrackGeometry
 from simgap.judgement.words import capital, effect_words, number_text, plain, runs_text
 from simgap.motion.localise import LEVEL, ResidualMap
 from simgap.page.report_plots import AFTER, BEFORE, Line, chart, interval_drawing, map_drawing, p_text, run_drawings
-from simgap.proof.show import ReplayGap, Shown, alike, closed_alike
-from simgap.verdict import RunGap, Verdict, unseen
+from simgap.proof.show import PoseGap, ReplayGap, Shown, alike, closed_alike
+from simgap.verdict import RunGap, Use, Verdict, told_by
 
 GEOMETRY = "geometry"
 """Regime of a gap that is counted in metres off the joint."""
@@ -42,10 +43,11 @@ class Ranked:
     names: tuple[str, ...]
     """Effects; none for the asset as it is."""
     floors: float
-    """Held-out error in floors: 1 is noise alone."""
-    p_value: float | None = None
-    """Chance that effects that do not exist look as good."""
-    note: str = ""
+    """Error on choosing runs in floors: 1 is noise alone."""
+    ahead: float = 0.0
+    """Log probability of choosing runs less that of the most probable set,"""
+    error: float = 0.0
+    """... and its standard error."""
     spread: tuple[float, float] | None = None
     """The least and the largest error of one run, in floors."""
 
@@ -78,8 +80,9 @@ def write_report(path: Path, gap: Gap) -> None:
 def page(gap: Gap) -> str:
     """The page as HTML."""
     verdict = gap.verdict
-    runs = {g.run: g.held_out for g in verdict.gaps}
-    chips = [f"joint {gap.joint}, {gap.joint_type}", f"{len(runs)} runs, {sum(runs.values())} held out"]
+    uses = list({g.run: g.use for g in verdict.gaps}.values())
+    counts = ", ".join(f"{uses.count(use)} {use}" for use in get_args(Use) if use in uses)
+    chips = [f"joint {gap.joint}, {gap.joint_type}", f"{len(uses)} runs: {counts}"]
     if gap.seconds is not None:
         chips.append(f"{gap.seconds:.1f} s")
     sections = [_answer(gap), *_parameters(gap), *_doubt(gap)]
@@ -90,7 +93,12 @@ def page(gap: Gap) -> str:
 
 def _in_turn(gap: Gap) -> bool:
     """Whether none of the runs of motion is held out for good: the fits then hold out each in turn."""
-    return not any(g.held_out for g in gap.verdict.gaps if g.regime != GEOMETRY)
+    return all(g.use == "fitted" for g in gap.verdict.gaps if g.regime != GEOMETRY)
+
+
+def use_of(track: PoseGap | TrackGeometry) -> Use:
+    """What a run of poses was used for."""
+    return "choosing" if track.held_out else "fitted"
 
 
 def _moves_otherwise(gap: Gap) -> bool:
@@ -141,11 +149,11 @@ def _sizes(
 ) -> list[str]:
     """Tiles of the gap before and, if SAPIEN replayed it, after, and of the floor, each with the runs that it is of.
 
-    These are the held-out runs; where there is none, or none of them shows a gap, the fitted ones.
+    These are the confirming runs; where there is none, those that chose, or all.
     """
-    told = [g for g in gaps if g.held_out] if not unseen(gaps) else [g for g in gaps if not g.held_out]
-    judged = [g for g in told or gaps if not after_is or np.isfinite(g.after)] or told or gaps
-    where = runs_text([g.held_out for g in judged], in_turn)
+    told = told_by(gaps)
+    judged = [g for g in told if not after_is or np.isfinite(g.after)] or told
+    where = runs_text([g.use for g in judged], in_turn)
     before, after, floor = (
         float(np.sqrt(np.mean([getattr(g, name) ** 2 for g in judged]))) for name in ("before", "after", "floor")
     )
@@ -158,17 +166,17 @@ def _sizes(
 def _closed(gap: Gap) -> list[str]:
     """Tiles of the part of the gap that is closed, in motion as was fitted and in other."""
     assert gap.shown is not None
-    fitted = {r.regime for r in gap.verdict.gaps if not r.held_out}
+    fitted = {r.regime for r in gap.verdict.gaps if r.use == "fitted"}
     same, other = closed_alike(gap.shown, fitted)
     near = alike(gap.shown, fitted)
     far = [run for run in gap.shown.runs if run not in near]
     tiles = []
     if same is not None:
-        what = f"of the gap closed, on {runs_text([run.held_out for run in near])}"
+        what = f"of the gap closed, on {runs_text([run.use for run in near])}"
         kind = "same kind of motion as was fitted" if {r.regime for r in near} <= fitted else "other motion"
         tiles.append(_tile(f"{100 * min(same, 1.0):.0f} %", what, kind))
     if other is not None:
-        what = f"closed in other motion, on {runs_text([run.held_out for run in far])}"
+        what = f"closed in other motion, on {runs_text([run.use for run in far])}"
         tiles.append(_tile(f"{100 * min(other, 1.0):.0f} %", what, ", ".join(sorted({run.regime for run in far}))))
     return tiles
 
@@ -210,8 +218,8 @@ def _parameters(gap: Gap) -> list[Section]:
 
 
 def _fitted_text(gap: Gap) -> str:
-    """The runs that the answer's numbers are fitted to: those that are not held out."""
-    names = list(dict.fromkeys(g.run for g in gap.verdict.gaps if not g.held_out))
+    """The runs that the answer's numbers are fitted to: those that neither chose it nor confirm it."""
+    names = list(dict.fromkeys(g.run for g in gap.verdict.gaps if g.use == "fitted"))
     return f"run {names[0]}" if len(names) == 1 else f"{len(names)} runs: {', '.join(names)}"
 
 
@@ -233,7 +241,7 @@ def _doubt(gap: Gap) -> list[Section]:
             f"<li>{escape(w.text)} <small>p = {escape(p_text(w.p_value))}</small></li>" for w in verdict.where[:8]
         )
         more = f'<p class="note">And {len(verdict.where) - 8} more.</p>' if len(verdict.where) > 8 else ""
-        every = {g.run: g.held_out for g in gap.verdict.gaps}
+        every = {g.run: g.use for g in gap.verdict.gaps}
         title = f"Where it shows, in {runs_text(list(every.values()))}"
         found.append(Section(title, f'<ul class="remarks two">{spots}</ul>{more}', place="full"))
     return found
@@ -250,12 +258,10 @@ def _runs(gap: Gap) -> list[Section]:
         nearest = "with the nearest try, which is no answer" if gap.verdict.verdict == "unexplained" else None
         runs, where, names = gap.curves, "in the fits' own simulation", ("as the asset is", nearest)
     sections = []
-    alone = unseen([g for g in gap.verdict.gaps if g.regime != GEOMETRY])
-    for run in sorted(runs, key=lambda r: r.held_out == alone)[:most]:  # first those that tell
+    for run in sorted(runs, key=lambda r: get_args(Use)[::-1].index(r.use))[:most]:  # first those that tell
         figures, data = run_drawings(run, gap.joint_type, names)
-        pieces = f"in {run.stretches} stretches" if run.stretches > 1 else ""
-        role = "held out" if run.held_out else "fitted" if replayed else "held out in turn"
-        facts = ", ".join(w for w in (role, run.regime, where, pieces) if w)
+        role = run.use if run.use != "fitted" or replayed else "held out in turn"
+        facts = ", ".join(w for w in (role, run.regime, where) if w)
         sizes = [length_text(v, gap.joint_type) for v in (run.gap_before, run.gap_after)]
         title = f"Run {run.run}, {facts}: {' → '.join(sizes if names[1] else sizes[:1])}"
         sections.append(Section(title, f'<div class="charts wide">{"".join(figures)}</div>', "curves", data, "full"))
@@ -271,7 +277,7 @@ def _maps(gap: Gap) -> list[Section]:
     told = sum(m.adjusted <= LEVEL for m in maps)
     note = (
         "What force the asset's equation lacks, by the accelerations in "
-        f"{runs_text([*{g.run: g.held_out for g in gap.verdict.gaps}.values()])}; bars with standard errors. "
+        f"{runs_text([*{g.run: g.use for g in gap.verdict.gaps}.values()])}; bars with standard errors. "
         f"{told} of {len(maps)} maps differ from nothing beyond chance (half-swings flipped at random, corrected for "
         "the number of maps); where, is on colour. These maps point; the fits decide."
     )
@@ -315,7 +321,7 @@ def _geometry(gap: Gap) -> list[Section]:
         + capital("; ".join(effect_words(e, gap.joint_type) for e in g.effects))
     )
     table = table_section(
-        f"Explanations of the geometry, by poses of {runs_text([t.held_out for t in g.tracks if not t.held_out])}, "
+        f"Explanations of the geometry, by poses of {runs_text([use_of(t) for t in g.tracks if not t.held_out])}, "
         "left out in turn",
         rows,
         ("", "", "error, in floors", "p of no gain", ""),
@@ -349,18 +355,21 @@ def _ranking(gap: Gap) -> list[Section]:
     for r in gap.ranking[:12]:
         names = capital(" and ".join(plain(n) for n in r.names) or "nothing is missing")
         share = 100 * np.log10(max(r.floors, 1.0)) / worst
-        p = "" if r.p_value is None else p_text(r.p_value)
+        behind = "" if r.ahead == 0.0 else f"{r.ahead:.0f} ± {r.error:.0f}"
         spread = "" if r.spread is None else f"{r.spread[0]:.2f} to {r.spread[1]:.2f}"
         rows.append(
             f"<tr><th scope=row>{escape(names)}<br><small>{escape(', '.join(r.names))}</small></th>"
             f'<td class="bar"><i style="width:{share:.1f}%"></i></td><td class=number>{r.floors:.2f}</td>'
             f"<td class=number>{escape(spread)}</td>"
-            f"<td class=number>{escape(p)}</td><td>{escape(r.note)}</td></tr>"
+            f"<td class=number>{escape(behind)}</td></tr>"
         )
-    head = "".join(f"<th scope=col>{cell}</th>" for cell in ("", "error (log)", "floors", "run by run", "p", ""))
+    head = "".join(
+        f"<th scope=col>{cell}</th>" for cell in ("", "error (log)", "floors", "run by run", "log probability")
+    )
     html = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
     motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY]
-    of = runs_text([g.held_out for g in motion if g.held_out or _in_turn(gap)], _in_turn(gap))
+    chose = [g for g in motion if g.use == "choosing"] or motion
+    of = runs_text([g.use for g in chose], _in_turn(gap))
     return [Section(f"Explanations, by their error on {of}", html, place="full")]
 
 
@@ -374,7 +383,7 @@ def _gaps(gap: Gap) -> list[Section]:
         ]
         replayed = g.regime == GEOMETRY or (gap.shown is not None and any(r.run == g.run for r in gap.shown.runs))
         fitted = "fitted" if replayed or not _in_turn(gap) else "held out in turn"
-        rows.append((g.run, "held out" if g.held_out else fitted, g.regime, *sizes))
+        rows.append((g.run, fitted if g.use == "fitted" else g.use, g.regime, *sizes))
     note = ""
     if gap.shown is not None and gap.shown.runs:
         note = (

@@ -22,13 +22,17 @@ from freeart21.effects.gravity_offset import GravityOffset
 from freeart21.effects.load_friction import LoadFriction
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.actuator_json import actuator_from_json
 from freeart21.files.asset import movable_joint, read_asset
+from freeart21.files.base_json import BASE
 from freeart21.files.urdf import parsed
+from freeart21.measured import BaseAxis, BaseSeries
 from freeart21.mechanics import Actuator, between
 from freeart21.se3 import Array
 from generator import simulate
 from simgap.geometry.placing import place
 from simgap.geometry.track_geometry import at_point, displacement
+from simgap.measure.base_motion import sway_of
 
 HALVINGS = 6
 SHARE = 0.4
@@ -59,6 +63,12 @@ class _Stage:
         own_effects = tuple(_under_scaled(e, inertia) for e in asset.effects.get(asset.joint, ()))
         self.effects = (*own_effects, *((offset,) if any(offset.values()) else ()))
         self.gravity, self.job = placed.gravity, job
+        self.placed, self.mass = placed, inertia
+        weight, own_weight = (
+            (np.hypot(*pair) for pair in ((own[0] + cosine, own[1] + sine), own)) if revolute else (1, 1)
+        )
+        self.moment = float(weight / own_weight) if own_weight > 0 else inertia
+        """Of the part: factors of its mass, and of its moment about the joint, that goes with its weight."""
         self.holding = float(off["holding"])
 
     def load(self, timestep_s: float) -> simulate.SimulatedAsset:
@@ -76,21 +86,46 @@ class _Stage:
         sensing = [effect for effect in loaded.effects if effect.kind == "sensing"]
         first = float(times[0])
         begin = first - sum(effect.delay() for effect in sensing)
-        effort, command = (data.get(f"{name}_{i}") for name in ("effort", "q_command"))
-        law, how = self.job["actuator"], self.job["interpolation"]
         h = loaded.timestep_s
-        follows = between(clock - begin, command, how, h, self.holding) if command is not None and law else None
-        told = between(clock - begin, effort, how, h, self.holding) if effort is not None else None
-        commanded, push = (told if self.job["effort"] == kind else None for kind in ("commanded", "external"))
-        actuator = None
-        if follows is not None or commanded is not None:
-            stiffness, damping = law or (0.0, 0.0)
-            actuator = Actuator(follows, stiffness, damping, commanded)
+
+        def told(name: str, mean_s: float = h, how: str = self.job["interpolation"]) -> Any:
+            values = data.get(f"{name}_{i}")
+            return None if values is None else between(clock - begin, values, how, mean_s, self.holding)
+
+        effort = told("effort")
+        push = effort if self.job["effort"] == "external" else None
+        asked = None if push else effort
+        actuator = self._driven(told("q_command"), asked, told("voltage"), told("enabled", 0.0, "held"))
+        sway = self._sway(data, i, begin)
         q0 = float(np.clip(start[0], self.lower, self.upper))
         seconds = float(np.ceil((times[-1] - first) / h) * h) + h
-        rolled = simulate.roll_out(loaded, q0, start[1], duration_s=seconds, force=push, actuator=actuator)
+        rolled = simulate.roll_out(loaded, q0, start[1], duration_s=seconds, force=push, actuator=actuator, sway=sway)
         q = np.interp(times - first, rolled.times_s, rolled.q)
         return np.asarray(q + sum((effect.reading_error(q) for effect in sensing), np.zeros(len(q))))
+
+    def _sway(self, data: Any, i: int, begin: float) -> simulate.Sway | None:
+        """What the joint feels in run `i` of a base that moves."""
+        base = BaseSeries(*(data.get(f"base_{name}_{i}") for name in BASE))
+        if all(getattr(base, name) is None for name in BASE):
+            return None
+        turns = self.job["base"]
+        axis = None if turns is None else BaseAxis(np.array(turns["axis"]), np.array(turns["point"]))
+        placed = self.placed
+        found = sway_of(data[f"clock_{i}"], base, axis, placed.mechanics, placed.T_parent_canonical, placed.child_moves)
+        return found.function(begin, self.moment, self.mass)
+
+    def _driven(self, command: Any, effort: Any, voltage: Any, enabled: Any) -> Actuator | None:
+        """What drives the joint by these functions of time, each of which may be missing."""
+        said = self.job["actuator"]
+        law = Actuator() if said is None else actuator_from_json(said, "job.json")
+        volts, asked = (voltage if law.motor else None), effort
+        if volts is not None and law.motor is not None:
+            per = law.motor.per_volt
+            asked = (lambda t: per * volts(t)) if effort is None else (lambda t: per * volts(t) + effort(t))
+        follows = command if said is not None else None
+        if follows is None and asked is None:
+            return None
+        return replace(law, q_command=follows, effort=asked, enabled=enabled)
 
 
 def _scaled(asset: Asset, factor: float, folder: Path) -> Asset:

@@ -22,9 +22,12 @@ import numpy as np
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
+from freeart21.files.actuator_json import actuator_to_json
+from freeart21.files.base_json import BASE
+from freeart21.files.measured import DRIVES
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
-from simgap.verdict import SHOWS
+from simgap.verdict import Use
 
 SECONDS = 120.0
 """What is not replayed by then is given up."""
@@ -52,7 +55,7 @@ class Replayed:
     floor: float
     """rad or m: noise of the readings."""
     regime: str = ""
-    held_out: bool = True
+    use: Use = "confirming"
 
 
 @dataclass(frozen=True)
@@ -116,9 +119,7 @@ class ReplayGap:
     gap_after: float
     floor: float
     regime: str
-    held_out: bool
-    stretches: int = 1
-    """How many the run was judged in, each from a start of its own."""
+    use: Use
 
 
 @dataclass(frozen=True)
@@ -234,20 +235,11 @@ def _run(folder: Path, count: int, seconds: float, progress: Progress | None) ->
         progress(count, count)
 
 
-def judged_runs(runs: Sequence[ReplayGap]) -> list[ReplayGap]:
-    """Held-out runs; all when there is none of these that shows a gap."""
-    told = any(run.held_out and run.gap_before > SHOWS * run.floor for run in runs)
-    return [run for run in runs if run.held_out or not told]
-
-
 def helps(runs: Sequence[ReplayGap], poses: tuple[PoseGap, ...] = ()) -> bool:
     """Whether the gap, in floors, is smaller in all, in no regime (nor off the joint) wider by a quarter floor, and in
-    no run by half a floor: runs of one regime may be of different kinds all the same.
-
-    Of the runs, those of `judged_runs` count.
-    """
+    no run by half a floor: runs of one regime may be of different kinds all the same."""
     groups: dict[str, list[tuple[float, float]]] = {}
-    for run in judged_runs(runs):
+    for run in runs:
         groups.setdefault(run.regime, []).append((run.gap_before / run.floor, run.gap_after / run.floor))
     for track in [p for p in poses if p.held_out] or poses:
         groups.setdefault(" off the joint", []).append((track.before / track.floor, track.after / track.floor))
@@ -274,14 +266,15 @@ def _write_job(
     seconds: float,
     poses: tuple[PosesReplayed, ...],
 ) -> None:
-    law = measured.actuator
+    law, turns = measured.actuator, measured.base_axis
     job: dict[str, Any] = {
         "assets": [_address(before), _address(after)],
         "joint": before.joint,
         "gravity": np.asarray(measured.gravity, float).tolist(),
-        "actuator": None if law is None else [law.stiffness, law.damping],
+        "actuator": None if law is None else actuator_to_json(law),
         "effort": measured.effort_kind,
         "interpolation": measured.interpolation,
+        "base": None if turns is None else {"axis": turns.axis.tolist(), "point": turns.point.tolist()},
         "off": [asdict(o) for o in off],
         "timestep_s": timestep_s,
         "seconds": seconds,
@@ -293,10 +286,14 @@ def _write_job(
         known = np.isfinite(replay.run.q)
         arrays[f"times_{i}"], arrays[f"q_{i}"] = replay.run.times_s[known], replay.run.q[known]
         arrays[f"clock_{i}"] = replay.run.times_s
-        for name in ("effort", "q_command"):
+        for name in DRIVES:
             values = getattr(replay.run, name)
             if values is not None:
                 arrays[f"{name}_{i}"] = values
+        for name in BASE:
+            values = getattr(replay.run.base, name, None)
+            if values is not None:
+                arrays[f"base_{name}_{i}"] = values
     for i, track in enumerate(poses):
         for k in (0, 1):
             arrays[f"poses_{k}_{i}"], arrays[f"states_{k}_{i}"] = track.poses[k], track.states[k]
@@ -362,5 +359,5 @@ def _gap(replay: Replayed, before: Array, after: Array) -> ReplayGap:
         gaps[1],
         replay.floor,
         replay.regime,
-        replay.held_out,
+        replay.use,
     )

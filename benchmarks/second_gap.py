@@ -1,0 +1,114 @@
+"""How well `freeart21 gap` names what is hidden by a world that shares nothing with it: draw, ask, score.
+
+    python -m benchmarks.second_gap --seed 1 --share 0.1 --out DIR    # a development draw, some 34 cases
+    python -m benchmarks.second_gap --release --out DIR          # the release's 336 cases: scored once, tuned on never
+
+A draw that was stopped goes on where it was. Labels lie in DIR-sealed and are read when all answers are hashed. The
+world itself is `benchmarks/second_world`; its docstring says how it was made, and what it may not be changed for. Never
+use the release's seed for anything else: a draw that was looked at is a development draw.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+
+from benchmarks.second_world import asked, seal, tables
+from benchmarks.second_world.draw import specs
+from benchmarks.second_world.grade import grade
+
+RELEASE = 320_001  # the seed of the release's draw, not run while the world was made
+RESULTS = Path(__file__).parent / "results"
+
+
+def _draw(seed: int, share: float, out: Path, sealed: Path, jobs: int) -> int:
+    """All cases, written; how many there are."""
+    todo, salt = specs(share, seed), seal.salt_in(sealed)
+    if (out / "manifest.json").is_file():
+        return len(todo)
+    with ProcessPoolExecutor(jobs) as pool:
+        for done in [pool.submit(seal.make, spec, seed, i, salt, out, sealed) for i, spec in enumerate(todo)]:
+            done.result()
+    seal.close(seed, salt, len(todo), out, sealed)
+    return len(todo)
+
+
+def _ask(out: Path, jobs: int, limit: float) -> None:
+    """All answers; a line each."""
+    names = json.loads((out / "manifest.json").read_text())["cases"]
+
+    def one(name: str) -> None:
+        doc = asked.ask(out / "cases" / name, out / "answers" / f"{name}.json", limit)
+        said = doc["verdict"]["verdict"] if doc["verdict"] else doc["error"]
+        print(f"{name} {doc['seconds']:6.1f} s  {said}", file=sys.stderr, flush=True)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        list(pool.map(one, names))
+    seal.seal_answers(out)
+
+
+def _commit() -> str:
+    here = Path(__file__).parent
+    said = subprocess.run(
+        ["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=False
+    ).stdout.strip()
+    changed = subprocess.run(
+        ["git", "status", "--porcelain", "-uno"], cwd=here, capture_output=True, text=True, check=False
+    ).stdout
+    return said + ("+changes" if changed.strip() else "")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--share", type=float, default=0.1, help="of the full draw of 336 cases")
+    parser.add_argument("--release", action="store_true", help="the release's draw: its own seed, all cases")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--limit", type=float, default=asked.LIMIT, help="seconds an answer may take")
+    parser.add_argument(
+        "--results", type=Path, help="[benchmarks/results/second_gap.json, second_gap-dev.json of others]"
+    )
+    args = parser.parse_args()
+    seed, share = (RELEASE, 1.0) if args.release else (args.seed, args.share)
+    if seed == RELEASE and not args.release:
+        parser.error(f"--seed: {RELEASE} is the release's; run it with --release, or take another")
+    settings = {"seed": seed, "share": share}
+    sealed, began = args.out.with_name(args.out.name + "-sealed"), time.time()
+    drawn = sealed / "settings.json"
+    if drawn.is_file() and json.loads(drawn.read_text()) != settings:
+        parser.error(f"--out: {args.out} holds another draw, {json.loads(drawn.read_text())}")
+    seal.write_json(drawn, settings)
+    count = _draw(seed, share, args.out, sealed, args.jobs)
+    print(f"{count} cases drawn, {time.time() - began:.0f} s", file=sys.stderr, flush=True)
+    _ask(args.out, args.jobs, args.limit)
+    labels, answers = seal.opened(args.out, sealed)
+    rows = [{"case": name, **grade(labels[name], answers[name])} for name in sorted(labels)]
+    print("\n".join(tables.lines(rows)))
+    doc = {
+        "made_with": {
+            "commit": _commit(),
+            "machine": platform.machine(),
+            "processor": platform.processor(),
+            "python": platform.python_version(),
+        },
+        "settings": settings | {"limit_s": args.limit, "cases": count, "jobs": args.jobs, "release": args.release},
+        "manifest_sha256": seal.sha256(args.out / "manifest.json"),
+        "answers_sha256": seal.sha256(args.out / "answers.json"),
+        "goals": tables.GOALS,
+        "figures": tables.figures(rows),
+        "medians": tables.medians(rows),
+        "confusions": tables.confusions(rows),
+        "rows": rows,
+    }
+    seal.write_json(args.results or RESULTS / ("second_gap.json" if args.release else "second_gap-dev.json"), doc)
+
+
+if __name__ == "__main__":
+    main()

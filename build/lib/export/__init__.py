@@ -1,1 +1,0 @@
-"""The exporter: a reconstruction becomes a URDF with meshes that simulators load."""

@@ -1,1 +1,0 @@
-"""The engines in which assets are tried, one file each, all behind `base.World`."""

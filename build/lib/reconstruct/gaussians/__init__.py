@@ -1,1 +1,0 @@
-"""Articulated Gaussians: both parts as one model that is fitted to all frames (paper, End-to-end Optimization)."""

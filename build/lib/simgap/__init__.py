@@ -1,1 +1,0 @@
-"""Finding where simulation and measurement disagree, naming the missing effect, adding it."""

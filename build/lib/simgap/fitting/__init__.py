@@ -1,1 +1,0 @@
-"""Sets of effects fitted to runs, and the search for those that explain them."""

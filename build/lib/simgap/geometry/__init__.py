@@ -1,1 +1,0 @@
-"""The joint's own geometry, from part poses alone."""

@@ -1,1 +1,0 @@
-"""Which set stands, and what is said of it."""

@@ -1,1 +1,0 @@
-"""The answer as files and a page."""

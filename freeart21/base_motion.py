@@ -1,0 +1,80 @@
+"""A joint whose base is moved: the forces that it feels besides, seen from the base.
+
+In the base's frame every bit of mass m at x, moving at u, feels -m (a + alpha x x + omega x (omega x x) + 2 omega x u)
+(Goldstein, Classical Mechanics, 4.10). Of one joint all of this becomes a force of position alone: the Coriolis part is
+across the way that the joint lets its part go.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from freeart21.mechanics import JointMechanics
+from freeart21.se3 import Array
+
+WAYS = 8
+"""Rows of `sway_terms`."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How the frame of a joint's parent link moves, in its own directions; (n, 3) each."""
+
+    acceleration: Array
+    """m/s^2, of its origin."""
+    rate: Array
+    """rad/s."""
+    rate_change: Array
+    """rad/s^2."""
+    gravity: Array
+    """m/s^2, as it is seen from there."""
+
+
+def sway_terms(mechanics: JointMechanics, motion: Motion) -> Array:
+    """(8, n) what the base's motion adds to the joint's force, as `sway_force` takes it.
+
+    The first two rows go with the part's moment about the joint (what its weight goes with), the others with its
+    inertia or mass: so a part may be heavier or lie otherwise than an asset has it.
+    """
+    joint, w, dw = mechanics.joint, motion.rate, motion.rate_change
+    n, zero = joint.axis, np.zeros(len(w))
+    fallen = motion.gravity - mechanics.gravity
+    if joint.type == "prismatic":
+        P, m = mechanics.moment_zero, mechanics.mass
+        lost = m * (motion.acceleration - fallen) + np.cross(dw, P) + np.cross(w, np.cross(w, P))
+        return np.stack([zero, zero, -lost @ n, zero, zero, zero, zero, m * ((w * w).sum(1) - (w @ n) ** 2)])
+    field = fallen - motion.acceleration - np.cross(dw, joint.pivot) - np.cross(w, np.cross(w, joint.pivot))
+    arm = mechanics.moment(0.0)
+    across = arm - (arm @ n) * n
+    cosine, sine = (np.cross(n, part) for part in (across, np.cross(n, across)))
+    if mechanics.tensor_zero is None:
+        raise ValueError("a revolute joint on a base that turns needs JointMechanics.tensor_zero")
+    tensor = mechanics.tensor_zero
+    h = tensor @ n
+    side = h - (h @ n) * n
+    turned = np.cross(n, side)
+    flat = w - np.outer(w @ n, n)
+    u = np.cross(n, w)
+    along = lambda a, b: np.einsum("ni,ij,nj->n", a, tensor, b)  # noqa: E731
+    return np.stack([
+        field @ cosine,
+        field @ sine,
+        -(h @ n) * (dw @ n),
+        -dw @ side - (w @ n) * (u @ side),
+        -dw @ turned - (w @ n) * (u @ turned),
+        -along(flat, u),
+        -0.5 * (along(flat, flat) - along(u, u)),
+        zero,
+    ])  # fmt: skip
+
+
+def sway_force(terms: Array, q: ArrayLike, moment: float = 1.0, mass: float = 1.0) -> Array:
+    """(n,) N*m or N at positions `q` (n,) of a part whose moment and mass are these factors of the asset's."""
+    q = np.asarray(q, float)
+    cosine, sine, constant, cos1, sin1, cos2, sin2, linear = terms
+    c, s = np.cos(q), np.sin(q)
+    own = constant + cos1 * c + sin1 * s + cos2 * np.cos(2 * q) + sin2 * np.sin(2 * q) + linear * q
+    return np.asarray(moment * (cosine * c + sine * s) + mass * own)

@@ -1,0 +1,82 @@
+"""How the base of a measured set moved: the columns of its runs, and what measured.json says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.measured import BaseAxis, BaseSeries
+from freeart21.se3 import Array
+
+BASE = ("position", "acceleration", "angle")
+"""Fields of `BaseSeries`."""
+POSITIONS, ACCELERATIONS = (tuple(f"base_{k}{x}" for x in "xyz") for k in ("", "a"))
+ANGLE = "base_angle"
+COLUMNS: dict[str, str] = {**dict.fromkeys(POSITIONS, "m"), **dict.fromkeys(ACCELERATIONS, "m/s^2"), ANGLE: "rad"}
+"""Column to its unit, whatever the joint."""
+
+
+def base_of(table: Mapping[str, Array], where: Path) -> BaseSeries | None:
+    """The motion of the base in the columns of a run; None when there is none of them.
+
+    Directions that have no column are at rest. Raises FreeArtError when there are positions and accelerations.
+    """
+    told = [[table[c] for c in columns if c in table] for columns in (POSITIONS, ACCELERATIONS)]
+    if all(told):
+        raise FreeArtError(f"{where} has positions and accelerations of its base, expected one of both")
+    n = len(table["t_s"])
+    position, acceleration = (
+        np.stack([table.get(c, np.zeros(n)) for c in columns], 1) if some else None
+        for columns, some in zip((POSITIONS, ACCELERATIONS), told, strict=True)
+    )
+    for column in COLUMNS:
+        if column in table and not (np.isfinite(table[column][0]) and not np.isinf(table[column]).any()):
+            raise FreeArtError(f"{where}: '{column}' is not a number in the first row, or infinite in another")
+    found = BaseSeries(position, acceleration, table.get(ANGLE))
+    return None if position is None and acceleration is None and found.angle is None else found
+
+
+def base_axis_of(said: Any, moved: bool, turned: bool, where: Path) -> BaseAxis | None:
+    """What the base turns about, of `base` in measured.json: "fixed", "moving", or an object with axis and point.
+
+    Args:
+        said: the value.
+        moved: whether any run has a column of the base.
+        turned: whether any run has its angle.
+        where: the file.
+
+    Raises FreeArtError when it does not go with the columns.
+    """
+    if isinstance(said, dict):
+        axis = checked.numbers(said, "axis", (3,), where)
+        point = checked.numbers(said, "point", (3,), where) if "point" in said else np.zeros(3)
+        length = float(np.linalg.norm(axis))
+        if not abs(length - 1) < 1e-3:
+            raise FreeArtError(f"{where}: the base's axis is {length:g} long, expected a unit vector")
+        if not turned:
+            raise FreeArtError(f"{where}: the base has an axis, but no run has a column '{ANGLE}'")
+        return BaseAxis(axis / length, point)
+    if said not in ("fixed", "moving"):
+        raise FreeArtError(f"{where}: base is {said!r}, expected 'fixed', 'moving' or an object with its axis")
+    if turned:
+        raise FreeArtError(f"{where}: a run has '{ANGLE}', but base is {said!r}, expected an object with its axis")
+    if moved != (said == "moving"):
+        has = "a run has columns of its motion" if moved else "no run has a column of its motion"
+        raise FreeArtError(f"{where}: base is {said!r}, but {has}")
+    return None
+
+
+def base_columns(base: BaseSeries | None) -> dict[str, Array]:
+    """Column to its values, of those that there are."""
+    if base is None:
+        return {}
+    found: dict[str, Array] = {}
+    for columns, values in ((POSITIONS, base.position), (ACCELERATIONS, base.acceleration)):
+        if values is not None:
+            found |= dict(zip(columns, values.T, strict=True))
+    return found | ({} if base.angle is None else {ANGLE: base.angle})

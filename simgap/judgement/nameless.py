@@ -1,0 +1,178 @@
+"""Competitors without a name: forces of any shape beside a set, before the runs that choose.
+
+A set that stands for something else leaves what a force without a name takes: any function of position, any friction of
+speed, friction of two levels (one each way), or sizes that change over the session, as of what warms up or wears. Each
+is added to first order about the set, its many numbers fitted where the set was and held together by a prior whose size
+runs left out in turn tell, and judged by the same score (Brynjarsdottir and O'Hagan 2014: a discrepancy without a name
+names nothing, but tells that one is missing).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from freeart21.effects import EFFECTS
+from freeart21.se3 import Array
+from simgap.fitting.fit import Fit
+from simgap.fitting.guess import Linear
+from simgap.fitting.theory import Range
+from simgap.judgement.hypotheses import Hypothesis, rms, score_parts
+from simgap.judgement.predictive import Score, lead
+from simgap.judgement.split import Fold
+from simgap.measure.data import FitRun
+
+KINDS = ("position", "velocity", "direction", "time")
+_TIGHT = np.geomspace(1e-4, 1e4, 9)
+"""Ridges that are tried, times what would make every column as large as all that is left."""
+_SESSION = 6
+"""Runs of a session that tell whether a size changes over it: a line through fewer is hardly tested."""
+
+
+@dataclass(frozen=True)
+class Nameless:
+    """A force without a name beside a set."""
+
+    kind: str
+    """One of KINDS."""
+    ahead: float
+    """By how much it makes the choosing runs more probable than the set alone does, to the same order."""
+    error: float
+    """Standard error of that."""
+    floors: float
+    """That are left of choosing runs with it,"""
+    without: float
+    """... and by the set alone."""
+    changes: dict[str, float]
+    """Of kind "time": effect to the part of itself that its size changes by over the session."""
+    numbers: int
+    """How many numbers it has."""
+    more: Array
+    """(k,) by how much it makes every stretch more probable."""
+
+    @property
+    def taken(self) -> float:
+        """Floors that it takes."""
+        return float(np.sqrt(max(self.without**2 - self.floors**2, 0.0)))
+
+
+def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...]) -> tuple[Nameless, ...]:
+    """All forces without a name beside a set of effects, or beside none."""
+    seen = [
+        _Seen(trained, there, fold)
+        for trained, there, fold in zip(hypothesis.trained, hypothesis.foretold, folds, strict=True)
+    ]
+    alone, left = _scored([(one.fit.freed, one.new.freed) for one in seen], folds)
+    found = []
+    for kind in KINDS:
+        told = [one.with_(kind) for one in seen]
+        if any(each is None for each in told):
+            continue
+        rows = [each for each in told if each is not None]
+        score, floors = _scored([(first, second) for first, second, _ in rows], folds)
+        ahead, error = lead(score, alone)
+        sizes, more = rows[0][2], score.parts - alone.parts
+        changes = _changes(hypothesis.fit, sizes, kind)
+        found.append(Nameless(kind, ahead, error, floors, left, changes, len(sizes), more))
+    return tuple(found)
+
+
+class _Seen:
+    """One fold about a fit: what is left, to first order, of runs that were fitted and of others."""
+
+    def __init__(self, trained: Fit, there: Fit, fold: Fold):
+        self.fold, self.trained = fold, trained
+        self.fit, self.new = Linear(trained, fold.train), Linear(there, fold.test)
+
+    def with_(self, kind: str) -> tuple[Array, Array, Array] | None:
+        """What is left of both with the force beside, and its coefficients; None where it cannot be told."""
+        if kind == "time" and len({run.turn for run in self.fold.train}) < _SESSION:
+            return None
+        first, second = (self._columns(at, runs, kind) for at, runs in self._both())
+        if not len(first):
+            return None
+        own = len(self.fit.parameters)
+        columns = np.concatenate([self.fit.parameters, first]), np.concatenate([self.new.parameters, second])
+        sizes = _told(columns[0], self.fit.freed, _bounds(self.fold.train))
+        return self.fit.freed - sizes @ columns[0], self.new.freed - sizes @ columns[1], sizes[own:]
+
+    def _both(self) -> tuple[tuple[Linear, tuple[FitRun, ...]], ...]:
+        return (self.fit, self.fold.train), (self.new, self.fold.test)
+
+    def _columns(self, at: Linear, runs: tuple[FitRun, ...], kind: str) -> Array:
+        """(m, N) what a unit of each of its numbers does to all readings."""
+        if kind == "time":
+            turns = np.concatenate([np.full(len(run.q), float(run.turn)) for run in runs])
+            return at.parameters[self._sizes()] * ((turns - self._begin()) / self._span() - 0.5)
+        names = [name for name, cls in EFFECTS.items() if kind in cls.spans and name not in self.trained.theory.names]
+        names = [name for name in names if at.problem.plant.joint_type in EFFECTS[name].joint_types]
+        if kind == "direction":  # a push one way, which with friction is friction of two levels
+            pairs = [at.columns(name) for name in names]
+            return np.concatenate([rows[-1:] - rows[:1] for rows in pairs]) if pairs else np.zeros((0, 0))
+        return np.concatenate([at.columns(name) for name in names]) if names else np.zeros((0, 0))
+
+    def _begin(self) -> int:
+        return min(run.turn for run in (*self.fold.train, *self.fold.test))
+
+    def _span(self) -> int:
+        return max(run.turn for run in (*self.fold.train, *self.fold.test)) - self._begin()
+
+    def _sizes(self) -> list[int]:
+        """Where the first number of every effect stands among the parameters."""
+        ranges = self.trained.theory.ranges()
+        return [next(i for i, r in enumerate(ranges) if r.owner == name) for name in self.trained.theory.names]
+
+
+def _scored(rows: list[tuple[Array, Array]], folds: tuple[Fold, ...]) -> tuple[Score, float]:
+    """Score of what is left (fitted, choosing) in every fold, and its floors on choosing runs."""
+    parts = []
+    for (first, second), fold in zip(rows, folds, strict=True):
+        own, seen = _by_run(first, fold.train), _by_run(second, fold.test)
+        parts.append(score_parts(own, seen, fold, len(folds)))
+    return Score((), np.concatenate(parts)), rms([second for _, second in rows])
+
+
+def _by_run(rows: Array, runs: tuple[FitRun, ...]) -> dict[str, Array]:
+    bounds = _bounds(runs)
+    return {run.name: rows[a:b] for run, (a, b) in zip(runs, pairwise(bounds), strict=True)}
+
+
+def _bounds(runs: tuple[FitRun, ...]) -> list[int]:
+    return [0, *np.cumsum([len(run.q) for run in runs]).tolist()]
+
+
+def _told(columns: Array, left: Array, bounds: list[int]) -> Array:
+    """(m,) sizes of columns (m, N) in what is left (N,): ridge regression, its ridge the one by which runs left out in
+    turn, between `bounds`, are told best."""
+    size = np.maximum(np.linalg.norm(columns, axis=1), 1e-9)
+    scaled = columns / size[:, None]
+    cuts = list(pairwise(bounds))
+    normals = [scaled[:, a:b] @ scaled[:, a:b].T for a, b in cuts]
+    sides = [scaled[:, a:b] @ left[a:b] for a, b in cuts]
+    whole, side, eye = sum(normals), sum(sides), np.eye(len(columns))
+    unit = len(columns) / max(float(left @ left), 1e-12)
+
+    def missed(ridge: float) -> float:
+        total = 0.0
+        for normal, own in zip(normals, sides, strict=True):
+            x = np.linalg.solve(whole - normal + ridge * eye, side - own)
+            total += float(x @ normal @ x - 2 * x @ own)
+        return total
+
+    ridge = min((unit * float(tight) for tight in _TIGHT), key=missed)
+    return np.asarray(np.linalg.solve(whole + ridge * eye, side) / size)
+
+
+def _changes(fit: Fit, sizes: Array, kind: str) -> dict[str, float]:
+    """Effect to the part of itself that its size changes by; of one that is next to nothing, of a usual size."""
+    if kind != "time":
+        return {}
+    first = {r.owner: max(abs(float(x)), 0.1 * r.size) for r, x in _backwards(fit)}
+    return {name: float(s) / first[name] for name, s in zip(fit.theory.names, sizes, strict=True)}
+
+
+def _backwards(fit: Fit) -> list[tuple[Range, float]]:
+    """The numbers of a fit, the first ones last."""
+    return list(zip(fit.theory.ranges(), fit.theta, strict=True))[::-1]

@@ -1,0 +1,84 @@
+"""Three kinds of runs: those that sets are fitted to, those that choose among sets, and those that confirm the choice.
+
+A run that chose is no witness any more: of forty sets the one that suits it best does so by chance, too. What is said
+of a gap before and after is said of confirming runs alone, where there are runs enough to keep some for that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from simgap.measure.data import FitRun
+from simgap.verdict import Use
+
+_GROUPS = 4
+"""Of runs that nobody marked, that are left out in turn: each of the fits then has three quarters of them."""
+_ENOUGH = 5
+"""Runs that nobody marked from which on one of every `_ENOUGH` confirms: fewer are all needed to fit and to choose."""
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Runs to fit, and runs to predict."""
+
+    train: tuple[FitRun, ...]
+    test: tuple[FitRun, ...]
+
+
+@dataclass(frozen=True)
+class Split:
+    """What each run is used for."""
+
+    folds: tuple[Fold, ...]
+    """One where runs were marked; else several, and every run of theirs is fitted and chooses in turn."""
+    confirming: tuple[FitRun, ...]
+    """Runs that neither fits nor the choice have seen; none where there are too few runs."""
+
+    @property
+    def fitted(self) -> tuple[FitRun, ...]:
+        """What the sets are searched on: all but what is kept back for good."""
+        if len(self.folds) == 1:
+            return self.folds[0].train
+        return tuple(run for fold in self.folds for run in fold.test)
+
+    def use(self, run: str) -> Use:
+        """Of a run by its name; one that is fitted and chooses in turn is fitted."""
+        if run in {r.name for r in self.confirming}:
+            return "confirming"
+        marked = len(self.folds) == 1 and run in {r.name for r in self.folds[0].test}
+        return "choosing" if marked else "fitted"
+
+
+def split_of(runs: tuple[FitRun, ...]) -> Split:
+    """Runs that are marked as held out choose and confirm by turns, in order of how they move; without marks each run
+    is left out in turn, in at most four groups of like size of motion, and of five or more some confirm.
+
+    A single run is cut into three stretches.
+    """
+    back = sorted((run for run in runs if run.held_out), key=_motion)
+    if back:
+        train = tuple(run for run in runs if not run.held_out)
+        return Split((Fold(train, tuple(back[::2])),), tuple(back[1::2]))
+    if len(runs) == 1:
+        bounds = np.linspace(0, len(runs[0].q), 4).astype(int)
+        runs = tuple(_stretch(runs[0], int(a), int(b)) for a, b in pairwise(bounds))
+    order = sorted(runs, key=_motion)
+    confirming = tuple(order[_ENOUGH // 2 :: _ENOUGH]) if len(order) >= _ENOUGH else ()
+    kept = [run for run in order if run not in confirming]
+    groups = [[kept[i] for i in g] for g in np.array_split(np.arange(len(kept)), min(len(kept), _GROUPS))]
+    return Split(
+        tuple(Fold(tuple(r for other in groups if other is not g for r in other), tuple(g)) for g in groups),
+        confirming,
+    )
+
+
+def _motion(run: FitRun) -> tuple[str, float]:
+    """Kind and size of a run's motion."""
+    return run.regime, float(np.mean(run.speed**2))
+
+
+def _stretch(run: FitRun, begin: int, end: int) -> FitRun:
+    return replace(run.between(begin, end), name=f"{run.name}#{begin}")

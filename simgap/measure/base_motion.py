@@ -1,0 +1,149 @@
+"""What a joint feels of a base that was moved, from the base's log."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from freeart21 import se3
+from freeart21.base_motion import Motion, sway_terms
+from freeart21.errors import FreeArtError
+from freeart21.measured import BaseAxis, BaseSeries
+from freeart21.mechanics import JointMechanics
+from freeart21.se3 import Array
+from simgap.measure.floor import floor_of
+
+_ORDER = 4
+"""Of the polynomials through neighbouring rows whose derivatives are taken (Savitzky and Golay 1964)."""
+_WINDOWS = (7, 11, 17, 25, 37, 55, 81, 121, 181, 271)
+"""Rows that such a polynomial may go through."""
+_MORE, _SURE = 1.15, 3.0
+"""Times the sensor's noise that a polynomial may leave in the root mean square, and of all but a hundredth of the
+readings (of white noise that is 2.6). Not measured."""
+_ROWS_PER_WINDOW = 8
+"""Of a window, that its polynomial's derivatives are looked at: they bend no faster."""
+
+
+@dataclass(frozen=True)
+class Sway:
+    """What the base's motion adds to the joint's force; straight between its times, its ends stay."""
+
+    times_s: Array
+    """(b,)"""
+    terms: Array
+    """(8, b) as `sway_force` takes them."""
+
+    def at(self, times_s: Array | float) -> Array:
+        """(8, n) the terms at times (n,)."""
+        return np.stack([np.interp(times_s, self.times_s, row) for row in self.terms])
+
+    def function(self, begin_s: float, moment: float = 1.0, mass: float = 1.0) -> Callable[[float, float], float]:
+        """Position and seconds since `begin_s` to the force, N*m or N, of a part with these factors of moment and
+        mass: for a simulator that asks at every step."""
+        times, rows = self.times_s.tolist(), self.terms.T.tolist()
+
+        def force(q: float, t: float) -> float:
+            t += begin_s
+            i = min(max(bisect_right(times, t) - 1, 0), len(times) - 2)
+            share = min(max((t - times[i]) / (times[i + 1] - times[i]), 0.0), 1.0)
+            a, b, k, c1, s1, c2, s2, n = (x + share * (y - x) for x, y in zip(rows[i], rows[i + 1], strict=True))
+            c, s = math.cos(q), math.sin(q)
+            own = k + c1 * c + s1 * s + c2 * (c * c - s * s) + 2 * s2 * s * c + n * q
+            return moment * (a * c + b * s) + mass * own
+
+        return force
+
+
+def sway_of(
+    times_s: Array,
+    base: BaseSeries,
+    turns: BaseAxis | None,
+    mechanics: JointMechanics,
+    T_parent_canonical: Array,
+    base_is_parent: bool = True,
+) -> Sway:
+    """What a joint feels of a base that moves so.
+
+    Args:
+        times_s: (n,) of the rows of `base`.
+        base: how it moves.
+        turns: what it turns about, where it has an angle.
+        mechanics: the joint, in the frame of its parent link, the base at rest.
+        T_parent_canonical: (4, 4) where the canonical frame is.
+        base_is_parent: whether the base is on the joint's parent side.
+
+    Raises FreeArtError when it is not: what it carries is then another part.
+    """
+    if not base_is_parent:
+        raise FreeArtError(f"the base of joint '{mechanics.joint.name}' moves, but it is on the joint's child side")
+    rows = [r for r in (base.position, base.acceleration, base.angle) if r is not None]
+    window = min((_window(times_s, r) for r in _columns(base)), default=_WINDOWS[0])
+    step = float(np.median(np.diff(times_s))) * max(1, window // _ROWS_PER_WINDOW)
+    at = np.arange(times_s[0], times_s[-1] + 0.5 * step, step) if rows else times_s[[0, -1]]
+    zero = np.zeros((len(at), 3))
+    pushed, angle, rate, change = zero, *(np.zeros(len(at)) for _ in range(3))
+    if base.position is not None:
+        pushed = np.stack([_derived(times_s, column, at)[2] for column in base.position.T], 1)
+    if base.acceleration is not None:
+        pushed = np.stack([_filled(times_s, column, at) for column in base.acceleration.T], 1)
+    axis, point = (np.array([0.0, 0.0, 1.0]), np.zeros(3)) if turns is None else (turns.axis, turns.point)
+    if base.angle is not None:
+        angle, rate, change = _derived(times_s, base.angle, at)
+    back = se3.exp_so3(-angle[:, None] * axis)  # from directions at rest to the base's own
+    to = T_parent_canonical[:3, :3]
+    g = np.einsum("nij,j->ni", back, to.T @ mechanics.gravity)
+    w, dw = np.outer(rate, axis), np.outer(change, axis)
+    arm = se3.inverse(T_parent_canonical)[:3, 3] - point
+    a = np.einsum("nij,nj->ni", back, pushed) + np.cross(dw, arm) + np.cross(w, np.cross(w, arm))
+    return Sway(at, sway_terms(mechanics, Motion(*(series @ to.T for series in (a, w, dw, g)))))
+
+
+def _columns(base: BaseSeries) -> list[Array]:
+    """Those series whose derivatives are needed."""
+    found = [] if base.position is None else list(base.position.T)
+    return found + ([] if base.angle is None else [base.angle])
+
+
+def _filled(times: Array, values: Array, at: Array) -> Array:
+    known = np.isfinite(values)
+    return np.interp(at, times[known], values[known])
+
+
+def _even(times: Array, values: Array) -> tuple[Array, Array, float]:
+    """Even times, values there, and their step."""
+    step = float(np.median(np.diff(times)))
+    even = times[0] + step * np.arange(int(np.floor((times[-1] - times[0]) / step + 1e-6)) + 1)
+    return even, _filled(times, values, even), step
+
+
+def _window(times: Array, values: Array) -> int:
+    """Rows of the widest window whose polynomials leave no more of the readings than the sensor's noise and steps: it
+    blurs no motion."""
+    from scipy.signal import savgol_filter
+
+    even, x, _ = _even(times, values)
+    noise = floor_of([(even, x)]).still
+    kept = _WINDOWS[0]
+    for w in (w for w in _WINDOWS if w < len(x) // 2):
+        left = x - savgol_filter(x, w, _ORDER)
+        if w > kept and (np.sqrt(np.mean(left**2)) > _MORE * noise or np.quantile(np.abs(left), 0.99) > _SURE * noise):
+            break
+        kept = w
+    return kept
+
+
+def _derived(times: Array, values: Array, at: Array) -> tuple[Array, Array, Array]:
+    """(m,) values, first and second derivatives at times `at`."""
+    from scipy.signal import savgol_filter
+
+    even, x, step = _even(times, values)
+    w = _window(times, values)
+    if len(x) <= w:
+        raise FreeArtError(f"the base's motion has {len(x)} rows, expected more than {w} for its accelerations")
+    found = [savgol_filter(x, w, _ORDER, deriv=k, delta=step) for k in range(3)]
+    value, rate, change = (np.interp(at, even, series) for series in found)
+    return value, rate, change

@@ -1,0 +1,241 @@
+"""What drives a joint, as it is told: limits, dead bands, motors under a voltage, what is switched off; a drive that
+pushes without being told. The fast simulation, SAPIEN and a replay, against equations solved here by scipy."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_case import ARM, INERTIA, MASS, G, asset_of
+from scipy.integrate import solve_ivp
+
+from freeart21.effects.actuator_gain import ActuatorGain
+from freeart21.effects.actuator_offset import ActuatorOffset
+from freeart21.errors import FreeArtError
+from freeart21.files.actuator_json import actuator_from_json, actuator_to_json
+from freeart21.files.asset import read_asset
+from freeart21.files.measured import read_measured
+from freeart21.files.measured_writer import write_measured
+from freeart21.measured import Measured, Run
+from freeart21.mechanics import Actuator, DcMotor
+from generator.simulate import roll_out
+from simgap.fitting.search import candidates
+from simgap.measure.data import fit_runs
+from simgap.measure.inputs import inputs_of
+from simgap.motion.equation_error import missing_force
+from simgap.motion.surrogate import plant_of, simulate
+from simgap.proof.show import Off, Replayed, show
+from simgap.proof.writeback import repaired
+from simgap.settings import GapSettings
+from simgap.workflow import problem_of
+
+RATE, SECONDS = 1000, 2.0
+TIMES = np.arange(round(RATE * SECONDS)) / RATE
+COMMAND = 0.5 * np.sin(4 * TIMES) + 0.3 * np.sign(np.sin(2.5 * TIMES))
+WAVE = 3.0 * np.sin(5 * TIMES) + 1.5
+ON = ((TIMES < 0.8) | (TIMES > 1.4)).astype(float)
+BIAS = -0.8
+MOTOR = DcMotor(1.2, 2.0, 9.0, 2.4)
+
+
+def clipped(x, most):
+    return min(max(x, -most), most)
+
+
+def servo(e, v, u, on):
+    """A servo of 60 and 4 N m that sees no error below .05 rad and gives 4 N m at most."""
+    e = e - 0.05 if e > 0.05 else e + 0.05 if e < -0.05 else 0.0
+    return clipped(60 * e - 4 * v, 4.0)
+
+
+def limited(e, v, u, on):
+    """An ideal torque of 3 N m at most."""
+    return clipped(u, 3.0)
+
+
+def offset(e, v, u, on):
+    """A drive that is switched off for a while, and pushes by BIAS while it is on."""
+    return u + BIAS if on else 0.0
+
+
+def motor(e, v, u, on):
+    """Of 1.2 N m/A and 2 ohm under u volts; a coasting one is an open circuit."""
+    return 1.2 * (u - 1.2 * v) / 2.0 if on else 0.0
+
+
+def motor_servo(e, v, u, on):
+    """The same, that turns an error into 40 V/rad, but 9 V at most, and 2.4 A."""
+    return 1.2 * clipped((clipped(40 * e - 1.0 * v, 9.0) - 1.2 * v) / 2.0, 2.4) if on else 0.0
+
+
+DRIVES = {
+    "servo": (servo, Actuator(None, 60.0, 4.0, dead_band=0.05, max_effort=4.0), {"q_command": COMMAND}),
+    "limited": (limited, Actuator(max_effort=3.0), {"effort": WAVE}),
+    "offset": (offset, None, {"effort": WAVE, "enabled": ON}),
+    "motor": (motor, Actuator(motor=DcMotor(1.2, 2.0)), {"voltage": 3 * WAVE, "enabled": ON}),
+    "motor_servo": (motor_servo, Actuator(None, 40.0, 1.0, motor=MOTOR), {"q_command": COMMAND, "enabled": ON}),
+}
+NAMES = pytest.mark.parametrize("name", DRIVES)
+
+
+def course(give, series: dict) -> np.ndarray:
+    """(n, 2) positions and speeds of the pendulum from .3 rad, every command held from row to row."""
+    out, y = [], [0.3, 0.0]
+    told = {key: series.get(key, np.zeros(len(TIMES))) for key in ("q_command", "effort", "voltage")}
+    on = series.get("enabled", np.ones(len(TIMES)))
+    for i in range(len(TIMES)):
+        out.append(y)
+        command, u = told["q_command"][i], told["effort"][i] + told["voltage"][i]
+
+        def slope(t, y, command=command, u=u, on=on[i] > 0):
+            return [y[1], (give(command - y[0], y[1], u, on) - MASS * G * ARM * np.sin(y[0])) / INERTIA]
+
+        y = solve_ivp(slope, (0, 1 / RATE), y, rtol=1e-8, atol=1e-10).y[:, -1]
+    return np.array(out)
+
+
+TRUE = {name: course(give, series) for name, (give, _, series) in DRIVES.items()}
+
+
+def measured_of(name: str, q: np.ndarray | None = None) -> Measured:
+    _, actuator, series = DRIVES[name]
+    run = Run("r", TIMES, TRUE[name][:, 0] if q is None else q, **series)
+    kind = "commanded" if "effort" in series else None
+    return Measured("j", "revolute", np.array([0, 0, -G]), RATE, "recorded", kind, actuator, runs=(run,))  # type: ignore[arg-type]
+
+
+def effects_of(name: str):
+    return (ActuatorOffset(BIAS),) if name == "offset" else ()
+
+
+@NAMES
+def test_the_fast_simulation_is_the_equation(name: str, tmp_path: Path):
+    measured = measured_of(name)
+    plant = plant_of(read_asset(asset_of(tmp_path)), measured)
+    for longest, within in ((np.inf, 2e-5), (0.01, 5e-5)):  # as it was logged, and taken together
+        ours = simulate(plant, effects_of(name), TIMES, 0.3, 0.0, inputs_of(measured.runs[0], measured, longest))
+        assert np.abs(ours - TRUE[name][:, 0]).max() < within
+
+
+@NAMES
+def test_a_replay_in_sapien_is_the_equation(name: str, tmp_path: Path):
+    """Through a job's files and a process of its own; without what is told the motion is another."""
+    measured, asset = measured_of(name), read_asset(asset_of(tmp_path))
+    right = repaired(asset, effects_of(name), tmp_path / "right")
+    run, start = measured.runs[0], (0.3, 0.0)
+    before = asset if name == "offset" else right
+    plain = replace(measured, runs=(replace(run, enabled=None),))
+    (there,) = show(before, right, measured, (Replayed(run, start, start, 1e-4, ""),), (Off(),) * 2).runs
+    assert there.gap_after < 1e-5
+    if name == "offset":
+        assert there.gap_before > 0.05
+    elif run.enabled is not None:
+        (on,) = show(right, right, plain, (Replayed(plain.runs[0], start, start, 1e-4, ""),), (Off(),) * 2).runs
+        assert on.gap_after > 0.05
+
+
+@NAMES
+def test_nothing_is_missing_where_all_is_told(name: str, tmp_path: Path):
+    measured = measured_of(name)
+    plant = plant_of(read_asset(asset_of(tmp_path)), measured)
+    found = missing_force(measured, plant.mechanics, -3.0, 3.0, effects_of(name))
+    size = float(np.std(np.gradient(TRUE[name][:, 1], TIMES))) * INERTIA
+    assert np.sqrt(np.mean(found.force**2)) < 0.05 * size
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_an_offset_passes_no_gain_and_acts_while_the_drive_is_on(kind: str, tmp_path: Path):
+    """In SAPIEN, without weight: speed is the impulse over the inertia."""
+    path = asset_of(tmp_path)
+    path.write_text(path.read_text().replace("revolute", kind))
+    asset = replace(read_asset(path), effects={"j": (ActuatorGain(0.5), ActuatorOffset(0.3))})
+    law = Actuator(effort=lambda t: 2.0, enabled=lambda t: float(t < 0.4))
+    run = roll_out(asset, 0.0, duration_s=0.8, gravity=(0, 0, 0), actuator=law)
+    inertia = INERTIA if kind == "revolute" else MASS
+    assert run.qd == pytest.approx((0.5 * 2.0 + 0.3) / inertia * np.minimum(run.times_s, 0.4), abs=3e-3)
+    pushed = roll_out(asset, 0.0, duration_s=0.2, gravity=(0, 0, 0), force=lambda t: 1.0)
+    assert pushed.qd == pytest.approx(1.0 / inertia * pushed.times_s, abs=1e-3)
+
+
+def test_a_motor_under_a_voltage_comes_to_its_speed_as_its_back_emf_has_it(tmp_path: Path):
+    """Closed form: V / k (1 - exp(-k^2 / (R I) t)); and a coasting one loses nothing."""
+    asset = read_asset(asset_of(tmp_path, -300, 300))
+    law = Actuator(effort=lambda t: MOTOR.per_volt * 6.0, motor=DcMotor(1.2, 2.0), enabled=lambda t: float(t < 1.0))
+    run = roll_out(asset, 0.0, duration_s=2.0, gravity=(0, 0, 0), actuator=law)
+    rate, at = 1.2**2 / 2.0 / INERTIA, np.minimum(run.times_s, 1.0)
+    assert run.qd == pytest.approx(6.0 / 1.2 * (1 - np.exp(-rate * at)), abs=5e-3)
+
+
+def test_an_offset_is_looked_for_only_where_efforts_are_told(tmp_path: Path):
+    asset = read_asset(asset_of(tmp_path))
+    for name, told in (("offset", True), ("motor", True), ("servo", False)):
+        measured = measured_of(name)
+        plant = plant_of(asset, measured)
+        runs, floor = fit_runs(measured, plant)
+        problem = problem_of(plant, measured, runs, floor, GapSettings())
+        assert ("actuator_offset" in candidates(problem, runs)) is told
+
+
+@NAMES
+def test_a_drive_is_read_as_it_was_written(name: str, tmp_path: Path):
+    measured = measured_of(name)
+    write_measured(tmp_path / "set", measured)
+    read = read_measured(tmp_path / "set")
+    assert read.actuator == measured.actuator or (measured.actuator is not None and read.actuator is not None)
+    if measured.actuator is not None and read.actuator is not None:
+        assert read.actuator.law == measured.actuator.law
+    for column in ("effort", "q_command", "voltage", "enabled"):
+        ours, theirs = (getattr(m.runs[0], column) for m in (measured, read))
+        assert (ours is None) == (theirs is None)
+        if ours is not None:
+            np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_current_limit_is_a_limit_of_force_and_what_is_not_known_may_be_null():
+    law = actuator_from_json({"type": "effort", "torque_constant": 0.5, "max_current": 4.0, "max_effort": None}, "x")
+    assert law.max_effort == 2.0 and actuator_to_json(law, False) == {"type": "effort", "max_effort": 2.0}
+    motor = actuator_from_json({"type": "dc_motor", "torque_constant": 0.5, "resistance": 2.0, "max_current": 4.0}, "x")
+    assert motor.law.most == 2.0 and motor.law.back_emf == 0.125 and np.isinf(motor.law.most_asked)
+
+
+BAD = [
+    ({"type": "velocity"}, "type is 'velocity', expected 'position' or 'effort' or 'dc_motor'"),
+    ({"type": "position", "stiffness": 1.0}, "an actuator of type 'position' needs 'damping'"),
+    ({"type": "position", "stiffness": 1.0, "damping": -1.0}, "'damping' is -1, expected 0 or more"),
+    ({"type": "position", "stiffness": 1, "damping": 1, "max_efort": 2}, "has no 'max_efort'; it may have stiffness"),
+    ({"type": "dc_motor", "torque_constant": 1.0, "resistance": 0.0}, "'resistance' is 0, expected above 0"),
+    ({"type": "dc_motor", "torque_constant": 1.0, "resistance": None}, "needs 'resistance'"),
+    ({"type": "effort", "max_current": 2.0}, "needs both 'max_current' and 'torque_constant'"),
+    ({"type": "effort", "max_effort": True}, "'max_effort' is True, expected a finite number"),
+    ({"type": ["effort"]}, "type is ['effort']"),
+]
+
+
+@pytest.mark.parametrize("said, fault", BAD)
+def test_a_bad_actuator_costs_one_line(said: dict, fault: str):
+    with pytest.raises(FreeArtError) as caught:
+        actuator_from_json(said, "here")
+    assert fault in str(caught.value) and str(caught.value).startswith("here: ") and "\n" not in str(caught.value)
+
+
+def test_columns_without_what_they_are_for_are_refused(tmp_path: Path):
+    def reread(name: str, change) -> None:
+        write_measured(tmp_path / name, measured_of(name))
+        path = tmp_path / name / "measured.json"
+        data = json.loads(path.read_text())
+        change(data)
+        path.write_text(json.dumps(data))
+        read_measured(tmp_path / name)
+
+    with pytest.raises(FreeArtError, match="'voltage', but there is no 'actuator' of type 'dc_motor'"):
+        reread("motor", lambda data: data.pop("actuator"))
+    with pytest.raises(FreeArtError, match="'enabled', but nothing that was commanded"):
+        reread("offset", lambda data: data.update(effort="external"))
+    with pytest.raises(FreeArtError, match="'enabled' .* is in 'bool', expected '1'|'enabled' of a revolute joint"):
+        write_measured(tmp_path / "units", measured_of("motor"))
+        path = tmp_path / "units" / "measured.json"
+        path.write_text(path.read_text().replace('"enabled": "1"', '"enabled": "bool"'))
+        read_measured(tmp_path / "units")

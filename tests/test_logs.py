@@ -1,0 +1,159 @@
+"""Logs as they are: angles within a turn, degrees, encoders of a tenth of a degree, ten thousand rows a second."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_case import G, asset_of
+
+from freeart21.files.asset import read_asset
+from freeart21.files.measured import read_measured
+from freeart21.files.measured_writer import write_measured
+from freeart21.measured import BaseAxis, BaseSeries, Measured, Run
+from freeart21.mechanics import Actuator
+from freeart21.turns import is_wrapped
+from simgap.measure.floor import floor_of
+from simgap.measure.inputs import inputs_of
+from simgap.motion.surrogate import plant_of, simulate
+
+TIMES = np.arange(400) / 100
+ROUND = 3.0 + 2.5 * TIMES + np.sin(3 * TIMES)
+"""rad of a joint that goes round, a turn and a half."""
+
+
+def within(q: np.ndarray) -> np.ndarray:
+    """As a sensor has it that counts from -180 to 180 degrees."""
+    return (q + np.pi) % (2 * np.pi) - np.pi
+
+
+def measured_of(q: np.ndarray, **more) -> Measured:
+    run = Run("r", TIMES, q, **more)
+    law = Actuator(None, 3.0, 0.1) if "q_command" in more else None
+    return Measured("j", "revolute", np.array([0, 0, -G]), 100.0, "recorded", None, law, runs=(run,))
+
+
+def said(folder: Path, measured: Measured, **words) -> Measured:
+    """The set as it is read when measured.json says these words besides."""
+    write_measured(folder, measured)
+    path = folder / "measured.json"
+    data = json.loads(path.read_text())
+    for key, value in words.items():
+        data[key] = {**data[key], **value} if isinstance(value, dict) else value
+    path.write_text(json.dumps(data))
+    return read_measured(folder)
+
+
+def test_angles_within_a_turn_are_made_whole_where_told_or_clear_and_that_is_said(tmp_path: Path):
+    wrapped = measured_of(within(ROUND))
+    for name, words in (("told", {"wrapped": True}), ("clear", {})):
+        read = said(tmp_path / name, wrapped, **words)
+        np.testing.assert_allclose(read.runs[0].q - read.runs[0].q[0], ROUND - ROUND[0], atol=1e-9)
+        (note,) = read.notes
+        assert note.startswith("run 'r': angles within one turn were made whole, 2 leaps")
+        assert ("wrapped" in note) is (name == "clear")
+    raw = said(tmp_path / "no", wrapped, wrapped=False)
+    np.testing.assert_array_equal(raw.runs[0].q, within(ROUND))
+    assert raw.notes == ()
+
+
+def test_a_command_stays_with_its_position_and_gaps_stay_gaps(tmp_path: Path):
+    q = within(ROUND)
+    q[100:103] = np.nan
+    read = said(tmp_path / "a", measured_of(q, q_command=within(ROUND + 0.2)), wrapped=True)
+    run = read.runs[0]
+    assert run.q_command is not None and np.isnan(run.q[100:103]).all()
+    np.testing.assert_allclose((run.q_command - run.q)[103:], 0.2, atol=1e-9)
+
+
+@pytest.mark.parametrize("q", [
+    within(ROUND) * (np.abs(within(ROUND)) < 1), 3.5 * np.sin(TIMES),
+    np.where(TIMES < 2, -3.0, 3.0) + 0.5 * np.sin(9 * TIMES),
+    3 * np.sign(np.sin(40 * TIMES)),
+])  # fmt: skip
+def test_what_is_not_clearly_wrapped_is_left_alone(q: np.ndarray):
+    assert not is_wrapped(q) and is_wrapped(within(ROUND))
+
+
+def test_degrees_that_are_told_are_degrees_in_every_column(tmp_path: Path):
+    axis = BaseAxis(np.array([0, 0, 1.0]), np.zeros(3))
+    base, rates = BaseSeries(angle=0.2 * np.sin(TIMES)), 0.3 * np.cos(3 * TIMES)
+    measured = replace(measured_of(0.1 * np.sin(3 * TIMES), q_command=0.2 * TIMES, base=base, qd=rates), base_axis=axis)
+    units = {"q": "deg", "q_command": "deg", "base_angle": "deg", "qd": "deg/s"}
+    read = said(tmp_path / "a", measured, units=units).runs[0]
+    plain = said(tmp_path / "b", measured).runs[0]
+    assert read.base is not None and plain.base is not None
+    for ours, theirs in ((read.q, plain.q), (read.q_command, plain.q_command), (read.qd, plain.qd),
+                         (read.base.angle, plain.base.angle)):  # fmt: skip
+        np.testing.assert_allclose(ours, np.radians(theirs), rtol=1e-12)
+    np.testing.assert_array_equal(plain.qd, rates)
+    slide = replace(measured_of(TIMES), joint_type="prismatic")
+    np.testing.assert_allclose(said(tmp_path / "c", slide, units={"q": "mm"}).runs[0].q, TIMES / 1000)
+
+
+@pytest.mark.parametrize("rate", [10, 100, 1000, 10_000])
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_the_floor_of_an_encoder_of_a_tenth_of_a_degree_is_its_steps_and_noise(rate: int, noise: float):
+    """Degrees; a swing that dies down, and one that is fast."""
+    rng, step = np.random.default_rng(rate), 0.1
+    times = np.arange(20 * rate) / rate
+    for size, freq in ((30.0, 0.7), (4.0, 0.3)):
+        q = size * np.exp(-0.1 * times) * np.sin(2 * np.pi * freq * times)
+        read = np.radians(step * np.round((q + noise * rng.normal(size=len(q))) / step))
+        true = np.radians(np.hypot(step / np.sqrt(12), noise))
+        floor = floor_of([(times, read)])
+        assert 0.8 * true < floor.still < 1.6 * true
+        assert floor.stamp_s < 5e-3
+
+
+def test_commands_of_ten_thousand_rows_a_second_are_taken_together_as_they_move_the_part(tmp_path: Path):
+    rate = 10_000
+    times = np.arange(3 * rate) / rate
+    effort = 3 * np.sin(5 * times) + 2 * np.sign(np.sin(23 * times)) + 2 * np.sin(900 * times)
+    enabled = (times < 1.23456).astype(float)
+    run = Run("r", times, 0 * times, effort, enabled=enabled)
+    measured = Measured("j", "revolute", np.array([0, 0, -G]), rate, "recorded", "commanded", runs=(run,))
+    plant = plant_of(read_asset(asset_of(tmp_path)), measured)
+    fine, coarse = inputs_of(run, measured), inputs_of(run, measured, 0.02)
+    assert len(coarse.times_s) < 400 and len(fine.times_s) > 10_000
+    ways = [simulate(plant, (), times[::50], 0.2, 0.0, told) for told in (fine, coarse)]
+    assert np.abs(ways[0] - ways[1]).max() < 2e-3 * np.ptp(ways[0])
+    assert np.abs(simulate(plant, (), times[::50], 0.2) - ways[0]).max() > 0.1
+
+
+def test_a_minute_of_ten_thousand_rows_a_second_takes_seconds_and_less_than_a_gigabyte(tmp_path: Path):
+    """Memory, which is counted; time is said in the docs."""
+    rate = 10_000
+    times = np.arange(60 * rate) / rate
+    q = np.radians(0.1) * np.round(0.5 * np.sin(3 * times) / np.radians(0.1))
+    table = np.stack([times, q, 2 * np.sin(2 * times)], 1)
+    write_measured(tmp_path / "set", Measured("j", "revolute", np.array([0, 0, -G]), rate, "recorded", "commanded",
+        runs=(Run("r", times[:100], q[:100], q[:100]),)))  # fmt: skip
+    with (tmp_path / "set" / "r.csv").open("w") as file:
+        file.write("t_s,q,effort\n")
+        np.savetxt(file, table, fmt="%.9g", delimiter=",")
+    code = f"""
+import resource
+from pathlib import Path
+from freeart21.files.asset import read_asset
+from freeart21.files.measured import read_measured
+from simgap.measure.data import fit_runs, thinned
+from simgap.motion.surrogate import plant_of
+measured = read_measured(Path({str(tmp_path / "set")!r}))
+runs, floor = fit_runs(measured, plant_of(read_asset(Path({str(asset_of(tmp_path))!r})), measured))
+memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+print(memory, len(runs[0].q), len(runs[0].inputs.times_s), floor.still)
+print(thinned(measured)[0])
+"""
+    done = subprocess.run(["sh", "-c", 'exec "$0" -c "$1"', sys.executable, code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    numbers, note = done.stdout.splitlines()
+    memory, readings, inputs, still = map(float, numbers.split())
+    assert memory < 1.0 and readings <= 6000 and inputs < 10_000
+    assert 0.9 < still / np.radians(0.1 / np.sqrt(12)) < 1.6
+    assert note == "run 'r': one reading of 400 is looked at, 25 of 1e+04 a second"

@@ -1,0 +1,397 @@
+"""The second hidden world of `gap` (benchmarks/second_world): its physics, its seal and its scorer."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.second_world import draw, hidden, protocols, seal, sensor, strata, tables
+from benchmarks.second_world import laws as w
+from benchmarks.second_world.grade import grade, intervals
+from benchmarks.second_world.machines import KINDS, Nuisance, draw_machine, truth
+from benchmarks.second_world.strength import strength
+
+REST = Nuisance()
+
+
+def machine(kind: str, seed: int = 5):
+    return draw_machine(kind, np.random.default_rng(seed))
+
+
+def swing(p, start, seconds=6.0, rate=200, longest=5e-5, force=0.0):
+    """States (n, 5) of a joint that nobody touches but a constant force."""
+    knots = np.linspace(0, seconds, int(seconds * rate) + 1)
+    still = np.zeros((len(knots) - 1, 2))
+    q, v = start
+    return knots, w.integrate(p, knots, still, still + force, np.array([q, v, 0.0, q, v]), longest)
+
+
+def pulled(p, force):
+    """States of a joint that is pulled from rest at 0 by a force put on slowly, in 3 of 5 s."""
+    knots = np.linspace(0, 5, 1001)
+    force = force * np.minimum(knots / 3, 1)
+    force = np.stack([force[:-1], force[1:]], 1)
+    return w.integrate(p, knots, 0 * force, force, np.zeros(5), 5e-5)
+
+
+def peaks(states):
+    """Widest deflections of a swing, one a half swing."""
+    q, v = states[:, 0], states[:, 1]
+    at = np.flatnonzero(v[1:] * v[:-1] < 0)
+    return np.array([np.abs(q[k : k + 2]).max() for k in at])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_energy_is_kept_where_nothing_acts(kind):
+    m = machine(kind)
+    p = truth(m, Nuisance(0.07, -0.03, (0.004, 0.003)))
+    p[w.LOW], p[w.HIGH], p[w.KP], p[w.KD] = -1e9, 1e9, 0.0, 0.0
+    _, states = swing(p, (0.4, 0.2), longest=1e-4)
+    e = w.energy(p, states)
+    assert np.ptp(e) < 1e-9 * np.abs(e).max() + 1e-12
+    assert np.ptp(states[:, 0]) > 0.3
+
+
+def test_plain_gravity_is_that_of_the_urdf():
+    """The torque at any angle, from the arm turned by hand."""
+    for kind in ("pendulum", "lid", "door"):
+        m = machine(kind)
+        p = truth(m, REST)
+        for q in (-0.7, 0.3, 1.4):
+            k = m.axis
+            arm = m.arm * math.cos(q) + np.cross(k, m.arm) * math.sin(q)
+            torque = k @ np.cross(arm, m.mass * m.gravity)
+            assert p[w.GA] * math.cos(q) + p[w.GB] * math.sin(q) == pytest.approx(torque, abs=1e-12)
+    m = replace(machine("drawer"), slope=0.1)
+    assert truth(m, REST)[w.GC] == pytest.approx(m.mass * 9.81 * math.sin(0.1))
+
+
+def test_each_loss_takes_what_its_law_says():
+    """Peaks fall by 2 tau / k a half swing (dry), by exp(-pi b / 2 I w) (oil), by 4 c A^2 / 3 I (air)."""
+    m = machine("pendulum")
+    p0 = truth(m, REST)
+    k, omega = m.weight, m.omega
+    p, _ = hidden.apply(hidden.Effect("coulomb_friction", 0.02 * k * 0.2, {"travel": 2e-4}), m, p0, hidden.Sensing())
+    small = peaks(swing(p, (0.2, 0.0), 9 / omega * 2)[1])
+    assert len(small) >= 4
+    assert np.allclose(-np.diff(small), 2 * 0.004, rtol=0.05)
+    b = 0.05 * m.inertia * omega
+    p, _ = hidden.apply(hidden.Effect("viscous_damping", b, {"power": 1.0}), m, p0, hidden.Sensing())
+    small = peaks(swing(p, (0.1, 0.0), 18 / omega)[1])
+    assert np.allclose(small[1:] / small[:-1], math.exp(-math.pi * 0.05 / 2), rtol=2e-3)
+    c = 0.1 * m.inertia
+    p, _ = hidden.apply(hidden.Effect("quadratic_drag", c, {"power": 2.0}), m, p0, hidden.Sensing())
+    small = peaks(swing(p, (0.1, 0.0), 18 / omega)[1])
+    assert np.allclose(-np.diff(small) / (small[:-1] * small[1:]), 4 / 3 * 0.1, rtol=0.02)
+
+
+def test_dry_friction_holds_what_is_below_it():
+    m = machine("pendulum")
+    effect = hidden.Effect("stribeck_friction", 0.1 * m.weight, {"travel": 3e-3, "stick": 2.0, "speed": 0.1})
+    p, _ = hidden.apply(effect, m, truth(m, REST), hidden.Sensing())
+    for share in (0.15, 0.3):  # above sliding and below breakaway; above both
+        states = pulled(p, share * m.weight)
+        if share == 0.15:
+            assert np.abs(states[:, 0]).max() < 2 * 3e-3 * math.log(4)  # LuGre: 6 mrad ln(1 / (1 - .75))
+            assert np.ptp(states[-100:, 0]) < 1e-6  # and it does not creep
+        else:
+            assert np.abs(states[:, 0]).max() > 0.1
+
+
+def test_load_friction_follows_the_load_and_dry_friction_does_not():
+    m = machine("pendulum")
+    loss = {}
+    for name, size in (("coulomb_friction", 0.01 * m.weight), ("load_friction", 0.01 * m.weight / (m.mass * 9.81))):
+        p, _ = hidden.apply(hidden.Effect(name, size, {"travel": 1e-3}), m, truth(m, REST), hidden.Sensing())
+        wide = swing(p, (2.2, 0.0), 4.0, 1000)[1]
+        narrow = swing(p, (0.3, 0.0), 4.0, 1000)[1]
+        lost = [
+            (w.energy(p, s)[0] - w.energy(p, s)[-1]) / np.abs(np.diff(s[:, 0])).sum() for s in (wide, narrow)
+        ]  # friction over the way
+        loss[name] = lost[0] / lost[1]
+    assert loss["coulomb_friction"] == pytest.approx(1, abs=0.01)
+    assert loss["load_friction"] > 1.3
+
+
+def test_stops_and_catches():
+    m = machine("lid")
+    dead = truth(m, REST)
+    _, states = swing(dead, (0.5, 0.0), 3.0)
+    assert states[:, 0].min() == 0.0 and states[-1, 0] == 0.0 and states[-1, 1] == 0.0
+    for wanted in (0.3, 0.6):
+        effect = hidden.Effect("end_stop_bounce", wanted, {"depth": 0.01, "speed": 3.0})
+        p, _ = hidden.apply(effect, m, dead, hidden.Sensing())
+        _, states = swing(p, (1e-9, -3.0), 0.1, 20000, longest=1e-5)
+        back = states[:, 1].max() / 3.0
+        assert back == pytest.approx(wanted, abs=0.12)  # Hunt and Crossley's restitution is no constant
+        assert 0.003 < -states[:, 0].min() < 0.015
+    door = replace(machine("door"), low=0.0)
+    p, _ = hidden.apply(
+        hidden.Effect("latch", 1.0, {"in": 0.04, "out": 0.08}), door, truth(door, REST), hidden.Sensing()
+    )
+    assert np.abs(pulled(p, 0.9)[:, 0]).max() < 0.08
+    assert pulled(p, 1.1)[-1, 0] > 0.5
+
+
+def test_play_is_a_travel_without_force():
+    """The rotor held still, the joint goes freely to half of the play either way, and no further."""
+    m = machine("arm")
+    p, _ = hidden.apply(hidden.Effect("backlash", 0.05, {"stiff": 50.0}), m, truth(m, REST), hidden.Sensing())
+    p[w.GA] = p[w.GB] = 0.0
+    knots = np.linspace(0, 2, 2001)
+    still = np.zeros((2000, 2))
+    for way in (1, -1):
+        states = w.integrate(p, knots, still, still, np.array([0.0, way * 0.05, 0, 0.0, 0]), 5e-5)
+        apart = way * (states[:, 0] - states[:, 3])
+        assert apart.max() == pytest.approx(0.025, abs=1.5e-3)
+        speed = states[: np.flatnonzero(apart > 0.0249)[0], 1]
+        assert np.ptp(speed) < 1e-9
+        assert 0 > way * states[-1, 1] > -0.05  # thrown back, and slower
+
+
+REFERENCES = ["stribeck_friction", "load_friction", "viscous_damping", "return_spring", "detent", "cogging", "magnet"]
+
+
+@pytest.mark.parametrize("name", REFERENCES)
+def test_it_agrees_with_an_adaptive_solver(name):
+    """Against scipy's Radau at tight tolerances, over all the laws: what the fixed step leaves is under 1/100 of a
+    quantum."""
+    from scipy.integrate import solve_ivp
+
+    rng = np.random.default_rng(8)
+    m = machine("pendulum", 8)
+    p, _ = hidden.apply(hidden.DRAWS[name](m, rng), m, truth(m, REST), hidden.Sensing())
+    t, states = swing(p, (0.9, 0.0), 2.0, 50, longest=hidden.longest(p))
+    rest = lambda t, y: w._rates(p, t, y, 0.0, 0.0, False)  # noqa: E731
+    fine = solve_ivp(rest, (0, 2), states[0], "Radau" if p[w.TRAVEL] else "DOP853", t, rtol=1e-8, atol=1e-11)
+    assert np.abs(fine.y[0] - states[:, 0]).max() < 1.5e-5
+
+
+@pytest.mark.parametrize("kind", ["lid", "door"])
+def test_events_are_those_of_an_event_solver(kind):
+    """When a lid meets its stop, and when a door is caught: to a microsecond of solve_ivp's events."""
+    from scipy.integrate import solve_ivp
+
+    m = replace(machine(kind), low=0.0)
+    p = truth(m, Nuisance(tilt=(0.004, 0.0)))
+    edge = 0.0
+    if kind == "door":
+        effect = hidden.Effect("latch", m.inertia * 3, {"in": 0.05, "out": 0.1})
+        p, _ = hidden.apply(effect, m, p, hidden.Sensing())
+        edge = 0.05
+    start = (0.5, -0.4)
+    event = lambda t, y: y[0] - edge  # noqa: E731
+    event.terminal = True
+    rest = lambda t, y: w._rates(p, t, y, 0.0, 0.0, False)  # noqa: E731
+    first = solve_ivp(rest, (0, 3), [*start, 0, *start], "DOP853", events=event, rtol=1e-11, atol=1e-13)
+    hit, speed = first.t[-1], first.y[1, -1]
+    knots = np.array([0.0, hit - 1e-6, hit + 1e-6])
+    still = np.zeros((2, 2))
+    states = w.integrate(p, knots, still, still, np.array([*start, 0, *start]), 1e-4)
+    assert states[1, 1] == pytest.approx(speed, abs=1e-4)
+    if kind == "lid":
+        assert states[2, 1] == 0.0
+    else:
+        caught = w._rates(p, hit, first.y[:, -1], 0.0, 0.0, True)[1]
+        assert (states[2, 1] - speed) / 1e-6 == pytest.approx(caught, rel=0.1, abs=0.5)
+
+
+def test_it_agrees_with_mujoco():
+    """Shared effects, within 1 % of the motion."""
+    pytest.importorskip("mujoco")
+    from benchmarks.second_world import mujoco_check
+
+    times = np.linspace(0, 2, 41)
+    for kind in ("pendulum", "drawer", "arm"):
+        m = replace(machine(kind), slope=0.0)
+        plain = truth(m, REST)
+        plain[w.LOW], plain[w.HIGH] = -1e9, 1e9
+        if kind != "arm":
+            plain[w.KP] = plain[w.KD] = 0.0
+        unit = m.inertia * m.omega
+        cases = [
+            ("viscous_damping", 0.1 * unit, {"power": 1.0}),
+            ("quadratic_drag", 0.1 * m.inertia, {"power": 2.0}),
+            ("return_spring", 0.3 * unit * m.omega, {"at": 0.1, "harden": 0.0}),
+            ("armature", 0.5 * m.inertia, {}),
+        ]
+        if kind == "arm":
+            cases.append(("actuator_gain", -0.3, {}))
+        for name, size, form in cases:
+            p, _ = hidden.apply(hidden.Effect(name, size, form), m, plain, hidden.Sensing())
+            knots, still = times, np.zeros((len(times) - 1, 2))
+            command = still + (0.3 if kind == "arm" else 0.0)
+            ours = w.integrate(p, knots, command, still, np.array([0.5, 0.1, 0, 0.5, 0.1]), 1e-4)[:, 0]
+            theirs = mujoco_check.swing(m, p, (0.5, 0.1), times, 0.3)
+            assert np.abs(ours - theirs).max() < 0.01 * np.ptp(ours), (kind, name)
+
+
+def test_readings_are_late_by_what_is_hidden():
+    m = machine("arm")
+    rng = np.random.default_rng(2)
+    plan = protocols.draw_plan("usual", m, rng)
+    run = plan.runs[0]
+    p, still = truth(m, REST), np.zeros(len(plan.runs[0].times))
+    now, speed = sensor.clean(p, hidden.Sensing(), run, plan, still, 1e-4)
+    late, _ = sensor.clean(p, hidden.Sensing(late=0.01), run, plan, still, 1e-4)
+    delayed, _ = sensor.clean(p, hidden.Sensing(delay=0.01), run, plan, still, 1e-4)
+    assert np.abs(late - (now - 0.01 * speed)).max() < 0.1 * np.abs(0.01 * speed).max()
+    assert np.abs(late - delayed)[len(late) // 4 :].max() < 0.02 * np.abs(late - now).max()  # one shift: a gauge
+
+
+def test_strength_sees_an_effect_and_not_what_nuisance_takes_up():
+    m, rng = machine("pendulum"), np.random.default_rng(4)
+    plan, encoder = protocols.draw_plan("free", m, rng), sensor.draw_encoder(m, rng)
+    plan = replace(plan, runs=plan.runs[:3])
+    heavier = hidden.Effect("armature", 0.05 * m.inertia)
+    heaviest = hidden.Effect("armature", 0.5 * m.inertia)
+    assert strength(m, REST, plan, encoder, [heavier], []) < 2.0  # the asset is told to be right to 10 %
+    assert strength(m, REST, plan, encoder, [heaviest], []) > 50
+
+
+def test_a_case_on_disk_is_as_planned_and_reads(tmp_path):
+    from freeart21.files.measured import read_measured
+
+    spec = draw.Spec("null", (), "arm", "and pushed")
+    seal.make(spec, 3, 0, "salt", tmp_path / "out", tmp_path / "sealed")
+    seal.close(3, "salt", 1, tmp_path / "out", tmp_path / "sealed")
+    folder = tmp_path / "out" / "cases" / seal.case_id("salt", 0)
+    case = draw.draw_case(spec, 3, 0)
+    for i, run in enumerate(case.plan.runs):
+        assert (folder / "measured" / f"run{i}.csv").stat().st_size == sensor.size_of(run)
+    read_measured(folder / "measured")
+    text = "".join(f.read_text() for f in folder.rglob("*") if f.is_file())
+    for word in (*hidden.DRAWS, *draw.COUNTS, "seed", "salt", "stratum"):
+        assert word not in text
+    (folder / "machine.urdf").write_text("changed")
+    (tmp_path / "out" / "answers").mkdir()
+    (tmp_path / "out" / "answers" / f"{folder.name}.json").write_text("{}")
+    seal.seal_answers(tmp_path / "out")
+    with pytest.raises(ValueError, match="not the file that was sealed"):
+        seal.opened(tmp_path / "out", tmp_path / "sealed")
+
+
+def test_metadata_do_not_tell_nulls_from_the_rest():
+    """Runs, rows, rate and bytes of 160 plans: the nearest neighbour guesses null or not no better than chance does."""
+    rows, null = [], []
+    names = list(strata.WHERE)
+    for i in range(160):
+        rng = np.random.default_rng(100 + i)
+        stratum = "null" if i % 2 else ("clear" if i % 4 else "outside")
+        what = names[int(rng.integers(len(names)))] if i % 2 == 0 else "viscous_damping"
+        spec = draw._spec(stratum, what, rng)
+        m = draw_machine(spec.kind, rng)
+        runs = protocols.draw_plan(spec.protocol, m, rng).runs
+        sizes = [sensor.size_of(run) for run in runs]
+        rows.append(
+            [
+                len(runs),
+                sum(len(r.stamps) for r in runs),
+                sum(sizes),
+                np.ptp(sizes),
+                sum(r.role == "free" for r in runs),
+            ]
+        )
+        null.append(stratum == "null")
+    x = np.array(rows, float)
+    x = (x - x.mean(0)) / x.std(0)
+    far = np.linalg.norm(x[:, None] - x[None], axis=2) + np.diag(np.full(len(x), np.inf))
+    right = np.mean(np.array(null)[far.argmin(1)] == np.array(null))
+    assert 0.35 < right < 0.65  # 160 fair coins leave .42 to .58 at 95 %
+
+
+def test_a_draw_is_the_same_twice_and_has_every_stratum():
+    assert draw.specs(0.1, 9) == draw.specs(0.1, 9)
+    assert {s.stratum for s in draw.specs(0.05, 9)} == set(draw.COUNTS)
+    ids = [seal.case_id("salt", i) for i in range(400)]
+    assert len(set(ids)) == 400 and ids != sorted(ids)
+
+
+# The scorer, on verdicts made by hand.
+
+
+def label(stratum, *names, kind="pendulum", protocol="usual", group=(), **more):
+    effects = [{"name": n, "size": 0.2, "form": {}, "same_form": True, "value": 0.2, "unit": "N*m"} for n in names]
+    base = {"stratum": stratum, "kind": kind, "protocol": protocol, "effects": effects, "floors": [9.0] * len(names)}
+    return (
+        base
+        | {"group": list(group), "inertia": 1.1, "known_force": True, "steady_load": kind in ("drawer", "door")}
+        | more
+    )
+
+
+def answer(verdict, *names, rivals=(), part=False, low=0.1, high=0.3):
+    parameter = {"value": 0.2, "unit": "N*m", "low": low, "high": high}
+    effects = [{"name": n, "parameters": {"torque": parameter}} for n in names]
+    gap = [{"run": "run2", "before": 0.5, "after": 0.1, "floor": 0.1, "held_out": True}]
+    doc = {"verdict": verdict, "in_part": part, "effects": effects, "rivals": [list(r) for r in rivals], "gap": gap}
+    return {"seconds": 1.0, "exit": 0, "error": "", "verdict": doc}
+
+
+C, L, V, Q = "coulomb_friction", "load_friction", "viscous_damping", "quadratic_drag"
+G, E = "gravity_offset", "encoder_offset"
+BOTH = (G, E)
+HAND = [
+    (label("clear", C), answer("named", C), "exact"),
+    (label("clear", C), answer("named", C, part=True), "exact"),
+    (label("clear", C), answer("named", L), "wrong"),
+    (label("clear", C, kind="drawer"), answer("named", L), "by physics"),
+    (label("clear", C, kind="drawer"), answer("ambiguous", C, rivals=[[C], [L]]), "by physics"),
+    (label("clear", C), answer("ambiguous", C, rivals=[[C], [L]]), "open"),
+    (label("clear", C), answer("ambiguous", V, rivals=[[V], [L]]), "wrong rivals"),
+    (label("clear", C), answer("named", C, V), "wrong"),
+    (label("weak", C), answer("unexplained"), "refused"),
+    (label("weak", C), answer("no_gap"), "missed"),
+    (label("clear", C), {"seconds": 300, "exit": None, "error": "no answer", "verdict": None}, "failed"),
+    (label("pair", C, Q), answer("named", Q, C), "exact"),
+    (label("pair", C, Q), answer("named", C), "partly"),
+    (label("pair", C, Q), answer("named", V), "wrong"),
+    (label("outside", "cogging"), answer("unexplained"), "right"),
+    (label("outside", "cogging"), answer("named", "detent"), "wrong"),
+    (label("outside", "asymmetric_friction"), answer("named", C, part=True), "partly"),
+    (label("outside", "asymmetric_friction"), answer("named", C), "overclaimed"),
+    (label("outside", "asymmetric_friction"), answer("named", C, G, part=True), "wrong"),
+    (label("null"), answer("no_gap"), "right"),
+    (label("null"), answer("unexplained"), "alarm"),
+    (label("null"), answer("named", V), "wrong"),
+    (label("still", V), answer("not_excited"), "right"),
+    (label("still", V), answer("no_gap"), "near"),
+    (label("still", V), answer("named", Q), "wrong"),
+    (label("gauge", G, group=BOTH), answer("ambiguous", G, rivals=[[G], [E]]), "right"),
+    (label("gauge", G, group=BOTH), answer("ambiguous", G, rivals=[[G], [V]]), "open"),
+    (label("gauge", G, group=BOTH), answer("named", E), "committed"),
+    (label("gauge", G, group=BOTH), answer("named", V), "wrong"),
+]
+
+
+@pytest.mark.parametrize(("truth_", "said", "outcome"), HAND, ids=[f"{i}-{row[2]}" for i, row in enumerate(HAND)])
+def test_verdicts_made_by_hand_are_graded_as_they_ought(truth_, said, outcome):
+    assert grade(truth_, said)["outcome"] == outcome
+
+
+def test_the_figures_of_graded_rows():
+    rows = [json.loads(json.dumps(grade(truth_, said))) for truth_, said, _ in HAND]
+    f = tables.figures(rows)
+    assert (f["pairs called by one wrong name"]["hits"], f["pairs called by one wrong name"]["of"]) == (1, 3)
+    assert (f["false alarms on nulls"]["hits"], f["false alarms on nulls"]["of"]) == (2, 3)
+    assert (f["wrong names where the truth is outside"]["hits"], f["wrong names where the truth is outside"]["of"]) == (
+        2,
+        5,
+    )
+    assert tables.rate(0, 59)["high"] == pytest.approx(1 - 0.025 ** (1 / 59))
+    assert any("cogging -> named detent" in line for line in tables.lines(rows))
+
+
+def test_intervals_are_held_to_what_the_data_can_tell():
+    inside = lambda lab, low, high: intervals(answer("named", C, low=low, high=high)["verdict"], lab)[0]["holds"]  # noqa: E731
+    assert inside(label("clear", C), 0.19, 0.21)
+    assert not inside(label("clear", C), 0.17, 0.19)
+    assert inside(label("clear", C, known_force=False), 0.17, 0.19)  # .2 at an inertia of 1.1 is .182 at the asset's
+    other = label("clear", C)
+    for unit in ("N*m*s/rad", "rad", "1"):
+        other["effects"][0]["unit"] = unit
+        assert intervals(answer("named", C)["verdict"], other) == []
+    other["effects"][0]["unit"] = "m*N"
+    assert len(intervals(answer("named", C)["verdict"], other)) == 1
