@@ -131,7 +131,7 @@ def main() -> None:
 
 
 def _shows(clean: Recording, made: Recording) -> bool:
-    """Whether a fault of holes takes a hundredth of the object's pixels: else there is nothing dark, or nothing steep."""
+    """Whether a fault of holes takes a hundredth of the object's pixels: else nothing is dark, or nothing steep."""
     before = after = 0
     for i in range(0, len(clean), 5):
         before += int((clean.frame(i).depth > 0).sum())

@@ -7,7 +7,9 @@ upon the colour picture, and how the colours came out.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,7 +27,7 @@ SOFT = 0.03
 SOFT_RAD = float(np.radians(3.0))
 """The same for grazing surfaces, radians; half of what `generator.tof` has after Nguyen 2012. Not measured."""
 ROOM_M = 1.0
-"""How far behind an object the room is that flying pixels are mixed with, where nothing is drawn; as in `generator.tof`."""
+"""How far behind an object the room is that flying pixels are mixed with, where nothing is drawn, as in `tof`."""
 BOUNDS: dict[str, tuple[float, float]] = {
     "depth_scale": (-0.5, 1.0),
     "depth_offset": (-1.0, 1.0),
@@ -64,7 +66,7 @@ class CameraFaults:
     depth_curve: float = 0.0
     """1/m: a depth z reads curve z^2 too much."""
     noise: float = 0.0
-    """Standard deviation of each pixel's depth, metres, at the distance `noise_at` of a surface that faces the camera."""
+    """Standard deviation of each pixel's depth, metres, at the distance `noise_at` and straight on."""
     noise_at: float = 1.0
     """Metres."""
     noise_growth: float = 0.0
@@ -98,7 +100,7 @@ class CameraFaults:
     depth_delay: float = 0.0
     """Seconds by which the depth picture shows an earlier moment than the colour picture."""
     exposure: tuple[float, ...] = ()
-    """Stops (powers of two of linear light) of the exposure at moments spread evenly over the film; straight between."""
+    """Stops (powers of two of linear light) of exposure at moments spread evenly over the film; straight between."""
     gamma: tuple[float, ...] = ()
     """The same of the exponent on linear light, less 1."""
 
@@ -193,8 +195,13 @@ class CameraFaults:
         c, s = np.cos(self.depth_turn), np.sin(self.depth_turn)
         centre = camera.K[:2, 2] - 0.5
         R = np.array([[c, -s], [s, c]])
-        A = np.column_stack([R, centre + (self.depth_shift_u, self.depth_shift_v) - R @ centre])
+        A = np.column_stack([R, centre + np.array([self.depth_shift_u, self.depth_shift_v]) - R @ centre])
         return np.asarray(cv2.warpAffine(depth, A, depth.shape[::-1], flags=cv2.INTER_NEAREST))
+
+
+def with_values(faults: CameraFaults, values: Mapping[str, Any]) -> CameraFaults:
+    """The faults with other values, by name."""
+    return replace(faults, **values)
 
 
 def falling(x: NDArray) -> Array:
@@ -242,8 +249,8 @@ def incidence(depth: NDArray, camera: Camera) -> Map:
 def edges(z: NDArray) -> tuple[Array, Array]:
     """Depth of what lies behind the nearest depth edge, metres, and the distance to it, pixels; inf far from any.
 
-    An edge is where the depth in a 3 x 3 window changes by a twentieth or more, or where the object ends: there the room
-    lies `ROOM_M` behind.
+    An edge is where the depth in a 3 x 3 window changes by a twentieth or more, or where the object ends: there the
+    room lies `ROOM_M` behind.
     """
     room = float(z.max()) + ROOM_M
     filled = np.where(z > 0, z, room).astype(np.float32)
@@ -254,4 +261,4 @@ def edges(z: NDArray) -> tuple[Array, Array]:
     behind = filled.copy()
     reach = cv2.dilate(np.where(jump, far, 0).astype(np.float32), np.ones((7, 7), np.uint8))
     behind = np.where(jump, far, np.maximum(reach, filled))
-    return behind, np.where(z > 0, distance, np.inf)
+    return np.asarray(behind, float), np.where(z > 0, distance, np.inf)

@@ -663,7 +663,7 @@ def gap(
     replay_seconds: float = 120.0,
     poses: Path | None = None,
 ) -> None:
-    """Find what the simulation of an asset lacks, from measured runs or an RGB-D video: name the effect, or say why not.
+    """Find what the simulation of an asset lacks, from measured runs or an RGB-D video: name it, or say why not.
 
     Args:
         asset: An asset folder or a URDF.

@@ -107,7 +107,7 @@ def slips(film: Recording, right: float, down: float, degrees: float = 0.0) -> R
     back = np.array([[c, -s], [s, c]])  # rows and columns of where a pixel's depth comes from
 
     def change(i: int, f: Frame, rng: np.random.Generator) -> Frame:
-        offset = centre - back @ (centre + (down, right))
+        offset = centre - back @ (centre + np.array([down, right]))
         return Frame(f.rgb, ndimage.affine_transform(f.depth, back, offset, order=0), f.mask)
 
     return changed(film, change)

@@ -1,4 +1,4 @@
-"""The gap between two films: what cameras of another make do to clean films is named, alone and in pairs, and nothing else."""
+"""The gap between two films: what cameras do to clean films is named, alone and in pairs, and nothing else is."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_what_no_library_has_gets_no_name(film, change):
 
 
 def test_a_part_that_the_asset_lacks_is_found_on_its_part(scene, film, tmp_path):
-    asset, sequence = scene
+    _, sequence = scene
     poorer = film_with_truth(tmp_path, knob=False, only_asset=True)[0]
     lacking = replace(film, scene=read_scene(poorer, sequence))
     verdict, _ = find_film_gap(lacking)

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.camera_faults import CameraFaults, at_share
+from freeart21.camera_faults import CameraFaults, with_values
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 from simgap.film.choose import LEAST_SHARE, Tried, benjamini_hochberg, sign_flip_p, standard_error
 from simgap.film.colour import Colours
 from simgap.film.counts import LEAST_FLYING, LEAST_HOLES, Family
 from simgap.film.geometry import LEAST_DEPTH, Geometry, thinned
-from simgap.film.library import Design, Effect
+from simgap.film.library import GEOMETRY, Design, Effect, design_of
 from simgap.film.linear import LinearFit, density, fitted, left
 from simgap.film.missing import MissingPart
 from simgap.film.samples import Rows
@@ -96,7 +96,7 @@ def answered(found: Found) -> FilmVerdict:
         parameters = {k: _parameter(k, v, claim.spreads.get(k)) for k, v in claim.values.items()}
         named.append(Named(claim.name, parameters, float(value), float(claim.gains.mean()), claim.certain))
         if claim.certain:
-            camera = replace(camera, **claim.values)
+            camera = with_values(camera, claim.values)
     names = [n.name for n in named]
     gaps = _gaps(found, names)
     maps = found.maps
@@ -106,7 +106,9 @@ def answered(found: Found) -> FilmVerdict:
         verdict: Any = "ambiguous" if rivals else "named"
     else:
         verdict = "unexplained" if remains else "no_gap"
-    best = CameraFaults(**{k: v for c in claims if c.name in names for k, v in c.values.items()})
+    best = CameraFaults()
+    for claim in claims:
+        best = with_values(best, claim.values) if claim.name in names else best
     return FilmVerdict(
         verdict,
         _sentence(verdict, named, rivals, found, remains, best),
@@ -203,7 +205,8 @@ def _given_way(found: Found, effect: Effect, chosen: Tried) -> str:
         if more.mean() <= spare and both.mean - chosen.mean <= HALF * (chosen.mean - g.null.mean):
             continue
         beside = np.array([fit.beta[fit.chosen.index(c)] for c in columns])
-        change = float(np.linalg.norm((beside - own) * sizes) / max(np.linalg.norm(own * sizes), 1e-15))
+        size = max(float(np.linalg.norm(own * sizes)), 1e-15)
+        change = float(np.linalg.norm((beside - own) * sizes)) / size
         gain = both.densities - alone.densities
         if change > KEEPS or gain.mean() <= standard_error(gain):
             return f"{PLAIN[effect.name]}: depth errors by {key} explain more, and beside them it has another size"
@@ -424,7 +427,8 @@ def _place(m: FilmMap) -> str:
         return f"{m.what}: {factor * float(m.before[at]):+.2g} {m.unit} at {u:.0f}, {v:.0f} px from the principal point"
     k = int(np.nanargmax(np.where(m.flagged, np.abs(m.before), -1)))
     low, high = m.edges[k], m.edges[k + 1]
-    return f"{m.what}: {factor * float(m.before[k]):+.2g} {m.unit} at {m.over} {low:.2g} to {high:.2g} {m.over_unit}".strip()
+    size = f"{factor * float(m.before[k]):+.2g} {m.unit}"
+    return f"{m.what}: {size} at {m.over} {low:.2g} to {high:.2g} {m.over_unit}".strip()
 
 
 # --- maps -------------------------------------------------------------------------------------------------------------
@@ -432,13 +436,13 @@ def _place(m: FilmMap) -> str:
 
 def errors_of(found: Found) -> dict[str, tuple[Array, Array]]:
     """Before and after of every row, for the maps. Before: the asset's film with an ideal camera, to first order."""
-    rows, camera, sim = found.rows, found.camera, found.simulated_with
+    rows, camera = found.rows, found.camera
     z = rows["z"]
     geometry = _put_back(found)
     bias = camera.depth_scale * z + camera.depth_offset + camera.depth_curve * z * z
     out = {"depth error": (rows["error"] + geometry[0], rows["error"] - bias)}
     lost = np.isnan(rows["error"]).astype(float)
-    holes = CameraFaults(**{k: v for k, v in found.families[1].values.items()})
+    holes = with_values(CameraFaults(), found.families[1].values)
     if lost.mean() >= LEAST_HOLES / 2:
         frame = rows.of("error")
         share = np.bincount(frame, lost) / np.maximum(np.bincount(frame), 1)
@@ -458,7 +462,6 @@ def errors_of(found: Found) -> dict[str, tuple[Array, Array]]:
         stops = rows["stops"] - np.nanmedian(rows["stops"])
         then = rows["stops"] - curve - tone
         out["brightness of the picture"] = (stops, then - np.nanmedian(then))
-    del sim
     return out
 
 
@@ -468,8 +471,6 @@ def _put_back(found: Found) -> tuple[Array, Array, Array]:
     inner, mask, depth = np.isfinite(rows["error"]), np.isfinite(rows["mask_off"]), np.isfinite(rows["depth_off"])
     sizes = len(inner), len(mask), len(mask)
     out = tuple(np.zeros(n) for n in sizes)
-    from simgap.film.library import GEOMETRY, design_of
-
     same = len(d.blocks[0].y) == int(inner.sum())
     blocks = d.blocks if same else design_of(rows, 1e-3, found.scene.placed.exact).blocks
     for effect in GEOMETRY:
@@ -480,6 +481,3 @@ def _put_back(found: Found) -> tuple[Array, Array, Array]:
             for o, kept, b in zip(out, (inner, mask, depth), blocks, strict=True):
                 o[kept] += value * b.columns[:, column]
     return out[0], out[1], out[2]
-
-
-__all__ = ["Found", "answered", "asdict", "at_share", "errors_of"]

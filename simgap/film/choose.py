@@ -12,8 +12,8 @@ from freeart21.se3 import Array
 
 FLIPS = 1999
 LEAST_SHARE = 0.01
-"""Of what the best set gains, that a further effect must bring: less than that is what a straight line misses of a curve
-(columns are first-order). Not measured."""
+"""Of what the best set gains, that a further effect must bring: less is what a straight line misses of a curve, and
+columns are of first order. Not measured."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def standard_error(values: Array) -> float:
 def smallest(tried: Sequence[Tried], least_share: float = 0.0) -> tuple[Tried, tuple[Tried, ...]]:
     """The smallest set within one standard error of the best, and all sets of as many effects that are, too.
 
-    Within `least_share` of what the best gains is as good.
+    A set with fewer effects, but some, is as good within `least_share` of what the best gains.
     """
     named = [t for t in tried if not t.nameless]
     best = max(named, key=lambda t: t.mean)
@@ -57,7 +57,7 @@ def smallest(tried: Sequence[Tried], least_share: float = 0.0) -> tuple[Tried, t
     within = [
         t
         for t in named
-        if best.mean - t.mean <= max(standard_error(best.densities - t.densities), spare if t.names else 0.0)
+        if best.mean - t.mean <= max(standard_error(best.densities - t.densities), spare if 0 < len(t.names) < len(best.names) else 0.0)
         or t is best
     ]
     first = min(within, key=lambda t: (len(t.names), t.size, -t.mean))

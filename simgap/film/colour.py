@@ -104,7 +104,7 @@ class _Spoken:
     """What every frame says."""
 
     numbers: Array
-    """(frames, 2) stops too bright at the frame's own middle brightness, and stops a stop of brightness; NaN for none."""
+    """(frames, 2) stops too bright at the frame's middle brightness, and stops a stop of brightness; NaN for none."""
     middle: Array
     """(frames,) log2 of that brightness."""
 

@@ -19,14 +19,14 @@ from simgap.film.choose import Tried, smallest
 from simgap.film.samples import Rows
 
 WILD = 0.02
-"""Share of the pixels that may be off by anything (up to a metre): Gaussian, with room for the odd pixel. Not measured."""
+"""Share of the pixels that may be off by anything up to a metre: noise is Gaussian but for odd pixels. Not measured."""
 LEAST_DEPTH = 5e-4
 """Share of the distance that noise must come to, as every error of the depth (`geometry.LEAST_DEPTH`)."""
 LEAST_MORE = 0.05
 """Share of what the best set gains that another kind of holes must bring: creases lose pixels, too, and are darker."""
 SMOOTH = 0.2
-"""What pixels beside each other must differ by, as a share of what pixels four apart do, to be noise: of a smooth error it
-is a sixteenth, of a Kinect's noise, which is smoothed, half."""
+"""What pixels beside each other must differ by, as a share of what pixels four apart do, to be noise: of a smooth error
+it is a sixteenth, of a Kinect's noise, which is smoothed, .7 (the foam tube, .25 against .35 mm)."""
 LEAST_NOISE = 1.5
 """Floors that a pixel's noise must exceed to be named."""
 LEAST_EXPONENT = 0.2
@@ -272,7 +272,7 @@ def holes(rows: Rows, split: tuple[NDArray[np.int64], ...]) -> Family:
     flat_end = float(np.quantile(angle, 0.05)) if len(angle) else 0.0
 
     def matters(values: dict[str, float]) -> bool:
-        """Every effect of the set takes its share of all pixels, and leaves others alone: else it is one of anywhere."""
+        """Every effect of the set takes its share of all pixels, and leaves others alone: else it is of anywhere."""
         total = count.sum(0)
         alone = [{p: v for p, v in values.items() if p in _HOLES[e]} for e in _HOLES]
         shares = [float((total * (rate(v) - rate({}))).sum() / max(total.sum(), 1)) for v in alone if v]
@@ -353,7 +353,7 @@ def flying(rows: Rows, split: tuple[NDArray[np.int64], ...]) -> Family:
 
 
 def _summed(logs: Array, frame: NDArray[np.int64], some: NDArray[np.int64]) -> Array:
-    return np.bincount(frame, logs, int(max(some.max(initial=0), frame.max(initial=0))) + 1)[some]
+    return np.asarray(np.bincount(frame, logs, int(max(some.max(initial=0), frame.max(initial=0))) + 1)[some])
 
 
 def _cells(at: Array, side: int) -> NDArray[np.int64]:
@@ -361,8 +361,8 @@ def _cells(at: Array, side: int) -> NDArray[np.int64]:
     if not len(at):
         return np.zeros(0, int)
     low, high = np.quantile(at, [0.01, 0.99], axis=0)
-    k = np.clip(((at - low) / np.maximum(high - low, 1e-9) * side).astype(int), 0, side - 1)
-    return np.asarray(k[:, 0] * side + k[:, 1])
+    k: NDArray[np.int64] = np.clip(((at - low) / np.maximum(high - low, 1e-9) * side).astype(np.int64), 0, side - 1)
+    return k[:, 0] * side + k[:, 1]
 
 
 def _three(

@@ -62,7 +62,8 @@ def search(
 ) -> Geometry:
     """The smallest set of effects that the frames `choose_on` (indices) ask for.
 
-    Names and keys in `shut` are not tried; sets of up to `most` effects are all tried, larger ones by adding to the best.
+    Names and keys in `shut` are not tried; the best sets of each size are widened, up to `most` effects, and then the
+    best alone.
     """
     blocks = thinned(design.blocks, ROWS)
     fitting = [b.of(fit_on) for b in blocks]
@@ -109,7 +110,7 @@ def search(
         if first.names:
             both = attempt((*first.names, key), nameless=True)
             assert alone is not None and both is not None
-            beside[key] = alone, both, fits[*first.names, key]
+            beside[key] = alone, both, fits[(*first.names, key)]
     ordered = tuple(sorted(tried, key=lambda t: -t.mean))
     own = {tuple(sorted(by_key(k).name for k in first.names))}
     rivals = [first.names]
@@ -141,7 +142,7 @@ def _ridge(design: Design, keys: tuple[str, ...]) -> np.ndarray | None:
 
 
 def moved(design: Design, blocks: Sequence[Block], key: str, fit: LinearFit) -> tuple[float, float]:
-    """How far an effect of a fit moves depth, as a share of the distance, and outlines, in pixels: root mean squares."""
+    """How far an effect of a fit moves depth, as a share of the distance, and outlines, pixels: root mean squares."""
     at = {column: value for column, value in zip(fit.chosen, fit.beta, strict=True)}
     columns = list(design.columns[key])
     beta = np.array([at[c] for c in columns])

@@ -1,4 +1,4 @@
-"""What a camera may do to depth and outlines, as columns over the rows; and nameless rivals that stand in the same table."""
+"""What a camera may do to depth and outlines, as columns over the rows, and nameless rivals in the same table."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.camera_faults import BOUNDS, CameraFaults
+from freeart21.camera_faults import BOUNDS, CameraFaults, with_values
 from freeart21.se3 import Array
 from simgap.film.linear import Block
 from simgap.film.samples import Rows
@@ -93,7 +93,7 @@ def design_of(rows: Rows, depth_unit: float, exact: bool) -> Design:
         "angle of incidence": _same(hats(rows["cosine"][inner], 6), np.zeros((len(n), 6))),
         "lens": tuple(
             a * b for a, b in zip((-along, along_edge, along_edge), _squares(at, edge_at, size), strict=True)
-        ),  # type: ignore[dict-item]
+        ),
     }
     columns: dict[str, tuple[int, ...]] = {}
     count = 0
@@ -126,8 +126,8 @@ def _planes(at: Array, part: NDArray[np.int64]) -> Array:
 
 
 def depth_floor(distance: float, depth_unit: float) -> float:
-    """Metres: what the comparison of depth cannot tell. The measured depth's step, or 2 parts in 10,000 of the distance:
-    a tenth of what the best cameras err by (Tolgyessy 2021: a millimetre at a metre)."""
+    """Metres: what the comparison of depth cannot tell: half the measured depth's step, or 1 part in 10,000 of the
+    distance, a tenth of what the best cameras err by (Tolgyessy 2021: a millimetre at a metre)."""
     return max(0.5 * depth_unit, 1e-4 * distance)
 
 
@@ -153,7 +153,7 @@ def faults_of(design: Design, effects: tuple[Effect, ...], chosen: tuple[int, ..
     for effect in effects:
         for name, sign, column in zip(effect.parameters, effect.signs, design.columns[effect.key], strict=True):
             values[name] = values.get(name, 0.0) + sign * float(at[column])
-    return CameraFaults(**{name: float(np.clip(v, *BOUNDS[name])) for name, v in values.items()})
+    return with_values(CameraFaults(), {name: float(np.clip(v, *BOUNDS[name])) for name, v in values.items()})
 
 
 def hats(x: Array, count: int) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -125,7 +126,7 @@ def _sandwich(blocks: Sequence[Block], A: Array, pulls: dict[int, tuple[Array, A
 
 
 def _weighed(b: Block, r: Array, s: float, t: float) -> tuple[Array, Array, Array, Array]:
-    """Of residuals `r`: what rows lack besides their frame's effects, their weights, the effects and their variances."""
+    """Of residuals `r`: what rows lack besides their frame's effects, weights, the effects, and their variances."""
     m, v = _effects(b, r, s, t)
     e = r - (b.own * m[b.index]).sum(1)
     return e, _weights(e, s, b.span), m, v
@@ -210,7 +211,7 @@ def _solved(b: Block, X: Array, w: Array, t: float) -> tuple[Array, Array]:
     d, k = b.own.shape[1], X.shape[1]
     both = np.concatenate([X, b.own, b.y[:, None]], 1)
     ends = np.append(b.starts, len(w))
-    G = np.stack([both[i:j].T @ (w[i:j, None] * both[i:j]) for i, j in zip(ends[:-1], ends[1:], strict=True)])
+    G = np.stack([both[i:j].T @ (w[i:j, None] * both[i:j]) for i, j in pairwise(ends)])
     BB = G[:, k : k + d, k : k + d] + np.eye(d) / t**2
     through = np.linalg.solve(BB, G[:, k : k + d, :k])
     A = G[:, :k, :k] - np.swapaxes(G[:, k : k + d, :k], 1, 2) @ through

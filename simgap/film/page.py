@@ -1,4 +1,4 @@
-"""The page of a gap between two films: what the camera does, how sure that is, where it shows, and a frame before and after."""
+"""The page of a gap between two films: what the camera does, how sure that is, where it shows, and one frame."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def page(verdict: FilmVerdict, found: Found, seconds: float) -> str:
     """The page as HTML."""
     frames = {k: len(v) for k, v in verdict.frames.items()}
     chips = [
-        f"{len(found.frames)} frames: {frames['fit']} fitted, {frames['choose']} to choose, {frames['confirm']} kept back",
+        f"{len(found.frames)} frames: {frames['fit']} fit, {frames['choose']} choose, {frames['confirm']} kept back",
         f"poses from {verdict.poses}",
         f"{seconds:.0f} s",
     ]
@@ -89,10 +89,10 @@ def _frame(verdict: FilmVerdict, found: Found) -> Section:
         for name, image in zip(names, images, strict=True)
     )
     note = (
-        f"Depth from {pictures.near:.3g} m (dark) to {pictures.far:.3g} m (light); white: none; grey: beyond. The asset's "
-        "colours are not lit."
+        f"Depth from {pictures.near:.3g} m (dark) to {pictures.far:.3g} m (light); white: none; grey: beyond. The "
+        "asset's colours are not lit."
     )
-    style = "grid-template-columns:repeat(auto-fit,minmax(min(100%,250px),1fr))"
+    style = "grid-template-columns:repeat(auto-fit,minmax(min(100%,340px),1fr))"
     html = f'<div class="charts" style="{style}">{figures}</div><p class="note">{escape(note)}</p>'
     return Section(f"Frame {index}, which was kept back", html, place="full")
 
@@ -106,15 +106,17 @@ def _parameters(verdict: FilmVerdict) -> list[Section]:
     for effect in verdict.effects:
         for k, (name, p) in enumerate(effect.parameters.items()):
             value = ", ".join(f"{v:.2g}" for v in p.value) if isinstance(p.value, tuple) else f"{p.value:.4g}"
-            between = "" if p.low is None or p.high is None else f"{p.low:.4g} to {p.high:.4g}"
+            between: str = "" if p.low is None or p.high is None else f"{p.low:.4g} to {p.high:.4g}"
             sure = "" if effect.certain else "not certain"
             head = (PLAIN[effect.name], f"{effect.p_value:.2g}", sure) if k == 0 else ("", "", "")
             rows.append((head[0], name, f"{value} {p.unit}".strip(), between, head[1], head[2]))
     if not rows:
         return []
-    sure = [e.name for e in verdict.effects if e.certain]
+    certain = [e.name for e in verdict.effects if e.certain]
     note = (
-        "camera.json holds what is certain; `freeart21 record NAME --camera camera.json` films with it." if sure else ""
+        "camera.json holds what is certain; `freeart21 record NAME --camera camera.json` films with it."
+        if certain
+        else ""
     )
     return [
         table_section("What the camera does", rows, ("", "parameter", "value", "90 % interval", "p", ""), "full", note)
@@ -131,9 +133,9 @@ def _doubt(verdict: FilmVerdict) -> list[Section]:
         sides = " x ".join(f"{1e3 * v:.0f}" for v in part.size)
         at = ", ".join(f"{1e3 * v:.0f}" for v in part.middle)
         html += (
-            f"<p>The asset lacks something of about {escape(sides)} mm on its {escape(part.part)} part, at ({escape(at)}) mm "
-            f"of the canonical frame; {part.frames} frames kept back show it, and {100 * part.told:.0f} % of what they have "
-            "beyond the asset lies there.</p>"
+            f"<p>The asset lacks something of about {escape(sides)} mm on its {escape(part.part)} part, at "
+            f"({escape(at)}) mm of the canonical frame; {part.frames} frames kept back show it, and "
+            f"{100 * part.told:.0f} % of what they have beyond the asset lies there.</p>"
         )
     if verdict.cannot_tell:
         lines = "".join(
@@ -152,9 +154,9 @@ def _maps(found: Found) -> Section:
     told = sum(m.adjusted <= LEVEL for m in maps)
     note = (
         "Means over all frames, orange as the asset is, blue with what was found. "
-        f"{told} of {len(maps)} maps differ from nothing beyond chance (signs of frames flipped at random, corrected for "
-        "the number of maps); where, is on colour. Holes and brightness are against their frame's and film's mean. These "
-        "maps point; the frames kept back decide."
+        f"{told} of {len(maps)} maps differ from nothing beyond chance (signs of frames flipped at random, corrected "
+        "for the number of maps); where, is on colour. Holes and brightness are against their frame's and film's mean. "
+        "These maps point; the frames kept back decide."
     )
     html = f'<div class="charts maps">{drawn}</div><p class="note">{escape(note)}</p>'
     return Section("Where the two films part", html, place="full")
@@ -205,7 +207,7 @@ def _bars(m: FilmMap, width: int = 330, height: int = 150) -> str:
         anchor = "start" if k == 0 else "end" if k == n else "middle"
         unit = f" {m.over_unit.split(' ')[0]}" if k == n and len(m.over_unit.split(" ")[0]) < 3 else ""
         parts.append(
-            f'<text x="{ends[k]:.1f}" y="{height - 6}" text-anchor="{anchor}">{m.edges[k]:.2g}{escape(unit)}</text>'
+            f'<text x="{ends[k]:.1f}" y="{height - 6}" text-anchor="{anchor}">{m.edges[k]:.3g}{escape(unit)}</text>'
         )
     return f"<figure>{_caption(m)}{''.join(parts)}</svg></figure>"
 

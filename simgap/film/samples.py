@@ -7,7 +7,8 @@ picture) and the outline of the depth picture. What a camera may do is, to first
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import cv2
 import numpy as np
@@ -30,7 +31,7 @@ REACH_PX = 7.0
 """How far along its normal an outline is looked for."""
 STEP_PX = 0.25
 PAIR_PX = 4
-"""Pixels apart whose errors are compared for noise: real depth cameras smooth over their neighbours, which then differ by
+"""Pixels apart whose errors are compared for noise: real depth cameras smooth over their neighbours, which differ by
 less than the noise."""
 BAND_PX = 5.0
 """Pixels from a depth edge, on the nearer surface, where flying pixels are looked for."""
@@ -74,7 +75,7 @@ class FrameRows:
     near: Array
     """(n,) the same over the next pixels."""
     stops: Array
-    """(n,) measured over simulated linear light, powers of two; NaN where a picture is too dark or too bright to tell."""
+    """(n,) measured over simulated linear light, powers of two; NaN where a picture is too dark or bright to tell."""
     light: Array
     """(n,) log2 of the simulated linear light."""
     # outlines
@@ -101,6 +102,9 @@ class FrameRows:
     """(m, 3) measured points, camera frame, in the mask but before or beside the asset by far."""
     beside: int
     """How many pixels such points stand for."""
+
+
+_FIELDS = tuple(field.name for field in fields(FrameRows))
 
 
 class Rows:
@@ -150,7 +154,7 @@ def simulated(scene: FilmScene, camera: Camera, faults: CameraFaults, frame: flo
 def rows_of(
     recording: Recording,
     scene: FilmScene,
-    frames: Sequence[int],
+    frames: Sequence[int] | NDArray[np.int64],
     faults: CameraFaults | None = None,
     tell: Callable[[], None] = lambda: None,
 ) -> Rows:
@@ -177,11 +181,13 @@ def _frame_rows(recording: Recording, scene: FilmScene, i: int, faults: CameraFa
     inner = _inner(now, before, frame, principal, fps, rng)
     band, flying = _band(now.depth, frame, faults, rng)
     excess, beside = _excess(now, frame, camera, rng)
-    return FrameRows(i, share, *inner, *outlines, band, flying, int((now.colour.part > 0).sum()), excess, beside)
+    pixels = int((now.colour.part > 0).sum())
+    values = (i, share, *inner, *outlines, band, flying, pixels, excess, beside)
+    return FrameRows(**dict[str, Any](zip(_FIELDS, values, strict=True)))
 
 
-def depth_edges(depth: NDArray) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-    """Pixels at which the depth ends or steps away, on the nearer surface, and the distance of all others to one, px."""
+def depth_edges(depth: NDArray) -> tuple[NDArray[np.bool_], NDArray]:
+    """Pixels at which the depth ends or steps away, on the nearer surface, and all others' distance to one, px."""
     filled = np.where(depth > 0, depth, 1e3).astype(np.float32)
     kernel = np.ones((3, 3), np.uint8)
     nearer = (depth > 0) & (cv2.dilate(filled, kernel) > (1 + EDGE_SHARE) * filled)
@@ -203,9 +209,10 @@ def _inner(
     error = np.where(frame.depth > 0, frame.depth - z, np.nan)
     pair = np.full(z.shape, np.nan)
     near = np.full(z.shape, np.nan)
-    for out, k in ((pair, PAIR_PX), (near, 1)):
-        bent = error[:, 2 * k :] - 2 * error[:, k:-k] + error[:, : -2 * k]
-        out[:, k:-k] = np.where(ok[:, 2 * k :] & ok[:, k:-k] & ok[:, : -2 * k], bent / np.sqrt(6), np.nan)
+    for out, far in ((pair, PAIR_PX), (near, 1)):
+        bent = error[:, 2 * far :] - 2 * error[:, far:-far] + error[:, : -2 * far]
+        inside_all = ok[:, 2 * far :] & ok[:, far:-far] & ok[:, : -2 * far]
+        out[:, far:-far] = np.where(inside_all, bent / np.sqrt(6), np.nan)
     slope_v, slope_u = np.gradient(z)
     same = before.depth.part == now.depth.part
     later = np.where(same, before.depth.depth - z, 0.0) * fps / AHEAD
@@ -213,8 +220,8 @@ def _inner(
     k = _chosen(ok, MOST_INNER, rng)
     v, u = np.divmod(k, z.shape[1])
     at = np.stack([u + 0.5, v + 0.5], -1) - principal
-    green = now.colour.rgb[..., 1].flat[k] / 255, frame.rgb[..., 1].flat[k] / 255  # one channel: tone curves bend each
-    light, seen = decoded(green[0]), decoded(green[1])
+    light = decoded(np.asarray(now.colour.rgb[..., 1].flat[k]) / 255)  # one channel: tone curves bend each
+    seen = decoded(np.asarray(frame.rgb[..., 1].flat[k]) / 255)
     told = (now.colour.part.flat[k] > 0) & (light > 0.004) & (seen > 0.004) & (frame.rgb.max(-1).flat[k] < 250)
     with np.errstate(divide="ignore", invalid="ignore"):
         stops = np.where(told, np.log2(seen / light), np.nan)
@@ -224,10 +231,10 @@ def _inner(
         at,
         np.stack([slope_u.flat[k], slope_v.flat[k]], -1),
         later.flat[k],
-        now.depth.cosine.flat[k].astype(float),
-        now.depth.brightness.flat[k].astype(float),
-        frame.rgb.mean(-1).flat[k] / 255,
-        now.depth.part.flat[k].astype(int),
+        np.asarray(now.depth.cosine.flat[k], float),
+        np.asarray(now.depth.brightness.flat[k], float),
+        np.asarray(frame.rgb.mean(-1).flat[k]) / 255,
+        np.asarray(now.depth.part.flat[k], int),
         now.depth.normals.reshape(-1, 3)[k].astype(float),
         pair.flat[k],
         near.flat[k],
@@ -240,7 +247,7 @@ def _outlines(
     now: Simulated, before: Simulated, frame: Frame, principal: Array, fps: float, rng: np.random.Generator
 ) -> tuple[NDArray, ...]:
     """Points on the simulated outline of the whole object, and where both measured outlines cross their normals."""
-    found = []
+    found: list[tuple[NDArray, ...]] = []
     for picture, which in ((now.colour, "mask"), (now.depth, "depth")):
         on = picture.part > 0
         soft = cv2.GaussianBlur(on.astype(np.float32), (0, 0), 1.5)

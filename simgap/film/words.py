@@ -60,7 +60,8 @@ def told(name: str, c: CameraFaults) -> str:
         case "depth_offset":
             return f"depth reads {1e3 * abs(c.depth_offset):.2g} mm too {_much(c.depth_offset)} at any distance"
         case "depth_curve":
-            return f"depth reads {1e3 * abs(c.depth_curve):.2g} mm too {_much(c.depth_curve)} at 1 m, as the distance squared"
+            size = f"{1e3 * abs(c.depth_curve):.2g} mm too {_much(c.depth_curve)}"
+            return f"depth reads {size} at 1 m, growing as the distance squared"
         case "focal_length":
             return f"the focal length is {100 * abs(c.focal):.2g} % {'longer' if c.focal > 0 else 'shorter'} than told"
         case "principal_point":
@@ -85,9 +86,11 @@ def told(name: str, c: CameraFaults) -> str:
             return f"surfaces darker than {level:.0f} % lose {100 * c.dark_share:.0f} % of their depth pixels"
         case "grazing_holes":
             angle = np.degrees(c.grazing_angle)
-            return f"surfaces seen flatter than {angle:.0f} degrees lose {100 * c.grazing_share:.0f} % of their depth pixels"
+            share = 100 * c.grazing_share
+            return f"surfaces seen flatter than {angle:.0f} degrees lose {share:.0f} % of their depth pixels"
         case "flying_pixels":
-            return f"{100 * c.flying_share:.0f} % of the pixels within {c.flying_reach:g} px of a depth edge fly between both"
+            share = 100 * c.flying_share
+            return f"{share:.0f} % of the pixels within {c.flying_reach:g} px of a depth edge fly between both"
         case "exposure_drift":
             return f"the exposure drifts by {np.ptp(c.exposure):.2g} stops over the film"
         case "gamma_drift":

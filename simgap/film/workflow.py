@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.camera_faults import CameraFaults
+from freeart21.camera_faults import CameraFaults, with_values
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.atomic import new_folder
@@ -72,8 +72,7 @@ def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVer
     noisy = noise(rows, split, quiet)
     lost = holes(rows, split)
     said = replace(
-        simulated_with,
-        **noisy.values,
+        with_values(simulated_with, noisy.values),
         depth_scale=camera.depth_scale,
         depth_offset=camera.depth_offset,
         depth_curve=camera.depth_curve,
