@@ -57,7 +57,8 @@ def smallest(tried: Sequence[Tried], least_share: float = 0.0) -> tuple[Tried, t
     within = [
         t
         for t in named
-        if best.mean - t.mean <= max(standard_error(best.densities - t.densities), spare if 0 < len(t.names) < len(best.names) else 0.0)
+        if best.mean - t.mean
+        <= max(standard_error(best.densities - t.densities), spare if 0 < len(t.names) < len(best.names) else 0.0)
         or t is best
     ]
     first = min(within, key=lambda t: (len(t.names), t.size, -t.mean))

@@ -17,6 +17,8 @@ MOST = 3
 LEAST_DEPTH, LEAST_PX = 5e-4, 0.15
 """An effect is not named that moves depth by less than this share of the distance and outlines by less than this many
 pixels, both as root mean squares: no camera is so good (Tolgyessy 2021: 1 part in 1,000), and no mask."""
+TOGETHER = 0.3
+"""Share of the largest of them that several errors of the depth's size must come to together. Not measured."""
 BEAM = 5
 """Sets of each size that are widened: greedy search picks the best single effect and cannot reach a pair without it."""
 ROWS = 5000
@@ -76,6 +78,8 @@ def search(
         ridge = _ridge(design, keys)
         fits[keys] = fit = fitted(fitting, columns, ridge)
         if not nameless and not all(_matters(design, blocks, key, fit) for key in keys):
+            return None
+        if not nameless and _cancel(design, blocks, keys, fit):
             return None
         found = Tried(keys, len(columns), density(choosing, fit, choose_on), nameless)
         tried.append(found)
@@ -151,6 +155,19 @@ def moved(design: Design, blocks: Sequence[Block], key: str, fit: LinearFit) -> 
         sizes.append(float(np.sqrt(np.mean((b.columns[:, columns] @ beta) ** 2))) if len(b.y) else 0.0)
     z = blocks[0].columns[:, design.columns["depth_scale"][0]]
     return sizes[0] / max(float(np.median(z)) if len(z) else 1.0, 1e-9), max(sizes[1], sizes[2])
+
+
+def _cancel(design: Design, blocks: Sequence[Block], keys: tuple[str, ...], fit: LinearFit) -> bool:
+    """Whether several errors of the depth's size mostly undo each other: together they are then no more than a curve
+    through something else."""
+    bias = [k for k in keys if k in ("depth_scale", "depth_offset", "depth_curve")]
+    if len(bias) < 2:
+        return False
+    at = {column: value for column, value in zip(fit.chosen, fit.beta, strict=True)}
+    columns = [c for k in bias for c in design.columns[k]]
+    parts = blocks[0].columns[:, columns] * np.array([at[c] for c in columns])
+    alone = float(np.sqrt((parts**2).mean(0)).max())
+    return float(np.sqrt((parts.sum(1) ** 2).mean())) < TOGETHER * alone
 
 
 def _matters(design: Design, blocks: Sequence[Block], key: str, fit: LinearFit) -> bool:
