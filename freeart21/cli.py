@@ -196,10 +196,9 @@ def record(
         carry: Factor on a take's way, 1 for its metres; by the objects' sizes when not given.
         preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).
         sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
-        camera: camera.json of `gap`: faults of a real camera, put upon the sensor's pictures.
+        camera: camera.json of `gap`: a real camera's faults, besides the sensor's.
         effects: effects.json of the joint that is let go, for the motion release.
-        let_go: Share of its range (0 to 1) at which the joint is let go, for the motion release; drawn from the seed
-            when not given.
+        let_go: Share of its range, 0 to 1, at which it is let go; drawn when not given.
         procedural: Instead of names: a category of which --count fresh objects are drawn from the seed.
         count: How many fresh objects.
         split: Of freeart21-v1: public, to tune on, or test, which is only scored.

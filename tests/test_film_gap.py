@@ -8,9 +8,10 @@ from dataclasses import replace
 import film_sensors as sensors
 import numpy as np
 import pytest
+from browser import CHROMIUM, browser
 from film_scene import film_with_truth
 
-from freeart21 import se3
+from freeart21 import cli, se3
 from freeart21.camera_faults import CameraFaults, incidence
 from freeart21.errors import FreeArtError
 from freeart21.files.camera_faults import read_camera_faults, write_camera_faults
@@ -142,12 +143,19 @@ def test_the_answer_is_written_whole_and_read_by_the_recorder(scene, tmp_path):
     assert read_camera_faults(out / "camera.json") == verdict.camera
     assert read_camera_faults(out / "camera.json").depth_scale == pytest.approx(0.02, abs=1e-3)
     assert all(a <= b for a, b in seen) and "Where the two films part" in (out / "index.html").read_text()
+    if CHROMIUM:
+        with browser() as page:
+            for width in (1280, 390):
+                page.open(out / "index.html", width, ready="true")
+                assert page.run("document.documentElement.scrollWidth") <= width and not page.errors
     again = film_gap_folder(asset, far, out, poses=sequence.parent.parent / "truth" / sequence.name)
     assert again.to_json() | {"where": 0} == verdict.to_json() | {"where": 0}
 
 
 def test_bad_input_is_one_clear_line(scene, tmp_path):
     asset, sequence = scene
+    with pytest.raises(FreeArtError, match="--poses goes with a video"):
+        cli.gap(asset, tmp_path, tmp_path / "out", poses=sequence)
     lone = tmp_path / "lone"
     write_sequence(lone, read_sequence(sequence), 1e-4)
     assert is_sequence(lone) and not is_sequence(asset)
