@@ -74,6 +74,9 @@ class JudgementSettings:
     """Floors of error that an explanation of a small gap may leave of a run; the floor is an estimate."""
     explained_part: float = 0.1
     """Part of a large gap that it may leave besides."""
+    hardly: float = 2.0
+    """Floors that it may leave of three runs in four and no larger set is looked at: of our own world's true formulas
+    hardly any leaves more."""
     most: float = 10.0
     """Floors that it may leave of a run in any case: more is a name in part."""
     met: float = 0.75
@@ -83,6 +86,9 @@ class JudgementSettings:
     good_part: float = 0.1
     """Part of the gap from which on what has no name, or another set, dominates as well. Of right names in a draw of
     our own world nothing nameless took more than .03, of wrong ones .15 to .5."""
+    rival_part: float = 1 / 3
+    """Part of what a set takes of the gap, from which on what has no name and takes so much is no remainder of it. Drag
+    in the place of oil, left out of the library, leaves it .45; dry friction and drag of a real pendulum .24."""
     much_better: float = 0.6
     """Part of what a set leaves, beyond noise, that such a thing must leave at most."""
     drift: float = 0.2

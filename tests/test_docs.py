@@ -202,6 +202,7 @@ def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
         said["next_experiment"],
         said["sentence"],
         tuple(said["added"]),
+        judged_by=said["judged_by"],
     )
     verdict.write(written / "again" / "verdict.json", "revolute")
     assert read_json(written / "again" / "verdict.json") == {**said, "files": []}, "nothing lies beside it here"

@@ -470,7 +470,7 @@ def test_nothing_is_said_of_runs_kept_back_where_all_were_fitted(tmp_path: Path)
         "Run run_0, fitted,",
     ):
         assert said in page, said
-    assert "confirm" not in page and "chose" not in page
+    assert "kept to confirm" not in page and "that chose it" not in page
 
 
 def test_what_does_not_help_is_rolled_back(tmp_path: Path):

@@ -6,6 +6,7 @@ What needs ManiSkill, an extra, is skipped without it.
 import importlib.util
 import json
 import shutil
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -175,12 +176,22 @@ def test_a_released_lid_falls_as_in_roll_out(chest, base):
 @pytest.mark.parametrize(
     "env, settings", [(OPEN, {"robot_uids": "none"}), (OPEN, {"robot_uids": "panda"}), (FREE_MOVING, {})]
 )
-def test_it_passes_gymnasiums_checker_and_is_the_same_from_a_seed(chest, env, settings):
+def test_it_passes_gymnasiums_checker_whole_and_is_the_same_from_a_seed(chest, env, settings):
+    """Its every part, the warnings of how it renders and closes among them."""
     from gymnasium.utils.env_checker import check_env
-    from mani_skill.utils.wrappers.gymnasium import CPUGymWrapper
 
-    made = CPUGymWrapper(make(env, chest, reward_mode="dense", **settings))
-    check_env(made, skip_render_check=True, skip_close_check=True)  # ManiSkill's wrappers cannot be made again by spec
+    from export.maniskill import GymnasiumWrapper
+
+    small = {"width": 64, "height": 64}
+    shown = {"render_backend": "cpu", "render_mode": "rgb_array", "human_render_camera_configs": small}
+    made = GymnasiumWrapper(make(env, chest, reward_mode="dense", **shown, **settings))
+    assert {"rgb_array", "sensors", "all"} <= set(made.metadata["render_modes"])
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        check_env(made)
+    told = {str(warning.message) for warning in said if "WARN" in str(warning.message)}
+    of_spaces = ("unwrapped version", "space minimum value is -inf", "space maximum value is inf", "normalized space")
+    assert not [line for line in told if not any(text in line for text in of_spaces)]
     courses = []
     for _ in range(2):
         made.reset(seed=5)
@@ -189,6 +200,78 @@ def test_it_passes_gymnasiums_checker_and_is_the_same_from_a_seed(chest, env, se
     np.testing.assert_array_equal(*courses)
     made.close()
     made.close()
+
+
+@needs_maniskill
+def test_gymnasium_makes_it_again_by_its_spec(chest):
+    import gymnasium
+
+    from export.maniskill import GymnasiumWrapper
+
+    plain = make(OPEN, chest, robot_uids="none", max_episode_steps=3)
+    one = GymnasiumWrapper(plain, record_metrics=True)
+    for first in plain, one:
+        again = gymnasium.make(first.spec)
+        assert str(again) == str(first) and again.spec.max_episode_steps == 3
+        for name in "id", "kwargs", "additional_wrappers", "max_episode_steps":
+            assert getattr(again.spec, name) == getattr(first.spec, name)
+        np.testing.assert_array_equal(again.reset(seed=3)[0], first.reset(seed=3)[0])
+        action = first.action_space.sample()
+        courses = [[env.step(action) for _ in range(3)] for env in (first, again)]
+        assert [bool(step[3]) for step in courses[1]] == [False, False, True]
+        np.testing.assert_array_equal(*([step[0] for step in course] for course in courses))
+        assert ("episode" in courses[1][-1][4]) == (first is one)
+        again.close()
+    one.close()
+
+
+@needs_maniskill
+def test_an_episode_ends_when_it_was_told_to_or_never(chest):
+    import gymnasium
+
+    assert gymnasium.spec(OPEN).max_episode_steps == make(OPEN, chest).spec.max_episode_steps == 200
+    endless = make(OPEN, chest, robot_uids="none", control_mode="passive", max_episode_steps=-1)
+    assert endless.spec.max_episode_steps is None
+    endless.reset(seed=0)
+    ended = [endless.step(np.zeros(0, np.float32))[3] for _ in range(3)]
+    assert not any(ended) and ended[0].shape == (1,)
+
+
+@needs_maniskill
+def test_the_checker_refuses_maniskills_own_environments_and_wrappers():
+    """Why it is given `GymnasiumWrapper`: when this fails, ManiSkill's own do."""
+    import gymnasium
+    from gymnasium.utils.env_checker import check_env
+    from mani_skill.utils.wrappers.gymnasium import CPUGymWrapper
+
+    env = gymnasium.make("PickCube-v1", obs_mode="state", sim_backend="cpu", render_backend="none")
+    for spec in env.spec, CPUGymWrapper(env).spec:
+        with pytest.raises(ValueError, match="cannot be recreated"):
+            gymnasium.make(spec)
+    with pytest.raises(AssertionError, match="reset function does not call"):
+        check_env(env.unwrapped, skip_render_check=True, skip_close_check=True)
+    gymnasium.Env.reset(env.unwrapped, seed=0)  # with a generator it is refused for its tensors of one environment
+    with pytest.raises((AssertionError, RuntimeError), match="ambiguous"):
+        check_env(env.unwrapped, skip_render_check=True, skip_close_check=True)
+    env.close()
+
+
+@needs_maniskill
+@pytest.mark.parametrize(
+    "backend, screen, modes",
+    [
+        ("none", ":0", []),
+        ("cpu", "", ["rgb_array", "sensors", "all"]),
+        ("cpu", ":0", ["human", "rgb_array", "sensors", "all"]),
+    ],
+)
+def test_it_names_the_ways_of_rendering_that_work_here(chest, monkeypatch, backend, screen, modes):
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setenv("DISPLAY", screen)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    env = make(OPEN, chest, robot_uids="none", render_backend=backend)
+    assert env.metadata == {"render_modes": modes, "render_fps": 20}
+    env.close()
 
 
 @needs_maniskill

@@ -141,7 +141,7 @@ def _rows(request: dict[str, Any]) -> Iterator[Row]:
 
         file = urdf or mjcf
         assert file is not None
-        yield from simcheck_rows(file)
+        yield from simcheck_rows(file, float(request["limit_s"]))
         _tell(facts={"version": metadata.version("simcheck")})
         return
     from export.check.engines.base import load_world

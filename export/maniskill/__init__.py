@@ -29,3 +29,4 @@ def register() -> tuple[str, ...]:
 
 if importlib.util.find_spec("mani_skill") is not None:
     register()
+    from export.maniskill._gymnasium import GymnasiumWrapper as GymnasiumWrapper

@@ -14,12 +14,12 @@ from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
 from mani_skill.utils.building.ground import build_ground
-from mani_skill.utils.registration import register_env
 from mani_skill.utils.scene_builder.table import TableSceneBuilder
 from mani_skill.utils.structs.types import SceneConfig, SimConfig
 
 from export.maniskill._agent import OBJECT, ObjectAgent
 from export.maniskill._body import Body
+from export.maniskill._gymnasium import registered, render_modes
 from export.maniskill._hand import Hand
 from export.maniskill.assets import find_asset
 from export.maniskill.motion import CarriedMotion, drawn_motion
@@ -77,6 +77,8 @@ class ObjectEnvironment(BaseEnv):
         self._target = 0.0
         robot_uids = OBJECT if robot_uids in (None, "none") else robot_uids
         super().__init__(*args, robot_uids=robot_uids, **kwargs)
+        modes = render_modes(self.SUPPORTED_RENDER_MODES, self.scene.can_render())
+        self.metadata = {"render_modes": modes, "render_fps": self.control_freq}
 
     @property
     def _default_sim_config(self) -> SimConfig:
@@ -216,7 +218,7 @@ class ObjectEnvironment(BaseEnv):
         return self.compute_dense_reward(obs, action, info) / 3
 
 
-@register_env("FreeArt21-Open-v1", max_episode_steps=_SECONDS * _CONTROL_HZ)
+@registered("FreeArt21-Open-v1", _SECONDS * _CONTROL_HZ)
 class OpenEnvironment(ObjectEnvironment):
     """An object stands on a table or on the ground; its joint is to come to rest at the target.
 
@@ -251,7 +253,7 @@ class OpenEnvironment(ObjectEnvironment):
         self._begin(start, target, moved @ self._T_root_rest)
 
 
-@register_env("FreeArt21-FreeMoving-v1", max_episode_steps=_SECONDS * _CONTROL_HZ)
+@registered("FreeArt21-FreeMoving-v1", _SECONDS * _CONTROL_HZ)
 class FreeMovingEnvironment(ObjectEnvironment):
     """An object is carried through the air by a hand that is not seen; its joint is to come to rest at the target.
 

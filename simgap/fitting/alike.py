@@ -11,12 +11,16 @@ from freeart21.effects.armature import Armature
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.detent import Detent
 from freeart21.effects.encoder_offset import EncoderOffset
+from freeart21.effects.latch import Latch
 from freeart21.effects.load_friction import LoadFriction
 from freeart21.effects.quadratic_drag import QuadraticDrag
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.se3 import Array
 from simgap.fitting.fit import Fit, Problem, Reader, Starts, Theory, joined
 from simgap.motion import kernel
+
+_WIDTHS = 1.5
+"""Widths of a notch from its middle to where it holds no more, about."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,20 @@ def narrowed(problem: Problem, fit: Fit, names: tuple[str, ...]) -> list[Beginni
         return []
     notch = next(e for e in fit.effects if isinstance(e, Detent))
     return [_instead(problem, fit, "detent", "return_spring", {"stiffness": notch.steepness(), "rest": notch.centre})]
+
+
+def held(problem: Problem, fit: Fit, names: tuple[str, ...]) -> list[Beginning]:
+    """The set with a notch in the place of a catch, or a catch in that of a notch, of the same force at the same
+    place."""
+    found = []
+    for effect in fit.effects:
+        if isinstance(effect, Latch) and "detent" in names and "detent" not in fit.theory.names:
+            point = {"peak": effect.hold, "centre": effect.position, "width": effect.travel / _WIDTHS}
+            found.append(_instead(problem, fit, "latch", "detent", point))
+        if isinstance(effect, Detent) and "latch" in names and "latch" not in fit.theory.names:
+            point = {"hold": effect.peak, "position": effect.centre, "travel": _WIDTHS * effect.width, "capture": 0.5}
+            found.append(_instead(problem, fit, "detent", "latch", point))
+    return found
 
 
 def _instead(problem: Problem, fit: Fit, old: str, new: str, point: dict[str, float], ahead: float = 0.0) -> Beginning:

@@ -155,7 +155,7 @@ class Search:
         """Beside the best sets of a size those with an effect's like in its place, those that they become in special
         cases, and those with one effect less."""
         for fit in self._of_size(size)[: self.settings.parents]:
-            for swap in (alike.twins, alike.losses, alike.turned, alike.lighter, alike.narrowed):
+            for swap in (alike.twins, alike.losses, alike.turned, alike.lighter, alike.narrowed, alike.held):
                 for at in swap(self.problem, fit, self.names):
                     self.keep(fitted(at.theory, self.train, at.theta, at.starts))
             for name in fit.theory.names:

@@ -61,7 +61,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: JudgementSettings)
     if ahead <= error and sum(plain) < (1 - settings.met) * len(plain):
         return Choice(base, best, table=tuple(table))
     found = Choice(base, best, gap=True, table=tuple(table))
-    standing = nearest(h for h in table if h.names and named_whole(h, base, settings))
+    standing = nearest(_no_larger([h for h in table if h.names and named_whole(h, base, settings)], settings))
     told = {h.names: beside(h, folds) for h in standing}
     whole = [h for h in standing if not any(refutes(n, base, settings) for n in told[h.names])]
     whole = [h for h in whole if not _plainer_without_name(h, table, folds)]
@@ -93,26 +93,39 @@ def plainer(names: tuple[str, ...]) -> list[tuple[str, ...]]:
 
 def named_whole(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
     """Whether a set leaves next to nothing of what `base` does, in all runs that show a gap but one of four, which may
-    hang on a hair; and none of its numbers is at its bound, where it stands for something else."""
+    hang on a hair, and in half of those that choose; and none of its numbers is at its bound, where it stands for
+    something else."""
     if at_end(hypothesis.fit):
         return False
     before, after = base.by_run, hypothesis.by_run
     shown = [run for run in after if before[run] > SHOWS] or list(after)
-    met = [
-        after[run] <= min(np.hypot(settings.explained, settings.explained_part * excess(before[run])), settings.most)
+    met = {
+        run: after[run]
+        <= min(np.hypot(settings.explained, settings.explained_part * excess(before[run])), settings.most)
         for run in shown
+    }
+    chose = [met[run] for run in shown if run in hypothesis.left]
+    return sum(met.values()) >= settings.met * len(met) and sum(chose) >= 0.5 * len(chose)
+
+
+def _no_larger(whole: list[Hypothesis], settings: JudgementSettings) -> list[Hypothesis]:
+    """Of the sets those no larger than the smallest that leaves hardly more than noise: a real effect is not its
+    formula, and what that leaves is not worth another name, however sure it is."""
+    enough = [
+        len(h.names)
+        for h in whole
+        if sum(floors <= settings.hardly for floors in h.by_run.values()) >= settings.met * len(h.by_run)
     ]
-    return sum(met) >= settings.met * len(met)
+    return [h for h in whole if len(h.names) <= min(enough, default=len(h.names))]
 
 
 def refutes(rival: Nameless, base: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether a force without a name is clearly more probable beside a set than the set alone, and takes a good part of
-    the gap; or sizes that change over the session change by much."""
-    if rival.ahead <= rival.error:
-        return False
+    """Whether a force without a name is more probable beside a set than the set alone, and takes a good part of the gap
+    in choosing runs; or sizes that change over the session are so by more than a standard error, and change by much."""
     if rival.kind == "time":
-        return any(abs(change) > settings.drift for change in rival.changes.values())
-    return rival.taken > settings.good_part * excess(base.floors)
+        much = any(abs(change) > settings.drift for change in rival.changes.values())
+        return rival.ahead > rival.error and much
+    return rival.ahead > 0 and rival.taken > settings.good_part * excess(base.floors)
 
 
 def _plainer_without_name(hypothesis: Hypothesis, table: Sequence[Hypothesis], folds: tuple[Fold, ...]) -> bool:
@@ -139,7 +152,16 @@ def dominating(
     odd = [h for h in table if at_end(h.fit) and not _unmoved(h.fit)]
     standing = [h for h in nearest(able) if not any(_beats(o, h) for o in odd if not _within(h, o))]
     standing = [h for h in standing if not any(_takes_much(o, h, base, settings) for o in others if not _within(h, o))]
-    return [h for h in standing if not any(refutes(n, base, settings) for n in beside(h, folds))]
+    return [h for h in standing if not any(overtakes(n, h, base, settings) for n in beside(h, folds))]
+
+
+def overtakes(rival: Nameless, hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
+    """Whether a force without a name speaks against a set that is named in part: it takes a third of what the set does,
+    and is no mere remainder; or sizes change over the session."""
+    if rival.kind == "time":
+        return refutes(rival, base, settings)
+    taken = float(np.sqrt(max(base.floors**2 - hypothesis.floors**2, 0.0)))
+    return rival.ahead > 0 and rival.taken > settings.rival_part * taken
 
 
 def _may_dominate(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:

@@ -159,7 +159,7 @@ def _unexplained(choice: Choice, gaps: tuple[RunGap, ...], floor: Floor, problem
 def _spoken(choice: Choice) -> Nameless | None:
     """The force without a name that is most probable beside what was named or was nearest, and takes a part of the
     gap."""
-    sure = [n for n in choice.nameless if n.ahead > n.error]
+    sure = [n for n in choice.nameless if n.ahead > (n.error if n.kind == "time" else 0.0)]
     able = [n for n in sure if n.taken > _SPOKEN * choice.base.floors or (n.kind == "time" and n.changes)]
     return max(able, key=lambda n: n.ahead, default=None)
 

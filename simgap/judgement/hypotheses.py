@@ -88,8 +88,8 @@ def score_parts(
         folds: how many there are.
         base: the asset as it is. A formula is off by a part of the gap that it explains, whatever runs say.
     """
-    error = error_of(fitted_to, fold.train)
     off = {} if base is None else {run: FORM * excess(floors) for run, floors in base.by_run.items()}
+    error = error_of(fitted_to, fold.train, off)
     each = -(-_STRETCHES // (folds * len(fold.test)))
     parts = [stretch_densities(seen[run.name], run, error, each, off.get(run.name, 0.0)) for run in fold.test]
     if folds == 1:

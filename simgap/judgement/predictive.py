@@ -79,15 +79,18 @@ def motion_of(run: FitRun) -> float:
     return float(np.std(run.q) / np.sqrt(np.mean(run.sigma**2)))
 
 
-def error_of(residuals: dict[str, Array], runs: Sequence[FitRun]) -> ModelError:
-    """The likeliest model error of `residuals` (in floors, by run), those of `runs` that they name."""
+def error_of(residuals: dict[str, Array], runs: Sequence[FitRun], least: dict[str, float] | None = None) -> ModelError:
+    """The likeliest model error of `residuals` (in floors, by run), those of `runs` that they name; by how many floors
+    a model is off at `least`, by run, is known beforehand."""
     seen = [run for run in runs if run.name in residuals]
     step = float(np.median(np.concatenate([np.diff(run.times_s) for run in seen])))
-    motions = [motion_of(run) for run in seen]
+    motions = [(motion_of(run), (least or {}).get(run.name, 0.0)) for run in seen]
 
     def likely(share: float, seconds: float) -> float:
-        told = zip(seen, motions, strict=True)
-        return sum(float(log_densities(residuals[r.name], r.times_s, share * m, seconds)[-1]) for r, m in told)
+        return sum(
+            float(log_densities(residuals[r.name], r.times_s, float(np.hypot(share * m, off)), seconds)[-1])
+            for r, (m, off) in zip(seen, motions, strict=True)
+        )
 
     tried = [(likely(share, n * step), share, n * step) for share in _SHARES for n in _TIMES]
     _, share, seconds = max(tried)

@@ -25,7 +25,9 @@ OFFSET, DEAD_BAND, MOST_ASKED, BACK_EMF, MOST = 25, 26, 27, 28, 29
 MOMENT_SCALE, MASS_SCALE, SWAYS = 30, 31, 32
 """Of a base that moves: factors of the rows of `base_motion.sway_terms`, and whether it does. What it does now:"""
 SWAY_COS, SWAY_SIN, SWAY_CONST, SWAY_COS2, SWAY_SIN2, SWAY_LINEAR = 33, 34, 35, 36, 37, 38
-HEAD = 39
+LIMITED = 39
+"""Whether the actuator is more than a position law and an effort."""
+HEAD = 40
 """Places in the vector of numbers that describes one simulation; behind them each effect has its place, then its
 parameters."""
 PLACE = 2
@@ -57,11 +59,20 @@ def _sum(acts, terms, p, memory, q, v, load):  # pragma: no cover
 
 
 @jit
+def _asked(p, q, v, position, effort):  # pragma: no cover
+    """Force of an actuator that has no limit but that of its force, at the position and speed that it sees; `position`
+    is NaN without a position law. While it is off GAIN and OFFSET are 0."""
+    asked = effort
+    if not np.isnan(position):
+        asked += p[STIFFNESS] * (position - q) - p[DAMPING] * v
+    return p[GAIN] * min(max(asked, -p[MOST]), p[MOST]) + p[OFFSET]
+
+
+@jit
 def _actuator(p, q, v, position, effort):  # pragma: no cover
-    """Force of the actuator at the position and speed that it sees (`mechanics.DriveLaw`); `position` is NaN without a
-    position law, `effort` while it is off."""
-    if np.isnan(effort):
-        return 0.0
+    """The same of any (`mechanics.DriveLaw`)."""
+    if p[LIMITED] == 0.0:
+        return _asked(p, q, v, position, effort)
     asked = effort
     if not np.isnan(position):
         error = position - q
@@ -147,7 +158,8 @@ def _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
         a = _acceleration(terms, p, memory, y[0], y[1], slide, grip, side, push, position, effort, loaded)
     b = 0.0
     if p[SLACK_WIDTH] > 0.0:
-        b = a if side != 0 else _actuator(p, y[2], y[3], position, effort) / p[SLACK_INERTIA]
+        # on its way through the slack a drive is a plain one: to look for more here makes all runs a fifth slower
+        b = a if side != 0 else _asked(p, y[2], y[3], position, effort) / p[SLACK_INERTIA]
     return a, b
 
 
@@ -270,6 +282,9 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
     for k in range(len(terms)):
         if terms[k, 1] == FORCE:
             memory[k] = remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + PLACE)
+    gain, offset = p[GAIN], p[OFFSET]
+    if inputs == 0:
+        p[GAIN] = p[OFFSET] = 0.0
     delayed, now = p[COMMAND_DELAY], times[0] - p[READING_DELAY]
     end = times[n - 1] - p[READING_DELAY]
     late = early = 0  # the inputs that act now, through the actuator and directly
@@ -281,7 +296,7 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
         if done == n:
             return
         # inputs
-        position, asked, push, until = np.nan, np.nan, 0.0, np.inf
+        position, asked, push, until = np.nan, 0.0, 0.0, np.inf
         if inputs > 0:
             while late + 1 < inputs and t_in[late + 1] + delayed <= now + 1e-12:
                 late += 1
@@ -290,6 +305,9 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
             position = command[late] + p[HOLDING] * beside[0, late]
             asked = effort[late] + p[HOLDING] * beside[1, late]
             push = pushes[early] + p[HOLDING] * beside[2, early]
+            p[GAIN], p[OFFSET] = gain, offset
+            if np.isnan(asked):  # it is off
+                p[GAIN], p[OFFSET], asked = 0.0, 0.0, 0.0
             if p[SWAYS] != 0.0:
                 b, m = p[MOMENT_SCALE], p[MASS_SCALE]
                 p[SWAY_COS] = b * sway[0, early] + m * sway[3, early]

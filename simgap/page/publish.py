@@ -22,7 +22,7 @@ from simgap.geometry.track_geometry import lever_of, middle_of
 from simgap.judgement.words import plain, runs_text, with_closed
 from simgap.motion.equation_error import missing_force
 from simgap.motion.localise import residual_maps, where
-from simgap.motion.surrogate import Nuisance, Plant
+from simgap.motion.surrogate import Nuisance, Plant, plant_of
 from simgap.page.report import GEOMETRY, Gap, Ranked, use_of, write_report
 from simgap.proof.show import (
     SECONDS,
@@ -126,7 +126,8 @@ def publish(
     placed = place(asset, measured.gravity)
     runs = with_positions(measured, draft.geometry)
     acting = asset.effects.get(asset.joint, ())
-    found = missing_force(*_as_fitted(runs, placed, acting, draft.off[0], _limits(asset)))
+    known = _as_fitted(runs, placed, acting, draft.off[0], _limits(asset))
+    found = missing_force(*known, plant=plant_of(asset, measured))
     maps = residual_maps(found, seed)
     verdict = draft.verdict
     if draft.moves_otherwise and not verdict.where:

@@ -89,7 +89,8 @@ SETTINGS = {
     "mujoco": "the file's own solver and contact options, step at most 2 ms; a plane with default contact",
     "pybullet": "step 2 ms, 100 solver iterations, inertia from the file, no damping of links, neighbours do not "
     "collide, friction 0.5, joint friction as the URDF's (by a velocity motor)",
-    "drake": "discrete step 2 ms, hydroelastic contact (compliant, default modulus), friction 0.5; no joint friction",
+    "drake": "discrete step 2 ms, hydroelastic contact (compliant, default modulus), friction 0.5, joint friction as "
+    "the URDF's (by a damper with a limit)",
 }
 """What a reader of the numbers has to know."""
 

@@ -10,10 +10,13 @@ import numpy as np
 
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
 from export.check.engines.plain_urdf import plain_urdf
-from freeart21.files.urdf import UrdfInertial
+from freeart21.files.urdf import UrdfInertial, read_urdf_joints
 from freeart21.se3 import Array
 
 _STEP_S, _FRICTION = 0.002, 0.5
+_CREEP = 1e-6
+"""rad/s or m/s at which the damper that is Coulomb friction is cut off, as in the asset's own loader, where it was
+measured (`tests/test_loaders.py`)."""
 
 
 def load(file: Path, folder: Path, setting: Setting) -> DrakeWorld:
@@ -30,6 +33,7 @@ def load(file: Path, folder: Path, setting: Setting) -> DrakeWorld:
     from pydrake.multibody.parsing import Parser
     from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
     from pydrake.systems.framework import DiagramBuilder
+    from pydrake.systems.primitives import ConstantVectorSource
 
     builder = DiagramBuilder()
     plant, geometry = AddMultibodyPlantSceneGraph(builder, time_step=_STEP_S)
@@ -50,8 +54,31 @@ def load(file: Path, folder: Path, setting: Setting) -> DrakeWorld:
     root = next((body for body in bodies if body.name() not in hung), None)
     if root is not None and setting.fixed:
         plant.WeldFrames(plant.world_frame(), root.body_frame())
+    rubs = _rubbing(plant, model, {j.name: j.friction for j in read_urdf_joints(file).values()})
     plant.Finalize()
+    if rubs:
+        still = builder.AddSystem(ConstantVectorSource(np.zeros(2 * plant.num_actuators(model))))
+        builder.Connect(still.get_output_port(), plant.get_desired_state_input_port(model))
     return DrakeWorld(builder.Build(), plant, model, bodies, root)
+
+
+def _rubbing(plant: Any, model: Any, friction: Mapping[str, float]) -> bool:
+    """Put the joints' friction, which Drake drops of a URDF, back; whether there is any.
+
+    An actuator that is nothing but a damper towards speed 0, cut off at the friction: a discrete plant solves it
+    together with the contacts.
+    """
+    from pydrake.multibody.tree import PdControllerGains
+
+    for k in plant.GetJointActuatorIndices(model):  # of the file's transmissions: nothing drives them here
+        plant.RemoveJointActuator(plant.get_joint_actuator(k))
+    joints = [plant.get_joint(k) for k in plant.GetJointIndices(model)]
+    rubs = [joint for joint in joints if joint.num_velocities() == 1 and friction.get(joint.name(), 0.0) > 0]
+    for joint in rubs:
+        limit = friction[joint.name()]
+        actuator = plant.AddJointActuator(f"{joint.name()}_friction", joint, limit)
+        actuator.set_controller_gains(PdControllerGains(p=1e-9, d=limit / _CREEP))
+    return bool(rubs)
 
 
 class DrakeWorld(World):

@@ -1,0 +1,106 @@
+"""The public checker's findings as rows: errors and what it did not finish fail, warnings are told.
+
+With a stand-in for it; what needs simcheck itself, an extra, is skipped without it. 8 s with it, else 1 s."""
+
+import json
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import pytest
+from little_asset import write_little
+
+from export.check import checking
+from export.check.report import Row
+from export.check.simcheck_rules import simcheck_rows
+from export.check.trial_process import Answer
+from freeart21.files.asset import read_asset
+
+
+def stand_in(monkeypatch, results: list) -> list:
+    """A module like simcheck's, that finds `results`; the configurations that it was given."""
+    given = []
+    core, config = ModuleType("simcheck.core"), ModuleType("simcheck.config")
+    config.Thresholds = lambda **values: SimpleNamespace(**values)
+    config.Config = lambda **values: SimpleNamespace(**values)
+    core.check_file = lambda file, config: given.append(config) or SimpleNamespace(results=results)
+    for module in (ModuleType("simcheck"), core, config):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    return given
+
+
+def result(name: str, status: str, *findings, engine: str = "", note: str = "") -> SimpleNamespace:
+    return SimpleNamespace(id=name, status=status, engine=engine, note=note, findings=findings)
+
+
+def finding(message: str, **data) -> SimpleNamespace:
+    return SimpleNamespace(message=message, data=data)
+
+
+def test_errors_and_what_was_not_finished_fail_and_warnings_are_told(monkeypatch):
+    given = stand_in(
+        monkeypatch,
+        [
+            result("a", "pass"),
+            result("b", "warn", finding("thin")),
+            result("c", "fail", finding("no mass"), finding("no shape")),
+            result("d", "skip", engine="pybullet", note="not installed"),
+            result("e", "warn", finding("did not finish", incomplete=True), engine="mujoco"),
+        ],
+    )
+    assert list(simcheck_rows(Path("a.urdf"), 100.0)) == [
+        Row("simcheck.a", "simcheck", "pass", ""),
+        Row("simcheck.b", "simcheck", "pass", "warn: thin"),
+        Row("simcheck.c", "simcheck", "fail", "no mass; no shape"),
+        Row("simcheck.d", "simcheck/pybullet", "skip", "not installed"),
+        Row("simcheck.e", "simcheck/mujoco", "fail", "warn: did not finish"),
+    ]
+    assert given[0].thresholds.engine_timeout == 80.0
+
+
+def test_it_has_more_time_than_its_own_engines_ask_for(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(checking, "ask", lambda request, limit_s: asked.append((request, limit_s)) or Answer((), {}, 0))
+    monkeypatch.setattr(checking.importlib.util, "find_spec", lambda name: object())
+    checking.check(write_little(tmp_path / "lid"), [], simcheck=True)
+    request, limit_s = asked[-1]
+    assert request["engine"] == "simcheck" and request["limit_s"] == limit_s > 2 * 240
+
+
+def test_it_finds_no_error_in_a_sound_asset_and_one_in_a_broken_one(tmp_path):
+    pytest.importorskip("simcheck", reason="simcheck is not installed: freeart21[simcheck]")
+    urdf = write_little(tmp_path / "lid")
+    rows = checking.check(urdf, [], simcheck=True).rows
+    told = [row for row in rows if row.rule.startswith("simcheck.")]
+    assert len(told) > 20 and not [row for row in told if row.verdict == "fail"]
+    urdf.write_text(urdf.read_text().replace('izz="', 'izz="-'))
+    failed = [row.rule for row in checking.check(urdf, [], simcheck=True).failed]
+    assert "simcheck.inertia.tensor" in failed
+
+
+def test_the_benchmark_counts_what_the_checker_says_and_keeps_what_passed(tmp_path, monkeypatch):
+    from benchmarks import simcheck
+
+    asked, rows = [], [Row("simcheck.a", "simcheck", "pass", "warn: thin"), Row("simcheck.b", "simcheck", "fail", "no")]
+    report = SimpleNamespace(rows=rows, failed=(), seconds={"simcheck": 3.0})
+    monkeypatch.setattr(simcheck, "check", lambda *given, **also: asked.append(also) or report)
+    monkeypatch.setattr(simcheck, "_export", lambda truth, asset, kept: None)
+    monkeypatch.setattr(simcheck, "_versions", lambda: {"simcheck": "0.2.0"})
+    write_little(tmp_path / "lid")
+    benchmark = SimpleNamespace(truth=lambda name: tmp_path)
+
+    def row() -> dict:
+        return simcheck._row("lid", benchmark, (), tmp_path, 900.0)
+
+    for _ in range(2):
+        found = row()
+        assert found["failed"] == ["simcheck.b (simcheck): no"] and found["pieces"] == 2 and found["passed"] == 0
+        assert found["warned"] == ["simcheck.a (simcheck): warn: thin"] and found["seconds"] == 3.0
+    assert asked == [{"simcheck": True, "limit_s": 900.0}] * 2
+    rows.pop()
+    assert row() == row() and len(asked) == 3
+    assert json.loads((tmp_path / "lid.row.json").read_text())["row"]["pieces"] == 2
+    urdf = read_asset(tmp_path / "lid").urdf
+    urdf.write_text(urdf.read_text() + " ")
+    row()
+    assert len(asked) == 4
