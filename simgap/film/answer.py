@@ -7,22 +7,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from freeart21.camera_faults import CameraFaults, with_values
-from freeart21.recording import Recording
 from freeart21.se3 import Array
 from simgap.film.choose import LEAST_SHARE, Tried, benjamini_hochberg, sign_flip_p, standard_error
-from simgap.film.colour import Colours
-from simgap.film.counts import LEAST_FLYING, LEAST_HOLES, Family
-from simgap.film.geometry import LEAST_DEPTH, Geometry, thinned
-from simgap.film.library import GEOMETRY, Design, Effect, design_of
+from simgap.film.errors import film_maps
+from simgap.film.found import Found
+from simgap.film.geometry import LEAST_DEPTH, thinned
+from simgap.film.library import Effect
 from simgap.film.linear import LinearFit, density, fitted, left
-from simgap.film.missing import MissingPart
-from simgap.film.samples import Rows
-from simgap.film.scene import FilmScene
 from simgap.film.verdict import FilmGap, FilmVerdict, Named, Parameter, Where
-from simgap.film.where import LEVEL, FilmMap, maps_of
+from simgap.film.where import LEVEL, FilmMap
 from simgap.film.words import PLAIN, UNITS, listed, told
 
 ROUNDED_PX = 0.41
@@ -37,36 +32,6 @@ TWICE = 2.0
 HALF = 0.5
 """Share of its gap that a name leaves, on confirming frames, where such a rival explains twice as much: then it is not
 what is there."""
-
-
-@dataclass(frozen=True)
-class Found:
-    """What fits and choice have come to."""
-
-    recording: Recording
-    scene: FilmScene
-    frames: NDArray[np.int64]
-    split: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
-    """Indices into `frames`: to fit, to choose, to confirm."""
-    rows: Rows
-    design: Design
-    geometry: Geometry
-    camera: CameraFaults
-    """Geometry alone."""
-    simulated_with: CameraFaults
-    """The camera about which the rows are."""
-    families: tuple[Family, Family, Family]
-    """Noise, holes, flying pixels."""
-    drift: Colours | None
-    part: MissingPart | None
-    shut: frozenset[str]
-    quiet: float
-    """Floor of a pixel's noise, metres."""
-
-    @property
-    def maps(self) -> tuple[FilmMap, ...]:
-        """Where the films part."""
-        return maps_of(self.rows, errors_of(self))
 
 
 @dataclass(frozen=True)
@@ -99,7 +64,7 @@ def answered(found: Found) -> FilmVerdict:
             camera = with_values(camera, claim.values)
     names = [n.name for n in named]
     gaps = _gaps(found, names)
-    maps = found.maps
+    maps = film_maps(found)
     remains = _left(found, gaps, names)
     rivals = _rivals(found, names)
     if named or found.part is not None:
@@ -429,55 +394,3 @@ def _place(m: FilmMap) -> str:
     low, high = m.edges[k], m.edges[k + 1]
     size = f"{factor * float(m.before[k]):+.2g} {m.unit}"
     return f"{m.what}: {size} at {m.over} {low:.2g} to {high:.2g} {m.over_unit}".strip()
-
-
-# --- maps -------------------------------------------------------------------------------------------------------------
-
-
-def errors_of(found: Found) -> dict[str, tuple[Array, Array]]:
-    """Before and after of every row, for the maps. Before: the asset's film with an ideal camera, to first order."""
-    rows, camera = found.rows, found.camera
-    z = rows["z"]
-    geometry = _put_back(found)
-    bias = camera.depth_scale * z + camera.depth_offset + camera.depth_curve * z * z
-    out = {"depth error": (rows["error"] + geometry[0], rows["error"] - bias)}
-    lost = np.isnan(rows["error"]).astype(float)
-    holes = with_values(CameraFaults(), found.families[1].values)
-    if lost.mean() >= LEAST_HOLES / 2:
-        frame = rows.of("error")
-        share = np.bincount(frame, lost) / np.maximum(np.bincount(frame), 1)
-        out["holes"] = (lost - share[frame], lost - holes.lost(rows["measured_brightness"], rows["cosine"]))
-    out["outline of the mask"] = (rows["mask_off"] + geometry[1], rows["mask_off"])
-    out["outline of the depth"] = (rows["depth_off"] + geometry[2], rows["depth_off"])
-    if found.families[2].before >= LEAST_FLYING / 2:
-        flies = rows["flying"].astype(float)
-        f = found.families[2].values
-        told_share = np.where(rows["band"] <= f.get("flying_reach", 0.0), f.get("flying_share", 0.0), 0.0)
-        out["pixels at edges"] = (flies - flies.mean(), flies - told_share)
-    if found.drift is not None and found.drift.null is not None:
-        share = np.array([f.share for f in rows.frames])[rows.of("stops")]
-        d = found.drift
-        curve = np.interp(share, np.linspace(0, 1, max(len(d.exposure), 1)), d.exposure or (0.0,))
-        tone = np.interp(share, np.linspace(0, 1, max(len(d.gamma), 1)), d.gamma or (0.0,)) * rows["light"]
-        stops = rows["stops"] - np.nanmedian(rows["stops"])
-        then = rows["stops"] - curve - tone
-        out["brightness of the picture"] = (stops, then - np.nanmedian(then))
-    return out
-
-
-def _put_back(found: Found) -> tuple[Array, Array, Array]:
-    """What the geometry that the film was simulated with does to the rows, to first order."""
-    rows, d = found.rows, found.design
-    inner, mask, depth = np.isfinite(rows["error"]), np.isfinite(rows["mask_off"]), np.isfinite(rows["depth_off"])
-    sizes = len(inner), len(mask), len(mask)
-    out = tuple(np.zeros(n) for n in sizes)
-    same = len(d.blocks[0].y) == int(inner.sum())
-    blocks = d.blocks if same else design_of(rows, 1e-3, found.scene.placed.exact).blocks
-    for effect in GEOMETRY:
-        if effect.key != effect.name or effect.name in ("depth_scale", "depth_offset", "depth_curve"):
-            continue
-        for field, column in zip(effect.parameters, d.columns[effect.key], strict=True):
-            value = float(getattr(found.simulated_with, field))
-            for o, kept, b in zip(out, (inner, mask, depth), blocks, strict=True):
-                o[kept] += value * b.columns[:, column]
-    return out[0], out[1], out[2]

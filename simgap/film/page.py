@@ -11,8 +11,9 @@ import numpy as np
 from freeart21.files import atomic, checked
 from freeart21.view.document import MOVING, REFERENCE, Section, data_url, document, escape
 from freeart21.view.tables import table_section
-from simgap.film.answer import Found
 from simgap.film.choose import Tried, standard_error
+from simgap.film.errors import film_maps
+from simgap.film.found import Found
 from simgap.film.pictures import Image, heat, shown
 from simgap.film.verdict import FilmGap, FilmVerdict
 from simgap.film.where import LEVEL, FilmMap
@@ -149,7 +150,7 @@ def _doubt(verdict: FilmVerdict) -> list[Section]:
 
 
 def _maps(found: Found) -> Section:
-    maps = sorted(found.maps, key=lambda m: (m.p_value, not len(m.rows)))
+    maps = sorted(film_maps(found), key=lambda m: (m.p_value, not len(m.rows)))
     drawn = "".join(_picture_map(m) if len(m.rows) else _bars(m) for m in maps)
     told = sum(m.adjusted <= LEVEL for m in maps)
     note = (

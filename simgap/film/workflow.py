@@ -19,9 +19,10 @@ from freeart21.files.lock import only_writer
 from freeart21.files.places import ANSWER, check_place
 from freeart21.files.sequence import read_sequence
 from freeart21.recording import Recording
-from simgap.film.answer import Found, answered
+from simgap.film.answer import answered
 from simgap.film.colour import colours
 from simgap.film.counts import flying, holes, noise
+from simgap.film.found import Found
 from simgap.film.geometry import Geometry, search
 from simgap.film.library import GEOMETRY, Design, about, depth_floor, design_of, faults_of, frames_split
 from simgap.film.missing import missing_part
