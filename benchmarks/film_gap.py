@@ -2,7 +2,7 @@
 
 The faults are those of tests/film_sensors.py, which share no code with what looks for them, put upon clean recordings:
 
-    freeart21 record mini_stapler swivel_usb filing_cabinet --out data/film --seed 2611 --frames 60 --width 320 \\
+    freeart21 record swivel_usb filing_cabinet --out data/film --seed 2611 --frames 60 --width 320 \\
         --height 180 --shader trivial
     python -m benchmarks.film_gap --data data/film --out benchmarks/results/film_gap.json
 
