@@ -68,6 +68,9 @@ class JudgementSettings:
     least_readings: int = 60
     """Readings, of all runs together, below which nothing is said: three stretches, each with a start of its own, and
     the asset's own doubts leave none to spare."""
+    least_gap: float = 0.35
+    """Floors that an explanation must take of choosing runs for a small gap to be one: less may come of coarse time
+    stamps alone."""
     plain_gap: float = 2.5
     """Floors of error of the middle run at which there is a gap, whether anything explains it or not."""
     explained: float = 1.35
@@ -86,9 +89,10 @@ class JudgementSettings:
     good_part: float = 0.1
     """Part of the gap from which on what has no name, or another set, dominates as well. Of right names in a draw of
     our own world nothing nameless took more than .03, of wrong ones .15 to .5."""
-    rival_part: float = 1 / 3
+    rival_part: float = 0.4
     """Part of what a set takes of the gap, from which on what has no name and takes so much is no remainder of it. Drag
-    in the place of oil, left out of the library, leaves it .45; dry friction and drag of a real pendulum .24."""
+    in the place of oil that was left out of the library leaves it .45; cogging beside friction and drag takes .30, what
+    the friction of a real pendulum has besides .24."""
     much_better: float = 0.6
     """Part of what a set leaves, beyond noise, that such a thing must leave at most."""
     drift: float = 0.2

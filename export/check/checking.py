@@ -19,8 +19,8 @@ TIME_LIMIT_S = 60.0
 """Seconds that the files, or one engine, may take: three times what the heaviest known asset needs."""
 SIMCHECK_LIMIT_S = 900.0
 """The same of simcheck, which asks 240 points of each contact mesh how deep they are in each of the link's pieces: with
-the square of the pieces. Measured with MuJoCo on two cores shared with other work: 4 s of 60 pieces, 130 s of 430; an
-asset of ours has 512 at most."""
+the square of the pieces. Measured with MuJoCo on an idle machine: 6 s of 58 pieces, 43 s of 226; of 429, 160 s of
+processor time; an asset of ours has 512 at most. Its own limit is 240 s an engine."""
 
 
 def check(

@@ -57,8 +57,9 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: JudgementSettings)
     table = [base, *(judged(fit, folds, base) for fit in search.explored())]
     best = max(table, key=lambda h: h.score.total)
     ahead, error = lead(best.score, base.score)
+    closed = float(np.sqrt(max(base.floors**2 - best.floors**2, 0.0)))
     plain = [floors > settings.plain_gap for floors in base.by_run.values()]
-    if ahead <= error and sum(plain) < (1 - settings.met) * len(plain):
+    if (ahead <= error or closed < settings.least_gap) and sum(plain) < (1 - settings.met) * len(plain):
         return Choice(base, best, table=tuple(table))
     found = Choice(base, best, gap=True, table=tuple(table))
     standing = nearest(_no_larger([h for h in table if h.names and named_whole(h, base, settings)], settings))
@@ -148,16 +149,18 @@ def dominating(
     has no name, a set with a number that no machine has, or one of what only some machines have, does away with most
     of what it leaves."""
     able = [h for h in table if _may_dominate(h, base, settings)]
+    best = max(able, key=lambda h: h.score.total, default=None)
+    near = [h for h in able if best is not None and not _beats(best, h)]
     others = [h for h in table if h.names and not _common(h.names)]
     odd = [h for h in table if at_end(h.fit) and not _unmoved(h.fit)]
-    standing = [h for h in nearest(able) if not any(_beats(o, h) for o in odd if not _within(h, o))]
+    standing = [h for h in near if not any(_beats(o, h) for o in odd if not _within(h, o))]
     standing = [h for h in standing if not any(_takes_much(o, h, base, settings) for o in others if not _within(h, o))]
-    return [h for h in standing if not any(overtakes(n, h, base, settings) for n in beside(h, folds))]
+    return nearest(h for h in standing if not any(overtakes(n, h, base, settings) for n in beside(h, folds)))
 
 
 def overtakes(rival: Nameless, hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether a force without a name speaks against a set that is named in part: it takes a third of what the set does,
-    and is no mere remainder; or sizes change over the session."""
+    """Whether a force without a name speaks against a set that is named in part: it takes a good part of what the set
+    does, and is no mere remainder; or sizes change over the session."""
     if rival.kind == "time":
         return refutes(rival, base, settings)
     taken = float(np.sqrt(max(base.floors**2 - hypothesis.floors**2, 0.0)))

@@ -20,7 +20,7 @@ def with_intervals(hypothesis: Hypothesis) -> tuple[Named, ...]:
     """The effects with 90 % intervals, strongest first: the one without which most would be left.
 
     Noise is counted as what the set leaves of choosing runs, and as long as that lasts; and the size of an effect that
-    departs from its formula by some part of itself is known to that part only.
+    may depart from its formula by some part of itself, any as likely, is known to that only.
     """
     fit, unit = hypothesis.fit, unit_of(tempered(hypothesis.left))
     ranges = fit.theory.ranges()
@@ -28,7 +28,7 @@ def with_intervals(hypothesis: Hypothesis) -> tuple[Named, ...]:
     found = []
     for effect in fit.effects:
         own = {r.name: i for i, r in enumerate(ranges) if r.owner == effect.name}
-        specs, part, ends = effect.parameters(), max(effect.departs), {}
+        specs, part, ends = effect.parameters(), max(effect.departs) / np.sqrt(3.0), {}  # any part up to that
         for name, i in own.items():
             x = fit.theta[i]
             size = 0.0 if is_place(effect, name) else x - neutral_value(type(effect)) * (i == min(own.values()))
