@@ -163,6 +163,7 @@ def record(
     carry: float | None = None,
     preset: str = "handheld",
     sensor: str = "clean",
+    camera: Path | None = None,
     effects: Path | None = None,
     let_go: float | None = None,
     procedural: str | None = None,
@@ -195,9 +196,9 @@ def record(
         carry: Factor on a take's way, 1 for its metres; by the objects' sizes when not given.
         preset: handheld (real size, filling the picture) or paper (PartNet scale, 3 m away).
         sensor: clean, noise2, tof, blur, hand, or several joined by '+'.
+        camera: camera.json of `gap`: a real camera's faults, besides the sensor's.
         effects: effects.json of the joint that is let go, for the motion release.
-        let_go: Share of its range (0 to 1) at which the joint is let go, for the motion release; drawn from the seed
-            when not given.
+        let_go: Share of its range, 0 to 1, at which it is let go; drawn when not given.
         procedural: Instead of names: a category of which --count fresh objects are drawn from the seed.
         count: How many fresh objects.
         split: Of freeart21-v1: public, to tune on, or test, which is only scored.
@@ -235,6 +236,7 @@ def record(
         carry=carry,
         preset=preset,
         sensor=sensor,
+        camera=camera,
         effects=effects,
         let_go=let_go,
         partnet_root=partnet_root,
@@ -658,29 +660,42 @@ def gap(
     measured: Annotated[Path, Positional],
     out: Path,
     replay_seconds: float = 120.0,
+    poses: Path | None = None,
 ) -> None:
-    """Find what the simulation of an asset lacks, from measured runs: name the effect, or say why not.
+    """Find what the simulation of an asset lacks, from measured runs or an RGB-D video: name it, or say why not.
 
     Args:
         asset: An asset folder or a URDF.
-        measured: A measured set (with measured.json).
-        out: Folder for verdict.json, the repaired asset and a page; an older one there is replaced.
-        replay_seconds: Seconds after which SAPIEN's replay is given up; the answer then says so.
+        measured: A measured set (with measured.json), or a sequence folder: a video of the asset.
+        out: Folder for verdict.json, what was named (the repaired asset, or camera.json for `record --camera`) and a
+            page; an older one there is replaced.
+        replay_seconds: Of a measured set: seconds after which SAPIEN's replay is given up; the answer then says so.
+        poses: Of a video: the result or truth folder that says where the asset was; the result that holds the asset, or
+            the truth beside the sequence, when not given.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from simgap.workflow import gap_folder
-
+    if not (measured / "sequence.json").is_file() and poses is not None:
+        raise FreeArtError(f"gap: --poses goes with a video; {measured} has no sequence.json")
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    verdict: Any
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         task = bars.add_task("Looking for what is missing", total=None)
 
-        def replayed(done: int, total: int) -> None:
-            bars.update(task, description="Replaying in SAPIEN", completed=done, total=total)
+        def told(what: str) -> Callable[[int, int], None]:
+            return lambda done, total: bars.update(task, description=what, completed=done, total=total)
 
-        verdict = gap_folder(asset, measured, out, replay_seconds=replay_seconds, progress=replayed)
+        if (measured / "sequence.json").is_file():
+            from simgap.film.workflow import film_gap_folder
+
+            verdict = film_gap_folder(asset, measured, out, poses, told("Comparing the films"))
+        else:
+            from simgap.workflow import gap_folder
+
+            replayed = told("Replaying in SAPIEN")
+            verdict = gap_folder(asset, measured, out, replay_seconds=replay_seconds, progress=replayed)
     for note in verdict.notes:
         print(f"- {note}", file=sys.stderr)
     print(f"{verdict.verdict}: {verdict.sentence}")

@@ -22,7 +22,7 @@ OPTION_GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
     "record": {
         "what is filmed": ("procedural", "count", "split", "partnet_root", "joint", "skip_missing"),
         "how it moves": ("motion", "carry", "seed", "effects", "let_go"),
-        "how it is filmed": ("frames", "preset", "sensor", "queries", "width", "height", "shader"),
+        "how it is filmed": ("frames", "preset", "sensor", "camera", "queries", "width", "height", "shader"),
     },
     "teleop": {
         "what is moved": ("seed", "partnet_root", "joint", "skip_missing"),

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3
+from freeart21.camera_faults import CameraFaults, incidence
 from freeart21.errors import FreeArtError
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
@@ -33,6 +34,8 @@ EXPOSURE_S = 1 / 60
 NOISE2_SHARE = 0.02
 """Standard deviation of noise2's depth, as a share of the depth."""
 
+_FAULTS = 6
+"""Random stream of the camera's faults, as `_STREAM`."""
 _STREAM = 4
 """Random stream of the sensors: frame i draws from [seed, _STREAM, i], whatever was drawn before."""
 
@@ -63,8 +66,12 @@ class Sensor:
         meshes: tuple[Mesh, Mesh],
         seed: int,
         fps: float,
+        faults: CameraFaults | None = None,
     ) -> None:
         self.name = name
+        self._faults, self._fps, self._told = faults, fps, scene.camera
+        if faults is not None:
+            scene.use(faults.seeing(scene.camera))
         self._parts = set(name.split("+"))
         self._scene, self._plan, self._loaded, self._seed = scene, plan, loaded, seed
         self._exposure = min(EXPOSURE_S * fps, 1.0)
@@ -80,6 +87,7 @@ class Sensor:
     def shoot(self, i: int) -> Shot:
         """Frame `i` of the video: the same whatever was shot before."""
         count = sub_frames(self.motion_px(i)) if "blur" in self._parts else 1
+        then = None if self._faults is None or not self._faults.depth_delay else self._past(i)
         light = self._light(i, count)
         if self._begun != i:
             self._draw(i)
@@ -92,11 +100,31 @@ class Sensor:
         elif "tof" in self._parts:
             base, gloss = self._scene.materials()
             depth = self._tof.measure(depth, infrared_albedo(base), gloss, rng)
+        if self._faults is not None:
+            depth, rgb = self._at_fault(i, depth if then is None else then, rgb)
         return Shot(rgb, depth, side > 0, side)
+
+    def _past(self, i: int) -> NDArray[np.float32]:
+        """The clean depth of the moment that frame `i`'s depth picture shows."""
+        assert self._faults is not None
+        self._draw(i - self._faults.depth_delay * self._fps)
+        self._begun = None
+        return self._scene.depth_and_side()[0]
+
+    def _at_fault(
+        self, i: int, depth: NDArray[np.float32], rgb: NDArray[np.uint8]
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Depth and colours with the camera's faults."""
+        faults = self._faults
+        assert faults is not None
+        rng = np.random.default_rng([self._seed, _FAULTS, i])
+        bright = (rgb.mean(-1) / 255).astype(np.float32)
+        depth = faults.depth(depth, bright, incidence(depth, self._scene.camera), self._told, rng)
+        return depth, faults.colour(rgb, i / max(len(self._plan.states) - 1, 1))
 
     def begin(self, i: int) -> None:
         """Let the renderer draw frame `i` while the caller does something else; `shoot` then takes the picture."""
-        if "blur" not in self._parts:
+        if "blur" not in self._parts and not (self._faults is not None and self._faults.depth_delay):
             self._draw(i)
             self._begun = i
 
@@ -139,6 +167,7 @@ def make_sensor(
     meshes: tuple[Mesh, Mesh],
     seed: int,
     fps: float,
+    faults: CameraFaults | None = None,
 ) -> Sensor:
     """The sensor `name` before `scene`, filming `plan`.
 
@@ -150,11 +179,12 @@ def make_sensor(
         meshes: parent side and child side in the object's frame at joint state zero.
         seed: of everything random.
         fps: frames per second.
+        faults: what a real camera does besides, after all others; a delayed depth picture is a clean one.
 
     Raises FreeArtError when the name is unknown or joins what cannot be joined.
     """
     check_sensor(name)
-    return Sensor(name, scene, plan, loaded, meshes, seed, fps)
+    return Sensor(name, scene, plan, loaded, meshes, seed, fps, faults)
 
 
 def check_sensor(name: str) -> None:

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from freeart21 import catalog
 from freeart21.articulation import Articulation
 from freeart21.camera import Camera
+from freeart21.camera_faults import ROOM_M
 from freeart21.effects import Effect, effect_from_json
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import EFFECTS_SCHEMA
 from freeart21.files.benchmark import file_sha256
+from freeart21.files.camera_faults import read_camera_faults
 from freeart21.files.sequence import MAX_SIDE, encode_depth, write_header, write_queries
 from freeart21.files.take import MAX_TAKE_BYTES
 from freeart21.files.truth import write_truth
@@ -100,6 +102,8 @@ class RecordSettings:
     """How large the object is and how far away: one of `generator.motion.PRESETS`."""
     sensor: str = "clean"
     """What the camera adds: one of `generator.sensor.SENSORS`, or several joined by '+'."""
+    camera: Path | None = None
+    """camera.json of what a real camera does to its pictures (`freeart21.camera_faults`), put upon the sensor's."""
     effects: Path | None = None
     """effects.json of the released joint, for the motion 'release'."""
     let_go: float | None = None
@@ -158,6 +162,8 @@ class RecordSettings:
             if value not in known:
                 raise FreeArtError(f"unknown {what} '{value}'; {what}s: {', '.join(known)}")
         check_sensor(self.sensor)
+        if self.camera is not None:
+            read_camera_faults(self.camera)
         if self.effects is not None and self.motion != "release":
             raise FreeArtError(
                 f"effects act on a joint that is let go: they go with the motion release, not {self.motion}"
@@ -173,7 +179,8 @@ class RecordSettings:
         facts = asdict(self)
         del facts["partnet_root"]
         facts["effects"] = None if self.effects is None else checked.read_json(self.effects)
-        for later in ("let_go", "track", "urdf"):
+        facts["camera"] = None if self.camera is None else checked.read_json(self.camera)
+        for later in ("let_go", "track", "urdf", "camera"):
             if getattr(self, later) is None:
                 del facts[later]  # what was recorded before there was a choice
         if self.track is None:
@@ -377,10 +384,13 @@ class Session:
         self.meshes: tuple[Mesh, Mesh] = fine[0], fine[1]
         self.camera, self.plan = planned(loaded, settings, model)
         near, far = depth_bounds(self.plan.Ts_camera_object, diagonal)
-        self.depth_scale = nice_scale(far / 65000)
+        self.depth_scale = nice_scale((far if settings.camera is None else 2 * far + ROOM_M) / 65000)
         groups = [side.links for side in loaded.sides]
+        faults = None if settings.camera is None else read_camera_faults(settings.camera)
         self.scene = Scene(loaded.asset.urdf, groups, self.camera, near, far, settings.shader)
-        self.sensor = make_sensor(settings.sensor, self.scene, self.plan, loaded, coarse, settings.seed, settings.fps)
+        self.sensor = make_sensor(
+            settings.sensor, self.scene, self.plan, loaded, coarse, settings.seed, settings.fps, faults
+        )
         self._may_hide = "hand" in settings.sensor.split("+")
         self._counts = np.zeros((settings.frames, 2), np.int64)
         self._done = 0
@@ -480,6 +490,7 @@ class Session:
         T_parent = (view.T_camera_reference, view.T_camera_reference @ parts.joint.transform(view.state))
         positions = {**self.loaded.asset.held, self.loaded.joint.name: view.state}
         query = view.query
+        self.scene.use(self.camera)
         T_camera_world = query.T_newcam_cam @ self.plan.Ts_camera_world[query.pose_of_frame]
         picture = self.scene.render(T_parent[parts.order.index(0)], positions, T_camera_world)
         self._require_seen(picture.side, f"held-out view {i}")

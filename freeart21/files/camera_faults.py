@@ -1,0 +1,44 @@
+"""A file of what a camera does to its pictures: written by `gap`, taken by `record --camera`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from freeart21.camera_faults import CameraFaults
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+
+SCHEMA = "freeart21/camera-faults/1"
+
+
+def faults_json(faults: CameraFaults) -> dict[str, Any]:
+    """What the file says: only what departs from a camera without fault."""
+    plain = asdict(CameraFaults())
+    return {"schema": SCHEMA} | {name: value for name, value in asdict(faults).items() if value != plain[name]}
+
+
+def write_camera_faults(path: Path, faults: CameraFaults) -> None:
+    """Write the file, whole or not at all."""
+    atomic.write_json(path, faults_json(faults))
+
+
+def read_camera_faults(path: Path) -> CameraFaults:
+    """The faults in a file; FreeArtError names a number that is unknown, no number or out of all bounds."""
+    data = checked.read_json(path, SCHEMA)
+    known = [field.name for field in fields(CameraFaults)]
+    values: dict[str, Any] = {}
+    for name, value in data.items():
+        if name == "schema":
+            continue
+        if name not in known:
+            raise FreeArtError(f"{path}: unknown camera fault '{name}'; known: {', '.join(known)}")
+        if name in ("exposure", "gamma"):
+            values[name] = tuple(checked.numbers(data, name, (None,), path))
+        else:
+            values[name] = value
+    try:
+        return CameraFaults(**values)
+    except FreeArtError as error:
+        raise FreeArtError(f"{path}: {error}") from error

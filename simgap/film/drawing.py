@@ -1,0 +1,125 @@
+"""The simulated film: one frame's depth, colours and angles, by a z-buffer of our own on the CPU.
+
+It shares nothing with the renderer that made a recording: what both get wrong alike would not be seen.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.se3 import Array
+from simgap.film.scene import FilmScene, Skin
+
+Map = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One simulated picture."""
+
+    depth: Map
+    """(height, width) z-depth, metres; 0 where there is nothing."""
+    part: NDArray[np.uint8]
+    """(height, width): 0 nothing, 1 reference, 2 moving."""
+    normals: Map
+    """(height, width, 3) unit normals in the camera frame, towards the camera; zero where there is nothing."""
+    cosine: Map
+    """(height, width) of the angle of incidence; 1 where there is nothing."""
+    rgb: Map
+    """(height, width, 3) sRGB, 0 to 255, as the textures have it: nothing is lit."""
+
+    @property
+    def brightness(self) -> Map:
+        """(height, width) mean of sRGB, 0 to 1."""
+        return np.asarray(self.rgb.mean(-1) / np.float32(255))
+
+
+def draw(scene: FilmScene, camera: Camera, Ts: tuple[Array, Array], colours: bool = True) -> Drawn:
+    """The picture of both parts at the poses `Ts` (4, 4), camera from canonical."""
+    shape = (camera.height, camera.width)
+    depth, face = np.full(shape, np.inf), np.full(shape, -1, np.int64)
+    weights, part = np.zeros((*shape, 2)), np.zeros(shape, np.uint8)
+    normals, rgb = np.zeros((*shape, 3), np.float32), np.zeros((*shape, 3), np.float32)
+    posed = [se3.transform(T, skin.vertices) for T, skin in zip(Ts, scene.parts, strict=True)]
+    for k, (vertices, skin) in enumerate(zip(posed, scene.parts, strict=True)):
+        at = camera.project(np.where(vertices[:, 2:] > 1e-6, vertices, [0.0, 0.0, 1.0]))
+        _fill(at, vertices[:, 2], skin.faces, depth, face, weights, part, k + 1)
+    rays = camera.rays()
+    cosine = np.ones(shape, np.float32)
+    for k, (vertices, skin) in enumerate(zip(posed, scene.parts, strict=True)):
+        on = part == k + 1
+        if not on.any():
+            continue
+        faces = skin.faces[face[on]]
+        a, b, c = (vertices[faces[:, i]] for i in range(3))
+        n = np.cross(b - a, c - a)
+        n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-15)
+        ray = rays[on]
+        across = (n * ray).sum(1)
+        n = np.where(across[:, None] > 0, -n, n)
+        normals[on] = n
+        cosine[on] = np.abs(across) / np.linalg.norm(ray, axis=1)
+        if colours:
+            rgb[on] = _colours(skin, faces, face[on], weights[on])
+    return Drawn(np.where(part > 0, depth, 0).astype(np.float32), part, normals, cosine, rgb)
+
+
+def between(Ts: Array, t: float) -> Array:
+    """The pose (4, 4) at time `t`, in frames, of poses (n, 4, 4): constant twists from frame to frame, and beyond."""
+    k = int(np.clip(np.floor(t), 0, max(len(Ts) - 2, 0)))
+    if len(Ts) == 1:
+        return np.asarray(Ts[0])
+    return np.asarray(Ts[k] @ se3.exp_se3((t - k) * se3.log_se3(se3.inverse(Ts[k]) @ Ts[k + 1])))
+
+
+def _colours(skin: Skin, corners: NDArray[np.int64], faces: NDArray[np.int64], weights: Array) -> Array:
+    w = np.column_stack([weights, 1 - weights.sum(1)])
+    out = np.einsum("nk,nkd->nd", w, skin.colours[corners])
+    index = skin.texture[faces]
+    for t, picture in enumerate(skin.textures):
+        on = index == t
+        if on.any():
+            uv = np.einsum("nk,nkd->nd", w[on], skin.uv[corners[on]])
+            h, width = picture.shape[:2]
+            column = np.floor(np.mod(uv[:, 0], 1.0) * width).astype(int).clip(0, width - 1)
+            row = np.floor(np.mod(1.0 - uv[:, 1], 1.0) * h).astype(int).clip(0, h - 1)
+            out[on] = picture[row, column]
+    return out
+
+
+@njit(cache=True)
+def _fill(at, z, faces, nearest, face, weights, part, label):  # pragma: no cover
+    """Enter triangles with corners at pixels `at` (V, 2) and depths `z` (V,) where they are nearer than `nearest`.
+
+    Inverse depth is linear in the picture. Triangles that reach behind the camera are left out.
+    """
+    h, w = nearest.shape
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if z[a] <= 1e-6 or z[b] <= 1e-6 or z[c] <= 1e-6:
+            continue
+        ax, ay, bx, by, cx, cy = at[a, 0], at[a, 1], at[b, 0], at[b, 1], at[c, 0], at[c, 1]
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if area == 0:
+            continue
+        first, last = max(0, math.ceil(min(ax, bx, cx) - 0.5)), min(w - 1, math.floor(max(ax, bx, cx) - 0.5))
+        top, bottom = max(0, math.ceil(min(ay, by, cy) - 0.5)), min(h - 1, math.floor(max(ay, by, cy) - 0.5))
+        for y in range(top, bottom + 1):
+            for x in range(first, last + 1):
+                u, v = x + 0.5, y + 0.5
+                p = ((bx - u) * (cy - v) - (by - v) * (cx - u)) / area
+                q = ((cx - u) * (ay - v) - (cy - v) * (ax - u)) / area
+                r = 1 - p - q
+                if p < -1e-9 or q < -1e-9 or r < -1e-9:
+                    continue
+                d = 1 / (p / z[a] + q / z[b] + r / z[c])
+                if d < nearest[y, x]:
+                    nearest[y, x], face[y, x], part[y, x] = d, f, label
+                    weights[y, x, 0], weights[y, x, 1] = p * d / z[a], q * d / z[b]

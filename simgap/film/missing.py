@@ -1,0 +1,131 @@
+"""A part that the asset lacks: measured points where the asset has none, which keep their place on one of its parts.
+
+A hand comes and goes; what belongs to a part is there, at the same place of the part, whenever that place can be seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.recording import Recording
+from freeart21.se3 import Array
+from simgap.film.samples import Rows
+from simgap.film.scene import FilmScene
+
+CELLS = 30
+"""Cells along the object's diagonal: a cell is larger than what poses and depth are off by (1 % of the diagonal)."""
+LEAST_SHARE = 0.01
+"""Of the object's pixels that the blob must cover in the frames that show it: less is a rim of the mask."""
+KEEPS = 0.6
+"""Share of the frames that can see a place of it in which something must be there."""
+LEAST_FRAMES = 4
+LEAST_CELLS = 3
+LEAST_TOLD = 0.5
+"""Share of the confirming frames' excess points that must lie in the blob's cells."""
+
+
+@dataclass(frozen=True)
+class MissingPart:
+    """Something rigid with a part of the asset, which it lacks."""
+
+    part: str
+    """'reference' or 'moving'."""
+    middle: Array
+    """(3,) metres, canonical frame at state zero."""
+    size: Array
+    """(3,) metres: the sides of its box."""
+    frames: int
+    """Confirming frames that show it."""
+    told: float
+    """Share of the confirming frames' excess points that lie in it."""
+    pixels: float
+    """Of the object's pixels in such frames, the share that it covers."""
+
+
+def missing_part(
+    recording: Recording,
+    scene: FilmScene,
+    rows: Rows,
+    split: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
+) -> MissingPart | None:
+    """What the frames show that keeps its place on a part; None where nothing does."""
+    learn = np.sort(np.concatenate(split[:2]))
+    counts = np.array([len(f.excess) for f in rows.frames])
+    if (counts[learn] > 5).sum() < LEAST_FRAMES:
+        return None
+    cell = scene.diagonal / CELLS
+    found = []
+    for k, name in enumerate(("reference", "moving")):
+        cells = _kept(recording, scene, rows, learn, k, cell)
+        if len(cells) >= LEAST_CELLS:
+            told, frames, pixels = _told(rows, scene, split[2], k, cells, cell)
+            found.append((told, name, cells, frames, pixels))
+    if not found:
+        return None
+    told, name, cells, frames, pixels = max(found, key=lambda f: f[0])
+    if told < LEAST_TOLD or frames < 2 or pixels < LEAST_SHARE:
+        return None
+    low, high = cells.min(0) * cell, (cells.max(0) + 1) * cell
+    return MissingPart(name, (low + high) / 2, high - low, frames, told, pixels)
+
+
+def _places(rows: Rows, scene: FilmScene, i: int, k: int, cell: float) -> NDArray[np.int64]:
+    """(m, 3) cells of a frame's excess points in the frame of part `k`."""
+    frame = rows.frames[i]
+    return np.floor(se3.transform(se3.inverse(scene.placed.Ts[k][frame.frame]), frame.excess) / cell).astype(int)
+
+
+def _kept(
+    recording: Recording, scene: FilmScene, rows: Rows, learn: NDArray[np.int64], k: int, cell: float
+) -> NDArray[np.int64]:
+    """(m, 3) cells of part `k` in which something is in most frames that can see them."""
+    shown: dict[tuple[int, ...], int] = {}
+    for i in learn:
+        for place in {tuple(p) for p in _places(rows, scene, int(i), k, cell).tolist()}:
+            shown[place] = shown.get(place, 0) + 1
+    cells = np.array([place for place, times in shown.items() if times >= LEAST_FRAMES], int).reshape(-1, 3)
+    if not len(cells):
+        return cells
+    empty = np.zeros(len(cells))
+    for i in learn:
+        frame = recording.frame(rows.frames[int(i)].frame)
+        points = se3.transform(scene.placed.Ts[k][rows.frames[int(i)].frame], (cells + 0.5) * cell)
+        empty += _looked_through(recording.camera, frame.depth, frame.mask, points, cell)
+    times = np.array([shown[tuple(c)] for c in cells.tolist()])
+    return np.asarray(cells[times / (times + empty) >= KEEPS])
+
+
+def _looked_through(
+    camera: Camera, depth: NDArray, mask: NDArray[np.bool_], points: Array, cell: float
+) -> NDArray[np.bool_]:
+    """Whether the picture shows something behind each point, or nothing of the object there."""
+    at = np.floor(camera.project(points)).astype(int)
+    inside = (at[:, 0] >= 0) & (at[:, 1] >= 0) & (at[:, 0] < camera.width) & (at[:, 1] < camera.height)
+    out = np.zeros(len(points), bool)
+    u, v = at[inside, 0], at[inside, 1]
+    behind = depth[v, u] > points[inside, 2] + 2 * cell
+    nothing = ~mask[v, u] & ((depth[v, u] == 0) | behind)
+    out[inside] = behind | nothing
+    return out
+
+
+def _told(
+    rows: Rows, scene: FilmScene, frames: NDArray[np.int64], k: int, cells: NDArray[np.int64], cell: float
+) -> tuple[float, int, float]:
+    """Share of the frames' excess points in the cells or beside them, frames that show some, and pixels' share."""
+    reach = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    wide = {tuple(c) for c in (cells[:, None] + reach).reshape(-1, 3).tolist()}
+    inside, total, seen, shares = 0, 0, 0, []
+    for i in frames:
+        places = _places(rows, scene, int(i), k, cell).tolist()
+        hits = sum(tuple(p) in wide for p in places)
+        inside, total = inside + hits, total + len(places)
+        if hits > 5:
+            seen += 1
+            shares.append(rows.frames[int(i)].beside * hits / len(places) / max(rows.frames[int(i)].pixels, 1))
+    return inside / max(total, 1), seen, float(np.median(shares)) if shares else 0.0

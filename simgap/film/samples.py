@@ -1,0 +1,343 @@
+"""Where both films are compared: pixels inside the object, and points on its outline, a few thousand a frame.
+
+Three kinds of rows stand side by side: the depth of inner pixels, the outline of the mask (which goes with the colour
+picture) and the outline of the depth picture. What a camera may do is, to first order, a column over these rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from freeart21 import se3
+from freeart21.camera import Camera
+from freeart21.camera_faults import CameraFaults, decoded
+from freeart21.recording import Frame, Recording
+from freeart21.se3 import Array
+from simgap.film.drawing import Drawn, between, draw
+from simgap.film.scene import FilmScene
+
+INNER_PX = 3.0
+"""Pixels from any depth edge that count as inside; a flying pixel's reach in published cameras is 1 or 2."""
+EDGE_SHARE = 0.03
+"""Step of the depth, as a share of itself, that is an edge: a surface at 80 degrees steps by 1 % a pixel at f = 570."""
+REACH_PX = 7.0
+"""How far along its normal an outline is looked for."""
+STEP_PX = 0.25
+PAIR_PX = 4
+"""Pixels apart whose errors are compared for noise: real depth cameras smooth over their neighbours, which differ by
+less than the noise."""
+BAND_PX = 5.0
+"""Pixels from a depth edge, on the nearer surface, where flying pixels are looked for."""
+MOST_INNER, MOST_EDGE, MOST_BAND = 1500, 400, 600
+"""Rows of each kind a frame: more say the same, as pixels beside each other do."""
+AHEAD = 0.5
+"""Frames by which the motion is looked at for its speed in the picture."""
+
+
+@dataclass(frozen=True)
+class FrameRows:
+    """One frame's rows. Lengths of the three blocks: n inner pixels, e outline points, b pixels at edges."""
+
+    frame: int
+    share: float
+    """Of the film, 0 to 1."""
+    # inner pixels
+    error: Array
+    """(n,) measured less simulated depth, metres; NaN for a hole."""
+    z: Array
+    """(n,) simulated depth, metres."""
+    at: Array
+    """(n, 2) pixels from the principal point."""
+    slope: Array
+    """(n, 2) of the simulated depth in the picture, metres a pixel."""
+    later: Array
+    """(n,) how the simulated depth changes with a delay of the depth picture, metres a second."""
+    cosine: Array
+    brightness: Array
+    """(n,) of the asset there, sRGB 0 to 1."""
+    measured_brightness: Array
+    """(n,) of the picture there."""
+    part: NDArray[np.int64]
+    normal: Array
+    """(n, 3) camera frame."""
+    pair: Array
+    """(n,) second difference of the error over `PAIR_PX` to both sides, over root 6, metres; NaN where there is none.
+
+    It is as large as the noise, and blind to what is smooth.
+    """
+    near: Array
+    """(n,) the same over the next pixels."""
+    stops: Array
+    """(n,) measured over simulated linear light, powers of two; NaN where a picture is too dark or bright to tell."""
+    light: Array
+    """(n,) log2 of the simulated linear light."""
+    # outlines
+    outline: Array
+    """(e, 2) from the principal point, pixels."""
+    outward: Array
+    """(e, 2) unit normals in the picture."""
+    outline_part: NDArray[np.int64]
+    outline_z: Array
+    mask_off: Array
+    """(e,) how far the measured mask reaches beyond the simulated one, pixels; NaN where it is not told."""
+    depth_off: Array
+    """(e,) the same of the measured depth picture."""
+    moving: Array
+    """(e,) how far the outline goes outwards with a delay, pixels a second."""
+    # at edges
+    band: Array
+    """(b,) pixels to the depth edge."""
+    flying: NDArray[np.bool_]
+    # of the whole frame
+    pixels: int
+    """Of the simulated object."""
+    excess: Array
+    """(m, 3) measured points, camera frame, in the mask but before or beside the asset by far."""
+    beside: int
+    """How many pixels such points stand for."""
+
+
+_FIELDS = tuple(field.name for field in fields(FrameRows))
+
+
+class Rows:
+    """All frames' rows: `rows["error"]` are those of one kind, one frame below the other."""
+
+    def __init__(self, frames: tuple[FrameRows, ...]) -> None:
+        self.frames = frames
+        self._joined: dict[str, NDArray] = {}
+
+    def __getitem__(self, name: str) -> NDArray:
+        if name not in self._joined:
+            self._joined[name] = np.concatenate([np.atleast_1d(getattr(frame, name)) for frame in self.frames])
+        return self._joined[name]
+
+    def of(self, name: str) -> NDArray[np.int64]:
+        """(rows,) index into `frames` for the rows of the field `name`."""
+        return np.repeat(np.arange(len(self.frames)), [len(np.atleast_1d(getattr(f, name))) for f in self.frames])
+
+    def only(self, chosen: NDArray[np.int64]) -> Rows:
+        """The rows of some frames, by their index here."""
+        return Rows(tuple(self.frames[int(i)] for i in chosen))
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """One frame as the simulated camera has it."""
+
+    colour: Drawn
+    depth: Drawn
+
+
+def simulated(scene: FilmScene, camera: Camera, faults: CameraFaults, frame: float, fps: float) -> Simulated:
+    """The two pictures of a moment, with what `faults` does to their geometry and timing alone."""
+    seeing = faults.seeing(camera)
+    Ts = between(scene.placed.Ts[0], frame), between(scene.placed.Ts[1], frame)
+    colour = draw(scene, seeing, Ts)
+    if not (faults.depth_shift_u or faults.depth_shift_v or faults.depth_turn or faults.depth_delay):
+        return Simulated(colour, colour)
+    K = np.array(seeing.K)
+    K[:2, 2] += faults.depth_shift_u, faults.depth_shift_v
+    roll = se3.pose(se3.exp_so3(np.array([0.0, 0.0, faults.depth_turn])), np.zeros(3))
+    then = frame - faults.depth_delay * fps
+    Ts = roll @ between(scene.placed.Ts[0], then), roll @ between(scene.placed.Ts[1], then)
+    return Simulated(colour, draw(scene, Camera(K, camera.width, camera.height), Ts))
+
+
+def rows_of(
+    recording: Recording,
+    scene: FilmScene,
+    frames: Sequence[int] | NDArray[np.int64],
+    faults: CameraFaults | None = None,
+    tell: Callable[[], None] = lambda: None,
+) -> Rows:
+    """The rows of `frames`, about the simulated camera with the geometry of `faults`.
+
+    What `faults` says of the depth's size and noise changes no row but those at edges, where it says what flies.
+    """
+    faults = faults or CameraFaults()
+    fps = 1 / float(np.median(np.diff(recording.times_s)))
+    rows = []
+    for i in frames:
+        rows.append(_frame_rows(recording, scene, int(i), faults, fps))
+        tell()
+    return Rows(tuple(rows))
+
+
+def _frame_rows(recording: Recording, scene: FilmScene, i: int, faults: CameraFaults, fps: float) -> FrameRows:
+    camera, frame = recording.camera, recording.frame(i)
+    now, before = (simulated(scene, camera, faults, t, fps) for t in (i, i - AHEAD))
+    rng = np.random.default_rng([i, 41])
+    principal = faults.seeing(camera).K[:2, 2]
+    share = i / max(len(recording) - 1, 1)
+    outlines = _outlines(now, before, frame, principal, fps, rng)
+    inner = _inner(now, before, frame, principal, fps, rng)
+    band, flying = _band(now.depth, frame, faults, rng)
+    excess, beside = _excess(now, frame, camera, rng)
+    pixels = int((now.colour.part > 0).sum())
+    values = (i, share, *inner, *outlines, band, flying, pixels, excess, beside)
+    return FrameRows(**dict[str, Any](zip(_FIELDS, values, strict=True)))
+
+
+def depth_edges(depth: NDArray) -> tuple[NDArray[np.bool_], NDArray]:
+    """Pixels at which the depth ends or steps away, on the nearer surface, and all others' distance to one, px."""
+    filled = np.where(depth > 0, depth, 1e3).astype(np.float32)
+    kernel = np.ones((3, 3), np.uint8)
+    nearer = (depth > 0) & (cv2.dilate(filled, kernel) > (1 + EDGE_SHARE) * filled)
+    either = nearer | ((depth > 0) & (cv2.erode(filled, kernel) < (1 - EDGE_SHARE) * filled)) | (depth <= 0)
+    return nearer, cv2.distanceTransform((~either).astype(np.uint8), cv2.DIST_L2, 3)
+
+
+def _chosen(mask: NDArray[np.bool_], most: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    flat = np.flatnonzero(mask)
+    return np.sort(rng.choice(flat, most, replace=False)) if len(flat) > most else flat
+
+
+def _inner(
+    now: Simulated, before: Simulated, frame: Frame, principal: Array, fps: float, rng: np.random.Generator
+) -> tuple[NDArray, ...]:
+    z = now.depth.depth.astype(float)
+    inside = cv2.distanceTransform(frame.mask.astype(np.uint8), cv2.DIST_L2, 3) > INNER_PX
+    ok = (depth_edges(z)[1] >= INNER_PX) & inside
+    error = np.where(frame.depth > 0, frame.depth - z, np.nan)
+    pair = np.full(z.shape, np.nan)
+    near = np.full(z.shape, np.nan)
+    for out, far in ((pair, PAIR_PX), (near, 1)):
+        bent = error[:, 2 * far :] - 2 * error[:, far:-far] + error[:, : -2 * far]
+        inside_all = ok[:, 2 * far :] & ok[:, far:-far] & ok[:, : -2 * far]
+        out[:, far:-far] = np.where(inside_all, bent / np.sqrt(6), np.nan)
+    slope_v, slope_u = np.gradient(z)
+    same = before.depth.part == now.depth.part
+    later = np.where(same, before.depth.depth - z, 0.0) * fps / AHEAD
+    later[np.abs(later) > EDGE_SHARE * z * fps / AHEAD] = 0.0
+    k = _chosen(ok, MOST_INNER, rng)
+    v, u = np.divmod(k, z.shape[1])
+    at = np.stack([u + 0.5, v + 0.5], -1) - principal
+    light = decoded(np.asarray(now.colour.rgb[..., 1].flat[k]) / 255)  # one channel: tone curves bend each
+    seen = decoded(np.asarray(frame.rgb[..., 1].flat[k]) / 255)
+    told = (now.colour.part.flat[k] > 0) & (light > 0.004) & (seen > 0.004) & (frame.rgb.max(-1).flat[k] < 250)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stops = np.where(told, np.log2(seen / light), np.nan)
+    return (
+        error.flat[k],
+        z.flat[k],
+        at,
+        np.stack([slope_u.flat[k], slope_v.flat[k]], -1),
+        later.flat[k],
+        np.asarray(now.depth.cosine.flat[k], float),
+        np.asarray(now.depth.brightness.flat[k], float),
+        np.asarray(frame.rgb.mean(-1).flat[k]) / 255,
+        np.asarray(now.depth.part.flat[k], int),
+        now.depth.normals.reshape(-1, 3)[k].astype(float),
+        pair.flat[k],
+        near.flat[k],
+        stops,
+        np.log2(np.maximum(light, 1e-6)),
+    )
+
+
+def _outlines(
+    now: Simulated, before: Simulated, frame: Frame, principal: Array, fps: float, rng: np.random.Generator
+) -> tuple[NDArray, ...]:
+    """Points on the simulated outline of the whole object, and where both measured outlines cross their normals."""
+    found: list[tuple[NDArray, ...]] = []
+    for picture, which in ((now.colour, "mask"), (now.depth, "depth")):
+        on = picture.part > 0
+        soft = cv2.GaussianBlur(on.astype(np.float32), (0, 0), 1.5)
+        rim = on & (cv2.erode(on.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0)
+        rim[:8], rim[-8:], rim[:, :8], rim[:, -8:] = False, False, False, False
+        k = _chosen(rim, MOST_EDGE, rng) if which == "mask" or now.depth is not now.colour else found[0][0]
+        v, u = np.divmod(k, on.shape[1])
+        gv, gu = np.gradient(soft)
+        n = -np.stack([gu.flat[k], gv.flat[k]], -1)
+        n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-9)
+        z = picture.depth.flat[k].astype(float)
+        crossing = _crossing(on, u, v, n)
+        if which == "mask":
+            off = _crossing(frame.mask, u, v, n) - crossing
+        else:
+            near = (frame.depth > 0) & (np.abs(frame.depth - _spread_out(picture.depth)) < 0.08 * frame.depth)
+            off = _crossing(near, u, v, n) - crossing
+            moved = _crossing(before.depth.part > 0, u, v, n) - crossing
+        at = np.stack([u + 0.5, v + 0.5], -1) - principal
+        found.append((k, at, n, picture.part.flat[k].astype(int), z, off))
+    (_, at, n, part, z, mask_off), (_, at_d, n_d, part_d, z_d, depth_off) = found
+    nothing, none = np.full(len(at_d), np.nan), np.full(len(at), np.nan)
+    if now.depth is now.colour:
+        return at, n, part, z, mask_off, depth_off, np.nan_to_num(moved) * fps / AHEAD
+    return (
+        np.concatenate([at, at_d]),
+        np.concatenate([n, n_d]),
+        np.concatenate([part, part_d]),
+        np.concatenate([z, z_d]),
+        np.concatenate([mask_off, nothing]),
+        np.concatenate([none, depth_off]),
+        np.concatenate([np.zeros(len(at)), np.nan_to_num(moved) * fps / AHEAD]),
+    )
+
+
+def _spread_out(depth: NDArray) -> NDArray:
+    """The depth picture with each empty pixel near the object given its nearest one's depth (of a 15-pixel window)."""
+    filled = np.where(depth > 0, depth, 0).astype(np.float32)
+    return np.where(depth > 0, depth, cv2.dilate(filled, np.ones((15, 15), np.uint8)))
+
+
+def _crossing(on: NDArray[np.bool_], u: NDArray, v: NDArray, n: Array) -> Array:
+    """(k,) where, along the normal, what is `on` ends: the place that parts on from off best; NaN where none does."""
+    steps = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
+    columns, rows = u[:, None] + n[:, :1] * steps, v[:, None] + n[:, 1:] * steps
+    values = map_coordinates(on.astype(np.float32), [rows, columns], order=1, mode="nearest")
+    score = np.cumsum(values - 0.5, axis=1)
+    best = score.argmax(1)
+    inside, outside = values[:, : len(steps) // 4].mean(1), values[:, -len(steps) // 4 :].mean(1)
+    told = (best > 0) & (best < len(steps) - 1) & (inside > 0.5) & (outside < 0.5)
+    k = np.clip(best, 0, len(steps) - 2)
+    a, b = np.take_along_axis(values, k[:, None], 1)[:, 0], np.take_along_axis(values, k[:, None] + 1, 1)[:, 0]
+    part = np.clip((a - 0.5) / np.maximum(a - b, 1e-6), 0, 1)
+    return np.where(told, steps[k] + STEP_PX * part, np.nan)
+
+
+def _band(
+    depth: Drawn, frame: Frame, faults: CameraFaults, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Distances to the next depth edge of pixels near one, and whether their measured depth is of no surface."""
+    z = depth.depth
+    nearer = depth_edges(z)[0]
+    distance = cv2.distanceTransform((~nearer).astype(np.uint8), cv2.DIST_L2, 3) + 1.0
+    band = (z > 0) & (distance <= BAND_PX) & frame.mask
+    k = _chosen(band, MOST_BAND, rng)
+    v, u = np.divmod(k, z.shape[1])
+    padded = np.pad(frame.depth, 2)
+    d = frame.depth.flat[k]
+    noise = faults.spread(z.flat[k], np.minimum(depth.cosine.flat[k], 1.0)) if faults.noise else np.zeros(len(k))
+    alike = np.zeros(len(k), int)
+    for dv in range(5):
+        for du in range(5):
+            alike += np.abs(padded[v + dv, u + du] - d) < np.maximum(0.01 * d, 3 * noise)
+    near = z.flat[k].astype(float)
+    near = near * (1 + faults.depth_scale) + faults.depth_offset + faults.depth_curve * near**2
+    beyond = d - near > np.maximum(EDGE_SHARE * near, 5 * noise)
+    return distance.flat[k].astype(float), (d > 0) & beyond & (alike - 1 < 5)
+
+
+def _excess(now: Simulated, frame: Frame, camera: Camera, rng: np.random.Generator) -> tuple[Array, int]:
+    """Measured points of the object where the asset has none: outside its outline, or well before it."""
+    on = now.colour.part > 0
+    away = cv2.distanceTransform((~on).astype(np.uint8), cv2.DIST_L2, 3)
+    inside = cv2.distanceTransform(frame.mask.astype(np.uint8), cv2.DIST_L2, 3) > 1.5
+    size = np.sqrt(max(int(on.sum()), 1))
+    outside = inside & (away > max(4.0, 0.04 * size))
+    z = now.depth.depth
+    before = inside & on & (z > 0) & (frame.depth > 0) & (frame.depth < z * (1 - 0.02) - 0.004)
+    before = cv2.morphologyEx(before.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    both = (outside | before) & (frame.depth > 0)
+    k = _chosen(both, 400, rng)
+    rays = camera.rays().reshape(-1, 3)[k]
+    return rays * frame.depth.flat[k][:, None], int(both.sum())
