@@ -138,7 +138,6 @@ def test_a_minute_of_ten_thousand_rows_a_second_takes_seconds_and_less_than_a_gi
         file.write("t_s,q,effort\n")
         np.savetxt(file, table, fmt="%.9g", delimiter=",")
     code = f"""
-import resource
 from pathlib import Path
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
@@ -146,7 +145,7 @@ from simgap.measure.data import fit_runs, thinned
 from simgap.motion.surrogate import plant_of
 measured = read_measured(Path({str(tmp_path / "set")!r}))
 runs, floor = fit_runs(measured, plant_of(read_asset(Path({str(asset_of(tmp_path))!r})), measured))
-memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+memory = int(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0]) / 2**20  # its own, no parent's
 print(memory, len(runs[0].q), len(runs[0].inputs.times_s), floor.still)
 print(thinned(measured)[0])
 """
