@@ -59,10 +59,11 @@ SHOWS = 1.25
 
 
 def told_by(gaps: Sequence[RunGap]) -> list[RunGap]:
-    """The runs that tell what an answer is worth: those that confirm it, else those that chose it, else all."""
-    for use in ("confirming", "choosing"):
+    """The runs that tell what an answer is worth: those that confirm it, else those that chose it, else those that were
+    fitted, of the first kind in which a run shows a gap at all."""
+    for use in ("confirming", "choosing", "fitted"):
         found = [gap for gap in gaps if gap.use == use]
-        if found:
+        if any(gap.before > SHOWS * gap.floor for gap in found):
             return found
     return list(gaps)
 

@@ -95,9 +95,7 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
     best = choice.explaining[0] if choice.explaining else choice.base
     confirmed = Confirmed(*(placed(h.fit, split.confirming) if split.confirming else None for h in (choice.base, best)))
     motion = verdict_of(choice, split, confirmed, runs, floor, problem)
-    before, after = (
-        started(h, there, split) for h, there in ((choice.base, confirmed.before), (best, confirmed.after))
-    )
+    before, after = (started(h, there) for h, there in ((choice.base, confirmed.before), (best, confirmed.after)))
     return Draft(
         joined(motion, geometry, measured.joint_type),
         {run.name: (before[run.name], after[run.name]) for run in runs if run.name in before and run.name in after},
@@ -113,12 +111,10 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
     )
 
 
-def started(hypothesis: Hypothesis, there: Fit | None, split: Split) -> Starts:
-    """Where runs start, by name: those kept to confirm, or those that chose where there are none."""
-    if there is not None:
-        return there.starts
-    test = split.folds[0].test if len(split.folds) == 1 else ()
-    return {**hypothesis.fit.starts, **(placed(hypothesis.fit, test).starts if test else {})}
+def started(hypothesis: Hypothesis, there: Fit | None) -> Starts:
+    """Where every run starts, by name: as fitted, as predicted, as placed before confirming runs."""
+    chose = {name: start for fit in hypothesis.foretold for name, start in fit.starts.items()}
+    return {**chose, **hypothesis.fit.starts, **(there.starts if there is not None else {})}
 
 
 def as_tracked(

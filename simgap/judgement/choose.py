@@ -126,7 +126,7 @@ def refutes(rival: Nameless, base: Hypothesis, settings: JudgementSettings) -> b
     if rival.kind == "time":
         much = any(abs(change) > settings.drift for change in rival.changes.values())
         return rival.ahead > rival.error and much
-    return rival.ahead > 0 and rival.taken > settings.good_part * excess(base.floors)
+    return rival.ahead > 0 and rival.taken > max(settings.least_gap, settings.good_part * excess(base.floors))
 
 
 def _plainer_without_name(hypothesis: Hypothesis, table: Sequence[Hypothesis], folds: tuple[Fold, ...]) -> bool:
@@ -164,7 +164,7 @@ def overtakes(rival: Nameless, hypothesis: Hypothesis, base: Hypothesis, setting
     if rival.kind == "time":
         return refutes(rival, base, settings)
     taken = float(np.sqrt(max(base.floors**2 - hypothesis.floors**2, 0.0)))
-    return rival.ahead > 0 and rival.taken > settings.rival_part * taken
+    return rival.ahead > 0 and rival.taken > max(settings.least_gap, settings.rival_part * taken)
 
 
 def _may_dominate(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
@@ -203,7 +203,7 @@ def _takes_much(other: Hypothesis, hypothesis: Hypothesis, base: Hypothesis, set
     """Whether another set does away with most of what a set leaves, and that is a good part of the gap."""
     less = float(np.sqrt(max(hypothesis.floors**2 - other.floors**2, 0.0)))
     much = excess(other.floors) < settings.much_better * excess(hypothesis.floors)
-    return much and less > settings.good_part * excess(base.floors)
+    return much and less > max(settings.least_gap, settings.good_part * excess(base.floors))
 
 
 def _unmoved(fit: Fit) -> bool:

@@ -128,6 +128,8 @@ def verdict_of(
     closing = f"{closed_text(closed, of)}."
     if not split.confirming:
         closing += " It is not confirmed: there are too few runs to keep some for that."
+    elif told[0].use != "confirming":
+        closing += " It is not confirmed: runs kept for that show no gap."
     if choice.in_part:
         said = f"Most of what the simulation misses is this: {words}. {closing}{rest}"
         return Verdict("named", named, (), gaps, (), None, said, in_part=True)

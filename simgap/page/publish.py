@@ -39,7 +39,7 @@ from simgap.proof.show import (
     show,
 )
 from simgap.proof.writeback import repaired
-from simgap.verdict import Named, RunGap, Use, Verdict
+from simgap.verdict import Named, RunGap, Use, Verdict, told_by
 
 MOST_REPLAYS = 6
 """Runs that SAPIEN replays; of every regime some."""
@@ -304,14 +304,12 @@ def _limits(asset: Asset) -> tuple[float, float]:
 
 
 def _picked(runs: list[Run], draft: Draft) -> list[Run]:
-    """Runs to replay, of those with a start: the regimes in turn."""
+    """Runs to replay, of those with a start that tell what the answer is worth: the regimes in turn."""
+    tell = {gap.run for gap in told_by(draft.verdict.gaps)}
     by_regime: dict[str, list[Run]] = {}
-    for use in ("confirming", "choosing", "fitted"):  # only where there is none of one kind the next one tells
-        pool = [run for run in runs if draft.uses.get(run.name, "fitted") == use]
-        for run in pool:
+    for run in runs:
+        if run.name in tell:
             by_regime.setdefault(draft.regimes.get(run.name, ""), []).append(run)
-        if pool:
-            break
     turns = [group[k] for k in range(len(runs)) for group in by_regime.values() if k < len(group)]
     return turns[:MOST_REPLAYS]
 
