@@ -14,7 +14,7 @@ class ReturnSpring(Effect):
     acts: ClassVar[Acts] = "force"
     spans: ClassVar[tuple[str, ...]] = ("position", "direction")
     knows_speed: ClassVar[bool] = False
-    departs: ClassVar[tuple[float, float]] = (0.0, 0.05)  # it may harden a little; it knows no speed
+    departs: ClassVar[tuple[float, float]] = (0.0, 0.1)  # a coil's rate is even over the middle of its way only
 
     stiffness: float = parameter("N*m/rad", "N/m", 0.0, 1e6, "force per displacement", scale=1.0)
     rest: float = parameter("rad", "m", -100.0, 100.0, "position without force", scale=0.1)

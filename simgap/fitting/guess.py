@@ -6,7 +6,7 @@ the readings is compared with the residual, the starts of the runs and the small
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -109,9 +109,33 @@ class Linear:
         """(m, N) what a unit of the effect's sizes does to all readings, at all points of its grid."""
         return self._gridded(name).columns
 
+    def pushed(self, forces: Array) -> Array:
+        """(m, N) what forces (m, N), N*m or N, that act at the readings do to them, the starts being free."""
+        reader, done, parts = Reader(self.fit.theory), 0, []
+        numbers, effects = reader.numbers(self.fit.theta)
+        terms, settings = terms_of(effects), self.problem.surrogate
+        for i, run in enumerate(self.runs):
+            numbers[kernel.Q0], numbers[kernel.QD0] = self.fit.starts[run.name]
+            step = step_of(self.problem.plant, effects, settings, run.inputs.held)
+            told = run.inputs.with_rows(run.times_s)
+            rows = []
+            for force in (np.zeros(len(run.q)), *forces[:, done : done + len(run.q)]):
+                small = _MILD * self.problem.force / max(float(np.abs(force).max()), 1e-12)
+                q = sweep(numbers[None], terms, run.times_s, told.pushed(run.times_s, small * force), step)[0]
+                rows.append((readings_of(effects, q), small))
+            changes = np.array([(q - rows[0][0]) / small / run.sigma for q, small in rows[1:]])
+            parts.append(self._freed(i, changes))
+            done += len(run.q)
+        return np.concatenate(parts, 1)
+
+    def read(self, errors: Array) -> Array:
+        """(m, N) errors of the readings, rad or m, in floors, the starts being free."""
+        ends = np.cumsum([0, *(len(run.q) for run in self.runs)])
+        rows = [errors[:, a:b] / run.sigma for run, a, b in zip(self.runs, ends[:-1], ends[1:], strict=True)]
+        return np.concatenate([self._freed(i, row) for i, row in enumerate(rows)], 1)
+
     def _gridded(self, name: str) -> _Grid:
-        names = tuple(sorted((*self.fit.theory.names, name)))
-        theory = Theory(self.problem, names)
+        theory = replace(self.fit.theory, names=tuple(sorted((*self.fit.theory.names, name))))
         own = [r for r in theory.ranges() if r.owner == name]
         sizes = [r for r in own if _is_size(r, own)]
         grid = list(product(*[_grid(r, self.problem) for r in own if r not in sizes]))

@@ -11,14 +11,16 @@ from freeart21.effects import EFFECTS, Effect
 from freeart21.effects.armature import Armature
 from freeart21.effects.backlash import Backlash
 from freeart21.se3 import Array
-from simgap.motion import kernel
-from simgap.motion.surrogate import Nuisance, Plant, numbers_of
+from simgap.motion import kernel, laws
+from simgap.motion.surrogate import Nuisance, Plant, numbers_of, terms_of
 from simgap.settings import FitSettings, SurrogateSettings
 
 _FRICTION = "friction form"
 """Owner of how all dry friction that is missing builds up."""
 SHAFT = "shaft form"
 """Owner of how a drive's inertia comes back when the part stops dead: no shaft is stiff."""
+_FORM = " form"
+"""What the name of an effect is followed by in the owner of how it departs from its formula."""
 HOLDING = "holding"
 """The asset's number that says how inputs go on between their rows; no lateness of half a row is an effect."""
 
@@ -88,6 +90,13 @@ class Theory:
     prompt: bool = False
     """Whether dry friction is there at once after a reversal, as in simulators; else it builds up, as real friction
     does."""
+    departing: tuple[tuple[str, float], ...] = ()
+    """Effects, and usual first numbers of theirs, that depart from their formulas as real ones do (`Effect.departs`):
+    no oil is quite viscous and no spring quite straight. Each is then its formula, and parts of the formula at its
+    usual size that are a slope over the speeds, and a slope and a bend over the places that were moved through, any
+    size of these up to what the effect says being as likely: a discrepancy inside the model (Brynjarsdottir and O'Hagan
+    2014), so that what a strong effect's formula leaves gets no other name. At its usual size: what is no product of
+    two numbers is far easier to fit."""
 
     @property
     def classes(self) -> tuple[type[Effect], ...]:
@@ -128,6 +137,13 @@ class Theory:
             found.append(Range(SHAFT, "rebound", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
             if "armature" in self.names and not any(cls.acts == "slack" for cls in self.classes):
                 found.append(Range(SHAFT, "swing", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
+        if self.departing:
+            found += [
+                Range(cls.name + _FORM, way, -most, most, 0.3 * most, most / np.sqrt(3))
+                for cls in self.classes
+                if cls.name in dict(self.departing)
+                for way, most in departures_of(cls).items()
+            ]
         return tuple(found)
 
     def fitted_of(self, cls: type[Effect]) -> list[str]:
@@ -178,6 +194,15 @@ class Theory:
     def effects(self, theta: Array) -> tuple[Effect, ...]:
         """The added effects at parameters (p,)."""
         return Reader(self).added(theta)
+
+
+def departures_of(cls: type[Effect]) -> dict[str, float]:
+    """Ways in which a real effect departs from its formula, and by what part of itself at most."""
+    if cls.name not in laws.LAWS or cls.acts == "stop":
+        return {}
+    over_speed, over_place = cls.departs
+    ways = {"over speed": over_speed, "over place": over_place, "bend": over_place}
+    return {way: most for way, most in ways.items() if most > 0}
 
 
 class Reader:
@@ -257,4 +282,21 @@ class Reader:
             root, gripping = theta[(at := self.owners.index(_FRICTION)) : at + 2]
             numbers[kernel.TRAVEL] = problem.fit.travel_tolerance * (problem.q_high - problem.q_low) * root**2
             numbers[kernel.GRIPPING] = gripping
+        if self.theory.departing:
+            self._depart(numbers, effects, theta)
         return numbers, effects
+
+    def _depart(self, numbers: Array, effects: tuple[Effect, ...], theta: Array) -> None:
+        """Write into the kernel's vector how effects depart from their formulas."""
+        speed, middle, half = self.theory.problem.reference
+        told = {(r.owner, r.name): float(x) for r, x in zip(self.ranges, theta, strict=True)}
+        by_law = {laws.LAWS[e.name]: e for e in effects if e.name in laws.LAWS}
+        usual = dict(self.theory.departing)
+        numbers[kernel.DEPARTS] = speed
+        for which, _, at, local in terms_of(effects):
+            if not local:
+                numbers[at : at + 2] = middle, half
+            name, size = by_law[which].name, by_law[which].values()[0]
+            times = usual.get(name, 0.0) / size if size else 0.0
+            ways = ("over speed", "over place", "bend")
+            numbers[at + 2 : at + 5] = [times * told.get((name + _FORM, way), 0.0) for way in ways]

@@ -123,7 +123,7 @@ def _no_larger(whole: list[Hypothesis], settings: JudgementSettings) -> list[Hyp
 def refutes(rival: Nameless, base: Hypothesis, settings: JudgementSettings) -> bool:
     """Whether a force without a name is more probable beside a set than the set alone, and takes a good part of the gap
     in choosing runs; or sizes that change over the session are so by more than a standard error, and change by much."""
-    if rival.kind == "time":
+    if rival.kind == "session":
         much = any(abs(change) > settings.drift for change in rival.changes.values())
         return rival.ahead > rival.error and much
     return rival.ahead > 0 and rival.taken > max(settings.least_gap, settings.good_part * excess(base.floors))
@@ -145,23 +145,24 @@ def _plainer_without_name(hypothesis: Hypothesis, table: Sequence[Hypothesis], f
 def dominating(
     table: Sequence[Hypothesis], base: Hypothesis, folds: tuple[Fold, ...], settings: JudgementSettings
 ) -> list[Hypothesis]:
-    """The smallest sets of what every machine has within one standard error of the best of them; none of which what
-    has no name, a set with a number that no machine has, or one of what only some machines have, does away with most
+    """The smallest sets of what every machine has that no other of them does much better than; none of which what has
+    no name, a set with a number that no machine has, or one of what only some machines have, does away with most
     of what it leaves."""
     able = [h for h in table if _may_dominate(h, base, settings)]
-    best = max(able, key=lambda h: h.score.total, default=None)
-    near = [h for h in able if best is not None and not _beats(best, h)]
+    near = [h for h in able if not any(_beats(o, h) and _worth(o, h, base, settings) for o in able)]
     others = [h for h in table if h.names and not _common(h.names)]
     odd = [h for h in table if at_end(h.fit) and not _unmoved(h.fit)]
     standing = [h for h in near if not any(_beats(o, h) for o in odd if not _within(h, o))]
     standing = [h for h in standing if not any(_takes_much(o, h, base, settings) for o in others if not _within(h, o))]
-    return nearest(h for h in standing if not any(overtakes(n, h, base, settings) for n in beside(h, folds)))
+    standing = [h for h in standing if not any(overtakes(n, h, base, settings) for n in beside(h, folds))]
+    fewest = min((len(h.names) for h in standing), default=0)
+    return nearest(h for h in standing if len(h.names) == fewest)
 
 
 def overtakes(rival: Nameless, hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
     """Whether a force without a name speaks against a set that is named in part: it takes a good part of what the set
     does, and is no mere remainder; or sizes change over the session."""
-    if rival.kind == "time":
+    if rival.kind == "session":
         return refutes(rival, base, settings)
     taken = float(np.sqrt(max(base.floors**2 - hypothesis.floors**2, 0.0)))
     return rival.ahead > 0 and rival.taken > max(settings.least_gap, settings.rival_part * taken)
@@ -197,6 +198,13 @@ def _plainly(names: tuple[str, ...]) -> set[str]:
 def _beats(other: Hypothesis, hypothesis: Hypothesis) -> bool:
     ahead, error = lead(other.score, hypothesis.score)
     return ahead > error
+
+
+def _worth(other: Hypothesis, hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
+    """Whether another set's names are worth having: those of one as large always, of a larger one where they do away
+    with most of what is left."""
+    larger = len(other.names) > len(hypothesis.names)
+    return not larger or _takes_much(other, hypothesis, base, settings)
 
 
 def _takes_much(other: Hypothesis, hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:

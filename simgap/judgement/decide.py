@@ -33,13 +33,17 @@ _FORCES = {
     "position": "a force that depends on where the joint is",
     "velocity": "friction that depends on speed in another way",
     "direction": "a push one way, or friction that differs by direction",
-    "time": "a size that changes over the session",
+    "time": "a force that depends on the time since a run began",
+    "flexing": "parts that flex between the sensor and the load",
+    "session": "a size that changes over the session",
 }
 _LATER = {
     "position": "Move it slowly through its whole range, both ways, with a known force, and record again.",
     "velocity": "Record it at several steady speeds, both ways, with a known force.",
     "direction": "Record the same motion both ways, and once with the base turned round.",
-    "time": "Move it for some minutes, then record these runs again, the last ones first.",
+    "time": "Begin the same motion early and late after the recording is started.",
+    "flexing": "Hold the part and push the drive, and tap it at rest: what rings between them is not in the asset.",
+    "session": "Move it for some minutes, then record these runs again, the last ones first.",
     "": "Record free motion without any drive, small and large, then the same with known pushes: what is missing in "
     "both is the joint's, what only in one is the drive's.",
 }
@@ -161,8 +165,8 @@ def _unexplained(choice: Choice, gaps: tuple[RunGap, ...], floor: Floor, problem
 def _spoken(choice: Choice) -> Nameless | None:
     """The force without a name that is most probable beside what was named or was nearest, and takes a part of the
     gap."""
-    sure = [n for n in choice.nameless if n.ahead > (n.error if n.kind == "time" else 0.0)]
-    able = [n for n in sure if n.taken > _SPOKEN * choice.base.floors or (n.kind == "time" and n.changes)]
+    sure = [n for n in choice.nameless if n.ahead > (n.error if n.kind == "session" else 0.0)]
+    able = [n for n in sure if n.taken > _SPOKEN * choice.base.floors or (n.kind == "session" and n.changes)]
     return max(able, key=lambda n: n.ahead, default=None)
 
 

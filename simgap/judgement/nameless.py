@@ -1,8 +1,9 @@
 """Competitors without a name: forces of any shape beside a set, before the runs that choose.
 
 A set that stands for something else leaves what a force without a name takes: any function of position, any friction of
-speed, friction of two levels (one each way), or sizes that change over the session, as of what warms up or wears. Each
-is added to first order about the set, its many numbers fitted where the set was and held together by a prior whose size
+speed, friction of two levels (one each way), any function of the time since a run began, two masses and a spring (as
+far as that is stiff: parts that flex), or sizes that change over the session, as of what warms up or wears. Each is
+added to first order about the set, its many numbers fitted where the set was and held together by a prior whose size
 runs left out in turn tell, and judged by the same score (Brynjarsdottir and O'Hagan 2014: a discrepancy without a name
 names nothing, but tells that one is missing).
 """
@@ -16,7 +17,7 @@ import numpy as np
 
 from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
-from simgap.fitting.fit import Fit
+from simgap.fitting.fit import Fit, pieces, placed, tempered, unit_of
 from simgap.fitting.guess import Linear
 from simgap.fitting.theory import Range
 from simgap.judgement.hypotheses import Hypothesis, rms, score_parts
@@ -24,9 +25,14 @@ from simgap.judgement.predictive import Score, lead
 from simgap.judgement.split import Fold
 from simgap.measure.data import FitRun
 
-KINDS = ("position", "velocity", "direction", "time")
+KINDS = ("position", "velocity", "direction", "time", "flexing", "session")
+_MOMENTS = 6
+"""Of a run, that a force of time goes straight between."""
 _TIGHT = np.geomspace(1e-4, 1e4, 9)
 """Ridges that are tried, times what would make every column as large as all that is left."""
+_FAR, _CROSSINGS = 2.0, 5.0
+"""Floors that are left from which on runs are looked at in stretches; of these, in crossings of the range at top speed.
+As searches do."""
 _SESSION = 6
 """Runs of a session that tell whether a size changes over it: a line through fewer is hardly tested."""
 
@@ -46,7 +52,7 @@ class Nameless:
     without: float
     """... and by the set alone."""
     changes: dict[str, float]
-    """Of kind "time": effect to the part of itself that its size changes by over the session."""
+    """Of kind "session": effect to the part of itself that its size changes by over the session."""
     numbers: int
     """How many numbers it has."""
     more: Array
@@ -61,9 +67,10 @@ class Nameless:
 def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...]) -> tuple[Nameless, ...]:
     """All forces without a name beside a set of effects, or beside none."""
     seen = [
-        _Seen(trained, there, fold)
+        _Seen(*_near(trained, there, fold))
         for trained, there, fold in zip(hypothesis.trained, hypothesis.foretold, folds, strict=True)
     ]
+    folds = tuple(one.fold for one in seen)
     alone, left = _scored([(one.fit.freed, one.new.freed) for one in seen], folds)
     found = []
     for kind in KINDS:
@@ -79,6 +86,16 @@ def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...]) -> tuple[Nameless, .
     return tuple(found)
 
 
+def _near(trained: Fit, there: Fit, fold: Fold) -> tuple[Fit, Fit, Fold]:
+    """The same, of runs that are missed by much in stretches with starts of their own: there a force does what it does
+    to first order, in whole runs it is lost."""
+    if max(trained.level, there.level) <= _FAR:
+        return trained, there, fold
+    seconds = _CROSSINGS * trained.theory.problem.crossing_s
+    cut = Fold(pieces(fold.train, seconds), pieces(fold.test, seconds))
+    return placed(trained, cut.train), placed(trained, cut.test), cut
+
+
 class _Seen:
     """One fold about a fit: what is left, to first order, of runs that were fitted and of others."""
 
@@ -88,14 +105,16 @@ class _Seen:
 
     def with_(self, kind: str) -> tuple[Array, Array, Array] | None:
         """What is left of both with the force beside, and its coefficients; None where it cannot be told."""
-        if kind == "time" and len({run.turn for run in self.fold.train}) < _SESSION:
+        if kind == "session" and len({run.turn for run in self.fold.train}) < _SESSION:
             return None
         first, second = (self._columns(at, runs, kind) for at, runs in self._both())
         if not len(first):
             return None
         own = len(self.fit.parameters)
         columns = np.concatenate([self.fit.parameters, first]), np.concatenate([self.new.parameters, second])
-        sizes = _told(columns[0], self.fit.freed, _bounds(self.fold.train))
+        known = np.array([1 / r.prior**2 for r in self.trained.theory.ranges()])
+        known = np.append(unit_of(tempered(self.trained.residuals)) * known, np.zeros(len(first)))
+        sizes = _told(columns[0], self.fit.freed, _bounds(self.fold.train), known)
         return self.fit.freed - sizes @ columns[0], self.new.freed - sizes @ columns[1], sizes[own:]
 
     def _both(self) -> tuple[tuple[Linear, tuple[FitRun, ...]], ...]:
@@ -103,7 +122,16 @@ class _Seen:
 
     def _columns(self, at: Linear, runs: tuple[FitRun, ...], kind: str) -> Array:
         """(m, N) what a unit of each of its numbers does to all readings."""
+        if (
+            kind == "flexing"
+        ):  # a shaft turns by what it carries: of a free part by its acceleration, of oil in it by more
+            return at.read(np.concatenate([_bends(now, run.times_s) for now, run in zip(at.now, runs, strict=True)], 1))
         if kind == "time":
+            last = max(float(run.times_s[-1] - run.times_s[0]) for run in (*self.fold.train, *self.fold.test))
+            parts = np.concatenate([(run.times_s - run.times_s[0]) / last for run in runs])
+            hats = 1 - np.abs(parts * (_MOMENTS - 1) - np.arange(_MOMENTS)[:, None])
+            return at.pushed(np.maximum(hats, 0.0))
+        if kind == "session":
             turns = np.concatenate([np.full(len(run.q), float(run.turn)) for run in runs])
             return at.parameters[self._sizes()] * ((turns - self._begin()) / self._span() - 0.5)
         names = [name for name, cls in EFFECTS.items() if kind in cls.spans and name not in self.trained.theory.names]
@@ -125,6 +153,12 @@ class _Seen:
         return [next(i for i, r in enumerate(ranges) if r.owner == name) for name in self.trained.theory.names]
 
 
+def _bends(q: Array, times_s: Array) -> Array:
+    """(2, n) acceleration of a motion, and how fast that changes."""
+    qdd = np.gradient(np.gradient(q, times_s), times_s)
+    return np.stack([qdd, np.gradient(qdd, times_s)])
+
+
 def _scored(rows: list[tuple[Array, Array]], folds: tuple[Fold, ...]) -> tuple[Score, float]:
     """Score of what is left (fitted, choosing) in every fold, and its floors on choosing runs."""
     parts = []
@@ -143,15 +177,15 @@ def _bounds(runs: tuple[FitRun, ...]) -> list[int]:
     return [0, *np.cumsum([len(run.q) for run in runs]).tolist()]
 
 
-def _told(columns: Array, left: Array, bounds: list[int]) -> Array:
+def _told(columns: Array, left: Array, bounds: list[int], known: Array) -> Array:
     """(m,) sizes of columns (m, N) in what is left (N,): ridge regression, its ridge the one by which runs left out in
-    turn, between `bounds`, are told best."""
+    turn, between `bounds`, are told best, beside what is `known` of them (m,), in inverse squares."""
     size = np.maximum(np.linalg.norm(columns, axis=1), 1e-9)
     scaled = columns / size[:, None]
     cuts = list(pairwise(bounds))
     normals = [scaled[:, a:b] @ scaled[:, a:b].T for a, b in cuts]
     sides = [scaled[:, a:b] @ left[a:b] for a, b in cuts]
-    whole, side, eye = sum(normals), sum(sides), np.eye(len(columns))
+    whole, side, eye = sum(normals) + np.diag(known / size**2), sum(sides), np.eye(len(columns))
     unit = len(columns) / max(float(left @ left), 1e-12)
 
     def missed(ridge: float) -> float:
@@ -167,7 +201,7 @@ def _told(columns: Array, left: Array, bounds: list[int]) -> Array:
 
 def _changes(fit: Fit, sizes: Array, kind: str) -> dict[str, float]:
     """Effect to the part of itself that its size changes by; of one that is next to nothing, of a usual size."""
-    if kind != "time":
+    if kind != "session":
         return {}
     first = {r.owner: max(abs(float(x)), 0.1 * r.size) for r, x in _backwards(fit)}
     return {name: float(s) / first[name] for name, s in zip(fit.theory.names, sizes, strict=True)}

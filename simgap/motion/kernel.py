@@ -27,11 +27,14 @@ MOMENT_SCALE, MASS_SCALE, SWAYS = 30, 31, 32
 SWAY_COS, SWAY_SIN, SWAY_CONST, SWAY_COS2, SWAY_SIN2, SWAY_LINEAR = 33, 34, 35, 36, 37, 38
 LIMITED = 39
 """Whether the actuator is more than a position law and an effort."""
-HEAD = 40
-"""Places in the vector of numbers that describes one simulation; behind them each effect has its place, then its
-parameters."""
-PLACE = 2
-"""The middle and the half width of where an effect acts that has a place."""
+DEPARTS = 40
+"""The speed at which effects depart from their formulas by all that they do over speeds; 0 when they do not."""
+HEAD = 41
+"""Places in the vector of numbers that describes one simulation; behind them each effect has its place, then how it
+departs from its formula, then its parameters."""
+PLACE = 5
+"""The middle and the half width of where an effect acts that has a place, or departs; and by what part of itself it
+departs over speeds, as a slope over places, and as a bend there."""
 
 _BISECTIONS = 25
 _SPARE_STEPS = 4000
@@ -49,12 +52,21 @@ _STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
 
 
 @jit
+def departed(p, at, q, v):  # pragma: no cover
+    """What a real effect is times its formula: a slope over speeds, a slope and a bend over places."""
+    fast = 2.0 * min(abs(v) / p[DEPARTS], 1.0) - 1.0
+    x = min(max((q - p[at]) / p[at + 1], -1.0), 1.0)
+    return max(1.0 + p[at + 2] * fast + p[at + 3] * x + p[at + 4] * (1.5 * x * x - 0.5), 0.0)
+
+
+@jit
 def _sum(acts, terms, p, memory, q, v, load):  # pragma: no cover
     """Sum of all forces, or of all friction levels."""
     total = 0.0
     for k in range(len(terms)):
         if terms[k, 1] == acts:
-            total += law(terms[k, 0], q, v, load, memory[k], p, terms[k, 2] + PLACE)
+            own = law(terms[k, 0], q, v, load, memory[k], p, terms[k, 2] + PLACE)
+            total += own if p[DEPARTS] == 0.0 else own * departed(p, terms[k, 2], q, v)
     return total
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -134,6 +135,30 @@ class Inputs:
         """Whether a position law is at work."""
         return bool(np.isfinite(self.command).any())
 
+    def with_rows(self, times_s: Array) -> Inputs:
+        """The same, with rows at these times (n,) besides."""
+        times = np.union1d(self.times_s, times_s)
+        at = np.searchsorted(self.times_s, times, "right") - 1
+
+        def held(series: NDArray[Any], before: float) -> Array:
+            return np.where(at < 0, before, series[..., np.maximum(at, 0)]) if series.size else np.full(len(at), before)
+
+        return Inputs(
+            times,
+            held(self.command, np.nan),
+            held(self.effort, 0.0),
+            held(self.push, 0.0),
+            None if self.beside is None else held(self.beside, 0.0),
+            None if self.on is None else held(self.on, False) > 0,
+            None if self.sway is None else held(self.sway, 0.0),
+        )
+
+    def pushed(self, times_s: Array, force: Array) -> Inputs:
+        """The same, with a force besides, (n,) in N*m or N at some of its times: it goes straight between."""
+        middles = np.append(0.5 * (force[1:] + force[:-1]), force[-1])
+        at = np.searchsorted(times_s, self.times_s, "right") - 1
+        return replace(self, push=self.push + np.where(at < 0, 0.0, middles[np.maximum(at, 0)]))
+
 
 @dataclass(frozen=True)
 class Nuisance:
@@ -205,7 +230,7 @@ def numbers_of(
     parts = [head]
     for effect in effects:
         if effect.name in laws.LAWS:
-            parts += [np.array(_place_of(effect)), np.array(effect.values())]
+            parts += [np.array(_place_of(effect)), np.zeros(kernel.PLACE - 2), np.array(effect.values())]
     return np.concatenate(parts)
 
 
