@@ -58,8 +58,8 @@ class Nameless:
         return float(np.sqrt(max(self.without**2 - self.floors**2, 0.0)))
 
 
-def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...]) -> tuple[Nameless, ...]:
-    """All forces without a name beside a set of effects, or beside none."""
+def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...], most: int | None = None) -> tuple[Nameless, ...]:
+    """All forces without a name, or those of at most so many numbers, beside a set of effects, or beside none."""
     seen = [
         _Seen(trained, there, fold)
         for trained, there, fold in zip(hypothesis.trained, hypothesis.foretold, folds, strict=True)
@@ -67,6 +67,8 @@ def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...]) -> tuple[Nameless, .
     alone, left = _scored([(one.fit.freed, one.new.freed) for one in seen], folds)
     found = []
     for kind in KINDS:
+        if most is not None and seen[0].numbers(kind) > most:
+            continue
         told = [one.with_(kind) for one in seen]
         if any(each is None for each in told):
             continue
@@ -106,12 +108,23 @@ class _Seen:
         if kind == "time":
             turns = np.concatenate([np.full(len(run.q), float(run.turn)) for run in runs])
             return at.parameters[self._sizes()] * ((turns - self._begin()) / self._span() - 0.5)
-        names = [name for name, cls in EFFECTS.items() if kind in cls.spans and name not in self.trained.theory.names]
-        names = [name for name in names if at.problem.plant.joint_type in EFFECTS[name].joint_types]
+        names = self._names(kind)
         if kind == "direction":  # a push one way, which with friction is friction of two levels
             pairs = [at.columns(name) for name in names]
             return np.concatenate([rows[-1:] - rows[:1] for rows in pairs]) if pairs else np.zeros((0, 0))
         return np.concatenate([at.columns(name) for name in names]) if names else np.zeros((0, 0))
+
+    def _names(self, kind: str) -> list[str]:
+        """Effects that the force is made of."""
+        names = [name for name, cls in EFFECTS.items() if kind in cls.spans and name not in self.trained.theory.names]
+        return [name for name in names if self.fit.problem.plant.joint_type in EFFECTS[name].joint_types]
+
+    def numbers(self, kind: str) -> int:
+        """How many the force has."""
+        if kind == "time":
+            return len(self._sizes())
+        names = self._names(kind)
+        return len(names) if kind == "direction" else sum(self.fit.count(name) for name in names)
 
     def _begin(self) -> int:
         return min(run.turn for run in (*self.fold.train, *self.fold.test))
