@@ -8,6 +8,7 @@ short stretches, each with a start of its own, and goes on to longer ones (multi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -366,6 +367,7 @@ def predicted(fit: Fit, run: FitRun, times_s: Array | None = None) -> Array:
     return readings_of(effects, sweep(numbers[None], terms_of(effects), times, run.inputs, step)[0])
 
 
+@lru_cache(maxsize=32)
 def pieces(runs: tuple[FitRun, ...], seconds: float) -> tuple[FitRun, ...]:
     """The runs cut into stretches of about `seconds`, each with a start of its own, named by their first readings."""
     found = []

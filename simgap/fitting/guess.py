@@ -58,7 +58,7 @@ def guesses(fit: Fit, runs: tuple[FitRun, ...], names: tuple[str, ...]) -> list[
 
 @dataclass(frozen=True)
 class _Grid:
-    """An effect switched on a little at all its places, widths and speeds."""
+    """All places, widths and speeds of an effect."""
 
     theory: Theory
     own: list[Range]
@@ -70,16 +70,14 @@ class _Grid:
     """Values of the others."""
     zero: dict[str, float]
     """The effect switched off."""
-    columns: Array
-    """(grid x sizes, N)"""
 
 
 class Linear:
     """The readings about a fit, the directions of its starts and parameters taken out."""
 
-    def __init__(self, fit: Fit, runs: tuple[FitRun, ...], weights: dict[str, float] | None = None):
+    def __init__(self, fit: Fit, runs: tuple[FitRun, ...]):
         self.fit, self.runs, self.problem = fit, runs, fit.theory.problem
-        self._roots = np.sqrt([(weights or {}).get(run.name, 1.0) for run in runs])
+        self._columns: dict[str, Array] = {}
         residuals, starts, parameters = tangent(fit, runs)
         self.now = [run.q - r * run.sigma for run, r in zip(runs, residuals, strict=True)]
         self.bases = [np.linalg.qr(J.T)[0] for J in starts]
@@ -102,12 +100,19 @@ class Linear:
         return np.asarray(~((low & (downhill < 0)) | (high & (downhill > 0))))
 
     def _freed(self, i: int, rows: Array) -> Array:
-        """(m, n) changes of run i, its start being free, by its weight."""
-        return np.asarray(rows - (rows @ self.bases[i]) @ self.bases[i].T) * self._roots[i]
+        """(m, n) changes of run i, its start being free."""
+        return np.asarray(rows - (rows @ self.bases[i]) @ self.bases[i].T)
+
+    def count(self, name: str) -> int:
+        """How many `columns` there are."""
+        at = self._grid_of(name)
+        return len(at.grid) * len(at.sizes)
 
     def columns(self, name: str) -> Array:
         """(m, N) what a unit of the effect's sizes does to all readings, at all points of its grid."""
-        return self._gridded(name).columns
+        if name not in self._columns:
+            self._columns[name] = self._switched(name, self._grid_of(name))
+        return self._columns[name]
 
     def pushed(self, forces: Array) -> Array:
         """(m, N) what forces (m, N), N*m or N, that act at the readings do to them, the starts being free."""
@@ -134,29 +139,30 @@ class Linear:
         rows = [errors[:, a:b] / run.sigma for run, a, b in zip(self.runs, ends[:-1], ends[1:], strict=True)]
         return np.concatenate([self._freed(i, row) for i, row in enumerate(rows)], 1)
 
-    def _gridded(self, name: str) -> _Grid:
+    def _grid_of(self, name: str) -> _Grid:
         theory = replace(self.fit.theory, names=tuple(sorted((*self.fit.theory.names, name))))
         own = [r for r in theory.ranges() if r.owner == name]
         sizes = [r for r in own if _is_size(r, own)]
         grid = list(product(*[_grid(r, self.problem) for r in own if r not in sizes]))
-        others = [r.name for r in own if r not in sizes]
-        zero = off(self.problem, name)
+        return _Grid(theory, own, sizes, [r.name for r in own if r not in sizes], grid, off(self.problem, name))
+
+    def _switched(self, name: str, at: _Grid) -> Array:
+        """(grid x sizes, N) of the effect, switched on a little at all points of its grid."""
         trials: list[tuple[dict[str, float], float]] = []
-        for places in grid:
-            point = {**zero, **dict(zip(others, map(float, places), strict=True))}
-            for r in sizes:
+        for places in at.grid:
+            point = {**at.zero, **dict(zip(at.others, map(float, places), strict=True))}
+            for r in at.sizes:
                 step = self._step(name, point, r)
                 trials.append(({**point, r.name: point[r.name] + step}, step))
-        columns = (
-            self._responses(theory, name, [point for point, _ in trials]) / np.array([s for _, s in trials])[:, None]
-        )
-        return _Grid(theory, own, sizes, others, grid, zero, columns)
+        made = self._responses(at.theory, name, [point for point, _ in trials])
+        return np.asarray(made / np.array([s for _, s in trials])[:, None])
 
     def guesses(self, name: str) -> list[Guess]:
         """All points of the effect's grid."""
-        at = self._gridded(name)
+        at = self._grid_of(name)
+        columns = self._switched(name, at)
         theory, own, sizes, others, grid, zero = at.theory, at.own, at.sizes, at.others, at.grid, at.zero
-        columns = at.columns - (at.columns @ self.span) @ self.span.T
+        columns = columns - (columns @ self.span) @ self.span.T
         found = []
         for i in range(len(grid)):
             rows = slice(i * len(sizes), (i + 1) * len(sizes))

@@ -134,10 +134,9 @@ def _plainer_without_name(hypothesis: Hypothesis, table: Sequence[Hypothesis], f
     one stands then, and what the set calls by a name has none."""
     fewer = [h for h in table if h.names and len(h.names) < len(hypothesis.names) and _within(h, hypothesis)]
     for smaller in sorted(fewer, key=lambda h: -h.score.total)[:_SMALLER]:
-        for rival in beside(smaller, folds):
-            numbers = len(smaller.fit.theta) + rival.numbers
+        for rival in beside(smaller, folds, len(hypothesis.fit.theta) - len(smaller.fit.theta) - 1):
             ahead, error = lead(hypothesis.score, replace(smaller.score, parts=smaller.score.parts + rival.more))
-            if numbers < len(hypothesis.fit.theta) and ahead <= error:
+            if ahead <= error:
                 return True
     return False
 

@@ -64,8 +64,8 @@ class Nameless:
         return float(np.sqrt(max(self.without**2 - self.floors**2, 0.0)))
 
 
-def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...]) -> tuple[Nameless, ...]:
-    """All forces without a name beside a set of effects, or beside none."""
+def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...], most: int | None = None) -> tuple[Nameless, ...]:
+    """All forces without a name, or those of at most so many numbers, beside a set of effects, or beside none."""
     seen = [
         _Seen(*_near(trained, there, fold))
         for trained, there, fold in zip(hypothesis.trained, hypothesis.foretold, folds, strict=True)
@@ -74,6 +74,8 @@ def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...]) -> tuple[Nameless, .
     alone, left = _scored([(one.fit.freed, one.new.freed) for one in seen], folds)
     found = []
     for kind in KINDS:
+        if most is not None and seen[0].numbers(kind) > most:
+            continue
         told = [one.with_(kind) for one in seen]
         if any(each is None for each in told):
             continue
@@ -122,24 +124,40 @@ class _Seen:
 
     def _columns(self, at: Linear, runs: tuple[FitRun, ...], kind: str) -> Array:
         """(m, N) what a unit of each of its numbers does to all readings."""
-        if (
-            kind == "flexing"
-        ):  # a shaft turns by what it carries: of a free part by its acceleration, of oil in it by more
+        if kind == "flexing":  # a shaft bends by what it carries
             return at.read(np.concatenate([_bends(now, run.times_s) for now, run in zip(at.now, runs, strict=True)], 1))
         if kind == "time":
-            last = max(float(run.times_s[-1] - run.times_s[0]) for run in (*self.fold.train, *self.fold.test))
-            parts = np.concatenate([(run.times_s - run.times_s[0]) / last for run in runs])
-            hats = 1 - np.abs(parts * (_MOMENTS - 1) - np.arange(_MOMENTS)[:, None])
-            return at.pushed(np.maximum(hats, 0.0))
+            return at.pushed(np.concatenate([self._hats(run) for run in runs], 1))
         if kind == "session":
             turns = np.concatenate([np.full(len(run.q), float(run.turn)) for run in runs])
             return at.parameters[self._sizes()] * ((turns - self._begin()) / self._span() - 0.5)
-        names = [name for name, cls in EFFECTS.items() if kind in cls.spans and name not in self.trained.theory.names]
-        names = [name for name in names if at.problem.plant.joint_type in EFFECTS[name].joint_types]
+        names = self._names(kind)
         if kind == "direction":  # a push one way, which with friction is friction of two levels
             pairs = [at.columns(name) for name in names]
             return np.concatenate([rows[-1:] - rows[:1] for rows in pairs]) if pairs else np.zeros((0, 0))
         return np.concatenate([at.columns(name) for name in names]) if names else np.zeros((0, 0))
+
+    def _names(self, kind: str) -> list[str]:
+        """Effects that the force is made of."""
+        names = [name for name, cls in EFFECTS.items() if kind in cls.spans and name not in self.trained.theory.names]
+        return [name for name in names if self.fit.problem.plant.joint_type in EFFECTS[name].joint_types]
+
+    def numbers(self, kind: str) -> int:
+        """How many the force has."""
+        if kind in ("time", "flexing", "session"):
+            return {"time": _MOMENTS, "flexing": 2, "session": len(self._sizes())}[kind]
+        names = self._names(kind)
+        return len(names) if kind == "direction" else sum(self.fit.count(name) for name in names)
+
+    def _hats(self, run: FitRun) -> Array:
+        """(m, n) straight pieces of the time since a run began, whatever stretch of it this is."""
+        begins: dict[str, float] = {}
+        for one in (*self.fold.train, *self.fold.test):
+            of, first = _whole(one), float(one.times_s[0])
+            begins[of] = min(first, begins.get(of, first))
+        last = max(float(one.times_s[-1]) - begins[_whole(one)] for one in (*self.fold.train, *self.fold.test))
+        parts = (run.times_s - begins[_whole(run)]) / last
+        return np.maximum(1 - np.abs(parts * (_MOMENTS - 1) - np.arange(_MOMENTS)[:, None]), 0.0)
 
     def _begin(self) -> int:
         return min(run.turn for run in (*self.fold.train, *self.fold.test))
@@ -151,6 +169,11 @@ class _Seen:
         """Where the first number of every effect stands among the parameters."""
         ranges = self.trained.theory.ranges()
         return [next(i for i, r in enumerate(ranges) if r.owner == name) for name in self.trained.theory.names]
+
+
+def _whole(run: FitRun) -> str:
+    """Name of the run that this is a stretch of."""
+    return run.name.split("#")[0]
 
 
 def _bends(q: Array, times_s: Array) -> Array:

@@ -42,6 +42,35 @@ class ModelError:
 
 
 @njit(cache=True)
+def _likely(
+    left: Array, times: Array, begins: Array, motions: Array, least: Array, shares: Array, seconds: float
+) -> Array:  # pragma: no cover
+    """(k,) log density of runs, one behind the other from begins[r] to begins[r + 1], by the model's error as `shares`
+    (k,) of their motions, `least` floors of it being known: up to what does not hang on it."""
+    found, v = np.zeros(len(shares)), FREEDOM
+    for r in range(len(motions)):
+        a, b = begins[r], begins[r + 1]
+        kept = np.exp(-np.diff(times[a:b]) / seconds)
+        for k in range(len(shares)):
+            power = (shares[k] * motions[r]) ** 2 + least[r] ** 2
+            mean, variance, square, log, factor = 0.0, power, 0.0, 0.0, 1.0
+            for i in range(b - a):
+                if i:
+                    c = kept[i - 1]
+                    mean, variance = c * mean, power + c * c * (variance - power)
+                spread, off = variance + 1.0, left[a + i] - mean
+                square += off * off / spread
+                factor *= spread
+                if factor > 1e200:
+                    log, factor = log + np.log(factor), 1.0
+                mean += variance / spread * off
+                variance /= spread
+            log += np.log(factor)
+            found[k] -= 0.5 * log + 0.5 * (v + b - a) * np.log1p(square / v)
+    return found
+
+
+@njit(cache=True)
 def _filtered(left: Array, times: Array, scale: float, seconds: float) -> tuple[Array, Array]:  # pragma: no cover
     """(n,) of the first 1, 2, ... n readings: y' K^-1 y and log |K|, with white noise of 1."""
     squares, logs = np.empty(len(left)), np.empty(len(left))
@@ -84,17 +113,14 @@ def error_of(residuals: dict[str, Array], runs: Sequence[FitRun], least: dict[st
     a model is off at `least`, by run, is known beforehand."""
     seen = [run for run in runs if run.name in residuals]
     step = float(np.median(np.concatenate([np.diff(run.times_s) for run in seen])))
-    motions = [(motion_of(run), (least or {}).get(run.name, 0.0)) for run in seen]
-
-    def likely(share: float, seconds: float) -> float:
-        return sum(
-            float(log_densities(residuals[r.name], r.times_s, float(np.hypot(share * m, off)), seconds)[-1])
-            for r, (m, off) in zip(seen, motions, strict=True)
-        )
-
-    tried = [(likely(share, n * step), share, n * step) for share in _SHARES for n in _TIMES]
-    _, share, seconds = max(tried)
-    return ModelError(float(share), float(seconds))
+    left = np.concatenate([residuals[run.name] for run in seen]).astype(float)
+    times = np.concatenate([run.times_s for run in seen]).astype(float)
+    begins = np.cumsum([0, *(len(run.q) for run in seen)])
+    motions = np.array([motion_of(run) for run in seen])
+    known = np.array([(least or {}).get(run.name, 0.0) for run in seen])
+    tried = np.array([_likely(left, times, begins, motions, known, _SHARES, n * step) for n in _TIMES])
+    n, share = np.unravel_index(int(np.argmax(tried)), tried.shape)
+    return ModelError(float(_SHARES[share]), float(_TIMES[n] * step))
 
 
 def stretch_densities(left: Array, run: FitRun, error: ModelError, count: int, least: float = 0.0) -> Array:

@@ -27,9 +27,9 @@ _BEGINNINGS_S = (0.06, 0.12, 0.25)
 """Of a run, that tell its first velocity: a short one is noisy, a long one may hold an impact."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FitRun:
-    """One run, or a stretch of one."""
+    """One run, or a stretch of one; the same only as itself."""
 
     name: str
     times_s: Array

@@ -46,6 +46,8 @@ _BENDING = 0.02
 """Part of the friction level that may still build up unseen."""
 _YIELD = 0.98
 """Of the friction level: beyond, a part at rest gives way no further before it slides."""
+_SAME = 1e-9
+"""Part of itself by which an acceleration may yet change: four orders below what a step is off by."""
 _REACH = 2.0
 """Half widths about its middle within which an effect that has a place is stepped finely."""
 _STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
@@ -118,34 +120,36 @@ def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no
 
 
 @jit
-def _level(terms, p, memory, q, v, qdd):  # pragma: no cover
-    """Friction level, under the load that the bearing carries at this acceleration; the load may be left out."""
+def _bearing(p, q, v):  # pragma: no cover
+    """Square of the load that the bearing carries but for its acceleration, and what a unit of that adds to it to first
+    order; 0 where no friction asks for the load."""
     if p[LOAD_WEIGHT2] == 0.0 and p[LOAD_ARM2] == 0.0:
-        return _sum(DRIVE, terms, p, memory, q, v, 0.0)
+        return 0.0, 0.0
     c, s = math.cos(q), math.sin(q)
-    load2 = p[LOAD_ARM2] * (qdd * qdd + v**4) + p[LOAD_WEIGHT2]
-    load2 -= 2.0 * qdd * (c * p[LOAD_TURNED] - s * p[LOAD_ACROSS])
-    load2 += 2.0 * v * v * (c * p[LOAD_ACROSS] + s * p[LOAD_TURNED])
+    load2 = p[LOAD_ARM2] * v**4 + p[LOAD_WEIGHT2] + 2.0 * v * v * (c * p[LOAD_ACROSS] + s * p[LOAD_TURNED])
+    return load2, 2.0 * (s * p[LOAD_ACROSS] - c * p[LOAD_TURNED])
+
+
+@jit
+def _level_of(terms, p, memory, q, v, qdd, bearing):  # pragma: no cover
+    """Friction level at this acceleration under what `_bearing` says."""
+    load2 = bearing[0] + qdd * (bearing[1] + qdd * p[LOAD_ARM2])
     return _sum(DRIVE, terms, p, memory, q, v, math.sqrt(max(load2, 0.0)))
+
+
+@jit
+def _level(terms, p, memory, q, v, qdd):  # pragma: no cover
+    """Friction level, under the load that the bearing carries at this acceleration."""
+    return _level_of(terms, p, memory, q, v, qdd, _bearing(p, q, v))
 
 
 @jit
 def _bristle(p, slide, grip, q):  # pragma: no cover
     """How far friction has built up at `q`, -1 to 1: `grip` is that where a motion in direction `slide` began, and
     where it did."""
-    if p[TRAVEL] == 0.0:
+    if p[TRAVEL] == 0.0 or grip[0] == slide:
         return 1.0 * slide
     return slide + (grip[0] - slide) * math.exp(-abs(q - grip[1]) / p[TRAVEL])
-
-
-@jit
-def _friction(level, p, q, v, slide, grip):  # pragma: no cover
-    """Force against the motion: LuGre's, whose bristles bend over TRAVEL and damp by GRIPPING times the usual (Canudas
-    de Wit, Olsson, Astrom and Lischinsky 1995); the level at once without TRAVEL."""
-    if p[TRAVEL] == 0.0:
-        return slide * level
-    bent = _bristle(p, slide, grip, q)
-    return level * bent + p[GRIPPING] * math.sqrt(level * p[INERTIA] / p[TRAVEL]) * abs(v) * (slide - bent)
 
 
 @jit
@@ -155,10 +159,17 @@ def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, eff
     free = _acting(terms, p, memory, q, v, side, push, position, effort) / inertia
     if slide == 0:
         return free
-    qdd = free - _friction(_level(terms, p, memory, q, v, free), p, q, v, slide, grip) / inertia
-    if loaded:
-        for _ in range(4):  # the load depends on the acceleration that friction changes
-            qdd = free - _friction(_level(terms, p, memory, q, v, qdd), p, q, v, slide, grip) / inertia
+    # against the motion: LuGre's, whose bristles bend over TRAVEL and damp by GRIPPING times the usual (Canudas de Wit,
+    # Olsson, Astrom and Lischinsky 1995); the level at once without TRAVEL
+    bent, damp = _bristle(p, slide, grip, q), 0.0
+    if bent != slide:
+        damp = p[GRIPPING] * math.sqrt(p[INERTIA] / p[TRAVEL]) * abs(v) * (slide - bent)
+    bearing, qdd = _bearing(p, q, v), free
+    for _ in range(5 if loaded else 1):  # the load depends on the acceleration that friction changes
+        level, before = _level_of(terms, p, memory, q, v, qdd, bearing), qdd
+        qdd = free - (level * bent + (damp * math.sqrt(level) if damp != 0.0 else 0.0)) / inertia
+        if abs(qdd - before) <= _SAME * abs(qdd):
+            break
     return qdd
 
 
