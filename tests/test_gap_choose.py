@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from gap_case import INERTIA, asset_of, measured_of
 
+from freeart21.effects import EFFECTS
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from simgap.fitting import search as search_module
-from simgap.fitting.fit import Fit, Theory, fitted
+from simgap.fitting.fit import Fit, Theory, fitted, stretched
 from simgap.fitting.search import Search, caught
 from simgap.judgement.split import split_of
 from simgap.measure.data import FitRun, fit_runs
@@ -147,9 +148,28 @@ def test_what_is_in_no_library_has_no_name(tmp_path: Path, strange: dict[str, fl
     assert found.verdict == "unexplained" and not found.effects
 
 
-def test_a_spring_that_hardens_is_nothing_but_a_spring(tmp_path: Path):
-    found = verdict(tmp_path, measured_of(11, spring=2.0, rest=0.3, hardens=0.05))
+@pytest.mark.parametrize("stiffness", [2.0, 8.0])
+def test_a_spring_that_hardens_is_nothing_but_a_spring(tmp_path: Path, stiffness: float):
+    """The strong one leaves far more than noise by its formula, which a second effect would take."""
+    found = verdict(tmp_path, measured_of(11, spring=stiffness, rest=0.3, hardens=0.05))
     assert names(found) <= {"return_spring"}, found
+
+
+def test_effects_depart_from_their_formulas_by_what_they_say(tmp_path: Path):
+    """A departing fit of a spring finds the bend of one that hardens; friction departs by no more than a tenth."""
+    search = search_on(tmp_path, measured_of(11, spring=8.0, rest=0.0, hardens=0.05, exact=True))
+    theory = Theory(search.problem, ("return_spring",))
+    plain = fitted(theory, search.train, at(theory, stiffness=8.0))
+    departing = replace(theory, departing=(("return_spring", plain.effects[0].values()[0]),))
+    theta, starts = stretched(departing, search.train, np.append(plain.theta, [0.0, 0.0]), 5.0, 8)
+    fit = fitted(departing, search.train, theta, starts)
+    assert plain.level > 2 and fit.level < 1.1
+    assert 0.01 < fit.values["return_spring form", "bend"] < 0.1
+    ways = {
+        (r.owner, r.name): r.upper
+        for r in Theory(search.problem, ("coulomb_friction",), False, (("coulomb_friction", 1.0),)).ranges()
+    }
+    assert ways["coulomb_friction form", "over speed"] == EFFECTS["coulomb_friction"].departs[0]
 
 
 def test_a_force_that_first_guesses_miss_is_fitted_all_the_same(tmp_path: Path):
