@@ -70,7 +70,6 @@ def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...], most: int | None = N
         _Seen(*_near(trained, there, fold))
         for trained, there, fold in zip(hypothesis.trained, hypothesis.foretold, folds, strict=True)
     ]
-    folds = tuple(one.fold for one in seen)
     alone, left = _scored([(one.fit.freed, one.new.freed) for one in seen], folds)
     found = []
     for kind in KINDS:
@@ -183,7 +182,8 @@ def _bends(q: Array, times_s: Array) -> Array:
 
 
 def _scored(rows: list[tuple[Array, Array]], folds: tuple[Fold, ...]) -> tuple[Score, float]:
-    """Score of what is left (fitted, choosing) in every fold, and its floors on choosing runs."""
+    """Score of what is left (fitted, choosing) in every fold, in the order of its readings, whatever stretches they were
+    looked at in; and its floors on choosing runs."""
     parts = []
     for (first, second), fold in zip(rows, folds, strict=True):
         own, seen = _by_run(first, fold.train), _by_run(second, fold.test)
