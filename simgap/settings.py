@@ -80,6 +80,9 @@ class JudgementSettings:
     hardly: float = 2.0
     """Floors that it may leave of three runs in four and no larger set is looked at: of our own world's true formulas
     hardly any leaves more."""
+    hardly_part: float = 0.01
+    """Part of the gap that it may leave besides. Of strong effects of a second world that depart otherwise than by a
+    slope and a bend .004 and .01 were left."""
     most: float = 10.0
     """Floors that it may leave of a run in any case: more is a name in part."""
     met: float = 0.75

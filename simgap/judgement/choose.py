@@ -62,7 +62,7 @@ def chosen(search: Search, folds: tuple[Fold, ...], settings: JudgementSettings)
     if (ahead <= error or closed < settings.least_gap) and sum(plain) < (1 - settings.met) * len(plain):
         return Choice(base, best, table=tuple(table))
     found = Choice(base, best, gap=True, table=tuple(table))
-    standing = nearest(_no_larger([h for h in table if h.names and named_whole(h, base, settings)], settings))
+    standing = nearest(_no_larger([h for h in table if h.names and named_whole(h, base, settings)], base, settings))
     told = {h.names: beside(h, folds) for h in standing}
     whole = [h for h in standing if not any(refutes(n, base, settings) for n in told[h.names])]
     whole = [h for h in whole if not _plainer_without_name(h, table, folds)]
@@ -109,15 +109,17 @@ def named_whole(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSet
     return sum(met.values()) >= settings.met * len(met) and sum(chose) >= 0.5 * len(chose)
 
 
-def _no_larger(whole: list[Hypothesis], settings: JudgementSettings) -> list[Hypothesis]:
-    """Of the sets those no larger than the smallest that leaves hardly more than noise: a real effect is not its
-    formula, and what that leaves is not worth another name, however sure it is."""
-    enough = [
-        len(h.names)
-        for h in whole
-        if sum(floors <= settings.hardly for floors in h.by_run.values()) >= settings.met * len(h.by_run)
-    ]
-    return [h for h in whole if len(h.names) <= min(enough, default=len(h.names))]
+def _no_larger(whole: list[Hypothesis], base: Hypothesis, settings: JudgementSettings) -> list[Hypothesis]:
+    """Of the sets those no larger than the smallest that leaves hardly more than noise, and none that becomes such a
+    one in a special case: a real effect is not its formula, nor quite that with what it may depart by, and what is left
+    then is not worth another name, however sure it is."""
+
+    def hardly(h: Hypothesis, run: str) -> bool:
+        return h.by_run[run] <= np.hypot(settings.hardly, settings.hardly_part * excess(base.by_run[run]))
+
+    enough = {h.names for h in whole if sum(hardly(h, run) for run in h.by_run) >= settings.met * len(h.by_run)}
+    fewest = min((len(names) for names in enough), default=len(EFFECTS))
+    return [h for h in whole if len(h.names) <= fewest and not any(less in enough for less in plainer(h.names))]
 
 
 def refutes(rival: Nameless, base: Hypothesis, settings: JudgementSettings) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 
 from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
-from simgap.fitting.fit import Fit, pieces, placed, tempered, unit_of
+from simgap.fitting.fit import Fit, pieces, placed, steady, tempered, unit_of
 from simgap.fitting.guess import Linear
 from simgap.fitting.theory import Range
 from simgap.judgement.hypotheses import Hypothesis, rms, score_parts
@@ -80,10 +80,11 @@ def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...], most: int | None = N
             continue
         rows = [each for each in told if each is not None]
         score, floors = _scored([(first, second) for first, second, _ in rows], folds)
+        floors *= hypothesis.floors / left
         ahead, error = lead(score, alone)
         sizes, more = rows[0][2], score.parts - alone.parts
         changes = _changes(hypothesis.fit, sizes, kind)
-        found.append(Nameless(kind, ahead, error, floors, left, changes, len(sizes), more))
+        found.append(Nameless(kind, ahead, error, floors, hypothesis.floors, changes, len(sizes), more))
     return tuple(found)
 
 
@@ -115,7 +116,9 @@ class _Seen:
         columns = np.concatenate([self.fit.parameters, first]), np.concatenate([self.new.parameters, second])
         known = np.array([1 / r.prior**2 for r in self.trained.theory.ranges()])
         known = np.append(unit_of(tempered(self.trained.residuals)) * known, np.zeros(len(first)))
-        sizes = _told(columns[0], self.fit.freed, _bounds(self.fold.train), known)
+        weights = steady(self.trained.residuals)  # what is missed by far tells no direction
+        roots = np.concatenate([np.full(len(run.q), np.sqrt(weights[run.name])) for run in self.fold.train])
+        sizes = _told(columns[0] * roots, self.fit.freed * roots, _bounds(self.fold.train), known)
         return self.fit.freed - sizes @ columns[0], self.new.freed - sizes @ columns[1], sizes[own:]
 
     def _both(self) -> tuple[tuple[Linear, tuple[FitRun, ...]], ...]:
@@ -182,8 +185,8 @@ def _bends(q: Array, times_s: Array) -> Array:
 
 
 def _scored(rows: list[tuple[Array, Array]], folds: tuple[Fold, ...]) -> tuple[Score, float]:
-    """Score of what is left (fitted, choosing) in every fold, in the order of its readings, whatever stretches they were
-    looked at in; and its floors on choosing runs."""
+    """Score of what is left (fitted, choosing) in every fold, whatever stretches its runs were looked at in, and its
+    floors on choosing runs."""
     parts = []
     for (first, second), fold in zip(rows, folds, strict=True):
         own, seen = _by_run(first, fold.train), _by_run(second, fold.test)
