@@ -61,6 +61,9 @@ class Problem:
     they are is then fitted, either end being as likely as any place between."""
     fit: FitSettings = field(default_factory=FitSettings)
     surrogate: SurrogateSettings = field(default_factory=SurrogateSettings)
+    force_read: bool = False
+    """Whether the motion is prescribed and the force is read (`simgap.measure.prescribed`): residuals are then of
+    force."""
 
     @property
     def reference(self) -> tuple[float, float, float]:
@@ -122,6 +125,7 @@ class Theory:
         if (
             any(cls.acts in ("inertia", "slack") for cls in self.classes)
             and problem.near_stop
+            and not problem.force_read
             and "end_stop_bounce" not in self.names
         ):
             # part of the most that a shaft gives back; where no run tells, as if all of that were as likely

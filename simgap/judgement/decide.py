@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from freeart21.joint import JointType
-from simgap.fitting.fit import Fit, Problem, tempered, unit_of
+from simgap.fitting.fit import Fit, Problem, tempered
+from simgap.fitting.fit import unit_of as unit_of_noise
 from simgap.fitting.guess import neutral_value
 from simgap.judgement.choose import Choice
 from simgap.judgement.experiment import next_experiment
@@ -19,7 +20,7 @@ from simgap.judgement.words import amount, capital, closed_text, effect_words, p
 from simgap.measure.data import FitRun
 from simgap.measure.floor import Floor
 from simgap.settings import JudgementSettings
-from simgap.verdict import RunGap, Verdict, told_by
+from simgap.verdict import By, RunGap, Verdict, told_by, unit_of
 
 _ODD = 3.0
 """Times what the other runs are off by at which a run is spoken of."""
@@ -90,10 +91,26 @@ def silent_verdict(runs: tuple[FitRun, ...], floor: Floor, moved: bool, joint_ty
     )
 
 
+def by_of(problem: Problem) -> By:
+    """What of the runs is compared."""
+    return "force" if problem.force_read else "position"
+
+
 def verdict_of(
     choice: Choice, split: Split, confirmed: Confirmed, runs: tuple[FitRun, ...], floor: Floor, problem: Problem
 ) -> Verdict:
     """The verdict of a choice."""
+    found = _verdict_of(choice, split, confirmed, runs, floor, problem)
+    if not problem.force_read:
+        return found
+    what = "torque" if problem.plant.joint_type == "revolute" else "force"
+    said = f"Judged by the {what} that prescribed motion took, not by positions. {found.sentence}"
+    return replace(found, sentence=said, by="force")
+
+
+def _verdict_of(
+    choice: Choice, split: Split, confirmed: Confirmed, runs: tuple[FitRun, ...], floor: Floor, problem: Problem
+) -> Verdict:
     before, gaps = choice.base, _gaps(runs, choice, split, confirmed)
     if not choice.gap:
         said = (
@@ -184,7 +201,7 @@ def remainder(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: P
         return f"{said}; it is most in {name}."
     power = best.left[name] ** 2
     fast = np.abs(run.speed) > np.median(np.abs(run.speed))
-    high = run.q > np.median(run.q)
+    high = run.way > np.median(run.way)
     ways = {
         "where it moves fast": fast,
         "where it moves slowly": ~fast,
@@ -200,7 +217,7 @@ def unmoved(hypothesis: Hypothesis) -> list[str]:
 
     What an effect shares with the asset's own doubts is no lack of motion, and more of the same would not part them.
     """
-    fit, unit, found = hypothesis.fit, unit_of(tempered(hypothesis.left)), []
+    fit, unit, found = hypothesis.fit, unit_of_noise(tempered(hypothesis.left)), []
     ranges = fit.theory.ranges()
     for effect in fit.effects:
         own = [i for i, r in enumerate(ranges) if r.owner == effect.name and not np.isfinite(r.prior)]
@@ -251,4 +268,4 @@ def _listed(hypothesis: Hypothesis) -> str:
 
 
 def _length(value: float, problem: Problem) -> str:
-    return amount(value, "rad" if problem.plant.joint_type == "revolute" else "m")
+    return amount(value, unit_of(by_of(problem), problem.plant.joint_type))

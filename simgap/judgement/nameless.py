@@ -17,7 +17,7 @@ import numpy as np
 from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
 from simgap.fitting.fit import Fit
-from simgap.fitting.guess import Linear
+from simgap.fitting.guess import Linear, linear
 from simgap.fitting.theory import Range
 from simgap.judgement.hypotheses import Hypothesis, rms, score_parts
 from simgap.judgement.predictive import Score, lead
@@ -84,7 +84,7 @@ class _Seen:
 
     def __init__(self, trained: Fit, there: Fit, fold: Fold):
         self.fold, self.trained = fold, trained
-        self.fit, self.new = Linear(trained, fold.train), Linear(there, fold.test)
+        self.fit, self.new = linear(trained, fold.train), linear(there, fold.test)
 
     def with_(self, kind: str) -> tuple[Array, Array, Array] | None:
         """What is left of both with the force beside, and its coefficients; None where it cannot be told."""

@@ -75,8 +75,8 @@ def log_densities(left: Array, times_s: Array, scale: float, seconds: float) -> 
 
 
 def motion_of(run: FitRun) -> float:
-    """Standard deviation of a run's readings, in floors."""
-    return float(np.std(run.q) / np.sqrt(np.mean(run.sigma**2)))
+    """Size of a run's readings, in floors."""
+    return run.extent / float(np.sqrt(np.mean(run.sigma**2)))
 
 
 def error_of(residuals: dict[str, Array], runs: Sequence[FitRun], least: dict[str, float] | None = None) -> ModelError:
