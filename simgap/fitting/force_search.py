@@ -13,10 +13,14 @@ from simgap.fitting.fit import Fit, Problem, Theory, fitted, joined, priced, uni
 from simgap.fitting.force_model import force_of
 from simgap.fitting.guess import guesses, off
 from simgap.measure.data import FitRun
+from simgap.measure.prescribed import ForceRun
 from simgap.settings import SearchSettings
 
 _ACTS = ("force", "drive", "inertia", "command")
 """What a force tells of; what a sensor or a stop does shows in positions alone."""
+_BINS, _RETURNED = 20, 0.5
+"""Places over the range; part of them that must be passed both ways for a force of position to be told from friction.
+Not measured."""
 _POINTS = 2
 """First guesses that a set is fitted from, of each of its subsets."""
 
@@ -25,6 +29,7 @@ def candidates(problem: Problem, runs: tuple[FitRun, ...], without: tuple[str, .
     """Names of the effects, `without` some, that the force of these runs could show."""
     told = force_of(runs)
     driven = any(run.on.any() for run in told)
+    to_and_fro = _both_ways(told) >= _RETURNED
     turned = any((run.acceleration != 0).any() for run in told)
 
     def possible(cls: type[Effect]) -> bool:
@@ -32,11 +37,22 @@ def candidates(problem: Problem, runs: tuple[FitRun, ...], without: tuple[str, .
             return False
         if cls.remember is not Effect.remember or cls.delay is not Effect.delay:
             return False  # what catches holds what stands; of a steady force nobody sees when it comes
+        of_place = (cls.acts == "force" and not cls.knows_speed) or cls.gain is not Effect.gain  # as the weight is
+        if of_place and not to_and_fro:
+            return False  # it would be friction that differs from place to place
         if cls.acts == "command":
             return driven
         return cls.acts != "inertia" or turned
 
     return tuple(name for name, cls in EFFECTS.items() if possible(cls) and name not in without)
+
+
+def _both_ways(runs: tuple[ForceRun, ...]) -> float:
+    """Part of the places that were passed at all that were passed both ways."""
+    q, v = (np.concatenate([getattr(run, k) for run in runs]) for k in ("position", "speed"))
+    edges = np.linspace(q.min(), q.max(), _BINS + 1)
+    forth, back = (np.histogram(q[way], edges)[0] > 0 for way in (v > 0, v < 0))
+    return float((forth & back).sum() / max((forth | back).sum(), 1))
 
 
 @dataclass

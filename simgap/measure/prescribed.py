@@ -27,7 +27,9 @@ STEADY = 0.02
 at steady speeds have .0003 to .006, a motor that runs up under torque steps .05, swings 1. Told forces are hardly
 surer."""
 _WINDOWS = (7, 11, 15, 21, 31, 45, 65, 95, 135, 201, 301, 501)
-"""Readings that accelerations are smoothed over: the fewest in which their noise is no more than that of the force."""
+"""Readings that accelerations are smoothed over: the fewest in which their noise is little beside that of the force,"""
+_QUIET = 0.1
+"""... a tenth: with as much as the force's a fit makes inertia small and the drive strong, to be rid of it."""
 _RESTING = 0.02
 """Part of a run's usual speed below which its joint turns back or rests, and tells no sliding friction."""
 _SURE = 4.0
@@ -138,7 +140,7 @@ def _of_run(measured: Measured, plant: Plant, run: Run, noise: float, still: flo
         spread, bend = (still * _size(window, deriv, step) for deriv in (1, 2))
         of_force, of_bend = noise * float(np.sqrt(found[5] @ found[5])), inertia * bend
         sigma = float(np.hypot(of_force, of_bend))
-        if of_bend <= of_force:
+        if of_bend <= _QUIET * of_force:
             break
     if smooth is None:
         return None
