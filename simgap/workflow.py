@@ -29,7 +29,7 @@ from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.kinematics import KinematicsSettings, find_geometry_of
 from simgap.judgement.choose import Choice, chosen
 from simgap.judgement.decide import Confirmed, moves_enough, says_enough, silent_verdict, verdict_of
-from simgap.judgement.hypotheses import FORM, Hypothesis
+from simgap.judgement.hypotheses import FORM, Hypothesis, judged
 from simgap.judgement.predictive import DECISIVE, FREEDOM, lead
 from simgap.judgement.split import Split, split_of
 from simgap.judgement.words import amount, effect_words, plain
@@ -99,7 +99,10 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
     if seen is not None and says_enough(seen[0], settings.judgement):
         runs, floor, problem = seen[0], seen[1], force_problem(problem, seen[0])
     split = split_of(runs)
-    choice = chosen(search_of(problem, split, measured, settings), split.folds, settings.judgement)
+    search = search_of(problem, split, measured, settings)
+    choice = chosen(search, split.folds, settings.judgement)
+    if isinstance(search, ForceSearch):
+        choice = with_twins(choice, search, split)
     best = choice.explaining[0] if choice.explaining else choice.base
     confirmed = Confirmed(*(placed(h.fit, split.confirming) if split.confirming else None for h in (choice.base, best)))
     motion = verdict_of(choice, split, confirmed, runs, floor, problem)
@@ -132,6 +135,12 @@ def search_of(problem: Problem, split: Split, measured: Measured, settings: GapS
     encoder = any(run.poses is None for run in measured.runs)
     names = candidates(problem, split.fitted, encoder, settings.without)
     return Search(problem, split.fitted, settings.search, names)
+
+
+def with_twins(choice: Choice, search: ForceSearch, split: Split) -> Choice:
+    """The choice with all that these runs cannot tell from what stands."""
+    twins = [judged(fit, split.folds, choice.base) for h in choice.explaining for fit in search.twins(h.names)]
+    return replace(choice, explaining=(*choice.explaining, *twins))
 
 
 def force_problem(problem: Problem, runs: tuple[ForceRun, ...]) -> Problem:

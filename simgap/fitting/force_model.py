@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +27,15 @@ class ForceModel:
     def __init__(self, theory: Theory, runs: Sequence[FitRun]):
         self.reader = Reader(theory)
         self.runs = force_of(runs)
+        self.all = one_of(self.runs)
+        self.ends = np.cumsum([len(run.q) for run in self.runs])[:-1]
 
     def look(self, which: NDArray[np.int64], starts: Array, theta: Array) -> list[Array]:
         """Residuals of the runs `which` (m,), in floors; `starts` do nothing."""
         numbers, effects = self.reader.numbers(theta)
-        return [left_of(self.runs[i], numbers, effects) for i in which]
+        if len(which) < len(self.runs):
+            return [left_of(self.runs[i], numbers, effects) for i in which]
+        return np.split(left_of(self.all, numbers, effects), self.ends)
 
     def slopes(self, starts: Array, theta: Array, parts: list[Array], free: bool) -> list[Array]:
         """Of every run (2 + p, n): what a unit of its start, nothing, and of every parameter does, in floors."""
@@ -54,6 +59,16 @@ def force_of(runs: Sequence[FitRun]) -> tuple[ForceRun, ...]:
     return told
 
 
+def one_of(runs: Sequence[ForceRun]) -> ForceRun:
+    """All readings of runs in a row."""
+    joined = {
+        f.name: np.concatenate([getattr(run, f.name) for run in runs], -1)
+        for f in fields(ForceRun)
+        if isinstance(getattr(runs[0], f.name), np.ndarray)
+    }
+    return replace(runs[0], **joined)
+
+
 def left_of(run: ForceRun, numbers: Array, effects: Sequence[Effect]) -> Array:
     """(n,) told force less what the motion needs, in floors: of a drive that gives a part of what it is told, over that
     part, as it is told."""
@@ -65,6 +80,6 @@ def left_of(run: ForceRun, numbers: Array, effects: Sequence[Effect]) -> Array:
             taken = taken - effect.force(q, v)
         elif effect.acts == "drive":
             taken = taken + np.sign(v) * effect.drive_limit(q, v, run.load)
-    gain = max(float(numbers[kernel.GAIN]), _LEAST_GAIN) if run.on.any() else 1.0
+    gain = np.where(run.on > 0, max(float(numbers[kernel.GAIN]), _LEAST_GAIN), 1.0)
     beside = run.q - run.asked
     return np.asarray((run.asked + (numbers[kernel.OFFSET] * run.on + beside - taken) / gain) / run.sigma)

@@ -18,6 +18,9 @@ from simgap.settings import SearchSettings
 
 _ACTS = ("force", "drive", "inertia", "command")
 """What a force tells of; what a sensor or a stop does shows in positions alone."""
+EVEN = 0.1
+"""Part by which the load on the bearing must change for friction that grows with it to be told from other friction:
+real friction departs so far from its formula (`Effect.departs`)."""
 _BINS, _RETURNED = 20, 0.5
 """Places over the range; part of them that must be passed both ways for a force of position to be told from friction.
 Not measured."""
@@ -30,6 +33,7 @@ def candidates(problem: Problem, runs: tuple[FitRun, ...], without: tuple[str, .
     told = force_of(runs)
     driven = any(run.on.any() for run in told)
     to_and_fro = _both_ways(told) >= _RETURNED
+    even = loads_alike(told)
     turned = any((run.acceleration != 0).any() for run in told)
 
     def possible(cls: type[Effect]) -> bool:
@@ -42,6 +46,8 @@ def candidates(problem: Problem, runs: tuple[FitRun, ...], without: tuple[str, .
             return False  # it would be friction that differs from place to place
         if cls.acts == "command":
             return driven
+        if cls.needs_load and cls.twin and even:
+            return False  # its twin does the same here, and stands for both
         return cls.acts != "inertia" or turned
 
     return tuple(name for name, cls in EFFECTS.items() if possible(cls) and name not in without)
@@ -53,6 +59,12 @@ def _both_ways(runs: tuple[ForceRun, ...]) -> float:
     edges = np.linspace(q.min(), q.max(), _BINS + 1)
     forth, back = (np.histogram(q[way], edges)[0] > 0 for way in (v > 0, v < 0))
     return float((forth & back).sum() / max((forth | back).sum(), 1))
+
+
+def loads_alike(runs: tuple[FitRun, ...]) -> bool:
+    """Whether the force on the bearing hardly changes: less than friction departs from its formula."""
+    load = np.concatenate([run.load for run in force_of(runs)])
+    return float(np.std(load)) < EVEN * float(np.mean(load))
 
 
 @dataclass
@@ -105,6 +117,19 @@ class ForceSearch:
                     tried.append(self._fitted(names, joined(theory, smaller, {name: point})))
             self.fits[names] = min(tried, key=lambda fit: fit.cost)
         return self.fits[names]
+
+    def twins(self, names: tuple[str, ...]) -> list[Fit]:
+        """Sets that do the same as this one where the load hardly changes, which the search does without."""
+        if not loads_alike(self.train):
+            return []
+        found = []
+        for twin in (n for n, cls in EFFECTS.items() if cls.needs_load and cls.twin in names):
+            theory = Theory(self.problem, tuple(sorted({*names, twin} - {EFFECTS[twin].twin})), prompt=True)
+            load, values = self.problem.load, self.fits[names].values
+            own = [r.name for r in theory.ranges() if r.owner == twin]
+            first = next(x for (owner, _), x in values.items() if owner == EFFECTS[twin].twin)
+            found.append(fitted(theory, self.train, joined(theory, self.fits[names], {twin: {own[0]: first / load}})))
+        return found
 
     def _fitted(self, names: tuple[str, ...], theta: np.ndarray | None) -> Fit:
         return fitted(Theory(self.problem, names, prompt=True), self.train, theta)
