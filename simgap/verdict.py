@@ -98,7 +98,7 @@ class Verdict:
     """Whether what is named is but what dominates, or may be: a remainder above the sensor's noise has no name."""
 
     by: By = "position"
-    """What was compared: where the joint was, or, of prescribed motion, the force that it took. Gaps are in its unit."""
+    """What was compared: where the joint was, or the force that prescribed motion took. Gaps are in its unit."""
     judged_by: dict[str, Any] = field(default_factory=dict)
     """Version, digest of the code and every number that decides."""
 

@@ -125,9 +125,7 @@ def _listed_runs(data: dict[str, Any], path: Path) -> list[dict[str, Any]]:
     for entry in listed:
         for word in MARKS:
             if entry.get(word) not in (None, True, False):
-                raise FreeArtError(
-                    f"{path}: run '{entry['file']}' has {word} {entry[word]!r}, expected true or false"
-                )
+                raise FreeArtError(f"{path}: run '{entry['file']}' has {word} {entry[word]!r}, expected true or false")
     return listed
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ def force_of(runs: Sequence[FitRun]) -> tuple[ForceRun, ...]:
 
 def one_of(runs: Sequence[ForceRun]) -> ForceRun:
     """All readings of runs in a row."""
-    joined = {
+    joined: dict[str, Any] = {
         f.name: np.concatenate([getattr(run, f.name) for run in runs], -1)
         for f in fields(ForceRun)
         if isinstance(getattr(runs[0], f.name), np.ndarray)

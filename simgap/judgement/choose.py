@@ -244,7 +244,9 @@ def at_end(fit: Fit) -> bool:
     )
 
 
-def as_added(hypothesis: Hypothesis, search: Search | ForceSearch, folds: tuple[Fold, ...], base: Hypothesis) -> Hypothesis:
+def as_added(
+    hypothesis: Hypothesis, search: Search | ForceSearch, folds: tuple[Fold, ...], base: Hypothesis
+) -> Hypothesis:
     """The set with the numbers that bring a simulator nearest, which knows no build-up of friction."""
     fit = prompt(hypothesis.fit, search.train)
     return hypothesis if fit is hypothesis.fit else judged(fit, folds, base)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +79,7 @@ class ForceRun(FitRun):
     def between(self, begin: int, end: int) -> ForceRun:
         """The stretch of readings begin to end."""
         own = {f.name: getattr(self, f.name) for f in fields(self)}
-        cut = {name: value[..., begin:end] for name, value in own.items() if isinstance(value, np.ndarray)}
+        cut: dict[str, Any] = {k: v[..., begin:end] for k, v in own.items() if isinstance(v, np.ndarray)}
         return replace(self, **cut)
 
 

@@ -126,8 +126,9 @@ def missing_force(
 def smoothed(run: Run, window: int | None = None) -> tuple[Array, Array, Array, Array, Array, Array] | None:
     """Even times; position as read, smoothed, velocity, acceleration; and what acceleration is smoothed by.
 
-    `window` is of how many readings; as wide as half swings allow when not given. None for too short a run. A local polynomial's second derivative (Savitzky and Golay 1964) is exactly the true
-    acceleration seen through a kernel; forces seen through the same one have the same bias.
+    `window` is of how many readings; as wide as half swings allow when not given. None for too short a run. A local
+    polynomial's second derivative (Savitzky and Golay 1964) is exactly the true acceleration seen through a kernel;
+    forces seen through the same one have the same bias.
     """
     from scipy.signal import savgol_coeffs, savgol_filter
 
