@@ -36,6 +36,7 @@ from simgap.judgement.words import amount, effect_words, plain
 from simgap.measure.data import FitRun, fit_runs, thinned
 from simgap.measure.floor import Floor
 from simgap.measure.prescribed import ForceRun, force_runs
+from simgap.measure.withstood import withstood
 from simgap.motion.surrogate import Nuisance, Plant, plant_of
 from simgap.page.publish import Draft, off_of, publish, with_positions
 from simgap.page.report import Ranked
@@ -86,8 +87,9 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
     plant = plant_of(asset, measured)
     runs, floor = as_tracked(*fit_runs(positions, plant), geometry)
     moved = moves_enough(runs, floor, settings.judgement)
-    if not moved or not says_enough(runs, settings.judgement):
-        motion = silent_verdict(runs, floor, moved, measured.joint_type)
+    held = withstood(positions, plant, floor)
+    if held is not None or not moved or not says_enough(runs, settings.judgement):
+        motion = silent_verdict(runs, floor, moved, measured.joint_type, held)
         return Draft(
             joined(motion, geometry, measured.joint_type),
             geometry=geometry,

@@ -19,6 +19,7 @@ from simgap.judgement.split import Split
 from simgap.judgement.words import amount, capital, closed_text, effect_words, plain, runs_text
 from simgap.measure.data import FitRun
 from simgap.measure.floor import Floor
+from simgap.measure.withstood import Withstood
 from simgap.settings import JudgementSettings
 from simgap.verdict import By, RunGap, Verdict, told_by, unit_of
 
@@ -65,21 +66,24 @@ def says_enough(runs: tuple[FitRun, ...], settings: JudgementSettings) -> bool:
     return sum(len(run.q) for run in runs) >= settings.least_readings
 
 
-def silent_verdict(runs: tuple[FitRun, ...], floor: Floor, moved: bool, joint_type: JointType) -> Verdict:
+def silent_verdict(
+    runs: tuple[FitRun, ...], floor: Floor, moved: bool, joint_type: JointType, held: Withstood | None = None
+) -> Verdict:
     """Nothing moved, or hardly anything was read: nothing is known but what pushes it withstood."""
     gaps = tuple(RunGap(r.name, floor.still, floor.still, floor.still, bool(r.held_out), r.regime) for r in runs)
-    if moved:
-        said, later = "There are too few readings", "Record some runs of a few seconds each, from all over its range."
+    length, force = ("rad", "N*m") if joint_type == "revolute" else ("m", "N")
+    later = "Let it go from far off its rest position, or push it through its whole range, and record again."
+    if held is not None:
+        most = amount(held.force, force)
+        said = (
+            f"The joint withstood {most}, weight and told force together, and gave way by "
+            f"{amount(held.bent, length)}: what holds it, dry friction or a catch, is at least that. Beyond that"
+        )
+        later = f"Push harder than {most} until it moves. {later}"
+    elif moved:
+        said, later = "There are too few readings:", "Record some runs of a few seconds each, from all over its range."
     else:
-        pushes = [np.abs(run.inputs.effort) + np.abs(run.inputs.push) for run in runs if len(run.inputs.times_s)]
-        most = max((float(push.max()) for push in pushes), default=0.0)
-        held = f" under {amount(most, 'N*m' if joint_type == 'revolute' else 'N')}" if most > 0 else ""
-        said = f"The joint hardly moved{held}"
-        later = "Let it go from far off its rest position, or push it through its whole range, and record again."
-        if most > 0:
-            later = (
-                f"Push harder than {amount(most, 'N*m' if joint_type == 'revolute' else 'N')} until it moves. {later}"
-            )
+        said = "The joint hardly moved:"
     return Verdict(
         "not_excited",
         (),
@@ -87,7 +91,7 @@ def silent_verdict(runs: tuple[FitRun, ...], floor: Floor, moved: bool, joint_ty
         gaps,
         (),
         later,
-        f"{said}: these runs cannot tell whether anything is missing in the simulation.",
+        f"{said} these runs cannot tell whether anything is missing in the simulation.",
     )
 
 
