@@ -137,11 +137,12 @@ def _steady(run: Run, measured: Measured, plant: Plant) -> bool:
 def _of_run(measured: Measured, plant: Plant, run: Run, noise: float, still: float) -> ForceRun | None:
     """The run, where its joint slides and touches no limit; None where that is too little."""
     inertia, mechanics = plant.mechanics.inertia, plant.mechanics
-    smooth, sigma, spread = None, 0.0, 0.0
-    for window in _WINDOWS:
+    smooth, sigma, spread = smoothed(run), 0.0, 0.0
+    widest = 0 if smooth is None else len(smooth[5])
+    for window in (*(w for w in _WINDOWS if w < widest), widest):
         found = smoothed(run, window)
-        if found is None or len(found[0]) < 4 * window:
-            break
+        if found is None:
+            return None
         smooth = found
         step = float(found[0][1] - found[0][0])
         spread, bend = (still * _size(window, deriv, step) for deriv in (1, 2))
