@@ -592,7 +592,7 @@ def measure(
         effort: Asked of the actuator, or pushing the part from outside.
         actuator: Of force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad (N/m, N*s/m).
         interpolation: Of efforts and commands between their rows; unknown when not given.
-        circumstances: JSON of what else measured.json can say: actuator, base, prescribed, units, wrapped.
+        circumstances: JSON of actuator, base, prescribed runs, units, wrapped.
         inertia_relative: By which the asset's inertia may be off, 0.1 when not given.
         gravity_relative: By which its weight's torque or force may be off, 0.05 when not given.
         held_out: Runs that a fit must never see: names, numbers from 1, or files.

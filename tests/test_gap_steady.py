@@ -21,6 +21,7 @@ from simgap.fitting.force_search import candidates
 from simgap.judgement.split import split_of
 from simgap.measure.data import fit_runs
 from simgap.measure.prescribed import force_runs
+from simgap.measure.withstood import withstood
 from simgap.motion.equation_error import smoothed
 from simgap.motion.surrogate import plant_of
 from simgap.settings import GapSettings
@@ -125,11 +126,13 @@ def test_what_holds_a_joint_is_at_least_what_it_withstood(asset: Asset):
     assert pushed.verdict == "not_excited" and "withstood 3.8 N m" in pushed.sentence
     assert pushed.next_experiment is not None and "Push harder than 3.8 N m" in pushed.next_experiment
     hung = find_gap(asset, held_of(0.7, [0 * times]))
-    assert "withstood 4.91 N m" in hung.sentence and 4.91 == pytest.approx(0.97 * weight, abs=0.02)
+    assert "withstood 4.91 N m" in hung.sentence and pytest.approx(0.97 * weight, abs=0.02) == 4.91
     for nothing in (held_of(0.0, [0 * times]), held_of(0.7, [0 * times + weight])):
         said = find_gap(asset, nothing)
         assert said.verdict == "not_excited" and "withstood" not in said.sentence
-    assert "withstood" not in find_gap(asset, held_of(0.0, [0.5 * times], away=0.3)).sentence
+    at_last = held_of(0.0, [0.5 * times], away=0.3)
+    plant = plant_of(asset, at_last)
+    assert withstood(at_last, plant, fit_runs(at_last, plant)[1]) is None
 
 
 def test_a_long_run_that_never_turns_back_keeps_its_acceleration():
