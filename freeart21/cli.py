@@ -582,8 +582,8 @@ def measure(
         rate_hz: Rows a second of files without a time; frames a second of a result, 30 when not given.
         asset: Asset folder or URDF that the recordings are of.
         joint: Joint of the URDF; may be left out when only one can move.
-        columns: Which column is what, such as t=time q=angle: t, q, qd, effort, q_command, voltage, enabled, base_x ..
-            base_angle; or a JSON file of such. Without a header they are 1, 2, ...
+        columns: Of t, q, qd, effort, q_command, voltage, enabled, base_x, base_y, base_z, base_ax, base_ay, base_az,
+            base_angle, such as t=time q=angle; or a JSON file of such. Without a header columns are 1, 2, ...
         unit_t: Of times: s, ms, us or ns; guessed when not given.
         unit_q: Of positions and commands: rad, deg, turns, m, cm, mm; guessed when not given.
         unit_effort: Of efforts: N*m, N*cm or mN*m, N or mN; N*m or N when not given.
