@@ -17,6 +17,7 @@ from scipy.io import loadmat
 
 from benchmarks.common import ROOT
 from export.joint_asset import JointNumbers, write_joint_asset
+from freeart21.formats.circumstances import Circumstances
 from freeart21.formats.measured_series import SeriesSettings, measure_series
 from freeart21.se3 import Array
 
@@ -29,6 +30,8 @@ PHY180, PHY180_SLOW = JointNumbers("pendulum", 1.0, period=1.024), JointNumbers(
 """Periods of small swings, read off the recordings: 1.024 s at .1 rad, 1.409 s at .2 rad."""
 ADIP = JointNumbers("pendulum", 0.096, 0.195, period=0.993)
 """Mass and length of its authors, the period at .2 rad as recorded."""
+ARM = 0.30
+"""m of its authors, from the arm's axis to the pendulum."""
 BAM = JointNumbers("pendulum", 0.49, 0.10)
 """Mass and length in the logs."""
 BAM_MOTOR = {"kt": 0.3029, "R": 3.368, "error_gain": 0.00246, "vin": 7.4}
@@ -55,6 +58,7 @@ def recordings() -> dict[str, Callable[[Path], None]]:
         "adip_pend_cut": ("rotary_and_cart", adip_pend_cut),
         "rotary_settled": ("rotary_and_cart", lambda out: rotary(out, settled=True)),
         "rotary_moving": ("rotary_and_cart", lambda out: rotary(out, settled=False)),
+        "rotary_told": ("rotary_and_cart", rotary_told),
         "bam_kp100": ("bam_xl330", lambda out: servo(out, 100)),
         "bam_kp400": ("bam_xl330", lambda out: servo(out, 400)),
         "bam_free": ("bam_xl330", servo_off),
@@ -113,6 +117,20 @@ def rotary(out: Path, settled: bool) -> None:
         rows = rows[rows[:, 0] > (still if settled else 1.0)]
         files.append(_written(out / "raw" / f"kp{gain}.csv", "time,angle", rows))
     _brought(out, ADIP, files, held_out=("kp5",), **_LENGTH_BY_PERIOD)
+
+
+def rotary_told(out: Path) -> None:
+    """The pendulum and how its arm turns: the arm's axis is upright, ARM from the middle of the pendulum's bearing, on
+    the side on which the first swing shows it."""
+    files = []
+    for gain in (3, 5):
+        data = loadmat(SHARED / "rotary_and_cart" / f"adip_arm_pcont_data_kP_{gain}_ref_1.mat")
+        rows = np.column_stack([data[name] for name in ("t", "theta2", "theta1")])
+        rows = rows[rows[:, 0] > 1.0]
+        files.append(_written(out / "raw" / f"kp{gain}.csv", "time,angle,arm", rows))
+    columns = {"t": "time", "q": "angle", "base_angle": "arm"}
+    told = Circumstances(base={"axis": [0, 0, 1], "point": [0, ARM, 0]})
+    _brought(out, ADIP, files, columns=columns, told=told, held_out=("kp5",), **_LENGTH_BY_PERIOD)
 
 
 def servo(out: Path, gain: int) -> None:

@@ -560,6 +560,7 @@ def measure(
     effort: Literal["commanded", "external"] | None = None,
     actuator: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="STIFFNESS DAMPING")] = None,
     interpolation: Literal["held", "linear", "unknown"] | None = None,
+    circumstances: Path | None = None,
     inertia_relative: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None,
     gravity_relative: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None,
     held_out: tuple[str, ...] = (),
@@ -581,16 +582,17 @@ def measure(
         rate_hz: Rows a second of files without a time; frames a second of a result, 30 when not given.
         asset: Asset folder or URDF that the recordings are of.
         joint: Joint of the URDF; may be left out when only one can move.
-        columns: Which column is what: t, q (position), effort, q_command, or enabled (0 where the drive was off), such
-            as t=time q=angle; or a JSON file of such. A column without a header is 1, 2, ...
+        columns: Of t, q, qd, effort, q_command, voltage, enabled, base_x, base_y, base_z, base_ax, base_ay, base_az,
+            base_angle, such as t=time q=angle; or a JSON file of such. Without a header columns are 1, 2, ...
         unit_t: Of times: s, ms, us or ns; guessed when not given.
-        unit_q: Of positions and commands: rad, deg or turns, m, cm or mm; guessed when not given.
+        unit_q: Of positions and commands: rad, deg, turns, m, cm, mm; guessed when not given.
         unit_effort: Of efforts: N*m, N*cm or mN*m, N or mN; N*m or N when not given.
-        zero: Position as recorded, in its unit, at which the URDF's joint is at 0.
+        zero: Position as recorded, in its unit, at the URDF's 0.
         reverse: The recording counts against the URDF's joint axis.
         effort: Asked of the actuator, or pushing the part from outside.
         actuator: Of force = STIFFNESS (q_command - q) - DAMPING qd, in N*m/rad and N*m*s/rad (N/m, N*s/m).
         interpolation: Of efforts and commands between their rows; unknown when not given.
+        circumstances: JSON of actuator, base, prescribed runs, units, wrapped.
         inertia_relative: By which the asset's inertia may be off, 0.1 when not given.
         gravity_relative: By which its weight's torque or force may be off, 0.05 when not given.
         held_out: Runs that a fit must never see: names, numbers from 1, or files.
@@ -613,6 +615,7 @@ def measure(
         )
     _check_options("files" if files else "a result" if results else "truths", given)
     if files:
+        from freeart21.formats.circumstances import Circumstances, read_circumstances
         from freeart21.formats.measured_series import SeriesSettings, columns_from, measure_series
 
         if asset is None:
@@ -632,6 +635,7 @@ def measure(
             inertia_relative,
             gravity_relative,
             held_out,
+            Circumstances() if circumstances is None else read_circumstances(circumstances),
         )
         for note in measure_series(files, out, asset, joint, told):
             print(f"- {note}")

@@ -34,6 +34,7 @@ OPTION_GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
             "effort",
             "actuator",
             "interpolation",
+            "circumstances",
             "inertia_relative",
             "gravity_relative",
         ),

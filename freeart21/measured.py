@@ -70,7 +70,10 @@ class Run:
     """How the base moved; None at rest."""
     qd: Array | None = None
     """(n,) velocity as read, rad/s or m/s, NaN where there is no reading. Fits look at positions; it tells what torque
-    goes with what speed (`simgap.motion.torque_residual`)."""
+    goes with what speed (`simgap.measure.prescribed`)."""
+    prescribed: bool | None = None
+    """Whether something else than the efforts told the joint how to move, as a drive that holds its speed: efforts then
+    answer the motion. None when nobody said."""
 
 
 @dataclass(frozen=True)

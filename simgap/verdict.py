@@ -15,6 +15,7 @@ SCHEMA = "freeart21/verdict/1"
 Use = Literal["fitted", "choosing", "confirming"]
 """What a run is used for: to fit sets to, to choose among them, or to confirm the choice."""
 Answer = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
+By = Literal["position", "force"]
 ANSWERS: tuple[str, ...] = get_args(Answer)
 
 
@@ -41,7 +42,7 @@ class Where:
 
 @dataclass(frozen=True)
 class RunGap:
-    """How far simulation and measurement of one run are apart: root mean squares, rad or m."""
+    """How far simulation and measurement of one run are apart: root mean squares, rad or m, or N*m or N."""
 
     run: str
     before: float
@@ -68,6 +69,12 @@ def told_by(gaps: Sequence[RunGap]) -> list[RunGap]:
     return list(gaps)
 
 
+def unit_of(by: By, joint_type: JointType) -> str:
+    """SI unit of what was compared."""
+    turns = joint_type == "revolute"
+    return {"position": "rad" if turns else "m", "force": "N*m" if turns else "N"}[by]
+
+
 @dataclass(frozen=True)
 class Verdict:
     """What `freeart21 gap` found."""
@@ -90,6 +97,8 @@ class Verdict:
     in_part: bool = False
     """Whether what is named is but what dominates, or may be: a remainder above the sensor's noise has no name."""
 
+    by: By = "position"
+    """What was compared: where the joint was, or the force that prescribed motion took. Gaps are in its unit."""
     judged_by: dict[str, Any] = field(default_factory=dict)
     """Version, digest of the code and every number that decides."""
 
@@ -104,6 +113,7 @@ class Verdict:
             "added": list(self.added),
             "where": [vars(where) for where in self.where],
             "gap": [vars(gap) for gap in self.gaps],
+            "gap_of": {"quantity": self.by, "unit": unit_of(self.by, joint_type)},
             "rivals": [list(names) for names in self.rivals],
             "next_experiment": self.next_experiment,
             "notes": list(self.notes),

@@ -22,17 +22,21 @@ from freeart21.files.places import ANSWER, check_place
 from freeart21.joint import JointType
 from freeart21.measured import Measured
 from simgap.fitting.fit import Fit, Problem, Reader, Starts, placed
+from simgap.fitting.force_search import ForceSearch
+from simgap.fitting.force_search import candidates as force_candidates
 from simgap.fitting.search import Search, candidates
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.kinematics import KinematicsSettings, find_geometry_of
 from simgap.judgement.choose import Choice, chosen
 from simgap.judgement.decide import Confirmed, moves_enough, says_enough, silent_verdict, verdict_of
-from simgap.judgement.hypotheses import FORM, Hypothesis
+from simgap.judgement.hypotheses import FORM, Hypothesis, judged
 from simgap.judgement.predictive import DECISIVE, FREEDOM, lead
 from simgap.judgement.split import Split, split_of
 from simgap.judgement.words import amount, effect_words, plain
 from simgap.measure.data import FitRun, fit_runs, thinned
 from simgap.measure.floor import Floor
+from simgap.measure.prescribed import ForceRun, force_runs
+from simgap.measure.withstood import withstood
 from simgap.motion.surrogate import Nuisance, Plant, plant_of
 from simgap.page.publish import Draft, off_of, publish, with_positions
 from simgap.page.report import Ranked
@@ -41,6 +45,10 @@ from simgap.settings import GapSettings
 from simgap.verdict import SHOWS, Named, Verdict
 
 DEFAULTS = GapSettings()
+NOT_REPLAYED = (
+    "SAPIEN has not confirmed it: where the force is read that prescribed motion took, no free simulation can follow; "
+    "runs kept to confirm it are judged by inverse dynamics."
+)
 MOST_RANKED = 12
 """Sets that the page lists."""
 _ORDER = ("no_gap", "not_excited", "named", "ambiguous", "unexplained")
@@ -58,7 +66,7 @@ def find_gap(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS)
 def explain(asset: Asset, measured: Measured, settings: GapSettings = DEFAULTS) -> Draft:
     """Measure, tell geometry from dynamics, name: all but what SAPIEN has to show."""
     draft = _explained(asset, measured, settings)
-    notes = (*measured.notes, *thinned(measured))
+    notes = (*measured.notes, *draft.verdict.notes, *(() if draft.verdict.by == "force" else thinned(measured)))
     return replace(draft, verdict=replace(draft.verdict, notes=notes, judged_by=judged_by(settings)))
 
 
@@ -79,8 +87,9 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
     plant = plant_of(asset, measured)
     runs, floor = as_tracked(*fit_runs(positions, plant), geometry)
     moved = moves_enough(runs, floor, settings.judgement)
-    if not moved or not says_enough(runs, settings.judgement):
-        motion = silent_verdict(runs, floor, moved, measured.joint_type)
+    held = withstood(positions, plant, floor)
+    if held is not None or not moved or not says_enough(runs, settings.judgement):
+        motion = silent_verdict(runs, floor, moved, measured.joint_type, held)
         return Draft(
             joined(motion, geometry, measured.joint_type),
             geometry=geometry,
@@ -88,17 +97,26 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
             certain=certain_of(motion, geometry),
         )
     problem = problem_of(plant, measured, runs, floor, settings)
+    seen = force_runs(positions, plant)
+    if seen is not None and says_enough(seen[0], settings.judgement):
+        runs, floor, problem = seen[0], seen[1], force_problem(problem, seen[0])
     split = split_of(runs)
-    encoder = any(run.poses is None for run in measured.runs)
-    names = candidates(problem, split.fitted, encoder, settings.without)
-    choice = chosen(Search(problem, split.fitted, settings.search, names), split.folds, settings.judgement)
+    search = search_of(problem, split, measured, settings)
+    choice = chosen(search, split.folds, settings.judgement)
+    if isinstance(search, ForceSearch):
+        choice = with_twins(choice, search, split)
     best = choice.explaining[0] if choice.explaining else choice.base
     confirmed = Confirmed(*(placed(h.fit, split.confirming) if split.confirming else None for h in (choice.base, best)))
     motion = verdict_of(choice, split, confirmed, runs, floor, problem)
+    motion = replace(motion, notes=(*seen[2], NOT_REPLAYED)) if seen is not None and problem.force_read else motion
     before, after = (started(h, there) for h, there in ((choice.base, confirmed.before), (best, confirmed.after)))
     return Draft(
         joined(motion, geometry, measured.joint_type),
-        {run.name: (before[run.name], after[run.name]) for run in runs if run.name in before and run.name in after},
+        {
+            run.name: (before[run.name], after[run.name])
+            for run in runs
+            if run.name in before and run.name in after and not problem.force_read
+        },
         (off_of(plant, nuisance_of(choice.base.fit)), off_of(plant, nuisance_of(best.fit))),
         ranking_of(choice),
         geometry,
@@ -108,6 +126,34 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
         certain_of(motion, geometry),
         curves_of(choice, split, confirmed, runs),
         {run.name: split.use(run.name) for run in runs},
+    )
+
+
+def search_of(problem: Problem, split: Split, measured: Measured, settings: GapSettings) -> Search | ForceSearch:
+    """What looks for sets: in positions, or in the force of prescribed motion."""
+    if problem.force_read:
+        names = force_candidates(problem, split.fitted, settings.without)
+        return ForceSearch(problem, split.fitted, settings.search, names)
+    encoder = any(run.poses is None for run in measured.runs)
+    names = candidates(problem, split.fitted, encoder, settings.without)
+    return Search(problem, split.fitted, settings.search, names)
+
+
+def with_twins(choice: Choice, search: ForceSearch, split: Split) -> Choice:
+    """The choice with all that these runs cannot tell from what stands."""
+    twins = [judged(fit, split.folds, choice.base) for h in choice.explaining for fit in search.twins(h.names)]
+    return replace(choice, explaining=(*choice.explaining, *twins))
+
+
+def force_problem(problem: Problem, runs: tuple[ForceRun, ...]) -> Problem:
+    """What fits to the force of prescribed motion share."""
+    return replace(
+        problem,
+        force_read=True,
+        unknown_inputs=False,
+        speed=float(max(np.abs(run.speed).max() for run in runs)),
+        force=float(np.sqrt(np.mean(np.concatenate([run.q for run in runs]) ** 2))),
+        load=float(np.sqrt(np.mean(np.concatenate([run.load for run in runs]) ** 2))),
     )
 
 

@@ -255,3 +255,19 @@ def test_too_much_is_not_read(tmp_path: Path, monkeypatch):
     monkeypatch.setattr("freeart21.files.measured.MAX_BYTES", 1000)
     with pytest.raises(FreeArtError, match="bytes together, at most 1000 are read"):
         read_measured(folder)
+
+
+def test_a_run_says_that_its_motion_is_prescribed_and_then_has_the_force_that_it_took(tmp_path: Path):
+    units = {"t_s": "s", "q": "rad", "effort": "N*m"}
+    runs = [{"file": "run_0.csv", "prescribed": True}, {"file": "run_1.csv", "prescribed": False, "held_out": True}]
+    changes = {"units": units, "effort": "commanded", "runs": runs}
+    folder = write(tmp_path / "a", changes, effort=TIMES)
+    (folder / "run_1.csv").write_text((folder / "run_1.csv").read_text().replace("0.300000", "0.300001", 1))
+    read = read_measured(folder)
+    assert [run.prescribed for run in read.runs] == [True, False]
+    write_measured(tmp_path / "b", read)
+    assert [run.prescribed for run in read_measured(tmp_path / "b").runs] == [True, False]
+    with pytest.raises(FreeArtError, match="run 'run_0' is prescribed, but has no 'effort'"):
+        read_measured(write(tmp_path / "c", {"runs": runs}))
+    with pytest.raises(FreeArtError, match="run 'run_0.csv' has prescribed 'yes', expected true or false"):
+        read_measured(write(tmp_path / "d", {**changes, "runs": [{**runs[0], "prescribed": "yes"}, runs[1]]}))

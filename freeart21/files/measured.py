@@ -44,6 +44,8 @@ MIN_SAMPLES = 20
 DRIVES = ("effort", "q_command", "voltage", "enabled")
 """Columns of what drove the joint."""
 COLUMNS = ("t_s", "q", *DRIVES, "qd", *base_json.COLUMNS)
+MARKS = ("held_out", "prescribed")
+"""What measured.json may say of a run: true or false."""
 _ALIKE = {"t_s": "s", "voltage": "V", "enabled": "1", **base_json.COLUMNS}
 UNITS: dict[str, dict[str, str]] = {
     "revolute": {"q": "rad", "qd": "rad/s", "effort": "N*m", "q_command": "rad", **_ALIKE},
@@ -121,10 +123,9 @@ def _listed_runs(data: dict[str, Any], path: Path) -> list[dict[str, Any]]:
     if not 1 <= len(listed) <= MAX_RUNS:
         raise FreeArtError(f"{path} has {len(listed)} runs, expected 1 to {MAX_RUNS}")
     for entry in listed:
-        if entry.get("held_out") not in (None, True, False):
-            raise FreeArtError(
-                f"{path}: run '{entry['file']}' has held_out {entry['held_out']!r}, expected true or false"
-            )
+        for word in MARKS:
+            if entry.get(word) not in (None, True, False):
+                raise FreeArtError(f"{path}: run '{entry['file']}' has {word} {entry[word]!r}, expected true or false")
     return listed
 
 
@@ -167,10 +168,10 @@ def _read_run(
         effort, command, voltage, enabled = (table.get(column) for column in DRIVES)
         return Run(
             name, table["t_s"], table["q"], effort, command, None, None, held_out, voltage, enabled,
-            base_json.base_of(table, file), table.get("qd"),
+            base_json.base_of(table, file), table.get("qd"), entry.get("prescribed"),
         )  # fmt: skip
     if how == "poses":
-        return _read_poses(file, name, rate_hz, held_out)
+        return replace(_read_poses(file, name, rate_hz, held_out), prescribed=entry.get("prescribed"))
     if how == "rgbd":
         raise FreeArtError(
             f"{path}: run '{entry['file']}' is of kind 'rgbd': run `freeart21 reconstruct` on it, then `freeart21 "
@@ -307,6 +308,10 @@ def _check_channels(
                     f"{path}: run '{run.name}' has '{column}' that is not a number, expected one in the first row, and "
                     "in others one or an empty cell"
                 )
+        if run.prescribed and run.effort is None:
+            raise FreeArtError(
+                f"{path}: run '{run.name}' is prescribed, but has no 'effort', expected the force that its motion took"
+            )
         if run.effort is not None and efforts is None:
             raise FreeArtError(f"{path}: run '{run.name}' has efforts, but 'effort' does not say commanded or external")
         if run.q_command is not None and (actuator is None or not actuator.stiffness):

@@ -10,7 +10,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.actuator_json import actuator_to_json
 from freeart21.files.base_json import base_columns
-from freeart21.files.measured import DRIVES, UNITS, VERSION
+from freeart21.files.measured import DRIVES, MARKS, UNITS, VERSION
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator
 from freeart21.se3 import Array
@@ -59,7 +59,7 @@ def _follows(actuator: Actuator, columns: set[str]) -> bool:
 
 def _write_run(folder: Path, run: Run) -> dict[str, str | bool]:
     """The file or folder of a run, and what measured.json says of it."""
-    marked = {} if run.held_out is None else {"held_out": run.held_out}
+    marked = {word: getattr(run, word) for word in MARKS if getattr(run, word) is not None}
     if run.poses is None:
         _write_csv(folder / f"{run.name}.csv", run)
         return {"file": f"{run.name}.csv", **marked}

@@ -13,15 +13,17 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic, checked
+from freeart21.files import atomic, base_json, checked
 from freeart21.files.asset import UrdfJoint, movable_joint, read_asset
 from freeart21.files.measured import MAX_RATE_HZ, MIN_SAMPLES, read_measured
 from freeart21.files.measured_writer import write_measured
+from freeart21.formats import circumstances
+from freeart21.formats.circumstances import Circumstances
 from freeart21.formats.series_rows import Raw, begun, near, rising, unwrapped
 from freeart21.formats.time_series import Series, listed, read_series
 from freeart21.joint import JointType
@@ -29,8 +31,11 @@ from freeart21.measured import EffortKind, Interpolation, Measured, Run, without
 from freeart21.mechanics import Actuator
 from freeart21.se3 import Array
 
-ROLES = ("t", "q", "effort", "q_command", "enabled")
-"""time; position; force or torque on the joint; commanded position; 0 where the drive was off."""
+ROLES = ("t", "q", "effort", "q_command", "enabled", *circumstances.COLUMNS)
+"""time; position; force or torque on the joint; commanded position; 0 where the drive was off; velocity; voltage; how
+the base moved."""
+DRIVES = ("effort", "q_command", "voltage")
+"""Roles of what drove the joint."""
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ANGLES = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi}
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -93,6 +98,8 @@ class SeriesSettings:
     gravity_relative: float | None = None
     held_out: tuple[str, ...] = ()
     """Names of runs, their numbers from 1, or names of files whose runs are all meant."""
+    told: Circumstances = field(default_factory=Circumstances)
+    """What there is no option for."""
 
 
 _BETWEEN = {
@@ -135,7 +142,7 @@ def measure_series(
     runs = _scaled(raw, kind, scored, settings, (said_units, roles[0]), notes)
     gravity, unsure = _circumstances(settings, chosen.reference_link, notes)
     if drives:
-        held = " and ".join(d for d in ("effort", "q_command") if d in roles[0])
+        held = " and ".join(d for d in DRIVES if d in roles[0])
         notes.append(f"{held}: {_BETWEEN[settings.interpolation or 'unknown']}")
     marked, copies = without_copies(_held_out(runs, files, settings.held_out))
     notes += copies
@@ -149,11 +156,13 @@ def measure_series(
         rate,
         "recorded" if clock else "nominal",
         settings.effort if "effort" in roles[0] else None,
-        Actuator(None, *settings.actuator) if settings.actuator is not None else None,
+        _actuator(settings),
         *unsure,
-        marked,
+        tuple(replace(run, prescribed=settings.told.marks(run.name)) for run in marked),
         settings.interpolation or "unknown",
+        settings.told.base_axis(set(roles[0])),
     )
+    _check_prescribed(settings.told, marked)
     with atomic.new_folder(out) as aside:
         write_measured(aside / "measured", measured)
         try:
@@ -163,6 +172,19 @@ def measure_series(
                 re.sub(rf"{re.escape(str(aside.resolve()))}/\S*/|{re.escape(str(aside))}/\S*/", "", str(error))
             ) from error
     return notes
+
+
+def _actuator(settings: SeriesSettings) -> Actuator | None:
+    """What is told of the actuator, by an option or in the file of circumstances."""
+    return settings.told.actuator if settings.actuator is None else Actuator(None, *settings.actuator)
+
+
+def _check_prescribed(told: Circumstances, runs: Iterable[Run]) -> None:
+    """FreeArtError when a run that is called prescribed is not there."""
+    names = [run.name for run in runs]
+    odd = [name for name in (told.prescribed if isinstance(told.prescribed, tuple) else ()) if name not in names]
+    if odd:
+        raise FreeArtError(f"{told.where}: there is no run '{odd[0]}' to be prescribed; runs: {listed(names)}")
 
 
 def _check_numbers(settings: SeriesSettings) -> None:
@@ -230,10 +252,16 @@ def columns_from(words: tuple[str, ...]) -> dict[str, str]:
 
 def _told_drives(settings: SeriesSettings) -> set[str]:
     """The drives that are told of; FreeArtError when one has no law, or a law no column."""
-    named = {role for role in ("effort", "q_command") if role in settings.columns}
+    named = set(DRIVES) & set(settings.columns)
     if "effort" in named and settings.effort is None:
         raise FreeArtError(f"--columns effort={settings.columns['effort']} needs --effort {_EFFORT_HELP}")
-    if "q_command" in named and settings.actuator is None:
+    if settings.actuator is not None and settings.told.actuator is not None:
+        raise FreeArtError(f"--actuator and the actuator of {settings.told.where}: expected one of them")
+    if "voltage" in settings.columns and (settings.told.actuator is None or settings.told.actuator.motor is None):
+        raise FreeArtError(
+            f"--columns voltage={settings.columns['voltage']} needs an actuator of type 'dc_motor' in --circumstances"
+        )
+    if "q_command" in named and _actuator(settings) is None:
         raise FreeArtError(f"--columns q_command={settings.columns['q_command']} needs --actuator {_ACTUATOR_HELP}")
     return named | ({"effort"} if settings.effort else set()) | ({"q_command"} if settings.actuator else set())
 
@@ -360,7 +388,7 @@ def _switched(run: Raw) -> list[Raw]:
     for begin, end in pairwise(edges):
         values = {role: v[begin:end] for role, v in run.values.items() if role != "enabled"}
         if not on[begin]:
-            values = {role: v for role, v in values.items() if role in ("t", "q")}
+            values = {role: v for role, v in values.items() if role not in DRIVES}
         name = run.name if len(edges) == 2 else f"{run.name}_{'on' if on[begin] else 'off'}_{len(parts) + 1}"
         parts.append(Raw(name, values))
     return [part for part in parts if len(part.values["t"]) >= MIN_SAMPLES] or parts
@@ -437,21 +465,21 @@ def _scaled(
     for run in runs:
         values = run.values
         q = sign * sizes[unit] * (values["q"] - settings.zero)
-        if kind == "revolute":
+        if kind == "revolute" and settings.told.wrapped is not False:
             q, turns = unwrapped(q)
             wrapped += turns
-        drives: dict[str, Array | None] = {"effort": None, "q_command": None}
+        drives: dict[str, Any] = {"effort": None, "q_command": None}
         for role in drives:
             if role in values:
                 empty += int(np.isnan(values[role]).sum())
                 zero, size = (settings.zero, sizes[unit]) if role == "q_command" else (0.0, EFFORTS[effort_unit or "N"])
                 drives[role] = sign * size * (values[role] - zero)
-        if kind == "revolute" and drives["q_command"] is not None:
+        if kind == "revolute" and drives["q_command"] is not None and settings.told.wrapped is not False:
             drives["q_command"], turns = near(drives["q_command"], q)
             turned += turns
         name = next(n for n in (run.name, *(f"{run.name}_{k}" for k in range(2, 10**6))) if n not in taken)
         taken.add(name)
-        made.append(Run(name, values["t"], q, drives["effort"], drives["q_command"]))
+        made.append(replace(_beside(Run(name, values["t"], q), values, kind, sign, settings), **drives))
     if wrapped:
         notes.append(f"{wrapped} jumps of the position by a whole turn were undone")
     if turned:
@@ -459,6 +487,15 @@ def _scaled(
     if empty:
         notes.append(f"{empty} empty cells of drives are no rows of theirs")
     return made
+
+
+def _beside(run: Run, values: dict[str, Array], kind: JointType, sign: float, settings: SeriesSettings) -> Run:
+    """The run with what else was told of it: velocity and voltage, which count as positions do, and its base."""
+    others = {r: settings.told.scale(r, kind) * values[r] for r in circumstances.COLUMNS if r in values}
+    own = {role: sign * others[role] for role in ("qd", "voltage") if role in others}
+    base = {role: series for role, series in others.items() if role not in own}
+    moved = base_json.base_of({"t_s": values["t"], **base}, Path(run.name)) if base else None
+    return replace(run, qd=own.get("qd"), voltage=own.get("voltage"), base=moved)
 
 
 def _range(runs: list[Raw]) -> tuple[float, float]:

@@ -63,7 +63,7 @@ def _in_order(run: Raw, notes: list[str]) -> Raw:
 
 def begun(run: Raw, notes: list[str]) -> Raw:
     """A run from the first row on in which every drive has a value: what drove it before is not known."""
-    drives = [role for role in ("effort", "q_command") if role in run.values]
+    drives = [role for role in ("effort", "q_command", "voltage") if role in run.values]
     known = [np.isfinite(run.values[role]) for role in drives]
     for role, there in zip(drives, known, strict=True):
         if not there.any():

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from freeart21.effects import Effect
 from freeart21.se3 import Array
+from simgap.fitting.force_model import ForceModel
 from simgap.fitting.least_squares import Prior, charge, solve, weight
 from simgap.fitting.theory import Problem as Problem
 from simgap.fitting.theory import Range as Range
@@ -204,9 +205,7 @@ def fitted(
     neutral, spread = (np.array([getattr(r, k) for r in ranges]) for k in ("neutral", "prior"))
     weight = np.diag(1 / spread**2)
     at = np.clip(theory.neutral() if theta is None else theta, low, high)
-    model = _Model(theory, runs, at)
-    given = starts or {}
-    begin = np.array([given[r.name] if r.name in given else _start(model, i, at) for i, r in enumerate(runs)])
+    model, begin = _begun(theory, runs, at, starts or {})
     begin[:, 0] = np.clip(begin[:, 0], plant.lower, plant.upper)
     most = theory.problem.fit.max_iterations if iterations is None else iterations
     prior = Prior(low, high, neutral, weight)
@@ -219,6 +218,15 @@ def fitted(
         state.cost,
         state.normal,
     )
+
+
+def _begun(theory: Theory, runs: tuple[FitRun, ...], at: Array, known: Starts) -> tuple[_Model | ForceModel, Array]:
+    """The theory before the runs, and (r, 2) their starts, looked for where they are not known; where the force is read
+    there are none."""
+    if theory.problem.force_read:
+        return ForceModel(theory, runs), np.zeros((len(runs), 2))
+    model = _Model(theory, runs, at)
+    return model, np.array([known[r.name] if r.name in known else _start(model, i, at) for i, r in enumerate(runs)])
 
 
 def misfit(theory: Theory, runs: tuple[FitRun, ...], theta: Array, starts: Starts) -> float:
@@ -340,6 +348,8 @@ def priced(free: int, readings: int) -> float:
 def settled(theory: Theory, theta: Array, runs: tuple[FitRun, ...]) -> Starts:
     """Start states that make the simulation follow each run ever longer: a far impact misleads a first guess."""
     starts: Starts = {}
+    if theory.problem.force_read:
+        return starts
     for part in (0.08, 0.2, 0.45):
         cut = tuple(run.between(0, max(8, round(part * len(run.q)))) for run in runs)
         starts = fitted(theory, cut, theta, starts, iterations=6, free=False).starts
@@ -383,11 +393,11 @@ def tangent(fit: Fit, runs: tuple[FitRun, ...]) -> tuple[list[Array], list[Array
     """Of every run: residuals (n,), and what a unit of start (2, n) and of each parameter (p, n) does to the readings,
     all in floors. The fit must have starts for the runs.
     """
-    model = _Model(fit.theory, runs, fit.theta)
-    starts = np.array([fit.starts[run.name] for run in runs])
+    model, starts = _begun(fit.theory, runs, fit.theta, fit.starts)
     parts = model.look(np.arange(len(runs)), starts, fit.theta)
     slopes = model.slopes(starts, fit.theta, parts, True)
-    return parts, [J[:2] for J in slopes], [J[2:] for J in slopes]
+    first = 2 if fit.theory.problem.force_read else 0
+    return parts, [J[first:2] for J in slopes], [J[2:] for J in slopes]
 
 
 def joined(theory: Theory, parent: Fit, points: dict[str, dict[str, float]]) -> Array:

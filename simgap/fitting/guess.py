@@ -14,6 +14,7 @@ import numpy as np
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
 from simgap.fitting.fit import Fit, Problem, Range, Reader, Theory, joined, tangent
+from simgap.fitting.force_model import ForceModel
 from simgap.measure.data import FitRun
 from simgap.motion import kernel
 from simgap.motion.surrogate import readings_of, step_of, sweep, terms_of
@@ -51,8 +52,8 @@ def off(problem: Problem, name: str) -> dict[str, float]:
 
 def guesses(fit: Fit, runs: tuple[FitRun, ...], names: tuple[str, ...]) -> list[Guess]:
     """Starting points of all sets of one effect more than `fit`, the most promising first; `runs` must have starts."""
-    linear = Linear(fit, runs)
-    found = [guess for name in names if name not in fit.theory.names for guess in linear.guesses(name)]
+    about = linear(fit, runs)
+    found = [guess for name in names if name not in fit.theory.names for guess in about.guesses(name)]
     return sorted(found, key=lambda guess: guess.cost)
 
 
@@ -213,7 +214,7 @@ class Linear:
         cls = EFFECTS[name]
         if cls.acts not in ("force", "drive"):
             return min(r.size, 0.1) if cls.acts != "inertia" else r.size
-        q = np.concatenate([run.q[::5] for run in self.runs])
+        q = np.concatenate([run.way[::5] for run in self.runs])
         v = np.concatenate([run.speed[::5] for run in self.runs])
         unit = {**point, r.name: 1.0}
         values = [unit.get(n, 0.0) for n in cls.parameters()]
@@ -234,6 +235,29 @@ class Linear:
                 q = np.stack([readings_of(effects, row) for (_, effects), row in zip(made, q, strict=True)])
             parts.append(self._freed(i, (q - self.now[i]) / run.sigma))
         return np.concatenate(parts, 1)
+
+
+class ForceLinear(Linear):
+    """The same of runs of which the force is read."""
+
+    def pushed(self, forces: Array) -> Array:
+        """(m, N) by how much less the drive has to give, in floors."""
+        return np.asarray(forces / np.concatenate([run.sigma for run in self.runs]))
+
+    def _responses(self, theory: Theory, name: str, points: list[dict[str, float]]) -> Array:
+        """(m, N) changes of what the motion needs, in floors."""
+        model, every = ForceModel(theory, self.runs), np.arange(len(self.runs))
+        none, rows = np.zeros((len(self.runs), 2)), []
+        before = [(run.q - now) / run.sigma for run, now in zip(self.runs, self.now, strict=True)]
+        for point in points:
+            left = model.look(every, none, joined(theory, self.fit, {name: point}))
+            rows.append(np.concatenate([b - after for b, after in zip(before, left, strict=True)]))
+        return np.array(rows)
+
+
+def linear(fit: Fit, runs: tuple[FitRun, ...]) -> Linear:
+    """The readings about a fit, of motion or of force."""
+    return (ForceLinear if fit.theory.problem.force_read else Linear)(fit, runs)
 
 
 def _is_size(r: Range, own: list[Range]) -> bool:

@@ -63,6 +63,9 @@ class Problem:
     they are is then fitted, either end being as likely as any place between."""
     fit: FitSettings = field(default_factory=FitSettings)
     surrogate: SurrogateSettings = field(default_factory=SurrogateSettings)
+    force_read: bool = False
+    """Whether the motion is prescribed and the force is read (`simgap.measure.prescribed`): residuals are then of
+    force."""
 
     @property
     def reference(self) -> tuple[float, float, float]:
@@ -131,6 +134,7 @@ class Theory:
         if (
             any(cls.acts in ("inertia", "slack") for cls in self.classes)
             and problem.near_stop
+            and not problem.force_read
             and "end_stop_bounce" not in self.names
         ):
             # part of the most that a shaft gives back; where no run tells, as if all of that were as likely
@@ -290,13 +294,13 @@ class Reader:
         """Write into the kernel's vector how effects depart from their formulas."""
         speed, middle, half = self.theory.problem.reference
         told = {(r.owner, r.name): float(x) for r, x in zip(self.ranges, theta, strict=True)}
-        by_law = {laws.LAWS[e.name]: e for e in effects if e.name in laws.LAWS}
+        by_name = {e.name: e for e in effects}
         usual = dict(self.theory.departing)
         numbers[kernel.DEPARTS] = speed
         for which, _, at, local in terms_of(effects):
             if not local:
                 numbers[at : at + 2] = middle, half
-            name, size = by_law[which].name, by_law[which].values()[0]
+            name, size = laws.NAMES[which], by_name[laws.NAMES[which]].values()[0]
             times = usual.get(name, 0.0) / size if size else 0.0
             ways = ("over speed", "over place", "bend")
             numbers[at + 2 : at + 5] = [times * told.get((name + _FORM, way), 0.0) for way in ways]

@@ -16,6 +16,7 @@ import numpy as np
 
 from freeart21.effects import EFFECTS
 from simgap.fitting.fit import Fit
+from simgap.fitting.force_search import ForceSearch
 from simgap.fitting.search import Search, prompt
 from simgap.judgement.hypotheses import Hypothesis, excess, judged
 from simgap.judgement.nameless import Nameless, beside
@@ -48,7 +49,7 @@ class Choice:
     table: tuple[Hypothesis, ...] = field(default=(), repr=False)
 
 
-def chosen(search: Search, folds: tuple[Fold, ...], settings: JudgementSettings) -> Choice:
+def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: JudgementSettings) -> Choice:
     """The smallest explanation, what dominates, or none."""
     base = judged(search.base(), folds)
     if not search.promising():
@@ -252,7 +253,9 @@ def at_end(fit: Fit) -> bool:
     )
 
 
-def as_added(hypothesis: Hypothesis, search: Search, folds: tuple[Fold, ...], base: Hypothesis) -> Hypothesis:
+def as_added(
+    hypothesis: Hypothesis, search: Search | ForceSearch, folds: tuple[Fold, ...], base: Hypothesis
+) -> Hypothesis:
     """The set with the numbers that bring a simulator nearest, which knows no build-up of friction."""
     fit = prompt(hypothesis.fit, search.train)
     return hypothesis if fit is hypothesis.fit else judged(fit, folds, base)

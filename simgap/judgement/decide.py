@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from freeart21.joint import JointType
-from simgap.fitting.fit import Fit, Problem, tempered, unit_of
+from simgap.fitting.fit import Fit, Problem, tempered
+from simgap.fitting.fit import unit_of as unit_of_noise
 from simgap.fitting.guess import neutral_value
 from simgap.judgement.choose import Choice
 from simgap.judgement.experiment import next_experiment
@@ -18,8 +19,9 @@ from simgap.judgement.split import Split
 from simgap.judgement.words import amount, capital, closed_text, effect_words, plain, runs_text
 from simgap.measure.data import FitRun
 from simgap.measure.floor import Floor
+from simgap.measure.withstood import Withstood
 from simgap.settings import JudgementSettings
-from simgap.verdict import RunGap, Verdict, told_by
+from simgap.verdict import By, RunGap, Verdict, told_by, unit_of
 
 _ODD = 3.0
 """Times what the other runs are off by at which a run is spoken of."""
@@ -68,21 +70,24 @@ def says_enough(runs: tuple[FitRun, ...], settings: JudgementSettings) -> bool:
     return sum(len(run.q) for run in runs) >= settings.least_readings
 
 
-def silent_verdict(runs: tuple[FitRun, ...], floor: Floor, moved: bool, joint_type: JointType) -> Verdict:
+def silent_verdict(
+    runs: tuple[FitRun, ...], floor: Floor, moved: bool, joint_type: JointType, held: Withstood | None = None
+) -> Verdict:
     """Nothing moved, or hardly anything was read: nothing is known but what pushes it withstood."""
     gaps = tuple(RunGap(r.name, floor.still, floor.still, floor.still, bool(r.held_out), r.regime) for r in runs)
-    if moved:
-        said, later = "There are too few readings", "Record some runs of a few seconds each, from all over its range."
+    length, force = ("rad", "N*m") if joint_type == "revolute" else ("m", "N")
+    later = "Let it go from far off its rest position, or push it through its whole range, and record again."
+    if held is not None:
+        most = amount(held.force, force)
+        said = (
+            f"The joint withstood {most}, weight and told force together, and gave way by "
+            f"{amount(held.bent, length)}: what holds it, dry friction or a catch, is at least that. Beyond that"
+        )
+        later = f"Push harder than {most} until it moves. {later}"
+    elif moved:
+        said, later = "There are too few readings:", "Record some runs of a few seconds each, from all over its range."
     else:
-        pushes = [np.abs(run.inputs.effort) + np.abs(run.inputs.push) for run in runs if len(run.inputs.times_s)]
-        most = max((float(push.max()) for push in pushes), default=0.0)
-        held = f" under {amount(most, 'N*m' if joint_type == 'revolute' else 'N')}" if most > 0 else ""
-        said = f"The joint hardly moved{held}"
-        later = "Let it go from far off its rest position, or push it through its whole range, and record again."
-        if most > 0:
-            later = (
-                f"Push harder than {amount(most, 'N*m' if joint_type == 'revolute' else 'N')} until it moves. {later}"
-            )
+        said = "The joint hardly moved:"
     return Verdict(
         "not_excited",
         (),
@@ -90,14 +95,30 @@ def silent_verdict(runs: tuple[FitRun, ...], floor: Floor, moved: bool, joint_ty
         gaps,
         (),
         later,
-        f"{said}: these runs cannot tell whether anything is missing in the simulation.",
+        f"{said} these runs cannot tell whether anything is missing in the simulation.",
     )
+
+
+def by_of(problem: Problem) -> By:
+    """What of the runs is compared."""
+    return "force" if problem.force_read else "position"
 
 
 def verdict_of(
     choice: Choice, split: Split, confirmed: Confirmed, runs: tuple[FitRun, ...], floor: Floor, problem: Problem
 ) -> Verdict:
     """The verdict of a choice."""
+    found = _verdict_of(choice, split, confirmed, runs, floor, problem)
+    if not problem.force_read:
+        return found
+    what = "torque" if problem.plant.joint_type == "revolute" else "force"
+    said = f"Judged by the {what} that prescribed motion took, not by positions. {found.sentence}"
+    return replace(found, sentence=said, by="force")
+
+
+def _verdict_of(
+    choice: Choice, split: Split, confirmed: Confirmed, runs: tuple[FitRun, ...], floor: Floor, problem: Problem
+) -> Verdict:
     before, gaps = choice.base, _gaps(runs, choice, split, confirmed)
     if not choice.gap:
         said = (
@@ -188,7 +209,7 @@ def remainder(choice: Choice, runs: tuple[FitRun, ...], floor: Floor, problem: P
         return f"{said}; it is most in {name}."
     power = best.left[name] ** 2
     fast = np.abs(run.speed) > np.median(np.abs(run.speed))
-    high = run.q > np.median(run.q)
+    high = run.way > np.median(run.way)
     ways = {
         "where it moves fast": fast,
         "where it moves slowly": ~fast,
@@ -204,7 +225,7 @@ def unmoved(hypothesis: Hypothesis) -> list[str]:
 
     What an effect shares with the asset's own doubts is no lack of motion, and more of the same would not part them.
     """
-    fit, unit, found = hypothesis.fit, unit_of(tempered(hypothesis.left)), []
+    fit, unit, found = hypothesis.fit, unit_of_noise(tempered(hypothesis.left)), []
     ranges = fit.theory.ranges()
     for effect in fit.effects:
         own = [i for i, r in enumerate(ranges) if r.owner == effect.name and not np.isfinite(r.prior)]
@@ -255,4 +276,4 @@ def _listed(hypothesis: Hypothesis) -> str:
 
 
 def _length(value: float, problem: Problem) -> str:
-    return amount(value, "rad" if problem.plant.joint_type == "revolute" else "m")
+    return amount(value, unit_of(by_of(problem), problem.plant.joint_type))

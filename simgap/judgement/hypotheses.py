@@ -88,7 +88,9 @@ def _departed(fit: Fit, fold: Fold, able: bool) -> Fit:
     if own and not more:
         return fit
     theta, starts = np.append(fit.theta, np.zeros(more)), fit.starts
-    if more:  # what both a formula and a departure do is a narrow bent valley over whole runs, a straight one here
+    if (
+        more and not theory.problem.force_read
+    ):  # what both a formula and a departure do is a narrow bent valley over whole runs, a straight one here
         theta, starts = stretched(theory, fold.train, theta, _CROSSINGS, 8)
     return fitted(theory, fold.train, theta, starts, iterations=8)
 

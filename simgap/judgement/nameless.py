@@ -18,7 +18,7 @@ import numpy as np
 from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
 from simgap.fitting.fit import Fit, pieces, placed, steady, tempered, unit_of
-from simgap.fitting.guess import Linear
+from simgap.fitting.guess import Linear, linear
 from simgap.fitting.theory import Range
 from simgap.judgement.hypotheses import Hypothesis, rms, score_parts
 from simgap.judgement.predictive import Score, lead
@@ -91,7 +91,7 @@ def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...], most: int | None = N
 def _near(trained: Fit, there: Fit, fold: Fold) -> tuple[Fit, Fit, Fold]:
     """The same, of runs that are missed by much in stretches with starts of their own: there a force does what it does
     to first order, in whole runs it is lost."""
-    if max(trained.level, there.level) <= _FAR:
+    if max(trained.level, there.level) <= _FAR or trained.theory.problem.force_read:
         return trained, there, fold
     seconds = _CROSSINGS * trained.theory.problem.crossing_s
     cut = Fold(pieces(fold.train, seconds), pieces(fold.test, seconds))
@@ -103,7 +103,7 @@ class _Seen:
 
     def __init__(self, trained: Fit, there: Fit, fold: Fold):
         self.fold, self.trained = fold, trained
-        self.fit, self.new = Linear(trained, fold.train), Linear(there, fold.test)
+        self.fit, self.new = linear(trained, fold.train), linear(there, fold.test)
 
     def with_(self, kind: str) -> tuple[Array, Array, Array] | None:
         """What is left of both with the force beside, and its coefficients; None where it cannot be told."""
@@ -126,6 +126,8 @@ class _Seen:
 
     def _columns(self, at: Linear, runs: tuple[FitRun, ...], kind: str) -> Array:
         """(m, N) what a unit of each of its numbers does to all readings."""
+        if kind == "flexing" and at.problem.force_read:
+            return np.zeros((0, 0))
         if kind == "flexing":  # a shaft bends by what it carries
             return at.read(np.concatenate([_bends(now, run.times_s) for now, run in zip(at.now, runs, strict=True)], 1))
         if kind == "time":

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -98,14 +99,17 @@ def log_densities(left: Array, times_s: Array, scale: float, seconds: float) -> 
         seconds: its correlation time.
     """
     squares, logs = _filtered(np.asarray(left, float), np.asarray(times_s, float), float(scale), float(seconds))
-    n, v = np.arange(1, len(left) + 1), FREEDOM
-    whole = gammaln((v + n) / 2) - gammaln(v / 2) - n / 2 * np.log(v * np.pi)
-    return np.asarray(whole - 0.5 * logs - (v + n) / 2 * np.log1p(squares / v))
+    return _student(squares, logs, np.arange(1, len(left) + 1))
+
+
+def _student(squares: Any, logs: Any, n: Any) -> Any:
+    whole = gammaln((FREEDOM + n) / 2) - gammaln(FREEDOM / 2) - n / 2 * np.log(FREEDOM * np.pi)
+    return whole - 0.5 * logs - (FREEDOM + n) / 2 * np.log1p(squares / FREEDOM)
 
 
 def motion_of(run: FitRun) -> float:
-    """Standard deviation of a run's readings, in floors."""
-    return float(np.std(run.q) / np.sqrt(np.mean(run.sigma**2)))
+    """Size of a run's readings, in floors."""
+    return run.extent / float(np.sqrt(np.mean(run.sigma**2)))
 
 
 def error_of(residuals: dict[str, Array], runs: Sequence[FitRun], least: dict[str, float] | None = None) -> ModelError:

@@ -47,6 +47,16 @@ class FitRun:
     """Its place in the order of recording."""
 
     @property
+    def way(self) -> Array:
+        """(n,) where the joint is, rad or m."""
+        return self.q
+
+    @property
+    def extent(self) -> float:
+        """Size of what is read, beside which a model's error is counted: standard deviation of a motion."""
+        return float(np.std(self.q))
+
+    @property
     def start(self) -> tuple[float, float]:
         """A first guess of the state at the first reading."""
         return self.starts[0]

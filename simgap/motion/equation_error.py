@@ -123,11 +123,12 @@ def missing_force(
     )
 
 
-def smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | None:
+def smoothed(run: Run, window: int | None = None) -> tuple[Array, Array, Array, Array, Array, Array] | None:
     """Even times; position as read, smoothed, velocity, acceleration; and what acceleration is smoothed by.
 
-    None for too short a run. A local polynomial's second derivative (Savitzky and Golay 1964) is exactly the true
-    acceleration seen through a kernel; forces seen through the same one have the same bias.
+    `window` is of how many readings; as wide as half swings allow when not given. None for too short a run. A local
+    polynomial's second derivative (Savitzky and Golay 1964) is exactly the true acceleration seen through a kernel;
+    forces seen through the same one have the same bias.
     """
     from scipy.signal import savgol_coeffs, savgol_filter
 
@@ -137,8 +138,9 @@ def smoothed(run: Run) -> tuple[Array, Array, Array, Array, Array, Array] | None
     step = float(np.median(np.diff(run.times_s[known])))
     t = np.arange(run.times_s[known][0], run.times_s[known][-1], step)
     raw = np.interp(t, run.times_s[known], run.q[known])
-    turns = len(reversals(raw, 0.1 * float(np.ptp(raw))))
-    window = int(len(raw) / max(turns, 1) / _WINDOWS_PER_HALF_SWING) // 2 * 2 + 1
+    if window is None:
+        turns = len(reversals(raw, 0.1 * float(np.ptp(raw))))
+        window = int(len(raw) / max(turns, 1) / _WINDOWS_PER_HALF_SWING) // 2 * 2 + 1
     window = min(max(window, _SHORTEST), _LONGEST, len(raw) // 4 * 2 - 1)
     q, qd, qdd = (savgol_filter(raw, window, _ORDER, deriv=k, delta=step) for k in range(3))
     kernel = np.cumsum(np.cumsum(savgol_coeffs(window, _ORDER, deriv=2)))[:-2]  # its second difference is the filter

@@ -61,6 +61,16 @@ def departed(p, at, q, v):  # pragma: no cover
     return max(1.0 + p[at + 2] * fast + p[at + 3] * x + p[at + 4] * (1.5 * x * x - 0.5), 0.0)
 
 
+@njit(cache=True)
+def departures(p, at, q, v):  # pragma: no cover
+    """(n,) the same along a motion; 1 where effects are their formulas."""
+    found = np.ones(len(q))
+    if p[DEPARTS] > 0.0:
+        for i in range(len(q)):
+            found[i] = departed(p, at, q[i], v[i])
+    return found
+
+
 @jit
 def _sum(acts, terms, p, memory, q, v, load):  # pragma: no cover
     """Sum of all forces, or of all friction levels."""

@@ -16,6 +16,8 @@ ACTS = {"force": FORCE, "drive": DRIVE, "stop": STOP}
 
 LAWS: dict[str, int] = {name: i for i, name in enumerate(n for n in EFFECTS if EFFECTS[n].acts in ACTS)}
 """Number of each law that the kernel knows."""
+NAMES = tuple(LAWS)
+"""Effect of each number."""
 
 
 jit = njit(error_model="numpy", fastmath={"contract"}, _nrt=False)  # type: ignore[call-overload]  # no arrays are made

@@ -16,11 +16,11 @@ from freeart21.view.plot import display_unit
 from freeart21.view.tables import table_section
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.track_geometry import TrackGeometry
-from simgap.judgement.words import capital, effect_words, number_text, plain, runs_text
+from simgap.judgement.words import amount, capital, effect_words, number_text, plain, runs_text
 from simgap.motion.localise import LEVEL, ResidualMap
 from simgap.page.report_plots import AFTER, BEFORE, Line, chart, interval_drawing, map_drawing, p_text, run_drawings
 from simgap.proof.show import PoseGap, ReplayGap, Shown, alike, closed_alike
-from simgap.verdict import RunGap, Use, Verdict, told_by
+from simgap.verdict import RunGap, Use, Verdict, told_by, unit_of
 
 GEOMETRY = "geometry"
 """Regime of a gap that is counted in metres off the joint."""
@@ -128,7 +128,7 @@ def _tiles(gap: Gap) -> list[str]:
     if _moves_otherwise(gap) and motion:
         replayed = gap.shown is not None and bool(gap.shown.runs)
         after = _with(gap) if replayed else None
-        tiles += _sizes(motion, lambda v: length_text(v, gap.joint_type), "", after, _in_turn(gap) and not replayed)
+        tiles += _sizes(motion, lambda v: size_text(v, gap), "", after, _in_turn(gap) and not replayed)
         tiles += _closed(gap) if replayed and _with(gap) != ROLLED_BACK else []
     off = [g for g in gap.verdict.gaps if g.regime == GEOMETRY]
     if off:
@@ -256,13 +256,14 @@ def _runs(gap: Gap) -> list[Section]:
         runs, where, names = replayed, "in SAPIEN", ("as the asset was", _with(gap))
     else:
         nearest = "with the nearest try, which is no answer" if gap.verdict.verdict == "unexplained" else None
-        runs, where, names = gap.curves, "in the fits' own simulation", ("as the asset is", nearest)
+        how = "by inverse dynamics" if gap.verdict.by == "force" else "in the fits' own simulation"
+        runs, where, names = gap.curves, how, ("as the asset is", nearest)
     sections = []
     for run in sorted(runs, key=lambda r: get_args(Use)[::-1].index(r.use))[:most]:  # first those that tell
-        figures, data = run_drawings(run, gap.joint_type, names)
+        figures, data = run_drawings(run, gap.joint_type, names, gap.verdict.by)
         role = run.use if run.use != "fitted" or replayed else "held out in turn"
         facts = ", ".join(w for w in (role, run.regime, where) if w)
-        sizes = [length_text(v, gap.joint_type) for v in (run.gap_before, run.gap_after)]
+        sizes = [size_text(v, gap) for v in (run.gap_before, run.gap_after)]
         title = f"Run {run.run}, {facts}: {' → '.join(sizes if names[1] else sizes[:1])}"
         sections.append(Section(title, f'<div class="charts wide">{"".join(figures)}</div>', "curves", data, "full"))
     return sections
@@ -378,7 +379,7 @@ def _gaps(gap: Gap) -> list[Section]:
     rows = []
     for g in gap.verdict.gaps:
         sizes = [
-            "-" if not np.isfinite(v) else metres_text(v) if g.regime == GEOMETRY else length_text(v, gap.joint_type)
+            "-" if not np.isfinite(v) else metres_text(v) if g.regime == GEOMETRY else size_text(v, gap)
             for v in (g.before, g.after, g.floor)
         ]
         replayed = g.regime == GEOMETRY or (gap.shown is not None and any(r.run == g.run for r in gap.shown.runs))
@@ -397,6 +398,13 @@ def _gaps(gap: Gap) -> list[Section]:
 def metres_text(value: float) -> str:
     """A displacement in millimetres."""
     return f"{1e3 * value:.2g} mm" if value < 0.0995 else f"{1e3 * value:.0f} mm"
+
+
+def size_text(value: float, gap: Gap) -> str:
+    """What runs are compared by: a length or an angle, or, of prescribed motion, a force."""
+    if gap.verdict.by == "force":
+        return amount(value, unit_of("force", gap.joint_type))
+    return length_text(value, gap.joint_type)
 
 
 def length_text(value: float, kind: JointType) -> str:

@@ -14,6 +14,7 @@ from freeart21.view.document import MOVING, REFERENCE, escape
 from freeart21.view.plot import display_unit, path_data, runs, ticks
 from simgap.motion.localise import ResidualMap
 from simgap.proof.show import ReplayGap
+from simgap.verdict import By, unit_of
 
 MEASURED, BEFORE, AFTER = "#7d8894", MOVING, REFERENCE
 """Grey for what was measured, orange for the asset as it was, blue for the repaired one."""
@@ -93,13 +94,13 @@ def chart(
 
 
 def run_drawings(
-    run: ReplayGap, kind: JointType, names: tuple[str, str | None] = ("as the asset was", "after")
+    run: ReplayGap, kind: JointType, names: tuple[str, str | None] = ("as the asset was", "after"), by: By = "position"
 ) -> tuple[list[str], dict[str, object]]:
-    """Figures of one replayed run, position and difference, and what the script of kind 'curves' needs.
+    """Figures of one replayed run, position (or force) and difference, and what the script of kind 'curves' needs.
 
     `names` say what the two simulations are; without a second one only the first is drawn.
     """
-    unit, factor = display_unit(kind)
+    unit, factor = display_unit(kind) if by == "position" else (unit_of(by, kind).replace("*", " "), 1.0)
     kept = np.unique(np.linspace(0, len(run.times_s) - 1, min(_MOST_POINTS, len(run.times_s))).astype(int))
     x = run.times_s[kept] - run.times_s[0]
     measured, before, after = (factor * series[kept] for series in (run.measured, run.before, run.after))
@@ -112,7 +113,7 @@ def run_drawings(
         position.append(Line(f"simulated {names[1]}", AFTER, after))
         difference.append(Line(f"{names[1]}, less measured", AFTER, after - measured))
     figures = [
-        chart(x, position, "Position", unit),
+        chart(x, position, by.capitalize(), unit),
         chart(x, difference, "Difference", f"{unit}; grey: noise, ± 2 floors", band=2 * factor * run.floor, height=150),
     ]
     across = _LEFT + x / max(float(x[-1]), 1e-9) * (560 - _LEFT - _RIGHT)

@@ -1,0 +1,135 @@
+"""Which effects explain the force of runs whose motion is prescribed: inverse dynamics are so fast that all sets of a
+size are fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+
+from freeart21.effects import EFFECTS, Effect
+from simgap.fitting.fit import Fit, Problem, Theory, fitted, joined, priced, unit_of
+from simgap.fitting.force_model import force_of
+from simgap.fitting.guess import guesses, off
+from simgap.measure.data import FitRun
+from simgap.measure.prescribed import ForceRun
+from simgap.settings import SearchSettings
+
+_ACTS = ("force", "drive", "inertia", "command")
+"""What a force tells of; what a sensor or a stop does shows in positions alone."""
+EVEN = 0.1
+"""Part by which the load on the bearing must change for friction that grows with it to be told from other friction:
+real friction departs so far from its formula (`Effect.departs`)."""
+_BINS, _RETURNED = 20, 0.5
+"""Places over the range; part of them that must be passed both ways for a force of position to be told from friction.
+Not measured."""
+_POINTS = 2
+"""First guesses that a set is fitted from, of each of its subsets."""
+
+
+def candidates(problem: Problem, runs: tuple[FitRun, ...], without: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """Names of the effects, `without` some, that the force of these runs could show."""
+    told = force_of(runs)
+    driven = any(run.on.any() for run in told)
+    to_and_fro = _both_ways(told) >= _RETURNED
+    even = loads_alike(told)
+    turned = any((run.acceleration != 0).any() for run in told)
+
+    def possible(cls: type[Effect]) -> bool:
+        if problem.plant.joint_type not in cls.joint_types or cls.acts not in _ACTS:
+            return False
+        if cls.remember is not Effect.remember or cls.delay is not Effect.delay:
+            return False  # what catches holds what stands; of a steady force nobody sees when it comes
+        of_place = (cls.acts == "force" and not cls.knows_speed) or cls.gain is not Effect.gain  # as the weight is
+        if of_place and not to_and_fro:
+            return False  # it would be friction that differs from place to place
+        if cls.acts == "command":
+            return driven
+        if cls.needs_load and cls.twin and even:
+            return False  # its twin does the same here, and stands for both
+        return cls.acts != "inertia" or turned
+
+    return tuple(name for name, cls in EFFECTS.items() if possible(cls) and name not in without)
+
+
+def _both_ways(runs: tuple[ForceRun, ...]) -> float:
+    """Part of the places that were passed at all that were passed both ways."""
+    q, v = (np.concatenate([getattr(run, k) for run in runs]) for k in ("position", "speed"))
+    edges = np.linspace(q.min(), q.max(), _BINS + 1)
+    forth, back = (np.histogram(q[way], edges)[0] > 0 for way in (v > 0, v < 0))
+    return float((forth & back).sum() / max((forth | back).sum(), 1))
+
+
+def loads_alike(runs: tuple[FitRun, ...]) -> bool:
+    """Whether the force on the bearing hardly changes: less than friction departs from its formula."""
+    load = np.concatenate([run.load for run in force_of(runs)])
+    return float(np.std(load)) < EVEN * float(np.mean(load))
+
+
+@dataclass
+class ForceSearch:
+    """All fits to the force of the runs that may be fitted, kept."""
+
+    problem: Problem
+    train: tuple[FitRun, ...]
+    settings: SearchSettings
+    names: tuple[str, ...]
+    fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
+
+    def base(self) -> Fit:
+        """Nothing missing but what the asset may be off by."""
+        if () not in self.fits:
+            self.fits[()] = self._fitted((), None)
+        return self.fits[()]
+
+    def promising(self) -> bool:
+        """Whether any effect makes what the asset alone leaves more probable than its numbers cost, to first order."""
+        base = self.base()
+        unit, readings = unit_of(base.residuals), sum(len(run.q) for run in self.train)
+        found = guesses(base, self.train, self.names)
+        return any(0.5 * (base.rss - guess.cost) / unit > priced(len(guess.point), readings) for guess in found)
+
+    def explored(self) -> list[Fit]:
+        """The best sets of every size, ever larger ones until nothing is left to explain."""
+        best: list[Fit] = []
+        for size in range(1, self.settings.max_effects + 1):
+            known = {fit.theory.names for fit in best if len(fit.theory.names) == size - 1}
+            sets = [names for names in combinations(sorted(self.names), size)
+                    if size < 3 or any(set(smaller) < set(names) for smaller in known)]  # fmt: skip
+            level = sorted((self.of(names) for names in sets), key=lambda fit: fit.cost)
+            best += level[: self.settings.contenders]
+            best += [fit for fit in level if all(EFFECTS[n].dissipates for n in fit.theory.names) and fit not in best]
+            if min(fit.level for fit in self.fits.values()) < self.settings.all_told:
+                break
+        return best
+
+    def of(self, names: tuple[str, ...]) -> Fit:
+        """The fit of this very set, no worse than any of its subsets'."""
+        if not names:
+            return self.base()
+        if names not in self.fits:
+            theory, tried = Theory(self.problem, names, prompt=True), []
+            for name in names:
+                smaller = self.of(tuple(n for n in names if n != name))
+                points = [guess.point for guess in guesses(smaller, self.train, (name,))[:_POINTS]]
+                for point in (*points, off(self.problem, name)):
+                    tried.append(self._fitted(names, joined(theory, smaller, {name: point})))
+            self.fits[names] = min(tried, key=lambda fit: fit.cost)
+        return self.fits[names]
+
+    def twins(self, names: tuple[str, ...]) -> list[Fit]:
+        """Sets that do the same as this one where the load hardly changes, which the search does without."""
+        if not loads_alike(self.train):
+            return []
+        found = []
+        for twin in (n for n, cls in EFFECTS.items() if cls.needs_load and cls.twin in names):
+            theory = Theory(self.problem, tuple(sorted({*names, twin} - {EFFECTS[twin].twin})), prompt=True)
+            load, values = self.problem.load, self.fits[names].values
+            own = [r.name for r in theory.ranges() if r.owner == twin]
+            first = next(x for (owner, _), x in values.items() if owner == EFFECTS[twin].twin)
+            found.append(fitted(theory, self.train, joined(theory, self.fits[names], {twin: {own[0]: first / load}})))
+        return found
+
+    def _fitted(self, names: tuple[str, ...], theta: np.ndarray | None) -> Fit:
+        return fitted(Theory(self.problem, names, prompt=True), self.train, theta)

@@ -1,0 +1,203 @@
+"""Runs whose motion is prescribed while their force is read: what a fit then looks at is the force.
+
+Where a drive holds the speed, positions tell nothing of friction: the force that was needed does. Nearly all of that
+force is then taken by what a fit looks for and hardly any by inertia, so that the least error of the force, left to
+move the joint freely, moves it anywhere: what the force was told to be is known to some parts in a hundred, and that is
+more than what accelerates it. The reading is the told force; a theory foretells what the measured motion needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.base_motion import sway_force
+from freeart21.measured import Measured, Run
+from freeart21.mechanics import DriveLaw
+from freeart21.se3 import Array
+from simgap.measure.data import MAX_SAMPLES, FitRun
+from simgap.measure.floor import Floor, floor_of
+from simgap.measure.inputs import base_sway, enabled_at, logged_at, told_efforts
+from simgap.measure.swings import reversals
+from simgap.motion.equation_error import smoothed
+from simgap.motion.surrogate import Inputs, Plant
+
+STEADY = 0.02
+"""Part of the told force that inertia takes, root mean squares, below which motion is prescribed. Turns of a real arm
+at steady speeds have .0003 to .006, a motor that runs up under torque steps .05, swings 1. Told forces are hardly
+surer."""
+_WINDOWS = (7, 11, 15, 21, 31, 45, 65, 95, 135, 201, 301, 501)
+"""Readings that accelerations are smoothed over: the fewest in which their noise is little beside that of the force,"""
+_QUIET = 0.1
+"""... a tenth: with as much as the force's a fit makes inertia small and the drive strong, to be rid of it."""
+_RESTING = 0.02
+"""Part of a run's usual speed below which its joint turns back or rests, and tells no sliding friction."""
+_SURE = 4.0
+"""Standard deviations of a speed by which a joint surely moves."""
+_BUILT = 0.1
+"""Part of the way between two rests or turns in which friction may still build up: contacts of a real arm gave way by
+.1 degree, and turned by .8 in its slowest runs."""
+_FEWEST = 8
+"""Readings of the force that a run must have where its joint slides."""
+
+
+def _nothing() -> Array:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True)
+class ForceRun(FitRun):
+    """A run of which the force is read: `q` and `sigma` are of the told force, N*m or N, `speed` of the joint."""
+
+    position: Array = field(default_factory=_nothing)
+    """(n,) rad or m."""
+    acceleration: Array = field(default_factory=_nothing)
+    """(n,) rad/s^2 or m/s^2."""
+    asked: Array = field(default_factory=_nothing)
+    """(n,) of the force what the actuator was told to give."""
+    on: Array = field(default_factory=_nothing)
+    """(n,) 1 where the actuator was on, else 0."""
+    turned: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    """(2, n) cosine and sine of the position, which gravity goes with."""
+    load: Array = field(default_factory=_nothing)
+    """(n,) N on the bearing."""
+
+    @property
+    def way(self) -> Array:
+        """(n,) where the joint is."""
+        return self.position
+
+    @property
+    def extent(self) -> float:
+        """Root mean square of the force at work."""
+        return float(np.sqrt(np.mean(self.q**2)))
+
+    def between(self, begin: int, end: int) -> ForceRun:
+        """The stretch of readings begin to end."""
+        own = {f.name: getattr(self, f.name) for f in fields(self)}
+        cut: dict[str, Any] = {k: v[..., begin:end] for k, v in own.items() if isinstance(v, np.ndarray)}
+        return replace(self, **cut)
+
+
+def force_runs(measured: Measured, plant: Plant) -> tuple[tuple[ForceRun, ...], Floor, tuple[str, ...]] | None:
+    """The runs as a fit to their force sees them, its floor, and a line for each run that is left out; None when their
+    motion is not prescribed.
+
+    It is where measured.json says so, and, where nobody says, when inertia takes hardly any of the force of every run.
+    """
+    told = [run for run in measured.runs if run.prescribed] or list(measured.runs)
+    if any(_asked(run, measured) is None or run.poses is not None or run.prescribed is False for run in told):
+        return None
+    if any(run.q_command is not None and not run.prescribed for run in told):
+        return None  # its law is told: the simulation holds it, too
+    if not (told[0].prescribed or all(_steady(run, measured, plant) for run in told)):
+        return None
+    noise = floor_of([_known(run.times_s, _asked(run, measured)) for run in told]).still
+    still = floor_of([_known(run.times_s, run.q) for run in told]).still
+    seen = [_of_run(measured, plant, run, noise, still) for run in told]
+    kept = [run for run in seen if run is not None]
+    if not kept:
+        return None
+    names = {run.name for run in kept}
+    notes = [f"run '{r.name}': its joint slides for too few readings: it was left out" for r in told
+             if r.name not in names]  # fmt: skip
+    notes += [f"run '{r.name}': its motion is not prescribed as that of others is: it was left out"
+              for r in measured.runs if r not in told]  # fmt: skip
+    return tuple(kept), Floor(float(np.median([run.sigma[0] for run in kept])), 0.0), tuple(notes)
+
+
+def _asked(run: Run, measured: Measured) -> Array | None:
+    """(n,) the told force, the actuator's or a push; None for none."""
+    asked, push = told_efforts(run, measured)
+    return asked if push is None else push
+
+
+def _known(times: Array, values: Array | None) -> tuple[Array, Array]:
+    assert values is not None
+    known = np.isfinite(values)
+    return times[known], values[known]
+
+
+def _steady(run: Run, measured: Measured, plant: Plant) -> bool:
+    """Whether inertia takes hardly any of the force, by accelerations that are smoothed over as much as half a swing
+    allows: noise in them is no motion."""
+    smooth = smoothed(run)
+    if smooth is None:
+        return False
+    qdd, half = smooth[4], len(smooth[5]) // 2 + 1
+    told = _known(run.times_s, _asked(run, measured))[1]
+    taken, given = (float(np.sqrt(np.mean(v**2))) for v in (plant.mechanics.inertia * qdd[half:-half], told))
+    return taken < STEADY * given
+
+
+def _of_run(measured: Measured, plant: Plant, run: Run, noise: float, still: float) -> ForceRun | None:
+    """The run, where its joint slides and touches no limit; None where that is too little."""
+    inertia, mechanics = plant.mechanics.inertia, plant.mechanics
+    smooth, sigma, spread = smoothed(run), 0.0, 0.0
+    widest = 0 if smooth is None else len(smooth[5])
+    for window in (*(w for w in _WINDOWS if w < widest), widest):
+        found = smoothed(run, window)
+        if found is None:
+            return None
+        smooth = found
+        step = float(found[0][1] - found[0][0])
+        spread, bend = (still * _size(window, deriv, step) for deriv in (1, 2))
+        of_force, of_bend = noise * float(np.sqrt(found[5] @ found[5])), inertia * bend
+        sigma = float(np.hypot(of_force, of_bend))
+        if of_bend <= _QUIET * of_force:
+            break
+    if smooth is None:
+        return None
+    t, _, q, qd, qdd, kernel = smooth
+    if run.qd is not None:
+        qd = np.interp(t, *_known(run.times_s, run.qd))
+    effort, push = told_efforts(run, measured)
+    how = measured.interpolation
+    on = enabled_at(run, t, effort is not None).astype(float)
+    law = DriveLaw() if measured.actuator is None else measured.actuator.law
+    asked = np.zeros(len(t)) if effort is None else logged_at(run.times_s, effort, how, t)
+    asked = on * law.forces(q, qd, np.full(len(t), np.nan), asked)
+    beside = np.zeros(len(t)) if push is None else logged_at(run.times_s, push, how, t)
+    if run.base is not None:
+        beside = beside + sway_force(base_sway(run, measured, plant).at(t), q)
+    through = lambda series: np.convolve(series, kernel, "same")  # noqa: E731 (as the acceleration is seen)
+    asked, beside, cosine, sine, speed = (through(v) for v in (asked, beside, np.cos(q), np.sin(q), qd))
+    half, span = len(kernel) // 2 + 1, plant.upper - plant.lower
+    slack = 1e-3 * span if np.isfinite(span) else 0.0
+    usual = float(np.sqrt(np.mean(qd**2)))
+    rests = (np.abs(speed) < max(_RESTING * usual, _SURE * spread)) | (on < float(effort is not None))
+    rests |= ~_sliding(q)
+    rests |= (q < plant.lower + slack) | (q > plant.upper - slack)
+    near = np.convolve(rests, np.ones(2 * half + 1), "same") > 0.5
+    keep = ~near & (np.arange(len(t)) >= half) & (np.arange(len(t)) < len(t) - half)
+    at = np.flatnonzero(keep)
+    at = at[:: max(1, round(1 / float(kernel @ kernel)), -(-len(at) // MAX_SAMPLES))]
+    if len(at) < _FEWEST:
+        return None
+    ways = np.sign(speed[at])
+    regime = "forwards" if (ways > 0).all() else "backwards" if (ways < 0).all() else "both ways"
+    return ForceRun(
+        run.name, t[at] - run.times_s[0], (asked + beside)[at], np.full(len(at), sigma), speed[at], Inputs(),
+        run.held_out, regime, measured.runs.index(run), q[at], qdd[at], asked[at], on[at],
+        np.stack([cosine, sine])[:, at], mechanics.load(q, qd, qdd)[at],
+    )  # fmt: skip
+
+
+def _sliding(q: Array) -> NDArray[np.bool_]:
+    """(n,) whether the joint has gone far enough since it began or turned back for its contacts to slide."""
+    ends, slides = [0, *reversals(q, 0.03 * max(float(np.ptp(q)), 1e-12)).tolist(), len(q)], []
+    for a, b in pairwise(ends):
+        gone = np.abs(q[a:b] - q[a])
+        slides.append(gone > _BUILT * float(gone.max(initial=0.0)))
+    return np.concatenate(slides)
+
+
+def _size(window: int, deriv: int, step: float) -> float:
+    """What white noise of 1 becomes in a smoothed derivative."""
+    from scipy.signal import savgol_coeffs
+
+    return float(np.linalg.norm(savgol_coeffs(window, 4, deriv=deriv, delta=step)))

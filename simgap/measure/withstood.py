@@ -1,0 +1,80 @@
+"""Pushes that a joint withstood: what holds it is at least as large, and nothing else is told.
+
+Dry friction takes whatever it is given up to its level, and its contacts bend a little before they slide: a joint that
+moves by no more than that, under what would have carried it far, was held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from freeart21.measured import Measured, Run
+from freeart21.se3 import Array
+from simgap.measure.floor import Floor
+from simgap.measure.inputs import enabled_at, logged_at, told_efforts
+from simgap.motion.surrogate import Plant
+
+REACH = {"revolute": 1e-2, "prismatic": 1e-4}
+"""rad or m by which what holds a joint may bend: a real arm's friction gave way by 1.8e-3 rad before it slid, filmed
+pendula's by 8e-3 of a radian, contacts of sliders by .02 to .05 mm (Armstrong-Helouvry 1994)."""
+FAR = 100.0
+"""Times that reach that the push alone would have carried it, at least."""
+UNSURE = 0.05
+"""Part of a told force that is not relied on: what a drive gives is hardly surer (`Effect.departs`)."""
+_NOISES = 8.0
+"""Of the sensor, that a joint at rest may seem to move by from end to end."""
+
+
+@dataclass(frozen=True)
+class Withstood:
+    """What a joint withstood."""
+
+    force: float
+    """N*m or N, the largest, weight and told force together, less what is not sure of them."""
+    bent: float
+    """rad or m that it moved by."""
+    alone: float
+    """rad or m by which that would have carried it."""
+
+
+def withstood(measured: Measured, plant: Plant, floor: Floor) -> Withstood | None:
+    """What the joint withstood in all runs; None when it moved in any, when no push would have moved it, or when a
+    position law may have held it."""
+    if any(run.q_command is not None or run.poses is not None for run in measured.runs):
+        return None
+    found = [_of_run(run, measured, plant) for run in measured.runs]
+    reach = max(REACH[plant.joint_type], _NOISES * floor.still)
+    most = max(found, key=lambda one: one.force)
+    if max(one.bent for one in found) > reach or max(one.alone for one in found) < FAR * reach:
+        return None
+    return Withstood(most.force, max(one.bent for one in found), most.alone)
+
+
+def _of_run(run: Run, measured: Measured, plant: Plant) -> Withstood:
+    known = np.isfinite(run.q)
+    t, q = run.times_s[known], run.q[known]
+    zero, told = np.zeros(len(t)), np.zeros(len(t))
+    effort, push = told_efforts(run, measured)
+    if effort is not None:
+        told += np.where(enabled_at(run, t, True), logged_at(run.times_s, effort, measured.interpolation, t), 0.0)
+    if push is not None:
+        told += logged_at(run.times_s, push, measured.interpolation, t)
+    weight = np.asarray(plant.mechanics.gravity_force(q))
+    known_forces = [np.asarray(e.force(q, zero)) + zero for e in plant.effects if e.acts == "force"]
+    levels = [np.asarray(e.drive_limit(q, zero, plant.mechanics.load(q, zero, zero))) + zero for e in plant.effects
+              if e.acts == "drive"]  # fmt: skip
+    net = told + weight + sum(known_forces, zero)
+    net = _less(net, UNSURE * np.abs(told) + measured.gravity_relative * np.abs(weight) + sum(levels, zero))
+    slack = 1e-3 * (plant.upper - plant.lower) if np.isfinite(plant.upper - plant.lower) else 0.0
+    stopped = ((q > plant.upper - slack) & (net > 0)) | ((q < plant.lower + slack) & (net < 0))
+    net = np.where(stopped, 0.0, net)
+    steps = np.diff(t, prepend=t[0])
+    alone = np.cumsum(np.cumsum(net / plant.mechanics.inertia * steps) * steps)
+    return Withstood(float(np.abs(net).max()), float(np.ptp(q)), float(np.abs(alone).max()))
+
+
+def _less(values: Array, by: Array) -> Array:
+    """Values nearer to 0 by so much."""
+    return np.asarray(np.sign(values) * np.maximum(np.abs(values) - by, 0.0))

@@ -1,0 +1,107 @@
+"""What a measured set can hold of its circumstances, `measure` takes from a file of them. 2 s."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_case import asset_of
+
+from freeart21.errors import FreeArtError
+from freeart21.files.measured import read_measured
+from freeart21.formats.circumstances import Circumstances, read_circumstances
+from freeart21.formats.measured_series import SeriesSettings, measure_series
+
+T = 0.01 * np.arange(120)
+Q = 0.8 * np.cos(7 * T)
+TABLE = {"time": T, "angle": Q, "rate": np.degrees(-5.6 * np.sin(7 * T)), "volts": 3 * np.sin(T),
+         "torque": np.sin(T), "cart": 40 * np.sin(2 * T), "arm": 10 * np.sin(3 * T), "goal": Q}  # fmt: skip
+MOTOR = {"type": "dc_motor", "torque_constant": 0.3, "resistance": 3.0, "max_voltage": 7.4}
+
+
+def set_of(folder: Path, said: dict, wanted: dict[str, str], **told):
+    """The measured set of these columns, under these circumstances, and the lines that were said."""
+    folder.mkdir(parents=True, exist_ok=True)
+    asset = asset_of(folder / "asset")
+    names = ["time", "angle", *wanted.values()]
+    rows = [",".join(names), *(",".join(f"{v:.9g}" for v in row) for row in np.column_stack([TABLE[n] for n in names]))]
+    (folder / "run.csv").write_text("\n".join(rows) + "\n")
+    (folder / "told.json").write_text(json.dumps(said))
+    columns = {"t": "time", "q": "angle", **wanted}
+    settings = SeriesSettings(columns, told=read_circumstances(folder / "told.json"), **told)
+    notes = measure_series([folder / "run.csv"], folder / "out", asset, None, settings)
+    return read_measured(folder / "out" / "measured"), "\n".join(notes)
+
+
+def test_a_motor_under_a_voltage_and_a_measured_velocity(tmp_path: Path):
+    said = {"actuator": MOTOR, "units": {"qd": "deg/s"}}
+    got, notes = set_of(tmp_path, said, {"voltage": "volts", "qd": "rate"}, reverse=True)
+    (run,) = got.runs
+    assert got.actuator is not None and got.actuator.motor is not None
+    assert (got.actuator.motor.resistance, got.actuator.motor.max_voltage) == (3.0, 7.4)
+    assert run.voltage is not None and run.qd is not None
+    np.testing.assert_allclose(run.voltage, -TABLE["volts"], atol=1e-8)
+    np.testing.assert_allclose(run.qd, 5.6 * np.sin(7 * T), atol=1e-6)
+    assert "voltage: held until the next row or going on smoothly" in notes
+
+
+def test_a_drive_with_limits_and_a_dead_band(tmp_path: Path):
+    law = {"type": "position", "stiffness": 5.0, "damping": 0.5, "dead_band": 0.01, "max_effort": 2.0}
+    got, _ = set_of(tmp_path, {"actuator": law}, {"q_command": "goal"})
+    assert got.actuator is not None
+    assert (got.actuator.stiffness, got.actuator.dead_band, got.actuator.max_effort) == (5.0, 0.01, 2.0)
+
+
+def test_a_base_on_a_cart_and_one_that_turns(tmp_path: Path):
+    cart, _ = set_of(tmp_path / "cart", {"units": {"base_x": "mm"}}, {"base_x": "cart"})
+    assert cart.runs[0].base is not None and cart.runs[0].base.position is not None
+    np.testing.assert_allclose(cart.runs[0].base.position[:, 0], 0.04 * np.sin(2 * T), atol=1e-9)
+    axis = {"axis": [0, 0, 1], "point": [0, 0.3, 0]}
+    arm, _ = set_of(tmp_path / "arm", {"base": axis, "units": {"base_angle": "deg"}}, {"base_angle": "arm"})
+    assert arm.base_axis is not None and arm.runs[0].base is not None and arm.runs[0].base.angle is not None
+    np.testing.assert_allclose(arm.base_axis.point, [0, 0.3, 0])
+    np.testing.assert_allclose(arm.runs[0].base.angle, np.radians(TABLE["arm"]), atol=1e-9)
+
+
+def test_motion_that_is_prescribed_and_angles_that_are_not_within_a_turn(tmp_path: Path):
+    for k, said in enumerate((True, ["run"])):
+        got, _ = set_of(tmp_path / str(k), {"prescribed": said}, {"effort": "torque"}, effort="commanded")
+        assert got.runs[0].prescribed is True
+    assert Circumstances().marks("run") is None
+
+
+BAD = {
+    "a word that is none": ({"drive": 1}, {}, "there is no 'drive'; there are actuator, base, prescribed"),
+    "no such actuator": ({"actuator": {"type": "steam"}}, {}, "the actuator's type is 'steam'"),
+    "no such unit": ({"units": {"qd": "rpm"}}, {"qd": "rate"}, "'qd' is in 'rpm', expected 'rad/s' or 'deg/s'"),
+    "a unit that has an option": ({"units": {"q": "deg"}}, {}, "units of 'q', expected of qd, voltage, base_x"),
+    "an angle about nothing": ({}, {"base_angle": "arm"}, "a run has 'base_angle', but base is 'moving'"),
+    "a voltage without a motor": ({}, {"voltage": "volts"}, "needs an actuator of type 'dc_motor'"),
+    "a run that is not there": ({"prescribed": ["other"]}, {}, "there is no run 'other' to be prescribed; runs: run"),
+    "prescribed without a force": ({"prescribed": True}, {}, "run 'run' is prescribed, but has no 'effort'"),
+    "not yes or no": ({"wrapped": 3}, {}, "'wrapped' is 3, expected true or false"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_cannot_be_costs_one_line_and_leaves_nothing(tmp_path: Path, case: str):
+    said, wanted, why = BAD[case]
+    with pytest.raises(FreeArtError, match=re.escape(why)) as error:
+        set_of(tmp_path, said, wanted)
+    assert "\n" not in str(error.value) and not (tmp_path / "out").exists()
+
+
+def test_the_command_takes_the_file(tmp_path: Path):
+    set_of(tmp_path, {"prescribed": True}, {"effort": "torque"}, effort="commanded")
+    command = [sys.executable, "-m", "freeart21", "measure"]
+    told = ["--effort", "commanded", "--circumstances", str(tmp_path / "told.json")]
+    asset = next((tmp_path / "asset").glob("*.urdf"))
+    made = [*command, str(tmp_path / "run.csv"), "--out", str(tmp_path / "new"), "--asset", str(asset), *told]
+    done = subprocess.run([*made, "--unit-q", "rad"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert read_measured(tmp_path / "new" / "measured").runs[0].prescribed is True
