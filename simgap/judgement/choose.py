@@ -18,7 +18,7 @@ from freeart21.effects import EFFECTS
 from simgap.fitting.fit import Fit
 from simgap.fitting.force_search import ForceSearch
 from simgap.fitting.search import Search, prompt
-from simgap.judgement.hypotheses import Hypothesis, excess, judged
+from simgap.judgement.hypotheses import Hypothesis, departing, excess, judged
 from simgap.judgement.nameless import Nameless, beside
 from simgap.judgement.predictive import lead, smallest
 from simgap.judgement.split import Fold
@@ -63,13 +63,14 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     if (ahead <= error or closed < settings.least_gap) and sum(plain) < (1 - settings.met) * len(plain):
         return Choice(base, best, table=tuple(table))
     found = Choice(base, best, gap=True, table=tuple(table))
-    standing = nearest(_no_larger([h for h in table if h.names and named_whole(h, base, settings)], base, settings))
+    real = [departing(h, folds, base) for h in table]
+    standing = nearest(_no_larger([h for h in real if h.names and named_whole(h, base, settings)], base, settings))
     told = {h.names: beside(h, folds) for h in standing}
     whole = [h for h in standing if not any(refutes(n, base, settings) for n in told[h.names])]
-    whole = [h for h in whole if not _plainer_without_name(h, table, folds)]
+    whole = [h for h in whole if not _plainer_without_name(h, real, folds)]
     if whole:
         added = tuple(as_added(h, search, folds, base) for h in whole)
-        return replace(found, explaining=added, nameless=told[whole[0].names])
+        return replace(found, explaining=added, nameless=told[whole[0].names], table=tuple(real))
     part = dominating(table, base, folds, settings)
     if part:
         added = tuple(as_added(h, search, folds, base) for h in part)
@@ -147,18 +148,17 @@ def _plainer_without_name(hypothesis: Hypothesis, table: Sequence[Hypothesis], f
 def dominating(
     table: Sequence[Hypothesis], base: Hypothesis, folds: tuple[Fold, ...], settings: JudgementSettings
 ) -> list[Hypothesis]:
-    """The smallest sets of what every machine has that no other of them does much better than; none of which what has
-    no name, a set with a number that no machine has, or one of what only some machines have, does away with most
-    of what it leaves."""
+    """The smallest sets of what every machine has within one standard error of the best of them, by their formulas: how
+    effects depart from these would take what has no name. None of which what has no name, a set with a number that no
+    machine has, or one of what only some machines have, does away with most of what it leaves."""
     able = [h for h in table if _may_dominate(h, base, settings)]
-    near = [h for h in able if not any(_beats(o, h) and _worth(o, h, base, settings) for o in able)]
+    best = max(able, key=lambda h: h.score.total, default=None)
+    near = [h for h in able if best is not None and not _beats(best, h)]
     others = [h for h in table if h.names and not _common(h.names)]
     odd = [h for h in table if at_end(h.fit) and not _unmoved(h.fit)]
     standing = [h for h in near if not any(_beats(o, h) for o in odd if not _within(h, o))]
     standing = [h for h in standing if not any(_takes_much(o, h, base, settings) for o in others if not _within(h, o))]
-    standing = [h for h in standing if not any(overtakes(n, h, base, settings) for n in beside(h, folds))]
-    fewest = min((len(h.names) for h in standing), default=0)
-    return nearest(h for h in standing if len(h.names) == fewest)
+    return nearest(h for h in standing if not any(overtakes(n, h, base, settings) for n in beside(h, folds)))
 
 
 def overtakes(rival: Nameless, hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
@@ -200,13 +200,6 @@ def _plainly(names: tuple[str, ...]) -> set[str]:
 def _beats(other: Hypothesis, hypothesis: Hypothesis) -> bool:
     ahead, error = lead(other.score, hypothesis.score)
     return ahead > error
-
-
-def _worth(other: Hypothesis, hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether another set's names are worth having: those of one as large always, of a larger one where they do away
-    with most of what is left."""
-    larger = len(other.names) > len(hypothesis.names)
-    return not larger or _takes_much(other, hypothesis, base, settings)
 
 
 def _takes_much(other: Hypothesis, hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
@@ -258,4 +251,6 @@ def as_added(
 ) -> Hypothesis:
     """The set with the numbers that bring a simulator nearest, which knows no build-up of friction."""
     fit = prompt(hypothesis.fit, search.train)
-    return hypothesis if fit is hypothesis.fit else judged(fit, folds, base)
+    if fit is hypothesis.fit:
+        return hypothesis
+    return departing(judged(fit, folds, base), folds, base) if hypothesis.departing else judged(fit, folds, base)

@@ -28,12 +28,12 @@ _STRETCHES = 8
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of effects, by the library's formulas, before runs that it was not fitted to."""
+    """A set of effects before runs that it was not fitted to."""
 
     fit: Fit
     """To all runs that may be fitted, by the effects' formulas."""
     trained: tuple[Fit, ...]
-    """Of every fold, to its runs to fit, the effects departing from their formulas as real ones do."""
+    """Of every fold, to its runs to fit."""
     foretold: tuple[Fit, ...]
     """Of every fold, before its runs to predict: only their starts are free."""
     score: Score
@@ -42,6 +42,11 @@ class Hypothesis:
     def names(self) -> tuple[str, ...]:
         """Of the effects."""
         return self.fit.theory.names
+
+    @property
+    def departing(self) -> bool:
+        """Whether its effects depart from their formulas."""
+        return bool(self.trained[0].theory.departing)
 
     @cached_property
     def left(self) -> dict[str, Array]:
@@ -66,9 +71,40 @@ class Hypothesis:
 
 
 def judged(fit: Fit, folds: tuple[Fold, ...], base: Hypothesis | None = None) -> Hypothesis:
-    """The set before choosing runs; `base` is the asset as it is, without which nothing is known of the gap."""
-    able = base is None or fit.level < _ABLE * base.fit.level
-    trained = tuple(_departed(fit, fold, able) for fold in folds)
+    """The set, by its effects' formulas, before choosing runs; `base` is the asset as it is, without which nothing is
+    known of the gap."""
+    return _foretelling(fit, tuple(_refitted(fit, fold) for fold in folds), folds, base)
+
+
+def departing(hypothesis: Hypothesis, folds: tuple[Fold, ...], base: Hypothesis) -> Hypothesis:
+    """The set with its effects departing from their formulas as real ones do; itself where it explains too little for
+    that to matter."""
+    fit = hypothesis.fit
+    if not hypothesis.names or fit.level > _ABLE * base.fit.level:
+        return hypothesis
+    theory = replace(fit.theory, departing=tuple((effect.name, effect.values()[0]) for effect in fit.effects))
+    more = len(theory.ranges()) - len(fit.theta)
+    if not more:
+        return hypothesis
+    trained = []
+    for fold in folds:
+        theta, starts = np.append(fit.theta, np.zeros(more)), fit.starts
+        if not theory.problem.force_read:
+            # what both a formula and a departure do is a narrow bent valley over whole runs, a straight one over parts
+            theta, starts = stretched(theory, fold.train, theta, _CROSSINGS, 8)
+        trained.append(fitted(theory, fold.train, theta, starts, iterations=8))
+    return _foretelling(fit, tuple(trained), folds, base)
+
+
+def _refitted(fit: Fit, fold: Fold) -> Fit:
+    """The set fitted to the fold's runs alone."""
+    if set(fit.starts) == {run.name for run in fold.train}:
+        return fit
+    return fitted(fit.theory, fold.train, fit.theta, fit.starts, iterations=8)
+
+
+def _foretelling(fit: Fit, trained: tuple[Fit, ...], folds: tuple[Fold, ...], base: Hypothesis | None) -> Hypothesis:
+    """What fits to the runs of all folds make of the others."""
     there = tuple(placed(own, fold.test) for own, fold in zip(trained, folds, strict=True))
     parts = [
         score_parts(own.residuals, seen.residuals, fold, len(folds), base)
@@ -76,23 +112,6 @@ def judged(fit: Fit, folds: tuple[Fold, ...], base: Hypothesis | None = None) ->
     ]
     price = _price(fit, trained[0], readings(folds[0].train)) if len(folds) == 1 else 0.0
     return Hypothesis(fit, trained, there, Score(fit.theory.names, np.concatenate(parts), price))
-
-
-def _departed(fit: Fit, fold: Fold, able: bool) -> Fit:
-    """The set fitted to the fold's runs alone, from there, its effects departing from their formulas where it is `able`
-    to explain much by these."""
-    theory = (
-        fit.theory if not able else replace(fit.theory, departing=tuple((e.name, e.values()[0]) for e in fit.effects))
-    )
-    own, more = set(fit.starts) == {run.name for run in fold.train}, len(theory.ranges()) - len(fit.theta)
-    if own and not more:
-        return fit
-    theta, starts = np.append(fit.theta, np.zeros(more)), fit.starts
-    if (
-        more and not theory.problem.force_read
-    ):  # what both a formula and a departure do is a narrow bent valley over whole runs, a straight one here
-        theta, starts = stretched(theory, fold.train, theta, _CROSSINGS, 8)
-    return fitted(theory, fold.train, theta, starts, iterations=8)
 
 
 def _price(fit: Fit, departed: Fit, count: int) -> float:
