@@ -26,10 +26,10 @@ from simgap.measure.swings import reversals
 from simgap.motion.equation_error import smoothed
 from simgap.motion.surrogate import Inputs, Plant
 
-STEADY = 0.02
-"""Part of the told force that inertia takes, root mean squares, below which motion is prescribed. Turns of a real arm
-at steady speeds have .0003 to .006, a motor that runs up under torque steps .05, swings 1. Told forces are hardly
-surer."""
+STEADY = 0.01
+"""Part of the told force that inertia takes where the joint slides, root mean squares, below which motion is
+prescribed. Turns of a real arm at steady speeds have .0001 to .004, a motor that runs up under torque steps .025,
+swings 1. Told forces are hardly surer."""
 _WINDOWS = (7, 11, 15, 21, 31, 45, 65, 95, 135, 201, 301, 501)
 """Readings that accelerations are smoothed over: the fewest in which their noise is little beside that of the force,"""
 _QUIET = 0.1
@@ -128,9 +128,13 @@ def _steady(run: Run, measured: Measured, plant: Plant) -> bool:
     smooth = smoothed(run)
     if smooth is None:
         return False
-    qdd, half = smooth[4], len(smooth[5]) // 2 + 1
-    told = _known(run.times_s, _asked(run, measured))[1]
-    taken, given = (float(np.sqrt(np.mean(v**2))) for v in (plant.mechanics.inertia * qdd[half:-half], told))
+    t, _, q, _, qdd, kernel = smooth
+    half, told = len(kernel) // 2 + 1, np.interp(t, *_known(run.times_s, _asked(run, measured)))
+    slides = _sliding(q)  # and not where it is only brought to its speed
+    slides[:half], slides[-half:] = False, False
+    if not slides.any():
+        return False
+    taken, given = (float(np.sqrt(np.mean(v[slides] ** 2))) for v in (plant.mechanics.inertia * qdd, told))
     return taken < STEADY * given
 
 
