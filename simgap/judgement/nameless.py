@@ -17,7 +17,7 @@ import numpy as np
 
 from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
-from simgap.fitting.fit import Fit, pieces, placed, steady, tempered, unit_of
+from simgap.fitting.fit import Fit, tempered, unit_of
 from simgap.fitting.guess import Linear, linear
 from simgap.fitting.theory import Range
 from simgap.judgement.hypotheses import Hypothesis, rms, score_parts
@@ -30,9 +30,6 @@ _MOMENTS = 6
 """Of a run, that a force of time goes straight between."""
 _TIGHT = np.geomspace(1e-4, 1e4, 9)
 """Ridges that are tried, times what would make every column as large as all that is left."""
-_FAR, _CROSSINGS = 2.0, 5.0
-"""Floors that are left from which on runs are looked at in stretches; of these, in crossings of the range at top speed.
-As searches do."""
 _SESSION = 6
 """Runs of a session that tell whether a size changes over it: a line through fewer is hardly tested."""
 
@@ -67,7 +64,7 @@ class Nameless:
 def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...], most: int | None = None) -> tuple[Nameless, ...]:
     """All forces without a name, or those of at most so many numbers, beside a set of effects, or beside none."""
     seen = [
-        _Seen(*_near(trained, there, fold))
+        _Seen(trained, there, fold)
         for trained, there, fold in zip(hypothesis.trained, hypothesis.foretold, folds, strict=True)
     ]
     alone, left = _scored([(one.fit.freed, one.new.freed) for one in seen], folds)
@@ -80,22 +77,11 @@ def beside(hypothesis: Hypothesis, folds: tuple[Fold, ...], most: int | None = N
             continue
         rows = [each for each in told if each is not None]
         score, floors = _scored([(first, second) for first, second, _ in rows], folds)
-        floors *= hypothesis.floors / left
         ahead, error = lead(score, alone)
         sizes, more = rows[0][2], score.parts - alone.parts
         changes = _changes(hypothesis.fit, sizes, kind)
-        found.append(Nameless(kind, ahead, error, floors, hypothesis.floors, changes, len(sizes), more))
+        found.append(Nameless(kind, ahead, error, floors, left, changes, len(sizes), more))
     return tuple(found)
-
-
-def _near(trained: Fit, there: Fit, fold: Fold) -> tuple[Fit, Fit, Fold]:
-    """The same, of runs that are missed by much in stretches with starts of their own: there a force does what it does
-    to first order, in whole runs it is lost."""
-    if max(trained.level, there.level) <= _FAR or trained.theory.problem.force_read:
-        return trained, there, fold
-    seconds = _CROSSINGS * trained.theory.problem.crossing_s
-    cut = Fold(pieces(fold.train, seconds), pieces(fold.test, seconds))
-    return placed(trained, cut.train), placed(trained, cut.test), cut
 
 
 class _Seen:
@@ -116,9 +102,7 @@ class _Seen:
         columns = np.concatenate([self.fit.parameters, first]), np.concatenate([self.new.parameters, second])
         known = np.array([1 / r.prior**2 for r in self.trained.theory.ranges()])
         known = np.append(unit_of(tempered(self.trained.residuals)) * known, np.zeros(len(first)))
-        weights = steady(self.trained.residuals)  # what is missed by far tells no direction
-        roots = np.concatenate([np.full(len(run.q), np.sqrt(weights[run.name])) for run in self.fold.train])
-        sizes = _told(columns[0] * roots, self.fit.freed * roots, _bounds(self.fold.train), known)
+        sizes = _told(columns[0], self.fit.freed, _bounds(self.fold.train), known)
         return self.fit.freed - sizes @ columns[0], self.new.freed - sizes @ columns[1], sizes[own:]
 
     def _both(self) -> tuple[tuple[Linear, tuple[FitRun, ...]], ...]:
@@ -154,13 +138,9 @@ class _Seen:
         return len(names) if kind == "direction" else sum(self.fit.count(name) for name in names)
 
     def _hats(self, run: FitRun) -> Array:
-        """(m, n) straight pieces of the time since a run began, whatever stretch of it this is."""
-        begins: dict[str, float] = {}
-        for one in (*self.fold.train, *self.fold.test):
-            of, first = _whole(one), float(one.times_s[0])
-            begins[of] = min(first, begins.get(of, first))
-        last = max(float(one.times_s[-1]) - begins[_whole(one)] for one in (*self.fold.train, *self.fold.test))
-        parts = (run.times_s - begins[_whole(run)]) / last
+        """(m, n) straight pieces of the time since a run began."""
+        last = max(float(one.times_s[-1] - one.times_s[0]) for one in (*self.fold.train, *self.fold.test))
+        parts = (run.times_s - run.times_s[0]) / last
         return np.maximum(1 - np.abs(parts * (_MOMENTS - 1) - np.arange(_MOMENTS)[:, None]), 0.0)
 
     def _begin(self) -> int:
@@ -175,11 +155,6 @@ class _Seen:
         return [next(i for i, r in enumerate(ranges) if r.owner == name) for name in self.trained.theory.names]
 
 
-def _whole(run: FitRun) -> str:
-    """Name of the run that this is a stretch of."""
-    return run.name.split("#")[0]
-
-
 def _bends(q: Array, times_s: Array) -> Array:
     """(2, n) acceleration of a motion, and how fast that changes."""
     qdd = np.gradient(np.gradient(q, times_s), times_s)
@@ -187,8 +162,7 @@ def _bends(q: Array, times_s: Array) -> Array:
 
 
 def _scored(rows: list[tuple[Array, Array]], folds: tuple[Fold, ...]) -> tuple[Score, float]:
-    """Score of what is left (fitted, choosing) in every fold, whatever stretches its runs were looked at in, and its
-    floors on choosing runs."""
+    """Score of what is left (fitted, choosing) in every fold, and its floors on choosing runs."""
     parts = []
     for (first, second), fold in zip(rows, folds, strict=True):
         own, seen = _by_run(first, fold.train), _by_run(second, fold.test)
