@@ -134,14 +134,14 @@ class Search:
         """The best sets of every size, of long runs found on parts of them and then fitted to all."""
         parts = self._parts()
         if parts is self.train or self.base().level <= _FAR:
-            return self._explored()
-        found = Search(self.problem, parts, self.settings, self.names)._explored()
-        for fit in sorted(_worth(found), key=lambda fit: len(fit.theory.names)):
-            self.keep(self._all_of(fit))
+            found = self._explored()
+        else:
+            there = Search(self.problem, parts, self.settings, self.names)._explored()
+            found = [self.keep(self._all_of(fit)) for fit in sorted(_worth(there), key=lambda f: len(f.theory.names))]
         for fit in sorted(self.fits.values(), key=lambda fit: fit.cost):
             for name in fit.theory.names:
                 self._from_above(fit, name)
-        return [fit for fit in self.fits.values() if fit.theory.names]
+        return [min(fit, self.fits.get(fit.theory.names, fit), key=lambda f: f.cost) for fit in found]
 
     def _from_above(self, fit: Fit, name: str) -> None:
         """A set of one effect less that fits worse than it would with the numbers and the starts of the larger one: it
@@ -197,8 +197,8 @@ class Search:
         return sorted((fit for names, fit in self.fits.items() if len(names) == size), key=lambda fit: fit.cost)
 
     def _swapped(self, size: int) -> None:
-        """Beside the best sets of a size those with an effect's like in its place, those that they become in special
-        cases, and those with one effect less."""
+        """Beside the best sets of a size those with an effect's like in its place, and what they become in special
+        cases."""
         for fit in self._of_size(size)[: self.settings.parents]:
             for swap in (alike.twins, alike.losses):
                 for at in swap(self.problem, fit, self.names):
@@ -208,8 +208,6 @@ class Search:
                 less = EFFECTS[name].becomes
                 if less in self.names:
                     self.of(tuple(sorted({*rest, less})))
-                if rest:
-                    self.without(fit, name)
 
     def losses(self) -> list[Fit]:
         """Every set of losses fitted from the asset as it is told, not from what it must be off by to do without."""
@@ -434,11 +432,6 @@ class Search:
             cut, at = self._cut(parent)
             self._started(parent, guesses(at, cut, new)[0], at, cut)
         return self.fits[names]
-
-    def without(self, fit: Fit, name: str) -> Fit:
-        """The set of `fit` without one effect, started from `fit`."""
-        theory = Theory(self.problem, tuple(n for n in fit.theory.names if n != name))
-        return self.keep(fitted(theory, self.train, joined(theory, fit, {}), fit.starts))
 
     def keep(self, fit: Fit) -> Fit:
         """Remember a fit, after making sure that it is no worse than any of a smaller set."""
