@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from simgap.fitting.fit import (
 )
 from simgap.fitting.force_guess import LocalForce, local_force, places
 from simgap.fitting.guess import Guess, guesses, off
+from simgap.fitting.parts import on_all, parts_of, worth
+from simgap.fitting.theory import SHAFT
 from simgap.measure.data import FitRun
 from simgap.motion.surrogate import is_local
 from simgap.settings import SearchSettings
@@ -41,9 +43,12 @@ the asset alone is lost; they hardly tell what acts all along."""
 _SCREEN = 2
 _PLACES = 2
 """Starting points that the missing force tells, for an effect with a place."""
-_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES = (-0.3, 0.3), (0.6, 1.6), (0.65, 0.8, 1.25), (0.3, 0.5, 0.7)
+_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES = (-0.3, 0.0, 0.3), (0.6, 1.0, 1.6), (0.65, 0.8, 1.0, 1.25), (0.3, 0.5, 0.7)
 """Of the way over which a catch holds: parts by which it may lie elsewhere; how much stiffer it may be; parts of that
 way which are tried, and of those where it takes hold."""
+_PARTS, _BACK, _SWINGS = (None, -0.5, 0.0, 0.5), (0.3, 0.85), (0.2, 0.5, 0.8)
+"""Of a drive on its shaft: how much of the doubt in the part's own inertia is the drive's instead; what comes back, and
+how fast, as parts of what may be."""
 _CATCHES = 3
 """How many of these are fitted, beside what was found."""
 _ALL_ALONG = (
@@ -67,9 +72,6 @@ _LOST = 8.0
 """Floors of error of a set beyond which what is added to it is first fitted to stretches, whatever it is."""
 _GROWING = 4
 """Iterations of a fit to stretches."""
-_SEARCHED, _FEWEST, _GROWTH = 100.0, 100, 3
-"""Crossings of its range, of all runs together, on which sets are looked for, where the asset alone is far off;
-readings of a part at least; times by which parts of runs grow to the whole of them."""
 
 
 def candidates(
@@ -132,12 +134,12 @@ class Search:
 
     def explored(self) -> list[Fit]:
         """The best sets of every size, of long runs found on parts of them and then fitted to all."""
-        parts = self._parts()
+        parts = parts_of(self.problem, self.train)
         if parts is self.train or self.base().level <= _FAR:
-            found = self._explored()
-        else:
-            there = Search(self.problem, parts, self.settings, self.names)._explored()
-            found = [self.keep(self._all_of(fit)) for fit in sorted(_worth(there), key=lambda f: len(f.theory.names))]
+            return self._explored()
+        there = Search(self.problem, parts, self.settings, self.names)._explored()
+        near = sorted(worth(there, _HOPEFUL), key=lambda fit: len(fit.theory.names))
+        found = [self.keep(on_all(fit, self.train)) for fit in near]
         for fit in sorted(self.fits.values(), key=lambda fit: fit.cost):
             for name in fit.theory.names:
                 self._from_above(fit, name)
@@ -152,29 +154,6 @@ class Search:
             theta = joined(theory, fit, {})
             if misfit(theory, self.train, theta, fit.starts) < self.fits[names].cost:
                 self.keep(fitted(theory, self.train, theta, fit.starts))
-
-    def _parts(self) -> tuple[FitRun, ...]:
-        """The runs, or of long ones their beginnings and as much from their middles on."""
-        seconds, found = 0.5 * _SEARCHED * self.problem.crossing_s / len(self.train), []
-        for run in self.train:
-            n, since = len(run.q), run.times_s - run.times_s[0]
-            count = max(int(np.searchsorted(since, seconds)), _FEWEST)
-            if 2.5 * count > n:
-                found.append(replace(run, name=f"{run.name}#0"))
-            else:
-                found += [replace(run.between(a, a + count), name=f"{run.name}#{a}") for a in (0, n // 2)]
-        return tuple(found) if len(found) > len(self.train) else self.train
-
-    def _all_of(self, fit: Fit) -> Fit:
-        """The fit to parts of runs on the runs, by ever longer beginnings."""
-        count = {run.name: len(fit.residuals[f"{run.name}#0"]) for run in self.train}
-        theta, starts = fit.theta, {run.name: fit.starts[f"{run.name}#0"] for run in self.train}
-        while any(_GROWTH * count[run.name] < len(run.q) for run in self.train):
-            count = {name: _GROWTH * n for name, n in count.items()}
-            longer = tuple(run.between(0, count[run.name]) for run in self.train)
-            grown_to = fitted(fit.theory, longer, theta, starts, _GROWING)
-            theta, starts = grown_to.theta, grown_to.starts
-        return resettled(fitted(fit.theory, self.train, theta, starts), self.train)
 
     def _explored(self) -> list[Fit]:
         """The best sets of every size, ever larger ones until nothing is left to explain: begun from smaller ones, from
@@ -197,10 +176,10 @@ class Search:
         return sorted((fit for names, fit in self.fits.items() if len(names) == size), key=lambda fit: fit.cost)
 
     def _swapped(self, size: int) -> None:
-        """Beside the best sets of a size those with an effect's like in its place, and what they become in special
-        cases."""
+        """Beside the best sets of a size those with an effect's like in its place, those that they become in special
+        cases, and those with one effect less."""
         for fit in self._of_size(size)[: self.settings.parents]:
-            for swap in (alike.twins, alike.losses):
+            for swap in (alike.twins, alike.losses, alike.turned, alike.lighter, alike.narrowed, alike.held):
                 for at in swap(self.problem, fit, self.names):
                     self.keep(fitted(at.theory, self.train, at.theta, at.starts))
             for name in fit.theory.names:
@@ -208,6 +187,8 @@ class Search:
                 less = EFFECTS[name].becomes
                 if less in self.names:
                     self.of(tuple(sorted({*rest, less})))
+                if rest:
+                    self.without(fit, name)
 
     def losses(self) -> list[Fit]:
         """Every set of losses fitted from the asset as it is told, not from what it must be off by to do without."""
@@ -261,6 +242,11 @@ class Search:
             self.keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
         far = self._left_out()
         self._with_losses(1)
+        for name in self.names:
+            plainer = EFFECTS[name].becomes
+            if plainer and (name,) in self.fits and (plainer,) in self.fits:
+                self._keep_from(name, self.fits[(plainer,)])
+                self._keep_plain(self.fits[(name,)], plainer)
         if ("armature",) in self.fits and ("backlash",) in self.fits:
             self._with_slack(self.fits[("armature",)])
         return self._resettled([self.fits[(name,)] for name in self.names if (name,) in self.fits and name not in far])
@@ -371,6 +357,23 @@ class Search:
         fit = caught(fit, self.train)
         return fitted(fit.theory, self.train, fit.theta, fit.starts)
 
+    def _keep_from(self, name: str, plainer: Fit) -> None:
+        """A general effect fits no worse than the plainer one that it may become, where their parameters agree."""
+        fit = self.fits[(name,)]
+        shared = {key: float(x) for (owner, key), x in plainer.values.items() if owner in plainer.theory.names}
+        if fit.cost > plainer.cost and set(shared) <= set(EFFECTS[name].parameters()):
+            point = {**off(self.problem, name), **shared}
+            theta = joined(fit.theory, plainer, {name: point})
+            self.keep(fitted(fit.theory, self.train, theta, plainer.starts))
+
+    def _keep_plain(self, general: Fit, plainer: str) -> None:
+        """A plainer effect that fits worse is fitted again from where the general one is: that may be its special
+        case."""
+        theory = Theory(self.problem, (plainer,))
+        point = {name: value for (_, name), value in general.values.items() if name in EFFECTS[plainer].parameters()}
+        if point and general.cost < self.fits[(plainer,)].cost:
+            self.keep(fitted(theory, self.train, joined(theory, general, {plainer: point}), general.starts))
+
     def larger(self, parents: list[Fit]) -> list[Fit]:
         """The most promising sets of one effect more than some of `parents`, fitted; of every parent's at least one:
         the best single effect is often none of a pair."""
@@ -391,6 +394,8 @@ class Search:
             other = rough.get(tuple(sorted((*entry[1].theory.names, plainer)))) if plainer else None
             if other is not None and not any(e is other for e in best):
                 best.append(other)  # which has the name when it does as well
+        damped = [e for e in order if _hides_damping(e[1]) and e[2].name == "viscous_damping"]
+        best += [entry for entry in damped if not any(e is entry for e in best)]
         level = [self._started(*entry[1:]) for entry in best]
         lost = self._with_losses(len(parents[0].theory.names) + 1)
         known = {fit.theory.names for fit in level}
@@ -432,6 +437,11 @@ class Search:
             cut, at = self._cut(parent)
             self._started(parent, guesses(at, cut, new)[0], at, cut)
         return self.fits[names]
+
+    def without(self, fit: Fit, name: str) -> Fit:
+        """The set of `fit` without one effect, started from `fit`."""
+        theory = Theory(self.problem, tuple(n for n in fit.theory.names if n != name))
+        return self.keep(fitted(theory, self.train, joined(theory, fit, {}), fit.starts))
 
     def keep(self, fit: Fit) -> Fit:
         """Remember a fit, after making sure that it is no worse than any of a smaller set."""
@@ -476,8 +486,9 @@ def tried_of(
 
 def caught(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     """The fit with what no slope leads to tried anew: the place of a catch and the way over which it holds, which show
-    in when it lets go and when it takes hold."""
-    points = _catches(fit)
+    in when it lets go and when it takes hold, and how a drive comes back from a limit, after which all goes on sooner
+    or later."""
+    points = [*_catches(fit), *_shafts(fit)]
     if not points:
         return fit
     low, high = (np.array([getattr(r, k) for r in fit.theory.ranges()]) for k in ("lower", "upper"))
@@ -499,17 +510,38 @@ def _catches(fit: Fit) -> list[Array]:
         width = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower >= 0)
         place = next(i for i, spec in own.items() if spec.unit(kind) in ("rad", "m") and spec.lower < 0)
         ratio = next(i for i, spec in own.items() if spec.unit(kind) == "1")
-        ways: list[tuple[float, float, float, float | None]] = [(shift, 1.0, 1.0, None) for shift in _SHIFTS]
-        ways += [(0.0, stiffer, 1.0, None) for stiffer in _STIFFER]
-        ways += [(0.0, 1.0, part, None) for part in _TRAVELS] + [(0.0, 1.0, 1.0, share) for share in _CAPTURES]
-        for shift, stiffer, part, share in ways:
+        for shift, stiffer, part, share in product(_SHIFTS, _STIFFER, _TRAVELS, _CAPTURES):
             theta = fit.theta.copy()
             theta[place] += shift * theta[width]
             theta[[size, width]] *= part
             theta[size] *= stiffer
-            theta[ratio] = theta[ratio] if share is None else share
+            theta[ratio] = share
             found.append(theta)
     return found
+
+
+def _shafts(fit: Fit) -> list[Array]:
+    """(p,) points about a fit of the same inertia in all, at which its drive has another part of it and comes back from
+    limits otherwise; none without a drive on a shaft that swings."""
+    at = {(r.owner, r.name): i for i, r in enumerate(fit.theory.ranges())}
+    if (SHAFT, "swing") not in at:
+        return []
+    own, drive = fit.theory.problem.plant.mechanics.inertia, at["armature", "value"]
+    part, doubt, found = at.get(("asset", "inertia")), fit.theory.problem.inertia_relative, []
+    for taken, back, swing in product(_PARTS if part is not None else _PARTS[:1], _BACK, _SWINGS):
+        theta = fit.theta.copy()
+        theta[[at[SHAFT, "rebound"], at[SHAFT, "swing"]]] = back, swing
+        if taken is not None:
+            theta[drive] += (theta[part] - (1 + taken * doubt)) * own
+            theta[part] = 1 + taken * doubt
+        found.append(theta)
+    return found
+
+
+def _hides_damping(fit: Fit) -> bool:
+    """Whether a drive comes and goes: where its inertia and its slack are off, first guesses of damping are worth
+    nothing, and it looks like a delay."""
+    return any(cls.acts in ("slack", "inertia") for cls in fit.theory.classes)
 
 
 def is_sudden(cls: type[Effect]) -> bool:
@@ -528,13 +560,6 @@ def stilled(fit: Fit) -> Fit:
         below, above = q < plant.lower + near and v < 0, q > plant.upper - near and v > 0
         starts[name] = (plant.lower, 0.0) if below else ((plant.upper, 0.0) if above else (q, v))
     return replace(fit, starts=starts)
-
-
-def _worth(fits: list[Fit]) -> list[Fit]:
-    """The fits to the same runs without those far behind; what is part of a better set stays."""
-    least = _HOPEFUL * min((fit.cost for fit in fits), default=0.0)
-    near = [set(fit.theory.names) for fit in fits if fit.cost <= least]
-    return [fit for fit in fits if any(set(fit.theory.names) <= names for names in near)]
 
 
 def _hopeful(fits: list[Fit]) -> list[Fit]:
