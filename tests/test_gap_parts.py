@@ -19,8 +19,8 @@ from simgap.workflow import problem_of
 
 
 def case(folder: Path, seconds: float) -> tuple[Problem, tuple[FitRun, ...]]:
-    """Three runs of a pendulum with oil."""
-    measured = measured_of(3, runs=3, seconds=seconds, marked=False, viscous=0.06)
+    """Eight runs of a pendulum with oil."""
+    measured = measured_of(3, runs=8, seconds=seconds, marked=False, viscous=0.06)
     plant = plant_of(read_asset(asset_of(folder), "j"), measured)
     runs, floor = fit_runs(measured, plant)
     return problem_of(plant, measured, runs, floor, GapSettings()), runs
@@ -35,7 +35,7 @@ def test_what_parts_of_long_runs_tell_holds_to_their_ends(tmp_path: Path):
     problem, runs = case(tmp_path, 60.0)
     parts = parts_of(problem, runs)
     duration = sum(float(part.times_s[-1] - part.times_s[0]) for part in parts)
-    assert duration == pytest.approx(100 * problem.crossing_s, rel=0.1)
+    assert duration == pytest.approx(100 * problem.crossing_s, rel=0.15)
     assert duration < 0.5 * sum(float(run.times_s[-1] - run.times_s[0]) for run in runs)
     for part in parts:
         run = next(run for run in runs if part.name.split("#")[0] == run.name)

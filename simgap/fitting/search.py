@@ -140,10 +140,14 @@ class Search:
         there = Search(self.problem, parts, self.settings, self.names)._explored()
         near = sorted(worth(there, _HOPEFUL), key=lambda fit: len(fit.theory.names))
         found = [self.keep(on_all(fit, self.train)) for fit in near]
+        for size in range(1, self.settings.max_effects + 1):
+            for fit in self._of_size(size)[: self.settings.parents]:
+                for at in alike.twins(self.problem, fit, self.names):  # of two alike none has found the better swings
+                    found.append(self.keep(fitted(at.theory, self.train, at.theta, at.starts)))
         for fit in sorted(self.fits.values(), key=lambda fit: fit.cost):
             for name in fit.theory.names:
                 self._from_above(fit, name)
-        return [min(fit, self.fits.get(fit.theory.names, fit), key=lambda f: f.cost) for fit in found]
+        return [self.fits[names] for names in dict.fromkeys(fit.theory.names for fit in found)]
 
     def _from_above(self, fit: Fit, name: str) -> None:
         """A set of one effect less that fits worse than it would with the numbers and the starts of the larger one: it
