@@ -11,7 +11,10 @@ from gap_case import asset_of, measured_of
 from scipy.stats import multivariate_t
 
 from freeart21.files.asset import read_asset
-from simgap.judgement.predictive import DECISIVE, FREEDOM, Score, lead, log_densities, smallest
+from simgap.judgement import predictive
+from simgap.judgement.predictive import DECISIVE, FREEDOM, Score, error_of, lead, log_densities, motion_of, smallest
+from simgap.measure.data import FitRun
+from simgap.motion.surrogate import Inputs
 from simgap.verdict import Verdict
 from simgap.workflow import find_gap
 
@@ -24,6 +27,26 @@ def test_the_density_is_that_of_a_student_t_with_the_dense_covariance():
     for n in (1, 7, 60):
         dense = multivariate_t(np.zeros(n), K[:n, :n], df=FREEDOM).logpdf(left[:n])
         assert told[n - 1] == pytest.approx(dense, abs=1e-9)
+
+
+@pytest.mark.parametrize("known", [0.0, 4.0])
+def test_the_likeliest_error_is_that_of_the_whole_grid(known: float):
+    """By the density of each of its points."""
+    rng = np.random.default_rng(1)
+    runs, left = [], {}
+    for name, lasts in (("a", 90), ("b", 60)):
+        times = np.cumsum(rng.uniform(0.005, 0.015, lasts))
+        runs.append(FitRun(name, times, np.sin(4 * times), np.full(lasts, 1e-3), np.zeros(lasts), Inputs(), None))
+        left[name] = np.cumsum(rng.normal(0, 0.6, lasts)) + rng.normal(0, 1, lasts)
+    step = float(np.median(np.concatenate([np.diff(run.times_s) for run in runs])))
+
+    def likely(share: float, seconds: float) -> float:
+        scales = {run.name: float(np.hypot(share * motion_of(run), known)) for run in runs}
+        return sum(float(log_densities(left[r.name], r.times_s, scales[r.name], seconds)[-1]) for r in runs)
+
+    best = max(likely(share, n * step) for share in predictive._SHARES for n in predictive._TIMES)
+    error = error_of(left, runs, {run.name: known for run in runs})
+    assert likely(error.share, error.seconds) == pytest.approx(best, abs=1e-9)
 
 
 def test_the_smallest_within_one_standard_error_stands_and_its_like_are_rivals():

@@ -91,9 +91,9 @@ def solve(
         rights = np.array([J @ part for J, part in zip(table, parts, strict=True)])
         normal = _information(blocks, weights, prior, p) if free else normal
         gain, moved, enough = 0.0, False, 1e-4 * total + 1e-2
-        for _ in range(_TRIALS):
+        for trials in range(_TRIALS):
             shift, moves = _step(theta, blocks, rights, weights, damping, own, prior, free)
-            if _promised(shift, moves, theta, blocks, rights, weights, prior, free) < _ENOUGH * enough:
+            if not trials and _promised(shift, moves, theta, blocks, rights, weights, prior, free) < _ENOUGH * enough:
                 break
             trial = np.clip(theta + shift, prior.low, prior.high)
             there = starts + moves

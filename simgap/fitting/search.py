@@ -28,6 +28,7 @@ from simgap.fitting.fit import (
 )
 from simgap.fitting.force_guess import LocalForce, local_force, places
 from simgap.fitting.guess import Guess, guesses, off
+from simgap.fitting.parts import on_all, parts_of, worth
 from simgap.fitting.theory import SHAFT
 from simgap.measure.data import FitRun
 from simgap.motion.surrogate import is_local
@@ -132,6 +133,33 @@ class Search:
         return any(0.5 * (at.rss - guess.cost) / unit > priced(len(guess.point), readings) for guess in found)
 
     def explored(self) -> list[Fit]:
+        """The best sets of every size, of long runs found on parts of them and then fitted to all."""
+        parts = parts_of(self.problem, self.train)
+        if parts is self.train or self.base().level <= _FAR:
+            return self._explored()
+        there = Search(self.problem, parts, self.settings, self.names)._explored()
+        near = sorted(worth(there, _HOPEFUL), key=lambda fit: len(fit.theory.names))
+        found = [self.keep(on_all(fit, self.train)) for fit in near]
+        for size in range(1, self.settings.max_effects + 1):
+            for fit in self._of_size(size)[: self.settings.parents]:
+                for at in alike.twins(self.problem, fit, self.names):  # of two alike none has found the better swings
+                    found.append(self.keep(fitted(at.theory, self.train, at.theta, at.starts)))
+        for fit in sorted(self.fits.values(), key=lambda fit: fit.cost):
+            for name in fit.theory.names:
+                self._from_above(fit, name)
+        return [self.fits[names] for names in dict.fromkeys(fit.theory.names for fit in found)]
+
+    def _from_above(self, fit: Fit, name: str) -> None:
+        """A set of one effect less that fits worse than it would with the numbers and the starts of the larger one: it
+        missed some turn of a long run, and goes on from there."""
+        names = tuple(n for n in fit.theory.names if n != name)
+        if names in self.fits:
+            theory = Theory(self.problem, names)
+            theta = joined(theory, fit, {})
+            if misfit(theory, self.train, theta, fit.starts) < self.fits[names].cost:
+                self.keep(fitted(theory, self.train, theta, fit.starts))
+
+    def _explored(self) -> list[Fit]:
         """The best sets of every size, ever larger ones until nothing is left to explain: begun from smaller ones, from
         the asset as it is told, and from others that do much the same."""
         level = self.singles()
