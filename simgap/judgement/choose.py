@@ -67,7 +67,7 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     standing = nearest(_no_larger([h for h in real if h.names and named_whole(h, base, settings)], base, settings))
     told = {h.names: beside(h, folds) for h in standing}
     whole = [h for h in standing if not any(refutes(n, base, settings) for n in told[h.names])]
-    whole = [h for h in whole if not _plainer_without_name(h, real, folds)]
+    whole = [h for h in whole if not _plainer_without_name(h, real, folds) and not _smaller_as_probable(h, real)]
     if whole:
         added = tuple(as_added(h, search, folds, base) for h in whole)
         return replace(found, explaining=added, nameless=told[whole[0].names], table=tuple(real))
@@ -143,6 +143,13 @@ def _plainer_without_name(hypothesis: Hypothesis, table: Sequence[Hypothesis], f
             if ahead <= error:
                 return True
     return False
+
+
+def _smaller_as_probable(hypothesis: Hypothesis, table: Sequence[Hypothesis]) -> bool:
+    """Whether a part of a set, which leaves too much for a name, is about as probable as all of it: that what all of it
+    leaves just passes then hangs on a hair."""
+    fewer = [h for h in table if h.names and len(h.names) < len(hypothesis.names) and _within(h, hypothesis)]
+    return any(not _beats(hypothesis, h) for h in fewer)
 
 
 def dominating(
