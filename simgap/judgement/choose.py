@@ -18,6 +18,7 @@ from freeart21.effects import EFFECTS
 from simgap.fitting.fit import Fit
 from simgap.fitting.force_search import ForceSearch
 from simgap.fitting.search import Search, prompt
+from simgap.fitting.theory import departures_of
 from simgap.judgement.hypotheses import Hypothesis, departing, excess, judged
 from simgap.judgement.nameless import Nameless, beside
 from simgap.judgement.predictive import lead, smallest
@@ -101,11 +102,11 @@ def named_whole(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSet
     if at_end(hypothesis.fit):
         return False
     before, after = base.by_run, hypothesis.by_run
+    depart = all(departures_of(EFFECTS[name]) for name in hypothesis.names)
+    part = settings.explained_part if depart else settings.formula_part
     shown = [run for run in after if before[run] > SHOWS] or list(after)
     met = {
-        run: after[run]
-        <= min(np.hypot(settings.explained, settings.explained_part * excess(before[run])), settings.most)
-        for run in shown
+        run: after[run] <= min(np.hypot(settings.explained, part * excess(before[run])), settings.most) for run in shown
     }
     chose = [met[run] for run in shown if run in hypothesis.left]
     return sum(met.values()) >= settings.met * len(met) and sum(chose) >= 0.5 * len(chose)
