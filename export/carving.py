@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from manifold3d import Error, Manifold, Mesh64
+from manifold3d import Error, Manifold, Mesh64, OpType
+from numpy.typing import NDArray
 
 from export.penetration import Overlap
 from freeart21.articulation import PARTS, Articulation
@@ -43,8 +44,9 @@ class Carved:
 def carved(parts: Articulation, low: float, high: float, tolerance: float, overlap: Overlap) -> Carved | str:
     """One of two closed parts without what the other sweeps over the states [low, high]; why not, when it cannot be.
 
-    Cut is the part that loses less volume. Copies of the other stand so close that what they leave standing between
-    them is no higher than `tolerance`, metres: a corner between copies a step apart leaves at most half of the step.
+    Cut is the part that loses less volume. What slides sweeps is made as it is; what turns is copied so close that what
+    the copies leave standing between them is no higher than `tolerance`, metres: a corner between copies a step apart
+    leaves at most half of the step.
 
     Args:
         parts: in any frame, metres; meshes face outwards.
@@ -68,12 +70,17 @@ def carved(parts: Articulation, low: float, high: float, tolerance: float, overl
     doublings = int(np.clip(np.ceil(np.log2(travel / (2 * tolerance) + 1)), ROUGHLY, MOST))
 
     def left(name: str, doublings: int) -> Manifold:
-        swept = _swept(solids[others[name]], ways[name], *ends[name], doublings, FINE * tolerance)
+        way, (start, stop), tool = ways[name], ends[name], solids[others[name]]
+        if way.type == "prismatic":
+            tool = tool.transform(way.transform(start)[:3])
+            swept = _slid(tool, (stop - start) * way.axis).simplify(FINE * tolerance)
+        else:
+            swept = _swept(tool, way, start, stop, doublings, FINE * tolerance)
         return _without_crumbs((solids[name] - swept).as_original().simplify(FINE * tolerance))
 
-    roughly = {name: left(name, ROUGHLY).volume() for name in PARTS}
-    for name in sorted(PARTS, key=lambda name: solids[name].volume() - roughly[name]):
-        rest = left(name, doublings)
+    roughly = {name: left(name, ROUGHLY) for name in PARTS}
+    for name in sorted(PARTS, key=lambda name: solids[name].volume() - roughly[name].volume()):
+        rest = roughly[name] if parts.joint.type == "prismatic" else left(name, doublings)
         if sound(rest) and rest.volume() >= (1 - LARGEST) * solids[name].volume():
             out = rest.to_mesh64()
             mesh = Mesh(np.asarray(out.vert_properties)[:, :3], np.asarray(out.tri_verts).astype(np.int64))
@@ -99,8 +106,27 @@ def solid_of(mesh: Mesh) -> Manifold | None:
 def _without_crumbs(solid: Manifold) -> Manifold:
     """The solid without loose pieces of less than `CRUMB` of it: films that stood between two copies. Hollows stay."""
     found = [(piece, piece.volume()) for piece in solid.decompose()]  # a hollow is a piece of negative volume
-    pieces = [piece for piece, volume in found if volume < 0 or volume >= CRUMB * solid.volume()]
-    return Manifold.compose(pieces)
+    crumbs = [piece for piece, volume in found if 0 <= volume < CRUMB * solid.volume()]
+    return solid - Manifold.batch_boolean(crumbs, OpType.Add) if crumbs else solid  # composing would fill hollows
+
+
+_PRISM = np.array([[0, 2, 1], [3, 4, 5], [0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [2, 0, 3], [2, 3, 5]], np.uint64)
+"""Triangles of a prism over 0, 1, 2 below 3, 4, 5."""
+
+
+def _slid(tool: Manifold, way: NDArray[np.float64]) -> Manifold:
+    """What `tool` sweeps along `way` (3,), m: it, and a prism on each triangle that faces along the way.
+
+    Copies leave steps: a cabinet's carcass had 215,000 triangles after 256 of them, cut so it has 32,000.
+    """
+    mesh = tool.to_mesh64()
+    corners = np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts).astype(np.int64)]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    prisms = [
+        Manifold(Mesh64(np.concatenate([triangle, triangle + way]), _PRISM)) for triangle in corners[normals @ way > 0]
+    ]
+    kept = [prism for prism in prisms if sound(prism)]
+    return Manifold.batch_boolean([tool, *kept], OpType.Add).as_original()
 
 
 def _swept(tool: Manifold, joint: Joint, low: float, high: float, doublings: int, smooth: float) -> Manifold:
