@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from manifold3d import Error, Manifold, Mesh64, OpType
@@ -61,8 +61,8 @@ def carved(parts: Articulation, low: float, high: float, tolerance: float, overl
         if solid is None:
             return f"the {name} part is not closed"
         solids[name] = solid.simplify(FINE * tolerance)
-    ways = {"reference": parts.joint, "moving": parts.joint.reversed()}  # of the other part, as each part has it
-    ends = {"reference": (low, high), "moving": (-high, -low)}
+    back = replace(parts.joint, axis=-parts.joint.axis)
+    ways = {"reference": parts.joint, "moving": back}  # of the other part, as each part has it at each state
     others = {"reference": "moving", "moving": "reference"}
     coarse = np.linspace(low, high, COARSE)
     inside = np.max([overlap.depths(float(state)) for state in coarse], axis=0) > 0
@@ -70,12 +70,11 @@ def carved(parts: Articulation, low: float, high: float, tolerance: float, overl
     doublings = int(np.clip(np.ceil(np.log2(travel / (2 * tolerance) + 1)), ROUGHLY, MOST))
 
     def left(name: str, doublings: int) -> Manifold:
-        way, (start, stop), tool = ways[name], ends[name], solids[others[name]]
+        way, tool = ways[name], solids[others[name]]
         if way.type == "prismatic":
-            tool = tool.transform(way.transform(start)[:3])
-            swept = _slid(tool, (stop - start) * way.axis).simplify(FINE * tolerance)
+            swept = _slid(tool.transform(way.transform(low)[:3]), (high - low) * way.axis).simplify(FINE * tolerance)
         else:
-            swept = _swept(tool, way, start, stop, doublings, FINE * tolerance)
+            swept = _swept(tool, way, low, high, doublings, FINE * tolerance)
         return _without_crumbs((solids[name] - swept).as_original().simplify(FINE * tolerance))
 
     roughly = {name: left(name, ROUGHLY) for name in PARTS}

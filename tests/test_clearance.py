@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from export.carving import carved
+from export.carving import Carved, carved
 from export.clearance import cleared
 from export.collision import CollisionSettings, convex_parts, kept_apart
 from export.fidelity import depth_within, half_spaces
@@ -76,7 +76,7 @@ def parted(pieces, parts, joint=SLIDE, fixed="reference"):
 @pytest.mark.parametrize("fixed", ["reference", "moving"])
 def test_pieces_that_stand_out_of_a_drawer_and_its_carcass_are_cut_back_to_them(fixed: str):
     """Boards 3 mm too thick all round, where the gap is 1 mm: then apart over the whole range, and still there."""
-    joint = SLIDE if fixed == "reference" else SLIDE.reversed()
+    joint = SLIDE if fixed == "reference" else replace(SLIDE, axis=-SLIDE.axis)
     true, parts = drawer_in_its_carcass()
     pieces = {name: [thicker(board, 0.003) for board in found] for name, found in true.items()}
     ways = {name: pieces[name] for name in sorted(pieces, key=lambda name: name != fixed)}
@@ -106,9 +106,9 @@ def test_what_turns_is_clear_between_the_states_that_were_looked_at():
     """A door of which a post stands in the way: cut is the post's false flank, not the door."""
     hinge = Joint("hinge", "revolute", np.array([0, 0, 1.0]), np.zeros(3), 0.0, 1.5)
     parts = {"reference": block((0.02, 0.02, 0.3), (0.16, 0.16, 0)), "moving": block((0.2, 0.01, 0.3), (0.1, 0, 0))}
-    pieces = {"reference": [thicker(parts["reference"].vertices, 0.02)], "moving": [parts["moving"].vertices]}
+    pieces = {"reference": [thicker(parts["reference"].vertices, 0.02)], "moving": [np.array(parts["moving"].vertices)]}
     assert deepest(pieces, hinge, "reference", 41) > 0.005
-    found = parted(pieces, parts, hinge)
+    found = {name: [p for p in left if p is not None] for name, left in parted(pieces, parts, hinge).items()}
     assert trimesh.convex.convex_hull(found["moving"][0]).volume > 0.999 * parts["moving"].volume
     assert deepest(found, hinge, "reference", 157) <= TOLERANCE + 5e-5  # and what an arc bulges out
     kept = half_spaces([trimesh.convex.convex_hull(found["reference"][0])])
@@ -127,15 +127,29 @@ def test_a_part_all_of_whose_pieces_are_in_the_other_keeps_them():
     assert all(found[name].shapes for name in found) and set(counts) == {"cut", "dropped"}
 
 
-def test_what_slides_is_carved_as_it_is_and_leaves_flat_walls():
-    """A wedge pulled through a block: what it sweeps is known, and its way is bounded by few triangles."""
-    points = np.array([[0, -0.02, -0.02], [0, 0.02, -0.02], [0, 0, 0.03], [0.05, 0, -0.01]])
-    wedge = trimesh.convex.convex_hull(points)
-    parts = Articulation(
-        SLIDE,
-        Mesh(*(lambda s: (s.vertices, s.faces))(block((0.8, 0.2, 0.2), (0.1, 0, 0)))),
-        Mesh(wedge.vertices, wedge.faces),
-    )
+WEDGE = trimesh.convex.convex_hull(np.array([[0, -0.02, -0.02], [0, 0.02, -0.02], [0, 0, 0.03], [0.05, 0, -0.01]]))
+
+
+@pytest.mark.parametrize("larger", ["reference", "moving"])
+def test_what_slides_is_carved_as_it_is_and_leaves_flat_walls(larger: str):
+    """A wedge pulled through a block, or a block over a wedge: what it sweeps is known, its bounds are few."""
+    way = 1 if larger == "reference" else -1  # of the wedge through the block
+    solid = block((0.8, 0.2, 0.2), (0.1 * way, 0, 0))
+    meshes = {"reference": WEDGE, "moving": WEDGE} | {larger: solid}
+    parts = Articulation(SLIDE, *(Mesh(meshes[name].vertices, meshes[name].faces) for name in ("reference", "moving")))
     cut = carved(parts, 0.0, 0.25, TOLERANCE, Overlap(parts))
-    assert cut.name == "reference" and len(cut.mesh.faces) < 60
-    assert cut.volume == pytest.approx(wedge.volume + 0.25 * 0.5 * 0.04 * 0.05, rel=1e-3)
+    assert isinstance(cut, Carved) and cut.name == larger and len(cut.mesh.faces) < 60
+    assert cut.volume == pytest.approx(WEDGE.volume + 0.25 * 0.5 * 0.04 * 0.05, rel=0.01)
+    apart = replace(parts, reference=cut.mesh) if larger == "reference" else replace(parts, moving=cut.mesh)
+    assert Overlap(apart).deepest(np.linspace(0, 0.25, 9)).max() <= TOLERANCE
+
+
+def test_what_turns_is_carved_the_way_it_turns_out_of_either_part():
+    """A pin, most of it in a plate that turns about z: the groove lies where the pin is, seen from the plate."""
+    hinge = Joint("hinge", "revolute", np.array([0, 0, 1.0]), np.zeros(3), 0.0, 0.8)
+    pin, plate = block((0.01, 0.01, 0.02), (0.1, 0, 0.001)), block((0.4, 0.4, 0.02), (0, 0, 0))
+    meshes = (Mesh(solid.vertices, solid.faces) for solid in (pin, plate))
+    parts = Articulation(hinge, *meshes)
+    cut = carved(parts, 0.0, 0.8, TOLERANCE, Overlap(parts))
+    assert isinstance(cut, Carved) and cut.name == "moving"
+    assert Overlap(replace(parts, moving=cut.mesh)).deepest(np.linspace(0, 0.8, 9)).max() <= TOLERANCE
