@@ -153,3 +153,21 @@ def test_what_turns_is_carved_the_way_it_turns_out_of_either_part():
     cut = carved(parts, 0.0, 0.8, TOLERANCE, Overlap(parts))
     assert isinstance(cut, Carved) and cut.name == "moving"
     assert Overlap(replace(parts, moving=cut.mesh)).deepest(np.linspace(0, 0.8, 9)).max() <= TOLERANCE
+
+
+def test_a_sheet_without_thickness_stops_nothing():
+    """A block with a sheet of two sides at one place standing on it, where the wedge passes."""
+    solid = block((0.4, 0.1, 0.02), (0.1, 0, -0.05))
+    sheet = np.array([[0.1, -0.03, -0.04], [0.1, 0.03, -0.04], [0.1, 0, 0.04]])
+    mesh = Mesh(np.concatenate([solid.vertices, sheet]), np.concatenate([solid.faces, len(solid.vertices) + TWO_SIDES]))
+    sunk = WEDGE.copy()
+    sunk.apply_translation((0, 0, -0.022))  # so that there is something to carve
+    parts = Articulation(SLIDE, mesh, Mesh(sunk.vertices, sunk.faces))
+    cut = carved(parts, 0.0, 0.25, TOLERANCE, Overlap(parts))
+    assert isinstance(cut, Carved)
+    left = {cut.name: cut.mesh} | {("moving" if cut.name == "reference" else "reference"): cut.other}
+    apart = replace(parts, reference=left["reference"], moving=left["moving"])
+    assert Overlap(apart).deepest(np.linspace(0, 0.25, 9)).max() <= TOLERANCE
+
+
+TWO_SIDES = np.array([[0, 1, 2], [0, 2, 1]])
