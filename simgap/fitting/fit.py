@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from freeart21.effects import Effect
 from freeart21.se3 import Array
 from simgap.fitting.force_model import ForceModel
-from simgap.fitting.least_squares import Prior, charge, solve, weight
+from simgap.fitting.least_squares import Prior, charge, solve
 from simgap.fitting.theory import Problem as Problem
 from simgap.fitting.theory import Range as Range
 from simgap.fitting.theory import Reader as Reader
@@ -318,12 +318,6 @@ def tempered(residuals: dict[str, Array]) -> dict[str, Array]:
     powers = np.array([max(float(np.mean(r * r)), 1e-12) for r in residuals.values()])
     factors = np.sqrt(charge(powers) / powers)
     return {run: factor * r for factor, (run, r) in zip(factors, residuals.items(), strict=True)}
-
-
-def steady(residuals: dict[str, Array]) -> dict[str, float]:
-    """By run, how far its residuals count in a fit."""
-    found = weight(np.array([float(np.mean(r * r)) for r in residuals.values()]))
-    return {run: float(w) for run, w in zip(residuals, found, strict=True)}
 
 
 def unit_of(left: dict[str, Array]) -> float:

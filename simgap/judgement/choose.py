@@ -18,6 +18,7 @@ from freeart21.effects import EFFECTS
 from simgap.fitting.fit import Fit
 from simgap.fitting.force_search import ForceSearch
 from simgap.fitting.search import Search, prompt
+from simgap.fitting.theory import departures_of
 from simgap.judgement.hypotheses import Hypothesis, departing, excess, judged
 from simgap.judgement.nameless import Nameless, beside
 from simgap.judgement.predictive import lead, smallest
@@ -67,7 +68,7 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     standing = nearest(_no_larger([h for h in real if h.names and named_whole(h, base, settings)], base, settings))
     told = {h.names: beside(h, folds) for h in standing}
     whole = [h for h in standing if not any(refutes(n, base, settings) for n in told[h.names])]
-    whole = [h for h in whole if not _plainer_without_name(h, real, folds)]
+    whole = [h for h in whole if not _plainer_without_name(h, real, folds) and not _smaller_as_probable(h, real)]
     if whole:
         added = tuple(as_added(h, search, folds, base) for h in whole)
         return replace(found, explaining=added, nameless=told[whole[0].names], table=tuple(real))
@@ -101,11 +102,11 @@ def named_whole(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSet
     if at_end(hypothesis.fit):
         return False
     before, after = base.by_run, hypothesis.by_run
+    depart = all(departures_of(EFFECTS[name]) for name in hypothesis.names)
+    part = settings.explained_part if depart else settings.formula_part
     shown = [run for run in after if before[run] > SHOWS] or list(after)
     met = {
-        run: after[run]
-        <= min(np.hypot(settings.explained, settings.explained_part * excess(before[run])), settings.most)
-        for run in shown
+        run: after[run] <= min(np.hypot(settings.explained, part * excess(before[run])), settings.most) for run in shown
     }
     chose = [met[run] for run in shown if run in hypothesis.left]
     return sum(met.values()) >= settings.met * len(met) and sum(chose) >= 0.5 * len(chose)
@@ -143,6 +144,13 @@ def _plainer_without_name(hypothesis: Hypothesis, table: Sequence[Hypothesis], f
             if ahead <= error:
                 return True
     return False
+
+
+def _smaller_as_probable(hypothesis: Hypothesis, table: Sequence[Hypothesis]) -> bool:
+    """Whether a part of a set, which leaves too much for a name, is about as probable as all of it: that what all of it
+    leaves just passes then hangs on a hair."""
+    fewer = [h for h in table if h.names and len(h.names) < len(hypothesis.names) and _within(h, hypothesis)]
+    return any(not _beats(hypothesis, h) for h in fewer)
 
 
 def dominating(

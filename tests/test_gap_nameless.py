@@ -1,0 +1,69 @@
+"""Forces without a name: each is seen where it acts, and by its own kind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gap_case import asset_of, measured_of
+
+from freeart21.files.asset import read_asset
+from simgap.fitting.fit import Fit, Theory, fitted, predicted
+from simgap.judgement.hypotheses import judged
+from simgap.judgement.nameless import Nameless, beside
+from simgap.judgement.split import split_of
+from simgap.measure.data import FitRun, fit_runs
+from simgap.motion.surrogate import plant_of
+from simgap.settings import GapSettings
+from simgap.workflow import problem_of
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, tuple[FitRun, ...]]:
+    """The asset as it is, and runs that it explains, none of them marked."""
+    measured = measured_of(5, marked=False, exact=True)
+    plant = plant_of(read_asset(asset_of(tmp_path_factory.mktemp("asset")), "j"), measured)
+    runs, floor = fit_runs(measured, plant)
+    return fitted(Theory(problem_of(plant, measured, runs, floor, GapSettings()), ()), runs), runs
+
+
+def found(fit: Fit, runs: tuple[FitRun, ...]) -> dict[str, Nameless]:
+    folds = split_of(runs).folds
+    kept = tuple(run for fold in folds for run in fold.test)
+    hypothesis = judged(fitted(fit.theory, kept, fit.theta, fit.starts), folds)
+    return {rival.kind: rival for rival in beside(hypothesis, folds)}
+
+
+def read(run: FitRun, q: np.ndarray, seed: int) -> FitRun:
+    return replace(run, q=q + run.sigma * np.random.default_rng(seed).normal(size=len(q)))
+
+
+def test_a_force_of_the_time_since_a_run_began(alone: tuple[Fit, tuple[FitRun, ...]]):
+    fit, runs = alone
+    made = []
+    for i, run in enumerate(runs):
+        t = run.times_s - run.times_s[0]
+        pushed = replace(run, inputs=run.inputs.with_rows(run.times_s).pushed(run.times_s, 0.02 * t / t[-1]))
+        made.append(read(run, predicted(fit, pushed), i))
+    rivals = found(fit, tuple(made))
+    assert rivals["time"].ahead > rivals["time"].error and rivals["time"].floors < 1.1 < rivals["time"].without
+    assert all(rivals["time"].ahead > rival.ahead for kind, rival in rivals.items() if kind != "time")
+
+
+def test_parts_that_flex_between_sensor_and_load(alone: tuple[Fit, tuple[FitRun, ...]]):
+    fit, runs = alone
+    made = []
+    for i, run in enumerate(runs):
+        q = predicted(fit, run)
+        bent = np.gradient(np.gradient(q, run.times_s), run.times_s)
+        made.append(read(run, q + 20 * run.sigma.mean() * bent / np.abs(bent).max(), i))
+    rivals = found(fit, tuple(made))
+    assert rivals["flexing"].ahead > rivals["flexing"].error
+    assert all(rivals["flexing"].ahead >= rival.ahead for rival in rivals.values())
+
+
+def test_noise_alone_needs_none(alone: tuple[Fit, tuple[FitRun, ...]]):
+    fit, runs = alone
+    made = tuple(read(run, predicted(fit, run), i) for i, run in enumerate(runs))
+    assert all(rival.ahead < rival.error for rival in found(fit, made).values())
