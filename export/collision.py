@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import manifold3d
 import numpy as np
 from numpy.typing import NDArray
 
+from export.clearance import cleared
 from export.decomposition import Tolerance, convex_pieces, thickened
 from export.fidelity import Fidelity, measured
-from export.outside import even_directions, outside_of
+from export.outside import Outside, even_directions, outside_of
 from export.primitive_fit import primitive_of
 from export.primitives import Primitive
 from freeart21.errors import FreeArtError
+from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 
 _LEVEL = 5e-5
@@ -50,6 +52,8 @@ class Collision:
     primitives: tuple[Primitive, ...]
     """Pieces that are a box, a cylinder or a ball."""
     fidelity: Fidelity
+    outside: Outside
+    """Of the part, in its frame."""
 
     @property
     def shapes(self) -> list[Mesh]:
@@ -84,7 +88,49 @@ def convex_parts(mesh: Mesh, settings: CollisionSettings, ground: float | None =
         hull = convex_hull(piece, settings.min_thickness_m, settings.max_vertices)
         hulls.append(hull if ground is None else _grounded(hull, ground, stands_out, settings))
     shapes = [*hulls, *(shape.mesh() for shape in primitives)]
-    return Collision(tuple(hulls), tuple(primitives), measured(outside, shapes))
+    return Collision(tuple(hulls), tuple(primitives), measured(outside, shapes), outside)
+
+
+def kept_apart(
+    collisions: dict[str, Collision], joint: Joint, root: str, tolerance: float, settings: CollisionSettings
+) -> tuple[dict[str, Collision], dict[str, int]]:
+    """Both parts' shapes cut back until none is in the other's by more than `tolerance`, m, in the joint's range; how
+    many were cut and dropped. Both as they were where nothing would be left of one.
+
+    Args:
+        collisions: by the part's name, in link frames; that of the part that is not `root` stands at the pivot.
+        joint: in the root link's frame, with the range of the asset.
+        root: 'reference' or 'moving'.
+        tolerance: m.
+        settings: of the collisions.
+    """
+    origins = {name: np.zeros(3) if name == root else joint.pivot for name in collisions}
+    pieces = {name: [s.vertices + origins[name] for s in found.shapes] for name, found in collisions.items()}
+    surfaces = {
+        name: (found.outside.points + origins[name], found.outside.area / len(found.outside.points))
+        for name, found in collisions.items()
+    }
+    left = cleared(pieces, surfaces, joint, root, tolerance, settings.min_thickness_m)
+    counts = {"cut": 0, "dropped": 0}
+    out = {}
+    for name, found in collisions.items():
+        hulls: list[Mesh] = []
+        primitives: list[Primitive] = []
+        for k, (old, new) in enumerate(zip(pieces[name], left[name], strict=True)):
+            if new is None:
+                counts["dropped"] += 1
+            elif new is not old:
+                counts["cut"] += 1
+                hulls.append(convex_hull(new - origins[name], 0.0, settings.max_vertices))
+            elif k < len(found.hulls):
+                hulls.append(found.hulls[k])
+            else:
+                primitives.append(found.primitives[k - len(found.hulls)])
+        if not hulls and not primitives:  # a part without any shape falls through the ground
+            return collisions, {"cut": 0, "dropped": 0}
+        apart = replace(found, hulls=tuple(hulls), primitives=tuple(primitives))
+        out[name] = replace(apart, fidelity=measured(found.outside, apart.shapes))
+    return out, counts
 
 
 def _stands(shape: Mesh, ground: float, near: float) -> bool:

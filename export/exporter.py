@@ -14,7 +14,7 @@ import numpy as np
 import freeart21
 from export.beside import write_beside
 from export.checklist import check_asset
-from export.collision import Collision, CollisionSettings, convex_parts
+from export.collision import Collision, CollisionSettings, convex_parts, kept_apart
 from export.guessed_dynamics import DYNAMICS, Dynamics, guessed_effects
 from export.inertia import inertial_of
 from export.materials import DEFAULT, DENSITIES, MATERIALS, Material
@@ -149,6 +149,7 @@ def export_result(
         with ThreadPoolExecutor() as pool:  # most of it looks up nearest points, which threads do at once
             tasks = {name: pool.submit(_shape, name, part, placement, settings) for name, part in parts.items()}
         shapes = {name: task.result() for name, task in tasks.items()}
+        shapes, said_apart = _apart(shapes, placement, settings)
         density = DENSITIES[settings.material or DEFAULT] if settings.density is None else settings.density
         if settings.mass is not None:
             density = settings.mass / sum(
@@ -175,6 +176,7 @@ def export_result(
         source |= {
             "parts": {name: said for name, (_, said) in written.items()},
             **placement.said,
+            "penetration": placement.said["penetration"] | said_apart,
             "mass": _said_of_mass(settings, density),
             "dynamics": {"guessed": guessed},
             "length_unit": "m",
@@ -242,6 +244,19 @@ def _shape(name: str, part: Part, placement: Placement, settings: ExportSettings
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error
     return shape
+
+
+def _apart(
+    shapes: dict[str, _Shape], placement: Placement, settings: ExportSettings
+) -> tuple[dict[str, _Shape], dict[str, Any]]:
+    """The shapes with pieces that are no deeper in each other than the parts may be, where the parts are clear of each
+    other themselves; for asset.json, how many pieces that took."""
+    tolerance, said = settings.placement.tolerance_m * settings.scale, placement.said["penetration"]
+    if not settings.placement.carve or (said["deepest_m"] > tolerance and said["carved"] is None):
+        return shapes, {}
+    collisions = {name: shape.collision for name, shape in shapes.items()}
+    found, counts = kept_apart(collisions, placement.joint, placement.root, tolerance, settings.collision)
+    return {name: replace(shapes[name], collision=found[name]) for name in shapes}, {"pieces": counts}
 
 
 def _write_link(

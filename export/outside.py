@@ -55,6 +55,11 @@ class Outside:
     winding: Winding
     """Of the whole mesh."""
 
+    @property
+    def area(self) -> float:
+        """m^2 of the reachable surface."""
+        return len(self.dense) * self.spacing**2
+
     def excess(self, x: Array) -> Array:
         """(k,) m by which points `x` (k, 3) stand out of the part; 0 within.
 

@@ -168,7 +168,8 @@ def _apart(
     cut = carved(parts, found.low, found.high, tolerance, overlap)
     if isinstance(cut, str):
         return parts, said | {"not_carved_because": cut}
-    parts = replace(parts, reference=cut.mesh) if cut.name == "reference" else replace(parts, moving=cut.mesh)
+    reference, moving = (cut.mesh, cut.other) if cut.name == "reference" else (cut.other, cut.mesh)
+    parts = replace(parts, reference=reference, moving=moving)
     after = float(Overlap(parts).deepest(states).max())
     return parts, said | {"deepest_m": after, "carved": cut.name, "carved_m3": cut.volume}
 
