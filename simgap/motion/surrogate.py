@@ -329,7 +329,8 @@ class Batch:
         return Batch(
             np.concatenate([times for times, _ in runs]).astype(float),
             np.cumsum([0, *(len(times) for times, _ in runs)]),
-            (first, second, third, fourth, np.concatenate(extras, 1), np.concatenate(sways, 1)),
+            # of one layout: numba's cache mixes up formulas where a process loads two versions of the kernel
+            (first, second, third, fourth, *(np.ascontiguousarray(np.concatenate(x, 1)) for x in (extras, sways))),
             np.array([(ends[id(i)] - len(i.times_s), ends[id(i)]) for _, i in runs]),
             np.array([i.held for _, i in runs]),
         )
