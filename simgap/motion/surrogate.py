@@ -329,8 +329,7 @@ class Batch:
         return Batch(
             np.concatenate([times for times, _ in runs]).astype(float),
             np.cumsum([0, *(len(times) for times, _ in runs)]),
-            # of one layout: numba's cache mixes up formulas where a process loads two versions of the kernel
-            (first, second, third, fourth, *(np.ascontiguousarray(np.concatenate(x, 1)) for x in (extras, sways))),
+            (first, second, third, fourth, _in_rows(extras), _in_rows(sways)),
             np.array([(ends[id(i)] - len(i.times_s), ends[id(i)]) for _, i in runs]),
             np.array([i.held for _, i in runs]),
         )
@@ -341,6 +340,12 @@ class Batch:
         out = np.empty(int((self.begins[which + 1] - self.begins[which]).sum()))
         kernel.sweep(numbers, terms, which, self.times_s, self.begins, *self.series, self.enters, steps_s, out)
         return out
+
+
+def _in_rows(series: list[Array]) -> Array:
+    """Side by side, and laid out one way: numba's cache mixes up formulas in a process that loads two versions of the
+    kernel."""
+    return np.ascontiguousarray(np.concatenate(series, 1))
 
 
 def sweep(numbers: Array, terms: NDArray[np.int64], times_s: Array, inputs: Inputs, steps_s: Steps) -> Array:
