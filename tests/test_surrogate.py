@@ -307,3 +307,11 @@ def test_runs_side_by_side_are_as_each_alone(tmp_path: Path):
     together = Batch.of(runs).sweep(numbers, terms_of(effects), which, steps)
     assert np.array_equal(together, np.concatenate(alone))
     assert np.ptp(alone[3]) > 0.1 and abs(alone[0] - alone[3]).max() > 0.1
+
+
+def test_inputs_have_one_layout_and_the_kernel_one_version():
+    """Two versions of the compiled kernel from numba's cache mix up their formulas."""
+    times = np.linspace(0, 1, 50)
+    told = Inputs(times, np.zeros(50), np.zeros(50), np.zeros(50), np.asfortranarray(np.zeros((3, 50))))
+    for inputs in (told, told.with_rows(times + 0.01)):
+        assert all(series.flags.c_contiguous for series in Batch.of([(times, inputs)]).series)
