@@ -28,7 +28,7 @@ _SLAB = 1e-3
 _ASIDE = 0.05
 """Sine of the angle to the motion's way from which on a direction counts as across it. Not measured."""
 _ROUNDING = 1e-9
-"""m."""
+"""m by which corners that lie on a plane may miss it: of doubles on parts of metres."""
 _ON = 1e-4
 """m that a point of the surface may lie out of a piece that stands for it."""
 

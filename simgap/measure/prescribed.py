@@ -168,8 +168,8 @@ def _of_run(measured: Measured, plant: Plant, run: Run, noise: float, still: flo
     beside = np.zeros(len(t)) if push is None else logged_at(run.times_s, push, how, t)
     if run.base is not None:
         beside = beside + sway_force(base_sway(run, measured, plant).at(t), q)
-    through = lambda series: np.convolve(series, kernel, "same")  # noqa: E731 (as the acceleration is seen)
-    asked, beside, cosine, sine, speed = (through(v) for v in (asked, beside, np.cos(q), np.sin(q), qd))
+    seen = (np.convolve(series, kernel, "same") for series in (asked, beside, np.cos(q), np.sin(q), qd))
+    asked, beside, cosine, sine, speed = seen  # as the acceleration is
     half, span = len(kernel) // 2 + 1, plant.upper - plant.lower
     slack = 1e-3 * span if np.isfinite(span) else 0.0
     usual = float(np.sqrt(np.mean(qd**2)))
