@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from manifold3d import Error, Manifold, Mesh64, OpType
+from manifold3d import CrossSection, Error, FillRule, Manifold, Mesh64, OpType
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from export.penetration import Overlap
 from freeart21.articulation import PARTS, Articulation
+from freeart21.effects import perpendiculars
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
+from freeart21.se3 import Array
+
+Faces = NDArray[np.int64]
 
 COARSE = 9
 """States at which it is looked where the parts are in each other."""
@@ -114,23 +121,86 @@ def _without_crumbs(solid: Manifold) -> Manifold:
     return solid - Manifold.batch_boolean(crumbs, OpType.Add) if crumbs else solid  # composing would fill hollows
 
 
-_PRISM = np.array([[0, 2, 1], [3, 4, 5], [0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [2, 0, 3], [2, 3, 5]], np.uint64)
-"""Triangles of a prism over 0, 1, 2 below 3, 4, 5."""
+_ACROSS = 1e-6
+"""Of a face's slope to a way, below which the face lies along it and sweeps nothing."""
+_FOLDED = 1e-3
+"""Part of a patch's area that may lie above the rest of it, seen along a way: rounding of the projection."""
 
 
-def _slid(tool: Manifold, way: NDArray[np.float64]) -> Manifold:
-    """What `tool` sweeps along `way` (3,), m: it, and a prism on each triangle that faces along the way.
+def _slid(tool: Manifold, way: Array) -> Manifold:
+    """What `tool` sweeps along `way` (3,), m: it, and the patches of its surface that face along the way, drawn out.
 
-    Copies leave steps: a cabinet's carcass had 215,000 triangles after 256 of them, cut so it has 32,000.
+    Copies leave steps: a cabinet's carcass had 215,000 triangles after 256 of them, cut so it has 32,000. A prism on
+    each triangle is as exact, but the union of those on a phone's rounded edges had not ended after 17 minutes; of
+    patches it takes five seconds.
     """
     mesh = tool.to_mesh64()
-    corners = np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts).astype(np.int64)]
+    points, faces = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(np.int64)
+    corners = points[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    prisms = [
-        Manifold(Mesh64(np.concatenate([triangle, triangle + way]), _PRISM)) for triangle in corners[normals @ way > 0]
-    ]
-    kept = [prism for prism in prisms if sound(prism)]
-    return Manifold.batch_boolean([tool, *kept], OpType.Add).as_original()
+    facing = faces[normals @ way > _ACROSS * np.linalg.norm(normals, axis=1) * np.linalg.norm(way)]
+    drawn = (_drawn(points, patch, way) for patch in _unfolded(points, facing, way))
+    return Manifold.batch_boolean([tool, *filter(sound, drawn)], OpType.Add).as_original()
+
+
+def _drawn(points: Array, patch: Faces, way: Array) -> Manifold:
+    """The solid between a patch (t, 3) of a surface and itself moved on by `way`."""
+    corners, _ = _connected(patch)  # where two corners of it touch in a point only, that is two
+    own, first, faces = np.unique(corners, return_index=True, return_inverse=True)
+    below, faces, count = points[patch.ravel()[first]], faces.reshape(-1, 3), len(own)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    inner = set(map(tuple, edges[:, ::-1].tolist()))
+    a, b = np.array([edge for edge in edges.tolist() if tuple(edge) not in inner]).T
+    walls = [np.stack([a, b, b + count], -1), np.stack([a, b + count, a + count], -1)]
+    closed = np.concatenate([faces[:, ::-1], faces + count, *walls]).astype(np.uint64)
+    return Manifold(Mesh64(np.concatenate([below, below + way]), np.ascontiguousarray(closed)))
+
+
+def _unfolded(points: Array, faces: Faces, way: Array) -> Iterator[Faces]:
+    """Connected patches of faces (t, 3), none of which lies above itself as seen along `way`: one that does is cut in
+    two at half its depth."""
+    todo = [faces]
+    while todo:
+        faces = todo.pop()
+        _, piece = _connected(faces)
+        for k in range(int(piece.max(initial=-1)) + 1):
+            patch = faces[piece == k]
+            if len(patch) == 1 or not _folds(points[patch], way):
+                yield patch
+                continue
+            depth = points[patch].mean(1) @ way
+            order = np.argsort(depth, kind="stable")
+            todo += [patch[order[: len(order) // 2]], patch[order[len(order) // 2 :]]]
+
+
+def _folds(triangles: Array, way: Array) -> bool:
+    """Whether triangles (t, 3, 3) lie above each other as seen along `way`."""
+    flat = triangles @ np.stack(perpendiculars(way / np.linalg.norm(way)), -1)
+    flat = flat / np.ptp(flat, axis=(0, 1)).max()  # the areas of a unit square: the library counts in small steps
+    a, b = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    area = 0.5 * float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+    covered = CrossSection([np.ascontiguousarray(t) for t in flat], FillRule.NonZero).area()
+    return area - covered > _FOLDED * area
+
+
+def _connected(faces: Faces) -> tuple[Faces, Faces]:
+    """(t, 3) the number of the corner that each corner of these triangles (t, 3) is one with, and (t,) that of the
+    patch that each is of; they hang together by edges."""
+    count = len(faces)
+    corner = np.arange(3 * count).reshape(-1, 3)
+    ways = ([0, 1], [1, 2], [2, 0])
+    edges, ends = (np.concatenate([table[:, way] for way in ways]) for table in (faces, corner))
+    back = edges[:, 0] > edges[:, 1]
+    edges[back], ends[back] = edges[back][:, ::-1], ends[back][:, ::-1]
+    order = np.lexsort(edges.T)
+    edges, ends = edges[order], ends[order]
+    at = np.flatnonzero((edges[1:] == edges[:-1]).all(1))
+
+    def joined(a: Faces, b: Faces, size: int) -> Faces:
+        return np.asarray(connected_components(coo_array((np.ones(len(a)), (a, b)), (size, size)), False)[1], np.int64)
+
+    corners = joined(ends[at].ravel(), ends[at + 1].ravel(), 3 * count).reshape(-1, 3)
+    return corners, joined(ends[at, 0] // 3, ends[at + 1, 0] // 3, count)
 
 
 def _swept(tool: Manifold, joint: Joint, low: float, high: float, doublings: int, smooth: float) -> Manifold:

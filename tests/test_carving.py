@@ -1,0 +1,53 @@
+"""What slides sweeps: whatever its shape, as many copies of it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from manifold3d import Manifold
+
+from export.carving import _slid, sound
+
+WAY = np.array([0.0, 0.0, 0.03])
+TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
+
+
+def ball() -> Manifold:
+    return Manifold.sphere(0.02, 48)
+
+
+def hollow() -> Manifold:
+    return ball() - Manifold.sphere(0.012, 32)
+
+
+def spring() -> Manifold:
+    """A coil of three turns about the way: what of it faces along the way lies above itself."""
+    beads = [
+        Manifold.sphere(0.004, 16).translate([0.02 * np.cos(a), 0.02 * np.sin(a), 0.01 * a / (2 * np.pi)])
+        for a in np.linspace(0, 6 * np.pi, 90)
+    ]
+    return sum((a + b for a, b in pairwise(beads)), Manifold())
+
+
+def touching() -> Manifold:
+    """Two boxes that meet in an edge."""
+    box = Manifold.cube([0.01, 0.01, 0.01])
+    return box + box.translate([0.01, 0.01, 0.0])
+
+
+@pytest.mark.parametrize("made", [ball, hollow, spring, touching])
+@pytest.mark.parametrize("turned", [False, True], ids=["along an axis", "across all"])
+def test_what_slides_sweeps_as_many_copies_of_it_do(made, turned):
+    way = TURN @ WAY if turned else WAY
+    tool = made().transform(np.column_stack([TURN, np.zeros(3)])) if turned else made()
+    swept = _slid(tool, way)
+    copies, doublings = tool, 9
+    for k in range(doublings):
+        copies = (copies + copies.translate(way * 2**k / (2**doublings - 1))).as_original().simplify(1e-6)
+    assert sound(swept)
+    assert swept.volume() == pytest.approx(copies.volume(), rel=2e-3)
+    assert swept.volume() > 1.2 * tool.volume()
+    outside = copies - swept
+    assert outside.volume() < 1e-3 * copies.volume()
