@@ -136,7 +136,7 @@ class SimulatedAsset:
         self._dampers = [(e.law, e.values()) for e in forces if e.knows_speed]
         recalling = [(i, e) for i, e in enumerate(forces) if type(e).remember is not Effect.remember]
         self._recalls = [(i, e.remember, e.values()) for i, e in recalling]
-        self._drives = [(e.law, e.values()) for e in effects if e.acts == "drive"]
+        self._drives = [(e.law, e.values(), e.geared) for e in effects if e.acts == "drive"]
         self._needs_load = any(e.needs_load for e in effects)
         self._stops = [e for e in effects if e.acts == "stop"]
         shafts = [e for e in effects if isinstance(e, Armature)]
@@ -270,9 +270,10 @@ class SimulatedAsset:
         q, t = min(max(self._q + 0.5 * h * self._qd, low), high), self.time_s + 0.5 * h
         self._put(q)
         self._recall(q)
-        self._set_drive(q, self._qd)
+        push = force(t) if force else 0.0
+        self._set_drive(q, self._qd, t, push)
         self._set_armature(q, self._qd, h)
-        acting = self._acting_force(q, self._qd, t) + (force(t) if force else 0.0)
+        acting = self._acting_force(q, self._qd, t) + push
         self.articulation.set_qf(np.array([acting], np.float32))
         self._middle = q
 
@@ -334,10 +335,10 @@ class SimulatedAsset:
         shaft = self._shaft
         if shaft is None or not shaft.throw_back or self._slack:
             return 0.0, 0.0, 0.0
-        friction = sum(law(limit, 0.0, self._bearing_load(limit, 0.0), 0.0, *v) for law, v in self._drives)
         pull = float(self.mechanics.gravity_force(limit)) + self._effect_force(limit, 0.0) + push
         pull += self._sway(limit, t) if self._sway else 0.0
-        drive, press = towards * self._actuator_force(limit, 0.0, t), towards * pull + friction
+        given = self._actuator_force(limit, 0.0, t)
+        drive, press = towards * given, towards * pull + self._friction(limit, 0.0, abs(given - pull))
         links = self._inertia - shaft.value
         stays, taken = thrown(speed, press, drive, links, shaft.value, shaft.throw_back, shaft.swing)
         return stays, taken, towards * (drive + press) / self._inertia
@@ -414,11 +415,15 @@ class SimulatedAsset:
     def _acting_force(self, q: float, qd: float, t: float) -> float:
         """Effects and actuator, this as far as it touches the part."""
         acting = self._effect_force(q, qd) + (self._sway(q, t) if self._sway else 0.0)
+        return acting + self._driving_force(q, qd, t)
+
+    def _driving_force(self, q: float, qd: float, t: float) -> float:
+        """What the actuator gives, as far as it touches the part."""
         if self._slack is None:
-            return acting + self._actuator_force(q, qd, t)
+            return self._actuator_force(q, qd, t)
         if self._side:
-            return acting + self._actuator_force(q + 0.5 * self._side * self._slack.width, qd, t)
-        return acting
+            return self._actuator_force(q + 0.5 * self._side * self._slack.width, qd, t)
+        return 0.0
 
     def _damping_slope(self, q: float, qd: float, t: float) -> float:
         """What the forces that act change by with speed, N*m*s/rad or N*s/m."""
@@ -433,12 +438,21 @@ class SimulatedAsset:
         """N, as far as an effect looks at it."""
         return float(self.mechanics.load(q, qd, self._qdd)) if self._needs_load else 0.0
 
-    def _set_drive(self, q: float, qd: float) -> None:
+    def _friction(self, q: float, qd: float, carried: float) -> float:
+        """Largest friction, N*m or N, where the gears carry `carried`."""
+        load = self._bearing_load(q, qd)
+        return float(sum(law(q, qd, carried if geared else load, 0.0, *v) for law, v, geared in self._drives))
+
+    def _set_drive(self, q: float, qd: float, t: float, push: float) -> None:
         """The saturated damper: force -D qd cut at the limit, so stiff that it sticks (facts: exact, no chatter)."""
         if not self._drives:
             return
-        load = self._bearing_load(q, qd)
-        limit = float(sum(law(q, qd, load, 0.0, *values) for law, values in self._drives))
+        carried = 0.0
+        if any(geared for _, _, geared in self._drives):
+            given = self._driving_force(q, qd, t)
+            others = self._acting_force(q, qd, t) - given + push + float(self.mechanics.gravity_force(q))
+            carried = abs(given - others)
+        limit = self._friction(q, qd, carried)
         if limit != self._drive_limit:
             self._joint.set_drive_properties(
                 stiffness=0.0, damping=limit / _CREEP_SPEED, force_limit=limit, mode="force"

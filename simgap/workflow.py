@@ -295,6 +295,8 @@ def problem_of(
     speed = np.concatenate([run.speed for run in runs])
     driven = any(len(run.inputs.times_s) for run in runs)
     load = plant.mechanics.load(motion, speed, np.zeros(len(speed)))
+    force = force_at_work(plant, runs)
+    weight = plant.mechanics.gravity_force(motion)
     return Problem(
         plant,
         measured.inertia_relative,
@@ -303,8 +305,9 @@ def problem_of(
         float(max(run.q.max() for run in runs)),
         float(max(np.quantile(np.abs(run.speed), 0.99) for run in runs)),
         floor.still,
-        force_at_work(plant, runs),
+        force,
         float(np.sqrt(np.mean(load**2))),
+        float(np.sqrt(force**2 + 4 * np.mean(weight**2))),  # a drive gives what moves the part and bears its weight
         driven and measured.interpolation == "unknown",
         settings.fit,
         settings.surrogate,

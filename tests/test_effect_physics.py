@@ -27,6 +27,7 @@ from freeart21.effects.eccentricity import Eccentricity
 from freeart21.effects.encoder_offset import EncoderOffset
 from freeart21.effects.encoder_scale import EncoderScale
 from freeart21.effects.end_stop_bounce import EndStopBounce
+from freeart21.effects.gear_friction import GearFriction
 from freeart21.effects.gravity_offset import GravityOffset
 from freeart21.effects.latch import Latch
 from freeart21.effects.load_friction import LoadFriction
@@ -159,6 +160,18 @@ def test_load_friction_of_a_slider_is_its_weight_across_the_rail(tmp_path: Path)
             asset_with(tmp_path, "prismatic", LoadFriction(coefficient), axis="0 0.6 0.8"), 0, duration_s=1
         )
         assert (abs(still.q[-1]) > 0.05) == slips
+
+
+@pytest.mark.parametrize(("asked", "slides"), [(1.15, 0), (1.30, 1), (0.78, -1), (0.85, 0), (-0.5, -1), (0.0, -1)])
+def test_gear_friction_of_a_slider_is_of_what_its_drive_gives_and_bears(tmp_path: Path, asked: float, slides: int):
+    """A drive that gives `asked` of the weight along a rail: up it must give (1 + c) / (1 - c) of that, and lets it
+    down below (1 - c) / (1 + c)."""
+    c, weight = 0.1, MASS * G * 0.6
+    asset = asset_with(tmp_path, "prismatic", GearFriction(c), axis="0 0.8 0.6")
+    run = roll_out(asset, 0.0, duration_s=1, actuator=Actuator(effort=lambda t: asked * weight))
+    force = asked * weight - weight - slides * c * abs(asked * weight + weight)
+    expected = force / MASS if slides else 0.0
+    assert run.qd[-1] == pytest.approx(expected, abs=2e-3 * G)
 
 
 @pytest.mark.parametrize("qd0", [0.0, 4.0])

@@ -24,6 +24,7 @@ from freeart21.effects.eccentricity import Eccentricity
 from freeart21.effects.encoder_offset import EncoderOffset
 from freeart21.effects.encoder_scale import EncoderScale
 from freeart21.effects.end_stop_bounce import EndStopBounce
+from freeart21.effects.gear_friction import GearFriction
 from freeart21.effects.gravity_offset import GravityOffset
 from freeart21.effects.latch import Latch
 from freeart21.effects.load_friction import LoadFriction
@@ -46,6 +47,7 @@ MORE = (
     StribeckFriction(0.2, 0.3, 0.5),
     QuadraticDrag(0.3),
     LoadFriction(0.01),
+    GearFriction(0.1),
     Detent(0.5, 0.4, 0.05),
     Latch(2.0, 0.1, 0.02, 0.5),
     Backlash(0.02, 0.1),

@@ -47,6 +47,7 @@ FREE = {
     "coulomb_friction": made("coulomb_friction", level=0.4),
     "stribeck_friction": made("stribeck_friction", level=0.2, rise=0.3, speed=0.3),
     "load_friction": made("load_friction", coefficient=0.01),
+    "gear_friction": made("gear_friction", coefficient=0.05),
     "return_spring": made("return_spring", stiffness=4.0, rest=0.2),
     "detent": made("detent", peak=1.0, centre=0.3, width=0.08),
     "latch": made("latch", hold=2.0, position=0.1, travel=0.1, capture=0.4),
@@ -74,7 +75,7 @@ def test_the_kernel_has_every_law_of_the_library():
 @pytest.mark.parametrize("name", FREE)
 def test_free_motion_is_sapiens(tmp_path: Path, kind: str, name: str):
     gravity = GRAVITY if kind == "revolute" else np.zeros(3)
-    if name == "load_friction" and kind == "prismatic":
+    if name in ("load_friction", "gear_friction") and kind == "prismatic":
         gravity = GRAVITY
     asset = asset_at(tmp_path, kind, FREE[name])
     q0, qd0 = (0.9, 0.0) if kind == "revolute" else (-0.2, 0.9)
@@ -83,9 +84,9 @@ def test_free_motion_is_sapiens(tmp_path: Path, kind: str, name: str):
     ours = simulate(plant, (FREE[name],), theirs.times_s, q0, qd0)
     assert np.abs(ours - theirs.q_measured).max() < 2e-3 * np.ptp(theirs.q), name
     plain = simulate(plant, (), theirs.times_s, q0, qd0)
-    assert np.abs(plain - theirs.q_measured).max() > 5e-3 * np.ptp(theirs.q) or (kind, name) == (
-        "prismatic",
-        "armature",
+    assert np.abs(plain - theirs.q_measured).max() > 5e-3 * np.ptp(theirs.q) or (kind, name) in (
+        ("prismatic", "armature"),  # nothing accelerates it
+        ("prismatic", "gear_friction"),  # nor presses on teeth
     )
 
 
@@ -157,13 +158,26 @@ def test_a_rotor_takes_its_part_back_from_a_limit_as_a_shaft_does(tmp_path: Path
     assert off(throw_back=back, swing=float(np.sqrt(rotor / stiffness))) < 2e-3
 
 
-@pytest.mark.parametrize("names", [(), ("actuator_gain",), ("actuator_delay",), ("backlash",), ("coulomb_friction",)])
+@pytest.mark.parametrize(
+    "names",
+    [
+        (),
+        ("actuator_gain",),
+        ("actuator_delay",),
+        ("backlash",),
+        ("coulomb_friction",),
+        ("gear_friction",),
+        ("actuator_gain", "coulomb_friction", "gear_friction"),
+        ("backlash", "gear_friction"),
+    ],
+)
 def test_a_servo_is_sapiens(tmp_path: Path, names: tuple[str, ...]):
     library = {
         "actuator_gain": made("actuator_gain", factor=0.7),
         "actuator_delay": made("actuator_delay", seconds=0.03),
         "backlash": made("backlash", width=0.1, drive_inertia=0.1),
         "coulomb_friction": made("coulomb_friction", level=0.5),
+        "gear_friction": made("gear_friction", coefficient=0.2),
     }
     effects = tuple(library[name] for name in names)
     asset = asset_at(tmp_path, "revolute", *effects)

@@ -85,8 +85,9 @@ class Effect(ABC):
 
     `law(q, qd, load, memory, *parameters)` is a static method of scalars or arrays, plain numpy, no instance: so a
     fitter may compile it (`numba.njit(cls.law)`) or give it arrays of parameters. `load` is the bearing force in N
-    (`JointMechanics.load`), 0 unless `needs_load`. `memory` is one number, `remember(q, memory, *parameters)`
-    is its next value, at the start it is `remember(q, 0.0, ...)`: used by latch alone.
+    (`JointMechanics.load`), 0 unless `needs_load`, or what gears carry where the effect is `geared`. `memory` is one
+    number, `remember(q, memory, *parameters)` is its next value, at the start it is `remember(q, 0.0, ...)`: used by
+    latch alone.
 
     Effects of one kind add up, in no order; displacements are multiplied in the order listed, the first one outermost.
     """
@@ -97,7 +98,10 @@ class Effect(ABC):
     joint_types: ClassVar[tuple[str, ...]] = JOINT_TYPES
     """The types of joint that can have this effect."""
     needs_load: ClassVar[bool] = False
-    """Whether `law` looks at the load."""
+    """Whether `law` looks at the load on the bearing."""
+    geared: ClassVar[bool] = False
+    """Whether it is the drive's gears that rub, not the bearing: the load that `law` looks at is then what these carry,
+    |force of the actuator - all other forces but friction|, N*m or N."""
     needs_effort: ClassVar[bool] = False
     """Whether runs tell it only in which the actuator was told its effort."""
     knows_speed: ClassVar[bool] = True
@@ -159,7 +163,8 @@ class Effect(ABC):
         return self.law(q, qd, 0.0, memory, *self.values()) if self.acts == "force" else 0.0
 
     def drive_limit(self, q: Any, qd: Any, load: Any = 0.0) -> Any:
-        """Largest force, N*m or N, with which friction opposes motion under the bearing force `load`, N."""
+        """Largest force, N*m or N, with which friction opposes motion under the bearing force `load`, N, or under what
+        gears carry, N*m or N, of one that is `geared`."""
         return self.law(q, qd, load, 0.0, *self.values()) if self.acts == "drive" else 0.0
 
     def inertia(self) -> float:

@@ -68,7 +68,8 @@ def _of_run(problem: Problem, plant: Plant, run: FitRun) -> tuple[Array, ...]:
     q, qd, qdd = terms[:, 0], terms[:, 1] / reach, 2 * terms[:, 2] / reach**2
     noise = 2 * np.linalg.norm(inverse[:, 2], axis=1) / reach**2 * sigma.mean(1)
     ways = plant.gravity_terms @ np.stack([np.cos(q), np.sin(q), np.ones(len(q))])
-    acting = ways[0] + _driven(plant, run, middle, q, qd) + _known(plant, q, qd, qdd)
+    drive, others = _driven(plant, run, middle, q, qd)
+    acting = drive + _known(plant, q, qd, qdd, drive, others + ways[0])
     slack = _BESIDE * (problem.q_high - problem.q_low)
     near = (x.min(1) < plant.lower + slack) | (x.max(1) > plant.upper - slack)
     inertia = plant.mechanics.inertia
@@ -77,11 +78,11 @@ def _of_run(problem: Problem, plant: Plant, run: FitRun) -> tuple[Array, ...]:
     return q, qd, inertia * qdd - acting, np.where(near, 0.0, 1 / (inertia * noise)), smooth, first
 
 
-def _driven(plant: Plant, run: FitRun, times: Array, q: Array, qd: Array) -> Array:
-    """(n,) what command and pushes make."""
+def _driven(plant: Plant, run: FitRun, times: Array, q: Array, qd: Array) -> tuple[Array, Array]:
+    """(n,) each, what the actuator makes, and what pushes and the base do."""
     inputs = run.inputs
     if not len(inputs.times_s):
-        return np.zeros(len(times))
+        return np.zeros(len(times)), np.zeros(len(times))
     at = np.clip(np.searchsorted(inputs.times_s, times, side="right") - 1, 0, len(inputs.times_s) - 1)
     series = np.stack([inputs.command, inputs.effort, inputs.push])
     command, effort, push = (series if inputs.beside is None else series + HALFWAY * inputs.beside)[:, at]
@@ -90,21 +91,23 @@ def _driven(plant: Plant, run: FitRun, times: Array, q: Array, qd: Array) -> Arr
     given = gain * plant.drive.forces(q, qd, command, effort) + bias
     on = True if inputs.on is None else inputs.on[at]
     swayed = 0.0 if inputs.sway is None else sway_force(inputs.sway[:, at], q)
-    return np.asarray(push + np.where(on, given, 0.0) + swayed)
+    return np.where(on, given, 0.0), np.asarray(push + swayed)
 
 
-def _known(plant: Plant, q: Array, qd: Array, qdd: Array) -> Array:
-    """(n,) forces of the effects that the asset has already."""
-    load = plant.mechanics.load(q, qd, qdd)
-    total = np.zeros(len(q))
+def _known(plant: Plant, q: Array, qd: Array, qdd: Array, drive: Array, others: Array) -> Array:
+    """(n,) `others`, forces besides the drive's, and those of the effects that the asset has already."""
+    load, total, level = plant.mechanics.load(q, qd, qdd), others.copy(), np.zeros(len(q))
     for effect in plant.effects:
         memory: float | Array = 0.0
         if type(effect).remember is not Effect.remember:
             memory, now = np.zeros(len(q)), 0.0
             for i, at in enumerate(q):
                 now = memory[i] = float(effect.remember(at, now, *effect.values()))
-        total += effect.force(q, qd, 0.0, memory) - np.sign(qd) * effect.drive_limit(q, qd, load)
-    return total
+        total += effect.force(q, qd, 0.0, memory)
+    carried = np.abs(drive - total)
+    for effect in plant.effects:
+        level += effect.drive_limit(q, qd, carried if effect.geared else load)
+    return np.asarray(total - np.sign(qd) * level)
 
 
 def places(problem: Problem, seen: LocalForce, name: str, most: int) -> list[dict[str, float]]:

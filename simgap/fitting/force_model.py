@@ -77,12 +77,14 @@ def left_of(run: ForceRun, numbers: Array, effects: tuple[Effect, ...]) -> Array
     q, v = run.position, run.speed
     cosine, sine, constant = numbers[kernel.GRAVITY_COS : kernel.GRAVITY_CONST + 1]
     taken = numbers[kernel.INERTIA] * run.acceleration - cosine * run.turned[0] - sine * run.turned[1] - constant
-    places = {laws.NAMES[which]: at for which, _, at, _ in terms_of(effects)}
+    places = {laws.NAMES[which]: at for which, _, at, *_ in terms_of(effects)}
     for effect in effects:
         if effect.acts == "force":
             taken = taken - kernel.departures(numbers, places[effect.name], q, v) * effect.force(q, v)
-        elif effect.acts == "drive":
-            level = effect.drive_limit(q, v, run.load)
+    carried = np.abs(run.asked * run.on - (numbers[kernel.INERTIA] * run.acceleration - taken))
+    for effect in effects:
+        if effect.acts == "drive":
+            level = effect.drive_limit(q, v, carried if effect.geared else run.load)
             taken = taken + np.sign(v) * kernel.departures(numbers, places[effect.name], q, v) * level
     gain = np.where(run.on > 0, max(float(numbers[kernel.GAIN]), _LEAST_GAIN), 1.0)
     beside = run.q - run.asked

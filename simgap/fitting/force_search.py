@@ -46,6 +46,8 @@ def candidates(problem: Problem, runs: tuple[FitRun, ...], without: tuple[str, .
             return False  # it would be friction that differs from place to place
         if cls.acts == "command":
             return driven
+        if cls.geared:
+            return False  # what the drive gave is what is judged, so no friction of it can be foretold
         if cls.needs_load and cls.twin and even:
             return False  # its twin does the same here, and stands for both
         return cls.acts != "inertia" or turned

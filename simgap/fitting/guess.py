@@ -218,7 +218,8 @@ class Linear:
         v = np.concatenate([run.speed[::5] for run in self.runs])
         unit = {**point, r.name: 1.0}
         values = [unit.get(n, 0.0) for n in cls.parameters()]
-        size = float(np.sqrt(np.mean(np.square(cls.law(q, v, self.problem.load, 1.0, *values) * np.ones(len(q))))))
+        force = cls.law(q, v, self.problem.presses(cls), 1.0, *values) * np.ones(len(q))
+        size = float(np.sqrt(np.mean(np.square(force))))
         return float(min(_MILD * self.problem.force / max(size, 1e-9), 1e-2 * r.upper))
 
     def _responses(self, theory: Theory, name: str, points: list[dict[str, float]]) -> Array:

@@ -58,6 +58,8 @@ class Problem:
     """Root mean square of the forces at work, N*m or N."""
     load: float = 1.0
     """A usual force on the bearing, N."""
+    carried: float = 1.0
+    """What the drive's gears usually carry, N*m or N."""
     unknown_inputs: bool = False
     """Whether nobody knows if commands and efforts last until their next rows or go on smoothly: where between the two
     they are is then fitted, either end being as likely as any place between."""
@@ -66,6 +68,10 @@ class Problem:
     force_read: bool = False
     """Whether the motion is prescribed and the force is read (`simgap.measure.prescribed`): residuals are then of
     force."""
+
+    def presses(self, cls: type[Effect]) -> float:
+        """A usual load of what an effect looks at."""
+        return self.carried if cls.geared else self.load
 
     @property
     def reference(self) -> tuple[float, float, float]:
@@ -297,7 +303,7 @@ class Reader:
         by_name = {e.name: e for e in effects}
         usual = dict(self.theory.departing)
         numbers[kernel.DEPARTS] = speed
-        for which, _, at, local in terms_of(effects):
+        for which, _, at, local, _ in terms_of(effects):
             if not local:
                 numbers[at : at + 2] = middle, half
             name, size = laws.NAMES[which], by_name[laws.NAMES[which]].values()[0]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from freeart21.effects import EFFECTS
+from freeart21.effects import EFFECTS, Effect
 from simgap.fitting.fit import Fit
 from simgap.fitting.force_search import ForceSearch
 from simgap.fitting.search import Search, prompt
@@ -180,16 +180,17 @@ def overtakes(rival: Nameless, hypothesis: Hypothesis, base: Hypothesis, setting
 
 def _may_dominate(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
     """Whether a set is of what every machine has, a loss and one dry friction at most among it, none of them slight, no
-    number at its bound, and halves the gap in most of the runs that show one."""
+    number at its bound, and halves the gap in most of the runs that show one, and in half of those that choose."""
     names, fit = hypothesis.names, hypothesis.fit
-    dry = sum(EFFECTS[name].acts == "drive" for name in names)  # one contact has one law of friction
+    dry = sum(_is_dry(name) for name in names)  # one contact has one law of friction
     if not any(EFFECTS[name].dissipates for name in names) or not _common(names) or dry > 1:
         return False
     if at_end(fit) or _slight(fit, settings) or not _usual_gain(fit, settings):
         return False
     after, before = hypothesis.by_run, base.by_run
-    halved = [excess(after[run]) < settings.dominant * excess(before[run]) for run in after if before[run] > SHOWS]
-    return sum(halved) > 0.5 * len(halved)
+    halved = {run: excess(after[run]) < settings.dominant * excess(before[run]) for run in after if before[run] > SHOWS}
+    chose = [halved[run] for run in halved if run in hypothesis.left]
+    return sum(halved.values()) > 0.5 * len(halved) and sum(chose) >= 0.5 * len(chose)
 
 
 def _common(names: tuple[str, ...]) -> bool:
@@ -202,7 +203,12 @@ def _within(hypothesis: Hypothesis, other: Hypothesis) -> bool:
 
 
 def _plainly(names: tuple[str, ...]) -> set[str]:
-    return {"dry friction" if EFFECTS[name].acts == "drive" else EFFECTS[name].becomes or name for name in names}
+    return {"dry friction" if _is_dry(name) else EFFECTS[name].becomes or name for name in names}
+
+
+def _is_dry(name: str) -> bool:
+    """Whether an effect is a dry friction of the joint's bearing."""
+    return EFFECTS[name].acts == "drive" and not EFFECTS[name].geared
 
 
 def _beats(other: Hypothesis, hypothesis: Hypothesis) -> bool:
@@ -229,11 +235,12 @@ def _slight(fit: Fit, settings: JudgementSettings) -> bool:
     problem = fit.theory.problem
     speed = problem.speed * np.linspace(0.05, 1.0, 20)
     middle = np.full(len(speed), problem.reference[1])
-    forces = [
-        float(np.sqrt(np.mean((e.law(middle, -speed, problem.load, 1.0, *e.values()) * np.ones(len(speed))) ** 2)))
-        for e in fit.effects
-        if e.dissipates
-    ]
+
+    def size(loss: Effect) -> float:
+        force = loss.law(middle, -speed, problem.presses(type(loss)), 1.0, *loss.values()) * np.ones(len(speed))
+        return float(np.sqrt(np.mean(force**2)))
+
+    forces = [size(effect) for effect in fit.effects if effect.dissipates]
     return min(forces) < settings.slight * max(forces)
 
 

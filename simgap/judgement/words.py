@@ -17,6 +17,7 @@ PLAIN: dict[str, str] = {
     "stribeck_friction": "friction that sticks before it slides",
     "quadratic_drag": "drag that grows with the square of speed",
     "load_friction": "friction that grows with the load",
+    "gear_friction": "friction in the gears that grows with what they carry",
     "return_spring": "a spring",
     "gravity_offset": "a pull of gravity other than the model's",
     "detent": "a notch that it clicks into",

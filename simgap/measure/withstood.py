@@ -55,18 +55,18 @@ def withstood(measured: Measured, plant: Plant, floor: Floor) -> Withstood | Non
 def _of_run(run: Run, measured: Measured, plant: Plant) -> Withstood:
     known = np.isfinite(run.q)
     t, q = run.times_s[known], run.q[known]
-    zero, told = np.zeros(len(t)), np.zeros(len(t))
+    zero, drive, others = np.zeros(len(t)), np.zeros(len(t)), np.zeros(len(t))
     effort, push = told_efforts(run, measured)
     if effort is not None:
-        told += np.where(enabled_at(run, t, True), logged_at(run.times_s, effort, measured.interpolation, t), 0.0)
+        drive += np.where(enabled_at(run, t, True), logged_at(run.times_s, effort, measured.interpolation, t), 0.0)
     if push is not None:
-        told += logged_at(run.times_s, push, measured.interpolation, t)
+        others += logged_at(run.times_s, push, measured.interpolation, t)
+    told = drive + others
     weight = np.asarray(plant.mechanics.gravity_force(q))
-    known_forces = [np.asarray(e.force(q, zero)) + zero for e in plant.effects if e.acts == "force"]
-    levels = [np.asarray(e.drive_limit(q, zero, plant.mechanics.load(q, zero, zero))) + zero for e in plant.effects
-              if e.acts == "drive"]  # fmt: skip
-    net = told + weight + sum(known_forces, zero)
-    net = _less(net, UNSURE * np.abs(told) + measured.gravity_relative * np.abs(weight) + sum(levels, zero))
+    others = others + weight + sum((np.asarray(e.force(q, zero)) for e in plant.effects), zero)
+    load, carried = plant.mechanics.load(q, zero, zero), np.abs(drive - others)
+    level = sum((np.asarray(e.drive_limit(q, zero, carried if e.geared else load)) for e in plant.effects), zero)
+    net = _less(drive + others, UNSURE * np.abs(told) + measured.gravity_relative * np.abs(weight) + level)
     slack = 1e-3 * (plant.upper - plant.lower) if np.isfinite(plant.upper - plant.lower) else 0.0
     stopped = ((q > plant.upper - slack) & (net > 0)) | ((q < plant.lower + slack) & (net < 0))
     net = np.where(stopped, 0.0, net)

@@ -160,7 +160,7 @@ def known_forces(
     """(n,) what acts besides gravity by the model, and gravity."""
     gain = float(np.prod([e.gain() for e in effects]))
     late = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
-    acting, how = np.zeros(len(t)), measured.interpolation
+    acting, drive, how = np.zeros(len(t)), np.zeros(len(t)), measured.interpolation
     effort, push = told_efforts(run, measured)
     on = enabled_at(run, t - late, effort is not None)
     if on.any():
@@ -170,7 +170,7 @@ def known_forces(
             for values, other in ((run.q_command, np.full(len(t), np.nan)), (effort, np.zeros(len(t))))
         )
         given = gain * law.forces(q, qd, asked, told) + float(np.sum([e.bias_force() for e in effects]))
-        acting += np.where(on, given, 0.0)
+        drive += np.where(on, given, 0.0)
     if push is not None:
         acting += logged_at(run.times_s, push, how, t)
     for effect in effects:
@@ -181,9 +181,11 @@ def known_forces(
                 for i, at in enumerate(q):
                     now = memory[i] = float(effect.remember(at, now, *effect.values()))
             acting += effect.force(q, qd, t, memory)
-        elif effect.acts == "drive":
-            acting -= effect.drive_limit(q, qd, mechanics.load(q, qd, qdd)) * np.sign(qd)
-    return acting, np.asarray(mechanics.gravity_force(q))
+    gravity = np.asarray(mechanics.gravity_force(q))
+    level, load, carried = np.zeros(len(t)), mechanics.load(q, qd, qdd), np.abs(drive - acting - gravity)
+    for effect in effects:
+        level += effect.drive_limit(q, qd, carried if effect.geared else load)
+    return acting + drive - level * np.sign(qd), gravity
 
 
 def _scales(

@@ -29,7 +29,9 @@ LIMITED = 39
 """Whether the actuator is more than a position law and an effort."""
 DEPARTS = 40
 """The speed at which effects depart from their formulas by all that they do over speeds; 0 when they do not."""
-HEAD = 41
+GEARED = 41
+"""Whether the drive's gears rub."""
+HEAD = 42
 """Places in the vector of numbers that describes one simulation; behind them each effect has its place, then how it
 departs from its formula, then its parameters."""
 PLACE = 5
@@ -72,12 +74,13 @@ def departures(p, at, q, v):  # pragma: no cover
 
 
 @jit
-def _sum(acts, terms, p, memory, q, v, load):  # pragma: no cover
-    """Sum of all forces, or of all friction levels."""
+def _sum(acts, terms, p, memory, q, v, load, carried):  # pragma: no cover
+    """Sum of all forces, or of all friction levels, under the load on the bearing and what gears carry."""
     total = 0.0
     for k in range(len(terms)):
         if terms[k, 1] == acts:
-            own = law(terms[k, 0], q, v, load, memory[k], p, terms[k, 2] + PLACE)
+            presses = carried if terms[k, 4] else load
+            own = law(terms[k, 0], q, v, presses, memory[k], p, terms[k, 2] + PLACE)
             total += own if p[DEPARTS] == 0.0 else own * departed(p, terms[k, 2], q, v)
     return total
 
@@ -121,12 +124,26 @@ def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no
         F += p[GRAVITY_COS] * math.cos(q) + p[GRAVITY_SIN] * math.sin(q)
     if p[SWAYS] != 0.0:
         F += _swayed(p, q)
-    F += _sum(FORCE, terms, p, memory, q, v, 0.0)
+    F += _sum(FORCE, terms, p, memory, q, v, 0.0, 0.0)
+    return F + _driving(p, q, v, side, position, effort)
+
+
+@jit
+def _driving(p, q, v, side, position, effort):  # pragma: no cover
+    """Force of the actuator on the part, 0 where slack is between them."""
     if p[SLACK_WIDTH] == 0.0:
-        F += _actuator(p, q, v, position, effort)
-    elif side != 0:
-        F += _actuator(p, q + 0.5 * side * p[SLACK_WIDTH], v, position, effort)
-    return F
+        return _actuator(p, q, v, position, effort)
+    if side != 0:
+        return _actuator(p, q + 0.5 * side * p[SLACK_WIDTH], v, position, effort)
+    return 0.0
+
+
+@jit
+def _carried(p, q, v, side, position, effort, F):  # pragma: no cover
+    """What gears carry of all forces `F` but friction; 0 where none rub."""
+    if p[GEARED] == 0.0:
+        return 0.0
+    return abs(2.0 * _driving(p, q, v, side, position, effort) - F)
 
 
 @jit
@@ -141,16 +158,16 @@ def _bearing(p, q, v):  # pragma: no cover
 
 
 @jit
-def _level_of(terms, p, memory, q, v, qdd, bearing):  # pragma: no cover
-    """Friction level at this acceleration under what `_bearing` says."""
+def _level_of(terms, p, memory, q, v, qdd, bearing, carried):  # pragma: no cover
+    """Friction level at this acceleration under what `_bearing` and `_carried` say."""
     load2 = bearing[0] + qdd * (bearing[1] + qdd * p[LOAD_ARM2])
-    return _sum(DRIVE, terms, p, memory, q, v, math.sqrt(max(load2, 0.0)))
+    return _sum(DRIVE, terms, p, memory, q, v, math.sqrt(max(load2, 0.0)), carried)
 
 
 @jit
-def _level(terms, p, memory, q, v, qdd):  # pragma: no cover
-    """Friction level, under the load that the bearing carries at this acceleration."""
-    return _level_of(terms, p, memory, q, v, qdd, _bearing(p, q, v))
+def _level(terms, p, memory, q, carried):  # pragma: no cover
+    """Friction level at rest, under the load that the bearing and the gears carry there."""
+    return _level_of(terms, p, memory, q, 0.0, 0.0, _bearing(p, q, 0.0), carried)
 
 
 @jit
@@ -166,7 +183,8 @@ def _bristle(p, slide, grip, q):  # pragma: no cover
 def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Of a moving part; `slide` is the direction in which it slides against friction, 0 without friction."""
     inertia = p[INERTIA] + (p[SLACK_INERTIA] if side != 0 else 0.0)
-    free = _acting(terms, p, memory, q, v, side, push, position, effort) / inertia
+    F = _acting(terms, p, memory, q, v, side, push, position, effort)
+    free = F / inertia
     if slide == 0:
         return free
     # against the motion: LuGre's, whose bristles bend over TRAVEL and damp by GRIPPING times the usual (Canudas de Wit,
@@ -174,9 +192,9 @@ def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, eff
     bent, damp = _bristle(p, slide, grip, q), 0.0
     if bent != slide:
         damp = p[GRIPPING] * math.sqrt(p[INERTIA] / p[TRAVEL]) * abs(v) * (slide - bent)
-    bearing, qdd = _bearing(p, q, v), free
+    bearing, carried, qdd = _bearing(p, q, v), _carried(p, q, v, side, position, effort, F), free
     for _ in range(5 if loaded else 1):  # the load depends on the acceleration that friction changes
-        level, before = _level_of(terms, p, memory, q, v, qdd, bearing), qdd
+        level, before = _level_of(terms, p, memory, q, v, qdd, bearing, carried), qdd
         qdd = free - (level * bent + (damp * math.sqrt(level) if damp != 0.0 else 0.0)) / inertia
         if abs(qdd - before) <= _SAME * abs(qdd):
             break
@@ -297,8 +315,9 @@ def _taken_back(terms, p, memory, limit, towards, v, side, push, position, effor
     drive, press, others = 0.0, 0.0, p[INERTIA] - p[SHAFT_INERTIA]
     if p[SHAFT_SWING] > 0.0:
         drive = towards * _actuator(p, limit, 0.0, position, effort)
-        press = towards * _acting(terms, p, memory, limit, 0.0, side, push, position, effort) - drive
-        press += _level(terms, p, memory, limit, 0.0, 0.0)
+        F = _acting(terms, p, memory, limit, 0.0, side, push, position, effort)
+        press = towards * F - drive
+        press += _level(terms, p, memory, limit, _carried(p, limit, 0.0, side, position, effort, F))
     stays, speed = thrown(abs(v), press, drive, others, p[SHAFT_INERTIA], p[SHAFT_BACK], p[SHAFT_SWING])
     return stays, -towards * speed
 
@@ -360,7 +379,8 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
             frozen, h = True, min(h, waits - now)
         elif v == 0.0 and (dry or resting != 0):
             F = _acting(terms, p, memory, q, 0.0, side, push, position, asked)
-            held = _level(terms, p, memory, q, 0.0, 0.0) if dry else 0.0
+            carried = _carried(p, q, 0.0, side, position, asked, F)
+            held = _level(terms, p, memory, q, carried) if dry else 0.0
             if abs(F) <= held or (resting != 0 and resting * F >= -held):
                 frozen = True
                 if p[TRAVEL] > 0.0 and resting == 0 and held > 0.0:
@@ -563,10 +583,11 @@ def _made(stamp: int) -> Any:
 
 
 sweep = _made(STAMP)
-"""sweep(numbers (m, k), terms (t, 4), which (m,), times, begins, t_in, command, effort, pushes, beside, sway, enters,
+"""sweep(numbers (m, k), terms (t, 5), which (m,), times, begins, t_in, command, effort, pushes, beside, sway, enters,
 steps, out): m simulations, row by row of run `which`. Runs lie one behind the other: the times of run r from begins[r]
 to begins[r + 1], its inputs from enters[r, 0] to enters[r, 1]; its steps are steps[r], coarse and fine. `terms` are
-law, what it does (FORCE, DRIVE, STOP), where its numbers begin, and whether it has a place, near which steps are fine.
+law, what it does (FORCE, DRIVE, STOP), where its numbers begin, whether it has a place, near which steps are fine, and
+whether it looks at what gears carry.
 Inputs last from `t_in` to the next, with HOLDING times `beside` (3, i) added to the three; so does `sway` (8, i), of
 bases that move, (8, 0) where none does. Into `out`, one behind the other, the positions of every row at the times of
 its run. A run that leaves all bounds reads 1e6; one with events without end stays where they begin."""

@@ -175,14 +175,14 @@ class Nuisance:
 
 
 def terms_of(effects: tuple[Effect, ...] | tuple[type[Effect], ...]) -> NDArray[np.int64]:
-    """(t, 4) what the kernel needs to know of those effects that have a law there."""
+    """(t, 5) what the kernel needs to know of those effects that have a law there."""
     rows, at = [], kernel.HEAD
     for effect in effects:
         if effect.name in laws.LAWS:
             place = is_local(effect if isinstance(effect, type) else type(effect))
-            rows.append((laws.LAWS[effect.name], laws.ACTS[effect.acts], at, place))
+            rows.append((laws.LAWS[effect.name], laws.ACTS[effect.acts], at, place, effect.geared))
             at += kernel.PLACE + len(effect.parameters())
-    return np.array(rows, np.int64).reshape(-1, 4)
+    return np.array(rows, np.int64).reshape(-1, 5)
 
 
 def numbers_of(
@@ -215,6 +215,7 @@ def numbers_of(
     )
     if any(effect.needs_load for effect in effects):
         head[kernel.LOAD_ARM2 : kernel.LOAD_TURNED + 1] = _load_terms(mechanics)
+    head[kernel.GEARED] = any(effect.geared for effect in effects)
     head[kernel.GAIN] = np.prod([effect.gain() for effect in effects])
     head[kernel.COMMAND_DELAY] = sum(effect.delay() for effect in effects if effect.acts == "command")
     head[kernel.READING_DELAY] = sum(effect.delay() for effect in effects if effect.kind == "sensing")

@@ -25,7 +25,7 @@ from freeart21.files.urdf import parsed_xml
 from generator import simulate
 from simgap.proof.asset_files import copied, mjcf_beside, written
 
-_ONE_SIZE = ("viscous_damping", "coulomb_friction", "quadratic_drag", "load_friction", "armature")
+_ONE_SIZE = ("viscous_damping", "coulomb_friction", "quadratic_drag", "load_friction", "gear_friction", "armature")
 """Effects whose first number is a size: two of them are one with the sum; of what their shafts throw back the larger
 counts, as in a simulation."""
 _POSE_TOLERANCE = 1e-6  # single precision of the engine, metres and rotation entries
