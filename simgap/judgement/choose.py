@@ -72,10 +72,11 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     if whole:
         added = tuple(as_added(h, search, folds, base) for h in whole)
         return replace(found, explaining=added, nameless=told[whole[0].names], table=tuple(real))
-    part = dominating(table, base, folds, settings)
+    part = [(h, as_added(h, search, folds, base)) for h in dominating(table, base, folds, settings)]
+    part = [(h, added) for h, added in part if _may_dominate(added, base, settings)]  # as a simulator has it, too
     if part:
-        added = tuple(as_added(h, search, folds, base) for h in part)
-        return replace(found, explaining=added, in_part=True, nameless=beside(part[0], folds))
+        added = tuple(there for _, there in part)
+        return replace(found, explaining=added, in_part=True, nameless=beside(part[0][0], folds))
     near = standing[0] if standing else best
     return replace(found, nameless=told.get(near.names) or beside(near, folds))
 
@@ -245,8 +246,8 @@ def _slight(fit: Fit, settings: JudgementSettings) -> bool:
 
 
 def _usual_gain(fit: Fit, settings: JudgementSettings) -> bool:
-    """Whether a drive that gives more or less than told gives half to twice of it: beyond that it is another drive, or
-    a loss holds it."""
+    """Whether a drive that is named gives about what it is told: beyond that it is another drive, or a loss holds
+    it."""
     gains = [effect.gain() for effect in fit.effects if effect.name == "actuator_gain"]
     return all(1 / settings.most_gain < gain < settings.most_gain for gain in gains)
 
