@@ -142,7 +142,7 @@ def test_a_long_run_that_never_turns_back_keeps_its_acceleration():
     smooth = smoothed(Run("r", times, 3.0 * times**2 + 100.0))
     assert smooth is not None
     _, _, _, _, qdd, kernel = smooth
-    np.testing.assert_allclose(qdd, 6.0, rtol=2e-3)
+    np.testing.assert_allclose(qdd, 6.0, rtol=1e-6)
     assert kernel.sum() == pytest.approx(1.0, rel=2e-3)
 
 

@@ -142,7 +142,11 @@ def smoothed(run: Run, window: int | None = None) -> tuple[Array, Array, Array, 
         turns = len(reversals(raw, 0.1 * float(np.ptp(raw))))
         window = int(len(raw) / max(turns, 1) / _WINDOWS_PER_HALF_SWING) // 2 * 2 + 1
     window = min(max(window, _SHORTEST), _LONGEST, len(raw) // 4 * 2 - 1)
-    q, qd, qdd = (savgol_filter(raw, window, _ORDER, deriv=k, delta=step) for k in range(3))
+    # of wide windows scipy's coefficients keep so few digits that what goes on for long drowns its own acceleration
+    trend = np.polynomial.Polynomial.fit(t, raw, 2)
+    rest = raw - trend(t)
+    filtered = [savgol_filter(rest, window, _ORDER, deriv=k, delta=step) for k in range(3)]
+    q, qd, qdd = (own + (trend.deriv(k) if k else trend)(t) for k, own in enumerate(filtered))
     kernel = np.cumsum(np.cumsum(savgol_coeffs(window, _ORDER, deriv=2)))[:-2]  # its second difference is the filter
     return t, raw, q, qd, qdd, np.convolve(kernel, [1 / 12, 10 / 12, 1 / 12])
 

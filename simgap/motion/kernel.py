@@ -50,6 +50,8 @@ _YIELD = 0.98
 """Of the friction level: beyond, a part at rest gives way no further before it slides."""
 _SAME = 1e-9
 """Part of itself by which an acceleration may yet change: four orders below what a step is off by."""
+_SLOWEST = 0.05
+"""Of the speed at which effects depart by all that they do over speeds: below, they depart no more. Not measured."""
 _REACH = 2.0
 """Half widths about its middle within which an effect that has a place is stepped finely."""
 _STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
@@ -57,8 +59,9 @@ _STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
 
 @jit
 def departed(p, at, q, v):  # pragma: no cover
-    """What a real effect is times its formula: a slope over speeds, a slope and a bend over places."""
-    fast = 2.0 * min(abs(v) / p[DEPARTS], 1.0) - 1.0
+    """What a real effect is times its formula: a slope over the logarithm of speeds, so that what goes with another
+    power of speed departs as much at all of them, and a slope and a bend over places."""
+    fast = 1.0 - 2.0 * math.log(max(min(abs(v) / p[DEPARTS], 1.0), _SLOWEST)) / math.log(_SLOWEST)
     x = min(max((q - p[at]) / p[at + 1], -1.0), 1.0)
     return max(1.0 + p[at + 2] * fast + p[at + 3] * x + p[at + 4] * (1.5 * x * x - 0.5), 0.0)
 
