@@ -22,6 +22,8 @@ from simgap.motion.surrogate import readings_of, step_of, sweep, terms_of
 _PLACES = 13
 _REBOUNDS = (0.15, 0.5)
 """Restitutions that are tried."""
+_NOTHING = 1e-3
+"""Part of its usual size up to which an effect does nothing: what may not be less is so small at least."""
 _MILD = 0.05
 """Part of the forces at work that a force is switched on with."""
 
@@ -46,7 +48,7 @@ def off(problem: Problem, name: str) -> dict[str, float]:
     """Parameters at which an effect does next to nothing."""
     own = [r for r in Theory(problem, (name,)).ranges() if r.owner == name]
     value = neutral_value(EFFECTS[name])
-    middles = {r.name: float(np.clip(0.0 if _is_size(r, own) else 3 * r.size, r.lower, r.upper)) for r in own}
+    middles = {r.name: float(np.clip(0.0 if is_size(r, own) else 3 * r.size, r.lower, r.upper)) for r in own}
     return {**middles, own[0].name: float(np.clip(value, own[0].lower, own[0].upper))}
 
 
@@ -143,7 +145,7 @@ class Linear:
     def _grid_of(self, name: str) -> _Grid:
         theory = replace(self.fit.theory, names=tuple(sorted((*self.fit.theory.names, name))))
         own = [r for r in theory.ranges() if r.owner == name]
-        sizes = [r for r in own if _is_size(r, own)]
+        sizes = [r for r in own if is_size(r, own)]
         grid = list(product(*[_grid(r, self.problem) for r in own if r not in sizes]))
         return _Grid(theory, own, sizes, [r.name for r in own if r not in sizes], grid, off(self.problem, name))
 
@@ -261,7 +263,18 @@ def linear(fit: Fit, runs: tuple[FitRun, ...]) -> Linear:
     return (ForceLinear if fit.theory.problem.force_read else Linear)(fit, runs)
 
 
-def _is_size(r: Range, own: list[Range]) -> bool:
+def idle(fit: Fit) -> bool:
+    """Whether an effect of the set does nothing: the set is then the one without it."""
+    ranges = fit.theory.ranges()
+    for name in fit.theory.names:
+        own, nothing = [r for r in ranges if r.owner == name], off(fit.theory.problem, name)
+        sizes = [(r, x) for r, x in zip(ranges, fit.theta, strict=True) if r.owner == name and is_size(r, own)]
+        if all(abs(x - nothing[r.name]) <= _NOTHING * r.size for r, x in sizes):
+            return True
+    return False
+
+
+def is_size(r: Range, own: list[Range]) -> bool:
     """Whether the effect is linear in this parameter, more or less: the first one, and other forces."""
     if r is own[0] or r.name == own[0].name:
         return True

@@ -17,6 +17,7 @@ import numpy as np
 from freeart21.effects import EFFECTS, Effect
 from simgap.fitting.fit import Fit
 from simgap.fitting.force_search import ForceSearch
+from simgap.fitting.guess import idle
 from simgap.fitting.search import Search, prompt
 from simgap.fitting.theory import departures_of
 from simgap.judgement.hypotheses import Hypothesis, departing, excess, judged
@@ -56,7 +57,7 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     if not search.promising():
         return Choice(base, base, table=(base,))
     base = judged(base.fit, folds, base)
-    table = [base, *(judged(fit, folds, base) for fit in search.explored())]
+    table = [base, *(judged(fit, folds, base) for fit in search.explored() if not idle(fit))]
     best = max(table, key=lambda h: h.score.total)
     ahead, error = lead(best.score, base.score)
     closed = float(np.sqrt(max(base.floors**2 - best.floors**2, 0.0)))
