@@ -19,6 +19,7 @@ from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Query, Recording
 from freeart21.se3 import Array
+from freeart21.z_buffer import enter
 from reconstruct.gaussians.views import posed, render_views
 from reconstruct.kernels import in_threads
 from reconstruct.lumigraph import seen_alike
@@ -88,7 +89,7 @@ def _look(camera: Camera, meshes: list[Mesh]) -> _Look:
         if mesh.empty:
             continue
         face, weights = np.full(shape, -1), np.zeros((*shape, 3))
-        _rasterise(camera.project(mesh.vertices), mesh.vertices[:, 2], mesh.faces, depth, face, weights)
+        enter(camera.project(mesh.vertices), mesh.vertices[:, 2], mesh.faces, depth, face, weights)
         on = face >= 0
         corners, weight = mesh.faces[face[on]], weights[on]
         which[on] = k
@@ -97,39 +98,6 @@ def _look(camera: Camera, meshes: list[Mesh]) -> _Look:
         colours[on] = 255 if mesh.colours is None else np.einsum("nk,nkd->nd", weight, mesh.colours[corners])
     points = camera.rays() * np.where(which >= 0, depth, 0)[..., None]
     return _Look(which, points, normals, colours)
-
-
-@njit(nogil=True, cache=True)
-def _rasterise(at, depth, faces, nearest, face, weights):  # pragma: no cover
-    """Z-buffer of triangles with corners at pixels `at` (V, 2) and depths (V,), either way round.
-
-    Where one is nearer than `nearest` (h, w), its depth, number and the weights of its corners are entered.
-    Triangles that reach behind the camera are left out.
-    """
-    h, w = nearest.shape
-    for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        if depth[a] <= 0 or depth[b] <= 0 or depth[c] <= 0:
-            continue
-        ax, ay, bx, by, cx, cy = at[a, 0], at[a, 1], at[b, 0], at[b, 1], at[c, 0], at[c, 1]
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if area == 0:
-            continue
-        left, right = max(0, math.ceil(min(ax, bx, cx) - 0.5)), min(w - 1, math.floor(max(ax, bx, cx) - 0.5))
-        top, bottom = max(0, math.ceil(min(ay, by, cy) - 0.5)), min(h - 1, math.floor(max(ay, by, cy) - 0.5))
-        for y in range(top, bottom + 1):
-            for x in range(left, right + 1):
-                u, v = x + 0.5, y + 0.5
-                p = ((bx - u) * (cy - v) - (by - v) * (cx - u)) / area
-                q = ((cx - u) * (ay - v) - (cy - v) * (ax - u)) / area
-                r = 1 - p - q
-                if p < -1e-9 or q < -1e-9 or r < -1e-9:
-                    continue
-                z = 1 / (p / depth[a] + q / depth[b] + r / depth[c])
-                if z < nearest[y, x]:
-                    nearest[y, x], face[y, x] = z, f
-                    weights[y, x, 0], weights[y, x, 1] = p * z / depth[a], q * z / depth[b]
-                    weights[y, x, 2] = r * z / depth[c]
 
 
 def _with_rim(look: _Look, camera: Camera) -> tuple[_Look, NDArray[np.bool_]]:

@@ -18,13 +18,13 @@ WORLD = {
     "inertia": INERTIA, "weight": MASS * G * ARM, "lean": 0.0, "viscous": 0.0, "power": 1.0, "dry": 0.0,
     "drag": 0.0, "spring": 0.0, "rest": 0.0, "cog": 0.0, "count": 0.0, "lower": -3.0, "upper": 3.0, "bounce": 0.0,
     "gain": 1.0, "delay": 0.0, "warming": 0.0, "groove": 0.0, "centre": 0.0, "width": 1.0,
-    "hardens": 0.05,
+    "hardens": 0.05, "gears": 0.0,
 }  # fmt: skip
 
 
 @njit
 def _course(q, v, n, command, inertia, weight, lean, viscous, power, dry, drag, spring, rest, cog, count, lower, upper,
-            bounce, gain, delay, warming, groove, centre, width, hardens):  # fmt: skip
+            bounce, gain, delay, warming, groove, centre, width, hardens, gears):  # fmt: skip
     every = round(1 / (STEP * RATE))
     out = np.empty(n)
     for i in range(n * every):
@@ -39,11 +39,13 @@ def _course(q, v, n, command, inertia, weight, lean, viscous, power, dry, drag, 
         if away**2 < 3:  # a groove with an end
             force -= 0.5 * groove * away * (3 - away**2)
         force -= viscous * (1 + warming * t) * np.sign(v) * abs(v) ** power + drag * v * abs(v)
+        others, drive = force, 0.0
         if len(command) > 0:
             asked = command[min(max(int((t + 0.5 * STEP - delay) * len(command) / (n / RATE)), 0), len(command) - 1)]
-            force += gain * (60.0 * (asked - q) - 4.0 * v)
-        v += STEP * force / inertia
-        v = 0.0 if abs(v) <= STEP * dry / inertia else v - np.sign(v) * STEP * dry / inertia
+            drive = gain * (60.0 * (asked - q) - 4.0 * v)
+        v += STEP * (others + drive) / inertia
+        rubs = STEP * (dry + gears * abs(drive - others)) / inertia
+        v = 0.0 if abs(v) <= rubs else v - np.sign(v) * rubs
         q += 0.5 * STEP * v
         if (q < lower and v < 0) or (q > upper and v > 0):
             q = min(max(q, lower), upper)

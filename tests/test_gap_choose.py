@@ -142,6 +142,16 @@ def test_a_late_drive_may_be_a_late_clock(tmp_path: Path):
     assert found.verdict == "ambiguous" and {("actuator_delay",), ("time_offset",)} <= set(found.rivals)
 
 
+@pytest.mark.parametrize("beside", [{}, {"gain": 1.3, "dry": 0.5}])
+def test_the_gears_of_a_servo_have_their_name(tmp_path: Path, beside: dict[str, float]):
+    found = verdict(tmp_path, measured_of(31, servo=True, gears=0.15, **beside))
+    also = {"actuator_gain", "coulomb_friction"} if beside else set()
+    assert found.verdict == "named" and names(found) == {"gear_friction", *also}, found
+    gears = next(named for named in found.effects if named.effect.name == "gear_friction")
+    assert gears.low["coefficient"] < 0.15 < gears.high["coefficient"]
+    assert gears.effect.values()[0] == pytest.approx(0.15, rel=0.2)
+
+
 @pytest.mark.parametrize("strange", [{"cog": 0.4, "count": 7.0}])
 def test_what_is_in_no_library_has_no_name(tmp_path: Path, strange: dict[str, float]):
     found = verdict(tmp_path, measured_of(16, **strange))

@@ -20,7 +20,7 @@ WEAK = (1.2, 4.0)
 MEMBER = 5.0  # floors that each member of a pair shows beyond the other
 TWIN = 3.0  # and an effect beyond its plainer likeness, refitted
 UNSEEN = 0.7  # floors at most of an effect that is not excited
-TRIES = 40
+TRIES = 400  # of the release draw one pair took more than 40
 # Cases at share 1, of most strata for each kind. The note asks for 40 a stratum and 200 nulls; nulls are 100,
 # for a null takes as long as a case: 0 alarms of 100 prove less than 3.6 %.
 COUNTS = {"null": 100, "clear": 4, "weak": 2, "pair": 4, "outside": 6, "still": 20, "gauge": 6}

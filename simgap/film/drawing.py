@@ -5,16 +5,15 @@ It shares nothing with the renderer that made a recording: what both get wrong a
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.se3 import Array
+from freeart21.z_buffer import BEHIND, enter
 from simgap.film.scene import FilmScene, Skin
 
 Map = NDArray[np.float32]
@@ -44,19 +43,23 @@ class Drawn:
 def draw(scene: FilmScene, camera: Camera, Ts: tuple[Array, Array], colours: bool = True) -> Drawn:
     """The picture of both parts at the poses `Ts` (4, 4), camera from canonical."""
     shape = (camera.height, camera.width)
-    depth, face = np.full(shape, np.inf), np.full(shape, -1, np.int64)
-    weights, part = np.zeros((*shape, 2)), np.zeros(shape, np.uint8)
+    depth, part = np.full(shape, np.inf), np.zeros(shape, np.uint8)
     normals, rgb = np.zeros((*shape, 3), np.float32), np.zeros((*shape, 3), np.float32)
     posed = [se3.transform(T, skin.vertices) for T, skin in zip(Ts, scene.parts, strict=True)]
+    entered = []
     for k, (vertices, skin) in enumerate(zip(posed, scene.parts, strict=True)):
-        at = camera.project(np.where(vertices[:, 2:] > 1e-6, vertices, [0.0, 0.0, 1.0]))
-        _fill(at, vertices[:, 2], skin.faces, depth, face, weights, part, k + 1)
+        face, weights = np.full(shape, -1), np.zeros((*shape, 3))
+        at = camera.project(np.where(vertices[:, 2:] > BEHIND, vertices, [0.0, 0.0, 1.0]))
+        enter(at, vertices[:, 2], skin.faces, depth, face, weights)
+        part[face >= 0] = k + 1
+        entered.append((face, weights))
     rays = camera.rays()
     cosine = np.ones(shape, np.float32)
     for k, (vertices, skin) in enumerate(zip(posed, scene.parts, strict=True)):
         on = part == k + 1
         if not on.any():
             continue
+        face, weights = entered[k]
         faces = skin.faces[face[on]]
         a, b, c = (vertices[faces[:, i]] for i in range(3))
         n = np.cross(b - a, c - a)
@@ -80,46 +83,14 @@ def between(Ts: Array, t: float) -> Array:
 
 
 def _colours(skin: Skin, corners: NDArray[np.int64], faces: NDArray[np.int64], weights: Array) -> Array:
-    w = np.column_stack([weights, 1 - weights.sum(1)])
-    out = np.einsum("nk,nkd->nd", w, skin.colours[corners])
+    out = np.einsum("nk,nkd->nd", weights, skin.colours[corners])
     index = skin.texture[faces]
     for t, picture in enumerate(skin.textures):
         on = index == t
         if on.any():
-            uv = np.einsum("nk,nkd->nd", w[on], skin.uv[corners[on]])
+            uv = np.einsum("nk,nkd->nd", weights[on], skin.uv[corners[on]])
             h, width = picture.shape[:2]
             column = np.floor(np.mod(uv[:, 0], 1.0) * width).astype(int).clip(0, width - 1)
             row = np.floor(np.mod(1.0 - uv[:, 1], 1.0) * h).astype(int).clip(0, h - 1)
             out[on] = picture[row, column]
     return out
-
-
-@njit(cache=True)
-def _fill(at, z, faces, nearest, face, weights, part, label):  # pragma: no cover
-    """Enter triangles with corners at pixels `at` (V, 2) and depths `z` (V,) where they are nearer than `nearest`.
-
-    Inverse depth is linear in the picture. Triangles that reach behind the camera are left out.
-    """
-    h, w = nearest.shape
-    for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        if z[a] <= 1e-6 or z[b] <= 1e-6 or z[c] <= 1e-6:
-            continue
-        ax, ay, bx, by, cx, cy = at[a, 0], at[a, 1], at[b, 0], at[b, 1], at[c, 0], at[c, 1]
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if area == 0:
-            continue
-        first, last = max(0, math.ceil(min(ax, bx, cx) - 0.5)), min(w - 1, math.floor(max(ax, bx, cx) - 0.5))
-        top, bottom = max(0, math.ceil(min(ay, by, cy) - 0.5)), min(h - 1, math.floor(max(ay, by, cy) - 0.5))
-        for y in range(top, bottom + 1):
-            for x in range(first, last + 1):
-                u, v = x + 0.5, y + 0.5
-                p = ((bx - u) * (cy - v) - (by - v) * (cx - u)) / area
-                q = ((cx - u) * (ay - v) - (cy - v) * (ax - u)) / area
-                r = 1 - p - q
-                if p < -1e-9 or q < -1e-9 or r < -1e-9:
-                    continue
-                d = 1 / (p / z[a] + q / z[b] + r / z[c])
-                if d < nearest[y, x]:
-                    nearest[y, x], face[y, x], part[y, x] = d, f, label
-                    weights[y, x, 0], weights[y, x, 1] = p * d / z[a], q * d / z[b]

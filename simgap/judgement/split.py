@@ -12,12 +12,16 @@ from itertools import pairwise
 import numpy as np
 
 from simgap.measure.data import FitRun
+from simgap.measure.swings import reversals
 from simgap.verdict import Use
 
 _GROUPS = 4
 """Of runs that nobody marked, that are left out in turn: each of the fits then has three quarters of them."""
 _ENOUGH = 5
 """Runs that nobody marked from which on one of every `_ENOUGH` confirms: fewer are all needed to fit and to choose."""
+
+_TURN = 0.1
+"""Of the range of a run, a way back that counts as a turn."""
 
 
 @dataclass(frozen=True)
@@ -56,14 +60,15 @@ def split_of(runs: tuple[FitRun, ...]) -> Split:
     """Runs that are marked as held out choose and confirm by turns, in order of how they move; without marks each run
     is left out in turn, in at most four groups of like size of motion, and of five or more some confirm.
 
-    A single run is cut into three stretches.
+    A single run is cut into three stretches, or into so many that one may confirm where each then has two swings.
     """
     back = sorted((run for run in runs if run.held_out), key=_motion)
     if back:
         train = tuple(run for run in runs if not run.held_out)
         return Split((Fold(train, tuple(back[::2])),), tuple(back[1::2]))
     if len(runs) == 1:
-        bounds = np.linspace(0, len(runs[0].q), 4).astype(int)
+        turns = len(reversals(runs[0].q, _TURN * float(np.ptp(runs[0].q))))
+        bounds = np.linspace(0, len(runs[0].q), (_ENOUGH if turns >= 4 * _ENOUGH else 3) + 1).astype(int)
         runs = tuple(_stretch(runs[0], int(a), int(b)) for a, b in pairwise(bounds))
     order = sorted(runs, key=_motion)
     confirming = tuple(order[_ENOUGH // 2 :: _ENOUGH]) if len(order) >= _ENOUGH else ()
