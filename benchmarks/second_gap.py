@@ -20,7 +20,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 from benchmarks.second_world import asked, seal, tables
-from benchmarks.second_world.draw import specs
+from benchmarks.second_world.draw import TooFaint, specs
 from benchmarks.second_world.grade import grade
 
 RELEASE = 320_001  # the seed of the release's draw, not run while the world was made
@@ -29,15 +29,20 @@ RESULTS = Path(__file__).parent / "results"
 
 
 def _draw(seed: int, share: float, out: Path, sealed: Path, jobs: int) -> int:
-    """All cases, written; how many there are."""
-    todo, salt = specs(share, seed), seal.salt_in(sealed)
+    """All cases, written, but those that no machine shows; how many there are."""
+    todo, salt, drawn = specs(share, seed), seal.salt_in(sealed), []
     if (out / "manifest.json").is_file():
-        return len(todo)
+        return len(json.loads((out / "manifest.json").read_text())["cases"])
     with ProcessPoolExecutor(jobs) as pool:
-        for done in [pool.submit(seal.make, spec, seed, i, salt, out, sealed) for i, spec in enumerate(todo)]:
-            done.result()
-    seal.close(seed, salt, len(todo), out, sealed)
-    return len(todo)
+        made = [pool.submit(seal.make, spec, seed, i, salt, out, sealed) for i, spec in enumerate(todo)]
+        for i, done in enumerate(made):
+            try:
+                done.result()
+                drawn.append(i)
+            except TooFaint as error:
+                print(f"left out: {error}", file=sys.stderr, flush=True)
+    seal.close(seed, salt, drawn, out, sealed)
+    return len(drawn)
 
 
 def _ask(out: Path, jobs: int, limit: float) -> None:

@@ -20,7 +20,7 @@ WEAK = (1.2, 4.0)
 MEMBER = 5.0  # floors that each member of a pair shows beyond the other
 TWIN = 3.0  # and an effect beyond its plainer likeness, refitted
 UNSEEN = 0.7  # floors at most of an effect that is not excited
-TRIES = 400  # of the release draw one pair took more than 40
+TRIES = 40
 # Cases at share 1, of most strata for each kind. The note asks for 40 a stratum and 200 nulls; nulls are 100,
 # for a null takes as long as a case: 0 alarms of 100 prove less than 3.6 %.
 COUNTS = {"null": 100, "clear": 4, "weak": 2, "pair": 4, "outside": 6, "still": 20, "gauge": 6}
@@ -93,6 +93,11 @@ def _spec(stratum: str, what, rng: np.random.Generator) -> Spec:
     return Spec(stratum, (what,), kind, protocol)
 
 
+class TooFaint(RuntimeError):
+    """No machine of a kind shows an effect as strongly as its stratum asks: oil beside a stop that throws a lid back is
+    .01 to 2 floors, and a member of a pair is 5."""
+
+
 def draw_case(spec: Spec, seed: int, index: int) -> Case:
     """A case by its spec. Machines and effects are drawn anew until the effect is as strong as the stratum says."""
     rng = np.random.default_rng([seed, 1, index])
@@ -117,7 +122,7 @@ def draw_case(spec: Spec, seed: int, index: int) -> Case:
         fitted = _fitting(case, rng)
         if fitted is not None:
             return fitted
-    raise RuntimeError(f"{spec}: no strength that fits in {TRIES} tries")
+    raise TooFaint(f"{' and '.join(spec.names)} on a {spec.kind}: no strength that fits in {TRIES} tries")
 
 
 def _drawn(name: str, spec: Spec, machine: Machine, rng: np.random.Generator) -> Effect:

@@ -97,9 +97,9 @@ def make(spec: d.Spec, seed: int, index: int, salt: str, out: Path, sealed: Path
     new.replace(folder)
 
 
-def close(seed: int, salt: str, count: int, out: Path, sealed: Path) -> None:
+def close(seed: int, salt: str, indices: list[int], out: Path, sealed: Path) -> None:
     """Labels in one file, and the manifest of everything."""
-    names = [case_id(salt, i) for i in range(count)]
+    names = [case_id(salt, i) for i in indices]
     labels = {name: json.loads((sealed / "cases" / f"{name}.json").read_text()) for name in names}
     write_json(sealed / LABELS, {"seed": seed, "salt": salt, "cases": labels})
     files = sorted(path for name in names for path in (out / "cases" / name).rglob("*") if path.is_file())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Sequence
 
@@ -60,10 +61,12 @@ def amount(value: float, unit: str) -> str:
 
 
 def effect_words(effect: Effect, joint_type: JointType) -> str:
-    """An effect with its numbers, such as 'dry friction (level 0.12 N m)'."""
+    """An effect with its numbers, such as 'dry friction (level 0.12 N m)'; without those that do nothing."""
+    nothing = {field.name: field.default for field in dataclasses.fields(effect)}  # type: ignore[arg-type]
     numbers = ", ".join(
         f"{name} {amount(getattr(effect, name), spec.unit(joint_type))}"
         for name, spec in effect.parameters(joint_type).items()
+        if getattr(effect, name) != nothing[name]
     )
     return f"{plain(effect.name)} ({numbers})"
 

@@ -367,7 +367,8 @@ def _ranking(gap: Gap) -> list[Section]:
     head = "".join(
         f"<th scope=col>{cell}</th>" for cell in ("", "error (log)", "floors", "run by run", "log probability")
     )
-    html = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    html = f'<div class="table ranked">{table}</div>'
     motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY]
     chose = [g for g in motion if g.use == "choosing"] or motion
     of = runs_text([g.use for g in chose], _in_turn(gap))
