@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import math
-
-from numba import njit
+from functools import cache
+from typing import Any
 
 BEHIND = 1e-6
 """m before the camera up to which a corner counts as behind it."""
 
 
-@njit(nogil=True, cache=True)
-def enter(at, depth, faces, nearest, face, weights):  # pragma: no cover
+def enter(at: Any, depth: Any, faces: Any, nearest: Any, face: Any, weights: Any) -> None:
     """Enter triangles `faces` (F, 3), either way round; corners at pixels `at` (V, 2), z-depths `depth` (V,) in m.
 
     Where one is nearer than `nearest` (h, w), its depth, its number in `face` (h, w) and the weights of its corners in
     `weights` (h, w, 3) are written; inverse depth is linear in the picture. Triangles that reach behind the camera are
     left out.
     """
+    _compiled()(at, depth, faces, nearest, face, weights)
+
+
+@cache
+def _compiled() -> Any:
+    from numba import njit
+
+    return njit(nogil=True, cache=True)(_enter)
+
+
+def _enter(at, depth, faces, nearest, face, weights):  # pragma: no cover
     h, w = nearest.shape
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
