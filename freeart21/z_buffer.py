@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 BEHIND = 1e-6
-"""m before the camera up to which a corner counts as behind it."""
+"""m before the camera up to which a corner counts as behind it. Not measured."""
 
 
 def enter(at: Any, depth: Any, faces: Any, nearest: Any, face: Any, weights: Any) -> None:

@@ -23,7 +23,8 @@ _PLACES = 13
 _REBOUNDS = (0.15, 0.5)
 """Restitutions that are tried."""
 _NOTHING = 1e-3
-"""Part of its usual size up to which an effect does nothing: what may not be less is so small at least."""
+"""Part of its usual size up to which an effect does nothing: what may not be less is so small at least
+(`Theory`)."""
 _MILD = 0.05
 """Part of the forces at work that a force is switched on with."""
 

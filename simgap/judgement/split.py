@@ -21,7 +21,7 @@ _ENOUGH = 5
 """Runs that nobody marked from which on one of every `_ENOUGH` confirms: fewer are all needed to fit and to choose."""
 
 _TURN = 0.1
-"""Of the range of a run, a way back that counts as a turn."""
+"""Of the range of a run, a way back that counts as a turn, as where half swings are counted (`equation_error`)."""
 
 
 @dataclass(frozen=True)
