@@ -124,8 +124,8 @@ def _without_crumbs(solid: Manifold) -> Manifold:
 _ACROSS = 1e-6
 """Of a face's slope to a way, below which the face lies along it and sweeps nothing. Not measured."""
 _FOLDED = 1e-3
-"""Part of a patch's area that may lie above the rest of it, seen along a way: rounding of the projection. A coil's sweep
-is that of its copies with it (tests/test_carving.py)."""
+"""Part of a patch's area that may lie above the rest of it, seen along a way: rounding of the projection. With it a
+coil sweeps what its copies do (tests/test_carving.py)."""
 
 
 def _slid(tool: Manifold, way: Array) -> Manifold:
