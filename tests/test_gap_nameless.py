@@ -9,9 +9,10 @@ import pytest
 from gap_case import asset_of, measured_of
 
 from freeart21.files.asset import read_asset
-from simgap.fitting.fit import Fit, Theory, fitted, predicted
+from simgap.fitting.fit import Fit, Theory, fitted, left_by, predicted
+from simgap.fitting.guess import idle
 from simgap.judgement.hypotheses import judged
-from simgap.judgement.nameless import Nameless, beside
+from simgap.judgement.nameless import Nameless, _told, beside
 from simgap.judgement.split import split_of
 from simgap.measure.data import FitRun, fit_runs
 from simgap.motion.surrogate import plant_of
@@ -67,3 +68,26 @@ def test_noise_alone_needs_none(alone: tuple[Fit, tuple[FitRun, ...]]):
     fit, runs = alone
     made = tuple(read(run, predicted(fit, run), i) for i, run in enumerate(runs))
     assert all(rival.ahead < rival.error for rival in found(fit, made).values())
+
+
+def test_columns_that_one_run_alone_reads_and_columns_alike_are_told():
+    """Left out, that run leaves its column without any reading: the normal matrix is singular to the last digit."""
+    rng = np.random.default_rng(0)
+    one, both = np.zeros(60), rng.normal(size=60)
+    one[30:] = rng.normal(size=30)
+    columns, left = np.stack([one, both, both]), 1e9 * (2 * one + 3 * both) + rng.normal(size=60)
+    sizes = _told(columns, left, [0, 30, 60], np.zeros(3))
+    assert np.isfinite(sizes).all()
+    assert np.allclose(sizes @ columns, 1e9 * (2 * one + 3 * both), rtol=1e-3, atol=1e6)
+
+
+def test_an_effect_does_nothing_by_what_it_does_to_readings_not_by_its_size(alone: tuple[Fit, tuple[FitRun, ...]]):
+    """A damping of a ten thousandth of the usual size stops what is light, and may be all that it lacks."""
+    fit, runs = alone
+    there = fitted(Theory(fit.theory.problem, ("viscous_damping",)), runs, iterations=0)
+    at = [r.owner for r in there.theory.ranges()].index("viscous_damping")
+    told = replace(there, theta=np.where(np.arange(len(there.theta)) == at, 1e-5, there.theta))
+    shows = float(np.sqrt(np.mean(left_by(told.theory, runs, told.theta, told.starts) ** 2)))
+    assert not idle(told, runs, gap=shows)
+    assert idle(told, runs, gap=1e6 * shows)
+    assert idle(replace(told, theta=np.where(np.arange(len(there.theta)) == at, 0.0, told.theta)), runs, gap=shows)

@@ -256,7 +256,7 @@ def test_a_case_on_disk_is_as_planned_and_reads(tmp_path):
 
     spec = draw.Spec("null", (), "arm", "and pushed")
     seal.make(spec, 3, 0, "salt", tmp_path / "out", tmp_path / "sealed")
-    seal.close(3, "salt", 1, tmp_path / "out", tmp_path / "sealed")
+    seal.close(3, "salt", [0], tmp_path / "out", tmp_path / "sealed")
     folder = tmp_path / "out" / "cases" / seal.case_id("salt", 0)
     case = draw.draw_case(spec, 3, 0)
     for i, run in enumerate(case.plan.runs):

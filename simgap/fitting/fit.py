@@ -229,11 +229,16 @@ def _begun(theory: Theory, runs: tuple[FitRun, ...], at: Array, known: Starts) -
     return model, np.array([known[r.name] if r.name in known else _start(model, i, at) for i, r in enumerate(runs)])
 
 
+def left_by(theory: Theory, runs: tuple[FitRun, ...], theta: Array, starts: Starts) -> Array:
+    """(N,) residuals of all runs in a row, of these very parameters and starts."""
+    model, known = _begun(theory, runs, theta, starts)
+    return np.concatenate(model.look(np.arange(len(runs)), known, theta))
+
+
 def misfit(theory: Theory, runs: tuple[FitRun, ...], theta: Array, starts: Starts) -> float:
     """Sum of squared residuals of these very parameters and starts."""
-    model = _Model(theory, runs, theta)
-    rows = model.look(np.arange(len(runs)), np.array([starts[run.name] for run in runs]), theta)
-    return float(sum(row @ row for row in rows))
+    left = left_by(theory, runs, theta, starts)
+    return float(left @ left)
 
 
 def _start(model: _Model, i: int, theta: Array) -> Array:

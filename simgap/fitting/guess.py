@@ -13,7 +13,7 @@ import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
-from simgap.fitting.fit import Fit, Problem, Range, Reader, Theory, joined, tangent
+from simgap.fitting.fit import Fit, Problem, Range, Reader, Theory, joined, left_by, tangent
 from simgap.fitting.force_model import ForceModel
 from simgap.measure.data import FitRun
 from simgap.motion import kernel
@@ -23,8 +23,8 @@ _PLACES = 13
 _REBOUNDS = (0.15, 0.5)
 """Restitutions that are tried."""
 _NOTHING = 1e-3
-"""Part of its usual size up to which an effect does nothing: what may not be less is so small at least
-(`Theory`)."""
+"""Part of the gap by which an effect changes readings at most that does nothing. Of an inertia at its least, 1e-3 of
+its usual size (`Theory`), it is less."""
 _MILD = 0.05
 """Part of the forces at work that a force is switched on with."""
 
@@ -264,13 +264,17 @@ def linear(fit: Fit, runs: tuple[FitRun, ...]) -> Linear:
     return (ForceLinear if fit.theory.problem.force_read else Linear)(fit, runs)
 
 
-def idle(fit: Fit) -> bool:
-    """Whether an effect of the set does nothing: the set is then the one without it."""
-    ranges = fit.theory.ranges()
-    for name in fit.theory.names:
-        own, nothing = [r for r in ranges if r.owner == name], off(fit.theory.problem, name)
-        sizes = [(r, x) for r, x in zip(ranges, fit.theta, strict=True) if r.owner == name and is_size(r, own)]
-        if all(abs(x - nothing[r.name]) <= _NOTHING * r.size for r, x in sizes):
+def idle(fit: Fit, runs: tuple[FitRun, ...], gap: float) -> bool:
+    """Whether an effect of the set does nothing: the set is then the one without it. `gap` is what the asset alone
+    leaves of the runs, in floors."""
+    theory = fit.theory
+    now = left_by(theory, runs, fit.theta, fit.starts)
+    for name in theory.names:
+        nothing = off(theory.problem, name)
+        rows = zip(theory.ranges(), fit.theta, strict=True)
+        theta = np.array([nothing[r.name] if r.owner == name else x for r, x in rows])
+        change = left_by(theory, runs, theta, fit.starts) - now
+        if float(np.sqrt(np.mean(change**2))) <= _NOTHING * gap:
             return True
     return False
 

@@ -57,7 +57,8 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     if not search.promising():
         return Choice(base, base, table=(base,))
     base = judged(base.fit, folds, base)
-    table = [base, *(judged(fit, folds, base) for fit in search.explored() if not idle(fit))]
+    able = [fit for fit in search.explored() if not idle(fit, search.train, base.fit.level)]
+    table = [base, *(judged(fit, folds, base) for fit in able)]
     best = max(table, key=lambda h: h.score.total)
     ahead, error = lead(best.score, base.score)
     closed = float(np.sqrt(max(base.floors**2 - best.floors**2, 0.0)))

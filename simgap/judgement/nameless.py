@@ -187,18 +187,32 @@ def _told(columns: Array, left: Array, bounds: list[int], known: Array) -> Array
     cuts = list(pairwise(bounds))
     normals = [scaled[:, a:b] @ scaled[:, a:b].T for a, b in cuts]
     sides = [scaled[:, a:b] @ left[a:b] for a, b in cuts]
-    whole, side, eye = sum(normals) + np.diag(known / size**2), sum(sides), np.eye(len(columns))
+    whole, side = sum(normals) + np.diag(known / size**2), sum(sides)
     unit = len(columns) / max(float(left @ left), 1e-12)
+    kept = [(_axes(whole - normal), normal, own) for normal, own in zip(normals, sides, strict=True)]
 
     def missed(ridge: float) -> float:
         total = 0.0
-        for normal, own in zip(normals, sides, strict=True):
-            x = np.linalg.solve(whole - normal + ridge * eye, side - own)
+        for axes, normal, own in kept:
+            x = _solved(axes, side - own, ridge)
             total += float(x @ normal @ x - 2 * x @ own)
         return total
 
     ridge = min((unit * float(tight) for tight in _TIGHT), key=missed)
-    return np.asarray(np.linalg.solve(whole + ridge * eye, side) / size)
+    return _solved(_axes(whole), side, ridge) / size
+
+
+def _axes(normal: Array) -> tuple[Array, Array]:
+    """Eigenvalues (m,) and vectors (m, m) of a normal matrix. What lies below the lost digits, or below zero by them,
+    stands at them: columns of one run are left without any reading when that run is left out."""
+    values, vectors = np.linalg.eigh(normal)
+    return np.maximum(values, len(values) * np.finfo(float).eps * values[-1]), vectors
+
+
+def _solved(axes: tuple[Array, Array], side: Array, ridge: float) -> Array:
+    """(m,) the solution of (normal + ridge) x = side."""
+    values, vectors = axes
+    return np.asarray(vectors @ ((vectors.T @ side) / (values + ridge)))
 
 
 def _changes(fit: Fit, sizes: Array, kind: str) -> dict[str, float]:
