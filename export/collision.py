@@ -18,6 +18,10 @@ from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 
+_FEET = 12
+"""Of the directions that a piece keeps its furthest points in, those that look down, a little to all sides."""
+_ASIDE = 1e-3
+"""How much to the side: of two corners the outer one is kept, if it is no more than this part of the way above."""
 _LEVEL = 5e-5
 """m by which a primitive may miss the ground: of a foot 1 cm long that is a tilt of .005."""
 
@@ -142,7 +146,7 @@ def _stands(shape: Mesh, ground: float, near: float) -> bool:
 def _grounded(hull: Mesh, ground: float, near: float, settings: CollisionSettings) -> Mesh:
     """A convex piece cut off at z = `ground`, to which corners less than `near` above it are moved down.
 
-    One that would be left thinner than allowed is moved up instead.
+    One that is left thinner than allowed is made as thick as it must be upwards: nothing stands out below.
     """
     z = hull.vertices[:, 2]
     lack = ground - float(z.min())
@@ -155,20 +159,25 @@ def _grounded(hull: Mesh, ground: float, near: float, settings: CollisionSetting
         hull = _mesh(solid.trim_by_plane((0, 0, 1), ground), np.zeros(3))
     points = np.array(hull.vertices)
     points[points[:, 2] < ground + near, 2] = ground
-    return convex_hull(points, settings.min_thickness_m, settings.max_vertices)
+    hull = convex_hull(points, settings.min_thickness_m, settings.max_vertices)
+    return Mesh(hull.vertices + np.array([0.0, 0.0, max(ground - float(hull.vertices[:, 2].min()), 0.0)]), hull.faces)
 
 
 def convex_hull(points: NDArray[np.float64], min_thickness_m: float, max_vertices: int) -> Mesh:
     """The closed convex hull of points (n, 3), made at least `min_thickness_m` thick in every direction.
 
-    When it has more than `max_vertices`, only the points furthest in as many even directions are kept. Raises
-    FreeArtError without points.
+    When it has more than `max_vertices`, only the points furthest in as many directions are kept: down, so that what it
+    stands on stays as wide as it is (all links of an asset have z up), and even ones. Raises FreeArtError without
+    points.
     """
     if len(points) == 0:
         raise FreeArtError("there are no points to make a convex hull of")
     hull = _hull(thickened(points, min_thickness_m))
     if len(hull.vertices) > max_vertices:
-        furthest = np.unique(np.argmax(hull.vertices @ even_directions(max_vertices).T, axis=0))
+        round_about = 2 * np.pi * np.arange(_FEET) / _FEET
+        down = np.stack([_ASIDE * np.cos(round_about), _ASIDE * np.sin(round_about), np.full(_FEET, -1.0)], -1)
+        ways = np.concatenate([down, even_directions(max_vertices - _FEET)])
+        furthest = np.unique(np.argmax(hull.vertices @ ways.T, axis=0))
         hull = _hull(hull.vertices[furthest])
     return hull
 

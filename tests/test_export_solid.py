@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from export.collision import CollisionSettings, convex_parts
+from export.collision import CollisionSettings, convex_hull, convex_parts
 from export.decomposition import Tolerance, convex_pieces
 from export.fidelity import measured
 from export.inertia import Inertial
@@ -179,6 +179,27 @@ def test_pieces_end_at_the_ground_whatever_they_stand_out_by():
     standing = np.concatenate([shape.vertices for shape in cut.shapes])[heights < 5e-5]
     np.testing.assert_allclose(np.ptp(standing[:, :2], axis=0), [0.2, 0.1], atol=2e-3)
     assert cut.fidelity.median < 5e-4 and cut.fidelity.outward < 2e-3
+
+
+def test_a_rounded_body_with_more_corners_than_a_piece_may_have_stands_as_wide_as_it_is():
+    """Like a telephone: its flat back is narrower than itself. None of the even directions looks straight down."""
+    rng = np.random.default_rng(0)
+    ball = rng.normal(size=(20_000, 3))
+    ball = ball / np.linalg.norm(ball, axis=1)[:, None] * [0.05, 0.025, 0.008]
+    ball[:, 2] = np.maximum(ball[:, 2], -0.0078)  # flat where it lies
+    flat = ball[ball[:, 2] == -0.0078]
+    hull = convex_hull(ball, 1e-3, 48)
+    standing = hull.vertices[hull.vertices[:, 2] < -0.0078 + 1e-6]
+    assert len(hull.vertices) <= 48
+    np.testing.assert_allclose(np.ptp(standing[:, :2], axis=0), np.ptp(flat[:, :2], axis=0), rtol=0.05)
+
+
+def test_what_is_flat_at_the_ground_is_made_thick_upwards():
+    """A slab thinner than pieces may be, a little above the ground, comes down to it and does not go below."""
+    slab = trimesh.creation.box((0.05, 0.03, 1.05e-3), se3.pose(np.eye(3), (0, 0, 0.61e-3)))
+    cut = convex_parts(as_mesh(slab), CollisionSettings(), 0.0)
+    heights = np.concatenate([shape.vertices[:, 2] for shape in cut.shapes])
+    assert heights.min() == pytest.approx(0, abs=1e-9) and np.ptp(heights) > 0.9e-3
 
 
 def test_inside_of_a_hollow_corner_is_inside():
