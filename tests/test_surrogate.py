@@ -308,7 +308,11 @@ def test_a_narrow_place_is_stepped_finely_only_there(tmp_path: Path):
         assert np.abs(ours - throughout).max() < 0.03 * np.abs(coarsely - throughout).max()
 
 
-def test_runs_side_by_side_are_as_each_alone(tmp_path: Path):
+@pytest.mark.parametrize("threads", [1, 3])
+def test_runs_side_by_side_are_as_each_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int):
+    if threads > 1:
+        monkeypatch.setattr("simgap.motion.surrogate._MANY", 0)
+        monkeypatch.setattr("os.sched_getaffinity", lambda process: set(range(threads)), raising=False)
     effects = (made("coulomb_friction", level=0.2), made("latch", hold=2.0, position=0.1, travel=0.1, capture=0.4))
     plant = plant_of(asset_at(tmp_path, "revolute"), measured_of("revolute", Actuator(stiffness=60.0, damping=4.0)))
     command = np.full(100, 0.3)
@@ -321,6 +325,7 @@ def test_runs_side_by_side_are_as_each_alone(tmp_path: Path):
     together = Batch.of(runs).sweep(numbers, terms_of(effects), which, steps)
     assert np.array_equal(together, np.concatenate(alone))
     assert np.ptp(alone[3]) > 0.1 and abs(alone[0] - alone[3]).max() > 0.1
+    assert len(kernel.sweep.signatures) == 1  # what a thread gets of an array is laid out as all of it
 
 
 def test_inputs_have_one_layout_and_the_kernel_one_version():

@@ -66,7 +66,7 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     if (ahead <= error or closed < settings.least_gap) and sum(plain) < (1 - settings.met) * len(plain):
         return Choice(base, best, table=tuple(table))
     found = Choice(base, best, gap=True, table=tuple(table))
-    real = [departing(h, folds, base) for h in table]
+    real = _real(table, folds, base, settings)
     standing = nearest(_no_larger([h for h in real if h.names and named_whole(h, base, settings)], base, settings))
     told = {h.names: beside(h, folds) for h in standing}
     whole = [h for h in standing if not any(refutes(n, base, settings) for n in told[h.names])]
@@ -81,6 +81,20 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
         return replace(found, explaining=added, in_part=True, nameless=beside(part[0][0], folds))
     near = standing[0] if standing else best
     return replace(found, nameless=told.get(near.names) or beside(near, folds))
+
+
+def _real(
+    table: Sequence[Hypothesis], folds: tuple[Fold, ...], base: Hypothesis, settings: JudgementSettings
+) -> list[Hypothesis]:
+    """The sets with how real effects depart; larger ones than one that leaves hardly more than noise, which none wants
+    (`_no_larger`) and which take longest, by their formulas."""
+    found: list[Hypothesis] = []
+    enough = len(EFFECTS)
+    for h in sorted(table, key=lambda h: len(h.names)):
+        found.append(departing(h, folds, base) if len(h.names) <= enough else h)
+        if h.names and named_whole(found[-1], base, settings) and _hardly(found[-1], base, settings):
+            enough = len(h.names)
+    return found
 
 
 def nearest(table: Iterable[Hypothesis]) -> list[Hypothesis]:
@@ -120,12 +134,16 @@ def _no_larger(whole: list[Hypothesis], base: Hypothesis, settings: JudgementSet
     one in a special case: a real effect is not its formula, nor quite that with what it may depart by, and what is left
     then is not worth another name, however sure it is."""
 
-    def hardly(h: Hypothesis, run: str) -> bool:
-        return h.by_run[run] <= np.hypot(settings.hardly, settings.hardly_part * excess(base.by_run[run]))
-
-    enough = {h.names for h in whole if sum(hardly(h, run) for run in h.by_run) >= settings.met * len(h.by_run)}
+    enough = {h.names for h in whole if _hardly(h, base, settings)}
     fewest = min((len(names) for names in enough), default=len(EFFECTS))
     return [h for h in whole if len(h.names) <= fewest and not any(less in enough for less in plainer(h.names))]
+
+
+def _hardly(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
+    """Whether a set leaves hardly more than noise in all runs but one of four."""
+    after, before = hypothesis.by_run, base.by_run
+    met = [left <= np.hypot(settings.hardly, settings.hardly_part * excess(before[run])) for run, left in after.items()]
+    return sum(met) >= settings.met * len(met)
 
 
 def refutes(rival: Nameless, base: Hypothesis, settings: JudgementSettings) -> bool:

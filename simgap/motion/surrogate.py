@@ -6,9 +6,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -28,6 +30,9 @@ from simgap.geometry.placing import place
 from simgap.motion import kernel, laws
 from simgap.settings import SurrogateSettings
 
+_MANY = 20_000
+"""Readings and inputs from which rows are shared out to threads: they take two milliseconds, and threads a twentieth of
+one."""
 Steps = tuple[float, float]
 """Time steps, s: away from the places of effects that have one, and near them."""
 
@@ -338,9 +343,29 @@ class Batch:
     def sweep(self, numbers: Array, terms: NDArray[np.int64], which: NDArray[np.int64], steps_s: Array) -> Array:
         """True positions, as late as they are read, of m vectors of numbers (m, k), each at the times of run `which`
         (m,), one behind the other; `steps_s` (r, 2) are the runs' steps."""
-        out = np.empty(int((self.begins[which + 1] - self.begins[which]).sum()))
-        kernel.sweep(numbers, terms, which, self.times_s, self.begins, *self.series, self.enters, steps_s, out)
+        ends = np.cumsum(np.append(0, self.begins[which + 1] - self.begins[which]))
+        out = np.empty(int(ends[-1]))
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        many = len(out) + int((self.enters[which, 1] - self.enters[which, 0]).sum())
+        parts = min(cores, len(which)) if many >= _MANY else 1
+        cuts = np.searchsorted(ends, np.linspace(0, ends[-1], parts + 1))
+
+        def look(a: int, b: int) -> None:
+            own = out[ends[a] : ends[b]]
+            told = (self.times_s, self.begins, *self.series, self.enters, steps_s)
+            kernel.sweep(numbers[a:b], terms, which[a:b], *told, own)
+
+        if parts == 1:
+            look(0, len(which))
+        else:
+            list(_threads(os.getpid()).map(look, cuts[:-1], cuts[1:]))
         return out
+
+
+@lru_cache(maxsize=1)
+def _threads(process: int) -> ThreadPoolExecutor:
+    """Threads of a process: one that is forked needs its own."""
+    return ThreadPoolExecutor(thread_name_prefix="sweep")
 
 
 def _in_rows(series: list[Array]) -> Array:
