@@ -18,6 +18,8 @@ from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 
+_GRID = 1e-5
+"""m between which corners lie: Drake refused pieces with some 3e-8 and 3e-6 m apart, of two objects of 21."""
 _FEET = 12
 """Of the directions that a piece keeps its furthest points in, those that look down, a little to all sides."""
 _ASIDE = 1e-3
@@ -184,6 +186,7 @@ def convex_hull(points: NDArray[np.float64], min_thickness_m: float, max_vertice
 
 def _hull(points: NDArray[np.float64]) -> Mesh:
     """By manifold3d: qhull's triangles, less those without area, leave gaps where three points are on a line."""
+    points = np.unique(np.round(points / _GRID), axis=0) * _GRID
     middle = points.mean(0)
     return _mesh(manifold3d.Manifold.hull_points(np.ascontiguousarray(points - middle)), middle)
 
