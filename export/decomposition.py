@@ -179,19 +179,13 @@ def hull_of(points: Array) -> ConvexHull:
 
 
 def thickened(points: Array, least_m: float) -> Array:
-    """The points, made `least_m` wide along every principal axis along which they are less: stretched, or doubled where
-    they are less than half as wide. To double what lacks a few micrometres makes slivers that Drake does not load."""
+    """The points, with more beside them along every principal axis along which they are less than `least_m` wide."""
     centre = points.mean(0)
     axes = np.linalg.eigh(np.cov((points - centre).T) if len(points) > 1 else np.zeros((3, 3)))[1].T
     for axis in axes:
-        along = points @ axis
-        wide = float(np.ptp(along))
-        if wide < 0.5 * least_m:
-            half = 0.5 * (least_m - wide) * axis
-            points = np.concatenate([points + half, points - half])
-        elif wide < least_m:
-            middle = 0.5 * (along.min() + along.max())
-            points = points + np.outer((least_m / wide - 1) * (along - middle), axis)
+        lack = least_m - np.ptp(points @ axis)
+        if lack > 0:
+            points = np.concatenate([points + 0.5 * lack * axis, points - 0.5 * lack * axis])
     return points
 
 

@@ -23,8 +23,7 @@ _PLACES = 13
 _REBOUNDS = (0.15, 0.5)
 """Restitutions that are tried."""
 _NOTHING = 1e-3
-"""Part of the gap by which an effect changes readings at most that does nothing. Of an inertia at its least, 1e-3 of
-its usual size (`Theory`), it is less."""
+"""Part of the gap by which an effect changes readings at most that does nothing. Not measured."""
 _MILD = 0.05
 """Part of the forces at work that a force is switched on with."""
 

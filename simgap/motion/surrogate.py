@@ -31,8 +31,8 @@ from simgap.motion import kernel, laws
 from simgap.settings import SurrogateSettings
 
 _MANY = 20_000
-"""Readings and inputs from which rows are shared out to threads: they take two milliseconds, and threads a twentieth of
-one."""
+"""Readings and inputs from which rows are shared out to threads. On two idle cores 8,000 took .35 ms by one thread and
+.45 by two, 24,000 1.0 and .66, 135,000 9.3 and 5.1."""
 Steps = tuple[float, float]
 """Time steps, s: away from the places of effects that have one, and near them."""
 
