@@ -22,8 +22,8 @@ _GRID = 1e-5
 """m between corners of a piece, at least: of 42 assets Drake refused five with pieces that had some 3e-8 to 3e-6 m
 apart."""
 _FEET = 4
-"""One of so many directions that a piece keeps its furthest points in looks down, a little to one side: twelve of the 48
-corners that it may have, from which a round foot is narrower by 3 %."""
+"""One of so many directions that a piece keeps its furthest points in looks down, a little to one side: twelve of the
+48 corners that it may have, from which a round foot is narrower by 3 %."""
 _LEVEL = 5e-5
 """m by which a primitive may miss the ground: of a foot 1 cm long that is a tilt of .005."""
 _ASIDE = 1e-3
