@@ -14,8 +14,14 @@ def code_digest(modules: Iterable[tuple[str, Path]]) -> str:
     digest = hashlib.sha256()
     for name, path in modules:
         digest.update(f"{name}\n".encode())
-        for word in _meaning(ast.parse(path.read_text("utf-8"))):
-            digest.update(f"{word} ".encode())
+        _add_meaning(digest, path.read_text("utf-8"))
+    return digest.hexdigest()
+
+
+def source_digest(source: str) -> str:
+    """SHA-256, hexadecimal, of what the Python text `source` does."""
+    digest = hashlib.sha256()
+    _add_meaning(digest, source)
     return digest.hexdigest()
 
 
@@ -41,6 +47,11 @@ def modules_behind(module: str, root: Path, packages: Iterable[str]) -> dict[str
             elif isinstance(node, ast.ImportFrom) and node.module:
                 waiting += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
     return dict(sorted(found.items()))
+
+
+def _add_meaning(digest: hashlib._Hash, source: str) -> None:
+    for word in _meaning(ast.parse(source)):
+        digest.update(f"{word} ".encode())
 
 
 def _meaning(node: Any) -> Iterator[str]:
