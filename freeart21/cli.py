@@ -740,7 +740,7 @@ def convert(
     hold_out: bool = False,
     skip_missing: bool = False,
     depth_unit: float = 0.001,
-    fps: float = 30.0,
+    fps: float | None = None,
 ) -> None:
     """Convert recordings between layouts: a camera's pictures, official, Video2Articulation-S, ManiSkill, our own.
 
@@ -755,7 +755,7 @@ def convert(
         hold_out: Write the official split: 5 % of the frames go to eval/.
         skip_missing: Leave out meshes that a PartNet-Mobility object names but does not have.
         depth_unit: Metres per depth unit of a plain folder of pictures (rgb/, depth/, masks/, cam_K.txt).
-        fps: Frames a second of such a folder.
+        fps: Frames a second of such a folder; by the time stamps in its names, or 30, when not given.
     """
     from functools import partial
 

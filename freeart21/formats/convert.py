@@ -99,7 +99,7 @@ def convert(
     meta: Path | None = None,
     hold_out: bool = False,
     depth_unit: float = rgbd_folder.MILLIMETRE,
-    fps: float = rgbd_folder.FPS,
+    fps: float | None = None,
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
 ) -> Iterator[Converted]:
     """Convert every recording in `source`, one after the other.
@@ -114,8 +114,8 @@ def convert(
     to="maniskill" writes out/NAME.h5 and out/NAME.json, a trajectory that FreeArt21-FreeMoving-v1 replays: of
     recordings whose truth is known, and whose object's files are at hand.
 
-    `meta` is Video2Articulation's meta file; `depth_unit` (metres) and `fps` are of plain folders. `progress` is called
-    with a sequence's name, the frames done, their total.
+    `meta` is Video2Articulation's meta file; `depth_unit` (metres) and `fps` (None: by time stamps in the names, else
+    30) are of plain folders. `progress` is called with a sequence's name, the frames done, their total.
     Raises FreeArtError, in one line; what was written before stays, and is whole.
     """
     out = Path(out)
@@ -207,7 +207,7 @@ def _write_native(
         write_header(aside, recording.camera, scale, recording.times_s, recording.licence)
         if truth is not None:
             write_truth(truth_folder, truth, 0)
-    notes = (*read.notes, *((f"without truth: {lacks}",) if lacks else ()))
+    notes = (*read.notes, *read.observe(), *((f"without truth: {lacks}",) if lacks else ()))
     return Converted(read.name, sequence, truth is not None, notes)
 
 
@@ -225,13 +225,22 @@ def _truth(read: Foreign, truth_of: TruthMaker | None, root: Path | None) -> tup
 def _depth_scale(recording: Recording, tick: Callable[[int], None]) -> float:
     """Metres per unit: 1, 2 or 5 times a power of ten, the finest that holds the scene in 16 bits.
 
-    What lies beyond ten times the object's farthest point may be lost.
+    What lies beyond ten times the object's farthest point may be lost. Raises FreeArtError when there is no depth, or
+    when masks say nothing: most are empty, or cover the whole picture.
     """
     farthest = on_object = 0.0
+    empty = full = 0
     for i, frame in enumerate(recording.frames()):
         farthest = max(farthest, float(frame.depth.max(initial=0)))
         on_object = max(on_object, float(frame.depth[frame.mask].max(initial=0)))
+        empty, full = empty + (not frame.mask.any()), full + bool(frame.mask.all())
         tick(i + 1)
+    for count, what in ((empty, "is empty"), (full, "covers the whole picture")):
+        if 2 * count > len(recording):
+            raise FreeArtError(
+                f"{recording.name}: the object's mask {what} in {count} of {len(recording)} frames, expected white (or "
+                "a label) where the object is, on black"
+            )
     if farthest <= 0:
         raise FreeArtError(f"{recording.name} has no depth in any frame")
     least = min(farthest, _FARTHER * on_object if on_object > 0 else farthest) / 65000
@@ -241,7 +250,7 @@ def _depth_scale(recording: Recording, tick: Callable[[int], None]) -> float:
 
 def _write_official(out: Path, read: Foreign, object_folder: Path | None, hold_out: bool, tick: Progress) -> Converted:
     folder = freeart21_official.write_example(out, read.name, read.recording, read.known, object_folder, hold_out, tick)
-    notes = list(read.notes)
+    notes = [*read.notes, *read.observe()]
     if read.known is None:
         notes.append(f"pictures only: {read.lacks}")
     elif object_folder is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -36,6 +37,9 @@ MAX_FRAMES = 100_000
 
 _LEAST_MM = 20  # whole numbers that stay below it are no millimetres: nothing is filmed from two centimetres
 _UNIT_NORM = 0.05  # how far a stored quaternion's norm may be from one
+_PNG = b"\x89PNG\r\n\x1a\n"
+_MOST_VALUES = 32  # of a label map; black and white enlarged 2, 3, 4 times (bilinear) has 10, 10, 25; soft masks 256
+_MOST_LABELS = 16  # two parts, a hand and a few more; what has more flat values is a soft mask of low resolution
 
 
 @dataclass(frozen=True)
@@ -112,6 +116,8 @@ class Foreign:
     lacks: str = ""
     notes: tuple[str, ...] = ()
     """What the user should know, a line each."""
+    observe: Callable[[], tuple[str, ...]] = tuple
+    """More such lines, of the frames that were loaded so far."""
 
 
 def numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
@@ -150,12 +156,14 @@ def depth_metres(raw: NDArray[Any], where: Path) -> NDArray[np.float32]:
 
     The type decides first: whole numbers are millimetres, floating point is metres. Then the range: floats beyond the
     far plane (median above 100) are millimetres all the same, and whole numbers that never reach 20 are refused.
-    Not finite and negative values are none. Files of one data set differ, so each is judged alone.
+    Not finite and negative values are none, and so is the largest of a type: that of whole numbers, and floats from
+    that of half precision on (Blender writes 1e10). Files of one data set differ, so each is judged alone.
     """
     raw = raw[..., 0] if raw.ndim == 3 and raw.shape[2] == 1 else raw
     if raw.ndim != 2 or raw.dtype.kind not in "fiu":
         raise FreeArtError(f"{where}: depth has shape {raw.shape} {raw.dtype}, expected (height, width) of numbers")
-    depth = raw.astype(np.float32)
+    largest = np.finfo(np.float16).max if raw.dtype.kind == "f" else np.iinfo(raw.dtype).max
+    depth = np.where(raw < largest, raw, 0).astype(np.float32)
     depth[~np.isfinite(depth) | (depth < 0)] = 0
     some = depth[depth > 0]
     if raw.dtype.kind in "iu":
@@ -200,9 +208,47 @@ def read_any_json(path: Path) -> Any:
 
 
 def read_foreground(path: Path) -> NDArray[np.bool_]:
-    """(height, width) foreground of a mask picture: above 127, or above 0 when no value exceeds 1."""
-    grey = checked.read_image(path, cv2.IMREAD_GRAYSCALE)
-    return np.asarray(grey > (127 if grey.max(initial=0) > 1 else 0))
+    """(height, width) foreground of a mask picture: all that is not black, from half of the least label on.
+
+    Takes black and white of 1, 8 or 16 bits, label maps (every label), colours (the brightest channel), palettes (by
+    index, where index 0 is black), and cut-outs (alpha, where it varies). A label is a value that fills squares of
+    3 x 3 pixels: soft edges do not. Soft masks and JPEG have many values: there the darkest sixteenth is background.
+    """
+    data = checked.require_file(path, checked.MAX_IMAGE_BYTES).read_bytes()
+    packed = np.frombuffer(_palette_as_grey(data), np.uint8)
+    image = cv2.imdecode(packed, cv2.IMREAD_UNCHANGED) if len(packed) else None
+    if image is None or image.dtype not in (np.uint8, np.uint16):
+        raise FreeArtError(f"{path} is not a readable mask picture of 8 or 16 bits")
+    if image.ndim == 3:
+        alpha = image[..., 3] if image.shape[2] == 4 else None
+        image = alpha if alpha is not None and alpha.min() < alpha.max() else image[..., :3].max(2)
+    if not data.startswith(_PNG) or len(np.unique(image)) > _MOST_VALUES:
+        image = np.where(image < np.iinfo(image.dtype).max / 16, np.zeros_like(image), image)
+    flat = cv2.erode(image, np.ones((3, 3))) == cv2.dilate(image, np.ones((3, 3)))
+    labels = np.unique(image[flat & (image > 0)])
+    least = labels[0] if 0 < len(labels) <= _MOST_LABELS else image.max(initial=0)
+    return np.asarray((image > 0) & (image > least / 2))
+
+
+def _palette_as_grey(data: bytes) -> bytes:
+    """A PNG of a palette that begins with black as the PNG of its indices; all other bytes as they are.
+
+    Two labels may have one colour (palettes are padded with black), so colours would lose some.
+    """
+    if not data.startswith(_PNG) or data[25:26] != b"\x03":  # the colour type in IHDR (PNG specification, 11.2.1)
+        return data
+    chunks, at = [], len(_PNG)
+    while at + 12 <= len(data):
+        size = int.from_bytes(data[at : at + 4], "big")
+        kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + size]
+        if kind == b"PLTE" and body[:3] != bytes(3):
+            return data
+        if kind == b"IHDR":
+            body = body[:9] + b"\x00" + body[10:]
+        if kind in (b"IHDR", b"IDAT", b"IEND"):
+            chunks.append(len(body).to_bytes(4, "big") + kind + body + zlib.crc32(kind + body).to_bytes(4, "big"))
+        at += 12 + size
+    return _PNG + b"".join(chunks)
 
 
 def poses_from_rows(rows: ArrayLike, where: str) -> Array:

@@ -1,18 +1,22 @@
 """A plain folder of pictures from a depth camera, as one's own recordings come.
 
     rgb/ or color/            NAME.png or .jpg
-    depth/                    NAME.png, 16 bits, millimetres unless told otherwise; 0 is none; aligned to the colours
-    masks/ or mask/           NAME.png: the object, with hands cut out; white on black
+    depth/                    NAME.png, 16 bits, millimetres unless told otherwise; aligned to the colours; 0 is none,
+                              and so is the largest of 16 bits or whatever the camera writes in its place
+    masks/ or mask/           NAME.png or .jpg: the object, with hands cut out; white (or any label) on black
     cam_K.txt                 3x3 intrinsic matrix of the colours, as BundleSDF and FoundationPose have it; or
     camera_intrinsic.json     or intrinsic.json: {width, height, intrinsic_matrix}, nine numbers column by column, as
                               Open3D's recorders write it
 
-NAME is the same in all three folders; frames come in the order of the last number in it. The lens's distortion is taken
-to be gone. These matrices put pixel centres at whole numbers, as OpenCV does; ours stand at +0.5.
+NAME is the same in all three folders, or ends in the same number, or is a time stamp: seconds with a fraction (as the
+TUM RGB-D sets have them), or Unix time in s, ms, us or ns. Times are those of the stamps; else frames come in the order
+of the last number in their names, `fps` of them a second. The lens's distortion is taken to be gone. These matrices put
+pixel centres at whole numbers, as OpenCV does; ours stand at +0.5.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 
@@ -28,26 +32,36 @@ from freeart21.se3 import Array
 
 MILLIMETRE = 0.001
 FPS = 30.0
+APART_NS = 20_000_000
+"""Time stamps of one frame differ by less, as in the TUM RGB-D sets' own associate.py (0.02 s)."""
 
 _COLOUR, _DEPTH, _MASK = ("rgb", "color", "colour", "images"), ("depth",), ("masks", "mask")
 _OPEN3D = ("camera_intrinsic.json", "intrinsic.json")
+_UNIX_S = (1_000_000_000, 4_200_000_000)  # 2001 to 2103: dates such as 20240131123000 are in no unit of it
+_TOP_SHARE, _TOP_FRAMES = 0.01, 8  # of the pixels, in that many frames, for a value to be what stands for none
 
 
 def is_rgbd_folder(folder: Path) -> bool:
-    """Whether `folder` looks like one: colours, intrinsics, and depth in 16-bit pictures."""
-    places = _place(folder, _COLOUR), _place(folder, _DEPTH)
-    return None not in places and _has_intrinsics(folder) and any((folder / "depth").glob("*.png"))
+    """Whether `folder` looks like one: colours, intrinsics, and depth in pictures (an official example has .npz)."""
+    depth = folder / "depth"
+    return (
+        _place(folder, _COLOUR) is not None
+        and _has_intrinsics(folder)
+        and depth.is_dir()
+        and any(path.suffix and path.suffix != ".npz" for path in depth.iterdir())
+    )
 
 
-def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float = FPS) -> Foreign:
+def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float | None = None) -> Foreign:
     """The recording in `folder`; frames load lazily. `depth_unit` is in metres, `fps` in frames a second.
 
-    Raises FreeArtError, in one line, when masks are missing, frames do not go together, or sizes differ.
+    `fps` None takes times from the names where these are time stamps, else FPS. Raises FreeArtError, in one line, when
+    masks are missing, frames do not go together, or sizes differ.
     """
     folder = Path(folder)
     if not 0 < depth_unit < 1:
         raise FreeArtError(f"depth unit is {depth_unit!r}, expected metres between 0 and 1, such as 0.001")
-    if not 0 < fps < np.inf:
+    if fps is not None and not 0 < fps < np.inf:
         raise FreeArtError(f"fps is {fps!r}, expected a positive number of frames a second")
     if not is_rgbd_folder(folder):
         raise FreeArtError(
@@ -59,33 +73,51 @@ def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float = 
             f"{folder} has no masks/: a picture of every frame is expected that is white where the object is, with "
             "hands cut out"
         )
-    rgb, depth, mask = (_pictures(folder, names) for names in (_COLOUR, _DEPTH, _MASK))
-    for sub, files in (("depth", depth), ("masks", mask)):
-        odd = sorted(set(rgb) ^ set(files), key=_in_time)
-        if odd:
-            where, lacks = ("the colours", sub) if odd[0] in rgb else (sub, "the colours")
-            raise FreeArtError(f"{folder}: frame '{odd[0]}' is among {where}, but not among {lacks}; {len(odd)} differ")
-    names = sorted(rgb, key=_in_time)
-    if not 0 < len(names) <= foreign.MAX_FRAMES:
-        raise FreeArtError(f"{folder} has {len(names)} frames, expected 1 to {foreign.MAX_FRAMES}")
-    height, width = checked.read_rgb(rgb[names[0]]).shape[:2]
+    rgb, deep, mask = (_pictures(folder, names) for names in (_COLOUR, _DEPTH, _MASK))
+    frames, times, notes = _frames(folder, rgb, deep, mask, fps)
+    if len(frames) > foreign.MAX_FRAMES:
+        raise FreeArtError(f"{folder} has {len(frames)} frames, expected 1 to {foreign.MAX_FRAMES}")
+    height, width = checked.read_rgb(frames[0][0]).shape[:2]
     camera = _camera(folder, width, height)
+    none = _value_of_none([depth for _, depth, _ in frames])
+    lost: dict[int, int] = {}
 
     def load(index: int) -> Frame:
-        name = names[index]
-        colours, raw = checked.read_rgb(rgb[name]), checked.read_uint16(depth[name])
-        shown = foreign.read_foreground(mask[name])
-        for path, image in ((rgb[name], colours), (depth[name], raw), (mask[name], shown)):
-            if image.shape[:2] != (height, width):
+        colours, raw = checked.read_rgb(frames[index][0]), checked.read_uint16(frames[index][1])
+        shown = foreign.read_foreground(frames[index][2])
+        for path, size in zip(frames[index], (colours.shape, raw.shape, shown.shape), strict=True):
+            if size[:2] != (height, width):
                 raise FreeArtError(
-                    f"{path} is {image.shape[1]} x {image.shape[0]}, expected {width} x {height} as the first colours: "
+                    f"{path} is {size[1]} x {size[0]}, expected {width} x {height} as the first colours: "
                     "align depth to the colour camera, and masks with it"
                 )
-        return Frame(colours, raw.astype(np.float32) * np.float32(depth_unit), shown)
+        lost[index] = int(np.count_nonzero(raw >= none))
+        depth = np.where(raw < none, raw, 0).astype(np.float32) * np.float32(depth_unit)
+        return Frame(colours, depth, shown)
+
+    def observe() -> tuple[str, ...]:
+        pixels, some = sum(lost.values()), sum(map(bool, lost.values()))
+        said = f"depth {none} is taken as none: {pixels} pixels ({pixels / (width * height * len(lost) or 1):.1%}) of "
+        return (f"{said}{some} frames",) if pixels else ()
 
     name = foreign.safe_name(folder.resolve().name)
-    recording = Recording(camera, np.arange(len(names)) / fps, load, (), None, name)
-    return Foreign(name, name, recording, None, "a video alone has none")
+    recording = Recording(camera, times, load, (), None, name)
+    return Foreign(name, name, recording, None, "a video alone has none", notes, observe)
+
+
+def _value_of_none(depth: list[Path]) -> int:
+    """The depth value from which on there is none.
+
+    That is the largest of 16 bits; or the largest of the recording where it is many pixels' and stands alone: half of
+    it and more is no other pixel's (2047 and 10000 are such values of cameras; surfaces have depths in between).
+    """
+    chosen = np.unique(np.linspace(0, len(depth) - 1, _TOP_FRAMES).round().astype(int))
+    counts = sum(np.bincount(checked.read_uint16(depth[i]).ravel(), minlength=1 << 16) for i in chosen)
+    counts = np.asarray(counts)[:-1]
+    values = np.flatnonzero(counts[1:]) + 1
+    if len(values) < 2 or 2 * values[-2] > values[-1]:
+        return len(counts)
+    return int(values[-1]) if counts[values[-1]] >= _TOP_SHARE * counts.sum() else len(counts)
 
 
 def _place(folder: Path, names: tuple[str, ...]) -> Path | None:
@@ -100,20 +132,123 @@ def _pictures(folder: Path, names: tuple[str, ...]) -> dict[str, Path]:
     """Name without suffix to file; links may not lead out of the folder."""
     place = _place(folder, names)
     assert place is not None
-    suffixes = (".png", ".jpg", ".jpeg") if names == _COLOUR else (".png",)
+    suffixes = (".png",) if names == _DEPTH else (".png", ".jpg", ".jpeg")
     found: dict[str, Path] = {}
     for path in sorted(place.iterdir()):
         if path.suffix.lower() in suffixes:
             if path.stem in found:
                 raise FreeArtError(f"{place}: {found[path.stem].name} and {path.name} are one frame")
             found[path.stem] = foreign.within(folder, path)
+    if not found:
+        kinds = sorted({path.suffix for path in place.iterdir()})
+        form = "16-bit .png" if names == _DEPTH else ".png or .jpg"
+        raise FreeArtError(f"{place} holds {', '.join(kinds) or 'no'} files, expected {form}: convert them first")
     return found
+
+
+_Files = dict[str, Path]
+_Frame = tuple[Path, Path, Path]
+
+
+def _frames(
+    folder: Path, rgb: _Files, depth: _Files, mask: _Files, fps: float | None
+) -> tuple[list[_Frame], Array, tuple[str, ...]]:
+    """Colours, depth and mask of every frame in time, (n,) seconds from the first one on, and lines on both."""
+    stamps = [_stamps(list(files)) for files in (rgb, depth, mask)]
+    colour, deep, masked = stamps
+    notes: list[str] = []
+    if colour is not None and deep is not None and masked is not None:
+        found = sorted((t, name, _nearest(deep, t), _nearest(masked, t)) for name, t in colour.items())
+        chosen = [(t, (rgb[name], depth[d], mask[m])) for t, name, d, m in found if d and m]
+        if len(chosen) < len(found):
+            notes.append(
+                f"{len(found) - len(chosen)} of {len(found)} colours have no depth and mask within "
+                f"{APART_NS / 1e6:g} ms by their time stamps, and are left out"
+            )
+        if not chosen:
+            raise FreeArtError(f"{folder}: no colours have depth and a mask within {APART_NS / 1e6:g} ms by name")
+        for (t, (one, *_)), (later, (other, *_)) in itertools.pairwise(chosen):
+            if t == later:
+                raise FreeArtError(f"{folder}: {one.name} and {other.name} have one time stamp")
+        times = np.array([t - chosen[0][0] for t, _ in chosen]) / 1e9
+        frames = [frame for _, frame in chosen]
+        notes.append(_tell_times(times) if fps is None else f"times are by --fps, {fps:g} a second, not by the names")
+        return frames, times if fps is None else np.arange(len(frames)) / fps, tuple(notes)
+    rows = _same_frames(folder, rgb, depth, mask)
+    steps = np.diff([_number(row[0].stem) for row in rows])
+    if fps is None and len(steps) and (steps != 1).any() and (steps > 0).all():
+        notes.append(
+            f"numbers in the names step by {steps.min()} to {steps.max()}; frames are taken to be evenly spaced, "
+            f"{FPS:g} a second (--fps for others)"
+        )
+    return rows, np.arange(len(rows)) / (fps or FPS), tuple(notes)
+
+
+def _same_frames(folder: Path, rgb: _Files, depth: _Files, mask: _Files) -> list[_Frame]:
+    """Frames of files with one name, or, where names differ, with one number in them; in the order of the numbers."""
+    if not set(rgb) == set(depth) == set(mask):
+        named = [{_number(name): path for name, path in files.items()} for files in (rgb, depth, mask)]
+        if set(named[0]) == set(named[1]) == set(named[2]) and len(named[0]) == len(rgb):
+            return [(named[0][k], named[1][k], named[2][k]) for k in sorted(named[0])]
+    for sub, files in (("depth", depth), ("masks", mask)):
+        odd = sorted(set(rgb) ^ set(files), key=_in_time)
+        if odd:
+            where, lacks = ("the colours", sub) if odd[0] in rgb else (sub, "the colours")
+            raise FreeArtError(f"{folder}: frame '{odd[0]}' is among {where}, but not among {lacks}; {len(odd)} differ")
+    return [(rgb[name], depth[name], mask[name]) for name in sorted(rgb, key=_in_time)]
 
 
 def _in_time(name: str) -> tuple[int, str]:
     """Sorts frames by the last number in their names, as frame_9 before frame_10."""
+    return (_number(name), name)
+
+
+def _number(name: str) -> int:
+    """The last number in a name; 0 without one."""
     numbers = re.findall(r"[0-9]+", name)
-    return (int(numbers[-1]) if numbers else 0, name)
+    return int(numbers[-1]) if numbers else 0
+
+
+def _stamps(names: list[str]) -> dict[str, int] | None:
+    """Name to its time stamp, ns; None unless all names have one.
+
+    Stamps are Unix times in s, ms, us or ns, or seconds with a fraction: names that are numbers and nothing else, or
+    end in numbers with equally many decimals (v1.9 and v1.10 have not).
+    """
+    found = [re.search(r"([0-9]{1,20})(?:\.([0-9]{1,18}))?$", name) for name in names]
+    parts = [(m[1], m[2] or "", m[0] == name) for m, name in zip(found, names, strict=True) if m is not None]
+    if len(parts) < len(names):
+        return None
+    middle = sorted(int(whole) for whole, _, _ in parts)[len(parts) // 2]
+    unit = next((k for k in range(4) if _UNIX_S[0] * 1000**k <= middle <= _UNIX_S[1] * 1000**k), None)
+    decimals = {len(fraction) for _, fraction, _ in parts}
+    alone = all(whole_name for _, _, whole_name in parts)
+    if unit is None and (decimals == {0} or not (alone or len(decimals) == 1)):
+        return None
+    digits = 9 - 3 * (unit or 0)
+    return {
+        name: int(whole) * 10**digits + int((fraction + digits * "0")[:digits] or 0)
+        for name, (whole, fraction, _) in zip(names, parts, strict=True)
+    }
+
+
+def _nearest(stamps: dict[str, int], t: int) -> str | None:
+    """The name of the stamp nearest to `t`; None when it is APART_NS off or more."""
+    name = min(stamps, key=lambda name: abs(stamps[name] - t))
+    return name if abs(stamps[name] - t) < APART_NS else None
+
+
+def _tell_times(times: Array) -> str:
+    """A line on times that come from names: how long, how even, and the longest gap."""
+    if len(times) < 2:
+        return "times are the names' time stamps: one frame"
+    steps = np.diff(times)
+    usual, longest = float(np.median(steps)), int(np.argmax(steps))
+    said = f"times are the names' time stamps: {len(times)} frames in {times[-1]:.6g} s, {1e3 * usual:.4g} ms apart"
+    gaps = int(np.count_nonzero(steps > 1.5 * usual))
+    if not gaps:
+        return said
+    return f"{said}; gaps are kept ({gaps}), the longest {steps[longest]:.4g} s after frame {longest}"
 
 
 def _camera(folder: Path, width: int, height: int) -> Camera:
