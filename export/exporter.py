@@ -170,6 +170,7 @@ def export_result(
             settings.velocity,
             effects,
             settings.base,
+            reconstruction.trust,
         )
         atomic.write_bytes(aside / URDF, urdf_text(model))
         atomic.write_bytes(aside / MJCF, mjcf_text(model))
@@ -304,6 +305,7 @@ def _asset(folder: Path, model: AssetModel, placement: Placement, source: dict[s
         {},
         source,
         scale,
+        model.trust,
     )
 
 

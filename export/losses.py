@@ -16,6 +16,7 @@ from freeart21.effects import EFFECTS
 from freeart21.effects.base import Effect
 from freeart21.files import atomic
 from freeart21.files.urdf import read_urdf
+from freeart21.reconstruction import describe_trust
 
 FILE = "LOSSES.md"
 KEPT, LOST, LOADER = "kept", "**lost**", "lost, the loader puts it back"
@@ -177,6 +178,7 @@ def losses_text(asset: Asset, textured: bool, files: frozenset[str]) -> str:
         "# What formats and engines lose of this asset",
         f"Joint `{asset.joint}`; `effects.json`, or else the URDF's `<dynamics>`, is the whole list of what acts on it."
         " `loaders/load_ENGINE.py` holds a function `load` that puts back what can be put back.",
+        f"Trust in the reconstruction that it was made of: **{describe_trust(asset.trust)}**",
         "## Files",
         _table(formats, [row for row in rows if row != "own"]),
         "## Engines",

@@ -7,6 +7,7 @@ from itertools import zip_longest
 
 from export.model import AssetModel, LinkModel, number_text
 from export.primitives import Box, Cylinder, Primitive, Sphere
+from export.stated_trust import trust_comment
 from freeart21 import se3
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
@@ -23,6 +24,7 @@ _ADDITIVE = ("damping", "frictionloss", "armature")  # words that two effects ma
 def mjcf_text(model: AssetModel) -> bytes:
     """The MJCF file: the root body is free or stands in the world, the other one hangs on the joint."""
     root = ET.Element("mujoco", model=model.name)
+    root.append(trust_comment(model.trust))
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
     assets = ET.SubElement(root, "asset")
     world = ET.SubElement(root, "worldbody")

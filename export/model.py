@@ -9,6 +9,7 @@ from export.inertia import Inertial
 from export.primitives import Primitive
 from freeart21.effects.base import Effect
 from freeart21.joint import Joint
+from freeart21.reconstruction import Trust
 
 Base = Literal["free", "fixed"]
 BASES = get_args(Base)
@@ -52,6 +53,8 @@ class AssetModel:
     """What acts on the joint; URDF and MJCF say as much of it as they can."""
     base: Base = "free"
     """Whether the root link moves freely or stands still in the world."""
+    trust: Trust | None = None
+    """Whether the reconstruction trusts itself; None when that is not stated."""
 
 
 def number_text(*values: float) -> str:

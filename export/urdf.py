@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from export.model import WORLD, AssetModel, LinkModel, number_text
 from export.primitives import Box, Cylinder, Primitive, Sphere
+from export.stated_trust import trust_comment
 
 
 def urdf_text(model: AssetModel) -> bytes:
@@ -19,6 +20,7 @@ def urdf_text(model: AssetModel) -> bytes:
     the world; others pass it by.
     """
     robot = ET.Element("robot", name=model.name)
+    robot.append(trust_comment(model.trust))
     compiler = {"strippath": "false", "discardvisual": "false", "fusestatic": "false"}
     ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", compiler)
     if model.base == "fixed":

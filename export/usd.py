@@ -18,11 +18,13 @@ import trimesh
 
 from export.loaders import joint_numbers
 from export.model import WORLD
+from export.stated_trust import MARK
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.urdf import UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, named_inside, read_urdf
+from freeart21.reconstruction import describe_trust
 from freeart21.se3 import Array
 
 MAX_MESH_BYTES = 256 << 20
@@ -45,6 +47,8 @@ def write_usd(path: Path, asset: Asset) -> None:
     urdf = read_urdf(asset.urdf)
     layer = Sdf.Layer.CreateAnonymous(path.suffix)
     stage = Usd.Stage.Open(layer)
+    layer.documentation = f"{MARK}{describe_trust(asset.trust)}"
+    layer.customLayerData = {"freeart21:trust": describe_trust(asset.trust)}
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from freeart21.effects.base import Effect
+from freeart21.reconstruction import Trust
 from freeart21.se3 import Array, check_poses
 
 
@@ -37,6 +38,8 @@ class Asset:
     scale: float = 1.0
     """Lengths of the asset, of its canonical frame and of a prismatic joint's states over those of the video that it
     came from: 1 unless it was exported at another size."""
+    trust: Trust | None = None
+    """Whether the reconstruction that it was made of trusts itself; None when that is not stated."""
 
     def __post_init__(self) -> None:
         object.__setattr__(

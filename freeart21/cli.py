@@ -32,7 +32,7 @@ Positional = tyro.conf.Positional
 DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
 DOUBTFUL = 3
 """Exit code when there is an answer, and it says itself that something is wrong: of `reconstruct` one that it does not
-trust, of `check-asset` a rule that fails."""
+trust, of `export` an asset made of such a one, of `check-asset` a rule that fails."""
 STOP_AFTER = "Stop after this stage; what it found is kept for the next call. " + " ".join(
     f"{stage.name}: {stage.does}." for stage in STAGES if stage.kept
 )
@@ -442,6 +442,8 @@ def export(
 ) -> int:
     """Write a result as a simulation-ready asset (URDF, MJCF, USD, meshes, loaders), reload it, and check it.
 
+    The last line says whether the result trusts itself, as the asset's files do; if it is doubtful, the exit code is 3.
+
     Args:
         result: A result folder (with prediction.json).
         out: Asset folder to write.
@@ -464,6 +466,7 @@ def export(
     from export.checklist import check_asset
     from export.exporter import ExportSettings, export_result
     from export.placement import PlacementSettings
+    from freeart21.reconstruction import describe_trust
 
     settings = ExportSettings(
         density=density,
@@ -481,7 +484,10 @@ def export(
     findings = check_asset(out)
     for finding in findings:
         print(f"  {finding}", file=sys.stderr)
-    return 1 if findings else 0
+    print(describe_trust(asset.trust))
+    if findings:
+        return 1
+    return DOUBTFUL if asset.trust is not None and asset.trust.verdict == "doubtful" else 0
 
 
 def joint_asset(

@@ -31,6 +31,8 @@ PIECES: tuple[Piece, ...] = get_args(Piece)
 """What a method may not make at all, and say so in its method.json (`freeart21.files.result.Method.lacks`)."""
 Verdict = Literal["sound", "doubtful"]
 VERDICTS: tuple[str, ...] = get_args(Verdict)
+NOT_STATED = "not stated"
+"""In place of a verdict, of an answer whose method gives none."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,15 @@ class Trust:
             raise FreeArtError(f"trust is '{self.verdict}', expected {' or '.join(VERDICTS)}")
         if self.verdict == "sound" and self.reasons:
             raise FreeArtError(f"trust is 'sound' with {len(self.reasons)} reasons for doubt, expected none")
+
+
+def describe_trust(trust: Trust | None) -> str:
+    """The verdict in one line, with the reasons for doubt."""
+    if trust is None:
+        return f"{NOT_STATED}: the method does not say whether to trust its answer"
+    if trust.verdict == "doubtful" and not trust.reasons:
+        return "doubtful: no reason is given"
+    return ": ".join([trust.verdict, *(["; ".join(trust.reasons)] if trust.reasons else [])])
 
 
 @dataclass(frozen=True)

@@ -17,14 +17,17 @@ from export.check.rules import FILE_RULES
 from export.check.tree import Tree, tree_of_urdf
 from export.checklist import Files, Finding, shapes_of, urdf_findings
 from export.inertia import Inertial, unphysical
+from export.stated_trust import stated_trust
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files.urdf import named_inside, parsed, read_urdf
+from freeart21.reconstruction import describe_trust
 
 GROUND_M = 1e-3
 """How far the lowest collision point may be from z = 0: what an asset at rest may drift (`trial.DRIFT_M`)."""
 _FATAL = ("paths.exist", "inertia.physical", "limits.ordered", "numbers and meshes")
 """Rules without which a trial says nothing; a link without inertia gets one of the engine's own."""
+TRUST = "trust.sound"
 _SHOWN = 3
 """Findings of one rule that are told; of more, how many."""
 
@@ -39,6 +42,7 @@ def file_rows(
     against it).
     """
     facts |= {"lowest": None, "blocked": ""}
+    yield _trust(urdf, mjcf)
     if urdf is None:
         assert mjcf is not None
         yield from _mjcf_rows(mjcf, folder, facts)
@@ -71,8 +75,10 @@ def file_rows(
 
 
 def rows_of(findings: list[Finding], skipped: dict[str, str]) -> Iterator[Row]:
-    """A row for every rule of the files, from what is wrong and what was not judged."""
+    """A row for every rule of the files but `TRUST`, from what is wrong and what was not judged."""
     for rule in FILE_RULES:
+        if rule == TRUST:
+            continue
         wrong = [finding.detail for finding in findings if finding.rule == rule]
         if wrong:
             more = f" (and {len(wrong) - _SHOWN} more)" if len(wrong) > _SHOWN else ""
@@ -81,6 +87,17 @@ def rows_of(findings: list[Finding], skipped: dict[str, str]) -> Iterator[Row]:
             yield Row(rule, "file", "skip", skipped[rule])
         else:
             yield Row(rule, "file", "pass")
+
+
+def _trust(urdf: Path | None, mjcf: Path | None) -> Row:
+    """Whether the asset's files say that the reconstruction behind them trusts itself."""
+    try:
+        trust = stated_trust(urdf, mjcf)
+    except FreeArtError as error:
+        return Row(TRUST, "file", "fail", str(error))
+    if trust is None:
+        return Row(TRUST, "file", "skip", "the asset does not say whether to trust what it was made of")
+    return Row(TRUST, "file", "pass" if trust.verdict == "sound" else "fail", describe_trust(trust))
 
 
 def _visuals(robot: ET.Element, files: Files) -> Iterator[Finding]:

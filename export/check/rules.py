@@ -16,6 +16,7 @@ class Rule:
 
 
 FILE_RULES: dict[str, Rule] = {
+    "trust.sound": Rule("the reconstruction that it was made of trusts itself", "believing its shape and its joint"),
     "numbers and meshes": Rule("numbers and meshes can be read", "anything at all"),
     "tree.links-exist": Rule("joints name links that exist", "every loader"),
     "tree.one-root": Rule("one link hangs on no joint, all others on it", "every loader"),

@@ -16,6 +16,7 @@ from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.files import atomic
 from freeart21.files.urdf import read_urdf
+from freeart21.reconstruction import describe_trust
 
 FOLDER = "loaders"
 SCHEMA = "freeart21/loaders/1"
@@ -54,6 +55,7 @@ def joint_numbers(asset: Asset) -> dict[str, object]:
         "rest": pull / stiffness if stiffness else 0.0,
         "velocity": joint.velocity,
         "effects": sorted({effect.name for effect in effects}),
+        "trust": describe_trust(asset.trust),
     }
 
 

@@ -33,6 +33,8 @@ def load(plant: Any, X_WB: Any = None, fixed: bool | None = None) -> Any:
         raise ValueError(f"{said['urdf']} was exported with a fixed base: it cannot move freely, nor stand elsewhere")
     if said["friction"] and plant.time_step() == 0:
         raise ValueError("the plant is continuous: Drake solves this joint's friction in discrete plants only")
+    if said["trust"].startswith("doubtful"):
+        warnings.warn(f"{said['urdf']} was made of a reconstruction that is {said['trust']}", stacklevel=2)
     if left := sorted(set(said["effects"]) - PLAYED):
         warnings.warn(f"Drake plays {said['urdf']} without {', '.join(left)}", stacklevel=2)
 

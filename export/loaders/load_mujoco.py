@@ -33,6 +33,8 @@ def load(
     said = json.loads((here / "joint.json").read_text())
     if said["base"] == "fixed" and fixed is False:
         raise ValueError(f"{said['mjcf']} was exported with a fixed base and cannot move freely")
+    if said["trust"].startswith("doubtful"):
+        warnings.warn(f"{said['mjcf']} was made of a reconstruction that is {said['trust']}", stacklevel=2)
     if left := sorted(set(said["effects"]) - PLAYED):
         warnings.warn(f"MuJoCo plays {said['mjcf']} without {', '.join(left)}", stacklevel=2)
 

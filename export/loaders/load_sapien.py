@@ -26,6 +26,8 @@ def load(scene: Any, pose: Any = None, fixed: bool | None = None) -> Any:
     said = json.loads((here / "joint.json").read_text())
     if said["base"] == "fixed" and fixed is False:
         raise ValueError(f"{said['urdf']} was exported with a fixed base and cannot move freely")
+    if said["trust"].startswith("doubtful"):
+        warnings.warn(f"{said['urdf']} was made of a reconstruction that is {said['trust']}", stacklevel=2)
     if left := sorted(set(said["effects"]) - PLAYED):
         warnings.warn(f"SAPIEN plays {said['urdf']} without {', '.join(left)}", stacklevel=2)
 

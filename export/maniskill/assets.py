@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
+import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,6 +19,7 @@ from freeart21.files import checked
 from freeart21.files.asset import read_asset
 from freeart21.files.urdf import parsed
 from freeart21.formats.maniskill import objects_place
+from freeart21.reconstruction import describe_trust
 from generator.object_folder import object_folder, sapien_urdf
 from generator.simulate import named_file
 
@@ -34,7 +36,8 @@ def find_asset(asset: str | Path, joint: str | None = None, object_seed: int = 0
         joint: the joint that moves; None takes what the folder says, or the only movable one.
         object_seed: sizes and colours of a procedural object.
 
-    Raises FreeArtError when there is none, or its joint is not clear.
+    Warns of an asset whose reconstruction is doubtful. Raises FreeArtError when there is none, or its joint is not
+    clear.
     """
     path = Path(asset)
     if not path.exists():
@@ -46,7 +49,10 @@ def find_asset(asset: str | Path, joint: str | None = None, object_seed: int = 0
         path = object_folder(str(asset), object_seed, objects_place())
     if (path / PARTNET).is_file() and not (path / "asset.json").is_file():
         return read_asset(path / PARTNET, joint or _scored(path))
-    return read_asset(path, joint)
+    found = read_asset(path, joint)
+    if found.trust is not None and found.trust.verdict == "doubtful":
+        warnings.warn(f"{path} was made of a reconstruction that is {describe_trust(found.trust)}", stacklevel=2)
+    return found
 
 
 def _scored(folder: Path) -> str | None:

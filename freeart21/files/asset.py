@@ -13,6 +13,7 @@ from freeart21.effects import Effect, effect_from_json, effects_from_urdf_dynami
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import file_sha256
+from freeart21.files.trust_json import trust_from_json, trust_to_json
 from freeart21.files.urdf import MAX_URDF_BYTES, UrdfJoint, read_urdf_joints
 from freeart21.joint import JointType
 
@@ -86,6 +87,7 @@ def write_asset_json(folder: Path, asset: Asset) -> None:
         {
             "schema": ASSET_SCHEMA,
             "urdf": asset.urdf.name,
+            "trust": trust_to_json(asset.trust),
             "joint": asset.joint,
             "reference_link": asset.reference_link,
             "moving_link": asset.moving_link,
@@ -179,6 +181,7 @@ def _read_described(folder: Path, data: dict[str, Any], header: Path, joint: str
         {str(k): float(v) for k, v in held.items()},
         data.get("source") or {},
         float(scale),
+        trust_from_json(data.get("trust"), header),
     )
 
 

@@ -17,16 +17,15 @@ from freeart21.files.gaussians import GAUSSIANS, read_gaussians, write_gaussians
 from freeart21.files.joint_json import joint_from_json, joint_to_json
 from freeart21.files.mesh_file import read_ply, write_ply
 from freeart21.files.places import RESULT
+from freeart21.files.trust_json import trust_from_json, trust_to_json
 from freeart21.gaussians import Gaussians
-from freeart21.reconstruction import PIECES, VERDICTS, Failure, Piece, Reconstruction, Trust
+from freeart21.reconstruction import PIECES, Failure, Piece, Reconstruction
 
 SCHEMA = "freeart21/prediction/1"
 METHOD_SCHEMA = "freeart21/method/1"
 MAX_FRAMES = 100_000
 RENDERS = ("renders", "renders_other")
 """Folders of the held-out views: posed by the part that the result calls the reference part, and by the other one."""
-MAX_REASONS, MAX_REASON = 100, 1000
-"""Lines, and characters of each, that are read of why an answer is doubtful."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ def write_result(
         n = len(result)
         std = result.state_std if result.state_std is not None else np.full(n, np.nan)
         joint = result.articulation.joint
-        said = {} if result.trust is None else {"trust": _trust_to_json(result.trust)}
+        said = {} if result.trust is None else {"trust": trust_to_json(result.trust)}
         if result.axis_std is not None or result.pivot_std is not None:
             said["joint_std"] = {"axis_rad": result.axis_std, "pivot_m": result.pivot_std}
         atomic.write_json(
@@ -205,7 +204,7 @@ def read_result(
         std,
         _read_covariances(folder / "poses.npz", n),
         seconds,
-        _read_trust(data, header),
+        trust_from_json(data.get("trust"), header),
         *_read_joint_std(data, header),
         anchor=_read_anchor(data, n, header),
         appearance=read_appearance(folder) if appearance else None,
@@ -225,29 +224,6 @@ def read_render(folder: Path, index: int, other: bool = False) -> NDArray[np.uin
     """
     path = folder / RENDERS[other] / f"{index:05d}.png"
     return checked.read_rgb(path) if path.is_file() else None
-
-
-def _trust_to_json(trust: Trust) -> dict[str, Any]:
-    return {"verdict": trust.verdict, "reasons": list(trust.reasons)}
-
-
-def _read_trust(data: dict[str, Any], path: Path) -> Trust | None:
-    """The optional 'trust' of prediction.json; raises FreeArtError naming `path`."""
-    said = data.get("trust")
-    if said is None:
-        return None
-    if not isinstance(said, dict) or said.get("verdict") not in VERDICTS:
-        raise FreeArtError(f"{path}: 'trust' is {_shortened(said)}, expected a verdict, {' or '.join(VERDICTS)}")
-    reasons = said.get("reasons", [])
-    lines = isinstance(reasons, list) and len(reasons) <= MAX_REASONS and all(isinstance(r, str) for r in reasons)
-    if not lines or any(len(r) > MAX_REASON or not r.isprintable() for r in reasons):
-        raise FreeArtError(
-            f"{path}: the reasons of 'trust' are {_shortened(reasons)}, expected at most {MAX_REASONS} plain lines of "
-            f"at most {MAX_REASON} characters"
-        )
-    if said["verdict"] == "sound" and reasons:
-        raise FreeArtError(f"{path}: 'trust' is sound with {len(reasons)} reasons for doubt, expected none")
-    return Trust(said["verdict"], tuple(reasons))
 
 
 def _read_anchor(data: dict[str, Any], n: int, path: Path) -> int:

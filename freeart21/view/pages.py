@@ -20,7 +20,7 @@ from freeart21.files.places import PAGE, check_place
 from freeart21.files.result import read_appearance, read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
-from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.reconstruction import Failure, Reconstruction, describe_trust
 from freeart21.recording import Recording
 from freeart21.se3 import Array
 from freeart21.truth import Truth
@@ -311,6 +311,8 @@ def _asset_sections(path: Path, T_camera_canonical: Array | None) -> tuple[list[
     if missing:
         some = ", ".join(missing[:5]) + " ..." * (len(missing) > 5)
         notices = [f"{len(missing)} mesh files that {urdf.name} names are missing: {some}"]
+    if asset is not None and asset.trust is not None and asset.trust.verdict == "doubtful":
+        notices.append(f"The reconstruction that the asset was made of is {describe_trust(asset.trust)}")
     movable = [joint for joint in model.joints.values() if joint.joint_type]
     if not movable:
         raise FreeArtError(f"{urdf} has no movable joint, expected a revolute or prismatic one")
@@ -326,7 +328,8 @@ def _asset_sections(path: Path, T_camera_canonical: Array | None) -> tuple[list[
         link_section(model),
     ]
     if asset is not None and asset.source:
-        sections.append(table_section("Where the asset came from", source_rows(asset.source)))
+        rows = [("trust", describe_trust(asset.trust)), *source_rows(asset.source)]
+        sections.append(table_section("Where the asset came from", rows))
     if path.is_dir():
         sections += losses_sections(path)
     return sections, chips, notices

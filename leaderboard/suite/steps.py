@@ -45,7 +45,7 @@ def export(result: str) -> dict[str, Any]:
         return {"asset": False, "why": f"no answer: {said.get('reason')}"}
     atomic.mend(folder / "asset")
     code, line = _freeart21("export", str(folder), "--out", str(folder / "asset"))
-    if (folder / "asset" / "asset.json").is_file() and code in (0, 1):
+    if (folder / "asset" / "asset.json").is_file() and code in (0, 1, 3):  # 3: made, and doubtful
         return {"asset": True, "why": line}
     if code == 1 and "cannot write" not in line:
         return {"asset": False, "why": line}
