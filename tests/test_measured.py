@@ -71,7 +71,7 @@ def test_what_efforts_do_between_their_rows_is_read_and_written(how: str, tmp_pa
     write_measured(tmp_path / "b", measured)
     assert read_measured(tmp_path / "b").interpolation == how
     plain = read_measured(write(tmp_path / "c", {**changes, "interpolation": ...}, effort=np.sin(TIMES)))
-    assert plain.interpolation == "held"  # what sets said that did not say it
+    assert plain.interpolation == "unknown"
 
 
 def test_what_may_be_left_out_is_exact_free_and_unmarked(tmp_path: Path):

@@ -76,7 +76,7 @@ def read_measured(folder: Path) -> Measured:
         raise FreeArtError(f"{path}: 'rate_hz' is {rate:g}, expected at most {MAX_RATE_HZ:g} readings a second")
     timestamps = cast(Timestamps, _one_of(sampling, "timestamps", TIMESTAMPS, path))
     efforts = cast(EffortKind, _one_of(data, "effort", EFFORT_KINDS, path)) if data.get("effort") is not None else None
-    between = _one_of(data, "interpolation", INTERPOLATIONS, path) if "interpolation" in data else "held"
+    between = _one_of(data, "interpolation", INTERPOLATIONS, path) if "interpolation" in data else "unknown"
     actuator = _actuator(data, path)
     uncertainty = _object(data, "asset_uncertainty", path) if data.get("asset_uncertainty") is not None else {}
     listed = _listed_runs(data, path)

@@ -38,7 +38,7 @@ def twins(problem: Problem, fit: Fit, names: tuple[str, ...]) -> list[Beginning]
     found = []
     for effect in fit.effects:
         twin = effect.twin
-        if twin is None or twin not in names or twin in fit.theory.names:
+        if twin is None or twin not in names or twin in fit.theory.names or not problem.bearing_loaded:
             continue
         size = effect.values()[0]
         usual = size * problem.load if effect.needs_load else size / problem.load

@@ -48,7 +48,7 @@ def candidates(problem: Problem, runs: tuple[FitRun, ...], without: tuple[str, .
             return driven
         if cls.geared:
             return False  # what the drive gave is what is judged, so no friction of it can be foretold
-        if cls.needs_load and cls.twin and even:
+        if cls.needs_load and cls.twin and (even or not problem.bearing_loaded):
             return False  # its twin does the same here, and stands for both
         return cls.acts != "inertia" or turned
 

@@ -98,6 +98,8 @@ def candidates(
             return False  # nothing moves as fast as it acts
         if (cls.needs_effort and not told) or (cls.geared and not commanded):
             return False
+        if cls.needs_load and not cls.geared and not problem.bearing_loaded:
+            return False  # nothing presses on the bearing
         if cls.acts == "command" or cls.acts == "slack":
             return commanded and not (slack and cls.acts == "slack")
         if cls.acts == "stop":

@@ -79,6 +79,12 @@ class Problem:
         return self.speed, 0.5 * (self.q_low + self.q_high), max(0.5 * (self.q_high - self.q_low), 1e-9)
 
     @property
+    def bearing_loaded(self) -> bool:
+        """Whether anything but rounding presses on the bearing."""
+        mechanics = self.plant.mechanics
+        return self.load > 1e-9 * mechanics.mass * float(np.linalg.norm(mechanics.gravity))
+
+    @property
     def near_stop(self) -> bool:
         """Whether any run comes to a limit."""
         near = 0.02 * (self.q_high - self.q_low)
