@@ -1,11 +1,14 @@
 """The process `freeart21`: hears a stop signal from the first moment, before anything large is loaded."""
 
-from __future__ import annotations
-
-import os
-import signal
 import sys
-from typing import Any
+
+from freeart21.search_path import search_path
+
+sys.path[:] = search_path()  # `python -m` has put the working folder first
+
+import os  # noqa: E402
+import signal  # noqa: E402
+from typing import Any  # noqa: E402
 
 
 def _at_once(number: int, frame: Any) -> None:

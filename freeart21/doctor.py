@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from freeart21 import child
 from freeart21.errors import FreeArtError
 
 BACKPORTS = (
@@ -238,7 +239,7 @@ def _nvidia() -> list[str]:
 
 
 def _python_says(code: str) -> subprocess.CompletedProcess[str]:
-    return _run([sys.executable, "-c", code])
+    return _run(child.python(code))
 
 
 def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:

@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from freeart21 import catalog, stopping
+from freeart21 import catalog, child, stopping
 from freeart21 import jobs as jobs_anywhere
 from freeart21.doctor import require_rendering
 from freeart21.errors import FreeArtError
@@ -413,9 +413,13 @@ _reports: Any = None
 """In a worker: where progress goes."""
 
 
-def _start_worker(lock: Path, life: Connection, reports: Any) -> None:
-    """Hold the lock as long as this worker lives, and end when the recorder ends (or closes its side of `life`)."""
+def _start_worker(folder: Path, lock: Path, life: Connection, reports: Any) -> None:
+    """Go to the recorder's folder, hold the lock as long as this worker lives, and end when the recorder ends.
+
+    That shows by its side of `life`, which it may close before.
+    """
     global _reports
+    os.chdir(folder)
 
     def end_with_the_recorder() -> None:
         with contextlib.suppress(EOFError, OSError):
@@ -445,13 +449,15 @@ def _run_beside(out: Path, jobs: list[Job], workers: int, board: Board, on_done:
     """Workers are processes of their own, because the simulator holds Python's lock while it draws."""
     context = get_context("spawn")
     theirs, ours = context.Pipe(duplex=False)
-    reports = context.SimpleQueue()
-    listener = threading.Thread(target=_listen, args=(reports, board), daemon=True)
-    listener.start()
-    with _renderer_threads(workers):
-        pool = ProcessPoolExecutor(workers, context, _start_worker, (out / WORK / "lock", theirs, reports))
+    with _renderer_threads(workers), tempfile.TemporaryDirectory(prefix="freeart21-") as empty:
+        with child.starts_in(Path(empty)):
+            reports = context.SimpleQueue()
+        listener = threading.Thread(target=_listen, args=(reports, board), daemon=True)
+        listener.start()
+        told = Path.cwd(), out / WORK / "lock", theirs, reports
+        pool = ProcessPoolExecutor(workers, context, _start_worker, told)
         try:
-            with stopping.unheard():  # from their birth: the recorder says when to stop
+            with stopping.unheard(), child.starts_in(Path(empty)):  # from birth: the recorder says when to stop
                 futures: list[Future[str]] = [pool.submit(_work, out, job) for job in jobs]
             for future in as_completed(futures):
                 board.finished(future.result())

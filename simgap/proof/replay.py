@@ -1,4 +1,4 @@
-"""The fresh process of `simgap.proof.show`: `python -m simgap.proof.replay FOLDER` reads FOLDER/job.json and job.npz.
+"""The fresh process of `simgap.proof.show`, which is given a FOLDER and reads FOLDER/job.json and job.npz.
 
 Results appear one by one, so that those in time count when the others are not: FOLDER/poses.json, then run_0.npz,
 run_1.npz, ... with the readings of both assets, the time step of each and what its last halving changed, in floors.
@@ -201,12 +201,9 @@ def _pose_gaps(stages: list[_Stage], data: Any, i: int, said: dict[str, Any]) ->
     return gaps
 
 
-def _main() -> None:
+def main() -> None:
+    """Replay what the folder that the command line names asks for."""
     try:
         _replay(Path(sys.argv[1]))
     except FreeArtError as error:
         sys.exit(str(error))
-
-
-if __name__ == "__main__":
-    _main()

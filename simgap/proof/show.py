@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import os
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from freeart21 import child
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
@@ -204,15 +204,14 @@ def show(
 
 def _run(folder: Path, count: int, seconds: float, progress: Progress | None) -> None:
     """Let the fresh process work for some seconds."""
-    root = str(Path(__file__).resolve().parents[2])
-    paths = os.pathsep.join(p for p in (root, os.environ.get("PYTHONPATH", "")) if p)
     told, end = -1, time.monotonic() + seconds
     with (folder / "stderr").open("w") as stderr:
         process = subprocess.Popen(
-            [sys.executable, "-m", "simgap.proof.replay", str(folder)],
+            [*child.command("simgap.proof.replay"), str(folder)],
             stdout=subprocess.DEVNULL,
             stderr=stderr,
-            env={**os.environ, "PYTHONPATH": paths, "TMPDIR": str(folder)},  # goes, however that process ends
+            cwd=folder,
+            env={**os.environ, "TMPDIR": str(folder)},  # goes, however that process ends
         )
         try:
             while process.poll() is None and time.monotonic() < end:

@@ -1,0 +1,93 @@
+"""No process of ours imports what lies in the folder that the user stands in."""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from freeart21 import child
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("freeart21", "generator", "reconstruct", "export", "leaderboard", "simgap")
+TRAPS = ("queue", "numpy", "json", "signal", "random", "cv2", "multiprocessing", "sitecustomize", "pickle", "sapien")
+
+
+def trapped(folder: Path) -> Path:
+    """A folder whose modules say on being imported that they were; the file that would hold it."""
+    folder.mkdir(exist_ok=True)
+    marker = folder / "imported.txt"
+    for name in TRAPS:
+        (folder / f"{name}.py").write_text(f"open({str(marker)!r}, 'a').write('{name}\\n')\nraise SystemExit(9)\n")
+    return marker
+
+
+def test_processes_are_started_by_one_function():
+    """Nowhere else is Python's own path known, or a process made without a command line."""
+    found = set()
+    for path in (p for package in PACKAGES for p in (ROOT / package).rglob("*.py")):
+        name = path.relative_to(ROOT).as_posix()
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Attribute) and ast.unparse(node) in ("sys.executable", "sys._base_executable"):
+                found.add((name, "executable"))
+            if isinstance(node, ast.Attribute) and ast.unparse(node).startswith(("os.system", "os.spawn", "os.exec")):
+                found.add((name, node.attr))
+            if isinstance(node, ast.alias) and node.name in ("get_context", "ProcessPoolExecutor", "multiprocessing"):
+                found.add((name, node.name))
+            if isinstance(node, ast.Constant) and node.value in ("-m", "python3"):
+                found.add((name, node.value))
+    assert found == {
+        ("freeart21/child.py", "executable"),
+        ("freeart21/jobs/work.py", "executable"),  # the word {python} of somebody's own command
+        ("generator/dataset.py", "get_context"),  # its processes start within `child.starts_in`
+        ("generator/dataset.py", "ProcessPoolExecutor"),
+    }
+
+
+@pytest.mark.parametrize("variables", [{}, {"PYTHONPATH": f":{ROOT}"}, {"PYTHONPATH": f"{ROOT}:."}])
+def test_a_child_does_not_import_from_the_working_folder(tmp_path, monkeypatch, variables):
+    marker = trapped(tmp_path / "user")
+    monkeypatch.chdir(tmp_path / "user")
+    monkeypatch.syspath_prepend("")
+    monkeypatch.syspath_prepend(str(tmp_path / "user"))  # as `python -m` puts it
+    code = "import queue, json, numpy, sys; print(numpy.__name__, sys.argv[1])"
+    done = subprocess.run(
+        [*child.python(code), "word"], env={**os.environ, **variables}, capture_output=True, text=True, check=False
+    )
+    assert (done.stdout, done.returncode) == ("numpy word\n", 0), done.stderr
+    assert not marker.exists()
+
+
+def test_the_command_does_not_import_from_the_working_folder(tmp_path):
+    """Not even by `python -m`, which puts it first; but what Python imports before it begins with us is Python's."""
+    marker = trapped(tmp_path / "user")
+    done = subprocess.run(
+        [sys.executable, "-m", "freeart21", "objects", "--json"],
+        cwd=tmp_path / "user",
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert not marker.exists(), marker.read_text()
+
+
+def test_the_workers_of_a_pool_do_not_import_from_the_working_folder(tmp_path):
+    """The processes of multiprocessing begin in the folder where they are started, and search it."""
+    marker = trapped(tmp_path / "user")
+    (tmp_path / "empty").mkdir()
+    code = (
+        "from concurrent.futures import ProcessPoolExecutor\nfrom multiprocessing import get_context\nimport os, sys\n"
+        "from freeart21 import child\ncontext = get_context('spawn')\n"
+        "with child.starts_in(sys.argv[1]):\n"
+        "    queue, pool = context.SimpleQueue(), ProcessPoolExecutor(1, context)\n"
+        "    there = pool.submit(os.getcwd)\n"
+        "print(there.result() == sys.argv[1] != os.getcwd())"
+    )
+    command = [*child.python(code), str(tmp_path / "empty")]
+    done = subprocess.run(command, cwd=tmp_path / "user", capture_output=True, text=True, check=False, timeout=60)
+    assert (done.stdout, done.returncode) == ("True\n", 0), done.stderr
+    assert not marker.exists(), marker.read_text()
