@@ -187,9 +187,9 @@ def init_submission(data: Annotated[Path, Positional], out: Path) -> None:
 
 def site(
     results: Annotated[tuple[Path, ...], Positional],
-    data: Path,
     out: Path,
-    protocol: tuple[str, ...] = ("strict-2",),
+    data: Path | None = None,
+    protocol: tuple[str, ...] = (),
     scores: Path | None = None,
     title: str | None = None,
     truth: Path | None = None,
@@ -197,16 +197,19 @@ def site(
     """Write a static site: the ranking, a page a method and a sequence, failures, definitions, downloads.
 
     One folder that opens from disk or from any host and fetches nothing from elsewhere. Methods are scored first,
-    unless their tables are kept in the folder of --scores. An older site at the place is replaced, nothing else.
+    unless their tables are kept in the folder of --scores; of tables alone (scores/*.json) the site has every number,
+    and neither videos nor answers. An older site at the place is replaced, nothing else.
 
     Args:
-        results: Folders of results, one a method (RESULTS/SEQ/prediction.json).
-        data: The data folder that they answer, with its truth.
+        results: Folders of results, one a method (RESULTS/SEQ/prediction.json), or tables of `score --out`.
         out: Folder of the site.
-        protocol: Named protocols, a table each; the first one orders the site.
+        data: The data folder that they answer, with its truth; tables need none.
+        protocol: Named protocols, a table each, the first one orders the site; those of the tables, or strict-2, when
+            not given.
         scores: Folder in which tables of scores are kept.
         title: What the site is called; the name of the data when not given.
-        truth: Where the truth of a packed data folder lies; the site shows it.
+        truth: Where the truth of a packed data folder lies, to score against. Nothing of it is in the site: answers
+            stand as they are, and joint states are scored in the means alone.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -222,7 +225,7 @@ def site(
 
         command = ["freeart21", *sys.argv[1:]]
         index = write_site(results, data, out, protocol, scores, title, command, done, truth)
-    print(f"{out}: {len(results)} method{'s' * (len(results) != 1)}; open {index}")
+    print(f"{out}: open {index}")
 
 
 def import_(

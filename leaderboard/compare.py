@@ -202,14 +202,19 @@ def compare_results(
 
     found = [(place, scored(place)) for place in places]
     facts = benchmark_facts(benchmark)
-    notes = _checked(found, facts, benchmark.sequences)
+    notes = check_tables(found, facts, benchmark.sequences)
     known = not benchmark.hidden or benchmark.apart is not None  # tables alone can be compared without any truth
     categories = {name: category_of(benchmark.truth(name)) if known else UNKNOWN for name in benchmark.sequences}
     return Comparison(rules, facts, _entrants(found), categories, notes)
 
 
-def _checked(found: list[tuple[Path, Scores]], facts: dict[str, str], sequences: tuple[str, ...]) -> tuple[str, ...]:
-    """FreeArtError unless all tables may be set side by side; what the reader should know of them besides."""
+def check_tables(
+    found: list[tuple[Path, Scores]], facts: dict[str, str], sequences: tuple[str, ...]
+) -> tuple[str, ...]:
+    """FreeArtError unless all tables may be set side by side; what the reader should know of them besides.
+
+    `facts` and `sequences` are the benchmark's that all of them have to be of.
+    """
     first, reference = found[0]
     truths: dict[str, tuple[Path, str]] = {}
     for place, scores in found:

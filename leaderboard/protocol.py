@@ -150,6 +150,11 @@ class Protocol:
         kind, from_sequence = truth.articulation.joint.type, self.price_from(truth)
         return {metric.id: metric.price_for(kind, from_sequence.get(metric.id)) for metric in self.metrics}
 
+    @property
+    def priced_by_truth(self) -> tuple[str, ...]:
+        """Ids of the metrics whose price is a number of the truth, such as its range of motion."""
+        return tuple(metric.id for metric in self.metrics if metric.price is None)
+
     def capped_value(self, id: str, value: float, price: float) -> float:
         """`value` of the metric `id`, or its price where the protocol caps it and the value is worse."""
         if not self.capped:

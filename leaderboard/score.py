@@ -91,6 +91,7 @@ def benchmark_facts(benchmark: Benchmark) -> dict[str, str]:
         "version": benchmark.version,
         "split": benchmark.split,
         "sha256": file_sha256(benchmark.folder / "benchmark.json"),
+        **({"hidden": benchmark.hidden} if benchmark.hidden else {}),
     }
 
 

@@ -71,7 +71,7 @@ def _scores(data: dict[str, Any], path: Path) -> Scores:
     rules = protocol_named(checked.text(told, "name", path))
     _check_terms(told, rules, path)
     facts = _object(data, "benchmark", path)
-    benchmark = {key: _line(facts, key, path) for key in _BENCHMARK}
+    benchmark = {key: _line(facts, key, path) for key in (*_BENCHMARK, *({"hidden"} & set(facts)))}
     said = data.get("rows")
     if not isinstance(said, list) or not 0 < len(said) <= MAX_ROWS:
         raise FreeArtError(f"{path}: 'rows' is {_short(said)}, expected a list of 1 to {MAX_ROWS} rows")

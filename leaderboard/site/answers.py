@@ -1,4 +1,8 @@
-"""What a method's files say of one sequence, brought to the truth as the protocol aligns it, for display."""
+"""What a method's files say of one sequence, brought to the truth as the protocol aligns it, for display.
+
+Of a set whose truth is hidden, answers lie in the camera frame of the first picture, as each of them says it: nothing
+of the truth is in them, not even an alignment to it.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +35,7 @@ EMPTY = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
 
 @dataclass(frozen=True)
 class Answer:
-    """An answer in the truth's canonical frame, its parts by the truth's names."""
+    """An answer in the truth's canonical frame, or in the first picture's camera frame; parts by the truth's names."""
 
     articulation: Articulation
     states: Array
@@ -42,6 +46,10 @@ class Answer:
     """A true state q is the state `sign * q + offset` of the answer."""
     comparable: bool
     """Whether its joint is of the true type, so that states can be compared."""
+    zero: int | None
+    """The frame at which a method without states has its state zero."""
+    Ts_camera_articulation: Array
+    """(n, 4, 4) camera from the frame of `articulation`; (0, 4, 4) of a method without poses."""
     masks: NDArray[np.uint8]
     """(k, height, width) part labels of the frames that were asked for."""
     lacks: tuple[Piece, ...]
@@ -53,16 +61,22 @@ class Answer:
 
 
 def read_answer(
-    folder: Path, truth: Truth, frames: Sequence[int], swapped: bool, lacks: tuple[Piece, ...], size: tuple[int, int]
+    folder: Path,
+    truth: Truth | int,
+    frames: Sequence[int],
+    swapped: bool,
+    lacks: tuple[Piece, ...],
+    size: tuple[int, int],
 ) -> Answer:
     """The answer in the result folder `folder`, with the part masks of `frames` alone.
 
-    `swapped` is what scoring found of the names of its parts, `size` is (height, width). Only what is shown is read.
-    Raises FreeArtError when it cannot be shown.
+    `truth` is what it is brought to, or, where that is hidden, the number of frames. `swapped` is what scoring found of
+    the names of its parts, `size` is (height, width). Only what is shown is read. Raises FreeArtError when it cannot be
+    shown.
     """
     if any(link_faults(folder)):
         raise FreeArtError(f"{folder.name} holds links that lead out of it")
-    header, n = folder / "prediction.json", len(truth)
+    header, n = folder / "prediction.json", truth if isinstance(truth, int) else len(truth)
     data = checked.read_json(header, SCHEMA)
     joint = joint_from_json(data.get("joint"), header)
     states = checked.numbers(data, "states", (n,), header)
@@ -83,30 +97,35 @@ def read_answer(
     if swapped:  # as `matching.with_parts_swapped`: the axis is reversed, the states stay
         joint, parts, Ts = replace(joint, axis=-joint.axis), parts[::-1], Ts[::-1]
         masks = np.array([0, 2, 1], np.uint8)[masks]
-    outer = Surface(truth.articulation.reference, truth.outer[0])
-    true = truth.Ts_camera_reference[[anchor]] if "poses" in lacks else truth.Ts_camera_reference
-    T_truth_pred = metrics.align(true, Ts[0], outer.centre)
-    articulation = Articulation(joint, parts[0], parts[1]).moved(T_truth_pred)
-    sign, offset, comparable = _counted(articulation.joint, states, truth, anchor if "states" in lacks else None)
-    return Answer(articulation, states, sign, offset, comparable, masks, lacks)
+    if isinstance(truth, int):
+        T_common_pred = Ts[0][0]
+    else:
+        outer = Surface(truth.articulation.reference, truth.outer[0])
+        true = truth.Ts_camera_reference[[anchor]] if "poses" in lacks else truth.Ts_camera_reference
+        T_common_pred = metrics.align(true, Ts[0], outer.centre)
+    articulation = Articulation(joint, parts[0], parts[1]).moved(T_common_pred)
+    Ts_camera = Ts[0][:0] if "poses" in lacks else Ts[0] @ se3.inverse(T_common_pred)
+    zero = anchor if "states" in lacks else None
+    answer = Answer(articulation, states, 1.0, 0.0, True, zero, Ts_camera, masks, lacks)
+    return answer if isinstance(truth, int) else counted_as(answer, truth.articulation.joint, truth.states)
 
 
-def _counted(joint: Joint, states: Array, truth: Truth, zero: int | None) -> tuple[float, float, bool]:
-    """Sign, offset and whether the types agree: the sign of the axes, then the median difference, as scoring has it.
+def counted_as(answer: Answer, joint: Joint, states: Array) -> Answer:
+    """The answer with the sign, offset and type that make its states those (n,) of `joint`, in the same frame.
 
-    `zero` is the frame at which a method without states has its state zero.
+    That is the sign of the axes, then the median difference, as scoring has it.
     """
-    true = truth.articulation.joint
-    sign = 1.0 if float(joint.axis @ true.axis) >= 0 else -1.0
-    if joint.type != true.type:
-        return sign, 0.0, False
-    if zero is not None:
-        return sign, -sign * float(truth.states[zero]), True
-    difference = states - sign * truth.states
-    if joint.type == "revolute":
+    own = answer.articulation.joint
+    sign = 1.0 if float(own.axis @ joint.axis) >= 0 else -1.0
+    if own.type != joint.type:
+        return replace(answer, sign=sign, offset=0.0, comparable=False)
+    if answer.zero is not None:
+        return replace(answer, sign=sign, offset=-sign * float(states[answer.zero]), comparable=True)
+    difference = answer.states - sign * states
+    if own.type == "revolute":
         centre = float(np.angle(np.exp(1j * difference).mean()))
         difference = centre + metrics.wrap(difference - centre)
-    return sign, float(np.median(difference)), True
+    return replace(answer, sign=sign, offset=float(np.median(difference)), comparable=True)
 
 
 def _mask(folder: Path, index: int, size: tuple[int, int]) -> NDArray[np.uint8]:

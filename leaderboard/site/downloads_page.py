@@ -70,7 +70,7 @@ def downloads_page(
         "The data",
         f'<p class="text">{escape(benchmark["name"])}, version {escape(benchmark["version"])}, '
         f"{escape(benchmark['split'])}. The SHA-256 of its benchmark.json, which holds the hash of every file "
-        "of video and truth:</p>"
+        f"{'of video, and a salted hash of the truth' if benchmark.get('hidden') else 'of video and truth'}:</p>"
         f'<p><code class="hash">{escape(benchmark["sha256"])}</code></p>',
     )
     tables = section("Tables", tables, note="Below each link: the SHA-256 of the file.")

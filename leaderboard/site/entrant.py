@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from freeart21.files.result import Method
+from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row, Scores
+from leaderboard.score import summarise
 from leaderboard.site.names import file_names
 
 COLOURS = ("#0072B2", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9", "#8A6D00", "#6B7280")
@@ -34,9 +36,12 @@ class Entrant:
     """Shown; no two are alike."""
     file: str
     """Of its page and its tables, without ending."""
-    folder: Path
+    folder: Path | None
+    """Of its answers; None where its tables alone were given."""
     scores: Mapping[str, Scores]
-    """Protocol to its table."""
+    """Protocol to its table, as far as the site may show its rows (`public_scores`)."""
+    whole: Mapping[str, Scores]
+    """Protocol to its table as it was made: means are of this one."""
     index: int
     """Of its colour, shape and dashes."""
 
@@ -65,13 +70,46 @@ class Entrant:
         return next((row for row in self.scores[protocol].rows if row.sequence == sequence), None)
 
 
-def entrants(tables: Sequence[tuple[Path, Mapping[str, Scores]]]) -> tuple[Entrant, ...]:
-    """All methods in the order given; of two that go by one name, each is told with its folder."""
+def public_scores(scores: Scores, hidden: str) -> Scores:
+    """`scores` without the numbers of each row that may be the truth's own, where `hidden`, its digest, is not empty.
+
+    The price of a failure in joint state is the range of motion, so a failed row would tell it.
+    """
+    rules = protocol_named(scores.protocol)
+    lost = rules.priced_by_truth if hidden else ()
+    if not lost:
+        return scores
+    rows = [
+        replace(
+            row,
+            values={**row.values, **dict.fromkeys(lost)},
+            values_cm={id: value for id, value in row.values_cm.items() if id not in lost},
+        )
+        for row in scores.rows
+    ]
+    note = f"the truth is hidden: no row has {', '.join(lost)}, whose price is the truth's own number"
+    facts = {**scores.benchmark, "hidden": hidden}
+    notes = (*scores.notes, note)
+    return replace(scores, rows=tuple(rows), summaries=summarise(rows, rules), notes=notes, benchmark=facts)
+
+
+def entrants(tables: Sequence[tuple[Path, Mapping[str, Scores]]], hidden: str = "") -> tuple[Entrant, ...]:
+    """All methods in the order given, each with the folder of its answers or the file of a table.
+
+    Of two that go by one name, each is told with that place. `hidden` is the digest of a hidden truth.
+    """
     names = [next(iter(scores.values())).method.name for _, scores in tables]
     folders = [folder.resolve().name for folder, _ in tables]
     told = [n if names.count(n) == 1 else f"{n} ({f})" for n, f in zip(names, folders, strict=True)]
     told = [n if told.count(n) == 1 else f"{n} #{k + 1}" for k, n in enumerate(told)]
     return tuple(
-        Entrant(name, file, folder, scores, k)
+        Entrant(
+            name,
+            file,
+            folder if folder.is_dir() else None,
+            {protocol: public_scores(table, hidden) for protocol, table in scores.items()},
+            scores,
+            k,
+        )
         for k, (name, file, (folder, scores)) in enumerate(zip(told, file_names(told), tables, strict=True))
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from freeart21.view.document import escape
 from leaderboard.protocols import Metric, protocol_named
@@ -21,18 +21,19 @@ def failures_page(
     """The page, by one protocol."""
     rules = protocol_named(protocol)
     rows = [(e, row) for e in entrants for row in e.scores[protocol].rows if row.sequence in files]
+    pictures = {s.name for s in shown if s.thumb}
     lost = [(e, row) for e, row in rows if row.status != "ok"]
     wrong = [(e, row) for e, row in rows if row.status == "ok" and row.values.get("joint_type") == 0]
     sections = [
         _cards(
             f"Not measured: {len(lost)} of {len(rows)}",
-            [_card(e, row, files, row.status, row.reason) for e, row in lost],
+            [_card(e, row, files, pictures, row.status, row.reason) for e, row in lost],
             "Every one stands in all means at the price of a failure.",
             "Every row of every method could be measured.",
         ),
         _cards(
             f"The wrong kind of joint: {len(wrong)}",
-            [_card(e, row, files, "wrong type", row.notes[0] if row.notes else "") for e, row in wrong],
+            [_card(e, row, files, pictures, "wrong type", row.notes[0] if row.notes else "") for e, row in wrong],
             "Axis, place and state are priced; masks, poses and surfaces count as they are.",
             "Every measured row has the right kind of joint.",
         ),
@@ -41,7 +42,7 @@ def failures_page(
     for metric in rules.metrics:
         if metric.beside is None and metric.column and (worst := _worst(metric, measured)):
             cards = [
-                _card(e, row, files, number(row.values[metric.id], metric.unit(row.joint_type), True), "")
+                _card(e, row, files, pictures, number(row.values[metric.id], metric.unit(row.joint_type), True), "")
                 for e, row in worst
             ]
             sections.append(
@@ -82,13 +83,17 @@ def _remarks(rows: Sequence[tuple[Entrant, Row]], files: dict[str, str]) -> str:
     return section("Measured, with a remark", f'<ul class="remarked">{"".join(lines)}</ul>')
 
 
-def _card(entrant: Entrant, row: Row, files: dict[str, str], head: str, text: str) -> str:
+def _card(entrant: Entrant, row: Row, files: dict[str, str], pictures: Collection[str], head: str, text: str) -> str:
     file = files[row.sequence]
+    picture = (
+        f'<a href="sequences/{file}.html" tabindex="-1" aria-hidden="true">'
+        f'<img src="thumbs/{file}.jpg" alt="" width="176" height="99" loading="lazy"></a>'
+        if row.sequence in pictures
+        else ""
+    )
     words = f"<p>{escape(text)}</p>" if text else ""
     return (
-        f'<li class="card"><a href="sequences/{file}.html" tabindex="-1" aria-hidden="true">'
-        f'<img src="thumbs/{file}.jpg" alt="" width="176" height="99" loading="lazy"></a>'
-        f'<div><b>{escape(head)}</b><a href="sequences/{file}.html">'
+        f'<li class="card">{picture}<div><b>{escape(head)}</b><a href="sequences/{file}.html">'
         f"{escape(row.sequence)}</a>{method_link(entrant, False)}{words}</div></li>"
     )
 

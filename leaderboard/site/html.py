@@ -136,11 +136,11 @@ def method_link(entrant: Entrant, deep: bool) -> str:
     return f'<a class="method" href="{up}methods/{entrant.file}.html">{name}</a>'
 
 
-def sources(entrants: Sequence[Entrant]) -> list[dict[str, Any]]:
-    """The truth and the methods as the scripts know them: id, name, colour, shape, dash."""
+def sources(entrants: Sequence[Entrant], hidden: bool) -> list[dict[str, Any]]:
+    """The truth, unless hidden, and the methods as the scripts know them: id, name, colour, shape, dash."""
     truth = {"id": "truth", "name": "ground truth", "colour": TRUTH, "shape": TRUTH_PATH, "dash": ""}
     return [
-        truth,
+        *([] if hidden else [truth]),
         *({"id": e.file, "name": e.name, "colour": e.colour, "shape": e.shape, "dash": e.dash} for e in entrants),
     ]
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from freeart21.view.document import escape
 from leaderboard.protocols import Group, Metric, Protocol, protocol_named
-from leaderboard.rows import Row
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.html import (
     NONE,
@@ -30,6 +29,15 @@ from leaderboard.site.sequence_data import Shown
 
 RANKING = "strict-2"
 """The protocol whose table is the ranking; all others are tables of their own."""
+
+
+HIDDEN = (
+    "The truth is hidden: shown are scores and the methods' own answers, brought to nothing. Joint states are scored "
+    "in the means alone, as the price of a failed one is the true range of motion."
+)
+TABLES_ALONE = "Made of tables of scores alone: without the videos and the methods' answers."
+FEWEST = 3
+"""Rows of which a mean and its deviation do not tell the single values."""
 
 
 @dataclass(frozen=True)
@@ -54,20 +62,25 @@ def index_page(
     benchmark: dict[str, str],
 ) -> bytes:
     """The front page; `files` says by which file name a sequence goes."""
-    frames = sum(s.facts["frames"] for s in shown)
+    frames = sum(s.facts.get("frames", 0) for s in shown)
+    truth = f'<code title="{escape(benchmark["sha256"])}">{escape(benchmark["sha256"][:12])}</code>'
     lead = (
-        f"<p>{len(entrants)} method{'s' * (len(entrants) != 1)} on {len(shown)} videos of articulated objects "
-        "that move freely before a camera: find the two parts, the joint, its state in every frame, and an asset "
-        "to simulate. Failures are priced, never dropped.</p>"
+        f"<p>{len(entrants)} method{'s' * (len(entrants) != 1)} on {len(shown)} video{'s' * (len(shown) != 1)} of "
+        "articulated objects that move freely before a camera: find the two parts, the joint, its state in every "
+        "frame, and an asset to simulate. Failures are priced, never dropped.</p>"
     )
     lead += facts(
         [
             ("benchmark", escape(f"{benchmark['name']}, version {benchmark['version']}")),
             ("split", escape(benchmark["split"])),
-            ("frames", f"{frames:,}".replace(",", " ")),
-            ("truth", f'<code title="{escape(benchmark["sha256"])}">{escape(benchmark["sha256"][:12])}</code>'),
+            *([("frames", f"{frames:,}".replace(",", " "))] if frames else []),
+            ("truth", f"{truth}, hidden" if benchmark.get("hidden") else truth),
         ]
     )
+    if benchmark.get("hidden"):
+        lead += f'<p class="note">{HIDDEN}</p>'
+    if not frames:
+        lead += f'<p class="note">{TABLES_ALONE}</p>'
     chooser = '<div class="protocols" data-protocols></div>' if len(protocols) > 1 else ""
     sections = [_board(name, entrants, shown, files) for name in protocols]
     return page(site, chooser + "".join(sections) + published_section(), site, here="index.html", lead=lead)
@@ -124,7 +137,7 @@ def _head(label: str, metric: Metric, group: Group) -> str:
 def ranked(protocol: str, entrants: Sequence[Entrant]) -> list[Place]:
     """All methods in the order of their mean rank; those that lack a number after the others, as given."""
     heads = columns(protocol_named(protocol))
-    cells = [tuple(_cell(entrant.scores[protocol].rows, m, g) for m, g in heads) for entrant in entrants]
+    cells = [tuple(_cell(entrant, protocol, m, g) for m, g in heads) for entrant in entrants]
     ranks = np.full((len(entrants), len(heads)), np.nan)
     for k, (metric, _) in enumerate(heads):
         column = [row[k] for row in cells]
@@ -143,9 +156,15 @@ def ranked(protocol: str, entrants: Sequence[Entrant]) -> list[Place]:
     return sorted(places, key=lambda place: (place.rank is None, place.rank or 0.0))
 
 
-def _cell(rows: Sequence[Row], metric: Metric, group: str) -> tuple[float, float | None] | None:
+def only_means(entrant: Entrant, rules: Protocol) -> tuple[str, ...]:
+    """Ids of the numbers that are shown in means alone, as the truth is hidden."""
+    return rules.priced_by_truth if entrant.scores[rules.name].benchmark.get("hidden") else ()
+
+
+def _cell(entrant: Entrant, protocol: str, metric: Metric, group: str) -> tuple[float, float | None] | None:
+    rows = entrant.whole[protocol].rows
     values = [v for row in rows if group in ("all", row.joint_type) and (v := row.values.get(metric.id)) is not None]
-    if not values:
+    if len(values) < (FEWEST if metric.id in only_means(entrant, protocol_named(protocol)) else 1):
         return None
     return float(np.mean(values)), float(np.std(values, ddof=1)) if len(values) > 1 else None
 
@@ -202,10 +221,8 @@ def _matrix(rules: Protocol, entrants: Sequence[Entrant], shown: Sequence[Shown]
 def sequence_link(shown: Shown, files: dict[str, str], deep: bool = False) -> str:
     """A sequence's small picture and name, leading to its page."""
     up, file = "../" if deep else "", files[shown.name]
-    return (
-        f'<a class="sequence" href="{up}sequences/{file}.html"><img src="{up}thumbs/{file}.jpg" alt="" width="88" '
-        f'height="50" loading="lazy"><span>{escape(shown.name)}</span></a>'
-    )
+    picture = f'<img src="{up}thumbs/{file}.jpg" alt="" width="88" height="50" loading="lazy">' if shown.thumb else ""
+    return f'<a class="sequence" href="{up}sequences/{file}.html">{picture}<span>{escape(shown.name)}</span></a>'
 
 
 def _data(
@@ -237,6 +254,9 @@ def _data(
                 "unit": m.unit(g),
                 "up": m.direction == "up",
                 "title": _head(m.column.replace("\n", " ") or m.label, m, g),
+                "cells": [_cell(e, rules.name, m, g) for e in entrants]
+                if any(m.id in only_means(e, rules) for e in entrants)
+                else None,
             }
             for m, g in heads
         ],

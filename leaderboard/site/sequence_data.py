@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3
+from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.benchmark import Benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
-from freeart21.joint import Joint
+from freeart21.joint import Joint, JointType
 from freeart21.mesh import Mesh, bounding_diagonal, middle
 from freeart21.recording import Recording
 from freeart21.se3 import Array
@@ -26,7 +27,7 @@ from freeart21.view.scene import Layer, Link, Scene, Slider, Surface, scene_data
 from freeart21.view.simplify import simplified
 from freeart21.view.video import shown_frames
 from leaderboard.rows import Row
-from leaderboard.site.answers import Answer, read_answer
+from leaderboard.site.answers import EMPTY, Answer, counted_as, read_answer
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.packed import Packed
 
@@ -46,6 +47,8 @@ VIDEO_BYTES = 640 << 10
 QUALITIES = (80, 70, 60, 45, 30)
 THUMB = 176
 """Pixels of the width of the small picture."""
+NOT_TOLD = "\N{EN DASH}"
+_UNKNOWN_SIZE = 0.3  # metres: of an object without depth, as those of the catalog are
 
 
 @dataclass(frozen=True)
@@ -54,36 +57,76 @@ class Shown:
 
     name: str
     facts: dict[str, Any]
-    """What is true of it and stands on its page: joint type, category, frames, seconds, size, source."""
+    """What is known of it and stands on its page: joint type, category, frames, seconds, size, source. What only a
+    hidden truth would tell is missing; of tables alone all but the joint type is."""
     script: str
-    """The packed data of its page."""
+    """The packed data of its page; empty where nothing but tables was given."""
     sheets: tuple[bytes, ...]
     """JPEGs of ACROSS x DOWN pictures."""
     thumb: bytes
-    """A JPEG."""
+    """A JPEG; empty as `script`."""
     absent: dict[str, str]
     """Method's file name to why nothing of it can be shown here."""
 
 
-def show_sequence(benchmark: Benchmark, name: str, entrants: Sequence[Entrant], protocol: str) -> Shown:
-    """Read one sequence, its truth and every method's answer, and pack what is shown of them."""
-    recording, truth = read_sequence(benchmark.sequence(name)), read_truth(benchmark.truth(name))
-    frames = shown_frames(len(truth), FRAMES)
+@dataclass(frozen=True)
+class Common:
+    """What the sources of one sequence are shown in: a frame, a size, and how states are counted."""
+
+    joint: Joint | None
+    """The true one, or, where the truth is hidden, that of the first answer; None without any."""
+    states: Array
+    """(n,) of that joint."""
+    size: float
+    """Of the object, metres."""
+    near: Array
+    """(3,) where axes are drawn."""
+    up: Array
+    """(3,) in the common frame."""
+    towards_viewer: Array
+    """(3,) in the common frame."""
+    Ts_camera: Array
+    """(n, 4, 4) camera from the common frame."""
+    bounds: Mesh
+    """How far one sees, where the truth does not say it."""
+
+
+def show_table(name: str, joint_type: JointType, entrants: Sequence[Entrant]) -> Shown:
+    """What is shown of a sequence where there is no data folder: nothing but numbers."""
+    absent = dict.fromkeys((e.file for e in entrants), "its table of scores alone was given")
+    return Shown(name, {"joint_type": joint_type, "category": NOT_TOLD, "source": {}}, "", (), b"", absent)
+
+
+def show_sequence(
+    benchmark: Benchmark, name: str, entrants: Sequence[Entrant], protocol: str, joint_type: JointType
+) -> Shown:
+    """Read one sequence, its truth and every method's answer, and pack what is shown of them.
+
+    Of a hidden truth nothing is read: answers are shown as they are, and the masks are those that methods see.
+    """
+    recording = read_sequence(benchmark.sequence(name))
+    truth = None if benchmark.hidden else read_truth(benchmark.truth(name))
+    frames = shown_frames(len(recording), FRAMES)
     size = recording.camera.height, recording.camera.width
     answers: dict[str, Answer] = {}
     absent: dict[str, str] = {}
     for entrant in entrants:
         row = entrant.row(protocol, name)
-        found = _answer(entrant, name, row, truth, frames.tolist(), size)
+        found = _answer(entrant, name, row, truth or len(recording), frames.tolist(), size)
         if isinstance(found, Answer):
             answers[entrant.file] = found
         else:
             absent[entrant.file] = found
     packed = Packed()
     shown = [e for e in entrants if e.file in answers]
-    true_masks = np.stack([truth.part_mask(int(i)) for i in frames])
-    joint = truth.articulation.joint
-    header = {
+    if truth is None:
+        common = _common_of_answers(recording, [answers[e.file] for e in shown])
+        if common.joint is not None:
+            answers = {file: counted_as(one, common.joint, common.states) for file, one in answers.items()}
+    else:
+        common = _common_of_truth(truth)
+    masks = [truth.part_mask(int(i)) if truth else recording.frame(int(i)).mask.astype(np.uint8) for i in frames]
+    header: dict[str, Any] = {
         "player": {
             "frames": frames.tolist(),
             "times": packed.curve(recording.times_s[frames], 0.0, 1e-3),
@@ -92,54 +135,103 @@ def show_sequence(benchmark: Benchmark, name: str, entrants: Sequence[Entrant], 
             "across": ACROSS,
             "down": DOWN,
             "masks": {
-                "truth": _masks(packed, true_masks),
+                **({"truth": _masks(packed, np.stack(masks))} if truth else {}),
                 **{e.file: _masks(packed, answers[e.file].masks) for e in shown if len(answers[e.file].masks)},
             },
         },
-        "states": {
-            "type": joint.type,
+        "axes": {
+            "size": round(common.size, 6),
+            "near": _round(common.near),
+            "sources": {
+                **({"truth": _axis(truth.articulation.joint)} if truth else {}),
+                **{e.file: _axis(answers[e.file].articulation.joint) for e in shown},
+            },
+            "poses": {}
+            if truth
+            else {e.file: packed.poses(T[frames]) for e in shown if len(T := answers[e.file].Ts_camera_articulation)},
+        },
+    }
+    if common.joint is not None:
+        header["states"] = {
+            "type": common.joint.type,
             "times": packed.curve(recording.times_s, 0.0, 1e-3),
-            "truth": packed.states(truth.states),
-            "gone": _gone(truth),
+            **({"truth": packed.states(truth.states)} if truth else {}),
+            "gone": _gone(truth) if truth else [],
             "methods": {
                 e.file: packed.states(answers[e.file].states_as_true)
                 for e in shown
                 if answers[e.file].comparable and "states" not in answers[e.file].lacks
             },
-        },
-        "scene": _scene(packed, recording, truth, frames, [(e, answers[e.file]) for e in shown]),
-        "axes": {
-            "size": round(truth.diagonal, 6),
-            "near": _round(_near(truth)),
-            "sources": {
-                "truth": _axis(joint),
-                **{e.file: _axis(answers[e.file].articulation.joint) for e in shown},
-            },
-        },
-    }
+        }
+        header["scene"] = _scene(packed, recording, common, truth, frames, [(e, answers[e.file]) for e in shown])
     pictures = [checked.read_rgb(benchmark.sequence(name) / "rgb" / f"{i:05d}.png") for i in frames.tolist()]
-    source = truth.source
-    facts = {
-        "joint_type": joint.type,
-        "category": str(source.get("category") or "unknown"),
-        "object": str(source.get("object") or name),
-        "frames": len(truth),
+    facts: dict[str, Any] = {
+        "joint_type": joint_type,
+        "category": NOT_TOLD,
+        "frames": len(recording),
         "seconds": float(recording.times_s[-1] - recording.times_s[0]),
         "size": f"{size[1]} \N{MULTIPLICATION SIGN} {size[0]}",
-        "diagonal_cm": 100 * truth.diagonal,
-        "range": float(np.ptp(truth.states)),
-        "source": source,
+        "source": {},
         "licence": recording.licence,
     }
-    return Shown(name, facts, packed.script(header), _sheets(pictures), _thumb(pictures, true_masks), absent)
+    if truth is not None:
+        category = str(truth.source.get("category") or "unknown")
+        facts |= {"category": category, "diagonal_cm": 100 * truth.diagonal, "range": float(np.ptp(truth.states))}
+        facts["source"] = truth.source
+    return Shown(name, facts, packed.script(header), _sheets(pictures), _thumb(pictures, np.stack(masks)), absent)
+
+
+def _common_of_truth(truth: Truth) -> Common:
+    R_world_camera = truth.Ts_camera_reference[0, :3, :3].T
+    return Common(
+        truth.articulation.joint,
+        truth.states,
+        truth.diagonal,
+        _near(truth),
+        R_world_camera @ [0.0, -1.0, 0.0],
+        R_world_camera @ [0.45, -0.4, -1.0],
+        truth.Ts_camera_reference,
+        EMPTY,
+    )
+
+
+def _common_of_answers(recording: Recording, answers: Sequence[Answer]) -> Common:
+    """The camera frame of the first picture, the object's place and size as its depth shows them, and the joint and
+    states of the first answer of the type that most have; of one that makes states, if any does."""
+    types = [one.articulation.joint.type for one in answers]
+    usual = [one for one, kind in zip(answers, types, strict=True) if kind == max(types, key=types.count)]
+    first = next((one for one in usual if one.zero is None), next(iter(usual), None))
+    posed = next((one for one in answers if len(one.Ts_camera_articulation)), None)
+    points = np.zeros((0, 3))
+    for frame in recording.frames():
+        points = recording.camera.backproject(frame.depth)[frame.mask & (frame.depth > 0)]
+        if len(points):
+            break
+    low, high = np.percentile(points, [1, 99], axis=0) if len(points) else np.zeros((2, 3))
+    size = float(np.linalg.norm(high - low)) or _UNKNOWN_SIZE
+    near = (low + high) / 2 if len(points) else np.array([0.0, 0.0, 1.0])
+    corners = near + 0.6 * size * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    still = np.repeat(np.eye(4)[None], len(recording), 0)
+    return Common(
+        first.articulation.joint if first else None,
+        first.states if first else np.zeros(len(recording)),
+        size,
+        near,
+        np.array([0.0, -1.0, 0.0]),
+        np.array([0.45, -0.4, -1.0]),
+        posed.Ts_camera_articulation if posed else still,
+        Mesh(corners, np.arange(8)[:, None].repeat(3, 1)),
+    )
 
 
 def _answer(
-    entrant: Entrant, name: str, row: Row | None, truth: Truth, frames: list[int], size: tuple[int, int]
+    entrant: Entrant, name: str, row: Row | None, truth: Truth | int, frames: list[int], size: tuple[int, int]
 ) -> Answer | str:
-    """What can be shown of a method's answer, or why nothing can."""
+    """What can be shown of a method's answer, or why nothing can; `truth` as in `read_answer`."""
     if row is None:
         return "its table has no such row"
+    if entrant.folder is None:
+        return "its table of scores alone was given"
     if row.status != "ok":
         return f"{row.status}: {row.reason}"
     try:
@@ -200,21 +292,20 @@ def _arrow_pose(joint: Joint, near: Array, size: float) -> Array:
 def _scene(
     packed: Packed,
     recording: Recording,
-    truth: Truth,
+    common: Common,
+    truth: Truth | None,
     frames: NDArray[np.int64],
     answers: Sequence[tuple[Entrant, Answer]],
 ) -> dict[str, Any]:
-    """The 3D view: truth and answers in the truth's frame, moved by one slider where their joints are of one type."""
-    true, states = truth.articulation, truth.states
-    size = truth.diagonal
-    outer = [true.part(n).with_faces(f) for n, f in zip(("reference", "moving"), truth.outer, strict=True)]
-    lower, upper = slider_range(true.joint, states, size)
-    sliders = [Slider(f"{true.joint.type} joint", true.joint.type, lower, upper, float(states[0]), states)]
+    """The 3D view: truth (unless hidden) and answers, moved by one slider where their joints are of one type."""
+    first, states, size, near = common.joint, common.states, common.size, common.near
+    assert first is not None
+    lower, upper = slider_range(first, states, size)
+    sliders = [Slider(f"{first.type} joint", first.type, lower, upper, float(states[0]), states)]
     links: list[Link] = []
     layers: list[Layer] = []
     surfaces: list[Surface] = []
     extra: list[dict[str, Any]] = []
-    near = _near(truth)
 
     def add(name: str, colour: str, parts: Sequence[Mesh], joint: Joint, moving: Link) -> None:
         root, layer = len(links), len(layers)
@@ -226,7 +317,9 @@ def _scene(
         surfaces.append(Surface(Mesh(np.zeros((0, 3)), np.zeros((0, 3), int)), root + 2, layer + 1))
         extra.append({"arrow": joint.type})
 
-    add("truth", TRUTH, outer, true.joint, Link(-1, joint=true.joint, slider=0))
+    if truth is not None:
+        outer = [truth.articulation.part(n).with_faces(f) for n, f in zip(PARTS, truth.outer, strict=True)]
+        add("truth", TRUTH, outer, first, Link(-1, joint=first, slider=0))
     for entrant, answer in answers:
         joint = answer.articulation.joint
         moving = Link(-1, joint=joint, slider=0, scale=answer.sign, offset=answer.offset)
@@ -237,14 +330,13 @@ def _scene(
             sliders.append(Slider(f"{entrant.name}: {joint.type}", joint.type, *ends, at, answer.states))
         parts = [_near_enough(part, size) for part in (answer.articulation.reference, answer.articulation.moving)]
         add(entrant.name, entrant.colour, parts, joint, moving)
-    R_world_camera = truth.Ts_camera_reference[0, :3, :3].T
     scene = Scene(
         tuple(links),
         tuple(sliders),
         tuple(layers),
-        tuple(surfaces[:2]),  # the truth alone says how far one sees
-        R_world_camera @ [0.0, -1.0, 0.0],
-        R_world_camera @ [0.45, -0.4, -1.0],
+        tuple(surfaces[:2]) if truth else (Surface(common.bounds, 0, 0),),  # no answer says how far one sees
+        common.up,
+        common.towards_viewer,
         recording.camera,
     )
     data = scene_data(scene)
@@ -269,8 +361,8 @@ def _scene(
         "centre": _round(data["centre"]),
         "radius": _round(data["radius"])[0],
         "camera": {**data["camera"], "K": recording.camera.K.tolist()},
-        "camera_poses": packed.poses(truth.Ts_camera_reference[frames]),
-        "arrangements": _arrangements(data, 1 + len(answers)),
+        "camera_poses": packed.poses(common.Ts_camera[frames]),
+        "arrangements": _arrangements(data, len(answers) + (truth is not None)),
     }
     return data
 

@@ -21,6 +21,7 @@ from leaderboard.site.html import (
     sources,
     table,
 )
+from leaderboard.site.index_page import TABLES_ALONE, only_means
 from leaderboard.site.sequence_data import Shown
 
 WORDS = {
@@ -48,28 +49,55 @@ def sequence_page(
 ) -> bytes:
     """The page; `around` holds name and file name of the sequence before and of the one after it."""
     f = shown.facts
-    unit = "°" if f["joint_type"] == "revolute" else " cm"
-    motion = f["range"] * (57.29577951308232 if f["joint_type"] == "revolute" else 100)
-    lead = facts(
-        [
-            ("category", escape(f["category"])),
-            ("joint", escape(f["joint_type"])),
-            ("range", f"{motion:.1f}{unit}"),
-            ("video", f"{f['frames']} frames, {f['seconds']:.1f} s, {escape(f['size'])}"),
-            ("diagonal", f"{f['diagonal_cm']:.1f} cm"),
-        ]
-    )
+    lines = [("joint", escape(f["joint_type"]))]
+    if "range" in f:
+        unit = "°" if f["joint_type"] == "revolute" else " cm"
+        motion = f["range"] * (57.29577951308232 if f["joint_type"] == "revolute" else 100)
+        lines = [("category", escape(f["category"])), *lines, ("range", f"{motion:.1f}{unit}")]
+        lines.append(("diagonal", f"{f['diagonal_cm']:.1f} cm"))
+    if "frames" in f:
+        lines.append(("video", f"{f['frames']} frames, {f['seconds']:.1f} s, {escape(f['size'])}"))
+    lead = facts(lines)
     steps = "".join(
         f'<a rel="{rel}" href="{escape(place[1])}.html">{arrow.format(escape(place[0]))}</a>'
         if place
         else "<span></span>"
         for rel, arrow, place in (("prev", "← {}", around[0]), ("next", "{} →", around[1]))
     )
-    told = _told(shown, entrants)
+    numbers = "".join(_numbers(name, shown, entrants) for name in protocols)
+    said = _said(shown, entrants, protocols)
+    main = (
+        f'<nav class="steps" aria-label="sequences">{steps}</nav>{_shown(shown, file, entrants)}{numbers}{said}'
+        f"{_source(f, entrants[0].row(protocols[0], shown.name))}"
+    )
+    scripts = [f"../data/{file}.js"] if shown.script else []
+    return page(shown.name, main, site, True, lead=lead, kind="Sequence", scripts=scripts)
+
+
+def _shown(shown: Shown, file: str, entrants: Sequence[Entrant]) -> str:
+    """Video, 3D and joint states; of tables alone, that there are none."""
+    if not shown.script:
+        return section("Video and parts", f'<p class="note">{TABLES_ALONE}</p>')
+    hidden = "range" not in shown.facts
+    told = _told(shown, entrants, hidden)
     sheets = [f"../video/{file}-{k}.jpg" for k in range(len(shown.sheets))]
     there = [s for s in told if s["id"] == "truth" or s["id"] not in shown.absent]
     noted = (
         "Solid lines and stronger colour: the moving part; dashed: the reference part. Parts go by the truth's names."
+    )
+    where = (
+        "The truth is hidden: each answer stands where it says that the object is, in the camera's frame of the first "
+        "picture; the slider moves all joints of one type."
+        if hidden
+        else "Answers lie in the truth's frame as the protocol aligns them; the slider moves all joints of the true "
+        "type."
+    )
+    counted = (
+        "The truth is hidden: states are counted as the first shown method counts; the sign of the axis and the median "
+        "offset to it are taken out."
+        if hidden
+        else "States are counted as the truth counts: the sign of the axis and the median offset are taken out, as in "
+        "scoring. Grey: not one pixel of the moving part is seen."
     )
     video = section(
         "Video and parts",
@@ -85,32 +113,25 @@ def sequence_page(
         "scene",
         {"sources": there},
         place="half right",
-        note="Answers lie in the truth's frame as the protocol aligns them; the slider moves all joints of the true "
-        "type. Shown are prediction.json and parts/, thinned out; pale: the reference part.",
+        note=f"{where} Shown are prediction.json and parts/, thinned out; pale: the reference part.",
     )
     states = section(
         "Joint state",
         '<div class="states"></div>',
         "states",
         {"sources": told},
-        note="States are counted as the truth counts: the sign of the axis and the median offset are taken out, as in "
-        "scoring. Grey: not one pixel of the moving part is seen. Curves that leave the scale run along its edge.",
+        note=f"{counted} Curves that leave the scale run along its edge.",
     )
-    numbers = "".join(_numbers(name, shown, entrants) for name in protocols)
-    said = _said(shown, entrants, protocols)
-    main = (
-        f'<nav class="steps" aria-label="sequences">{steps}</nav><div class="pair">{video}{scene}</div>'
-        f"{states}{numbers}{said}"
-        f"{_source(f, entrants[0].row(protocols[0], shown.name))}"
-    )
-    return page(shown.name, main, site, True, lead=lead, kind="Sequence", scripts=[f"../data/{file}.js"])
+    if hidden and len(shown.absent) == len(entrants):
+        return video + section("Parts and joint in 3D", _absent_list(shown, entrants, "meshes"))
+    return f'<div class="pair">{video}{scene}</div>{states}'
 
 
-def _told(shown: Shown, entrants: Sequence[Entrant]) -> list[dict[str, Any]]:
+def _told(shown: Shown, entrants: Sequence[Entrant], hidden: bool) -> list[dict[str, Any]]:
     """The sources with what the scripts say where one shows nothing."""
-    told = sources(entrants)
+    told = sources(entrants, hidden)
     told[0]["first"] = True
-    for k, (source, entrant) in enumerate(zip(told[1:], entrants, strict=True)):
+    for k, (source, entrant) in enumerate(zip(told[not hidden :], entrants, strict=True)):
         lacks, absent = entrant.method.lacks, shown.absent.get(entrant.file)
         source["first"] = k == 0
         source["why"] = _brief(absent) if absent else WORDS["masks"] if "masks" in lacks else ""
@@ -162,6 +183,8 @@ def _numbers(protocol: str, shown: Shown, entrants: Sequence[Entrant]) -> str:
         f"{NONE}: not made by the method, or not there for this joint. Small numbers stand beside the ranking ones and "
         "do not rank."
     )
+    if any(only_means(entrant, rules) for entrant in entrants):
+        note += " Numbers whose price is the hidden truth's stand in the means alone."
     numbers = table(f"numbers by {protocol}", "numbers", head, "".join(lines))
     return section(f"Numbers by {protocol}", numbers, id=f"numbers-{protocol}", note=note)
 
@@ -201,7 +224,7 @@ def _source(f: dict[str, Any], row: Row | None) -> str:
     rows = [
         (key.replace("_", " "), escape(value)) for key, value in source.items() if isinstance(value, str | int | float)
     ]
-    if f["licence"]:
+    if f.get("licence"):
         rows.append(("licence", escape(f["licence"])))
     if row is not None and row.truth_sha256:
         rows.append(("truth, SHA-256", f'<code class="hash">{escape(row.truth_sha256)}</code>'))

@@ -87,15 +87,16 @@ FreeArt.kinds.player = (section, data, bus) => {
     return source.paths[k];
   };
 
-  /* Where an axis stands in a picture: by the true pose of the reference part, in whose frame all joints are told. */
-  const project = (point) => {
-    const T = data.poses[slot], p = T.map((row) => row[0] * point[0] + row[1] * point[1] + row[2] * point[2] + row[3]);
+  /* Where an axis stands in a picture: by the true pose of the reference part, in whose frame all joints are told; where
+     the truth is hidden, by the answer's own. */
+  const project = (point, T) => {
+    const p = T.map((row) => row[0] * point[0] + row[1] * point[1] + row[2] * point[2] + row[3]);
     return p[2] > 1e-6 ? [(data.K[0][0] * p[0]) / p[2] + data.K[0][2], (data.K[1][1] * p[1]) / p[2] + data.K[1][2]] : null;
   };
-  const axisEnds = ({ type, axis, pivot }) => {
+  const axisEnds = ({ type, axis, pivot }, poses) => {
     const near = data.axes.near, dot = axis.reduce((sum, a, k) => sum + a * (near[k] - pivot[k]), 0);
     const at = type === "prismatic" ? near : pivot.map((p, k) => p + dot * axis[k]);
-    return [-0.6, 0.6].map((t) => project(at.map((p, k) => p + t * data.axes.size * axis[k])));
+    return [-0.6, 0.6].map((t) => project(at.map((p, k) => p + t * data.axes.size * axis[k]), poses[slot]));
   };
 
   const draw = () => {
@@ -141,8 +142,9 @@ FreeArt.kinds.player = (section, data, bus) => {
     }
     if (axes)
       for (const source of sources) {
-        if (!source.on || !source.axis) continue;
-        const [a, b] = axisEnds(source.axis);
+        const poses = data.axes.poses[source.id] ?? data.poses;
+        if (!source.on || !source.axis || !poses) continue;
+        const [a, b] = axisEnds(source.axis, poses);
         if (!a || !b) continue;
         const s = w / width, [x0, y0, x1, y1] = [a[0] * s, a[1] * s, b[0] * s, b[1] * s];
         const length = Math.hypot(x1 - x0, y1 - y0), head = Math.min(7 * line, length / 3);

@@ -16,7 +16,12 @@ FreeArt.kinds.ranking = (section, data) => {
   const kept = () => data.sequences.map((s) => (state.type === "all" || s.type === state.type)
     && (state.category === "all" || s.category === state.category));
 
-  const statistics = (method, column, keep) => {
+  /* A number of a hidden truth comes as a mean over all rows of its group, or not at all. */
+  const statistics = (method, column, keep, order) => {
+    if (column.cells) {
+      const cell = state.type === "all" || column.group === state.type ? column.cells[order] : null;
+      return cell && { mean: cell[0], std: cell[1] };
+    }
     const values = data.sequences.flatMap((s, i) => {
       const value = method.values[i][column.metric];
       return keep[i] && value !== null && (column.group === "all" || column.group === s.type) ? [value] : [];
@@ -29,7 +34,7 @@ FreeArt.kinds.ranking = (section, data) => {
   const lines = () => {
     const keep = kept();
     const rows = data.methods.map((method, order) => ({ method, order,
-      cells: data.columns.map((column) => statistics(method, column, keep)),
+      cells: data.columns.map((column) => statistics(method, column, keep, order)),
       measured: keep.filter((on, i) => on && method.status[i] === "ok").length, of: keep.filter(Boolean).length }));
     const there = data.columns.map((_, k) => rows.some((row) => row.cells[k]));
     for (const row of rows) {

@@ -15,7 +15,7 @@
   }
   for (const section of sections) {
     const kind = section.dataset.kind, data = { ...packed[kind], ...said(section) };
-    if (kind === "player") Object.assign(data, { axes: packed.axes, poses: packed.scene.camera_poses, K: packed.scene.camera.K });
+    if (kind === "player") Object.assign(data, { axes: packed.axes, poses: packed.axes.sources.truth && packed.scene.camera_poses, K: packed.scene?.camera.K });
     if (kind === "scene") FreeArt.prepareScene(data, packed);
     FreeArt.kinds[kind]?.(section, data, bus);
   }

@@ -1,4 +1,4 @@
-/* Joint states of the truth and of every method over time: one chart, one cursor, a click or arrow keys that seek. */
+/* Joint states of the truth (unless hidden) and of every method over time: one chart, one cursor, a click or arrow keys that seek. */
 
 FreeArt.kinds.states = (section, data, bus) => {
   const { element, clamp } = FreeArt;
@@ -27,10 +27,10 @@ FreeArt.kinds.states = (section, data, bus) => {
     width = Math.max(280, host.clientWidth);
     const height = width < 560 ? 210 : 260, left = 44, right = 12, top = 10, bottom = 30;
     const shown = curves.filter((curve) => curve.on);
-    const truth = curves[0].values, span = Math.max(...truth) - Math.min(...truth) || 1;
-    /* The scale is the truth's with room beside; a method that leaves it does so at the edge. */
+    const truth = curves[0]?.values ?? [0], span = Math.max(...truth) - Math.min(...truth) || 1;
+    /* The scale is the truth's, else the first method's, with room beside; who leaves it does so at the edge. */
     const [floor, roof] = [Math.min(...truth) - 0.75 * span, Math.max(...truth) + 0.75 * span];
-    const all = (shown.length ? shown : [curves[0]]).flatMap((curve) => curve.values);
+    const all = (shown.length ? shown : curves.slice(0, 1)).flatMap((curve) => curve.values);
     const low = Math.max(floor, all.reduce((a, b) => Math.min(a, b), truth[0]) - 0.05 * span);
     const high = Math.min(roof, all.reduce((a, b) => Math.max(a, b), truth[0]) + 0.05 * span);
     x = times.map((t) => left + ((t - times[0]) / (times[n - 1] - times[0] || 1)) * (width - left - right));

@@ -1,0 +1,259 @@
+"""Sites that must not tell the truth: of a set whose truth is hidden, and of tables of scores alone."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, browser
+from score_case import few_samples, submit, truths, write_data
+from synthetic_case import noisy_answer
+
+from freeart21.errors import FreeArtError
+from freeart21.files.benchmark import read_benchmark
+from freeart21.files.result import Method, write_method, write_result
+from freeart21.reconstruction import Failure
+from leaderboard.case import score_sequence
+from leaderboard.pack import pack_public, pack_truth
+from leaderboard.protocols import protocol_named
+from leaderboard.rows import Scores
+from leaderboard.score import benchmark_facts, summarise
+from leaderboard.scores_file import read_scores, write_scores
+from leaderboard.site import build
+from leaderboard.site.packed import read_script, read_varints
+from leaderboard.submission import method_of
+
+needs_chromium = pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """The public half of a set, two methods (one fails twice) and their whole tables. The truth is thrown away."""
+    folder = tmp_path_factory.mktemp("hidden")
+    data = write_data(folder / "data")
+    public = folder / "public"
+    pack_public(data, public, folder / "key", keep_names=True)
+    pack_truth(data, folder / "truth", folder / "key", keep_names=True)
+    assert read_benchmark(public, folder / "truth").hidden
+    good, weak = (folder / "results" / name for name in ("good", "weak"))
+    for k, (name, truth) in enumerate(truths().items()):
+        submit(good / name, truth, noisy_answer(truth, k))
+    submit(weak / "b", truths()["b"], noisy_answer(truths()["b"], 7))
+    write_result(weak / "a", Failure("poses", "it got lost"))
+    write_method(good, Method("good"))
+    write_method(weak, Method("weak"))
+    patch = pytest.MonkeyPatch()
+    few_samples(patch)
+    scores = {place: scores_of(place, data, public, "strict-2") for place in (good, weak)}
+    patch.undo()
+    shutil.rmtree(data)
+    shutil.rmtree(folder / "truth")
+    return public, scores
+
+
+def scores_of(folder: Path, data: Path, public: Path, protocol: str) -> Scores:
+    method, _ = method_of(folder)
+    rows = [score_sequence(folder / n, data / "sequences" / n, data / "truth" / n, protocol) for n in "abc"]
+    facts = benchmark_facts(read_benchmark(public))
+    made = {"scoring": "1" * 64, "libraries": {}}
+    return Scores(protocol, method, facts, tuple(rows), summarise(rows, protocol_named(protocol)), None, (), made)
+
+
+@pytest.fixture(scope="module")
+def site(world, tmp_path_factory):
+    """Built without any truth at hand: whatever is in it cannot come from there but by the tables."""
+    public, scores = world
+    out = tmp_path_factory.mktemp("out") / "site"
+    patch = pytest.MonkeyPatch()
+    patch.setattr(build, "kept_scores", lambda folder, *_, **__: scores[folder])
+    build.write_site(list(scores), public, out)
+    patch.undo()
+    return out
+
+
+@pytest.fixture(scope="module")
+def tables(world, tmp_path_factory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("tables")
+    for place, scores in world[1].items():
+        write_scores(folder / f"{place.name}.json", scores)
+    return sorted(folder.iterdir())
+
+
+def numbers_in(site: Path) -> np.ndarray:
+    """(n,) every number that stands in any text of the site, or in the text of its packed data."""
+    found: list[str] = []
+    for path in site.rglob("*"):
+        if path.suffix in (".html", ".json", ".csv"):
+            found += re.findall(r"-?[0-9]+\.[0-9]+", path.read_text("utf-8"))
+        elif path.parent.name == "data":
+            found += re.findall(r"-?[0-9]+\.[0-9]+", json.dumps(read_script(path.read_text())[0]))
+    return np.array(found, float)
+
+
+def unpacked(value: Any, body: bytes) -> Any:
+    """The packed header with every array in place of where it stands."""
+    if isinstance(value, list):
+        return [unpacked(one, body) for one in value]
+    if not isinstance(value, dict):
+        return value
+    if value.get("$") == "curve":
+        at, size = value["at"]
+        return value["low"] + value["step"] * np.cumsum(read_varints(body[at : at + size]))
+    return {key: unpacked(one, body) for key, one in value.items()}
+
+
+def curves_of(value: Any) -> list[np.ndarray]:
+    if isinstance(value, np.ndarray):
+        return [value]
+    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return [curve for one in inside for curve in curves_of(one)]
+
+
+def test_no_number_of_the_truth_is_in_it(site):
+    numbers = numbers_in(site)
+    assert len(numbers) > 500
+    for name, truth in truths().items():
+        joint, motion = truth.articulation.joint, float(np.ptp(truth.states))
+        secret = [*truth.states[1:], motion, np.rad2deg(motion), 100 * motion, 100 * motion / truth.diagonal]
+        secret += [*joint.axis, *joint.pivot]
+        for number in secret:
+            if abs(number) > 0.01 and abs(round(number, 2) - number) > 1e-3:  # 0.5 and such are everybody's
+                near = numbers[np.abs(numbers - number) < 2e-5 * abs(number)]
+                assert not len(near), (name, number, near)
+
+
+def test_no_array_of_the_truth_is_in_it(site):
+    for name, truth in truths().items():
+        text = (site / "data" / f"{name}.js").read_text()
+        header, body = read_script(text)
+        assert "truth" not in json.dumps(header)
+        for curve in curves_of(unpacked(header, body)):
+            if len(curve) == len(truth):
+                for sign in (1, -1):
+                    shape = curve - curve.mean() - sign * (truth.states - truth.states.mean())
+                    assert np.abs(shape).max() > 1e-4, "a curve is the true one, but for an offset"
+
+
+def test_what_it_says_in_words(site):
+    front = (site / "index.html").read_text()
+    assert "The truth is hidden" in front
+    page = (site / "sequences" / "a.html").read_text()
+    assert "The truth is hidden" in page and "ground truth" not in page and "range</dt>" not in page
+    source = truths()["a"].source
+    everything = "".join(path.read_text() for path in site.rglob("*.html"))
+    assert not any(str(value) in everything for value in source.values() if isinstance(value, str) and len(value) > 3)
+
+
+def test_the_tables_that_are_handed_out_read_well_and_lack_the_range(site):
+    for name in ("good", "weak"):
+        scores = read_scores(site / "scores" / f"{name}.strict-2.json")
+        assert all(row.values["state"] is None and row.values["state_all"] is None for row in scores.rows)
+        assert "no row has state, state_all" in scores.notes[-1] and scores.benchmark["hidden"]
+        assert all("state" not in summary.statistics for summary in scores.summaries)
+
+
+def test_means_of_joint_states_are_told_where_they_tell_no_single_one(world):
+    """Of two hinges a mean and a deviation tell both ranges; of four they do not."""
+    from leaderboard.site.entrant import entrants
+    from leaderboard.site.index_page import columns, ranked
+
+    place, weak = list(world[1].items())[1]
+    hinges = [row for row in weak.rows if row.joint_type == "revolute"]
+    twice = [replace(row, sequence=f"{row.sequence}{k}") for k in range(2) for row in hinges]
+    more = replace(weak, rows=tuple(twice), summaries=summarise(twice, protocol_named("strict-2")))
+    at = [(metric.id, group) for metric, group in columns(protocol_named("strict-2"))].index(("state", "revolute"))
+    for table, there in ((weak, False), (more, True)):
+        (line,) = ranked("strict-2", entrants([(place, {"strict-2": table})], "digest"))
+        assert (line.cells[at] is not None) == there
+
+
+def test_tables_alone_make_the_same_numbers(tables, site, tmp_path):
+    out = tmp_path / "site"
+    build.write_site(tables, None, out)
+    assert not (out / "data").exists() and not list(out.rglob("*.jpg"))
+    assert (out / "scores" / "good.strict-2.csv").read_bytes() == (site / "scores/good.strict-2.csv").read_bytes()
+    front = (out / "index.html").read_text()
+    assert "tables of scores alone" in front and "The truth is hidden" in front
+    assert "tables of scores alone" in (out / "sequences" / "a.html").read_text()
+    written = {path.relative_to(out).as_posix() for path in out.rglob("*.html")}
+    assert written == {path.relative_to(site).as_posix() for path in site.rglob("*.html")}
+    for page in out.rglob("*.html"):
+        for link in re.findall(r'(?:src|href)="([^"#]+)', page.read_text()):
+            assert link == "data:," or (page.parent / link).exists(), (page.name, link)
+
+
+def test_folders_and_tables_stand_on_one_board(world, tables, tmp_path, monkeypatch):
+    public, scores = world
+    monkeypatch.setattr(build, "kept_scores", lambda folder, *_, **__: scores[folder])
+    good = next(iter(scores))
+    build.write_site([good, tables[1]], public, tmp_path / "site")
+    page = (tmp_path / "site" / "sequences" / "b.html").read_text()
+    assert "its table of scores alone was given" in page
+    build.write_site([tables[1]], public, tmp_path / "none")
+    assert (tmp_path / "none" / "video" / "a-0.jpg").exists()
+
+
+def changed(path: Path, out: Path, **changes: Any) -> Path:
+    """The table at `path` with other facts of its benchmark (`benchmark_KEY`) or other fields."""
+    data = json.loads(path.read_text())
+    for key, value in changes.items():
+        place, _, name = key.rpartition("__")
+        (data[place] if place else data)[name] = value
+    out.write_text(json.dumps(data))
+    return out
+
+
+def test_tables_that_do_not_go_together_are_refused_in_one_line(world, tables, tmp_path):
+    public, _ = world
+    other = changed(tables[1], tmp_path / "other.json", benchmark__sha256="2" * 64)
+    code = changed(tables[1], tmp_path / "code.json", made_with__scoring="3" * 64)
+    short = tmp_path / "short.json"
+    scores = read_scores(tables[1])
+    write_scores(
+        short,
+        replace(scores, rows=scores.rows[:2], summaries=summarise(scores.rows[:2], protocol_named("strict-2"))),
+    )
+    wrong: list[tuple[Any, str]] = [
+        (lambda: build.write_site([tables[0], other], None, tmp_path / "s"), r"other\.json is scored on made-up"),
+        (lambda: build.write_site([other], public, tmp_path / "s"), r"other\.json is scored on made-up"),
+        (lambda: build.write_site([tables[0], code], None, tmp_path / "s"), r"code\.json is scored by other code"),
+        (lambda: build.write_site([tables[0], short], None, tmp_path / "s"), r"short\.json has rows for 2 of 3"),
+        (
+            lambda: build.write_site(tables, None, tmp_path / "s", ("paper-1",)),
+            r"good\.json is scored by strict-2, expected paper-1",
+        ),
+        (
+            lambda: build.write_site(tables, None, tmp_path / "s", ("strict-2", "paper-1")),
+            r"good\.json: there is no table of good by paper-1",
+        ),
+        (lambda: build.write_site([tables[0].parent], None, tmp_path / "s"), r"--data, which it answers"),
+        (lambda: build.write_site([tmp_path / "no.json"], None, tmp_path / "s"), r"no\.json is missing"),
+    ]
+    for call, words in wrong:
+        with pytest.raises(FreeArtError, match=words) as caught:
+            call()
+        assert "\n" not in str(caught.value) and not (tmp_path / "s").exists()
+
+
+@needs_chromium
+def test_no_page_has_an_error_or_reaches_beyond_the_screen(site, tables, tmp_path):
+    build.write_site(tables, None, tmp_path / "site")
+    with browser() as chrome:
+        for place in (site, tmp_path / "site"):
+            for page in ("index.html", "sequences/a.html", "sequences/b.html", "methods/weak.html", "failures.html"):
+                for width in (320, 1440):
+                    chrome.open(place / page, width, 800)
+                    assert chrome.run("Math.max(document.documentElement.scrollWidth, innerWidth)") <= width, page
+                    assert not chrome.errors, (place, page)
+        chrome.open(site / "sequences" / "b.html")
+        chips = "[...document.querySelectorAll('.player .chip')].map((b) => b.textContent)"
+        assert len(chrome.run(chips)) == 2
+        assert chrome.run("document.querySelectorAll('.states path').length") >= 2
+        assert chrome.run("document.querySelectorAll('.view canvas').length") == 1
+        assert not chrome.errors
