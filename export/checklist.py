@@ -322,7 +322,7 @@ def _solid(shape: ET.Element, files: Files, where: str) -> trimesh.Trimesh | Non
         case "mesh":
             path = files(shape.get("filename", ""))
             try:
-                loaded = trimesh.load_mesh(checked.require_file(path, MAX_MESH_BYTES), process=False)
+                loaded = trimesh.load_mesh(checked.require_file(path, MAX_MESH_BYTES, checked.ANYWHERE), process=False)
             except Exception as error:
                 raise FreeArtError(f"{path} is not a readable mesh: {error}") from error
             return loaded.apply_scale(size("scale", 3, "1 1 1"))
@@ -331,8 +331,8 @@ def _solid(shape: ET.Element, files: Files, where: str) -> trimesh.Trimesh | Non
 
 def _words(path: Path, key: str) -> list[str]:
     """What follows `key` on the lines of an OBJ or MTL file that begin with it."""
-    with checked.require_file(path, MAX_MESH_BYTES).open(encoding="utf-8", errors="replace") as file:
-        return [line[len(key) :].strip() for line in file if line.startswith(key + " ")]
+    lines = checked.read_text(path, MAX_MESH_BYTES, errors="replace").split("\n")
+    return [line[len(key) :].strip() for line in lines if line.startswith(key + " ")]
 
 
 def _number(element: ET.Element, path: str, attribute: str, default: str) -> float:

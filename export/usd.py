@@ -202,8 +202,8 @@ def _shape(stage: Any, path: Any, shape: UrdfShape, urdf: Path) -> Any:
 def _mesh(geom: Any, shape: UrdfShape, urdf: Path) -> Any:
     from pxr import Sdf, UsdGeom, Vt
 
-    path = checked.require_file(named_inside(urdf, shape.filename), MAX_MESH_BYTES)
-    mesh = trimesh.load_mesh(path, process=False)
+    path = named_inside(urdf, shape.filename)
+    mesh = trimesh.load_mesh(checked.require_file(path, MAX_MESH_BYTES), process=False)
     points = np.ascontiguousarray(mesh.vertices * shape.size, np.float32)
     geom.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
     geom.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
@@ -266,8 +266,8 @@ def _material(obj: Path) -> tuple[Path | None, tuple[float, ...] | None]:
 
 def _first(path: Path, key: str) -> str | None:
     """What follows `key` on the first line that begins with it."""
-    with checked.require_file(path, MAX_MESH_BYTES).open(encoding="utf-8", errors="replace") as file:
-        return next((line[len(key) :].strip() for line in file if line.startswith(key + " ")), None)
+    lines = checked.read_text(path, MAX_MESH_BYTES, errors="replace").split("\n")
+    return next((line[len(key) :].strip() for line in lines if line.startswith(key + " ")), None)
 
 
 def _place(geom: Any, T: Array) -> None:

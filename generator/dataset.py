@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import json
 import os
 import shutil
 import tempfile
@@ -102,7 +101,7 @@ def jobs_of(names: Sequence[str], settings: RecordSettings) -> list[Job]:
     for name in dict.fromkeys(names):
         settings = given
         if name.lower().endswith(".urdf"):
-            settings = replace(given, urdf=checked.require_file(Path(name), MAX_URDF_BYTES))
+            settings = replace(given, urdf=checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE))
             name = urdf_folder.object_name(Path(name))
         entry = entry_of(name, settings)
         joint, notes = settings.joint or entry.joint, tuple[str, ...]()
@@ -301,7 +300,7 @@ def _first_difference(was: dict[str, Any], now: dict[str, Any], pattern: str) ->
 
 
 def _plain(data: Any) -> Any:
-    return json.loads(atomic.json_text(data))
+    return checked.parse_json(atomic.json_text(data), "the plan")
 
 
 def _begin(out: Path, jobs: Sequence[Job], label: Label) -> None:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,10 @@ from numpy.typing import NDArray
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.benchmark import read_benchmark
+from freeart21.files.benchmark import Benchmark, read_benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
+from freeart21.files.verify import lines
 from freeart21.recording import Recording
 from freeart21.truth import Truth
 from generator import partnet
@@ -37,17 +39,21 @@ def verify_deep(data: Path, frames: int = 5, views: int = 5, apart: Path | None 
     """What is wrong with the data folder `data`, one line each, by some `frames` and `views` of every sequence.
 
     Depth is looked at where the sensor was clean; objects are rendered anew where the truth holds their files, which it
-    does not for PartNet-Mobility. `apart` is where a packed folder's truth lies. Raises FreeArtError when the folder
-    cannot be read or this machine cannot render.
+    does not for PartNet-Mobility. `apart` is where a packed folder's truth lies. What cannot be read, or rendered on
+    this machine, is a line, too. Raises FreeArtError when there is no readable benchmark.json.
     """
     benchmark = read_benchmark(Path(data), apart)
     findings: list[str] = []
     for name in benchmark.sequences:
-        recording, truth = read_sequence(benchmark.sequence(name)), read_truth(benchmark.truth(name))
-        findings += cast_findings(name, recording, truth, frames)
-        if (benchmark.truth(name) / "object").is_dir():
-            findings += render_findings(name, recording, truth, benchmark.truth(name), views)
+        findings += lines(partial(_deep_findings, benchmark, name, frames, views))
     return findings
+
+
+def _deep_findings(benchmark: Benchmark, name: str, frames: int, views: int) -> Iterator[str]:
+    recording, truth = read_sequence(benchmark.sequence(name)), read_truth(benchmark.truth(name))
+    yield from lines(lambda: cast_findings(name, recording, truth, frames))
+    if (benchmark.truth(name) / "object").is_dir():
+        yield from render_findings(name, recording, truth, benchmark.truth(name), views)
 
 
 def cast_findings(name: str, recording: Recording, truth: Truth, frames: int) -> Iterator[str]:

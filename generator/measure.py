@@ -6,7 +6,6 @@ without the effect.
 
 from __future__ import annotations
 
-import shutil
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -153,7 +152,7 @@ def _asset(folder: Path, truth: Truth, out: Path, partnet_root: Path | None, urd
     elif urdf is not None:
         raise FreeArtError(f"{folder} is of {source['object']}, which is no URDF of its own; got {urdf}")
     else:
-        shutil.copytree(folder / "object" if own else partnet_folder(str(source["object"]), partnet_root), out)
+        checked.copy_folder(folder / "object" if own else partnet_folder(str(source["object"]), partnet_root), out)
         loaded = partnet.load(out, joint, skip_missing=skip_missing)
     asset = loaded.asset
     if own:

@@ -28,7 +28,7 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import movable_joint, read_semantics
-from freeart21.files.urdf import Urdf, UrdfJoint, UrdfLink, children, read_urdf
+from freeart21.files.urdf import MAX_URDF_BYTES, Urdf, UrdfJoint, UrdfLink, children, read_urdf
 from freeart21.joint import Joint
 from freeart21.se3 import Array
 from generator.motion import motion_range
@@ -182,7 +182,7 @@ def read_tree(urdf: Path) -> Urdf:
     """
     read = read_urdf(urdf)
     try:
-        urdf.read_bytes().decode("utf-8")
+        checked.read_bytes(urdf, MAX_URDF_BYTES, checked.ANYWHERE).decode("utf-8")
     except UnicodeDecodeError as error:
         raise FreeArtError(f"{urdf} is not UTF-8 text: {error}") from error
     for j in read.joints.values():

@@ -240,7 +240,7 @@ def _floats(rest: str, mtl: Path, key: str) -> Array:
 
 def _text(path: Path, limit: int) -> str:
     """A file's text, its lines ended by a plain line feed and without a byte order mark."""
-    data = checked.require_file(path, limit).read_bytes()
+    data = checked.read_bytes(path, limit)
     return data.decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -295,7 +295,7 @@ def _usable(path: Path, place: Path, mirrored: bool) -> Path | None:
     The copy goes without absent pictures; its faces are turned round when it is to be `mirrored`.
     """
     if path.suffix.lower() != ".obj":
-        return path
+        return checked.require_file(path, MAX_OBJ_BYTES, checked.ANYWHERE) if path.exists() else path
     if not path.is_file():
         return None
     text = _text(path, MAX_OBJ_BYTES)
@@ -328,5 +328,4 @@ def _found(line: str, folder: Path) -> tuple[str, bool]:
 
 def _marked(path: Path) -> bool:
     """Whether a file begins with a byte order mark, which hides its first line from SAPIEN."""
-    with path.open("rb") as file:
-        return file.read(3) == b"\xef\xbb\xbf"
+    return checked.read_head(path, 3) == b"\xef\xbb\xbf"

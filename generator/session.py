@@ -150,7 +150,7 @@ class RecordSettings:
         if (self.motion == TRACK) != (self.track is not None):
             raise FreeArtError("the motion track needs the file of a take, and only it has one; expected track:FILE")
         if self.track is not None:
-            checked.require_file(self.track, MAX_TAKE_BYTES)
+            checked.require_file(self.track, MAX_TAKE_BYTES, checked.ANYWHERE)
         if self.carry is not None and not (self.track is not None and 0 <= self.carry <= MOST_CARRY):
             raise FreeArtError(
                 f"the way cannot be scaled by {self.carry:g} in the motion {self.motion}; expected 0 to "
@@ -178,8 +178,8 @@ class RecordSettings:
         """All that decides the recording's bytes, as JSON: without places on this machine."""
         facts = asdict(self)
         del facts["partnet_root"]
-        facts["effects"] = None if self.effects is None else checked.read_json(self.effects)
-        facts["camera"] = None if self.camera is None else checked.read_json(self.camera)
+        facts["effects"] = None if self.effects is None else checked.read_json(self.effects, root=checked.ANYWHERE)
+        facts["camera"] = None if self.camera is None else checked.read_json(self.camera, root=checked.ANYWHERE)
         for later in ("let_go", "track", "urdf", "camera"):
             if getattr(self, later) is None:
                 del facts[later]  # what was recorded before there was a choice
@@ -188,7 +188,7 @@ class RecordSettings:
         if self.urdf is not None:
             facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_folder.digest(self.urdf)}
         if self.track is not None:
-            facts["track"] = {"name": self.track.name, "sha256": file_sha256(self.track)}
+            facts["track"] = {"name": self.track.name, "sha256": file_sha256(self.track, checked.ANYWHERE)}
         return facts
 
 
@@ -219,7 +219,7 @@ def record_object(name: str, settings: RecordSettings, work: Path, progress: Pro
     try:
         np.savez_compressed(rough / "world.npz", T_camera_world=session.plan.Ts_camera_world)
         if entry.source == "procedural":
-            shutil.copytree(work / "object" / name, rough / "object")
+            checked.copy_folder(work / "object" / name, rough / "object")
         rough.replace(work / "truth")
     except OSError as error:
         raise atomic.cannot_write(work / "truth", error) from error
@@ -310,7 +310,7 @@ def depth_bounds(Ts_camera_object: Array, diagonal: float) -> tuple[float, float
 
 def _effects(path: Path, joint: Joint) -> tuple[Effect, ...]:
     """The effects that an effects.json gives to the joint."""
-    entries = checked.read_json(path, EFFECTS_SCHEMA).get("joints")
+    entries = checked.read_json(path, EFFECTS_SCHEMA, checked.ANYWHERE).get("joints")
     if not isinstance(entries, dict) or not all(isinstance(v, list) for v in entries.values()):
         raise FreeArtError(f"{path}: 'joints' must map joint names to lists of effects")
     if joint.name not in entries:
@@ -510,8 +510,6 @@ class Session:
 def _is_whole(path: Path) -> bool:
     """Whether a PNG file is there to its end: after a power cut a file may be there without its content."""
     try:
-        with path.open("rb") as file:
-            file.seek(-len(_END_OF_PNG), 2)
-            return file.read() == _END_OF_PNG
-    except OSError:
+        return checked.read_bytes(path, checked.MAX_IMAGE_BYTES).endswith(_END_OF_PNG)
+    except FreeArtError:
         return False

@@ -46,7 +46,11 @@ def digest(urdf: Path) -> str:
     sums = hashlib.sha256()
     names = {shape.filename for link in partnet.read_tree(urdf).links.values() for shape in link.visuals}
     for path in (urdf, *(named_inside(urdf, name) for name in sorted(names) if name)):
-        sums.update(hashlib.sha256(path.read_bytes() if path.is_file() else b"").digest())
+        sums.update(
+            hashlib.sha256(
+                checked.read_bytes(path, MAX_OBJ_BYTES, checked.ANYWHERE) if path.is_file() else b""
+            ).digest()
+        )
     return sums.hexdigest()
 
 
@@ -128,7 +132,7 @@ def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, gaps:
 
 def _read_plain(path: Path, ending: str) -> Surface:
     """The triangles of a mesh file without materials."""
-    data = checked.require_file(path, MAX_OBJ_BYTES).read_bytes()
+    data = checked.read_bytes(path, MAX_OBJ_BYTES, checked.ANYWHERE)
     try:
         mesh = trimesh.load_mesh(io.BytesIO(data), file_type=ending[1:])
         vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)

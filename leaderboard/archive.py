@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import stat
-import struct
 import tempfile
 import zipfile
 import zlib
@@ -13,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from freeart21.errors import FreeArtError
+from freeart21.files import checked
 from leaderboard.submission import MAX_FILES, printable
 
 MAX_ARCHIVE_BYTES = 4 << 30
@@ -49,12 +49,11 @@ def results_folder(given: Path) -> Iterator[Path]:
 
 
 def _unpack(path: Path, folder: Path) -> None:
-    if path.stat().st_size > MAX_ARCHIVE_BYTES:
-        raise FreeArtError(f"{path} has {path.stat().st_size} bytes, at most {MAX_ARCHIVE_BYTES} are read")
     try:
-        if (size := _directory_bytes(path)) > MAX_DIRECTORY_BYTES:
-            raise FreeArtError(f"{path} has a directory of {size} bytes, at most {MAX_DIRECTORY_BYTES} are read")
-        with zipfile.ZipFile(path) as archive:
+        with (
+            checked.open_file(path, MAX_ARCHIVE_BYTES, checked.ANYWHERE) as opened,
+            checked.open_zip(opened, path, MAX_DIRECTORY_BYTES) as archive,
+        ):
             entries = _entries(path, archive)
             free = shutil.disk_usage(folder).free
             if (size := sum(entry.file_size for entry, _ in entries)) > free:
@@ -64,20 +63,6 @@ def _unpack(path: Path, folder: Path) -> None:
     except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError, RuntimeError, NotImplementedError) as error:
         said = (str(error).splitlines() or [""])[0]
         raise FreeArtError(f"{path} cannot be unpacked: {printable(said) or type(error).__name__}") from error
-
-
-def _directory_bytes(path: Path) -> int:
-    """What the archive's end says of the size of its list of entries (APPNOTE 4.3.14 and 4.3.16); 0 without an end."""
-    with path.open("rb") as file:
-        file.seek(max(path.stat().st_size - (1 << 16) - 128, 0))
-        tail = file.read()
-    end, large = tail.rfind(b"PK\5\6"), tail.rfind(b"PK\6\6")
-    if end < 0 or len(tail) < end + 16:
-        return 0
-    size: int = struct.unpack("<I", tail[end + 12 : end + 16])[0]
-    if large >= 0 and len(tail) >= large + 48:
-        size = max(size if size < 0xFFFFFFFF else 0, struct.unpack("<Q", tail[large + 40 : large + 48])[0])
-    return size
 
 
 def _entries(path: Path, archive: zipfile.ZipFile) -> list[tuple[zipfile.ZipInfo, PurePosixPath]]:

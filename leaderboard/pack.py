@@ -23,7 +23,7 @@ import numpy as np
 from freeart21 import stopping
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.benchmark import SCHEMA, Benchmark, file_sha256, read_benchmark
+from freeart21.files.benchmark import MAX_HASHED_BYTES, SCHEMA, Benchmark, file_sha256, read_benchmark
 from freeart21.files.hidden import MARKER, PICTURES, digest
 from freeart21.files.hidden import SCHEMA as HIDDEN_SCHEMA
 from freeart21.files.places import Output, require_replaceable
@@ -70,7 +70,7 @@ def read_key(path: Path) -> bytes:
     if not path.exists() and not path.is_symlink():
         atomic.write_json(path, {"schema": KEY_SCHEMA, "key": secrets.token_hex(32)})
         path.chmod(0o600)
-    said = checked.text(checked.read_json(path, KEY_SCHEMA), "key", path)
+    said = checked.text(checked.read_json(path, KEY_SCHEMA, checked.ANYWHERE), "key", path)
     try:
         key = bytes.fromhex(said)
     except ValueError:
@@ -163,7 +163,7 @@ def _truth_files(benchmark: Benchmark, names: Names, progress: Progress) -> _Fil
     hashes = _truth_hashes(benchmark, names)
     places = dict(_truth_places(benchmark, names))
     for done, (name, path) in enumerate(sorted(places.items())):
-        yield name, path.read_bytes()
+        yield name, checked.read_bytes(path, MAX_HASHED_BYTES)
         progress(done + 1, len(places))
     facts = {"name": benchmark.name, "version": benchmark.version, "split": benchmark.split, "salt": names.salt}
     mapping = {packed: name for name, packed in sorted(names.packed.items(), key=lambda pair: pair[1])}

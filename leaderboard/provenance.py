@@ -17,6 +17,7 @@ from typing import Any
 import freeart21
 from freeart21.code import code_digest, modules_behind
 from freeart21.errors import FreeArtError
+from freeart21.files import checked
 from freeart21.files.benchmark import Benchmark
 from leaderboard.rows import Scores
 from leaderboard.submission import MAX_FILES
@@ -122,7 +123,7 @@ def traced(scores: Scores, results: Path, benchmark: Benchmark) -> Scores:
 def _file_sha256(path: Path, size: int) -> str:
     """Of at most `size` bytes: a file that somebody goes on writing has an end."""
     digest = hashlib.sha256()
-    with path.open("rb") as file:
+    with checked.open_file(path, MAX_BYTES) as file:
         while size > 0 and (piece := file.read(min(size, _PIECE))):
             digest.update(piece)
             size -= len(piece)

@@ -55,7 +55,7 @@ def read_scores(path: Path) -> Scores:
     """
     path = Path(path)
     try:
-        return _scores(checked.read_json(path, SCHEMA), path)
+        return _scores(checked.read_json(path, SCHEMA, checked.ANYWHERE), path)
     except FreeArtError as error:  # which may quote what is in the file
         raise FreeArtError(shortened(str(error), len(str(path)) + LONGEST_TEXT)) from error
     except RecursionError as error:

@@ -143,7 +143,7 @@ def method_of(results: Path) -> tuple[Method, list[Fault]]:
     try:
         if path.is_symlink():
             return Method(UNREADABLE), [_link_fault("method.json")]
-        data = checked.read_json(checked.require_file(path, MAX_METHOD_BYTES), METHOD_SCHEMA)
+        data = checked.read_json(path, METHOD_SCHEMA, limit=MAX_METHOD_BYTES)
         settings = data.get("settings") or {}
         if not isinstance(settings, dict):
             found, mend = f"is of type {type(settings).__name__}", "leave it out or write an object"
@@ -259,7 +259,7 @@ def _seconds_faults(folder: Path, header: Path, data: dict[str, Any]) -> Iterato
     if not said:
         mend = 'write {"stage": 1.5}, or leave it out'
         yield Fault(_named(folder, header), f"is {seconds!r}"[:60], "a number for every stage", "seconds", mend=mend)
-    elif not all(_is_float(value) for value in seconds.values()):
+    elif any(math.isinf(value) for value in seconds.values()):
         mend = "write seconds"
         yield Fault(_named(folder, header), "has a number beyond all floats", "seconds", "seconds", mend=mend)
 
@@ -359,8 +359,7 @@ def _png_fault(path: Path, file: str, height: int, width: int) -> Fault | None:
         return Fault(file, "is missing", f"a PNG of {width} x {height}")
     if path.stat().st_size > checked.MAX_IMAGE_BYTES:
         return Fault(file, f"has {path.stat().st_size} bytes", f"at most {checked.MAX_IMAGE_BYTES}")
-    with path.open("rb") as opened:
-        head = opened.read(24)
+    head = checked.read_head(path, 24)
     if len(head) < 24 or not head.startswith(_PNG):
         return Fault(file, "is not a PNG image", f"a PNG of {width} x {height}")
     size = struct.unpack(">II", head[16:24])
@@ -395,14 +394,6 @@ def _named(folder: Path, path: Path) -> str:
     return f"{folder.name}/{path.relative_to(folder)}"
 
 
-def _is_float(value: float) -> bool:
-    try:
-        float(value)
-    except OverflowError:
-        return False
-    return True
-
-
 def plain(value: Any, depth: int = 0) -> Any:
     """JSON that any reader takes: printable words, finite numbers that fit a float, no more than DEEPEST_SETTINGS."""
     if depth > DEEPEST_SETTINGS:
@@ -413,6 +404,6 @@ def plain(value: Any, depth: int = 0) -> Any:
         return [plain(v, depth + 1) for v in value]
     if isinstance(value, str):
         return printable(value)
-    if isinstance(value, int | float) and not (_is_float(value) and math.isfinite(value)):
+    if isinstance(value, int | float) and not math.isfinite(value):
         return str(value)[:LONGEST_TEXT]
     return value

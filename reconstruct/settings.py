@@ -516,7 +516,7 @@ def read_settings(path: Path) -> ReconstructSettings:
     """
     from freeart21.files import checked
 
-    data = checked.read_json(Path(path))
+    data = checked.read_json(Path(path), root=checked.ANYWHERE)
     if "schema" in data and isinstance(data.get("settings"), dict):
         data = {name: value for name, value in data["settings"].items() if name != "solver"}
     return _filled(ReconstructSettings(), data, Path(path), "")

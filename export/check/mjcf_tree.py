@@ -17,7 +17,7 @@ from export.check.tree import Tree, TreeJoint
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.urdf import MAX_URDF_BYTES, UrdfInertial, numbers, parsed_xml
+from freeart21.files.urdf import UrdfInertial, numbers, read_xml
 from freeart21.joint import JointType
 from freeart21.se3 import Array
 
@@ -31,7 +31,7 @@ class NotRead(Exception):
 
 def named_files(mjcf: Path, folder: Path) -> Iterator[Path]:
     """The files that an MJCF names; FreeArtError when one of them leads out of `folder`, or includes another file."""
-    root = parsed_xml(checked.require_file(mjcf, MAX_URDF_BYTES).read_bytes(), mjcf)
+    root = read_xml(mjcf)
     folders = {kind: "" for kind in ("mesh", "texture")}
     for compiler in root.iter("compiler"):
         both = compiler.get("assetdir", "")
@@ -49,7 +49,7 @@ def tree_of_mjcf(mjcf: Path) -> Tree:
 
     Raises NotRead for what this reader does not know, FreeArtError for what is no MJCF or no number.
     """
-    root = parsed_xml(checked.require_file(mjcf, MAX_URDF_BYTES).read_bytes(), mjcf)
+    root = read_xml(mjcf)
     for tag in _STRANGE:
         if root.find(f".//{tag}") is not None:
             raise NotRead(f"it has <{tag}>")

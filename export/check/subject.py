@@ -7,9 +7,8 @@ from itertools import islice
 from pathlib import Path
 
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import MAX_URDF_BYTES, named_inside, parsed_xml
+from freeart21.files.urdf import named_inside, read_xml
 
 MAX_FILE_BYTES = 256 << 20
 """Bytes of one file that is named."""
@@ -75,15 +74,14 @@ def _kind(path: Path) -> str | None:
     """'robot' or 'mujoco', from the root element; None for other files."""
     if path.suffix.lower() not in (".urdf", ".xml") or not path.is_file():
         return None
-    data = checked.require_file(path, MAX_URDF_BYTES).read_bytes()
-    tag = parsed_xml(data, path).tag
+    tag = read_xml(path).tag
     return tag if tag in ("robot", "mujoco") else None
 
 
 def _check_files(subject: Subject) -> None:
     files: set[Path] = set()
     if subject.urdf is not None:
-        for element in parsed_xml(subject.urdf.read_bytes(), subject.urdf).iter():
+        for element in read_xml(subject.urdf).iter():
             if element.get("filename"):
                 files.add(named_inside(subject.urdf, element.get("filename", ""), subject.folder))
     if subject.mjcf is not None:

@@ -57,7 +57,7 @@ def read_semantics(path: Path) -> dict[str, str]:
     """Link name to what PartNet-Mobility says of it, such as 'slider drawer'; empty where there is no such file."""
     if not path.is_file() or path.stat().st_size > MAX_URDF_BYTES:
         return {}
-    rows = (line.split(None, 1) for line in path.read_text(errors="replace").splitlines())
+    rows = (line.split(None, 1) for line in checked.read_text(path, MAX_URDF_BYTES, errors="replace").splitlines())
     return {row[0]: row[1].strip() for row in rows if len(row) == 2}
 
 
@@ -120,7 +120,7 @@ def read_asset(path: Path, joint: str | None = None, *, guesses: bool = True) ->
         if len(urdfs) != 1:
             names = ", ".join(p.name for p in urdfs) or "none"
             raise FreeArtError(f"{path} is not an asset: expected asset.json or one URDF, found URDFs: {names}")
-        path = urdfs[0]
+        path = checked.require_file(urdfs[0], MAX_URDF_BYTES)
     scored = movable_joint(path, joint)
     held = {
         j.name: float(np.clip(0.0, j.lower, j.upper))

@@ -13,6 +13,8 @@ from freeart21.files import atomic, checked
 SCHEMA = "freeart21/benchmark/1"
 WORK = ".recording"
 """Folder of what is under way, in a data folder that is being recorded."""
+MAX_HASHED_BYTES = checked.MAX_ARRAY_BYTES
+"""No reader takes a larger file."""
 JOB_SCHEMA = "freeart21/recording-job/1"
 """Of job.json there: what is being made, in full."""
 
@@ -34,16 +36,18 @@ class Benchmark:
     """Of its hashes."""
 
     def sequence(self, name: str) -> Path:
-        """The sequence folder of `name`."""
-        return self.folder / "sequences" / name
+        """The sequence folder of `name`. Raises FreeArtError when it leads out of the data folder by a link."""
+        return checked.require_inside(self.folder, self.folder / "sequences" / name)
 
     def truth(self, name: str) -> Path:
-        """The truth folder of `name`. Raises FreeArtError when it was left out, and nobody said where it is."""
+        """The truth folder of `name`. Raises FreeArtError when it was left out, and nobody said where it is, or when it
+        leads out by a link."""
         if self.hidden and self.apart is None:
             raise FreeArtError(
                 f"{self.folder} was packed without its truth, which only its makers have; got no --truth"
             )
-        return (self.apart or self.folder) / "truth" / name
+        folder = self.apart or self.folder
+        return checked.require_inside(folder, folder / "truth" / name)
 
     def chosen(self, names: Sequence[str] | None) -> tuple[str, ...]:
         """Those of its sequences that `names` says, in its own order; all when it is None.
@@ -59,9 +63,9 @@ class Benchmark:
         return tuple(name for name in self.sequences if name in names)
 
 
-def file_sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file's bytes."""
-    with path.open("rb") as file:
+def file_sha256(path: Path, root: Path | None = None) -> str:
+    """Hexadecimal SHA-256 of a file's bytes; raises FreeArtError as `checked.open_file`, `root` as there."""
+    with checked.open_file(path, MAX_HASHED_BYTES, root) as file:
         return (
             hashlib.file_digest(file, "sha256").hexdigest()
             if hasattr(hashlib, "file_digest")

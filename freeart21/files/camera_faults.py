@@ -26,7 +26,7 @@ def write_camera_faults(path: Path, faults: CameraFaults) -> None:
 
 def read_camera_faults(path: Path) -> CameraFaults:
     """The faults in a file; FreeArtError names a number that is unknown, no number or out of all bounds."""
-    data = checked.read_json(path, SCHEMA)
+    data = checked.read_json(path, SCHEMA, checked.ANYWHERE)
     known = [field.name for field in fields(CameraFaults)]
     values: dict[str, Any] = {}
     for name, value in data.items():

@@ -1,12 +1,27 @@
-"""Reading what may come from anywhere: bounded sizes, no pickle, and one clear line for whatever is wrong."""
+"""Reading what may come from anywhere: the only place where files of users are opened.
+
+A file is opened when it is a regular file (no pipe, device or socket), does not lead out of its folder by a link, and
+is of bounded size. Nothing in it is executed, and what it claims to hold (depth of JSON, shapes of arrays, sizes of
+pictures) is compared with bounds and with its bytes before memory is taken. Whatever is wrong is one clear line.
+
+`root` is the folder that the user named: a file that resolves to a place outside of it is refused. Without a root it is
+the file's own folder. ANYWHERE is the root of a file that the user named himself, which may be a link.
+"""
 
 from __future__ import annotations
 
+import errno
 import json
+import math
+import os
+import shutil
+import stat
+import struct
 import zipfile
 import zlib
+from io import BufferedReader
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import cv2
 import numpy as np
@@ -15,37 +30,191 @@ from numpy.typing import NDArray
 from freeart21.errors import FreeArtError
 
 MAX_JSON_BYTES = 64 << 20
+MAX_JSON_DEPTH = 64
+"""Lists and objects in each other; the deepest file of ours has 9."""
+MAX_DIGITS = 300
+"""Of a whole number in JSON: any shorter one is a finite float. A longer one is read as infinite, as 1e999 is."""
 MAX_ARRAY_BYTES = 1 << 30
+MAX_DIRECTORY_BYTES = 1 << 20
+"""Of the list of arrays in an .npz, some 60 bytes each."""
 MAX_IMAGE_BYTES = 64 << 20
+MAX_PIXELS = 1 << 26
+"""8192 x 8192: the largest textures that renderers take. A video's pictures have at most a quarter of it."""
+ANYWHERE = Path(os.sep)
+"""The root of a file that the user named himself."""
+_NO_LIMIT = 1 << 62
+_SPECIAL = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+_ABSENT = (errno.ENOENT, errno.ENOTDIR)
 
 
-def require_file(path: Path, limit: int) -> Path:
-    """`path` itself when it is a file of at most `limit` bytes."""
-    if not path.is_file():
-        raise FreeArtError(f"{path} is missing")
-    if path.stat().st_size > limit:
-        raise FreeArtError(f"{path} has {path.stat().st_size} bytes, at most {limit} are read")
+# --- opening ----------------------------------------------------------------------------------------------------------
+
+
+def open_file(path: Path, limit: int, root: Path | None = None) -> BufferedReader:
+    """`path`, opened for reading in binary; the caller closes it.
+
+    Raises FreeArtError when it is absent, no regular file, larger than `limit` bytes, unreadable, or when it leads out
+    of `root` by a link (see the module).
+    """
+    path = Path(path)
+    try:
+        if _leads_out(path, root):
+            folder = path.parent if root is None else root
+            raise FreeArtError(f"{path} leads out of {folder} by a link, expected the file itself: copy it there")
+        _require_plain(path, path.stat(), limit)  # before it is opened, which a device may act on
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            _require_plain(path, os.fstat(handle), limit)
+            return os.fdopen(handle, "rb")
+        except BaseException:
+            os.close(handle)
+            raise
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    except (ValueError, RuntimeError) as error:  # a name with a NUL, a circle of links
+        raise FreeArtError(f"{str(path)!r} cannot be looked up: {error}") from error
+
+
+def read_bytes(path: Path, limit: int, root: Path | None = None) -> bytes:
+    """All bytes of the file `path`, as many as it has when it is opened. Raises FreeArtError as `open_file`."""
+    with open_file(path, limit, root) as file:
+        try:
+            return file.read(os.fstat(file.fileno()).st_size)
+        except OSError as error:
+            raise _unreadable(path, error) from error
+
+
+def read_head(path: Path, count: int, root: Path | None = None) -> bytes:
+    """The first `count` bytes of a file of any size, or all that it has. Raises FreeArtError as `open_file`."""
+    with open_file(path, _NO_LIMIT, root) as file:
+        try:
+            return file.read(count)
+        except OSError as error:
+            raise _unreadable(path, error) from error
+
+
+def read_text(path: Path, limit: int, root: Path | None = None, encoding: str = "utf-8", errors: str = "strict") -> str:
+    """The text in `path`, every line ended by a line feed. Raises FreeArtError as `open_file`, and when it is none."""
+    try:
+        text = read_bytes(path, limit, root).decode(encoding, errors)
+    except UnicodeDecodeError as error:
+        raise FreeArtError(f"{path} is not text: {error}") from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def require_file(path: Path, limit: int, root: Path | None = None) -> Path:
+    """`path` itself, for a library that opens it by its name. Raises FreeArtError as `open_file`."""
+    open_file(path, limit, root).close()
+    return path
+
+
+def copy_folder(source: Path, target: Path) -> None:
+    """Copy all files below `source` to the folder `target`. Raises FreeArtError as `open_file`, of root `source`."""
+    target.mkdir(parents=True, exist_ok=True)
+    for path in sorted(source.rglob("*")):
+        place = target / path.relative_to(source)
+        if path.is_dir() and not path.is_symlink():
+            place.mkdir(parents=True, exist_ok=True)
+        else:
+            require_file(path, MAX_ARRAY_BYTES, source)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(path, place)
+
+
+def require_inside(folder: Path, path: Path) -> Path:
+    """`path` itself, which starts with `folder`; FreeArtError when a link on the way leads out of the folder."""
+    inside(folder, str(path.relative_to(folder)))
     return path
 
 
 def inside(folder: Path, relative: str) -> Path:
-    """The path of `relative` in `folder`; FreeArtError when it leads out of the folder."""
-    path = (folder / relative).resolve()
-    if not path.is_relative_to(folder.resolve()):
+    """The path of `relative` in `folder`, links followed; FreeArtError when it leads out of the folder."""
+    try:
+        path = (folder / relative).resolve()
+        within = path.is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a name too long or with a NUL
+        raise FreeArtError(f"{folder}: '{relative[:80]}' cannot be looked up: {error}") from error
+    if not within:
         raise FreeArtError(f"{folder}: '{relative}' leads out of the folder")
     return path
 
 
-def read_json(path: Path, schema: str | None = None) -> dict[str, Any]:
-    """The JSON object in `path`, of the given schema such as 'freeart21/sequence/1'."""
+def _leads_out(path: Path, root: Path | None) -> bool:
+    """Whether `path` resolves to a place outside of `root` (None: its folder). One lstat for every folder below it."""
+    if root == ANYWHERE:
+        return False
+    place = path.parent if root is None else Path(root)
     try:
-        data = json.loads(require_file(path, MAX_JSON_BYTES).read_text("utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        below = path.relative_to(place).parts
+    except ValueError:
+        below = ("..",)
+    at = place
+    for part in below:
+        at = at / part
+        if part == ".." or at.is_symlink():
+            return not path.resolve().is_relative_to(place.resolve())
+    return False
+
+
+def _require_plain(path: Path, facts: os.stat_result, limit: int) -> None:
+    if not stat.S_ISREG(facts.st_mode):
+        raise FreeArtError(f"{path} is {_SPECIAL.get(stat.S_IFMT(facts.st_mode), 'no file')}, expected a file")
+    if facts.st_size > limit:
+        raise FreeArtError(f"{path} has {facts.st_size} bytes, at most {limit} are read")
+
+
+def _unreadable(path: Path, error: OSError) -> FreeArtError:
+    if error.errno in _ABSENT:
+        return FreeArtError(f"{path} is missing")
+    return FreeArtError(f"{path} cannot be read: {error.strerror or error}")
+
+
+# --- JSON -------------------------------------------------------------------------------------------------------------
+
+
+def parse_json(text: str, where: Path | str) -> Any:
+    """Whatever JSON `text` is, of at most MAX_JSON_DEPTH levels; FreeArtError, which begins with `where`, when none."""
+    try:
+        data = json.loads(text, parse_int=_whole_number)
+    except RecursionError:
+        raise _too_deep(where) from None
+    except ValueError as error:
+        raise FreeArtError(f"{where} is not JSON: {error}") from error
+    level = [data] if isinstance(data, dict | list) else []
+    for _ in range(MAX_JSON_DEPTH):
+        if not level:
+            return data
+        inner = (value for one in level for value in (one.values() if isinstance(one, dict) else one))
+        level = [value for value in inner if isinstance(value, dict | list)]
+    if level:
+        raise _too_deep(where)
+    return data
+
+
+def read_any_json(path: Path, root: Path | None = None, limit: int = MAX_JSON_BYTES) -> Any:
+    """Whatever JSON is in `path`."""
+    data = read_bytes(path, limit, root)
+    try:
+        return parse_json(data.decode("utf-8"), path)
+    except UnicodeDecodeError as error:
         raise FreeArtError(f"{path} is not JSON: {error}") from error
+
+
+def read_json(
+    path: Path, schema: str | None = None, root: Path | None = None, limit: int = MAX_JSON_BYTES
+) -> dict[str, Any]:
+    """The JSON object in `path`, of the given schema such as 'freeart21/sequence/1'."""
+    data = read_any_json(path, root, limit)
     if not isinstance(data, dict):
         raise FreeArtError(f"{path} holds a {type(data).__name__}, expected an object")
     if schema is not None and data.get("schema") != schema:
-        raise FreeArtError(f"{path} has schema '{data.get('schema')}', expected '{schema}'")
+        raise FreeArtError(f"{path} has schema '{str(data.get('schema'))[:60]}', expected '{schema}'")
     return data
 
 
@@ -54,7 +223,7 @@ def numbers(
 ) -> NDArray[np.float64]:
     """The array `data[key]`; None in `shape` is any length; null is NaN when `nullable`, else all must be finite."""
     if key not in data:
-        raise FreeArtError(f"{path} has no '{key}'; it has {', '.join(sorted(data))}")
+        raise FreeArtError(f"{path} has no '{key}'; it has {', '.join(sorted(data))[:300]}")
     try:
         array = np.array(data[key], dtype=float)
     except (TypeError, ValueError) as error:
@@ -71,52 +240,188 @@ def text(data: dict[str, Any], key: str, path: Path) -> str:
     """The string `data[key]`."""
     value = data.get(key)
     if not isinstance(value, str):
-        raise FreeArtError(f"{path}: '{key}' is {value!r}, expected text")
+        raise FreeArtError(f"{path}: '{key}' is {str(value)[:60]}, expected text")
     return value
 
 
-def read_npz(path: Path, keys: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-    """The named arrays of an .npz file, without pickle and of bounded size."""
-    require_file(path, MAX_ARRAY_BYTES)
+def _whole_number(digits: str) -> int | float:
+    return int(digits) if len(digits) <= MAX_DIGITS else float(digits)
+
+
+def _too_deep(where: Path | str) -> FreeArtError:
+    return FreeArtError(f"{where} is not JSON of at most {MAX_JSON_DEPTH} levels: it is nested too deeply")
+
+
+# --- arrays -----------------------------------------------------------------------------------------------------------
+
+
+def read_npz(
+    path: Path,
+    keys: tuple[str, ...] | None = None,
+    root: Path | None = None,
+    optional: tuple[str, ...] = (),
+    limit: int | None = None,
+) -> dict[str, NDArray[Any]]:
+    """The named arrays (all when None) of an .npz file, and those of `optional` that it has, without pickle.
+
+    The file has at most `limit` bytes (None: MAX_ARRAY_BYTES), packed and unpacked. Raises FreeArtError when one is
+    missing, or when an array's header claims more than there is.
+    """
+    limit = MAX_ARRAY_BYTES if limit is None else limit
     try:
-        with zipfile.ZipFile(path) as archive:
-            size = sum(info.file_size for info in archive.infolist())
-            if size > MAX_ARRAY_BYTES:
-                raise FreeArtError(f"{path} unpacks to {size} bytes, at most {MAX_ARRAY_BYTES} are read")
-        with np.load(path, allow_pickle=False) as data:
-            missing = [key for key in keys if key not in data]
+        with open_file(path, limit, root) as file, open_zip(file, path, MAX_DIRECTORY_BYTES) as archive:
+            entries = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            size = sum(info.file_size for info in entries.values())
+            if size > limit:
+                raise FreeArtError(f"{path} unpacks to {size} bytes, at most {limit} are read")
+            missing = [key for key in keys or () if key not in entries]
             if missing:
-                raise FreeArtError(f"{path} has no {', '.join(missing)}; it has {', '.join(sorted(data))}")
-            return {key: data[key] for key in keys}
-    except (ValueError, OSError, RuntimeError, zipfile.BadZipFile, zlib.error, EOFError, KeyError) as error:
+                raise FreeArtError(f"{path} has no {', '.join(missing)}; it has {', '.join(sorted(entries))[:300]}")
+            found = {}
+            for key in entries if keys is None else (*keys, *(key for key in optional if key in entries)):
+                with archive.open(entries[key]) as member:
+                    found[key] = _read_array(member, entries[key].file_size, f"its array '{key}'")
+            return found
+    except _NO_ARRAY as error:
         raise FreeArtError(f"{path} is not a readable .npz file without pickled objects: {error}") from error
 
 
-def read_image(path: Path, flags: int) -> NDArray[Any]:
-    """The image in `path` as OpenCV reads it."""
-    data = np.fromfile(require_file(path, MAX_IMAGE_BYTES), np.uint8)
-    image = cv2.imdecode(data, flags) if len(data) else None
+def read_npy(path: Path, root: Path | None = None, limit: int = MAX_ARRAY_BYTES) -> NDArray[Any]:
+    """The array of an .npy file, as `read_npz`."""
+    try:
+        with open_file(path, limit, root) as file:
+            return _read_array(file, os.fstat(file.fileno()).st_size, "its array")
+    except _NO_ARRAY as error:
+        raise FreeArtError(f"{path} is not a readable array without pickled objects: {error}") from error
+
+
+def open_zip(file: IO[bytes], path: Path, limit: int) -> zipfile.ZipFile:
+    """The archive in `file`, of which `path` is the name; FreeArtError when its list of entries has over `limit` bytes.
+
+    That list is read as a whole before any of it can be looked at. Raises what ZipFile does.
+    """
+    if (size := _directory_bytes(file)) > limit:
+        raise FreeArtError(f"{path} has a directory of {size} bytes, at most {limit} are read")
+    file.seek(0)
+    return zipfile.ZipFile(file)
+
+
+def _directory_bytes(file: IO[bytes]) -> int:
+    """What the end of a ZIP says of the size of its list of entries (APPNOTE 4.3.14 and 4.3.16); 0 without an end."""
+    file.seek(max(file.seek(0, os.SEEK_END) - (1 << 16) - 128, 0))
+    tail = file.read()
+    end, large = tail.rfind(b"PK\5\6"), tail.rfind(b"PK\6\6")
+    if end < 0 or len(tail) < end + 16:
+        return 0
+    size: int = struct.unpack("<I", tail[end + 12 : end + 16])[0]
+    if large >= 0 and len(tail) >= large + 48:
+        size = max(size if size < 0xFFFFFFFF else 0, struct.unpack("<Q", tail[large + 40 : large + 48])[0])
+    return size
+
+
+def _read_array(file: IO[bytes], size: int, what: str) -> NDArray[Any]:
+    """The array in an .npy stream of `size` bytes. Its header is read first, since NumPy takes the memory it claims."""
+    version = np.lib.format.read_magic(file)
+    if version not in _NPY_HEADERS:
+        raise ValueError(f"{what} has version {version}, expected 1.0 or 2.0")
+    shape, _, dtype = _NPY_HEADERS[version](file)
+    if dtype.hasobject:
+        raise ValueError(f"{what} holds objects")
+    claimed = math.prod(shape) * dtype.itemsize
+    if min(shape, default=0) < 0 or dtype.itemsize < 1 or claimed > size - file.tell():
+        raise ValueError(
+            f"{what} claims shape {str(shape)[:60]} of {str(dtype)[:60]}, {claimed} bytes; it has {size - file.tell()}"
+        )
+    file.seek(0)
+    return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+
+
+_NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+_NO_ARRAY = (
+    *(ValueError, OSError, RuntimeError, EOFError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error),
+    *(TypeError, struct.error, OverflowError, MemoryError),  # of headers that are none
+)
+
+
+# --- pictures ---------------------------------------------------------------------------------------------------------
+
+
+def read_image(path: Path, flags: int, root: Path | None = None) -> NDArray[Any]:
+    """The image in `path` as OpenCV reads it: PNG, JPEG, BMP or WebP of at most MAX_PIXELS.
+
+    Raises FreeArtError on anything else, before it is unpacked.
+    """
+    data = read_bytes(path, MAX_IMAGE_BYTES, root)
+    try:
+        width, height = image_size(data)
+    except (ValueError, struct.error) as error:
+        raise FreeArtError(f"{path} is not a readable image: {error}") from error
+    if width * height > MAX_PIXELS:
+        raise FreeArtError(f"{path} says that it is {width} x {height}, at most {MAX_PIXELS} pixels are read")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        image = None
     if image is None:
         raise FreeArtError(f"{path} is not a readable image")
     return image
 
 
-def read_rgb(path: Path) -> NDArray[np.uint8]:
+def image_size(data: bytes) -> tuple[int, int]:
+    """Width and height that a picture's header says: PNG, JPEG, BMP, WebP. ValueError or struct.error otherwise."""
+    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+        if b"IEND" not in data[-64:] and b"IEND" not in data:
+            raise ValueError("it is cut off")
+        return struct.unpack_from(">II", data, 16)
+    if data.startswith(b"BM"):
+        width, height = struct.unpack_from("<ii", data, 18)
+        return abs(width), abs(height)
+    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        return _webp_size(data)
+    if not data.startswith(b"\xff\xd8"):
+        raise ValueError("expected PNG, JPEG, BMP or WebP")
+    at = 2
+    while True:  # segment by segment to the frame's header (ITU-T T.81, B.1.1.3 and B.2.2)
+        mark, kind, length = struct.unpack_from(">BBH", data, at)
+        if mark != 0xFF:
+            raise ValueError("its JPEG segments are broken")
+        if kind == 0xFF:  # fill byte
+            at += 1
+        elif 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            return width, height
+        else:
+            at += 2 + length
+
+
+def _webp_size(data: bytes) -> tuple[int, int]:
+    """Of the three kinds of WebP (RFC 9649, 2.5 to 2.7)."""
+    kind = data[12:16]
+    if kind == b"VP8X":
+        return 1 + int.from_bytes(data[24:27], "little"), 1 + int.from_bytes(data[27:30], "little")
+    if kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", data, 21)
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    width, height = struct.unpack_from("<HH", data, 26)
+    return width & 0x3FFF, height & 0x3FFF
+
+
+def read_rgb(path: Path, root: Path | None = None) -> NDArray[np.uint8]:
     """(height, width, 3) RGB."""
-    return np.ascontiguousarray(read_image(path, cv2.IMREAD_COLOR)[..., ::-1])
+    return np.ascontiguousarray(read_image(path, cv2.IMREAD_COLOR, root)[..., ::-1])
 
 
-def read_labels(path: Path) -> NDArray[np.uint8]:
+def read_labels(path: Path, root: Path | None = None) -> NDArray[np.uint8]:
     """(height, width) uint8 labels of a single-channel image."""
-    image = read_image(path, cv2.IMREAD_UNCHANGED)
+    image = read_image(path, cv2.IMREAD_UNCHANGED, root)
     if image.ndim != 2 or image.dtype != np.uint8:
         raise FreeArtError(f"{path} has shape {image.shape} {image.dtype}, expected one channel of uint8")
     return image
 
 
-def read_uint16(path: Path) -> NDArray[np.uint16]:
+def read_uint16(path: Path, root: Path | None = None) -> NDArray[np.uint16]:
     """(height, width) uint16 of a single-channel image."""
-    image = read_image(path, cv2.IMREAD_UNCHANGED)
+    image = read_image(path, cv2.IMREAD_UNCHANGED, root)
     if image.ndim != 2 or image.dtype != np.uint16:
         raise FreeArtError(f"{path} has shape {image.shape} {image.dtype}, expected one channel of uint16")
     return image

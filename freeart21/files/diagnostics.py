@@ -159,7 +159,7 @@ def read_diagnostics(folder: Path, n: int) -> Diagnostics | None:
     path = Path(folder) / FILE
     if not path.exists():
         return None
-    found = diagnostics_from_json(checked.read_json(checked.require_file(path, MAX_BYTES), SCHEMA), path)
+    found = diagnostics_from_json(checked.read_json(path, SCHEMA, folder, MAX_BYTES), path)
     if len(found) != n:
         raise FreeArtError(f"{path} is of {len(found)} frames, expected {n} as in prediction.json")
     return found
@@ -173,7 +173,7 @@ def confidence_file(folder: Path, index: int) -> Path:
 def read_confidence(folder: Path, index: int, shape: tuple[int, int]) -> NDArray[np.uint8]:
     """The confidence map of frame `index`, which must be of `shape` (height, width); raises FreeArtError."""
     path = confidence_file(folder, index)
-    found = checked.read_labels(path)
+    found = checked.read_labels(path, Path(folder))
     if found.shape != shape:
         raise FreeArtError(
             f"{path} is {found.shape[1]} x {found.shape[0]}, expected {shape[1]} x {shape[0]} as the part masks"

@@ -71,7 +71,7 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
     atomic.write_bytes(path, "\n".join(header).encode() + table.tobytes())
 
 
-def read_gaussians(path: Path, parted: bool = False) -> Gaussians:
+def read_gaussians(path: Path, parted: bool = False, root: Path | None = None) -> Gaussians:
     """The Gaussians in `path`, from any 3DGS writer: bounded, checked, nothing executed.
 
     Properties may stand in any order, and unknown ones (`f_rest_*`, which depend on the view) are left out; colours
@@ -80,9 +80,8 @@ def read_gaussians(path: Path, parted: bool = False) -> Gaussians:
 
     Raises FreeArtError, in one line, on anything else than such a file, and with `parted` when part_weight is missing.
     """
-    checked.require_file(path, MAX_PLY_BYTES)
     try:
-        with path.open("rb") as file:
+        with checked.open_file(path, MAX_PLY_BYTES, root) as file:
             table, light = _table(file)
         with np.errstate(over="ignore"):  # what is beyond 32-bit floats becomes infinite, and is refused
             return _gaussians(table, light, parted)
@@ -127,7 +126,7 @@ def _table(file: BufferedReader) -> tuple[NDArray[np.void], Floats | None]:
     if there < count:
         raise ValueError(f"it ends after {there} of {count} Gaussians")
     file.seek(start)
-    return np.fromfile(file, dtype, count), _light(lines)
+    return np.frombuffer(file.read(count * dtype.itemsize), dtype, count), _light(lines)
 
 
 def _light(lines: list[str]) -> Floats | None:

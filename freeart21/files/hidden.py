@@ -91,19 +91,23 @@ def traces(sequence: Path) -> Iterator[str]:
     }
     for name, data in written.items():
         path = sequence / name
-        if path.is_file() and path.read_bytes() != atomic.json_text(data).encode():
+        if path.is_file() and checked.read_bytes(path, checked.MAX_JSON_BYTES) != atomic.json_text(data).encode():
             yield f"{path} holds more than what it has to say: it is not as our writer writes it"
     size = recording.camera.width, recording.camera.height
     for sub in PICTURES:
         for i in range(n):
-            wrong = _beyond_pixels(sequence / sub / f"{i:05d}.png", sub, size)
+            try:
+                wrong = _beyond_pixels(sequence / sub / f"{i:05d}.png", sub, size)
+            except FreeArtError as error:
+                yield str(error)
+                continue
             if wrong:
                 yield f"{sequence}/{sub}/{i:05d}.png {wrong}"
 
 
 def _beyond_pixels(path: Path, sub: str, size: tuple[int, int]) -> str:
     """What a picture holds beside its pixels; empty when there is nothing."""
-    data = checked.require_file(path, checked.MAX_IMAGE_BYTES).read_bytes()
+    data = checked.read_bytes(path, checked.MAX_IMAGE_BYTES, path.parent.parent)
     if not data.startswith(_SIGNATURE):
         return "is no PNG"
     at, packed, kinds = len(_SIGNATURE), [], []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -135,7 +134,8 @@ def _run_files(folder: Path, listed: list[dict[str, Any]], path: Path) -> list[P
     names: dict[str, str] = {}
     for entry in listed:
         file, said = checked.inside(folder, entry["file"]), entry["file"]
-        file = (file / "poses.npz").resolve() if file.is_dir() and entry.get("kind") == "poses" else file
+        if file.is_dir() and entry.get("kind") == "poses":
+            file = checked.inside(folder, f"{said}/poses.npz")
         if file in files:
             raise FreeArtError(
                 f"{path}: 'runs' names a file twice, as '{files[file]}' and '{said}', expected each once"
@@ -182,10 +182,7 @@ def _read_run(
 
 def _read_poses(file: Path, name: str, rate_hz: float, held_out: bool | None) -> Run:
     """Poses as a result folder has them; their times are `times_s` when it is there, else even at the rate."""
-    data = checked.read_npz(file, ("T_camera_reference", "T_camera_moving"))
-    for key in ("times_s", "seen"):
-        with contextlib.suppress(FreeArtError):
-            data |= checked.read_npz(file, (key,))
+    data = checked.read_npz(file, ("T_camera_reference", "T_camera_moving"), optional=("times_s", "seen"))
     for key, values in data.items():
         if values.dtype.kind not in "fiub":
             raise FreeArtError(f"{file}: '{key}' is of type {values.dtype}, expected numbers")

@@ -64,12 +64,13 @@ def write_ply(path: Path, mesh: Mesh, flags: dict[str, NDArray[np.bool_]] | None
     atomic.write_bytes(path, "\n".join(header).encode() + vertices.tobytes() + faces.tobytes())
 
 
-def read_ply(path: Path) -> tuple[Mesh, dict[str, NDArray[np.bool_]]]:
+def read_ply(path: Path, root: Path | None = None) -> tuple[Mesh, dict[str, NDArray[np.bool_]]]:
     """The triangle mesh of a PLY file (ASCII or binary) and its per-face uchar flags.
 
-    Raises FreeArtError on polygons of other than three corners, and on anything that does not fit its own header.
+    `root` is as in `checked`. Raises FreeArtError on polygons of other than three corners, and on anything that does
+    not fit its own header.
     """
-    data = checked.require_file(path, MAX_PLY_BYTES).read_bytes()
+    data = checked.read_bytes(path, MAX_PLY_BYTES, root)
     try:
         return _parse(data)
     except (ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
@@ -139,6 +140,8 @@ def _ascii_tables(body: bytes, elements: list[tuple[str, int, list[list[str]]]],
     tables = {}
     for name, count, properties in elements:
         dtype = _dtype(properties, "<")
+        if 2 * count * len(properties) > len(body) + 1:  # a digit and a blank each
+            raise ValueError(f"it ends before its {count} {name} entries")
         rows = np.loadtxt(lines, max_rows=count, ndmin=2) if count else np.zeros((0, 0))
         if len(rows) != count:
             raise ValueError(f"it ends before its {count} {name} entries")

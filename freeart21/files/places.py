@@ -41,9 +41,8 @@ class Output:
         """Whether an output of this kind stands at `path`."""
         file = path / self.marker if self.marker else path
         try:
-            with file.open("rb") as opened:
-                return self.mark in opened.read(_HEAD)
-        except OSError:
+            return self.mark in checked.read_head(file, _HEAD, checked.ANYWHERE)
+        except FreeArtError:
             return False
 
 

@@ -175,7 +175,7 @@ def read_result(
     header = folder / "prediction.json"
     if not header.is_file():
         raise FreeArtError(f"{folder} is not a result: it has no prediction.json")
-    data = checked.read_json(header, SCHEMA)
+    data = checked.read_json(header, SCHEMA, folder)
     seconds = data.get("seconds") or {}
     if not isinstance(seconds, dict) or not all(isinstance(value, int | float) for value in seconds.values()):
         raise FreeArtError(f"{header}: 'seconds' is {seconds!r}, expected a number for every stage")
@@ -188,13 +188,13 @@ def read_result(
     n = len(states)
     if n > MAX_FRAMES:
         raise FreeArtError(f"{header} has {n} states, at most {MAX_FRAMES} are read")
-    poses = checked.read_npz(folder / "poses.npz", ("T_camera_reference", "T_camera_moving"))
+    poses = checked.read_npz(folder / "poses.npz", ("T_camera_reference", "T_camera_moving"), folder)
     std = checked.numbers(data, "state_std", (n,), header, nullable=True) if "state_std" in data else None
     seen = checked.numbers(data, "seen", (n, 2), header).astype(bool) if "seen" in data else np.ones((n, 2), bool)
     return Reconstruction(
         Articulation(
             joint_from_json(data.get("joint"), header),
-            *(read_ply(folder / "parts" / f"{name}.ply")[0] for name in PARTS),
+            *(read_ply(folder / "parts" / f"{name}.ply", folder)[0] for name in PARTS),
         ),
         states,
         poses["T_camera_reference"],
@@ -202,7 +202,7 @@ def read_result(
         _read_masks(folder, n) if masks is None else np.stack(masks),
         seen,
         std,
-        _read_covariances(folder / "poses.npz", n),
+        _read_covariances(folder, n),
         seconds,
         trust_from_json(data.get("trust"), header),
         *_read_joint_std(data, header),
@@ -223,7 +223,7 @@ def read_render(folder: Path, index: int, other: bool = False) -> NDArray[np.uin
     With `other`, the view that it rendered with its moving part in the reference part's place.
     """
     path = folder / RENDERS[other] / f"{index:05d}.png"
-    return checked.read_rgb(path) if path.is_file() else None
+    return checked.read_rgb(path, folder) if path.is_file() else None
 
 
 def _read_anchor(data: dict[str, Any], n: int, path: Path) -> int:
@@ -258,7 +258,7 @@ def _shortened(value: Any) -> str:
 
 
 def _read_masks(folder: Path, n: int) -> NDArray[np.uint8]:
-    masks = [checked.read_labels(folder / "part_mask" / f"{i:05d}.png") for i in range(n)]
+    masks = [checked.read_labels(folder / "part_mask" / f"{i:05d}.png", folder) for i in range(n)]
     for i, mask in enumerate(masks):
         if mask.shape != masks[0].shape or mask.max(initial=0) > 2:
             raise FreeArtError(
@@ -268,11 +268,11 @@ def _read_masks(folder: Path, n: int) -> NDArray[np.uint8]:
     return np.stack(masks)
 
 
-def _read_covariances(path: Path, n: int) -> NDArray[np.float64] | None:
-    with np.load(path, allow_pickle=False) as data:
-        if "covariances" not in data:
-            return None
-    given = checked.read_npz(path, ("covariances",))["covariances"]
+def _read_covariances(folder: Path, n: int) -> NDArray[np.float64] | None:
+    path = folder / "poses.npz"
+    given = checked.read_npz(path, (), folder, ("covariances",)).get("covariances")
+    if given is None:
+        return None
     if given.shape != (n, 2, 6, 6) or given.dtype.kind not in "fiu":
         raise FreeArtError(
             f"{path}: covariances has shape {given.shape} {given.dtype}, expected ({n}, 2, 6, 6) numbers"

@@ -25,10 +25,7 @@ def read_table(file: Path, columns: Sequence[str]) -> tuple[dict[str, Array], li
     """
     if file.is_dir():
         raise FreeArtError(f"{file} is a folder, expected a CSV file; a folder with poses.npz is of kind 'poses'")
-    try:
-        text = checked.require_file(file, MAX_CSV_BYTES).read_text("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FreeArtError(f"{file} is not text: {error}") from error
+    text = checked.read_text(file, MAX_CSV_BYTES, encoding="utf-8-sig")
     if "\0" in text:
         raise FreeArtError(
             f"{file} is not text: it has a NUL byte in line {text[: text.index(chr(0))].count(chr(10)) + 1}"

@@ -86,7 +86,7 @@ def read_sequence(folder: Path) -> Recording:
     header = folder / "sequence.json"
     if not header.is_file():
         raise FreeArtError(f"{folder} is not a sequence: it has no sequence.json")
-    data = checked.read_json(header, SCHEMA)
+    data = checked.read_json(header, SCHEMA, folder)
     camera = _camera(data, header)
     times = checked.numbers(data, "times_s", (None,), header)
     scale = data.get("depth_scale")
@@ -104,8 +104,9 @@ def read_sequence(folder: Path) -> Recording:
 
     def load(index: int) -> Frame:
         name = f"{index:05d}.png"
-        depth = checked.read_uint16(folder / "depth" / name).astype(np.float32) * np.float32(scale)
-        return Frame(checked.read_rgb(folder / "rgb" / name), depth, checked.read_labels(folder / "mask" / name) > 127)
+        depth = checked.read_uint16(folder / "depth" / name, folder).astype(np.float32) * np.float32(scale)
+        mask = checked.read_labels(folder / "mask" / name, folder) > 127
+        return Frame(checked.read_rgb(folder / "rgb" / name, folder), depth, mask)
 
     return Recording(camera, times, load, _read_queries(folder), data.get("licence"), folder.name)
 

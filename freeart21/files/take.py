@@ -117,7 +117,7 @@ def write_take(
 
 def read_take(path: Path) -> Take:
     """The take in `path`; FreeArtError names the line that is wrong."""
-    data = checked.require_file(path, MAX_TAKE_BYTES).read_bytes()
+    data = checked.read_bytes(path, MAX_TAKE_BYTES, checked.ANYWHERE)
     lines = data.splitlines()
     head = _object(lines[0] if lines else b"", f"{path} line 1")
     if head.get("schema") != TAKE_SCHEMA:
@@ -151,9 +151,9 @@ def _line(data: dict[str, Any]) -> str:
 
 def _object(line: bytes, where: str) -> dict[str, Any]:
     try:
-        data = json.loads(line.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise FreeArtError(f"{where} is not JSON: {str(error) or type(error).__name__}") from error
+        data = checked.parse_json(line.decode("utf-8"), where)
+    except UnicodeDecodeError as error:
+        raise FreeArtError(f"{where} is not JSON: {error}") from error
     if not isinstance(data, dict):
         raise FreeArtError(f"{where} holds a {type(data).__name__}, expected an object")
     return data

@@ -56,9 +56,9 @@ def read_truth(folder: Path) -> Truth:
     header = folder / "truth.json"
     if not header.is_file():
         raise FreeArtError(f"{folder} holds no truth: it has no truth.json")
-    data = checked.read_json(header, SCHEMA)
-    poses = checked.read_npz(folder / "poses.npz", ("T_camera_reference", "T_camera_moving"))
-    parts = [read_ply(folder / "parts" / f"{name}.ply") for name in PARTS]
+    data = checked.read_json(header, SCHEMA, folder)
+    poses = checked.read_npz(folder / "poses.npz", ("T_camera_reference", "T_camera_moving"), folder)
+    parts = [read_ply(folder / "parts" / f"{name}.ply", folder) for name in PARTS]
     for name, (mesh, flags) in zip(PARTS, parts, strict=True):
         if not mesh.empty and not {"outer", "visible"} <= set(flags):
             raise FreeArtError(f"{folder}/parts/{name}.ply has face flags {sorted(flags)}, expected outer and visible")
@@ -68,11 +68,11 @@ def read_truth(folder: Path) -> Truth:
         checked.numbers(data, "states", (None,), header),
         poses["T_camera_reference"],
         poses["T_camera_moving"],
-        checked.read_npz(folder / "seen.npz", ("seen",))["seen"],
+        checked.read_npz(folder / "seen.npz", ("seen",), folder)["seen"],
         (parts[0][1].get("outer", no_faces), parts[1][1].get("outer", no_faces)),
         (parts[0][1].get("visible", no_faces), parts[1][1].get("visible", no_faces)),
-        lambda i: checked.read_labels(folder / "part_mask" / f"{i:05d}.png"),
-        lambda i: checked.read_rgb(folder / "queries" / "rgb" / f"{i:05d}.png"),
-        lambda i: checked.read_labels(folder / "queries" / "mask" / f"{i:05d}.png") > 127,
+        lambda i: checked.read_labels(folder / "part_mask" / f"{i:05d}.png", folder),
+        lambda i: checked.read_rgb(folder / "queries" / "rgb" / f"{i:05d}.png", folder),
+        lambda i: checked.read_labels(folder / "queries" / "mask" / f"{i:05d}.png", folder) > 127,
         data.get("source") or {},
     )

@@ -165,10 +165,15 @@ def read_urdf_joints(path: Path) -> dict[str, UrdfJoint]:
 
 def parsed(path: Path) -> ET.Element:
     """The <robot> of a URDF file of bounded size; FreeArtError when there is none."""
-    robot = parsed_xml(checked.require_file(path, MAX_URDF_BYTES).read_bytes(), path)
+    robot = read_xml(path)
     if robot.tag != "robot":
         raise FreeArtError(f"{path} is not a URDF: its root is <{robot.tag}>, expected <robot>")
     return robot
+
+
+def read_xml(path: Path, comments: bool = False, root: Path | None = None) -> ET.Element:
+    """The root of an XML file, as `parsed_xml`, and bounded; ANYWHERE when `root` (see `checked`) is None."""
+    return parsed_xml(checked.read_bytes(path, MAX_URDF_BYTES, root or checked.ANYWHERE), path, comments)
 
 
 def parsed_xml(data: bytes, where: Path, comments: bool = False) -> ET.Element:

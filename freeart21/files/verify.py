@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.benchmark import file_sha256, is_unfinished, read_benchmark, unfinished
+from freeart21.files.benchmark import Benchmark, file_sha256, is_unfinished, read_benchmark, unfinished
 from freeart21.files.hidden import traces
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
@@ -22,6 +22,8 @@ from freeart21.truth import Truth
 _SEEN_BY_METHODS = {"sequence.json", "queries.json", "rgb", "depth", "mask"}
 _SEQUENCE_KEYS = {"schema", "camera", "depth_scale", "times_s", "licence"}
 _CLOSE = 1e-9
+_S = TypeVar("_S")
+_T = TypeVar("_T")
 _SIGHTED = ("hand",)  # sensors whose depth shows more than the object
 
 
@@ -53,14 +55,25 @@ def verify(data: Path, truth: Path | None = None) -> Report:
     report = Report(len(listed), len(benchmark.sequences))
     report.findings += _files(data, listed)
     for name in benchmark.sequences:
-        try:
-            if benchmark.hidden:
-                report.findings += traces(benchmark.sequence(name))
-            if not benchmark.hidden or benchmark.apart:
-                report.findings += _sequence(benchmark.sequence(name), benchmark.truth(name))
-        except FreeArtError as error:
-            report.findings.append(str(error) if name in str(error) else f"{name}: {error}")
+        found = lines(partial(_look_through, benchmark, name))
+        report.findings += [line if name in line else f"{name}: {line}" for line in found]
     return report
+
+
+def _look_through(benchmark: Benchmark, name: str) -> Iterator[str]:
+    if benchmark.hidden:
+        yield from lines(lambda: traces(benchmark.sequence(name)))
+    if not benchmark.hidden or benchmark.apart:
+        yield from _sequence(benchmark.sequence(name), benchmark.truth(name))
+
+
+def lines(*looks: Callable[[], Iterable[str]]) -> Iterator[str]:
+    """What all `looks` find; the error of one is a line, too, and keeps no other from being taken."""
+    for look in looks:
+        try:
+            yield from look()
+        except FreeArtError as error:
+            yield str(error)
 
 
 def _files(data: Path, listed: dict[str, Any]) -> Iterator[str]:
@@ -73,13 +86,22 @@ def _files(data: Path, listed: dict[str, Any]) -> Iterator[str]:
             yield f"{path} is not listed in benchmark.json"
         elif path.is_symlink() or not path.is_file():
             yield f"{path} is not a plain file"
-        elif file_sha256(path) != listed[name]:
-            yield f"{path} has another content than benchmark.json says: its SHA-256 differs"
+        else:
+            try:
+                differs = file_sha256(path) != listed[name]
+            except FreeArtError as error:
+                yield str(error)
+                continue
+            if differs:
+                yield f"{path} has another content than benchmark.json says: its SHA-256 differs"
 
 
 def _sequence(folder: Path, truth_folder: Path) -> Iterator[str]:
-    recording, truth = read_sequence(folder), read_truth(truth_folder)
-    yield from _apart(folder)
+    recording, truth = _read(read_sequence, folder), _read(read_truth, truth_folder)
+    yield from lines(lambda: _apart(folder))
+    yield from (found for found in (recording, truth) if isinstance(found, str))
+    if isinstance(recording, str) or isinstance(truth, str):
+        return
     n = len(recording)
     if len(truth) != n:
         yield f"{truth_folder} is of {len(truth)} frames, its sequence has {n}"
@@ -87,10 +109,20 @@ def _sequence(folder: Path, truth_folder: Path) -> Iterator[str]:
     if truth.seen.shape != (n, 2):
         yield f"{truth_folder}/seen.npz has shape {truth.seen.shape}, expected ({n}, 2)"
         return
-    yield from _counts(folder, truth_folder, n, len(recording.queries))
-    yield from _kinematics(truth_folder, truth)
-    yield from _frames(folder, truth_folder, recording, truth)
-    yield from _queries(truth_folder, recording, truth)
+    yield from lines(
+        lambda: _counts(folder, truth_folder, n, len(recording.queries)),
+        lambda: _kinematics(truth_folder, truth),
+        *(partial(_frame, folder, truth_folder, recording, truth, i) for i in range(n)),
+        *(partial(_query, truth_folder, recording, truth, i) for i in range(len(recording.queries))),
+    )
+
+
+def _read(reader: Callable[[_S], _T], what: _S) -> _T | str:
+    """What `reader` makes of `what`, or the line of its error."""
+    try:
+        return reader(what)
+    except FreeArtError as error:
+        return str(error)
 
 
 def _apart(folder: Path) -> Iterator[str]:
@@ -98,7 +130,7 @@ def _apart(folder: Path) -> Iterator[str]:
     for path in sorted(folder.iterdir()):
         if path.name not in _SEEN_BY_METHODS:
             yield f"{path} does not belong into what a method may see; expected {', '.join(sorted(_SEEN_BY_METHODS))}"
-    for key in sorted(set(json.loads((folder / "sequence.json").read_text("utf-8"))) - _SEQUENCE_KEYS):
+    for key in sorted(set(checked.read_json(folder / "sequence.json")) - _SEQUENCE_KEYS):
         yield f"{folder}/sequence.json says '{key}', which a method may not see"
 
 
@@ -136,30 +168,40 @@ def _kinematics(folder: Path, truth: Truth) -> Iterator[str]:
         yield f"{folder}: the moving part's pose of frame {i} is {error[i]:.3g} off what joint and state say"
 
 
-def _frames(folder: Path, truth_folder: Path, recording: Recording, truth: Truth) -> Iterator[str]:
-    sensors = str(truth.source.get("sensor", "clean")).split("+")
-    for i in range(len(recording)):
+def _frame(folder: Path, truth_folder: Path, recording: Recording, truth: Truth, i: int) -> Iterator[str]:
+    name = f"{i:05d}.png"
+    try:
         frame, part_mask = recording.frame(i), truth.part_mask(i)
-        if part_mask.shape != frame.mask.shape or part_mask.max(initial=0) > 2:
-            yield f"{truth_folder}/part_mask/{i:05d}.png has shape {part_mask.shape}, labels up to {part_mask.max()}"
-            continue
-        if not np.array_equal(frame.mask, part_mask > 0):
-            n = int(np.sum(frame.mask != (part_mask > 0)))
-            yield f"{folder}/mask/{i:05d}.png differs in {n} pixels from the truth's part_mask"
-        seen = [int(np.sum(part_mask == 1)), int(np.sum(part_mask == 2))]
-        if not np.array_equal(truth.seen[i], seen):
-            yield f"{truth_folder}/seen.npz says {truth.seen[i].tolist()} of frame {i}, its part_mask shows {seen}"
-        if not set(sensors) & set(_SIGHTED) and (stray := int(np.sum((frame.depth > 0) & ~frame.mask))):
-            yield f"{folder}/depth/{i:05d}.png has depth at {stray} pixels outside the mask"
-        if "clean" in sensors and (bare := int(np.sum((frame.depth == 0) & frame.mask))):
-            yield f"{folder}/depth/{i:05d}.png has no depth at {bare} pixels of the mask, and the sensor was clean"
+    except FreeArtError as error:
+        places = (*(folder / sub / name for sub in ("rgb", "depth", "mask")), truth_folder / "part_mask" / name)
+        readers = checked.read_rgb, checked.read_uint16, checked.read_labels, checked.read_labels
+        read = [_read(partial(reader, root=p.parent.parent), p) for reader, p in zip(readers, places, strict=True)]
+        yield from [found for found in read if isinstance(found, str)] or [str(error)]
+        return
+    sensors = str(truth.source.get("sensor", "clean")).split("+")
+    if part_mask.shape != frame.mask.shape or part_mask.max(initial=0) > 2:
+        yield f"{truth_folder}/part_mask/{name} has shape {part_mask.shape}, labels up to {part_mask.max()}"
+        return
+    if not np.array_equal(frame.mask, part_mask > 0):
+        n = int(np.sum(frame.mask != (part_mask > 0)))
+        yield f"{folder}/mask/{name} differs in {n} pixels from the truth's part_mask"
+    seen = [int(np.sum(part_mask == 1)), int(np.sum(part_mask == 2))]
+    if not np.array_equal(truth.seen[i], seen):
+        yield f"{truth_folder}/seen.npz says {truth.seen[i].tolist()} of frame {i}, its part_mask shows {seen}"
+    if not set(sensors) & set(_SIGHTED) and (stray := int(np.sum((frame.depth > 0) & ~frame.mask))):
+        yield f"{folder}/depth/{name} has depth at {stray} pixels outside the mask"
+    if "clean" in sensors and (bare := int(np.sum((frame.depth == 0) & frame.mask))):
+        yield f"{folder}/depth/{name} has no depth at {bare} pixels of the mask, and the sensor was clean"
 
 
-def _queries(folder: Path, recording: Recording, truth: Truth) -> Iterator[str]:
+def _query(folder: Path, recording: Recording, truth: Truth, i: int) -> Iterator[str]:
     size = (recording.camera.height, recording.camera.width)
-    for i in range(len(recording.queries)):
-        rgb, mask = truth.query_rgb(i), truth.query_mask(i)
-        if rgb.shape[:2] != size or mask.shape != size:
-            yield f"{folder}/queries: view {i} is {rgb.shape[1]} x {rgb.shape[0]}, expected {size[1]} x {size[0]}"
-        elif not mask.any():
-            yield f"{folder}/queries/mask/{i:05d}.png shows nothing"
+    rgb, mask = _read(truth.query_rgb, i), _read(truth.query_mask, i)
+    broken = [found for found in (rgb, mask) if isinstance(found, str)]
+    yield from broken
+    if isinstance(rgb, str) or isinstance(mask, str):
+        return
+    if rgb.shape[:2] != size or mask.shape != size:
+        yield f"{folder}/queries: view {i} is {rgb.shape[1]} x {rgb.shape[0]}, expected {size[1]} x {size[0]}"
+    elif not mask.any():
+        yield f"{folder}/queries/mask/{i:05d}.png shows nothing"

@@ -28,9 +28,8 @@ _LEVEL = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
 
 def read_track(path: Path) -> Take:
     """The take in `path`: ours (`freeart21.files.take`), or a track of ARCTIC. Raises FreeArtError in one line."""
-    with checked.require_file(path, MAX_TAKE_BYTES).open("rb") as file:
-        begins = file.read(len(_NUMPY))
-    if begins == _NUMPY:
+    begins = checked.read_head(path, 1 << 10, checked.ANYWHERE)
+    if begins.startswith(_NUMPY):
         return _arctic(path)
     if begins.lstrip()[:1] != b"{":
         raise FreeArtError(f"{path} is no take: expected lines of JSON (freeart21/take/1) or a NumPy array of ARCTIC")
@@ -38,21 +37,18 @@ def read_track(path: Path) -> Take:
 
 
 def _arctic(path: Path) -> Take:
-    try:  # mapped, so that a header that promises more than the file holds allocates nothing
-        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError, OverflowError) as error:
-        raise FreeArtError(f"{path} is not a readable array: {' '.join(str(error).split())}") from error
-    if mapped.ndim != 2 or mapped.shape[1] != 7 or mapped.dtype.kind != "f" or not 2 <= len(mapped) <= MAX_SAMPLES:
+    given = checked.read_npy(path, checked.ANYWHERE, MAX_TAKE_BYTES)
+    if given.ndim != 2 or given.shape[1] != 7 or given.dtype.kind != "f" or not 2 <= len(given) <= MAX_SAMPLES:
         raise FreeArtError(
-            f"{path} has shape {mapped.shape} {mapped.dtype}, expected (2 to {MAX_SAMPLES}, 7) of floating point"
+            f"{path} has shape {given.shape} {given.dtype}, expected (2 to {MAX_SAMPLES}, 7) of floating point"
         )
-    rows = np.array(mapped, float)
+    rows = np.array(given, float)
     if not np.isfinite(rows).all():
         raise FreeArtError(f"{path} has entries that are not finite, the first in row {_first_odd(rows)}")
     Ts_world = se3.pose(se3.exp_so3(rows[:, 1:4]), 1e-3 * rows[:, 4:])
     return Take(
         path.name,
-        hashlib.sha256(path.read_bytes()).hexdigest(),
+        hashlib.sha256(checked.read_bytes(path, MAX_TAKE_BYTES, checked.ANYWHERE)).hexdigest(),
         ARCTIC_FORM,
         "motion capture",
         "first",

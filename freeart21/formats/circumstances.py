@@ -58,7 +58,7 @@ class Circumstances:
 
 def read_circumstances(path: Path) -> Circumstances:
     """The file; FreeArtError, in one line, when it says what nobody knows."""
-    data = checked.read_json(path)
+    data = checked.read_json(path, root=checked.ANYWHERE)
     unknown = [word for word in data if word not in WORDS]
     if unknown:
         raise FreeArtError(f"{path}: there is no '{unknown[0]}'; there are {', '.join(WORDS)}")

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic
+from freeart21.files import atomic, checked
 from freeart21.files.benchmark import is_unfinished, read_benchmark, unfinished, write_benchmark
 from freeart21.files.places import check_growing
 from freeart21.files.sequence import read_sequence, write_frame, write_header, write_queries
@@ -122,6 +122,7 @@ def convert(
     check_growing(out, (source,))
     label = _label(out) if to == "native" else None
     for kind, folder in find_sources(source, layout):
+        checked.require_inside(Path(source), folder)
         if kind == to:
             raise FreeArtError(f"{folder} is of the layout {to} already")
         if kind == "rgbd":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import zlib
 from collections.abc import Callable
@@ -178,11 +177,7 @@ def depth_metres(raw: NDArray[Any], where: Path) -> NDArray[np.float32]:
 
 def read_npy(path: Path, shape: tuple[int | None, ...]) -> Array:
     """The float64 array of an .npy file, without pickle, of bounded size; None in `shape` is any length."""
-    checked.require_file(path, checked.MAX_ARRAY_BYTES)
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise FreeArtError(f"{path} is not a readable .npy file without pickled objects: {error}") from error
+    array = checked.read_npy(path)
     fits = array.ndim == len(shape) and all(s in (None, a) for s, a in zip(shape, array.shape, strict=True))
     if not fits or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
         wanted = ", ".join("n" if s is None else str(s) for s in shape)
@@ -192,19 +187,11 @@ def read_npy(path: Path, shape: tuple[int | None, ...]) -> Array:
 
 def read_matrix(path: Path) -> Array:
     """The rows of numbers, parted by blanks or commas, of a text file; FreeArtError where a word is no number."""
-    text = checked.require_file(path, 1 << 16).read_text("utf-8", errors="replace").replace(",", " ")
+    text = checked.read_text(path, 1 << 16, errors="replace").replace(",", " ")
     try:
         return np.array([[float(word) for word in line.split()] for line in text.splitlines() if line.strip()])
     except ValueError:
         raise FreeArtError(f"{path} is not a 3 x 3 matrix of numbers") from None
-
-
-def read_any_json(path: Path) -> Any:
-    """Whatever JSON is in `path`."""
-    try:
-        return json.loads(checked.require_file(path, checked.MAX_JSON_BYTES).read_text("utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise FreeArtError(f"{path} is not JSON: {error}") from error
 
 
 def read_foreground(path: Path) -> NDArray[np.bool_]:

@@ -19,7 +19,6 @@ Frames carry no times: 30 a second are assumed.
 from __future__ import annotations
 
 import random
-import shutil
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
@@ -112,7 +111,7 @@ def read_states(path: Path) -> Array:
     Where an entry is a list (qpos of several joints), the first counts, as there; but when the first never moves and
     just one other does, that one. Unlike there, an entry without a known number is an error and not zero.
     """
-    data = foreign.read_any_json(path)
+    data = checked.read_any_json(path)
     if isinstance(data, dict):
         lists = [data[key] for key in _STATE_LISTS if isinstance(data.get(key), list)]
         data = lists[0] if lists else [data[key] for key in sorted((k for k in data if k.isdigit()), key=int)]
@@ -174,7 +173,7 @@ def write_example(
         aside = stack.enter_context(atomic.new_folder(folder))
         if object_folder is not None:
             object_aside = stack.enter_context(atomic.new_folder(copied))
-            shutil.copytree(object_folder, object_aside, dirs_exist_ok=True)
+            checked.copy_folder(object_folder, object_aside)
         done = 0
         for sub, frames in groups.items():
             if not frames:
@@ -280,7 +279,7 @@ def _train_indices(folder: Path, n: int) -> list[int]:
 
 
 def _object_poses(path: Path) -> Array:
-    entries = foreign.read_any_json(path)
+    entries = checked.read_any_json(path)
     rows = []
     for i, entry in enumerate(entries if isinstance(entries, list) else []):
         parts = [entry.get("position"), entry.get("quaternion")] if isinstance(entry, dict) else [None, None]
@@ -295,7 +294,7 @@ def _object_poses(path: Path) -> Array:
 
 def _cameras(path: Path) -> Array:
     """(n or 1, 4, 4) world from OpenGL camera."""
-    entries = foreign.read_any_json(path)
+    entries = checked.read_any_json(path)
     entries = [entries] if isinstance(entries, dict) else entries
     matrices = []
     for i, entry in enumerate(entries if isinstance(entries, list) else []):

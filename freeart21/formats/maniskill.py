@@ -22,7 +22,7 @@ import numpy as np
 from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic
+from freeart21.files import atomic, checked
 from freeart21.formats import foreign
 from freeart21.formats.foreign import Foreign, Image, Known
 from freeart21.recording import Frame, Recording
@@ -32,6 +32,8 @@ FREE_MOVING = "export.maniskill:FreeArt21-FreeMoving-v1"
 """As gymnasium makes it without the module being imported before."""
 CONTROL_HZ = 20
 """Of the environments, unless told otherwise."""
+MAX_FILE_BYTES = 1 << 40
+"""Of an HDF5 file, which is read by rows."""
 _MILLIMETRE = np.float32(0.001)
 _SIM_HZ = 500
 
@@ -51,7 +53,7 @@ def episodes(folder: Path) -> Iterator[Path]:
     """FOLDER/NAME.h5/traj_K for every episode of the FreeArt21 environments in `folder`."""
     for file in sorted(folder.glob("*.h5")):
         if file.with_suffix(".json").is_file():
-            told = foreign.read_any_json(file.with_suffix(".json"))
+            told = checked.read_any_json(file.with_suffix(".json"))
             if "FreeArt21-" in str(_env_info(told).get("env_id")):
                 for episode in told.get("episodes") or ():
                     number = episode.get("episode_id") if isinstance(episode, dict) else None
@@ -74,7 +76,7 @@ def read_episode(episode: Path) -> Foreign:
     Raises FreeArtError, in one line, when h5py is missing, or the episode has no colours, depth and segmentation.
     """
     file, traj = episode.parent, episode.name
-    info = _env_info(foreign.read_any_json(file.with_suffix(".json")))
+    info = _env_info(checked.read_any_json(file.with_suffix(".json")))
     kwargs = info["env_kwargs"]
     cameras = _names(file, f"{traj}/obs/sensor_data")
     if not cameras:
@@ -124,7 +126,7 @@ def read_episode(episode: Path) -> Foreign:
 
 def objects_beside(episode: Path) -> Path | None:
     """The folder that holds the object of an episode, when it is there."""
-    info = _env_info(foreign.read_any_json(episode.parent.with_suffix(".json")))
+    info = _env_info(checked.read_any_json(episode.parent.with_suffix(".json")))
     folder = object_folder_of(info["env_kwargs"]).resolve()
     return folder.parent if folder.is_dir() else None
 
@@ -230,7 +232,7 @@ def _h5py() -> Any:
 
 
 def _names(file: Path, place: str) -> list[str]:
-    with _h5py().File(file, "r") as opened:
+    with _h5py().File(checked.require_file(file, MAX_FILE_BYTES), "r") as opened:
         return list(opened[place]) if place in opened else []
 
 
@@ -238,7 +240,7 @@ def _read(file: Path, place: str, index: int | None = None) -> Any:
     """A data set of an HDF5 file, or one row of it; none that lies in another file, as links and storage may say."""
     h5py = _h5py()
     try:
-        with h5py.File(file, "r") as opened:
+        with h5py.File(checked.require_file(file, MAX_FILE_BYTES), "r") as opened:
             here = opened
             for word in place.split("/"):
                 if word not in here:
@@ -248,8 +250,9 @@ def _read(file: Path, place: str, index: int | None = None) -> Any:
                 here = here[word]
             if not isinstance(here, h5py.Dataset) or here.external or here.is_virtual:
                 raise FreeArtError(f"{file}: {place} holds no data of its own")
-            if index is None and here.nbytes > 1 << 28:
-                raise FreeArtError(f"{file}: {place} has {here.nbytes} bytes, expected at most {1 << 28}")
+            size = here.nbytes if index is None else here.nbytes // max(1, here.shape[0] if here.shape else 1)
+            if size > 1 << 28:
+                raise FreeArtError(f"{file}: {place} has {size} bytes, expected at most {1 << 28}")
             return np.asarray(here[...] if index is None else here[index])
     except OSError as error:
         raise FreeArtError(f"{file} is not a readable HDF5 file: {error}") from error

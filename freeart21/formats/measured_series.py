@@ -235,7 +235,7 @@ def columns_from(words: tuple[str, ...]) -> dict[str, str]:
     """Role to column, of words such as t=time, or of one JSON file that maps them."""
     if len(words) == 1 and "=" not in words[0]:
         path = Path(words[0])
-        told: dict[str, object] = dict(checked.read_json(path))
+        told: dict[str, object] = dict(checked.read_json(path, root=checked.ANYWHERE))
     else:
         pairs = [word.partition("=") for word in words]
         wrong = [word for word, (_, equals, name) in zip(words, pairs, strict=True) if not equals or not name]

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 from collections import Counter
 from dataclasses import dataclass
@@ -135,7 +134,7 @@ _DIALECTS = (
 
 
 def _read_text(path: Path) -> Series:
-    data = checked.require_file(path, MAX_CSV_BYTES).read_bytes()
+    data = checked.read_bytes(path, MAX_CSV_BYTES, checked.ANYWHERE)
     if b"\0" in data[: 1 << 20]:
         raise FreeArtError(f"{path} is not text: it has NUL bytes")
     try:
@@ -256,10 +255,10 @@ def _short(text: str, most: int = 60) -> str:
 
 def _read_json(path: Path) -> Series:
     try:
-        data = json.loads(checked.require_file(path, MAX_CSV_BYTES).read_bytes().decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
+        text = checked.read_bytes(path, MAX_CSV_BYTES, checked.ANYWHERE).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
         raise FreeArtError(f"{path} is not JSON: {error}") from error
-    tables = sorted(_tables(data, "", 3), key=lambda found: -found[1])
+    tables = sorted(_tables(checked.parse_json(text, path), "", 3), key=lambda found: -found[1])
     if not tables:
         raise FreeArtError(f"{path} has no table: expected a list of objects, an object of lists, or a list of rows")
     where, rows, columns = tables[0]

@@ -114,7 +114,7 @@ def read_pickle(path: Path) -> Any:
 
     Raises FreeArtError, in one line, when the file holds or names anything else; nothing that it names is imported.
     """
-    data = checked.require_file(path, MAX_BYTES).read_bytes()
+    data = checked.read_bytes(path, MAX_BYTES)
     try:
         for count, (opcode, argument, _) in enumerate(pickletools.genops(data)):
             if count > MAX_OPCODES or (opcode.name.endswith("PUT") and int(argument or 0) > len(data)):

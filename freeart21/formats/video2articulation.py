@@ -243,7 +243,7 @@ def _states(home: Path, number: int, T: int, notes: list[str]) -> tuple[Array, d
 def _joint_names(path: Path) -> list[str]:
     if not path.is_file():
         return []
-    words = checked.require_file(path, 1 << 20).read_text("utf-8", errors="replace").split()
+    words = checked.read_text(path, 1 << 20, errors="replace").split()
     return [f"joint_{word}" if word.isdigit() else word for word in words]
 
 
@@ -258,7 +258,7 @@ class _Stated:
 
 
 def _stated(meta: Path, category: str, object_id: str, number: int) -> _Stated | None:
-    data: Any = checked.read_json(meta)
+    data: Any = checked.read_json(meta, root=checked.ANYWHERE)
     for key in (category, object_id):
         data = data.get(key) if isinstance(data, dict) else None
     interactions = data.get("interaction_list") if isinstance(data, dict) else None

@@ -63,7 +63,7 @@ def write_jobs(path: Path, jobs: Iterable[Job]) -> None:
 
 def read_jobs(path: Path) -> list[Job]:
     """The jobs in `path`; FreeArtError names what is wrong with the first that is no job."""
-    listed = checked.read_json(Path(path), SCHEMA).get("jobs")
+    listed = checked.read_json(Path(path), SCHEMA, checked.ANYWHERE).get("jobs")
     if not isinstance(listed, list):
         raise FreeArtError(f"{path}: 'jobs' is {str(listed)[:60]}, expected a list")
     jobs = [job_from_json(data, f"{path}: job {k}") for k, data in enumerate(listed)]

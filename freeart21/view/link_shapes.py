@@ -96,11 +96,11 @@ def _read_mesh(file: Path, root: Path) -> list[Piece]:
         case ".obj":
             return read_obj(file, root)
         case ".ply":
-            return [Piece(read_ply(file)[0])]
+            return [Piece(read_ply(file, root)[0])]
     import trimesh
 
     try:
-        data = io.BytesIO(checked.require_file(file, MAX_OBJ_BYTES).read_bytes())
+        data = io.BytesIO(checked.read_bytes(file, MAX_OBJ_BYTES, root))
         loaded = trimesh.load_mesh(data, file_type=file.suffix[1:].lower())  # from memory: it names no other file
     except FreeArtError:
         raise

@@ -19,7 +19,7 @@ def losses_sections(folder: Path) -> list[Section]:
     """
     if not (folder / FILE).is_file():
         return []
-    text = checked.require_file(folder / FILE, MAX_BYTES).read_text(encoding="utf-8", errors="replace")
+    text = checked.read_text(folder / FILE, MAX_BYTES, errors="replace")
     title, sections, notes = "", [], []
     for block in text.split("\n\n"):
         lines = block.strip().splitlines()

@@ -40,7 +40,7 @@ def read_obj(path: Path, root: Path) -> list[Piece]:
     Material files and textures are followed only inside `root`; one that is missing leaves the piece plain. Raises
     FreeArtError when the file cannot be read as OBJ.
     """
-    lines = checked.require_file(path, MAX_OBJ_BYTES).read_text("utf-8", "replace").splitlines()
+    lines = checked.read_text(path, MAX_OBJ_BYTES, root, errors="replace").splitlines()
     try:
         return _parse(lines, path, root)
     except (ValueError, IndexError) as error:
@@ -118,7 +118,7 @@ def _read_mtl(path: Path, root: Path) -> dict[str, _Material]:
         return {}
     materials: dict[str, _Material] = {}
     name, colour, texture = "", PLAIN, None
-    for line in checked.require_file(path, checked.MAX_JSON_BYTES).read_text("utf-8", "replace").splitlines():
+    for line in checked.read_text(path, checked.MAX_JSON_BYTES, errors="replace").splitlines():
         words = line.split()
         match words[0] if words else "":
             case "newmtl":

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic
+from freeart21.files import atomic, checked
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -175,11 +175,11 @@ def _kept(path: Path) -> x509.Certificate | None:
         mine = stat.S_ISREG(facts.st_mode) and facts.st_uid == os.getuid() and not facts.st_mode & 0o077
         if not mine or facts.st_size > _LARGEST:
             return None
-        data = path.read_bytes()
+        data = checked.read_bytes(path, _LARGEST)
         certificate = x509.load_pem_x509_certificate(data)
         key = serialization.load_pem_private_key(data, None)
         certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName)
-    except (OSError, ValueError, TypeError, x509.ExtensionNotFound):
+    except (FreeArtError, OSError, ValueError, TypeError, x509.ExtensionNotFound):
         return None
     return certificate if certificate.public_key() == key.public_key() else None
 

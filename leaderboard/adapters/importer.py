@@ -226,7 +226,7 @@ def _numbers(path: Path) -> tuple[list[int], str]:
 def _read_map(
     path: Path, source: Path, benchmark: Benchmark, rules: Layout, options: Options
 ) -> tuple[dict[str, Path], dict[str, Options]]:
-    data = checked.read_json(path)
+    data = checked.read_json(path, root=checked.ANYWHERE)
     places, own = {}, {}
     for name, entry in data.items():
         if name not in benchmark.sequences:

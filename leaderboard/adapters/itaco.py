@@ -67,7 +67,7 @@ def _read(folder: Path, request: Request) -> Found | Failure:
 def _loss(path: Path) -> float:
     if not path.is_file():
         return NO_LOSS
-    text = checked.require_file(path, 1 << 10).read_text("utf-8", "replace").strip()
+    text = checked.read_text(path, 1 << 10, errors="replace").strip()
     try:
         value = float(text)
     except ValueError:

@@ -23,7 +23,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.mesh_file import read_ply
 from freeart21.formats import freeart21_official
-from freeart21.formats.foreign import T_GL_CV, poses_from_rows, read_any_json, read_npy
+from freeart21.formats.foreign import T_GL_CV, poses_from_rows, read_npy
 from freeart21.formats.video2articulation import R_OBJECT_LABEL
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
@@ -350,9 +350,9 @@ def read_part(path: Path, root: Path, scale: float = 1.0) -> tuple[Mesh, str]:
     `root` is the folder that materials may not leave. Raises FreeArtError when it cannot be read or has no point.
     """
     if path.suffix.lower() == ".obj":
-        mesh = joined([piece.mesh for piece in read_obj(checked.require_file(path, 1 << 30), root)])
+        mesh = joined([piece.mesh for piece in read_obj(path, root)])
     else:
-        mesh = read_ply(path)[0]
+        mesh = read_ply(path, root)[0]
     if mesh.empty and len(mesh.vertices) == 0:
         raise FreeArtError(f"{path} has neither faces nor points")
     mesh = scaled_mesh(mesh, scale)
@@ -374,7 +374,7 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 
 def read_poses_text(path: Path) -> Array:
     """The 4 x 4 pose in a text file of numbers parted by blanks; FreeArtError when it is none."""
-    text = checked.require_file(path, 1 << 16).read_text("utf-8", errors="replace")
+    text = checked.read_text(path, 1 << 16, errors="replace")
     try:
         rows = np.array([[float(word) for word in line.split()] for line in text.splitlines() if line.strip()])
     except ValueError:
@@ -386,7 +386,7 @@ def read_poses_text(path: Path) -> Array:
 
 def read_list(path: Path, of: str) -> list[dict[str, Any]]:
     """The JSON list of objects in `path`; FreeArtError when it is none (`of` says of what) or empty."""
-    data = read_any_json(path)
+    data = checked.read_any_json(path)
     if not isinstance(data, list) or not data or not all(isinstance(entry, dict) for entry in data):
         raise FreeArtError(f"{path} holds no list of {of}")
     return data

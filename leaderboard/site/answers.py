@@ -130,11 +130,10 @@ def counted_as(answer: Answer, joint: Joint, states: Array) -> Answer:
 
 def _mask(folder: Path, index: int, size: tuple[int, int]) -> NDArray[np.uint8]:
     path = folder / "part_mask" / f"{index:05d}.png"
-    with checked.require_file(path, checked.MAX_IMAGE_BYTES).open("rb") as file:
-        head = file.read(24)  # before it is unpacked: a PNG's size stands there
+    head = checked.read_head(path, 24, folder)  # before it is unpacked: a PNG's size stands there
     mask = np.zeros((0, 0), np.uint8)
     if head[:8] == b"\x89PNG\r\n\x1a\n" and head[16:24] == struct.pack(">II", size[1], size[0]):
-        mask = checked.read_labels(path)
+        mask = checked.read_labels(path, folder)
     if mask.shape != size or mask.max(initial=0) > 2:
         raise FreeArtError(f"{folder.name}/part_mask/{path.name} is no part mask of {size[1]} x {size[0]}")
     return mask

@@ -28,7 +28,7 @@ class Rate:
 
 def read_rates(path: Path = MEASURED) -> dict[str, Rate]:
     """Kind of job to its rate; FreeArtError when the file holds none."""
-    data = checked.read_json(path, SCHEMA).get("rates")
+    data = checked.read_json(path, SCHEMA, checked.ANYWHERE).get("rates")
     try:
         return {str(kind): Rate(**rate) for kind, rate in dict(data or {}).items()}
     except (TypeError, ValueError) as error:

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import parsed_xml
+from freeart21.files import checked
+from freeart21.files.urdf import read_xml
 from generator import simulate
 
 MAX_FILE_BYTES = 512 << 20
@@ -66,7 +67,7 @@ class _Copy:
             )
         target = self.folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source, target)
+        shutil.copyfile(checked.require_file(source, MAX_FILE_BYTES, checked.ANYWHERE), target)
         self.done[source] = name
         for other in _beside(source):
             if other.is_relative_to(base) and other not in self.done and other.suffix.lower() in ENDINGS:
@@ -90,18 +91,18 @@ def copied(urdf: Path, folder: Path) -> dict[str, bytes]:
     home = Path(os.path.normpath(urdf.absolute().parent))
     copy = _Copy(home, folder)
     out = {}
-    robot = parsed_xml(urdf.read_bytes(), urdf, comments=True)
+    robot = read_xml(urdf, comments=True)
     for element in _naming(robot, "filename"):
         name = element.get("filename", "")
         element.set("filename", copy.take(simulate.named_file(urdf, name), str(urdf)))
     out[urdf.name] = written(robot, declared=True)
     mjcf = mjcf_beside(urdf)
     if mjcf.is_file():
-        model = parsed_xml(mjcf.read_bytes(), mjcf, comments=True)
+        model = read_xml(mjcf, comments=True)
         if model.tag == "mujoco":  # else it is something of the same name
             out[mjcf.name] = _mjcf(mjcf, model, copy)
     if (home / "semantics.txt").is_file():
-        shutil.copyfile(home / "semantics.txt", folder / "semantics.txt")
+        shutil.copyfile(checked.require_file(home / "semantics.txt", MAX_FILE_BYTES), folder / "semantics.txt")
     return out
 
 
@@ -144,14 +145,13 @@ def _beside(source: Path) -> list[Path]:
     if source.suffix.lower() not in (".obj", ".mtl"):
         return []
     found: list[Path] = []
-    with source.open(encoding="utf-8", errors="replace") as file:
-        for line in file:
-            word, _, rest = line.strip().partition(" ")
-            if word not in _BESIDE_MESH or not rest.strip():
-                continue
-            for name in (rest.strip(), rest.split()[-1]):  # with spaces, or after options
-                other = Path(os.path.normpath(source.parent / name.replace("\\", "/")))
-                if other.is_file() and other not in found:
-                    found.append(other)
-                    break
+    for line in checked.read_text(source, MAX_FILE_BYTES, checked.ANYWHERE, errors="replace").split("\n"):
+        word, _, rest = line.strip().partition(" ")
+        if word not in _BESIDE_MESH or not rest.strip():
+            continue
+        for name in (rest.strip(), rest.split()[-1]):  # with spaces, or after options
+            other = Path(os.path.normpath(source.parent / name.replace("\\", "/")))
+            if other.is_file() and other not in found:
+                found.append(other)
+                break
     return found

@@ -151,7 +151,7 @@ def _under_scaled(effect: Effect, factor: float) -> Effect:
 
 def _replay(folder: Path) -> None:
     job = checked.read_json(folder / "job.json")
-    data = dict(np.load(folder / "job.npz"))
+    data = checked.read_npz(folder / "job.npz")
     stages = [_Stage(Path(path), job, off, folder) for path, off in zip(job["assets"], job["off"], strict=True)]
     off = [_pose_gaps(stages, data, i, said) for i, said in enumerate(job["poses"])]
     atomic.write_json(folder / "poses.json", {"poses": off})

@@ -316,9 +316,9 @@ def _read_answer(
     done = [i for i in range(len(replays)) if (folder / f"run_{i}.npz").is_file()]
     runs, steps = [], []
     for i in done:
-        with np.load(folder / f"run_{i}.npz") as data:
-            runs.append(_gap(replays[i], data["before"], data["after"]))
-            steps.append(data["steps"])
+        data = checked.read_npz(folder / f"run_{i}.npz", ("before", "after", "steps"))
+        runs.append(_gap(replays[i], data["before"], data["after"]))
+        steps.append(data["steps"])
     off = folder / "poses.json"
     pairs = checked.read_json(off)["poses"] if off.is_file() else []
     tracks = tuple(

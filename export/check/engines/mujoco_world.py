@@ -12,7 +12,7 @@ import numpy as np
 from export.check.engines.base import GRAVITY, EngineJoint, Setting, World
 from export.check.engines.plain_urdf import plain_urdf
 from freeart21 import se3
-from freeart21.files.urdf import UrdfInertial, parsed_xml
+from freeart21.files.urdf import UrdfInertial, read_xml
 from freeart21.se3 import Array
 
 _LARGEST_STEP_S = 0.002
@@ -22,7 +22,7 @@ def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
     """The asset in a scene of its own."""
     import mujoco
 
-    urdf = parsed_xml(file.read_bytes(), file).tag == "robot"
+    urdf = read_xml(file).tag == "robot"
     if urdf:
         words = ET.Element("mujoco")
         ET.SubElement(words, "compiler", fusestatic="false", strippath="false", discardvisual="true")
