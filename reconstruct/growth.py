@@ -372,7 +372,9 @@ def body_points(evidence: Evidence, labels: NDArray[np.uint8], Ts: Array, seen: 
         clouds.append(se3.transform(se3.inverse(Ts[i]), cloud[:: max(1, min(50, len(cloud) // 4))]))
     cloud = np.concatenate(clouds)
     if len(cloud) == 0:
-        raise HopelessError("no second part: no frame shows enough of it")
+        raise HopelessError(
+            f"no second part: 0 of its pixels have depth in {int(seen.sum())} frames, at least 1 is needed"
+        )
     centre = np.median(cloud, axis=0)
     lever = float(np.sqrt(np.mean(np.sum((cloud - centre) ** 2, axis=1))))
     return np.asarray(centre + lever * np.concatenate([np.eye(3), -np.eye(3)]))

@@ -33,9 +33,7 @@ def better_type(
     found `so_far` and fits the poses far better than the other is taken without further ado.
     Raises HopelessError when fewer than 4 frames show both parts.
     """
-    frames = np.flatnonzero(within & seen.all(1))
-    if len(frames) < 4:
-        raise HopelessError(f"{len(frames)} frames show both parts, at least 4 are needed")
+    frames = frames_with_both(seen, within)
     relative = se3.inverse(Ts[0, frames]) @ Ts[1, frames]
     centre, lever = body.mean(0), float(np.linalg.norm(body - body.mean(0), axis=1).mean())
     kinds: tuple[JointType, ...] = ("revolute", "prismatic")
@@ -53,6 +51,14 @@ def better_type(
             return so_far
     found = {kind: adjusted(kind) for kind in kinds}
     return found["revolute" if _hinged(found, centre, evidence.scene.diagonal, settings.joint) else "prismatic"]
+
+
+def frames_with_both(seen: NDArray[np.bool_], within: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The frames `within` (n,) that have `seen` (n, 2) both parts; raises HopelessError when they are fewer than 4."""
+    frames = np.flatnonzero(within & seen.all(1))
+    if len(frames) < 4:
+        raise HopelessError(f"no second part: {len(frames)} frames show both parts, at least 4 are needed")
+    return frames
 
 
 def _self_and_other(kind: JointType) -> tuple[JointType, JointType]:

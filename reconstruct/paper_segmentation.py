@@ -23,6 +23,7 @@ from reconstruct import rigid
 from reconstruct.evidence import Evidence
 from reconstruct.features import Descriptors, Features
 from reconstruct.growth import Grown, Growth
+from reconstruct.hypotheses import frames_with_both
 from reconstruct.scene import HopelessError
 from reconstruct.seeds import Seed
 from reconstruct.segmentation import add_frames
@@ -372,9 +373,10 @@ def segment(
     weights = np.full(scene.mask.shape, 0.5, np.float32)
     motions = np.tile(np.eye(4), (n, 2, 1, 1))
     carried: Array | None = None
-    t = 0
+    t = most = 0
     while t < n - 1:
         tracks = tracker.follow(t, min(settings.window - 1, n - 1 - t))
+        most = max(most, int(tracks.visible[:, 1].sum()))
         window = solve_window(evidence, features, tracks, carried, settings, rng) if len(tracks.pixels) else None
         if window is None:
             if carried is not None:  # by features alone
@@ -396,7 +398,9 @@ def segment(
         t = int(window.frames[-1])
         carried = weights[t].astype(float)
     if carried is None:
-        raise HopelessError(f"no window has {settings.min_tracks} tracks")
+        raise HopelessError(
+            f"from no frame to the next can {settings.min_tracks} points of the object be followed: {most} at most"
+        )
     return PartWeights(weights, motions)
 
 
@@ -414,8 +418,7 @@ def part_poses(
     """
     growth = _Labelled(evidence, tracker, found, settings, rng)
     add_frames(growth, len(evidence.scene))
-    if (growth.done & growth.seen.all(1)).sum() < 4:
-        raise HopelessError("no second part: fewer than 4 frames show two parts")
+    frames_with_both(growth.seen, growth.done)
     growth.adopt(growth.try_joint())
     return Grown(growth.jointed(), growth.labels, growth.logodds, growth.seen)
 

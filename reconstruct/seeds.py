@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,8 @@ from reconstruct.tracks import Tracker
 
 FULL_SHARE = 0.12
 """Of the foreground: a smaller second part must lower the cost of a pixel the more."""
+LEAST_TRACKS = 0.06
+"""Share of the tracks that each of two motions must explain better than the other. Not measured."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,16 @@ class Candidate:
     """(2, 4, 4) motions from `frame` to `frame + gap`."""
     gain: float
     """Drop of the mean truncated squared error, in sigmas, from one motion to two."""
+
+
+@dataclass(frozen=True)
+class Miss:
+    """A pair of frames whose tracks hold no two motions."""
+
+    passed: float
+    """How many tests it passed, with the share of its limit at which it failed the next one."""
+    reason: str
+    """The test that failed, its number and its limit."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +70,25 @@ def candidates(
     rng: np.random.Generator,
     within: tuple[int, int] | None = None,
 ) -> list[Candidate]:
-    """Two-motion fits of tracks all over the recording, or from the first to the last frame `within`, best first."""
+    """Two-motion fits of tracks all over the recording, or from the first to the last frame `within`, best first.
+
+    Raises HopelessError when there are none, with the test that failed in the window that came nearest.
+    """
     first, last = (0, len(evidence.scene) - 1) if within is None else within
-    found = []
-    for gap in settings.gaps:
-        for frame in range(first, last - gap + 1, settings.every):
-            candidate = _two_motions(evidence, tracker, frame, gap, settings, rng)
-            if candidate is not None:
-                found.append(candidate)
-    return sorted(found, key=lambda c: -c.gain)
+    pairs = [(frame, gap) for gap in settings.gaps for frame in range(first, last - gap + 1, settings.every)]
+    tried = [_two_motions(evidence, tracker, frame, gap, settings, rng) for frame, gap in pairs]
+    found = [c for c in tried if isinstance(c, Candidate)]
+    if found:
+        return sorted(found, key=lambda c: -c.gain)
+    misses = [
+        (miss, frame, frame + gap) for miss, (frame, gap) in zip(tried, pairs, strict=True) if isinstance(miss, Miss)
+    ]
+    if not misses:
+        raise HopelessError(
+            f"frames {first} to {last} hold no pair {min(settings.gaps)} apart, the least that is needed"
+        )
+    miss, start, end = max(misses, key=lambda m: m[0].passed)
+    raise HopelessError(f"no two frames show two motions; frames {start} and {end} come nearest: {miss.reason}")
 
 
 def find_seeds(
@@ -84,21 +107,48 @@ def find_seeds(
     Raises HopelessError when no window gains: nothing moves against anything else, or there is no second part.
     """
     found = candidates(evidence, tracker, settings, rng, within)
-    if not found:
-        raise HopelessError("no window has enough tracks for two motions")
     tried = _best_of_stretches(found, settings.stretch)
     gains = [_dense_seed(evidence, c, np.array([c.frame + c.gap]), settings, rng).gain for c in tried]
     chosen = [tried[c] for c in np.argsort(-np.array(gains), kind="stable")[: settings.refined]]
     seeds = sorted((_dense_seed(evidence, c, _window(evidence, c, settings), settings, rng) for c in chosen), key=_rank)
     if seeds[0].gain < settings.min_gain:
-        best = max(seeds, key=lambda s: s.drop)
-        small = f", more below {100 * FULL_SHARE:.0f} % of the pixels" if best.share < FULL_SHARE else ""
-        raise HopelessError(
-            f"no second part was found that moves and shows on more than {100 * settings.min_share:.0f} % of the "
-            f"object's pixels: at best a second motion explains {100 * best.share:.1f} % of them and lowers the mean "
-            f"cost of a pixel by {max(best.drop, 0):.3f}; at least {settings.min_gain} is needed{small}",
-        )
+        raise HopelessError(_refusal(seeds, settings))
     return [s for s in seeds if s.gain >= settings.min_gain]
+
+
+def _refusal(seeds: list[Seed], settings: SeedSettings) -> str:
+    """Which tests the window that comes nearest to a second part fails, with its numbers and their limits."""
+
+    def nearness(seed: Seed) -> float:
+        return min(seed.share / settings.min_share, seed.drop / needed_drop(seed.share, settings))
+
+    best = max(seeds, key=nearness)
+    needed = needed_drop(best.share, settings)
+    failed = []
+    if best.share < settings.min_share:
+        failed.append(
+            f"it shows on {_floor(100 * best.share)} % of the object's pixels, at least "
+            f"{100 * settings.min_share:.3g} % is needed"
+        )
+    if best.drop < needed:
+        size = f" for a part of {_floor(100 * best.share)} % of the pixels" if best.share < FULL_SHARE else ""
+        failed.append(
+            f"its motion lowers the mean cost of a pixel by {_floor(best.drop)}, at least {needed:.2g} is needed{size}"
+        )
+    return f"no second part was found that moves; frame {best.frame} comes nearest: {' and '.join(failed)}"
+
+
+def _floor(value: float) -> float:
+    """`value` rounded down to two digits, so that it never reads like the limit that it misses."""
+    if value <= 0:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / unit + 1e-6) * unit:.3g}")
+
+
+def needed_drop(share: float, settings: SeedSettings) -> float:
+    """Drop of the mean cost of a pixel that a second part with this `share` of the foreground, 0 to 1, must make."""
+    return settings.min_gain / max(min(1.0, share / FULL_SHARE), 1e-9)
 
 
 def _best_of_stretches(found: list[Candidate], frames: int) -> list[Candidate]:
@@ -127,29 +177,38 @@ def _two_motions(
     gap: int,
     settings: SeedSettings,
     rng: np.random.Generator,
-) -> Candidate | None:
+) -> Candidate | Miss:
     """RANSAC from small neighbourhoods, the best pair of hypotheses, then EM."""
     scene = evidence.scene
     tracks = tracker.follow(frame, gap)
     kept = np.flatnonzero(tracks.visible[:, -1])
-    if len(kept) < 8 * settings.sample:
-        return None
+    least = 8 * settings.sample
+    if len(kept) < least:
+        return Miss(len(kept) / least, f"{len(kept)} points of the object can be followed, at least {least} are needed")
     kept = kept[np.sort(rng.permutation(len(kept))[: settings.max_tracks])]
     X, Y = tracks.points[kept, 0], tracks.points[kept, -1]
     scale = 2.5 * evidence.unit
     Ts = _local_hypotheses(X, Y, settings.neighbourhood * scene.diagonal, scale, settings, rng)
     if len(Ts) < 2:
-        return None
+        return Miss(
+            1 + len(Ts) / 2,
+            f"{len(Ts)} neighbourhoods hold {settings.sample} points that can be followed, at least 2 are needed",
+        )
     pixels = np.rint(tracks.pixels[kept, -1]).astype(int)
     normals = scene.normals[frame + gap, pixels[:, 1], pixels[:, 0]].astype(float)
     errors = _errors(Ts, X, Y, normals, evidence)
     some = errors[:, :400]
     pair_cost = np.stack([np.minimum(one, some).mean(1) for one in some])
     share = np.stack([(one < some).mean(1) for one in some])
-    pair_cost[(share < 0.06) | (share > 0.94)] = np.inf
+    pair_cost[(share < LEAST_TRACKS) | (share > 1 - LEAST_TRACKS)] = np.inf
     a, b = np.unravel_index(pair_cost.argmin(), pair_cost.shape)
     if not np.isfinite(pair_cost[a, b]):
-        return None
+        most = float(np.minimum(share, 1 - share).max())
+        return Miss(
+            2 + most / LEAST_TRACKS,
+            f"a second motion explains {100 * most:.3g} % of the points that can be followed, at least "
+            f"{100 * LEAST_TRACKS:.3g} % is needed",
+        )
     pair = np.stack([Ts[a], Ts[b]])
     for round_ in range(settings.em_rounds):
         second = errors[b] < errors[a] if round_ == 0 else np.argmin(_errors(pair, X, Y, normals, evidence), 0) == 1

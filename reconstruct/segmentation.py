@@ -15,6 +15,7 @@ from freeart21 import se3
 from freeart21.se3 import Array
 from reconstruct.evidence import Evidence
 from reconstruct.growth import Grown, Growth, body_points
+from reconstruct.hypotheses import frames_with_both
 from reconstruct.labels import Frames, label_frames
 from reconstruct.pieces import is_doubtful, join, lost_stretches
 from reconstruct.poses import joint_adjustment
@@ -254,8 +255,7 @@ def _with_joint(growth: Growth, seed: Seed) -> Growth:
     enough = s.bootstrap_motion * growth.evidence.scene.diagonal
     while growth.relative_motion() < enough and growth.done.sum() < s.bootstrap_most and frontier(growth):
         add_frames(growth, 4)
-    if (growth.done & growth.seen.all(1)).sum() < 4:
-        raise HopelessError("no second part: fewer than 4 frames show two parts")
+    frames_with_both(growth.seen, growth.done)
     growth.adopt(growth.try_joint())
     return growth
 

@@ -15,6 +15,7 @@ from reconstruct.growth import Growth
 from reconstruct.paper_segmentation import PartWeights, part_poses
 from reconstruct.pipeline import reconstruct
 from reconstruct.recovery import _Look, _patches
+from reconstruct.scene import HopelessError
 from reconstruct.seeds import Seed, find_seeds
 from reconstruct.segmentation import _begun, add_frames, go_back, grow
 from reconstruct.tracks import DisTracker
@@ -238,3 +239,33 @@ def test_of_several_beginnings_the_one_that_explains_its_frames_is_taken(resting
 
     assert right(begun(bad)) < 0.8 < 0.93 < right(begun(bad, *good))
     assert right(begun(good[0], bad)) > 0.93
+
+
+@pytest.mark.parametrize(
+    "share, drop, shown, left_out",
+    [
+        (0.0394, 0.087, ["shows on 3.9 % of the object's pixels, at least 4 % is needed", "0.087, at least 0.091"], []),
+        (0.03999, 0.5, ["shows on 3.9 % of the object's pixels, at least 4 % is needed"], ["cost of a pixel"]),
+        (0.06, 0.04, ["by 0.04, at least 0.06 is needed for a part of 6 % of the pixels"], ["shows on"]),
+        (0.3, -0.01, ["by 0, at least 0.03 is needed"], ["shows on", "for a part"]),
+    ],
+)
+def test_a_refusal_names_the_test_that_failed_and_no_other(share, drop, shown, left_out):
+    def window(frame, share, drop):
+        nothing = np.zeros((0, 2, 4, 4))
+        return Seed(frame, np.zeros(0, int), nothing, np.zeros((1, 1), np.float32), 0.0, drop, share)
+
+    text = seeds._refusal([window(3, 0.01, 0.01), window(7, share, drop)], QUIET.seeds)
+    assert "frame 7 comes nearest" in text and all(words in text for words in shown), text
+    assert not any(words in text for words in left_out), text
+
+
+def test_a_refusal_by_the_tracks_names_the_test_that_failed(resting):
+    _, evidence, _, tracker = resting
+    for change, words in (
+        ({"sample": 10**6}, r"\d+ points of the object can be followed, at least 8000000 are needed"),
+        ({"neighbourhood": 1e-6}, "0 neighbourhoods hold 8 points that can be followed, at least 2 are needed"),
+        ({"gaps": (1000,)}, "hold no pair 1000 apart"),
+    ):
+        with pytest.raises(HopelessError, match=words):
+            find_seeds(evidence, tracker, replace(QUIET.seeds, **change), RNG(0))
