@@ -138,12 +138,12 @@ def _refusal(seeds: list[Seed], settings: SeedSettings) -> str:
     return f"no second part was found that moves; frame {best.frame} comes nearest: {' and '.join(failed)}"
 
 
-def _floor(value: float) -> float:
+def _floor(value: float) -> str:
     """`value` rounded down to two digits, so that it never reads like the limit that it misses."""
     if value <= 0:
-        return 0.0
+        return "0"
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f"{math.floor(value / unit + 1e-6) * unit:.3g}")
+    return f"{math.floor(value / unit + 1e-6) * unit:.3g}"
 
 
 def needed_drop(share: float, settings: SeedSettings) -> float:

@@ -247,7 +247,7 @@ def test_of_several_beginnings_the_one_that_explains_its_frames_is_taken(resting
         (0.0394, 0.087, ["shows on 3.9 % of the object's pixels, at least 4 % is needed", "0.087, at least 0.091"], []),
         (0.03999, 0.5, ["shows on 3.9 % of the object's pixels, at least 4 % is needed"], ["cost of a pixel"]),
         (0.06, 0.04, ["by 0.04, at least 0.06 is needed for a part of 6 % of the pixels"], ["shows on"]),
-        (0.3, -0.01, ["by 0, at least 0.03 is needed"], ["shows on", "for a part"]),
+        (0.3, 0.02, ["by 0.02, at least 0.03 is needed"], ["shows on", "for a part"]),
     ],
 )
 def test_a_refusal_names_the_test_that_failed_and_no_other(share, drop, shown, left_out):
