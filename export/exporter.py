@@ -18,7 +18,7 @@ from export.collision import Collision, CollisionSettings, convex_parts, kept_ap
 from export.guessed_dynamics import DYNAMICS, Dynamics, guessed_effects
 from export.inertia import inertial_of
 from export.materials import DEFAULT, DENSITIES, MATERIALS, Material
-from export.meshes import MeshSettings, write_hull, write_visual
+from export.meshes import MeshSettings, without_crumbs, write_hull, write_visual
 from export.mjcf import mjcf_text
 from export.model import BASES, AssetModel, Base, LinkModel
 from export.parts import Part, closed_parts
@@ -34,7 +34,7 @@ from freeart21.files.lock import only_writer
 from freeart21.files.places import ASSET, check_place
 from freeart21.files.result import read_method, read_result
 from freeart21.files.sequence import read_sequence
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, bounding_diagonal, middle
 from freeart21.reconstruction import Failure, Reconstruction
 
 URDF, MJCF, MESHES = "object.urdf", "object.xml", "meshes"
@@ -49,6 +49,9 @@ _MASSES = (1e-6, 1e6)
 _WALLS = (1e-5, 1.0)
 """m, from foil to masonry."""
 _SCALES = (1e-4, 1e4)
+_LENGTHS = (1e-3, 10.0)
+"""m of a part, of the way to its axis and of its travel. Less than the collision shapes' least thickness has no shape;
+beyond 8.4 m single precision misses the poses of other engines by `checklist.FK_TOLERANCE`."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,8 @@ def export_result(
         video: the sequence folder that was reconstructed: textures come from its sharpest frames. Without it they hold
             the colours of the part meshes' vertices.
 
-    Raises FreeArtError on a setting that cannot be, a failed result, an empty part, a joint that was not seen to move,
+    Raises FreeArtError on a setting that cannot be, a failed result, a part that is empty, smaller than 1 mm or larger
+    than 10 m or as far from its axis, a joint that was not seen to move,
     an `out` that is anything but an older asset, and when the asset does not pass its own check.
     """
     given = () if isinstance(result, Reconstruction) else (Path(result),)
@@ -136,6 +140,7 @@ def export_result(
     settings = settings or ExportSettings()
     settings.check()
     reconstruction, source = _reconstruction(result)
+    _check_lengths(reconstruction, settings)
     recording = None if video is None else read_sequence(video)
     reconstruction, parts = closed_parts(reconstruction, recording, settings.meshes)
     placement = placed(
@@ -202,6 +207,26 @@ def _reconstruction(result: Path | Reconstruction) -> tuple[Reconstruction, dict
         raise FreeArtError(f"{folder} is a failure, nothing to export: {read.stage}: {read.reason}")
     place = folder.resolve()
     return read, {"method": read_method(place.parent).name, "sequence": place.name}
+
+
+def _check_lengths(reconstruction: Reconstruction, settings: ExportSettings) -> None:
+    """FreeArtError when a part, the way from it to the joint's axis, or its travel is of no length of `_LENGTHS`."""
+    whole, joint = reconstruction.articulation, reconstruction.articulation.joint
+    low, high = _LENGTHS
+    expected = f"expected {1000 * low:g} mm to {high:g} m: surfaces, depth or scale are wrong"
+    for name in PARTS:
+        part = without_crumbs(whole.part(name), settings.meshes.min_component)
+        if not part.areas().sum() > 0:
+            continue  # nothing to export, which is said elsewhere
+        size = settings.scale * bounding_diagonal(part)
+        if not low <= size <= high:
+            raise FreeArtError(f"{name} part is {size:.3g} m large, {expected}")
+        arm = settings.scale * float(np.linalg.norm(np.cross(joint.axis, middle(part) - joint.pivot)))
+        if joint.type == "revolute" and arm > high:
+            raise FreeArtError(f"{name} part lies {arm:.3g} m from the axis of joint '{joint.name}', {expected}")
+    travel = settings.scale * float(np.ptp(reconstruction.states))
+    if joint.type == "prismatic" and travel > high:
+        raise FreeArtError(f"joint '{joint.name}' travels {travel:.3g} m, {expected}")
 
 
 def scaled(reconstruction: Reconstruction, scale: float) -> Reconstruction:

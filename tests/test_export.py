@@ -310,6 +310,28 @@ def test_what_cannot_be_exported_says_why_and_leaves_nothing(tmp_path: Path):
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["notes.txt"]
 
 
+def test_lengths_that_no_asset_has_are_refused_before_any_work(tmp_path: Path):
+    lid = box((0.2, 0.15, 0.03), (0, 0, 0.04))
+    spiked = lid.vertices + np.array([0, 0, 97.0]) * (np.arange(8) == 3)[:, None]  # depth of a pixel without any
+    crumb = box((0.002, 0.002, 0.002), (97.0, 0, 0))
+    far = replace(reconstruction().articulation.joint, pivot=np.array([0.0, 0.0, 1e6]))
+    cases = [
+        (reconstruction(moving=Mesh(spiked, lid.faces)), "moving part is 97 m large, expected 1 mm to 10 m"),
+        (reconstruction(reference=Mesh(1e30 * lid.vertices, lid.faces)), r"reference part is 2.52e\+29 m large"),
+        (reconstruction(moving=Mesh(1e-4 * lid.vertices, lid.faces)), "moving part is 2.52e-05 m large"),
+        (reconstruction(joint=far), r"reference part lies 1e\+06 m from the axis of joint 'lid joint'"),
+        (reconstruction("prismatic", states=(0.0, 1e5)), r"joint 'lid joint' travels 1e\+05 m, expected"),
+    ]
+    for answer, said in cases:
+        with pytest.raises(FreeArtError, match=said):
+            export_result(answer, tmp_path / "a")
+    assert list(tmp_path.iterdir()) == []
+    with_crumb = Mesh(
+        np.concatenate([lid.vertices, crumb.vertices]), np.concatenate([lid.faces, crumb.faces + len(lid.vertices)])
+    )
+    export_result(reconstruction(moving=with_crumb), tmp_path / "a")  # it is dropped as ever
+
+
 def test_result_folder_is_exported_with_its_origin_and_a_failure_is_refused(tmp_path: Path):
     write_result(tmp_path / "ours" / "s1", reconstruction())
     (tmp_path / "ours" / "method.json").write_text('{"schema": "freeart21/method/1", "name": "ours"}')
