@@ -28,6 +28,7 @@ from freeart21.files.hidden import MARKER, PICTURES, digest
 from freeart21.files.hidden import SCHEMA as HIDDEN_SCHEMA
 from freeart21.files.places import Output, require_replaceable
 from freeart21.files.sequence import encode_depth, header_json, queries_json, read_sequence
+from freeart21.files.verify import differing_files, listed_files
 
 KEY_SCHEMA = "freeart21/pack-key/1"
 EPOCH_S = 315532800
@@ -97,9 +98,11 @@ def pack_public(
 
     `keep_names` leaves the sequences' names as they are, which tell what objects they show. `key` is a file, made where
     there is none; None takes `key_place`. A set that was packed before gives the same again. Raises FreeArtError when
-    `data` is broken, or when something else stands at `out` (a ZIP is never replaced).
+    `data` is broken or not as its benchmark.json lists it, or when something else stands at `out` (a ZIP is never
+    replaced).
     """
     benchmark = read_benchmark(data)
+    _check_files(Path(data))
     if benchmark.hidden:
         names, hidden = {name: name for name in benchmark.sequences}, benchmark.hidden
     else:
@@ -115,8 +118,17 @@ def pack_truth(
     benchmark = read_benchmark(data)
     if benchmark.hidden:
         raise FreeArtError(f"{data} was packed without its truth: there is none to write")
+    _check_files(Path(data))
     names = names_of(benchmark, read_key(key or key_place(data)), keep_names)
     _write(Path(out), TRUTH, _truth_files(benchmark, names, progress))
+
+
+def _check_files(data: Path) -> None:
+    """FreeArtError, in one line, where a file is missing, is not listed, or is not the one of benchmark.json's hash."""
+    faults = list(differing_files(data, listed_files(data)))
+    if faults:
+        more = f" ({len(faults) - 1} more files differ: `freeart21 verify {data}` names them)" * (len(faults) > 1)
+        raise FreeArtError(f"{faults[0]}{more}; nothing was packed")
 
 
 def _public_files(benchmark: Benchmark, names: dict[str, str], hidden: str, progress: Progress) -> _Files:
@@ -177,8 +189,6 @@ def _truth_places(benchmark: Benchmark, names: Names) -> Iterator[tuple[str, Pat
         if not (folder / "truth.json").is_file():
             raise FreeArtError(f"{folder} holds no truth: it has no truth.json")
         for path in sorted(folder.rglob("*")):
-            if path.is_symlink():
-                raise FreeArtError(f"{path} is a link, expected the file itself")
             if path.is_file():
                 yield f"truth/{names.packed[sequence]}/{path.relative_to(folder).as_posix()}", path
 

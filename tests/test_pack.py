@@ -425,7 +425,46 @@ def test_the_command_takes_one_half_at_a_time(data, tmp_path, capsys):
 
 
 def test_a_truth_with_links_is_not_packed(data, tmp_path):
-    (data / "truth" / "cover_phone-s5" / "more.txt").symlink_to("/etc/hostname")
-    with pytest.raises(FreeArtError, match="is a link"):
+    more = data / "truth" / "cover_phone-s5" / "more.txt"
+    more.symlink_to("/etc/hostname")
+    with pytest.raises(FreeArtError, match=r"more\.txt is not listed"):
+        pack_truth(data, tmp_path / "truth")
+    listed = json.loads((data / "benchmark.json").read_text())
+    listed["sha256"]["truth/cover_phone-s5/more.txt"] = hashlib.sha256(more.read_bytes()).hexdigest()
+    (data / "benchmark.json").write_text(json.dumps(listed))
+    with pytest.raises(FreeArtError, match=r"more\.txt is not a plain file"):
         pack_truth(data, tmp_path / "truth")
     assert not (tmp_path / "truth").exists()
+
+
+def other_bytes(data):
+    path = data / "truth" / "mini_stapler-s5" / "poses.npz"
+    path.write_bytes(path.read_bytes() + b"\0")
+    return rf"{path.name} has another content .* SHA-256 is [0-9a-f]{{12}}, expected [0-9a-f]{{12}}"
+
+
+def missing_picture(data):
+    (data / "sequences/mini_stapler-s5/rgb/00003.png").unlink()
+    return r"rgb/00003\.png is missing: benchmark\.json lists it"
+
+
+def extra_file(data):
+    (data / "truth/mini_stapler-s5/notes.txt").write_text("mine")
+    return r"notes\.txt is not listed in benchmark\.json"
+
+
+def two_faults(data):
+    (data / "sequences/mini_stapler-s5/rgb/00003.png").unlink()
+    extra_file(data)
+    return r"1 more files differ: `freeart21 verify"
+
+
+@pytest.mark.parametrize("half", [pack_public, pack_truth])
+@pytest.mark.parametrize("spoil_one", [other_bytes, missing_picture, extra_file, two_faults])
+def test_what_is_not_as_its_hashes_say_is_not_packed(spoil_one, half, data, tmp_path):
+    words = spoil_one(data)
+    for out in (tmp_path / "out", tmp_path / "out.zip"):
+        with pytest.raises(FreeArtError, match=words) as caught:
+            half(data, out, tmp_path / "key")
+        assert "\n" not in str(caught.value) and not out.exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"secret"}, "not even a key is made"

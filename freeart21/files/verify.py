@@ -47,13 +47,9 @@ def verify(data: Path, truth: Path | None = None) -> Report:
     if is_unfinished(data):
         raise unfinished(data)
     benchmark = read_benchmark(data, truth)
-    listed = checked.read_json(data / "benchmark.json").get("sha256")
-    if not isinstance(listed, dict):
-        raise FreeArtError(
-            f"{data}/benchmark.json: 'sha256' is {type(listed).__name__}, expected file names and hashes"
-        )
+    listed = listed_files(data)
     report = Report(len(listed), len(benchmark.sequences))
-    report.findings += _files(data, listed)
+    report.findings += differing_files(data, listed)
     for name in benchmark.sequences:
         found = lines(partial(_look_through, benchmark, name))
         report.findings += [line if name in line else f"{name}: {line}" for line in found]
@@ -76,7 +72,18 @@ def lines(*looks: Callable[[], Iterable[str]]) -> Iterator[str]:
             yield str(error)
 
 
-def _files(data: Path, listed: dict[str, Any]) -> Iterator[str]:
+def listed_files(data: Path) -> dict[str, Any]:
+    """Name to SHA-256 of every file that benchmark.json of the data folder `data` lists."""
+    listed = checked.read_json(data / "benchmark.json").get("sha256")
+    if not isinstance(listed, dict):
+        raise FreeArtError(
+            f"{data}/benchmark.json: 'sha256' is {type(listed).__name__}, expected file names and hashes"
+        )
+    return listed
+
+
+def differing_files(data: Path, listed: dict[str, Any]) -> Iterator[str]:
+    """A line for every file of the data folder `data` that is not as `listed`: missing, extra, of other content."""
     here = {str(path.relative_to(data)) for path in data.rglob("*") if not path.is_dir()} - {"benchmark.json"}
     for name in sorted(set(listed) | here):
         path = data / name
@@ -88,12 +95,13 @@ def _files(data: Path, listed: dict[str, Any]) -> Iterator[str]:
             yield f"{path} is not a plain file"
         else:
             try:
-                differs = file_sha256(path) != listed[name]
+                got = file_sha256(path)
             except FreeArtError as error:
                 yield str(error)
                 continue
-            if differs:
-                yield f"{path} has another content than benchmark.json says: its SHA-256 differs"
+            if got != listed[name]:
+                hashes = f"{got[:12]}, expected {str(listed[name])[:12]}"
+                yield f"{path} has another content than benchmark.json says: its SHA-256 is {hashes}"
 
 
 def _sequence(folder: Path, truth_folder: Path) -> Iterator[str]:
