@@ -18,7 +18,8 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import link_poses, named_inside, numbers, origin_pose, parsed, read_urdf_joints, told
+from freeart21.files.urdf import link_poses, numbers, origin_pose, parsed, read_urdf_joints, told
+from freeart21.files.urdf_files import missing_file, named_inside
 from freeart21.se3 import Array
 from generator.simulate import joint_motion
 
@@ -80,7 +81,7 @@ def urdf_findings(robot: ET.Element, urdf: Path, folder: Path) -> list[Finding]:
     if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):  # the rest needs a tree with all its files
         return [*findings, *masses]
     findings += masses
-    files = partial(named_inside, urdf, folder=folder)
+    files = partial(named_inside, urdf, root=folder)
     try:
         for link in robot.findall("link"):
             if not any(finding.broken for finding in masses):
@@ -136,15 +137,14 @@ def _names(robot: ET.Element) -> Iterator[Finding]:
 def _paths(robot: ET.Element, urdf: Path, folder: Path) -> Iterator[Finding]:
     for element in [*robot.iter("mesh"), *robot.iter("texture")]:
         name = element.get("filename", "")
-        if not name or Path(name).is_absolute() or "://" in name or " " in name or ".." in Path(name).parts:
+        if not name or Path(name).is_absolute() or "://" in name or " " in name:
             expected = "expected a relative path without spaces in the asset's folder"
             yield Finding("paths.relative", f"file '{name}', {expected}")
         try:
-            there = named_inside(urdf, name, folder).is_file()
-        except FreeArtError:
-            there = False
-        if not there:
-            yield Finding("paths.exist", f"file '{name}' does not exist")
+            if not named_inside(urdf, name, folder).is_file():
+                yield Finding("paths.exist", f"file {missing_file(urdf, name, folder)}")
+        except FreeArtError as error:
+            yield Finding("paths.exist", str(error))
 
 
 def _masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:

@@ -23,7 +23,8 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.urdf import UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, named_inside, read_urdf
+from freeart21.files.urdf import UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, read_urdf
+from freeart21.files.urdf_files import named_inside
 from freeart21.reconstruction import describe_trust
 from freeart21.se3 import Array
 

@@ -18,7 +18,7 @@ class Asset:
     """One articulated object on disk, two of whose links matter: the reference link and the moving link."""
 
     urdf: Path
-    """The URDF file; mesh paths in it are relative to its folder."""
+    """The URDF file."""
     joint: str
     """Name of the scored joint in the URDF."""
     reference_link: str
@@ -40,6 +40,8 @@ class Asset:
     came from: 1 unless it was exported at another size."""
     trust: Trust | None = None
     """Whether the reconstruction that it was made of trusts itself; None when that is not stated."""
+    root: Path | None = None
+    """Folder within which the files lie that the URDF names; None takes what `urdf_files.find_root` finds."""
 
     def __post_init__(self) -> None:
         object.__setattr__(

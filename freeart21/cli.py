@@ -159,6 +159,7 @@ def record(
     partnet_root: Path | None = None,
     joint: str | None = None,
     skip_missing: bool = False,
+    root: Path | None = None,
     motion: str | None = None,
     carry: float | None = None,
     preset: str = "handheld",
@@ -191,6 +192,7 @@ def record(
         joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
         skip_missing: Leave out meshes that an object names but does not have and, with `all`, objects that are not in
             --partnet-root.
+        root: Folder within which the files that a URDF names are read; its own or its package's when not given.
         motion: tumble (when not given), inspect, wave, turntable, static_base, release, human, or track:FILE, a take
             (or teleop:FILE).
         carry: Factor on a take's way, 1 for its metres; by the objects' sizes when not given.
@@ -242,6 +244,7 @@ def record(
         partnet_root=partnet_root,
         joint=joint,
         skip_missing=skip_missing,
+        root=root,
         shader=shader,
     )
     if procedural is not None and names:
@@ -291,6 +294,7 @@ def teleop(
     partnet_root: Path | None = None,
     joint: str | None = None,
     skip_missing: bool = False,
+    root: Path | None = None,
     host: str = "127.0.0.1",
     port: int = 8021,
     width: int = 640,
@@ -308,6 +312,7 @@ def teleop(
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf or ROOT/dataset/41083.
         joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
         skip_missing: Leave out meshes that the object names but does not have.
+        root: Folder within which the files that a URDF names are read; its own or its package's when not given.
         host: Address to listen at; 0.0.0.0 is all that this machine has. Beyond 127.0.0.1 the page is served by https,
             with a certificate that is made for this machine and kept.
         port: Port to listen at; 0 takes a free one.
@@ -317,7 +322,7 @@ def teleop(
     from generator.session import RecordSettings
     from generator.teleop.start import TeleopSettings, serve
 
-    record = RecordSettings(seed=seed, partnet_root=partnet_root, joint=joint, skip_missing=skip_missing)
+    record = RecordSettings(seed=seed, partnet_root=partnet_root, joint=joint, skip_missing=skip_missing, root=root)
     record.check()
     serve(name, out, TeleopSettings(host, port, width, height), record)
 
@@ -524,6 +529,7 @@ def joint_asset(
 def check_asset(
     path: Annotated[Path, Positional],
     engines: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME...")] = None,
+    root: Path | None = None,
     simcheck: bool = False,
     as_json: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE")] = None,
     limit_s: float = 60.0,
@@ -535,6 +541,7 @@ def check_asset(
 
     Args:
         path: An asset folder, a folder with one URDF or MJCF, or such a file.
+        root: Folder within which the files that a URDF names are read; its own or its package's when not given.
         engines: Engines to try it in: sapien, mujoco, pybullet, drake; all that are installed when not given.
         simcheck: Run the public checker of that name, too.
         as_json: File for the report: every rule with its verdict, reason, measured number and what it is good for.
@@ -543,7 +550,7 @@ def check_asset(
     from export.check.checking import check
     from export.check.report import print_report, write_report
 
-    report = check(path, engines, simcheck=simcheck, limit_s=limit_s)
+    report = check(path, engines, simcheck=simcheck, root=root, limit_s=limit_s)
     if as_json is not None:
         write_report(as_json, report)
     print_report(report)

@@ -54,7 +54,7 @@ _OBJECT_FILES = 107
 """Files of an object, and of a sequence but for its pictures: the mean of freeart21-v1."""
 _BYTES_OF_LINE = 102
 """Of a line of benchmark.json, without the sequence's name: the picture's path and its hash."""
-_PATHS = ("effects", "partnet_root", "track", "urdf")
+_PATHS = ("camera", "effects", "partnet_root", "root", "track", "urdf")
 """Settings that are paths."""
 _PATIENCE_S = 3.0
 """How long the lock is waited for: the workers of a killed recorder need a moment to notice."""
@@ -100,7 +100,7 @@ def jobs_of(names: Sequence[str], settings: RecordSettings) -> list[Job]:
     given, jobs = settings, []
     for name in dict.fromkeys(names):
         settings = given
-        if name.lower().endswith(".urdf"):
+        if name.lower().endswith(urdf_folder.ENDINGS):
             settings = replace(given, urdf=checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE))
             name = urdf_folder.object_name(Path(name))
         entry = entry_of(name, settings)

@@ -28,6 +28,7 @@ from trimesh.geometry import triangulate_quads
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.urdf import parsed
+from freeart21.files.urdf_files import named_inside
 from freeart21.se3 import Array
 from generator.surface import Paint, Surface, srgb
 
@@ -252,33 +253,33 @@ def _name(path: Path, folder: Path) -> str:
 
 
 @contextlib.contextmanager
-def sapien_urdf(urdf: Path) -> Iterator[Path]:
+def sapien_urdf(urdf: Path, root: Path | None = None) -> Iterator[Path]:
     """A URDF that SAPIEN can load, valid inside the `with`: `urdf` itself, or a copy without what its folder lacks.
 
     In the copy absent meshes and meshes without faces are left out, as visuals and as collision shapes, materials go
     without absent pictures, and meshes that their scale mirrors have their faces turned round (SAPIEN would show them
-    from within). Only OBJ files are looked into.
+    from within). Only OBJ files are looked into; all lie in `root`, as in `freeart21.files.urdf_files`.
     """
-    root = parsed(urdf)
+    robot = parsed(urdf)
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
         changed = False
-        for link in root.iter("link"):
+        for link in robot.iter("link"):
             for shape in [s for s in link if s.tag in ("visual", "collision")]:
                 mesh = shape.find("geometry/mesh")
-                if mesh is None or "://" in mesh.get("filename", ""):
+                if mesh is None:
                     continue
-                path = urdf.absolute().parent / mesh.get("filename", "")
+                path = named_inside(urdf, mesh.get("filename", ""), root)
                 mirrored = np.prod(_scale(mesh)) < 0
                 usable = _usable(path, Path(place), bool(mirrored))
-                changed |= usable != path
+                changed |= usable != urdf.absolute().parent / mesh.get("filename", "")
                 if usable is None:
                     link.remove(shape)
                 else:
                     mesh.set("filename", str(usable))
         if changed:
-            for texture in root.iter("texture"):
-                texture.set("filename", str(urdf.absolute().parent / texture.get("filename", "")))
-            ET.ElementTree(root).write(Path(place) / urdf.name, encoding="utf-8")
+            for texture in robot.iter("texture"):
+                texture.set("filename", str(named_inside(urdf, texture.get("filename", ""), root)))
+            ET.ElementTree(robot).write(Path(place) / urdf.name, encoding="utf-8")
         yield Path(place) / urdf.name if changed else urdf
 
 

@@ -112,6 +112,8 @@ class RecordSettings:
     """Folder that holds PartNet-Mobility objects, one folder an id."""
     urdf: Path | None = None
     """The object's own URDF, of an object that is in no catalog."""
+    root: Path | None = None
+    """Folder within which the files lie that `urdf` names; None takes its own, or its package's."""
     joint: str | None = None
     """Scored joint; None takes the catalog's, or the only movable one."""
     skip_missing: bool = False
@@ -177,7 +179,7 @@ class RecordSettings:
     def described(self) -> dict[str, Any]:
         """All that decides the recording's bytes, as JSON: without places on this machine."""
         facts = asdict(self)
-        del facts["partnet_root"]
+        del facts["partnet_root"], facts["root"]
         facts["effects"] = None if self.effects is None else checked.read_json(self.effects, root=checked.ANYWHERE)
         facts["camera"] = None if self.camera is None else checked.read_json(self.camera, root=checked.ANYWHERE)
         for later in ("let_go", "track", "urdf", "camera"):
@@ -186,7 +188,7 @@ class RecordSettings:
         if self.track is None:
             del facts["carry"]
         if self.urdf is not None:
-            facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_folder.digest(self.urdf)}
+            facts["urdf"] = {"name": self.urdf.name, "sha256": urdf_folder.digest(self.urdf, self.root)}
         if self.track is not None:
             facts["track"] = {"name": self.track.name, "sha256": file_sha256(self.track, checked.ANYWHERE)}
         return facts
@@ -239,7 +241,9 @@ def load_object(entry: catalog.CatalogEntry, settings: RecordSettings, place: Pa
     others are the user's.
     """
     if settings.urdf is not None:
-        return urdf_folder.load_urdf(settings.urdf, place / entry.name, settings.joint, settings.skip_missing)
+        return urdf_folder.load_urdf(
+            settings.urdf, place / entry.name, settings.joint, settings.skip_missing, settings.root
+        )
     folder = place / entry.name if entry.source == "procedural" else partnet_folder(entry.name, settings.partnet_root)
     if entry.source == "procedural" and not folder.is_dir():
         write_partnet(build(entry.name, settings), folder)

@@ -33,6 +33,7 @@ from freeart21.effects.base import Effect, readings
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import movable_joint
 from freeart21.files.urdf import UrdfJoint, parsed, read_urdf_joints
+from freeart21.files.urdf_files import named_file
 from freeart21.joint import Joint, JointType
 from freeart21.mechanics import Actuator, JointMechanics
 from freeart21.se3 import Array
@@ -765,7 +766,7 @@ def _readable_urdf(asset: Asset, joints: dict[str, UrdfJoint], visuals: bool, ke
     links = [link.get("name", "") for link in root.findall("link")]
     _check_tree(asset, joints, links)
     for file in [*root.iter("mesh"), *root.iter("texture")]:
-        file.set("filename", str(named_file(asset.urdf, file.get("filename", ""))))
+        file.set("filename", str(named_file(asset.urdf, file.get("filename", ""), asset.root)))
     dropped = () if visuals else ("visual",)
     for link in root.findall("link"):
         weighed = float(_attribute(link, "inertial/mass", "value", "0")) > 0
@@ -810,17 +811,3 @@ def _check_tree(asset: Asset, joints: dict[str, UrdfJoint], links: list[str]) ->
     for link in (asset.reference_link, asset.moving_link):
         if link not in links:
             raise FreeArtError(f"{asset.urdf} has no link '{link}'; links: {', '.join(links)}")
-
-
-def named_file(urdf: Path, filename: str) -> Path:
-    """The file that a URDF names: relative to its folder, absolute, or package:// searched from its folder upwards."""
-    folder = urdf.absolute().parent
-    if filename.startswith("package://"):
-        name = filename.removeprefix("package://")
-        candidates = [parent / name for parent in (folder, *folder.parents)]
-    else:
-        candidates = [folder / filename]
-    for path in candidates:
-        if path.is_file():
-            return path
-    raise FreeArtError(f"{urdf} names mesh '{filename}', which does not exist")

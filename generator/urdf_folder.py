@@ -3,7 +3,8 @@
 Meshes (OBJ, STL, PLY) become OBJ files with a picture for every colour. A visual that the URDF gives a colour has it;
 else the mesh's own materials count, else it is grey. A mesh that bounds no volume (open, or faces of it turned round)
 is drawn twice, once a side, as PartNet-Mobility's are: renderers show a face from its front alone. Collision shapes are
-left out; joints, inertia, origins and scales stay as they are. What a mesh names must lie in the URDF's folder.
+left out; joints, inertia, origins and scales stay as they are. What the URDF and its meshes name lies in one folder,
+the root (`freeart21.files.urdf_files`).
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ import trimesh
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.asset import movable_joint
-from freeart21.files.urdf import UrdfShape, named_inside, parsed
+from freeart21.files.urdf import UrdfShape, parsed
+from freeart21.files.urdf_files import file_names, find_root, missing_file, named_inside
 from generator import partnet, textures
 from generator.model import SHINE
 from generator.partnet_files import MAX_OBJ_BYTES, Gaps, read_obj
@@ -33,6 +35,10 @@ _OTHERS = (".stl", ".ply")
 _BEYOND = 1e6  # a coordinate beyond this is no object's
 
 
+ENDINGS = (".urdf", ".xacro")
+"""Of the files that are taken for URDFs; what xacro is, their reader says."""
+
+
 def object_name(urdf: Path) -> str:
     """What an object of this file is called; FreeArtError unless it may be the name of a folder."""
     name = urdf.stem
@@ -41,28 +47,28 @@ def object_name(urdf: Path) -> str:
     return name
 
 
-def digest(urdf: Path) -> str:
-    """SHA-256, hexadecimal, of the URDF and of the meshes that it shows."""
+def digest(urdf: Path, root: Path | None = None) -> str:
+    """SHA-256, hexadecimal, of the URDF and of the meshes in `root` that it shows."""
     sums = hashlib.sha256()
     names = {shape.filename for link in partnet.read_tree(urdf).links.values() for shape in link.visuals}
-    for path in (urdf, *(named_inside(urdf, name) for name in sorted(names) if name)):
-        sums.update(
-            hashlib.sha256(
-                checked.read_bytes(path, MAX_OBJ_BYTES, checked.ANYWHERE) if path.is_file() else b""
-            ).digest()
-        )
+    for path in (urdf, *(named_inside(urdf, name, root) for name in sorted(names) if name)):
+        data = checked.read_bytes(path, MAX_OBJ_BYTES, checked.ANYWHERE) if path.is_file() else b""
+        sums.update(hashlib.sha256(data).digest())
     return sums.hexdigest()
 
 
-def load_urdf(urdf: Path, folder: Path, joint: str | None = None, skip_missing: bool = False) -> partnet.PartNetObject:
+def load_urdf(
+    urdf: Path, folder: Path, joint: str | None = None, skip_missing: bool = False, root: Path | None = None
+) -> partnet.PartNetObject:
     """The object of a URDF by the joint named, or the only movable one; `folder` is written unless it is there.
 
-    Raises FreeArtError, in one line, as `generator.partnet.load` does.
+    What the URDF names lies in `root`, by default in its own folder or its package's. Raises FreeArtError, in one line,
+    as `generator.partnet.load` does.
     """
     scored = movable_joint(urdf, joint).name
     try:
         if not folder.is_dir():
-            write_folder(urdf, folder, skip_missing)
+            write_folder(urdf, folder, skip_missing, root)
         loaded = partnet.load(folder, scored)
         told = checked.read_json(folder / _NOTES)["notes"]
         return replace(loaded, notes=(*told, *loaded.notes))
@@ -72,9 +78,10 @@ def load_urdf(urdf: Path, folder: Path, joint: str | None = None, skip_missing: 
         raise FreeArtError(str(error).replace(str(folder / partnet.URDF_NAME), str(urdf))) from error
 
 
-def write_folder(urdf: Path, folder: Path, skip_missing: bool = False) -> Path:
+def write_folder(urdf: Path, folder: Path, skip_missing: bool = False, root: Path | None = None) -> Path:
     """Write the new folder `folder` with mobility.urdf, OBJ meshes and pictures of what `urdf` shows."""
     read, robot = partnet.read_tree(urdf), parsed(urdf)
+    root = find_root(urdf, file_names(robot)) if root is None else root
     gaps = Gaps()
     with atomic.new_folder(folder) as aside:
         count = 0
@@ -86,7 +93,7 @@ def write_folder(urdf: Path, folder: Path, skip_missing: bool = False) -> Path:
                 link.remove(collision)
             shapes = read.links[link.get("name", "")].visuals
             for visual, shape in zip(link.findall("visual"), shapes, strict=True):
-                surface = _surface(shape, urdf, f"{urdf}: link '{link.get('name')}'", skip_missing, gaps)
+                surface = _surface(shape, urdf, f"{urdf}: link '{link.get('name')}'", skip_missing, root, gaps)
                 if surface is None or len(surface.faces) == 0:
                     link.remove(visual)
                     continue
@@ -107,23 +114,22 @@ def clear_notes(folder: Path) -> None:
     (folder / _NOTES).unlink()
 
 
-def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, gaps: Gaps) -> Surface | None:
+def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, root: Path, gaps: Gaps) -> Surface | None:
     """What a visual shows, in its mesh's own frame; None where its file is absent and may be."""
     if shape.kind != "mesh" or not shape.filename:
         raise FreeArtError(f"{where} has a visual that is a {shape.kind or 'nothing'}, expected <mesh filename=...>")
     if not shape.size.all():
         raise FreeArtError(f"{where} has a mesh of scale {shape.size.tolist()}, expected none to be zero")
-    path, ending = named_inside(urdf, shape.filename), Path(shape.filename).suffix.lower()
+    path, ending = named_inside(urdf, shape.filename, root), Path(shape.filename).suffix.lower()
     if ending not in (".obj", *_OTHERS):
         raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected .obj, {' or '.join(_OTHERS)}")
     if not path.is_file():
         if skip_missing:
             gaps.meshes.add(shape.filename)
             return None
-        raise FreeArtError(
-            f"{where} names the mesh {shape.filename}, which does not exist; --skip-missing leaves absent meshes out"
-        )
-    surface = read_obj(path, urdf.parent, gaps) if ending == ".obj" else _read_plain(path, ending)
+        absent = missing_file(urdf, shape.filename, root)
+        raise FreeArtError(f"{where} names the mesh {absent}; --skip-missing leaves absent meshes out")
+    surface = read_obj(path, root, gaps) if ending == ".obj" else _read_plain(path, ending)
     if shape.rgba is None:
         return surface
     colour = Paint(np.rint(255 * np.clip(shape.rgba[:3], 0, 1)).astype(np.uint8))

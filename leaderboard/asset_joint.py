@@ -20,7 +20,8 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import movable_joint, read_asset
 from freeart21.files.joint_json import joint_from_json, joint_to_json
-from freeart21.files.urdf import named_inside, parsed, read_urdf_joints
+from freeart21.files.urdf import parsed, read_urdf_joints
+from freeart21.files.urdf_files import named_inside
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
@@ -167,7 +168,7 @@ def visual_parts(asset: Asset) -> tuple[Mesh, Mesh]:
     from freeart21.view.link_shapes import read_shown
     from generator.simulate import load
 
-    shown, simulated = read_shown(asset.urdf), load(asset)
+    shown, simulated = read_shown(asset.urdf, asset.root), load(asset)
     if shown.missing:
         raise FreeArtError(f"mesh: {asset.urdf.name} names {shown.missing[0]}, which does not exist")
     simulated.set_effects(())

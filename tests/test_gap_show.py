@@ -197,7 +197,9 @@ def test_meshes_from_elsewhere_come_into_the_copy(tmp_path: Path, named_as: str)
     asset = bob(tmp_path / "a")
     visual = f'<visual><geometry><mesh filename="{named_as.format(out=out)}"/></geometry></visual>'
     asset.urdf.write_text(asset.urdf.read_text().replace("</inertial>", f"</inertial>{visual}"))
-    again = repaired(read_asset(asset.urdf), (ViscousDamping(0.02),), tmp_path / "b/c")
+    with pytest.raises(FreeArtError, match=r"leads out of the folder|does not exist: looked for .* --root DIR"):
+        repaired(read_asset(asset.urdf), (ViscousDamping(0.02),), tmp_path / "b/c")
+    again = repaired(read_asset(asset.urdf, root=tmp_path), (ViscousDamping(0.02),), tmp_path / "b/c")
     files = {str(p.relative_to(tmp_path / "b")) for p in (tmp_path / "b").rglob("*") if p.is_file()}
     meshes = {f"c/outside/0/box.{ending}" for ending in ("obj", "mtl", "png")}
     assert files == {"c/bob.urdf", "c/bob.xml", "c/asset.json", "c/effects.json", *meshes}
@@ -210,12 +212,18 @@ def test_meshes_from_elsewhere_come_into_the_copy(tmp_path: Path, named_as: str)
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("/etc/hostname", "expected a mesh or a picture"), ("gone.obj", "does not exist"), ("big.obj", "at most")],
+    [
+        ("/etc/hostname", "leads out"),
+        ("notes.txt", "expected a mesh or a picture"),
+        ("gone.obj", "does not exist"),
+        ("big.obj", "at most"),
+    ],
 )
 def test_not_everything_that_a_urdf_names_is_copied(tmp_path: Path, name: str, said: str, monkeypatch):
     asset = bob(tmp_path / "a")
     monkeypatch.setattr("simgap.proof.asset_files.MAX_BYTES", 1000)
     (tmp_path / "a/big.obj").write_bytes(b"#" * 1001)
+    (tmp_path / "a/notes.txt").write_text("")
     visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
     asset.urdf.write_text(asset.urdf.read_text().replace("</inertial>", f"</inertial>{visual}"))
     with pytest.raises(FreeArtError, match=said) as caught:

@@ -11,7 +11,8 @@ from test_export import reconstruction
 from export.exporter import export_result
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import UrdfShape, named_inside, parsed, read_urdf, read_urdf_joints
+from freeart21.files.urdf import UrdfShape, parsed, read_urdf, read_urdf_joints
+from freeart21.files.urdf_files import named_file, named_inside
 
 PARTNET = Path(__file__).resolve().parents[2] / "shared" / "partnet_mobility"
 
@@ -154,6 +155,78 @@ def test_a_very_long_chain_of_links_is_read_in_no_time(odd: Path) -> None:
     )
     odd.write_text(f'<robot name="chain">{links}{joints}</robot>')
     assert list(read_urdf(odd).parents_first) == [str(k) for k in range(n)]
+
+
+@pytest.mark.parametrize(
+    ("urdf", "name", "mesh", "mark"),
+    [
+        ("pkg/urdf/a.urdf", "package://pkg/meshes/m.stl", "pkg/meshes/m.stl", ""),  # by its name
+        ("clone/robots/arm/a.urdf", "package://pkg/meshes/m.stl", "clone/meshes/m.stl", "clone/package.xml"),
+        ("models/can/can.sdf.urdf", "model://can/meshes/m.stl", "models/can/meshes/m.stl", ""),
+        ("ws/one/urdf/a.urdf", "package://two/m.stl", "ws/two/m.stl", "ws/package.xml"),
+        ("x/urdf/a.urdf", "../meshes/m.stl", "x/meshes/m.stl", ""),  # urdf/ beside meshes/
+        ("x/a.urdf", "meshes/a%20part.stl", "x/meshes/a part.stl", ""),
+        ("x/a.urdf", "meshes/a%20part.stl", "x/meshes/a%20part.stl", ""),  # the name itself is looked for first
+        ("x/a.urdf", "meshes\\M.STL", "x/meshes/M.STL", ""),
+        ("x/a.urdf", "file://{}/x/meshes/m.stl", "x/meshes/m.stl", ""),
+        ("x/a.urdf", "file://localhost{}/x/meshes/m.stl", "x/meshes/m.stl", ""),
+        ("x/a.urdf", "{}/x/meshes/m.stl", "x/meshes/m.stl", ""),
+    ],
+)
+def test_layouts_of_packages_are_understood(tmp_path: Path, urdf: str, name: str, mesh: str, mark: str) -> None:
+    for file in (urdf, mesh, mark or urdf):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    assert named_file(tmp_path / urdf, name.format(tmp_path)) == (tmp_path / mesh).resolve()
+    (tmp_path / mesh).unlink()
+    with pytest.raises(FreeArtError, match=r"which does not exist: looked for .* in .*; --root DIR") as caught:
+        named_file(tmp_path / urdf, name.format(tmp_path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_root_that_is_given_bounds_what_is_read(tmp_path: Path) -> None:
+    for file in ("src/one/urdf/a.urdf", "src/two/meshes/m.stl", "secret.stl"):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    urdf, mesh = tmp_path / "src/one/urdf/a.urdf", tmp_path / "src/two/meshes/m.stl"
+    for name in ("package://two/meshes/m.stl", "../../two/meshes/m.stl", str(mesh)):
+        assert named_file(urdf, name, tmp_path / "src") == mesh.resolve()
+        with pytest.raises(FreeArtError, match=r"leads out of the folder|--root DIR"):
+            named_file(urdf, name)
+    (tmp_path / "src/link.stl").symlink_to(tmp_path / "secret.stl")
+    for name in ("../../link.stl", "../../../secret.stl"):
+        with pytest.raises(FreeArtError, match=r"leads out of the folder .*; --root DIR names a larger one"):
+            named_file(urdf, name, tmp_path / "src")
+    with pytest.raises(FreeArtError, match=r"expected a path, or an address of package://, model:// or file://"):
+        named_file(urdf, "https://example.org/m.stl")
+
+
+def test_nobodys_home_is_a_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A URDF from a stranger that lies there cannot name what else is there."""
+    monkeypatch.setenv("HOME", str(tmp_path / "me"))
+    (tmp_path / "me/got").mkdir(parents=True)
+    (tmp_path / "me/private.stl").touch()
+    for name in ("package://me/private.stl", "package://me/../private.stl"):
+        with pytest.raises(FreeArtError, match=r"--root DIR"):
+            named_file(tmp_path / "me/got/a.urdf", name)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="x.xacro"/></robot>',
+        '<robot><xacro:property name="a" value="1"/></robot>',  # the prefix is not declared
+        '<robot><link name="${prefix}base"/></robot>',
+        '<robot><link name="a"><visual><geometry><mesh filename="$(find p)/a.stl"/></geometry></visual></link></robot>',
+    ],
+)
+def test_xacro_is_said_to_be_xacro(odd: Path, text: str) -> None:
+    odd.write_text(text)
+    for read in (parsed, read_urdf, read_urdf_joints, read_asset):
+        with pytest.raises(FreeArtError, match=r"is a xacro file, .*: expand it first, `xacro odd.urdf > expanded"):
+            read(odd)
+    odd.write_text('<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="a"/></robot>')
+    assert list(read_urdf(odd).links) == ["a"]  # what xacro writes keeps its name space
 
 
 def test_files_are_looked_for_inside_the_folder_only(odd: Path) -> None:

@@ -28,24 +28,26 @@ def check(
     engines: Iterable[str] | None = None,
     *,
     simcheck: bool = False,
+    root: Path | None = None,
     limit_s: float = TIME_LIMIT_S,
 ) -> CheckReport:
     """What every rule says of the asset at `path`: an asset folder, a folder with one URDF or MJCF, or such a file.
 
     Args:
-        path: the asset; nothing in it is trusted, and no file outside of its folder is opened.
+        path: the asset; nothing in it is trusted.
+        root: folder outside of which no file is opened; None is the asset's own or, of a URDF, that of its package.
         engines: names of `ENGINES` to try it in; None is all of them, those that are not installed are skipped.
         simcheck: run the public checker of that name, too, if it is installed.
         limit_s: seconds that the look through the files, and each engine, may take; simcheck at least 900.
 
     Each engine runs in a process of its own, one after the other. Raises FreeArtError when there is no asset at `path`,
-    a file is named that lies outside of its folder, or an engine is not known.
+    a file is named that lies outside of the root, or an engine is not known.
     """
     wanted = ENGINES if engines is None else tuple(engines)
     for engine in wanted:
         if engine not in ENGINES:
             raise FreeArtError(f"there is no engine '{engine}'; engines: {', '.join(ENGINES)}")
-    subject = find_subject(path)
+    subject = find_subject(path, root)
     request: dict[str, Any] = {
         "folder": str(subject.folder.absolute()),
         "urdf": subject.urdf and str(subject.urdf.absolute()),

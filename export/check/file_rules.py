@@ -20,7 +20,8 @@ from export.inertia import Inertial, unphysical
 from export.stated_trust import stated_trust
 from freeart21 import se3
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import named_inside, parsed, read_urdf
+from freeart21.files.urdf import parsed, read_urdf
+from freeart21.files.urdf_files import named_inside
 from freeart21.reconstruction import describe_trust
 
 GROUND_M = 1e-3
@@ -60,7 +61,7 @@ def file_rows(
         )
     else:
         say("mesh.readable")
-        files = partial(named_inside, urdf, folder=folder)
+        files = partial(named_inside, urdf, root=folder)
         findings += _visuals(robot, files)
         try:
             tree = tree_of_urdf(read_urdf(urdf))

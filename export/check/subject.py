@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import named_inside, read_xml
+from freeart21.files.urdf import parsed, read_xml
+from freeart21.files.urdf_files import file_names, find_root, named_inside
 
 MAX_FILE_BYTES = 256 << 20
 """Bytes of one file that is named."""
@@ -28,8 +29,8 @@ class Subject:
     mjcf: Path | None
 
 
-def find_subject(path: Path) -> Subject:
-    """The asset at `path`.
+def find_subject(path: Path, root: Path | None = None) -> Subject:
+    """The asset at `path`, its files inside `root`; when that is not given, inside the folder or the URDF's package.
 
     Raises FreeArtError when there is none or it is not clear which, when a file declares a document type (so entities),
     names a file outside of the folder, or is too large.
@@ -37,6 +38,8 @@ def find_subject(path: Path) -> Subject:
     path = Path(path)
     if not path.exists():
         raise FreeArtError(f"{path} does not exist")
+    if root is not None and not root.is_dir():
+        raise FreeArtError(f"the root {root} is not a folder")
     if path.is_file():
         kind = _kind(path)
         if kind is None:
@@ -48,13 +51,19 @@ def find_subject(path: Path) -> Subject:
         subject = Subject(path.resolve(), urdf, beside if _kind(beside) == "mujoco" else None)  # as the URDF's is
     else:
         subject = _in_folder(path)
+    if root is not None:
+        subject = replace(subject, folder=root)
+    elif subject.urdf is not None and not (path / "asset.json").is_file():
+        found = find_root(subject.urdf, file_names(parsed(subject.urdf)))
+        if subject.folder.absolute().is_relative_to(found):
+            subject = replace(subject, folder=found)
     _check_files(subject)
     return subject
 
 
 def _in_folder(folder: Path) -> Subject:
     """The only URDF or MJCF of a folder or, where it holds none itself, of the folders below."""
-    for pattern in ("*", "*/*"):
+    for pattern in ("*", "*/*", "*/*/*"):  # PACKAGE/urdf/a.urdf beside others
         files = sorted(islice((f for f in folder.glob(pattern) if f.suffix in (".urdf", ".xml")), _LOOKED_AT))
         kinds = {file: _kind(file) for file in files}
         urdfs = [file for file, kind in kinds.items() if kind == "robot"]
@@ -67,12 +76,14 @@ def _in_folder(folder: Path) -> Subject:
         if urdfs or mjcfs:
             names = ", ".join(file.relative_to(folder).as_posix() for file in [*urdfs, *mjcfs])
             raise FreeArtError(f"{folder} holds several URDF or MJCF files; name one of {names}")
+    for file in sorted(folder.glob("**/*.xacro"))[:1]:
+        _kind(file)
     raise FreeArtError(f"{folder} is no asset: it holds neither asset.json nor a URDF or MJCF file")
 
 
 def _kind(path: Path) -> str | None:
     """'robot' or 'mujoco', from the root element; None for other files."""
-    if path.suffix.lower() not in (".urdf", ".xml") or not path.is_file():
+    if path.suffix.lower() not in (".urdf", ".xml", ".xacro") or not path.is_file():
         return None
     tag = read_xml(path).tag
     return tag if tag in ("robot", "mujoco") else None
@@ -81,9 +92,7 @@ def _kind(path: Path) -> str | None:
 def _check_files(subject: Subject) -> None:
     files: set[Path] = set()
     if subject.urdf is not None:
-        for element in read_xml(subject.urdf).iter():
-            if element.get("filename"):
-                files.add(named_inside(subject.urdf, element.get("filename", ""), subject.folder))
+        files |= {named_inside(subject.urdf, name, subject.folder) for name in file_names(parsed(subject.urdf))}
     if subject.mjcf is not None:
         from export.check.mjcf_tree import named_files
 

@@ -18,10 +18,10 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import read_asset
 from freeart21.files.urdf import parsed
+from freeart21.files.urdf_files import named_file
 from freeart21.formats.maniskill import objects_place
 from freeart21.reconstruction import describe_trust
 from generator.object_folder import object_folder, sapien_urdf
-from generator.simulate import named_file
 
 PARTNET = "mobility.urdf"
 _SCALES = (1e-4, 1e4)
@@ -76,9 +76,9 @@ def loadable(asset: Asset, scale: float) -> Iterator[Asset]:
         raise FreeArtError(
             f"{asset.urdf} has effects, which hold for its own size only: expected scale 1, got {scale:g}"
         )
-    with sapien_urdf(asset.urdf) as readable, tempfile.TemporaryDirectory() as place:
+    with sapien_urdf(asset.urdf, asset.root) as readable, tempfile.TemporaryDirectory() as place:
         if scale == 1:
-            yield replace(asset, urdf=readable)
+            yield replace(asset, urdf=readable, root=Path(readable.anchor))
             return
         urdf = Path(place) / asset.urdf.name
         ET.ElementTree(_scaled(readable, scale)).write(urdf, encoding="utf-8")
@@ -87,7 +87,7 @@ def loadable(asset: Asset, scale: float) -> Iterator[Asset]:
         travel = _travel(readable, scale)
         held = {name: q * travel.get(name, 1.0) for name, q in asset.held.items()}
         zero = asset.state_zero * travel.get(asset.joint, 1.0)
-        yield replace(asset, urdf=urdf, T_canonical_reference=T, state_zero=zero, held=held)
+        yield replace(asset, urdf=urdf, root=Path(urdf.anchor), T_canonical_reference=T, state_zero=zero, held=held)
 
 
 def _travel(urdf: Path, scale: float) -> dict[str, float]:
@@ -106,7 +106,7 @@ def _scaled(urdf: Path, scale: float) -> ET.Element:
     for origin in root.iter("origin"):
         times(origin, "xyz", scale)
     for mesh in root.iter("mesh"):
-        mesh.set("filename", str(named_file(urdf, mesh.get("filename", ""))))
+        mesh.set("filename", str(named_file(urdf, mesh.get("filename", ""), Path(urdf.anchor))))
         times(mesh, "scale", scale, "1 1 1")
     for tag, name in (("box", "size"), ("sphere", "radius"), ("cylinder", "radius"), ("cylinder", "length")):
         for shape in root.iter(tag):

@@ -100,13 +100,14 @@ def write_asset_json(folder: Path, asset: Asset) -> None:
     )
 
 
-def read_asset(path: Path, joint: str | None = None, *, guesses: bool = True) -> Asset:
+def read_asset(path: Path, joint: str | None = None, *, guesses: bool = True, root: Path | None = None) -> Asset:
     """The asset in a folder (with asset.json, or with one URDF), or of one URDF file.
 
     Without asset.json the reference link is the joint's parent, the canonical frame is that link's, and other movable
     joints are held at zero, or at the limit nearest to it. Effects come from effects.json when there is one, else from
     URDF `<dynamics>`; where both speak, they must agree. Without `guesses` effects that asset.json calls guessed
-    (`source.dynamics.guessed`) are left out: they were never measured.
+    (`source.dynamics.guessed`) are left out: they were never measured. Files that the URDF names lie in `root`; when it
+    is not given, in the folder of asset.json, or in what is found for a URDF (`Asset.root`).
     """
     path = Path(path)
     if not path.exists():
@@ -114,6 +115,7 @@ def read_asset(path: Path, joint: str | None = None, *, guesses: bool = True) ->
     header = path / "asset.json"
     if path.is_dir() and header.is_file():
         asset = _read_described(path, checked.read_json(header, ASSET_SCHEMA), header, joint)
+        asset = replace(asset, root=path if root is None else root)
         return asset if guesses or not _guessed(asset) else replace(asset, effects={})
     if path.is_dir():
         urdfs = sorted(path.glob("*.urdf"))
@@ -127,7 +129,7 @@ def read_asset(path: Path, joint: str | None = None, *, guesses: bool = True) ->
         for j in read_urdf_joints(path).values()
         if j.joint_type and j.name != scored.name
     }
-    return Asset(path, scored.name, scored.parent, scored.child, effects=read_effects(path), held=held)
+    return Asset(path, scored.name, scored.parent, scored.child, effects=read_effects(path), held=held, root=root)
 
 
 def _guessed(asset: Asset) -> bool:

@@ -179,9 +179,27 @@ def read_xml(path: Path, comments: bool = False, root: Path | None = None) -> ET
 def parsed_xml(data: bytes, where: Path, comments: bool = False) -> ET.Element:
     """XML from anywhere, maybe with its comments; FreeArtError when it is none or declares a document type."""
     try:
-        return ET.fromstring(data, ET.XMLParser(target=_Builder(insert_comments=comments)))
+        root = ET.fromstring(data, ET.XMLParser(target=_Builder(insert_comments=comments)))
     except (ET.ParseError, LookupError, ValueError) as error:  # an encoding may be unknown
+        if b"<xacro:" in data:  # its prefix is not declared
+            raise _unexpanded(where) from error
         raise FreeArtError(f"{where} is not XML: {error}") from error
+    if root.tag == "robot" and any(map(_is_macro, root.iter())):
+        raise _unexpanded(where)
+    return root
+
+
+def _is_macro(element: ET.Element) -> bool:
+    """Whether an element is xacro's, or has an attribute with one of its expressions, ${...} or $(...)."""
+    name = element.tag if isinstance(element.tag, str) else ""  # comments have none
+    return (name.startswith("{") and "xacro" in name) or any("${" in v or "$(" in v for v in element.attrib.values())
+
+
+def _unexpanded(where: Path) -> FreeArtError:
+    return FreeArtError(
+        f"{where} is a xacro file, a macro text from which URDFs are made, and is no URDF yet: expand it first, "
+        f"`xacro {where.name} > expanded.urdf` (of ROS, or of `pip install xacro`)"
+    )
 
 
 class _Builder(ET.TreeBuilder):
@@ -213,25 +231,6 @@ def children(joints: Iterable[UrdfJoint]) -> dict[str, list[UrdfJoint]]:
     for joint in joints:
         found.setdefault(joint.parent, []).append(joint)
     return found
-
-
-def named_inside(urdf: Path, filename: str, folder: Path | None = None) -> Path:
-    """Where in `folder` (by default the URDF's own) the file is that a URDF names, whether it exists or not.
-
-    `file://` is taken off, and so is `package://`, with the package's name where the file is there without it. Raises
-    FreeArtError when the name leads out of the folder.
-    """
-    folder = urdf.parent if folder is None else folder
-    here = urdf.parent.relative_to(folder)
-    names = [filename.removeprefix("file://")]
-    if filename.startswith("package://"):
-        inner = filename.removeprefix("package://")
-        names = [inner, inner.partition("/")[2]]
-    try:
-        places = [checked.inside(folder, str(here / name)) for name in names if name] or [folder]
-        return next((place for place in places if place.is_file()), places[0])
-    except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a name too long
-        raise FreeArtError(f"{urdf} names the file '{filename[:80]}', which cannot be looked up: {error}") from error
 
 
 def told(element: ET.Element, path: str, attribute: str, default: str = "") -> str:

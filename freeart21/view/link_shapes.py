@@ -11,7 +11,8 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.mesh_file import read_ply
-from freeart21.files.urdf import Urdf, UrdfShape, named_inside, read_urdf
+from freeart21.files.urdf import Urdf, UrdfShape, read_urdf
+from freeart21.files.urdf_files import find_root, named_inside
 from freeart21.mesh import Mesh
 from freeart21.view.obj import MAX_OBJ_BYTES, PLAIN, Piece, read_obj
 from freeart21.view.simplify import box, cylinder, sphere
@@ -29,30 +30,32 @@ class ShownUrdf:
     """Mesh files that the URDF names and the folder lacks."""
 
 
-def read_shown(path: Path) -> ShownUrdf:
+def read_shown(path: Path, root: Path | None = None) -> ShownUrdf:
     """The URDF with all meshes it names: OBJ and PLY here, other formats through trimesh.
 
-    Meshes are looked for inside the URDF's folder only. Raises FreeArtError when the URDF cannot be read, a geometry is
-    unknown, or a mesh is there and cannot be read.
+    Meshes are looked for inside `root` only, as `urdf_files.named_inside` does. Raises FreeArtError when the URDF
+    cannot be read, a geometry is unknown, or a mesh is there and cannot be read.
     """
     urdf = read_urdf(path)
     missing: list[str] = []
     visuals = {
-        name: _pieces(urdf.links[name].visuals, f"{path}: a visual of link '{name}'", path, missing)
+        name: _pieces(urdf.links[name].visuals, f"{path}: a visual of link '{name}'", path, root, missing)
         for name in urdf.parents_first
     }
     collisions = {
-        name: _pieces(urdf.links[name].collisions, f"{path}: a collision of link '{name}'", path, missing)
+        name: _pieces(urdf.links[name].collisions, f"{path}: a collision of link '{name}'", path, root, missing)
         for name in urdf.parents_first
     }
     return ShownUrdf(urdf, visuals, collisions, tuple(dict.fromkeys(missing)))
 
 
-def _pieces(shapes: tuple[UrdfShape, ...], where: str, path: Path, missing: list[str]) -> tuple[Piece, ...]:
+def _pieces(
+    shapes: tuple[UrdfShape, ...], where: str, path: Path, root: Path | None, missing: list[str]
+) -> tuple[Piece, ...]:
     pieces: list[Piece] = []
     for shape in shapes:
         colour = None if shape.rgba is None else np.round(255 * np.clip(shape.rgba[:3], 0, 1)).astype(np.uint8)
-        for piece in _geometry(shape, where, path, missing):
+        for piece in _geometry(shape, where, path, root, missing):
             mesh = piece.mesh.moved(shape.T_link_shape)
             if mesh.colours is None or (colour is not None and piece.texture is None):
                 plain = np.array(PLAIN, np.uint8) if colour is None else colour
@@ -61,7 +64,7 @@ def _pieces(shapes: tuple[UrdfShape, ...], where: str, path: Path, missing: list
     return tuple(pieces)
 
 
-def _geometry(shape: UrdfShape, where: str, path: Path, missing: list[str]) -> list[Piece]:
+def _geometry(shape: UrdfShape, where: str, path: Path, root: Path | None, missing: list[str]) -> list[Piece]:
     match shape.kind:
         case "":
             raise FreeArtError(f"{where} has no geometry")
@@ -72,16 +75,16 @@ def _geometry(shape: UrdfShape, where: str, path: Path, missing: list[str]) -> l
         case "cylinder":
             return [Piece(cylinder(*map(float, shape.size)))]
         case "mesh":
-            return _mesh(shape, path, missing)
+            return _mesh(shape, path, root, missing)
     raise FreeArtError(f"{where}: geometry <{shape.kind}> is unknown; known: box, cylinder, mesh, sphere")
 
 
-def _mesh(shape: UrdfShape, path: Path, missing: list[str]) -> list[Piece]:
-    file = named_inside(path, shape.filename)
+def _mesh(shape: UrdfShape, path: Path, root: Path | None, missing: list[str]) -> list[Piece]:
+    file = named_inside(path, shape.filename, root)
     if not file.is_file():
         missing.append(shape.filename)
         return []
-    pieces = _read_mesh(file, path.parent)
+    pieces = _read_mesh(file, find_root(path, [shape.filename]) if root is None else root)
     if np.allclose(shape.size, 1):
         return pieces
     flip = -1 if np.prod(shape.size) < 0 else 1

@@ -179,7 +179,7 @@ def _side(asset: Asset) -> set[str]:
 def _scene(
     asset: Asset, q: dict[str, float], T_canonical_root: Array, reference: set[str], placed: Placed, same_video: bool
 ) -> FilmScene:
-    shown = read_shown(asset.urdf)
+    shown = read_shown(asset.urdf, asset.root)
     if shown.missing:
         raise FreeArtError(f"{asset.urdf} names the mesh {shown.missing[0]}, which is missing")
     Ts = shown.urdf.link_poses(q)

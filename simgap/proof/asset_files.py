@@ -16,7 +16,7 @@ from pathlib import Path
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.urdf import read_xml
-from generator import simulate
+from freeart21.files.urdf_files import named_file
 
 MAX_FILE_BYTES = 512 << 20
 MAX_BYTES = 2 << 30
@@ -80,8 +80,8 @@ class _Copy:
         return self.places[folder]
 
 
-def copied(urdf: Path, folder: Path) -> dict[str, bytes]:
-    """Copy the files that the asset of `urdf` needs into `folder`.
+def copied(urdf: Path, folder: Path, root: Path | None = None) -> dict[str, bytes]:
+    """Copy the files that the asset of `urdf` needs, all inside `root`, into `folder`.
 
     Returns the URDF, and the MJCF when there is one beside it, by file name, with their files named as in the copy;
     nobody has written these two yet. Raises FreeArtError when a named file is missing, too large, or neither mesh nor
@@ -94,7 +94,7 @@ def copied(urdf: Path, folder: Path) -> dict[str, bytes]:
     robot = read_xml(urdf, comments=True)
     for element in _naming(robot, "filename"):
         name = element.get("filename", "")
-        element.set("filename", copy.take(simulate.named_file(urdf, name), str(urdf)))
+        element.set("filename", copy.take(named_file(urdf, name, root), str(urdf)))
     out[urdf.name] = written(robot, declared=True)
     mjcf = mjcf_beside(urdf)
     if mjcf.is_file():

@@ -26,6 +26,7 @@ from freeart21.files.actuator_json import actuator_from_json
 from freeart21.files.asset import movable_joint, read_asset
 from freeart21.files.base_json import BASE
 from freeart21.files.urdf import parsed
+from freeart21.files.urdf_files import named_file
 from freeart21.measured import BaseAxis, BaseSeries
 from freeart21.mechanics import Actuator, between
 from freeart21.se3 import Array
@@ -138,10 +139,10 @@ def _scaled(asset: Asset, factor: float, folder: Path) -> Asset:
             for key, value in element.attrib.items():
                 element.set(key, repr(float(value) * factor))
     for element in (*root.iter("mesh"), *root.iter("texture")):
-        element.set("filename", str(simulate.named_file(asset.urdf, element.get("filename", ""))))
+        element.set("filename", str(named_file(asset.urdf, element.get("filename", ""), asset.root)))
     path = folder / f"scaled_{asset.urdf.parent.name}_{factor:.9g}.urdf"
     path.write_bytes(ET.tostring(root))
-    return replace(asset, urdf=path)
+    return replace(asset, urdf=path, root=Path(path.anchor))  # its names are absolute now
 
 
 def _under_scaled(effect: Effect, factor: float) -> Effect:

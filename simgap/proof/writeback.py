@@ -44,14 +44,14 @@ def repaired(asset: Asset, effects: tuple[Effect, ...], folder: Path, source: di
     not the same but for its effects.
     """
     joined = {**asset.effects, asset.joint: joined_effects(asset.effects.get(asset.joint, ()), effects)}
-    texts = copied(asset.urdf, folder)
+    texts = copied(asset.urdf, folder, asset.root)
     urdf, mjcf = folder / asset.urdf.name, mjcf_beside(asset.urdf)
     atomic.write_bytes(urdf, urdf_with_effects(texts[urdf.name], joined, asset.urdf))
     if mjcf.name in texts:
         atomic.write_bytes(folder / mjcf.name, mjcf_with_effects(texts[mjcf.name], asset.joint, joined, mjcf))
     told = {key: value for key, value in asset.source.items() if key != "dynamics"}  # measured now, not guessed
     told |= {"repair": source} if source else {}
-    mended = replace(asset, urdf=urdf, effects=joined, source=told)
+    mended = replace(asset, urdf=urdf, effects=joined, source=told, root=folder)
     if mjcf.name not in texts:
         atomic.write_bytes(folder / mjcf.name, mjcf_of_urdf(mended))
     write_asset_json(folder, mended)

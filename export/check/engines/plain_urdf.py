@@ -6,7 +6,8 @@ import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from freeart21.files.urdf import named_inside, parsed
+from freeart21.files.urdf import parsed
+from freeart21.files.urdf_files import named_inside
 
 
 def plain_urdf(urdf: Path, folder: Path, extra: ET.Element | None = None) -> Path:
