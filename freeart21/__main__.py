@@ -25,16 +25,18 @@ from freeart21 import stopping  # noqa: E402
 def main() -> None:
     """Run the command line."""
     stopping.listen()
+    from freeart21.ending import run
+
+    run(_command)
+
+
+def _command() -> None:
     from freeart21.ending import in_one_line
 
-    try:
-        with in_one_line():
-            from freeart21.cli import main as command
+    with in_one_line():
+        from freeart21.cli import main as command
 
-            command()
-    finally:  # what is left is Python's own end
-        for number in stopping.SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
+        command()
 
 
 if __name__ == "__main__":

@@ -25,8 +25,8 @@ def python(code: str) -> list[str]:
 
 
 def command(module: str) -> list[str]:
-    """The command line that runs `main()` of `module` in another Python, as `python` does."""
-    return python(f"from {module} import main; main()")
+    """The command line that runs `main()` of `module` in another Python, as `python` does, and ends by `ending.run`."""
+    return python(f"from freeart21.ending import run\nfrom {module} import main\nrun(main)")
 
 
 @contextlib.contextmanager

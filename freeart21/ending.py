@@ -1,12 +1,20 @@
-"""How a command ends when it does not end well: in one line on standard error, and with an exit code."""
+"""How a process of ours ends: a fault in one line on standard error, and always before native libraries are taken down.
+
+The simulator's threads may still draw when a command is over, well or not; taking it down under them crashed after the
+last word was said.
+"""
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import shutil
+import signal
 import sys
-from collections.abc import Iterator
+import traceback
+from collections.abc import Callable, Iterator
+from typing import NoReturn
 
 from freeart21 import stopping
 from freeart21.errors import FreeArtError
@@ -16,6 +24,7 @@ TRACEBACK = "FREEART21_TRACEBACK"
 
 FAULT = 70
 """Exit code of a fault of our own: EX_SOFTWARE of sysexits.h."""
+_READER_GONE = 128 + signal.SIGPIPE
 
 
 @contextlib.contextmanager
@@ -32,8 +41,51 @@ def in_one_line() -> Iterator[None]:
         raise
     except BaseException as error:
         if stopping.told() or isinstance(error, KeyboardInterrupt):
-            stopping.leave()  # still inside `except`: the frames keep what threads of the simulator may still use
+            leave_stopped()  # still inside `except`: the frames keep what threads of the simulator may still use
         _said(error)
+
+
+def run(main: Callable[[], None]) -> NoReturn:
+    """Call `main`, and end this process as Python would after it, but by `leave`."""
+    try:
+        main()
+    except SystemExit as end:
+        leave(end.code)  # inside `except`, as above
+    except BaseException:
+        if stopping.told():
+            leave_stopped()
+        traceback.print_exc()
+        leave(1)
+    leave()
+
+
+def leave(code: int | str | None = 0) -> NoReturn:
+    """End this process with `code`, which is what `sys.exit` takes; its exit functions run, its libraries stay."""
+    for number in stopping.SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    status = code if isinstance(code, int) else int(code is not None)
+    atexit._run_exitfuncs()
+    try:
+        if sys.stdout is not None:  # as of `>&-`
+            sys.stdout.flush()
+    except BrokenPipeError:  # who read our output has gone, as `head` does
+        status = status or _READER_GONE
+    except (OSError, ValueError) as error:
+        status = status or 1
+        code = code or f"freeart21: standard output: {reason(error) if isinstance(error, OSError) else error}"
+    with contextlib.suppress(OSError, ValueError):  # the terminal may be gone
+        if isinstance(code, str):
+            print(code, file=sys.stderr)
+        sys.stderr.flush()
+    os._exit(status)
+
+
+def leave_stopped() -> NoReturn:
+    """End this process as one that was told to stop: one line, and exit code 128 + the signal's number."""
+    said = stopping.kept()
+    with contextlib.suppress(OSError, ValueError):
+        print(f"freeart21: stopped{f'; {said}' if said else ''}", file=sys.stderr)
+    leave(128 + (stopping.told() or signal.SIGINT))
 
 
 def reason(error: OSError) -> str:
@@ -52,9 +104,9 @@ def _said(error: BaseException) -> None:
         sys.exit(f"freeart21: {error}")
     if isinstance(error, BrokenPipeError):  # who read our output has gone, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(141)
+        sys.exit(_READER_GONE)
     if os.environ.get(TRACEBACK):
-        raise error
+        traceback.print_exception(error)
     if isinstance(error, MemoryError):
         sys.exit(f"freeart21: out of memory: {_line(error) or 'no more can be had'}")
     if isinstance(error, OSError):

@@ -1,22 +1,19 @@
 """Being told to stop: by Ctrl-C, by a terminal that closes, or by `kill`.
 
 A command is told once, by KeyboardInterrupt in its main thread; then its contexts clear up what is half done, and the
-process ends by `leave` before the native libraries are taken down: the simulator's threads may still draw, and taking
-it down under them is what crashed seconds after the last word was said. Telling again while things are cleared up does
+process ends (`ending.leave`) before the native libraries are taken down. Telling again while things are cleared up does
 nothing; nothing is written any more (`check`), whatever became of the exception on its way.
 """
 
 from __future__ import annotations
 
-import atexit
 import contextlib
-import os
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Each means stop."""
@@ -82,20 +79,6 @@ def explained(hint: Callable[[], str]) -> Iterator[None]:
 def kept() -> str:
     """What the innermost of the blocks `explained` says that was left by an interrupt; '' when none says anything."""
     return next((said for hint in reversed(_hints) if (said := hint())), "")
-
-
-def leave() -> NoReturn:
-    """End this process as one that was told to stop: one line, and exit code 128 + the signal's number."""
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
-    said = kept()
-    with contextlib.suppress(OSError, ValueError):  # the terminal may be gone
-        print(f"freeart21: stopped{f'; {said}' if said else ''}", file=sys.stderr)
-    atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):
-            stream.flush()
-    os._exit(128 + (_told or signal.SIGINT))
 
 
 @contextlib.contextmanager

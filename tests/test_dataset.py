@@ -7,6 +7,7 @@ import errno
 import functools
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -308,12 +309,18 @@ def test_a_full_disk_is_one_line_and_the_same_call_goes_on(
 def test_a_disk_that_is_really_full(one: Path, tmp_path: Path) -> None:
     place = tmp_path / "small disk"
     place.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=400k", "none", place], capture_output=True, check=False
-    )
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "none", place], capture_output=True, check=False)
     if mounted.returncode != 0:
         pytest.skip("mounting a small disk needs root")
     try:
+        words = ["record", "stapler", "--frames", "40", "--queries", "0", "--out", place / "stapler"]
+        done = subprocess.run(  # full amid the pictures, while the simulator draws
+            [sys.executable, "-m", "freeart21", *words], capture_output=True, text=True, check=False, cwd=ROOT
+        )
+        assert done.returncode == 1 and "No space left on device" in done.stderr, done.stderr
+        assert len(done.stderr.splitlines()) == 1
+        shutil.rmtree(place / "stapler")
+        subprocess.run(["mount", "-o", "remount,size=400k", place], check=True)
         jobs, data = jobs_of(["flip_lighter"], SETTINGS), place / "data"
         with pytest.raises(atomic.CannotWrite, match="No space left on device"):
             record_jobs(data, jobs)

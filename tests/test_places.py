@@ -376,6 +376,60 @@ def test_whatever_happens_is_one_line(code: str, status: int, said: str) -> None
         assert "Traceback" in shown.stderr
 
 
+NATIVE = """
+import os, signal, sys
+from freeart21 import __main__, cli
+from freeart21.errors import FreeArtError
+class Renderer:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGSEGV)
+renderer = Renderer()
+def main():
+    print("the output")
+    {code}
+cli.main = main
+__main__.main()
+"""
+
+
+@pytest.mark.parametrize(
+    "code, status, said",
+    [
+        ("pass", 0, ""),
+        ("sys.exit(3)", 3, ""),
+        ("raise FreeArtError('no space')", 1, "freeart21: no space\n"),
+        ("raise TypeError('one')", 70, "freeart21: internal error: TypeError: one"),
+        ("os.kill(os.getpid(), signal.SIGTERM); signal.pause()", 143, "freeart21: stopped\n"),
+    ],
+)
+def test_a_command_ends_before_native_libraries_are_taken_down(code: str, status: int, said: str) -> None:
+    """The simulator's crash then: after the last word, and in place of the exit code."""
+    done = subprocess.run(
+        [sys.executable, "-c", NATIVE.format(code=code)],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == status, done.stderr
+    assert done.stderr.startswith(said) and len(done.stderr.splitlines()) == bool(said)
+    assert done.stdout == "the output\n"
+
+
+def test_output_that_cannot_be_written_is_said() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", NATIVE.format(code="pass")],
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 1 and len(done.stderr.splitlines()) == 1
+    assert done.stderr.endswith("No space left on device\n")
+
+
 # --- told to stop -----------------------------------------------------------------------------------------------------
 
 HIDDEN = """

@@ -108,18 +108,7 @@ def main() -> None:
         for row in _rows(request):
             _tell(row=asdict(row))
     except Exception as error:  # hostile files reach parsers of many libraries
-        print(child.one_line(error), file=sys.stderr)
-        _leave(1)
-    _leave(0)
-
-
-def _leave(code: int) -> None:
-    """Without the engine's teardown, in which some crash."""
-    import os
-
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
+        sys.exit(child.one_line(error))
 
 
 def _tell(**what: object) -> None:

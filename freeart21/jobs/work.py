@@ -117,14 +117,12 @@ def main() -> None:
         do(Path(asked["folder"]), job_from_json(asked["job"]), asked["digest"])
         stopping.check()
     except KeyboardInterrupt:
-        os._exit(128 + (stopping.told() or signal.SIGINT))
+        sys.exit(128 + (stopping.told() or signal.SIGINT))
     except FreeArtError as error:
-        print(error, file=sys.__stderr__, flush=True)
-        os._exit(1)
+        sys.exit(str(error))
     except Exception as error:
         print(f"{type(error).__name__}: {child.one_line(error)}", file=sys.__stderr__, flush=True)
-        os._exit(70)
-    os._exit(0)  # without the teardown of what the job has loaded
+        sys.exit(70)
 
 
 def do(folder: Path, job: Job, digest: str) -> None:
