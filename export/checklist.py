@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from export.check.rules import MAX_HULLS
 from export.inertia import Inertial, unphysical
 from freeart21 import se3
 from freeart21.asset import Asset
@@ -23,8 +24,6 @@ from freeart21.files.urdf_files import missing_file, named_inside
 from freeart21.se3 import Array
 from generator.simulate import joint_motion
 
-MAX_HULLS = 256
-"""Collision geometries a link may have: a thin-walled part within 2 mm takes up to some hundred."""
 MAX_MESH_BYTES = 256 << 20
 """Bytes of a mesh or material file that is looked through."""
 Files = Callable[[str], Path]

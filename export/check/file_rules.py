@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from export.check.geometry_rules import Shapes, shape_findings
 from export.check.mjcf_tree import NotRead, named_files, tree_of_mjcf
 from export.check.report import Row
-from export.check.rules import FILE_RULES
+from export.check.rules import FILE_RULES, GROUND_M
 from export.check.tree import Tree, tree_of_urdf
 from export.checklist import Files, Finding, shapes_of, urdf_findings
 from export.inertia import Inertial, unphysical
@@ -24,10 +25,9 @@ from freeart21.files.urdf import parsed, read_urdf
 from freeart21.files.urdf_files import named_inside
 from freeart21.reconstruction import describe_trust
 
-GROUND_M = 1e-3
-"""How far the lowest collision point may be from z = 0: what an asset at rest may drift (`trial.DRIFT_M`)."""
 _FATAL = ("paths.exist", "inertia.physical", "limits.ordered", "numbers and meshes")
 """Rules without which a trial says nothing; a link without inertia gets one of the engine's own."""
+SHAPE_RULES = ("inertia.fits-shape", "collision.matches-visual", "parts.clear")
 TRUST = "trust.sound"
 _SHOWN = 3
 """Findings of one rule that are told; of more, how many."""
@@ -62,16 +62,24 @@ def file_rows(
     else:
         say("mesh.readable")
         files = partial(named_inside, urdf, root=folder)
-        findings += _visuals(robot, files)
+        seen: dict[str, Shapes] = {}
+        findings += _visuals(robot, files, seen)
         try:
             tree = tree_of_urdf(read_urdf(urdf))
+            touched = {link.get("name", ""): shapes_of(link, "collision", files) for link in robot.findall("link")}
         except FreeArtError as error:
             findings.append(Finding("numbers and meshes", str(error)))
             facts["blocked"] = "numbers and meshes fails"
+            skipped = dict.fromkeys((*SHAPE_RULES, "dynamics.damped", "stands.on-ground"), facts["blocked"])
         else:
             findings += _damped(tree)
             say("stands.on-ground")
-            findings += _ground(tree, robot, files, facts, skipped)
+            findings += _ground(tree, touched, facts, skipped)
+            if any(f.rule in ("mesh.readable", "inertia.physical") for f in findings):
+                skipped |= dict.fromkeys(SHAPE_RULES, "a mesh cannot be read, or an inertia is none")
+            else:
+                say("parts.clear")
+                findings += shape_findings(tree, seen, touched)
     yield from rows_of(findings, skipped)
 
 
@@ -101,7 +109,8 @@ def _trust(urdf: Path | None, mjcf: Path | None) -> Row:
     return Row(TRUST, "file", "pass" if trust.verdict == "sound" else "fail", describe_trust(trust))
 
 
-def _visuals(robot: ET.Element, files: Files) -> Iterator[Finding]:
+def _visuals(robot: ET.Element, files: Files, seen: dict[str, Shapes]) -> Iterator[Finding]:
+    """What is wrong with the visual meshes; `seen` gets those that can be read, by link."""
     for link in robot.findall("link"):
         for k, visual in enumerate(link.findall("visual")):
             alone = ET.Element("link", link.attrib)
@@ -112,6 +121,7 @@ def _visuals(robot: ET.Element, files: Files) -> Iterator[Finding]:
             except Exception as error:  # parsers of many formats
                 yield Finding("mesh.readable", f"{where}: {(str(error).splitlines() or [''])[0]}")
                 continue
+            seen.setdefault(link.get("name", ""), []).extend(shapes)
             for _, mesh in shapes:
                 if not len(mesh.faces) or not np.isfinite(mesh.vertices).all() or not mesh.area > 0:
                     yield Finding("mesh.readable", f"{where} has no surface")
@@ -136,19 +146,22 @@ def _damped(tree: Tree) -> Iterator[Finding]:
 
 
 def _ground(
-    tree: Tree, robot: ET.Element, files: Files, facts: dict[str, Any], skipped: dict[str, str]
+    tree: Tree, touched: dict[str, Shapes], facts: dict[str, Any], skipped: dict[str, str]
 ) -> Iterator[Finding]:
     Ts = tree.link_poses(tree.complete({joint.name: joint.loaded for joint in tree.movable}))
-    heights = []
-    for link in robot.findall("link"):
-        for T, mesh in shapes_of(link, "collision", files):
-            if len(mesh.vertices):
-                heights.append(float(se3.transform(Ts[link.get("name", "")] @ T, mesh.vertices)[:, 2].min()))
+    heights = [
+        float(se3.transform(Ts[link] @ T, mesh.vertices)[:, 2].min())
+        for link, shapes in touched.items()
+        for T, mesh in shapes
+        if len(mesh.vertices)
+    ]
     if not heights:
         skipped["stands.on-ground"] = "nothing of it collides"
         return
     facts["lowest"] = min(heights)
-    if abs(min(heights)) > GROUND_M:
+    if tree.nailed:
+        skipped["stands.on-ground"] = "the file nails it to the world"
+    elif abs(min(heights)) > GROUND_M:
         said = f"its lowest collision point is at z = {1e3 * min(heights):.4g} mm, expected 0 within {1e3 * GROUND_M:g}"
         yield Finding("stands.on-ground", said)
 

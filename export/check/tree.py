@@ -51,6 +51,17 @@ class TreeJoint:
         return self.stated and self.lower < self.upper
 
     @property
+    def sweep(self) -> tuple[float, float]:
+        """The limits or, where it has none, a turn to and fro or half a metre; twice zero where nothing is left."""
+        if not self.ordered:
+            return 0.0, 0.0
+        end = np.pi if self.kind == "revolute" else 0.5
+        lower, upper = self.lower, self.upper
+        if np.isinf(lower) and np.isinf(upper):
+            return -end, end
+        return (upper - end if np.isinf(lower) else lower), (lower + end if np.isinf(upper) else upper)
+
+    @property
     def loaded(self) -> float:
         """The position at which a simulator should load it: zero, or the limit nearest to it."""
         return float(np.clip(0.0, self.lower, self.upper)) if self.ordered else 0.0
@@ -76,6 +87,15 @@ class Tree:
     def movable(self) -> tuple[TreeJoint, ...]:
         """The joints that move on their own."""
         return tuple(j for j in self.joints.values() if j.kind is not None and j.mimic is None)
+
+    def rigid_groups(self) -> dict[str, tuple[str, Array]]:
+        """Link name to the first link that it is welded to, and T (4, 4) from the link's frame to that one's."""
+        groups = {self.root: (self.root, np.eye(4))}
+        for joint in self.joints.values():
+            top, T = groups[joint.parent]
+            welded = joint.kind is None
+            groups[joint.child] = (top, T @ joint.T_parent_child) if welded else (joint.child, np.eye(4))
+        return groups
 
     def complete(self, q: Mapping[str, float]) -> dict[str, float]:
         """Positions of all joints that move: `q`, and what follows it."""

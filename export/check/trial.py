@@ -11,18 +11,23 @@ from numpy.typing import NDArray
 
 from export.check.engines.base import GRAVITY, Setting, World
 from export.check.report import Row
+from export.check.rules import (
+    DRIFT_M,
+    DRIFT_RAD,
+    ENERGY_RISE,
+    MASS_TOLERANCE,
+    POSE_TOLERANCE,
+    REST_S,
+    STATES,
+    TURNS,
+)
 from export.check.tree import Tree, TreeJoint
 from freeart21 import se3
 from freeart21.files.urdf import UrdfInertial
 from freeart21.se3 import Array
 
-STATES = 100
-POSE_TOLERANCE = 1e-6
-"""Rotation entries, and metres for an asset of up to a metre (single precision is relative)."""
 LIMIT_TOLERANCE = 1e-6
 """rad or m, relative beyond 1: engines keep limits in single precision."""
-MASS_TOLERANCE = 1e-3
-"""Relative, of a link's mass and of its largest moment."""
 DRIVEN_JOINTS = 8
 """So many of an asset's joints are pushed, the first of the file."""
 PUSH_S = 1.5
@@ -32,15 +37,8 @@ REACH = 0.02
 springs of 0.02 s: pushed on as `push_of` does, they give way by 0.1 % of the range."""
 BOUNCE = 0.1
 """Fraction of the range by which it may shoot beyond a limit: at the speed of arrival MuJoCo's give way by 3 %."""
-ENERGY_RISE = 0.02
-"""Of the greatest kinetic energy on the way. Engines step semi-implicitly at 2 ms: energy errs by half a step times
-power. Measured on ten exported reconstructions, in all four engines alike: at most 1 %."""
 FREE_S = 2.0
-REST_S, SETTLE_S, SAMPLE_S = 5.0, 0.5, 0.01
-DRIFT_M, DRIFT_RAD = 1e-3, 1e-2
-"""arXiv 2605.19136: an asset at rest drifts by no more."""
-TURNS = 3
-"""The same: so many changes of a velocity's sign are an oscillation."""
+SETTLE_S, SAMPLE_S = 0.5, 0.01
 SWING = 0.1
 """Part of the allowed drift by which a body has to swing back for its velocity to count as turned, .1 mm or .001 rad:
 PyBullet lets a lighter's lid hop by .0005 rad for ever on the limit that gravity holds it at."""
@@ -165,7 +163,7 @@ class Trial:
     def _poses(self, world: World, tree: Tree) -> Row:
         rng, worst, which = np.random.default_rng(0), 0.0, tree.root
         for _ in range(STATES):
-            q = tree.complete({joint.name: rng.uniform(*_range(joint)) for joint in tree.movable})
+            q = tree.complete({joint.name: rng.uniform(*joint.sweep) for joint in tree.movable})
             world.put(q)
             expected, found = tree.link_poses(q), world.poses()
             base = se3.inverse(found.get(tree.root, np.eye(4)))
@@ -246,7 +244,7 @@ class Trial:
             told = None if self.tree is None else self.tree.joints.get(joint.name)
             known = told if told is not None and told.mimic is None else None
             if known is not None and known.ordered:
-                low, high = _range(known)
+                low, high = known.sweep
                 start[joint.name] = 0.5 * (low + high) if np.isfinite(known.lower) else 0.0
                 speed[joint.name] = 0.5 * _span(known)
         if not start:
@@ -344,19 +342,8 @@ def push_of(joint: TreeJoint, inertia: float) -> float:
     return 2 * inertia * span / seconds**2 + 2 * joint.damping * span / seconds + 1.5 * joint.friction
 
 
-def _range(joint: TreeJoint) -> tuple[float, float]:
-    """The joint's limits or, where it has none, a turn to and fro or half a metre."""
-    if not joint.ordered:
-        return 0.0, 0.0
-    end = np.pi if joint.kind == "revolute" else 0.5
-    lower, upper = joint.lower, joint.upper
-    if np.isinf(lower) and np.isinf(upper):
-        return -end, end
-    return (upper - end if np.isinf(lower) else lower), (lower + end if np.isinf(upper) else upper)
-
-
 def _span(joint: TreeJoint) -> float:
-    low, high = _range(joint)
+    low, high = joint.sweep
     return high - low
 
 

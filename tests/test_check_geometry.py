@@ -1,0 +1,187 @@
+"""Rules of shapes: what is seen against what is touched, inertia against size, parts that pass through each other."""
+
+import ast
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from export.check import rules
+from export.check.file_rules import file_rows
+from export.check.solids import body_of
+from export.check.subject import find_subject
+from freeart21 import se3
+
+REAL = Path(__file__).resolve().parents[2] / "shared"
+BOX = '<origin xyz="{at}"/><geometry><box size="{size}"/></geometry>'
+CABINET = """<robot name="cabinet">
+<link name="body"><inertial><origin xyz="0 0 0.2"/><mass value="5"/>
+  <inertia ixx="0.15" ixy="0" ixz="0" iyy="0.15" iyz="0" izz="0.15"/></inertial>
+  <visual><origin xyz="0 0 0.2"/><geometry><box size="0.4 0.4 0.4"/></geometry></visual>
+  <collision><origin xyz="0 0 0.2"/><geometry><box size="0.4 0.4 0.4"/></geometry></collision></link>
+<link name="door"><inertial><origin xyz="0 0.2 0"/><mass value="1"/>
+  <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.012" iyz="0" izz="0.02"/></inertial>
+  <visual><origin xyz="0 0.2 0"/><geometry><box size="0.02 0.4 0.36"/></geometry></visual>
+  <collision><origin xyz="0 0.2 0"/><geometry><box size="0.02 0.4 0.36"/></geometry></collision></link>
+<joint name="hinge" type="revolute"><parent link="body"/><child link="door"/><origin xyz="0.211 -0.2 0.2"/>
+  <axis xyz="0 0 -1"/><limit lower="0" upper="1.5" effort="10" velocity="5"/>
+  <dynamics damping="0.05" friction="0.02"/></joint>
+</robot>"""
+DOOR_SEEN = '<visual><origin xyz="0 0.2 0"/>'
+DOOR_TOUCHED = '<collision><origin xyz="0 0.2 0"/>'
+DOOR_BOX = '<geometry><box size="0.02 0.4 0.36"/></geometry>'
+INERTIA = 'ixx="0.02" ixy="0" ixz="0" iyy="0.012" iyz="0" izz="0.02"'
+KNOB = f"</visual><visual>{BOX.format(at='0.04 0.35 0', size='0.06 0.03 0.03')}</visual>{DOOR_TOUCHED}"
+
+
+def failed(folder: Path, text: str) -> dict[str, str]:
+    """Rule to reason, of the rules of the files that fail."""
+    file = folder / "cabinet.urdf"
+    file.write_text(text)
+    subject = find_subject(file)
+    rows = file_rows(subject.urdf, subject.mjcf, subject.folder, {}, lambda rule: None)
+    return {row.rule: row.reason for row in rows if row.verdict == "fail"}
+
+
+def changed(old: str, new: str) -> str:
+    assert old in CABINET
+    return CABINET.replace(old, new, 1)
+
+
+def test_a_sound_cabinet_passes(tmp_path: Path):
+    assert failed(tmp_path, CABINET) == {}
+
+
+SHIFTED = '<collision><origin xyz="{}"/>'
+BREAKS = {
+    "a visual in mm": (
+        '<geometry><box size="0.4 0.4 0.4"/>',
+        '<geometry><box size="400 400 400"/>',
+        "collision.matches-visual",
+    ),
+    "a collision in cm": (
+        DOOR_TOUCHED + DOOR_BOX,
+        DOOR_TOUCHED + DOOR_BOX.replace("0.02 0.4 0.36", "2 40 36"),
+        "collision.matches-visual",
+    ),
+    "a collision that lies higher": (DOOR_TOUCHED, SHIFTED.format("0 0.2 0.1"), "collision.matches-visual"),
+    "a visual before its door": (DOOR_SEEN, DOOR_SEEN.replace('"0 ', '"0.1 '), "collision.matches-visual"),
+    "a thin door beside its visual": (DOOR_TOUCHED, SHIFTED.format("0.03 0.2 0"), "collision.matches-visual"),
+    "a collision turned over": (
+        DOOR_TOUCHED,
+        '<collision><origin xyz="0 0.2 0" rpy="0 0 1.5708"/>',
+        "collision.matches-visual",
+    ),
+    "a door that swings into its body": ('lower="0"', 'lower="-1"', "parts.clear"),
+    "by 20 degrees alone": ('lower="0"', 'lower="-0.35"', "parts.clear"),
+    "a door whose axis is turned round": ('axis xyz="0 0 -1"', 'axis xyz="0 0 1"', "parts.clear"),
+    "a heavy inertia": (INERTIA, INERTIA.replace("0.02", "1000").replace("0.012", "1000"), "inertia.fits-shape"),
+    "ten times what is possible": (INERTIA, INERTIA.replace("0.0", "0."), "inertia.fits-shape"),
+    "moments a thousandth": (INERTIA, INERTIA.replace("0.0", "0.0000"), "inertia.fits-shape"),
+}
+
+
+@pytest.mark.parametrize("name", BREAKS)
+def test_each_break_of_a_shape_fails_its_rule(tmp_path: Path, name: str):
+    old, new, rule = BREAKS[name]
+    found = failed(tmp_path, changed(old, new))
+    assert rule in found
+    if rule != "collision.matches-visual":  # what stands elsewhere may stand in something, too
+        assert set(found) == {rule}
+
+
+LIKENESSES = {
+    "a knob that cannot be touched": ('</visual>\n  <collision><origin xyz="0 0.2 0"/>', KNOB),
+    "a padded collision": (DOOR_TOUCHED + DOOR_BOX, DOOR_TOUCHED + DOOR_BOX.replace("0.02 0.4 0.36", "0.03 0.41 0.37")),
+    "a door that closes by a degree too far": ('lower="0"', 'lower="-0.02"'),
+    "a frame without shapes": (
+        "</robot>",
+        '<link name="tip"/><joint name="t" type="fixed"><parent link="door"/><child link="tip"/></joint></robot>',
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LIKENESSES)
+def test_what_a_skilled_user_would_accept_passes(tmp_path: Path, name: str):
+    assert failed(tmp_path, changed(*LIKENESSES[name])) == {}
+
+
+def test_a_link_welded_to_the_shapes_may_hold_the_mass(tmp_path: Path):
+    head, _, tail = CABINET.partition('<link name="body">')
+    inertial, _, rest = tail.partition("</inertial>")
+    weld = '<joint name="w" type="fixed"><parent link="base"/><child link="body"/></joint></robot>'
+    text = f'{head}<link name="base">{inertial}</inertial></link><link name="body">{rest}'.replace("</robot>", weld)
+    assert failed(tmp_path, text) == {}
+    assert "inertia.fits-shape" in failed(tmp_path, text.replace('"0.15"', '"150"'))
+
+
+@pytest.mark.parametrize("thin", [0.004, 0.02])
+def test_a_drawer_goes_through_a_thin_back_but_not_through_an_open_front(tmp_path: Path, thin: float):
+    """The back is thinner than the steps that the drawer is looked at in."""
+    boards = {"0.2 0.3 0": f"0.4 {thin} 0.3", "0 0.15 0": f"{thin} 0.3 0.3", "0.4 0.15 0": f"{thin} 0.3 0.3"}
+    shapes = "".join(f"<collision>{BOX.format(at=at, size=size)}</collision>" for at, size in boards.items())
+    drawer = f"<collision>{BOX.format(at='0.2 0.1 0', size='0.3 0.15 0.2')}</collision>"
+    text = f"""<robot name="d"><link name="body">{shapes}</link><link name="drawer">{drawer}</link>
+    <joint name="slide" type="prismatic"><parent link="body"/><child link="drawer"/><axis xyz="0 -1 0"/>
+    <limit lower="{{}}" upper="{{}}" effort="1" velocity="1"/></joint></robot>"""
+    assert "parts.clear" not in failed(tmp_path, text.format(0, 1))
+    assert "parts.clear" in failed(tmp_path, text.format(-1, 0))
+
+
+def test_boards_drawn_from_both_sides_have_an_inside_and_open_shells_have_none():
+    """As the meshes of PartNet-Mobility: each triangle twice, so that nothing winds round anything."""
+    box = trimesh.creation.box((0.4, 0.3, 0.02))
+    doubled = trimesh.Trimesh(box.vertices, np.concatenate([box.faces, box.faces[:, ::-1]]), process=False)
+    board = body_of([(np.eye(4), doubled)], 100)
+    shell = body_of([(np.eye(4), trimesh.Trimesh(box.vertices * (1, 1, 10), box.faces[2:], process=False))], 100)
+    point, far = np.array([[0.1, 0.1, 0.004]]), np.array([[0.1, 0.1, 1.0]])
+    assert board is not None and shell is not None and not shell.solids
+    assert board.depth(point) == pytest.approx(0.006) and board.depth(far) == 0
+    assert board.depth_between(far, -far) > 0.005 and board.depth_between(far, far + 1) == 0
+
+
+def test_depth_between_is_that_of_the_middle_of_the_way_through():
+    ball = body_of([(se3.pose(np.eye(3), (1, 0, 0)), trimesh.creation.icosphere(4, 0.1))], 10)
+    assert ball is not None
+    for y in (0.0, 0.05):
+        found = ball.depth_between(np.array([[-5.0, y, 0.0]]), np.array([[5.0, y, 0.0]]))
+        assert found == pytest.approx(0.1 - y, abs=1e-3)
+
+
+def test_the_page_counts_the_rules():
+    text = " ".join((Path(__file__).resolve().parents[1] / "docs" / "assets.md").read_text().split())
+    assert f"{len(rules.FILE_RULES)} rules on its files" in text and f"{len(rules.ENGINE_RULES)} more:" in text
+
+
+def test_every_number_in_a_rules_text_is_a_constant_of_the_code():
+    """Texts hold no digits of their own: what they say is formatted from constants, which the judging code imports."""
+    tree = ast.parse(Path(rules.__file__).read_text())
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Rule"]
+    assert len(calls) == len(rules.RULES)
+    used = set()
+    for call in calls:
+        for node in ast.walk(call):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value not in ("g", ".0%"):
+                words = node.value.replace("child of two", "")
+                assert not re.search(r"\d|\b(two|three|four|five|ten)\b", words), node.value
+            if isinstance(node, ast.Name) and node.id.isupper():
+                used.add(node.id)
+    judging = "".join(file.read_text() for file in Path(rules.__file__).parent.glob("*.py") if file.name != "rules.py")
+    judging += (Path(rules.__file__).parents[1] / "checklist.py").read_text()
+    for name in used:
+        assert len(re.findall(rf"\b{name}\b", judging)) >= 2, f"{name} is said and not used"
+        assert not re.search(rf"^{name}\b.* = ", judging, re.MULTILINE), f"{name} is defined twice"
+
+
+PARTNET = sorted((REAL / "partnet_mobility").glob("*/mobility.urdf"))
+
+
+@pytest.mark.skipif(not PARTNET, reason="the real objects are not on this machine")
+@pytest.mark.parametrize("path", PARTNET, ids=lambda path: path.parent.name)
+def test_real_objects_break_no_rule_of_shapes(path: Path):
+    subject = find_subject(path)
+    rows = file_rows(subject.urdf, subject.mjcf, subject.folder, {}, lambda rule: None)
+    shapes = ("collision.matches-visual", "parts.clear", "inertia.fits-shape")
+    assert [row.reason for row in rows if row.rule in shapes and row.verdict == "fail"] == []
