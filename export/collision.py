@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from export.clearance import cleared
 from export.decomposition import Tolerance, convex_pieces, thickened
-from export.fidelity import Fidelity, measured
 from export.outside import Outside, even_directions, outside_of
 from export.primitive_fit import primitive_of
 from export.primitives import Primitive
@@ -54,13 +53,12 @@ class CollisionSettings:
 
 @dataclass(frozen=True)
 class Collision:
-    """The convex pieces of a part, and how true they are to it."""
+    """The convex pieces of a part."""
 
     hulls: tuple[Mesh, ...]
     """Closed convex meshes in the part's frame."""
     primitives: tuple[Primitive, ...]
     """Pieces that are a box, a cylinder or a ball."""
-    fidelity: Fidelity
     outside: Outside
     """Of the part, in its frame."""
 
@@ -96,8 +94,7 @@ def convex_parts(mesh: Mesh, settings: CollisionSettings, ground: float | None =
             continue
         hull = convex_hull(piece, settings.min_thickness_m, settings.max_vertices)
         hulls.append(hull if ground is None else _grounded(hull, ground, stands_out, settings))
-    shapes = [*hulls, *(shape.mesh() for shape in primitives)]
-    return Collision(tuple(hulls), tuple(primitives), measured(outside, shapes), outside)
+    return Collision(tuple(hulls), tuple(primitives), outside)
 
 
 def kept_apart(
@@ -137,8 +134,7 @@ def kept_apart(
                 primitives.append(found.primitives[k - len(found.hulls)])
         if not hulls and not primitives:  # a part without any shape falls through the ground
             return collisions, {"cut": 0, "dropped": 0}
-        apart = replace(found, hulls=tuple(hulls), primitives=tuple(primitives))
-        out[name] = replace(apart, fidelity=measured(found.outside, apart.shapes))
+        out[name] = replace(found, hulls=tuple(hulls), primitives=tuple(primitives))
     return out, counts
 
 

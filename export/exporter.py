@@ -15,8 +15,10 @@ import freeart21
 from export.beside import write_beside
 from export.checklist import check_asset
 from export.collision import Collision, CollisionSettings, convex_parts, kept_apart
+from export.delivered import contact_depth, contact_fidelity, delivered_shapes
 from export.guessed_dynamics import DYNAMICS, Dynamics, guessed_effects
 from export.inertia import inertial_of
+from export.joint_range import STATES
 from export.materials import DEFAULT, DENSITIES, MATERIALS, Material
 from export.meshes import MeshSettings, without_crumbs, write_hull, write_visual
 from export.mjcf import mjcf_text
@@ -179,11 +181,14 @@ def export_result(
         )
         atomic.write_bytes(aside / URDF, urdf_text(model))
         atomic.write_bytes(aside / MJCF, mjcf_text(model))
+        seen, touched = delivered_shapes(aside / URDF)
+        fidelity = contact_fidelity(seen, touched)
+        depth = contact_depth(aside / URDF, joint.name, touched, STATES)
         source |= {
-            "parts": {name: said for name, (_, said) in written.items()},
+            "parts": {name: said | {"collision": fidelity[name].said()} for name, (_, said) in written.items()},
             **placement.said,
-            "penetration": placement.said["penetration"] | said_apart,
-            "mass": _said_of_mass(settings, density),
+            "penetration": placement.said["penetration"] | {"deepest_m": depth} | said_apart,
+            "mass": _said_of_mass(settings, density, placement.said["penetration"]["carved"]),
             "dynamics": {"guessed": guessed},
             "length_unit": "m",
             "exporter": f"freeart21 {freeart21.__version__}",
@@ -298,21 +303,21 @@ def _write_link(
         **shape.part.said(settings.scale),
         "hulls": len(hulls),
         "primitives": len(collision.primitives),
-        "collision": collision.fidelity.said(),
     }
     inertial = inertial_of(shape.solid, density, settings.wall)
     visual_file, picture = f"{MESHES}/{name}.obj", texture and f"{MESHES}/{texture}"
     return LinkModel(name, visual_file, picture, hulls, inertial, collision.primitives), said
 
 
-def _said_of_mass(settings: ExportSettings, density: float) -> dict[str, Any]:
+def _said_of_mass(settings: ExportSettings, density: float, carved: str | None) -> dict[str, Any]:
     """How masses came about: who gave what, and what is a guess."""
     given = settings.mass is not None or settings.density is not None
+    less = "" if carved is None else f", less what was carved of the {carved} part"
     return {
         "by": "given mass" if settings.mass is not None else "density",
         "density": density,
         "material": None if given else settings.material or DEFAULT,
-        "of": "the solid that the mesh bounds" if settings.wall is None else "a wall along the mesh",
+        "of": f"{'the solid that the mesh bounds' if settings.wall is None else 'a wall along the mesh'}{less}",
         "wall_m": settings.wall,
         "guessed": not given and settings.material is None,
     }

@@ -38,20 +38,22 @@ class Fidelity:
     """The largest of those."""
     uncovered: float
     """The largest distance by which a point of the part's surface lies outside of all shapes."""
+    size: float
+    """Diagonal of the part's box."""
 
     def said(self) -> dict[str, float]:
         """For asset.json, to the micrometre."""
         return {f"{name}_m": round(value, 6) for name, value in asdict(self).items()}
 
 
-def measured(outside: Outside, shapes: Sequence[Mesh], seed: int = 0) -> Fidelity:
-    """Hold the union of convex `shapes`, closed meshes in the part's frame, against the part.
+def measured(outside: Outside, shapes: Sequence[Mesh], seed: int = 0, count: int = PER_SHAPES) -> Fidelity:
+    """Hold the union of convex `shapes`, closed meshes in the part's frame, against the part; `count` points on them.
 
     Distances are those to the planes of sampled points, so that their spacing does not count.
     """
     solids = [trimesh.Trimesh(shape.vertices, shape.faces, process=False) for shape in shapes]
     planes, first, boxes = half_spaces(solids)
-    surface, normals, own, spacing = _sampled(solids)
+    surface, normals, own, spacing = _sampled(solids, count)
     free = depth_within(surface, own, planes, first, boxes) <= _WITHIN
     surface, normals = surface[free], normals[free]
     excess = outside.excess(surface)
@@ -69,6 +71,7 @@ def measured(outside: Outside, shapes: Sequence[Mesh], seed: int = 0) -> Fidelit
         float(np.percentile(excess, 95)),
         float(excess.max()),
         float(distance[~covered].max(initial=0.0)),
+        outside.size,
     )
 
 
@@ -82,9 +85,9 @@ def _to_planes(x: Array, surface: Array, normals: Array, spacing: float) -> Arra
     return np.asarray(np.hypot(ahead, np.maximum(aside - spacing, 0.0)).min(1))
 
 
-def _sampled(solids: Sequence[trimesh.Trimesh]) -> tuple[Array, Array, Array, float]:
+def _sampled(solids: Sequence[trimesh.Trimesh], count: int) -> tuple[Array, Array, Array, float]:
     """Points on all shapes, their corners, too: (n, 3), their normals, whose they are, and m between them."""
-    each = float(sum(solid.area for solid in solids)) / PER_SHAPES
+    each = float(sum(solid.area for solid in solids)) / count
     points, normals, own = [], [], []
     for k, solid in enumerate(solids):
         between, faces = even_points(solid, each)

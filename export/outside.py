@@ -78,14 +78,14 @@ class Outside:
         return np.where(out, np.hypot(ahead, beyond), 0.0)
 
 
-def outside_of(mesh: Mesh) -> Outside:
-    """The outside of a mesh; FreeArtError when it has no area."""
+def outside_of(mesh: Mesh, count: int = DENSE) -> Outside:
+    """The outside of a mesh, by about `count` points on its surface; FreeArtError when it has no area."""
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     area = float(mesh.areas().sum())
     if not area > 0:
         raise FreeArtError("mesh has no triangle of any area")
     size = float(np.linalg.norm(np.ptp(mesh.vertices[np.unique(mesh.faces)], axis=0)))
-    dense, faces = even_points(solid, area / DENSE)
+    dense, faces = even_points(solid, area / count)
     dense_normals = solid.face_normals[faces]
     points, normals = _thinned(solid, dense, dense_normals, max(size / CELLS, 1e-3))
     dense, dense_normals = np.concatenate([dense, points]), np.concatenate([dense_normals, normals])  # corners, too
@@ -105,7 +105,7 @@ def outside_of(mesh: Mesh) -> Outside:
         kept[:] = True
     dense, dense_normals = dense[kept], dense_normals[kept]
     points, normals = points[seen], normals[seen]
-    spacing = float(np.sqrt(area / DENSE))
+    spacing = float(np.sqrt(area / count))
     own = cKDTree(points)
     winding = Winding(Mesh(mesh.vertices, mesh.faces[mesh.areas() > 0]))
     k = min(NEIGHBOURS + 1, len(points))

@@ -15,6 +15,7 @@ from scipy.spatial.distance import cdist
 from export.checklist import check_asset
 from export.collision import CollisionSettings, convex_hull, convex_parts
 from export.exporter import ExportSettings, export_result
+from export.fidelity import measured
 from export.inertia import Inertial, inertial_of, unphysical
 from export.meshes import deduplicated, inside_out, turned, without_crumbs, write_visual
 from export.placement import PlacementSettings
@@ -486,7 +487,8 @@ def test_concave_part_becomes_several_convex_pieces():
     part = l_shape()
     cut = convex_parts(part, CollisionSettings())
     assert 2 <= len(cut.shapes) <= 8
-    assert cut.fidelity.median < 1e-4 and cut.fidelity.worst < 2e-3
+    fidelity = measured(cut.outside, cut.shapes)
+    assert fidelity.median < 1e-4 and fidelity.worst < 2e-3
     volume = sum(trimesh.Trimesh(h.vertices, h.faces).volume for h in cut.shapes)
     true = trimesh.Trimesh(part.vertices, part.faces)
     assert true.volume < volume < 1.25 * true.volume  # they overlap a little
@@ -505,7 +507,8 @@ def test_a_tray_stays_open_and_its_walls_thin():
         assert not any(inside), height
     assert any(solid.contains([[0.02, -0.03, -0.04 + wall / 2]])[0] for solid in solids)
     assert sum(solid.volume for solid in solids) < 1.3 * tray.volume
-    assert cut.fidelity.median < 5e-4 and cut.fidelity.worst < 2.5e-3
+    fidelity = measured(cut.outside, cut.shapes)
+    assert fidelity.median < 5e-4 and fidelity.worst < 2.5e-3
 
 
 def test_a_ball_is_cut_to_few_vertices_each():

@@ -103,7 +103,8 @@ def test_a_part_of_boxes_is_boxes():
     cut = convex_parts(as_mesh(trimesh.boolean.union([slab, block])), CollisionSettings())
     assert len(cut.primitives) >= 2 and len(cut.hulls) + len(cut.primitives) <= 4
     assert all(isinstance(shape, Box) for shape in cut.primitives)
-    assert cut.fidelity.median < 2e-4 and cut.fidelity.outward < 2e-3
+    fidelity = measured(cut.outside, cut.shapes)
+    assert fidelity.median < 2e-4 and fidelity.outward < 2e-3
     assert convex_parts(as_mesh(slab), CollisionSettings(primitives=False)).primitives == ()
 
 
@@ -187,7 +188,8 @@ def test_pieces_end_at_the_ground_whatever_they_stand_out_by():
     assert not ((heights > 5e-5) & (heights < 1e-3)).any()
     standing = np.concatenate([shape.vertices for shape in cut.shapes])[heights < 5e-5]
     np.testing.assert_allclose(np.ptp(standing[:, :2], axis=0), [0.2, 0.1], atol=2e-3)
-    assert cut.fidelity.median < 5e-4 and cut.fidelity.outward < 2e-3
+    fidelity = measured(cut.outside, cut.shapes)
+    assert fidelity.median < 5e-4 and fidelity.outward < 2e-3
 
 
 def test_a_rounded_body_with_more_corners_than_a_piece_may_have_stands_as_wide_as_it_is():
