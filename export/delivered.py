@@ -17,7 +17,8 @@ from export.checklist import shapes_of
 from export.fidelity import PER_SHAPES, Fidelity, depth_within, half_spaces, measured
 from export.outside import DENSE, even_points, outside_of
 from freeart21 import se3
-from freeart21.files.urdf import named_inside, parsed, read_urdf
+from freeart21.files.urdf import parsed, read_urdf
+from freeart21.files.urdf_files import named_inside
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 
@@ -31,7 +32,7 @@ _DEPTH_POINTS = 20_000
 
 def delivered_shapes(urdf: Path) -> tuple[dict[str, Shapes], dict[str, Shapes]]:
     """Visual and collision shapes of a URDF by link, in its frame, as its files say; raises FreeArtError."""
-    files = partial(named_inside, urdf, folder=urdf.parent)
+    files = partial(named_inside, urdf, root=urdf.parent)
     links = parsed(urdf).findall("link")
     seen, touched = ({e.get("name", ""): shapes_of(e, tag, files) for e in links} for tag in ("visual", "collision"))
     return seen, touched
@@ -88,6 +89,16 @@ def convex_shapes(shapes: Shapes) -> list[Mesh]:
         if len(hull.faces) and hull.volume > 0:
             found.append(Mesh(se3.transform(T, np.asarray(hull.vertices, float)), np.asarray(hull.faces)))
     return found
+
+
+def closed(mesh: trimesh.Trimesh) -> bool:
+    """Whether each edge has two faces, with corners of equal position taken for one: seams of textures split them."""
+    _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    faces = place.reshape(-1)[mesh.faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    return bool((count % 2 == 0).all())
 
 
 def _on(solid: trimesh.Trimesh, all_of_them: list[trimesh.Trimesh]) -> Array:

@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
-from export.check.geometry_rules import Shapes, shape_findings
+from export.check.contact_rule import RULE as CONTACT
+from export.check.contact_rule import contact_row
+from export.check.geometry_rules import shape_findings
 from export.check.mjcf_tree import NotRead, named_files, tree_of_mjcf
 from export.check.report import Row
 from export.check.rules import FILE_RULES, GROUND_M
 from export.check.tree import Tree, tree_of_urdf
 from export.checklist import Files, Finding, shapes_of, urdf_findings
+from export.delivered import Shapes, closed
 from export.inertia import Inertial, unphysical
 from export.stated_trust import stated_trust
 from freeart21 import se3
@@ -27,7 +29,7 @@ from freeart21.reconstruction import describe_trust
 
 _FATAL = ("paths.exist", "inertia.physical", "limits.ordered", "numbers and meshes")
 """Rules without which a trial says nothing; a link without inertia gets one of the engine's own."""
-SHAPE_RULES = ("inertia.fits-shape", "collision.matches-visual", "parts.clear")
+SHAPE_RULES = ("inertia.fits-shape", "collision.matches-visual", "parts.clear", CONTACT)
 TRUST = "trust.sound"
 _SHOWN = 3
 """Findings of one rule that are told; of more, how many."""
@@ -43,10 +45,10 @@ def file_rows(
     against it).
     """
     facts |= {"lowest": None, "blocked": ""}
-    yield _trust(urdf, mjcf)
+    rows = [_trust(urdf, mjcf)]
     if urdf is None:
         assert mjcf is not None
-        yield from _mjcf_rows(mjcf, folder, facts)
+        yield from _mjcf_rows(mjcf, folder, facts, rows)
         return
     say("numbers and meshes")
     robot = parsed(urdf)
@@ -80,13 +82,17 @@ def file_rows(
             else:
                 say("parts.clear")
                 findings += shape_findings(tree, seen, touched)
-    yield from rows_of(findings, skipped)
+                say(CONTACT)
+                rows.append(contact_row(seen, touched, folder))
+    yield from rows_of(findings, skipped, rows)
 
 
-def rows_of(findings: list[Finding], skipped: dict[str, str]) -> Iterator[Row]:
-    """A row for every rule of the files but `TRUST`, from what is wrong and what was not judged."""
+def rows_of(findings: list[Finding], skipped: dict[str, str], rows: list[Row]) -> Iterator[Row]:
+    """A row for every rule of the files: of `rows`, else from what is wrong and what was not judged."""
+    ready = {row.rule: row for row in rows}
     for rule in FILE_RULES:
-        if rule == TRUST:
+        if rule in ready:
+            yield ready[rule]
             continue
         wrong = [finding.detail for finding in findings if finding.rule == rule]
         if wrong:
@@ -125,18 +131,8 @@ def _visuals(robot: ET.Element, files: Files, seen: dict[str, Shapes]) -> Iterat
             for _, mesh in shapes:
                 if not len(mesh.faces) or not np.isfinite(mesh.vertices).all() or not mesh.area > 0:
                     yield Finding("mesh.readable", f"{where} has no surface")
-                elif not _closed(mesh):
+                elif not closed(mesh):
                     yield Finding("mesh.watertight", f"{where} is not closed")
-
-
-def _closed(mesh: trimesh.Trimesh) -> bool:
-    """Whether each edge has two faces, with corners of equal position taken for one: seams of textures split them."""
-    _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    faces = place.reshape(-1)[mesh.faces]
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    _, count = np.unique(edges, axis=0, return_counts=True)
-    return bool((count % 2 == 0).all())
 
 
 def _damped(tree: Tree) -> Iterator[Finding]:
@@ -166,7 +162,7 @@ def _ground(
         yield Finding("stands.on-ground", said)
 
 
-def _mjcf_rows(mjcf: Path, folder: Path, facts: dict[str, Any]) -> Iterator[Row]:
+def _mjcf_rows(mjcf: Path, folder: Path, facts: dict[str, Any], rows: list[Row]) -> Iterator[Row]:
     """What can be said of an MJCF without MuJoCo."""
     findings = [
         Finding("paths.exist", f"file '{file.name}' does not exist")
@@ -180,7 +176,7 @@ def _mjcf_rows(mjcf: Path, folder: Path, facts: dict[str, Any]) -> Iterator[Row]
         tree = tree_of_mjcf(mjcf)
     except NotRead as error:
         why = f"{error}, which only MuJoCo reads"
-        yield from rows_of(findings, {rule: why for rule in FILE_RULES if rule not in judged})
+        yield from rows_of(findings, {rule: why for rule in FILE_RULES if rule not in judged}, rows)
         return
     except FreeArtError as error:
         tree = None
@@ -189,7 +185,7 @@ def _mjcf_rows(mjcf: Path, folder: Path, facts: dict[str, Any]) -> Iterator[Row]
     if tree is not None:
         judged |= {"inertia.physical", "limits.ordered", "limits.zero-within", "dynamics.damped"}
         findings += [*_damped(tree), *_numbers(tree)]
-    yield from rows_of(findings, {rule: "of URDFs alone" for rule in FILE_RULES if rule not in judged})
+    yield from rows_of(findings, {rule: "of URDFs alone" for rule in FILE_RULES if rule not in judged}, rows)
 
 
 def _numbers(tree: Tree) -> Iterator[Finding]:

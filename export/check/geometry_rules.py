@@ -21,12 +21,11 @@ from export.check.rules import (
 from export.check.solids import Body, body_of
 from export.check.tree import Tree, TreeJoint
 from export.checklist import Finding
+from export.delivered import Shapes
 from freeart21 import se3
 from freeart21.files.urdf import UrdfInertial
 from freeart21.se3 import Array
 
-Shapes = list[tuple[Array, trimesh.Trimesh]]
-"""Pose (4, 4) in the link and mesh of each shape."""
 SWEEP_STATES = 81
 """States of a joint between which parts move on straight lines: 2 degrees of half a turn."""
 POINTS = 1000
