@@ -179,6 +179,7 @@ def losses_text(asset: Asset, textured: bool, files: frozenset[str]) -> str:
         f"Joint `{asset.joint}`; `effects.json`, or else the URDF's `<dynamics>`, is the whole list of what acts on it."
         " `loaders/load_ENGINE.py` holds a function `load` that puts back what can be put back.",
         f"Trust in the reconstruction that it was made of: **{describe_trust(asset.trust)}**",
+        *_contact_losses(asset),
         "## Files",
         _table(formats, [row for row in rows if row != "own"]),
         "## Engines",
@@ -192,6 +193,23 @@ def losses_text(asset: Asset, textured: bool, files: frozenset[str]) -> str:
         )
     parts += [f"{column.name}: {note}" for column in engines for note in column.notes]
     return "\n\n".join(parts) + "\n"
+
+
+def _contact_losses(asset: Asset) -> list[str]:
+    """What asset.json states of how far contact is from what is seen, a paragraph; none where it states nothing."""
+    parts = asset.source.get("parts")
+    said = []
+    for name, part in parts.items() if isinstance(parts, dict) else ():
+        found = part.get("collision") if isinstance(part, dict) else None
+        keys = ("worst_of_95_m", "worst_m", "outward_95_m", "outward_m")
+        numbers = [x for key in keys if isinstance(x := found.get(key), int | float)] if isinstance(found, dict) else []
+        if len(numbers) == len(keys):
+            near, worst, out, furthest = (f"{1000 * number:.3g} mm" for number in numbers)
+            said.append(
+                f"of `{name}` 95 % of what is seen lies within {near} of contact, all of it within {worst}; 95 % of "
+                f"contact stands out by {out} at most, all of it by {furthest}"
+            )
+    return [f"What is touched is not quite what is seen: {'; '.join(said)}."] if said else []
 
 
 def write_losses(folder: Path, asset: Asset) -> None:

@@ -32,7 +32,7 @@ Positional = tyro.conf.Positional
 DESCRIPTION = "FreeArt-21: from RGB-D videos of articulated objects to simulation-ready assets, and their score."
 DOUBTFUL = 3
 """Exit code when there is an answer, and it says itself that something is wrong: of `reconstruct` one that it does not
-trust, of `export` an asset made of such a one, of `check-asset` a rule that fails."""
+trust, of `export` an asset made of such a one or with contact far from what is seen, of `check-asset` a failed rule."""
 STOP_AFTER = "Stop after this stage; what it found is kept for the next call. " + " ".join(
     f"{stage.name}: {stage.does}." for stage in STAGES if stage.kept
 )
@@ -447,7 +447,8 @@ def export(
 ) -> int:
     """Write a result as a simulation-ready asset (URDF, MJCF, USD, meshes, loaders), reload it, and check it.
 
-    The last line says whether the result trusts itself, as the asset's files do; if it is doubtful, the exit code is 3.
+    The last line says whether the result trusts itself, as the asset's files do. The exit code is 3 if it is doubtful,
+    or if collision shapes are far from what is seen.
 
     Args:
         result: A result folder (with prediction.json).
@@ -468,7 +469,9 @@ def export(
         base: The reference part moves freely, or stands fixed in the world (in URDF on a link named world).
         usd: Write object.usdc too; auto where usd-core is installed.
     """
+    from export.check.contact_rule import contact_row
     from export.checklist import check_asset
+    from export.delivered import delivered_shapes
     from export.exporter import ExportSettings, export_result
     from export.placement import PlacementSettings
     from freeart21.reconstruction import describe_trust
@@ -489,10 +492,14 @@ def export(
     findings = check_asset(out)
     for finding in findings:
         print(f"  {finding}", file=sys.stderr)
+    contact = contact_row(*delivered_shapes(asset.urdf), asset.urdf.parent)
+    if contact.verdict == "fail":
+        print(f"{contact.rule} fails: {contact.reason}", file=sys.stderr)
     print(describe_trust(asset.trust))
     if findings:
         return 1
-    return DOUBTFUL if asset.trust is not None and asset.trust.verdict == "doubtful" else 0
+    doubtful = asset.trust is not None and asset.trust.verdict == "doubtful"
+    return DOUBTFUL if doubtful or contact.verdict == "fail" else 0
 
 
 def joint_asset(

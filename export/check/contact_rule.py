@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from export.check.report import Row
-from export.check.rules import CONTACT_SHARE
+from export.check.rules import CONTACT_PERCENT, CONTACT_SHARE
 from export.delivered import Shapes, closed, contact_fidelity
 from export.fidelity import Fidelity
 from freeart21.files import checked
@@ -43,10 +43,11 @@ def _share(f: Fidelity) -> float:
 
 
 def _text(name: str, f: Fidelity) -> str:
+    rest = 100 - CONTACT_PERCENT
     return (
-        f"link '{name}' of {1000 * f.size:.3g} mm: 5 % of what is seen is {1000 * f.worst_of_95:.3g} mm and more from "
-        f"contact, at worst {1000 * f.worst:.3g} mm; 5 % of contact stands out by {1000 * f.outward_95:.3g} mm and "
-        f"more, at worst {1000 * f.outward:.3g} mm"
+        f"link '{name}' of {1000 * f.size:.3g} mm: {rest} % of what is seen is {1000 * f.worst_of_95:.3g} mm and more "
+        f"from contact, at worst {1000 * f.worst:.3g} mm; {rest} % of contact stands out by {1000 * f.outward_95:.3g} "
+        f"mm and more, at worst {1000 * f.outward:.3g} mm"
     )
 
 

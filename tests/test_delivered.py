@@ -1,0 +1,163 @@
+"""Contact against what is seen, from an asset's files alone: known boxes, and an asset whose numbers are changed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from little_asset import write_little
+from test_check_asset import files_of
+from test_export import box, reconstruction
+
+from export import delivered
+from export.delivered import contact_depth, contact_fidelity, delivered_shapes
+from export.exporter import ExportSettings, export_result
+from export.placement import PlacementSettings
+from freeart21 import se3
+
+RULE = "collision.true-to-visual"
+
+
+def row_of(path: Path):
+    (row,) = (row for row in files_of(path) if row.rule == RULE)
+    return row
+
+
+def shapes(*solids: trimesh.Trimesh):
+    return [(np.eye(4), solid) for solid in solids]
+
+
+def open_tray() -> tuple[trimesh.Trimesh, list[trimesh.Trimesh]]:
+    """A tray of 200 x 150 x 80 mm with walls of 2 mm, and its five plates."""
+    size, wall = np.array([0.2, 0.15, 0.08]), 0.002
+    hollow = trimesh.creation.box(size - [2 * wall, 2 * wall, 0], se3.pose(np.eye(3), (0, 0, wall)))
+    plates = [trimesh.creation.box((0.2, 0.15, wall), se3.pose(np.eye(3), (0, 0, -0.039)))]
+    for side in (-1, 1):
+        plates.append(trimesh.creation.box((wall, 0.15, 0.08), se3.pose(np.eye(3), (side * 0.099, 0, 0))))
+        plates.append(trimesh.creation.box((0.2, wall, 0.08), se3.pose(np.eye(3), (0, side * 0.074, 0))))
+    return trimesh.boolean.difference([trimesh.creation.box(size), hollow]), plates
+
+
+def test_both_ways_are_measured():
+    tray, plates = open_tray()
+    true = contact_fidelity({"a": shapes(tray)}, {"a": shapes(*plates)})["a"]
+    assert true.worst < 2e-3 and true.outward < 2e-3
+    block = contact_fidelity({"a": shapes(tray)}, {"a": shapes(trimesh.creation.box((0.2, 0.15, 0.08)))})["a"]
+    assert block.uncovered < 5e-4 and block.outward_95 > 0.04
+    assert block.outward == pytest.approx(0.074, abs=3e-3)  # the middle of the top is as far from the nearest wall
+    bottom = contact_fidelity({"a": shapes(tray)}, {"a": shapes(plates[0])})["a"]
+    assert bottom.uncovered == pytest.approx(0.078, abs=2e-3) and bottom.outward < 2e-3
+
+
+def test_a_collision_mesh_counts_as_its_hull_as_engines_take_it():
+    tray, _ = open_tray()
+    hull = contact_fidelity({"a": shapes(tray)}, {"a": shapes(tray)})["a"]
+    assert hull.outward > 0.07
+
+
+def test_many_links_take_fewer_points_each(monkeypatch):
+    asked = []
+    measure = delivered.outside_of
+    monkeypatch.setattr(delivered, "outside_of", lambda mesh, count: asked.append(count) or measure(mesh, 200))
+    links = {str(k): shapes(trimesh.creation.box((0.1, 0.1, 0.1))) for k in range(40)}
+    assert len(contact_fidelity(links, links)) == 40
+    assert set(asked) == {delivered._LEAST_POINTS}
+
+
+@pytest.mark.parametrize(
+    "change, verdict",
+    [
+        (('<box size="0.2 0.15 0.04"/></geometry></collision>',) * 2, "pass"),
+        (
+            (
+                '<box size="0.2 0.15 0.04"/></geometry></collision>',
+                '<box size="0.2 0.05 0.04"/></geometry></collision>',
+            ),
+            "fail",
+        ),
+        (
+            (
+                '<box size="0.2 0.15 0.04"/></geometry></collision>',
+                '<box size="0.2 0.15 0.16"/></geometry></collision>',
+            ),
+            "fail",
+        ),
+    ],
+    ids=["as it is", "contact lacks two thirds", "contact stands out"],
+)
+def test_check_asset_measures_any_urdf(tmp_path: Path, change, verdict):
+    file = write_little(tmp_path / "lid")
+    file.write_text(file.read_text().replace(*change))
+    row = row_of(file)
+    assert row.verdict == verdict and row.unit == "m" and row.value is not None
+    assert (row.value > 0.02) == (verdict == "fail") and ("link 'box'" in row.reason or verdict == "pass")
+
+
+def overlapping():
+    """A lid that is sunk into its slab by 12 mm: what collides is carved, what is seen is not."""
+    return reconstruction(moving=box((0.2, 0.15, 0.03), (0, 0, 0.023)))
+
+
+@pytest.fixture(scope="module")
+def carved(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("carved") / "asset"
+    export_result(overlapping(), out, ExportSettings(placement=PlacementSettings(zero="first")))
+    return out
+
+
+def test_asset_json_states_what_its_files_have_not_what_was_carved(carved: Path):
+    source = json.loads((carved / "asset.json").read_text())["source"]
+    seen, touched = delivered_shapes(carved / "object.urdf")
+    assert {name: part["collision"] for name, part in source["parts"].items()} == {
+        name: fidelity.said() for name, fidelity in contact_fidelity(seen, touched).items()
+    }
+    assert source["penetration"]["carved"] in ("reference", "moving")
+    assert source["parts"][source["penetration"]["carved"]]["collision"]["uncovered_m"] > 0.008
+    assert "less what was carved" in source["mass"]["of"]
+    assert "all of it within" in (carved / "LOSSES.md").read_text()
+
+
+def test_the_depth_in_asset_json_is_that_of_the_contact_shapes(carved: Path):
+    source = json.loads((carved / "asset.json").read_text())["source"]["penetration"]
+    _, touched = delivered_shapes(carved / "object.urdf")
+    assert source["deepest_m"] == contact_depth(carved / "object.urdf", "lid_joint", touched, 31)
+    assert source["deepest_m"] < 1e-3 < source["deepest_visual_m"]
+
+
+def test_known_boxes_are_as_deep_in_each_other_as_they_are(tmp_path: Path):
+    file = write_little(tmp_path / "lid")
+    file.write_text(file.read_text().replace('<origin xyz="-0.1 0 0.04"/><axis', '<origin xyz="-0.1 0 0.037"/><axis'))
+    _, touched = delivered_shapes(file)
+    assert contact_depth(file, "hinge", touched, 5) == pytest.approx(0.003, abs=1e-6)
+
+
+def test_numbers_in_asset_json_that_its_files_do_not_have_fail(carved: Path, tmp_path: Path):
+    again = tmp_path / "asset"
+    shutil.copytree(carved, again)
+    said = json.loads((again / "asset.json").read_text())
+    said["source"]["parts"]["moving"]["collision"]["worst_m"] = 0.1
+    (again / "asset.json").write_text(json.dumps(said))
+    row = row_of(again)
+    assert row.verdict == "fail" and "asset.json states worst_m 100 mm of 'moving'" in row.reason
+    for wrong in ([], {"moving": 3}, {"moving": {"collision": "good"}}, {"moving": {"collision": {"worst_m": "1"}}}):
+        said["source"]["parts"] = wrong
+        (again / "asset.json").write_text(json.dumps(said))
+        assert "asset.json" not in row_of(again).reason
+
+
+def test_an_open_visual_is_not_judged(tmp_path: Path):
+    export_result(reconstruction(), tmp_path / "asset")
+    for name in ("reference", "moving"):
+        file = tmp_path / "asset" / "meshes" / f"{name}.obj"
+        lines = file.read_text().splitlines(keepends=True)
+        file.write_text("".join(lines[:-1]))  # without its last triangle
+    row = row_of(tmp_path / "asset")
+    assert row.verdict == "skip" and "not closed" in row.reason
+
+
+def test_a_part_without_contact_shapes_is_not_judged():
+    assert contact_fidelity({"a": shapes(trimesh.creation.icosphere(1, 0.1))}, {"a": []}) == {}
