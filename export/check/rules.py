@@ -84,8 +84,8 @@ FILE_RULES: dict[str, Rule] = {
         "grasping what is seen; scales and offsets gone wrong",
     ),
     "collision.true-to-visual": Rule(
-        f"{CONTACT_PERCENT} % of what is seen of a link lies within {CONTACT_SHARE:g} of its size from the outside of its collision "
-        "shapes, and the other way round; asset.json states what its files have",
+        f"{CONTACT_PERCENT} % of what is seen of a link lies within {CONTACT_SHARE:g} of its size from the outside of "
+        "its collision shapes, and the other way round; asset.json states what its files have",
         "grasping: contact that lacks, openings that are filled",
     ),
     "collision.closed": Rule("collision meshes are closed and face outwards", "contact, volume"),
