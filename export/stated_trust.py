@@ -9,7 +9,7 @@ from typing import Any
 from freeart21.files import checked
 from freeart21.files.asset import ASSET_SCHEMA
 from freeart21.files.trust_json import trust_from_json
-from freeart21.files.urdf import MAX_URDF_BYTES, parsed_xml
+from freeart21.files.urdf import read_xml
 from freeart21.reconstruction import Trust, describe_trust
 
 MARK = "freeart21 trust: "
@@ -43,6 +43,6 @@ def stated_trust(urdf: Path | None, mjcf: Path | None) -> Trust | None:
 
 def _commented(file: Path) -> str | None:
     """What follows `MARK` in the first comment that begins with it."""
-    root = parsed_xml(checked.require_file(file, MAX_URDF_BYTES).read_bytes(), file, comments=True)
+    root = read_xml(file, comments=True)
     texts = ((element.text or "").strip() for element in root.iter() if element.tag is ET.Comment)
     return next((text.removeprefix(MARK) for text in texts if text.startswith(MARK)), None)

@@ -68,7 +68,7 @@ def key_place(data: Path) -> Path:
 def read_key(path: Path) -> bytes:
     """The key in the file `path`, which is made, for its owner's eyes only, where there is none."""
     path = Path(path)
-    if not path.exists() and not path.is_symlink():
+    if not checked.is_there(path):
         atomic.write_json(path, {"schema": KEY_SCHEMA, "key": secrets.token_hex(32)})
         path.chmod(0o600)
     said = checked.text(checked.read_json(path, KEY_SCHEMA, checked.ANYWHERE), "key", path)

@@ -138,7 +138,7 @@ def method_of(results: Path) -> tuple[Method, list[Fault]]:
     One without the file is named after the folder; one whose file cannot be read is named UNREADABLE.
     """
     path = results / "method.json"
-    if not path.exists() and not path.is_symlink():
+    if not checked.is_there(path):
         return Method(shortened(results.resolve().name)), []
     try:
         if path.is_symlink():

@@ -7,6 +7,7 @@ from itertools import islice
 from pathlib import Path
 
 from freeart21.errors import FreeArtError
+from freeart21.files import checked
 from freeart21.files.asset import read_asset
 from freeart21.files.urdf import parsed, read_xml
 from freeart21.files.urdf_files import file_names, find_root, named_inside
@@ -45,7 +46,7 @@ def find_subject(path: Path, root: Path | None = None) -> Subject:
         if kind is None:
             raise FreeArtError(f"{path} is no asset: expected a folder, a URDF (<robot>) or an MJCF (<mujoco>)")
         subject = Subject(path.parent, path if kind == "robot" else None, path if kind == "mujoco" else None)
-    elif (path / "asset.json").is_file():
+    elif checked.is_there(path / "asset.json"):
         urdf = read_asset(path).urdf
         beside = urdf.with_suffix(".xml")
         subject = Subject(path.resolve(), urdf, beside if _kind(beside) == "mujoco" else None)  # as the URDF's is

@@ -113,7 +113,7 @@ def read_asset(path: Path, joint: str | None = None, *, guesses: bool = True, ro
     if not path.exists():
         raise FreeArtError(f"{path} does not exist")
     header = path / "asset.json"
-    if path.is_dir() and header.is_file():
+    if path.is_dir() and checked.is_there(header):
         asset = _read_described(path, checked.read_json(header, ASSET_SCHEMA), header, joint)
         asset = replace(asset, root=path if root is None else root)
         return asset if guesses or not _guessed(asset) else replace(asset, effects={})
@@ -142,7 +142,7 @@ def read_effects(urdf: Path) -> dict[str, tuple[Effect, ...]]:
     joints = read_urdf_joints(urdf)
     said = {name: effects_from_urdf_dynamics(j.damping, j.friction) for name, j in joints.items() if j.joint_type}
     path = urdf.parent / "effects.json"
-    if not path.is_file():
+    if not checked.is_there(path):
         return {name: effects for name, effects in said.items() if effects}
     data = checked.read_json(path, EFFECTS_SCHEMA)
     if data.get("urdf_sha256") != file_sha256(urdf):

@@ -119,9 +119,9 @@ def read_benchmark(folder: Path, truth: Path | None = None) -> Benchmark:
     """
     folder = Path(folder)
     path = folder / "benchmark.json"
-    if not path.is_file() and is_unfinished(folder):
+    if not checked.is_there(path) and is_unfinished(folder):
         raise unfinished(folder)
-    if not path.is_file():
+    if not checked.is_there(path):
         raise FreeArtError(f"{folder} is not a benchmark: it has no benchmark.json")
     data = checked.read_json(path, SCHEMA)
     sequences = data.get("sequences")

@@ -108,6 +108,11 @@ def read_text(path: Path, limit: int, root: Path | None = None, encoding: str = 
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
+def is_there(path: Path) -> bool:
+    """Whether anything has this name: what is no file is opened, and refused, rather than taken for absent."""
+    return path.exists() or path.is_symlink()
+
+
 def require_file(path: Path, limit: int, root: Path | None = None) -> Path:
     """`path` itself, for a library that opens it by its name. Raises FreeArtError as `open_file`."""
     open_file(path, limit, root).close()
@@ -351,7 +356,11 @@ def read_image(path: Path, flags: int, root: Path | None = None) -> NDArray[Any]
 
     Raises FreeArtError on anything else, before it is unpacked.
     """
-    data = read_bytes(path, MAX_IMAGE_BYTES, root)
+    return decode_image(read_bytes(path, MAX_IMAGE_BYTES, root), path, flags)
+
+
+def decode_image(data: bytes, path: Path, flags: int) -> NDArray[Any]:
+    """As `read_image`, of the bytes of the file `path`."""
     try:
         width, height = image_size(data)
     except (ValueError, struct.error) as error:

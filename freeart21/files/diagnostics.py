@@ -157,7 +157,7 @@ def read_diagnostics(folder: Path, n: int) -> Diagnostics | None:
     Without the maps: those are read one by one by `read_confidence`.
     """
     path = Path(folder) / FILE
-    if not path.exists():
+    if not checked.is_there(path):
         return None
     found = diagnostics_from_json(checked.read_json(path, SCHEMA, folder, MAX_BYTES), path)
     if len(found) != n:

@@ -54,7 +54,7 @@ def read_hidden(folder: Path) -> Hidden:
     """The hidden truth in `folder`, every file of it compared with its hash. Raises FreeArtError in one line."""
     folder = Path(folder)
     path = folder / MARKER
-    if not path.is_file():
+    if not checked.is_there(path):
         raise FreeArtError(f"{folder} is no truth of a packed set: it has no {MARKER}")
     data = checked.read_json(path, SCHEMA)
     tables: dict[str, dict[str, str]] = {}

@@ -63,7 +63,7 @@ def read_measured(folder: Path) -> Measured:
     """The measured set in a folder; FreeArtError says in one line what is wrong with it."""
     folder = Path(folder)
     path = folder / "measured.json"
-    if not folder.is_dir() or not path.is_file():
+    if not folder.is_dir() or not checked.is_there(path):
         raise FreeArtError(f"{folder} is not a measured set: expected a folder with measured.json")
     data = checked.read_json(path)
     if data.get("version") != VERSION:

@@ -78,7 +78,7 @@ def write_own_method(folder: Path, method: Method) -> bool:
 def read_method(folder: Path) -> Method:
     """The method of a results folder; one without method.json is named after the folder."""
     path = folder / "method.json"
-    if not path.is_file():
+    if not checked.is_there(path):
         return Method(folder.name)
     data = checked.read_json(path, METHOD_SCHEMA)
     words = [str(data.get(key, "")) for key in ("code", "hardware")]
@@ -173,7 +173,7 @@ def read_result(
     """
     folder = Path(folder)
     header = folder / "prediction.json"
-    if not header.is_file():
+    if not checked.is_there(header):
         raise FreeArtError(f"{folder} is not a result: it has no prediction.json")
     data = checked.read_json(header, SCHEMA, folder)
     seconds = data.get("seconds") or {}
@@ -214,7 +214,7 @@ def read_result(
 def read_appearance(folder: Path) -> Gaussians | None:
     """What the answer in a result folder looks like, or None when it has no gaussians.ply; raises FreeArtError."""
     path = folder / GAUSSIANS
-    return read_gaussians(path, parted=True) if path.exists() or path.is_symlink() else None
+    return read_gaussians(path, parted=True, root=folder) if checked.is_there(path) else None
 
 
 def read_render(folder: Path, index: int, other: bool = False) -> NDArray[np.uint8] | None:

@@ -84,7 +84,7 @@ def read_sequence(folder: Path) -> Recording:
     if not folder.is_dir():
         raise FreeArtError(f"{folder} is not a folder")
     header = folder / "sequence.json"
-    if not header.is_file():
+    if not checked.is_there(header):
         raise FreeArtError(f"{folder} is not a sequence: it has no sequence.json")
     data = checked.read_json(header, SCHEMA, folder)
     camera = _camera(data, header)
@@ -123,7 +123,7 @@ def _camera(data: dict, path: Path) -> Camera:
 
 def _read_queries(folder: Path) -> tuple[Query, ...]:
     path = folder / "queries.json"
-    if not path.is_file():
+    if not checked.is_there(path):
         return ()
     entries = checked.read_json(path, QUERIES_SCHEMA).get("queries")
     if not isinstance(entries, list):

@@ -54,7 +54,7 @@ def read_truth(folder: Path) -> Truth:
     """The truth in a truth folder; masks and pictures load lazily."""
     folder = Path(folder)
     header = folder / "truth.json"
-    if not header.is_file():
+    if not checked.is_there(header):
         raise FreeArtError(f"{folder} holds no truth: it has no truth.json")
     data = checked.read_json(header, SCHEMA, folder)
     poses = checked.read_npz(folder / "poses.npz", ("T_camera_reference", "T_camera_moving"), folder)

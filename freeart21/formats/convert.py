@@ -71,7 +71,7 @@ def _of_layout(source: Path, layout: Layout) -> Iterator[Path]:
         yield from maniskill.episodes(source)
         return
     fits, patterns = {
-        "native": (lambda folder: (folder / "sequence.json").is_file(), ("sequences/*", "*")),
+        "native": (lambda folder: checked.is_there(folder / "sequence.json"), ("sequences/*", "*")),
         "rgbd": (rgbd_folder.is_rgbd_folder, ("*",)),
         "official": (freeart21_official.is_example, ("examples/*", "*")),
         "video2articulation": (

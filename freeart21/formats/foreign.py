@@ -201,10 +201,9 @@ def read_foreground(path: Path) -> NDArray[np.bool_]:
     index, where index 0 is black), and cut-outs (alpha, where it varies). A label is a value that fills squares of
     3 x 3 pixels: soft edges do not. Soft masks and JPEG have many values: there the darkest sixteenth is background.
     """
-    data = checked.require_file(path, checked.MAX_IMAGE_BYTES).read_bytes()
-    packed = np.frombuffer(_palette_as_grey(data), np.uint8)
-    image = cv2.imdecode(packed, cv2.IMREAD_UNCHANGED) if len(packed) else None
-    if image is None or image.dtype not in (np.uint8, np.uint16):
+    data = checked.read_bytes(path, checked.MAX_IMAGE_BYTES)
+    image = checked.decode_image(_palette_as_grey(data), path, cv2.IMREAD_UNCHANGED)
+    if image.dtype not in (np.uint8, np.uint16):
         raise FreeArtError(f"{path} is not a readable mask picture of 8 or 16 bits")
     if image.ndim == 3:
         alpha = image[..., 3] if image.shape[2] == 4 else None

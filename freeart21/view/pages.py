@@ -11,7 +11,7 @@ import numpy as np
 
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic
+from freeart21.files import atomic, checked
 from freeart21.files.asset import read_asset, read_effects
 from freeart21.files.benchmark import is_unfinished, unfinished
 from freeart21.files.diagnostics import Diagnostics, confidence_file, read_confidence, read_diagnostics
@@ -20,6 +20,7 @@ from freeart21.files.places import PAGE, check_place
 from freeart21.files.result import read_appearance, read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
+from freeart21.files.urdf import MAX_URDF_BYTES
 from freeart21.reconstruction import Failure, Reconstruction, describe_trust
 from freeart21.recording import Recording
 from freeart21.se3 import Array
@@ -79,7 +80,7 @@ def page(
         for what, other in (("truth", truth), ("sequence", sequence), ("asset", asset)):
             if other is not None:
                 raise FreeArtError(f"{path} is a file of Gaussians, shown without a {what} (given: {other})")
-        gaussians = read_gaussians(path)
+        gaussians = read_gaussians(path, root=checked.ANYWHERE)
         if not len(gaussians):
             raise FreeArtError(f"{path} has no Gaussians, expected at least one")
         return gaussians_page(name, gaussians)
@@ -150,7 +151,7 @@ def recognised(path: Path) -> str:
         ("asset.json", "asset"),
         ("benchmark.json", "data"),
     ):
-        if (path / name).is_file():
+        if checked.is_there(path / name):
             return kind
     if list(path.glob("*.urdf")):
         return "asset"
@@ -299,7 +300,7 @@ def _failure_page(
 def _asset_sections(path: Path, T_camera_canonical: Array | None) -> tuple[list[Section], list[str], list[str]]:
     """Sections, chips and notices of an asset folder or URDF file."""
     asset: Asset | None = None
-    if path.is_dir() and (path / "asset.json").is_file():
+    if path.is_dir() and checked.is_there(path / "asset.json"):
         asset = read_asset(path)
         urdf = asset.urdf
     else:
@@ -342,7 +343,7 @@ def _one_urdf(path: Path) -> Path:
     original = [p for p in urdfs if p.name == "mobility.urdf"] or urdfs
     if len(original) != 1:
         raise FreeArtError(f"{path} has {len(urdfs)} URDFs, name one of them: {', '.join(p.name for p in urdfs)}")
-    return original[0]
+    return checked.require_file(original[0], MAX_URDF_BYTES)
 
 
 def _check_lengths(
