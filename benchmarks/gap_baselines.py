@@ -29,9 +29,10 @@ def answers(folder: str) -> dict[str, Any]:
     from freeart21.files.asset import read_asset
     from freeart21.files.measured import read_measured
     from simgap.fitting.fit import Theory, fitted
+    from simgap.fitting.problem import problem_of
     from simgap.measure.data import fit_runs
     from simgap.motion.surrogate import plant_of
-    from simgap.workflow import DEFAULTS, problem_of
+    from simgap.workflow import DEFAULTS
 
     measured = read_measured(Path(folder) / "measured")
     asset = read_asset(Path(folder) / "asset", measured.joint)

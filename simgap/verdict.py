@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from freeart21.effects import Effect
 from freeart21.files import atomic
 from freeart21.joint import JointType
@@ -26,6 +29,21 @@ class Named:
     effect: Effect
     low: dict[str, float]
     high: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """A number of the asset's own that was measured and written into its files."""
+
+    name: str
+    """`inertia` about the joint (mass on a slider) or `weight`, over what the asset says; `lean` of the weight's pull
+    in the plane of the motion (along a slider), and `lean_across`."""
+    unit: str
+    """1 of a factor, rad of a lean."""
+    value: float
+    low: float
+    """90 % interval, all else being as it stands in the files."""
+    high: float
 
 
 @dataclass(frozen=True)
@@ -57,6 +75,22 @@ class RunGap:
 
 SHOWS = 1.25
 """Floors from which on a run shows a gap of its own."""
+
+
+def root_mean_square(values: ArrayLike) -> float:
+    """Of all values."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def shows_gap(gaps: Sequence[RunGap]) -> bool:
+    """Whether any of these runs shows a gap of its own."""
+    return any(gap.before > SHOWS * gap.floor for gap in gaps)
+
+
+def halved(gaps: Sequence[RunGap], most: float) -> bool:
+    """Whether at most this part of the gap beyond noise is left of these runs together, each in its own floors."""
+    before, after = (root_mean_square([getattr(g, k) / g.floor for g in gaps]) for k in ("before", "after"))
+    return after**2 - 1 <= most**2 * max(before**2 - 1, 0.0)
 
 
 def told_by(gaps: Sequence[RunGap]) -> list[RunGap]:
@@ -97,6 +131,10 @@ class Verdict:
     in_part: bool = False
     """Whether what is named is but what dominates, or may be: a remainder above the sensor's noise has no name."""
 
+    corrections: tuple[Corrected, ...] = ()
+    """What the asset's own inertia and weight were changed by in the asset beside the verdict."""
+    holding: float | None = None
+    """Where nobody knows how inputs go on between their rows, how replays take them: 0 smoothly, 1 held."""
     by: By = "position"
     """What was compared: where the joint was, or the force that prescribed motion took. Gaps are in its unit."""
     judged_by: dict[str, Any] = field(default_factory=dict)
@@ -111,6 +149,8 @@ class Verdict:
             "sentence": self.sentence,
             "effects": [_named_to_json(named, joint_type) for named in self.effects],
             "added": list(self.added),
+            "corrections": [vars(corrected) for corrected in self.corrections],
+            "holding": self.holding,
             "where": [vars(where) for where in self.where],
             "gap": [vars(gap) for gap in self.gaps],
             "gap_of": {"quantity": self.by, "unit": unit_of(self.by, joint_type)},

@@ -21,14 +21,16 @@ from freeart21.files.measured import read_measured
 from freeart21.files.places import ANSWER, check_place
 from freeart21.joint import JointType
 from freeart21.measured import Measured
-from simgap.fitting.fit import Fit, Problem, Reader, Starts, placed
+from simgap.fitting.fit import Fit, Problem, Reader, Theory, fit_starts, placed
 from simgap.fitting.force_search import ForceSearch
 from simgap.fitting.force_search import candidates as force_candidates
+from simgap.fitting.problem import as_delivered, problem_of
 from simgap.fitting.search import Search, candidates
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.kinematics import KinematicsSettings, find_geometry_of
 from simgap.judgement.choose import Choice, chosen
-from simgap.judgement.decide import Confirmed, moves_enough, says_enough, silent_verdict, verdict_of
+from simgap.judgement.decide import Delivered, moves_enough, says_enough, silent_verdict, verdict_of
+from simgap.judgement.delivery import deliver
 from simgap.judgement.hypotheses import FORM, Hypothesis, judged
 from simgap.judgement.predictive import DECISIVE, FREEDOM, lead
 from simgap.judgement.split import Split, split_of
@@ -37,9 +39,10 @@ from simgap.measure.data import FitRun, fit_runs, thinned
 from simgap.measure.floor import Floor
 from simgap.measure.prescribed import ForceRun, force_runs
 from simgap.measure.withstood import withstood
-from simgap.motion.surrogate import Nuisance, Plant, plant_of
+from simgap.motion.surrogate import Nuisance, plant_of
 from simgap.page.publish import Draft, off_of, publish, with_positions
 from simgap.page.report import Ranked
+from simgap.proof.body import NO_CORRECTION
 from simgap.proof.show import SECONDS, Progress, ReplayGap
 from simgap.settings import GapSettings
 from simgap.verdict import SHOWS, Named, Verdict
@@ -106,26 +109,25 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
     if isinstance(search, ForceSearch):
         choice = with_twins(choice, search, split)
     best = choice.explaining[0] if choice.explaining else choice.base
-    confirmed = Confirmed(*(placed(h.fit, split.confirming) if split.confirming else None for h in (choice.base, best)))
-    motion = verdict_of(choice, split, confirmed, runs, floor, problem)
+    delivery = deliver(best, search.train, split.folds, asset, measured)
+    as_is = Theory(as_delivered(problem), (), prompt=True)
+    before = fit_starts(as_is, np.full(len(as_is.ranges()), delivery.holding), runs)
+    delivered = Delivered(delivery, before, placed(delivery.fit, runs))
+    motion = verdict_of(choice, split, delivered, runs, floor, problem, settings.judgement)
     motion = replace(motion, notes=(*seen[2], NOT_REPLAYED)) if seen is not None and problem.force_read else motion
-    before, after = (started(h, there) for h, there in ((choice.base, confirmed.before), (best, confirmed.after)))
     return Draft(
         joined(motion, geometry, measured.joint_type),
-        {
-            run.name: (before[run.name], after[run.name])
-            for run in runs
-            if run.name in before and run.name in after and not problem.force_read
-        },
-        (off_of(plant, nuisance_of(choice.base.fit)), off_of(plant, nuisance_of(best.fit))),
+        off_of(plant, nuisance_of(choice.base.fit)),
         ranking_of(choice),
         geometry,
         {run.name: run.regime for run in runs},
         floor.still,
         motion.verdict != "no_gap",
         certain_of(motion, geometry),
-        curves_of(choice, split, confirmed, runs),
+        curves_of(choice, split, delivered, runs),
         {run.name: split.use(run.name) for run in runs},
+        delivery.body if motion.corrections or motion.verdict == "ambiguous" else NO_CORRECTION,
+        settings.judgement.dominant,
     )
 
 
@@ -157,12 +159,6 @@ def force_problem(problem: Problem, runs: tuple[ForceRun, ...]) -> Problem:
     )
 
 
-def started(hypothesis: Hypothesis, there: Fit | None) -> Starts:
-    """Where every run starts, by name: as fitted, as predicted, as placed before confirming runs."""
-    chose = {name: start for fit in hypothesis.foretold for name, start in fit.starts.items()}
-    return {**chose, **hypothesis.fit.starts, **(there.starts if there is not None else {})}
-
-
 def as_tracked(
     runs: tuple[FitRun, ...], floor: Floor, geometry: KinematicsFinding | None
 ) -> tuple[tuple[FitRun, ...], Floor]:
@@ -176,19 +172,16 @@ def as_tracked(
     return louder, replace(floor, still=max(floor.still, float(np.median(list(noise.values())))))
 
 
-def curves_of(choice: Choice, split: Split, confirmed: Confirmed, runs: tuple[FitRun, ...]) -> tuple[ReplayGap, ...]:
-    """Runs that were not fitted as the fits' own simulation has them, by the asset as it is and by the best set that
-    was found."""
-    best = choice.explaining[0] if choice.explaining else choice.best
+def curves_of(choice: Choice, split: Split, delivered: Delivered, runs: tuple[FitRun, ...]) -> tuple[ReplayGap, ...]:
+    """Runs in the fits' own simulation, with the asset as it is and as it is delivered; where nothing is, with the best
+    set that was found before runs that it was not fitted to."""
+    nearest = {} if choice.explaining or not choice.gap else choice.best.left
     found = []
     for run in runs:
-        there = [
-            (h.left, c.residuals if c else {}) for h, c in ((choice.base, confirmed.before), (best, confirmed.after))
-        ]
-        off = [left.get(run.name, own.get(run.name)) for left, own in there]
-        if off[0] is None or off[1] is None:
+        if nearest and run.name not in nearest:
             continue
-        before, after = (run.q - residual * run.sigma for residual in off if residual is not None)
+        off = (delivered.before.residuals[run.name], nearest.get(run.name, delivered.after.residuals[run.name]))
+        before, after = (run.q - residual * run.sigma for residual in off)
         gap_before, gap_after, floor = (
             float(np.sqrt(np.mean(series**2))) for series in (before - run.q, after - run.q, run.sigma)
         )
@@ -252,7 +245,7 @@ def joined(motion: Verdict, geometry: KinematicsFinding | None, kind: JointType)
         effects=kept,
         rivals=tuple(sets) if answer == "ambiguous" else (),
         next_experiment=" ".join(filter(None, (geometry.next_experiment, motion.next_experiment))) or None,
-        sentence=said if motion.verdict == "no_gap" else f"{said} {motion.sentence}",
+        sentence=said if motion.verdict == "no_gap" and not motion.corrections else f"{said} {motion.sentence}",
         in_part=motion.in_part and answer in ("named", "ambiguous"),
     )
 
@@ -285,39 +278,6 @@ def check_match(asset: Asset, measured: Measured) -> None:
         raise FreeArtError(
             f"{asset.urdf}: joint '{joint.name}' is {joint.joint_type}, but the measurement says {measured.joint_type}"
         )
-
-
-def problem_of(
-    plant: Plant, measured: Measured, runs: tuple[FitRun, ...], floor: Floor, settings: GapSettings
-) -> Problem:
-    """What all fits share."""
-    motion = np.concatenate([run.q for run in runs])
-    speed = np.concatenate([run.speed for run in runs])
-    driven = any(len(run.inputs.times_s) for run in runs)
-    load = plant.mechanics.load(motion, speed, np.zeros(len(speed)))
-    force = force_at_work(plant, runs)
-    weight = plant.mechanics.gravity_force(motion)
-    return Problem(
-        plant,
-        measured.inertia_relative,
-        measured.gravity_relative,
-        float(min(run.q.min() for run in runs)),
-        float(max(run.q.max() for run in runs)),
-        float(max(np.quantile(np.abs(run.speed), 0.99) for run in runs)),
-        floor.still,
-        force,
-        float(np.sqrt(np.mean(load**2))),
-        float(np.sqrt(force**2 + 4 * np.mean(weight**2))),  # a drive gives what moves the part and bears its weight
-        driven and measured.interpolation == "unknown",
-        settings.fit,
-        settings.surrogate,
-    )
-
-
-def force_at_work(plant: Plant, runs: tuple[FitRun, ...]) -> float:
-    """Root mean square of inertia times acceleration, N*m or N, roughly: from the slopes of speeds."""
-    squares = [np.mean(np.gradient(run.speed, run.times_s) ** 2) for run in runs]
-    return max(float(plant.mechanics.inertia * np.sqrt(np.mean(squares))), 1e-9)
 
 
 def gap_folder(

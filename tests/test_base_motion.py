@@ -17,13 +17,13 @@ from freeart21.files.measured import read_measured
 from freeart21.files.measured_writer import write_measured
 from freeart21.measured import BaseAxis, BaseSeries, Measured, Run
 from simgap.fitting.fit import Theory, fitted, placed, predicted
+from simgap.fitting.problem import problem_of
 from simgap.measure.data import fit_runs
 from simgap.measure.inputs import base_sway, inputs_of
 from simgap.motion.equation_error import missing_force
 from simgap.motion.surrogate import Nuisance, plant_of, simulate
-from simgap.proof.show import Off, Replayed, show
+from simgap.proof.show import Replayed, show
 from simgap.settings import GapSettings
-from simgap.workflow import problem_of
 
 ROTARY = Path(__file__).resolve().parents[1].parent / "shared" / "measured" / "rotary_and_cart"
 RATE, SECONDS = 500, 2.0
@@ -122,7 +122,7 @@ def test_a_crooked_joint_on_a_base_that_turns_and_is_pushed_moves_as_its_bits_of
 
     asset = repaired(read_asset(path), effects, tmp_path / "sprung")
     start = (0.4, 0.0)
-    (there,) = show(asset, asset, measured, (Replayed(measured.runs[0], start, start, 1e-4, ""),), (Off(),) * 2).runs
+    (there,) = show(asset, asset, measured, (Replayed(measured.runs[0], start, start, 1e-4, ""),)).runs
     assert there.gap_after < 2e-4 * np.ptp(q)  # in SAPIEN
     plant = plant_of(asset, measured)
     missing = missing_force(measured, plant.mechanics, -50, 50, effects, plant=plant)

@@ -22,15 +22,15 @@ from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, DcMotor
 from generator.simulate import roll_out
+from simgap.fitting.problem import problem_of
 from simgap.fitting.search import candidates
 from simgap.measure.data import fit_runs
 from simgap.measure.inputs import inputs_of
 from simgap.motion.equation_error import missing_force
 from simgap.motion.surrogate import plant_of, simulate
-from simgap.proof.show import Off, Replayed, show
+from simgap.proof.show import Replayed, show
 from simgap.proof.writeback import repaired
 from simgap.settings import GapSettings
-from simgap.workflow import problem_of
 
 RATE, SECONDS = 1000, 2.0
 TIMES = np.arange(round(RATE * SECONDS)) / RATE
@@ -128,12 +128,12 @@ def test_a_replay_in_sapien_is_the_equation(name: str, tmp_path: Path):
     run, start = measured.runs[0], (0.3, 0.0)
     before = asset if name == "offset" else right
     plain = replace(measured, runs=(replace(run, enabled=None),))
-    (there,) = show(before, right, measured, (Replayed(run, start, start, 1e-4, ""),), (Off(),) * 2).runs
+    (there,) = show(before, right, measured, (Replayed(run, start, start, 1e-4, ""),)).runs
     assert there.gap_after < 1e-5
     if name == "offset":
         assert there.gap_before > 0.05
     elif run.enabled is not None:
-        (on,) = show(right, right, plain, (Replayed(plain.runs[0], start, start, 1e-4, ""),), (Off(),) * 2).runs
+        (on,) = show(right, right, plain, (Replayed(plain.runs[0], start, start, 1e-4, ""),)).runs
         assert on.gap_after > 0.05
 
 

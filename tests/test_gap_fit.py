@@ -25,13 +25,13 @@ from simgap.fitting.fit import (
 from simgap.fitting.force_guess import local_force, places
 from simgap.fitting.guess import _grid
 from simgap.fitting.least_squares import Prior, charge, solve, weight
+from simgap.fitting.problem import problem_of
 from simgap.fitting.search import Search, candidates, stilled
 from simgap.judgement.split import split_of
 from simgap.measure.data import fit_runs
 from simgap.measure.floor import floor_of
 from simgap.motion.surrogate import plant_of, simulate
 from simgap.settings import GapSettings
-from simgap.workflow import problem_of
 
 SETTINGS = GapSettings()
 

@@ -12,10 +12,10 @@ from gap_case import asset_of, measured_of
 from freeart21.files.asset import read_asset
 from simgap.fitting.fit import Problem, Theory, grown_mild
 from simgap.fitting.parts import on_all, parts_of, worth
+from simgap.fitting.problem import problem_of
 from simgap.measure.data import FitRun, fit_runs
 from simgap.motion.surrogate import plant_of
 from simgap.settings import GapSettings
-from simgap.workflow import problem_of
 
 
 def case(folder: Path, seconds: float) -> tuple[Problem, tuple[FitRun, ...]]:

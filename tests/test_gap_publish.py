@@ -23,9 +23,9 @@ from simgap.geometry.kinematics import find_geometry_of
 from simgap.geometry.placing import place
 from simgap.motion.equation_error import missing_force
 from simgap.motion.localise import residual_maps
-from simgap.page.publish import GEOMETRY, _as_fitted, publish
+from simgap.page.publish import GEOMETRY, Off, _as_fitted, publish
 from simgap.proof import replay
-from simgap.proof.show import Off, Replayed, _read_answer
+from simgap.proof.show import CannotReplay, Replayed, _read_answer
 from simgap.verdict import Verdict
 from simgap.workflow import certain_of, joined
 
@@ -130,9 +130,13 @@ def test_a_replay_that_takes_too_long_keeps_the_answer_and_says_so(tmp_path: Pat
     assert told_of[0] == (0, 2) and told_of[-1] == (2, 2)
 
 
-def test_what_sapien_cannot_step_is_not_written(tmp_path: Path):
+def test_what_sapien_cannot_step_is_not_written(tmp_path: Path, monkeypatch):
+    def stiff(*_):
+        raise CannotReplay("shorten timestep_s")
+
     asset, measured = bob(tmp_path / "a"), held_out(pendulum(STARTS[:2], damped, seconds=1.0), 1)
     told = draft(measured, STARTS[:2], Detent(1e4, 0.3, 1e-5))
+    monkeypatch.setattr("simgap.page.publish.replay_files", stiff)
     verdict = publish(asset, measured, told, tmp_path / "out", "stiff")
     assert (verdict.verdict, verdict.added) == ("unexplained", ())
     assert "shorten timestep_s" in (tmp_path / "out/index.html").read_text()

@@ -20,7 +20,6 @@ from freeart21.effects.backlash import Backlash
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.detent import Detent
 from freeart21.effects.encoder_offset import EncoderOffset
-from freeart21.effects.load_friction import LoadFriction
 from freeart21.effects.pivot_offset import PivotOffset
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.sag import Sag
@@ -38,10 +37,11 @@ from simgap.geometry.placing import place
 from simgap.judgement.words import closed_text, runs_text, with_closed
 from simgap.motion.equation_error import missing_force
 from simgap.motion.localise import residual_maps
-from simgap.motion.surrogate import Nuisance, plant_of, simulate
+from simgap.motion.surrogate import Nuisance, plant_of
 from simgap.page.publish import GEOMETRY, Draft, off_of, publish, with_positions
 from simgap.page.report import Ranked
-from simgap.proof.show import Off, Replayed, helps, show
+from simgap.proof.body import NO_CORRECTION, correction_of
+from simgap.proof.show import Replayed, helps, show
 from simgap.proof.writeback import repaired
 from simgap.verdict import Named, RunGap, Use, Verdict
 
@@ -297,29 +297,15 @@ def test_a_wrong_repair_is_no_help(tmp_path: Path):
         assert helps((most, one)) == fine
 
 
-def test_what_the_asset_is_off_by_itself_is_in_both_replays(tmp_path: Path):
+def test_what_the_asset_is_off_by_is_replayed_only_as_its_files_say(tmp_path: Path):
     asset = bob(tmp_path / "a")
     measured = pendulum(STARTS[:1], damped, inertia=1.08 * INERTIA, gravity=0.97)
-    again = repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
-    sine = MASS * G * ARM * (1 - 0.97)  # gravity's torque is -m g l sin q
-    off = Off(1.08, (0.0, sine, 0.0))
-    plain = show(asset, again, measured, replays(measured, STARTS[:1]))
-    known = show(asset, again, measured, replays(measured, STARTS[:1]), (off, off))
-    assert plain.runs[0].gap_after > 10e-3
-    assert known.runs[0].gap_after < 1.5e-3
-    assert known.runs[0].gap_before > 30e-3
-
-
-def test_masses_that_are_off_leave_friction_under_load_as_it_was_fitted(tmp_path: Path):
-    asset, nuisance, friction = bob(tmp_path / "a"), Nuisance(0.8), LoadFriction(0.005)
-    measured = pendulum(STARTS[:1], damped)
-    plant, run = plant_of(asset, measured), measured.runs[0]
-    q = simulate(plant, (friction,), run.times_s, *STARTS[0], nuisance=nuisance)
-    measured = replace(measured, runs=(replace(run, q=q),))
-    again, off = repaired(asset, (friction,), tmp_path / "b"), off_of(plant, nuisance)
-    shown = show(asset, again, measured, replays(measured, STARTS[:1]), (off, off))
-    assert shown.runs[0].gap_before > 50e-3
-    assert shown.runs[0].gap_after < 1e-3
+    oil, body = (ViscousDamping(0.03),), correction_of(plant_of(asset, measured), Nuisance(1.08, 0.97))
+    for name, written, most in (("b", NO_CORRECTION, np.inf), ("c", body, 1.5e-3)):
+        again = repaired(asset, oil, tmp_path / name, body=written)
+        (run,) = show(asset, again, measured, replays(measured, STARTS[:1])).runs
+        assert run.gap_after < most and run.gap_before > 30e-3
+        assert written == body or run.gap_after > 10e-3
 
 
 @pytest.mark.parametrize("late", [0.04, -0.04])
@@ -389,7 +375,6 @@ def draft(measured, starts, *effects, answer="named", **more):
     verdict = Verdict(answer, named(*effects), (), gaps, (), None, "Oil is missing.")
     return Draft(
         verdict,
-        {run.name: (s, s) for run, s in zip(measured.runs, starts, strict=True)},
         ranking=(Ranked(tuple(e.name for e in effects), 1.1), Ranked((), 90.0, -500.0, 20.0)),
         regimes={gap.run: gap.regime for gap in gaps},
         uses={run.name: use_of(run) for run in measured.runs},
@@ -563,7 +548,7 @@ def mended(asset: Asset, measured: Measured, name: str, out: Path) -> None:
     geometry = find_geometry_of(asset, measured)
     assert geometry is not None and [e.name for e in geometry.effects] == [name]
     out.mkdir()
-    told = replace(draft(measured, ((1.0, 0.0),) * 4, *geometry.effects, geometry=geometry), starts={})
+    told = draft(measured, ((1.0, 0.0),) * 4, *geometry.effects, geometry=geometry)
     verdict = publish(asset, measured, told, out, name)
     gap = next(gap for gap in verdict.gaps if gap.regime == GEOMETRY)
     assert verdict.verdict == "named"

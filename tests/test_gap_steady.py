@@ -18,6 +18,7 @@ from freeart21.files.measured import read_measured
 from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
 from simgap.fitting.force_search import candidates
+from simgap.fitting.problem import problem_of
 from simgap.judgement.split import split_of
 from simgap.measure.data import fit_runs
 from simgap.measure.prescribed import force_runs
@@ -25,7 +26,7 @@ from simgap.measure.withstood import withstood
 from simgap.motion.equation_error import smoothed
 from simgap.motion.surrogate import plant_of
 from simgap.settings import GapSettings
-from simgap.workflow import find_gap, force_problem, gap_folder, problem_of
+from simgap.workflow import find_gap, force_problem, gap_folder
 
 REAL = [name for name in ("directdrive_steady", "directdrive_slow", "directdrive_breakaway") if name in recordings()]
 

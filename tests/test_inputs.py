@@ -20,7 +20,7 @@ from generator.simulate import roll_out
 from simgap.measure.data import stride_of, thinned
 from simgap.measure.inputs import inputs_of, logged_at
 from simgap.motion.surrogate import Nuisance, plant_of, simulate
-from simgap.proof.show import Off, Replayed, show
+from simgap.proof.show import Replayed, show
 from simgap.workflow import find_gap
 
 TIMES = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.6])
@@ -158,7 +158,7 @@ def test_a_replay_goes_on_between_rows_as_the_fit_found(share: float, tmp_path: 
     assert run.q_command is not None
     asset, start = read_asset(asset_of(tmp_path)), (float(run.q_command[0]), 0.0)
     replayed = (Replayed(run, start, start, 1e-3, ""),)
-    right, wrong = (show(asset, asset, measured, replayed, (Off(holding=s),) * 2).runs[0] for s in (share, 1 - share))
+    right, wrong = (show(asset, asset, measured, replayed, s).runs[0] for s in (share, 1 - share))
     assert right.gap_after < 1.5e-3 < wrong.gap_after
 
 

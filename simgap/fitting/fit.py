@@ -307,8 +307,13 @@ def stretched(
 
 def placed(fit: Fit, runs: tuple[FitRun, ...], starts: Starts | None = None) -> Fit:
     """The same parameters on other runs: only the start states are fitted."""
-    starts = settled(fit.theory, fit.theta, runs) if starts is None else starts
-    return fitted(fit.theory, runs, fit.theta, starts, iterations=12, free=False)
+    return fit_starts(fit.theory, fit.theta, runs, starts)
+
+
+def fit_starts(theory: Theory, theta: Array, runs: tuple[FitRun, ...], starts: Starts | None = None) -> Fit:
+    """A theory at parameters (p,) before runs: only the start states are fitted."""
+    starts = settled(theory, theta, runs) if starts is None else starts
+    return fitted(theory, runs, theta, starts, iterations=12, free=False)
 
 
 def information(fit: Fit, unit: float) -> Array:

@@ -54,8 +54,7 @@ class Placed:
 
 def place(asset: Asset, gravity: Array) -> Placed:
     """The asset's joint with `gravity` (3,), m/s^2 in the reference part's (canonical) frame."""
-    simulated = simulate.load(asset, gravity=(0.0, 0.0, 0.0))
-    simulated.set_effects(())
+    simulated = simulate.load(replace(asset, effects={}), gravity=(0.0, 0.0, 0.0))
     simulated.set_state(asset.state_zero)
     T_world_canonical = simulated.link_pose(asset.reference_link) @ se3.inverse(asset.T_canonical_reference)
     joint = movable_joint(asset.urdf, asset.joint)

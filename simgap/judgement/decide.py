@@ -11,17 +11,18 @@ from simgap.fitting.fit import Fit, Problem, tempered
 from simgap.fitting.fit import unit_of as unit_of_noise
 from simgap.fitting.guess import neutral_value
 from simgap.judgement.choose import Choice
+from simgap.judgement.delivery import Delivery
 from simgap.judgement.experiment import next_experiment
 from simgap.judgement.hypotheses import Hypothesis
 from simgap.judgement.intervals import NORMAL_90, with_intervals
 from simgap.judgement.nameless import Nameless
 from simgap.judgement.split import Split
-from simgap.judgement.words import amount, capital, closed_text, effect_words, plain, runs_text
+from simgap.judgement.words import amount, capital, closed_text, correction_words, effect_words, plain, runs_text
 from simgap.measure.data import FitRun
 from simgap.measure.floor import Floor
 from simgap.measure.withstood import Withstood
 from simgap.settings import JudgementSettings
-from simgap.verdict import By, RunGap, Verdict, told_by, unit_of
+from simgap.verdict import By, RunGap, Verdict, halved, root_mean_square, shows_gap, told_by, unit_of
 
 _ODD = 3.0
 """Times what the other runs are off by at which a run is spoken of."""
@@ -52,12 +53,12 @@ _LATER = {
 
 
 @dataclass(frozen=True)
-class Confirmed:
-    """The asset as it is and the best set before confirming runs, all but their start states as fitted; None where
-    there are no such runs."""
+class Delivered:
+    """What is delivered, and all runs before the asset as it is and as it is delivered: only their starts are free."""
 
-    before: Fit | None
-    after: Fit | None
+    delivery: Delivery
+    before: Fit
+    after: Fit
 
 
 def moves_enough(runs: tuple[FitRun, ...], floor: Floor, settings: JudgementSettings) -> bool:
@@ -105,10 +106,19 @@ def by_of(problem: Problem) -> By:
 
 
 def verdict_of(
-    choice: Choice, split: Split, confirmed: Confirmed, runs: tuple[FitRun, ...], floor: Floor, problem: Problem
+    choice: Choice,
+    split: Split,
+    delivered: Delivered,
+    runs: tuple[FitRun, ...],
+    floor: Floor,
+    problem: Problem,
+    settings: JudgementSettings,
 ) -> Verdict:
     """The verdict of a choice."""
-    found = _verdict_of(choice, split, confirmed, runs, floor, problem)
+    found = _verdict_of(choice, split, delivered, runs, floor, problem)
+    found = _gated(found, problem, settings)
+    if found.verdict in ("no_gap", "named", "ambiguous") and problem.unknown_inputs:
+        found = replace(found, holding=delivered.delivery.holding)
     if not problem.force_read:
         return found
     what = "torque" if problem.plant.joint_type == "revolute" else "force"
@@ -116,15 +126,60 @@ def verdict_of(
     return replace(found, sentence=said, by="force")
 
 
-def _verdict_of(
-    choice: Choice, split: Split, confirmed: Confirmed, runs: tuple[FitRun, ...], floor: Floor, problem: Problem
-) -> Verdict:
-    before, gaps = choice.base, _gaps(runs, choice, split, confirmed)
-    if not choice.gap:
+def _gated(found: Verdict, problem: Problem, settings: JudgementSettings) -> Verdict:
+    """The verdict, or that it is none: a name stands only where the runs that are kept to confirm it show the gap, and
+    lose most of it with what is delivered."""
+    if found.verdict == "unexplained" and not shows_gap(found.gaps):
+        return replace(found, verdict="no_gap", next_experiment=None, sentence=_agreement(found.gaps, problem))
+    kept = [gap for gap in found.gaps if gap.use == "confirming"]
+    if not kept or not (found.effects or found.corrections) or found.verdict == "not_excited":
+        return found
+    if shows_gap(kept) and halved(kept, settings.dominant):
+        return found
+    words = [effect_words(n.effect, problem.plant.joint_type) for n in found.effects]
+    nearest = " and ".join([*words, *([correction_words(found.corrections)] if found.corrections else [])])
+    bare = replace(found, effects=(), rivals=(), in_part=False, corrections=(), next_experiment=None)
+    of = runs_text([gap.use for gap in kept])
+    if shows_gap(kept):
+        was, now = (_length(root_mean_square([getattr(g, k) for g in kept]), problem) for k in ("before", "after"))
         said = (
-            f"Simulation and measurement agree: what is left ({_length(before.usual * floor.still, problem)}) "
-            "is the sensor's noise and what the asset is known to be off by."
+            f"Simulation and measurement differ, and the nearest explanation, {nearest}, leaves {now} of {was} on "
+            f"{of}: it is none."
         )
+        return replace(bare, verdict="unexplained", next_experiment=_LATER[""], sentence=said)
+    others = [gap for gap in found.gaps if gap.use != "confirming"]
+    odd = [gap for gap in others if gap.before > settings.plain_gap * gap.floor]
+    if len(odd) < (1 - settings.met) * len(others):
+        said = f"Simulation and measurement agree on {of}; what others leave has no name that these confirm."
+        return replace(bare, verdict="no_gap", sentence=said)
+    names = ", ".join(gap.run for gap in odd)
+    said = f"Simulation and measurement differ in {names}, perhaps by {nearest}; but no gap shows on {of}."
+    later = f"Record more motion like that of {names}, and hold half of it out."
+    return replace(bare, verdict="unexplained", next_experiment=later, sentence=said)
+
+
+def _agreement(gaps: tuple[RunGap, ...], problem: Problem) -> str:
+    """That simulation and measurement agree, and what is left of the run in the middle."""
+    left = _length(float(np.median([gap.after for gap in gaps])), problem)
+    return f"Simulation and measurement agree: what is left ({left}) is the sensor's noise."
+
+
+def _verdict_of(
+    choice: Choice, split: Split, delivered: Delivered, runs: tuple[FitRun, ...], floor: Floor, problem: Problem
+) -> Verdict:
+    before, gaps = choice.base, _gaps(runs, split, delivered)
+    delivery, kind = delivered.delivery, problem.plant.joint_type
+    told = told_by(gaps)
+    was, now = (root_mean_square([getattr(g, k) / g.floor for g in told]) for k in ("before", "after"))
+    closed = float(np.clip((was - now) / max(was - 1.0, 1e-9), 0.0, 1.0))
+    of = runs_text([gap.use for gap in told], len(split.folds) > 1 and not split.confirming)
+    closing = f"{closed_text(closed, of)}."
+    body = f"{correction_words(delivery.corrected)}, and the asset delivered says so" if delivery.corrected else ""
+    if not choice.gap and body:
+        said = f"No effect is missing, but the asset itself is off: {body}. {closing}"
+        return Verdict("no_gap", (), (), gaps, (), None, said, corrections=delivery.corrected)
+    if not choice.gap:
+        said = _agreement(gaps, problem)
         odd, far = max(before.by_run.items(), key=lambda entry: entry[1])
         if far > _ODD * before.usual:
             said += f" But run {odd} goes another way, and nothing explains that one alone: record it again."
@@ -132,9 +187,8 @@ def _verdict_of(
     if not choice.explaining:
         return _unexplained(choice, gaps, floor, problem)
     best = choice.explaining[0]
-    named = with_intervals(best)
+    named = delivery.renumbered(with_intervals(best))
     rest = f" {capital(remainder(choice, runs, floor, problem))}" if choice.in_part else ""
-    kind = problem.plant.joint_type
     words = " and ".join(effect_words(n.effect, kind) for n in named)
     if len(choice.explaining) > 1:
         sets = tuple(j.names for j in choice.explaining)
@@ -146,23 +200,18 @@ def _verdict_of(
         said = f"Something is missing, perhaps {words}, but these runs do not move enough of it to say how much."
         wider = "Record larger and smaller motions over the whole range, with pushes of known size."
         return Verdict("not_excited", named, (), gaps, (), wider, said)
-    told = told_by(gaps)
-    was, now = (float(np.sqrt(np.mean([(getattr(g, k) / g.floor) ** 2 for g in told]))) for k in ("before", "after"))
-    closed = float(np.clip((was - now) / max(was - 1.0, 1e-9), 0.0, 1.0))
-    of = runs_text([gap.use for gap in told], len(split.folds) > 1 and not split.confirming)
-    closing = f"{closed_text(closed, of)}."
+    if body:
+        words += f". Besides, {body}"
     if not split.confirming:
         closing += " It is not confirmed: there are too few runs to keep some for that."
-    elif told[0].use != "confirming":
-        closing += " It is not confirmed: runs kept for that show no gap."
     if choice.in_part:
         said = f"Most of what the simulation misses is this: {words}. {closing}{rest}"
-        return Verdict("named", named, (), gaps, (), None, said, in_part=True)
+        return Verdict("named", named, (), gaps, (), None, said, in_part=True, corrections=delivery.corrected)
     said = f"The simulation misses this: {words}. {closing}"
     if best.usual > _REMAINS:
         rest = _length(best.usual * floor.still, problem)
         said += f" What remains, {rest} or {best.usual:.2g} times the sensor's noise, has no name."
-    return Verdict("named", named, (), gaps, (), None, said)
+    return Verdict("named", named, (), gaps, (), None, said, corrections=delivery.corrected)
 
 
 def _unexplained(choice: Choice, gaps: tuple[RunGap, ...], floor: Floor, problem: Problem) -> Verdict:
@@ -241,34 +290,20 @@ def unmoved(hypothesis: Hypothesis) -> list[str]:
     return found
 
 
-def _gaps(runs: tuple[FitRun, ...], choice: Choice, split: Split, confirmed: Confirmed) -> tuple[RunGap, ...]:
-    """Root mean squares of every run, rad or m: as the fits predict it where they were not fitted to it, else as
-    fitted."""
-    after = choice.explaining[0] if choice.explaining else choice.base
-
-    def size(hypothesis: Hypothesis, there: Fit | None, run: FitRun) -> float:
-        own = {**hypothesis.fit.residuals, **hypothesis.left, **(there.residuals if there is not None else {})}
-        residual = own.get(run.name)
-        if residual is None:  # a single run was cut into stretches
-            residual = np.concatenate([r for name, r in own.items() if name.startswith(f"{run.name}#")])
-        return float(np.sqrt(np.mean((residual * _sigmas(residual, run)) ** 2)))
-
+def _gaps(runs: tuple[FitRun, ...], split: Split, delivered: Delivered) -> tuple[RunGap, ...]:
+    """Root mean squares of every run, rad or m (N*m or N of force), with the asset as it is and as it is delivered."""
     return tuple(
         RunGap(
             run.name,
-            size(choice.base, confirmed.before, run),
-            size(after, confirmed.after, run),
-            float(np.sqrt(np.mean(run.sigma**2))),
+            root_mean_square(delivered.before.residuals[run.name] * run.sigma),
+            root_mean_square(delivered.after.residuals[run.name] * run.sigma),
+            root_mean_square(run.sigma),
             bool(run.held_out),
             run.regime,
             split.use(run.name),
         )
         for run in runs
     )
-
-
-def _sigmas(residual: np.ndarray, run: FitRun) -> np.ndarray:
-    return run.sigma if len(run.sigma) == len(residual) else np.full(len(residual), float(np.mean(run.sigma)))
 
 
 def _listed(hypothesis: Hypothesis) -> str:

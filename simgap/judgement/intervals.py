@@ -24,7 +24,7 @@ def with_intervals(hypothesis: Hypothesis) -> tuple[Named, ...]:
     """
     fit, unit = hypothesis.fit, unit_of(tempered(hypothesis.left))
     ranges = fit.theory.ranges()
-    errors = dict(zip(fit.values, np.sqrt(np.diag(_covariance(fit, unit))), strict=True))
+    errors = dict(zip(fit.values, np.sqrt(np.diag(covariance(fit, unit))), strict=True))
     found = []
     for effect in fit.effects:
         own = {r.name: i for i, r in enumerate(ranges) if r.owner == effect.name}
@@ -67,7 +67,7 @@ def is_place(effect: Effect, name: str) -> bool:
     return effect.acts == "force" and spec.revolute_unit == "rad" and spec.lower < 0
 
 
-def _covariance(fit: Fit, unit: float) -> np.ndarray:
+def covariance(fit: Fit, unit: float) -> np.ndarray:
     """(p, p) of the parameters; `unit` is that of noise."""
     normal = information(fit, unit)
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))

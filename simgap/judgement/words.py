@@ -10,7 +10,7 @@ import numpy as np
 
 from freeart21.effects.base import Effect
 from freeart21.joint import JointType
-from simgap.verdict import Use
+from simgap.verdict import Corrected, Use
 
 PLAIN: dict[str, str] = {
     "viscous_damping": "damping as by oil",
@@ -69,6 +69,22 @@ def effect_words(effect: Effect, joint_type: JointType) -> str:
         if getattr(effect, name) != nothing[name]
     )
     return f"{plain(effect.name)} ({numbers})"
+
+
+def correction_words(corrections: Sequence[Corrected]) -> str:
+    """The asset's corrected numbers that differ from what it says; all of them where none does by itself."""
+    far = [c for c in corrections if not c.low <= (1.0 if c.unit == "1" else 0.0) <= c.high]
+    said = {
+        "inertia": "its inertia is {} times what the asset says",
+        "weight": "its weight pulls {} times as much as the asset says",
+        "lean": "its weight pulls {} from where the asset says",
+        "lean_across": "its weight pulls {} from across where the asset says",
+    }
+    words = []
+    for c in far or corrections:
+        value, low, high = (f"{v:.4g}" if c.unit == "1" else amount(v, c.unit) for v in (c.value, c.low, c.high))
+        words.append(f"{said[c.name].format(value)} ({low} to {high})")
+    return " and ".join(words)
 
 
 def span_text(quantity: str, low: float, high: float, joint_type: JointType) -> str:

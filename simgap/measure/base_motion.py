@@ -41,9 +41,8 @@ class Sway:
         """(8, n) the terms at times (n,)."""
         return np.stack([np.interp(times_s, self.times_s, row) for row in self.terms])
 
-    def function(self, begin_s: float, moment: float = 1.0, mass: float = 1.0) -> Callable[[float, float], float]:
-        """Position and seconds since `begin_s` to the force, N*m or N, of a part with these factors of moment and
-        mass: for a simulator that asks at every step."""
+    def function(self, begin_s: float) -> Callable[[float, float], float]:
+        """Position and seconds since `begin_s` to the force, N*m or N: for a simulator that asks at every step."""
         times, rows = self.times_s.tolist(), self.terms.T.tolist()
 
         def force(q: float, t: float) -> float:
@@ -53,7 +52,7 @@ class Sway:
             a, b, k, c1, s1, c2, s2, n = (x + share * (y - x) for x, y in zip(rows[i], rows[i + 1], strict=True))
             c, s = math.cos(q), math.sin(q)
             own = k + c1 * c + s1 * s + c2 * (c * c - s * s) + 2 * s2 * s * c + n * q
-            return moment * (a * c + b * s) + mass * own
+            return a * c + b * s + own
 
         return force
 

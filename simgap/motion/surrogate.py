@@ -94,7 +94,7 @@ def _gravity_terms(mechanics: JointMechanics) -> Array:
 
 def plant_of(asset: Asset, measured: Measured) -> Plant:
     """The joint of `asset` under the gravity and the actuator of `measured`; loads the asset in SAPIEN, neutral."""
-    simulated = load(asset)
+    simulated = load(replace(asset, effects={}))
     actuator, placed = measured.actuator, place(asset, measured.gravity)
     return Plant(
         placed.mechanics,

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,26 +25,37 @@ from simgap.motion.equation_error import missing_force
 from simgap.motion.localise import residual_maps, where
 from simgap.motion.surrogate import Nuisance, Plant, plant_of
 from simgap.page.report import GEOMETRY, Gap, Ranked, use_of, write_report
+from simgap.proof.body import NO_CORRECTION, BodyCorrection
+from simgap.proof.files import Chosen, replay_files
 from simgap.proof.show import (
     SECONDS,
     CannotReplay,
-    Off,
     PosesReplayed,
     Progress,
-    Replayed,
     ReplayGap,
     Shown,
+    address_of,
     alike,
     closed_alike,
     helps,
-    show,
 )
 from simgap.proof.writeback import repaired
-from simgap.verdict import Named, RunGap, Use, Verdict, told_by
+from simgap.settings import JudgementSettings
+from simgap.verdict import Named, RunGap, Use, Verdict, halved, told_by
 
 MOST_REPLAYS = 6
 """Runs that SAPIEN replays; of every regime some."""
 _MOST_POSES = 150
+
+
+@dataclass(frozen=True)
+class Off:
+    """How far an asset is off without anything missing, as a fit has it."""
+
+    inertia: float = 1.0
+    """True inertia over the asset's."""
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Torque of cos q and of sin q (N*m), or force (N): what true gravity has beyond the asset's."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +64,8 @@ class Draft:
 
     verdict: Verdict
     """Gaps as the fits have them; those of replayed runs are measured anew."""
-    starts: dict[str, tuple[tuple[float, float], tuple[float, float]]] = field(default_factory=dict)
-    """Run name to its start state (rad or m, and a second) with the asset as it was, and with the effects."""
-    off: tuple[Off, Off] = (Off(), Off())
-    """How far the asset is off in these two fits."""
+    off: Off = Off()
+    """How far the asset is off by itself, which the maps of where know."""
     ranking: tuple[Ranked, ...] = ()
     geometry: KinematicsFinding | None = None
     regimes: dict[str, str] = field(default_factory=dict)
@@ -71,6 +81,10 @@ class Draft:
     found."""
     uses: dict[str, Use] = field(default_factory=dict)
     """Run name to what it was used for."""
+    body: BodyCorrection = NO_CORRECTION
+    """What the asset's inertia and weight are corrected by, beside the effects of the verdict."""
+    dominant: float = JudgementSettings.dominant
+    """Part of the gap that what is delivered may leave of confirming runs."""
 
 
 def off_of(plant: Plant, nuisance: Nuisance) -> Off:
@@ -78,7 +92,7 @@ def off_of(plant: Plant, nuisance: Nuisance) -> Off:
     terms = plant.gravity_terms
     true = nuisance.gravity * (terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2])
     cosine, sine, constant = (float(v) for v in true - terms[0])
-    return Off(nuisance.inertia, (cosine, sine, constant), nuisance.holding)
+    return Off(nuisance.inertia, (cosine, sine, constant))
 
 
 def with_positions(measured: Measured, geometry: KinematicsFinding | None) -> Measured:
@@ -126,7 +140,7 @@ def publish(
     placed = place(asset, measured.gravity)
     runs = with_positions(measured, draft.geometry)
     acting = asset.effects.get(asset.joint, ())
-    known = _as_fitted(runs, placed, acting, draft.off[0], _limits(asset))
+    known = _as_fitted(runs, placed, acting, draft.off, _limits(asset))
     found = missing_force(*known, plant=plant_of(asset, measured))
     maps = residual_maps(found, seed)
     verdict = draft.verdict
@@ -135,12 +149,15 @@ def publish(
     tried = verdict.effects if verdict.verdict in ("named", "ambiguous") else draft.certain
     shown, kept = None, draft.certain
     notes: list[str] = []
-    if tried:
+    if tried or draft.body != NO_CORRECTION:
         trial = Trial(asset, measured, runs, draft, placed, tried)
         shown, why = trial.replayed(replay_seconds, progress)
-        verdict, kept, notes = _judged(verdict, draft.certain, tried, shown, why, replay_seconds)
-    source = {"verdict": verdict.verdict, "effects": [n.effect.name for n in kept]} if kept else None
-    repaired(asset, tuple(n.effect for n in kept), folder / "asset", source)
+        verdict, kept, notes = _judged(verdict, draft, tried, shown, why, replay_seconds)
+    source: dict[str, Any] = {"verdict": verdict.verdict, "effects": [n.effect.name for n in kept]}
+    source |= {"corrections": [vars(c) for c in verdict.corrections]} if verdict.corrections else {}
+    body = draft.body if verdict.corrections else NO_CORRECTION
+    written = kept or verdict.corrections
+    repaired(asset, tuple(n.effect for n in kept), folder / "asset", source if written else None, body)
     verdict = replace(verdict, added=tuple(n.effect.name for n in kept))
     verdict.write(folder / "verdict.json", measured.joint_type)
     write_report(
@@ -177,9 +194,10 @@ class Trial:
     def replayed(self, seconds: float, progress: Progress | None) -> tuple[Shown | None, str]:
         """What SAPIEN shows, or why it cannot; None for nothing to show."""
         draft, runs = self.draft, self.runs
-        moving = any(n.effect.kind != "kinematics" for n in self.tried)
-        picked = _picked([run for run in runs.runs if run.name in draft.starts], draft) if moving else []
-        replays = tuple(self._whole(run) for run in picked)
+        moving = any(n.effect.kind != "kinematics" for n in self.tried) or draft.body != NO_CORRECTION
+        able = [run for run in runs.runs if np.isfinite(run.q).any()] if draft.verdict.by == "position" else []
+        picked = _picked(able, draft) if moving else []
+        replays = tuple(self._chosen(run) for run in picked)
         tracks: tuple[PosesReplayed, ...] = ()
         if draft.geometry is not None and any(n.effect.kind == "kinematics" for n in self.tried):
             tracks = _tracks(self.measured, draft.geometry, self.placed, self.asset.state_zero)
@@ -190,44 +208,41 @@ class Trial:
         except CannotReplay as error:
             return None, str(error)
 
-    def _whole(self, run: Run) -> Replayed:
+    def _chosen(self, run: Run) -> Chosen:
         draft = self.draft
-        return Replayed(
-            run,
-            *draft.starts[run.name],
-            draft.floor,
-            draft.regimes.get(run.name, ""),
-            draft.uses.get(run.name, "fitted"),
-        )
+        return Chosen(run.name, draft.floor, draft.regimes.get(run.name, ""), draft.uses.get(run.name, "fitted"))
 
     def _shown(
         self,
-        replays: tuple[Replayed, ...],
+        replays: tuple[Chosen, ...],
         tracks: tuple[PosesReplayed, ...],
         seconds: float,
         progress: Progress | None,
     ) -> Shown:
         with tempfile.TemporaryDirectory(prefix="freeart21-") as place_:
-            mended = repaired(self.asset, tuple(n.effect for n in self.tried), Path(place_) / "asset")
-            off = self.draft.off
-            return show(self.asset, mended, self.runs, replays, off, poses=tracks, seconds=seconds, progress=progress)
+            after = Path(place_) / "asset"
+            repaired(self.asset, tuple(n.effect for n in self.tried), after, body=self.draft.body)
+            holding = self.draft.verdict.holding or 0.0
+            before = address_of(self.asset)
+            return replay_files(before, after, self.runs, replays, holding, tracks, seconds, progress)
 
 
 def _judged(
     verdict: Verdict,
-    certain: tuple[Named, ...],
+    draft: Draft,
     tried: tuple[Named, ...],
     shown: Shown | None,
     why: str,
     seconds: float,
 ) -> tuple[Verdict, tuple[Named, ...], list[str]]:
     """The verdict after the replay, the effects that go into the asset, and what else must be said."""
+    certain = draft.certain
     notes: list[str] = []
     if shown is None and not why:
         return verdict, certain, notes
     if shown is None:
         bad = [n for n in tried if n.effect.kind != "kinematics"]
-        notes.append(f"SAPIEN could not replay {_names(bad or tried)}: {why}")
+        notes.append(f"SAPIEN could not replay {_names(bad or tried) or 'the corrected asset'}: {why}")
         return _rolled_back(verdict, certain, bad or list(tried)), _without(certain, bad or list(tried)), notes
     fitted = {gap.regime for gap in verdict.gaps if gap.use == "fitted"}
     verdict = replace(verdict, gaps=_measured_gaps(verdict.gaps, shown))
@@ -244,14 +259,14 @@ def _judged(
         if not done:
             unsure = "SAPIEN has not confirmed it: the replay took too long."
             verdict = replace(verdict, sentence=f"{verdict.sentence} {unsure}")
-    motion = helps(shown.runs) if shown.runs else None
+    motion = helps(shown.runs) and _confirms(verdict, shown, draft.dominant) if shown.runs else None
     geometry = helps((), shown.poses) if shown.poses else None
     bad = [n for n in tried if (geometry if n.effect.kind == "kinematics" else motion) is False]
-    if bad:
+    if bad or (motion is False and verdict.corrections):
         of = runs_text([run.use for run in shown.runs] or [use_of(p) for p in shown.poses])
         notes.append(
-            f"A repair with {_names(bad)} was tried and rolled back: replayed in SAPIEN it did not help on {of}, or "
-            "made some of their motion worse."
+            f"A repair with {_names(bad) or 'another body'} was tried and rolled back: replayed in SAPIEN it did not "
+            f"help on {of}, or made some of their motion worse."
         )
         return _rolled_back(verdict, certain, bad), _without(certain, bad), notes
     rest = [n for n in tried if n not in certain]
@@ -270,6 +285,13 @@ def _judged(
             f"{shown.numerics:.2g} floors: gaps are no surer than that."
         )
     return verdict, certain, notes
+
+
+def _confirms(verdict: Verdict, shown: Shown, most: float) -> bool:
+    """Whether confirming runs, as far as they were replayed, keep at most this part of their gap."""
+    replayed = {run.run for run in shown.runs}
+    kept = [gap for gap in verdict.gaps if gap.use == "confirming" and gap.run in replayed]
+    return not kept or halved(kept, most)
 
 
 def _names(effects: Sequence[Named]) -> str:
@@ -366,7 +388,7 @@ def _rolled_back(verdict: Verdict, certain: tuple[Named, ...], bad: Sequence[Nam
     """Unexplained but for what helped; the gaps of what did not are as before."""
     kept = _without(certain, bad)
     bent = any(named.effect.kind == "kinematics" for named in bad)
-    moved = any(named.effect.kind != "kinematics" for named in bad)
+    moved = any(named.effect.kind != "kinematics" for named in bad) or not bent
     gaps = tuple(
         replace(gap, after=gap.before) if (bent if gap.regime == GEOMETRY else moved) else gap for gap in verdict.gaps
     )
@@ -376,4 +398,14 @@ def _rolled_back(verdict: Verdict, certain: tuple[Named, ...], bad: Sequence[Nam
         sentence = f"This is mended: {words}. What else simulation and measurement differ by is not known: {what}."
     else:
         sentence = f"Simulation and measurement differ, and nothing known here mends it: {what}."
-    return replace(verdict, verdict="unexplained", effects=kept, rivals=(), gaps=gaps, sentence=sentence, in_part=False)
+    corrections = () if moved else verdict.corrections
+    return replace(
+        verdict,
+        verdict="unexplained",
+        effects=kept,
+        rivals=(),
+        gaps=gaps,
+        sentence=sentence,
+        in_part=False,
+        corrections=corrections,
+    )

@@ -141,7 +141,7 @@ def _with(gap: Gap) -> str:
     if gap.verdict.verdict == "ambiguous":
         return "with the best of these answers"
     moved = any(n.effect.kind != "kinematics" and n.effect.name in gap.verdict.added for n in gap.verdict.effects)
-    return "after" if moved else ROLLED_BACK
+    return "after" if moved or gap.verdict.corrections else ROLLED_BACK
 
 
 def _sizes(
@@ -187,7 +187,14 @@ def _tile(figure: str, what: str, more: str) -> str:
 
 def _parameters(gap: Gap) -> list[Section]:
     """Every parameter of the named effects, with its interval."""
-    rows = []
+    rows = [
+        f"<tr><th scope=row><b>The asset's own</b></th><td>{escape(c.name)}<br><small>"
+        f"{'times what the asset says' if c.unit == '1' else 'of the pull of its weight'}</small></td>"
+        f"<td class=number><b>{escape(number_text(c.value, c.unit))}</b></td>"
+        f"<td class=number>{escape(number_text(c.low, c.unit))} to {escape(number_text(c.high, c.unit))}</td>"
+        f"<td>{interval_drawing(c.value, c.low, c.high)}</td></tr>"
+        for c in gap.verdict.corrections
+    ]
     for named in gap.verdict.effects:
         specs = named.effect.parameters(gap.joint_type)
         for k, (name, spec) in enumerate(specs.items()):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 import time
-import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,17 +15,11 @@ from typing import Any
 import numpy as np
 
 from freeart21 import se3
-from freeart21.asset import Asset
-from freeart21.effects.base import Effect
-from freeart21.effects.gravity_offset import GravityOffset
-from freeart21.effects.load_friction import LoadFriction
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.actuator_json import actuator_from_json
 from freeart21.files.asset import movable_joint, read_asset
 from freeart21.files.base_json import BASE
-from freeart21.files.urdf import parsed
-from freeart21.files.urdf_files import named_file
 from freeart21.measured import BaseAxis, BaseSeries
 from freeart21.mechanics import Actuator, between
 from freeart21.se3 import Array
@@ -44,39 +37,19 @@ free swing far from the measured one may differ by more at any step, and tells t
 
 
 class _Stage:
-    """One asset in SAPIEN, ready to replay runs."""
+    """One asset in SAPIEN, as its files say, ready to replay runs."""
 
-    def __init__(self, path: Path, job: dict[str, Any], off: dict[str, Any], folder: Path):
-        asset = read_asset(path, job["joint"], guesses=False)
-        placed = place(asset, np.array(job["gravity"]))
-        self.lower, self.upper = (getattr(movable_joint(asset.urdf, asset.joint), k) for k in ("lower", "upper"))
-        revolute = placed.mechanics.joint.type == "revolute"
-        cosine, sine, constant = off["gravity"]
-        inertia = float(off["inertia"])
-        # heavier links weigh more too; what gravity has beyond the asset's is counted from the asset's own masses
-        if revolute:
-            own = [float(placed.mechanics.gravity_force(q)) for q in (0.0, np.pi / 2)]
-            offset = GravityOffset(cosine=cosine - (inertia - 1) * own[0], sine=sine - (inertia - 1) * own[1])
-        else:
-            own_force = float(placed.mechanics.gravity_force(0.0))
-            offset = GravityOffset(constant=constant - (inertia - 1) * own_force)
-        self.asset = _scaled(asset, inertia, folder)
-        own_effects = tuple(_under_scaled(e, inertia) for e in asset.effects.get(asset.joint, ()))
-        self.effects = (*own_effects, *((offset,) if any(offset.values()) else ()))
-        self.gravity, self.job = placed.gravity, job
-        self.placed, self.mass = placed, inertia
-        weight, own_weight = (
-            (np.hypot(*pair) for pair in ((own[0] + cosine, own[1] + sine), own)) if revolute else (1, 1)
+    def __init__(self, path: Path, job: dict[str, Any]):
+        self.asset = read_asset(path, job["joint"], guesses=False)
+        self.placed = place(self.asset, np.array(job["gravity"]))
+        self.lower, self.upper = (
+            getattr(movable_joint(self.asset.urdf, self.asset.joint), k) for k in ("lower", "upper")
         )
-        self.moment = float(weight / own_weight) if own_weight > 0 else inertia
-        """Of the part: factors of its mass, and of its moment about the joint, that goes with its weight."""
-        self.holding = float(off["holding"])
+        self.gravity, self.job = self.placed.gravity, job
 
     def load(self, timestep_s: float) -> simulate.SimulatedAsset:
-        """The asset with its effects, and with how it is off."""
-        loaded = simulate.load(self.asset, timestep_s=timestep_s, gravity=self.gravity)
-        loaded.set_effects(self.effects)
-        return loaded
+        """The asset with its effects."""
+        return simulate.load(self.asset, timestep_s=timestep_s, gravity=self.gravity)
 
     def replay(self, loaded: simulate.SimulatedAsset, data: Any, i: int, start: tuple[float, float]) -> Array:
         """(n,) what the sensor reads at the times of run `i`; the state `start` is that of the first reading.
@@ -91,7 +64,7 @@ class _Stage:
 
         def told(name: str, mean_s: float = h, how: str = self.job["interpolation"]) -> Any:
             values = data.get(f"{name}_{i}")
-            return None if values is None else between(clock - begin, values, how, mean_s, self.holding)
+            return None if values is None else between(clock - begin, values, how, mean_s, self.job["holding"])
 
         effort = told("effort")
         push = effort if self.job["effort"] == "external" else None
@@ -113,7 +86,7 @@ class _Stage:
         axis = None if turns is None else BaseAxis(np.array(turns["axis"]), np.array(turns["point"]))
         placed = self.placed
         found = sway_of(data[f"clock_{i}"], base, axis, placed.mechanics, placed.T_parent_canonical, placed.child_moves)
-        return found.function(begin, self.moment, self.mass)
+        return found.function(begin)
 
     def _driven(self, command: Any, effort: Any, voltage: Any, enabled: Any) -> Actuator | None:
         """What drives the joint by these functions of time, each of which may be missing."""
@@ -129,31 +102,10 @@ class _Stage:
         return replace(law, q_command=follows, effort=asked, enabled=enabled)
 
 
-def _scaled(asset: Asset, factor: float, folder: Path) -> Asset:
-    """The asset with all its masses and inertias times `factor`, from a URDF in `folder`."""
-    if factor == 1.0:
-        return asset
-    root = parsed(asset.urdf)
-    for inertial in root.iter("inertial"):
-        for element in (*inertial.findall("mass"), *inertial.findall("inertia")):
-            for key, value in element.attrib.items():
-                element.set(key, repr(float(value) * factor))
-    for element in (*root.iter("mesh"), *root.iter("texture")):
-        element.set("filename", str(named_file(asset.urdf, element.get("filename", ""), asset.root)))
-    path = folder / f"scaled_{asset.urdf.parent.name}_{factor:.9g}.urdf"
-    path.write_bytes(ET.tostring(root))
-    return replace(asset, urdf=path, root=Path(path.anchor))  # its names are absolute now
-
-
-def _under_scaled(effect: Effect, factor: float) -> Effect:
-    """The effect that does under masses times `factor` what this one does under the asset's own."""
-    return replace(effect, coefficient=effect.coefficient / factor) if isinstance(effect, LoadFriction) else effect
-
-
 def _replay(folder: Path) -> None:
     job = checked.read_json(folder / "job.json")
     data = checked.read_npz(folder / "job.npz")
-    stages = [_Stage(Path(path), job, off, folder) for path, off in zip(job["assets"], job["off"], strict=True)]
+    stages = [_Stage(Path(path), job) for path in job["assets"]]
     off = [_pose_gaps(stages, data, i, said) for i, said in enumerate(job["poses"])]
     atomic.write_json(folder / "poses.json", {"poses": off})
     starts = [[(float(q), float(qd)) for q, qd in pair] for pair in job["starts"]]

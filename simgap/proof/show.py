@@ -1,7 +1,7 @@
 """The gap that counts: a fresh process reloads both assets in SAPIEN and replays measured runs.
 
-What the fits found is not believed here: nothing is taken from them but the start state of every run and how far the
-asset's own inertia and gravity may be off, which both assets get alike. `simgap.proof.replay` is the fresh process.
+Both assets are read from their folders and are what their files say: nothing of a fit is known here. Only the start
+state of every run is free, and is found for each asset by itself. `simgap.proof.replay` is the fresh process.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -90,18 +90,6 @@ class PoseGap:
 
 
 @dataclass(frozen=True)
-class Off:
-    """How far an asset is off without anything missing, as its own fit has it."""
-
-    inertia: float = 1.0
-    """True inertia over the asset's."""
-    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Torque of cos q and of sin q (N*m), or force (N): what true gravity has beyond the asset's."""
-    holding: float = 0.0
-    """How inputs go on between their rows, see `Nuisance`; of a set that says so it does not matter."""
-
-
-@dataclass(frozen=True)
 class ReplayGap:
     """What came out for one run."""
 
@@ -171,7 +159,7 @@ def show(
     after: Asset,
     measured: Measured,
     replays: tuple[Replayed, ...],
-    off: tuple[Off, Off] = (Off(), Off()),
+    holding: float = 0.0,
     timestep_s: float = 4e-3,
     poses: tuple[PosesReplayed, ...] = (),
     seconds: float = SECONDS,
@@ -184,7 +172,7 @@ def show(
         after: the repaired asset, on disk.
         measured: circumstances: gravity, actuator, what efforts are.
         replays: runs with start states.
-        off: for each asset by how much it is off by its own fit.
+        holding: where `measured` does not say how inputs go on between their rows: 0 smoothly, 1 held until the next.
         timestep_s: first choice; halved for every run and each asset by itself until that changes the run by less than
             a tenth of its floor, or by little of what it is off by.
         poses: runs of poses, whose geometry is compared too.
@@ -197,7 +185,7 @@ def show(
         raise FreeArtError("no run to replay, expected one or more")
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place_:
         folder = Path(place_)
-        _write_job(folder, before, after, measured, replays, off, timestep_s, seconds, poses)
+        _write_job(folder, before, after, measured, replays, holding, timestep_s, seconds, poses)
         _run(folder, len(replays), seconds, progress)
         return _read_answer(folder, replays, poses, timestep_s)
 
@@ -260,21 +248,21 @@ def _write_job(
     after: Asset,
     measured: Measured,
     replays: tuple[Replayed, ...],
-    off: tuple[Off, Off],
+    holding: float,
     timestep_s: float,
     seconds: float,
     poses: tuple[PosesReplayed, ...],
 ) -> None:
     law, turns = measured.actuator, measured.base_axis
     job: dict[str, Any] = {
-        "assets": [_address(before), _address(after)],
+        "assets": [str(address_of(asset)) for asset in (before, after)],
         "joint": before.joint,
         "gravity": np.asarray(measured.gravity, float).tolist(),
         "actuator": None if law is None else actuator_to_json(law),
         "effort": measured.effort_kind,
         "interpolation": measured.interpolation,
         "base": None if turns is None else {"axis": turns.axis.tolist(), "point": turns.point.tolist()},
-        "off": [asdict(o) for o in off],
+        "holding": holding,
         "timestep_s": timestep_s,
         "seconds": seconds,
         "starts": [[list(r.start_before), list(r.start_after)] for r in replays],
@@ -303,10 +291,10 @@ def _write_job(
         np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
-def _address(asset: Asset) -> str:
-    """What `read_asset` reads it from."""
+def address_of(asset: Asset) -> Path:
+    """The folder or the URDF that `read_asset` reads it from."""
     home = asset.urdf.parent
-    return str((home if (home / "asset.json").is_file() else asset.urdf).resolve())
+    return (home if (home / "asset.json").is_file() else asset.urdf).resolve()
 
 
 def _read_answer(

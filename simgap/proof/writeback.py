@@ -24,6 +24,7 @@ from freeart21.files.asset import read_asset, write_asset_json
 from freeart21.files.urdf import parsed_xml
 from generator import simulate
 from simgap.proof.asset_files import copied, mjcf_beside, written
+from simgap.proof.body import NO_CORRECTION, BodyCorrection, check_body, urdf_with_body
 
 _ONE_SIZE = ("viscous_damping", "coulomb_friction", "quadratic_drag", "load_friction", "gear_friction", "armature")
 """Effects whose first number is a size: two of them are one with the sum; of what their shafts throw back the larger
@@ -31,7 +32,13 @@ counts, as in a simulation."""
 _POSE_TOLERANCE = 1e-6  # single precision of the engine, metres and rotation entries
 
 
-def repaired(asset: Asset, effects: tuple[Effect, ...], folder: Path, source: dict[str, Any] | None = None) -> Asset:
+def repaired(
+    asset: Asset,
+    effects: tuple[Effect, ...],
+    folder: Path,
+    source: dict[str, Any] | None = None,
+    body: BodyCorrection = NO_CORRECTION,
+) -> Asset:
     """Write a copy of the asset with `effects` added to its joint's into `folder`, reload it, and give it back.
 
     Args:
@@ -39,25 +46,31 @@ def repaired(asset: Asset, effects: tuple[Effect, ...], folder: Path, source: di
         effects: what is missing; those of one size add to what the asset has already.
         folder: takes the files; need not exist, must hold nothing else.
         source: what asset.json shall say of where the repair came from.
+        body: what the inertia and the weight beyond the joint are multiplied by.
 
     Raises FreeArtError when the joint cannot have an effect, a named file cannot be copied, or the reloaded asset is
     not the same but for its effects.
     """
+    effects = (*effects, *body.offset)
     joined = {**asset.effects, asset.joint: joined_effects(asset.effects.get(asset.joint, ()), effects)}
     texts = copied(asset.urdf, folder, asset.root)
     urdf, mjcf = folder / asset.urdf.name, mjcf_beside(asset.urdf)
-    atomic.write_bytes(urdf, urdf_with_effects(texts[urdf.name], joined, asset.urdf))
-    if mjcf.name in texts:
+    atomic.write_bytes(urdf, urdf_with_effects(urdf_with_body(texts[urdf.name], asset, body), joined, asset.urdf))
+    as_it_was = mjcf.name in texts and body == NO_CORRECTION  # else it is made anew, of the corrected URDF
+    if as_it_was:
         atomic.write_bytes(folder / mjcf.name, mjcf_with_effects(texts[mjcf.name], asset.joint, joined, mjcf))
     told = {key: value for key, value in asset.source.items() if key != "dynamics"}  # measured now, not guessed
     told |= {"repair": source} if source else {}
     mended = replace(asset, urdf=urdf, effects=joined, source=told, root=folder)
-    if mjcf.name not in texts:
+    if not as_it_was:
         atomic.write_bytes(folder / mjcf.name, mjcf_of_urdf(mended))
     write_asset_json(folder, mended)
     if (asset.urdf.parent / LOADERS).is_dir():  # what came from our exporter tells of effects in more files
         write_beside(folder, mended)
-    return _reloaded(asset, joined, folder)
+    read = _reloaded(asset, joined, folder)
+    if body != NO_CORRECTION:
+        check_body(asset, read, body, folder)
+    return read
 
 
 def joined_effects(had: tuple[Effect, ...], new: tuple[Effect, ...]) -> tuple[Effect, ...]:

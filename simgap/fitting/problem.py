@@ -1,0 +1,57 @@
+"""What all fits to one measured set share, and the same with the asset taken as its files say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from freeart21.measured import Measured
+from simgap.fitting.theory import Problem
+from simgap.measure.data import FitRun
+from simgap.measure.floor import Floor
+from simgap.motion.surrogate import Plant
+from simgap.settings import GapSettings
+
+
+def problem_of(
+    plant: Plant, measured: Measured, runs: tuple[FitRun, ...], floor: Floor, settings: GapSettings
+) -> Problem:
+    """What all fits share."""
+    motion = np.concatenate([run.q for run in runs])
+    speed = np.concatenate([run.speed for run in runs])
+    driven = any(len(run.inputs.times_s) for run in runs)
+    load = plant.mechanics.load(motion, speed, np.zeros(len(speed)))
+    force = force_at_work(plant, runs)
+    weight = plant.mechanics.gravity_force(motion)
+    return Problem(
+        plant,
+        measured.inertia_relative,
+        measured.gravity_relative,
+        float(min(run.q.min() for run in runs)),
+        float(max(run.q.max() for run in runs)),
+        float(max(np.quantile(np.abs(run.speed), 0.99) for run in runs)),
+        floor.still,
+        force,
+        float(np.sqrt(np.mean(load**2))),
+        float(np.sqrt(force**2 + 4 * np.mean(weight**2))),  # a drive gives what moves the part and bears its weight
+        driven and measured.interpolation == "unknown",
+        settings.fit,
+        settings.surrogate,
+    )
+
+
+def force_at_work(plant: Plant, runs: tuple[FitRun, ...]) -> float:
+    """Root mean square of inertia times acceleration, N*m or N, roughly: from the slopes of speeds."""
+    squares = [np.mean(np.gradient(run.speed, run.times_s) ** 2) for run in runs]
+    return max(float(plant.mechanics.inertia * np.sqrt(np.mean(squares))), 1e-9)
+
+
+def as_delivered(problem: Problem, plant: Plant | None = None) -> Problem:
+    """The problem without any doubt of the asset: inertia, weight and base are as the files say.
+
+    `plant` is what other files say; None for the same ones.
+    """
+    fit = replace(problem.fit, tilt_rad=0.0)
+    plant = problem.plant if plant is None else plant
+    return replace(problem, plant=plant, inertia_relative=0.0, gravity_relative=0.0, fit=fit)

@@ -1,0 +1,140 @@
+"""What of an explanation can be delivered in files: its numbers with the asset as it is, or with its body corrected.
+
+Fits leave inertia, weight and base free by what the asset may be off by. No file says so. Here the smallest correction
+of the body that runs need is chosen by the score that chooses effects, and the effects are fitted anew to the
+asset as it then is.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from freeart21.asset import Asset
+from freeart21.effects.base import Effect
+from freeart21.errors import FreeArtError
+from freeart21.measured import Measured
+from simgap.fitting.fit import Fit, Theory, fitted, joined, resettled, tempered, unit_of
+from simgap.fitting.problem import as_delivered
+from simgap.fitting.theory import HOLDING, Problem, Reader
+from simgap.judgement.hypotheses import Hypothesis, judged
+from simgap.judgement.intervals import NORMAL_90, covariance
+from simgap.judgement.predictive import Score, lead
+from simgap.judgement.split import Fold
+from simgap.measure.data import FitRun
+from simgap.motion.surrogate import plant_of
+from simgap.proof.body import NO_CORRECTION, BodyCorrection, correction_of
+from simgap.proof.writeback import repaired
+from simgap.verdict import Corrected, Named
+
+ASSET = "asset"
+"""Owner of the numbers that say how the asset is off (`Theory.ranges`)."""
+_SAID = {
+    "inertia": ("inertia", "1"),
+    "gravity": ("weight", "1"),
+    "lean_1": ("lean", "rad"),
+    "lean_2": ("lean_across", "rad"),
+}
+"""Its names to those of verdict.json, and units."""
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """An explanation as files say it."""
+
+    fit: Fit
+    """The effects, the asset's inertia and weight being what the corrected files say."""
+    body: BodyCorrection = NO_CORRECTION
+    corrected: tuple[Corrected, ...] = ()
+    """The numbers of the body that were fitted, with 90 % intervals."""
+
+    @property
+    def holding(self) -> float:
+        """How inputs go on between their rows, see `Nuisance`."""
+        return Reader(self.fit.theory).nuisance(self.fit.theta).holding
+
+    def renumbered(self, named: Sequence[Named]) -> tuple[Named, ...]:
+        """The effects with the numbers that are delivered; intervals keep the doubt of the asset."""
+        of = {effect.name: effect for effect in self.fit.effects}
+        return tuple(_renumbered(n, of[n.effect.name]) for n in named)
+
+
+def _renumbered(named: Named, effect: Effect) -> Named:
+    low = {name: min(value, getattr(effect, name)) for name, value in named.low.items()}
+    high = {name: max(value, getattr(effect, name)) for name, value in named.high.items()}
+    return Named(effect, low, high)
+
+
+def deliver(
+    hypothesis: Hypothesis, train: tuple[FitRun, ...], folds: tuple[Fold, ...], asset: Asset, measured: Measured
+) -> Delivery:
+    """The effects of a hypothesis with the smallest correction of the body within one standard error of the best.
+
+    Of two corrections as small the one that the asset's doubts make likelier stands. `train` are the runs to fit.
+    """
+    problem = hypothesis.fit.theory.problem
+    tried = [_refitted(variant, hypothesis.fit, train) for variant in _variants(problem, hypothesis.names)]
+    scores = [judged(fit, folds).score for fit in tried] if len(tried) > 1 else []
+    best = max(scores, key=lambda score: score.total, default=None)
+    near = [fit for fit, score in zip(tried, scores, strict=True) if best and _near(best, score)]
+    near = near or tried
+    fewest = min(len(_doubts(fit)) for fit in near)
+    fit = min((fit for fit in near if len(_doubts(fit)) == fewest), key=lambda fit: fit.cost)
+    if not _doubts(fit):
+        return Delivery(fit)
+    body = correction_of(problem.plant, Reader(fit.theory).nuisance(fit.theta))
+    try:
+        with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
+            plant = plant_of(repaired(asset, (), Path(place) / "asset", body=body), measured)
+    except FreeArtError:  # its files cannot say so
+        return Delivery(tried[0])
+    return Delivery(_refitted(as_delivered(problem, plant), fit, train), body, _corrected(fit))
+
+
+def _near(best: Score, score: Score) -> bool:
+    """Whether a score is within one standard error of the best."""
+    ahead, error = lead(best, score)
+    return ahead <= error
+
+
+def _variants(problem: Problem, names: tuple[str, ...]) -> list[Problem]:
+    """The problem without doubts of the asset, with that of its inertia alone, of its weight alone, and with all."""
+    bare = as_delivered(problem)
+    variants = [
+        bare,
+        replace(bare, inertia_relative=problem.inertia_relative),
+        replace(bare, gravity_relative=problem.gravity_relative),
+        problem,
+    ]
+    found: dict[tuple[str, ...], Problem] = {}
+    for variant in variants:
+        ranges = Theory(variant, names, prompt=True).ranges()
+        found.setdefault(tuple(r.name for r in ranges if r.owner == ASSET), variant)
+    return list(found.values())
+
+
+def _refitted(problem: Problem, parent: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The effects of a fit, as a simulator has them, fitted under another problem."""
+    theory = Theory(problem, parent.theory.names, prompt=True)
+    starts = {run.name: parent.starts[run.name] for run in runs if run.name in parent.starts}
+    return resettled(fitted(theory, runs, joined(theory, parent, {}), starts), runs)
+
+
+def _doubts(fit: Fit) -> list[int]:
+    """Indices of the numbers that say how the asset is off."""
+    return [i for i, r in enumerate(fit.theory.ranges()) if r.owner == ASSET and r.name != HOLDING]
+
+
+def _corrected(fit: Fit) -> tuple[Corrected, ...]:
+    """The numbers of the asset that were fitted, with 90 % intervals; what else was fitted is as doubtful."""
+    ranges = fit.theory.ranges()
+    spread = NORMAL_90 * np.sqrt(np.diag(covariance(fit, unit_of(tempered(fit.residuals)))))
+    return tuple(
+        Corrected(*_SAID[ranges[i].name], float(x), float(x - s), float(x + s))
+        for i in _doubts(fit)
+        for x, s in [(fit.theta[i], spread[i])]
+    )

@@ -1,0 +1,121 @@
+"""Inertia and weight of an asset as measured: written into the `<inertial>` of its moving links."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.effects.gravity_offset import GravityOffset
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import movable_joint
+from freeart21.files.urdf import parsed_xml
+from freeart21.se3 import Array
+from generator import simulate
+from simgap.motion.surrogate import Nuisance, Plant
+from simgap.proof.asset_files import written
+
+_EXACT = 1e-4
+"""Part of the inertia by which that of the reloaded file may differ; SAPIEN reads single precision."""
+
+
+@dataclass(frozen=True)
+class BodyCorrection:
+    """Factors of an asset's `<inertial>` numbers beyond its joint, with which it moves as measured.
+
+    With mass * arm**2 = inertia and tensors times `inertia`, the inertia of the whole about a hinge is multiplied by
+    `inertia` and its weight by mass * arm, and every link stays a possible one.
+    """
+
+    inertia: float = 1.0
+    """Of tensors; the inertia about a hinge, or the mass on a slider, over the asset's."""
+    mass: float = 1.0
+    """Of masses."""
+    arm: float = 1.0
+    """Of distances of centres of mass from a hinge's axis."""
+    turn: float = 0.0
+    """rad by which centres of mass are turned about a hinge's axis."""
+    offset: tuple[GravityOffset, ...] = ()
+    """What of gravity's force no `<inertial>` can say, as an effect: a vertical hinge has no weight to scale, and a
+    slider's mass is its inertia."""
+
+
+NO_CORRECTION = BodyCorrection()
+
+
+def correction_of(plant: Plant, nuisance: Nuisance) -> BodyCorrection:
+    """The correction that makes an asset of `plant` move by itself as it does under `nuisance`."""
+    terms, f = plant.gravity_terms, nuisance.inertia
+    own = terms[0]
+    true = nuisance.gravity * (own + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2])
+    was, is_now = complex(own[0], own[1]), complex(true[0], true[1])
+    if plant.joint_type == "revolute" and abs(is_now - was) < abs(was):
+        weight = abs(is_now) / abs(was)
+        return BodyCorrection(f, weight**2 / f, f / weight, -float(np.angle(is_now / was)))
+    rest = true - f * own  # masses times the inertia's factor weigh so much more
+    if np.abs(rest).max() <= 1e-9 * np.abs(terms).max():
+        return BodyCorrection(f, f)
+    return BodyCorrection(f, f, offset=(GravityOffset(*(float(value) for value in rest)),))
+
+
+def urdf_with_body(text: bytes, asset: Asset, correction: BodyCorrection) -> bytes:
+    """The URDF of `asset` with the `<inertial>` of all links beyond its joint corrected; everything else stays."""
+    if correction == NO_CORRECTION:
+        return text
+    loaded = simulate.load(replace(asset, effects={}), gravity=(0.0, 0.0, 0.0))
+    hinge = loaded.world_joint
+    root = parsed_xml(text, asset.urdf, comments=True)
+    moving = _links_beyond(root, movable_joint(asset.urdf, asset.joint).child)
+    for link in root.findall("link"):
+        inertial = link.find("inertial")
+        if link.get("name") not in moving or inertial is None:
+            continue
+        for mass in inertial.findall("mass"):
+            mass.set("value", repr(float(mass.get("value", "0")) * correction.mass))
+        for tensor in inertial.findall("inertia"):
+            for key, value in tensor.attrib.items():
+                tensor.set(key, repr(float(value) * correction.inertia))
+        if hinge.type == "revolute":
+            to_link = se3.inverse(loaded.link_pose(link.get("name", "")))
+            axis, pivot = to_link[:3, :3] @ hinge.axis, se3.transform(to_link, hinge.pivot[None])[0]
+            _move_centre(inertial, axis, pivot, correction.arm, correction.turn)
+    return written(root, declared=True)
+
+
+def check_body(before: Asset, after: Asset, correction: BodyCorrection, folder: Path) -> None:
+    """FreeArtError when the inertia of the reloaded asset is not the corrected one of the asset before."""
+    was, is_now = (simulate.load(asset).joint_inertia for asset in (before, after))
+    if abs(is_now / (was * correction.inertia) - 1) > _EXACT:
+        raise FreeArtError(
+            f"{folder} has an inertia of {is_now:.6g} about its joint once reloaded, expected "
+            f"{was * correction.inertia:.6g}: do all its links have an <inertial>?"
+        )
+
+
+def _links_beyond(root: ET.Element, first: str) -> set[str]:
+    """Names of a link and of all that hangs on it."""
+    found, more = set(), {first}
+    while more:
+        found |= more
+        children = {
+            child.get("link", "")
+            for joint in root.findall("joint")
+            for parent, child in [(joint.find("parent"), joint.find("child"))]
+            if parent is not None and child is not None and parent.get("link") in more
+        }
+        more = children - found
+    return found
+
+
+def _move_centre(inertial: ET.Element, axis: Array, pivot: Array, factor: float, turn: float) -> None:
+    """Move the centre of mass (link frame) from or to the hinge's axis by a factor, and turn it about that."""
+    origin = inertial.find("origin")
+    origin = ET.SubElement(inertial, "origin") if origin is None else origin
+    arm = np.array([float(v) for v in origin.get("xyz", "0 0 0").split()]) - pivot
+    along = (arm @ axis) * axis
+    across = np.cos(turn) * (arm - along) + np.sin(turn) * np.cross(axis, arm)
+    origin.set("xyz", " ".join(repr(float(v)) for v in pivot + along + factor * across))
