@@ -11,7 +11,7 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.sequence import read_sequence
-from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.reconstruction import Failure, Piece, Reconstruction
 from freeart21.recording import Recording
 from leaderboard.asset_joint import measured_asset
 from leaderboard.score import check_results_folder
@@ -24,6 +24,7 @@ from leaderboard.submission import (
     printable,
     render_faults,
 )
+from leaderboard.video_fit import tell_misfit
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ def validate_results(results: Path, data: Path) -> Report:
     answers = failures = 0
     for name in benchmark.sequences:
         recording = read_sequence(benchmark.sequence(name))
-        answer, found, said = _sequence(results / name, recording, "renders" in method.lacks)
+        answer, found, said = _sequence(results / name, recording, method.lacks)
         faults += found
         notes += said
         answers += isinstance(answer, Reconstruction)
@@ -70,7 +71,7 @@ def validate_results(results: Path, data: Path) -> Report:
 
 
 def _sequence(
-    folder: Path, recording: Recording, no_renders: bool
+    folder: Path, recording: Recording, lacks: tuple[Piece, ...]
 ) -> tuple[Reconstruction | Failure | None, list[Fault], list[str]]:
     height, width = recording.camera.height, recording.camera.width
     if not folder.is_dir() and not folder.is_symlink():
@@ -95,7 +96,7 @@ def _sequence(
         if (
             isinstance(answer, Reconstruction)
             and absent
-            and not no_renders
+            and "renders" not in lacks
             and ((folder / pictures).is_dir() or pictures == "renders")
         ):
             notes.append(f"{folder.name}/{pictures}: {absent} of {len(found)} held-out views have no picture")
@@ -105,7 +106,8 @@ def _sequence(
         faults += _asset_faults(folder, states)
     elif isinstance(answer, Reconstruction):
         notes.append(f"{folder.name} has no asset/: joint and surfaces will be measured from the files and marked so")
-    return answer, faults, notes
+    misfit = tell_misfit(answer, recording, lacks) if isinstance(answer, Reconstruction) else ""
+    return answer, faults, [*notes, *([f"{folder.name}: {misfit}"] if misfit else [])]
 
 
 def _asset_faults(folder: Path, states: np.ndarray) -> Iterator[Fault]:

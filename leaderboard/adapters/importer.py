@@ -16,7 +16,7 @@ from freeart21.files.benchmark import Benchmark, read_benchmark
 from freeart21.files.places import Output, check_place, import_of
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.files.sequence import read_sequence
-from freeart21.reconstruction import Failure, Piece
+from freeart21.reconstruction import Failure, Piece, Reconstruction
 from leaderboard.adapters.registry import layout_named
 from leaderboard.adapters.toolbox import (
     FRAMES,
@@ -28,6 +28,7 @@ from leaderboard.adapters.toolbox import (
     reconstruction,
 )
 from leaderboard.submission import MAX_FILES
+from leaderboard.video_fit import tell_misfit
 
 MOST_FAULTS = 20
 """Faults that are told at once."""
@@ -66,7 +67,8 @@ def import_results(
     ({"SEQ": "folder", ...}, or an object with the folder and options of its own); else in the folder of the sequence's
     name. No truth is read. An older import of the same layout at `out` is replaced; anything else there is refused.
 
-    Raises FreeArtError, a line a fault, when nothing is found or a result cannot be read: then nothing is written.
+    Notes say where parts, posed by the answer, do not lie on the object of the video (`video_fit`). Raises
+    FreeArtError, a line a fault, when nothing is found or a result cannot be read: then nothing is written.
     """
     source, data, out = Path(source), Path(data), Path(out)
     rules, options = layout_named(layout), options or Options()
@@ -109,6 +111,9 @@ def _write(
                 faults.append(f"{sequence}: {place} cannot be read ({type(error).__name__}: {child.one_line(error)})")
                 continue
             notes[sequence] = () if isinstance(found, Failure) else found.notes
+            if isinstance(answer, Reconstruction) and not isinstance(found, Failure):
+                misfit = tell_misfit(answer, recording, tuple(found.lacks()))
+                notes[sequence] += (misfit,) if misfit else ()
             own = {"layout": rules.name, "notes": list(notes[sequence])}
             write_result(aside / sequence, answer, {"import": own})
             if isinstance(found, Failure):
