@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import errno
 import gc
 import json
 import math
@@ -22,15 +24,15 @@ pytest.importorskip("aiohttp", reason="the extra teleop is not installed")
 import aiohttp
 from teleop_case import BOUNDS, START, TOKEN, Served, a_move, page, served, started
 
-from freeart21 import cli, se3
+from freeart21 import child, cli, se3
 from freeart21.camera import Camera
 from freeart21.catalog import built_in_names
 from freeart21.errors import FreeArtError
-from freeart21.files.take import read_take, write_take
+from freeart21.files.take import read_take, sample, write_take
 from generator.motion.body import UPRIGHT, Body
 from generator.scene import Scene
 from generator.session import RecordSettings, entry_of, load_object
-from generator.teleop import gate, server, stage_process, wire
+from generator.teleop import connections, gate, server, stage_process, wire
 from generator.teleop.clock import Clock
 from generator.teleop.driving import GAP_S, STEP_S, UNDO_S, Driving, Placement
 from generator.teleop.limits import FILL, Room
@@ -274,6 +276,93 @@ def test_a_take_that_cannot_be_written_beside_is_rescued_elsewhere(
     assert [p.name for p in elsewhere.iterdir()] == ["take-unsaved.jsonl"]
 
 
+def content(driving: Driving) -> list[str]:
+    """The lines of samples that the file of a take must have now."""
+    return [sample(*one) for one in driving.take.samples()]
+
+
+def test_the_file_of_a_take_is_the_take_at_every_moment(tmp_path: Path) -> None:
+    """Whatever is recorded, cut, undone, saved or thrown away between two writes."""
+    rng = np.random.default_rng(0)
+    takes, driving, time_s = Takes(tmp_path / "take.jsonl", "revolute"), Driving(START), 10.0
+    unsaved, saved = tmp_path / "take-unsaved.jsonl", 0
+    for _ in range(400):
+        what = rng.choice(
+            ["record", "pause", "undo", "move", "move", "reset", "save"], p=[0.2, 0.1, 0.2, 0.2, 0.2, 0.05, 0.05]
+        )
+        if what == "move":
+            driven(driving, time_s + np.arange(rng.integers(1, 90)) / 60)
+            time_s += rng.uniform(0.5, 3)
+        elif what == "save":
+            driving.pause()
+            if driving.has_take:
+                path, lines = takes.save(driving), content(driving)
+                saved += 1
+                assert path.read_text().splitlines()[1:] == lines and not unsaved.exists()
+                assert len(read_take(path).times) == len(lines)
+                driving.saved()
+        else:
+            getattr(driving, what)()
+        if rng.random() < 0.6:
+            takes.write(driving)
+            if driving.phase != "idle":
+                assert unsaved.read_text().splitlines()[1:] == content(driving)
+            else:
+                assert not unsaved.exists()
+    assert saved > 5
+    takes.discard()
+    assert len(list(tmp_path.iterdir())) == saved
+
+
+def test_a_take_that_an_earlier_run_left_is_said_and_stays(tmp_path: Path) -> None:
+    first = Takes(tmp_path / "take.jsonl", "revolute")
+    driving = a_drive()
+    first.write(driving)
+    second = Takes(tmp_path / "take.jsonl", "revolute")
+    assert second.unsaved() == []  # it is being made
+    kept = first.rescue(driving)
+    (tmp_path / "take-unsaved-old.jsonl").write_text("mine")
+    (tmp_path / "take-unsaved-3.jsonl").mkdir()
+    os.mkfifo(tmp_path / "take-unsaved-4.jsonl")
+    assert second.unsaved() == [(kept, pytest.approx(1.5))]
+    text = kept.read_text()
+    second.write(a_drive())
+    assert kept.read_text() == text and (tmp_path / "take-unsaved-2.jsonl").exists()
+
+
+def test_what_comes_to_stand_in_the_file_s_place_is_left_alone(tmp_path: Path) -> None:
+    takes, driving, unsaved = Takes(tmp_path / "take.jsonl", "revolute"), a_drive(), tmp_path / "take-unsaved.jsonl"
+    takes.write(driving)
+    unsaved.unlink()
+    unsaved.write_text("mine")
+    assert len(read_take(takes.save(driving)).times) == 91
+    assert unsaved.read_text() == "mine"
+
+
+def test_a_full_disk_leaves_whole_lines_and_a_take_that_is_saved_when_there_is_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    takes, driving, room = Takes(tmp_path / "take.jsonl", "revolute"), a_drive(), [5000]
+
+    def full(file: int, data: bytes, at: int) -> int:
+        part = data[: room[0] - at] if at < room[0] else b""
+        if not part:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(file, part, at)
+
+    write = os.pwrite
+    monkeypatch.setattr("os.pwrite", full)
+    with pytest.raises(FreeArtError, match="No space left"):
+        takes.write(driving)
+    (unsaved,) = tmp_path.iterdir()
+    assert unsaved.read_text().endswith("\n")
+    room[0] = 8000
+    with pytest.raises(FreeArtError, match="No space left"):
+        takes.write(driving)
+    room[0] = 1 << 20
+    assert len(read_take(takes.save(driving)).times) == 91
+
+
 # --- where the object may be ------------------------------------------------------------------------------------------
 
 
@@ -507,9 +596,8 @@ def test_a_lost_connection_pauses_and_a_new_one_goes_on_without_gap_or_jump(tmp_
                 await one.do("record")
                 await a_stretch(one, np.linspace(0.2, 0.5, 20))
                 await one.until(lambda: len(at.server.driving.take) == 20, "20 samples")
-            await asyncio.sleep(0.6)
-            assert at.server.driving.phase == "paused"
             async with page(at.address) as two:
+                await two.status(paused=True, driven=True)
                 hello = two.last("hello")
                 assert hello["role"] == "driver" and hello["state"] == pytest.approx(0.5)
                 np.testing.assert_allclose(hello["position"], at.server.driving.take.last.T[:3, 3])
@@ -554,7 +642,7 @@ def test_what_cannot_be_saved_is_said_and_kept(tmp_path: Path) -> None:
         async with served(folder / "take.jsonl") as at, page(at.address) as one:
             await one.do("record")
             await a_stretch(one, np.linspace(0, 1, 10))
-            folder.rmdir()
+            folder.rename(tmp_path / "elsewhere")
             folder.write_text("a file where the folder was")
             await one.do("save")
             status = await one.status(alarm=True)
@@ -640,6 +728,51 @@ def harmless(text: str) -> str:
     return "{}" if isinstance(said, wire.Move | wire.Do | wire.View) else text
 
 
+def test_idle_connections_end_and_cost_no_take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many that say nothing, or never end their request: those give way to pages, and a take is made meanwhile."""
+    monkeypatch.setattr(connections, "SPEAK_S", 0.5)
+
+    async def session() -> None:
+        async with served(tmp_path / "take.jsonl") as at:
+            idle = []
+            async with page(at.address) as one:
+                await one.do("record")
+                for k in range(5 * connections.MOST):
+                    reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
+                    if k % 2:
+                        writer.write(b"GET / HTTP/1.1\r\nX-Slow: ")
+                    idle.append((reader, writer))
+                    if k % 50 == 0:
+                        await one.move(0.5)
+                        assert at.server.connections.count <= connections.MOST_OF_AN_ADDRESS
+                async with page(at.address) as two:
+                    assert two.last("hello")["role"] == "watcher"
+                for reader, writer in idle:  # all are ended by the server
+                    with contextlib.suppress(ConnectionError):
+                        assert await reader.read() == b""
+                    writer.close()
+                await one.do("save")
+                await one.until((tmp_path / "take.jsonl").exists, "saved")
+                assert at.server.connections.count == 1
+            assert any("connections of an address" in line for line in at.log) and len(at.log) < 40
+
+    in_a_loop(session())
+
+
+def test_who_shows_the_token_is_not_put_out_by_who_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "MOST_OF_AN_ADDRESS", 2)
+
+    async def session() -> None:
+        async with served(tmp_path / "take.jsonl") as at, page(at.address) as one, page(at.address) as two:
+            reader, _ = await asyncio.open_connection("127.0.0.1", at.port)
+            with contextlib.suppress(ConnectionError):
+                assert await reader.read() == b""
+            await one.move(0.5)
+            await two.status(state=0.5)
+
+    in_a_loop(session())
+
+
 def test_an_oversized_frame_and_a_dead_page_cost_nothing(tmp_path: Path) -> None:
     async def session() -> None:
         async with served(tmp_path / "take.jsonl") as at:
@@ -662,9 +795,9 @@ def test_a_flood_is_dropped(tmp_path: Path) -> None:
             begun = time.monotonic()
             for _ in range(900):
                 await one.move(0.5)
-            await one.until(lambda: at.server._driver is None or at.server._driver.bad > 0, "bad")
-            await asyncio.sleep(0.2)
+            await one.say(json.dumps({"type": "ping", "time": 1}))  # dropped, too, or the last that is read
             most = gate.BURST + gate.PER_SECOND * (time.monotonic() - begun) + 1
+            await one.until(lambda: at.server._driver is None or at.server._driver.bad >= 900 - most, "bad")
             assert at.server._driver is not None and at.server._driver.bad >= 900 - most
             assert any("more messages than" in line for line in at.log)
 
@@ -677,16 +810,16 @@ def test_a_flood_is_dropped(tmp_path: Path) -> None:
 def test_what_cannot_be_done_is_said_in_a_line_before_anything_starts(tmp_path: Path) -> None:
     there = tmp_path / "take.jsonl"
     there.write_text("mine")
-    for arguments, said in [
-        (("stapler", there), "exists"),
-        (("stapler", tmp_path / "t.jsonl", 0, None, None, False, "127.0.0.1", 99999), "port"),
-        (("stapler", tmp_path / "t.jsonl", 0, None, None, False, "127.0.0.1", 0, 9), "64 to 1280"),
-        (("nothing", tmp_path / "t.jsonl"), "unknown object"),
-        ((str(tmp_path / "absent.urdf"), tmp_path / "t.jsonl"), "missing"),
-        (("102990", tmp_path / "t.jsonl"), "--partnet-root"),
+    for name, out, more, said in [
+        ("stapler", there, {}, "exists"),
+        ("stapler", tmp_path / "t.jsonl", {"port": 99999}, "port"),
+        ("stapler", tmp_path / "t.jsonl", {"port": 0, "width": 9}, "64 to 1280"),
+        ("nothing", tmp_path / "t.jsonl", {}, "unknown object"),
+        (str(tmp_path / "absent.urdf"), tmp_path / "t.jsonl", {}, "missing"),
+        ("102990", tmp_path / "t.jsonl", {}, "--partnet-root"),
     ]:
         with pytest.raises(FreeArtError, match=said):
-            cli.teleop(*arguments)
+            cli.teleop(name, out, **more)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -717,6 +850,46 @@ def test_the_command_keeps_a_take_that_nobody_saved(tmp_path: Path) -> None:
     assert code == 130 and said.splitlines()[-1] == f"freeart21: stopped; the take that was not saved is in {kept}"
     assert len(read_take(kept).times) == 30 and at.token not in said
     assert [p.name for p in tmp_path.iterdir()] == [kept.name]
+
+
+def test_a_command_that_is_killed_has_lost_a_second_at_most(tmp_path: Path) -> None:
+    """Without a word or a moment to write; and the next start says what is there."""
+    out, kept = tmp_path / "take.jsonl", tmp_path / "take-unsaved.jsonl"
+
+    async def drive(at: Any) -> None:
+        async with page(at.address, at.token) as one:
+            await one.do("record")
+            await a_stretch(one, np.linspace(0, 0.4, 30))
+            await one.status(samples=30)
+            await one.until(lambda: len(kept.read_text().splitlines()) == 31, "the file")
+            at.process.kill()
+
+    with started(out) as at:
+        in_a_loop(drive(at))
+        at.process.wait()
+    assert len(read_take(kept).times) == 30
+    with started(out) as at:
+        assert [p.name for p in tmp_path.iterdir()] == [kept.name]
+        code, said = at.stop()
+    assert code == 143 and f"{kept} is a take of" in said and len(read_take(kept).times) == 30
+
+
+def test_a_simulator_that_compiles_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its process ends when drawing is cancelled, though it hears nothing: no stop signal, no end of its input."""
+    deaf = "import signal\nfor n in (2, 15): signal.signal(n, signal.SIG_IGN)\nwhile True: signal.pause()"
+    monkeypatch.setattr("freeart21.child.command", lambda module: child.python(deaf))
+
+    async def draw() -> None:
+        stage = Stage({}, (64, 36), START)
+        drawing = asyncio.create_task(stage.run(print))
+        while stage.process is None:
+            await asyncio.sleep(0.005)
+        drawing.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await drawing
+        assert stage.process.returncode == -signal.SIGKILL
+
+    in_a_loop(draw())
 
 
 def test_a_simulator_that_dies_is_started_again_and_the_take_is_kept(tmp_path: Path) -> None:

@@ -431,6 +431,31 @@ def test_the_token_leaves_the_address_and_nothing_comes_from_elsewhere(desk: Des
     )
 
 
+def test_a_reload_goes_on_with_the_take_by_the_tab_s_own_token(desk: Desk) -> None:
+    """The visible address has no token any more; another tab, or a tab of an older server, gets nothing by it."""
+    desk.click("record")
+    desk.drag([60, 0])
+    desk.until("teleop.link.status.samples > 5")
+    driving = desk.at.server.driving
+    desk.run("void (window.before = true)")
+    desk.browser.ask("Page.reload")
+    desk.until("!window.before && window.teleop && teleop.link.drives && teleop.link.status?.paused")
+    assert desk.run("location.href") == desk.at.address + "/"
+    before = len(driving.take)
+    assert driving.phase == "paused" and before > 5
+    desk.until("teleop.link.status.ready")
+    desk.browser.errors.clear()  # of the address without its token
+    desk.click("record")
+    desk.drag([60, 0])
+    desk.until(f"teleop.link.status.samples > {before + 5}")
+    assert driving.phase == "recording" and np.abs(np.diff(driving.take.times)).max() < 1.5
+    desk.run("void sessionStorage.setItem('token', 'of-an-older-server')")
+    desk.browser.ask("Page.reload")
+    desk.until("!window.teleop && document.body && document.body.textContent.includes('the terminal printed')")
+    assert desk.run("location.search") == "?token=of-an-older-server" and len(desk.browser.errors) > 0
+    desk.browser.errors.clear()
+
+
 def test_a_page_beside_the_driver_s_only_watches(chromium: Browser, at: Served) -> None:
     first = Desk(chromium, at)
     first.drag([30, 0])

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import socket
+import ssl
 import time
+from base64 import b64encode
 from collections.abc import Callable
+from hashlib import sha256
 from importlib import resources
 from typing import Any
 
@@ -14,6 +18,7 @@ from freeart21 import __version__, se3
 from freeart21.errors import FreeArtError
 from generator.teleop import wire
 from generator.teleop.client import Client
+from generator.teleop.connections import KEEP_S, Connections
 from generator.teleop.driving import UNDO_S, Driving, Placement
 from generator.teleop.gate import MOST_BAD, Gate, QuietLog
 from generator.teleop.stage import Mark, Stage, live_size
@@ -32,6 +37,8 @@ STATUS_S = 0.25
 """How often pages are told how things are."""
 SILENCE_S = 1.0
 """A recording is paused when its driver says nothing for so long; its page speaks 30 times a second."""
+_END_S = 1.0
+"""How long connections may take to end when the server does."""
 _FRAME_BYTES = 1 << 16
 """Of a message beyond which the connection is closed: shorter ones are read, and dropped beyond `wire.MAX_BYTES`."""
 _HEADERS = {
@@ -42,10 +49,19 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
+_RELOAD = (
+    "const token = sessionStorage.getItem('token');"
+    "if (token && !location.search) location.replace('/?token=' + encodeURIComponent(token));"
+)
+"""Of a page that is loaded again: its token has left the visible address, but its tab has it, for this origin alone."""
 _REFUSED = (
     '<!DOCTYPE html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
     "<title>FreeArt-21</title><p>This page opens by the address that the terminal printed, with its token. Open that "
-    "address again.</p></html>"
+    f"address again.</p><script>{_RELOAD}</script></html>"
+)
+_REFUSED_POLICY = (
+    f"default-src 'none'; script-src 'sha256-{b64encode(sha256(_RELOAD.encode()).digest()).decode()}'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 
 
@@ -65,6 +81,10 @@ class Server:
         """`facts` is what every page is told of the object in its `hello`."""
         self._facts, self._bounds, self._stage, self._takes, self._gate = facts, bounds, stage, takes, gate
         self._log, self._quiet = log, QuietLog(log)
+        self._runner = web.AppRunner(
+            self._app(), access_log=None, handle_signals=False, shutdown_timeout=_END_S, keepalive_timeout=KEEP_S
+        )
+        self.connections = Connections(self._new_protocol, self._quiet)
         self.driving = Driving(start)
         self.latency_ms: tuple[float, float] | None = None
         """What a driver's page measured last: median and 95th percentile."""
@@ -73,11 +93,12 @@ class Server:
         self._count = 0
         self._saving: asyncio.Task[None] | None = None
         self._notice, self._notices, self._alarm = "", 0, False
+        self._fault = ""
+        """Why the take's file could not be written the last time."""
         self._budget = stage.size
         stage.show = self._look
 
-    def app(self) -> web.Application:
-        """What aiohttp runs."""
+    def _app(self) -> web.Application:
         app = web.Application(client_max_size=1024)
         app.router.add_get("/ws", self._socket)
         for path in FILES:
@@ -85,20 +106,39 @@ class Server:
         app.router.add_route("*", "/{anything:.*}", self._nothing)
         return app
 
-    async def tick(self) -> None:
-        """Tell the pages how things are, again and again."""
+    def _new_protocol(self) -> asyncio.BaseProtocol:
+        serve = self._runner.server
+        assert serve is not None
+        return serve()
+
+    async def run(self, listener: socket.socket, context: ssl.SSLContext | None = None) -> None:
+        """Serve who connects to `listener`, and tell the pages how things are, until cancelled."""
+        await self._runner.setup()
+        taking = asyncio.create_task(self.connections.take(listener, context))
+        try:
+            await self._tick()
+        finally:
+            taking.cancel()
+            self._write()
+
+    async def _tick(self) -> None:
         while True:
             await asyncio.sleep(STATUS_S)
             driver, driving = self._driver, self.driving
             if driver is not None and time.monotonic() - driver.heard > SILENCE_S and driving.pause():
                 self._say(f"paused: the page was silent for {SILENCE_S:g} s")
+            self._write()
             self._tell_all(self._status())
 
-    async def close(self) -> None:
-        """Finish saving, and send all pages away."""
+    async def finish_saving(self) -> None:
+        """Wait for a take that is being saved."""
         if self._saving is not None:
             await self._saving
+
+    async def close(self) -> None:
+        """Send all pages away, and end all connections: seconds at most."""
         await asyncio.gather(*(client.close("the server ends") for client in self._clients))
+        await self._runner.cleanup()
 
     # --- requests -----------------------------------------------------------------------------------------------------
 
@@ -107,9 +147,11 @@ class Server:
         token, origin = request.query.get("token", ""), request.headers.get("Origin")
         why = self._gate.refuses(token, request.host or "", origin, socket)
         if not why:
+            self.connections.let_in(request.transport)
             return None
         self._quiet.dropped(why, _whose(request))
-        return web.Response(status=403, text=_REFUSED, content_type="text/html", headers=_HEADERS)
+        headers = {**_HEADERS, "Content-Security-Policy": _REFUSED_POLICY}
+        return web.Response(status=403, text=_REFUSED, content_type="text/html", headers=headers)
 
     async def _nothing(self, request: web.Request) -> web.Response:
         return self._refused(request) or web.Response(status=404, text="nothing here", headers=_HEADERS)
@@ -137,10 +179,10 @@ class Server:
         if len(self._clients) >= MOST_PAGES:
             self._quiet.dropped(f"more than {MOST_PAGES} pages", _whose(request))
             return web.Response(status=503, text="too many pages", headers=_HEADERS)
-        socket = web.WebSocketResponse(max_msg_size=_FRAME_BYTES, compress=False, heartbeat=10.0)
-        await socket.prepare(request)
+        channel = web.WebSocketResponse(max_msg_size=_FRAME_BYTES, compress=False, heartbeat=10.0)
+        await channel.prepare(request)
         self._count += 1
-        client = Client(socket, f"page {self._count}", self._stage)
+        client = Client(channel, f"page {self._count}", self._stage)
         self._clients.append(client)
         self._log(f"{client.name} came, of {_whose(request)}")
         if self._driver is None:
@@ -150,13 +192,13 @@ class Server:
         client.tell(self._status())
         sending = asyncio.create_task(client.send())
         try:
-            async for message in socket:
+            async for message in channel:
                 if not self._heard(client, message):
                     break
         finally:
             sending.cancel()
             self._left(client)
-        return socket
+        return channel
 
     # --- what pages say -----------------------------------------------------------------------------------------------
 
@@ -214,6 +256,20 @@ class Server:
         if self.driving.is_full and self.driving.pause():
             self._say("paused: a take cannot be longer; save it")
 
+    def _write(self) -> None:
+        """Bring the file of the take to what was recorded; what hinders it is said once."""
+        if self._saving is not None:
+            return
+        fault = ""
+        try:
+            self._takes.write(self.driving)
+        except FreeArtError as error:
+            fault = str(error)
+        if fault and fault != self._fault:
+            self._log(f"the take is kept in memory alone: {fault}")
+            self._say(f"the take is kept in memory alone: {fault}", alarm=True)
+        self._fault = fault
+
     def _do(self, what: str) -> None:
         driving, epoch = self.driving, self.driving.epoch
         if self._saving is not None:
@@ -232,6 +288,7 @@ class Server:
             self._say("back at the beginning")
         elif what == "save":
             self._begin_saving()
+        self._write()
         if driving.epoch != epoch:
             self._tell_all({"type": "place", "epoch": driving.epoch, **_numbers(driving.place)})
             self._stage.want(driving.place, Mark())

@@ -34,6 +34,8 @@ BUDGET_S = 0.022
 """For a live picture: with it and the way to the page there are 30 a second and more."""
 ASPECTS = 0.4, 16 / 9
 """Width over height of the picture: not wider than the recorder's, which must see all that is seen here."""
+END_S = 2.0
+"""How long the end of a killed process is waited for: a driver may hold it."""
 MOST_STARTS = 3
 """How often a process is started that died: what dies at once would die again."""
 
@@ -159,8 +161,9 @@ class Stage:
         finally:
             self.ready = False
             with contextlib.suppress(ProcessLookupError):
-                process.kill()
-            await process.wait()
+                process.kill()  # also while it compiles a shader
+            with contextlib.suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(process.wait(), END_S)
 
     async def _draw(self, process: asyncio.subprocess.Process) -> None:
         """Draw live pictures while something changes, and finer ones when it does not."""

@@ -102,8 +102,6 @@ async def _serve(
     name: str, loaded: partnet.PartNetObject, takes: Takes, settings: TeleopSettings, told: list[int]
 ) -> str:
     """Serve until told to stop; what is to be said of a take that nobody saved."""
-    from aiohttp import web
-
     from generator.teleop.server import Server
 
     body = Body.of((loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh()), loaded.joint)
@@ -119,19 +117,18 @@ async def _serve(
         stage = Stage(_told(loaded, room, fov_y), (settings.width, settings.height), start, settings.finest)
         bounds = Bounds(body.lower, body.upper, room.reach)
         server = Server(_facts(name, loaded, room, fov_y), bounds, start, stage, takes, gate, _log)
-        runner = web.AppRunner(server.app(), access_log=None, handle_signals=False)
-        await runner.setup()
-        await web.SockSite(runner, listener, ssl_context=None if own is None else own.context()).start()
         _announce(addresses(settings.host, port, gate.token), own)
+        for path, seconds in takes.unsaved():
+            _log(f"{path} is a take of {seconds:.1f} s that nobody saved: move it to keep it, or remove it")
         _log(f"{name}: open this address in a browser; takes go to {takes.next_name()}; Ctrl-C ends")
         try:
-            await _until_told(told, [stage.run(_log), server.tick()])
+            await _until_told(told, [server.run(listener, None if own is None else own.context()), stage.run(_log)])
         finally:
-            await server.close()
+            await server.finish_saving()
             kept = _rescued(server.driving, takes)
             if kept and not told:
                 _log(kept)
-            await runner.cleanup()
+            await server.close()
             if server.latency_ms is not None:
                 median, high = server.latency_ms
                 _log(f"from a move to its picture: median {median:.0f} ms, 95 % within {high:.0f} ms (the last 100)")
@@ -195,6 +192,7 @@ async def _until_told(told: list[int], works: list[Coroutine[Any, Any, None]]) -
 def _rescued(driving: Driving, takes: Takes) -> str:
     """Write a take that nobody saved; what is to be said of it."""
     if not driving.has_take:
+        takes.discard()
         return ""
     try:
         return f"the take that was not saved is in {takes.rescue(driving)}"
@@ -223,6 +221,7 @@ def _listening(settings: TeleopSettings) -> Iterator[socket.socket]:
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((settings.host, settings.port))
+        listener.listen(128)
     except OSError as error:
         listener.close()
         raise FreeArtError(

@@ -2,60 +2,124 @@
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import os
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
+
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.places import check_place
-from freeart21.files.take import header, sample
+from freeart21.files.take import header, read_take, sample
 from freeart21.joint import JointType
 from freeart21.one_euro import headset
-from generator.teleop.driving import Driving
+from generator.teleop.driving import Driving, Track
+from generator.teleop.take_file import TakeFile, is_open, rename_new
 
 MOST_FILES = 10_000
+UNSAVED = "-unsaved"
+"""Of the name of a take that nobody has saved yet."""
 
 
 class Takes:
-    """The files of one run: OUT, then OUT-2, OUT-3 and so on."""
+    """The files of one run: OUT, then OUT-2, OUT-3 and so on, and OUT-unsaved while a take is made."""
 
     def __init__(
         self, out: Path, joint_type: JointType, inputs: Iterable[Path] = (), size: float | None = None
     ) -> None:
         """`size` is the object's diagonal, metres. Raises FreeArtError unless `out` is free and may be written."""
         self._out, self._joint_type, self._inputs, self._size = out, joint_type, tuple(inputs), size
+        self._file: TakeFile | None = None
+        self._track: Track | None = None
         check_place(out, None, self._inputs)
 
     def next_name(self) -> str:
         """What the next take will be called, if nobody else takes the name."""
         return _free(self._out).name
 
+    def unsaved(self) -> list[tuple[Path, float]]:
+        """Takes that an earlier run left unsaved, and how long each lasts, s."""
+        found = []
+        for path in sorted(self._out.parent.glob(f"{glob.escape(self._out.stem)}{UNSAVED}*{self._out.suffix}")):
+            with contextlib.suppress(FreeArtError, OSError):  # another file, or one that is being made
+                if not is_open(path):
+                    take = read_take(path)
+                    found.append((path, float(np.ptp(take.times))))
+        return found
+
+    def write(self, driving: Driving) -> None:
+        """Bring the file of the take that is being made to what it is now; one that was thrown away goes.
+
+        Raises FreeArtError when it cannot be written.
+        """
+        if driving.take is not self._track:
+            self.discard()
+            self._track = driving.take
+        if self._file is None and driving.phase == "idle":
+            return
+        path = self._out if self._file is None else self._file.path
+        try:
+            if self._file is None:
+                path = _free(self._out.with_name(f"{self._out.stem}{UNSAVED}{self._out.suffix}"))
+                path.parent.mkdir(parents=True, exist_ok=True)
+                driving.take.unchanged = 0
+                self._file = TakeFile(path)
+            self._file.write(self._head(driving), driving.take)
+        except OSError as error:
+            raise atomic.cannot_write(path, error) from error
+
     def save(self, driving: Driving) -> Path:
-        """Write the take, whole or not at all. Raises FreeArtError."""
+        """Give the take its name, whole or not at all. Raises FreeArtError."""
         path = _free(self._out)
         check_place(path, None, self._inputs)
-        write_new(path, self._text(driving))
+        try:
+            self.write(driving)
+            assert self._file is not None
+            self._file.save(path)
+        except (FreeArtError, OSError):  # its file is gone, or its disk is full
+            write_new(path, self._text(driving))
+            self.discard()
+        self._file = None
         return path
 
+    def discard(self) -> None:
+        """Throw away what was begun and is no take."""
+        if self._file is not None:
+            self._file.remove()
+            self._file = None
+
     def rescue(self, driving: Driving) -> Path:
-        """Write a take that nobody saved beside, or where temporary files are; also after a signal. FreeArtError."""
+        """Leave a take that nobody saved in its file, or where temporary files are. Raises FreeArtError."""
+        try:
+            self.write(driving)
+            assert self._file is not None
+            file, self._file = self._file, None
+            file.close()
+            return file.path
+        except FreeArtError as error:
+            fault = error
         text = self._text(driving)
         for folder in (self._out.parent, Path(tempfile.gettempdir())):
             try:
-                path = _free(folder / f"{self._out.stem}-unsaved{self._out.suffix}")
+                path = _free(folder / f"{self._out.stem}{UNSAVED}{self._out.suffix}")
                 write_new(path, text)
+                self.discard()
                 return path
             except FreeArtError as error:
                 fault = error
         raise fault
 
-    def _text(self, driving: Driving) -> bytes:
+    def _head(self, driving: Driving) -> str:
         # controllers in hands shake, mice do not
         held = headset(self._joint_type) if "headset" in driving.devices else None
-        head = header(", ".join(driving.devices) or "none", "camera", self._joint_type, held, self._size)
-        return ("\n".join([head, *(sample(*s) for s in driving.take.samples())]) + "\n").encode()
+        return header(", ".join(driving.devices) or "none", "camera", self._joint_type, held, self._size)
+
+    def _text(self, driving: Driving) -> bytes:
+        return ("\n".join([self._head(driving), *(sample(*s) for s in driving.take.samples())]) + "\n").encode()
 
 
 def _free(path: Path) -> Path:
@@ -77,22 +141,10 @@ def write_new(path: Path, data: bytes) -> None:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
-            _named(aside, path)
+            rename_new(aside, path)
         finally:
             aside.unlink(missing_ok=True)
     except FileExistsError as error:
         raise FreeArtError(f"{path} exists; choose another place or remove it first") from error
     except OSError as error:
         raise atomic.cannot_write(path, error) from error
-
-
-def _named(aside: Path, path: Path) -> None:
-    """Give the file `aside` the name `path`, too: unlike a rename, a link replaces nothing."""
-    try:
-        os.link(aside, path)
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without links
-        if path.exists():
-            raise FileExistsError from None
-        aside.rename(path)

@@ -1,4 +1,4 @@
-// The page begins: the token leaves the visible address, and hand, link, desk and panel are joined.
+// The page begins: the token leaves the visible address for the tab's own storage, and hand, link, desk and panel are joined.
 
 import { Desk } from "./desk.js";
 import { Hand } from "./hand.js";
@@ -8,6 +8,9 @@ import { Panel } from "./panel.js";
 
 const token = new URLSearchParams(location.search).get("token") || "";
 history.replaceState(null, "", location.pathname);
+try {
+  sessionStorage.setItem("token", token); // the server's answer to a reload, which comes without it, takes it from there
+} catch { /* a browser that keeps nothing: the address opens the page again */ }
 
 const canvas = document.getElementById("picture");
 const hand = new Hand();

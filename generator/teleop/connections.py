@@ -1,0 +1,124 @@
+"""How many connections there may be, and how soon each must show the token. Who has not yields to who comes."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import ssl
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from generator.teleop.gate import QuietLog
+
+MOST, MOST_OF_AN_ADDRESS = 96, 64
+"""Connections at once: 16 pages have one each, and up to 6 more (a browser's, for a server) while they load."""
+SPEAK_S = 5.0
+"""After so long a connection must have shown the token; this includes the handshake of https."""
+KEEP_S = 5.0
+"""How long a connection that asked for a file stays for the next one."""
+_FULL_S = 0.2
+"""A pause when this process can have no more open files."""
+
+
+@dataclass(eq=False)
+class _Connection:
+    host: str
+    task: asyncio.Task[None] | None = None
+    transport: asyncio.BaseTransport | None = None
+    let_in: bool = False
+
+    @property
+    def is_over(self) -> bool:
+        return self.transport is not None and self.transport.is_closing()
+
+    def end(self) -> None:
+        if isinstance(self.transport, asyncio.WriteTransport):
+            self.transport.abort()
+        elif self.task is not None:
+            self.task.cancel()
+
+
+class Connections:
+    """Takes connections from a listening socket and hands them to a server's protocol."""
+
+    def __init__(self, protocol: Callable[[], asyncio.BaseProtocol], log: QuietLog) -> None:
+        """`protocol` makes what serves one connection, as `web.AppRunner.server` does."""
+        self._protocol, self._log = protocol, log
+        self._by_peer: dict[Any, _Connection] = {}
+        """In the order in which they came, by address and port of the other side."""
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        self._by_peer = {peer: one for peer, one in self._by_peer.items() if not one.is_over}
+        return len(self._by_peer)
+
+    def let_in(self, transport: asyncio.BaseTransport | None) -> None:
+        """Who uses this transport has shown the token: the connection stays."""
+        peer = None if transport is None else transport.get_extra_info("peername")
+        if peer in self._by_peer:
+            self._by_peer[peer].let_in = True
+
+    async def take(self, listener: socket.socket, context: ssl.SSLContext | None = None) -> None:
+        """Take connections of a socket that listens until cancelled; by TLS where there is a `context`."""
+        loop = asyncio.get_running_loop()
+        listener.setblocking(False)
+        try:
+            while True:
+                try:
+                    connected, peer = await loop.sock_accept(listener)
+                except OSError as error:
+                    self._log.dropped(f"no connection can be taken: {error.strerror or error}", "somebody")
+                    await asyncio.sleep(_FULL_S)
+                    continue
+                one = _Connection(str(peer[0]))
+                if self._make_room(one.host):
+                    self._by_peer[peer] = one
+                    one.task = asyncio.create_task(self._serve(peer, one, connected, context))
+                else:
+                    connected.close()
+        finally:
+            for one in self._by_peer.values():
+                if one.transport is None:
+                    one.end()
+
+    async def _serve(
+        self, peer: Any, one: _Connection, connected: socket.socket, context: ssl.SSLContext | None
+    ) -> None:
+        """Hand a connection over, and end it when it does not show the token in time."""
+        end = asyncio.get_running_loop().time() + SPEAK_S
+        secure: dict[str, Any] = {} if context is None else {"ssl": context, "ssl_handshake_timeout": SPEAK_S}
+        try:
+            one.transport, _ = await asyncio.get_running_loop().connect_accepted_socket(
+                self._protocol, connected, **secure
+            )
+        except OSError:  # it has gone, or spoke no TLS
+            pass
+        finally:
+            if one.transport is None:
+                connected.close()
+                self._by_peer.pop(peer, None)
+        if one.transport is not None:
+            asyncio.get_running_loop().call_at(end, self._end_silent, one)
+
+    def _end_silent(self, one: _Connection) -> None:
+        if not one.let_in and not one.is_over:
+            self._log.dropped(f"a connection that showed no token in {SPEAK_S:g} s", one.host)
+            one.end()
+
+    def _make_room(self, host: str) -> bool:
+        """Whether one more may come from `host`; where there are many, the first that showed no token goes for it."""
+        for whose, most in ((host, MOST_OF_AN_ADDRESS), ("", MOST)):
+            if self.count == 0:
+                break
+            many = [one for one in self._by_peer.values() if whose in ("", one.host)]
+            if len(many) < most:
+                continue
+            self._log.dropped(f"more than {most} connections{' of an address' if whose else ''}", host)
+            silent = next((one for one in many if not one.let_in), None)
+            if silent is None:
+                return False
+            silent.end()
+            self._by_peer = {peer: one for peer, one in self._by_peer.items() if one is not silent}
+        return True
