@@ -19,7 +19,7 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import link_poses, numbers, origin_pose, parsed, read_urdf_joints, told
+from freeart21.files.urdf import LARGEST_LIMIT, link_poses, numbers, origin_pose, parsed, read_urdf_joints, told
 from freeart21.files.urdf_files import missing_file, named_inside
 from freeart21.se3 import Array
 from generator.simulate import joint_motion
@@ -226,13 +226,16 @@ def _limits(joint: ET.Element) -> Iterator[Finding]:
     if joint.find("limit") is None:
         yield Finding("limits.present", f"joint '{name}' has no <limit>")
         return
-    lower, upper = (_number(joint, "limit", key, "0") for key in ("lower", "upper"))
+    lower, upper = (_number(joint, "limit", key, "0", finite=False) for key in ("lower", "upper"))
+    if max(abs(lower), abs(upper)) > LARGEST_LIMIT:
+        said = f"joint '{name}' has limits {lower:g} to {upper:g}"
+        yield Finding("limits.present", f"{said}, expected within {LARGEST_LIMIT:g} rad or m, or type 'continuous'")
     if not lower < upper:
         yield Finding("limits.ordered", f"joint '{name}' has limits {lower:g} to {upper:g}, expected lower < upper")
     elif not lower <= 0 <= upper:
         yield Finding("limits.zero-within", f"joint '{name}' has limits {lower:g} to {upper:g}, expected zero within")
     for key in ("effort", "velocity"):
-        value = _number(joint, "limit", key, "0")
+        value = _number(joint, "limit", key, "0", finite=False)
         if not value > 0:
             yield Finding(f"limits.{key}", f"joint '{name}' has {key} {value:g}, expected more than 0")
 
@@ -334,6 +337,6 @@ def _words(path: Path, key: str) -> list[str]:
     return [line[len(key) :].strip() for line in lines if line.startswith(key + " ")]
 
 
-def _number(element: ET.Element, path: str, attribute: str, default: str) -> float:
+def _number(element: ET.Element, path: str, attribute: str, default: str, finite: bool = True) -> float:
     what = f"{element.tag} '{element.get('name')}' has {attribute}"
-    return float(numbers(told(element, path, attribute, default), 1, what)[0])
+    return float(numbers(told(element, path, attribute, default), 1, what, finite)[0])

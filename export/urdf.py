@@ -6,6 +6,7 @@ import warnings
 import xml.etree.ElementTree as ET
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from export.model import WORLD, AssetModel, LinkModel, number_text
@@ -57,11 +58,7 @@ def _mesh(element: ET.Element, filename: str) -> None:
 
 
 def _primitive(element: ET.Element, shape: Primitive) -> None:
-    T = shape.T_link_shape
-    with warnings.catch_warnings():  # of gimbal lock: one of its many answers will do
-        warnings.simplefilter("ignore", UserWarning)
-        rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")  # about fixed axes, as URDF's roll, pitch and yaw
-    ET.SubElement(element, "origin", xyz=number_text(*T[:3, 3]), rpy=number_text(*rpy))
+    element.append(origin_element(shape.T_link_shape))
     geometry = ET.SubElement(element, "geometry")
     match shape:
         case Box():
@@ -70,6 +67,14 @@ def _primitive(element: ET.Element, shape: Primitive) -> None:
             ET.SubElement(geometry, "cylinder", radius=number_text(shape.radius), length=number_text(shape.length))
         case Sphere():
             ET.SubElement(geometry, "sphere", radius=number_text(shape.radius))
+
+
+def origin_element(T: NDArray[np.float64]) -> ET.Element:
+    """The <origin> of a pose (4, 4)."""
+    with warnings.catch_warnings():  # of gimbal lock: one of its many answers will do
+        warnings.simplefilter("ignore", UserWarning)
+        rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")  # about fixed axes, as URDF's roll, pitch and yaw
+    return ET.Element("origin", xyz=number_text(*T[:3, 3]), rpy=number_text(*rpy))
 
 
 def _joint(model: AssetModel) -> ET.Element:

@@ -24,18 +24,22 @@ from pathlib import Path
 
 import numpy as np
 
+from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.asset import movable_joint, read_semantics
+from freeart21.files.asset import held_positions, movable_joint, read_semantics
 from freeart21.files.urdf import MAX_URDF_BYTES, Urdf, UrdfJoint, UrdfLink, children, read_urdf
 from freeart21.joint import Joint
+from freeart21.mesh import bounding_diagonal
 from freeart21.se3 import Array
 from generator.motion import motion_range
 from generator.partnet_files import Gaps, inside, read_obj
 from generator.surface import Surface
 
 URDF_NAME = "mobility.urdf"
+BOX_NAME = "bounding_box.json"
+FLOATING = "floating"
 
 # fmt: off
 INCOMPLETE = frozenset((
@@ -120,9 +124,7 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
         raise FreeArtError(
             f"{urdf}: joint '{scored.name}' cannot move: its limits are [{scored.lower:g}, {scored.upper:g}]"
         )
-    held = {
-        j.name: float(np.clip(0.0, j.lower, j.upper)) for j in joints.values() if j.joint_type and j.name != scored.name
-    }
+    held = held_positions(joints, scored.name)
     Ts = read.link_poses(held)
     visuals = {link.name: _visuals(link, folder, urdf) for link in read.links.values()}
     gaps = Gaps()
@@ -133,14 +135,14 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
     parent = _side(scored, tuple(name for name in visuals if name not in below), visuals, Ts, folder, gaps)
     T_object_joint = Ts[scored.parent] @ scored.T_parent_joint
     assert scored.joint_type is not None
-    moving = Joint(
-        scored.name,
-        scored.joint_type,
-        T_object_joint[:3, :3] @ scored.axis,
-        T_object_joint[:3, 3],
-        scored.lower + 0.0,
-        scored.upper + 0.0,
-    )
+    lower, upper = scored.lower + 0.0, scored.upper + 0.0
+    if scored.joint_type == "prismatic":  # by the object's diagonal: half to either side, or from the end there is
+        size = bounding_diagonal(parent.surface.mesh(), child.surface.mesh())
+        ends = np.isfinite([lower, upper])
+        lower = lower if ends[0] else (upper - size if ends[1] else -0.5 * size)
+        upper = upper if ends[1] else lower + size
+    axis, pivot = T_object_joint[:3, :3] @ scored.axis, T_object_joint[:3, 3]
+    moving = Joint(scored.name, scored.joint_type, axis, pivot, lower, upper)
     asset = Asset(
         urdf,
         scored.name,
@@ -150,23 +152,95 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
         held=held,
         source={"format": "PartNet-Mobility", "object": folder.name},
     )
-    notes = (*gaps.notes(), *_joint_notes(moving, held), *_meta_notes(meta, folder))
+    notes = (
+        *gaps.notes(),
+        *_joint_notes(moving, scored, joints, held),
+        *_scale_notes(read, visuals, folder),
+        *_meta_notes(meta, folder),
+    )
     category = str(meta.get("model_cat", "unknown"))
     return PartNetObject(
         folder.name, category, asset, moving, parent, child, read_semantics(folder / "semantics.txt"), absent, notes
     )
 
 
-def _joint_notes(moving: Joint, held: dict[str, float]) -> list[str]:
+def _joint_notes(moving: Joint, scored: UrdfJoint, joints: dict[str, UrdfJoint], held: dict[str, float]) -> list[str]:
     notes = []
-    if not np.isfinite([moving.lower, moving.upper]).all():
+    ends = np.isfinite([scored.lower, scored.upper])
+    if not ends.all():
         low, high = motion_range(moving)
+        lacks = "limits" if not ends.any() else "upper limit" if ends[0] else "lower limit"
         unit = "rad" if moving.type == "revolute" else "m"
-        notes.append(f"joint '{moving.name}' has no limits: it is moved from {low:.4g} to {high:.4g} {unit}")
+        notes.append(f"joint '{moving.name}' has no {lacks}: it is moved from {low:.4g} to {high:.4g} {unit}")
     if not moving.lower <= 0 <= moving.upper:
         notes.append(f"joint '{moving.name}' never stands at 0: its limits are [{moving.lower:g}, {moving.upper:g}]")
-    notes += [f"joint '{name}' cannot stand at 0 and is held at {q:g}" for name, q in held.items() if q != 0]
+    for name, q in held.items():
+        if mimic := joints[name].mimic:
+            notes.append(f"joint '{name}' follows '{mimic[0]}' (mimic) and is held at {q:g}: only two parts move")
+        elif q != 0:
+            notes.append(f"joint '{name}' cannot stand at 0 and is held at {q:g}")
+    return notes + floating_notes(joints)
+
+
+def floating_notes(joints: dict[str, UrdfJoint]) -> list[str]:
+    """What is made of joints that leave their link free."""
+    return [f"joint '{j.name}' is {FLOATING}: it is held at its origin" for j in joints.values() if j.type == FLOATING]
+
+
+def _scale_notes(read: Urdf, visuals: dict[str, list[Visual]], folder: Path) -> list[str]:
+    """Whether meshes were scaled and the frames of hinges were not, by bounding_box.json: the box of the meshes before.
+
+    At zero joint frames cancel, and the assembly is right whatever they are. A hinge that passes outside the assembly
+    (by 5 % of its diagonal; none of the real objects' does) throws its part about as soon as it turns.
+    """
+    box = _bounding_box(folder / BOX_NAME)
+    if box is None or all(np.allclose(v.scale, 1) for of_link in visuals.values() for v in of_link):
+        return []
+    Ts = read.link_poses({})
+    points = np.concatenate(
+        [
+            se3.transform(Ts[name] @ v.T_link_mesh, v.scale * surface.vertices[np.unique(surface.faces)])
+            for name, of_link in visuals.items()
+            for v in of_link
+            if v.mesh.is_file() and len((surface := read_obj(v.mesh, folder, Gaps())).faces)
+        ]
+    )
+    low, high = points.min(0), points.max(0)
+    size = float(np.linalg.norm(high - low))
+    if abs(size / box - 1) < 0.01:
+        return []
+    notes = []
+    for joint in read.joints.values():
+        if joint.joint_type == "revolute":
+            T = Ts[joint.parent] @ joint.T_parent_joint
+            if not _crosses(T[:3, 3], T[:3, :3] @ joint.axis, low - 0.05 * size, high + 0.05 * size):
+                notes.append(
+                    f"the assembly disagrees with {BOX_NAME}: meshes have {size / box:.3g} of its size, but joint "
+                    f"'{joint.name}' turns about an axis outside them, so its part floats; recorded as {URDF_NAME} says"
+                )
     return notes
+
+
+def _bounding_box(path: Path) -> float | None:
+    """The diagonal of a PartNet-Mobility object's box; None without a file, or when it holds none."""
+    if not path.is_file():
+        return None
+    data = checked.read_json(path)
+    diagonal = float(
+        np.linalg.norm(checked.numbers(data, "max", (3,), path) - checked.numbers(data, "min", (3,), path))
+    )
+    return diagonal if diagonal > 0 else None
+
+
+def _crosses(point: Array, direction: Array, low: Array, high: Array) -> bool:
+    """Whether a line passes through a box: the slabs between its faces have a stretch of it in common."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.sort([(low - point) / direction, (high - point) / direction], axis=0)
+    still = np.abs(direction) < 1e-12
+    within = (low <= point) & (point <= high)
+    near = np.where(still, np.where(within, -np.inf, np.inf), ends[0])
+    far = np.where(still, np.where(within, np.inf, -np.inf), ends[1])
+    return bool(near.max() <= far.min())
 
 
 def _meta_notes(meta: dict, folder: Path) -> list[str]:
@@ -186,9 +260,10 @@ def read_tree(urdf: Path) -> Urdf:
     except UnicodeDecodeError as error:
         raise FreeArtError(f"{urdf} is not UTF-8 text: {error}") from error
     for j in read.joints.values():
-        if j.joint_type is None and j.type != "fixed":
+        if j.joint_type is None and j.type not in ("fixed", FLOATING):
             raise FreeArtError(
-                f"{urdf}: joint '{j.name}' has type '{j.type}', expected fixed, revolute, continuous or prismatic"
+                f"{urdf}: joint '{j.name}' has type '{j.type}', expected fixed, revolute, continuous, prismatic or "
+                f"{FLOATING} (which is held)"
             )
         if j.joint_type and j.type != "continuous" and not j.limited:
             raise FreeArtError(f"{urdf}: joint '{j.name}' is {j.type} and has no <limit>, expected lower and upper")

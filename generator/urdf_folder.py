@@ -88,6 +88,9 @@ def write_folder(urdf: Path, folder: Path, skip_missing: bool = False, root: Pat
         for element in [*robot]:
             if element.tag not in ("link", "joint"):
                 robot.remove(element)
+        for joint_element in robot.findall("joint"):
+            if joint_element.get("type") == partnet.FLOATING:  # SAPIEN does not know it
+                joint_element.set("type", "fixed")
         for link in robot.findall("link"):
             for collision in link.findall("collision"):
                 link.remove(collision)
@@ -104,7 +107,7 @@ def write_folder(urdf: Path, folder: Path, skip_missing: bool = False, root: Pat
                 mesh = visual.find("geometry/mesh")
                 assert mesh is not None
                 mesh.set("filename", f"textured_objs/{_write(surface, aside, f'mesh-{count}')}")
-        atomic.write_json(aside / _NOTES, {"notes": gaps.notes()})
+        atomic.write_json(aside / _NOTES, {"notes": [*gaps.notes(), *partnet.floating_notes(read.joints)]})
         atomic.write_bytes(aside / partnet.URDF_NAME, ET.tostring(robot))
     return folder
 

@@ -14,7 +14,7 @@ from freeart21 import __version__
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import movable_joint, read_asset
+from freeart21.files.asset import check_followers, movable_joint, read_asset
 from freeart21.files.atomic import new_folder
 from freeart21.files.lock import only_writer
 from freeart21.files.measured import read_measured
@@ -274,6 +274,7 @@ def _how_far(effect: Effect, kind: JointType) -> str:
 def check_match(asset: Asset, measured: Measured) -> None:
     """Raise FreeArtError when the measured joint is not the asset's."""
     joint = movable_joint(asset.urdf, measured.joint)
+    check_followers(asset.urdf, joint.name, "gap")
     if joint.joint_type != measured.joint_type:
         raise FreeArtError(
             f"{asset.urdf}: joint '{joint.name}' is {joint.joint_type}, but the measurement says {measured.joint_type}"

@@ -23,7 +23,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.urdf import link_poses, read_urdf_joints
 from freeart21.joint import Joint
-from freeart21.mesh import Mesh
+from freeart21.mesh import Mesh, bounding_diagonal
 from generator import objects, partnet
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
 from generator.motion import motion_range
@@ -624,7 +624,6 @@ def test_quirk_13_sapien_reads_our_objects_as_we_do(name: str, folders: dict[str
 @pytest.mark.parametrize(
     ("joint", "message"),
     [
-        (_SLIDE.replace("prismatic", "floating"), "joint 'joint_0' has type 'floating', expected fixed, revolute"),
         (_SLIDE.replace("prismatic", "planar"), "joint 'joint_0' has type 'planar', expected fixed, revolute"),
         (_SLIDE.replace('"prismatic"', '"Hinge"'), "joint 'joint_0' has type 'Hinge', expected fixed, revolute"),
         (
@@ -644,6 +643,60 @@ def test_quirk_14_other_urdfs_of_the_folder_are_not_looked_at(tmp_path: Path) ->
         (folder / name).write_text("<robot/>")
     loaded = partnet.load(folder)
     assert loaded.asset.urdf.name == "mobility.urdf" and len(loaded.child_side.surface.faces) == 12
+
+
+def test_meshes_scaled_without_their_joints_are_told(tmp_path: Path) -> None:
+    """As bounding_box.json has it: a lid whose hinge stays where it was before the meshes were scaled."""
+    link = '<visual><origin xyz="0 {y} 0"/><geometry><mesh filename="textured_objs/{m}.obj" scale="{s} {s} {s}"/>'
+    for scale, hinge, told in ((1, 0.5, False), (0.1, 0.5, True), (0.1, 0.05, False), (0.1, 0.06, False)):
+        lid, body = (link.format(y=y, m=m, s=scale) + "</geometry></visual>" for y, m in ((-hinge, "b"), (0, "a")))
+        joint = (
+            f'<joint name="j" type="revolute"><origin xyz="0 {hinge} 0"/><axis xyz="1 0 0"/><child link="link_0"/>'
+            '<parent link="link_9"/><limit lower="0" upper="1"/></joint>'
+        )
+        text = f'<link name="link_0">{lid}</link>{joint}<link name="link_9">{body}</link>'
+        place = tmp_path / f"{scale}-{hinge}"
+        place.mkdir()
+        folder = _typed(place, text)
+        assert partnet.load(folder).notes == (), "nobody says what its box was"
+        vertices = np.concatenate([read_obj(folder / f"textured_objs/{m}.obj", folder, Gaps()).vertices for m in "ab"])
+        box = {"min": vertices.min(0).tolist(), "max": vertices.max(0).tolist()}
+        (folder / "bounding_box.json").write_text(json.dumps(box))
+        notes = partnet.load(folder).notes
+        assert len(notes) == told, (scale, hinge, notes)
+        if told:
+            assert notes[0].startswith("the assembly disagrees with bounding_box.json: meshes have 0.1 of its size")
+
+
+@real_objects
+def test_of_the_real_objects_one_disagrees_with_its_bounding_box() -> None:
+    for folder in sorted(place for place in REAL.iterdir() if place.is_dir()):
+        joints = read_urdf_joints(folder / "mobility.urdf").values()
+        name = next(joint.name for joint in joints if joint.joint_type)
+        told = [n for n in partnet.load(folder, name).notes if "disagrees with bounding_box.json" in n]
+        assert len(told) == (folder.name == "448"), folder
+
+
+@pytest.mark.parametrize(
+    ("limits", "ends", "note"),
+    [
+        ('lower="-1e30" upper="1e30"', (-0.5, 0.5), "has no limits: it is moved from"),
+        ('lower="0.2" upper="inf"', (0.2, 1.2), "has no upper limit: it is moved from 0.2 to"),
+        ('lower="-1e16" upper="0.2"', (-0.8, 0.2), "has no lower limit: it is moved from"),
+    ],
+)
+def test_a_slider_without_end_goes_as_far_as_the_object_is_large(
+    limits: str, ends: tuple[float, float], note: str, tmp_path: Path
+) -> None:
+    folder = _typed(tmp_path, _LID + _SLIDE.replace('lower="0" upper="0.5"', limits) + _BODY)
+    assert limits in (folder / "mobility.urdf").read_text()
+    loaded = partnet.load(folder)
+    size = bounding_diagonal(loaded.parent_side.surface.mesh(), loaded.child_side.surface.mesh())
+    low, high = (end if end == 0.2 else 0.2 + np.sign(end - 0.2) * size for end in ends)
+    if abs(ends[0]) == abs(ends[1]):
+        low, high = -0.5 * size, 0.5 * size
+    assert (loaded.joint.lower, loaded.joint.upper) == pytest.approx((low, high))
+    assert any(note in line for line in loaded.notes)
 
 
 # --- faults -----------------------------------------------------------------------------------------------------------

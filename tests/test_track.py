@@ -30,6 +30,7 @@ from generator.motion.body import UPRIGHT, Body
 from generator.motion.framing import MARGIN, extent, placed_as_moved
 from generator.motion.plan import PRESETS
 from generator.recorder import RecordSettings, record
+from generator.scene import Scene
 from generator.session import entry_of, load_object, planned
 from generator.urdf_folder import load_urdf
 
@@ -533,6 +534,23 @@ def test_a_wheel_without_limits_takes_any_state(case: Path, tmp_path: Path) -> N
     take = read_track(arctic(tmp_path / "a.npy", np.linspace(0, 7, 12)))
     states, told = track.fitted(take.states, take, body)
     assert states[-1] == 7 and told == {"states": "as taken"}
+
+
+def test_what_follows_and_what_is_free_is_held_and_told(case: Path, tmp_path: Path) -> None:
+    more = """<link name="flap"><visual><geometry><mesh filename="box.obj"/></geometry></visual></link>
+        <joint name="turns" type="continuous"><parent link="box"/><child link="flap"/><axis xyz="0 0 1"/>
+        <mimic joint="hinge" multiplier="-2" offset="0.5"/></joint><link name="world"/>
+        <joint name="free" type="floating"><parent link="world"/><child link="box"/></joint></robot>"""
+    case.write_text(URDF.replace("</robot>", more).replace('upper="1.5"', 'upper="1e30"'))
+    loaded = load_urdf(case, tmp_path / "made")
+    assert loaded.joint.name == "hinge" and loaded.asset.held == {"turns": 0.5}
+    assert loaded.parent_side.links == ("box", "flap", "world")
+    assert loaded.notes == (
+        "joint 'free' is floating: it is held at its origin",
+        "joint 'hinge' has no upper limit: it is moved from 0 to 6.283 rad",
+        "joint 'turns' follows 'hinge' (mimic) and is held at 0.5: only two parts move",
+    )
+    Scene(loaded.asset.urdf, [side.links for side in loaded.sides], Camera.from_fov(64, 36, 0.6), 0.1, 9, "trivial")
 
 
 @needs_objects

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from test_export import reconstruction
 
+from export.check.tree import hold_followers, tree_of_urdf
 from export.exporter import export_result
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import read_asset
-from freeart21.files.urdf import UrdfShape, parsed, read_urdf, read_urdf_joints
+from freeart21.files.asset import check_followers, held_positions, movable_joint, read_asset
+from freeart21.files.urdf import UrdfShape, link_poses, parsed, read_urdf, read_urdf_joints, with_followers
 from freeart21.files.urdf_files import named_file, named_inside
 
 PARTNET = Path(__file__).resolve().parents[2] / "shared" / "partnet_mobility"
@@ -117,7 +118,7 @@ FAULTS = {
     "link 'tip' 2 times": ('<link name="tip"/>', '<link name="tip"/><link name="tip"/>'),
     "joint 'hinge' has axis '0 x 4', expected 3 finite numbers": ("0 3 4", "0 x 4"),
     r"joint 'hinge' has axis \[0.0, 0.0, 0.0\], expected a direction": ("0 3 4", "0 0 0"),
-    "joint 'slide' has effort 'inf', expected a finite number": ('effort="7"', 'effort="inf"'),
+    "joint 'slide' has effort 'nan', expected a finite number": ('effort="7"', 'effort="nan"'),
     "link 'lid': a visual has size '1 2', expected 3": ('1 2 3"/></geom', '1 2"/></geom'),
     "link 'tip' hangs on both joints": (
         "</robot>",
@@ -209,6 +210,46 @@ def test_nobodys_home_is_a_package(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     for name in ("package://me/private.stl", "package://me/../private.stl"):
         with pytest.raises(FreeArtError, match=r"--root DIR"):
             named_file(tmp_path / "me/got/a.urdf", name)
+
+
+def _mimics(text: str, told: str) -> str:
+    """A hinge a, and joints that follow, by <mimic> elements of b and c."""
+    joint = '<joint name="{0}" type="revolute"><parent link="base"/><child link="{0}"/><limit {2}/>{1}</joint>'.format
+    b, c = told.split("|")
+    links = "".join(f'<link name="{name}"/>' for name in ("base", "a", "b", "c"))
+    return f'<robot name="x">{links}{joint("a", "", text)}{joint("b", b, text)}{joint("c", c, text)}</robot>'
+
+
+def test_followers_stand_where_their_leader_puts_them(odd: Path) -> None:
+    follows = '<mimic joint="{}" multiplier="{}" offset="{}"/>'.format
+    odd.write_text(_mimics('lower="0.5" upper="2"', f"{follows('a', -2, 0.25)}|{follows('b', 0.5, 1)}"))
+    joints = read_urdf_joints(odd)
+    assert with_followers(joints, {"a": 0.75}) == {"a": 0.75, "b": -1.25, "c": 0.375}
+    assert held_positions(joints, "a") == {"b": 0.25, "c": 1.125}, "at the scored joint's zero"
+    assert movable_joint(odd).name == "a", "the only one that moves by itself"
+    with pytest.raises(FreeArtError, match=r"joint 'b' follows 'a' \(mimic\), expected one that moves by itself"):
+        movable_joint(odd, "b")
+    with pytest.raises(FreeArtError, match=r"'b' follows 'a' \(mimic\), but gap moves one part alone"):
+        check_followers(odd, "a", "gap")
+    held = hold_followers(tree_of_urdf(read_urdf(odd)))
+    assert [j.name for j in held.movable] == ["a"]
+    np.testing.assert_allclose(held.link_poses({})["c"], link_poses(joints, {"c": 0.5 * (-2 * 0.5 + 0.25) + 1})["c"])
+    for second, said in (("c", "mimics, by way of 'c', itself"), ("d", "mimics 'd', which is no joint")):
+        odd.write_text(_mimics("", f"{follows(second, 1, 0)}|{follows('b', 1, 0)}"))
+        with pytest.raises(FreeArtError, match=said):
+            with_followers(read_urdf_joints(odd), {})
+
+
+@pytest.mark.parametrize("end", ["1e30", "1e16", "1001", "inf", "Infinity"])
+def test_limits_that_nothing_reaches_are_none(odd: Path, end: str) -> None:
+    odd.write_text(_mimics(f'lower="-{end}" upper="{end}" effort="inf"', "|"))
+    joint = read_urdf_joints(odd)["a"]
+    assert (joint.lower, joint.upper, joint.effort) == (-np.inf, np.inf, None)
+    odd.write_text(_mimics(f'lower="0" upper="{end}"', "|"))
+    assert (read_urdf_joints(odd)["a"].lower, read_urdf_joints(odd)["a"].upper) == (0, np.inf)
+    odd.write_text(_mimics('lower="nan" upper="1"', "|"))
+    with pytest.raises(FreeArtError, match="has lower 'nan', expected a finite number"):
+        read_urdf_joints(odd)
 
 
 @pytest.mark.parametrize(

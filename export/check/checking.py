@@ -13,6 +13,7 @@ from export.check.rules import ENGINE_RULES
 from export.check.subject import find_subject
 from export.check.trial_process import ask
 from freeart21.errors import FreeArtError
+from freeart21.files.urdf import read_urdf_joints
 
 ENGINES = tuple(MODULES)
 TIME_LIMIT_S = 60.0
@@ -48,6 +49,7 @@ def check(
         if engine not in ENGINES:
             raise FreeArtError(f"there is no engine '{engine}'; engines: {', '.join(ENGINES)}")
     subject = find_subject(path, root)
+    notes, unknown = _joint_notes(subject.urdf)
     request: dict[str, Any] = {
         "folder": str(subject.folder.absolute()),
         "urdf": subject.urdf and str(subject.urdf.absolute()),
@@ -57,6 +59,7 @@ def check(
     rows, versions, seconds, settings = list(answer.rows), {}, {"file": answer.seconds}, {}
     request["lowest"] = answer.facts.get("lowest")
     blocked = answer.facts.get("blocked", "its files could not be looked through")
+    blocked = blocked or unknown
     for engine in wanted:
         if importlib.util.find_spec(MODULES[engine]) is None:
             versions[engine] = "not installed"
@@ -77,4 +80,15 @@ def check(
         rows += answer.rows
         versions["simcheck"] = str(answer.facts.get("version", ""))
         seconds["simcheck"] = answer.seconds
-    return CheckReport(str(path), tuple(rows), versions, settings, seconds)
+    return CheckReport(str(path), tuple(rows), versions, settings, seconds, notes)
+
+
+def _joint_notes(urdf: Path | None) -> tuple[tuple[str, ...], str]:
+    """What the trials make of a URDF's joints, and why they cannot be held if so; nothing of a file that is none."""
+    try:
+        joints = {} if urdf is None else read_urdf_joints(urdf)
+    except FreeArtError:  # the files' rules say it
+        return (), ""
+    held = (f"joint '{j.name}' follows '{j.mimic[0]}' (mimic): trials hold it" for j in joints.values() if j.mimic)
+    free = [f"joint '{j.name}' is {j.type}" for j in joints.values() if j.joint_type is None and j.type != "fixed"]
+    return tuple(held), f"{free[0]}, and only hinges and sliders are tried" if free else ""

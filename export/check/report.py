@@ -43,6 +43,8 @@ class CheckReport:
     """Engine to the time step and contact settings that it ran with."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Engine to wall time, its start included."""
+    notes: tuple[str, ...] = ()
+    """What was made of the asset before it was judged, a line each."""
 
     @property
     def failed(self) -> tuple[Row, ...]:
@@ -67,6 +69,7 @@ class CheckReport:
             "engines": self.engines,
             "settings": self.settings,
             "seconds": self.seconds,
+            "notes": list(self.notes),
         }
 
 
@@ -88,6 +91,8 @@ def print_report(report: CheckReport) -> None:
         table.add_row(rule, *(marks[worst[rule, e]] if (rule, e) in worst else "" for e in engines))
     console = Console()
     console.print(table)
+    for note in report.notes:
+        print(f"note  {note}")
     for row in report.failed:
         print(f"fail  {row.rule} ({row.engine}): {row.reason}")
     skips: dict[tuple[str, str], list[str]] = {}

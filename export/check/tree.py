@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.files.urdf import Urdf, UrdfInertial
+from freeart21.files.urdf import Urdf, UrdfInertial, with_followers
 from freeart21.joint import Joint, JointType
 from freeart21.se3 import Array
 
@@ -99,12 +99,7 @@ class Tree:
 
     def complete(self, q: Mapping[str, float]) -> dict[str, float]:
         """Positions of all joints that move: `q`, and what follows it."""
-        full = dict(q)
-        for joint in self.joints.values():
-            if joint.mimic is not None:
-                leader, multiplier, offset = joint.mimic
-                full[joint.name] = multiplier * full.get(leader, 0.0) + offset
-        return full
+        return with_followers(self.joints, q)
 
     def link_poses(self, q: Mapping[str, float]) -> dict[str, Array]:
         """Link name to T_root_link (4, 4) at joint positions `q`, rad or m; joints that are not named stand at zero."""
@@ -151,6 +146,16 @@ class Tree:
         return float(sum(gravity * b.mass * (Ts[n] @ [*b.centre, 1.0])[2] for n, b in inertials.items() if n in Ts))
 
 
+def hold_followers(tree: Tree) -> Tree:
+    """The tree with joints that mimic others held where these ask, all as loaded: not every engine obeys a mimic."""
+    full = tree.complete({joint.name: joint.loaded for joint in tree.movable})
+    joints = {
+        name: joint if joint.mimic is None else replace(joint, kind=None, T_parent_child=joint.transform(full[name]))
+        for name, joint in tree.joints.items()
+    }
+    return replace(tree, joints={name: replace(joint, mimic=None) for name, joint in joints.items()})
+
+
 def tree_of_urdf(urdf: Urdf) -> Tree:
     """The tree of a URDF; FreeArtError when it has several roots."""
     place = {name: i for i, name in enumerate(urdf.parents_first)}
@@ -172,5 +177,10 @@ def tree_of_urdf(urdf: Urdf) -> Tree:
         )
         for j in sorted(urdf.joints.values(), key=lambda joint: place[joint.child])
     }
+    low = with_followers(joints, {j.name: j.lower for j in joints.values()})
+    high = with_followers(joints, {j.name: j.upper for j in joints.values()})
+    for name, joint in joints.items():
+        if joint.mimic is not None:  # it goes as far as its leader takes it
+            joints[name] = replace(joint, lower=min(low[name], high[name]), upper=max(low[name], high[name]))
     inertials = {name: link.inertial for name, link in urdf.links.items() if link.inertial is not None}
     return Tree(urdf.root, tuple(urdf.links), joints, inertials)

@@ -23,7 +23,7 @@ from export.check.rules import (
 )
 from export.check.tree import Tree, TreeJoint
 from freeart21 import se3
-from freeart21.files.urdf import UrdfInertial
+from freeart21.files.urdf import LARGEST_LIMIT, UrdfInertial
 from freeart21.se3 import Array
 
 LIMIT_TOLERANCE = 1e-6
@@ -348,7 +348,7 @@ def _span(joint: TreeJoint) -> float:
 
 
 def _without_end(limit: float) -> bool:
-    return not np.isfinite(limit) or abs(limit) > 1e6
+    return not np.isfinite(limit) or abs(limit) > LARGEST_LIMIT
 
 
 def _stack(poses: Mapping[str, Array], names: list[str]) -> Array:

@@ -134,6 +134,7 @@ def _rows(request: dict[str, Any]) -> Iterator[Row]:
         _tell(facts={"version": metadata.version("simcheck")})
         return
     from export.check.engines.base import load_world
+    from export.check.tree import hold_followers
     from export.check.trial import Trial
 
     _tell(facts={"version": metadata.version(engine)})
@@ -142,7 +143,10 @@ def _rows(request: dict[str, Any]) -> Iterator[Row]:
         for rule in ENGINE_RULES:
             yield Row(rule, engine, "skip", "it is tried with URDFs alone")
         return
-    trial = Trial(engine, _tree(urdf, mjcf), request.get("lowest"), partial(load_world, engine, file, folder))
+    tree = _tree(urdf, mjcf)
+    if tree is not None and file == urdf:
+        tree = hold_followers(tree)
+    trial = Trial(engine, tree, request.get("lowest"), partial(load_world, engine, file, folder))
     yield from trial.rows(lambda rule: _tell(trying=rule))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import file_sha256
 from freeart21.files.trust_json import trust_from_json, trust_to_json
-from freeart21.files.urdf import MAX_URDF_BYTES, UrdfJoint, read_urdf_joints
+from freeart21.files.urdf import MAX_URDF_BYTES, UrdfJoint, read_urdf_joints, with_followers
 from freeart21.joint import JointType
 
 ASSET_SCHEMA = "freeart21/asset/1"
@@ -30,7 +31,10 @@ NEUTRAL_BASELINE = {
 
 def movable_joint(urdf: Path, name: str | None = None) -> UrdfJoint:
     """The joint `name`, or the only movable one. FreeArtError lists the movable joints when the choice is not clear."""
-    joints = {j.name: j for j in read_urdf_joints(urdf).values() if j.joint_type}
+    movable = {j.name: j for j in read_urdf_joints(urdf).values() if j.joint_type}
+    if name in movable and (mimic := movable[name].mimic) is not None:
+        raise FreeArtError(f"{urdf}: joint '{name}' follows '{mimic[0]}' (mimic), expected one that moves by itself")
+    joints = {name: joint for name, joint in movable.items() if joint.mimic is None}
     if not joints:
         raise FreeArtError(f"{urdf} has no movable joint, expected a revolute or prismatic one")
     if name is None and len(joints) == 1:
@@ -40,6 +44,28 @@ def movable_joint(urdf: Path, name: str | None = None) -> UrdfJoint:
         kinds = read_semantics(urdf.parent / "semantics.txt")
         raise FreeArtError(f"{urdf}: {wanted}; movable joints: {', '.join(_told(j, kinds) for j in joints.values())}")
     return joints[name]
+
+
+def held_positions(joints: Mapping[str, UrdfJoint], scored: str) -> dict[str, float]:
+    """Joint name to position, rad or m, of all movable joints but `scored`: zero, or the limit nearest to it.
+
+    A joint that mimics another stands as that one asks, `scored` being at zero; it stays there when `scored` moves.
+    """
+    free = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in joints.values() if j.joint_type and j.mimic is None}
+    full = with_followers(joints, {**free, scored: 0.0})
+    return {j.name: full[j.name] for j in joints.values() if j.joint_type and j.name != scored}
+
+
+def check_followers(urdf: Path, joint: str, what: str) -> None:
+    """Raise FreeArtError when joints of the URDF mimic `joint`, with which `what` moves one part alone."""
+    joints = read_urdf_joints(urdf)
+    moved = [with_followers(joints, {joint: q}) for q in (0.0, 1.0)]
+    names = [j.name for j in joints.values() if j.joint_type and j.mimic and moved[0][j.name] != moved[1][j.name]]
+    if names:
+        raise FreeArtError(
+            f"{urdf}: joint '{names[0]}' follows '{joint}' (mimic), but {what} moves one part alone; expected a URDF "
+            "without <mimic>"
+        )
 
 
 def _told(joint: UrdfJoint, kinds: dict[str, str]) -> str:
@@ -124,11 +150,7 @@ def read_asset(path: Path, joint: str | None = None, *, guesses: bool = True, ro
             raise FreeArtError(f"{path} is not an asset: expected asset.json or one URDF, found URDFs: {names}")
         path = checked.require_file(urdfs[0], MAX_URDF_BYTES)
     scored = movable_joint(path, joint)
-    held = {
-        j.name: float(np.clip(0.0, j.lower, j.upper))
-        for j in read_urdf_joints(path).values()
-        if j.joint_type and j.name != scored.name
-    }
+    held = held_positions(read_urdf_joints(path), scored.name)
     return Asset(path, scored.name, scored.parent, scored.child, effects=read_effects(path), held=held, root=root)
 
 

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -27,6 +28,8 @@ _SIZES = {"box": (("size", 3),), "sphere": (("radius", 1),), "mesh": (("scale", 
     ("cylinder", "capsule"), (("radius", 1), ("length", 1))
 )
 """Attributes that give a geometry's size, and how many numbers each holds."""
+LARGEST_LIMIT = 1e3
+"""rad or m: a limit beyond it is none. Files say 1e16 (the default of SDFormat), 1e30 or inf of a joint without end."""
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
@@ -83,9 +86,9 @@ class UrdfJoint:
     axis: Array
     """(3,) unit vector in the joint's frame; only a fixed joint may have (0, 0, 0)."""
     lower: float
-    """rad or m; -inf without a limit."""
+    """rad or m; -inf without a limit, or with one beyond LARGEST_LIMIT."""
     upper: float
-    """rad or m; inf without a limit."""
+    """rad or m; inf likewise."""
     limited: bool
     """Whether there is a <limit> at all."""
     effort: float | None
@@ -213,7 +216,8 @@ class _Builder(ET.TreeBuilder):
 def link_poses(joints: Mapping[str, UrdfJoint], q: Mapping[str, float]) -> dict[str, Array]:
     """Link name to T_root_link (4, 4) at joint positions `q`, rad or m; joints not named stand at zero.
 
-    Covers the links that joints name; these must form trees (`read_urdf` makes sure). Mimics follow nobody here.
+    Covers the links that joints name; these must form trees (`read_urdf` makes sure). A joint that mimics another one
+    stands where `q` says, too: `with_followers` completes it.
     """
     hung = {joint.child for joint in joints.values()}
     Ts = {joint.parent: np.eye(4) for joint in joints.values() if joint.parent not in hung}
@@ -223,6 +227,35 @@ def link_poses(joints: Mapping[str, UrdfJoint], q: Mapping[str, float]) -> dict[
             Ts[joint.child] = Ts[joint.parent] @ joint.transform(q.get(joint.name, 0.0))
             waiting.append(joint.child)
     return Ts
+
+
+class _Follower(Protocol):
+    @property
+    def mimic(self) -> tuple[str, float, float] | None: ...
+
+
+def with_followers(joints: Mapping[str, _Follower], q: Mapping[str, float]) -> dict[str, float]:
+    """`q`, rad or m, and where it puts the joints that mimic others: multiplier times the leader's position + offset.
+
+    A leader that `q` does not name stands at zero. Raises FreeArtError when a leader is no joint, or mimics in turn
+    who mimics it.
+    """
+    full = dict(q)
+    for name, joint in joints.items():
+        factor, shift, at, mimic = 1.0, 0.0, name, joint.mimic
+        for _ in joints:
+            if mimic is None:
+                break
+            at, multiplier, offset = mimic
+            factor, shift = factor * multiplier, shift + factor * offset
+            if at not in joints:
+                raise FreeArtError(f"joint '{name}' mimics '{at}', which is no joint; joints: {', '.join(joints)}")
+            mimic = joints[at].mimic
+        else:
+            raise FreeArtError(f"joint '{name}' mimics, by way of '{at}', itself")
+        if at != name:
+            full[name] = (factor * full.get(at, 0.0) if factor else 0.0) + shift
+    return full
 
 
 def children(joints: Iterable[UrdfJoint]) -> dict[str, list[UrdfJoint]]:
@@ -239,8 +272,8 @@ def told(element: ET.Element, path: str, attribute: str, default: str = "") -> s
     return default if found is None else found.get(attribute, default)
 
 
-def numbers(text: str | None, count: int, what: str) -> Array:
-    """(count,) numbers of an attribute's text; FreeArtError when it is not just these.
+def numbers(text: str | None, count: int, what: str, finite: bool = True) -> Array:
+    """(count,) numbers of an attribute's text, infinite ones if they need not be `finite`; FreeArtError otherwise.
 
     `what` begins the error, such as "a.urdf: joint 'lid' has axis".
     """
@@ -248,7 +281,7 @@ def numbers(text: str | None, count: int, what: str) -> Array:
         values = np.array([float(word) for word in (text or "").split()])
     except ValueError:
         values = np.zeros(0)
-    if len(values) != count or not np.isfinite(values).all():
+    if len(values) != count or np.isnan(values).any() or (finite and np.isinf(values).any()):
         noun = "a finite number" if count == 1 else f"{count} finite numbers"
         raise FreeArtError(f"{what} '{text}', expected {noun}")
     return values
@@ -275,8 +308,16 @@ def _joints(robot: ET.Element, path: Path) -> dict[str, UrdfJoint]:
 def _joint(element: ET.Element, where: str) -> UrdfJoint:
     kind, limit, mimic = element.get("type", ""), element.find("limit"), element.find("mimic")
 
-    def number(tag: str, attribute: str, default: str = "0") -> float:
-        return float(numbers(told(element, tag, attribute, default), 1, f"{where} has {attribute}")[0])
+    def number(tag: str, attribute: str, default: str = "0", finite: bool = True) -> float:
+        return float(numbers(told(element, tag, attribute, default), 1, f"{where} has {attribute}", finite)[0])
+
+    def end(attribute: str) -> float:
+        value = number("limit", attribute, finite=False)
+        return value if abs(value) <= LARGEST_LIMIT else float(np.copysign(np.inf, value))
+
+    def strength(attribute: str) -> float | None:
+        value = number("limit", attribute, finite=False)
+        return value if np.isfinite(value) else None
 
     axis = numbers(told(element, "axis", "xyz", "1 0 0"), 3, f"{where} has axis")
     length = float(np.linalg.norm(axis))
@@ -291,11 +332,11 @@ def _joint(element: ET.Element, where: str) -> UrdfJoint:
         told(element, "child", "link"),
         origin_pose(element, where),
         axis / max(length, 1e-9),
-        -np.inf if unlimited else number("limit", "lower"),
-        np.inf if unlimited else number("limit", "upper"),
+        -np.inf if unlimited else end("lower"),
+        np.inf if unlimited else end("upper"),
         limit is not None,
-        number("limit", "effort") if "effort" in said else None,
-        number("limit", "velocity") if "velocity" in said else None,
+        strength("effort") if "effort" in said else None,
+        strength("velocity") if "velocity" in said else None,
         number("dynamics", "damping"),
         number("dynamics", "friction"),
         None

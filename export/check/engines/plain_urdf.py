@@ -1,4 +1,5 @@
-"""A URDF as engines are given it: as written, but with absolute file names and without what is only looked at."""
+"""A URDF as engines are given it: as written, but with absolute file names, without what is only looked at, and with
+joints that mimic others held (`export.check.tree.hold_followers`)."""
 
 from __future__ import annotations
 
@@ -6,7 +7,9 @@ import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from freeart21.files.urdf import parsed
+from export.check.tree import hold_followers, tree_of_urdf
+from export.urdf import origin_element
+from freeart21.files.urdf import parsed, read_urdf
 from freeart21.files.urdf_files import named_inside
 
 
@@ -19,6 +22,14 @@ def plain_urdf(urdf: Path, folder: Path, extra: ET.Element | None = None) -> Pat
     for element in robot.iter():
         if "filename" in element.attrib:
             element.set("filename", str(named_inside(urdf, element.attrib["filename"], folder)))
+    held = hold_followers(tree_of_urdf(read_urdf(urdf))).joints
+    for joint in robot.findall("joint"):
+        for mimic in joint.findall("mimic"):
+            joint.remove(mimic)
+            joint.set("type", "fixed")
+            for origin in joint.findall("origin"):
+                joint.remove(origin)
+            joint.append(origin_element(held[joint.get("name", "")].T_parent_child))
     if extra is not None:
         robot.insert(0, extra)
     copy = Path(tempfile.mkdtemp()) / "asset.urdf"
