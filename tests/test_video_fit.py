@@ -22,10 +22,12 @@ from perturbed import (
 from synthetic_case import HEIGHT, WIDTH, in_frame, noisy_answer, random_pose, static_answer, truth_as_answer
 
 from freeart21 import se3
+from freeart21.articulation import Articulation
 from freeart21.camera import Camera
 from freeart21.files.benchmark import write_benchmark
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.files.sequence import write_sequence
+from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.recording import Frame, Recording
 from freeart21.truth import Truth
@@ -49,6 +51,15 @@ def filmed(truth: Truth, holes: float = 0.0) -> Recording:
     return Recording(camera, np.arange(len(truth)) / 30, load, name="sequence")
 
 
+def in_units(truth: Truth, metres: float) -> Reconstruction:
+    """The truth in lengths of which one is `metres`."""
+    large, k = in_millimetres(truth), 1 / (1000 * metres)
+    parts = [Mesh(k * part.vertices, part.faces) for part in (large.articulation.reference, large.articulation.moving)]
+    Ts = [se3.pose(T[:, :3, :3], k * T[:, :3, 3]) for T in (large.Ts_camera_reference, large.Ts_camera_moving)]
+    joint = large.articulation.joint  # which is not looked at
+    return replace(large, articulation=Articulation(joint, *parts), Ts_camera_reference=Ts[0], Ts_camera_moving=Ts[1])
+
+
 HONEST: dict[str, Callable[[Truth], Reconstruction]] = {
     "truth": truth_as_answer,
     "noisy": noisy_answer,
@@ -70,7 +81,11 @@ WRONG: dict[str, tuple[Callable[[Truth], Reconstruction], str]] = {
             Ts_camera_reference=opengl(in_millimetres(truth).Ts_camera_reference),
             Ts_camera_moving=opengl(in_millimetres(truth).Ts_camera_moving),
         ),
-        "OpenGL's camera axes (import --axes opengl or --frame opengl) and lengths were in mm",
+        "OpenGL's camera axes (import --axes or --frame, where the layout has one) and lengths were in mm",
+    ),
+    "own_unit": (
+        lambda truth: in_units(truth, 0.25),
+        "if a unit of length were 0.2",
     ),
     "meshes_in_mm": (
         lambda truth: replace(truth_as_answer(truth), articulation=in_millimetres(truth).articulation),
