@@ -15,6 +15,7 @@ from test_export import reconstruction
 
 from export import usd
 from export.exporter import export_result
+from export.maniskill.assets import find_asset
 from export.stated_trust import stated_trust
 from freeart21 import cli
 from freeart21.effects.armature import Armature
@@ -116,3 +117,11 @@ def test_trust_that_is_no_verdict_is_refused_in_one_line(sound: Path, tmp_path: 
         (tmp_path / "object.urdf").write_bytes((sound / "object.urdf").read_bytes())
         with pytest.raises(FreeArtError, match=r"asset.json: .*trust"):
             read_asset(tmp_path)
+
+
+def test_an_environment_warns_of_a_doubtful_asset(doubtful: Path, sound: Path):
+    with pytest.warns(UserWarning, match="was made of a reconstruction that is doubtful: the axis"):
+        find_asset(doubtful)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        find_asset(sound)

@@ -222,7 +222,8 @@ def test_each_break_of_a_file_fails_its_rule_and_no_other(tmp_path: Path, rule: 
 
 
 def test_a_bent_collision_mesh_is_not_convex(tmp_path: Path):
-    assert failed(files_of(with_meshes(tmp_path, bent()))) == ["collision.convex"]
+    fails = {"collision.convex", "collision.true-to-visual"}  # engines take the hull, which fills the bend
+    assert set(failed(files_of(with_meshes(tmp_path, bent())))) == fails
 
 
 def test_an_asset_below_the_ground_does_not_stand_on_it_but_rests(tmp_path: Path):

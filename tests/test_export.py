@@ -588,7 +588,7 @@ BREAKS = {
     "tree: links moving do not hang on the root": ('<parent link="reference" />', '<parent link="moving" />'),
     "tree: a joint names link 'lid'": ('<child link="moving" />', '<child link="lid" />'),
     "names: collision name": ('name="moving_collision_00"', 'name="reference_collision_00"'),
-    "paths: file 'meshes/no.obj' does not exist": ("meshes/moving.obj", "meshes/no.obj"),
+    "paths: file 'meshes/no.obj', which does not exist": ("meshes/moving.obj", "meshes/no.obj"),
     "paths: file '/meshes/moving.obj', expected a relative path": ("meshes/moving.obj", "/meshes/moving.obj"),
     "paths: file 'meshes/a b.obj'": ("meshes/moving.obj", "meshes/a b.obj"),
     "axis: joint 'lid_joint' has an axis of length 2": ('<axis xyz="', '<axis xyz="0 0 2"/><axis xyz="'),
