@@ -2,7 +2,8 @@
 
 If an answer is right, then every frame is explained to the noise, by two motions and no third; both parts were seen;
 each part follows its own motion and not the other's as well; the other joint type, and any other state, explains the
-video worse by far; and states go on evenly, within the reach of what follows pictures. Each sign below is the failure
+video worse by far; states go on evenly, within the reach of what follows pictures; and the surfaces, posed by joint and
+states, lie where the video shows the object, and nowhere else. Each sign below is the failure
 of one of these, by more than matters: lengths are judged against the object's size and what a pixel covers. What was
 measured of right and wrong answers stands beside each constant (benchmarks/trust.py, 320 x 180 pixels, 48 frames).
 """
@@ -55,7 +56,8 @@ TYPE_WORSE = 1.5
 """The other joint type must leave so many times the residual."""
 AXIS_STD, PIVOT_STD_SHARE = np.radians(5.0), 0.05
 """Standard deviations of axis and, in sizes, pivot that an answer may have: what the benchmark calls wrong. Right
-answers: up to 2 degrees, and 2.5 of a hinge that moves by 3; two doors taken for one joint: 22."""
+answers: up to 1.7 degrees, but 5.6 of a monitor that tilts by 31 and 6.4 of a hinge that moves by 3; two doors taken
+for one joint: 62."""
 LITTLE_ANGLE, LITTLE_SHARE = np.radians(10.0), 0.05
 """Motion of the joint, in sizes if it slides, that says little of its axis when the method does not say how much."""
 JUMP, JUMP_ANGLE, JUMP_SHARE = 4.0, np.radians(20.0), 0.1
@@ -64,6 +66,26 @@ distance in sizes. Right answers have steps of 26 degrees among their like."""
 FASTEST = np.radians(15.0)
 """Median turn of a part in one frame. People who handle objects: .1 to 4 degrees, 15 at the 95th percentile; the
 recorder's scripts: 2 to 4."""
+
+LEAST_COVERED = 0.9
+"""Median share of a part's pixels on which its surface is drawn. Right answers: .98 and more; wrong labels: .84
+(a phone), .13 (two doors), .31 (a USB stick); half a surface: .35 to .66; one that is shifted by a tenth of the
+object: .11 to .87; depth of 65535 units taken as metres: 0."""
+MOST_SPILLED = 0.04
+"""Median share of a drawn surface off the mask. Right answers: 0; parts larger by 15 %: .06 to .21; inflated by 3 % of
+the object: .11 to .23."""
+MOST_OFF = 0.015
+"""Median share of a part's pixels whose depth lies off its surface. Right answers: up to .010. Axes off by 10.7, 4.1,
+3.2 and 1.4 degrees: .064, .17, .029 and .021; inflated by 3 % of the object: .85 and more. A tenth of the frames is no
+sign: scissors that are right leave .4 there, where their blades cross."""
+MOST_OFF_COLOUR = 8.0
+"""Median distance of colours. Right answers: up to 1.6, unlit; colours inverted: 17 and more; wrong labels: 9.5."""
+EXTENT_RATIOS = 0.6, 2.0
+"""Extent of a part's surface over the span of its pixels. Right answers: .75 to 1.6; depth of 65535 units taken as
+metres: 570 and 860; half a surface: .5 to 1."""
+LEAST_SURFACE_SEEN = 0.7
+"""Share of a part's surface on which some frame measured depth. Right answers: .80 and more; axes off by 10.7 and 4.1
+degrees: .66 and .56; surfaces shifted by 5 % of the object, or inflated by 3 %: .1 to .6."""
 
 
 def judge(result: Reconstruction, diagnostics: Diagnostics | None = None) -> Trust:
@@ -80,6 +102,7 @@ def judge(result: Reconstruction, diagnostics: Diagnostics | None = None) -> Tru
         d = diagnostics
         reasons += [*_badly_met(d), *_joint_explains_less(d), *_third_motion(d), *_follows_the_other(d)]
         reasons += [*_either_type(d, result.articulation.joint), *_other_states(d, result)]
+        reasons += [text for k in range(len(PARTS)) for text in _surface_elsewhere(d, k)]
     return Trust("doubtful" if reasons else "sound", tuple(reasons))
 
 
@@ -311,6 +334,32 @@ def _other_states(d: Diagnostics, result: Reconstruction) -> list[str]:
         f"a state {_told(away, joint)} away explains {100 * len(rivals) / len(asked):.0f} % of the frames as well, and "
         f"the state moves by up to {_told(step, joint)} between frames: it may be off by as much"
     ]
+
+
+def _surface_elsewhere(d: Diagnostics, k: int) -> list[str]:
+    """What the surface of part `k`, posed by joint and states, has against the video."""
+    part, found = PARTS[k], []
+    covered, spilled, off, colour = (
+        np.zeros(0) if values is None else values[:, k]
+        for values in (d.covered, d.spilled, d.off_surface, d.colour_residual)
+    )
+    ratio, seen = (np.nan if values is None else float(values[k]) for values in (d.extent_ratio, d.seen_share))
+    if not EXTENT_RATIOS[0] <= ratio <= EXTENT_RATIOS[1] and np.isfinite(ratio):
+        found.append(f"the {part} part's surface extends over {ratio:.2g} times what its pixels span")
+    if median(covered) < LEAST_COVERED:
+        found.append(f"the {part} part's surface covers only {100 * median(covered):.0f} % of its pixels in the median")
+    if median(spilled) > MOST_SPILLED:
+        found.append(f"{100 * median(spilled):.0f} % of the {part} part's surface lies off the mask in the median")
+    if median(off) > MOST_OFF:
+        found.append(
+            f"{100 * median(off):.2g} % of the {part} part's pixels lie off its surface in the median: joint, states "
+            "or surface are wrong"
+        )
+    if median(colour) > MOST_OFF_COLOUR:
+        found.append(f"the {part} part's colours are not those of the video: {median(colour):.0f} CIELAB units away")
+    if seen < LEAST_SURFACE_SEEN:
+        found.append(f"only {100 * seen:.0f} % of the {part} part's surface was seen where it is")
+    return found
 
 
 def median(values: Array) -> float:

@@ -32,6 +32,7 @@ from freeart21.trust import judge
 from reconstruct import VERSION, paper_segmentation
 from reconstruct.cache import Kept, Known, Work
 from reconstruct.diagnostics import diagnose, peak_bytes
+from reconstruct.drawn_back import surface_signs
 from reconstruct.evidence import Evidence
 from reconstruct.exchanges import exchanged, undo_exchanges
 from reconstruct.features import HandMade
@@ -172,6 +173,8 @@ class _Video:
 
 def _tracks(recording: Recording, settings: ReconstructSettings, clock: _Clock, with_tracks: bool) -> _Video:
     scene = prepare(recording, settings.scene)
+    if scene.implausible:
+        clock.say(f"{100 * scene.implausible:.2g} % of the object's depths lie implausibly far from it: taken as none")
     tracker = DisTracker(scene, settings.tracks) if with_tracks else None
     evidence = Evidence(scene, settings.evidence, settings.labels)
     return _Video(recording, scene, evidence, tracker, clock.progress)
@@ -289,6 +292,7 @@ def _surfaces(video: _Video, known: Known, settings: ReconstructSettings, rng: n
     size = (camera.width, camera.height)
     diagnostics = diagnose(video.evidence, grown, known.free, settings.poses, settings.joint, settings.seed, size)
     answer = _canonical(articulation, known.appearance, grown, known.free, video.scene, video.recording)
+    diagnostics = replace(diagnostics, **surface_signs(video.scene, answer))
     return Known(answer=replace(answer, trust=judge(answer, diagnostics)), diagnostics=diagnostics)
 
 

@@ -19,6 +19,16 @@ from reconstruct.settings import SceneSettings
 Floats = NDArray[np.float32]
 
 
+LIGHTNESS = 0.3
+"""Weight of lightness in the colour features: shading changes it."""
+FARTHEST = 5.0
+"""Widths of the object (median over the frames of its picture's diagonal at its depth) beyond which a depth is none: a
+sensor's value for "nothing", or a wall seen past the outline. Sixteen recordings, clean and tof, of 13 objects: up to
+1.7 from the frame's median; depth of 65535 units taken as metres: 377."""
+NEAR_TO_FAR = 3.0
+"""Times by which a frame's median depth may differ from that of all frames. The same recordings: .76 to 1.17."""
+
+
 class HopelessError(Exception):
     """The input cannot be solved by anyone, and why: becomes a Failure of the stage that runs."""
 
@@ -55,6 +65,8 @@ class Scene:
     """Metres: standard deviation of the points along z; the plane fits leave but a part of the depth noise."""
     diagonal: float
     """Metres: estimate of the object's size."""
+    implausible: float = 0.0
+    """Share, 0 to 1, of the object's depths that lie too far from it to be its own, and are taken as none."""
 
     def __len__(self) -> int:
         return len(self.mask)
@@ -96,16 +108,18 @@ def prepare(recording: Recording, settings: SceneSettings) -> Scene:
     n = len(recording)
     if n < settings.min_frames:
         raise HopelessError(f"{n} frames, at least {settings.min_frames} are needed")
+    camera = recording.camera
     cuts = [_cut(recording.frame(i), settings.margin) for i in range(n)]
+    implausible = _drop_implausible(cuts, float(camera.K[0, 0]))
     counts = np.array([int((cut.depth > 0).sum()) for cut in cuts])
     surrounded = any(cut.surrounded for cut in cuts)
     if (counts >= settings.min_pixels).sum() < settings.min_frames:
         raise HopelessError(
             f"the foreground masks hold {settings.min_pixels} or more pixels with depth in only "
-            f"{int((counts >= settings.min_pixels).sum())} frames, at least {settings.min_frames} are needed",
+            f"{int((counts >= settings.min_pixels).sum())} frames, at least {settings.min_frames} are needed"
+            + (f"; {100 * implausible:.2g} % of the depths are implausibly far from the object" if implausible else ""),
         )
     boxes = _boxes([cut.box for cut in cuts])
-    camera = recording.camera
     origin, size = _windows(boxes, settings.margin, camera.width, camera.height)
     factor = max(1, math.ceil(math.sqrt(size[0] * size[1] / settings.max_crop_pixels)))
     at = factor // 2
@@ -159,6 +173,7 @@ def prepare(recording: Recording, settings: SceneSettings) -> Scene:
         footprint,
         left,
         _diagonal(points),
+        implausible,
     )
 
 
@@ -216,6 +231,29 @@ def _cut(frame: Frame, margin: int) -> _Cut:
     return _Cut(frame.rgb[kept].copy(), depth, mask, corner, box, bool((frame.depth[kept][~mask] > 0).any()))
 
 
+def _drop_implausible(cuts: list[_Cut], focal: float) -> float:
+    """Set depths to 0 that lie FARTHEST widths or more from the object; returns their share of all depths.
+
+    `focal` in pixels. A frame's object lies at its median depth, or, where most of that is implausible, at that of all
+    frames.
+    """
+    found = {i: float(np.median(cut.depth[cut.depth > 0])) for i, cut in enumerate(cuts) if (cut.depth > 0).any()}
+    if not found:
+        return 0.0
+    usual = float(np.median(list(found.values())))
+    boxes = [cuts[i].box or (0, 0, 0, 0) for i in found]
+    spans = [math.hypot(x1 - x0, y1 - y0) for x0, y0, x1, y1 in boxes]
+    width = float(np.median(spans)) * usual / focal
+    dropped = total = 0
+    for i, depth in found.items():
+        centre = depth if usual / NEAR_TO_FAR < depth < usual * NEAR_TO_FAR else usual
+        measured = cuts[i].depth > 0
+        far = measured & (np.abs(cuts[i].depth - centre) > FARTHEST * width)
+        cuts[i].depth[far] = 0
+        dropped, total = dropped + int(far.sum()), total + int(measured.sum())
+    return dropped / total
+
+
 def _boxes(boxes: list[tuple[int, int, int, int] | None]) -> NDArray[np.int64]:
     """(n, 4) x0, y0, x1, y1 of each mask, ends excluded; an empty mask takes the box of its neighbour in time."""
     known = np.array([i for i, b in enumerate(boxes) if b is not None])
@@ -260,7 +298,7 @@ def _fill_features(begin: int, end: int, rgb: NDArray[np.uint8], mask: NDArray[n
         blurred = cv2.GaussianBlur(lab * inside[..., None], (0, 0), 1.2)
         weight = np.maximum(cv2.GaussianBlur(inside, (0, 0), 1.2), 1e-3)
         features = np.where(mask[i][..., None], blurred / weight[..., None], 0)
-        features[..., 0] *= 0.3
+        features[..., 0] *= LIGHTNESS
         pixels[i, ..., FEATURE : FEATURE + 3] = features
         if mask[i].any():
             pixels[i, ..., OUTSIDE] = cv2.distanceTransform((~mask[i]).astype(np.uint8), cv2.DIST_L2, 3)

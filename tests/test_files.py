@@ -123,7 +123,7 @@ def test_depth_out_of_range_becomes_none():
     from freeart21.files.sequence import encode_depth
 
     np.testing.assert_array_equal(
-        encode_depth(np.array([[0.0, 1e-9, 0.5, 6.5535, 7.0]]), SCALE), [[0, 0, 5000, 65535, 0]]
+        encode_depth(np.array([[0.0, 1e-9, 0.5, 6.5534, 6.5535, 7.0]]), SCALE), [[0, 0, 5000, 65534, 0, 0]]
     )
 
 
@@ -468,3 +468,14 @@ def test_a_folder_that_is_no_asset(tmp_path):
         read_asset(tmp_path)
     with pytest.raises(FreeArtError, match="does not exist"):
         read_asset(tmp_path / "nothing")
+
+
+def test_the_largest_depth_unit_is_no_depth(tmp_path):
+    recording = make_recording()
+    write_sequence(tmp_path / "s", recording, 1e-4)
+    path = tmp_path / "s" / "depth" / "00000.png"
+    units = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    units[:2], units[2:4] = 65535, 65534
+    cv2.imwrite(str(path), units)
+    depth = read_sequence(tmp_path / "s").frame(0).depth
+    assert (depth[:2] == 0).all() and depth[2:4] == pytest.approx(6.5534)

@@ -166,6 +166,23 @@ def test_empty_masks_are_a_failure(hinge):
     assert isinstance(result, Failure) and result.stage == "tracks" and "mask" in result.reason
 
 
+@pytest.mark.parametrize("value", [65.535, 10.0])
+def test_depth_that_cannot_be_the_objects_is_none(hinge, value):
+    """A sensor's value for "nothing", in some pixels of every frame and in nearly all of one."""
+    source, rng = hinge.recording, np.random.default_rng(0)
+
+    def load(i):
+        frame = source.frame(i)
+        wrong = frame.mask & (rng.random(frame.mask.shape) < (0.9 if i == 5 else 0.05))
+        return replace(frame, depth=np.where(wrong, np.float32(value), frame.depth))
+
+    spoilt = prepare(replace(source, load=load), SceneSettings())
+    clean = prepare(source, SceneSettings())
+    assert 0.04 < spoilt.implausible < 0.15 and clean.implausible == 0
+    assert spoilt.diagonal == pytest.approx(clean.diagonal, rel=0.05)
+    assert spoilt.points[spoilt.valid][:, 2].max() < 2 and spoilt.points[spoilt.valid][:, 2].min() > 0.5
+
+
 def test_two_frames_are_a_failure(hinge):
     source = hinge.recording
     result = reconstruct(Recording(source.camera, source.times_s[:2], source.load), QUIET)

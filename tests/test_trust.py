@@ -10,13 +10,15 @@ from test_diagnostics import long_result, sample_diagnostics
 
 from benchmarks import trust as bench
 from freeart21 import se3
+from freeart21.articulation import PARTS, Articulation
 from freeart21.camera import Camera
 from freeart21.cli import DOUBTFUL, _say_answer
 from freeart21.files.diagnostics import diagnostics_from_json, diagnostics_to_json
 from freeart21.joint import Joint
-from freeart21.reconstruction import Trust
+from freeart21.mesh import Mesh
+from freeart21.reconstruction import Reconstruction, Trust
 from freeart21.recording import Frame, Recording
-from freeart21.trust import judge, motion_of
+from freeart21.trust import _surface_elsewhere, judge, motion_of, size_of
 from freeart21.view.diagnosis import remarks
 from generator import session
 from generator.motion import Plan
@@ -27,6 +29,7 @@ from reconstruct.diagnostics import (
     type_residuals,
     unexplained,
 )
+from reconstruct.drawn_back import surface_signs
 from reconstruct.evidence import Evidence
 from reconstruct.growth import Grown, body_points
 from reconstruct.poses import JointedPoses
@@ -43,6 +46,12 @@ def sound_diagnostics(**changes):
         "other_motion_cost": np.full((N, 2), 2.0),
         "rival_distance": np.where(np.arange(N) % 3 == 0, 0.0, np.nan),
         "type_residuals_m": np.array([0.0002, 0.01]),
+        "covered": np.where(np.arange(N)[:, None] % 3 == 0, 1.0, np.nan) * np.ones(2),
+        "spilled": np.zeros((N, 2)),
+        "off_surface": np.full((N, 2), 0.005),
+        "colour_residual": np.ones((N, 2)),
+        "extent_ratio": np.array([1.1, 0.8]),
+        "seen_share": np.array([0.95, 0.9]),
     }
     return replace(sample_diagnostics(N), **{**known, **changes})
 
@@ -69,6 +78,16 @@ def test_a_perfect_answer_is_sound_with_and_without_diagnostics(kind):
         ({"other_motion_cost": np.tile([0.3, 2.0], (N, 1))}, "reference part's pixels follow the other part's motion"),
         ({"type_residuals_m": np.array([0.001, 0.0012])}, "revolute or prismatic cannot be told"),
         ({"rival_distance": np.where(np.arange(N) % 3 == 0, 0.1, np.nan)}, "a state 6° away explains 100 %"),
+        ({"covered": np.tile([1.0, 0.8], (N, 1))}, "the moving part's surface covers only 80 % of its pixels"),
+        ({"spilled": np.tile([0.06, 0.0], (N, 1))}, "6 % of the reference part's surface lies off the mask"),
+        ({"off_surface": np.tile([0.0, 0.03], (N, 1))}, "3 % of the moving part's pixels lie off its surface"),
+        ({"colour_residual": np.tile([20.0, 0.0], (N, 1))}, "reference part's colours are not those of the video: 20"),
+        (
+            {"extent_ratio": np.array([1.0, 860.0])},
+            "the moving part's surface extends over 8.6e+02 times what its pixels",
+        ),
+        ({"extent_ratio": np.array([0.5, 1.0])}, "the reference part's surface extends over 0.5 times what its pixels"),
+        ({"seen_share": np.array([1.0, 0.4])}, "only 40 % of the moving part's surface was seen where it is"),
     ],
 )
 def test_each_measured_sign_alone(changes, words):
@@ -80,6 +99,11 @@ def test_what_is_not_known_is_no_sign():
     nothing = np.full(N, np.nan)
     assert not reasons(unexplained=nothing, other_motion_cost=np.full((N, 2), np.nan), rival_distance=nothing)
     assert not reasons(unexplained=None, other_motion_cost=None, rival_distance=None, type_residuals_m=None)
+    unmeasured, pair = np.full((N, 2), np.nan), np.full(2, np.nan)
+    assert not reasons(
+        covered=unmeasured, spilled=unmeasured, off_surface=unmeasured, extent_ratio=pair, seen_share=pair
+    )
+    assert not reasons(covered=None, spilled=None, off_surface=None, extent_ratio=None, seen_share=None)
 
 
 def test_a_third_motion_in_a_few_frames_is_no_sign():
@@ -189,10 +213,12 @@ def test_the_command_says_it_last_and_in_its_exit_code(tmp_path, capsys):
 
 def test_measured_signs_round_trip(tmp_path):
     found = diagnostics_from_json(diagnostics_to_json(sound_diagnostics()), tmp_path)
-    for name in ("unexplained", "other_motion_cost", "rival_distance", "type_residuals_m"):
+    for name in ("unexplained", "other_motion_cost", "rival_distance", "type_residuals_m", "covered", "seen_share"):
         np.testing.assert_array_equal(getattr(found, name), getattr(sound_diagnostics(), name))
     turned = found.exchanged()
     np.testing.assert_array_equal(turned.other_motion_cost, found.other_motion_cost[:, ::-1])
+    np.testing.assert_array_equal(turned.extent_ratio, found.extent_ratio[::-1])
+    assert turned.type_residuals_m is found.type_residuals_m, "of two types, not of two parts"
 
 
 # ---------------------------------------------------------------- what the solver measures
@@ -369,3 +395,72 @@ def test_a_staged_recording_moves_as_it_says():
         assert session.planned is planned, "and afterwards nothing is staged"
     assert asked == [40] and len(changed.states) == 10
     assert np.ptp(changed.states) == pytest.approx(0.04 * np.ptp(plan.states[::4]))
+
+
+# ---------------------------------------------------------------- the surfaces, drawn over the video
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """The scene of a box that slides in and out of a frame, and its true answer."""
+    clip = make_clip("slide", 16, spin=0.5)
+    meshes = []
+    for boxes in OBJECTS["slide"][:2]:
+        solid = trimesh.util.concatenate([b.subdivide_to_size(0.01) for b in boxes])
+        meshes.append(Mesh(solid.vertices, solid.faces))
+    moving = clip.Ts @ clip.joint.transform(clip.states)
+    parts = Articulation(clip.joint, meshes[0], meshes[1])
+    seen = np.ones((16, 2), bool)
+    answer = Reconstruction(parts, clip.states, clip.Ts, moving, clip.part_masks, seen)
+    return prepare(clip.recording, SceneSettings()), answer
+
+
+def surface_reasons(scene, answer):
+    d = replace(sample_diagnostics(len(answer)), **surface_signs(scene, answer))
+    return {part: " ".join(_surface_elsewhere(d, k)) for k, part in enumerate(PARTS)}
+
+
+def test_true_surfaces_lie_where_the_video_shows_them(drawn):
+    scene, answer = drawn
+    found = surface_signs(scene, answer)
+    assert np.isfinite(found["covered"]).any() and np.nanmin(np.nanmedian(found["covered"], 0)) > 0.97
+    assert np.nanmedian(found["spilled"]) == 0 and np.nanmax(np.nanmedian(found["off_surface"], 0)) < 0.01
+    assert np.isnan(found["colour_residual"]).all(), "these meshes have no colours"
+    assert (abs(found["extent_ratio"] - 1.1) < 0.4).all()
+
+
+@pytest.mark.parametrize(
+    "fault, words",
+    [
+        (lambda v, size: v + 0.1 * size * np.array([0.6, 0.48, 0.64]), "off its surface"),
+        (lambda v, size: v.mean(0) + 1.3 * (v - v.mean(0)), "off its surface"),
+        (lambda v, size: v.mean(0) + 0.7 * (v - v.mean(0)), "covers only"),
+        (lambda v, size: np.where(np.arange(len(v))[:, None] == 0, [0, 0, 97.0], v), "extends over"),
+        (lambda v, size: 1000 * v, "extends over"),
+    ],
+)
+@pytest.mark.parametrize("k", [0, 1])
+def test_a_surface_that_is_elsewhere_is_doubted(drawn, k, fault, words):
+    scene, answer = drawn
+    parts = answer.articulation
+    mesh = parts.part(PARTS[k])
+    wrong = replace(mesh, vertices=fault(mesh.vertices, size_of(answer)))
+    answer = replace(answer, articulation=replace(parts, **{PARTS[k]: wrong}))
+    assert words in surface_reasons(scene, answer)[PARTS[k]]
+
+
+def test_a_part_without_surface_is_doubted(drawn):
+    scene, answer = drawn
+    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
+    found = surface_reasons(scene, replace(answer, articulation=replace(answer.articulation, moving=nothing)))
+    assert "covers only 0 %" in found["moving"]
+
+
+def test_a_wrong_joint_moves_the_surface_off_the_video(drawn):
+    scene, answer = drawn
+    joint = answer.articulation.joint
+    tilted = replace(joint, axis=se3.exp_so3([0, 0.2, 0.2]) @ joint.axis)
+    wrong = replace(answer, articulation=replace(answer.articulation, joint=tilted))
+    assert "off its surface" in surface_reasons(scene, wrong)["moving"]
+    still = replace(answer, states=np.zeros(len(answer)))
+    assert "off its surface" in surface_reasons(scene, still)["moving"]

@@ -64,6 +64,20 @@ class Diagnostics:
     type_residuals_m: Array | None = None
     """(2,) metres: median misfit of the measured poses to the best joint of this type, and to that of the other. If
     known."""
+    covered: Array | None = None
+    """(n, 2) share, 0 to 1, of each part's pixels, off its outline, where the part's surface is drawn when joint and
+    states pose it in that frame. This and what follows: in some frames, if known."""
+    spilled: Array | None = None
+    """(n, 2) share, 0 to 1, of each part's surface, so drawn, that lies off the object's mask and is not hidden."""
+    off_surface: Array | None = None
+    """(n, 2) share, 0 to 1, of each part's pixels on which its surface is drawn, but not where depth was measured."""
+    colour_residual: Array | None = None
+    """(n, 2) median distance of the surface's colours to the picture's: CIELAB, lightness times 0.3."""
+    extent_ratio: Array | None = None
+    """(2,) diagonal of the box round each part's surface over the widest span of its pixels in any frame, at their
+    depth."""
+    seen_share: Array | None = None
+    """(2,) share, 0 to 1, of each part's surface by area where some frame measured depth on it."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -89,20 +103,31 @@ class Diagnostics:
 
     def exchanged(self) -> Diagnostics:
         """The same with the parts' names exchanged."""
-        turned = {name: getattr(self, name)[:, ::-1] for name in _OF_FRAMES}
-        cost = self.other_motion_cost
-        return replace(self, **turned, other_motion_cost=None if cost is None else cost[:, ::-1])
+        turned = {name: getattr(self, name) for name in (*_OF_FRAMES, *_OF_PARTS)}
+        return replace(self, **{name: value[..., ::-1] for name, value in turned.items() if value is not None})
 
 
 _OF_FRAMES = ("pixels", "confidence", "inliers", "outside", "residual_m", "jointed_residual_m")
-_MAY_MISS = ("unexplained", "other_motion_cost", "rival_distance", "type_residuals_m")
-_SHARES = ("confidence", "inliers", "outside", "unexplained")
+_OF_PARTS = (
+    "other_motion_cost",
+    "covered",
+    "spilled",
+    "off_surface",
+    "colour_residual",
+    "extent_ratio",
+    "seen_share",
+)
+_MAY_MISS = ("unexplained", "rival_distance", "type_residuals_m", *_OF_PARTS)
+_SHARES = ("confidence", "inliers", "outside", "unexplained", "covered", "spilled", "off_surface", "seen_share")
 _LENGTHS = ("gate_m", "footprint_m", "noise_m", "diagonal_m")
 
 
 def _shapes(n: int) -> dict[str, tuple[int, ...]]:
     """Of what need not be known."""
-    return dict(zip(_MAY_MISS, ((n,), (n, 2), (n,), (2,)), strict=True))
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_MAY_MISS, (n, 2))
+    shapes.update(dict.fromkeys(("unexplained", "rival_distance"), (n,)))
+    shapes.update(dict.fromkeys(("type_residuals_m", "extent_ratio", "seen_share"), (2,)))
+    return shapes
 
 
 def diagnostics_to_json(diagnostics: Diagnostics) -> dict[str, Any]:

@@ -14,6 +14,8 @@ from freeart21.recording import Frame, Query, Recording
 
 SCHEMA = "freeart21/sequence/1"
 QUERIES_SCHEMA = "freeart21/queries/1"
+NO_DEPTH = 65535
+"""The largest depth unit: cameras write it where they measured nothing, so it is none, as 0 is."""
 MAX_SIDE = 16384
 
 
@@ -52,7 +54,7 @@ def write_queries(folder: Path, queries: tuple[Query, ...]) -> None:
 def encode_depth(depth: np.ndarray, depth_scale: float) -> np.ndarray:
     """uint16 units of a z-depth map, metres; 0 stays none, and what is out of range becomes none."""
     units = np.rint(np.asarray(depth, np.float32) * np.float32(1 / depth_scale))
-    return np.where((units >= 1) & (units <= 65535), units, np.float32(0)).astype(np.uint16)
+    return np.where((units >= 1) & (units < NO_DEPTH), units, np.float32(0)).astype(np.uint16)
 
 
 def write_frame(folder: Path, index: int, frame: Frame, depth_scale: float) -> None:
@@ -104,7 +106,8 @@ def read_sequence(folder: Path) -> Recording:
 
     def load(index: int) -> Frame:
         name = f"{index:05d}.png"
-        depth = checked.read_uint16(folder / "depth" / name, folder).astype(np.float32) * np.float32(scale)
+        units = checked.read_uint16(folder / "depth" / name, folder)
+        depth = np.where(units < NO_DEPTH, units, np.uint16(0)).astype(np.float32) * np.float32(scale)
         mask = checked.read_labels(folder / "mask" / name, folder) > 127
         return Frame(checked.read_rgb(folder / "rgb" / name, folder), depth, mask)
 

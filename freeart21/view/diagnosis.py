@@ -81,6 +81,7 @@ def diagnosis_section(
                 5.0,
             ),
             Chart("Label confidence", "%", _both(percent * d.confidence), "Mean probability of the labels.", 100.0),
+            *_surface_charts(d),
         ]
     charts += [
         Chart(
@@ -102,7 +103,27 @@ def diagnosis_section(
     note = "Grey: frames in which a part was not seen. Nothing here knows the truth."
     if diagnostics is None:
         note += " The method wrote no diagnostics: residuals and confidence are not known."
+    elif diagnostics.extent_ratio is not None and diagnostics.seen_share is not None:
+        extents, shares = diagnostics.extent_ratio, percent * diagnostics.seen_share
+        note += (
+            f" Surfaces of reference and moving part extend over {extents[0]:.2g} and {extents[1]:.2g} times what "
+            f"their pixels span; {shares[0]:.0f} and {shares[1]:.0f} % of them were seen where they are."
+        )
     return curves_section("Frame by frame", tuple(charts), abscissa, timed, unseen, note)
+
+
+def _surface_charts(d: Diagnostics) -> list[Chart]:
+    """What the surfaces, posed by joint and states, look like beside the video, as far as that was measured."""
+    shares = (
+        ("Surface on the pixels", d.covered, "Share of each part's pixels on which its surface is drawn.", 100.0),
+        ("Surface off the mask", d.spilled, "Share of each part's drawn surface off the object's mask.", 5.0),
+        ("Off the surface", d.off_surface, "Share of each part's pixels whose depth lies off its surface.", 5.0),
+    )
+    charts = [Chart(title, "%", _both(100 * v), text, top) for title, v, text, top in shares if v is not None]
+    if d.colour_residual is not None:
+        about = "Median distance of the surface's colours to the picture's, CIELAB, lightness damped."
+        charts.append(Chart("Colours", "CIELAB", _both(d.colour_residual), about))
+    return charts
 
 
 def remarks_section(result: Reconstruction, diagnostics: Diagnostics | None) -> Section:

@@ -1,0 +1,172 @@
+"""The delivered surfaces drawn over the video: whether they are where it shows the object. No truth is asked.
+
+The meshes are posed by the reference part's poses, the joint and its states, as whoever simulates them will pose them.
+What that looks like in some frames is set beside the pictures. `freeart21.trust` judges the figures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21.articulation import PARTS
+from freeart21.mesh import Mesh, bounding_diagonal
+from freeart21.reconstruction import Reconstruction
+from freeart21.se3 import Array
+from freeart21.trust import size_of
+from freeart21.z_buffer import BEHIND, enter
+from reconstruct.evidence import evenly
+from reconstruct.scene import LIGHTNESS, Scene
+
+MOST_DRAWN = 24
+"""Frames, evenly drawn of those that show both parts."""
+RIM = 2
+"""Pixels beside an outline that are not asked: there depth mixes, and a surface ends half a pixel early or late."""
+OFF_SHARE, OFF_NOISE = 0.01, 1.5
+"""A pixel is off the surface by more than this share of the object's size, and so many footprints and standard
+deviations of depth: more than fusion rounds. Twice as much does not tell an axis that is off by 10 degrees from a right
+one: 1.1 % of its part's pixels were off then, as of the right ones; so 6.4 %."""
+LEAST = 20
+"""Fewer pixels tell nothing."""
+
+
+def surface_signs(scene: Scene, answer: Reconstruction) -> dict[str, Any]:
+    """How far the answer's surfaces are what the video shows, by the names of `Diagnostics`' fields."""
+    size = size_of(answer)
+    tolerance = max(OFF_SHARE * size, OFF_NOISE * float(np.hypot(scene.footprint, scene.noise)))
+    meshes = [answer.articulation.part(name) for name in PARTS]
+    frames = evenly(np.flatnonzero(answer.seen.all(1)), MOST_DRAWN)
+    by_frame = {
+        name: np.full((len(answer), 2), np.nan) for name in ("covered", "spilled", "off_surface", "colour_residual")
+    }
+    shown = [np.zeros(len(mesh.vertices), bool) for mesh in meshes]
+    widths = np.zeros(2)
+    for i in map(int, frames):
+        posed = _posed(answer, i)
+        drawn, labels = _draw(scene, i, posed), _labels(scene, answer, i)
+        for k, mesh in enumerate(posed):
+            for name, value in _compare(scene, i, drawn, labels, k + 1, tolerance).items():
+                by_frame[name][i, k] = value
+            shown[k] |= _is_shown(scene, i, mesh, tolerance)
+            widths[k] = max(widths[k], _width(scene, i, labels == k + 1))
+    return by_frame | {
+        "extent_ratio": np.array(
+            [_ratio(bounding_diagonal(m), width) for m, width in zip(meshes, widths, strict=True)]
+        ),
+        "seen_share": np.array(
+            [_area_share(m, s) if len(frames) else np.nan for m, s in zip(meshes, shown, strict=True)]
+        ),
+    }
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """What the rays through a crop's pixels meet first."""
+
+    depth: Array
+    """(h, w) metres, infinite where there is nothing."""
+    part: NDArray[np.uint8]
+    """(h, w) 1 reference, 2 moving, 0 neither."""
+    colours: NDArray[np.float32]
+    """(h, w, 3) of the vertices, RGB 0 to 255; NaN where a mesh has none."""
+
+
+def _posed(answer: Reconstruction, frame: int) -> list[Mesh]:
+    """Both meshes in the camera's frame."""
+    a, T = answer.articulation, answer.Ts_camera_reference[frame]
+    return [a.reference.moved(T), a.moving.moved(T @ a.joint.transform(float(answer.states[frame])))]
+
+
+def _draw(scene: Scene, frame: int, meshes: list[Mesh]) -> _Drawn:
+    shape = scene.mask.shape[1:]
+    depth, part = np.full(shape, np.inf), np.zeros(shape, np.uint8)
+    colours = np.full((*shape, 3), np.nan, np.float32)
+    for k, mesh in enumerate(meshes):
+        if mesh.empty:
+            continue
+        face, weights = np.full(shape, -1), np.zeros((*shape, 3))
+        enter(_at(scene, frame, mesh.vertices), mesh.vertices[:, 2].copy(), mesh.faces, depth, face, weights)
+        on = face >= 0
+        part[on] = k + 1
+        corners = mesh.faces[face[on]]
+        colours[on] = np.nan if mesh.colours is None else np.einsum("nk,nkd->nd", weights[on], mesh.colours[corners])
+    return _Drawn(depth, part, colours)
+
+
+def _at(scene: Scene, frame: int, points_camera: Array) -> Array:
+    """(p, 2) where points (p, 3) lie in the crop of a frame, pixel centres at + 0.5; 0 for those behind the camera."""
+    ahead = points_camera[:, 2] > BEHIND
+    z = np.where(ahead, points_camera[:, 2], 1.0)
+    u = scene.fx * points_camera[:, 0] / z + scene.cx[frame] + 0.5
+    v = scene.fy * points_camera[:, 1] / z + scene.cy[frame] + 0.5
+    return np.where(ahead[:, None], np.stack([u, v], 1), 0.0)
+
+
+def _labels(scene: Scene, answer: Reconstruction, frame: int) -> NDArray[np.uint8]:
+    """(h, w) the answer's part masks in the crop of a frame."""
+    h, w = scene.mask.shape[1:]
+    (x, y), at = scene.origin[frame], scene.factor // 2
+    return np.asarray(answer.part_masks[frame][y + at :: scene.factor, x + at :: scene.factor][:h, :w], np.uint8)
+
+
+def _compare(
+    scene: Scene, frame: int, drawn: _Drawn, labels: NDArray[np.uint8], part: int, tolerance: float
+) -> dict[str, float]:
+    """One frame's figures of a part (1 or 2)."""
+    own, points = labels == part, scene.points[frame]
+    inner = cv2.distanceTransform(own.astype(np.uint8), cv2.DIST_L2, 3) > RIM
+    here = drawn.part == part
+    hidden = (points[..., 2] < 0) & (-points[..., 2] < drawn.depth)  # by a hand
+    spilled = here & (scene.outside[frame] > RIM) & ~hidden
+    met = inner & here & scene.valid[frame]
+    along = np.where(met, drawn.depth, 0) / np.where(met, points[..., 2], 1) - 1
+    distance = np.abs(along * (scene.normals[frame] * points).sum(-1))[met]
+    lab = cv2.cvtColor((np.nan_to_num(drawn.colours) / 255).astype(np.float32), cv2.COLOR_RGB2LAB) * np.array(
+        [LIGHTNESS, 1, 1], np.float32
+    )
+    painted = met & np.isfinite(drawn.colours).all(-1)
+    colour = np.linalg.norm(lab - scene.features[frame], axis=-1)[painted]
+    return {
+        "covered": _mean(here[inner]),
+        "spilled": _mean(spilled[here & ~hidden]),
+        "off_surface": _mean(distance > tolerance),
+        "colour_residual": float(np.median(colour)) if len(colour) >= LEAST else np.nan,
+    }
+
+
+def _mean(values: NDArray[np.bool_]) -> float:
+    return float(values.mean()) if len(values) >= LEAST else np.nan
+
+
+def _is_shown(scene: Scene, frame: int, mesh: Mesh, tolerance: float) -> NDArray[np.bool_]:
+    """(V,) vertices of a posed mesh at which the frame's depth lies within `tolerance`, metres."""
+    h, w = scene.mask.shape[1:]
+    x, y = np.floor(_at(scene, frame, mesh.vertices)).astype(int).T
+    inside = (mesh.vertices[:, 2] > BEHIND) & (x >= 0) & (y >= 0) & (x < w) & (y < h)
+    found = np.zeros(len(mesh.vertices), bool)
+    depth = scene.points[frame, y[inside], x[inside], 2]
+    found[inside] = (depth > 0) & (np.abs(mesh.vertices[inside, 2] - depth) < tolerance)
+    return found
+
+
+def _width(scene: Scene, frame: int, mask: NDArray[np.bool_]) -> float:
+    """Metres across the picture that the pixels of `mask` (h, w) span at their median depth; 0 when they are few."""
+    rows, columns = np.nonzero(mask & scene.valid[frame])
+    if len(rows) < LEAST:
+        return 0.0
+    depth = float(np.median(scene.points[frame, rows, columns, 2]))
+    return float(np.hypot(np.ptp(rows) + 1, np.ptp(columns) + 1)) * depth / scene.fx
+
+
+def _ratio(extent: float, width: float) -> float:
+    return extent / width if width > 0 else np.nan
+
+
+def _area_share(mesh: Mesh, vertices: NDArray[np.bool_]) -> float:
+    """Share of a mesh's area in faces with one of the marked `vertices` (V,)."""
+    areas = mesh.areas()
+    return float(areas[vertices[mesh.faces].any(1)].sum() / areas.sum()) if areas.sum() > 0 else np.nan
