@@ -6,7 +6,8 @@ records what is missing of the videos, solves each that was not solved, asks the
 and the truth (strict-1, from the files), prints the table and writes benchmarks/results/trust.json: how many wrong
 answers are doubted, how many are not, and how many right ones are doubted all the same; and how large the errors of
 axis and pivot are beside the standard deviations that the answers give them. Videos of PartNet-Mobility objects are
-left out without --partnet-root.
+left out without --partnet-root. The surfaces of right answers that are sound are then spoilt, a part and a fault at a
+time (`FAULTS`), and judged again.
 
 An answer is WRONG when it names the other joint type, when its axis is 5 degrees or its pivot 5 % of the diagonal off,
 when its states are off by a tenth of their range on average, or when two joints moved and it tells of one.
@@ -14,7 +15,7 @@ when its states are off by a tenth of their range on average, or when two joints
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -27,13 +28,16 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.common import RESULTS, ROOT, commit, machine
+from freeart21.articulation import PARTS
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.diagnostics import read_diagnostics
 from freeart21.files.result import read_result
+from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
+from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction
-from freeart21.trust import judge
+from freeart21.trust import judge, size_of
 from generator import sensor, session
 from generator.motion import Plan
 from generator.recorder import record
@@ -41,8 +45,11 @@ from generator.sensor import Sensor
 from generator.session import RecordSettings
 from leaderboard.protocols.strict1 import Strict1, measure
 from reconstruct import VERSION
+from reconstruct.drawn_back import surface_signs
 from reconstruct.pipeline import reconstruct_folder
-from reconstruct.settings import ReconstructSettings
+from reconstruct.scene import prepare
+from reconstruct.settings import GaussianSettings, ReconstructSettings, SceneSettings
+from reconstruct.surfaces import vertex_normals
 
 WRONG_AXIS_DEG, WRONG_PIVOT_PERCENT, WRONG_STATES = 5.0, 5.0, 0.1
 """An answer that is farther off is wrong; states by this share of their range."""
@@ -109,6 +116,49 @@ VIDEOS = (
 )
 
 
+def _half(mesh: Mesh) -> Mesh:
+    """What lies beyond the median along its longest side."""
+    longest = int(np.argmax(np.ptp(mesh.vertices, axis=0)))
+    along = mesh.vertices[mesh.faces].mean(1)[:, longest]
+    return mesh.with_faces(along > np.median(along))
+
+
+def _with_far_vertex(mesh: Mesh) -> Mesh:
+    vertices = mesh.vertices.copy()
+    vertices[mesh.faces[0, 0]] += [0, 0, 65.5]
+    return replace(mesh, vertices=vertices)
+
+
+def _scaled(mesh: Mesh, factor: float) -> Mesh:
+    middle = (mesh.vertices.max(0) + mesh.vertices.min(0)) / 2
+    return replace(mesh, vertices=middle + factor * (mesh.vertices - middle))
+
+
+FAULTS: dict[str, Callable[[Mesh, float], Mesh]] = {
+    "shifted by 5 %": lambda m, size: replace(m, vertices=m.vertices + 0.05 * size * np.array([0.6, 0.48, 0.64])),
+    "larger by 15 %": lambda m, size: _scaled(m, 1.15),
+    "smaller by 20 %": lambda m, size: _scaled(m, 0.8),
+    "inflated by 3 %": lambda m, size: replace(
+        m, vertices=m.vertices + 0.03 * size * vertex_normals(m.vertices, m.faces)
+    ),
+    "half is missing": lambda m, size: _half(m),
+    "a vertex at 65.5 m": lambda m, size: _with_far_vertex(m),
+    "colours inverted": lambda m, size: replace(m, colours=None if m.colours is None else 255 - m.colours),
+}
+"""What is done to one part's mesh, given the object's size in metres; per cent are of that, or of the part."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A right answer with one surface spoilt, as it judges itself."""
+
+    video: str
+    part: str
+    fault: str
+    doubtful: bool
+    reasons: tuple[str, ...]
+
+
 @dataclass(frozen=True)
 class Judged:
     """One answer as it judges itself, and as the truth does."""
@@ -135,6 +185,7 @@ def main(
     partnet_root: Path | None = None,
     videos: tuple[str, ...] = (),
     out: Path | None = None,
+    refine: bool = True,
 ) -> None:
     """Record, solve and judge.
 
@@ -147,23 +198,33 @@ def main(
     chosen = [v for v in VIDEOS if (not videos or v.name in videos) and (partnet_root is not None or not v.partnet)]
     if not chosen:
         raise FreeArtError(f"no such videos: {', '.join(videos)}; there are {', '.join(v.name for v in VIDEOS)}")
-    judged = []
+    judged, faults = list[Judged](), list[Fault]()
     for video in chosen:
         data, results = work / "data" / video.name, work / "results" / video.name
         sequence = _recorded(video, data, partnet_root)
         if not (results / sequence / "prediction.json").is_file():
-            settings = ReconstructSettings(progress=False)
+            settings = ReconstructSettings(progress=False, gaussians=GaussianSettings(refine=refine))
             reconstruct_folder(data / "sequences" / sequence, results / sequence, settings)
         judged.append(_judged(video, data, results, sequence))
         _say(judged[-1])
+        if judged[-1].status == "ok" and not judged[-1].wrong and not judged[-1].doubtful:
+            faults += _spoilt(video, data / "sequences" / sequence, results / sequence)
     _print(judged)
+    Console().print_json(data=counted_faults(faults))
     if out is None and len(chosen) < len(VIDEOS):
         return
     content = {
         "summary": summary(judged),
+        "faults_doubted_of": counted_faults(faults),
         "rows": [asdict(one) for one in judged],
+        "faults": [asdict(one) for one in faults],
         "commit": commit(),
-        "settings": {"solver": VERSION, "protocol": "strict-1", "videos": [asdict(v) for v in chosen]},
+        "settings": {
+            "solver": VERSION,
+            "protocol": "strict-1",
+            "refine": refine,
+            "videos": [asdict(v) for v in chosen],
+        },
         "machine": machine(),
     }
     atomic.write_json(out or RESULTS / "trust.json", content)
@@ -238,6 +299,28 @@ def _judged(video: Video, data: Path, results: Path, sequence: str) -> Judged:
     ratios = _over_std(answer, values, truth.diagonal)
     doubtful = trust.verdict == "doubtful"
     return Judged(video.name, "ok", wrong, doubtful, trust.reasons, values, span, *ratios, seconds, video.held_out)
+
+
+def _spoilt(video: Video, sequence: Path, result: Path) -> list[Fault]:
+    """A sound answer with every fault in either surface, judged again."""
+    answer = read_result(result)
+    assert isinstance(answer, Reconstruction)
+    diagnostics = read_diagnostics(result, len(answer))
+    assert diagnostics is not None
+    scene, parts, found = prepare(read_sequence(sequence), SceneSettings()), answer.articulation, []
+    for part in PARTS:
+        for name, spoil in FAULTS.items():
+            mesh = spoil(parts.part(part), size_of(answer))
+            wrong = replace(answer, articulation=replace(parts, **{part: mesh}))
+            trust = judge(wrong, replace(diagnostics, **surface_signs(scene, wrong)))
+            found.append(Fault(video.name, part, name, trust.verdict == "doubtful", trust.reasons))
+    return found
+
+
+def counted_faults(faults: list[Fault]) -> dict[str, tuple[int, int]]:
+    """Of every fault, how many surfaces were doubted, of how many."""
+    asked = {name: [one.doubtful for one in faults if one.fault == name] for name in FAULTS}
+    return {name: (sum(doubted), len(doubted)) for name, doubted in asked.items()}
 
 
 def is_wrong(values: dict[str, float | None], state_range: float) -> bool:

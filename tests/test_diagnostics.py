@@ -28,7 +28,7 @@ from freeart21.recording import Frame, Recording
 from freeart21.trust import motion_of
 from freeart21.view import page
 from freeart21.view.curves import Chart, Curve, curves_section
-from freeart21.view.diagnosis import remarks, remarks_section
+from freeart21.view.diagnosis import diagnosis_section, remarks, remarks_section
 from freeart21.view.parts import axis_in_pictures
 from leaderboard.submission import read_submission
 from reconstruct.cache import Kept, Known, _packed, _read
@@ -488,6 +488,17 @@ def test_page_of_a_result_tells_what_it_should(tmp_path, monkeypatch):
     across = np.array([-line[1], line[0]]) / np.linalg.norm(line)
     assert (true - found[0]) @ across == pytest.approx(np.zeros(2), abs=0.3), "one line, to a tenth of a pixel each"
     assert (true[1] - true[0]) @ line > 0, "and one direction, though this result's axis is turned round"
+
+
+def test_the_page_shows_what_the_surfaces_look_like_in_the_video():
+    shares = np.where(np.arange(60)[:, None] % 3 == 0, 0.5, np.nan) * np.ones(2)
+    found = replace(sample_diagnostics(60), covered=shares, spilled=0.1 * shares, off_surface=0.01 * shares)
+    found = replace(found, colour_residual=shares, extent_ratio=np.array([1.1, 860]), seen_share=np.array([0.9, 0.2]))
+    plain = diagnosis_section(long_result(), sample_diagnostics(60), np.arange(60.0), False)
+    section = diagnosis_section(long_result(), found, np.arange(60.0), False)
+    assert len(section.data["charts"]) == len(plain.data["charts"]) + 4
+    for words in ("Surface off the mask", "Off the surface", "1.1 and 8.6e+02 times", "90 and 20 % of them were seen"):
+        assert words in section.html and words not in plain.html
 
 
 def test_exchanged_parts_take_their_diagnostics_along():

@@ -142,6 +142,14 @@ def test_deviations_of_the_joint_are_those_of_random_solutions_in_the_frame_of_a
     assert poses._joint_std(A, now, seen, centre, 9.0) == pytest.approx(3 * found)
 
 
+def test_the_axis_deviation_carries_its_factor_and_the_lines_does_not():
+    A, now, seen, _, _ = jointed_equations()
+    clouds = [np.random.default_rng(k).normal(size=(50, 3)) for k in range(2)]
+    found = poses.with_std(now, A, seen, clouds, 1.0, 0.01).joint_std
+    plain = np.hypot(poses._joint_std(A.copy(), now, seen, clouds[1].mean(0), 1.0), poses._systematic_std(clouds, 0.01))
+    assert found == pytest.approx(plain * [poses.AXIS_FACTOR, 1.0])
+
+
 def test_a_pose_errs_systematically_by_its_size():
     ends = np.array([[0.05, 0, 0], [-0.05, 0, 0]])
     tilt, shift = poses._systematic_std([ends, ends], 0.003)

@@ -464,3 +464,14 @@ def test_a_wrong_joint_moves_the_surface_off_the_video(drawn):
     assert "off its surface" in surface_reasons(scene, wrong)["moving"]
     still = replace(answer, states=np.zeros(len(answer)))
     assert "off its surface" in surface_reasons(scene, still)["moving"]
+
+
+def test_the_benchmark_counts_spoilt_surfaces_that_are_doubted(drawn):
+    scene, answer = drawn
+    size, mesh = size_of(answer), answer.articulation.moving
+    spoilt = {name: spoil(mesh, size) for name, spoil in bench.FAULTS.items()}
+    assert np.ptp(spoilt["a vertex at 65.5 m"].vertices[:, 2]) > 60
+    assert spoilt["half is missing"].areas().sum() < 0.6 * mesh.areas().sum()
+    faults = [bench.Fault("v", "moving", "larger by 15 %", doubtful, ()) for doubtful in (True, False, True)]
+    counted = bench.counted_faults(faults)
+    assert counted["larger by 15 %"] == (2, 3) and counted["half is missing"] == (0, 0)
