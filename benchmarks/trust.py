@@ -194,6 +194,7 @@ def main(
         partnet_root: Folder that holds PartNet-Mobility objects.
         videos: These alone, by name.
         out: The JSON file. When not given: benchmarks/results/trust.json, and only when all videos are judged.
+        refine: Solve with the Gaussians; a third of the time without.
     """
     chosen = [v for v in VIDEOS if (not videos or v.name in videos) and (partnet_root is not None or not v.partnet)]
     if not chosen:

@@ -467,7 +467,7 @@ def test_a_wrong_joint_moves_the_surface_off_the_video(drawn):
 
 
 def test_the_benchmark_counts_spoilt_surfaces_that_are_doubted(drawn):
-    scene, answer = drawn
+    _, answer = drawn
     size, mesh = size_of(answer), answer.articulation.moving
     spoilt = {name: spoil(mesh, size) for name, spoil in bench.FAULTS.items()}
     assert np.ptp(spoilt["a vertex at 65.5 m"].vertices[:, 2]) > 60
