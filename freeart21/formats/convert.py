@@ -27,6 +27,7 @@ Target = Literal["official", "native", "maniskill"]
 TruthMaker = Callable[[Foreign, Path], Truth]
 """The whole truth of a foreign recording, from a folder of PartNet-Mobility objects; FreeArtError says what lacks."""
 
+_RIM = 0.9  # of the picture's rim: what the mask covers there is no object in the picture, but all around it
 _FARTHER = 10.0  # depth beyond this many times the object's farthest point is given up for a finer scale
 
 
@@ -227,16 +228,17 @@ def _depth_scale(recording: Recording, tick: Callable[[int], None]) -> float:
     """Metres per unit: 1, 2 or 5 times a power of ten, the finest that holds the scene in 16 bits.
 
     What lies beyond ten times the object's farthest point may be lost. Raises FreeArtError when there is no depth, or
-    when masks say nothing: most are empty, or cover the whole picture.
+    when masks say nothing: most are empty, or cover the picture's rim, as inverted ones do.
     """
     farthest = on_object = 0.0
-    empty = full = 0
+    empty = around = 0
     for i, frame in enumerate(recording.frames()):
         farthest = max(farthest, float(frame.depth.max(initial=0)))
         on_object = max(on_object, float(frame.depth[frame.mask].max(initial=0)))
-        empty, full = empty + (not frame.mask.any()), full + bool(frame.mask.all())
+        rim = np.concatenate([frame.mask[[0, -1]].ravel(), frame.mask[:, [0, -1]].ravel()])
+        empty, around = empty + (not frame.mask.any()), around + bool(rim.mean() > _RIM)
         tick(i + 1)
-    for count, what in ((empty, "is empty"), (full, "covers the whole picture")):
+    for count, what in ((empty, "is empty"), (around, "covers the picture's rim")):
         if 2 * count > len(recording):
             raise FreeArtError(
                 f"{recording.name}: the object's mask {what} in {count} of {len(recording)} frames, expected white (or "

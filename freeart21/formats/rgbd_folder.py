@@ -140,9 +140,9 @@ def _pictures(folder: Path, names: tuple[str, ...]) -> dict[str, Path]:
                 raise FreeArtError(f"{place}: {found[path.stem].name} and {path.name} are one frame")
             found[path.stem] = foreign.within(folder, path)
     if not found:
-        kinds = sorted({path.suffix for path in place.iterdir()})
+        kinds = sorted({path.suffix if path.is_file() else f"{path.name}/" for path in place.iterdir()})
         form = "16-bit .png" if names == _DEPTH else ".png or .jpg"
-        raise FreeArtError(f"{place} holds {', '.join(kinds) or 'no'} files, expected {form}: convert them first")
+        raise FreeArtError(f"{place} holds {', '.join(kinds[:5]) or 'no'} files, expected {form} files in it")
     return found
 
 
