@@ -160,8 +160,8 @@ def _row(
         row |= figures(asset, result, truth, _volumes(truth))
         report = check(asset_folder, engines or None)
         row |= {
-            "failed_rules": float(len(report.failed)),
-            "failed": [f"{r.rule} ({r.engine}): {r.reason}" for r in report.failed],
+            "failed_rules": float(len(report.not_passed)),
+            "failed": [f"{r.rule} ({r.engine}): {r.reason}" for r in report.not_passed],
             "passed_rules": sum(r.verdict == "pass" for r in report.rows),
             "check_seconds": sum(report.seconds.values()),
         }

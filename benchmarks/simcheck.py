@@ -104,10 +104,10 @@ def _row(name: str, benchmark: Benchmark, engines: tuple[str, ...], work: Path, 
         "pieces": len(parsed(read_asset(asset).urdf).findall("link/collision")),
         "passed": sum(r.verdict == "pass" and not r.reason.startswith("warn: ") for r in public),
         "skipped": sum(r.verdict == "skip" for r in public),
-        "failed": [f"{r.rule} ({r.engine}): {r.reason}" for r in public if r.verdict == "fail"],
+        "failed": [f"{r.rule} ({r.engine}): {r.reason}" for r in public if r in report.not_passed],
         "warned": [f"{r.rule} ({r.engine}): {r.reason}" for r in public if r.reason.startswith("warn: ")],
         "seconds": report.seconds["simcheck"],
-        "own_failed": [f"{r.rule} ({r.engine}): {r.reason}" for r in report.failed if r not in public],
+        "own_failed": [f"{r.rule} ({r.engine}): {r.reason}" for r in report.not_passed if r not in public],
     }
     if not found["failed"]:  # what failed, for lack of time perhaps, is asked again
         atomic.write_json(kept, {"schema": SCHEMA, "key": key, "row": found})

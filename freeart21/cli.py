@@ -544,7 +544,8 @@ def check_asset(
     """Check any URDF or MJCF, not only ours: named rules on its files, and trials in every installed engine.
 
     It is loaded in each engine, compared with the file's own numbers, pushed through its range, let go, and left to
-    rest on a plane. The exit code is 0 when all rules pass, 3 when one fails, 1 when there is no asset.
+    rest on a plane. The exit code is 0 when all rules pass, 3 when one fails or could not be judged in time (unknown),
+    1 when there is no asset.
 
     Args:
         path: An asset folder, a folder with one URDF or MJCF, or such a file.
@@ -552,7 +553,7 @@ def check_asset(
         engines: Engines to try it in: sapien, mujoco, pybullet, drake; all that are installed when not given.
         simcheck: Run the public checker of that name, too.
         as_json: File for the report: every rule with its verdict, reason, measured number and what it is good for.
-        limit_s: Seconds that the files, and each engine, may take.
+        limit_s: Seconds of processor time that the files, and each engine, may take; three times that by the clock.
     """
     from export.check.checking import check
     from export.check.report import print_report, write_report
@@ -561,7 +562,7 @@ def check_asset(
     if as_json is not None:
         write_report(as_json, report)
     print_report(report)
-    return 0 if report.passed else DOUBTFUL
+    return 0 if report.verdict == "pass" else DOUBTFUL
 
 
 def measure(

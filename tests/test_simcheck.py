@@ -1,4 +1,4 @@
-"""The public checker's findings as rows: errors and what it did not finish fail, warnings are told.
+"""The public checker's findings as rows: errors fail, what it did not finish is unknown, warnings are told.
 
 With a stand-in for it; what needs simcheck itself, an extra, is skipped without it. 8 s with it, else 1 s."""
 
@@ -11,7 +11,7 @@ import pytest
 from little_asset import write_little
 
 from export.check import checking
-from export.check.report import Row
+from export.check.report import CheckReport, Row
 from export.check.simcheck_rules import simcheck_rows
 from export.check.trial_process import Answer
 from freeart21.files.asset import read_asset
@@ -37,7 +37,7 @@ def finding(message: str, **data) -> SimpleNamespace:
     return SimpleNamespace(message=message, data=data)
 
 
-def test_errors_and_what_was_not_finished_fail_and_warnings_are_told(monkeypatch):
+def test_errors_fail_what_was_not_finished_is_unknown_and_warnings_are_told(monkeypatch):
     given = stand_in(
         monkeypatch,
         [
@@ -53,7 +53,7 @@ def test_errors_and_what_was_not_finished_fail_and_warnings_are_told(monkeypatch
         Row("simcheck.b", "simcheck", "pass", "warn: thin"),
         Row("simcheck.c", "simcheck", "fail", "no mass; no shape"),
         Row("simcheck.d", "simcheck/pybullet", "skip", "not installed"),
-        Row("simcheck.e", "simcheck/mujoco", "fail", "warn: did not finish"),
+        Row("simcheck.e", "simcheck/mujoco", "unknown", "warn: did not finish"),
     ]
     assert given[0].thresholds.engine_timeout == 80.0
 
@@ -82,7 +82,7 @@ def test_the_benchmark_counts_what_the_checker_says_and_keeps_what_passed(tmp_pa
     from benchmarks import simcheck
 
     asked, rows = [], [Row("simcheck.a", "simcheck", "pass", "warn: thin"), Row("simcheck.b", "simcheck", "fail", "no")]
-    report = SimpleNamespace(rows=rows, failed=(), seconds={"simcheck": 3.0})
+    report = CheckReport("lid", rows, seconds={"simcheck": 3.0})
     monkeypatch.setattr(simcheck, "check", lambda *given, **also: asked.append(also) or report)
     monkeypatch.setattr(simcheck, "_export", lambda truth, asset, kept: None)
     monkeypatch.setattr(simcheck, "_versions", lambda: {"simcheck": "0.2.0"})

@@ -9,7 +9,7 @@ from typing import Any
 
 from export.check.engines.base import MODULES, SETTINGS
 from export.check.report import CheckReport, Row
-from export.check.rules import ENGINE_RULES
+from export.check.rules import ENGINE_RULES, UNREAD
 from export.check.subject import find_subject
 from export.check.trial_process import ask
 from freeart21.errors import FreeArtError
@@ -17,7 +17,7 @@ from freeart21.files.urdf import read_urdf_joints
 
 ENGINES = tuple(MODULES)
 TIME_LIMIT_S = 60.0
-"""Seconds that the files, or one engine, may take: three times what the heaviest known asset needs."""
+"""Seconds of processor time for the files, or for one engine: three times what the heaviest known asset needs."""
 SIMCHECK_LIMIT_S = 900.0
 """The same of simcheck, which asks 240 points of each contact mesh how deep they are in each of the link's pieces: with
 the square of the pieces. Measured with MuJoCo on an idle machine: 6 s of 58 pieces, 43 s of 226; of 429, 160 s of
@@ -39,7 +39,8 @@ def check(
         root: folder outside of which no file is opened; None is the asset's own or, of a URDF, that of its package.
         engines: names of `ENGINES` to try it in; None is all of them, those that are not installed are skipped.
         simcheck: run the public checker of that name, too, if it is installed.
-        limit_s: seconds that the look through the files, and each engine, may take; simcheck at least 900.
+        limit_s: seconds of processor time that the look through the files, and each engine, may take; simcheck at least
+            900.
 
     Each engine runs in a process of its own, one after the other. Raises FreeArtError when there is no asset at `path`,
     a file is named that lies outside of the root, or an engine is not known.
@@ -58,8 +59,7 @@ def check(
     answer = ask({**request, "engine": "file"}, limit_s)
     rows, versions, seconds, settings = list(answer.rows), {}, {"file": answer.seconds}, {}
     request["lowest"] = answer.facts.get("lowest")
-    blocked = answer.facts.get("blocked", "its files could not be looked through")
-    blocked = blocked or unknown
+    blocked = answer.facts.get("blocked", UNREAD) or unknown
     for engine in wanted:
         if importlib.util.find_spec(MODULES[engine]) is None:
             versions[engine] = "not installed"

@@ -15,7 +15,7 @@ from export.check.contact_rule import contact_row
 from export.check.geometry_rules import shape_findings
 from export.check.mjcf_tree import NotRead, named_files, tree_of_mjcf
 from export.check.report import Row
-from export.check.rules import FILE_RULES, GROUND_M
+from export.check.rules import FILE_RULES, GROUND_M, UNREAD
 from export.check.tree import Tree, tree_of_urdf
 from export.checklist import Files, Finding, shapes_of, urdf_findings
 from export.delivered import Shapes, closed
@@ -44,7 +44,7 @@ def file_rows(
     (None when nothing collides), and 'blocked', why no engine can be expected to load it (empty when nothing speaks
     against it).
     """
-    facts |= {"lowest": None, "blocked": ""}
+    facts |= {"lowest": None, "blocked": UNREAD}
     rows = [_trust(urdf, mjcf)]
     if urdf is None:
         assert mjcf is not None
@@ -54,37 +54,41 @@ def file_rows(
     robot = parsed(urdf)
     findings = urdf_findings(robot, urdf, folder)
     stop = [f for f in findings if f.item == "tree" or f.rule in _FATAL]
-    skipped: dict[str, str] = {}
-    if stop:
-        facts["blocked"] = f"{stop[0].rule} fails"
+    facts["blocked"] = f"{stop[0].rule} fails" if stop else UNREAD
     if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):
         skipped = dict.fromkeys(
             list(FILE_RULES)[list(FILE_RULES).index("inertia.centre-inside") :], "the tree or its files are not whole"
         )
+        yield from rows_of(findings, skipped, rows)
+        return
+    say("mesh.readable")
+    files = partial(named_inside, urdf, root=folder)
+    seen: dict[str, Shapes] = {}
+    findings += _visuals(robot, files, seen)
+    try:
+        tree = tree_of_urdf(read_urdf(urdf))
+        touched = {link.get("name", ""): shapes_of(link, "collision", files) for link in robot.findall("link")}
+    except FreeArtError as error:
+        findings.append(Finding("numbers and meshes", str(error)))
+        facts["blocked"] = "numbers and meshes fails"
+        skipped = dict.fromkeys((*SHAPE_RULES, "dynamics.damped", "stands.on-ground"), facts["blocked"])
+        yield from rows_of(findings, skipped, rows)
+        return
+    findings += _damped(tree)
+    say("stands.on-ground")
+    skipped = {}
+    findings += _ground(tree, touched, facts, skipped)
+    facts["blocked"] = "" if not stop else facts["blocked"]
+    yield from (row for row in rows_of(findings, skipped, rows) if row.rule not in SHAPE_RULES)
+    say("parts.clear")  # from here on it may take long
+    findings = [f for f in findings if f.rule in ("mesh.readable", "inertia.physical")]
+    if findings:
+        skipped = dict.fromkeys(SHAPE_RULES, f"{findings[0].rule} fails")
     else:
-        say("mesh.readable")
-        files = partial(named_inside, urdf, root=folder)
-        seen: dict[str, Shapes] = {}
-        findings += _visuals(robot, files, seen)
-        try:
-            tree = tree_of_urdf(read_urdf(urdf))
-            touched = {link.get("name", ""): shapes_of(link, "collision", files) for link in robot.findall("link")}
-        except FreeArtError as error:
-            findings.append(Finding("numbers and meshes", str(error)))
-            facts["blocked"] = "numbers and meshes fails"
-            skipped = dict.fromkeys((*SHAPE_RULES, "dynamics.damped", "stands.on-ground"), facts["blocked"])
-        else:
-            findings += _damped(tree)
-            say("stands.on-ground")
-            findings += _ground(tree, touched, facts, skipped)
-            if any(f.rule in ("mesh.readable", "inertia.physical") for f in findings):
-                skipped |= dict.fromkeys(SHAPE_RULES, "a mesh cannot be read, or an inertia is none")
-            else:
-                say("parts.clear")
-                findings += shape_findings(tree, seen, touched)
-                say(CONTACT)
-                rows.append(contact_row(seen, touched, folder))
-    yield from rows_of(findings, skipped, rows)
+        findings = list(shape_findings(tree, seen, touched))
+        say(CONTACT)
+        rows.append(contact_row(seen, touched, folder))
+    yield from (row for row in rows_of(findings, skipped, rows) if row.rule in SHAPE_RULES)
 
 
 def rows_of(findings: list[Finding], skipped: dict[str, str], rows: list[Row]) -> Iterator[Row]:
@@ -169,8 +173,7 @@ def _mjcf_rows(mjcf: Path, folder: Path, facts: dict[str, Any], rows: list[Row])
         for file in named_files(mjcf, folder)
         if not file.is_file()
     ]
-    if findings:
-        facts["blocked"] = "paths.exist fails"
+    facts["blocked"] = "paths.exist fails" if findings else ""
     judged = {"paths.exist"}
     try:
         tree = tree_of_mjcf(mjcf)

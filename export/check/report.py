@@ -11,7 +11,8 @@ import freeart21
 from export.check.rules import RULES
 
 SCHEMA = "freeart21/check/1"
-Verdict = Literal["pass", "fail", "skip"]
+Verdict = Literal["pass", "fail", "unknown", "skip"]
+"""'unknown': judging it took more time than allowed. 'skip': it does not apply, or cannot be judged."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +53,15 @@ class CheckReport:
         return tuple(row for row in self.rows if row.verdict == "fail")
 
     @property
-    def passed(self) -> bool:
-        """Whether no rule failed and one at least was judged."""
-        return not self.failed and any(row.verdict == "pass" for row in self.rows)
+    def not_passed(self) -> tuple[Row, ...]:
+        """The rules that fail, and those that could not be judged in time."""
+        return tuple(row for row in self.rows if row.verdict in ("fail", "unknown"))
+
+    @property
+    def verdict(self) -> Verdict:
+        """'fail' when a rule fails, else 'unknown' when one could not be judged in time or none was, else 'pass'."""
+        verdicts = {row.verdict for row in self.rows}
+        return next((v for v in ("fail", "unknown", "pass") if v in verdicts), "unknown")
 
     def to_json(self) -> dict[str, Any]:
         """For a file: everything, and what each rule that appears is good for."""
@@ -63,7 +70,8 @@ class CheckReport:
             "schema": SCHEMA,
             "path": self.path,
             "checked_by": f"freeart21 {freeart21.__version__}",
-            "passed": self.passed,
+            "passed": self.verdict == "pass",
+            "verdict": self.verdict,
             "rows": [asdict(row) for row in self.rows],
             "rules": named,
             "engines": self.engines,
@@ -79,15 +87,17 @@ def print_report(report: CheckReport) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    engines = list(dict.fromkeys(row.engine for row in report.rows if not row.rule.startswith("simcheck.")))
+    own = [row for row in report.rows if not row.rule.startswith("simcheck.")]
+    engines = [e for e in dict.fromkeys(row.engine for row in own) if report.engines.get(e) != "not installed"]
     marks = {"pass": "[green]pass[/]", "fail": "[bold red]fail[/]", "skip": "[dim]skip[/]"}
+    marks["unknown"] = "[yellow]unknown[/]"
     worst: dict[tuple[str, str], Verdict] = {}
-    order: tuple[Verdict, ...] = ("skip", "pass", "fail")
+    order: tuple[Verdict, ...] = ("skip", "pass", "unknown", "fail")
     for row in report.rows:
         key = (row.rule, row.engine)
         worst[key] = max(worst.get(key, "skip"), row.verdict, key=order.index)
     table = Table("rule", *engines, title=escape(f"check-asset {Path(report.path).name}"))
-    for rule in dict.fromkeys(row.rule for row in report.rows if not row.rule.startswith("simcheck.")):
+    for rule in dict.fromkeys(row.rule for row in own):
         table.add_row(rule, *(marks[worst[rule, e]] if (rule, e) in worst else "" for e in engines))
     console = Console()
     console.print(table)
@@ -95,20 +105,24 @@ def print_report(report: CheckReport) -> None:
         print(f"note  {note}")
     for row in report.failed:
         print(f"fail  {row.rule} ({row.engine}): {row.reason}")
-    skips: dict[tuple[str, str], list[str]] = {}
-    for row in report.rows:
-        if row.verdict == "skip" and not row.rule.startswith("simcheck."):
-            skips.setdefault((row.engine, row.reason), []).append(row.rule)
-    for (engine, reason), rules in skips.items():
-        which = rules[0] if len(rules) == 1 else f"{len(rules)} rules"
-        print(f"skip  {which} ({engine}): {reason}")
+    for verdict in ("unknown", "skip"):
+        groups: dict[str, list[Row]] = {}
+        for row in report.rows if verdict == "unknown" else own:
+            if row.verdict == verdict:
+                groups.setdefault(row.reason, []).append(row)
+        for reason, rows in groups.items():
+            rules, where = ({getattr(row, key) for row in rows} for key in ("rule", "engine"))
+            which = next(iter(rules)) if len(rules) == 1 else f"{len(rules)} rules"
+            print(f"{verdict}  {which} ({', '.join(sorted(where))}): {reason}")
     theirs = [row for row in report.rows if row.rule.startswith("simcheck.")]
     for row in theirs:
         if row.verdict == "pass" and row.reason.startswith("warn: "):
             print(f"note  {row.rule} ({row.engine}): {row.reason.removeprefix('warn: ')}")
     for engine, seconds in report.seconds.items():
         settings = f"; {report.settings[engine]}" if engine in report.settings else ""
-        print(f"{engine} {report.engines.get(engine, '')}: {seconds:.1f} s{settings}")
+        print(f"{' '.join((engine, report.engines.get(engine, ''))).strip()}: {seconds:.1f} s{settings}")
+    count = {v: sum(row.verdict == v for row in report.rows) for v in ("fail", "unknown")}
+    print(f"{report.verdict}: rules that fail: {count['fail']}, that could not be judged in time: {count['unknown']}")
 
 
 def write_report(path: Path, report: CheckReport) -> None:

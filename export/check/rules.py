@@ -60,6 +60,8 @@ class Rule:
     """Who suffers when it is not."""
 
 
+UNREAD = "its files could not be looked through"
+"""Why no engine is tried."""
 FILE_RULES: dict[str, Rule] = {
     "trust.sound": Rule("the reconstruction that it was made of trusts itself", "believing its shape and its joint"),
     "numbers and meshes": Rule("numbers and meshes can be read", "anything at all"),

@@ -14,8 +14,8 @@ _VERDICTS: dict[str, Verdict] = {"fail": "fail", "skip": "skip"}
 
 def simcheck_rows(file: Path, limit_s: float) -> Iterator[Row]:
     """A row for each of its checks and engines; ids are its own, behind `simcheck.`. All settings are its own, too, but
-    the seconds that it gives its engines, 240, are what is left of `limit_s`. What it did not finish fails, though it
-    only warns of that."""
+    the seconds that it gives its engines, 240, are what is left of `limit_s`. What it did not finish is unknown,
+    though it only warns of that."""
     from simcheck.config import Config, Thresholds
     from simcheck.core import check_file
 
@@ -26,5 +26,5 @@ def simcheck_rows(file: Path, limit_s: float) -> Iterator[Row]:
         engine = f"simcheck/{result.engine}" if result.engine else "simcheck"
         reason = (level + (told or result.note or ""))[:600]
         unfinished = any(finding.data.get("incomplete") for finding in result.findings)
-        verdict = "fail" if unfinished else _VERDICTS.get(result.status, "pass")
+        verdict: Verdict = "unknown" if unfinished else _VERDICTS.get(result.status, "pass")
         yield Row(f"simcheck.{result.id}", engine, verdict, reason)

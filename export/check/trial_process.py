@@ -7,7 +7,9 @@ has, each after a mark, whatever native code prints in between.
 from __future__ import annotations
 
 import json
+import math
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -19,7 +21,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from export.check.report import Row
+from export.check.report import Row, Verdict
 from export.check.rules import ENGINE_RULES, FILE_RULES
 from freeart21 import child
 from freeart21.errors import FreeArtError
@@ -27,6 +29,8 @@ from freeart21.errors import FreeArtError
 MARK = "freeart21-check:"
 _MEMORY = 12 << 30
 """Bytes of address space that a trial may take."""
+WALL = 3
+"""Times the processor time allowed that may go by: what is left of a core that two others use, too."""
 _LONGEST_OUTPUT = 4 << 20
 
 
@@ -41,7 +45,8 @@ class Answer:
 
 
 def ask(request: dict[str, Any], limit_s: float) -> Answer:
-    """The rows of one stage, asked in a process of its own; a rule at which it crashed or hung has failed."""
+    """The rows of one stage, asked in a process of its own; a rule at which it crashed has failed, one at which it took
+    more than `limit_s` of processor time, or `WALL` times that by the clock, is unknown."""
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as place, tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
@@ -52,10 +57,11 @@ def ask(request: dict[str, Any], limit_s: float) -> Answer:
             env={**_environment(), "TMPDIR": place},
         )
         end = ""
+        verdict: Verdict = "fail"
         try:
-            process.communicate(json.dumps(request).encode(), timeout=limit_s)
+            process.communicate(json.dumps({**request, "cpu_s": limit_s}).encode(), timeout=WALL * limit_s)
         except subprocess.TimeoutExpired:
-            end = f"it took more than {limit_s:g} s"
+            end, verdict = f"it took more than {WALL * limit_s:g} s", "unknown"
         finally:
             process.kill()
             process.wait()
@@ -63,10 +69,12 @@ def ask(request: dict[str, Any], limit_s: float) -> Answer:
         lines = said.read(_LONGEST_OUTPUT).decode(errors="replace").splitlines()
         errors.seek(0)
         last = (errors.read(_LONGEST_OUTPUT).decode(errors="replace").strip().splitlines() or [""])[-1][:200]
+    if process.returncode == -signal.SIGXCPU:
+        end, verdict = f"it took more than {limit_s:g} s of processor time", "unknown"
     if not end and process.returncode != 0:
         how = f"signal {-process.returncode}" if process.returncode < 0 else f"exit code {process.returncode}"
         end = f"it ended the engine ({how}){': ' + last if last else ''}"
-    return _understood(request["engine"], lines, end, time.monotonic() - began)
+    return _understood(request["engine"], lines, end, verdict, time.monotonic() - began)
 
 
 def _environment() -> dict[str, str]:
@@ -76,7 +84,7 @@ def _environment() -> dict[str, str]:
     return {**os.environ, **dict.fromkeys(threads, "1")}
 
 
-def _understood(engine: str, lines: list[str], end: str, seconds: float) -> Answer:
+def _understood(engine: str, lines: list[str], end: str, verdict: Verdict, seconds: float) -> Answer:
     rows: list[Row] = []
     facts: dict[str, Any] = {}
     trying = ""
@@ -88,11 +96,12 @@ def _understood(engine: str, lines: list[str], end: str, seconds: float) -> Answ
             if "row" in told:
                 rows.append(Row(**told["row"]))
     if end:
-        rules = list(FILE_RULES if engine == "file" else ENGINE_RULES)
+        rules = {"file": list(FILE_RULES), "simcheck": ["simcheck.finished"]}.get(engine, list(ENGINE_RULES))
         done = {row.rule for row in rows}
         failed = trying or rules[0]
-        rows.append(Row(failed, engine, "fail", end))
-        rows += [Row(r, engine, "skip", "not reached") for r in rules if r not in done and r != failed]
+        rows.append(Row(failed, engine, verdict, end))
+        left: Verdict = "unknown" if verdict == "unknown" else "skip"
+        rows += [Row(r, engine, left, "not reached") for r in rules if r not in done and r != failed]
     return Answer(tuple(rows), facts, seconds)
 
 
@@ -104,6 +113,8 @@ def main() -> None:
     request = json.loads(sys.stdin.read())
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    cpu_s = max(1, math.ceil(request["cpu_s"]))
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
     try:
         for row in _rows(request):
             _tell(row=asdict(row))
@@ -122,7 +133,7 @@ def _rows(request: dict[str, Any]) -> Iterator[Row]:
         from export.check.file_rules import file_rows
 
         facts: dict[str, Any] = {}
-        yield from file_rows(urdf, mjcf, folder, facts, lambda rule: _tell(trying=rule))
+        yield from file_rows(urdf, mjcf, folder, facts, lambda rule: _tell(trying=rule, facts=facts))
         _tell(facts=facts)
         return
     if engine == "simcheck":
