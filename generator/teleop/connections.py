@@ -66,6 +66,7 @@ class Connections:
         listener.setblocking(False)
         try:
             while True:
+                await asyncio.sleep(0)  # where many wait to be taken, nothing else would run
                 try:
                     connected, peer = await loop.sock_accept(listener)
                 except OSError as error:
