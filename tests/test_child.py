@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from little_asset import write_little
 
 from freeart21 import child
 
@@ -91,3 +92,53 @@ def test_the_workers_of_a_pool_do_not_import_from_the_working_folder(tmp_path):
     done = subprocess.run(command, cwd=tmp_path / "user", capture_output=True, text=True, check=False, timeout=60)
     assert (done.stdout, done.returncode) == ("True\n", 0), done.stderr
     assert not marker.exists(), marker.read_text()
+
+
+def _measure(folder: Path) -> list[list[str]]:
+    """A pendulum's recording in a MAT file: measured, and compared to its simulation."""
+    from gap_case import asset_of, measured_of
+    from scipy.io import savemat
+
+    for run in measured_of(3, runs=2, seconds=1.5).runs:
+        savemat(folder / f"{run.name}.mat", {"t": run.times_s, "q": run.q})
+    asset_of(folder)
+    files = ["run_0.mat", "run_1.mat", "--unit-q", "rad", "--held-out", "run_1"]
+    return [
+        ["measure", *files, "--asset", "bob.urdf", "--out", "set"],
+        ["gap", "bob.urdf", "set/measured", "--out", "gap"],
+    ]
+
+
+def _check_asset(folder: Path) -> list[list[str]]:
+    write_little(folder / "little")
+    return [["check-asset", "little/lid_box.urdf"]]
+
+
+def _score(folder: Path) -> list[list[str]]:
+    from score_case import submit, truths, write_data
+
+    write_data(folder / "data")
+    submit(folder / "results" / "a", truths()["a"], renders=False)
+    return [["score", "results", "--data", "data", "--out", "scores.json"]]
+
+
+def _record(folder: Path) -> list[list[str]]:
+    small = ["--frames", "2", "--queries", "0", "--width", "64", "--height", "36", "--shader", "trivial"]
+    return [["record", "stapler", "flip_lighter", "--workers", "2", *small, "--out", "made"]]
+
+
+@pytest.mark.parametrize("prepare", [_measure, _check_asset, _score, _record, lambda folder: [["doctor", "--json"]]])
+def test_no_command_runs_what_lies_in_its_folder(tmp_path, prepare):
+    commands = prepare(tmp_path)
+    marker = trapped(tmp_path)
+    for words in commands:
+        done = subprocess.run(
+            [sys.executable, "-m", "freeart21", *words],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode in (0, 3) or words[0] == "doctor", done.stderr
+        assert not marker.exists(), (words, marker.read_text())
