@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import io
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -22,6 +23,8 @@ from freeart21.files.asset import read_asset
 from freeart21.files.urdf import LARGEST_LIMIT, link_poses, numbers, origin_pose, parsed, read_urdf_joints, told
 from freeart21.files.urdf_files import missing_file, named_inside
 from freeart21.se3 import Array
+from freeart21.view.mesh_pieces import read_pieces
+from freeart21.view.simplify import joined
 from generator.simulate import joint_motion
 
 MAX_MESH_BYTES = 256 << 20
@@ -323,12 +326,23 @@ def _solid(shape: ET.Element, files: Files, where: str) -> trimesh.Trimesh | Non
             return trimesh.creation.capsule(float(size("length")[0]), float(size("radius")[0]))
         case "mesh":
             path = files(shape.get("filename", ""))
-            try:
-                loaded = trimesh.load_mesh(checked.require_file(path, MAX_MESH_BYTES, checked.ANYWHERE), process=False)
-            except Exception as error:
-                raise FreeArtError(f"{path} is not a readable mesh: {error}") from error
+            loaded = read_solid(path)
             return loaded.apply_scale(size("scale", 3, "1 1 1"))
     return None
+
+
+def read_solid(path: Path) -> trimesh.Trimesh:
+    """The triangles of a mesh file, equal corners joined unless it is an OBJ, which says itself which are one."""
+    if path.suffix.lower() != ".obj":
+        mesh = joined(*(piece.mesh for piece in read_pieces(path, path.parent)))
+        solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+        solid.merge_vertices(merge_tex=True, merge_norm=True)
+        return solid
+    data = io.BytesIO(checked.read_bytes(path, MAX_MESH_BYTES, checked.ANYWHERE))
+    try:
+        return trimesh.load_mesh(data, file_type="obj", process=False, skip_materials=True)
+    except Exception as error:
+        raise FreeArtError(f"{path} is not a readable mesh: {error}") from error
 
 
 def _words(path: Path, key: str) -> list[str]:

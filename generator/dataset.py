@@ -100,7 +100,7 @@ def jobs_of(names: Sequence[str], settings: RecordSettings) -> list[Job]:
     given, jobs = settings, []
     for name in dict.fromkeys(names):
         settings = given
-        if name.lower().endswith(urdf_folder.ENDINGS):
+        if name.lower().endswith(urdf_folder.URDF_ENDINGS):
             settings = replace(given, urdf=checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE))
             name = urdf_folder.object_name(Path(name))
         entry = entry_of(name, settings)

@@ -60,6 +60,9 @@ class Gaps:
     transparent: set[str] = field(default_factory=set)
     """Material libraries with a material that lets light through."""
 
+    axes: set[str] = field(default_factory=set)
+    """COLLADA files that say that another axis than z points up."""
+
     def notes(self) -> tuple[str, ...]:
         """One line for each kind of gap."""
         told = (
@@ -67,6 +70,7 @@ class Gaps:
             (self.empty, "meshes without faces are left out"),
             (self.libraries, "absent material libraries leave plain grey"),
             (self.pictures, "absent pictures leave the plain colour"),
+            (self.axes, "COLLADA's <up_axis> is not heeded, as in RViz: meshes stand as they are written"),
             (self.transparent, "materials are transparent: colour shows what is behind them, depth and mask do not"),
         )
         return tuple(f"{what}: {_few(names)}" for names, what in told if names)

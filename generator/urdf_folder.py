@@ -1,16 +1,15 @@
-"""Any URDF with meshes, brought into the shape of a PartNet-Mobility folder, which the one loader reads.
+"""Any URDF that shows something, brought into the shape of a PartNet-Mobility folder, which the one loader reads.
 
-Meshes (OBJ, STL, PLY) become OBJ files with a picture for every colour. A visual that the URDF gives a colour has it;
-else the mesh's own materials count, else it is grey. A mesh that bounds no volume (open, or faces of it turned round)
-is drawn twice, once a side, as PartNet-Mobility's are: renderers show a face from its front alone. Collision shapes are
-left out; joints, inertia, origins and scales stay as they are. What the URDF and its meshes name lies in one folder,
-the root (`freeart21.files.urdf_files`).
+Meshes (`freeart21.view.mesh_pieces`) and primitives become OBJ files with a picture for every colour. A visual that the
+URDF gives a colour has it; else the mesh's own materials count, else it is grey. A mesh that bounds no volume (open, or
+faces of it turned round) is drawn twice, once a side, as PartNet-Mobility's are: renderers show a face from its front
+alone. Collision shapes are left out; joints, inertia, origins and scales stay as they are. What the URDF and its meshes
+name lies in one folder, the root (`freeart21.files.urdf_files`).
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +22,9 @@ from freeart21.files import atomic, checked
 from freeart21.files.asset import movable_joint
 from freeart21.files.urdf import UrdfShape, parsed
 from freeart21.files.urdf_files import file_names, find_root, missing_file, named_inside
+from freeart21.view.link_shapes import primitive
+from freeart21.view.mesh_pieces import ENDINGS, read_pieces, up_axis
+from freeart21.view.obj import Piece
 from generator import partnet, textures
 from generator.model import SHINE
 from generator.partnet_files import MAX_OBJ_BYTES, Gaps, read_obj
@@ -31,11 +33,10 @@ from generator.surface import Paint, Surface
 _NOTES = "notes.json"
 """What the URDF's folder lacks, kept beside what was made of it."""
 _GREY = np.full(3, 153, np.uint8)
-_OTHERS = (".stl", ".ply")
 _BEYOND = 1e6  # a coordinate beyond this is no object's
 
 
-ENDINGS = (".urdf", ".xacro")
+URDF_ENDINGS = (".urdf", ".xacro")
 """Of the files that are taken for URDFs; what xacro is, their reader says."""
 
 
@@ -104,8 +105,12 @@ def write_folder(urdf: Path, folder: Path, skip_missing: bool = False, root: Pat
                 surface = surface if _bounds_volume(surface) else _both_sides(surface)
                 for own in visual.findall("material"):
                     visual.remove(own)
-                mesh = visual.find("geometry/mesh")
-                assert mesh is not None
+                geometry = visual.find("geometry")
+                assert geometry is not None
+                mesh = geometry[0]
+                if mesh.tag != "mesh":
+                    mesh.clear()
+                    mesh.tag = "mesh"
                 mesh.set("filename", f"textured_objs/{_write(surface, aside, f'mesh-{count}')}")
         atomic.write_json(aside / _NOTES, {"notes": [*gaps.notes(), *partnet.floating_notes(read.joints)]})
         atomic.write_bytes(aside / partnet.URDF_NAME, ET.tostring(robot))
@@ -119,45 +124,52 @@ def clear_notes(folder: Path) -> None:
 
 def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, root: Path, gaps: Gaps) -> Surface | None:
     """What a visual shows, in its mesh's own frame; None where its file is absent and may be."""
-    if shape.kind != "mesh" or not shape.filename:
-        raise FreeArtError(f"{where} has a visual that is a {shape.kind or 'nothing'}, expected <mesh filename=...>")
     if not shape.size.all():
-        raise FreeArtError(f"{where} has a mesh of scale {shape.size.tolist()}, expected none to be zero")
-    path, ending = named_inside(urdf, shape.filename, root), Path(shape.filename).suffix.lower()
-    if ending not in (".obj", *_OTHERS):
-        raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected .obj, {' or '.join(_OTHERS)}")
-    if not path.is_file():
-        if skip_missing:
-            gaps.meshes.add(shape.filename)
-            return None
-        absent = missing_file(urdf, shape.filename, root)
-        raise FreeArtError(f"{where} names the mesh {absent}; --skip-missing leaves absent meshes out")
-    surface = read_obj(path, root, gaps) if ending == ".obj" else _read_plain(path, ending)
+        raise FreeArtError(f"{where} has a {shape.kind} of size {shape.size.tolist()}, expected none to be zero")
+    if shape.kind != "mesh":
+        surface = _joined([Piece(primitive(shape, f"{where} has a visual"))])
+    else:
+        path = named_inside(urdf, shape.filename, root)
+        if path.suffix.lower() not in ENDINGS:
+            raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected {', '.join(ENDINGS)}")
+        if not path.is_file():
+            if skip_missing:
+                gaps.meshes.add(shape.filename)
+                return None
+            absent = missing_file(urdf, shape.filename, root)
+            raise FreeArtError(f"{where} names the mesh {absent}; --skip-missing leaves absent meshes out")
+        if path.suffix.lower() == ".obj":
+            surface = read_obj(path, root, gaps)
+        else:
+            surface = _joined(read_pieces(path, root))
+            if path.suffix.lower() == ".dae" and up_axis(path, root) in ("X_UP", "Y_UP"):
+                gaps.axes.add(shape.filename)
+            if not (np.abs(surface.vertices) < _BEYOND).all():
+                raise FreeArtError(f"{path} has vertices beyond {_BEYOND:g}")
     if shape.rgba is None:
         return surface
     colour = Paint(np.rint(255 * np.clip(shape.rgba[:3], 0, 1)).astype(np.uint8))
     return replace(surface, paint=np.zeros_like(surface.paint), paints=(colour,))
 
 
-def _read_plain(path: Path, ending: str) -> Surface:
-    """The triangles of a mesh file without materials."""
-    data = checked.read_bytes(path, MAX_OBJ_BYTES, checked.ANYWHERE)
-    try:
-        mesh = trimesh.load_mesh(io.BytesIO(data), file_type=ending[1:])
-        vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
-    except Exception as error:  # trimesh raises of many kinds
-        raise FreeArtError(f"{path} is not a readable {ending} file: {' '.join(str(error).split())}") from error
-    if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
-        raise FreeArtError(f"{path} is not a readable {ending} file: it has no faces, or they name absent vertices")
-    if not (np.abs(vertices) < _BEYOND).all():
-        raise FreeArtError(f"{path} has vertices that are not finite or beyond {_BEYOND:g}")
-    count = len(vertices)
-    return Surface(vertices, faces, np.zeros((count, 2)), np.zeros(count, np.int64), (Paint(_GREY),))
+def _joined(pieces: list[Piece]) -> Surface:
+    """Pieces as one surface: each with its picture, or the mean of its colours, or grey."""
+    return Surface.joined([_painted(piece) for piece in pieces])
+
+
+def _painted(piece: Piece) -> Surface:
+    mesh, count = piece.mesh, len(piece.mesh.vertices)
+    colour = _GREY if mesh.colours is None else np.rint(mesh.colours.mean(0)).astype(np.uint8)
+    paint = Paint(colour) if piece.picture is None else Paint(np.full(3, 255, np.uint8), piece.picture)
+    uv = np.zeros((count, 2)) if piece.uv is None else piece.uv
+    return Surface(mesh.vertices, mesh.faces, uv, np.zeros(count, np.int64), (paint,))
 
 
 def _bounds_volume(surface: Surface) -> bool:
     """Whether the surface is closed and its faces all look out of it."""
-    return bool(trimesh.Trimesh(surface.vertices, surface.faces, process=True).is_volume)
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=True)
+    mesh.update_faces(mesh.nondegenerate_faces())  # such as those at the poles of a sphere
+    return bool(mesh.is_volume)
 
 
 def _both_sides(surface: Surface) -> Surface:

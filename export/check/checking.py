@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from export.check.engines.base import MODULES, SETTINGS
+from export.check.engines.plain_urdf import READ_BY_ENGINES
 from export.check.report import CheckReport, Row
 from export.check.rules import ENGINE_RULES, UNREAD
 from export.check.subject import find_subject
 from export.check.trial_process import ask
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import read_urdf_joints
+from freeart21.files.urdf import parsed, read_urdf_joints
+from freeart21.files.urdf_files import file_names
 
 ENGINES = tuple(MODULES)
 TIME_LIMIT_S = 60.0
@@ -50,7 +52,7 @@ def check(
         if engine not in ENGINES:
             raise FreeArtError(f"there is no engine '{engine}'; engines: {', '.join(ENGINES)}")
     subject = find_subject(path, root)
-    notes, unknown = _joint_notes(subject.urdf)
+    notes, unknown = _notes(subject.urdf)
     request: dict[str, Any] = {
         "folder": str(subject.folder.absolute()),
         "urdf": subject.urdf and str(subject.urdf.absolute()),
@@ -83,12 +85,19 @@ def check(
     return CheckReport(str(path), tuple(rows), versions, settings, seconds, notes)
 
 
-def _joint_notes(urdf: Path | None) -> tuple[tuple[str, ...], str]:
-    """What the trials make of a URDF's joints, and why they cannot be held if so; nothing of a file that is none."""
+def _collision_files(urdf: Path | None) -> list[str]:
+    links = [] if urdf is None else parsed(urdf).findall("link")
+    return [name for link in links for shape in link.findall("collision") for name in file_names(shape)]
+
+
+def _notes(urdf: Path | None) -> tuple[tuple[str, ...], str]:
+    """What the trials make of a URDF, and why they cannot be held if so; nothing of a file that is none."""
     try:
         joints = {} if urdf is None else read_urdf_joints(urdf)
     except FreeArtError:  # the files' rules say it
         return (), ""
     held = (f"joint '{j.name}' follows '{j.mimic[0]}' (mimic): trials hold it" for j in joints.values() if j.mimic)
     free = [f"joint '{j.name}' is {j.type}" for j in joints.values() if j.joint_type is None and j.type != "fixed"]
-    return tuple(held), f"{free[0]}, and only hinges and sliders are tried" if free else ""
+    others = {name for name in _collision_files(urdf) if Path(name).suffix.lower() not in READ_BY_ENGINES}
+    turned = (f"collision mesh {name} is given to the engines as an OBJ" for name in sorted(others))
+    return (*held, *turned), f"{free[0]}, and only hinges and sliders are tried" if free else ""

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
-from freeart21.files.mesh_file import read_ply
 from freeart21.files.urdf import Urdf, UrdfShape, read_urdf
 from freeart21.files.urdf_files import find_root, named_inside
 from freeart21.mesh import Mesh
-from freeart21.view.obj import MAX_OBJ_BYTES, PLAIN, Piece, read_obj
-from freeart21.view.simplify import box, cylinder, sphere
+from freeart21.view.mesh_pieces import read_pieces
+from freeart21.view.obj import PLAIN, Piece
+from freeart21.view.simplify import box, capsule, cylinder, sphere
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ def _pieces(
             if mesh.colours is None or (colour is not None and piece.texture is None):
                 plain = np.array(PLAIN, np.uint8) if colour is None else colour
                 mesh = replace(mesh, colours=np.tile(plain, (len(mesh.vertices), 1)))
-            pieces.append(replace(piece, mesh=mesh))
+            pieces.append(replace(piece, mesh=mesh, uv=None if piece.texture is None else piece.uv))
     return tuple(pieces)
 
 
@@ -68,15 +66,23 @@ def _geometry(shape: UrdfShape, where: str, path: Path, root: Path | None, missi
     match shape.kind:
         case "":
             raise FreeArtError(f"{where} has no geometry")
-        case "box":
-            return [Piece(box(shape.size))]
-        case "sphere":
-            return [Piece(sphere(float(shape.size[0])))]
-        case "cylinder":
-            return [Piece(cylinder(*map(float, shape.size)))]
         case "mesh":
             return _mesh(shape, path, root, missing)
-    raise FreeArtError(f"{where}: geometry <{shape.kind}> is unknown; known: box, cylinder, mesh, sphere")
+    return [Piece(primitive(shape, where))]
+
+
+def primitive(shape: UrdfShape, where: str) -> Mesh:
+    """The surface of a box, sphere, cylinder or capsule in its own frame, m; FreeArtError of another, after `where`."""
+    match shape.kind:
+        case "box":
+            return box(shape.size)
+        case "sphere":
+            return sphere(float(shape.size[0]))
+        case "cylinder":
+            return cylinder(*map(float, shape.size))
+        case "capsule":
+            return capsule(*map(float, shape.size))
+    raise FreeArtError(f"{where}: geometry <{shape.kind}> is unknown; known: box, capsule, cylinder, mesh, sphere")
 
 
 def _mesh(shape: UrdfShape, path: Path, root: Path | None, missing: list[str]) -> list[Piece]:
@@ -84,7 +90,7 @@ def _mesh(shape: UrdfShape, path: Path, root: Path | None, missing: list[str]) -
     if not file.is_file():
         missing.append(shape.filename)
         return []
-    pieces = _read_mesh(file, find_root(path, [shape.filename]) if root is None else root)
+    pieces = read_pieces(file, find_root(path, [shape.filename]) if root is None else root)
     if np.allclose(shape.size, 1):
         return pieces
     flip = -1 if np.prod(shape.size) < 0 else 1
@@ -92,21 +98,3 @@ def _mesh(shape: UrdfShape, path: Path, root: Path | None, missing: list[str]) -
         replace(p, mesh=replace(p.mesh, vertices=p.mesh.vertices * shape.size, faces=p.mesh.faces[:, ::flip]))
         for p in pieces
     ]
-
-
-def _read_mesh(file: Path, root: Path) -> list[Piece]:
-    match file.suffix.lower():
-        case ".obj":
-            return read_obj(file, root)
-        case ".ply":
-            return [Piece(read_ply(file, root)[0])]
-    import trimesh
-
-    try:
-        data = io.BytesIO(checked.read_bytes(file, MAX_OBJ_BYTES, root))
-        loaded = trimesh.load_mesh(data, file_type=file.suffix[1:].lower())  # from memory: it names no other file
-    except FreeArtError:
-        raise
-    except Exception as error:  # hostile bytes reach parsers of many formats
-        raise FreeArtError(f"{file} cannot be read as a mesh: {error}") from error
-    return [Piece(Mesh(np.asarray(loaded.vertices), np.asarray(loaded.faces)))]

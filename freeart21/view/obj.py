@@ -26,6 +26,8 @@ class Piece:
     uv: NDArray[np.float64] | None = None
     """(V, 2) texture coordinates, (0, 0) the lower left corner; None without a texture."""
     texture: Path | None = None
+    picture: NDArray[np.uint8] | None = None
+    """(h, w, 3) RGB of a texture that lies in the mesh file itself; the vertex colours are sampled from it."""
 
 
 @dataclass(frozen=True)

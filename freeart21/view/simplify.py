@@ -96,6 +96,13 @@ def sphere(radius: float) -> Mesh:
     return revolved(radius * np.stack([np.cos(angle), np.sin(angle)], -1))
 
 
+def capsule(radius: float, length: float) -> Mesh:
+    """A cylinder of `length` about z, centred at the origin, with half a sphere on either end, metres."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 18)
+    ends = np.where(angle < 0, -length / 2, length / 2)
+    return revolved(np.stack([radius * np.cos(angle), radius * np.sin(angle) + ends], -1))
+
+
 def box(size: ArrayLike) -> Mesh:
     """A box of `size` (3,) metres, centred at the origin."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * np.asarray(size)

@@ -90,7 +90,7 @@ def serve(name: str, out: Path, settings: TeleopSettings, record: RecordSettings
 
 def _loaded(name: str, record: RecordSettings, place: Path) -> tuple[str, partnet.PartNetObject, tuple[Path, ...]]:
     """What the object is called, the object as `record` would film it, and the folders that are the user's."""
-    if name.lower().endswith(urdf_folder.ENDINGS):
+    if name.lower().endswith(urdf_folder.URDF_ENDINGS):
         record = replace(record, urdf=checked.require_file(Path(name), MAX_URDF_BYTES, checked.ANYWHERE))
         name = urdf_folder.object_name(Path(name))
     loaded = load_object(entry_of(name, record), record, place)

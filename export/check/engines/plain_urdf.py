@@ -8,20 +8,32 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from export.check.tree import hold_followers, tree_of_urdf
+from export.checklist import read_solid
 from export.urdf import origin_element
 from freeart21.files.urdf import parsed, read_urdf
 from freeart21.files.urdf_files import named_inside
 
+READ_BY_ENGINES = (".obj", ".stl", ".msh", ".vtk")
+"""Endings of collision meshes that engines are given as they are; they get an OBJ of others."""
+
+
+def _as_obj(path: Path, copy: Path) -> Path:
+    read_solid(path).export(copy, include_normals=False, include_texture=False)
+    return copy
+
 
 def plain_urdf(urdf: Path, folder: Path, extra: ET.Element | None = None) -> Path:
     """A copy in a temporary folder that lives as long as the process; `extra` is added at its beginning."""
-    robot = parsed(urdf)
+    robot, place = parsed(urdf), Path(tempfile.mkdtemp())
     for link in robot.findall("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
     for element in robot.iter():
         if "filename" in element.attrib:
-            element.set("filename", str(named_inside(urdf, element.attrib["filename"], folder)))
+            path = named_inside(urdf, element.attrib["filename"], folder)
+            if path.suffix.lower() not in READ_BY_ENGINES and path.is_file():
+                path = _as_obj(path, place / f"{len([*place.iterdir()])}.obj")
+            element.set("filename", str(path))
     held = hold_followers(tree_of_urdf(read_urdf(urdf))).joints
     for joint in robot.findall("joint"):
         for mimic in joint.findall("mimic"):
@@ -32,6 +44,6 @@ def plain_urdf(urdf: Path, folder: Path, extra: ET.Element | None = None) -> Pat
             joint.append(origin_element(held[joint.get("name", "")].T_parent_child))
     if extra is not None:
         robot.insert(0, extra)
-    copy = Path(tempfile.mkdtemp()) / "asset.urdf"
+    copy = place / "asset.urdf"
     copy.write_bytes(ET.tostring(robot))
     return copy

@@ -1,0 +1,149 @@
+"""Mesh files of any kind that URDFs name, as pieces of one material: the one loader of them all.
+
+OBJ and PLY are read here, other formats by trimesh (COLLADA by pycollada). Lengths of COLLADA files are turned to
+metres by their <unit>. Their <up_axis> is not heeded, as in RViz and MoveIt, nor is glTF's: a URDF places the mesh as
+it is written. What a file names itself is read inside the root alone.
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.errors import FreeArtError
+from freeart21.files import checked
+from freeart21.files.mesh_file import read_ply
+from freeart21.files.urdf import parsed_xml
+from freeart21.mesh import Mesh
+from freeart21.view.obj import MAX_OBJ_BYTES, Piece, read_obj
+
+_SCENES = (".dae", ".glb", ".gltf")
+ENDINGS = (".obj", ".stl", ".ply", ".off", *_SCENES)
+"""Of the files that are read, in lower case."""
+_MOST_VERTICES = 1 << 24
+"""Of all copies of all meshes of a scene: 4 GB with all that is made of them."""
+
+
+def read_pieces(file: Path, root: Path) -> list[Piece]:
+    """The pieces of a mesh file, m, without vertex colours where it says none.
+
+    Raises FreeArtError, in one line, when its format is none of `ENDINGS`, it cannot be read, or has no faces.
+    """
+    ending = file.suffix.lower()
+    if ending not in ENDINGS:
+        raise FreeArtError(f"{file} is no mesh that is read, expected {', '.join(ENDINGS)}")
+    if ending == ".obj":
+        return read_obj(file, root)
+    data = checked.read_bytes(file, MAX_OBJ_BYTES, root)
+    try:
+        pieces = _pieces(file, root, data)
+    except FreeArtError:
+        raise
+    except Exception as error:  # hostile bytes reach parsers of many formats
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise FreeArtError(f"{file} is not a readable {ending} file: {said[:200]}") from error
+    if not any(len(piece.mesh.faces) for piece in pieces):
+        raise FreeArtError(f"{file} is not a readable {ending} file: it has no faces")
+    return pieces
+
+
+def up_axis(file: Path, root: Path) -> str:
+    """What a COLLADA file says of its axes: X_UP, Y_UP, Z_UP, or nothing."""
+    asset = parsed_xml(checked.read_bytes(file, MAX_OBJ_BYTES, root), file).find("{*}asset/{*}up_axis")
+    return "" if asset is None else (asset.text or "").strip()
+
+
+def _pieces(file: Path, root: Path, data: bytes) -> list[Piece]:
+    import trimesh
+
+    ending = file.suffix.lower()
+    if ending in _SCENES:
+        return _scene_pieces(file, root, data)
+    if ending == ".ply":
+        try:
+            return [Piece(read_ply(file, root)[0])]
+        except FreeArtError as error:
+            if "not triangles" not in str(error):
+                raise
+    loaded = trimesh.load_mesh(io.BytesIO(data), file_type=ending[1:])  # from memory: it names no other file
+    return [Piece(Mesh(np.asarray(loaded.vertices), np.asarray(loaded.faces)))]
+
+
+def _scene_pieces(file: Path, root: Path, data: bytes) -> list[Piece]:
+    import trimesh
+
+    ending = file.suffix.lower()
+    unit = _unit(file, data) if ending == ".dae" else 1.0
+    if ending == ".gltf":
+        checked.parse_json(data.decode("utf-8"), file)
+    neighbours: Any = _Neighbours(file, root)
+    scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], resolver=neighbours)
+    nodes = [(T, scene.geometry[name]) for T, name in (scene.graph[node] for node in scene.graph.nodes_geometry)]
+    meshes = [(T, mesh) for T, mesh in nodes if isinstance(mesh, trimesh.Trimesh)]
+    if (count := sum(len(mesh.vertices) for _, mesh in meshes)) > _MOST_VERTICES:
+        raise FreeArtError(f"{file} has {count} vertices in all, at most {_MOST_VERTICES} are read")
+    pieces = []
+    for T, mesh in meshes:
+        flip = -1 if np.linalg.det(T[:3, :3]) < 0 else 1
+        colours, uv, picture = _look(mesh, linear=ending != ".dae")
+        vertices = unit * se3.transform(T, np.asarray(mesh.vertices, float))
+        pieces.append(Piece(Mesh(vertices, np.asarray(mesh.faces)[:, ::flip], colours), uv, None, picture))
+    return pieces
+
+
+def _unit(file: Path, data: bytes) -> float:
+    """Metres a unit of a COLLADA file. Its XML is looked at before another parser gets it."""
+    unit = parsed_xml(data, file).find("{*}asset/{*}unit")
+    metres = float("1" if unit is None else unit.get("meter", "1"))
+    if not 0 < metres < np.inf:
+        raise ValueError(f"its unit is {metres:g} m")
+    return metres
+
+
+def _look(mesh: Any, linear: bool) -> tuple[NDArray[np.uint8] | None, NDArray[np.float64] | None, Any]:
+    """Vertex colours (V, 3), texture coordinates and the picture (h, w, 3) of a trimesh; None where it has none."""
+    visual = mesh.visual
+    if visual.kind in ("vertex", "face"):
+        return np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8), None, None
+    material = getattr(visual, "material", None)
+    factor = getattr(material, "baseColorFactor", None)
+    colour = np.full(3, 255, np.uint8) if factor is None else np.asarray(factor)[:3].astype(np.uint8)
+    if linear:  # glTF 2.0, 3.9.2: factors are linear, pictures sRGB (IEC 61966-2-1)
+        x = colour / 255.0
+        colour = np.rint(255 * np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)).astype(np.uint8)
+    image, uv = getattr(material, "baseColorTexture", None), getattr(visual, "uv", None)
+    if image is None or uv is None or len(uv) != len(mesh.vertices):
+        plain = material is None or (factor is None and image is None)
+        return None if plain else np.tile(colour, (len(mesh.vertices), 1)), None, None
+    if image.width * image.height > checked.MAX_PIXELS:
+        raise ValueError(f"a picture is {image.width} x {image.height}, at most {checked.MAX_PIXELS} pixels are read")
+    picture = np.asarray(image.convert("RGB"), np.uint8)
+    uv = np.nan_to_num(np.asarray(uv, float)[:, :2])
+    h, w = picture.shape[:2]
+    at = np.floor(uv * [w, h]).astype(np.int64) % [w, h]
+    return picture[h - 1 - at[:, 1], at[:, 0]], uv, picture
+
+
+class _Neighbours:
+    """The files that a mesh file names, as trimesh asks for them: inside the root, of bounded size."""
+
+    def __init__(self, file: Path, root: Path):
+        self._file, self._root = file, root
+
+    def get(self, name: str) -> bytes:
+        """The bytes of the file that is called so, as seen from the mesh file."""
+        names = dict.fromkeys((name, unquote(name), unquote(name).removeprefix("file://").replace("\\", "/")))
+        paths = [self._file.parent / each for each in names]
+        path = next((each for each in paths if each.is_file()), paths[0])
+        try:
+            return checked.read_bytes(path, MAX_OBJ_BYTES, self._root)
+        except FreeArtError as error:
+            raise ValueError(f"it names '{name[:80]}': {error}") from error
+
+    __getitem__ = get
