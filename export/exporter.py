@@ -13,7 +13,7 @@ import numpy as np
 
 import freeart21
 from export.beside import write_beside
-from export.checklist import check_asset
+from export.checklist import FK_TOLERANCE, check_asset
 from export.collision import Collision, CollisionSettings, convex_parts, kept_apart
 from export.delivered import contact_depth, contact_fidelity, delivered_shapes
 from export.guessed_dynamics import DYNAMICS, Dynamics, guessed_effects
@@ -38,6 +38,7 @@ from freeart21.files.result import read_method, read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.mesh import Mesh, bounding_diagonal, middle
 from freeart21.reconstruction import Failure, Reconstruction
+from generator.simulate import joint_motion
 
 URDF, MJCF, MESHES = "object.urdf", "object.xml", "meshes"
 
@@ -199,7 +200,21 @@ def export_result(
         findings = check_asset(aside)
         if findings:
             raise FreeArtError(f"the asset for {out} does not pass its own check: {findings[0]}")
+        _check_motion(read_asset(aside), scaled(reconstruction, settings.scale), out)
     return read_asset(out)
+
+
+def _check_motion(asset: Asset, reconstruction: Reconstruction, out: Path) -> None:
+    """FreeArtError when the reloaded asset does not move in the canonical frame as the reconstruction's joint does."""
+    states, joint = reconstruction.states, reconstruction.articulation.joint
+    asked = np.linspace(states.min(), states.max(), 7)
+    moved = joint_motion(replace(asset, effects={}), asked)  # kinematic effects go beyond the reconstruction
+    off = float(np.abs(moved - joint.transform(asked)).max())
+    if off > 2 * FK_TOLERANCE:
+        raise FreeArtError(
+            f"the asset for {out} does not pass its own check: its joint is {off:.2g} from the reconstruction's, "
+            f"expected at most {2 * FK_TOLERANCE:g}"
+        )
 
 
 def _reconstruction(result: Path | Reconstruction) -> tuple[Reconstruction, dict[str, Any]]:
