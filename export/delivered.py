@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 
 from export.checklist import shapes_of
+from export.decomposition import thickened
 from export.fidelity import PER_SHAPES, Fidelity, depth_within, half_spaces, measured
 from export.outside import DENSE, even_points, outside_of
 from freeart21 import se3
@@ -26,6 +27,8 @@ Shapes = list[tuple[Array, trimesh.Trimesh]]
 """Pose (4, 4) in the link and mesh of each shape."""
 _LEAST_POINTS = 5_000
 """Points on a link's surface of an asset with many links; others share `DENSE`, so that the time is bounded."""
+_SHEET = 1e-4
+"""Part of its size that a contact mesh without a volume is thick: engines refuse it or make it thick themselves."""
 _DEPTH_POINTS = 20_000
 """Points on the contact shapes of a link that are looked for in the other's."""
 
@@ -82,12 +85,14 @@ def contact_depth(urdf: Path, joint: str, touched: Mapping[str, Shapes], count: 
 
 
 def convex_shapes(shapes: Shapes) -> list[Mesh]:
-    """The convex hull of each shape with a volume, in the link's frame."""
+    """The convex hull of each shape that has faces, in the link's frame; sheets get a thickness (`_SHEET`)."""
     found = []
     for T, mesh in shapes:
-        hull = mesh.convex_hull if len(mesh.faces) else mesh
-        if len(hull.faces) and hull.volume > 0:
-            found.append(Mesh(se3.transform(T, np.asarray(hull.vertices, float)), np.asarray(hull.faces)))
+        points = se3.transform(T, np.asarray(mesh.vertices, float)[np.unique(mesh.faces)])
+        size = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
+        if size > 0:
+            hull = trimesh.convex.convex_hull(thickened(points, _SHEET * size))
+            found.append(Mesh(np.asarray(hull.vertices, float), np.asarray(hull.faces)))
     return found
 
 

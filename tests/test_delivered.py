@@ -59,6 +59,13 @@ def test_a_collision_mesh_counts_as_its_hull_as_engines_take_it():
     assert hull.outward > 0.07
 
 
+def test_a_sheet_can_be_touched():
+    """A door of PartNet-Mobility is two triangles, for the eye and for contact."""
+    sheet = trimesh.Trimesh([[0, 0, 0], [0.3, 0, 0], [0.3, 0.5, 0], [0, 0.5, 0.0]], [[0, 1, 2], [0, 2, 3]])
+    found = contact_fidelity({"a": shapes(sheet)}, {"a": shapes(sheet)})["a"]
+    assert found.worst < 1e-3 and found.outward < 1e-3
+
+
 def test_many_links_take_fewer_points_each(monkeypatch):
     asked = []
     measure = delivered.outside_of
