@@ -261,7 +261,7 @@ def _json(folder):
     (folder / "prediction.json").write_text("{")
 
 
-@breaks("is not a readable result")
+@breaks("is not JSON of at most 64 levels")
 def _deep(folder):
     (folder / "prediction.json").write_text("[" * 100_000)
 
