@@ -6,6 +6,7 @@ import pytest
 
 QUICK = {  # file to CPU seconds alone, imports included, measured on two cores of a shared x86-64 machine
     "camera": 0.8,
+    "captures": 1.1,
     "diagnostics": 2.5,
     "docker": 0.3,
     "doctor": 1.2,

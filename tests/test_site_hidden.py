@@ -213,6 +213,8 @@ def test_tables_that_do_not_go_together_are_refused_in_one_line(world, tables, t
     public, _ = world
     other = changed(tables[1], tmp_path / "other.json", benchmark__sha256="2" * 64)
     code = changed(tables[1], tmp_path / "code.json", made_with__scoring="3" * 64)
+    archive = tmp_path / "one.zip"
+    archive.write_bytes(b"PK")
     short = tmp_path / "short.json"
     scores = read_scores(tables[1])
     write_scores(
@@ -233,6 +235,7 @@ def test_tables_that_do_not_go_together_are_refused_in_one_line(world, tables, t
             r"good\.json: there is no table of good by paper-1",
         ),
         (lambda: build.write_site([tables[0].parent], None, tmp_path / "s"), r"--data, which it answers"),
+        (lambda: build.write_site([archive], None, tmp_path / "s"), r"one\.zip is an archive"),
         (lambda: build.write_site([tmp_path / "no.json"], None, tmp_path / "s"), r"no\.json is missing"),
     ]
     for call, words in wrong:

@@ -64,6 +64,9 @@ def write_site(
         raise FreeArtError("site: no results were named, expected a folder or a table of scores of each method")
     if len({place.resolve() for place in results}) < len(results):
         raise FreeArtError(f"site: the same results are named twice: {', '.join(map(str, results))}")
+    packed = [place for place in results if place.is_file() and place.suffix.lower() == ".zip"]
+    if packed:
+        raise FreeArtError(f"{packed[0]} is an archive, expected its folder unpacked, or its table of scores")
     tables = {place: read_scores(place) for place in results if not place.is_dir()}
     folders = [place for place in results if place not in tables]
     protocols = tuple(dict.fromkeys(protocol_named(name).name for name in protocols)) or tuple(

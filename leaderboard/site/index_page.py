@@ -32,8 +32,8 @@ RANKING = "strict-2"
 
 
 HIDDEN = (
-    "The truth is hidden: shown are scores and the methods' own answers, brought to nothing. Joint states are scored "
-    "in the means alone, as the price of a failed one is the true range of motion."
+    "The truth is hidden: shown are scores, and the methods' answers as they are. Joint states are scored in the means "
+    "alone, as the price of a failed one is the true range of motion."
 )
 TABLES_ALONE = "Made of tables of scores alone: without the videos and the methods' answers."
 FEWEST = 3
