@@ -239,6 +239,15 @@ def test_an_asset_below_the_ground_does_not_stand_on_it_but_rests(tmp_path: Path
 # ---------------------------------------------------------------- what an engine does with it
 
 
+@mujoco_only
+def test_a_urdf_may_have_words_for_mujoco_of_its_own(tmp_path: Path):
+    """As ours have: MuJoCo refuses two such elements, and the checker adds one."""
+    file = write_little(tmp_path)
+    own = '<mujoco><compiler balanceinertia="true" discardvisual="false"/><option integrator="RK4"/></mujoco>'
+    file.write_text(file.read_text().replace('<robot name="lid_box">', f'<robot name="lid_box">{own}'))
+    assert failed(trial_of(file)) == []
+
+
 def tilted(folder: Path) -> Path:
     """Leant over by 0.5 rad about x, on the edge of its base."""
     file = write_little(folder)

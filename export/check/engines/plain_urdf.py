@@ -23,7 +23,8 @@ def _as_obj(path: Path, copy: Path) -> Path:
 
 
 def plain_urdf(urdf: Path, folder: Path, extra: ET.Element | None = None) -> Path:
-    """A copy in a temporary folder that lives as long as the process; `extra` is added at its beginning."""
+    """A copy in a temporary folder that lives as long as the process; `extra` is added at its beginning, and
+    goes before what the file says in an element of the same name."""
     robot, place = parsed(urdf), Path(tempfile.mkdtemp())
     for link in robot.findall("link"):
         for visual in link.findall("visual"):
@@ -43,6 +44,14 @@ def plain_urdf(urdf: Path, folder: Path, extra: ET.Element | None = None) -> Pat
                 joint.remove(origin)
             joint.append(origin_element(held[joint.get("name", "")].T_parent_child))
     if extra is not None:
+        for own in robot.findall(extra.tag):  # engines refuse two of them
+            robot.remove(own)
+            for words in own:
+                same = extra.find(words.tag)
+                if same is None:
+                    extra.append(words)
+                else:
+                    same.attrib.update({key: value for key, value in words.attrib.items() if key not in same.attrib})
         robot.insert(0, extra)
     copy = place / "asset.urdf"
     copy.write_bytes(ET.tostring(robot))
