@@ -17,7 +17,7 @@ from typing import Any
 CHROMIUM = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), ""
 )
-PATIENCE_S = 60.0
+PATIENCE_S = 600.0
 
 
 class Browser:

@@ -229,7 +229,14 @@ def started(out: Path, *more: str, name: str = "stapler") -> Iterator[Started]:
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
     command = [sys.executable, "-m", "freeart21", "teleop", name, "--out", str(out), "--port", "0", *more]
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, cwd=ROOT
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        cwd=ROOT,
+        # a shell's '&' lets the tests ignore it, and the command, which keeps to that, would never end
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     try:
         assert process.stdout is not None and process.stderr is not None
