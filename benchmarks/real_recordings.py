@@ -212,8 +212,8 @@ def _written(path: Path, header: str, rows: Array) -> Path:
 
 
 def _brought(out: Path, body: JointNumbers, files: list[Path], **told: Any) -> None:
-    """out/asset.urdf and out/measured, by the doors."""
+    """out/asset.urdf and out/measured, by the public functions; positions are in rad if nothing else is told."""
     write_joint_asset(out / "asset.urdf", body)
-    measure_series(files, out / "set", out / "asset.urdf", None, SeriesSettings(**told))
+    measure_series(files, out / "set", out / "asset.urdf", None, SeriesSettings(**{"unit_q": "rad", **told}))
     (out / "set" / "measured").rename(out / "measured")
     (out / "set").rmdir()

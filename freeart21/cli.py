@@ -574,7 +574,7 @@ def measure(
     joint: str | None = None,
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=NAME...")] = (),
     unit_t: Annotated[Literal["s", "ms", "us", "ns"] | None, tyro.conf.arg(metavar="UNIT")] = None,
-    unit_q: Annotated[Literal["rad", "deg", "turns", "m", "cm", "mm"] | None, tyro.conf.arg(metavar="UNIT")] = None,
+    unit_q: Annotated[str | None, tyro.conf.arg(metavar="UNIT")] = None,
     unit_effort: Annotated[Literal["N*m", "N*cm", "mN*m", "N", "mN"] | None, tyro.conf.arg(metavar="UNIT")] = None,
     zero: float = 0.0,
     reverse: bool = False,
@@ -606,7 +606,8 @@ def measure(
         columns: Of t, q, qd, effort, q_command, voltage, enabled, base_x, base_y, base_z, base_ax, base_ay, base_az,
             base_angle, such as t=time q=angle; or a JSON file of such. Without a header columns are 1, 2, ...
         unit_t: Of times: s, ms, us or ns; guessed when not given.
-        unit_q: Of positions and commands: rad, deg, turns, m, cm, mm; guessed when not given.
+        unit_q: Of positions and commands: rad, deg, turns, counts=N (N a turn), m, cm, mm; when not given, what the
+            joint's limits and the asset's motion tell.
         unit_effort: Of efforts: N*m, N*cm or mN*m, N or mN; N*m or N when not given.
         zero: Position as recorded, in its unit, at the URDF's 0.
         reverse: The recording counts against the URDF's joint axis.

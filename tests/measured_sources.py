@@ -64,6 +64,7 @@ def bam(out: Path, kp: int) -> None:
         out,
         BAM,
         [SHARED / "bam_xl330" / f"kp{kp}_{name}.json" for name in names],
+        unit_q="rad",
         actuator=(BAM_MOTOR["error_gain"] * kp * BAM_MOTOR["vin"] * per_amp, BAM_MOTOR["kt"] * per_amp),
         held_out=(f"kp{kp}_sin_time_square",),
         gravity_relative=0.05,

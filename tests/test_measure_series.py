@@ -158,7 +158,7 @@ def test_a_turn_that_a_sensor_leaps_over_is_undone(tmp_path: Path):
     wrapped = np.degrees((wound + np.pi) % (2 * np.pi) - np.pi)
     measured, said = imported(tmp_path, urdf, text(np.column_stack([T, wrapped]), "time,angle"))
     np.testing.assert_allclose(measured.runs[0].q, wound, atol=1e-6)
-    assert "positions are in deg, by their range" in said and "2 jumps of the position by a whole turn" in said
+    assert "positions are in deg, by its leaps" in said and "2 jumps of the position by a whole turn" in said
 
 
 def test_rows_that_say_nothing_are_left_out_and_told(tmp_path: Path, asset: Path):

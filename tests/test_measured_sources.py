@@ -66,9 +66,14 @@ def test_a_servo_that_was_switched_off_makes_a_run_without_commands(sets: Path):
 
 
 COMMANDS = {  # files, what must be told, runs, rows a second
-    "two headers": ("phy180_pendulum/data31.csv phy180_pendulum/data2_14.csv", {}, 2, 230),
-    "its torque": ("dfki_pendulum/sysid_measured.csv", {"effort": "commanded"}, 1, 300),
-    "JSON logs": ("bam_xl330/kp100_lift_and_drop.json bam_xl330/kp100_sin_sin.json", {"actuator": (0.2, 0.03)}, 3, 189),
+    "two headers": ("phy180_pendulum/data31.csv phy180_pendulum/data2_14.csv", {"unit_q": "rad"}, 2, 230),
+    "its torque": ("dfki_pendulum/sysid_measured.csv", {"effort": "commanded", "unit_q": "rad"}, 1, 300),
+    "JSON logs": (
+        "bam_xl330/kp100_lift_and_drop.json bam_xl330/kp100_sin_sin.json",
+        {"actuator": (0.2, 0.03), "unit_q": "rad"},
+        3,
+        189,
+    ),
     "cells": (
         "multiarm_pendulum/SinglePendulumDataForParameterEstimation.mat",
         {"columns": {"t": "Time_id", "q": "Y_id:1"}, "zero": np.pi},
@@ -82,7 +87,7 @@ COMMANDS = {  # files, what must be told, runs, rows a second
         1000,
     ),
     "no header": ("directdrive_friction/test2/cin_pos1_01_exp_gan.t", {"unit_q": "deg"}, 1, 66.7),
-    "vectors": ("rotary_and_cart/adip_pend_data.mat", {}, 1, 1000),
+    "vectors": ("rotary_and_cart/adip_pend_data.mat", {"unit_q": "rad"}, 1, 1000),
 }
 
 

@@ -7,6 +7,7 @@ looks like a drive is never left out in silence: a joint that was driven, taken 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 from collections.abc import Iterable
@@ -24,12 +25,14 @@ from freeart21.files.measured import MAX_RATE_HZ, MIN_SAMPLES, read_measured
 from freeart21.files.measured_writer import write_measured
 from freeart21.formats import circumstances
 from freeart21.formats.circumstances import Circumstances
+from freeart21.formats.position_units import RawMotion, mechanics_of, unit_by_motion
 from freeart21.formats.series_rows import Raw, begun, near, rising, unwrapped
 from freeart21.formats.time_series import Series, listed, read_series
 from freeart21.joint import JointType
 from freeart21.measured import EffortKind, Interpolation, Measured, Run, without_copies
-from freeart21.mechanics import Actuator
+from freeart21.mechanics import Actuator, JointMechanics
 from freeart21.se3 import Array
+from freeart21.turns import is_wrapped
 
 ROLES = ("t", "q", "effort", "q_command", "enabled", *circumstances.COLUMNS)
 """time; position; force or torque on the joint; commanded position; 0 where the drive was off; velocity; voltage; how
@@ -41,7 +44,6 @@ ANGLES = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi}
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 EFFORTS = {"N*m": 1.0, "N*cm": 1e-2, "mN*m": 1e-3, "N": 1.0, "mN": 1e-3}
 TimeUnit = Literal["s", "ms", "us", "ns"]
-PositionUnit = Literal["rad", "deg", "turns", "m", "cm", "mm"]
 EffortUnit = Literal["N*m", "N*cm", "mN*m", "N", "mN"]
 GRAVITY = (0.0, 0.0, -9.81)
 """m/s^2, z up."""
@@ -66,10 +68,15 @@ _WORDS = {
     "mnm": "mN*m", "ncm": "N*cm", "n": "N",
 }  # fmt: skip
 """How files write units."""
+_COUNTS = ("count", "counts", "encoder_counts", "tick", "ticks", "pulses", "steps", "raw", "raw_position", "adc", "lsb")
+"""Names, without case, of columns that hold no unit but what a sensor counts."""
 _EVEN = 0.02
 """Part of the median step by which nearly all steps of even times may differ: a clock that was counted, not read."""
 _BEYOND = 0.25
 """Part of a joint's range by which readings may lie beyond its limits before their unit is doubted."""
+_MOVED = 0.05
+"""Part of a joint's range that a motion takes at least for the range to tell its unit: one that is wrong makes it 57 or
+1000 times as large."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +86,8 @@ class SeriesSettings:
     columns: dict[str, str] = field(default_factory=dict)
     """Role to the name of a column; several joined by '+' are runs one after the other."""
     unit_t: TimeUnit | None = None
-    unit_q: PositionUnit | None = None
+    unit_q: str | None = None
+    """Of `ANGLES` or `LENGTHS`, or `counts=4096`: so many counts a turn."""
     unit_effort: EffortUnit | None = None
     zero: float = 0.0
     """The recording's position, in its unit, at the asset's joint position 0."""
@@ -139,8 +147,8 @@ def measure_series(
     raw = [run for series, role in zip(all_series, roles, strict=True) for run in _raw_runs(series, role, settings)]
     said_units = _said_units(all_series, roles)
     raw, rate, clock = _timed(raw, settings, said_units.get("t"), roles[0].get("t"), notes)
-    runs = _scaled(raw, kind, scored, settings, (said_units, roles[0]), notes)
     gravity, unsure = _circumstances(settings, chosen.reference_link, notes)
+    runs = _scaled(raw, kind, scored, settings, (said_units, roles[0]), notes, mechanics_of(chosen, gravity))
     if drives:
         held = " and ".join(d for d in DRIVES if d in roles[0])
         notes.append(f"{held}: {_BETWEEN[settings.interpolation or 'unknown']}")
@@ -438,19 +446,11 @@ def _scaled(
     settings: SeriesSettings,
     said: tuple[dict[str, str | None], dict[str, str]],
     notes: list[str],
+    mechanics: JointMechanics | None,
 ) -> list[Run]:
     """Runs of positions in rad or m from the joint's zero, and of efforts in N*m or N."""
     units, names = said
     sizes = ANGLES if kind == "revolute" else LENGTHS
-    unit: str | None = settings.unit_q
-    if unit is None:
-        unit = units.get("q")
-        unit, why = (unit, "as it says") if unit in sizes else _position_unit(runs, kind, joint, settings.zero)
-        low, high = _range(runs)
-        notes.append(f"positions are in {unit}, {why}: {low:.4g} to {high:.4g} (else --unit-q)")
-    if unit not in sizes:
-        raise FreeArtError(f"--unit-q {unit}: joint '{joint.name}' is {kind}, expected {', '.join(sizes)}")
-    assert unit is not None
     sign = -1.0 if settings.reverse else 1.0
     written = units.get("effort")
     effort_unit: str | None = settings.unit_effort or (written if written in EFFORTS else None)
@@ -460,11 +460,21 @@ def _scaled(
         notes.append(f"efforts are in {expected}, which nothing says (else --unit-effort)")
     if effort_unit is not None and effort_unit.endswith("m") != (kind == "revolute"):
         raise FreeArtError(f"--unit-effort {effort_unit}: joint '{joint.name}' is {kind}, expected {expected}")
+    unit = settings.unit_q or units.get("q")
+    if settings.unit_q is None and unit not in sizes:
+        known = sign * EFFORTS[effort_unit or "N"]
+        unit, why = _position_unit(runs, joint, settings, names["q"], mechanics, known)
+        low, high = _range(runs)
+        notes.append(f"positions are in {unit}, {why}: {low:.4g} to {high:.4g} (else --unit-q)")
+    elif settings.unit_q is None:
+        low, high = _range(runs)
+        notes.append(f"positions are in {unit}, as it says: {low:.4g} to {high:.4g} (else --unit-q)")
+    size_q = size_of(str(unit), kind, joint.name)
     made, wrapped, turned, empty = [], 0, 0, 0
     taken: set[str] = set()
     for run in runs:
         values = run.values
-        q = sign * sizes[unit] * (values["q"] - settings.zero)
+        q = sign * size_q * (values["q"] - settings.zero)
         if kind == "revolute" and settings.told.wrapped is not False:
             q, turns = unwrapped(q)
             wrapped += turns
@@ -472,7 +482,7 @@ def _scaled(
         for role in drives:
             if role in values:
                 empty += int(np.isnan(values[role]).sum())
-                zero, size = (settings.zero, sizes[unit]) if role == "q_command" else (0.0, EFFORTS[effort_unit or "N"])
+                zero, size = (settings.zero, size_q) if role == "q_command" else (0.0, EFFORTS[effort_unit or "N"])
                 drives[role] = sign * size * (values[role] - zero)
         if kind == "revolute" and drives["q_command"] is not None and settings.told.wrapped is not False:
             drives["q_command"], turns = near(drives["q_command"], q)
@@ -504,25 +514,72 @@ def _range(runs: list[Raw]) -> tuple[float, float]:
     return (float(q.min()), float(q.max())) if len(q) else (0.0, 0.0)
 
 
-def _position_unit(runs: list[Raw], kind: JointType, joint: UrdfJoint, zero: float) -> tuple[str, str]:
-    """rad or deg, m or mm: what the joint's limits allow, else what a swing can be."""
+def size_of(unit: str, kind: JointType, joint: str) -> float:
+    """rad or m of one of a unit of positions, such as deg or counts=4096 (a turn); FreeArtError for another."""
+    sizes = ANGLES if kind == "revolute" else LENGTHS
+    name, _, number = unit.partition("=")
+    if name == "counts" and kind == "revolute":
+        with contextlib.suppress(ValueError):
+            if 1 <= float(number) <= 1e12:
+                return 2 * np.pi / float(number)
+        raise FreeArtError(f"--unit-q {unit}: expected counts=N of N counts a turn, such as counts=4096")
+    if unit not in sizes:
+        more = " or counts=N (a turn)" if kind == "revolute" else ""
+        raise FreeArtError(f"--unit-q {unit}: joint '{joint}' is {kind}, expected {', '.join(sizes)}{more}")
+    return sizes[unit]
+
+
+def _position_unit(
+    runs: list[Raw],
+    joint: UrdfJoint,
+    settings: SeriesSettings,
+    name: str,
+    mechanics: JointMechanics | None,
+    effort: float,
+) -> tuple[str, str]:
+    """rad or deg, m or mm, and why: what the joint's limits allow, and the asset's equation of motion says.
+
+    `effort` is one of the efforts' unit in N*m or N, against the asset's joint when below 0. Raises FreeArtError when
+    nothing tells.
+    """
+    revolute = joint.joint_type == "revolute"
+    sizes = {"rad": 1.0, "deg": ANGLES["deg"]} if revolute else {"m": 1.0, "mm": LENGTHS["mm"]}
     low, high = _range(runs)
-    low, high = low - zero, high - zero
-    near = "rad" if kind == "revolute" else "m"
-    far = "deg" if kind == "revolute" else "mm"
-    size = ANGLES["deg"] if kind == "revolute" else LENGTHS["mm"]
+    asked = " or ".join(f"--unit-q {unit}" for unit in [*sizes, *(["counts=N (N a turn)"] if revolute else [])])
+    what = f"column '{name}': in which unit are positions that read {low:.4g} to {high:.4g}?"
+    if _bare(name)[0] in _COUNTS:
+        raise FreeArtError(f"{what} Its name says counts: expected {asked}")
+    sign = -1.0 if settings.reverse else 1.0
+    ends = sorted((sign * (low - settings.zero), sign * (high - settings.zero)))
     span = joint.upper - joint.lower
-
-    def allowed(scale: float) -> bool:
-        slack = _BEYOND * span
-        return joint.lower - slack <= low * scale and high * scale <= joint.upper + slack
-
-    if np.isfinite(span) and not allowed(1.0) and allowed(size):
-        return far, "by the joint's limits"
-    most = 2 * np.pi if kind == "revolute" else 5.0
-    if not np.isfinite(span) and high - low > most:
-        return far, "by their range"
-    return near, "by the joint's limits" if np.isfinite(span) else "by their range"
+    slack = _BEYOND * span
+    limited = bool(np.isfinite(span))
+    able = {
+        unit: size
+        for unit, size in sizes.items()
+        if not limited or (joint.lower - slack <= ends[0] * size and ends[1] * size <= joint.upper + slack)
+    }
+    if not able:
+        raise FreeArtError(f"{what} Neither {' nor '.join(sizes)} is within the joint's limits: expected {asked}")
+    if len(able) == 1:
+        return next(iter(able)), "by the joint's limits"
+    if not any(np.isfinite(run.values["q"]).any() for run in runs):
+        return next(iter(sizes)), "as nothing was read"
+    leaping = [u for u, size in able.items() if revolute and any(is_wrapped(size * r.values["q"]) for r in runs)]
+    if len(leaping) == 1:
+        return leaping[0], "by its leaps from one end of a turn to the other"
+    driven = any(role in run.values for run in runs for role in ("q_command", "voltage", *base_json.COLUMNS))
+    if mechanics is not None and not driven:
+        q = [sign * (run.values["q"] - settings.zero) for run in runs]
+        pushed = [effort * run.values["effort"] if "effort" in run.values else None for run in runs]
+        times = [run.values["t"] for run in runs]
+        unit = unit_by_motion(mechanics, [RawMotion(*each) for each in zip(times, q, pushed, strict=True)], able)
+        if unit is not None:
+            return unit, "by the asset's inertia and the forces at work"
+    near = next(iter(sizes))
+    if limited and (ends[1] - ends[0]) * sizes[near] >= _MOVED * span:
+        return near, "by the joint's limits"
+    raise FreeArtError(f"{what} Neither the joint's limits nor its motion tell: expected {asked}")
 
 
 def _held_out(runs: list[Run], files: list[Path], named: tuple[str, ...]) -> tuple[Run, ...]:
