@@ -286,7 +286,7 @@ class Trial:
             start = self.tree.complete({joint.name: joint.loaded for joint in self.tree.movable})
             world.put(start)
         if world.nailed:
-            why = "it holds a root without mass where it is"
+            why = "the engine holds its root: it has no mass, or hangs on the world by a joint"
             return [self._row(rule, "skip", why) for rule in MOVED[3:]]
         said = world.lowest()
         if said is None and self.lowest is None:

@@ -86,7 +86,8 @@ MODULES = {"sapien": "sapien", "mujoco": "mujoco", "pybullet": "pybullet", "drak
 SETTINGS = {
     "sapien": "step 2 ms, 25 position iterations, contact offset 2 mm, friction 0.5, no sleeping, no damping of links, "
     "joint friction as the URDF's (by a saturated damper)",
-    "mujoco": "the file's own solver and contact options, step at most 2 ms; a plane with default contact",
+    "mujoco": "the file's own solver and contact options, step at most 2 ms; limits of URDFs as hard as that allows; "
+    "a plane with default contact",
     "pybullet": "step 2 ms, 100 solver iterations, inertia from the file, no damping of links, neighbours do not "
     "collide, friction 0.5, joint friction as the URDF's (by a velocity motor)",
     "drake": "discrete step 2 ms, hydroelastic contact (compliant, default modulus), friction 0.5, joint friction as "

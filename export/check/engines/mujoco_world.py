@@ -22,7 +22,9 @@ def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
     """The asset in a scene of its own."""
     import mujoco
 
-    urdf = read_xml(file).tag == "robot"
+    xml = read_xml(file)
+    urdf = xml.tag == "robot"
+    on_world = urdf and xml.find("link[@name='world']") is not None  # MuJoCo takes that link for its own world
     if urdf:
         words = ET.Element("mujoco")
         ET.SubElement(words, "compiler", fusestatic="false", strippath="false", discardvisual="true")
@@ -33,13 +35,17 @@ def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
         raise ValueError(f"its world has {len(tops)} bodies, expected one")
     root = tops[0]
     free = [joint for joint in root.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    hung = len(root.joints) > len(free)
+    for key in list(spec.keys):  # states of other joints than those that are left here
+        spec.delete(key)
     if setting.fixed:
         for joint in free:
             spec.delete(joint)
         if urdf or free:  # in a fixed base MuJoCo lets neighbours collide that nobody else lets collide
             _part_neighbours(spec, root)
-        root.pos, root.quat = [0, 0, 0], [1, 0, 0, 0]
-    elif not free:
+        if not on_world:
+            root.pos, root.quat = [0, 0, 0], [1, 0, 0, 0]
+    elif not free and not hung:
         root.add_freejoint()
     if setting.floor:
         spec.worldbody.add_geom(
@@ -50,8 +56,10 @@ def load(file: Path, folder: Path, setting: Setting) -> MujocoWorld:
                 geom.contype |= 1
     spec.option.gravity = [0, 0, -GRAVITY if setting.gravity else 0.0]
     spec.option.timestep = min(spec.option.timestep, _LARGEST_STEP_S)
+    for joint in spec.joints if urdf else ():  # a URDF's limits are hard; MuJoCo's own (20 ms) yield to light links
+        joint.solref_limit = [2 * spec.option.timestep, 1]
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
-    return MujocoWorld(spec.compile(), root.name)
+    return MujocoWorld(spec.compile(), root.name, hung)
 
 
 def _part_neighbours(spec: Any, root: Any) -> None:
@@ -66,12 +74,12 @@ def _part_neighbours(spec: Any, root: Any) -> None:
 class MujocoWorld(World):
     """See `World`."""
 
-    def __init__(self, model: Any, root: str):
+    def __init__(self, model: Any, root: str, nailed: bool):
         import mujoco
 
         self.model, self.data = model, mujoco.MjData(model)
         names = [model.body(b).name for b in range(model.nbody)]
-        self.root = root
+        self.root, self.nailed = root, nailed
         self.parents = {
             names[b]: None if names[b] == root else names[model.body_parentid[b]] for b in range(1, model.nbody)
         }
