@@ -117,6 +117,8 @@ def verdict_of(
     """The verdict of a choice."""
     found = _verdict_of(choice, split, delivered, runs, floor, problem)
     found = _gated(found, problem, settings)
+    if found.verdict == "unexplained" or (found.verdict == "no_gap" and not found.corrections):  # nothing is delivered
+        found = replace(found, gaps=tuple(replace(gap, after=gap.before) for gap in found.gaps))
     if found.verdict in ("no_gap", "named", "ambiguous") and problem.unknown_inputs:
         found = replace(found, holding=delivered.delivery.holding)
     if not problem.force_read:
