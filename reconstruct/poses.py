@@ -328,11 +328,11 @@ def _state_std(A: Array, measured: NDArray[np.bool_], reuse: float) -> Array:
 
 AXIS_FACTOR = 2.8
 """Times by which the axis's deviation, of noise and SYSTEMATIC, was too small: errors over it, root mean square of 19
-answers to 18 recordings (320 x 180, 40 to 60 frames, clean, tof, noise2 and hand, 16 objects, two of them not ours,
+answers to 18 recordings (unlit, 320 x 180, 40 to 60 frames, clean, tof, noise2 and hand, 16 objects, two of them not ours,
 without Gaussians), divided by sqrt(2) for its two tilts. Half of the errors were below 1.1 deviations, four beyond 4
 (4.4, 5.6, 7.7, 12.5); of the 11 answers that `trust` finds sound one (4.4). The axis line's needed none: of seven sound
-answers up to 2.2, root mean square 1.1. With Gaussians, 13 right answers of benchmarks/trust.py erred by up to 2.5
-deviations: there the factor is too large."""
+answers up to 2.2, root mean square 1.1. Of lit videos the factor is too large: 8 right answers of
+benchmarks/trust.py erred by up to 1.8 deviations without it, 13 with Gaussians by up to 2.5."""
 SYSTEMATIC = 1 / 3
 """Units by which a part's pose errs however many pixels are asked: rims, creases and labels err alike in all frames.
 Eight right answers of benchmarks/trust.py had errors of 4 (median) to 9 deviations of the noise alone, of .1 to 1.3
