@@ -183,8 +183,8 @@ def record(
 
     Args:
         names: Objects of the catalog (`freeart21 objects`), URDFs as PATH.urdf, PartNet-Mobility ids, or `all`:
-            freeart21-v1 or, with --partnet-root, the 21 of the official FreeArt-21. With --seed or --motion: the 21
-            built-in ones.
+            freeart21-v1 or, with --partnet-root, the 21 of the official FreeArt-21. With --seed or --motion: the
+            built-in 21.
         out: Data folder; sequences are added to it.
         frames: Frames a sequence; 300 when not given, or as many as a take lasts.
         seed: Seed of shape, motion, sensor and views; 0 when not given.
@@ -192,7 +192,7 @@ def record(
         joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
         skip_missing: Leave out meshes that an object names but does not have and, with `all`, objects that are not in
             --partnet-root.
-        root: Folder within which the files that a URDF names are read; its own or its package's when not given.
+        root: Folder that bounds what a URDF names; its own, or its package's.
         motion: tumble (when not given), inspect, wave, turntable, static_base, release, human, or track:FILE, a take
             (or teleop:FILE).
         carry: Factor on a take's way, 1 for its metres; by the objects' sizes when not given.
@@ -312,7 +312,7 @@ def teleop(
         partnet_root: Folder that holds PartNet-Mobility objects, as ROOT/41083/mobility.urdf or ROOT/dataset/41083.
         joint: Joint that moves, of a URDF or of a PartNet-Mobility object where the catalog names none.
         skip_missing: Leave out meshes that the object names but does not have.
-        root: Folder within which the files that a URDF names are read; its own or its package's when not given.
+        root: Folder that bounds what a URDF names; its own, or its package's.
         host: Address to listen at; 0.0.0.0 is all that this machine has. Beyond 127.0.0.1 the page is served by https,
             with a certificate that is made for this machine and kept.
         port: Port to listen at; 0 takes a free one.
@@ -549,7 +549,7 @@ def check_asset(
 
     Args:
         path: An asset folder, a folder with one URDF or MJCF, or such a file.
-        root: Folder within which the files that a URDF names are read; its own or its package's when not given.
+        root: Folder that bounds what a URDF names; its own, or its package's.
         engines: Engines to try it in: sapien, mujoco, pybullet, drake; all that are installed when not given.
         simcheck: Run the public checker of that name, too.
         as_json: File for the report: every rule with its verdict, reason, measured number and what it is good for.
@@ -590,6 +590,7 @@ def measure(
     seed: int = 0,
     partnet_root: Path | None = None,
     urdf: Path | None = None,
+    root: Path | None = None,
 ) -> None:
     """Make a measured set for `gap`: from CSV, JSON or MAT files, a filmed result, or recorded truths.
 
@@ -600,7 +601,7 @@ def measure(
         out: Folder for the measured set (OUT/measured) and, of truths, the object without effects (OUT/asset).
         gravity: m/s^2. Of files: in the asset's reference link, 0 0 -9.81 when not given. Of a result: in the camera's
             axes (right, down, forward) of the first frame, 0 9.81 0 of a level camera.
-        rate_hz: Rows a second of files without a time; frames a second of a result, 30 when not given.
+        rate_hz: Rows a second of files without a time; frames a second of a result [30].
         asset: Asset folder or URDF that the recordings are of.
         joint: Joint of the URDF; may be left out when only one can move.
         columns: Of t, q, qd, effort, q_command, voltage, enabled, base_x, base_y, base_z, base_ax, base_ay, base_az,
@@ -623,6 +624,7 @@ def measure(
         seed: Seed of the tracker's errors.
         partnet_root: Folder that holds PartNet-Mobility objects, for truths of such.
         urdf: The object's URDF as it was recorded, for truths of one.
+        root: The --root of that recording.
     """
     given = dict(locals())
     files = [source for source in sources if source.is_file()]
@@ -677,7 +679,7 @@ def measure(
         from generator.measure import TrackerNoise, measure_truths
 
         noise = TrackerNoise(1e-3 * noise_mm, math.radians(noise_deg), seed=seed)
-        measure_truths(sources, out, noise, partnet_root, urdf)
+        measure_truths(sources, out, noise, partnet_root, urdf, root)
         _say_next(out / "asset", out)
 
 
@@ -687,6 +689,7 @@ def gap(
     out: Path,
     replay_seconds: float = 120.0,
     poses: Path | None = None,
+    root: Path | None = None,
 ) -> None:
     """Find what the simulation of an asset lacks, from measured runs or an RGB-D video: name it, or say why not.
 
@@ -698,6 +701,7 @@ def gap(
         replay_seconds: Of a measured set: seconds after which SAPIEN's replay is given up; the answer then says so.
         poses: Of a video: the result or truth folder that says where the asset was; the result that holds the asset, or
             the truth beside the sequence, when not given.
+        root: Folder that bounds what a URDF names; its own, or its package's.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -716,12 +720,12 @@ def gap(
         if (measured / "sequence.json").is_file():
             from simgap.film.workflow import film_gap_folder
 
-            verdict = film_gap_folder(asset, measured, out, poses, told("Comparing the films"))
+            verdict = film_gap_folder(asset, measured, out, poses, told("Comparing the films"), root)
         else:
             from simgap.workflow import gap_folder
 
             replayed = told("Replaying in SAPIEN")
-            verdict = gap_folder(asset, measured, out, replay_seconds=replay_seconds, progress=replayed)
+            verdict = gap_folder(asset, measured, out, replay_seconds=replay_seconds, progress=replayed, root=root)
     for note in verdict.notes:
         print(f"- {note}", file=sys.stderr)
     print(f"{verdict.verdict}: {verdict.sentence}")
@@ -733,6 +737,7 @@ def view(
     out: Path | None = None,
     truth: Path | None = None,
     sequence: Path | None = None,
+    root: Path | None = None,
 ) -> None:
     """Write a self-contained page of a sequence, a result, an asset, a file of Gaussians or a data folder.
 
@@ -741,11 +746,12 @@ def view(
         out: The page; NAME.html in the working folder when not given.
         truth: Truth folder to show beside a sequence or a result.
         sequence: Sequence folder of a result, for its video.
+        root: Folder that bounds what a URDF names; its own, or its package's.
     """
     from freeart21.view import write_page
 
     page = out or Path(f"{path.resolve().name}.html")
-    write_page(path, page, truth=truth, sequence=sequence)
+    write_page(path, page, truth=truth, sequence=sequence, root=root)
     print(page)
 
 

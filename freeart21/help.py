@@ -20,12 +20,12 @@ _COLUMN = 27
 _METAVARS = {int: "N", float: "NUMBER", str: "NAME", Path: "PATH"}
 OPTION_GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
     "record": {
-        "what is filmed": ("procedural", "count", "split", "partnet_root", "joint", "skip_missing"),
+        "what is filmed": ("procedural", "count", "split", "partnet_root", "joint", "skip_missing", "root"),
         "how it moves": ("motion", "carry", "seed", "effects", "let_go"),
         "how it is filmed": ("frames", "preset", "sensor", "camera", "queries", "width", "height", "shader"),
     },
     "teleop": {
-        "what is moved": ("seed", "partnet_root", "joint", "skip_missing"),
+        "what is moved": ("seed", "partnet_root", "joint", "skip_missing", "root"),
         "the server and its picture": ("host", "port", "width", "height"),
     },
     "measure": {
@@ -38,7 +38,7 @@ OPTION_GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
             "inertia_relative",
             "gravity_relative",
         ),
-        "of truths, the errors of a tracker": ("noise_mm", "noise_deg", "seed", "partnet_root", "urdf"),
+        "of truths, the errors of a tracker": ("noise_mm", "noise_deg", "seed", "partnet_root", "urdf", "root"),
     },
 }
 """Command to headings and their options; what is in none comes first."""

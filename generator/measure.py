@@ -66,19 +66,20 @@ def measure_truths(
     noise: TrackerNoise | None = None,
     partnet_root: Path | None = None,
     urdf: Path | None = None,
+    root: Path | None = None,
 ) -> None:
     """Write `out/asset`, the object as the recorder built it but without effects, and `out/measured`, a run a truth.
 
     With three runs or more the last quarter of them, at least one, is held out. Of a truth that is of a URDF, `urdf` is
-    that file. Raises FreeArtError when a truth is not
-    of the motion release, or they are not all of one object and joint.
+    that file, and `root` bounds what it names. Raises FreeArtError when a truth is not of the motion release, or they
+    are not all of one object and joint.
     """
     folders = [Path(folder) for folder in truths]
     check_place(out, None, folders)
     loaded = [read_truth(folder) for folder in folders]
     _check_one_object(folders, loaded)
     with atomic.new_folder(out) as aside:
-        asset = _asset(folders[0], loaded[0], aside / "asset", partnet_root, urdf)
+        asset = _asset(folders[0], loaded[0], aside / "asset", partnet_root, urdf, root)
         runs = [_run(truth, k, noise or TrackerNoise()) for k, truth in enumerate(loaded)]
         spared = max(1, len(runs) // 4) if len(runs) > 2 else 0
         if spared:
@@ -140,13 +141,15 @@ def _run(truth: Truth, take: int, noise: TrackerNoise) -> Run:
     return Run(f"take_{take}", times, np.full(n, np.nan), poses=true @ shaken, seen=seen)
 
 
-def _asset(folder: Path, truth: Truth, out: Path, partnet_root: Path | None, urdf: Path | None) -> Asset:
+def _asset(
+    folder: Path, truth: Truth, out: Path, partnet_root: Path | None, urdf: Path | None, root: Path | None
+) -> Asset:
     """The object with the inertia that its release had, no effects, in the truth's frames."""
     source = truth.source
     own = source.get("object_source") == "procedural"
     joint, skip_missing = str(source["joint"]), bool(source["settings"].get("skip_missing"))
     if source.get("object_source") == "urdf":
-        loaded = urdf_folder.load_urdf(_same_urdf(folder, truth, urdf), out, joint, skip_missing)
+        loaded = urdf_folder.load_urdf(_same_urdf(folder, truth, urdf, root), out, joint, skip_missing, root)
         urdf_folder.clear_notes(out)
         _without_losses(out / partnet.URDF_NAME)
     elif urdf is not None:
@@ -176,14 +179,14 @@ def _asset(folder: Path, truth: Truth, out: Path, partnet_root: Path | None, urd
     return asset
 
 
-def _same_urdf(folder: Path, truth: Truth, urdf: Path | None) -> Path:
+def _same_urdf(folder: Path, truth: Truth, urdf: Path | None, root: Path | None) -> Path:
     """The file `urdf`, when it is what was recorded."""
     name = truth.source["object"]
     if urdf is None:
         raise FreeArtError(
             f"{folder} is of the URDF {name}, whose hash a truth keeps, not its files; name it by --urdf"
         )
-    was, now = (truth.source["settings"].get("urdf") or {}).get("sha256"), urdf_folder.digest(urdf)
+    was, now = (truth.source["settings"].get("urdf") or {}).get("sha256"), urdf_folder.digest(urdf, root)
     if was != now:
         raise FreeArtError(
             f"{urdf} is not what {folder} was recorded of: it and its meshes have SHA-256 {now[:12]}..., expected "

@@ -288,15 +288,17 @@ def gap_folder(
     settings: GapSettings = DEFAULTS,
     replay_seconds: float = SECONDS,
     progress: Progress | None = None,
+    root: Path | None = None,
 ) -> Verdict:
     """`find_gap` from folders to a folder with verdict, repaired asset and page, which appears whole or not at all.
 
     Only an older answer is replaced. SAPIEN's replay is given up after `replay_seconds`; `progress` is told how many
-    runs are replayed. Raises FreeArtError when `out` holds anything else, or asset or measurement.
+    runs are replayed; `root` bounds what the asset's URDF may name. Raises FreeArtError when `out` holds anything else,
+    or asset or measurement.
     """
     check_place(out, ANSWER, (asset, measured))
     runs = read_measured(measured)
-    loaded = read_asset(asset, runs.joint, guesses=False)
+    loaded = read_asset(asset, runs.joint, guesses=False, root=root)
     with only_writer(out), new_folder(out, ANSWER) as aside:
         began = time.perf_counter()
         draft = explain(loaded, runs, settings)

@@ -63,13 +63,14 @@ def page(
     asset: Path | None = None,
     title: str | None = None,
     score_note: str = "",
+    root: Path | None = None,
 ) -> str:
     """One self-contained HTML page of a sequence, a result, a truth, an asset, a file of Gaussians or a data folder.
 
     A result is shown with its asset (`asset`, else its own folder asset/), over the pictures of its `sequence` and
-    beside its `truth` when these folders are given; a sequence is shown with its truth. `scores` and
-    their note are as in `score_section`. Raises FreeArtError in one line when `path` is none of these, or when what is
-    given does not fit together.
+    beside its `truth` when these folders are given; a sequence is shown with its truth. `scores` and their note are as
+    in `score_section`. What a URDF names is read inside `root` (`urdf_files.find_root`). Raises FreeArtError in one
+    line when `path` is none of these, or when what is given does not fit together.
     """
     path = Path(path)
     kind = recognised(path)
@@ -108,7 +109,7 @@ def page(
         except FreeArtError as error:
             notices.append(f"The diagnostics cannot be shown: {error}")
         return _result_page(name, answer, true, recording, asset, diagnostics, confidence, extra, notices)
-    sections, chips, notices = _asset_sections(path, None)
+    sections, chips, notices = _asset_sections(path, None, root)
     return document(name, [*sections, *extra], "asset", chips, notices)
 
 
@@ -121,11 +122,12 @@ def write_page(
     asset: Path | None = None,
     title: str | None = None,
     score_note: str = "",
+    root: Path | None = None,
 ) -> None:
     """Write `page(...)` to the file `out`, whole or not at all; FreeArtError unless only an older page stands there."""
     inputs = [given for given in (path, truth, sequence, asset) if given is not None]
     check_place(out, PAGE, inputs)
-    atomic.write_bytes(Path(out), page(path, truth, sequence, scores, asset, title, score_note).encode())
+    atomic.write_bytes(Path(out), page(path, truth, sequence, scores, asset, title, score_note, root).encode())
 
 
 def recognised(path: Path) -> str:
@@ -136,7 +138,7 @@ def recognised(path: Path) -> str:
     if not path.exists():
         raise FreeArtError(f"{path} does not exist")
     if path.is_file():
-        if path.suffix == ".urdf":
+        if path.suffix.lower() in (".urdf", ".xacro"):
             return "asset"
         if path.suffix == ".ply":
             return "gaussians"
@@ -297,7 +299,9 @@ def _failure_page(
     return document(name, sections, "result", ["failed", *_recording_chips(recording)], [notice])
 
 
-def _asset_sections(path: Path, T_camera_canonical: Array | None) -> tuple[list[Section], list[str], list[str]]:
+def _asset_sections(
+    path: Path, T_camera_canonical: Array | None, root: Path | None = None
+) -> tuple[list[Section], list[str], list[str]]:
     """Sections, chips and notices of an asset folder or URDF file."""
     asset: Asset | None = None
     if path.is_dir() and checked.is_there(path / "asset.json"):
@@ -305,7 +309,7 @@ def _asset_sections(path: Path, T_camera_canonical: Array | None) -> tuple[list[
         urdf = asset.urdf
     else:
         urdf = _one_urdf(path)
-    shown = read_shown(urdf)
+    shown = read_shown(urdf, root if asset is None else asset.root)
     model = shown.urdf
     effects = asset.effects if asset is not None else read_effects(urdf)
     missing, notices = shown.missing, []

@@ -78,7 +78,7 @@ class FilmScene:
         return bounding_diagonal(*(part.mesh for part in self.parts))
 
 
-def read_scene(asset_path: Path, sequence: Path, poses: Path | None = None) -> FilmScene:
+def read_scene(asset_path: Path, sequence: Path, poses: Path | None = None, root: Path | None = None) -> FilmScene:
     """The asset in a folder (or URDF), with the part poses of a result or of a recording's truth.
 
     Without `poses` they are looked for in the result that holds the asset's folder, then in the data folder that holds
@@ -86,9 +86,9 @@ def read_scene(asset_path: Path, sequence: Path, poses: Path | None = None) -> F
     """
     found = _found(Path(asset_path), Path(sequence)) if poses is None else Path(poses)
     if (found / "truth.json").is_file():
-        return _of_truth(Path(asset_path), found)
+        return _of_truth(Path(asset_path), found, root)
     if (found / "prediction.json").is_file():
-        return _of_result(read_asset(asset_path, guesses=False), found)
+        return _of_result(read_asset(asset_path, guesses=False, root=root), found)
     raise FreeArtError(f"{found} holds no part poses: expected a result (prediction.json) or a truth (truth.json)")
 
 
@@ -105,10 +105,10 @@ def _found(asset: Path, sequence: Path) -> Path:
     )
 
 
-def _of_truth(path: Path, folder: Path) -> FilmScene:
+def _of_truth(path: Path, folder: Path, root: Path | None) -> FilmScene:
     truth = read_truth(folder)
     described = path.is_dir() and (path / "asset.json").is_file()
-    asset = read_asset(path, None if described else str(truth.source.get("joint")), guesses=False)
+    asset = read_asset(path, None if described else str(truth.source.get("joint")), guesses=False, root=root)
     reference = {str(name) for name in truth.source.get("reference_links") or ()}
     urdf = read_urdf(asset.urdf)
     if not reference or not reference <= set(urdf.links):

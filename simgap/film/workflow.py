@@ -191,22 +191,27 @@ def is_sequence(path: Path) -> bool:
     return (Path(path) / "sequence.json").is_file()
 
 
-def read_film(asset: Path, sequence: Path, poses: Path | None = None) -> Film:
-    """Asset, video and poses from files."""
+def read_film(asset: Path, sequence: Path, poses: Path | None = None, root: Path | None = None) -> Film:
+    """Asset (what its URDF names is read inside `root`), video and poses from files."""
     recording = read_sequence(sequence)
     unit = float(checked.read_json(Path(sequence) / "sequence.json")["depth_scale"])
-    return Film(recording, read_scene(asset, sequence, poses), unit)
+    return Film(recording, read_scene(asset, sequence, poses, root), unit)
 
 
 def film_gap_folder(
-    asset: Path, sequence: Path, out: Path, poses: Path | None = None, progress: Progress | None = None
+    asset: Path,
+    sequence: Path,
+    out: Path,
+    poses: Path | None = None,
+    progress: Progress | None = None,
+    root: Path | None = None,
 ) -> FilmVerdict:
     """`find_film_gap` from folders to a folder with verdict.json, camera.json and a page, whole or not at all."""
     from simgap.film.page import write_page
 
     inputs = [asset, sequence] if poses is None else [asset, sequence, poses]
     check_place(out, ANSWER, inputs)
-    film = read_film(asset, sequence, poses)
+    film = read_film(asset, sequence, poses, root)
     with only_writer(out), new_folder(out, ANSWER) as aside:
         began = time.perf_counter()
         verdict, found = find_film_gap(film, progress)

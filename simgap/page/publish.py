@@ -224,7 +224,7 @@ class Trial:
             repaired(self.asset, tuple(n.effect for n in self.tried), after, body=self.draft.body)
             holding = self.draft.verdict.holding or 0.0
             before = address_of(self.asset)
-            return replay_files(before, after, self.runs, replays, holding, tracks, seconds, progress)
+            return replay_files(before, after, self.runs, replays, holding, tracks, seconds, progress, self.asset.root)
 
 
 def _judged(

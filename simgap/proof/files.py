@@ -40,14 +40,17 @@ def replay_files(
     poses: tuple[PosesReplayed, ...] = (),
     seconds: float = SECONDS,
     progress: Progress | None = None,
+    root: Path | None = None,
 ) -> Shown:
     """Replay measured runs in SAPIEN with the assets in two folders (or URDF files), as these files say.
 
     Every run starts, with each asset, from the state that suits its readings best. `holding` is of inputs of which
-    `measured` does not say how they go on between their rows: 0 smoothly, 1 held until the next. Raises FreeArtError
-    when an asset cannot be read or there is nothing to replay, and CannotReplay when the fresh process fails.
+    `measured` does not say how they go on between their rows: 0 smoothly, 1 held until the next. `root` bounds what the
+    first asset's URDF may name (`Asset.root`). Raises FreeArtError when an asset cannot be read or there is nothing to
+    replay, and CannotReplay when the fresh process fails.
     """
-    assets = [read_asset(path, measured.joint, guesses=False) for path in (before, after)]
+    pair = (before, root), (after, None)
+    assets = [read_asset(path, measured.joint, guesses=False, root=within) for path, within in pair]
     of = {run.name: run for run in measured.runs}
     runs = tuple(of[each.name] for each in chosen)
     first, second = (start_states(asset, measured, [run.name for run in runs], holding) for asset in assets)

@@ -39,8 +39,8 @@ free swing far from the measured one may differ by more at any step, and tells t
 class _Stage:
     """One asset in SAPIEN, as its files say, ready to replay runs."""
 
-    def __init__(self, path: Path, job: dict[str, Any]):
-        self.asset = read_asset(path, job["joint"], guesses=False)
+    def __init__(self, path: Path, root: Path | None, job: dict[str, Any]):
+        self.asset = read_asset(path, job["joint"], guesses=False, root=root)
         self.placed = place(self.asset, np.array(job["gravity"]))
         self.lower, self.upper = (
             getattr(movable_joint(self.asset.urdf, self.asset.joint), k) for k in ("lower", "upper")
@@ -105,7 +105,8 @@ class _Stage:
 def _replay(folder: Path) -> None:
     job = checked.read_json(folder / "job.json")
     data = checked.read_npz(folder / "job.npz")
-    stages = [_Stage(Path(path), job) for path in job["assets"]]
+    pairs = zip(job["assets"], job["roots"], strict=True)
+    stages = [_Stage(Path(path), None if root is None else Path(root), job) for path, root in pairs]
     off = [_pose_gaps(stages, data, i, said) for i, said in enumerate(job["poses"])]
     atomic.write_json(folder / "poses.json", {"poses": off})
     starts = [[(float(q), float(qd)) for q, qd in pair] for pair in job["starts"]]

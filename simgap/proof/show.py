@@ -256,6 +256,7 @@ def _write_job(
     law, turns = measured.actuator, measured.base_axis
     job: dict[str, Any] = {
         "assets": [str(address_of(asset)) for asset in (before, after)],
+        "roots": [None if asset.root is None else str(asset.root.resolve()) for asset in (before, after)],
         "joint": before.joint,
         "gravity": np.asarray(measured.gravity, float).tolist(),
         "actuator": None if law is None else actuator_to_json(law),
