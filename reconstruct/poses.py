@@ -328,7 +328,7 @@ def _state_std(A: Array, measured: NDArray[np.bool_], reuse: float) -> Array:
 
 AXIS_FACTOR = 2.8
 """Times by which the axis's deviation, of noise and SYSTEMATIC, was too small: errors over it, root mean square of 19
-answers to 18 recordings (unlit, 320 x 180, 40 to 60 frames, clean, tof, noise2 and hand, 16 objects, two of them not ours,
+answers to 18 recordings (unlit, 320 x 180, 40 to 60 frames, clean, tof, noise2 and hand, 16 objects, two not ours,
 without Gaussians), divided by sqrt(2) for its two tilts. Half of the errors were below 1.1 deviations, four beyond 4
 (4.4, 5.6, 7.7, 12.5); of the 11 answers that `trust` finds sound one (4.4). The axis line's needed none: of seven sound
 answers up to 2.2, root mean square 1.1. Of lit videos the factor is too large: 8 right answers of
