@@ -78,10 +78,11 @@ def deliver(
     """
     problem = hypothesis.fit.theory.problem
     tried = [_refitted(variant, hypothesis.fit, train) for variant in _variants(problem, hypothesis.names)]
-    scores = [judged(fit, folds).score for fit in tried] if len(tried) > 1 else []
-    best = max(scores, key=lambda score: score.total, default=None)
-    near = [fit for fit, score in zip(tried, scores, strict=True) if best and _near(best, score)]
-    near = near or tried
+    if len(tried) == 1:  # nothing of the asset is in doubt
+        return Delivery(tried[0])
+    scores = [judged(fit, folds).score for fit in tried]
+    best = max(scores, key=lambda score: score.total)
+    near = [fit for fit, score in zip(tried, scores, strict=True) if _near(best, score)]
     fewest = min(len(_doubts(fit)) for fit in near)
     fit = min((fit for fit in near if len(_doubts(fit)) == fewest), key=lambda fit: fit.cost)
     if not _doubts(fit):
