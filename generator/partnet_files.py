@@ -102,6 +102,8 @@ def inside(folder: Path, name: str, what: str) -> Path:
     except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a name too long
         raise FreeArtError(f"{what} '{name[:80]}', which cannot be looked up: {error}") from error
     except FreeArtError as error:
+        if error.__cause__ is not None:  # of the look-up
+            raise FreeArtError(f"{what} '{name[:80]}', which cannot be looked up: {error.__cause__}") from error
         raise FreeArtError(f"{what} '{name}', which leads out of the folder {folder}") from error
     return path
 
