@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -100,3 +101,16 @@ def test_a_part_that_turns_about_another_axis_is_not_said_to_stand_still(tmp_pat
     assert verdict["verdict"] == "unexplained" and verdict["added"] == []
     assert verdict["sentence"].startswith("The part strays from its joint by ")
     assert "the joint that was moved" in verdict["next_experiment"]
+
+
+def test_an_asset_that_weighs_nothing_is_refused_in_one_line(tmp_path: Path, monkeypatch, capsys):
+    asset_of(tmp_path / "a")
+    (urdf,) = (tmp_path / "a").glob("*.urdf")
+    text = urdf.read_text()
+    for name in ("inertial", "collision"):
+        text = re.sub(f"<{name}>.*?</{name}>", "", text, flags=re.S)
+    urdf.write_text(text)
+    write(tmp_path / "m", ONE, csv=series(swing()))
+    code, _ = gap(tmp_path, monkeypatch, capsys)
+    assert isinstance(code, str) and "has no inertia about it" in code and "\n" not in code
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "m"]

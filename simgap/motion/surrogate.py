@@ -21,6 +21,7 @@ from freeart21.base_motion import WAYS
 from freeart21.effects import Effect
 from freeart21.effects.armature import Armature
 from freeart21.effects.backlash import Backlash
+from freeart21.errors import FreeArtError
 from freeart21.joint import JointType
 from freeart21.measured import Measured
 from freeart21.mechanics import DriveLaw, JointMechanics
@@ -93,9 +94,17 @@ def _gravity_terms(mechanics: JointMechanics) -> Array:
 
 
 def plant_of(asset: Asset, measured: Measured) -> Plant:
-    """The joint of `asset` under the gravity and the actuator of `measured`; loads the asset in SAPIEN, neutral."""
+    """The joint of `asset` under the gravity and the actuator of `measured`; loads the asset in SAPIEN, neutral.
+
+    Raises FreeArtError when what the joint moves has neither mass nor inertia.
+    """
     simulated = load(replace(asset, effects={}))
     actuator, placed = measured.actuator, place(asset, measured.gravity)
+    if not placed.mechanics.inertia > 0:
+        raise FreeArtError(
+            f"{asset.urdf}: what joint '{asset.joint}' moves has no inertia about it, expected <inertial> with a mass, "
+            "or collision shapes"
+        )
     return Plant(
         placed.mechanics,
         simulated.lower,
