@@ -24,7 +24,7 @@ _ADDITIVE = ("damping", "frictionloss", "armature")  # words that two effects ma
 def mjcf_text(model: AssetModel) -> bytes:
     """The MJCF file: the root body is free or stands in the world, the other one hangs on the joint."""
     root = ET.Element("mujoco", model=model.name)
-    root.append(trust_comment(model.trust))
+    root.append(ET.Comment(trust_comment(model.trust)))
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
     assets = ET.SubElement(root, "asset")
     world = ET.SubElement(root, "worldbody")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
 
 from freeart21.files import checked
 from freeart21.files.asset import ASSET_SCHEMA
@@ -16,9 +16,9 @@ MARK = "freeart21 trust: "
 """Begin of the comment in URDF and MJCF, and of the documentation in USD."""
 
 
-def trust_comment(trust: Trust | None) -> ET.Element[Any]:
-    """The comment that URDF and MJCF carry. XML allows no two hyphens in a row in it."""
-    return ET.Comment(f" {MARK}{describe_trust(trust).replace('--', '- -')} ")
+def trust_comment(trust: Trust | None) -> str:
+    """The text of the comment that URDF and MJCF carry. XML allows no two hyphens in a row in it."""
+    return f" {MARK}{re.sub('-(?=-)', '- ', describe_trust(trust))} "
 
 
 def stated_trust(urdf: Path | None, mjcf: Path | None) -> Trust | None:

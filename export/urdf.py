@@ -21,7 +21,7 @@ def urdf_text(model: AssetModel) -> bytes:
     the world; others pass it by.
     """
     robot = ET.Element("robot", name=model.name)
-    robot.append(trust_comment(model.trust))
+    robot.append(ET.Comment(trust_comment(model.trust)))
     compiler = {"strippath": "false", "discardvisual": "false", "fusestatic": "false"}
     ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", compiler)
     if model.base == "fixed":

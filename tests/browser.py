@@ -20,6 +20,10 @@ CHROMIUM = next(
 PATIENCE_S = 600.0
 
 
+class Navigated(Exception):
+    """The page was left while it was asked."""
+
+
 class Browser:
     """One page, and what it logs as errors."""
 
@@ -43,6 +47,8 @@ class Browser:
         while True:
             said = self._next()
             if said.get("id") == own:
+                if "navigated" in said.get("error", {}).get("message", ""):
+                    raise Navigated(said["error"])
                 assert "error" not in said, said["error"]
                 return said["result"]
 

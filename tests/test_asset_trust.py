@@ -26,7 +26,7 @@ from freeart21.reconstruction import Trust
 from freeart21.view.pages import page
 from simgap.proof.writeback import repaired
 
-REASON = "the axis is known to 12° only -- a test's <reason>"
+REASON = "the axis is known to 12° only --- a test's <reason>"
 DOUBTFUL = Trust("doubtful", (REASON, "and another"))
 
 
@@ -50,7 +50,7 @@ def test_every_file_of_a_doubtful_asset_says_so(doubtful: Path):
     said = json.loads((doubtful / "asset.json").read_text())["trust"]
     assert said == {"verdict": "doubtful", "reasons": list(DOUBTFUL.reasons)}
     for name in ("object.urdf", "object.xml"):
-        assert "freeart21 trust: doubtful: the axis is known to 12° only - - a test" in (doubtful / name).read_text()
+        assert "freeart21 trust: doubtful: the axis is known to 12° only - - - a test" in (doubtful / name).read_text()
     assert f"**doubtful: {REASON}; and another**" in (doubtful / "LOSSES.md").read_text()
     assert json.loads((doubtful / "loaders/joint.json").read_text())["trust"].startswith("doubtful: the axis")
     if usd.available():

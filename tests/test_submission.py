@@ -90,7 +90,7 @@ def _text(old, new):
 LID = 'filename="meshes/lid.ply"'
 BROKEN_ASSETS = {
     "an empty file": (_empty, "lid.ply"),
-    "a mesh without faces": (_no_faces, "no surface"),
+    "a mesh without faces": (_no_faces, "base.ply is not a readable .ply file: it has no faces"),
     "garbage": (_garbage, "lid.ply"),
     "vertices that are NaN": (_nan, "finite"),
     "a mesh that is not there": (_gone, "does not exist"),

@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("aiohttp", reason="the extra teleop is not installed")
 
-from browser import CHROMIUM, Browser, browser
+from browser import CHROMIUM, Browser, Navigated, browser
 from teleop_case import PATIENCE_S, Served, served_aside, started
 
 from freeart21 import cli, se3
@@ -51,9 +51,16 @@ class Desk:
     def run(self, script: str) -> Any:
         return self.browser.run(script)
 
+    def holds(self, true: str) -> bool:
+        """Whether an expression is true in the page; not while one page gives way to the next."""
+        try:
+            return bool(self.run(f"Boolean({true})"))
+        except Navigated:
+            return False
+
     def until(self, true: str) -> None:
         end = time.monotonic() + PATIENCE_S
-        while not self.run(f"Boolean({true})"):
+        while not self.holds(true):
             assert time.monotonic() < end, f"never: {true}; {self.run('teleop.link.status')} {self.browser.errors}"
             time.sleep(0.01)
 
