@@ -145,6 +145,23 @@ def test_a_mesh_names_files_of_the_root_alone(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("count, said", [(10**10, "entries that it has not"), (-3, r"a\.glb is not a readable .glb")])
+def test_accessors_without_data_take_no_memory(tmp_path: Path, count: int, said: str) -> None:
+    data = bytearray(_write(tmp_path / "a.glb").read_bytes())
+    size = int.from_bytes(data[12:16], "little")
+    header = json.loads(data[20 : 20 + size])
+    for accessor in header["accessors"]:
+        if accessor["type"] == "VEC3":
+            del accessor["bufferView"]
+            accessor["count"] = count
+    text = json.dumps(header).encode()
+    data[12 : 20 + size] = len(text).to_bytes(4, "little") + data[16:20] + text
+    data[8:12] = len(data).to_bytes(4, "little")
+    (tmp_path / "a.glb").write_bytes(data)
+    with pytest.raises(FreeArtError, match=said):
+        read_pieces(tmp_path / "a.glb", tmp_path)
+
+
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_what_is_no_mesh_is_told_in_a_line(ending: str, tmp_path: Path) -> None:
     whole = _write(tmp_path / f"a{ending}").read_bytes()

@@ -331,6 +331,18 @@ def test_a_hostile_file_costs_one_line(honest, monkeypatch, capfd, command, file
     assert not left, "nothing is written"
 
 
+def test_a_long_list_of_entries_is_refused_also_when_its_end_holds_the_mark_of_another(tmp_path):
+    end = struct.pack("<4s4s2H2IH", b"PK\5\6", b"PK\5\6", 0, 0, 2 << 20, 0, 0)
+    (tmp_path / "a.npz").write_bytes(bytes(2 << 20) + end)
+    with pytest.raises(FreeArtError, match=r"a\.npz has a directory of 2097152 bytes"):
+        checked.read_npz(tmp_path / "a.npz")
+
+
+def test_a_jpeg_of_fill_bytes_is_not_walked_through():
+    with pytest.raises(ValueError, match="no frame in 65536 segments"):
+        checked.image_size(b"\xff\xd8" + b"\xff" * (1 << 17))
+
+
 def test_verify_names_every_hostile_file_and_goes_on(honest, tmp_path):
     data = Path(shutil.copytree(honest / "data", tmp_path / "data"))
     hostile = {
@@ -387,7 +399,9 @@ def test_a_folder_that_leads_out_is_refused_and_one_that_stays_inside_is_read(ho
     (data / "sequences" / "a").symlink_to(tmp_path / "elsewhere")
     shutil.move(data / "sequences" / "b" / "rgb", data / "sequences" / "b" / "colours")
     (data / "sequences" / "b" / "rgb").symlink_to("colours")
+    shutil.rmtree(data / "sequences" / "c")
     findings = verify(data).findings
+    assert f"{data}/sequences/c is not a folder" in findings
     assert any("'sequences/a' leads out of the folder" in line for line in findings)
     assert not any("sequences/b" in line and "leads out" in line for line in findings)
 

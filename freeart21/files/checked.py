@@ -21,7 +21,7 @@ import zipfile
 import zlib
 from io import BufferedReader
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import cv2
 import numpy as np
@@ -40,6 +40,8 @@ MAX_DIRECTORY_BYTES = 1 << 20
 MAX_IMAGE_BYTES = 64 << 20
 MAX_PIXELS = 1 << 26
 """8192 x 8192: the largest textures that renderers take. A video's pictures have at most a quarter of it."""
+_MAX_SEGMENTS = 1 << 16
+"""Of a JPEG before its picture, and fill bytes: cameras write tens."""
 ANYWHERE = Path(os.sep)
 """The root of a file that the user named himself."""
 _NO_LIMIT = 1 << 62
@@ -303,27 +305,30 @@ def read_npy(path: Path, root: Path | None = None, limit: int = MAX_ARRAY_BYTES)
 
 
 def open_zip(file: IO[bytes], path: Path, limit: int) -> zipfile.ZipFile:
-    """The archive in `file`, of which `path` is the name; FreeArtError when its list of entries has over `limit` bytes.
+    """The archive in `file`, whose name is `path`; FreeArtError when its list of entries has over `limit` bytes.
 
-    That list is read as a whole before any of it can be looked at. Raises what ZipFile does.
+    ZipFile reads that list at once, before any of it can be looked at. Raises what ZipFile does.
     """
-    if (size := _directory_bytes(file)) > limit:
-        raise FreeArtError(f"{path} has a directory of {size} bytes, at most {limit} are read")
-    file.seek(0)
-    return zipfile.ZipFile(file)
+    bounded = _BoundedReads(file, path, limit)
+    archive = zipfile.ZipFile(cast(IO[bytes], bounded))
+    bounded.limit = _NO_LIMIT
+    return archive
 
 
-def _directory_bytes(file: IO[bytes]) -> int:
-    """What the end of a ZIP says of the size of its list of entries (APPNOTE 4.3.14 and 4.3.16); 0 without an end."""
-    file.seek(max(file.seek(0, os.SEEK_END) - (1 << 16) - 128, 0))
-    tail = file.read()
-    end, large = tail.rfind(b"PK\5\6"), tail.rfind(b"PK\6\6")
-    if end < 0 or len(tail) < end + 16:
-        return 0
-    size: int = struct.unpack("<I", tail[end + 12 : end + 16])[0]
-    if large >= 0 and len(tail) >= large + 48:
-        size = max(size if size < 0xFFFFFFFF else 0, struct.unpack("<Q", tail[large + 40 : large + 48])[0])
-    return size
+class _BoundedReads:
+    """A file of which no read takes more than `limit` bytes."""
+
+    def __init__(self, file: IO[bytes], path: Path, limit: int):
+        self.limit, self._file, self._path = limit, file, path
+
+    def read(self, size: int = -1) -> bytes:
+        """As the file's own."""
+        if size > self.limit:
+            raise FreeArtError(f"{self._path} has a directory of {size} bytes, at most {self.limit} are read")
+        return self._file.read(size)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
 
 
 def _read_array(file: IO[bytes], size: int, what: str) -> NDArray[Any]:
@@ -392,7 +397,7 @@ def image_size(data: bytes) -> tuple[int, int]:
     if not data.startswith(b"\xff\xd8"):
         raise ValueError("expected PNG, JPEG, BMP or WebP")
     at = 2
-    while True:  # segment by segment to the frame's header (ITU-T T.81, B.1.1.3 and B.2.2)
+    for _ in range(_MAX_SEGMENTS):  # to the frame's header (ITU-T T.81, B.1.1.3 and B.2.2)
         mark, kind, length = struct.unpack_from(">BBH", data, at)
         if mark != 0xFF:
             raise ValueError("its JPEG segments are broken")
@@ -403,6 +408,7 @@ def image_size(data: bytes) -> tuple[int, int]:
             return width, height
         else:
             at += 2 + length
+    raise ValueError(f"its JPEG has no frame in {_MAX_SEGMENTS} segments")
 
 
 def _webp_size(data: bytes) -> tuple[int, int]:

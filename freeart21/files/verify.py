@@ -70,6 +70,8 @@ def lines(*looks: Callable[[], Iterable[str]]) -> Iterator[str]:
             yield from look()
         except FreeArtError as error:
             yield str(error)
+        except OSError as error:
+            yield f"{error.filename} cannot be read: {error.strerror}"
 
 
 def listed_files(data: Path) -> dict[str, Any]:

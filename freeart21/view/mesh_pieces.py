@@ -43,9 +43,9 @@ def read_pieces(file: Path, root: Path) -> list[Piece]:
     data = checked.read_bytes(file, MAX_OBJ_BYTES, root)
     try:
         pieces = _pieces(file, root, data)
-    except FreeArtError:
-        raise
     except Exception as error:  # hostile bytes reach parsers of many formats
+        if isinstance(error, FreeArtError) and str(error).startswith(str(file)):
+            raise
         said = " ".join(str(error).split()) or type(error).__name__
         raise FreeArtError(f"{file} is not a readable {ending} file: {said[:200]}") from error
     if not any(len(piece.mesh.faces) for piece in pieces):
@@ -80,8 +80,9 @@ def _scene_pieces(file: Path, root: Path, data: bytes) -> list[Piece]:
 
     ending = file.suffix.lower()
     unit = _unit(file, data) if ending == ".dae" else 1.0
-    if ending == ".gltf":
-        checked.parse_json(data.decode("utf-8"), file)
+    if ending != ".dae":
+        text = data[20 : 20 + int.from_bytes(data[12:16], "little")] if ending == ".glb" else data
+        _check_accessors(checked.parse_json(text.decode("utf-8"), file))
     neighbours: Any = _Neighbours(file, root)
     scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], resolver=neighbours)
     nodes = [(T, scene.geometry[name]) for T, name in (scene.graph[node] for node in scene.graph.nodes_geometry)]
@@ -95,6 +96,13 @@ def _scene_pieces(file: Path, root: Path, data: bytes) -> list[Piece]:
         vertices = unit * se3.transform(T, np.asarray(mesh.vertices, float))
         pieces.append(Piece(Mesh(vertices, np.asarray(mesh.faces)[:, ::flip], colours), uv, None, picture))
     return pieces
+
+
+def _check_accessors(header: Any) -> None:
+    """ValueError when accessors without a buffer, which trimesh fills with zeros, count too many entries."""
+    count = sum(accessor["count"] for accessor in header.get("accessors", ()) if "bufferView" not in accessor)
+    if count > _MOST_VERTICES:
+        raise ValueError(f"its accessors count {count} entries that it has not, at most {_MOST_VERTICES} are read")
 
 
 def _unit(file: Path, data: bytes) -> float:
