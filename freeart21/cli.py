@@ -559,9 +559,9 @@ def check_asset(
     from export.check.report import print_report, write_report
 
     report = check(path, engines, simcheck=simcheck, root=root, limit_s=limit_s)
+    print_report(report)
     if as_json is not None:
         write_report(as_json, report)
-    print_report(report)
     return 0 if report.verdict == "pass" else DOUBTFUL
 
 

@@ -82,7 +82,7 @@ def load_urdf(
 def write_folder(urdf: Path, folder: Path, skip_missing: bool = False, root: Path | None = None) -> Path:
     """Write the new folder `folder` with mobility.urdf, OBJ meshes and pictures of what `urdf` shows."""
     read, robot = partnet.read_tree(urdf), parsed(urdf)
-    root = find_root(urdf, file_names(robot)) if root is None else root
+    root = find_root(urdf, file_names(robot), root)
     gaps = Gaps()
     with atomic.new_folder(folder) as aside:
         count = 0

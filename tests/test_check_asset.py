@@ -512,6 +512,11 @@ def test_the_command_says_what_failed_and_ends_with_its_code(tmp_path: Path, mon
     assert "fail  axis.unit (file): joint 'hinge' has an axis of length 2, expected 1" in capsys.readouterr().out
     (tmp_path / "none").mkdir()
     assert "is no asset" in str(told(monkeypatch, str(tmp_path / "none")))
+    for limit in ("0", "-1", "nan", "inf"):
+        assert "expected seconds" in str(told(monkeypatch, str(file), "--limit-s", limit))
+    capsys.readouterr()
+    assert "cannot write" in str(told(monkeypatch, str(file), "--json", str(file / "said.json")))
+    assert capsys.readouterr().out.endswith("in time: 0\n"), "what was found is not lost"
 
 
 # ---------------------------------------------------------------- data of others

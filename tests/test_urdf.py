@@ -198,6 +198,8 @@ def test_a_root_that_is_given_bounds_what_is_read(tmp_path: Path) -> None:
     for name in ("../../link.stl", "../../../secret.stl"):
         with pytest.raises(FreeArtError, match=r"leads out of the folder .*; --root DIR names a larger one"):
             named_file(urdf, name, tmp_path / "src")
+    with pytest.raises(FreeArtError, match=r"the root .*/gone is not a folder"):
+        named_file(urdf, str(mesh), tmp_path / "gone")
     with pytest.raises(FreeArtError, match=r"expected a path, or an address of package://, model:// or file://"):
         named_file(urdf, "https://example.org/m.stl")
 

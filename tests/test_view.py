@@ -528,6 +528,17 @@ def test_slider_range_covers_limits_and_states() -> None:
 # ---------------------------------------------------------------- assets
 
 
+def test_a_described_asset_is_read_inside_of_the_root_that_is_given(tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    tip = '<link name="tip"><visual><geometry><mesh filename="gone.obj"/></geometry></visual></link>'
+    joint = '<joint name="t" type="fixed"><parent link="base"/><child link="tip"/></joint>'
+    urdf = write_urdf(tmp_path / "asset", body=tip + joint)
+    write_asset_json(urdf.parent, Asset(urdf, "hinge", "base", "lid"))
+    assert "gone.obj" in page(urdf.parent)
+    with pytest.raises(FreeArtError, match="leads out of the folder .*/other"):
+        page(urdf.parent, root=tmp_path / "other")
+
+
 def test_asset_page_has_a_slider_over_the_limits_and_says_what_acts(tmp_path: Path) -> None:
     text = page(write_asset(tmp_path / "asset"))
     (scene,) = Parsed(text).data

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -45,12 +46,16 @@ def check(
             900.
 
     Each engine runs in a process of its own, one after the other. Raises FreeArtError when there is no asset at `path`,
-    a file is named that lies outside of the root, or an engine is not known.
+    a file is named that lies outside of the root, an engine is not known, or the limit is no time.
     """
+    if not 0 < limit_s < math.inf:
+        raise FreeArtError(f"--limit-s is {limit_s:g}, expected seconds, more than 0")
     wanted = ENGINES if engines is None else tuple(engines)
     for engine in wanted:
         if engine not in ENGINES:
             raise FreeArtError(f"there is no engine '{engine}'; engines: {', '.join(ENGINES)}")
+    if simcheck and importlib.util.find_spec("simcheck") is None:
+        raise FreeArtError("simcheck is not installed: pip install 'freeart21[simcheck]'")
     subject = find_subject(path, root)
     notes, unknown = _notes(subject.urdf)
     request: dict[str, Any] = {
@@ -75,8 +80,6 @@ def check(
             settings[engine] = SETTINGS[engine]
             seconds[engine] = answer.seconds
     if simcheck:
-        if importlib.util.find_spec("simcheck") is None:
-            raise FreeArtError("simcheck is not installed: pip install 'freeart21[simcheck]'")
         most = max(limit_s, SIMCHECK_LIMIT_S)
         answer = ask({**request, "engine": "simcheck", "limit_s": most}, most)
         rows += answer.rows

@@ -39,8 +39,6 @@ def find_subject(path: Path, root: Path | None = None) -> Subject:
     path = Path(path)
     if not path.exists():
         raise FreeArtError(f"{path} does not exist")
-    if root is not None and not root.is_dir():
-        raise FreeArtError(f"the root {root} is not a folder")
     if path.is_file():
         kind = _kind(path)
         if kind is None:
@@ -53,7 +51,7 @@ def find_subject(path: Path, root: Path | None = None) -> Subject:
     else:
         subject = _in_folder(path)
     if root is not None:
-        subject = replace(subject, folder=root)
+        subject = replace(subject, folder=find_root(path, root=root))
     elif subject.urdf is not None and not (path / "asset.json").is_file():
         found = find_root(subject.urdf, file_names(parsed(subject.urdf)))
         if subject.folder.absolute().is_relative_to(found):

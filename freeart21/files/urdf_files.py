@@ -21,12 +21,18 @@ _MARKS = ("package.xml", "model.config")
 """Files in the top folder of a ROS package, and of a Gazebo model."""
 
 
-def find_root(urdf: Path, names: Iterable[str] = ()) -> Path:
-    """The folder that holds what a URDF of these file `names` may name: its own, or that of the package it lies in.
+def find_root(urdf: Path, names: Iterable[str] = (), root: Path | None = None) -> Path:
+    """The folder that holds what a URDF of these file `names` may name: `root` when it is given, else the URDF's own,
+    or that of the package it lies in.
 
     A folder above is the package's when it holds package.xml or model.config, or both this URDF's folder, called urdf,
-    and one called meshes, or when its own name is the package that a name begins with.
+    and one called meshes, or when its own name is the package that a name begins with. Raises FreeArtError when `root`
+    is not a folder.
     """
+    if root is not None:
+        if not root.is_dir():
+            raise FreeArtError(f"the root {root} is not a folder")
+        return root
     packages = {name.partition("://")[2].partition("/")[0] for name in names if name.startswith(_PACKAGES)}
     home = urdf.absolute().parent
     root = home
@@ -62,7 +68,7 @@ def named_file(urdf: Path, filename: str, root: Path | None = None) -> Path:
 
 def missing_file(urdf: Path, filename: str, root: Path | None = None) -> str:
     """What to say of a file that a URDF names and that is not there, such as "'a.obj', which does not exist: ..."."""
-    folder = (find_root(urdf, [filename]) if root is None else root).resolve()
+    folder = find_root(urdf, [filename], root).resolve()
     places = [str(place.relative_to(folder)) for place in _places(urdf, filename, root)]
     return (
         f"'{filename}', which does not exist: looked for {' and '.join(places[:_LEVELS])} in {folder}; "
@@ -72,7 +78,7 @@ def missing_file(urdf: Path, filename: str, root: Path | None = None) -> str:
 
 def _places(urdf: Path, filename: str, root: Path | None) -> list[Path]:
     """Resolved paths inside the root at which the file may be, the one that exists first."""
-    root = find_root(urdf, [filename]) if root is None else root
+    root = find_root(urdf, [filename], root)
     decoded = unquote(filename)
     paths = [path for name in (filename, decoded, decoded.replace("\\", "/")) for path in _paths(urdf, name, root)]
     try:

@@ -90,7 +90,7 @@ def _mesh(shape: UrdfShape, path: Path, root: Path | None, missing: list[str]) -
     if not file.is_file():
         missing.append(shape.filename)
         return []
-    pieces = read_pieces(file, find_root(path, [shape.filename]) if root is None else root)
+    pieces = read_pieces(file, find_root(path, [shape.filename], root))
     if np.allclose(shape.size, 1):
         return pieces
     flip = -1 if np.prod(shape.size) < 0 else 1

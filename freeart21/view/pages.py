@@ -305,7 +305,7 @@ def _asset_sections(
     """Sections, chips and notices of an asset folder or URDF file."""
     asset: Asset | None = None
     if path.is_dir() and checked.is_there(path / "asset.json"):
-        asset = read_asset(path)
+        asset = read_asset(path, root=root)
         urdf = asset.urdf
     else:
         urdf = _one_urdf(path)
