@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import freeart21
-from export.beside import write_beside
+from export.beside import USD, write_beside
 from export.checklist import FK_TOLERANCE, check_asset
 from export.collision import Collision, CollisionSettings, convex_parts, kept_apart
 from export.delivered import contact_depth, contact_fidelity, delivered_shapes
@@ -26,6 +26,7 @@ from export.model import BASES, AssetModel, Base, LinkModel
 from export.parts import Part, closed_parts
 from export.placement import Placement, PlacementSettings, placed
 from export.urdf import urdf_text
+from export.usd_reload import usd_findings
 from freeart21.articulation import PARTS
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
@@ -198,6 +199,8 @@ def export_result(
         write_asset_json(aside, _asset(aside, model, placement, source, settings.scale))
         write_beside(aside, read_asset(aside), settings.usd)
         findings = check_asset(aside)
+        if (aside / USD).is_file():
+            findings += usd_findings(aside / USD, read_asset(aside))
         if findings:
             raise FreeArtError(f"the asset for {out} does not pass its own check: {findings[0]}")
         _check_motion(read_asset(aside), scaled(reconstruction, settings.scale), out)

@@ -12,7 +12,9 @@ import trimesh
 from engine_case import write_case
 
 from export import usd
+from export.check.file_rules import file_rows
 from export.usd import write_usd
+from export.usd_reload import usd_findings
 from freeart21 import se3
 from freeart21.effects.armature import Armature
 from freeart21.effects.coulomb_friction import CoulombFriction
@@ -206,3 +208,111 @@ def test_without_usd_core_one_line_says_what_to_install(tmp_path: Path, monkeypa
     with pytest.raises(FreeArtError, match=r"usd-core is not installed, .*pip install 'freeart21\[usd\]'"):
         write_usd(tmp_path / "b.usdc", asset)
     assert not (tmp_path / "b.usdc").exists()
+
+
+def _edit_limit(stage):
+    stage.GetPrimAtPath("/bob/hinge").GetAttribute("physics:upperLimit").Set(2.5)  # rad where USD counts degrees
+
+
+def _edit_axis(stage):
+    stage.GetPrimAtPath("/bob/hinge").GetAttribute("physics:axis").Set("Y")
+
+
+def _edit_pivot(stage):
+    stage.GetPrimAtPath("/bob/hinge").GetAttribute("physics:localPos0").Set((0.15, 0.02, 0.11))
+
+
+def _edit_mass(stage):
+    mass = stage.GetPrimAtPath("/bob/moving").GetAttribute("physics:mass")
+    mass.Set(1000 * mass.Get())
+
+
+def _edit_inertia(stage):
+    stage.GetPrimAtPath("/bob/moving").GetAttribute("physics:principalAxes").Set(_turned())
+
+
+def _turned():
+    from pxr import Gf
+
+    return Gf.Quatf(float(np.sqrt(0.5)), float(np.sqrt(0.5)), 0.0, 0.0)
+
+
+def _edit_place(stage):
+    stage.GetPrimAtPath("/bob/moving").GetAttribute("xformOp:translate").Set((0.0, 0.0, 0.0))
+
+
+def _edit_sides(stage):
+    from pxr import UsdPhysics
+
+    UsdPhysics.Joint(stage.GetPrimAtPath("/bob/hinge")).GetBody1Rel().SetTargets(["/bob/reference"])
+
+
+def _edit_units(stage):
+    from pxr import UsdGeom
+
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+
+
+def _remove_joint(stage):
+    stage.RemovePrim("/bob/hinge")
+
+
+def _name_another_layer(stage):
+    stage.GetRootLayer().subLayerPaths.append("/etc/passwd")
+
+
+EDITS = {
+    _edit_limit: "limits joint 'hinge'",
+    _edit_axis: "moves joint 'hinge'",
+    _edit_pivot: "moves joint 'hinge'",
+    _edit_mass: "gives 'moving' the mass",
+    _edit_inertia: "gives 'moving' the inertia",
+    _edit_place: "puts 'moving'",
+    _edit_sides: "has joint 'hinge' on ['reference']",
+    _edit_units: "counts in 0.01 m",
+    _remove_joint: "has no joint 'hinge'",
+    _name_another_layer: "names /etc/passwd",
+}
+
+
+def said_of_usd(folder: Path) -> tuple[str, str]:
+    """Verdict and reason of check-asset's rule."""
+    rows = file_rows(folder / "object.urdf", folder / "object.xml", folder, {}, lambda rule: None)
+    (row,) = (row for row in rows if row.rule == "usd.same")
+    return row.verdict, row.reason
+
+
+@needs_usd
+@pytest.mark.parametrize("base", ["free", "fixed"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_layer_read_back_says_what_the_urdf_says(tmp_path: Path, kind, base):
+    asset = write_case(tmp_path, kind, EFFECTS, base)
+    assert list(usd_findings(tmp_path / "object.usdc", asset)) == []
+    assert said_of_usd(tmp_path) == ("pass", "")
+
+
+@needs_usd
+@pytest.mark.parametrize("edit", EDITS)
+def test_a_layer_that_says_another_thing_fails(tmp_path: Path, edit):
+    write_case(tmp_path, "revolute")
+    stage = opened(tmp_path)
+    edit(stage)
+    stage.GetRootLayer().Save()
+    verdict, reason = said_of_usd(tmp_path)
+    assert verdict == "fail" and EDITS[edit] in reason
+
+
+@needs_usd
+def test_a_file_that_is_no_layer_fails(tmp_path: Path):
+    write_case(tmp_path, "revolute")
+    (tmp_path / "object.usdc").write_bytes(b"PXR-USDC" + bytes(80))
+    verdict, reason = said_of_usd(tmp_path)
+    assert verdict == "fail" and "object.usdc cannot be read" in reason
+
+
+def test_without_usd_core_the_layer_is_said_to_be_unread(tmp_path: Path, monkeypatch):
+    write_case(tmp_path, "revolute")
+    (tmp_path / "object.usdc").touch()
+    find = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *a: None if name == "pxr" else find(name, *a))
+    assert said_of_usd(tmp_path) == ("skip", "object.usdc was not read: usd-core is not installed")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -21,8 +22,11 @@ from export.checklist import Files, Finding, shapes_of, urdf_findings
 from export.delivered import Shapes, closed
 from export.inertia import Inertial, unphysical
 from export.stated_trust import stated_trust
+from export.usd_reload import RULE as USD_RULE
+from export.usd_reload import usd_findings
 from freeart21 import se3
 from freeart21.errors import FreeArtError
+from freeart21.files.asset import read_asset
 from freeart21.files.urdf import parsed, read_urdf
 from freeart21.files.urdf_files import named_inside
 from freeart21.reconstruction import describe_trust
@@ -71,7 +75,7 @@ def file_rows(
     except FreeArtError as error:
         findings.append(Finding("numbers and meshes", str(error)))
         facts["blocked"] = "numbers and meshes fails"
-        skipped = dict.fromkeys((*SHAPE_RULES, "dynamics.damped", "stands.on-ground"), facts["blocked"])
+        skipped = dict.fromkeys((*SHAPE_RULES, "dynamics.damped", USD_RULE, "stands.on-ground"), facts["blocked"])
         yield from rows_of(findings, skipped, rows)
         return
     findings += _damped(tree)
@@ -79,6 +83,8 @@ def file_rows(
     skipped = {}
     findings += _ground(tree, touched, facts, skipped)
     facts["blocked"] = "" if not stop else facts["blocked"]
+    say(USD_RULE)
+    rows.append(_usd(urdf))
     yield from (row for row in rows_of(findings, skipped, rows) if row.rule not in SHAPE_RULES)
     say("parts.clear")  # from here on it may take long
     findings = [f for f in findings if f.rule in ("mesh.readable", "inertia.physical")]
@@ -117,6 +123,20 @@ def _trust(urdf: Path | None, mjcf: Path | None) -> Row:
     if trust is None:
         return Row(TRUST, "file", "skip", "the asset does not say whether to trust what it was made of")
     return Row(TRUST, "file", "pass" if trust.verdict == "sound" else "fail", describe_trust(trust))
+
+
+def _usd(urdf: Path) -> Row:
+    """Whether the USD layer of an asset of ours says the same as its URDF."""
+    layer = urdf.with_suffix(".usdc")
+    if not (urdf.parent / "asset.json").is_file() or not layer.exists():
+        return Row(USD_RULE, "file", "skip", "`export` wrote no USD beside it")
+    if importlib.util.find_spec("pxr") is None:
+        return Row(USD_RULE, "file", "skip", f"{layer.name} was not read: usd-core is not installed")
+    try:
+        found = [finding.detail for finding in usd_findings(layer, read_asset(urdf.parent))]
+    except FreeArtError as error:
+        found = [str(error)]
+    return Row(USD_RULE, "file", "fail" if found else "pass", "; ".join(found[:_SHOWN]))
 
 
 def _visuals(robot: ET.Element, files: Files, seen: dict[str, Shapes]) -> Iterator[Finding]:

@@ -106,6 +106,10 @@ FILE_RULES: dict[str, Rule] = {
         "doors that swing into their body: engines let neighbours pass",
     ),
     "dynamics.damped": Rule("every joint that moves has damping or friction", "doors that swing for ever"),
+    "usd.same": Rule(
+        "the USD layer that `export` wrote beside a URDF has its bodies, masses, joints, axes and limits",
+        "USD engines: an asset that is another one there",
+    ),
     "stands.on-ground": Rule(
         f"the lowest collision point lies within {1e3 * GROUND_M:g} mm of zero",
         "placing it on a table",
