@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,6 +14,17 @@ from numpy.typing import ArrayLike
 
 from freeart21.joint import Joint
 from freeart21.se3 import Array
+
+Body = tuple[float, Array, Array]
+"""Mass, kg, centre of mass (3,), m, and inertia about it (3, 3), kg*m^2."""
+
+
+def joint_inertia(joint: Joint, bodies: Iterable[Body]) -> float:
+    """What the joint feels of `bodies`, all in one frame: kg*m^2 about a hinge, kg along a slider."""
+    if joint.type == "prismatic":
+        return float(sum(mass for mass, _, _ in bodies))
+    arms = ((mass, np.cross(joint.axis, centre - joint.pivot), inertia) for mass, centre, inertia in bodies)
+    return float(sum(joint.axis @ inertia @ joint.axis + mass * arm @ arm for mass, arm, inertia in arms))
 
 
 @dataclass(frozen=True)

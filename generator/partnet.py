@@ -29,7 +29,7 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import held_positions, movable_joint, read_semantics
-from freeart21.files.urdf import MAX_URDF_BYTES, Urdf, UrdfJoint, UrdfLink, children, read_urdf
+from freeart21.files.urdf import MAX_URDF_BYTES, Urdf, UrdfJoint, UrdfLink, links_beyond, read_urdf
 from freeart21.joint import Joint
 from freeart21.mesh import bounding_diagonal
 from freeart21.se3 import Array
@@ -130,7 +130,7 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
     gaps = Gaps()
     absent = _absent(visuals, folder, urdf, skip_missing or folder.resolve().name in INCOMPLETE)
     gaps.meshes.update(absent)
-    below = _below(joints, scored.child)
+    below = links_beyond(joints, scored.child)
     child = _side(scored, tuple(name for name in visuals if name in below), visuals, Ts, folder, gaps)
     parent = _side(scored, tuple(name for name in visuals if name not in below), visuals, Ts, folder, gaps)
     T_object_joint = Ts[scored.parent] @ scored.T_parent_joint
@@ -332,14 +332,3 @@ def _side(
             f"{', '.join(links) or '(none)'}{lacks or ''}"
         )
     return Side(links, surface)
-
-
-def _below(joints: dict[str, UrdfJoint], link: str) -> set[str]:
-    """`link` and every link that hangs on it."""
-    hanging, found, at = children(joints.values()), {link}, [link]
-    while at:
-        for j in hanging.get(at.pop(), ()):
-            if j.child not in found:
-                found.add(j.child)
-                at.append(j.child)
-    return found

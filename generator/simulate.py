@@ -32,10 +32,10 @@ from freeart21.effects.backlash import Backlash
 from freeart21.effects.base import Effect, readings
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import movable_joint
-from freeart21.files.urdf import UrdfJoint, parsed, read_urdf_joints
+from freeart21.files.urdf import UrdfJoint, links_beyond, parsed, read_urdf_joints
 from freeart21.files.urdf_files import named_file
 from freeart21.joint import Joint, JointType
-from freeart21.mechanics import Actuator, JointMechanics
+from freeart21.mechanics import Actuator, Body, JointMechanics, joint_inertia
 from freeart21.se3 import Array
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -105,7 +105,7 @@ class SimulatedAsset:
         """kg on the far side of the joint."""
         moment = sum((mass * centre for mass, centre, _ in mechanics), np.zeros(3))
         self._mass_moment_zero = (self.world_joint.transform(-q) @ np.append(moment, self.moving_mass))[:3]
-        self.joint_inertia = _joint_inertia(self.world_joint, mechanics)
+        self.joint_inertia = joint_inertia(self.world_joint, mechanics)
         """kg*m^2 about, or kg along, the joint axis; of the links alone."""
         self._parent = joint.parent
         to_parent = se3.inverse(self.link_pose(self._parent))
@@ -706,8 +706,8 @@ def _downstream(articulation: Any, first: str) -> list[Any]:
     return links
 
 
-def _link_mechanics(link: Any) -> tuple[float, Array, Array]:
-    """Mass, centre of mass (3,) and inertia about it (3, 3) of a link, world frame."""
+def _link_mechanics(link: Any) -> Body:
+    """Of a link, world frame."""
     frame = (link.entity_pose * link.cmass_local_pose).to_transformation_matrix().astype(float)
     R = frame[:3, :3]
     if link.mass < _MASSLESS:
@@ -715,7 +715,7 @@ def _link_mechanics(link: Any) -> tuple[float, Array, Array]:
     return float(link.mass), frame[:3, 3], R @ np.diag(link.inertia.astype(float)) @ R.T
 
 
-def _tensor(joint: Joint, mechanics: list[tuple[float, Array, Array]]) -> Array:
+def _tensor(joint: Joint, mechanics: list[Body]) -> Array:
     """(3, 3) kg*m^2 of links about the joint's pivot."""
     total = np.zeros((3, 3))
     for mass, centre, inertia in mechanics:
@@ -728,29 +728,10 @@ def _turned(tensor: Array, R: Array) -> Array:
     return np.asarray(R @ tensor @ R.T)
 
 
-def _joint_inertia(joint: Joint, mechanics: list[tuple[float, Array, Array]]) -> float:
-    """Inertia felt by the joint: total mass along a slider, moment about a hinge (parallel axes theorem)."""
-    if joint.type == "prismatic":
-        return sum(mass for mass, _, _ in mechanics)
-    arms = (np.cross(joint.axis, centre - joint.pivot) for _, centre, _ in mechanics)
-    return float(
-        sum(
-            joint.axis @ inertia @ joint.axis + mass * arm @ arm
-            for (mass, _, inertia), arm in zip(mechanics, arms, strict=True)
-        )
-    )
-
-
 def _check_sides(asset: Asset, joints: dict[str, UrdfJoint], joint: UrdfJoint) -> None:
     """Reference and moving link must hang on different sides of the joint."""
-    parent_of = {j.child: j.parent for j in joints.values()}
-
-    def beyond(link: str) -> bool:
-        while link in parent_of and link != joint.child:
-            link = parent_of[link]
-        return link == joint.child
-
-    if beyond(asset.reference_link) == beyond(asset.moving_link):
+    beyond = links_beyond(joints, joint.child)
+    if (asset.reference_link in beyond) == (asset.moving_link in beyond):
         raise FreeArtError(
             f"{asset.urdf}: links '{asset.reference_link}' and '{asset.moving_link}' are on the same "
             f"side of joint '{joint.name}', expected one on each side"

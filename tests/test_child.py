@@ -3,15 +3,14 @@
 import ast
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from another_python import ROOT, run_python
 from little_asset import write_little
 
 from freeart21 import child
 
-ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("freeart21", "generator", "reconstruct", "export", "leaderboard", "simgap")
 TRAPS = ("queue", "numpy", "json", "signal", "random", "cv2", "multiprocessing", "sitecustomize", "pickle", "sapien")
 
@@ -64,14 +63,7 @@ def test_a_child_does_not_import_from_the_working_folder(tmp_path, monkeypatch, 
 def test_the_command_does_not_import_from_the_working_folder(tmp_path):
     """Not even by `python -m`, which puts it first; but what Python imports before it begins with us is Python's."""
     marker = trapped(tmp_path / "user")
-    done = subprocess.run(
-        [sys.executable, "-m", "freeart21", "objects", "--json"],
-        cwd=tmp_path / "user",
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_python("-m", "freeart21", "objects", "--json", cwd=tmp_path / "user")
     assert done.returncode == 0, done.stderr
     assert not marker.exists(), marker.read_text()
 
@@ -132,13 +124,6 @@ def test_no_command_runs_what_lies_in_its_folder(tmp_path, prepare):
     commands = prepare(tmp_path)
     marker = trapped(tmp_path)
     for words in commands:
-        done = subprocess.run(
-            [sys.executable, "-m", "freeart21", *words],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = run_python("-m", "freeart21", *words, cwd=tmp_path)
         assert done.returncode in (0, 3) or words[0] == "doctor", done.stderr
         assert not marker.exists(), (words, marker.read_text())

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from another_python import ROOT, run_python
 
 from freeart21 import catalog
 from freeart21.effects.viscous_damping import ViscousDamping
@@ -31,7 +32,6 @@ from generator.dataset import Job, jobs_of, official_names, procedural_jobs, rec
 from generator.session import RecordSettings
 from generator.shapes import triangles
 
-ROOT = Path(__file__).resolve().parents[1]
 SETTINGS = RecordSettings(frames=6, width=160, height=120, queries=2, shader="trivial", edge=0.5)
 RUN = [sys.executable, "-c", "from freeart21.cli import main; main()"]
 SMALL = ["--frames", "6", "--width", "160", "--height", "120", "--queries", "2", "--shader", "trivial"]
@@ -62,13 +62,7 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_killed_at_20_random_moments_the_data_set_is_the_same_to_the_last_byte(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, ROOT / "tests" / "killed_recorder.py", tmp_path, "--kills", "20"],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_python(ROOT / "tests" / "killed_recorder.py", tmp_path, "--kills", "20")
     assert done.returncode == 0, done.stdout + done.stderr
     moments = json.loads(done.stdout.splitlines()[-1])
     assert len(moments) == 20
@@ -216,9 +210,7 @@ def test_two_writers_on_one_folder_are_refused(tmp_path: Path, monkeypatch: pyte
             "import sys; from pathlib import Path; from generator import dataset; dataset._PATIENCE_S = 0.2\n"
             "with dataset._only_writer(Path(sys.argv[1])): pass"
         )
-        done = subprocess.run(
-            [sys.executable, "-c", other, data], cwd=ROOT, capture_output=True, text=True, check=False
-        )
+        done = run_python("-c", other, data)
         assert done.returncode != 0 and "another process is recording" in done.stderr
     assert not data.exists()  # nothing was made, nothing is left
 
@@ -314,9 +306,7 @@ def test_a_disk_that_is_really_full(one: Path, tmp_path: Path) -> None:
         pytest.skip("mounting a small disk needs root")
     try:
         words = ["record", "stapler", "--frames", "40", "--queries", "0", "--out", place / "stapler"]
-        done = subprocess.run(  # full amid the pictures, while the simulator draws
-            [sys.executable, "-m", "freeart21", *words], capture_output=True, text=True, check=False, cwd=ROOT
-        )
+        done = run_python("-m", "freeart21", *words)  # full amid the pictures, while the simulator draws
         assert done.returncode == 1 and "No space left on device" in done.stderr, done.stderr
         assert len(done.stderr.splitlines()) == 1
         shutil.rmtree(place / "stapler")

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from another_python import ROOT, run_python
 from synthetic_case import make_recording, make_truth, truth_as_answer
 
 from freeart21 import cli
@@ -31,7 +32,6 @@ from generator import dataset
 from leaderboard import commands
 from reconstruct.settings import ReconstructSettings
 
-ROOT = Path(__file__).resolve().parents[1]
 QUIET = ReconstructSettings(progress=False)
 
 
@@ -357,23 +357,10 @@ ENDING = "from freeart21.ending import in_one_line\nwith in_one_line():\n    "
     ],
 )
 def test_whatever_happens_is_one_line(code: str, status: int, said: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", ENDING + code],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_python("-c", ENDING + code)
     assert done.returncode == status and len(done.stderr.splitlines()) == 1 and done.stderr.startswith(said)
     if status == 70:
-        shown = subprocess.run(
-            [sys.executable, "-c", ENDING + code],
-            env={**os.environ, "PYTHONPATH": str(ROOT), "FREEART21_TRACEBACK": "1"},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert "Traceback" in shown.stderr
+        assert "Traceback" in run_python("-c", ENDING + code, FREEART21_TRACEBACK="1").stderr
 
 
 NATIVE = """
@@ -404,13 +391,7 @@ __main__.main()
 )
 def test_a_command_ends_before_native_libraries_are_taken_down(code: str, status: int, said: str) -> None:
     """The simulator's crash then: after the last word, and in place of the exit code."""
-    done = subprocess.run(
-        [sys.executable, "-c", NATIVE.format(code=code)],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_python("-c", NATIVE.format(code=code))
     assert done.returncode == status, done.stderr
     assert done.stderr.startswith(said) and len(done.stderr.splitlines()) == bool(said)
     assert done.stdout == "the output\n"
@@ -418,14 +399,7 @@ def test_a_command_ends_before_native_libraries_are_taken_down(code: str, status
 
 def test_output_that_cannot_be_written_is_said() -> None:
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [sys.executable, "-c", NATIVE.format(code="pass")],
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
+        done = run_python("-c", NATIVE.format(code="pass"), stdout=full)
     assert done.returncode == 1 and len(done.stderr.splitlines()) == 1
     assert done.stderr.endswith("No space left on device\n")
 
@@ -480,16 +454,8 @@ def test_an_interrupt_arrives_whatever_became_of_it(tmp_path: Path, code: str) -
 
 def test_commands_told_to_stop_leave_nothing_half_done_and_go_on(tmp_path: Path) -> None:
     commands = ["record", "convert"]
-    done = subprocess.run(
-        [
-            *(sys.executable, ROOT / "tests" / "stopped_commands.py", tmp_path, "--moments", "2"),
-            *("--commands", *commands),
-        ],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    script = ROOT / "tests" / "stopped_commands.py"
+    done = run_python(script, tmp_path, "--moments", "2", "--commands", *commands)
     assert done.returncode == 0, done.stdout + done.stderr
     moments = json.loads(done.stdout.splitlines()[-1])
     assert [moment["wrong"] for moment in moments] == [[]] * (3 * len(commands)), moments

@@ -5,13 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from another_python import ROOT, run_python
 
 from freeart21 import cli, se3
 from freeart21.camera import Camera
@@ -34,7 +33,6 @@ from generator.scene import Scene
 from generator.session import entry_of, load_object, planned
 from generator.urdf_folder import load_urdf
 
-ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 SMALL = RecordSettings(frames=5, width=96, height=64, shader="trivial", queries=1, edge=0.5)
 AXIS = np.array([0.6, 0.0, 0.8])
@@ -573,12 +571,7 @@ def test_real_urdfs_are_loaded(name: str, tmp_path: Path) -> None:
 def test_killed_the_recording_of_a_take_goes_on_to_the_same_bytes(case: Path, tmp_path: Path) -> None:
     take = arctic(tmp_path / "a.npy", np.linspace(0, 2, 8), turn=0.03)
     words = ["--kills", "2", "--kills-a-folder", "2", "--frames", "8", "--objects", str(case), "--track", str(take)]
-    done = subprocess.run(
-        [sys.executable, ROOT / "tests" / "killed_recorder.py", tmp_path / "out", *words],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_python(ROOT / "tests" / "killed_recorder.py", tmp_path / "out", *words)
     assert done.returncode == 0, done.stderr
 
     def hashes(data: Path) -> dict[str, str]:

@@ -253,6 +253,12 @@ def text(data: dict[str, Any], key: str, path: Path) -> str:
     return value
 
 
+def shortened(value: Any) -> str:
+    """At most sixty characters of a value that came from outside."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
 def _whole_number(digits: str) -> int | float:
     return int(digits) if len(digits) <= MAX_DIGITS else float(digits)
 

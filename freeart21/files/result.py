@@ -89,7 +89,7 @@ def lacks_of(data: dict[str, Any], path: Path) -> tuple[Piece, ...]:
     """The optional 'lacks' of method.json; raises FreeArtError naming `path`."""
     said = data.get("lacks", [])
     if not isinstance(said, list) or not all(piece in PIECES for piece in said):
-        raise FreeArtError(f"{path}: 'lacks' is {_shortened(said)}, expected a list of {', '.join(PIECES)}")
+        raise FreeArtError(f"{path}: 'lacks' is {checked.shortened(said)}, expected a list of {', '.join(PIECES)}")
     return tuple(piece for piece in PIECES if piece in said)
 
 
@@ -230,7 +230,7 @@ def _read_anchor(data: dict[str, Any], n: int, path: Path) -> int:
     """The optional 'anchor' of prediction.json; raises FreeArtError naming `path`."""
     said = data.get("anchor", 0)
     if not isinstance(said, int) or isinstance(said, bool) or not 0 <= said < n:
-        raise FreeArtError(f"{path}: 'anchor' is {_shortened(said)}, expected a frame from 0 to {n - 1}")
+        raise FreeArtError(f"{path}: 'anchor' is {checked.shortened(said)}, expected a frame from 0 to {n - 1}")
     return said
 
 
@@ -240,21 +240,15 @@ def _read_joint_std(data: dict[str, Any], path: Path) -> tuple[float | None, flo
     if said is None:
         return None, None
     if not isinstance(said, dict):
-        raise FreeArtError(f"{path}: 'joint_std' is {_shortened(said)}, expected axis_rad and pivot_m")
+        raise FreeArtError(f"{path}: 'joint_std' is {checked.shortened(said)}, expected axis_rad and pivot_m")
     found = []
     for name in ("axis_rad", "pivot_m"):
         value = said.get(name)
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if value is not None and not (number and 0 <= value < np.inf):
-            raise FreeArtError(f"{path}: joint_std '{name}' is {_shortened(value)}, expected 0 or more, or null")
+            raise FreeArtError(f"{path}: joint_std '{name}' is {checked.shortened(value)}, expected 0 or more, or null")
         found.append(None if value is None else float(value))
     return found[0], found[1]
-
-
-def _shortened(value: Any) -> str:
-    """At most sixty characters of a value that came from outside."""
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _read_masks(folder: Path, n: int) -> NDArray[np.uint8]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from freeart21.errors import FreeArtError
+from freeart21.files import checked
 from freeart21.reconstruction import NOT_STATED, VERDICTS, Trust
 
 MAX_REASONS, MAX_REASON = 100, 1000
@@ -24,20 +25,14 @@ def trust_from_json(data: Any, path: Path) -> Trust | None:
     if data is None or data == trust_to_json(None):
         return None
     if not isinstance(data, dict) or data.get("verdict") not in VERDICTS:
-        raise FreeArtError(f"{path}: 'trust' is {_shortened(data)}, expected a verdict, {' or '.join(VERDICTS)}")
+        raise FreeArtError(f"{path}: 'trust' is {checked.shortened(data)}, expected a verdict, {' or '.join(VERDICTS)}")
     reasons = data.get("reasons", [])
     lines = isinstance(reasons, list) and len(reasons) <= MAX_REASONS and all(isinstance(r, str) for r in reasons)
     if not lines or any(len(r) > MAX_REASON or not r.isprintable() for r in reasons):
         raise FreeArtError(
-            f"{path}: the reasons of 'trust' are {_shortened(reasons)}, expected at most {MAX_REASONS} plain lines of "
-            f"at most {MAX_REASON} characters"
+            f"{path}: the reasons of 'trust' are {checked.shortened(reasons)}, expected at most {MAX_REASONS} plain "
+            f"lines of at most {MAX_REASON} characters"
         )
     if data["verdict"] == "sound" and reasons:
         raise FreeArtError(f"{path}: 'trust' is sound with {len(reasons)} reasons for doubt, expected none")
     return Trust(data["verdict"], tuple(reasons))
-
-
-def _shortened(value: Any) -> str:
-    """At most sixty characters of a value that came from outside."""
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

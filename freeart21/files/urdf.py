@@ -266,6 +266,16 @@ def children(joints: Iterable[UrdfJoint]) -> dict[str, list[UrdfJoint]]:
     return found
 
 
+def links_beyond(joints: Mapping[str, UrdfJoint], link: str) -> set[str]:
+    """`link` and every link that hangs on it."""
+    below, found, waiting = children(joints.values()), {link}, [link]
+    while waiting:
+        new = {joint.child for joint in below.get(waiting.pop(), ())} - found
+        found |= new
+        waiting += new
+    return found
+
+
 def told(element: ET.Element, path: str, attribute: str, default: str = "") -> str:
     """An attribute of the element at `path` below `element`, or the default when either is not there."""
     found = element.find(path)

@@ -15,9 +15,9 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.asset import Asset
-from freeart21.files.urdf import children, read_urdf
+from freeart21.files.urdf import links_beyond, read_urdf
 from freeart21.joint import Joint
-from freeart21.mechanics import JointMechanics
+from freeart21.mechanics import JointMechanics, joint_inertia
 from freeart21.se3 import Array
 
 LIKE = 3.0
@@ -57,30 +57,23 @@ def mechanics_of(asset: Asset, gravity: Array) -> JointMechanics | None:
     """
     urdf = read_urdf(asset.urdf)
     scored = urdf.joints[asset.joint]
-    hung = children(urdf.joints.values())
-    moving, waiting = set(), [scored.child]
-    while waiting:
-        moving.add(link := waiting.pop())
-        waiting += [joint.child for joint in hung.get(link, [])]
-    bodies = [(name, urdf.links[name].inertial) for name in moving]
+    moving = links_beyond(urdf.joints, scored.child)
     if asset.reference_link in moving or scored.joint_type is None:
         return None
-    poses = urdf.link_poses(asset.held)  # of the joint itself at zero
-    T_joint = poses[scored.parent] @ scored.T_parent_joint
+    Ts = urdf.link_poses(asset.held)  # of the joint itself at zero
+    T_joint = Ts[scored.parent] @ scored.T_parent_joint
     joint = Joint(scored.name, scored.joint_type, T_joint[:3, :3] @ scored.axis, T_joint[:3, 3], -np.inf, np.inf)
-    mass, inertia, moment = 0.0, 0.0, np.zeros(3)
-    for name, body in bodies:
-        if body is None:
-            continue
-        centre = se3.transform(poses[name], body.centre[None])[0]
-        axis = poses[name][:3, :3].T @ joint.axis
-        mass, moment = mass + body.mass, moment + body.mass * centre
-        arm = np.cross(joint.axis, centre - joint.pivot)
-        inertia += float(axis @ body.inertia @ axis) + body.mass * float(arm @ arm)
-    inertia = mass if joint.type == "prismatic" else inertia
+    bodies = [
+        (own.mass, se3.transform(Ts[name], own.centre[None])[0], Ts[name][:3, :3] @ own.inertia @ Ts[name][:3, :3].T)
+        for name in sorted(moving)
+        if (own := urdf.links[name].inertial) is not None
+    ]
+    inertia = joint_inertia(joint, bodies)
     if inertia <= 0:
         return None
-    return JointMechanics(joint, mass, inertia, moment, poses[asset.reference_link][:3, :3] @ gravity)
+    moment = np.sum([mass * centre for mass, centre, _ in bodies], axis=0)
+    gravity = Ts[asset.reference_link][:3, :3] @ gravity
+    return JointMechanics(joint, sum(body[0] for body in bodies), inertia, moment, gravity)
 
 
 def unit_by_motion(mechanics: JointMechanics, runs: Sequence[RawMotion], scales: dict[str, float]) -> str | None:

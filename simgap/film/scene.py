@@ -15,7 +15,7 @@ from freeart21.files import checked
 from freeart21.files.asset import read_asset
 from freeart21.files.result import read_result
 from freeart21.files.truth import read_truth
-from freeart21.files.urdf import link_poses, read_urdf
+from freeart21.files.urdf import link_poses, links_beyond, read_urdf
 from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.reconstruction import Failure
 from freeart21.se3 import Array
@@ -169,10 +169,7 @@ def _check_same_joint(asset: Asset, q: dict[str, float], T_canonical_root: Array
 def _side(asset: Asset) -> set[str]:
     """Links on the reference link's side of the scored joint."""
     urdf = read_urdf(asset.urdf)
-    below, waiting = set[str](), [urdf.joints[asset.joint].child]
-    while waiting:
-        below.add(waiting.pop())
-        waiting += [j.child for j in urdf.joints.values() if j.parent in below and j.child not in below]
+    below = links_beyond(urdf.joints, urdf.joints[asset.joint].child)
     return below if asset.reference_link in below else set(urdf.links) - below
 
 

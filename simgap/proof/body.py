@@ -12,8 +12,7 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.effects.gravity_offset import GravityOffset
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import movable_joint
-from freeart21.files.urdf import parsed_xml
+from freeart21.files.urdf import links_beyond, parsed_xml, read_urdf_joints
 from freeart21.se3 import Array
 from generator import simulate
 from simgap.motion.surrogate import Nuisance, Plant
@@ -69,7 +68,8 @@ def urdf_with_body(text: bytes, asset: Asset, correction: BodyCorrection) -> byt
     loaded = simulate.load(replace(asset, effects={}), gravity=(0.0, 0.0, 0.0))
     hinge = loaded.world_joint
     root = parsed_xml(text, asset.urdf, comments=True)
-    moving = _links_beyond(root, movable_joint(asset.urdf, asset.joint).child)
+    joints = read_urdf_joints(asset.urdf)
+    moving = links_beyond(joints, joints[asset.joint].child)
     for link in root.findall("link"):
         inertial = link.find("inertial")
         if link.get("name") not in moving or inertial is None:
@@ -94,21 +94,6 @@ def check_body(before: Asset, after: Asset, correction: BodyCorrection, folder: 
             f"{folder} has an inertia of {is_now:.6g} about its joint once reloaded, expected "
             f"{was * correction.inertia:.6g}: do all its links have an <inertial>?"
         )
-
-
-def _links_beyond(root: ET.Element, first: str) -> set[str]:
-    """Names of a link and of all that hangs on it."""
-    found, more = set(), {first}
-    while more:
-        found |= more
-        children = {
-            child.get("link", "")
-            for joint in root.findall("joint")
-            for parent, child in [(joint.find("parent"), joint.find("child"))]
-            if parent is not None and child is not None and parent.get("link") in more
-        }
-        more = children - found
-    return found
 
 
 def _move_centre(inertial: ET.Element, axis: Array, pivot: Array, factor: float, turn: float) -> None:
