@@ -36,7 +36,7 @@ from freeart21.files.result import read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.mesh import Mesh
-from freeart21.reconstruction import Failure, Reconstruction
+from freeart21.reconstruction import Failure, Reconstruction, describe_trust
 from freeart21.trust import judge, size_of
 from generator import sensor, session
 from generator.motion import Plan
@@ -149,17 +149,6 @@ FAULTS: dict[str, Callable[[Mesh, float], Mesh]] = {
 
 
 @dataclass(frozen=True)
-class Fault:
-    """A right answer with one surface spoilt, as it judges itself."""
-
-    video: str
-    part: str
-    fault: str
-    doubtful: bool
-    reasons: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class Judged:
     """One answer as it judges itself, and as the truth does."""
 
@@ -199,7 +188,7 @@ def main(
     chosen = [v for v in VIDEOS if (not videos or v.name in videos) and (partnet_root is not None or not v.partnet)]
     if not chosen:
         raise FreeArtError(f"no such videos: {', '.join(videos)}; there are {', '.join(v.name for v in VIDEOS)}")
-    judged, faults = list[Judged](), list[Fault]()
+    judged, faults = list[Judged](), dict[str, str]()
     for video in chosen:
         data, results = work / "data" / video.name, work / "results" / video.name
         sequence = _recorded(video, data, partnet_root)
@@ -209,7 +198,7 @@ def main(
         judged.append(_judged(video, data, results, sequence))
         _say(judged[-1])
         if judged[-1].status == "ok" and not judged[-1].wrong and not judged[-1].doubtful:
-            faults += _spoilt(video, data / "sequences" / sequence, results / sequence)
+            faults |= _spoilt(video, data / "sequences" / sequence, results / sequence)
     _print(judged)
     Console().print_json(data=counted_faults(faults))
     if out is None and len(chosen) < len(VIDEOS):
@@ -218,14 +207,9 @@ def main(
         "summary": summary(judged),
         "faults_doubted_of": counted_faults(faults),
         "rows": [asdict(one) for one in judged],
-        "faults": [asdict(one) for one in faults],
+        "faults": faults,
         "commit": commit(),
-        "settings": {
-            "solver": VERSION,
-            "protocol": "strict-1",
-            "refine": refine,
-            "videos": [asdict(v) for v in chosen],
-        },
+        "settings": {"solver": VERSION, "protocol": "strict-1", "refine": refine, "videos": [v.name for v in chosen]},
         "machine": machine(),
     }
     atomic.write_json(out or RESULTS / "trust.json", content)
@@ -302,26 +286,29 @@ def _judged(video: Video, data: Path, results: Path, sequence: str) -> Judged:
     return Judged(video.name, "ok", wrong, doubtful, trust.reasons, values, span, *ratios, seconds, video.held_out)
 
 
-def _spoilt(video: Video, sequence: Path, result: Path) -> list[Fault]:
-    """A sound answer with every fault in either surface, judged again."""
+def _spoilt(video: Video, sequence: Path, result: Path) -> dict[str, str]:
+    """How a sound answer with a fault in either surface judges itself, by video, part and fault."""
     answer = read_result(result)
     assert isinstance(answer, Reconstruction)
     diagnostics = read_diagnostics(result, len(answer))
     assert diagnostics is not None
-    scene, parts, found = prepare(read_sequence(sequence), SceneSettings()), answer.articulation, []
+    scene, parts, found = prepare(read_sequence(sequence), SceneSettings()), answer.articulation, dict[str, str]()
     for part in PARTS:
         for name, spoil in FAULTS.items():
             mesh = spoil(parts.part(part), size_of(answer))
             wrong = replace(answer, articulation=replace(parts, **{part: mesh}))
             trust = judge(wrong, replace(diagnostics, **surface_signs(scene, wrong)))
-            found.append(Fault(video.name, part, name, trust.verdict == "doubtful", trust.reasons))
+            found[f"{video.name}, {part}, {name}"] = describe_trust(trust)
     return found
 
 
-def counted_faults(faults: list[Fault]) -> dict[str, tuple[int, int]]:
+def counted_faults(faults: dict[str, str]) -> dict[str, str]:
     """Of every fault, how many surfaces were doubted, of how many."""
-    asked = {name: [one.doubtful for one in faults if one.fault == name] for name in FAULTS}
-    return {name: (sum(doubted), len(doubted)) for name, doubted in asked.items()}
+    judged = {name: [said for key, said in faults.items() if key.endswith(name)] for name in FAULTS}
+    return {
+        name: f"{sum(said.startswith('doubtful') for said in of_name)} of {len(of_name)}"
+        for name, of_name in judged.items()
+    }
 
 
 def is_wrong(values: dict[str, float | None], state_range: float) -> bool:

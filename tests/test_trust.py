@@ -472,6 +472,6 @@ def test_the_benchmark_counts_spoilt_surfaces_that_are_doubted(drawn):
     spoilt = {name: spoil(mesh, size) for name, spoil in bench.FAULTS.items()}
     assert np.ptp(spoilt["a vertex at 65.5 m"].vertices[:, 2]) > 60
     assert spoilt["half is missing"].areas().sum() < 0.6 * mesh.areas().sum()
-    faults = [bench.Fault("v", "moving", "larger by 15 %", doubtful, ()) for doubtful in (True, False, True)]
-    counted = bench.counted_faults(faults)
-    assert counted["larger by 15 %"] == (2, 3) and counted["half is missing"] == (0, 0)
+    verdicts = {"a": "doubtful: why", "b": "sound", "c": "doubtful: why"}
+    counted = bench.counted_faults({f"{video}, moving, larger by 15 %": said for video, said in verdicts.items()})
+    assert counted["larger by 15 %"] == "2 of 3" and counted["half is missing"] == "0 of 0"
