@@ -732,6 +732,56 @@ def gap(
     print(out / "verdict.json")
 
 
+def replay(
+    asset: Annotated[Path, Positional],
+    runs: Annotated[tuple[Path, ...], Positional],
+    out: Path | None = None,
+    engine: Literal["sapien", "mujoco"] = "sapien",
+    holding: Annotated[float | None, tyro.conf.arg(metavar="PART")] = None,
+    without_guesses: bool = False,
+    seconds: float = 120.0,
+    root: Path | None = None,
+) -> None:
+    """Simulate measured runs from an asset's files alone, and say how far the simulation is from each.
+
+    Only the state in which a run starts is free; it is fitted to the run, and told. Gaps that `gap` tells are these.
+
+    Args:
+        asset: An asset folder or a URDF, with what lies beside it (effects.json; MJCF for MuJoCo).
+        runs: Measured sets (with measured.json), or files of runs in such.
+        out: New folder for replay.json, a curve of every run and a page.
+        engine: What simulates: sapien, or mujoco, whose format cannot say all effects.
+        holding: Of inputs of which the set does not say how they go on between their rows: 0 smoothly, 1 held [0].
+        without_guesses: Leave out effects that asset.json calls guessed, as `gap` does.
+        seconds: Seconds after which what is not replayed is given up.
+        root: Folder that bounds what a URDF names; its own, or its package's.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from simgap.replay import replay_folder, table
+
+    if not seconds > 0 or not (holding is None or 0 <= holding <= 1):
+        raise FreeArtError(
+            f"replay: --seconds is {seconds:g}, expected above 0, and --holding {holding}, expected 0 to 1"
+        )
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task(f"Replaying in {engine}", total=None)
+
+        def told(done: int, total: int) -> None:
+            bars.update(task, completed=done, total=total)
+
+        done = replay_folder(asset, runs, out, engine, holding, not without_guesses, seconds, told, root)
+    for note in done.notes:
+        print(f"- {note}", file=sys.stderr)
+    if done.given_up:
+        print(f"- not replayed within {seconds:g} s: {', '.join(done.given_up)}", file=sys.stderr)
+    print(table(done))
+    print(done.command if out is None else out / "replay.json")
+
+
 def view(
     path: Annotated[Path, Positional],
     out: Path | None = None,
@@ -827,6 +877,7 @@ def known_commands() -> dict[str, Callable[..., Any]]:
         board.pack,
         measure,
         gap,
+        replay,
     )
     return {f.__name__.strip("_").replace("_", "-"): f for f in commands}
 

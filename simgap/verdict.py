@@ -60,17 +60,38 @@ class Where:
 
 @dataclass(frozen=True)
 class RunGap:
-    """How far simulation and measurement of one run are apart: root mean squares, rad or m, or N*m or N."""
+    """How far simulation and measurement of one run are apart: root mean squares, rad or m, or N*m or N.
+
+    Of positions, once it is published: replays of files (`simgap.proof.replay`), NaN for a run that was not replayed.
+    """
 
     run: str
     before: float
+    """By the asset that was given."""
     after: float
+    """By the asset beside the verdict."""
     floor: float
     """What the sensor's own noise leaves."""
     held_out: bool
     regime: str
     """Which kind of motion the run is, such as 'small' or 'large' swings."""
     use: Use = "fitted"
+    tried: float | None = None
+    """With what was tried and is not in the asset beside the verdict; None where that has all that was tried."""
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What replayed the files, and how anybody repeats it."""
+
+    engine: str
+    version: str
+    repeat: dict[str, str]
+    """Command lines: `before`, `after`, and `tried` where something was tried that is not in the asset."""
+    witness: dict[str, Any]
+    """A second engine's word: `engine`, with its `version` and `gap`, run by run, or why it is `absent`."""
+    runs: dict[str, str] = field(default_factory=dict)
+    """Run name to the SHA-256 of its file."""
 
 
 SHOWS = 1.25
@@ -139,6 +160,16 @@ class Verdict:
     """What was compared: where the joint was, or the force that prescribed motion took. Gaps are in its unit."""
     judged_by: dict[str, Any] = field(default_factory=dict)
     """Version, digest of the code and every number that decides."""
+    proof: Proof | None = None
+    """Of the gaps of positions; None where nothing was replayed."""
+
+    @property
+    def uses(self) -> dict[str, Use]:
+        """Run name to what the run was used for, by its motion where it has one."""
+        uses: dict[str, Use] = {}
+        for gap in self.gaps:
+            uses.setdefault(gap.run, gap.use)
+        return uses
 
     def to_json(self, joint_type: JointType) -> dict[str, Any]:
         """As it stands in verdict.json."""
@@ -152,12 +183,14 @@ class Verdict:
             "corrections": [vars(corrected) for corrected in self.corrections],
             "holding": self.holding,
             "where": [vars(where) for where in self.where],
-            "gap": [vars(gap) for gap in self.gaps],
+            "gap": [vars(gap) for gap in self.gaps if np.isfinite(gap.before)],
             "gap_of": {"quantity": self.by, "unit": unit_of(self.by, joint_type)},
             "rivals": [list(names) for names in self.rivals],
             "next_experiment": self.next_experiment,
             "notes": list(self.notes),
             "judged_by": self.judged_by,
+            "proof": None if self.proof is None else vars(self.proof),
+            "uses": self.uses,
         }
 
     def write(self, path: Path, joint_type: JointType) -> None:

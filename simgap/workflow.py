@@ -13,11 +13,10 @@ import numpy as np
 from freeart21 import __version__
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
-from freeart21.errors import FreeArtError
-from freeart21.files.asset import check_followers, movable_joint, read_asset
+from freeart21.files.asset import read_asset
 from freeart21.files.atomic import new_folder
 from freeart21.files.lock import only_writer
-from freeart21.files.measured import read_measured
+from freeart21.files.measured import read_measured, run_hashes
 from freeart21.files.places import ANSWER, check_place
 from freeart21.joint import JointType
 from freeart21.measured import Measured
@@ -40,10 +39,11 @@ from simgap.measure.floor import Floor
 from simgap.measure.prescribed import ForceRun, force_runs
 from simgap.measure.withstood import withstood
 from simgap.motion.surrogate import Nuisance, plant_of
-from simgap.page.publish import Draft, off_of, publish, with_positions
+from simgap.page.publish import Draft, Paths, off_of, publish, with_positions
 from simgap.page.report import Ranked
 from simgap.proof.body import NO_CORRECTION
-from simgap.proof.show import SECONDS, Progress, ReplayGap
+from simgap.proof.replay import SECONDS, Progress, check_match
+from simgap.proof.show import ReplayGap
 from simgap.settings import GapSettings
 from simgap.verdict import SHOWS, Named, Verdict
 
@@ -84,7 +84,7 @@ def judged_by(settings: GapSettings) -> dict[str, Any]:
 
 
 def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft:
-    check_match(asset, measured)
+    check_match(asset, measured, "gap")
     geometry = find_geometry_of(asset, measured, KinematicsSettings(without=settings.without))
     positions = with_positions(measured, geometry)
     plant = plant_of(asset, measured)
@@ -124,7 +124,7 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
         floor.still,
         motion.verdict != "no_gap",
         certain_of(motion, geometry),
-        curves_of(choice, split, delivered, runs),
+        curves_of(choice, split, delivered, runs) if problem.force_read else (),
         {run.name: split.use(run.name) for run in runs},
         delivery.body if motion.corrections or motion.verdict == "ambiguous" else NO_CORRECTION,
         settings.judgement.dominant,
@@ -173,8 +173,8 @@ def as_tracked(
 
 
 def curves_of(choice: Choice, split: Split, delivered: Delivered, runs: tuple[FitRun, ...]) -> tuple[ReplayGap, ...]:
-    """Runs in the fits' own simulation, with the asset as it is and as it is delivered; where nothing is, with the best
-    set that was found before runs that it was not fitted to."""
+    """Runs by inverse dynamics, with the asset as it is and as it is delivered; where nothing is, with the best set
+    before runs that it was not fitted to."""
     nearest = {} if choice.explaining or not choice.gap else choice.best.left
     found = []
     for run in runs:
@@ -271,16 +271,6 @@ def _how_far(effect: Effect, kind: JointType) -> str:
     return f"{plain(effect.name)}, by {amount(far, next(iter(sizes.values())))}"
 
 
-def check_match(asset: Asset, measured: Measured) -> None:
-    """Raise FreeArtError when the measured joint is not the asset's."""
-    joint = movable_joint(asset.urdf, measured.joint)
-    check_followers(asset.urdf, joint.name, "gap")
-    if joint.joint_type != measured.joint_type:
-        raise FreeArtError(
-            f"{asset.urdf}: joint '{joint.name}' is {joint.joint_type}, but the measurement says {measured.joint_type}"
-        )
-
-
 def gap_folder(
     asset: Path,
     measured: Path,
@@ -305,4 +295,5 @@ def gap_folder(
         seconds = time.perf_counter() - began
         named = Path(measured).resolve()
         title = named.parent.name if named.name == "measured" else named.name
-        return publish(loaded, runs, draft, aside, title, seconds, settings.seed, replay_seconds, progress)
+        paths = Paths(Path(asset), Path(measured), Path(out), root, run_hashes(Path(measured)))
+        return publish(loaded, runs, draft, aside, title, seconds, settings.seed, replay_seconds, progress, paths)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
 from numba import njit
 
+from freeart21.asset import Asset
 from freeart21.measured import Interpolation, Measured, Run
 from freeart21.mechanics import Actuator
+from simgap.proof.replay import AssetOnDisk, Starts, address_of, replay_from
+from simgap.proof.show import Chosen, Shown, show
 
 MASS, ARM, G = 1.6, 0.5, 9.81
 INERTIA = 0.01 + MASS * ARM**2
@@ -106,3 +111,21 @@ def measured_of(
     return Measured(
         "j", "revolute", np.array([0.0, 0.0, -G]), RATE, "recorded", None, actuator, *unsure, tuple(made), between
     )
+
+
+def shown(
+    before: Asset,
+    after: Asset,
+    measured: Measured,
+    starts: Sequence[tuple[float, float]],
+    noise: float = 1e-3,
+    holding: float = 0.0,
+    regimes: Sequence[str] = (),
+) -> Shown:
+    """What replays by both assets' files show, each run from the state that is told."""
+    of = dict(zip([run.name for run in measured.runs], starts, strict=True))
+    begin = Starts(of, dict.fromkeys(of, noise))
+    files = [AssetOnDisk(address_of(asset)) for asset in (before, after)]
+    pair = replay_from(files, measured, (begin, begin), list(of), holding=holding)
+    chosen = [Chosen(name, noise, regime) for name, regime in zip_longest(of, regimes, fillvalue="")]
+    return show(*pair, chosen)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gap_case import ARM, INERTIA, MASS, G, asset_of
+from gap_case import ARM, INERTIA, MASS, G, asset_of, shown
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -22,7 +22,6 @@ from simgap.measure.data import fit_runs
 from simgap.measure.inputs import base_sway, inputs_of
 from simgap.motion.equation_error import missing_force
 from simgap.motion.surrogate import Nuisance, plant_of, simulate
-from simgap.proof.show import Replayed, show
 from simgap.settings import GapSettings
 
 ROTARY = Path(__file__).resolve().parents[1].parent / "shared" / "measured" / "rotary_and_cart"
@@ -122,7 +121,7 @@ def test_a_crooked_joint_on_a_base_that_turns_and_is_pushed_moves_as_its_bits_of
 
     asset = repaired(read_asset(path), effects, tmp_path / "sprung")
     start = (0.4, 0.0)
-    (there,) = show(asset, asset, measured, (Replayed(measured.runs[0], start, start, 1e-4, ""),)).runs
+    (there,) = shown(asset, asset, measured, (start,), 1e-4).runs
     assert there.gap_after < 2e-4 * np.ptp(q)  # in SAPIEN
     plant = plant_of(asset, measured)
     missing = missing_force(measured, plant.mechanics, -50, 50, effects, plant=plant)

@@ -175,7 +175,7 @@ def test_the_example_of_a_recording_becomes_a_measured_set(written: Path, tmp_pa
 
 
 def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
-    from simgap.verdict import Corrected, Named, RunGap, Verdict, Where
+    from simgap.verdict import Corrected, Named, Proof, RunGap, Verdict, Where
 
     said = read_json(written / "gap" / "lid" / "verdict.json")
     effects = tuple(
@@ -205,6 +205,7 @@ def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
         corrections=tuple(Corrected(**corrected) for corrected in said["corrections"]),
         holding=said["holding"],
         judged_by=said["judged_by"],
+        proof=Proof(**said["proof"]),
     )
     verdict.write(written / "again" / "verdict.json", "revolute")
     assert read_json(written / "again" / "verdict.json") == {**said, "files": []}, "nothing lies beside it here"

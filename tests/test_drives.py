@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gap_case import ARM, INERTIA, MASS, G, asset_of
+from gap_case import ARM, INERTIA, MASS, G, asset_of, shown
 from scipy.integrate import solve_ivp
 
 from freeart21.effects.actuator_gain import ActuatorGain
@@ -28,7 +28,6 @@ from simgap.measure.data import fit_runs
 from simgap.measure.inputs import inputs_of
 from simgap.motion.equation_error import missing_force
 from simgap.motion.surrogate import plant_of, simulate
-from simgap.proof.show import Replayed, show
 from simgap.proof.writeback import repaired
 from simgap.settings import GapSettings
 
@@ -128,12 +127,12 @@ def test_a_replay_in_sapien_is_the_equation(name: str, tmp_path: Path):
     run, start = measured.runs[0], (0.3, 0.0)
     before = asset if name == "offset" else right
     plain = replace(measured, runs=(replace(run, enabled=None),))
-    (there,) = show(before, right, measured, (Replayed(run, start, start, 1e-4, ""),)).runs
+    (there,) = shown(before, right, measured, (start,), 1e-4).runs
     assert there.gap_after < 1e-5
     if name == "offset":
         assert there.gap_before > 0.05
     elif run.enabled is not None:
-        (on,) = show(right, right, plain, (Replayed(plain.runs[0], start, start, 1e-4, ""),)).runs
+        (on,) = shown(right, right, plain, (start,), 1e-4).runs
         assert on.gap_after > 0.05
 
 

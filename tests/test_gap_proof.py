@@ -23,7 +23,7 @@ from simgap.judgement.decide import _gated
 from simgap.measure.data import fit_runs
 from simgap.motion.surrogate import Nuisance, plant_of
 from simgap.proof.body import correction_of
-from simgap.proof.files import Chosen, replay_files
+from simgap.proof.replay import AssetOnDisk, replay
 from simgap.proof.writeback import repaired
 from simgap.settings import GapSettings, JudgementSettings
 from simgap.verdict import Named, RunGap, Use, Verdict
@@ -101,8 +101,8 @@ def swings(folder: Path, inertia: float, oil: float, count: int = 6) -> tuple[Pa
 
 def replayed(asset: Path, measured: Path, names: Sequence[str]) -> dict[str, float]:
     """Run name to the error of the asset on disk, rad: by a program that knows nothing but the files."""
-    shown = replay_files(asset, asset, read_measured(measured), [Chosen(name, 1e-3) for name in names])
-    return {run.run: run.gap_after for run in shown.runs}
+    (found,) = replay([AssetOnDisk(asset)], read_measured(measured), names)
+    return {run.run: run.error for run in found.runs}
 
 
 @pytest.mark.parametrize(("inertia", "oil"), [(1.09, 0.0), (0.93, 0.0), (1.09, 0.06), (1.0, 0.06)])
@@ -116,8 +116,8 @@ def test_the_delivered_files_give_the_verdicts_own_numbers(inertia: float, oil: 
     assert inertia == 1.0 or f"inertia is {told['inertia']:.4g} times" in verdict.sentence
     kept = {gap.run: gap for gap in verdict.gaps if gap.use == "confirming"}
     after = replayed(tmp_path / "gap/asset", measured, list(kept))
-    assert after == {name: pytest.approx(gap.after, rel=1e-6) for name, gap in kept.items()}
-    assert replayed(urdf, measured, list(kept)) == {n: pytest.approx(g.before, rel=1e-6) for n, g in kept.items()}
+    assert after == {name: gap.after for name, gap in kept.items()}
+    assert replayed(urdf, measured, list(kept)) == {name: gap.before for name, gap in kept.items()}
     _, mine = swings(tmp_path / "mine", inertia, oil, 7)
     assert replayed(tmp_path / "gap/asset", mine, ["run_6"])["run_6"] < 1.3e-3
 

@@ -24,8 +24,9 @@ from simgap.geometry.placing import place
 from simgap.motion.equation_error import missing_force
 from simgap.motion.localise import residual_maps
 from simgap.page.publish import GEOMETRY, Off, _as_fitted, publish
-from simgap.proof import replay
-from simgap.proof.show import CannotReplay, Replayed, _read_answer
+from simgap.proof import replay_process
+from simgap.proof.replay import CannotReplay, Replay, RunReplay
+from simgap.proof.show import Chosen, show
 from simgap.verdict import Verdict
 from simgap.workflow import certain_of, joined
 
@@ -127,16 +128,16 @@ def test_a_replay_that_takes_too_long_keeps_the_answer_and_says_so(tmp_path: Pat
     assert "more than 0.1 s and was given up: 0 of 2 runs" in page
     told_of: list[tuple[int, int]] = []
     publish(asset, measured, told, tmp_path / "in_time", "in time", progress=lambda *of: told_of.append(of))
-    assert told_of[0] == (0, 2) and told_of[-1] == (2, 2)
+    assert told_of[0] == (0, 4) and (4, 4) in told_of
 
 
 def test_what_sapien_cannot_step_is_not_written(tmp_path: Path, monkeypatch):
-    def stiff(*_):
+    def stiff(*_, **__):
         raise CannotReplay("shorten timestep_s")
 
     asset, measured = bob(tmp_path / "a"), held_out(pendulum(STARTS[:2], damped, seconds=1.0), 1)
     told = draft(measured, STARTS[:2], Detent(1e4, 0.3, 1e-5))
-    monkeypatch.setattr("simgap.page.publish.replay_files", stiff)
+    monkeypatch.setattr("simgap.page.publish.replay", stiff)
     verdict = publish(asset, measured, told, tmp_path / "out", "stiff")
     assert (verdict.verdict, verdict.added) == ("unexplained", ())
     assert "shorten timestep_s" in (tmp_path / "out/index.html").read_text()
@@ -149,25 +150,31 @@ class _Stage:
     def load(self, h: float) -> float:
         return h
 
-    def replay(self, h, data, i, start):
+    def replay(self, loaded, h, data, i, start):
         return np.full(20, self.stiff * h**2)
 
 
-def test_every_run_is_replayed_at_the_time_step_that_it_needs():
-    data = {"q_0": np.zeros(20), "q_1": np.full(20, 1e3)}  # the second is off by so much that no step matters
-    job = {"timestep_s": 2e-3, "floors": [1e-3, 1e-3]}
+def runs_of(*offs: float, seconds: float = 2.0) -> dict[str, np.ndarray]:
+    """Readings of runs that are off by so much of a simulation at zero."""
+    times = np.linspace(0, seconds, 20)
+    return {f"{k}_{i}": v for i, off in enumerate(offs) for k, v in (("q", np.full(20, off)), ("times", times))}
 
-    def needed(stiff: float, i: int = 0, end: float = np.inf) -> tuple[float, float]:
-        q, h, numerics = replay._converged(_Stage(stiff), data, job, i, (0.0, 0.0), end)
+
+def test_every_run_is_replayed_at_the_time_step_that_it_needs():
+    data = runs_of(0.0, 1e3)  # the second is off by so much that no step matters
+
+    def needed(stiff: float, i: int = 0, data=data) -> tuple[float, float]:
+        q, h, numerics = replay_process._converged(_Stage(stiff), data, i, (0.0, 0.0), 1e-3, 2e-3)
         np.testing.assert_allclose(q, stiff * h**2)  # the finest that was tried
         return h, numerics
 
     (smooth, at_once), (stiff, later) = needed(1e-3), needed(1e2)
-    assert smooth == 1e-3 and stiff == 5e-4 and max(at_once, later) < replay.ENOUGH
+    assert smooth == 1e-3 and stiff == 5e-4 and max(at_once, later) < replay_process.ENOUGH
     h, numerics = needed(1e9)  # and does not go on for ever
-    assert h == 2e-3 / 2**replay.HALVINGS and numerics > 1
+    assert h == 2e-3 / 2**replay_process.HALVINGS and numerics > 1
     assert needed(1e6, i=1)[0] == 1e-3
-    assert needed(1e9, end=-np.inf)[0] == 1e-3
+    long = 0.9 * replay_process.MOST_STEPS * 1e-3
+    assert needed(1e9, data=runs_of(0.0, seconds=long))[0] == 1e-3
 
 
 class _StiffStage(_Stage):
@@ -176,31 +183,29 @@ class _StiffStage(_Stage):
             raise FreeArtError("shorten timestep_s")
         return h
 
-    def replay(self, h, data, i, start):
+    def replay(self, loaded, h, data, i, start):
         return np.zeros(20)
 
 
 def test_what_is_too_stiff_for_a_step_is_stepped_finer():
-    data, job = {"q_0": np.zeros(20)}, {"timestep_s": 4e-3, "floors": [1e-3]}
-    assert replay._converged(_StiffStage(1.5e-3), data, job, 0, (0.0, 0.0), np.inf)[1] == 5e-4
+    data = runs_of(0.0)
+    assert replay_process._converged(_StiffStage(1.5e-3), data, 0, (0.0, 0.0), 1e-3, 4e-3)[1] == 5e-4
     with pytest.raises(FreeArtError, match="shorten"):
-        replay._converged(_StiffStage(1e-4), data, job, 0, (0.0, 0.0), np.inf)
+        replay_process._converged(_StiffStage(1e-4), data, 0, (0.0, 0.0), 1e-3, 4e-3)
 
 
 @pytest.mark.parametrize("change, told", [(0.9, ["run_0", "run_1"]), (40.0, ["run_0"]), (None, ["run_1"])])
-def test_a_run_that_hangs_on_a_hair_tells_nothing(tmp_path: Path, change: float | None, told: list[str]):
+def test_a_run_that_hangs_on_a_hair_tells_nothing(change: float | None, told: list[str]):
     """Its gap is 100 floors after, and halving the time step changes that by `change`; None: the other one's, too."""
-    measured = pendulum(STARTS[:2], damped, seconds=1.0)
-    runs = tuple(Replayed(run, (0, 0), (0, 0), 1e-3, "all") for run in measured.runs)
-    for i, run in enumerate(measured.runs):
-        sure = np.array([[1e-3, 0.02], [1e-3, 0.05]])
-        steps = sure if i == 0 and change else np.array([[1e-3, 0.02], [2.5e-4, change or 0.03]])
-        if change is None and i == 0:
-            steps = np.array([[1e-3, 7.0], [1e-3, 0.05]])
-        np.savez(tmp_path / f"run_{i}.npz", before=run.q, after=run.q + 0.1 * i, steps=steps)
-    shown = _read_answer(tmp_path, runs, (), 4e-3)
-    assert [run.run for run in shown.runs] == told
-    assert sorted([*told, *shown.unsure]) == ["run_0", "run_1"] and shown.numerics < 1
+
+    def made(name: str, off: float, change: float) -> RunReplay:
+        return RunReplay(name, np.arange(20.0), np.zeros(20), np.full(20, off), 1e-3, (0.0, 0.0), 1e-3, change)
+
+    first = (made("run_0", 0.0, 0.02 if change else 7.0), made("run_1", 0.0, 0.02))
+    second = (made("run_0", 0.0, 0.05), made("run_1", 0.1, change or 0.05))
+    seen = show(*(Replay("sapien", "3", runs) for runs in (first, second)), [Chosen(f"run_{i}", 1e-3) for i in (0, 1)])
+    assert [run.run for run in seen.runs] == told
+    assert sorted([*told, *(run.run for run in seen.unsure)]) == ["run_0", "run_1"] and seen.numerics < 1
 
 
 def test_a_sets_of_coulomb_and_oil_are_two_effects():

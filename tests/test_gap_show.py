@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gap_case import shown
 from scipy.integrate import solve_ivp
 
 from freeart21 import se3
@@ -41,7 +42,8 @@ from simgap.motion.surrogate import Nuisance, plant_of
 from simgap.page.publish import GEOMETRY, Draft, off_of, publish, with_positions
 from simgap.page.report import Ranked
 from simgap.proof.body import NO_CORRECTION, correction_of
-from simgap.proof.show import Replayed, helps, show
+from simgap.proof.replay import replay_from
+from simgap.proof.show import helps
 from simgap.proof.writeback import repaired
 from simgap.verdict import Named, RunGap, Use, Verdict
 
@@ -75,13 +77,6 @@ def pendulum(starts, torque, seconds=3.0, inertia=INERTIA, gravity=1.0, seed=0, 
         given = {name: np.array([f(s) for s in t]) for name, f in channels.items() if callable(f)}
         runs.append(Run(f"run_{i}", t, done.y[0] + rng.normal(size=len(t)) * noise, **given))
     return Measured("j", "revolute", np.array([0, 0, -G]), 150.0, "recorded", runs=tuple(runs))
-
-
-def replays(measured, starts, regimes=None):
-    return tuple(
-        Replayed(run, start, start, 1e-3, "" if regimes is None else regimes[i])
-        for i, (run, start) in enumerate(zip(measured.runs, starts, strict=True))
-    )
 
 
 STARTS = ((1.2, 0.0), (0.4, 0.5), (-1.5, 0.0))
@@ -264,23 +259,20 @@ def test_a_joint_has_one_backlash(tmp_path: Path):
 def test_a_right_repair_closes_the_gap_in_a_fresh_process(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), pendulum(STARTS, damped)
     again = repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
-    shown = show(asset, again, measured, replays(measured, STARTS, ["fast", "slow", "fast"]))
-    for run in shown.runs:
+    there = shown(asset, again, measured, STARTS, regimes=["fast", "slow", "fast"])
+    for run in there.runs:
         assert run.gap_before > 30 * run.floor
         assert run.gap_after < 1.5 * run.floor
         assert run.after == pytest.approx(run.measured, abs=8e-3)
-    assert shown.helps and shown.numerics < 0.1
-    assert shown.closed() > 0.97 and shown.closed({"slow"}) > 0.97 and shown.closed({"other"}) is None
+    assert there.helps and there.numerics < 0.1
+    assert there.closed() > 0.97 and there.closed({"slow"}) > 0.97 and there.closed({"other"}) is None
 
 
 def test_a_wrong_repair_is_no_help(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), pendulum(STARTS[:2], damped)
     again = repaired(asset, (ReturnSpring(1.0, 0.0),), tmp_path / "b")
-    shown = show(asset, again, measured, replays(measured, STARTS[:2]))
-    assert not shown.helps
-    good = show(
-        asset, repaired(asset, (ViscousDamping(0.03),), tmp_path / "c"), measured, replays(measured, STARTS[:2])
-    )
+    assert not shown(asset, again, measured, STARTS[:2]).helps
+    good = shown(asset, repaired(asset, (ViscousDamping(0.03),), tmp_path / "c"), measured, STARTS[:2])
     first, second = good.runs
     for fast, quiet, wider, fine in (  # nor one that harms another regime by a quarter floor
         (20, 10, 0.2, True),
@@ -303,7 +295,7 @@ def test_what_the_asset_is_off_by_is_replayed_only_as_its_files_say(tmp_path: Pa
     oil, body = (ViscousDamping(0.03),), correction_of(plant_of(asset, measured), Nuisance(1.08, 0.97))
     for name, written, most in (("b", NO_CORRECTION, np.inf), ("c", body, 1.5e-3)):
         again = repaired(asset, oil, tmp_path / name, body=written)
-        (run,) = show(asset, again, measured, replays(measured, STARTS[:1])).runs
+        (run,) = shown(asset, again, measured, STARTS[:1]).runs
         assert run.gap_after < most and run.gap_before > 30e-3
         assert written == body or run.gap_after > 10e-3
 
@@ -316,8 +308,7 @@ def test_a_sensor_that_is_late_is_replayed_from_the_state_it_read_first(tmp_path
     measured = replace(pendulum(STARTS[:1], damped, seconds=2.0), runs=(run,))
     start = tuple(float(np.interp(times[0] - late, true.times_s, s)) for s in (true.q, true.qd))
     again = repaired(asset, (TimeOffset(late),), tmp_path / "b")
-    shown = show(asset, again, measured, (Replayed(run, start, start, 1e-3, "free"),))
-    assert shown.runs[0].gap_after < 1e-4
+    assert shown(asset, again, measured, (start,)).runs[0].gap_after < 1e-4
 
 
 def test_servo_efforts_and_the_sensor_are_replayed(tmp_path: Path):
@@ -338,9 +329,9 @@ def test_servo_efforts_and_the_sensor_are_replayed(tmp_path: Path):
     measured = replace(measured, actuator=law, effort_kind="external")
     measured = replace(measured, runs=tuple(replace(r, q=r.q + 0.05) for r in measured.runs))
     again = repaired(asset, (ViscousDamping(0.03), EncoderOffset(0.05)), tmp_path / "b")
-    shown = show(asset, again, measured, replays(measured, ((0.1, 0.0),)))
-    assert shown.runs[0].gap_before > 0.05
-    assert shown.runs[0].gap_after < 4e-3  # commands are held from reading to reading
+    (run,) = shown(asset, again, measured, ((0.1, 0.0),)).runs
+    assert run.gap_before > 0.05
+    assert run.gap_after < 4e-3  # commands are held from reading to reading
 
 
 def test_a_replay_that_cannot_run_says_why_in_one_line(tmp_path: Path):
@@ -349,10 +340,10 @@ def test_a_replay_that_cannot_run_says_why_in_one_line(tmp_path: Path):
     (tmp_path / "b/effects.json").unlink()
     (tmp_path / "b/effects.json").write_text("{}")
     with pytest.raises(FreeArtError, match="effects.json") as caught:
-        show(asset, again, measured, replays(measured, STARTS[:1]))
+        shown(asset, again, measured, STARTS[:1])
     assert "\n" not in str(caught.value)
     with pytest.raises(FreeArtError, match="no run to replay"):
-        show(asset, asset, measured, ())
+        replay_from((), measured, (), ())
 
 
 # ---------------------------------------------------------------- and published
@@ -395,7 +386,9 @@ def test_a_verdict_is_published_with_the_gaps_that_sapien_measured(tmp_path: Pat
     verdict = publish(asset, measured, draft(measured, STARTS, ViscousDamping(0.03)), out, "A <bob>", 1.0)
     assert verdict.verdict == "named" and verdict.where
     by_run = {gap.run: gap for gap in verdict.gaps}
-    assert np.isnan(by_run["run_0"].after)  # fitted, not replayed
+    assert np.isnan(by_run["run_0"].before) and np.isnan(by_run["run_0"].after)  # fitted, not replayed
+    data = json.loads((out / "verdict.json").read_text())
+    assert [gap["run"] for gap in data["gap"]] == ["run_1", "run_2"] and data["uses"]["run_0"] == "fitted"
     for name in ("run_1", "run_2"):
         assert by_run[name].before > 20e-3 and by_run[name].after < 1.5e-3
     assert read_asset(out / "asset").effects == {"j": (ViscousDamping(0.03),)}
@@ -472,8 +465,10 @@ def test_what_does_not_help_is_rolled_back(tmp_path: Path):
     out.mkdir()
     verdict = publish(asset, measured, draft(measured, STARTS, ReturnSpring(1.0, 0.0)), out, "bob")
     assert (verdict.verdict, verdict.effects) == ("unexplained", ())
-    assert all(gap.after == gap.before for gap in verdict.gaps)
+    (gap,) = [gap for gap in verdict.gaps if np.isfinite(gap.before)]
+    assert gap.after == gap.before != gap.tried
     assert read_asset(out / "asset").effects == {"j": (ViscousDamping(0.01),)}
+    assert len(read_asset(out / "tried").effects["j"]) == 2
     page = (out / "index.html").read_text()
     assert "rolled back: replayed in SAPIEN it did not help on 1 run kept to confirm it, or" in page
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gap_case import INERTIA, RATE, SERVO, G, asset_of, measured_of
+from gap_case import INERTIA, RATE, SERVO, G, asset_of, measured_of, shown
 
 from freeart21 import cli
 from freeart21.files.asset import read_asset
@@ -20,7 +20,6 @@ from generator.simulate import roll_out
 from simgap.measure.data import stride_of, thinned
 from simgap.measure.inputs import inputs_of, logged_at
 from simgap.motion.surrogate import Nuisance, plant_of, simulate
-from simgap.proof.show import Replayed, show
 from simgap.workflow import find_gap
 
 TIMES = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.6])
@@ -157,8 +156,7 @@ def test_a_replay_goes_on_between_rows_as_the_fit_found(share: float, tmp_path: 
     run = measured.runs[0]
     assert run.q_command is not None
     asset, start = read_asset(asset_of(tmp_path)), (float(run.q_command[0]), 0.0)
-    replayed = (Replayed(run, start, start, 1e-3, ""),)
-    right, wrong = (show(asset, asset, measured, replayed, s).runs[0] for s in (share, 1 - share))
+    right, wrong = (shown(asset, asset, measured, (start,), holding=s).runs[0] for s in (share, 1 - share))
     assert right.gap_after < 1.5e-3 < wrong.gap_after
 
 

@@ -72,7 +72,7 @@ EXEMPT = {
     ("leaderboard/site/build.py", "read_bytes"): OWN_ASIDE,
     ("leaderboard/archive.py", "open"): "an entry of an archive that `checked` has opened",
     ("leaderboard/provenance.py", "read_text"): "/proc/cpuinfo",
-    ("simgap/proof/show.py", "read_text"): OWN_ASIDE,
+    ("simgap/proof/replay.py", "read_text"): OWN_ASIDE,
     ("freeart21/jobs/work.py", "open"): "the log of a job of ours",
     ("leaderboard/asset_process.py", "open"): "the log of a process of our own, and a device",
     ("freeart21/ending.py", "open"): DEVICE,

@@ -142,7 +142,7 @@ def read_asset(path: Path, joint: str | None = None, *, guesses: bool = True, ro
     if path.is_dir() and checked.is_there(header):
         asset = _read_described(path, checked.read_json(header, ASSET_SCHEMA), header, joint)
         asset = replace(asset, root=path if root is None else root)
-        return asset if guesses or not _guessed(asset) else replace(asset, effects={})
+        return asset if guesses or not guesses_dynamics(asset) else replace(asset, effects={})
     if path.is_dir():
         urdfs = sorted(path.glob("*.urdf"))
         if len(urdfs) != 1:
@@ -154,7 +154,8 @@ def read_asset(path: Path, joint: str | None = None, *, guesses: bool = True, ro
     return Asset(path, scored.name, scored.parent, scored.child, effects=read_effects(path), held=held, root=root)
 
 
-def _guessed(asset: Asset) -> bool:
+def guesses_dynamics(asset: Asset) -> bool:
+    """Whether asset.json says that the effects were guessed."""
     dynamics = asset.source.get("dynamics")
     return isinstance(dynamics, dict) and dynamics.get("guessed") is True
 

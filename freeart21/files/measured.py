@@ -12,6 +12,7 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import base_json, checked
 from freeart21.files.actuator_json import actuator_from_json
+from freeart21.files.benchmark import file_sha256
 from freeart21.files.run_table import MAX_SAMPLES, read_table
 from freeart21.joint import JOINT_TYPES, JointType
 from freeart21.measured import (
@@ -113,6 +114,21 @@ def read_measured(folder: Path) -> Measured:
         base_axis=base_axis,
         notes=notes,
     )
+
+
+def run_files(folder: Path) -> dict[str, Path]:
+    """Run name to its file in the measured set in a folder; FreeArtError when there is none."""
+    path = folder / "measured.json"
+    if not folder.is_dir() or not checked.is_there(path):
+        raise FreeArtError(f"{folder} is not a measured set: expected a folder with measured.json")
+    listed = _listed_runs(checked.read_json(path), path)
+    files = _run_files(folder, listed, path)
+    return {_name_of(entry["file"]): file for entry, file in zip(listed, files, strict=True)}
+
+
+def run_hashes(folder: Path) -> dict[str, str]:
+    """Run name to the SHA-256 of its file in the measured set in a folder."""
+    return {name: file_sha256(file, folder) for name, file in run_files(folder).items()}
 
 
 def _listed_runs(data: dict[str, Any], path: Path) -> list[dict[str, Any]]:

@@ -146,7 +146,7 @@ def _gated(found: Verdict, problem: Problem, settings: JudgementSettings) -> Ver
         was, now = (_length(root_mean_square([getattr(g, k) for g in kept]), problem) for k in ("before", "after"))
         said = (
             f"Simulation and measurement differ, and the nearest explanation, {nearest}, leaves {now} of {was} on "
-            f"{of}: it is none."
+            f"{of}, by its fit: it is none."
         )
         return replace(bare, verdict="unexplained", next_experiment=_LATER[""], sentence=said)
     others = [gap for gap in found.gaps if gap.use != "confirming"]
@@ -224,7 +224,7 @@ def _unexplained(choice: Choice, gaps: tuple[RunGap, ...], floor: Floor, problem
         "the library explains it"
     )
     if best.names and best.floors < _NEAR * before.floors:
-        said += f"; the nearest, {_listed(best)}, leaves {_length(best.floors * floor.still, problem)}"
+        said += f"; the nearest, {_listed(best)}, leaves {_length(best.floors * floor.still, problem)}, by its fit"
     rival = _spoken(choice)
     if rival is not None:
         said += f". Something without a name does better: {_FORCES[rival.kind]}"

@@ -99,6 +99,8 @@ def span_text(quantity: str, low: float, high: float, joint_type: JointType) -> 
 
 
 _CLOSED = re.compile(r"With it -?\d+% of the gap on [^.;]* is gone")
+_DIFFER, _LEFT = re.compile(r"differ by (?=[\d.])[^,]*(?=,)"), re.compile(r"what is left \([^)]*\)")
+_REMAINS = re.compile(r"hat remains, [^,]* or \S+ times")
 _DID = {"fitted": "that it was fitted to", "choosing": "that chose it", "confirming": "kept to confirm it"}
 
 
@@ -125,6 +127,17 @@ def closed_text(part: float, which: str) -> str:
 def with_closed(sentence: str, part: float, which: str) -> str:
     """The sentence with another closed part, of other runs."""
     return _CLOSED.sub(closed_text(part, which), sentence)
+
+
+def with_replayed(sentence: str, before: float, after: float, floor: float, unit: str) -> str:
+    """The sentence with root mean squares of replayed runs in the places of the fits' own."""
+    for pattern, now in (
+        (_DIFFER, f"differ by {amount(before, unit)}"),
+        (_LEFT, f"what is left ({amount(after, unit)})"),
+        (_REMAINS, f"hat remains, {amount(after, unit)} or {after / floor:.3g} times"),
+    ):
+        sentence = pattern.sub(now, sentence)
+    return sentence
 
 
 def number_text(value: float, unit: str) -> str:

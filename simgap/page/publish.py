@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
+import importlib.util
+import shlex
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,34 +16,37 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.effects.gravity_offset import GravityOffset
+from freeart21.errors import FreeArtError
+from freeart21.files.asset import guesses_dynamics
+from freeart21.files.measured import read_measured, run_hashes
+from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import JointMechanics
-from freeart21.se3 import Array
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.placing import Placed, place
 from simgap.geometry.track_geometry import lever_of, middle_of
-from simgap.judgement.words import plain, runs_text, with_closed
+from simgap.judgement.words import plain, runs_text, with_closed, with_replayed
 from simgap.motion.equation_error import missing_force
 from simgap.motion.localise import residual_maps, where
 from simgap.motion.surrogate import Nuisance, Plant, plant_of
 from simgap.page.report import GEOMETRY, Gap, Ranked, use_of, write_report
 from simgap.proof.body import NO_CORRECTION, BodyCorrection
-from simgap.proof.files import Chosen, replay_files
-from simgap.proof.show import (
+from simgap.proof.replay import (
     SECONDS,
+    AssetOnDisk,
     CannotReplay,
-    PosesReplayed,
+    PosesToReplay,
     Progress,
-    ReplayGap,
-    Shown,
+    Replay,
+    Starts,
     address_of,
-    alike,
-    closed_alike,
-    helps,
+    replay,
+    replay_from,
 )
+from simgap.proof.show import Chosen, ChosenPoses, ReplayGap, Shown, alike, closed_alike, helps, show
 from simgap.proof.writeback import repaired
 from simgap.settings import JudgementSettings
-from simgap.verdict import Named, RunGap, Use, Verdict, halved, told_by
+from simgap.verdict import Named, Proof, RunGap, Use, Verdict, halved, root_mean_square, told_by, unit_of
 
 MOST_REPLAYS = 6
 """Runs that SAPIEN replays; of every regime some."""
@@ -77,8 +82,8 @@ class Draft:
     certain: tuple[Named, ...] = ()
     """Effects that are named without doubt, whatever is said of the rest: only these go into the asset."""
     curves: tuple[ReplayGap, ...] = ()
-    """Runs that were not fitted as the fits' own simulation has them, by the asset as it is and by the best that was
-    found."""
+    """Of runs whose motion was prescribed, the force by inverse dynamics: by the asset as it is and by the best that
+    was found."""
     uses: dict[str, Use] = field(default_factory=dict)
     """Run name to what it was used for."""
     body: BodyCorrection = NO_CORRECTION
@@ -109,6 +114,18 @@ def with_positions(measured: Measured, geometry: KinematicsFinding | None) -> Me
     return replace(measured, runs=runs)
 
 
+@dataclass(frozen=True)
+class Paths:
+    """Where things are, as they were given: for the command lines that repeat the proof."""
+
+    asset: Path
+    measured: Path
+    out: Path
+    root: Path | None = None
+    runs: dict[str, str] = field(default_factory=dict)
+    """Run name to the SHA-256 of its file in `measured`."""
+
+
 def publish(
     asset: Asset,
     measured: Measured,
@@ -119,12 +136,14 @@ def publish(
     seed: int = 0,
     replay_seconds: float = SECONDS,
     progress: Progress | None = None,
+    paths: Paths | None = None,
 ) -> Verdict:
     """Write asset/, verdict.json and index.html into `folder`; the verdict as it stands after the replay in SAPIEN.
 
     Only effects that are certain are written into asset/. Those that do not help on runs that were not fitted are
-    rolled back, motion and geometry each by itself, and the verdict is then unexplained. The best of several rivals is
-    replayed, too, for the page, but not written.
+    rolled back, motion and geometry each by itself, and the verdict is then unexplained. What was tried and is not in
+    asset/ stands in tried/, as of several rivals the best. Positions that part poses were made into are in runs/.
+    Every gap of positions is a replay of these files.
 
     Args:
         asset: as it was.
@@ -135,10 +154,15 @@ def publish(
         seconds: what the verdict took, for the page.
         seed: of permutations.
         replay_seconds: when these are over the replay is given up; the answer stays, and says so.
-        progress: told how many runs are replayed.
+        progress: told how many replays are done.
+        paths: those of the command; as they are here when not given.
     """
     placed = place(asset, measured.gravity)
     runs = with_positions(measured, draft.geometry)
+    posed = any(run.poses is not None for run in measured.runs)
+    if posed:
+        write_measured(folder / "runs", runs)
+        runs = read_measured(folder / "runs")
     acting = asset.effects.get(asset.joint, ())
     known = _as_fitted(runs, placed, acting, draft.off, _limits(asset))
     found = missing_force(*known, plant=plant_of(asset, measured))
@@ -147,18 +171,35 @@ def publish(
     if draft.moves_otherwise and not verdict.where:
         verdict = replace(verdict, where=where(maps, found, measured.joint_type))
     tried = verdict.effects if verdict.verdict in ("named", "ambiguous") else draft.certain
-    shown, kept = None, draft.certain
-    notes: list[str] = []
-    if tried or draft.body != NO_CORRECTION:
-        trial = Trial(asset, measured, runs, draft, placed, tried)
-        shown, why = trial.replayed(replay_seconds, progress)
+    changed = bool(tried) or draft.body != NO_CORRECTION
+    _write(asset, tried, draft.body, verdict, folder / "asset")
+    given = AssetOnDisk(address_of(asset), asset.root, guesses=False)
+    trial = Trial(asset, measured, runs, draft, placed, tried)
+    began = time.monotonic()
+    replays, shown, why = trial.replayed((given, AssetOnDisk(folder / "asset")), changed, replay_seconds, progress)
+    kept, notes = draft.certain, [] if changed or not why else [f"SAPIEN could not replay the asset: {why}"]
+    if shown is not None:
+        verdict = replace(verdict, gaps=_measured_gaps(verdict.gaps, shown))
+    if shown is not None and shown.runs:
+        sizes = ("gap_before", "gap_after", "floor")
+        was, is_now, floor = (root_mean_square([getattr(run, k) for run in shown.runs]) for k in sizes)
+        said = with_replayed(verdict.sentence, was, is_now, floor, unit_of("position", measured.joint_type))
+        verdict = replace(verdict, sentence=said)
+    if changed:
         verdict, kept, notes = _judged(verdict, draft, tried, shown, why, replay_seconds)
-    source: dict[str, Any] = {"verdict": verdict.verdict, "effects": [n.effect.name for n in kept]}
-    source |= {"corrections": [vars(c) for c in verdict.corrections]} if verdict.corrections else {}
     body = draft.body if verdict.corrections else NO_CORRECTION
-    written = kept or verdict.corrections
-    repaired(asset, tuple(n.effect for n in kept), folder / "asset", source if written else None, body)
+    if (kept, body) != (tried, draft.body):
+        (folder / "asset").rename(folder / "tried")
+        _write(asset, kept, body, verdict, folder / "asset")
     verdict = replace(verdict, added=tuple(n.effect.name for n in kept))
+    if verdict.by == "position":
+        verdict = replace(verdict, gaps=_final_gaps(verdict.gaps, shown, tried, kept, body == draft.body))
+    if replays:
+        delivered = AssetOnDisk(folder / "asset")
+        left = replay_seconds - (time.monotonic() - began)
+        same = not _moving(kept) and body == NO_CORRECTION
+        witness = _witness((given,) if same else (given, delivered), runs, replays, verdict.holding or 0.0, left)
+        verdict = replace(verdict, proof=_proof(paths, asset, measured, folder, verdict.holding, replays[0], witness))
     verdict.write(folder / "verdict.json", measured.joint_type)
     write_report(
         folder / "index.html",
@@ -179,6 +220,19 @@ def publish(
     return verdict
 
 
+def _write(asset: Asset, effects: tuple[Named, ...], body: BodyCorrection, verdict: Verdict, folder: Path) -> None:
+    """The asset with these effects and this body, which says what became of it."""
+    source: dict[str, Any] = {"verdict": verdict.verdict, "effects": [n.effect.name for n in effects]}
+    source |= {"corrections": [vars(c) for c in verdict.corrections]} if verdict.corrections else {}
+    changed = bool(effects) or body != NO_CORRECTION
+    repaired(asset, tuple(n.effect for n in effects), folder, source if changed else None, body)
+
+
+def _moving(effects: Sequence[Named]) -> list[Named]:
+    """Those that change how the joint moves, or what is read of it."""
+    return [named for named in effects if named.effect.kind != "kinematics"]
+
+
 @dataclass(frozen=True)
 class Trial:
     """Effects that are tried in SAPIEN."""
@@ -191,40 +245,90 @@ class Trial:
     placed: Placed
     tried: tuple[Named, ...]
 
-    def replayed(self, seconds: float, progress: Progress | None) -> tuple[Shown | None, str]:
-        """What SAPIEN shows, or why it cannot; None for nothing to show."""
-        draft, runs = self.draft, self.runs
-        moving = any(n.effect.kind != "kinematics" for n in self.tried) or draft.body != NO_CORRECTION
-        able = [run for run in runs.runs if np.isfinite(run.q).any()] if draft.verdict.by == "position" else []
-        picked = _picked(able, draft) if moving else []
-        replays = tuple(self._chosen(run) for run in picked)
-        tracks: tuple[PosesReplayed, ...] = ()
+    def replayed(
+        self, files: tuple[AssetOnDisk, AssetOnDisk], changed: bool, seconds: float, progress: Progress | None
+    ) -> tuple[tuple[Replay, ...], Shown | None, str]:
+        """The replays by the asset as it was and, where it was changed, by the other one, and what they show; or why
+        there are none, which is empty for nothing to replay."""
+        draft = self.draft
+        able = [run for run in self.runs.runs if np.isfinite(run.q).any()] if draft.verdict.by == "position" else []
+        chosen = [self._chosen(run) for run in _picked(able, draft)]
+        tracks: list[tuple[ChosenPoses, PosesToReplay, PosesToReplay]] = []
         if draft.geometry is not None and any(n.effect.kind == "kinematics" for n in self.tried):
             tracks = _tracks(self.measured, draft.geometry, self.placed, self.asset.state_zero)
-        if not replays and not tracks:
-            return None, ""
+        if not chosen and not tracks:
+            return (), None, ""
         try:
-            return self._shown(replays, tracks, seconds, progress), ""
+            replays = replay(
+                files if changed else files[:1],
+                self.runs,
+                [run.name for run in chosen],
+                holding=draft.verdict.holding or 0.0,
+                poses=([was for _, was, _ in tracks], [is_now for *_, is_now in tracks]),
+                seconds=seconds,
+                progress=progress,
+            )
         except CannotReplay as error:
-            return None, str(error)
+            return (), None, str(error)
+        return replays, show(replays[0], replays[-1], chosen, [run for run, *_ in tracks]), ""
 
     def _chosen(self, run: Run) -> Chosen:
         draft = self.draft
         return Chosen(run.name, draft.floor, draft.regimes.get(run.name, ""), draft.uses.get(run.name, "fitted"))
 
-    def _shown(
-        self,
-        replays: tuple[Chosen, ...],
-        tracks: tuple[PosesReplayed, ...],
-        seconds: float,
-        progress: Progress | None,
-    ) -> Shown:
-        with tempfile.TemporaryDirectory(prefix="freeart21-") as place_:
-            after = Path(place_) / "asset"
-            repaired(self.asset, tuple(n.effect for n in self.tried), after, body=self.draft.body)
-            holding = self.draft.verdict.holding or 0.0
-            before = address_of(self.asset)
-            return replay_files(before, after, self.runs, replays, holding, tracks, seconds, progress, self.asset.root)
+
+def _witness(
+    assets: tuple[AssetOnDisk, ...], runs: Measured, replays: tuple[Replay, ...], holding: float, seconds: float
+) -> dict[str, Any]:
+    """What MuJoCo says of the same runs, from the same states, by the files as they were given and as delivered."""
+    said: dict[str, Any] = {"engine": "mujoco"}
+    if importlib.util.find_spec("mujoco") is None:
+        return {**said, "absent": "the package mujoco is not installed"}
+    names = [run.run for run in replays[0].runs]
+    starts = [
+        Starts({run.run: run.start for run in one.runs}, {run.run: run.noise for run in one.runs}) for one in replays
+    ]
+    if not names:
+        return {**said, "absent": "no run was replayed in time"}
+    try:
+        found = replay_from(
+            assets, runs, starts[: len(assets)], names, engine="mujoco", holding=holding, seconds=max(seconds, 1.0)
+        )
+    except FreeArtError as error:
+        return {**said, "absent": str(error)}
+    pairs = zip(found[0].runs, found[-1].runs, strict=True)
+    return {
+        **said,
+        "version": found[0].version,
+        "gap": [{"run": was.run, "before": was.error, "after": is_now.error} for was, is_now in pairs],
+    }
+
+
+def _proof(
+    paths: Paths | None,
+    asset: Asset,
+    measured: Measured,
+    folder: Path,
+    holding: float | None,
+    made_by: Replay,
+    witness: dict[str, Any],
+) -> Proof:
+    """What replayed, and the command lines that do it again."""
+    paths = paths or Paths(address_of(asset), Path("MEASURED"), folder, asset.root)
+    posed = any(run.poses is not None for run in measured.runs)
+    set_ = paths.out / "runs" if posed else paths.measured
+    how = [] if holding is None else ["--holding", repr(holding)]
+    bounds = [] if paths.root is None else ["--root", str(paths.root)]
+    bounds += ["--without-guesses"] if guesses_dynamics(asset) else []
+
+    def command(path: Path, *more: str) -> str:
+        return shlex.join(["freeart21", "replay", str(path), str(set_), *how, *more])
+
+    repeat = {"before": command(paths.asset, *bounds), "after": command(paths.out / "asset")}
+    if (folder / "tried").is_dir():
+        repeat["tried"] = command(paths.out / "tried")
+    hashes = run_hashes(folder / "runs") if posed else paths.runs
+    return Proof(made_by.engine, made_by.version, repeat, witness, hashes)
 
 
 def _judged(
@@ -245,7 +349,6 @@ def _judged(
         notes.append(f"SAPIEN could not replay {_names(bad or tried) or 'the corrected asset'}: {why}")
         return _rolled_back(verdict, certain, bad or list(tried)), _without(certain, bad or list(tried)), notes
     fitted = {gap.regime for gap in verdict.gaps if gap.use == "fitted"}
-    verdict = replace(verdict, gaps=_measured_gaps(verdict.gaps, shown))
     same = closed_alike(shown, fitted)[0] if shown.runs else None
     if same is not None:
         of = runs_text([run.use for run in alike(shown, fitted)])
@@ -254,7 +357,7 @@ def _judged(
         done = len(shown.runs) + len(shown.unsure)
         notes.append(
             f"SAPIEN's replay took more than {seconds:g} s and was given up: {done} of {done + len(shown.given_up)} "
-            "runs are replayed. " + ("" if done else "Gaps of the motion are the fits' own, not SAPIEN's.")
+            "runs are replayed."
         )
         if not done:
             unsure = "SAPIEN has not confirmed it: the replay took too long."
@@ -276,8 +379,8 @@ def _judged(
         )
     if shown.unsure:
         notes.append(
-            f"Not judged by its replay: {', '.join(shown.unsure)}. Such a run hangs on a hair, and the fineness of "
-            "SAPIEN's time steps changes its course: its gaps are the fits' own."
+            f"Not judged by its replay: {', '.join(run.run for run in shown.unsure)}. Such a run hangs on a hair, and "
+            "the fineness of SAPIEN's time steps changes its course."
         )
     if np.isfinite(shown.numerics) and shown.numerics > 0.25:
         notes.append(
@@ -327,10 +430,12 @@ def _limits(asset: Asset) -> tuple[float, float]:
 
 def _picked(runs: list[Run], draft: Draft) -> list[Run]:
     """Runs to replay, of those with a start that tell what the answer is worth: the regimes in turn."""
-    tell = {gap.run for gap in told_by(draft.verdict.gaps)}
+    gaps = draft.verdict.gaps
+    tell = {gap.run for gap in told_by(gaps)}
+    unfitted = {gap.run for gap in gaps if gap.use != "fitted"}
     by_regime: dict[str, list[Run]] = {}
     for run in runs:
-        if run.name in tell:
+        if run.name in (tell & unfitted or tell):
             by_regime.setdefault(draft.regimes.get(run.name, ""), []).append(run)
     turns = [group[k] for k in range(len(runs)) for group in by_regime.values() if k < len(group)]
     return turns[:MOST_REPLAYS]
@@ -338,9 +443,10 @@ def _picked(runs: list[Run], draft: Draft) -> list[Run]:
 
 def _tracks(
     measured: Measured, geometry: KinematicsFinding, placed: Placed, state_zero: float
-) -> tuple[PosesReplayed, ...]:
+) -> list[tuple[ChosenPoses, PosesToReplay, PosesToReplay]]:
+    """Runs of poses, as they are held against the asset as it was and as it is now."""
     if not geometry.effects:
-        return ()
+        return []
     of = {run.name: run for run in measured.runs}
     T_canonical_parent = se3.inverse(placed.T_parent_canonical)
     middle = middle_of(placed.mechanics)
@@ -350,32 +456,25 @@ def _tracks(
     for track in [t for t in tracks if t.held_out] or tracks[:3]:
         motions = placed.track(of[track.name]).motions
         kept = np.unique(np.linspace(0, len(motions) - 1, min(_MOST_POSES, len(motions))).astype(int))
-        poses = [placed.poses(motions[kept] @ se3.exp_se3(-b)) for b in geometry.registrations]
-        states: tuple[Array, Array] = (track.q_before[kept] - state_zero, track.q[kept] - state_zero)
-        found.append(
-            PosesReplayed(
-                track.name,
-                (poses[0], poses[1]),
-                states,
+        was, is_now = (
+            PosesToReplay(
+                placed.poses(motions[kept] @ se3.exp_se3(-registration)),
+                q[kept] - state_zero,
                 track.times_s[kept] + track.time_shift_s,
                 se3.transform(T_canonical_parent @ at_zero, middle[None])[0],
                 lever_of(placed.mechanics, middle),
-                track.floor,
-                track.held_out,
             )
+            for registration, q in zip(geometry.registrations, (track.q_before, track.q), strict=True)
         )
-    return tuple(found)
+        found.append((ChosenPoses(track.name, track.floor, track.held_out), was, is_now))
+    return found
 
 
 def _measured_gaps(gaps: tuple[RunGap, ...], shown: Shown) -> tuple[RunGap, ...]:
     """Gaps with those that SAPIEN measured in their places, and those of the geometry."""
-    replayed = {run.run: run for run in shown.runs}
+    replayed = {run.run: run for run in (*shown.runs, *shown.unsure)}
     out = [
-        replace(
-            gap,
-            before=replayed[gap.run].gap_before,
-            after=replayed[gap.run].gap_after,
-        )
+        replace(gap, before=replayed[gap.run].gap_before, after=replayed[gap.run].gap_after)
         if gap.run in replayed
         else gap
         for gap in gaps
@@ -384,14 +483,30 @@ def _measured_gaps(gaps: tuple[RunGap, ...], shown: Shown) -> tuple[RunGap, ...]
     return tuple(out)
 
 
+def _final_gaps(
+    gaps: tuple[RunGap, ...], shown: Shown | None, tried: tuple[Named, ...], kept: tuple[Named, ...], same_body: bool
+) -> tuple[RunGap, ...]:
+    """Gaps by the files that are delivered: of motion and of geometry what was tried where it was kept, else as before;
+    NaN of what was not replayed."""
+    bent = all(n in kept for n in tried if n.effect.kind == "kinematics")
+    moved = same_body and all(n in kept for n in _moving(tried))
+    done = set() if shown is None else {run.run for run in (*shown.runs, *shown.unsure)}
+    found = []
+    for gap in gaps:
+        if gap.regime != GEOMETRY and gap.run not in done:
+            found.append(replace(gap, before=np.nan, after=np.nan))
+        elif bent if gap.regime == GEOMETRY else moved:
+            found.append(gap)
+        else:
+            found.append(replace(gap, after=gap.before, tried=gap.after))
+    return tuple(found)
+
+
 def _rolled_back(verdict: Verdict, certain: tuple[Named, ...], bad: Sequence[Named]) -> Verdict:
-    """Unexplained but for what helped; the gaps of what did not are as before."""
+    """Unexplained but for what helped."""
     kept = _without(certain, bad)
     bent = any(named.effect.kind == "kinematics" for named in bad)
     moved = any(named.effect.kind != "kinematics" for named in bad) or not bent
-    gaps = tuple(
-        replace(gap, after=gap.before) if (bent if gap.regime == GEOMETRY else moved) else gap for gap in verdict.gaps
-    )
     what = "the best repair of it did not help, or made some motion worse"
     if kept:
         words = ", ".join(plain(named.effect.name) for named in kept)
@@ -404,7 +519,6 @@ def _rolled_back(verdict: Verdict, certain: tuple[Named, ...], bad: Sequence[Nam
         verdict="unexplained",
         effects=kept,
         rivals=(),
-        gaps=gaps,
         sentence=sentence,
         in_part=False,
         corrections=corrections,

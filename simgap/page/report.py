@@ -18,9 +18,10 @@ from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.track_geometry import TrackGeometry
 from simgap.judgement.words import amount, capital, effect_words, number_text, plain, runs_text
 from simgap.motion.localise import LEVEL, ResidualMap
+from simgap.page.replay_page import repeat_section
 from simgap.page.report_plots import AFTER, BEFORE, Line, chart, interval_drawing, map_drawing, p_text, run_drawings
 from simgap.proof.show import PoseGap, ReplayGap, Shown, alike, closed_alike
-from simgap.verdict import RunGap, Use, Verdict, told_by, unit_of
+from simgap.verdict import RunGap, Use, Verdict, root_mean_square, told_by, unit_of
 
 GEOMETRY = "geometry"
 """Regime of a gap that is counted in metres off the joint."""
@@ -69,7 +70,7 @@ class Gap:
     """What else should be known, such as that a repair was rolled back."""
     seconds: float | None = None
     curves: tuple[ReplayGap, ...] = ()
-    """Held-out runs as the fits have them, for where SAPIEN replayed none."""
+    """Held-out runs by inverse dynamics, where motion was prescribed and nothing can be replayed."""
 
 
 def write_report(path: Path, gap: Gap) -> None:
@@ -88,7 +89,7 @@ def page(gap: Gap) -> str:
     sections = [_answer(gap), *_parameters(gap), *_doubt(gap)]
     motion, geometry = [*_runs(gap), *_maps(gap)], _geometry(gap)
     sections += [*motion, *geometry] if _moves_otherwise(gap) else [*geometry, *motion]
-    return document(gap.title, [*sections, *_ranking(gap), *_gaps(gap)], "gap", chips)
+    return document(gap.title, [*sections, *_ranking(gap), *_gaps(gap), *_repeat(gap)], "gap", chips)
 
 
 def _in_turn(gap: Gap) -> bool:
@@ -124,20 +125,22 @@ def _answer(gap: Gap) -> Section:
 def _tiles(gap: Gap) -> list[str]:
     """Gap before, after, floor, and how much is closed: of the motion, and of the poses off the joint."""
     tiles = []
-    motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY]
+    motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY and np.isfinite(g.before)]
     if _moves_otherwise(gap) and motion:
         replayed = gap.shown is not None and bool(gap.shown.runs)
         after = _with(gap) if replayed else None
         tiles += _sizes(motion, lambda v: size_text(v, gap), "", after, _in_turn(gap) and not replayed)
-        tiles += _closed(gap) if replayed and _with(gap) != ROLLED_BACK else []
+        tiles += _closed(gap) if after not in (None, ROLLED_BACK) else []
     off = [g for g in gap.verdict.gaps if g.regime == GEOMETRY]
     if off:
         tiles += _sizes(off, metres_text, "off the joint, ", "after")
     return tiles
 
 
-def _with(gap: Gap) -> str:
-    """What the second curve of a replayed run is."""
+def _with(gap: Gap) -> str | None:
+    """What the second curve of a replayed run is; None where there is none."""
+    if gap.shown is None or not gap.shown.changed:
+        return None
     if gap.verdict.verdict == "ambiguous":
         return "with the best of these answers"
     moved = any(n.effect.kind != "kinematics" and n.effect.name in gap.verdict.added for n in gap.verdict.effects)
@@ -151,13 +154,12 @@ def _sizes(
 
     These are the confirming runs; where there is none, those that chose, or all.
     """
-    told = told_by(gaps)
-    judged = [g for g in told if not after_is or np.isfinite(g.after)] or told
+    judged = told_by(gaps)
     where = runs_text([g.use for g in judged], in_turn)
-    before, after, floor = (
-        float(np.sqrt(np.mean([getattr(g, name) ** 2 for g in judged]))) for name in ("before", "after", "floor")
-    )
-    tiles = [_tile(text(before), f"gap before, {what}on {where}", f"{before / floor:.1f} floors")]
+    before, floor = (root_mean_square([getattr(g, name) for g in judged]) for name in ("before", "floor"))
+    after = root_mean_square([g.after if g.tried is None else g.tried for g in judged])
+    first = "gap before" if after_is else "gap"
+    tiles = [_tile(text(before), f"{first}, {what}on {where}", f"{before / floor:.1f} floors")]
     if after_is and after_is != ROLLED_BACK and np.isfinite(after):
         tiles.append(_tile(text(after), f"gap {after_is}, {what}on the same, in SAPIEN", f"{after / floor:.1f} floors"))
     return [*tiles, _tile(text(floor), f"floor, {what}the sensor's noise in the same", "")]
@@ -255,16 +257,16 @@ def _doubt(gap: Gap) -> list[Section]:
 
 
 def _runs(gap: Gap) -> list[Section]:
-    """Held-out runs before and after, as SAPIEN replays them; as the fits have them where it does not."""
+    """Runs before and after, as SAPIEN replays them; by inverse dynamics where motion was prescribed."""
     replayed = gap.shown.runs if gap.shown is not None else ()
     most = MOST_RUNS if _moves_otherwise(gap) else 1
     names: tuple[str, str | None]
     if replayed:
-        runs, where, names = replayed, "in SAPIEN", ("as the asset was", _with(gap))
+        second = _with(gap)
+        runs, where, names = replayed, "in SAPIEN", ("as the asset was" if second else "as the asset is", second)
     else:
         nearest = "with the nearest try, which is no answer" if gap.verdict.verdict == "unexplained" else None
-        how = "by inverse dynamics" if gap.verdict.by == "force" else "in the fits' own simulation"
-        runs, where, names = gap.curves, how, ("as the asset is", nearest)
+        runs, where, names = gap.curves, "by inverse dynamics", ("as the asset is", nearest)
     sections = []
     for run in sorted(runs, key=lambda r: get_args(Use)[::-1].index(r.use))[:most]:  # first those that tell
         figures, data = run_drawings(run, gap.joint_type, names, gap.verdict.by)
@@ -384,23 +386,45 @@ def _ranking(gap: Gap) -> list[Section]:
 
 def _gaps(gap: Gap) -> list[Section]:
     """All runs in numbers."""
+    proof = gap.verdict.proof
+    witness = {} if proof is None else {row["run"]: row for row in proof.witness.get("gap", ())}
+    tried = any(g.tried is not None for g in gap.verdict.gaps)
+    head = ["", "", "motion", "gap before", "after", *["with what was tried"] * tried, "floor"]
+    head += ["MuJoCo: before", "after"] if witness else []
     rows = []
     for g in gap.verdict.gaps:
-        sizes = [
-            "-" if not np.isfinite(v) else metres_text(v) if g.regime == GEOMETRY else size_text(v, gap)
-            for v in (g.before, g.after, g.floor)
-        ]
-        replayed = g.regime == GEOMETRY or (gap.shown is not None and any(r.run == g.run for r in gap.shown.runs))
+        off = g.regime == GEOMETRY
+        sizes = [g.before, g.after, *[np.nan if g.tried is None else g.tried] * tried, g.floor]
+        if witness:
+            seen = {} if off else witness.get(g.run, {})
+            sizes += [seen.get("before", np.nan), seen.get("after", np.nan)]
+        texts = ["-" if not np.isfinite(v) else metres_text(v) if off else size_text(v, gap) for v in sizes]
+        replayed = gap.verdict.by == "position" or off
         fitted = "fitted" if replayed or not _in_turn(gap) else "held out in turn"
-        rows.append((g.run, fitted if g.use == "fitted" else g.use, g.regime, *sizes))
+        rows.append((g.run, fitted if g.use == "fitted" else g.use, g.regime, *texts))
     note = ""
     if gap.shown is not None and gap.shown.runs:
         note = (
-            "Replayed in a fresh process in SAPIEN, each run at the time step that it needs, "
+            "Replayed by the files in a fresh process in SAPIEN, each run at the time step that it needs, "
             f"{1e3 * gap.shown.timestep_s:g} ms at the finest; the last halving changed a run, before or after, by no "
-            f"more than {gap.shown.numerics:.2g} floors."
+            f"more than {gap.shown.numerics:.2g} floors. Runs without a gap were not replayed."
         )
-    return [table_section("Runs", rows, ("", "", "motion", "gap before", "after", "floor"), "full", note)]
+    return [table_section("Runs", rows, head, "full", note)]
+
+
+def _repeat(gap: Gap) -> list[Section]:
+    """The command lines of the proof, and what the second engine says."""
+    proof = gap.verdict.proof
+    if proof is None:
+        return []
+    of = {
+        "before": "The gap before, from the files of the asset as it was given",
+        "after": "The gap after, from the files of the asset beside the verdict",
+        "tried": "With what was tried and is not in that asset",
+    }
+    absent = proof.witness.get("absent")
+    said = f"MuJoCo has not witnessed it: {absent}." if absent else "Add --engine mujoco for MuJoCo's numbers."
+    return [repeat_section({of[what]: line for what, line in proof.repeat.items()}, said)]
 
 
 def metres_text(value: float) -> str:

@@ -15,8 +15,9 @@ from pathlib import Path
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
+from freeart21.files.benchmark import file_sha256
 from freeart21.files.urdf import read_xml
-from freeart21.files.urdf_files import named_file
+from freeart21.files.urdf_files import named_file, named_inside
 
 MAX_FILE_BYTES = 512 << 20
 MAX_BYTES = 2 << 30
@@ -104,6 +105,18 @@ def copied(urdf: Path, folder: Path, root: Path | None = None) -> dict[str, byte
     if (home / "semantics.txt").is_file():
         shutil.copyfile(checked.require_file(home / "semantics.txt", MAX_FILE_BYTES), folder / "semantics.txt")
     return out
+
+
+def file_hashes(urdf: Path, root: Path | None = None) -> dict[str, str]:
+    """SHA-256 of the URDF, of what lies beside it and says of the asset what it cannot, and of the files that it names,
+    by their names; a named file that is not there is left out."""
+    home = urdf.parent
+    beside = (urdf, home / "asset.json", home / "effects.json", mjcf_beside(urdf))
+    found = {path.name: path for path in beside if path.is_file()}
+    for name in sorted({e.get("filename", "") for e in _naming(read_xml(urdf), "filename")}):
+        if (path := named_inside(urdf, name, root)).is_file():
+            found[name] = path
+    return {name: file_sha256(path, checked.ANYWHERE) for name, path in found.items()}
 
 
 def mjcf_beside(urdf: Path) -> Path:

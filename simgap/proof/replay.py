@@ -1,163 +1,373 @@
-"""The fresh process of `simgap.proof.show`, which is given a FOLDER and reads FOLDER/job.json and job.npz.
+"""Measured runs, simulated by the files of assets alone: nothing of how an asset was made is known here.
 
-Results appear one by one, so that those in time count when the others are not: FOLDER/poses.json, then run_0.npz,
-run_1.npz, ... with the readings of both assets, the time step of each and what its last halving changed, in floors.
+Only the state in which a run starts is free; it is fitted to the run, for each asset by itself. A fresh process
+(`simgap.proof.replay_process`) reads the files and simulates.
 """
 
 from __future__ import annotations
 
-import sys
+import contextlib
+import os
+import subprocess
+import tempfile
 import time
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from freeart21 import se3
+from freeart21 import child
+from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.actuator_json import actuator_from_json
-from freeart21.files.asset import movable_joint, read_asset
+from freeart21.files.actuator_json import actuator_to_json
+from freeart21.files.asset import check_followers, movable_joint, read_asset
 from freeart21.files.base_json import BASE
-from freeart21.measured import BaseAxis, BaseSeries
-from freeart21.mechanics import Actuator, between
+from freeart21.files.measured import DRIVES
+from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
-from generator import simulate
-from simgap.geometry.placing import place
-from simgap.geometry.track_geometry import at_point, displacement
-from simgap.measure.base_motion import sway_of
+from simgap.fitting.fit import Theory, fit_starts
+from simgap.fitting.problem import as_delivered, problem_of
+from simgap.measure.data import fit_runs
+from simgap.motion.surrogate import plant_of
+from simgap.settings import GapSettings
+from simgap.verdict import root_mean_square
 
-HALVINGS = 6
-SHARE = 0.4
-"""Of the seconds that there are, beyond which no time step is halved twice."""
-ENOUGH, SMALL = 0.1, 0.005
-"""Floors that a halving of the time step may change a replay by, and the part of what that replay is off by anyway: a
-free swing far from the measured one may differ by more at any step, and tells the same."""
+Engine = Literal["sapien", "mujoco"]
+ENGINES: tuple[str, ...] = get_args(Engine)
+SECONDS = 120.0
+"""What is not replayed by then is given up."""
+TIMESTEPS_S: dict[Engine, float] = {"sapien": 4e-3, "mujoco": 1e-3}
+"""First choice; halved for every run until that changes it by little (`replay_process`)."""
+SURE, SURE_PART = 1.0, 0.05
+"""Sigmas by which halving the finest time step may change a replay that tells something, and the part of its error."""
+Progress = Callable[[int, int], None]
+"""Called with the number of runs replayed and their total."""
+State = tuple[float, float]
+"""Position, rad or m, and velocity."""
 
 
-class _Stage:
-    """One asset in SAPIEN, as its files say, ready to replay runs."""
+class CannotReplay(FreeArtError):
+    """The fresh process failed; its last line says why."""
 
-    def __init__(self, path: Path, root: Path | None, job: dict[str, Any]):
-        self.asset = read_asset(path, job["joint"], guesses=False, root=root)
-        self.placed = place(self.asset, np.array(job["gravity"]))
-        self.lower, self.upper = (
-            getattr(movable_joint(self.asset.urdf, self.asset.joint), k) for k in ("lower", "upper")
+
+@dataclass(frozen=True)
+class AssetOnDisk:
+    """An asset as `read_asset` reads it."""
+
+    path: Path
+    """Its folder, or its URDF."""
+    root: Path | None = None
+    """Bounds what the URDF may name (`Asset.root`)."""
+    guesses: bool = True
+    """Whether effects act that asset.json calls guessed."""
+
+    def read(self, measured: Measured) -> Asset:
+        """The asset; FreeArtError when it has not the joint that was measured, or others follow that one."""
+        asset = read_asset(self.path, measured.joint, guesses=self.guesses, root=self.root)
+        check_match(asset, measured)
+        return asset
+
+
+@dataclass(frozen=True, eq=False)
+class RunReplay:
+    """One run, as the files of one asset have it; the same only as itself."""
+
+    run: str
+    times_s: Array
+    """(n,) s, of the readings."""
+    measured: Array
+    """(n,) rad or m."""
+    simulated: Array
+    """(n,) rad or m: what the sensor would read."""
+    noise: float
+    """rad or m: sigma of the run's readings, as all runs of the set tell it."""
+    start: State
+    """At the first reading: fitted to the run."""
+    timestep_s: float
+    """The finest."""
+    change: float
+    """Sigmas by which the last halving of the time step changed it."""
+
+    @property
+    def error(self) -> float:
+        """Root mean square of simulated less measured, rad or m."""
+        return root_mean_square(self.simulated - self.measured)
+
+    @property
+    def sigmas(self) -> float:
+        """The error in sigmas of the readings."""
+        return self.error / self.noise
+
+    @property
+    def sure(self) -> bool:
+        """Whether halving the time step changes it by little: else it hangs on a hair, and tells nothing."""
+        return self.change < max(SURE, SURE_PART * self.sigmas)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """The runs that were replayed in time by one asset's files."""
+
+    engine: Engine
+    version: str
+    """Of the engine."""
+    runs: tuple[RunReplay, ...]
+    poses: tuple[float, ...] = ()
+    """m: how far each run of poses is off where the files have the part, root mean square displacement."""
+    given_up: tuple[str, ...] = ()
+    """Runs that were not replayed in time."""
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Where runs start, and what their sensor's noise is."""
+
+    states: Mapping[str, State]
+    """Run name to the state at its first reading."""
+    noise: Mapping[str, float]
+    """Run name to rad or m."""
+
+
+@dataclass(frozen=True)
+class PosesToReplay:
+    """Measured poses of one run to hold against where an asset puts the part."""
+
+    poses: Array
+    """(n, 4, 4) in the canonical frame, without the tracker's registration."""
+    states: Array
+    """(n,) canonical joint states, as the poses say them."""
+    times_s: Array
+    """(n,) on the clock of the asset's effects."""
+    middle: Array
+    """(3,) canonical, at state zero: the point of the moving part at which shifts are counted."""
+    lever: float
+    """m: how far points are from there, to count turns as shifts."""
+
+
+def address_of(asset: Asset) -> Path:
+    """The folder or the URDF that `read_asset` reads it from."""
+    home = asset.urdf.parent
+    return home if (home / "asset.json").is_file() else asset.urdf
+
+
+def check_match(asset: Asset, measured: Measured, what: str = "a replay") -> None:
+    """Raise FreeArtError when the measured joint is not the asset's, or others follow it, with which `what` moves one
+    part alone."""
+    joint = movable_joint(asset.urdf, measured.joint)
+    check_followers(asset.urdf, joint.name, what)
+    if joint.joint_type != measured.joint_type:
+        raise FreeArtError(
+            f"{asset.urdf}: joint '{joint.name}' is {joint.joint_type}, but the measurement says {measured.joint_type}"
         )
-        self.gravity, self.job = self.placed.gravity, job
-
-    def load(self, timestep_s: float) -> simulate.SimulatedAsset:
-        """The asset with its effects."""
-        return simulate.load(self.asset, timestep_s=timestep_s, gravity=self.gravity)
-
-    def replay(self, loaded: simulate.SimulatedAsset, data: Any, i: int, start: tuple[float, float]) -> Array:
-        """(n,) what the sensor reads at the times of run `i`; the state `start` is that of the first reading.
-
-        A sensor that is late reads a state of before: the simulation begins by so much earlier.
-        """
-        times, clock = data[f"times_{i}"], data[f"clock_{i}"]
-        sensing = [effect for effect in loaded.effects if effect.kind == "sensing"]
-        first = float(times[0])
-        begin = first - sum(effect.delay() for effect in sensing)
-        h = loaded.timestep_s
-
-        def told(name: str, mean_s: float = h, how: str = self.job["interpolation"]) -> Any:
-            values = data.get(f"{name}_{i}")
-            return None if values is None else between(clock - begin, values, how, mean_s, self.job["holding"])
-
-        effort = told("effort")
-        push = effort if self.job["effort"] == "external" else None
-        asked = None if push else effort
-        actuator = self._driven(told("q_command"), asked, told("voltage"), told("enabled", 0.0, "held"))
-        sway = self._sway(data, i, begin)
-        q0 = float(np.clip(start[0], self.lower, self.upper))
-        seconds = float(np.ceil((times[-1] - first) / h) * h) + h
-        rolled = simulate.roll_out(loaded, q0, start[1], duration_s=seconds, force=push, actuator=actuator, sway=sway)
-        q = np.interp(times - first, rolled.times_s, rolled.q)
-        return np.asarray(q + sum((effect.reading_error(q) for effect in sensing), np.zeros(len(q))))
-
-    def _sway(self, data: Any, i: int, begin: float) -> simulate.Sway | None:
-        """What the joint feels in run `i` of a base that moves."""
-        base = BaseSeries(*(data.get(f"base_{name}_{i}") for name in BASE))
-        if all(getattr(base, name) is None for name in BASE):
-            return None
-        turns = self.job["base"]
-        axis = None if turns is None else BaseAxis(np.array(turns["axis"]), np.array(turns["point"]))
-        placed = self.placed
-        found = sway_of(data[f"clock_{i}"], base, axis, placed.mechanics, placed.T_parent_canonical, placed.child_moves)
-        return found.function(begin)
-
-    def _driven(self, command: Any, effort: Any, voltage: Any, enabled: Any) -> Actuator | None:
-        """What drives the joint by these functions of time, each of which may be missing."""
-        said = self.job["actuator"]
-        law = Actuator() if said is None else actuator_from_json(said, "job.json")
-        volts, asked = (voltage if law.motor else None), effort
-        if volts is not None and law.motor is not None:
-            per = law.motor.per_volt
-            asked = (lambda t: per * volts(t)) if effort is None else (lambda t: per * volts(t) + effort(t))
-        follows = command if said is not None else None
-        if follows is None and asked is None:
-            return None
-        return replace(law, q_command=follows, effort=asked, enabled=enabled)
 
 
-def _replay(folder: Path) -> None:
-    job = checked.read_json(folder / "job.json")
-    data = checked.read_npz(folder / "job.npz")
-    pairs = zip(job["assets"], job["roots"], strict=True)
-    stages = [_Stage(Path(path), None if root is None else Path(root), job) for path, root in pairs]
-    off = [_pose_gaps(stages, data, i, said) for i, said in enumerate(job["poses"])]
-    atomic.write_json(folder / "poses.json", {"poses": off})
-    starts = [[(float(q), float(qd)) for q, qd in pair] for pair in job["starts"]]
-    end = time.monotonic() + SHARE * float(job["seconds"])
-    for i in range(len(starts)):
-        told = [_converged(stage, data, job, i, starts[i][k], end) for k, stage in enumerate(stages)]
-        aside = folder / f"aside_{i}.npz"
-        (before, *first), (after, *second) = told
-        np.savez(aside, before=before, after=after, steps=np.array([first, second]))
-        aside.replace(folder / f"run_{i}.npz")
+def replay(
+    assets: Sequence[AssetOnDisk],
+    measured: Measured,
+    names: Sequence[str] | None = None,
+    *,
+    engine: Engine = "sapien",
+    holding: float = 0.0,
+    poses: Sequence[Sequence[PosesToReplay]] = (),
+    seconds: float = SECONDS,
+    progress: Progress | None = None,
+) -> tuple[Replay, ...]:
+    """Simulate runs of a measured set with each of the assets, as their files say.
 
+    Args:
+        assets: what is on disk.
+        measured: all runs of the set (its noise is told by all), and their circumstances.
+        names: of the runs to replay; None for all.
+        engine: MuJoCo takes the MJCF beside the URDF, or the URDF as MJCF where there is none.
+        holding: of inputs of which `measured` does not say how they go on between their rows: 0 smoothly, 1 held until
+            the next.
+        poses: for each asset, runs of poses.
+        seconds: when these are over, runs that all assets have done count, and the rest is given up.
+        progress: told how many replays are done.
 
-def _converged(
-    stage: _Stage, data: Any, job: dict[str, Any], i: int, start: tuple[float, float], end: float
-) -> tuple[Array, float, float]:
-    """Readings of one run, the time step that they needed, s, and by how many floors its last halving changed them.
-
-    Each run with each asset by itself: what was added may be stiffer than all that was there, and a run that just
-    passes a notch, or does not, needs far finer steps than one that only swings wider and faster.
+    Raises FreeArtError when an asset cannot be read or there is nothing to replay, and CannotReplay when the fresh
+    process fails, as where MuJoCo's format cannot say an effect.
     """
-    floor, h = float(job["floors"][i]), float(job["timestep_s"])
-    least, coarse = h / 2**HALVINGS, None
-    while coarse is None:
+    end = time.monotonic() + seconds
+    wanted = [run.name for run in measured.runs] if names is None else list(names)
+    starts = [fitted_starts(asset.read(measured), measured, wanted, holding, end) for asset in assets]
+    return replay_from(
+        assets,
+        measured,
+        starts,
+        wanted,
+        engine=engine,
+        holding=holding,
+        poses=poses,
+        seconds=max(end - time.monotonic(), 0.0),
+        progress=progress,
+    )
+
+
+def fitted_starts(
+    asset: Asset, measured: Measured, names: Sequence[str], holding: float = 0.0, end: float = np.inf
+) -> Starts:
+    """From where the asset follows each run best, for runs that are reached before time.monotonic() is `end`."""
+    if not names:
+        return Starts({}, {})
+    plant = plant_of(asset, measured)
+    runs, floor = fit_runs(measured, plant)
+    problem = as_delivered(problem_of(plant, measured, runs, floor, GapSettings()))
+    theory = Theory(problem, (), prompt=True)
+    theta = np.full(len(theory.ranges()), holding)  # nothing else is left to fit
+    states: dict[str, State] = {}
+    of = {run.name: run for run in runs}
+    for name in names:
+        if time.monotonic() > end:
+            break
+        states |= fit_starts(theory, theta, (of[name],)).starts  # each by itself: it hangs on no other run
+    return Starts(states, {run.name: root_mean_square(run.sigma) for run in runs})
+
+
+def replay_from(
+    assets: Sequence[AssetOnDisk],
+    measured: Measured,
+    starts: Sequence[Starts],
+    names: Sequence[str],
+    *,
+    engine: Engine = "sapien",
+    holding: float = 0.0,
+    poses: Sequence[Sequence[PosesToReplay]] = (),
+    seconds: float = SECONDS,
+    progress: Progress | None = None,
+) -> tuple[Replay, ...]:
+    """`replay` from start states that are told, for each asset its own."""
+    if not names and not any(poses):
+        raise FreeArtError("no run to replay, expected one or more")
+    of = {run.name: run for run in measured.runs}
+    runs = [of[name] for name in names if all(name in begin.states for begin in starts)]
+    with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
+        folder = Path(place)
+        _write_job(folder, assets, measured, runs, starts, engine, holding, seconds, poses)
+        _run(folder, len(runs) * len(assets), seconds, progress)
+        version, off = _told(folder, len(assets))
+        done = [i for i in range(len(runs)) if all(_answer(folder, k, i).is_file() for k in range(len(assets)))]
+        late = tuple(name for name in names if name not in {runs[i].name for i in done})
+        return tuple(
+            Replay(engine, version, tuple(_read_run(folder, k, i, runs[i], starts[k]) for i in done), off[k], late)
+            for k in range(len(assets))
+        )
+
+
+def _answer(folder: Path, asset: int, run: int) -> Path:
+    """Where the fresh process puts the replay of a run by an asset."""
+    return folder / f"run_{asset}_{run}.npz"
+
+
+def _told(folder: Path, count: int) -> tuple[str, list[tuple[float, ...]]]:
+    """The engine's version, and for each of `count` assets how far poses are off, as far as this is known."""
+    path = folder / "told.json"
+    if not path.is_file():
+        return "", [()] * count
+    told = checked.read_json(path)
+    return str(told["version"]), [tuple(map(float, off)) for off in told["poses"]]
+
+
+def _read_run(folder: Path, asset: int, i: int, run: Run, starts: Starts) -> RunReplay:
+    data = checked.read_npz(_answer(folder, asset, i), ("q", "step"))
+    known = np.isfinite(run.q)
+    step, change = map(float, data["step"])
+    return RunReplay(
+        run.name,
+        run.times_s[known],
+        run.q[known],
+        data["q"],
+        starts.noise[run.name],
+        starts.states[run.name],
+        step,
+        change,
+    )
+
+
+def _run(folder: Path, count: int, seconds: float, progress: Progress | None) -> None:
+    """Let the fresh process work for some seconds."""
+    told, end = -1, time.monotonic() + seconds
+    with (folder / "stderr").open("w") as stderr:
+        process = subprocess.Popen(
+            [*child.command("simgap.proof.replay_process"), str(folder)],
+            stdout=subprocess.DEVNULL,
+            stderr=stderr,
+            cwd=folder,
+            env={**os.environ, "TMPDIR": str(folder)},  # goes, however that process ends
+        )
         try:
-            coarse = stage.replay(stage.load(h), data, i, start)
-        except FreeArtError:  # too stiff for such a step
-            if h < 4 * least:
-                raise
-            h /= 2
-    while True:
-        h /= 2
-        fine = stage.replay(stage.load(h), data, i, start)
-        numerics, gap = (float(np.sqrt(np.mean((fine - q) ** 2))) / floor for q in (coarse, data[f"q_{i}"]))
-        if numerics < max(ENOUGH, SMALL * gap) or h <= least or time.monotonic() > end:
-            return fine, h, numerics
-        coarse = fine
+            while process.poll() is None and time.monotonic() < end:
+                done = sum(1 for _ in folder.glob("run_*.npz"))
+                if progress is not None and done > told:
+                    told = done
+                    progress(done, count)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(0.05)
+        finally:
+            late = process.poll() is None
+            if late:
+                process.kill()
+                process.wait()
+    if process.returncode and not late:
+        lines = (folder / "stderr").read_text(errors="replace").strip().splitlines()
+        raise CannotReplay((lines or [f"the replay in a fresh process failed: exit status {process.returncode}"])[-1])
+    if progress is not None:
+        progress(count, count)
 
 
-def _pose_gaps(stages: list[_Stage], data: Any, i: int, said: dict[str, Any]) -> list[float]:
-    """m: how far measured poses of run `i` are from where either asset has the part."""
-    gaps = []
-    for k, stage in enumerate(stages):
-        motion = simulate.joint_motion(stage.asset, data[f"states_{k}_{i}"], data[f"pose_times_{i}"], stage.gravity)
-        off = se3.log_se3(se3.inverse(motion) @ data[f"poses_{k}_{i}"])
-        gaps.append(displacement(at_point(np.array(said["middle"]), off), float(said["lever"])))
-    return gaps
-
-
-def main() -> None:
-    """Replay what the folder that the command line names asks for."""
-    try:
-        _replay(Path(sys.argv[1]))
-    except FreeArtError as error:
-        sys.exit(str(error))
+def _write_job(
+    folder: Path,
+    assets: Sequence[AssetOnDisk],
+    measured: Measured,
+    runs: Sequence[Run],
+    starts: Sequence[Starts],
+    engine: Engine,
+    holding: float,
+    seconds: float,
+    poses: Sequence[Sequence[PosesToReplay]],
+) -> None:
+    law, turns = measured.actuator, measured.base_axis
+    job: dict[str, Any] = {
+        "assets": [
+            {
+                "path": str(asset.path.resolve()),
+                "root": None if asset.root is None else str(asset.root.resolve()),
+                "guesses": asset.guesses,
+            }
+            for asset in assets
+        ],
+        "engine": engine,
+        "joint": measured.joint,
+        "gravity": np.asarray(measured.gravity, float).tolist(),
+        "actuator": None if law is None else actuator_to_json(law),
+        "effort": measured.effort_kind,
+        "interpolation": measured.interpolation,
+        "base": None if turns is None else {"axis": turns.axis.tolist(), "point": turns.point.tolist()},
+        "holding": holding,
+        "timestep_s": TIMESTEPS_S[engine],
+        "starts": [[list(begin.states[run.name]) for run in runs] for begin in starts],
+        "noise": [[begin.noise[run.name] for run in runs] for begin in starts],
+        "poses": [[{"middle": np.asarray(t.middle).tolist(), "lever": t.lever} for t in tracks] for tracks in poses],
+    }
+    arrays: dict[str, Array] = {}
+    for i, run in enumerate(runs):
+        known = np.isfinite(run.q)
+        arrays[f"times_{i}"], arrays[f"q_{i}"] = run.times_s[known], run.q[known]
+        arrays[f"clock_{i}"] = run.times_s
+        for name in DRIVES:
+            values = getattr(run, name)
+            if values is not None:
+                arrays[f"{name}_{i}"] = values
+        for name in BASE:
+            values = getattr(run.base, name, None)
+            if values is not None:
+                arrays[f"base_{name}_{i}"] = values
+    for k, tracks in enumerate(poses):
+        for i, track in enumerate(tracks):
+            arrays |= {f"{name}_{k}_{i}": getattr(track, name) for name in ("poses", "states", "times_s")}
+    atomic.write_json(folder / "job.json", job)
+    with (folder / "job.npz").open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]

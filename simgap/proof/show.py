@@ -1,57 +1,28 @@
-"""The gap that counts: a fresh process reloads both assets in SAPIEN and replays measured runs.
+"""The gap that counts: measured runs, replayed by the files of the asset as it was and of the repaired one.
 
-Both assets are read from their folders and are what their files say: nothing of a fit is known here. Only the start
-state of every run is free, and is found for each asset by itself. `simgap.proof.replay` is the fresh process.
+`simgap.proof.replay` replays; here the two are held against each other.
 """
 
 from __future__ import annotations
 
-import contextlib
-import os
-import subprocess
-import tempfile
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from freeart21 import child
-from freeart21.asset import Asset
-from freeart21.errors import FreeArtError
-from freeart21.files import atomic, checked
-from freeart21.files.actuator_json import actuator_to_json
-from freeart21.files.base_json import BASE
-from freeart21.files.measured import DRIVES
-from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
+from simgap.proof.replay import Replay, RunReplay
 from simgap.verdict import Use
 
-SECONDS = 120.0
-"""What is not replayed by then is given up."""
-SURE, SURE_PART = 1.0, 0.05
-"""Floors by which halving the finest time step may change a replay that tells something, and the part of its gap."""
 WIDER, RUN_WIDER = 0.25, 0.5
 """Floors by which a repair may widen the gap of a regime, and of any one run in it."""
-Progress = Callable[[int, int], None]
-"""Called with the number of runs replayed and their total."""
-
-
-class CannotReplay(FreeArtError):
-    """The fresh process failed; its last line says why."""
 
 
 @dataclass(frozen=True)
-class Replayed:
-    """One run to replay, from a state of its own for each of the two assets."""
+class Chosen:
+    """A run to replay, by its name in the measured set."""
 
-    run: Run
-    start_before: tuple[float, float]
-    """Position and velocity, rad or m, at the first reading, that suit the asset as it was."""
-    start_after: tuple[float, float]
-    """The same for the repaired asset."""
+    name: str
     floor: float
     """rad or m: noise of the readings."""
     regime: str = ""
@@ -59,20 +30,10 @@ class Replayed:
 
 
 @dataclass(frozen=True)
-class PosesReplayed:
-    """Measured poses of one run to hold against where the assets put the part."""
+class ChosenPoses:
+    """A run of poses to replay."""
 
     name: str
-    poses: tuple[Array, Array]
-    """(n, 4, 4) each, in the canonical frame, without the tracker's registration as found for either asset."""
-    states: tuple[Array, Array]
-    """(n,) canonical joint states each, as the poses say them, for either asset."""
-    times_s: Array
-    """(n,) on the clock of the asset's effects."""
-    middle: Array
-    """(3,) canonical, at state zero: the point of the moving part at which shifts are counted."""
-    lever: float
-    """m: how far points are from there, to count turns as shifts."""
     floor: float
     """m: noise of the poses."""
     held_out: bool = True
@@ -125,8 +86,10 @@ class Shown:
     poses: tuple[PoseGap, ...] = ()
     given_up: tuple[str, ...] = ()
     """Runs that were not replayed in time."""
-    unsure: tuple[str, ...] = ()
+    unsure: tuple[ReplayGap, ...] = ()
     """Runs whose replays hang on a hair: time steps however fine change them, so they tell nothing."""
+    changed: bool = True
+    """Whether there are two assets, or one replay stands for both."""
 
     def closed(self, regimes: Iterable[str] | None = None) -> float | None:
         """Part of the gap beyond the floor that is closed in these regimes (all for None); None without any gap."""
@@ -154,72 +117,30 @@ def closed_alike(shown: Shown, fitted: Iterable[str]) -> tuple[float | None, flo
     return shown.closed(like or regimes), shown.closed(regimes - like) if like and regimes - like else None
 
 
-def show(
-    before: Asset,
-    after: Asset,
-    measured: Measured,
-    replays: tuple[Replayed, ...],
-    holding: float = 0.0,
-    timestep_s: float = 4e-3,
-    poses: tuple[PosesReplayed, ...] = (),
-    seconds: float = SECONDS,
-    progress: Progress | None = None,
-) -> Shown:
-    """Replay runs in SAPIEN with both assets, in a process that knows neither fit nor surrogate.
+def show(before: Replay, after: Replay, chosen: Sequence[Chosen], poses: Sequence[ChosenPoses] = ()) -> Shown:
+    """Two replays of the same runs, by the asset as it was and by the repaired one.
 
-    Args:
-        before: the asset as it was, on disk.
-        after: the repaired asset, on disk.
-        measured: circumstances: gravity, actuator, what efforts are.
-        replays: runs with start states.
-        holding: where `measured` does not say how inputs go on between their rows: 0 smoothly, 1 held until the next.
-        timestep_s: first choice; halved for every run and each asset by itself until that changes the run by less than
-            a tenth of its floor, or by little of what it is off by.
-        poses: runs of poses, whose geometry is compared too.
-        seconds: when this is over, what was replayed counts and the rest is given up.
-        progress: told how many runs are replayed.
-
-    Raises FreeArtError when there is nothing to replay, and CannotReplay when the process fails.
+    A run that hangs on a hair counts only where all do.
     """
-    if not replays and not poses:
-        raise FreeArtError("no run to replay, expected one or more")
-    with tempfile.TemporaryDirectory(prefix="freeart21-") as place_:
-        folder = Path(place_)
-        _write_job(folder, before, after, measured, replays, holding, timestep_s, seconds, poses)
-        _run(folder, len(replays), seconds, progress)
-        return _read_answer(folder, replays, poses, timestep_s)
-
-
-def _run(folder: Path, count: int, seconds: float, progress: Progress | None) -> None:
-    """Let the fresh process work for some seconds."""
-    told, end = -1, time.monotonic() + seconds
-    with (folder / "stderr").open("w") as stderr:
-        process = subprocess.Popen(
-            [*child.command("simgap.proof.replay"), str(folder)],
-            stdout=subprocess.DEVNULL,
-            stderr=stderr,
-            cwd=folder,
-            env={**os.environ, "TMPDIR": str(folder)},  # goes, however that process ends
-        )
-        try:
-            while process.poll() is None and time.monotonic() < end:
-                done = sum((folder / f"run_{i}.npz").is_file() for i in range(count))
-                if progress is not None and done > told:
-                    told = done
-                    progress(done, count)
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(0.05)
-        finally:
-            late = process.poll() is None
-            if late:
-                process.kill()
-                process.wait()
-    if process.returncode and not late:
-        lines = (folder / "stderr").read_text(errors="replace").strip().splitlines()
-        last = (lines or [f"exit status {process.returncode}"])[-1]
-        raise CannotReplay(f"the replay in a fresh process failed: {last}")
-    if progress is not None:
-        progress(count, count)
+    of = {each.name: each for each in chosen}
+    pairs = list(zip(before.runs, after.runs, strict=True))
+    sure = [pair for pair in pairs if pair[0].sure and pair[1].sure] or pairs
+    runs = tuple(_gap(*pair, of[pair[0].run]) for pair in sure)
+    tracks = tuple(
+        PoseGap(track.name, was, is_now, track.floor, track.held_out)
+        for track, was, is_now in zip(poses, before.poses, after.poses, strict=False)
+    )
+    told = [run for pair in sure for run in pair]
+    return Shown(
+        runs,
+        max((run.change for run in told), default=np.nan if chosen else 0.0),
+        min((run.timestep_s for run in told), default=np.nan),
+        helps(runs, tracks) if runs or tracks else None,
+        tracks,
+        before.given_up,
+        tuple(_gap(*pair, of[pair[0].run]) for pair in pairs if pair not in sure),
+        before is not after,
+    )
 
 
 def helps(runs: Sequence[ReplayGap], poses: tuple[PoseGap, ...] = ()) -> bool:
@@ -239,113 +160,16 @@ def helps(runs: Sequence[ReplayGap], poses: tuple[PoseGap, ...] = ()) -> bool:
     return bool(left < whole)
 
 
-# ---------------------------------------------------------------- the two ends of the door
-
-
-def _write_job(
-    folder: Path,
-    before: Asset,
-    after: Asset,
-    measured: Measured,
-    replays: tuple[Replayed, ...],
-    holding: float,
-    timestep_s: float,
-    seconds: float,
-    poses: tuple[PosesReplayed, ...],
-) -> None:
-    law, turns = measured.actuator, measured.base_axis
-    job: dict[str, Any] = {
-        "assets": [str(address_of(asset)) for asset in (before, after)],
-        "roots": [None if asset.root is None else str(asset.root.resolve()) for asset in (before, after)],
-        "joint": before.joint,
-        "gravity": np.asarray(measured.gravity, float).tolist(),
-        "actuator": None if law is None else actuator_to_json(law),
-        "effort": measured.effort_kind,
-        "interpolation": measured.interpolation,
-        "base": None if turns is None else {"axis": turns.axis.tolist(), "point": turns.point.tolist()},
-        "holding": holding,
-        "timestep_s": timestep_s,
-        "seconds": seconds,
-        "starts": [[list(r.start_before), list(r.start_after)] for r in replays],
-        "floors": [r.floor for r in replays],
-    }
-    arrays: dict[str, Array] = {}
-    for i, replay in enumerate(replays):
-        known = np.isfinite(replay.run.q)
-        arrays[f"times_{i}"], arrays[f"q_{i}"] = replay.run.times_s[known], replay.run.q[known]
-        arrays[f"clock_{i}"] = replay.run.times_s
-        for name in DRIVES:
-            values = getattr(replay.run, name)
-            if values is not None:
-                arrays[f"{name}_{i}"] = values
-        for name in BASE:
-            values = getattr(replay.run.base, name, None)
-            if values is not None:
-                arrays[f"base_{name}_{i}"] = values
-    for i, track in enumerate(poses):
-        for k in (0, 1):
-            arrays[f"poses_{k}_{i}"], arrays[f"states_{k}_{i}"] = track.poses[k], track.states[k]
-        arrays[f"pose_times_{i}"] = track.times_s
-    job["poses"] = [{"middle": np.asarray(t.middle).tolist(), "lever": t.lever} for t in poses]
-    atomic.write_json(folder / "job.json", job)
-    with (folder / "job.npz").open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
-
-
-def address_of(asset: Asset) -> Path:
-    """The folder or the URDF that `read_asset` reads it from."""
-    home = asset.urdf.parent
-    return (home if (home / "asset.json").is_file() else asset.urdf).resolve()
-
-
-def _read_answer(
-    folder: Path, replays: tuple[Replayed, ...], poses: tuple[PosesReplayed, ...], timestep_s: float
-) -> Shown:
-    """What there is."""
-    done = [i for i in range(len(replays)) if (folder / f"run_{i}.npz").is_file()]
-    runs, steps = [], []
-    for i in done:
-        data = checked.read_npz(folder / f"run_{i}.npz", ("before", "after", "steps"))
-        runs.append(_gap(replays[i], data["before"], data["after"]))
-        steps.append(data["steps"])
-    off = folder / "poses.json"
-    pairs = checked.read_json(off)["poses"] if off.is_file() else []
-    tracks = tuple(
-        PoseGap(track.name, float(pair[0]), float(pair[1]), track.floor, track.held_out)
-        for track, pair in zip(poses, pairs, strict=False)
-    )
-    sure = [k for k, run in enumerate(runs) if _is_sure(run, steps[k])] or list(range(len(runs)))
-    told = tuple(runs[k] for k in sure)
-    return Shown(
-        told,
-        max((float(steps[k][:, 1].max()) for k in sure), default=np.nan if replays else 0.0),
-        min((float(steps[k][:, 0].min()) for k in sure), default=timestep_s),
-        helps(told, tracks) if told or tracks else None,
-        tracks,
-        tuple(replay.run.name for i, replay in enumerate(replays) if i not in done),
-        tuple(run.run for k, run in enumerate(runs) if k not in sure),
-    )
-
-
-def _is_sure(run: ReplayGap, steps: Array) -> bool:
-    """Whether halving the time step changes neither replay by much."""
-    gaps = (run.gap_before / run.floor, run.gap_after / run.floor)
-    return all(change < max(SURE, SURE_PART * gap) for (_, change), gap in zip(steps, gaps, strict=True))
-
-
-def _gap(replay: Replayed, before: Array, after: Array) -> ReplayGap:
-    known = np.isfinite(replay.run.q)
-    q = replay.run.q[known]
-    gaps = [float(np.sqrt(np.mean((series - q) ** 2))) for series in (before, after)]
+def _gap(before: RunReplay, after: RunReplay, chosen: Chosen) -> ReplayGap:
     return ReplayGap(
-        replay.run.name,
-        replay.run.times_s[known],
-        q,
-        before,
-        after,
-        gaps[0],
-        gaps[1],
-        replay.floor,
-        replay.regime,
-        replay.use,
+        before.run,
+        before.times_s,
+        before.measured,
+        before.simulated,
+        after.simulated,
+        before.error,
+        after.error,
+        chosen.floor,
+        chosen.regime,
+        chosen.use,
     )

@@ -1,0 +1,300 @@
+"""From paths to replays: measured runs by an asset's files alone, as a table, and as a folder that tells how to repeat.
+
+`simgap.proof.replay` replays. Of an answer of `gap` beside the asset only what runs were used for is read.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from freeart21 import __version__
+from freeart21.errors import FreeArtError
+from freeart21.files import atomic, checked
+from freeart21.files.benchmark import file_sha256
+from freeart21.files.lock import only_writer
+from freeart21.files.measured import OTHER_UNITS, read_measured, run_files
+from freeart21.files.places import check_place
+from freeart21.files.urdf import read_xml
+from freeart21.joint import JointType
+from simgap.page.replay_page import Drawn, write_replay_page
+from simgap.proof.asset_files import file_hashes
+from simgap.proof.replay import SECONDS, AssetOnDisk, Engine, Progress, RunReplay, replay
+from simgap.verdict import SCHEMA as VERDICT
+from simgap.verdict import unit_of
+
+SCHEMA = "freeart21/replay/1"
+MEASURED = "measured.json"
+UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run."""
+
+    name: str
+    """Of all sets that were given, unmistakable."""
+    file: Path
+    unit: str
+    """Of the file's positions."""
+    per_unit: float
+    """rad or m in one of these."""
+    use: str
+    """What the verdict beside the asset says that it was used for; "unknown" where there is none, or of other runs."""
+    joint_type: JointType
+    replay: RunReplay
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """All that came out."""
+
+    asset: AssetOnDisk
+    urdf: Path
+    joint: str
+    engine: Engine
+    version: str
+    """Of the engine."""
+    rows: tuple[Row, ...]
+    given_up: tuple[str, ...]
+    """Runs that were not replayed in time."""
+    notes: tuple[str, ...]
+    command: str
+    """The command line that does it again."""
+
+
+def replay_folder(
+    asset: Path,
+    runs: Sequence[Path],
+    out: Path | None = None,
+    engine: Engine = "sapien",
+    holding: float | None = None,
+    guesses: bool = True,
+    seconds: float = SECONDS,
+    progress: Progress | None = None,
+    root: Path | None = None,
+) -> Replayed:
+    """Replay measured runs by the files of an asset; with `out` written to a new folder: replay.json, curves, a page.
+
+    Args:
+        asset: an asset folder, or a URDF.
+        runs: measured sets, or files of runs in such.
+        out: appears whole or not at all; must not exist.
+        engine: what simulates.
+        holding: of inputs of which a set does not say how they go on between their rows: 0 smoothly, 1 held; 0 when not
+            given.
+        guesses: whether effects act that asset.json calls guessed.
+        seconds: what is not replayed by then is given up.
+        progress: told how many runs are replayed.
+        root: bounds what the URDF may name.
+
+    Raises FreeArtError when asset or runs cannot be read, nothing is replayed in time, or `out` exists.
+    """
+    if out is not None:
+        check_place(out, None, (asset, *runs))
+    _check_urdf(asset)
+    files = AssetOnDisk(asset, root, guesses)
+    uses, sets = _uses(asset), _sets(runs)
+    end, total = time.monotonic() + seconds, sum(map(len, sets.values()))
+    rows: list[Row] = []
+    late: list[str] = []
+    notes: list[str] = []
+    joints, version, urdf = [], "", asset
+    for folder, names in sets.items():
+        measured, paths = read_measured(folder), run_files(folder)
+        _check_names(folder, names, [run.name for run in measured.runs])
+        urdf = files.read(measured).urdf
+        notes += [note for note in measured.notes if any(f"'{name}'" in note for name in names)]
+        if holding is None and measured.interpolation == "unknown" and _driven(measured.runs, names):
+            notes.append(f"{folder} does not say how inputs go on between their rows: smoothly here (else --holding 1)")
+        unit, per_unit = _unit(folder, measured.joint_type)
+        done = len(rows) + len(late)
+        (found,) = replay(
+            (files,),
+            measured,
+            names,
+            engine=engine,
+            holding=holding or 0.0,
+            seconds=max(end - time.monotonic(), 0.0),
+            progress=None if progress is None else lambda k, _, done=done: progress(done + k, total),  # type: ignore[misc]
+        )
+        version = found.version or version
+        joints.append(measured.joint)
+        label = "{}" if len(sets) == 1 else f"{folder}: {{}}"
+        late += [label.format(name) for name in found.given_up]
+        for run in found.runs:
+            use = uses.get(file_sha256(paths[run.run], folder), UNKNOWN)
+            file = folder / paths[run.run].relative_to(folder.resolve())
+            rows.append(Row(label.format(run.run), file, unit, per_unit, use, measured.joint_type, run))
+    if not rows:
+        raise FreeArtError(f"none of {total} runs was replayed within {seconds:g} s, expected more time (--seconds)")
+    command = _command(asset, runs, engine, holding, guesses, root)
+    result = Replayed(
+        files, urdf, ", ".join(dict.fromkeys(joints)), engine, version, tuple(rows), tuple(late), tuple(notes), command
+    )
+    if out is not None:
+        with only_writer(out), atomic.new_folder(out) as aside:
+            _write(aside, result)
+    return result
+
+
+def _check_urdf(asset: Path) -> None:
+    """FreeArtError where another kind of model is given for a URDF."""
+    if asset.is_file() and (tag := read_xml(asset).tag) != "robot":
+        raise FreeArtError(
+            f"{asset} is of <{tag}>, expected a URDF's <robot>, or an asset folder: MuJoCo (--engine mujoco) takes the "
+            "MJCF that lies beside a URDF"
+        )
+
+
+def _sets(runs: Sequence[Path]) -> dict[Path, list[str]]:
+    """Folder of a measured set to the names of the runs that are asked for, in order."""
+    found: dict[Path, list[str]] = {}
+    for path in runs:
+        if not path.exists():
+            raise FreeArtError(f"{path} does not exist")
+        if (path / MEASURED).is_file():
+            found.setdefault(path, []).extend(name for name in run_files(path) if name not in found.get(path, ()))
+            continue
+        folder = next((above for above in (path.absolute().parents) if (above / MEASURED).is_file()), None)
+        if folder is None:
+            raise FreeArtError(
+                f"{path} is no measured set and lies in none ({MEASURED}): `freeart21 measure FILES --asset URDF --out "
+                "SET` makes one of a joint's positions"
+            )
+        here = path.resolve()
+        name = next((name for name, file in run_files(folder).items() if here in (file, file.parent)), None)
+        if name is None:
+            raise FreeArtError(f"{folder / MEASURED} names no run {path}; runs: {', '.join(run_files(folder))}")
+        folder = next((known for known in found if known.resolve() == folder.resolve()), folder)
+        if name not in found.setdefault(folder, []):
+            found[folder].append(name)
+    if not found:
+        raise FreeArtError("no run to replay, expected measured sets or files of runs in such")
+    return found
+
+
+def _check_names(folder: Path, names: Sequence[str], there: Sequence[str]) -> None:
+    """FreeArtError where a run was left out of the set that was read, as one that is another again."""
+    for name in names:
+        if name not in there:
+            raise FreeArtError(f"{folder}: run '{name}' is another run of the set again, and is left out")
+
+
+def _driven(runs: Sequence[Any], names: Sequence[str]) -> bool:
+    return any(
+        run.name in names and any(getattr(run, k) is not None for k in ("effort", "q_command", "voltage"))
+        for run in runs
+    )
+
+
+def _unit(folder: Path, kind: JointType) -> tuple[str, float]:
+    """The unit of the positions in the files of a set, and what one of it is in rad or m."""
+    own = unit_of("position", kind)
+    unit = checked.read_json(folder / MEASURED)["units"].get("q", own)
+    return unit, 1.0 if unit == own else OTHER_UNITS[own][unit]
+
+
+def _uses(asset: Path) -> dict[str, str]:
+    """SHA-256 of a run's file to what it was used for, as the verdict beside the asset's folder says."""
+    home = asset if asset.is_dir() else asset.parent
+    path = home.resolve().parent / "verdict.json"
+    try:
+        said = checked.read_json(path, VERDICT) if path.is_file() else {}
+    except FreeArtError:
+        return {}
+    uses, proof = said.get("uses"), said.get("proof")
+    hashes = proof.get("runs") if isinstance(proof, dict) else None
+    if not isinstance(uses, dict) or not isinstance(hashes, dict):
+        return {}
+    return {str(hashes[name]): str(use) for name, use in uses.items() if name in hashes}
+
+
+def _command(
+    asset: Path, runs: Sequence[Path], engine: str, holding: float | None, guesses: bool, root: Path | None
+) -> str:
+    words = ["freeart21", "replay", str(asset), *map(str, runs)]
+    words += [] if engine == "sapien" else ["--engine", engine]
+    words += [] if holding is None else ["--holding", repr(holding)]
+    words += [] if guesses else ["--without-guesses"]
+    words += [] if root is None else ["--root", str(root)]
+    return shlex.join(words)
+
+
+def _write(out: Path, result: Replayed) -> None:
+    """replay.json, a curve a run, and the page."""
+    names = _file_names([row.name for row in result.rows])
+    for row, name in zip(result.rows, names, strict=True):
+        unit, run = unit_of("position", row.joint_type), row.replay
+        columns = (run.times_s.tolist(), run.measured.tolist(), run.simulated.tolist())
+        lines = (",".join(map(repr, values)) for values in zip(*columns, strict=True))
+        head = f"t_s,measured_{unit},simulated_{unit}"
+        atomic.write_bytes(out / name, "\n".join([head, *lines, ""]).encode())
+    atomic.write_json(
+        out / "replay.json",
+        {
+            "schema": SCHEMA,
+            "command": result.command,
+            "engine": result.engine,
+            "versions": {"freeart21": __version__, result.engine: result.version},
+            "joint": result.joint,
+            "asset": {"path": str(result.asset.path), "files": file_hashes(result.urdf, result.asset.root)},
+            "runs": [_said(row, name) for row, name in zip(result.rows, names, strict=True)],
+            "given_up": list(result.given_up),
+            "notes": list(result.notes),
+        },
+    )
+    drawn = [Drawn(row.name, row.use, row.joint_type, row.replay, texts_of(row)) for row in result.rows]
+    about = [f"joint {result.joint}", f"{result.engine} {result.version}", f"{len(drawn)} runs"]
+    title = result.asset.path.resolve().name
+    write_replay_page(out / "index.html", title, about, result.command, HEAD, drawn, result.notes)
+
+
+def _said(row: Row, curve: str) -> dict[str, Any]:
+    """A run as it stands in replay.json."""
+    run = row.replay
+    return {
+        "run": row.name,
+        "file": str(row.file),
+        "sha256": file_sha256(row.file),
+        "use": row.use,
+        "error": run.error,
+        "noise": run.noise,
+        "sigmas": run.sigmas,
+        "unit": unit_of("position", row.joint_type),
+        "start": {"q": run.start[0], "qd": run.start[1]},
+        "readings": len(run.times_s),
+        "timestep_s": run.timestep_s,
+        "change_sigmas": run.change,
+        "curve": curve,
+    }
+
+
+def _file_names(names: Sequence[str]) -> list[str]:
+    """A file of its own for each run."""
+    safe = [re.sub(r"[^\w.-]+", "_", name).strip("._") or "run" for name in names]
+    twice = len(set(safe)) < len(safe)
+    return [f"curves/{f'{k:03d}_' * twice}{name}.csv" for k, name in enumerate(safe)]
+
+
+HEAD = ("run", "rms error", "in sigmas", "start", "start velocity", "used")
+"""Of what `texts_of` gives."""
+
+
+def texts_of(row: Row) -> tuple[str, ...]:
+    """A row of the table: errors and start in the unit of the data."""
+    run = row.replay
+    error, q, qd = (f"{value / row.per_unit:.6g} {row.unit}" for value in (run.error, *run.start))
+    return row.name, error, f"{run.sigmas:.4g}{'' if run.sure else ' (hangs on a hair)'}", q, f"{qd}/s", row.use
+
+
+def table(result: Replayed) -> str:
+    """The runs as lines of text."""
+    rows = [HEAD, *map(texts_of, result.rows)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(HEAD))]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
