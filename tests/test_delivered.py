@@ -76,29 +76,14 @@ def test_many_links_take_fewer_points_each(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "change, verdict",
-    [
-        (('<box size="0.2 0.15 0.04"/></geometry></collision>',) * 2, "pass"),
-        (
-            (
-                '<box size="0.2 0.15 0.04"/></geometry></collision>',
-                '<box size="0.2 0.05 0.04"/></geometry></collision>',
-            ),
-            "fail",
-        ),
-        (
-            (
-                '<box size="0.2 0.15 0.04"/></geometry></collision>',
-                '<box size="0.2 0.15 0.16"/></geometry></collision>',
-            ),
-            "fail",
-        ),
-    ],
+    "size, verdict",
+    [("0.2 0.15 0.04", "pass"), ("0.2 0.05 0.04", "fail"), ("0.2 0.15 0.16", "fail")],
     ids=["as it is", "contact lacks two thirds", "contact stands out"],
 )
-def test_check_asset_measures_any_urdf(tmp_path: Path, change, verdict):
+def test_check_asset_measures_any_urdf(tmp_path: Path, size, verdict):
     file = write_little(tmp_path / "lid")
-    file.write_text(file.read_text().replace(*change))
+    box = '<box size="{}"/></geometry></collision>'
+    file.write_text(file.read_text().replace(box.format("0.2 0.15 0.04"), box.format(size)))
     row = row_of(file)
     assert row.verdict == verdict and row.unit == "m" and row.value is not None
     assert (row.value > 0.02) == (verdict == "fail") and ("link 'box'" in row.reason or verdict == "pass")

@@ -215,32 +215,22 @@ def test_tables_that_do_not_go_together_are_refused_in_one_line(world, tables, t
     code = changed(tables[1], tmp_path / "code.json", made_with__scoring="3" * 64)
     archive = tmp_path / "one.zip"
     archive.write_bytes(b"PK")
-    short = tmp_path / "short.json"
     scores = read_scores(tables[1])
-    write_scores(
-        short,
-        replace(scores, rows=scores.rows[:2], summaries=summarise(scores.rows[:2], protocol_named("strict-2"))),
-    )
-    wrong: list[tuple[Any, str]] = [
-        (lambda: build.write_site([tables[0], other], None, tmp_path / "s"), r"other\.json is scored on made-up"),
-        (lambda: build.write_site([other], public, tmp_path / "s"), r"other\.json is scored on made-up"),
-        (lambda: build.write_site([tables[0], code], None, tmp_path / "s"), r"code\.json is scored by other code"),
-        (lambda: build.write_site([tables[0], short], None, tmp_path / "s"), r"short\.json has rows for 2 of 3"),
-        (
-            lambda: build.write_site(tables, None, tmp_path / "s", ("paper-1",)),
-            r"good\.json is scored by strict-2, expected paper-1",
-        ),
-        (
-            lambda: build.write_site(tables, None, tmp_path / "s", ("strict-2", "paper-1")),
-            r"good\.json: there is no table of good by paper-1",
-        ),
-        (lambda: build.write_site([tables[0].parent], None, tmp_path / "s"), r"--data, which it answers"),
-        (lambda: build.write_site([archive], None, tmp_path / "s"), r"one\.zip is an archive"),
-        (lambda: build.write_site([tmp_path / "no.json"], None, tmp_path / "s"), r"no\.json is missing"),
-    ]
-    for call, words in wrong:
+    few = replace(scores, rows=scores.rows[:2], summaries=summarise(scores.rows[:2], protocol_named("strict-2")))
+    write_scores(short := tmp_path / "short.json", few)
+    for results, data, protocols, words in (
+        ([tables[0], other], None, (), r"other\.json is scored on made-up"),
+        ([other], public, (), r"other\.json is scored on made-up"),
+        ([tables[0], code], None, (), r"code\.json is scored by other code"),
+        ([tables[0], short], None, (), r"short\.json has rows for 2 of 3"),
+        (tables, None, ("paper-1",), r"good\.json is scored by strict-2, expected paper-1"),
+        (tables, None, ("strict-2", "paper-1"), r"good\.json: there is no table of good by paper-1"),
+        ([tables[0].parent], None, (), r"--data, which it answers"),
+        ([archive], None, (), r"one\.zip is an archive"),
+        ([tmp_path / "no.json"], None, (), r"no\.json is missing"),
+    ):
         with pytest.raises(FreeArtError, match=words) as caught:
-            call()
+            build.write_site(results, data, tmp_path / "s", protocols)
         assert "\n" not in str(caught.value) and not (tmp_path / "s").exists()
 
 

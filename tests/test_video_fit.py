@@ -83,10 +83,7 @@ WRONG: dict[str, tuple[Callable[[Truth], Reconstruction], str]] = {
         ),
         "OpenGL's camera axes (import --axes or --frame, where the layout has one) and lengths were in mm",
     ),
-    "own_unit": (
-        lambda truth: in_units(truth, 0.25),
-        "if a unit of length were 0.2",
-    ),
+    "own_unit": (lambda truth: in_units(truth, 0.25), "if a unit of length were 0.2"),
     "meshes_in_mm": (
         lambda truth: replace(truth_as_answer(truth), articulation=in_millimetres(truth).articulation),
         "if lengths of the meshes alone were in mm",
