@@ -10,7 +10,8 @@ left out without --partnet-root. The surfaces of right answers that are sound ar
 time (`FAULTS`), and judged again.
 
 An answer is WRONG when it names the other joint type, when its axis is 5 degrees or its pivot 5 % of the diagonal off,
-when its states are off by a tenth of their range on average, or when two joints moved and it tells of one.
+when its states are off by a tenth of their range on average, when the Chamfer distance of a part is over 1 % of the
+diagonal, or when two joints moved and it tells of one.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from freeart21.files.diagnostics import read_diagnostics
 from freeart21.files.result import read_result
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
+from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure, Reconstruction, describe_trust
 from freeart21.trust import judge, size_of
@@ -51,8 +53,11 @@ from reconstruct.scene import prepare
 from reconstruct.settings import GaussianSettings, ReconstructSettings, SceneSettings
 from reconstruct.surfaces import vertex_normals
 
-WRONG_AXIS_DEG, WRONG_PIVOT_PERCENT, WRONG_STATES = 5.0, 5.0, 0.1
-"""An answer that is farther off is wrong; states by this share of their range."""
+WRONG_AXIS_DEG, WRONG_PIVOT_PERCENT, WRONG_STATES, WRONG_SURFACE_PERCENT = 5.0, 5.0, 0.1, 1.0
+"""An answer that is farther off is wrong; states by this share of their range, surfaces by the share of the diagonal
+within which strict-1's F-score counts a point as met."""
+VALUES = ("joint_type", "axis", "position", "state", "miou", "chamfer_s", "chamfer_m")
+"""What is asked of strict-1."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +128,17 @@ def _half(mesh: Mesh) -> Mesh:
     return mesh.with_faces(along > np.median(along))
 
 
+def _near_joint(mesh: Mesh, joint: Joint, share: float) -> Mesh:
+    """That share of the area that is nearest to the axis of a hinge, or farthest along a slide."""
+    middles, areas = mesh.vertices[mesh.faces].mean(1), mesh.areas()
+    off = middles - joint.pivot
+    far = np.linalg.norm(np.cross(off, joint.axis), axis=1) if joint.type == "revolute" else -off @ joint.axis
+    order = np.argsort(far)
+    near = np.zeros(len(far), bool)
+    near[order[np.cumsum(areas[order]) <= share * areas.sum()]] = True
+    return mesh.with_faces(near)
+
+
 def _with_far_vertex(mesh: Mesh) -> Mesh:
     vertices = mesh.vertices.copy()
     vertices[mesh.faces[0, 0]] += [0, 0, 65.5]
@@ -134,18 +150,22 @@ def _scaled(mesh: Mesh, factor: float) -> Mesh:
     return replace(mesh, vertices=middle + factor * (mesh.vertices - middle))
 
 
-FAULTS: dict[str, Callable[[Mesh, float], Mesh]] = {
-    "shifted by 5 %": lambda m, size: replace(m, vertices=m.vertices + 0.05 * size * np.array([0.6, 0.48, 0.64])),
-    "larger by 15 %": lambda m, size: _scaled(m, 1.15),
-    "smaller by 20 %": lambda m, size: _scaled(m, 0.8),
-    "inflated by 3 %": lambda m, size: replace(
+FAULTS: dict[str, Callable[[Mesh, float, Joint], Mesh]] = {
+    "shifted by 5 %": lambda m, size, _: replace(m, vertices=m.vertices + 0.05 * size * np.array([0.6, 0.48, 0.64])),
+    "larger by 15 %": lambda m, size, _: _scaled(m, 1.15),
+    "smaller by 20 %": lambda m, size, _: _scaled(m, 0.8),
+    "inflated by 3 %": lambda m, size, _: replace(
         m, vertices=m.vertices + 0.03 * size * vertex_normals(m.vertices, m.faces)
     ),
-    "half is missing": lambda m, size: _half(m),
-    "a vertex at 65.5 m": lambda m, size: _with_far_vertex(m),
-    "colours inverted": lambda m, size: replace(m, colours=None if m.colours is None else 255 - m.colours),
+    "half is missing": lambda m, size, _: _half(m),
+    "the half far from the joint is missing": lambda m, size, joint: _near_joint(m, joint, 0.5),
+    "all but 30 % is missing": lambda m, size, joint: _near_joint(m, joint, 0.3),
+    "a tenth is missing": lambda m, size, joint: _near_joint(m, joint, 0.9),
+    "a vertex at 65.5 m": lambda m, size, _: _with_far_vertex(m),
+    "colours inverted": lambda m, size, _: replace(m, colours=None if m.colours is None else 255 - m.colours),
 }
-"""What is done to one part's mesh, given the object's size in metres; per cent are of that, or of the part."""
+"""What is done to one part's mesh, given the object's size in metres and its joint; per cent are of that size, or of
+the part."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +179,7 @@ class Judged:
     doubtful: bool
     reasons: tuple[str, ...]
     values: dict[str, float | None]
-    """Of the joint, and miou: strict-1, from the files."""
+    """Of the joint, miou and the parts' Chamfer distances: strict-1, from the files."""
     state_range: float
     """Of the truth, deg or % of the diagonal."""
     axis_over_std: float | None
@@ -276,10 +296,8 @@ def _judged(video: Video, data: Path, results: Path, sequence: str) -> Judged:
     trust = judge(
         answer, read_diagnostics(results / sequence, len(answer))
     )  # as the solver asks them, by today's signs
-    values = measure(
-        truth, answer, [], constants=Strict1(samples=500)
-    ).values  # of the joint: surfaces are not asked here
-    values = {name: values.get(name) for name in ("joint_type", "axis", "position", "state", "miou")}
+    values = measure(truth, answer, [], constants=Strict1(samples=2000)).values
+    values = {name: values.get(name) for name in VALUES}
     wrong = video.second_joint is not None or is_wrong(values, span)
     ratios = _over_std(answer, values, truth.diagonal)
     doubtful = trust.verdict == "doubtful"
@@ -295,7 +313,7 @@ def _spoilt(video: Video, sequence: Path, result: Path) -> dict[str, str]:
     scene, parts, found = prepare(read_sequence(sequence), SceneSettings()), answer.articulation, dict[str, str]()
     for part in PARTS:
         for name, spoil in FAULTS.items():
-            mesh = spoil(parts.part(part), size_of(answer))
+            mesh = spoil(parts.part(part), size_of(answer), parts.joint)
             wrong = replace(answer, articulation=replace(parts, **{part: mesh}))
             trust = judge(wrong, replace(diagnostics, **surface_signs(scene, wrong)))
             found[f"{video.name}, {part}, {name}"] = describe_trust(trust)
@@ -315,9 +333,14 @@ def is_wrong(values: dict[str, float | None], state_range: float) -> bool:
     """Whether the answer is wrong by the truth; `state_range` in the unit of the state: deg, or % of the diagonal."""
     if values["joint_type"] != 1:
         return True
-    off = values["axis"] or 0.0, values["position"] or 0.0, (values["state"] or 0.0) / max(state_range, 1e-9)
-    limits = WRONG_AXIS_DEG, WRONG_PIVOT_PERCENT, WRONG_STATES
-    return any(error > most for error, most in zip(off, limits, strict=True))
+    limits = {
+        "axis": WRONG_AXIS_DEG,
+        "position": WRONG_PIVOT_PERCENT,
+        "state": WRONG_STATES * max(state_range, 1e-9),
+        "chamfer_s": WRONG_SURFACE_PERCENT,
+        "chamfer_m": WRONG_SURFACE_PERCENT,
+    }
+    return any((values[name] or 0.0) > most for name, most in limits.items())
 
 
 def _over_std(

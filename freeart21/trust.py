@@ -3,7 +3,7 @@
 If an answer is right, then every frame is explained to the noise, by two motions and no third; both parts were seen;
 each part follows its own motion and not the other's as well; the other joint type, and any other state, explains the
 video worse by far; states go on evenly, within the reach of what follows pictures; and the surfaces, posed by joint and
-states, lie where the video shows the object, and nowhere else. Each sign below is the failure
+states, lie where the video shows the object, in every frame, and nowhere else. Each sign below is the failure
 of one of these, by more than matters: lengths are judged against the object's size and what a pixel covers. What was
 measured of right and wrong answers stands beside each constant (benchmarks/trust.py, 320 x 180 pixels, 48 frames).
 """
@@ -67,17 +67,18 @@ FASTEST = np.radians(15.0)
 """Median turn of a part in one frame. People who handle objects: .1 to 4 degrees, 15 at the 95th percentile; the
 recorder's scripts: 2 to 4."""
 
-LEAST_COVERED = 0.9
-"""Median share of a part's pixels on which its surface is drawn. Right answers: .98 and more; wrong labels: .84
-(a phone), .13 (two doors), .31 (a USB stick); half a surface: .35 to .66; one that is shifted by a tenth of the
-object: .11 to .87; depth of 65535 units taken as metres: 0."""
+MOST_UNCOVERED = 0.01
+"""Share of a part's pixels on neither surface, in a tenth of the frames. Right answers, 24 recordings, clean and tof: 0
+of 22, .007, and .024 of a stapler whose poses are off in a sixth of the frames (its Chamfer distance: .8 %). A tenth of
+a surface missing: .08 to .78, half: .41 to 1; frames in which poses are 2 to 4 degrees off: .25 and .31; a phone whose
+slide was not recognised in a fifth of the frames (2.4 %): .06; a kettle whose lid got a piece of the body (4.9 %):
+.013; depth of 65535 units taken as metres: .95."""
 MOST_SPILLED = 0.04
 """Median share of a drawn surface off the mask. Right answers: 0; parts larger by 15 %: .06 to .21; inflated by 3 % of
 the object: .11 to .23."""
 MOST_OFF = 0.015
 """Median share of a part's pixels whose depth lies off its surface. Right answers: up to .010. Axes off by 10.7, 4.1,
-3.2 and 1.4 degrees: .064, .17, .029 and .021; inflated by 3 % of the object: .85 and more. A tenth of the frames is no
-sign: scissors that are right leave .4 there, where their blades cross."""
+3.2 and 1.4 degrees: .064, .17, .029 and .021; inflated by 3 % of the object: .85 and more."""
 MOST_OFF_COLOUR = 8.0
 """Median distance of colours. Right answers: up to 1.6, unlit; colours inverted: 17 and more; wrong labels: 9.5."""
 EXTENT_RATIOS = 0.6, 2.0
@@ -85,7 +86,7 @@ EXTENT_RATIOS = 0.6, 2.0
 metres: 570 and 860; half a surface: .5 to 1."""
 LEAST_SURFACE_SEEN = 0.7
 """Share of a part's surface on which some frame measured depth. Right answers: .80 and more; axes off by 10.7 and 4.1
-degrees: .66 and .56; surfaces shifted by 5 % of the object, or inflated by 3 %: .1 to .6."""
+degrees: .74 and .58; surfaces shifted by 5 % of the object, or inflated by 3 %: .1 to .6."""
 
 
 def judge(result: Reconstruction, diagnostics: Diagnostics | None = None) -> Trust:
@@ -339,15 +340,20 @@ def _other_states(d: Diagnostics, result: Reconstruction) -> list[str]:
 def _surface_elsewhere(d: Diagnostics, k: int) -> list[str]:
     """What the surface of part `k`, posed by joint and states, has against the video."""
     part, found = PARTS[k], []
-    covered, spilled, off, colour = (
+    uncovered, spilled, off, colour = (
         np.zeros(0) if values is None else values[:, k]
-        for values in (d.covered, d.spilled, d.off_surface, d.colour_residual)
+        for values in (d.uncovered, d.spilled, d.off_surface, d.colour_residual)
     )
     ratio, seen = (np.nan if values is None else float(values[k]) for values in (d.extent_ratio, d.seen_share))
     if not EXTENT_RATIOS[0] <= ratio <= EXTENT_RATIOS[1] and np.isfinite(ratio):
         found.append(f"the {part} part's surface extends over {ratio:.2g} times what its pixels span")
-    if median(covered) < LEAST_COVERED:
-        found.append(f"the {part} part's surface covers only {100 * median(covered):.0f} % of its pixels in the median")
+    known = uncovered[np.isfinite(uncovered)]
+    share = float(np.percentile(known, 90)) if len(known) else 0.0
+    if share > MOST_UNCOVERED:
+        found.append(
+            f"{100 * share:.2g} % of the {part} part's pixels lie on neither surface in a tenth of the frames, most in "
+            f"frame {int(np.nanargmax(uncovered))}: a piece is missing, or poses, joint, states or surface are wrong"
+        )
     if median(spilled) > MOST_SPILLED:
         found.append(f"{100 * median(spilled):.0f} % of the {part} part's surface lies off the mask in the median")
     if median(off) > MOST_OFF:

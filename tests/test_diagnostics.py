@@ -492,7 +492,7 @@ def test_page_of_a_result_tells_what_it_should(tmp_path, monkeypatch):
 
 def test_the_page_shows_what_the_surfaces_look_like_in_the_video():
     shares = np.where(np.arange(60)[:, None] % 3 == 0, 0.5, np.nan) * np.ones(2)
-    found = replace(sample_diagnostics(60), covered=shares, spilled=0.1 * shares, off_surface=0.01 * shares)
+    found = replace(sample_diagnostics(60), uncovered=shares, spilled=0.1 * shares, off_surface=0.01 * shares)
     found = replace(found, colour_residual=shares, extent_ratio=np.array([1.1, 860]), seen_share=np.array([0.9, 0.2]))
     plain = diagnosis_section(long_result(), sample_diagnostics(60), np.arange(60.0), False)
     section = diagnosis_section(long_result(), found, np.arange(60.0), False)

@@ -64,9 +64,10 @@ class Diagnostics:
     type_residuals_m: Array | None = None
     """(2,) metres: median misfit of the measured poses to the best joint of this type, and to that of the other. If
     known."""
-    covered: Array | None = None
-    """(n, 2) share, 0 to 1, of each part's pixels, off its outline, where the part's surface is drawn when joint and
-    states pose it in that frame. This and what follows: in some frames, if known."""
+    uncovered: Array | None = None
+    """(n, 2) share, 0 to 1, of each part's pixels, off the object's outline and depth steps, where neither part's
+    surface lies when joint and states pose them. In frames of any kind; what follows: where both parts were seen. In
+    some of them, if known."""
     spilled: Array | None = None
     """(n, 2) share, 0 to 1, of each part's surface, so drawn, that lies off the object's mask and is not hidden."""
     off_surface: Array | None = None
@@ -110,7 +111,7 @@ class Diagnostics:
 _OF_FRAMES = ("pixels", "confidence", "inliers", "outside", "residual_m", "jointed_residual_m")
 _OF_PARTS = (
     "other_motion_cost",
-    "covered",
+    "uncovered",
     "spilled",
     "off_surface",
     "colour_residual",
@@ -118,7 +119,7 @@ _OF_PARTS = (
     "seen_share",
 )
 _MAY_MISS = ("unexplained", "rival_distance", "type_residuals_m", *_OF_PARTS)
-_SHARES = ("confidence", "inliers", "outside", "unexplained", "covered", "spilled", "off_surface", "seen_share")
+_SHARES = ("confidence", "inliers", "outside", "unexplained", "uncovered", "spilled", "off_surface", "seen_share")
 _LENGTHS = ("gate_m", "footprint_m", "noise_m", "diagonal_m")
 
 

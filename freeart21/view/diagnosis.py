@@ -115,7 +115,7 @@ def diagnosis_section(
 def _surface_charts(d: Diagnostics) -> list[Chart]:
     """What the surfaces, posed by joint and states, look like beside the video, as far as that was measured."""
     shares = (
-        ("Surface on the pixels", d.covered, "Share of each part's pixels on which its surface is drawn.", 100.0),
+        ("On no surface", d.uncovered, "Share of each part's pixels on which neither surface lies.", 5.0),
         ("Surface off the mask", d.spilled, "Share of each part's drawn surface off the object's mask.", 5.0),
         ("Off the surface", d.off_surface, "Share of each part's pixels whose depth lies off its surface.", 5.0),
     )
