@@ -23,10 +23,10 @@ def hollow() -> Manifold:
 
 
 def spring() -> Manifold:
-    """A coil of three turns about the way: what of it faces along the way lies above itself."""
+    """A coil of two turns about the way: what of it faces along the way lies above itself."""
     beads = [
-        Manifold.sphere(0.004, 16).translate([0.02 * np.cos(a), 0.02 * np.sin(a), 0.01 * a / (2 * np.pi)])
-        for a in np.linspace(0, 6 * np.pi, 90)
+        Manifold.sphere(0.005, 12).translate([0.02 * np.cos(a), 0.02 * np.sin(a), 0.01 * a / (2 * np.pi)])
+        for a in np.linspace(0, 4 * np.pi, 36)
     ]
     return sum((a + b for a, b in pairwise(beads)), Manifold())
 
@@ -43,7 +43,7 @@ def test_what_slides_sweeps_as_many_copies_of_it_do(made, turned):
     way = TURN @ WAY if turned else WAY
     tool = made().transform(np.column_stack([TURN, np.zeros(3)])) if turned else made()
     swept = _slid(tool, way)
-    copies, doublings = tool, 9
+    copies, doublings = tool, 8
     for k in range(doublings):
         copies = (copies + copies.translate(way * 2**k / (2**doublings - 1))).as_original().simplify(1e-6)
     assert sound(swept)

@@ -2,18 +2,16 @@
 
 from pathlib import Path
 
-import measured_sources
 import numpy as np
 import pytest
 
+from benchmarks.real_recordings import SHARED, recordings
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 from freeart21.formats.measured_series import SeriesSettings, measure_series
 from generator.simulate import roll_out
-from simgap.motion.surrogate import plant_of
-from simgap.workflow import find_gap
 
-SOURCES = measured_sources.sources()
+SOURCES = {name: make for name, make in recordings().items() if name in ("multiarm", "bam_kp100", "bam_kp400", "dfki")}
 pytestmark = pytest.mark.skipif(not SOURCES, reason="recordings of others are not at hand")
 
 
@@ -21,6 +19,7 @@ pytestmark = pytest.mark.skipif(not SOURCES, reason="recordings of others are no
 def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("real")
     for name, make in SOURCES.items():
+        (folder / name).mkdir()
         make(folder / name)
     return folder
 
@@ -28,7 +27,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", SOURCES)
 def test_every_recording_is_read_with_its_asset(name: str, sets: Path):
     measured = read_measured(sets / name / "measured")
-    asset = read_asset(sets / name / "asset", measured.joint)
+    asset = read_asset(sets / name / "asset.urdf", measured.joint)
     assert asset.joint == measured.joint == "hinge"
     assert any(run.held_out for run in measured.runs) and not all(run.held_out for run in measured.runs)
     assert all(np.isfinite(run.q).all() and len(run.q) > 100 for run in measured.runs)
@@ -37,24 +36,13 @@ def test_every_recording_is_read_with_its_asset(name: str, sets: Path):
 
 def test_the_free_arm_swings_at_the_rate_of_its_asset(sets: Path):
     run = read_measured(sets / "multiarm" / "measured").runs[0]
-    asset = read_asset(sets / "multiarm" / "asset")
+    asset = read_asset(sets / "multiarm" / "asset.urdf")
     turns = np.flatnonzero(np.diff(np.sign(run.q)) > 0)
     period = float(np.diff(run.times_s[turns])[-3:].mean())
     amplitude = float(np.abs(run.q[turns[-2] : turns[-1]]).max())
     alone = roll_out(asset, amplitude, duration_s=2.0)
     crossings = np.flatnonzero(np.diff(np.sign(alone.q)) > 0)
     assert float(np.diff(alone.times_s[crossings])[0]) == pytest.approx(period, rel=0.03)
-
-
-def test_the_free_arm_loses_by_dry_friction_and_drag(sets: Path):
-    """As a fit of another kind found, over the inertia; its authors' simulator has oil alone."""
-    measured = read_measured(sets / "multiarm" / "measured")
-    asset = read_asset(sets / "multiarm" / "asset", measured.joint)
-    found = {named.effect.name: named.effect for named in find_gap(asset, measured).effects}
-    inertia = plant_of(asset, measured).mechanics.inertia
-    assert set(found) == {"coulomb_friction", "quadratic_drag"}
-    assert found["coulomb_friction"].level / inertia == pytest.approx(0.148, rel=0.1)
-    assert found["quadratic_drag"].coefficient / inertia == pytest.approx(0.0044, rel=0.1)
 
 
 def test_a_servo_that_was_switched_off_makes_a_run_without_commands(sets: Path):
@@ -94,11 +82,12 @@ COMMANDS = {  # files, what must be told, runs, rows a second
 @pytest.mark.parametrize("name", COMMANDS)
 def test_each_recording_comes_in_with_one_command(name: str, sets: Path, tmp_path: Path):
     words, told, count, rate_hz = COMMANDS[name]
-    files = [measured_sources.SHARED / word for word in words.split()]
+    files = [SHARED / word for word in words.split()]
     if not all(file.is_file() for file in files):
         pytest.skip("this recording is not at hand")
-    urdf = next((sets / next(iter(SOURCES)) / "asset").glob("*.urdf"))
-    notes = measure_series(files, tmp_path / "out", urdf, None, SeriesSettings(**told))
+    notes = measure_series(
+        files, tmp_path / "out", sets / next(iter(SOURCES)) / "asset.urdf", None, SeriesSettings(**told)
+    )
     measured = read_measured(tmp_path / "out" / "measured")
     assert len(measured.runs) == count and measured.rate_hz == pytest.approx(rate_hz, rel=0.1)
     assert any("times are" in note for note in notes) and all("\n" not in note for note in notes)

@@ -25,7 +25,7 @@ from reconstruct.paper_segmentation import (
 )
 from reconstruct.rigid import tukey_weights
 from reconstruct.scene import prepare
-from reconstruct.settings import PaperSegmentationSettings, ReconstructSettings, TrackSettings
+from reconstruct.settings import GaussianSettings, PaperSegmentationSettings, ReconstructSettings, TrackSettings
 from reconstruct.tracks import DisTracker, filtered
 
 PAPER = PaperSegmentationSettings()
@@ -304,7 +304,8 @@ def test_a_whole_result_comes_of_the_papers_labels_alone(monkeypatch):
     for name in ("relabel", "find_seeds", "grow"):
         monkeypatch.setattr(pipeline, name, never)
     clip = make_clip("slide", 12, (120, 90), spin=0.25)
-    result = pipeline.reconstruct(clip.recording, ReconstructSettings(segmentation="paper", progress=False))
+    geometry = ReconstructSettings(segmentation="paper", gaussians=GaussianSettings(refine=False), progress=False)
+    result = pipeline.reconstruct(clip.recording, geometry)
     assert isinstance(result, Reconstruction) and result.articulation.joint.type == "prismatic"
     first = result.Ts_camera_reference[0] @ np.append(result.articulation.joint.axis, 0)
     true = clip.Ts[0] @ np.append(clip.joint.axis, 0)
