@@ -71,7 +71,7 @@ def asset_of(folder: Path, lower: float = -3.0, upper: float = 3.0) -> Path:
 
 def measured_of(
     seed: int, *, runs: int = 5, servo: bool = False, largest: float = 1.4, offset: float = 0.0, marked: bool = True,
-    seconds: float = 4.0, exact: bool = False, smooth: int = 1, between: Interpolation = "held", **hidden: float,
+    seconds: float = 2.0, exact: bool = False, smooth: int = 1, between: Interpolation = "held", **hidden: float,
 ) -> Measured:  # fmt: skip
     """Runs with nuisances (inertia 10 %, weight 5 %, base 0.3 degrees, quantised noise) and what is hidden.
 

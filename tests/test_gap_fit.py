@@ -55,7 +55,7 @@ def test_what_is_hidden_is_found_again_with_free_starts(tmp_path: Path):
 
 
 def test_the_assets_own_doubts_are_fitted_within_their_bounds(tmp_path: Path):
-    measured = measured_of(2, inertia=1.3 * INERTIA)
+    measured = measured_of(2, inertia=1.3 * INERTIA, seconds=4.0)
     setup, runs = problem(tmp_path, measured)
     fit = fitted(Theory(setup, ()), runs)
     names = [r.name for r in fit.theory.ranges()]
@@ -191,7 +191,7 @@ def test_where_nothing_is_to_be_gained_nothing_is_tried():
 
 def test_the_missing_force_tells_where_a_catch_is(tmp_path: Path):
     """Runs that stay in it: a simulation without it swings away, so no small change of that one tells anything."""
-    setup, runs = problem(tmp_path, measured_of(6, exact=True))
+    setup, runs = problem(tmp_path, measured_of(6, exact=True, seconds=4.0))
     catch, rng = Latch(9.0, 0.3, 0.12, 0.5), np.random.default_rng(6)
     starts = ((0.27, 0.3), (1.1, 0.0), (0.33, -0.2), (-0.9, 0.0), (0.34, 0.1))
     caught = tuple(
@@ -232,7 +232,7 @@ def test_what_a_run_costs_is_a_likelihood_of_its_own_error():
 
 
 def test_one_run_that_goes_another_way_moves_no_parameter(tmp_path: Path):
-    setup, runs = problem(tmp_path, measured_of(26, viscous=0.12))
+    setup, runs = problem(tmp_path, measured_of(26, viscous=0.12, seconds=4.0))
     theory = Theory(setup, ("viscous_damping",))
     astray = (replace(runs[0], q=runs[0].q + 0.4 * (runs[0].times_s > 2)), *runs[1:])
     right, held = fitted(theory, runs), fitted(theory, astray)

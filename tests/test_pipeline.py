@@ -99,7 +99,6 @@ class Calls:
     "stop, left",
     [
         ("bridge_gaps", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", "optimise", *FREE, "fuse", "fuse"]),
-        ("better_type", ["bridge_gaps", *FREE, "better_type", "bridge_gaps", "optimise", *FREE, "fuse", "fuse"]),
         ("optimise", ["optimise", *FREE, "fuse", "fuse"]),
         ("fuse", ["fuse", "fuse"]),
     ],
