@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import shlex
 import time
@@ -22,6 +23,7 @@ from freeart21.files.measured import OTHER_UNITS, read_measured, run_files
 from freeart21.files.places import check_place
 from freeart21.files.urdf import read_xml
 from freeart21.joint import JointType
+from freeart21.measured import Run
 from simgap.page.replay_page import Drawn, write_replay_page
 from simgap.proof.asset_files import file_hashes
 from simgap.proof.replay import SECONDS, AssetOnDisk, Engine, Progress, RunReplay, replay
@@ -100,6 +102,8 @@ def replay_folder(
     _check_urdf(asset)
     files = AssetOnDisk(asset, root, guesses)
     uses, sets = _uses(asset), _sets(runs)
+    if out is not None:
+        check_place(out, None, sets)
     end, total = time.monotonic() + seconds, sum(map(len, sets.values()))
     rows: list[Row] = []
     late: list[str] = []
@@ -107,7 +111,8 @@ def replay_folder(
     joints, version, urdf = [], "", asset
     for folder, names in sets.items():
         measured, paths = read_measured(folder), run_files(folder)
-        _check_names(folder, names, [run.name for run in measured.runs])
+        _check_names(folder, names, measured.runs)
+        measured = dataclasses.replace(measured, runs=tuple(run for run in measured.runs if run.poses is None))
         urdf = files.read(measured).urdf
         notes += [note for note in measured.notes if any(f"'{name}'" in note for name in names)]
         if holding is None and measured.interpolation == "unknown" and _driven(measured.runs, names):
@@ -179,14 +184,21 @@ def _sets(runs: Sequence[Path]) -> dict[Path, list[str]]:
     return found
 
 
-def _check_names(folder: Path, names: Sequence[str], there: Sequence[str]) -> None:
-    """FreeArtError where a run was left out of the set that was read, as one that is another again."""
+def _check_names(folder: Path, names: Sequence[str], runs: Sequence[Run]) -> None:
+    """FreeArtError where a run was left out of the set that was read, as one that is another again, or has no
+    positions."""
+    of = {run.name: run for run in runs}
     for name in names:
-        if name not in there:
+        if name not in of:
             raise FreeArtError(f"{folder}: run '{name}' is another run of the set again, and is left out")
+        if of[name].poses is not None:
+            raise FreeArtError(
+                f"{folder}: run '{name}' is of part poses, expected positions of the joint: `freeart21 gap` makes "
+                "them of poses, in runs/ of its answer"
+            )
 
 
-def _driven(runs: Sequence[Any], names: Sequence[str]) -> bool:
+def _driven(runs: Sequence[Run], names: Sequence[str]) -> bool:
     return any(
         run.name in names and any(getattr(run, k) is not None for k in ("effort", "q_command", "voltage"))
         for run in runs
@@ -249,10 +261,9 @@ def _write(out: Path, result: Replayed) -> None:
             "notes": list(result.notes),
         },
     )
-    drawn = [Drawn(row.name, row.use, row.joint_type, row.replay, texts_of(row)) for row in result.rows]
+    drawn = [Drawn(row.name, row.joint_type, row.replay, texts_of(row)) for row in result.rows]
     about = [f"joint {result.joint}", f"{result.engine} {result.version}", f"{len(drawn)} runs"]
-    title = result.asset.path.resolve().name
-    write_replay_page(out / "index.html", title, about, result.command, HEAD, drawn, result.notes)
+    write_replay_page(out / "index.html", str(result.asset.path), about, result.command, HEAD, drawn, result.notes)
 
 
 def _said(row: Row, curve: str) -> dict[str, Any]:
@@ -282,7 +293,7 @@ def _file_names(names: Sequence[str]) -> list[str]:
     return [f"curves/{f'{k:03d}_' * twice}{name}.csv" for k, name in enumerate(safe)]
 
 
-HEAD = ("run", "rms error", "in sigmas", "start", "start velocity", "used")
+HEAD = ("run", "rms error", "in sigmas", "used", "start", "start velocity")
 """Of what `texts_of` gives."""
 
 
@@ -290,7 +301,7 @@ def texts_of(row: Row) -> tuple[str, ...]:
     """A row of the table: errors and start in the unit of the data."""
     run = row.replay
     error, q, qd = (f"{value / row.per_unit:.6g} {row.unit}" for value in (run.error, *run.start))
-    return row.name, error, f"{run.sigmas:.4g}{'' if run.sure else ' (hangs on a hair)'}", q, f"{qd}/s", row.use
+    return row.name, error, f"{run.sigmas:.4g}{'' if run.sure else ' (hangs on a hair)'}", row.use, q, f"{qd}/s"
 
 
 def table(result: Replayed) -> str:

@@ -98,6 +98,7 @@ def _measure(folder: Path) -> list[list[str]]:
     return [
         ["measure", *files, "--asset", "bob.urdf", "--out", "set"],
         ["gap", "bob.urdf", "set/measured", "--out", "gap"],
+        ["replay", "gap/asset", "set/measured", "--out", "proof"],
     ]
 
 

@@ -217,6 +217,28 @@ def test_odd_files_cost_one_line(tmp_path: Path):
         assert not (tmp_path / "out").exists()
 
 
+def test_part_poses_are_replayed_as_the_positions_that_gap_made_of_them(tmp_path: Path, monkeypatch):
+    """runs/ of the answer is a measured set, which repeats the numbers."""
+    from test_gap_command import poses
+
+    monkeypatch.chdir(tmp_path)
+    asset_of(Path("a"))
+    (swing,) = pendulum(1)
+    poses(tmp_path / "m/p", swing.q)
+    base = write_set(tmp_path / "plain", (swing,)) / "measured.json"
+    text = {**json.loads(base.read_text()), "runs": [{"file": "p", "kind": "poses"}]}
+    Path("m/measured.json").write_text(json.dumps(text))
+    assert "in runs/ of its answer" in str(run("replay", "a", "m"))
+    assert not run("gap", "a", "m", "--out", "gap")
+    said = json.loads(Path("gap/verdict.json").read_text())
+    rows = [row for row in said["gap"] if row["regime"] != "geometry"]
+    assert len(rows) == 1 and said["proof"]["repeat"]["before"] == "freeart21 replay a gap/runs"
+    for what in ("before", "after"):
+        assert not run(*said["proof"]["repeat"][what].split()[1:], "--out", what)
+        (found,) = json.loads(Path(what, "replay.json").read_text())["runs"]
+        assert found["error"] == rows[0][what]
+
+
 def test_dry_friction_that_holds_is_replayed(tmp_path: Path):
     """What stands still is met to its noise, and its start is told."""
     t = np.arange(200) / RATE

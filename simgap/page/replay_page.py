@@ -23,7 +23,6 @@ class Drawn:
     """One run of the page."""
 
     name: str
-    use: str
     joint_type: JointType
     replay: RunReplay
     texts: tuple[str, ...]
@@ -72,8 +71,8 @@ def write_replay_page(
             "fitted",
         )
         figures, data = run_drawings(gap, drawn.joint_type, ("by the files", None))
-        title_ = f"Run {drawn.name}: {drawn.texts[1]}, {drawn.texts[2]} sigmas"
-        sections.append(Section(title_, f'<div class="charts wide">{"".join(figures)}</div>', "curves", data, "full"))
+        heading = f"Run {drawn.name}: {drawn.texts[1]}, {drawn.texts[2]} sigmas"
+        sections.append(Section(heading, f'<div class="charts wide">{"".join(figures)}</div>', "curves", data, "full"))
     if len(runs) > MOST_DRAWN:
         sections.append(Section("More runs", f"<p>{len(runs) - MOST_DRAWN} more are in curves/.</p>", place="full"))
     atomic.write_bytes(path, document(title, sections, "replay", about).encode())

@@ -150,7 +150,7 @@ class _InMujoco(_Stage):
         effects = self.asset.effects.get(self.asset.joint, ())
         unsaid = [e.name for e in effects if e.kind != "kinematics" and not e.mjcf_joint()]
         if unsaid:
-            raise FreeArtError(f"MuJoCo's format cannot say {', '.join(unsaid)} of {self.asset.urdf}")
+            raise FreeArtError(f"MuJoCo's format cannot say {', '.join(unsaid)} of joint '{self.asset.joint}'")
 
     @cached_property
     def model(self) -> Any:
@@ -167,11 +167,13 @@ class _InMujoco(_Stage):
                     spec.delete(joint)
                 model = spec.compile()
             except ValueError as error:
-                raise FreeArtError(f"{mjcf} cannot be loaded by MuJoCo: {str(error).splitlines()[0]}") from error
+                raise FreeArtError(f"{mjcf.name} cannot be loaded by MuJoCo: {str(error).splitlines()[0]}") from error
         names = [model.joint(i).name for i in range(model.njnt)]
         if names != [self.asset.joint]:
             said = ", ".join(names) or "none"
-            raise FreeArtError(f"{mjcf} has joints {said}, expected '{self.asset.joint}' alone: MuJoCo holds no other")
+            raise FreeArtError(
+                f"{mjcf.name} has joints {said}, expected '{self.asset.joint}' alone: MuJoCo holds no other"
+            )
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_AUTORESET
         model.opt.gravity = self._gravity(model)
         return model
@@ -188,7 +190,7 @@ class _InMujoco(_Stage):
         if name in [model.body(i).name for i in range(model.nbody)]:
             turn = data.body(name).xmat.reshape(3, 3)
         elif name != "world":
-            raise FreeArtError(f"the MJCF of {self.asset.urdf} has no body '{name}'")
+            raise FreeArtError(f"the MJCF of {self.asset.urdf.name} has no body '{name}'")
         canonical = se3.inverse(self.asset.T_canonical_reference)[:3, :3]
         return np.asarray(turn @ canonical @ np.array(self.job["gravity"]))
 
@@ -220,7 +222,9 @@ class _InMujoco(_Stage):
             mujoco.mj_step(loaded, data)
             q[k + 1] = data.qpos[0]
         if not np.isfinite(q).all():
-            raise FreeArtError(f"MuJoCo loses {self.asset.urdf} at a time step of {h:g} s: its state is not a number")
+            raise FreeArtError(
+                f"MuJoCo loses joint '{self.asset.joint}' at a time step of {h:g} s: its state is not a number"
+            )
         return np.arange(n + 1, dtype=float) * h, q
 
 
