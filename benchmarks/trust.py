@@ -218,7 +218,7 @@ def main(
         judged.append(_judged(video, data, results, sequence))
         _say(judged[-1])
         if judged[-1].status == "ok" and not judged[-1].wrong and not judged[-1].doubtful:
-            faults |= _spoilt(video, data / "sequences" / sequence, results / sequence)
+            faults |= _judge_spoilt(video, data / "sequences" / sequence, results / sequence)
     _print(judged)
     Console().print_json(data=counted_faults(faults))
     if out is None and len(chosen) < len(VIDEOS):
@@ -304,7 +304,7 @@ def _judged(video: Video, data: Path, results: Path, sequence: str) -> Judged:
     return Judged(video.name, "ok", wrong, doubtful, trust.reasons, values, span, *ratios, seconds, video.held_out)
 
 
-def _spoilt(video: Video, sequence: Path, result: Path) -> dict[str, str]:
+def _judge_spoilt(video: Video, sequence: Path, result: Path) -> dict[str, str]:
     """How a sound answer with a fault in either surface judges itself, by video, part and fault."""
     answer = read_result(result)
     assert isinstance(answer, Reconstruction)

@@ -30,7 +30,7 @@ def command(module: str) -> list[str]:
 
 
 @contextlib.contextmanager
-def starts_in(folder: Path) -> Iterator[None]:
+def spawn_in(folder: Path) -> Iterator[None]:
     """Processes that multiprocessing starts in this block begin in `folder`, which is empty and outlives them.
 
     Its command lines are its own: they import from the folder that they begin in, and then take this process's search

@@ -449,14 +449,14 @@ def _run_beside(out: Path, jobs: list[Job], workers: int, board: Board, on_done:
     context = get_context("spawn")
     theirs, ours = context.Pipe(duplex=False)
     with _renderer_threads(workers), tempfile.TemporaryDirectory(prefix="freeart21-") as empty:
-        with child.starts_in(Path(empty)):
+        with child.spawn_in(Path(empty)):
             reports = context.SimpleQueue()
         listener = threading.Thread(target=_listen, args=(reports, board), daemon=True)
         listener.start()
         told = Path.cwd(), out / WORK / "lock", theirs, reports
         pool = ProcessPoolExecutor(workers, context, _start_worker, told)
         try:
-            with stopping.unheard(), child.starts_in(Path(empty)):  # from birth: the recorder says when to stop
+            with stopping.unheard(), child.spawn_in(Path(empty)):  # from birth: the recorder says when to stop
                 futures: list[Future[str]] = [pool.submit(_work, out, job) for job in jobs]
             for future in as_completed(futures):
                 board.finished(future.result())

@@ -20,7 +20,7 @@ from freeart21.files import checked
 from freeart21.files.benchmark import Benchmark, read_benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
-from freeart21.files.verify import lines
+from freeart21.files.verify import collect_findings
 from freeart21.recording import Recording
 from freeart21.truth import Truth
 from generator import partnet
@@ -45,13 +45,13 @@ def verify_deep(data: Path, frames: int = 5, views: int = 5, apart: Path | None 
     benchmark = read_benchmark(Path(data), apart)
     findings: list[str] = []
     for name in benchmark.sequences:
-        findings += lines(partial(_deep_findings, benchmark, name, frames, views))
+        findings += collect_findings(partial(_deep_findings, benchmark, name, frames, views))
     return findings
 
 
 def _deep_findings(benchmark: Benchmark, name: str, frames: int, views: int) -> Iterator[str]:
     recording, truth = read_sequence(benchmark.sequence(name)), read_truth(benchmark.truth(name))
-    yield from lines(lambda: cast_findings(name, recording, truth, frames))
+    yield from collect_findings(lambda: cast_findings(name, recording, truth, frames))
     if (benchmark.truth(name) / "object").is_dir():
         yield from render_findings(name, recording, truth, benchmark.truth(name), views)
 

@@ -24,7 +24,7 @@ from leaderboard.submission import (
     printable,
     render_faults,
 )
-from leaderboard.video_fit import tell_misfit
+from leaderboard.video_fit import describe_misfit
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def _sequence(
         faults += _asset_faults(folder, states)
     elif isinstance(answer, Reconstruction):
         notes.append(f"{folder.name} has no asset/: joint and surfaces will be measured from the files and marked so")
-    misfit = tell_misfit(answer, recording, lacks) if isinstance(answer, Reconstruction) else ""
+    misfit = describe_misfit(answer, recording, lacks) if isinstance(answer, Reconstruction) else ""
     return answer, faults, [*notes, *([f"{folder.name}: {misfit}"] if misfit else [])]
 
 

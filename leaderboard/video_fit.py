@@ -57,15 +57,15 @@ class _Picture:
     """Metres: the diagonal of what its depth shows of it; infinite without depth."""
 
 
-def tell_misfit(answer: Reconstruction, recording: Recording, lacks: tuple[Piece, ...] = ()) -> str:
+def describe_misfit(answer: Reconstruction, recording: Recording, lacks: tuple[Piece, ...] = ()) -> str:
     """A line when the parts of `answer` do not lie on the object of its video; empty when they do, or none can tell.
 
     `lacks` are the pieces that are fillers: without meshes nothing is looked at, without poses the anchor frame alone.
     """
     if "meshes" in lacks or any(part.empty for part in _parts(answer)):
         return ""
-    wanted = {round(i) for i in np.linspace(0, len(recording) - 1, FRAMES)}
-    found = {i: _picture(recording, i) for i in ([answer.anchor] if "poses" in lacks else sorted(wanted))}
+    chosen_frames = {round(i) for i in np.linspace(0, len(recording) - 1, FRAMES)}
+    found = {i: _picture(recording, i) for i in ([answer.anchor] if "poses" in lacks else sorted(chosen_frames))}
     frames = [i for i, picture in found.items() if picture is not None]
     chosen = [picture for picture in found.values() if picture is not None]
     if not chosen:
@@ -78,21 +78,21 @@ def tell_misfit(answer: Reconstruction, recording: Recording, lacks: tuple[Piece
     )
     Ts = np.stack([reference, moving])
     points = [Surface(part).sample(POINTS, (7, k)) for k, part in enumerate(_parts(answer))]
-    told = ", ".join(map(str, frames))
     fit = _fit(points, Ts, chosen)
     axes = [(_fit(points, poses, chosen), f"if {name}") for name, poses in _other_axes(Ts).items()]
     best, name = max(axes)
     clear = best >= CLEAR and 1 - best < (1 - fit) / TIMES
     if fit >= DOES_NOT_FIT and not clear:
         return ""
-    said = f"the parts, posed by the answer, fit the video's masks and depth to {fit:.0%} (frames {told})"
+    where = ", ".join(map(str, frames))
+    message = f"the parts, posed by the answer, fit the video's masks and depth to {fit:.0%} (frames {where})"
     if not clear:
         units = [(_fit(other, poses, chosen), name) for name, other, poses in _other_units(points, Ts, chosen)]
         tried = [*axes, *units]
         best, name = next(pair for pair in tried if pair[0] >= max(tried)[0] - EQUAL)
     if best < FITS:
-        return f"{said}; no other axes, units or order of quaternions that were tried fit"
-    return f"{said}; {best:.0%} would do {name}"
+        return f"{message}; no other axes, units or order of quaternions that were tried fit"
+    return f"{message}; {best:.0%} would do {name}"
 
 
 def _parts(answer: Reconstruction) -> tuple[Mesh, Mesh]:
@@ -106,8 +106,8 @@ def _picture(recording: Recording, index: int) -> _Picture | None:
     there = frame.mask & (frame.depth > 0)
     points = recording.camera.backproject(frame.depth)[there]
     size = float(np.linalg.norm(np.ptp(np.percentile(points, [2, 98], axis=0), axis=0))) if len(points) else np.inf
-    usual = np.median(frame.depth[there]) if len(points) else 0.0
-    return _Picture(recording.camera, frame.mask, np.where(frame.depth > 0, frame.depth, np.float32(usual)), size)
+    middle = np.median(frame.depth[there]) if len(points) else 0.0
+    return _Picture(recording.camera, frame.mask, np.where(frame.depth > 0, frame.depth, np.float32(middle)), size)
 
 
 def _fit(points: list[Array], Ts: Array, pictures: list[_Picture]) -> float:
@@ -128,9 +128,9 @@ def _fit(points: list[Array], Ts: Array, pictures: list[_Picture]) -> float:
         on = picture.mask[row, column] & (np.abs(z - depth) <= picture.size)
         rows, columns = np.nonzero(picture.mask)
         cell = max(1.0, (max(np.ptp(rows), np.ptp(columns)) + 1) / CELLS)
-        wanted = {*zip((rows / cell).astype(int).tolist(), (columns / cell).astype(int).tolist(), strict=True)}
-        held = {*zip((row[on] / cell).astype(int).tolist(), (column[on] / cell).astype(int).tolist(), strict=True)}
-        fits.append(min(np.count_nonzero(on) / len(posed), len(wanted & held) / len(wanted)))
+        cells = {*zip((rows / cell).astype(int).tolist(), (columns / cell).astype(int).tolist(), strict=True)}
+        covered = {*zip((row[on] / cell).astype(int).tolist(), (column[on] / cell).astype(int).tolist(), strict=True)}
+        fits.append(min(np.count_nonzero(on) / len(posed), len(cells & covered) / len(cells)))
     return float(np.mean(fits))
 
 

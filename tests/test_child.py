@@ -41,7 +41,7 @@ def test_processes_are_started_by_one_function():
     assert found == {
         ("freeart21/child.py", "executable"),
         ("freeart21/jobs/work.py", "executable"),  # the word {python} of somebody's own command
-        ("generator/dataset.py", "get_context"),  # its processes start within `child.starts_in`
+        ("generator/dataset.py", "get_context"),  # its processes start within `child.spawn_in`
         ("generator/dataset.py", "ProcessPoolExecutor"),
     }
 
@@ -75,7 +75,7 @@ def test_the_workers_of_a_pool_do_not_import_from_the_working_folder(tmp_path):
     code = (
         "from concurrent.futures import ProcessPoolExecutor\nfrom multiprocessing import get_context\nimport os, sys\n"
         "from freeart21 import child\ncontext = get_context('spawn')\n"
-        "with child.starts_in(sys.argv[1]):\n"
+        "with child.spawn_in(sys.argv[1]):\n"
         "    queue, pool = context.SimpleQueue(), ProcessPoolExecutor(1, context)\n"
         "    there = pool.submit(os.getcwd)\n"
         "print(there.result() == sys.argv[1] != os.getcwd())"

@@ -319,12 +319,12 @@ def test_a_take_that_an_earlier_run_left_is_said_and_stays(tmp_path: Path) -> No
     driving = a_drive()
     first.write(driving)
     second = Takes(tmp_path / "take.jsonl", "revolute")
-    assert second.unsaved() == []  # it is being made
+    assert second.unsaved_takes() == []  # it is being made
     kept = first.rescue(driving)
     (tmp_path / "take-unsaved-old.jsonl").write_text("mine")
     (tmp_path / "take-unsaved-3.jsonl").mkdir()
     os.mkfifo(tmp_path / "take-unsaved-4.jsonl")
-    assert second.unsaved() == [(kept, pytest.approx(1.5))]
+    assert second.unsaved_takes() == [(kept, pytest.approx(1.5))]
     text = kept.read_text()
     second.write(a_drive())
     assert kept.read_text() == text and (tmp_path / "take-unsaved-2.jsonl").exists()

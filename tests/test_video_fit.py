@@ -33,7 +33,7 @@ from freeart21.recording import Frame, Recording
 from freeart21.truth import Truth
 from generator.rays import Caster
 from leaderboard.validate import validate_results
-from leaderboard.video_fit import tell_misfit
+from leaderboard.video_fit import describe_misfit
 
 
 def filmed(truth: Truth, holes: float = 0.0) -> Recording:
@@ -95,7 +95,7 @@ WRONG: dict[str, tuple[Callable[[Truth], Reconstruction], str]] = {
 @pytest.mark.parametrize("name", HONEST)
 def test_nothing_is_said_of_parts_on_the_object(name: str, kind: str) -> None:
     truth = make_truth(kind)
-    assert tell_misfit(HONEST[name](truth), filmed(truth)) == ""
+    assert describe_misfit(HONEST[name](truth), filmed(truth)) == ""
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -106,24 +106,24 @@ def test_what_would_put_parts_on_the_object_is_named(name: str, kind: str) -> No
     truth = make_truth(kind)
     make, words = WRONG[name]
     for holes in (0.0, 0.5):
-        said = tell_misfit(make(truth), filmed(truth, holes))
+        said = describe_misfit(make(truth), filmed(truth, holes))
         assert words in said and "\n" not in said, said
 
 
 def test_a_place_that_nothing_explains_is_said_without_a_guess() -> None:
     truth = make_truth()
     aside = se3.pose(np.eye(3), [0.5, 0.3, 0])
-    said = tell_misfit(with_poses(truth, lambda Ts: aside @ Ts), filmed(truth))
+    said = describe_misfit(with_poses(truth, lambda Ts: aside @ Ts), filmed(truth))
     assert said.endswith("no other axes, units or order of quaternions that were tried fit")
 
 
 def test_what_a_method_lacks_is_not_looked_at() -> None:
     truth = make_truth()
     wrong = with_poses(truth, opengl)
-    assert tell_misfit(wrong, filmed(truth), ("meshes",)) == ""
+    assert describe_misfit(wrong, filmed(truth), ("meshes",)) == ""
     one = replace(truth_as_answer(truth), Ts_camera_moving=wrong.Ts_camera_moving, anchor=3)
-    assert tell_misfit(one, filmed(truth), ("poses",)) == "", "the moving part follows joint and states then"
-    assert "(frames 3)" in tell_misfit(replace(wrong, anchor=3), filmed(truth), ("poses",))
+    assert describe_misfit(one, filmed(truth), ("poses",)) == "", "the moving part follows joint and states then"
+    assert "(frames 3)" in describe_misfit(replace(wrong, anchor=3), filmed(truth), ("poses",))
 
 
 def test_validate_says_it_and_passes(tmp_path) -> None:

@@ -51,19 +51,19 @@ def verify(data: Path, truth: Path | None = None) -> Report:
     report = Report(len(listed), len(benchmark.sequences))
     report.findings += differing_files(data, listed)
     for name in benchmark.sequences:
-        found = lines(partial(_look_through, benchmark, name))
+        found = collect_findings(partial(_look_through, benchmark, name))
         report.findings += [line if name in line else f"{name}: {line}" for line in found]
     return report
 
 
 def _look_through(benchmark: Benchmark, name: str) -> Iterator[str]:
     if benchmark.hidden:
-        yield from lines(lambda: traces(benchmark.sequence(name)))
+        yield from collect_findings(lambda: traces(benchmark.sequence(name)))
     if not benchmark.hidden or benchmark.apart:
         yield from _sequence(benchmark.sequence(name), benchmark.truth(name))
 
 
-def lines(*looks: Callable[[], Iterable[str]]) -> Iterator[str]:
+def collect_findings(*looks: Callable[[], Iterable[str]]) -> Iterator[str]:
     """What all `looks` find; the error of one is a line, too, and keeps no other from being taken."""
     for look in looks:
         try:
@@ -108,7 +108,7 @@ def differing_files(data: Path, listed: dict[str, Any]) -> Iterator[str]:
 
 def _sequence(folder: Path, truth_folder: Path) -> Iterator[str]:
     recording, truth = _read(read_sequence, folder), _read(read_truth, truth_folder)
-    yield from lines(lambda: _apart(folder))
+    yield from collect_findings(lambda: _apart(folder))
     yield from (found for found in (recording, truth) if isinstance(found, str))
     if isinstance(recording, str) or isinstance(truth, str):
         return
@@ -119,7 +119,7 @@ def _sequence(folder: Path, truth_folder: Path) -> Iterator[str]:
     if truth.seen.shape != (n, 2):
         yield f"{truth_folder}/seen.npz has shape {truth.seen.shape}, expected ({n}, 2)"
         return
-    yield from lines(
+    yield from collect_findings(
         lambda: _counts(folder, truth_folder, n, len(recording.queries)),
         lambda: _kinematics(truth_folder, truth),
         *(partial(_frame, folder, truth_folder, recording, truth, i) for i in range(n)),

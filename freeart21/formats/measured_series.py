@@ -25,7 +25,7 @@ from freeart21.files.measured import MAX_RATE_HZ, MIN_SAMPLES, read_measured
 from freeart21.files.measured_writer import write_measured
 from freeart21.formats import circumstances
 from freeart21.formats.circumstances import Circumstances
-from freeart21.formats.position_units import RawMotion, mechanics_of, unit_by_motion
+from freeart21.formats.position_units import RawMotion, joint_mechanics, unit_by_motion
 from freeart21.formats.series_rows import Raw, begun, near, rising, unwrapped
 from freeart21.formats.time_series import Series, listed, read_series
 from freeart21.joint import JointType
@@ -148,7 +148,7 @@ def measure_series(
     said_units = _said_units(all_series, roles)
     raw, rate, clock = _timed(raw, settings, said_units.get("t"), roles[0].get("t"), notes)
     gravity, unsure = _circumstances(settings, chosen.reference_link, notes)
-    runs = _scaled(raw, kind, scored, settings, (said_units, roles[0]), notes, mechanics_of(chosen, gravity))
+    runs = _scaled(raw, kind, scored, settings, (said_units, roles[0]), notes, joint_mechanics(chosen, gravity))
     if drives:
         held = " and ".join(d for d in DRIVES if d in roles[0])
         notes.append(f"{held}: {_BETWEEN[settings.interpolation or 'unknown']}")
@@ -469,7 +469,7 @@ def _scaled(
     elif settings.unit_q is None:
         low, high = _range(runs)
         notes.append(f"positions are in {unit}, as it says: {low:.4g} to {high:.4g} (else --unit-q)")
-    size_q = size_of(str(unit), kind, joint.name)
+    size_q = unit_size(str(unit), kind, joint.name)
     made, wrapped, turned, empty = [], 0, 0, 0
     taken: set[str] = set()
     for run in runs:
@@ -514,7 +514,7 @@ def _range(runs: list[Raw]) -> tuple[float, float]:
     return (float(q.min()), float(q.max())) if len(q) else (0.0, 0.0)
 
 
-def size_of(unit: str, kind: JointType, joint: str) -> float:
+def unit_size(unit: str, kind: JointType, joint: str) -> float:
     """rad or m of one of a unit of positions, such as deg or counts=4096 (a turn); FreeArtError for another."""
     sizes = ANGLES if kind == "revolute" else LENGTHS
     name, _, number = unit.partition("=")

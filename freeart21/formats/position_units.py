@@ -49,7 +49,7 @@ class RawMotion:
     """(n,) N*m or N on the joint; None for none."""
 
 
-def mechanics_of(asset: Asset, gravity: Array) -> JointMechanics | None:
+def joint_mechanics(asset: Asset, gravity: Array) -> JointMechanics | None:
     """What the asset's joint carries, from its URDF alone, in the root link's frame.
 
     `gravity` is (3,), m/s^2, in the reference link's frame. None where the URDF does not say, or the joint moves the

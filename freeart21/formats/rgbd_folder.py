@@ -80,7 +80,7 @@ def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float | 
         raise FreeArtError(f"{folder} has {len(frames)} frames, expected 1 to {foreign.MAX_FRAMES}")
     height, width = checked.read_rgb(frames[0][0]).shape[:2]
     camera = _camera(folder, width, height)
-    none = _value_of_none([depth for _, depth, _ in frames])
+    none = _first_invalid_depth([depth for _, depth, _ in frames])
     lost: dict[int, int] = {}
 
     def load(index: int) -> Frame:
@@ -98,15 +98,15 @@ def read_rgbd_folder(folder: Path, depth_unit: float = MILLIMETRE, fps: float | 
 
     def observe() -> tuple[str, ...]:
         pixels, some = sum(lost.values()), sum(map(bool, lost.values()))
-        said = f"depth {none} is taken as none: {pixels} pixels ({pixels / (width * height * len(lost) or 1):.1%}) of "
-        return (f"{said}{some} frames",) if pixels else ()
+        text = f"depth {none} is taken as none: {pixels} pixels ({pixels / (width * height * len(lost) or 1):.1%}) of "
+        return (f"{text}{some} frames",) if pixels else ()
 
     name = foreign.safe_name(folder.resolve().name)
     recording = Recording(camera, times, load, (), None, name)
     return Foreign(name, name, recording, None, "a video alone has none", notes, observe)
 
 
-def _value_of_none(depth: list[Path]) -> int:
+def _first_invalid_depth(depth: list[Path]) -> int:
     """The depth value from which on there is none.
 
     That is the largest of 16 bits; or the largest of the recording where it is many pixels' and stands alone: half of
@@ -174,7 +174,9 @@ def _frames(
                 raise FreeArtError(f"{folder}: {one.name} and {other.name} have one time stamp")
         times = np.array([t - chosen[0][0] for t, _ in chosen]) / 1e9
         frames = [frame for _, frame in chosen]
-        notes.append(_tell_times(times) if fps is None else f"times are by --fps, {fps:g} a second, not by the names")
+        notes.append(
+            _describe_times(times) if fps is None else f"times are by --fps, {fps:g} a second, not by the names"
+        )
         return frames, times if fps is None else np.arange(len(frames)) / fps, tuple(notes)
     rows = _same_frames(folder, rgb, depth, mask)
     steps = np.diff([_number(row[0].stem) for row in rows])
@@ -193,10 +195,12 @@ def _same_frames(folder: Path, rgb: _Files, depth: _Files, mask: _Files) -> list
         if set(named[0]) == set(named[1]) == set(named[2]) and len(named[0]) == len(rgb):
             return [(named[0][k], named[1][k], named[2][k]) for k in sorted(named[0])]
     for sub, files in (("depth", depth), ("masks", mask)):
-        odd = sorted(set(rgb) ^ set(files), key=_in_time)
-        if odd:
-            where, lacks = ("the colours", sub) if odd[0] in rgb else (sub, "the colours")
-            raise FreeArtError(f"{folder}: frame '{odd[0]}' is among {where}, but not among {lacks}; {len(odd)} differ")
+        unmatched = sorted(set(rgb) ^ set(files), key=_in_time)
+        if unmatched:
+            where, lacks = ("the colours", sub) if unmatched[0] in rgb else (sub, "the colours")
+            raise FreeArtError(
+                f"{folder}: frame '{unmatched[0]}' is among {where}, but not among {lacks}; {len(unmatched)} differ"
+            )
     return [(rgb[name], depth[name], mask[name]) for name in sorted(rgb, key=_in_time)]
 
 
@@ -241,17 +245,17 @@ def _nearest(stamps: list[tuple[int, str]], t: int) -> str | None:
     return name if apart < APART_NS else None
 
 
-def _tell_times(times: Array) -> str:
+def _describe_times(times: Array) -> str:
     """A line on times that come from names: how long, how even, and the longest gap."""
     if len(times) < 2:
         return "times are the names' time stamps: one frame"
     steps = np.diff(times)
-    usual, longest = float(np.median(steps)), int(np.argmax(steps))
-    said = f"times are the names' time stamps: {len(times)} frames in {times[-1]:.6g} s, {1e3 * usual:.4g} ms apart"
-    gaps = int(np.count_nonzero(steps > 1.5 * usual))
+    median, longest = float(np.median(steps)), int(np.argmax(steps))
+    text = f"times are the names' time stamps: {len(times)} frames in {times[-1]:.6g} s, {1e3 * median:.4g} ms apart"
+    gaps = int(np.count_nonzero(steps > 1.5 * median))
     if not gaps:
-        return said
-    return f"{said}; gaps are kept ({gaps}), the longest {steps[longest]:.4g} s after frame {longest}"
+        return text
+    return f"{text}; gaps are kept ({gaps}), the longest {steps[longest]:.4g} s after frame {longest}"
 
 
 def _camera(folder: Path, width: int, height: int) -> Camera:

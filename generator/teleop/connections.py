@@ -1,4 +1,7 @@
-"""How many connections there may be, and how soon each must show the token. Who has not yields to who comes."""
+"""Bounds on connections: how many there may be, and how soon each must show the token.
+
+Where there are too many, a new one takes the place of the first that has not shown it.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ class _Connection:
     host: str
     task: asyncio.Task[None] | None = None
     transport: asyncio.BaseTransport | None = None
-    let_in: bool = False
+    admitted: bool = False
 
     @property
     def is_over(self) -> bool:
@@ -54,11 +57,11 @@ class Connections:
         self._by_peer = {peer: one for peer, one in self._by_peer.items() if not one.is_over}
         return len(self._by_peer)
 
-    def let_in(self, transport: asyncio.BaseTransport | None) -> None:
-        """Who uses this transport has shown the token: the connection stays."""
+    def admit(self, transport: asyncio.BaseTransport | None) -> None:
+        """Keep the connection of this transport: its request has shown the token."""
         peer = None if transport is None else transport.get_extra_info("peername")
         if peer in self._by_peer:
-            self._by_peer[peer].let_in = True
+            self._by_peer[peer].admitted = True
 
     async def take(self, listener: socket.socket, context: ssl.SSLContext | None = None) -> None:
         """Take connections of a socket that listens until cancelled; by TLS where there is a `context`."""
@@ -104,7 +107,7 @@ class Connections:
             asyncio.get_running_loop().call_at(end, self._end_silent, one)
 
     def _end_silent(self, one: _Connection) -> None:
-        if not one.let_in and not one.is_over:
+        if not one.admitted and not one.is_over:
             self._log.dropped(f"a connection that showed no token in {SPEAK_S:g} s", one.host)
             one.end()
 
@@ -117,7 +120,7 @@ class Connections:
             if len(many) < most:
                 continue
             self._log.dropped(f"more than {most} connections{' of an address' if whose else ''}", host)
-            silent = next((one for one in many if not one.let_in), None)
+            silent = next((one for one in many if not one.admitted), None)
             if silent is None:
                 return False
             silent.end()

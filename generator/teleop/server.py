@@ -147,7 +147,7 @@ class Server:
         token, origin = request.query.get("token", ""), request.headers.get("Origin")
         why = self._gate.refuses(token, request.host or "", origin, socket)
         if not why:
-            self.connections.let_in(request.transport)
+            self.connections.admit(request.transport)
             return None
         self._quiet.dropped(why, _whose(request))
         headers = {**_HEADERS, "Content-Security-Policy": _REFUSED_POLICY}

@@ -16,9 +16,9 @@ HEAD_BYTES = 1024
 
 
 class TakeFile:
-    """A file that is at every moment a take, up to the last sample that was written.
+    """A file that is a valid take after every write, up to the last sample that was written.
 
-    Lines are written whole: who kills this process leaves them there. It is locked as long as it is open.
+    Lines are written whole, so they stay when this process is killed. The file is locked as long as it is open.
     """
 
     def __init__(self, path: Path) -> None:
@@ -67,7 +67,7 @@ class TakeFile:
             os.close(self._file)
 
     def remove(self) -> None:
-        """Throw the file away."""
+        """Delete the file."""
         with contextlib.suppress(OSError):
             self._require_own_name()
             self.path.unlink()

@@ -41,7 +41,7 @@ class Takes:
         """What the next take will be called, if nobody else takes the name."""
         return _free(self._out).name
 
-    def unsaved(self) -> list[tuple[Path, float]]:
+    def unsaved_takes(self) -> list[tuple[Path, float]]:
         """Takes that an earlier run left unsaved, and how long each lasts, s."""
         found = []
         for path in sorted(self._out.parent.glob(f"{glob.escape(self._out.stem)}{UNSAVED}*{self._out.suffix}")):
@@ -87,13 +87,13 @@ class Takes:
         return path
 
     def discard(self) -> None:
-        """Throw away what was begun and is no take."""
+        """Delete the file of the take that is being made."""
         if self._file is not None:
             self._file.remove()
             self._file = None
 
     def rescue(self, driving: Driving) -> Path:
-        """Leave a take that nobody saved in its file, or where temporary files are. Raises FreeArtError."""
+        """Write an unsaved take to its file, else to another one, and return its place. Raises FreeArtError."""
         try:
             self.write(driving)
             assert self._file is not None

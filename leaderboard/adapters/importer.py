@@ -28,7 +28,7 @@ from leaderboard.adapters.toolbox import (
     reconstruction,
 )
 from leaderboard.submission import MAX_FILES
-from leaderboard.video_fit import tell_misfit
+from leaderboard.video_fit import describe_misfit
 
 MOST_FAULTS = 20
 """Faults that are told at once."""
@@ -112,7 +112,7 @@ def _write(
                 continue
             notes[sequence] = () if isinstance(found, Failure) else found.notes
             if isinstance(answer, Reconstruction) and not isinstance(found, Failure):
-                misfit = tell_misfit(answer, recording, tuple(found.lacks()))
+                misfit = describe_misfit(answer, recording, tuple(found.lacks()))
                 notes[sequence] += (misfit,) if misfit else ()
             own = {"layout": rules.name, "notes": list(notes[sequence])}
             write_result(aside / sequence, answer, {"import": own})

@@ -107,10 +107,10 @@ def read_answer(
     Ts_camera = Ts[0][:0] if "poses" in lacks else Ts[0] @ se3.inverse(T_common_pred)
     zero = anchor if "states" in lacks else None
     answer = Answer(articulation, states, 1.0, 0.0, True, zero, Ts_camera, masks, lacks)
-    return answer if isinstance(truth, int) else counted_as(answer, truth.articulation.joint, truth.states)
+    return answer if isinstance(truth, int) else align_states(answer, truth.articulation.joint, truth.states)
 
 
-def counted_as(answer: Answer, joint: Joint, states: Array) -> Answer:
+def align_states(answer: Answer, joint: Joint, states: Array) -> Answer:
     """The answer with the sign, offset and type that make its states those (n,) of `joint`, in the same frame.
 
     That is the sign of the axes, then the median difference, as scoring has it.

@@ -156,7 +156,7 @@ def ranked(protocol: str, entrants: Sequence[Entrant]) -> list[Place]:
     return sorted(places, key=lambda place: (place.rank is None, place.rank or 0.0))
 
 
-def only_means(entrant: Entrant, rules: Protocol) -> tuple[str, ...]:
+def hidden_metrics(entrant: Entrant, rules: Protocol) -> tuple[str, ...]:
     """Ids of the numbers that are shown in means alone, as the truth is hidden."""
     return rules.priced_by_truth if entrant.scores[rules.name].benchmark.get("hidden") else ()
 
@@ -164,7 +164,7 @@ def only_means(entrant: Entrant, rules: Protocol) -> tuple[str, ...]:
 def _cell(entrant: Entrant, protocol: str, metric: Metric, group: str) -> tuple[float, float | None] | None:
     rows = entrant.whole[protocol].rows
     values = [v for row in rows if group in ("all", row.joint_type) and (v := row.values.get(metric.id)) is not None]
-    if len(values) < (FEWEST if metric.id in only_means(entrant, protocol_named(protocol)) else 1):
+    if len(values) < (FEWEST if metric.id in hidden_metrics(entrant, protocol_named(protocol)) else 1):
         return None
     return float(np.mean(values)), float(np.std(values, ddof=1)) if len(values) > 1 else None
 
@@ -255,7 +255,7 @@ def _data(
                 "up": m.direction == "up",
                 "title": _head(m.column.replace("\n", " ") or m.label, m, g),
                 "cells": [_cell(e, rules.name, m, g) for e in entrants]
-                if any(m.id in only_means(e, rules) for e in entrants)
+                if any(m.id in hidden_metrics(e, rules) for e in entrants)
                 else None,
             }
             for m, g in heads

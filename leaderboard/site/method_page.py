@@ -22,7 +22,7 @@ from leaderboard.site.html import (
     table,
     unit_text,
 )
-from leaderboard.site.index_page import FEWEST, only_means, sequence_link
+from leaderboard.site.index_page import FEWEST, hidden_metrics, sequence_link
 from leaderboard.site.provenance import provenance
 from leaderboard.site.sequence_data import Shown
 from leaderboard.site.sequence_page import WORDS
@@ -81,26 +81,26 @@ def _protocol(entrant: Entrant, rules: Protocol, shown: Sequence[Shown], files: 
 
 def _means(entrant: Entrant, rules: Protocol) -> str:
     """Every number over each joint type and over all: mean and standard deviation, median and worst."""
-    groups, veiled = entrant.whole[rules.name].summaries, only_means(entrant, rules)
+    groups, hidden = entrant.whole[rules.name].summaries, hidden_metrics(entrant, rules)
     head = '<th scope="col">mean ± standard deviation</th>' + "".join(
         f'<th scope="col" class="number">{s.group} <small>{s.sequences - s.failures} of {s.sequences}</small></th>'
         for s in groups
     )
     lines = []
     for metric in rules.metrics:
-        cells = [_mean(metric, summary, metric.id in veiled) for summary in groups]
+        cells = [_mean(metric, summary, metric.id in hidden) for summary in groups]
         if any(NONE not in cell for cell in cells):
             lines.append(metric_row(rules, metric, "".join(cells)))
     return table("means", "numbers means", head, "".join(lines))
 
 
-def _mean(metric: Metric, summary: Summary, veiled: bool) -> str:
-    """A cell; `veiled` where it must not tell the number of any one sequence."""
+def _mean(metric: Metric, summary: Summary, hidden: bool) -> str:
+    """A cell; `hidden` where it must not tell the number of any one sequence."""
     unit, found = metric.unit(summary.group), summary.statistics.get(metric.id)
-    if unit is None or found is None or (veiled and found.sequences < FEWEST):
+    if unit is None or found is None or (hidden and found.sequences < FEWEST):
         return number_cell(NONE)
     std = "" if found.std is None else f' <small class="std">± {number(found.std, unit)}</small>'
-    rest = "" if veiled else f"<small>median {number(found.median, unit)}, worst {number(found.worst, unit)}</small>"
+    rest = "" if hidden else f"<small>median {number(found.median, unit)}, worst {number(found.worst, unit)}</small>"
     return number_cell(number(found.mean, unit, True), more=std + rest)
 
 

@@ -27,7 +27,7 @@ from freeart21.view.scene import Layer, Link, Scene, Slider, Surface, scene_data
 from freeart21.view.simplify import simplified
 from freeart21.view.video import shown_frames
 from leaderboard.rows import Row
-from leaderboard.site.answers import EMPTY, Answer, counted_as, read_answer
+from leaderboard.site.answers import EMPTY, Answer, align_states, read_answer
 from leaderboard.site.entrant import Entrant
 from leaderboard.site.packed import Packed
 
@@ -122,7 +122,7 @@ def show_sequence(
     if truth is None:
         common = _common_of_answers(recording, [answers[e.file] for e in shown])
         if common.joint is not None:
-            answers = {file: counted_as(one, common.joint, common.states) for file, one in answers.items()}
+            answers = {file: align_states(one, common.joint, common.states) for file, one in answers.items()}
     else:
         common = _common_of_truth(truth)
     masks = [truth.part_mask(int(i)) if truth else recording.frame(int(i)).mask.astype(np.uint8) for i in frames]

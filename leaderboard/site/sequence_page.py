@@ -21,7 +21,7 @@ from leaderboard.site.html import (
     sources,
     table,
 )
-from leaderboard.site.index_page import TABLES_ALONE, only_means
+from leaderboard.site.index_page import TABLES_ALONE, hidden_metrics
 from leaderboard.site.sequence_data import Shown
 
 WORDS = {
@@ -183,7 +183,7 @@ def _numbers(protocol: str, shown: Shown, entrants: Sequence[Entrant]) -> str:
         f"{NONE}: not made by the method, or not there for this joint. Small numbers stand beside the ranking ones and "
         "do not rank."
     )
-    if any(only_means(entrant, rules) for entrant in entrants):
+    if any(hidden_metrics(entrant, rules) for entrant in entrants):
         note += " Numbers whose price is the hidden truth's stand in the means alone."
     numbers = table(f"numbers by {protocol}", "numbers", head, "".join(lines))
     return section(f"Numbers by {protocol}", numbers, id=f"numbers-{protocol}", note=note)
