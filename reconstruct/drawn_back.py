@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.articulation import PARTS
+from freeart21.joint import Joint
 from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.reconstruction import Reconstruction
 from freeart21.se3 import Array
@@ -21,6 +22,7 @@ from freeart21.trust import size_of
 from freeart21.z_buffer import BEHIND, enter
 from reconstruct.evidence import evenly
 from reconstruct.scene import LIGHTNESS, Scene
+from reconstruct.surfaces import label_pieces
 
 MOST_DRAWN = 48
 """Frames, evenly drawn of all: a part that was not recognised in one still has to be where that shows it."""
@@ -45,7 +47,7 @@ def surface_signs(scene: Scene, answer: Reconstruction) -> dict[str, Any]:
     by_frame = {
         name: np.full((len(answer), 2), np.nan) for name in ("uncovered", "spilled", "off_surface", "colour_residual")
     }
-    shown = [np.zeros(len(mesh.vertices), bool) for mesh in meshes]
+    states = [np.tile([[np.inf], [-np.inf]], len(mesh.vertices)) for mesh in meshes]
     widths = np.zeros(2)
     for i in map(int, evenly(np.arange(len(answer)), MOST_DRAWN)):
         posed = _posed(answer, i)
@@ -57,14 +59,18 @@ def surface_signs(scene: Scene, answer: Reconstruction) -> dict[str, Any]:
         for k, mesh in enumerate(posed):
             for name, value in _compare(scene, i, drawn, labels, k + 1, distance > tolerance).items():
                 by_frame[name][i, k] = value
-            shown[k] |= _is_shown(scene, i, mesh, tolerance)
+            shown = _is_shown(scene, i, mesh, tolerance)
+            states[k][0, shown] = np.minimum(states[k][0, shown], answer.states[i])
+            states[k][1, shown] = np.maximum(states[k][1, shown], answer.states[i])
             widths[k] = max(widths[k], _width(scene, i, labels == k + 1))
     return by_frame | {
         "extent_ratio": np.array(
             [_ratio(bounding_diagonal(m), width) for m, width in zip(meshes, widths, strict=True)]
         ),
         "seen_share": np.array(
-            [_area_share(m, s) if answer.seen.all(1).any() else np.nan for m, s in zip(meshes, shown, strict=True)]
+            [_seen_share(m, answer.articulation.joint, s, tolerance) for m, s in zip(meshes, states, strict=True)]
+            if answer.seen.all(1).any()
+            else [np.nan, np.nan]
         ),
     }
 
@@ -191,7 +197,28 @@ def _ratio(extent: float, width: float) -> float:
     return extent / width if width > 0 else np.nan
 
 
-def _area_share(mesh: Mesh, vertices: NDArray[np.bool_]) -> float:
-    """Share of a mesh's area in faces with one of the marked `vertices` (V,)."""
-    areas = mesh.areas()
-    return float(areas[vertices[mesh.faces].any(1)].sum() / areas.sum()) if areas.sum() > 0 else np.nan
+def _seen_share(mesh: Mesh, joint: Joint, states: Array, tolerance: float) -> float:
+    """Share of a mesh's area, 0 to 1, in faces with a vertex that some frame showed; NaN when it has none.
+
+    `states` (2, V): the lowest and the highest state, rad or m, at which a vertex was shown. A detached piece does not
+    count when less than half of what was shown of it was shown at states that displace it by `tolerance`, metres, or
+    more: it may as well be the other part's.
+    """
+    areas, (low, high) = mesh.areas(), states
+    if not areas.sum() > 0:
+        return np.nan
+    shown = low <= high
+    lever = np.ones(len(low))
+    if joint.type == "revolute":
+        lever = np.linalg.norm(np.cross(mesh.vertices - joint.pivot, joint.axis), axis=1)
+    span = float(np.ptp(states[:, shown])) if shown.any() else 0.0
+    moved = lever * np.where(shown, high - low, 0)
+    known = shown & ((moved >= tolerance) | (lever * span < tolerance))
+    piece = label_pieces(mesh.faces, len(mesh.vertices))
+    area, area_shown, area_known = (
+        np.bincount(piece, areas * faces)
+        for faces in (np.ones(len(areas)), shown[mesh.faces].any(1), known[mesh.faces].any(1))
+    )
+    counts = area_known >= 0.5 * area_shown
+    counts[np.argmax(area)] = True
+    return float(area_shown[counts].sum() / areas.sum())

@@ -147,11 +147,16 @@ def _large_pieces(vertices: Array, faces: Faces, least: float) -> tuple[Array, F
     """Connected pieces with at least the share `least` of the largest piece's faces."""
     if len(faces) == 0:
         return vertices, faces
-    n = len(vertices)
+    piece = label_pieces(faces, len(vertices))
+    sizes = np.bincount(piece)
+    return _used_only(vertices, faces[sizes[piece] >= least * sizes.max()])
+
+
+def label_pieces(faces: Faces, n: int) -> NDArray[np.int64]:
+    """(F,) number of the connected piece that each face, of `n` vertices, belongs to."""
     rows, columns = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
     piece = connected_components(coo_matrix((np.ones(len(rows)), (rows, columns)), (n, n)), directed=False)[1]
-    sizes = np.bincount(piece[faces[:, 0]])
-    return _used_only(vertices, faces[sizes[piece[faces[:, 0]]] >= least * sizes.max()])
+    return np.asarray(piece[faces[:, 0]], np.int64)
 
 
 def _used_only(vertices: Array, faces: Faces) -> tuple[Array, Faces]:

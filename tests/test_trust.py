@@ -29,7 +29,7 @@ from reconstruct.diagnostics import (
     type_residuals,
     unexplained,
 )
-from reconstruct.drawn_back import surface_signs
+from reconstruct.drawn_back import _seen_share, surface_signs
 from reconstruct.evidence import Evidence
 from reconstruct.growth import Grown, body_points
 from reconstruct.poses import JointedPoses
@@ -488,6 +488,31 @@ def test_a_part_that_shows_where_it_was_not_recognised_is_doubted(drawn):
     assert "lie on neither surface" in surface_reasons(scene, wrong)["reference"]
     unmeasured = replace(sample_diagnostics(len(answer)), **surface_signs(scene, wrong))
     assert np.isnan(unmeasured.off_surface[lost]).all(), "asked of both parts' labels alone"
+
+
+@pytest.mark.parametrize(
+    "low, high, share",
+    [
+        (0.0, 0.2, 1.0),  # shown while the joint moved
+        (0.2, 0.2, 0.75),  # at one state alone: it may as well be the other part's
+        (0.1, 0.102, 0.75),  # or nearly so
+        (np.inf, -np.inf, 0.75),  # not at all
+    ],
+)
+def test_a_detached_piece_that_was_seen_at_one_state_is_not_known_to_be_its_own(low, high, share):
+    """Two boxes side by side, of 3 to 1 in area; the first was shown while the slide moved by 20 cm."""
+    first, second = box((0.3, 0.3, 0.3), (0, 0, 0)), box((0.3 / 3**0.5,) * 3, (0.5, 0, 0))
+    both = trimesh.util.concatenate([first, second])
+    mesh = Mesh(both.vertices, both.faces)
+    states = np.repeat([[0.0, low], [0.2, high]], [len(first.vertices), len(second.vertices)], axis=1)
+    joint = Joint("j", "prismatic", np.array([0.0, 0, 1]), np.zeros(3), 0, 0.2)
+    assert _seen_share(mesh, joint, states, 0.005) == pytest.approx(share)
+    hinge = replace(joint, type="revolute", axis=np.array([1.0, 0, 0]), pivot=np.array([0.0, 5.0, 0.0]))
+    assert _seen_share(mesh, hinge, states, 0.05) == pytest.approx(share)
+    joined = Mesh(mesh.vertices, np.concatenate([mesh.faces, [[0, 1, len(first.vertices)]]]))
+    if low < np.inf:
+        assert _seen_share(joined, joint, states, 0.005) > 0.999, "what hangs together moves together"
+    assert np.isnan(_seen_share(Mesh(np.zeros((0, 3)), np.zeros((0, 3), int)), joint, np.zeros((2, 0)), 0.005))
 
 
 def test_a_wrong_joint_moves_the_surface_off_the_video(drawn):

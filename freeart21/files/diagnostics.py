@@ -78,7 +78,8 @@ class Diagnostics:
     """(2,) diagonal of the box round each part's surface over the widest span of its pixels in any frame, at their
     depth."""
     seen_share: Array | None = None
-    """(2,) share, 0 to 1, of each part's surface by area where some frame measured depth on it."""
+    """(2,) share, 0 to 1, of each part's surface by area where some frame measured depth on it. Detached pieces that
+    were seen at one state alone do not count: they may be the other part's."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
