@@ -348,19 +348,19 @@ def _surface_elsewhere(d: Diagnostics, k: int) -> list[str]:
     )
     ratio, seen = (np.nan if values is None else float(values[k]) for values in (d.extent_ratio, d.seen_share))
     if not EXTENT_RATIOS[0] <= ratio <= EXTENT_RATIOS[1] and np.isfinite(ratio):
-        found.append(f"the {part} part's surface extends over {ratio:.2g} times what its pixels span")
+        found.append(f"the {part} part's surface extends over {ratio:.3g} times what its pixels span")
     known = uncovered[np.isfinite(uncovered)]
     share = float(np.percentile(known, 90)) if len(known) else 0.0
     if share > MOST_UNCOVERED:
         found.append(
-            f"{100 * share:.2g} % of the {part} part's pixels lie on neither surface in a tenth of the frames, most in "
+            f"{100 * share:.3g} % of the {part} part's pixels lie on neither surface in a tenth of the frames, most in "
             f"frame {int(np.nanargmax(uncovered))}: a piece is missing, or poses, joint, states or surface are wrong"
         )
     if median(spilled) > MOST_SPILLED:
         found.append(f"{100 * median(spilled):.0f} % of the {part} part's surface lies off the mask in the median")
     if median(off) > MOST_OFF:
         found.append(
-            f"{100 * median(off):.2g} % of the {part} part's pixels lie off its surface in the median: joint, states "
+            f"{100 * median(off):.3g} % of the {part} part's pixels lie off its surface in the median: joint, states "
             "or surface are wrong"
         )
     if median(colour) > MOST_OFF_COLOUR:

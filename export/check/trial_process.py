@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import resource
 import signal
 import subprocess
@@ -32,6 +33,7 @@ _MEMORY = 12 << 30
 WALL = 3
 """Times the processor time allowed that may go by: what is left of a core that two others use, too."""
 _LONGEST_OUTPUT = 4 << 20
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ def ask(request: dict[str, Any], limit_s: float) -> Answer:
             stdin=subprocess.PIPE,
             stdout=said,
             stderr=errors,
-            env={**_environment(), "TMPDIR": place},
+            env={**os.environ, **dict.fromkeys(_THREADS, "1"), "TMPDIR": place},
         )
         end = ""
         verdict: Verdict = "fail"
@@ -75,13 +77,6 @@ def ask(request: dict[str, Any], limit_s: float) -> Answer:
         how = f"signal {-process.returncode}" if process.returncode < 0 else f"exit code {process.returncode}"
         end = f"it ended the engine ({how}){': ' + last if last else ''}"
     return _understood(request["engine"], lines, end, verdict, time.monotonic() - began)
-
-
-def _environment() -> dict[str, str]:
-    import os
-
-    threads = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-    return {**os.environ, **dict.fromkeys(threads, "1")}
 
 
 def _understood(engine: str, lines: list[str], end: str, verdict: Verdict, seconds: float) -> Answer:
