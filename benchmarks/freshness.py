@@ -35,9 +35,8 @@ LINE = re.compile(
 
 @dataclass(frozen=True)
 class Stamp:
-    """One such line: where it stands, what it says, and what it ought to say."""
+    """One such line: what it says, and what it ought to say."""
 
-    document: Path
     line: str
     commit: str
     code: tuple[str, ...]
@@ -53,7 +52,7 @@ def read_stamps(document: Path) -> list[Stamp]:
         code = tuple(re.findall("`([^`]+)`", match["code"]))
         state = "current" if is_current(commit, code) else "old"
         right = match[0].replace(match["commit"], commit, 1).replace(f": {match['state']}.*", f": {state}.*")
-        found.append(Stamp(document, match[0], commit, code, right))
+        found.append(Stamp(match[0], commit, code, right))
     return found
 
 

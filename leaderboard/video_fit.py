@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from freeart21 import se3
 from freeart21.camera import Camera
+from freeart21.errors import FreeArtError
 from freeart21.formats.foreign import T_GL_CV
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Piece, Reconstruction
@@ -58,14 +59,18 @@ class _Picture:
 
 
 def describe_misfit(answer: Reconstruction, recording: Recording, lacks: tuple[Piece, ...] = ()) -> str:
-    """A line when the parts of `answer` do not lie on the object of its video; empty when they do, or none can tell.
+    """A line when the parts of `answer` do not lie on the object of its video, or its pictures cannot be read; else
+    empty.
 
     `lacks` are the pieces that are fillers: without meshes nothing is looked at, without poses the anchor frame alone.
     """
     if "meshes" in lacks or any(part.empty for part in _parts(answer)):
         return ""
     chosen_frames = {round(i) for i in np.linspace(0, len(recording) - 1, FRAMES)}
-    found = {i: _picture(recording, i) for i in ([answer.anchor] if "poses" in lacks else sorted(chosen_frames))}
+    try:
+        found = {i: _picture(recording, i) for i in ([answer.anchor] if "poses" in lacks else sorted(chosen_frames))}
+    except FreeArtError as error:
+        return f"whether the parts lie on the object of the video is not known: {error}"
     frames = [i for i, picture in found.items() if picture is not None]
     chosen = [picture for picture in found.values() if picture is not None]
     if not chosen:

@@ -135,3 +135,6 @@ def test_validate_says_it_and_passes(tmp_path) -> None:
     report = validate_results(tmp_path / "results", tmp_path / "data")
     assert not report.faults
     assert any(note.startswith("lid: the parts") and "OpenGL's camera axes" in note for note in report.notes)
+    (tmp_path / "data/sequences/lid/mask/00000.png").write_bytes(b"")
+    report = validate_results(tmp_path / "results", tmp_path / "data")
+    assert not report.faults and any("is not known" in note and "00000.png" in note for note in report.notes)

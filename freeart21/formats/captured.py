@@ -6,7 +6,6 @@ world (axis times angle, rad), its place (mm). The world's z points up; it is ta
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
+from freeart21.files.benchmark import file_sha256
 from freeart21.files.take import MAX_SAMPLES, MAX_TAKE_BYTES, Take, read_take
 
 ARCTIC_HZ = 30.0
@@ -48,7 +48,7 @@ def _arctic(path: Path) -> Take:
     Ts_world = se3.pose(se3.exp_so3(rows[:, 1:4]), 1e-3 * rows[:, 4:])
     return Take(
         path.name,
-        hashlib.sha256(checked.read_bytes(path, MAX_TAKE_BYTES, checked.ANYWHERE)).hexdigest(),
+        file_sha256(path, checked.ANYWHERE),
         ARCTIC_FORM,
         "motion capture",
         "first",
