@@ -3,14 +3,18 @@
 import sys
 from pathlib import Path
 
-from export.exporter import export_result
+from export.exporter import ExportSettings, export_result
+from export.meshes import MeshSettings
 from generator.simulate import load
+
+QUICK = ExportSettings(meshes=MeshSettings(points=6_000))
+"""Parts are closed with a quarter of the points, for a quick look."""
 
 
 def main(out: Path) -> list[float]:
     """Write the answer as an asset, load it in SAPIEN, and watch half a second. Returns the joint's positions."""
     result = next((out / "results" / "ours").glob("*/prediction.json")).parent
-    asset = export_result(result, result / "asset")
+    asset = export_result(result, result / "asset", QUICK)
     simulated, course = load(asset, timestep_s=1e-3), []
     simulated.set_state(0.5 * (simulated.lower + simulated.upper), 1.0)  # half open, and pushed; its damping is a guess
     for step in range(500):

@@ -87,7 +87,7 @@ def swings(folder: Path, inertia: float, oil: float, count: int = 6) -> tuple[Pa
     """A pendulum's URDF and its measured set; its inertia is this many times what the URDF says."""
     rng, runs = np.random.default_rng(1), []
     for i in range(count):
-        t = np.arange(400) / RATE
+        t = np.arange(200) / RATE
 
         def slope(_, y):
             return [y[1], (-MASS * G * ARM * np.sin(y[0]) - oil * y[1]) / (inertia * INERTIA)]
@@ -105,7 +105,7 @@ def replayed(asset: Path, measured: Path, names: Sequence[str]) -> dict[str, flo
     return {run.run: run.error for run in found.runs}
 
 
-@pytest.mark.parametrize(("inertia", "oil"), [(1.09, 0.0), (0.93, 0.0), (1.09, 0.06), (1.0, 0.06)])
+@pytest.mark.parametrize(("inertia", "oil"), [(0.93, 0.0), (1.09, 0.06), (1.0, 0.06)])
 def test_the_delivered_files_give_the_verdicts_own_numbers(inertia: float, oil: float, tmp_path: Path):
     """Also on a swing that no fit, choice or check has seen."""
     urdf, measured = swings(tmp_path, inertia, oil)
