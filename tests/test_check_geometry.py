@@ -123,6 +123,71 @@ def test_a_drawer_goes_through_a_thin_back_but_not_through_an_open_front(tmp_pat
     assert CLEAR in failed(tmp_path, text.format(-1, 0))
 
 
+TWO = """<robot name="two"><link name="body"><collision>{body}</collision></link>
+<link name="left"><collision>{left}</collision></link><link name="right"><collision>{right}</collision></link>
+<joint name="l" type="{kind}"><parent link="body"/><child link="left"/>{at_left}
+<axis xyz="{axis}"/><limit lower="{low}" upper="{high}" effort="1" velocity="1"/></joint>
+<joint name="r" type="prismatic"><parent link="{carrier}"/><child link="right"/><axis xyz="1 0 0"/>{mimic}
+<limit lower="{rest}" upper="1" effort="1" velocity="1"/></joint></robot>"""
+DRAWERS = {
+    "body": BOX.format(at="-0.2 0 0", size="0.01 1 0.3"),
+    "left": BOX.format(at="0 -0.25 0", size="0.26 0.4 0.16"),
+    "right": BOX.format(at="0 0.25 0", size="0.3 0.4 0.2"),
+    "kind": "prismatic",
+    "at_left": "",
+    "axis": "1 0 0",
+    "low": 0,
+    "high": 0.3,
+    "carrier": "body",
+    "mimic": "",
+    "rest": 0,
+}
+SIBLINGS = {
+    "two drawers": ({}, False),
+    "a drawer that slides through the other": ({"axis": "0 1 0", "high": 0.5}, True),
+    "by less than a tenth of its size": ({"axis": "0 1 0", "high": 0.12}, False),
+    "which is open where it is loaded": ({"axis": "0 1 0", "high": 0.5, "rest": 0.35}, False),
+    "which follows it away in time": (
+        {"axis": "0.6 0.8 0", "high": 0.6, "mimic": '<mimic joint="l" multiplier="3" offset="0"/>'},
+        False,
+    ),
+    "which does not follow it": ({"axis": "0.3 0.953939201 0", "high": 0.5}, True),
+    "that carries the other along": ({"axis": "0 1 0", "high": 0.5, "carrier": "left"}, False),
+    "a door that swings through a drawer": (
+        {
+            "kind": "revolute",
+            "at_left": '<origin xyz="0.17 -0.25 0"/>',
+            "left": BOX.format(at="0 0.25 0", size="0.02 0.5 0.2"),
+            "axis": "0 0 1",
+            "high": 1.5,
+        },
+        True,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SIBLINGS)
+def test_parts_that_no_joint_connects_are_clear_of_each_other_too(tmp_path: Path, name: str):
+    changes, through = SIBLINGS[name]
+    found = failed(tmp_path, TWO.format(**DRAWERS | changes))
+    assert ("parts.clear" in found) == through
+    if through:
+        assert "'left'" in found["parts.clear"] and "'right'" in found["parts.clear"]
+
+
+def test_a_chain_may_fold_onto_what_is_further_away(tmp_path: Path):
+    """The outer of two arms goes through the base when both turn half round: no fault of the asset."""
+    arm = BOX.format(at="0.25 0 {}", size="0.5 0.1 0.05")
+    links = "".join(
+        f'<link name="{name}"><collision>{arm.format(z)}</collision></link>'
+        for name, z in (("base", 0), ("inner", 0.06), ("outer", 0))
+    )
+    joint = """<joint name="{}" type="revolute"><parent link="{}"/><child link="{}"/><origin xyz="0.5 0 0"/>
+    <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>"""
+    joints = joint.format("a", "base", "inner") + joint.format("b", "inner", "outer")
+    assert "parts.clear" not in failed(tmp_path, f'<robot name="arm">{links}{joints}</robot>')
+
+
 def test_boards_drawn_from_both_sides_have_an_inside_and_open_shells_have_none():
     """As the meshes of PartNet-Mobility: each triangle twice, so that nothing winds round anything."""
     box = trimesh.creation.box((0.4, 0.3, 0.02))

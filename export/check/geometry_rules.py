@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import trimesh
@@ -19,7 +19,7 @@ from export.check.rules import (
     THIN_SHIFT,
 )
 from export.check.solids import Body, body_of
-from export.check.tree import Tree, TreeJoint
+from export.check.tree import Tree
 from export.checklist import Finding
 from export.delivered import Shapes
 from freeart21 import se3
@@ -59,10 +59,7 @@ def shape_findings(tree: Tree, seen: Mapping[str, Shapes], touched: Mapping[str,
         shapes = touched.get(link) or seen.get(link, [])
         bodies.setdefault(groups[link][0], []).extend((groups[link][1] @ T, mesh) for T, mesh in shapes)
     solids = {name: body for name, shapes in bodies.items() if (body := body_of(shapes, POINTS)) is not None}
-    for joint in tree.joints.values():
-        parent, T_body_parent = groups[joint.parent]
-        if joint.kind is not None and joint.stated and parent in solids and joint.child in solids:
-            yield from _pass_through(joint, T_body_parent, solids[parent], solids[joint.child])
+    yield from _pass_through(tree, {joint.child: groups[joint.parent][0] for joint in tree.joints.values()}, solids)
 
 
 def _corners(shapes: Shapes) -> Array:
@@ -122,26 +119,61 @@ def _fit_inertia(link: str, inertial: UrdfInertial, shapes: Shapes) -> Iterator[
         yield Finding("inertia.fits-shape", f"{said}, expected at least {INERTIA_LOW * most:.3g}")
 
 
-def _pass_through(joint: TreeJoint, T_body_parent: Array, still: Body, moving: Body) -> Iterator[Finding]:
-    """Whether two neighbours pass through each other when their joint alone goes from end to end."""
-    low, high = joint.sweep
-    if not low < high:
-        return
-    states = np.linspace(low, high, SWEEP_STATES)
-    Ts = np.stack([T_body_parent @ joint.transform(float(q)) for q in states])
-    size = min(still.size, moving.size)
-    worst, which, when = 0.0, "", np.zeros(0)
-    for points, other, poses, name in (
-        (moving.points, still, Ts, f"'{joint.child}'"),
-        (still.points, moving, se3.inverse(Ts), f"what '{joint.child}' hangs on"),
+def _pass_through(tree: Tree, parents: Mapping[str, str], solids: Mapping[str, Body]) -> Iterator[Finding]:
+    """Which bodies pass through each other when one joint goes from end to end, with what follows it; all other joints
+    stand where they are loaded.
+
+    Judged are neighbours and siblings, two bodies that hang on one, by the body in `parents` that each hangs on. Where
+    others meet depends on the pose of the joints between: an arm may fold onto itself.
+    """
+    pairs = [
+        (one, other)
+        for one, other in combinations(solids, 2)
+        if parents.get(other) in (one, parents.get(one, "")) or parents.get(one) == other
+    ]
+    rest = {joint.name: joint.loaded for joint in tree.movable}
+    for joint in tree.movable:
+        low, high = joint.sweep
+        if not (joint.stated and low < high):
+            continue
+        states = np.linspace(low, high, SWEEP_STATES)
+        full = [tree.complete({**rest, joint.name: float(q)}) for q in states]
+        positions = {name: np.array([q[name] for q in full]) for name in full[0]}
+        Ts = tree.link_poses({name: q if np.ptp(q) > 0 else float(q[0]) for name, q in positions.items()})
+        for one, other in pairs:
+            if Ts[one].ndim == Ts[other].ndim == 2:
+                continue
+            T_one_other = se3.inverse(Ts[one]) @ Ts[other]
+            if not _near(solids[one], solids[other], T_one_other):
+                continue
+            share, whose, when = _passing(solids[one], solids[other], T_one_other, states)
+            if share > CUT_SHARE:
+                which, through = (one, other) if whose == 0 else (other, one)
+                said = f"over joint '{joint.name}' ({low:.3g} to {high:.3g}, others at rest) {share:.0%} of the surface"
+                between = f", seen from {when.min():.3g} to {when.max():.3g}" if len(when) else ""
+                yield Finding("parts.clear", f"{said} of '{which}' passes through '{through}'{between}")
+
+
+def _near(one: Body, other: Body, T_one_other: Array) -> bool:
+    """Whether balls around two bodies meet on the way, of poses (s, 4, 4) of the `other` in the frame of `one`."""
+    apart = np.linalg.norm(se3.transform(T_one_other, other.middle[None]) - one.middle, axis=-1)
+    step = np.linalg.norm(np.diff(se3.transform(T_one_other, other.middle[None])[:, 0], axis=0), axis=-1).max()
+    return bool(apart.min() - step < 0.5 * (one.size + other.size))
+
+
+def _passing(one: Body, other: Body, T_one_other: Array, states: Array) -> tuple[float, int, Array]:
+    """The larger share of a surface that passes through the other body, whose it is (0 or 1), and the states in which
+    points of it are inside."""
+    size = min(one.size, other.size)
+    worst, whose, when = 0.0, 0, np.zeros(0)
+    for k, (points, solid, poses) in enumerate(
+        ((one.points, other, se3.inverse(T_one_other)), (other.points, one, T_one_other))
     ):
-        cut, inside = _cut(se3.transform(poses, np.broadcast_to(points, (SWEEP_STATES, *points.shape))), other, size)
+        paths = se3.transform(poses, np.broadcast_to(points, (len(poses), *points.shape)))
+        cut, inside = _cut(paths, solid, size)
         if cut.mean() > worst:
-            worst, which, when = float(cut.mean()), name, states[inside[:, cut].any(1)]
-    if worst > CUT_SHARE:
-        through = f"{worst:.0%} of the surface of {which} passes through the other part"
-        between = f", seen from {when.min():.3g} to {when.max():.3g}" if len(when) else ""
-        yield Finding("parts.clear", f"over joint '{joint.name}' ({low:.3g} to {high:.3g}) {through}{between}")
+            worst, whose, when = float(cut.mean()), k, states[inside[:, cut].any(1)]
+    return worst, whose, when
 
 
 def _cut(paths: Array, other: Body, size: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -102,8 +102,9 @@ FILE_RULES: dict[str, Rule] = {
     "limits.effort": Rule("effort is positive", "controllers that clamp to it"),
     "limits.velocity": Rule("velocity is positive", "controllers that clamp to it"),
     "parts.clear": Rule(
-        f"over a joint's range at most {CUT_SHARE:g} of a part's surface passes through the neighbour",
-        "doors that swing into their body: engines let neighbours pass",
+        f"over a joint's range, others at rest, at most {CUT_SHARE:g} of a part's surface passes through its neighbour "
+        "or through a part that hangs on the same one",
+        "doors that swing into their body, which engines let pass; drawers that stop each other",
     ),
     "dynamics.damped": Rule("every joint that moves has damping or friction", "doors that swing for ever"),
     "usd.same": Rule(

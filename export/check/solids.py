@@ -68,8 +68,10 @@ class Body:
     solids: tuple[Convex | Closed, ...]
     points: Array
     """(n, 3) spread evenly over the surface of all shapes, m."""
+    middle: Array
+    """(3,) m, of the box around it."""
     size: float
-    """Diagonal of the box around it, m."""
+    """Diagonal of that box, m."""
 
     def depth(self, points: Array) -> Array:
         """(n,) metres by which each of points (n, 3) is inside of the solid that it is deepest in, 0 outside of all."""
@@ -110,7 +112,8 @@ def body_of(shapes: list[tuple[Array, trimesh.Trimesh]], count: int, seed: int =
     corners = np.concatenate([mesh.bounds for mesh in meshes])
     whole = trimesh.util.concatenate(meshes) if len(meshes) > 1 else meshes[0]
     points, _ = trimesh.sample.sample_surface(whole, count, seed=seed)
-    return Body(tuple(solids), np.asarray(points, float), float(np.linalg.norm(np.ptp(corners, axis=0))))
+    low, high = corners.min(0), corners.max(0)
+    return Body(tuple(solids), np.asarray(points, float), 0.5 * (low + high), float(np.linalg.norm(high - low)))
 
 
 def _solid_of(mesh: trimesh.Trimesh) -> Convex | Closed | None:

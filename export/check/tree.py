@@ -38,8 +38,8 @@ class TreeJoint:
     stated: bool = True
     """Whether the file says how far it goes, be it without end."""
 
-    def transform(self, q: float) -> Array:
-        """(4, 4) the child's frame in the parent's at position `q`."""
+    def transform(self, q: float | Array) -> Array:
+        """(..., 4, 4) the child's frame in the parent's at position(s) `q` (...)."""
         if self.kind is None:
             return self.T_parent_child
         motion = Joint(self.name, self.kind, self.axis, self.pivot, -np.inf, np.inf).transform(q)
@@ -101,8 +101,9 @@ class Tree:
         """Positions of all joints that move: `q`, and what follows it."""
         return with_followers(self.joints, q)
 
-    def link_poses(self, q: Mapping[str, float]) -> dict[str, Array]:
-        """Link name to T_root_link (4, 4) at joint positions `q`, rad or m; joints that are not named stand at zero."""
+    def link_poses(self, q: Mapping[str, float | Array]) -> dict[str, Array]:
+        """Link name to T_root_link (..., 4, 4) at joint positions `q`, rad or m, each a number or an array (...) of one
+        shape; joints that are not named stand at zero. A link that only numbers place has one pose (4, 4)."""
         Ts = {self.root: np.eye(4)}
         for joint in self.joints.values():
             Ts[joint.child] = Ts[joint.parent] @ joint.transform(q.get(joint.name, 0.0))
