@@ -70,9 +70,9 @@ recorder's scripts: 2 to 4."""
 MOST_UNCOVERED = 0.01
 """Share of a part's pixels on neither surface, in a tenth of the frames. Right answers, 24 recordings, clean and tof: 0
 of 22, .007, and .024 of a stapler whose poses are off in a sixth of the frames (its Chamfer distance: .8 %). A tenth of
-a surface missing: .08 to .78, half: .41 to 1; frames in which poses are 2 to 4 degrees off: .25 and .31; a phone whose
-slide was not recognised in a fifth of the frames (2.4 %): .06; a kettle whose lid got a piece of the body (4.9 %):
-.013; depth of 65535 units taken as metres: .95."""
+a surface missing: .08 to .78 of six, less than .01 of 2 of 12 others; half: .41 to 1; frames in which poses are 2 to 4
+degrees off: .25 and .31; a phone whose slide was not recognised in a fifth of the frames (2.4 %): .06; a kettle whose
+lid got a piece of the body (4.9 %): .013; depth of 65535 units taken as metres: .95."""
 MOST_SPILLED = 0.04
 """Median share of a drawn surface off the mask. Right answers: 0; parts larger by 15 %: .06 to .21; inflated by 3 % of
 the object: .11 to .23."""
