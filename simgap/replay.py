@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from freeart21 import __version__
 from freeart21.errors import FreeArtError
@@ -28,7 +28,7 @@ from simgap.page.replay_page import Drawn, write_replay_page
 from simgap.proof.asset_files import file_hashes
 from simgap.proof.replay import SECONDS, AssetOnDisk, Engine, Progress, RunReplay, replay
 from simgap.verdict import SCHEMA as VERDICT
-from simgap.verdict import unit_of
+from simgap.verdict import Use, unit_of
 
 SCHEMA = "freeart21/replay/1"
 MEASURED = "measured.json"
@@ -224,7 +224,7 @@ def _uses(asset: Path) -> dict[str, str]:
     hashes = proof.get("runs") if isinstance(proof, dict) else None
     if not isinstance(uses, dict) or not isinstance(hashes, dict):
         return {}
-    return {str(hashes[name]): str(use) for name, use in uses.items() if name in hashes}
+    return {str(hashes[name]): use for name, use in uses.items() if name in hashes and use in get_args(Use)}
 
 
 def _command(
