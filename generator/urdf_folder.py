@@ -124,15 +124,15 @@ def clear_notes(folder: Path) -> None:
 
 def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, root: Path, gaps: Gaps) -> Surface | None:
     """What a visual shows, in its mesh's own frame; None where its file is absent and may be."""
-    if not shape.size.all():
-        raise FreeArtError(f"{where} has a {shape.kind} of size {shape.size.tolist()}, expected none to be zero")
     if shape.kind != "mesh":
-        surface = _joined([Piece(primitive(shape, f"{where} has a visual"))])
+        surface = _joined([Piece(primitive(shape, where))])
+    elif not shape.size.all():
+        raise FreeArtError(f"{where} has a mesh of scale {shape.size.tolist()}, expected none to be zero")
     else:
         path = named_inside(urdf, shape.filename, root)
         if path.suffix.lower() not in ENDINGS:
             raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected {', '.join(ENDINGS)}")
-        if not path.is_file():
+        if not checked.is_there(path):
             if skip_missing:
                 gaps.meshes.add(shape.filename)
                 return None
@@ -144,8 +144,8 @@ def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, root:
             surface = _joined(read_pieces(path, root))
             if path.suffix.lower() == ".dae" and up_axis(path, root) in ("X_UP", "Y_UP"):
                 gaps.axes.add(shape.filename)
-            if not (np.abs(surface.vertices) < _BEYOND).all():
-                raise FreeArtError(f"{path} has vertices beyond {_BEYOND:g}")
+    if not (np.abs(surface.vertices) < _BEYOND).all():
+        raise FreeArtError(f"{where} shows vertices beyond {_BEYOND:g}")
     if shape.rgba is None:
         return surface
     colour = Paint(np.rint(255 * np.clip(shape.rgba[:3], 0, 1)).astype(np.uint8))

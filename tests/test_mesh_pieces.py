@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -127,6 +128,24 @@ def test_primitives_are_recorded_and_shown(shape: str, size: tuple[float, ...], 
     np.testing.assert_allclose(np.ptp(surface.vertices, axis=0), size, atol=2e-3)
     solid = trimesh.Trimesh(surface.vertices, surface.faces)
     assert solid.volume > 0 and len(surface.faces) == len(read_shown(tmp_path / "x.urdf").visuals["base"][0].mesh.faces)
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [
+        ('<mesh filename="a.glb"/>', r"a\.glb is a pipe, expected a file"),
+        ('<sphere radius="-1"/>', r"has a sphere of size \[-1\.0\], expected more than zero"),
+        ('<box size="1 0 1"/>', r"has a box of size \[1\.0, 0\.0, 1\.0\], expected more than zero"),
+        ('<sphere radius="1e300"/>', "has radius '1e300', expected a finite number of at most 1e\\+09"),
+    ],
+)
+def test_what_is_no_shape_is_refused_by_record_and_view(shape: str, said: str, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.glb")
+    (tmp_path / "x.urdf").write_text(URDF.format(base='<box size="1 1 1"/>', lid=shape))
+    for read in (read_shown, lambda urdf: load_urdf(urdf, tmp_path / "made")):
+        with pytest.raises(FreeArtError, match=said):
+            read(tmp_path / "x.urdf")
+    assert not (tmp_path / "made").exists()
 
 
 def test_a_mesh_names_files_of_the_root_alone(tmp_path: Path) -> None:

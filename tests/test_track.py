@@ -492,7 +492,7 @@ def _without(text: str, what: str) -> str:
             None,
             "<torus> is unknown; known",
         ),
-        (lambda t: t.replace('<mesh filename="box.obj"/>', '<box size="1 0 1"/>'), None, "expected none to be zero"),
+        (lambda t: t.replace('<mesh filename="box.obj"/>', '<box size="1 0 1"/>'), None, "expected more than zero"),
         (lambda t: t.replace('upper="1.5"', 'upper="0"'), None, r"joint 'hinge' cannot move: its limits are \[0, 0\]"),
         (lambda t: _without(t, "<visual><geometry>.*?</visual>"), None, "no surface on the side of links box"),
         (lambda t: t[:-9], None, "is not XML"),

@@ -30,6 +30,8 @@ _SIZES = {"box": (("size", 3),), "sphere": (("radius", 1),), "mesh": (("scale", 
 """Attributes that give a geometry's size, and how many numbers each holds."""
 LARGEST_LIMIT = 1e3
 """rad or m: a limit beyond it is none. Files say 1e16 (the default of SDFormat), 1e30 or inf of a joint without end."""
+LARGEST_NUMBER = 1e9
+"""SI: no length, mass or moment of an asset is beyond it; products of such numbers stay finite."""
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
@@ -283,7 +285,8 @@ def told(element: ET.Element, path: str, attribute: str, default: str = "") -> s
 
 
 def numbers(text: str | None, count: int, what: str, finite: bool = True) -> Array:
-    """(count,) numbers of an attribute's text, infinite ones if they need not be `finite`; FreeArtError otherwise.
+    """(count,) numbers of an attribute's text, of any size if they need not be `finite`, else up to LARGEST_NUMBER;
+    FreeArtError otherwise.
 
     `what` begins the error, such as "a.urdf: joint 'lid' has axis".
     """
@@ -291,8 +294,9 @@ def numbers(text: str | None, count: int, what: str, finite: bool = True) -> Arr
         values = np.array([float(word) for word in (text or "").split()])
     except ValueError:
         values = np.zeros(0)
-    if len(values) != count or np.isnan(values).any() or (finite and np.isinf(values).any()):
+    if len(values) != count or np.isnan(values).any() or (finite and (np.abs(values) > LARGEST_NUMBER).any()):
         noun = "a finite number" if count == 1 else f"{count} finite numbers"
+        noun += f" of at most {LARGEST_NUMBER:g}" * bool(len(values) == count and np.isfinite(values).all())
         raise FreeArtError(f"{what} '{text}', expected {noun}")
     return values
 

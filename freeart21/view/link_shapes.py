@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from freeart21.errors import FreeArtError
+from freeart21.files import checked
 from freeart21.files.urdf import Urdf, UrdfShape, read_urdf
 from freeart21.files.urdf_files import find_root, named_inside
 from freeart21.mesh import Mesh
@@ -72,7 +73,12 @@ def _geometry(shape: UrdfShape, where: str, path: Path, root: Path | None, missi
 
 
 def primitive(shape: UrdfShape, where: str) -> Mesh:
-    """The surface of a box, sphere, cylinder or capsule in its own frame, m; FreeArtError of another, after `where`."""
+    """The surface of a box, sphere, cylinder or capsule in its own frame, m.
+
+    Raises FreeArtError, which begins with `where`, of another kind and of sizes that are not above zero.
+    """
+    if not (shape.size > 0).all():
+        raise FreeArtError(f"{where} has a {shape.kind} of size {shape.size.tolist()}, expected more than zero")
     match shape.kind:
         case "box":
             return box(shape.size)
@@ -87,7 +93,7 @@ def primitive(shape: UrdfShape, where: str) -> Mesh:
 
 def _mesh(shape: UrdfShape, path: Path, root: Path | None, missing: list[str]) -> list[Piece]:
     file = named_inside(path, shape.filename, root)
-    if not file.is_file():
+    if not checked.is_there(file):
         missing.append(shape.filename)
         return []
     pieces = read_pieces(file, find_root(path, [shape.filename], root))

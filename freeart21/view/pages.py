@@ -137,7 +137,7 @@ def recognised(path: Path) -> str:
     """
     if not path.exists():
         raise FreeArtError(f"{path} does not exist")
-    if path.is_file():
+    if not path.is_dir():
         if path.suffix.lower() in (".urdf", ".xacro"):
             return "asset"
         if path.suffix == ".ply":
@@ -341,7 +341,7 @@ def _asset_sections(
 
 
 def _one_urdf(path: Path) -> Path:
-    if path.is_file():
+    if not path.is_dir():
         return path
     urdfs = sorted(path.glob("*.urdf"))
     original = [p for p in urdfs if p.name == "mobility.urdf"] or urdfs
