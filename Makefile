@@ -15,13 +15,13 @@ demo-data: setup
 	test -d results/demo || .venv/bin/freeart21 init-submission data/demo --out results/demo
 	.venv/bin/freeart21 score results/demo --data data/demo || true  # all is priced: nothing is solved yet
 
-# Two processes, a file of tests in one of them: 9 minutes on two cores instead of 16. More would need 2 GB each.
+# Two processes, a file of tests in one of them, the slow ones first (tests/conftest.py). More would need 2 GB each.
 test:
 	scripts/setup.sh dev
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check --quiet .
 	.venv/bin/mypy
-	.venv/bin/pytest -n 2 --dist loadfile
+	.venv/bin/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # What a change needs while it is made, in under a minute; `make test` is what it owes in the end.
 check:

@@ -61,15 +61,15 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- interrupted ------------------------------------------------------------------------------------------------------
 
 
-def test_killed_at_20_random_moments_the_data_set_is_the_same_to_the_last_byte(tmp_path: Path) -> None:
-    done = run_python(ROOT / "tests" / "killed_recorder.py", tmp_path, "--kills", "20")
+def test_killed_at_10_random_moments_the_data_set_is_the_same_to_the_last_byte(tmp_path: Path) -> None:
+    done = run_python(ROOT / "tests" / "killed_recorder.py", tmp_path, "--kills", "10", "--frames", "8")
     assert done.returncode == 0, done.stdout + done.stderr
     moments = json.loads(done.stdout.splitlines()[-1])
-    assert len(moments) == 20
-    assert len({(m["files"], m["frames"], m["sequences"]) for m in moments}) >= 8  # they were different moments
+    assert len(moments) == 10
+    assert len({(m["files"], m["frames"], m["sequences"]) for m in moments}) > 4  # they were different moments
     expected = hashes(tmp_path / "whole" / "data")
     folders = sorted(tmp_path.glob("killed_*/data"))
-    assert len(folders) >= 2 and len(expected) > 150
+    assert len(folders) >= 2 and len(expected) > 100
     for folder in folders:
         found = hashes(folder)
         assert {name for name in {**expected, **found} if expected.get(name) != found.get(name)} == set(), folder

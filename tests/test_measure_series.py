@@ -451,7 +451,7 @@ def test_the_command_line_goes_by_what_its_sources_are(tmp_path: Path, asset: Pa
 
 def test_gap_takes_the_set_as_it_is(tmp_path: Path, asset: Path):
     """A bench with oil in its hinge, logged in degrees by somebody: measure, then gap, as a user would."""
-    for run in measured_of(3, runs=3, viscous=0.12, seconds=2.5).runs:
+    for run in measured_of(3, runs=3, viscous=0.12, seconds=1.5).runs:
         (tmp_path / f"{run.name}.csv").write_text(
             text(np.column_stack([run.times_s, np.degrees(run.q)]), "time;angle_deg", ";")
         )
