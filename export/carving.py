@@ -29,6 +29,10 @@ MOST = 8
 FINE = 0.1
 """Part of the tolerance by which solids may be simplified before and after each doubling: at .4 a drawer stayed 1.7 mm
 in its cabinet, at .2 .4. Sheets thinner than that go: on one in its doorway a cabinet seemed 23 mm in its drawer."""
+MOST_TRIANGLES = 500_000
+"""Of what a part sweeps: beyond, nothing is carved. Parts of seven objects that turn had 30,000 to 260,000 after all
+doublings; what does not fill out but doubles each time, as a cabinet of loose boards or a soup of triangles, went on to
+eight million in three minutes, and is here within seconds."""
 CRUMB = 0.01
 """Part of a solid below which a loose piece of it is dropped, as `MeshSettings.min_component`."""
 LARGEST = 0.8
@@ -77,20 +81,27 @@ def carved(parts: Articulation, low: float, high: float, tolerance: float, overl
     travel = (high - low) * float(overlap.speeds[inside].max(initial=0.0))
     doublings = int(np.clip(np.ceil(np.log2(travel / (2 * tolerance) + 1)), ROUGHLY, MOST))
 
-    def left(name: str, doublings: int) -> Manifold:
+    def left(name: str, doublings: int) -> Manifold | None:
         way, tool = ways[name], solids[others[name]]
         if way.type == "prismatic":
             swept = _slid(tool.transform(way.transform(low)[:3]), (high - low) * way.axis).simplify(FINE * tolerance)
         else:
             swept = _swept(tool, way, low, high, doublings, FINE * tolerance)
+        if swept is None:
+            return None
         return _without_crumbs((solids[name] - swept).as_original().simplify(FINE * tolerance))
 
-    roughly = {name: left(name, ROUGHLY) for name in PARTS}
-    for name in sorted(PARTS, key=lambda name: solids[name].volume() - roughly[name].volume()):
+    too_many = f"what one part sweeps has more than {MOST_TRIANGLES} triangles"
+    roughly = {name: rest for name in PARTS if (rest := left(name, ROUGHLY)) is not None}
+    if not roughly:
+        return too_many
+    for name in sorted(roughly, key=lambda name: solids[name].volume() - roughly[name].volume()):
         rest = roughly[name] if parts.joint.type == "prismatic" else left(name, doublings)
-        if sound(rest) and rest.volume() >= (1 - LARGEST) * solids[name].volume():
+        if rest is not None and sound(rest) and rest.volume() >= (1 - LARGEST) * solids[name].volume():
             other = solids[others[name]]
             return Carved(name, _mesh(rest), _mesh(other), float(solids[name].volume() - rest.volume()))
+    if len(roughly) < len(PARTS) or rest is None:
+        return too_many
     return f"more than {100 * LARGEST:g} % of either part would be cut away"
 
 
@@ -204,9 +215,9 @@ def _connected(faces: Faces) -> tuple[Faces, Faces]:
     return corners, joined(ends[at, 0] // 3, ends[at + 1, 0] // 3, count)
 
 
-def _swept(tool: Manifold, joint: Joint, low: float, high: float, doublings: int, smooth: float) -> Manifold:
+def _swept(tool: Manifold, joint: Joint, low: float, high: float, doublings: int, smooth: float) -> Manifold | None:
     """The union of `tool` at 2**doublings states of `joint` from `low` to `high`, made plainer by `smooth`, m,
-    after each doubling.
+    after each doubling; None when it has more than `MOST_TRIANGLES`.
 
     A joint's motions by a and by b are one by a + b: so each union with its own copy, moved on, doubles the states.
     """
@@ -215,4 +226,6 @@ def _swept(tool: Manifold, joint: Joint, low: float, high: float, doublings: int
     for k in range(doublings):
         swept = swept + swept.transform(joint.transform(2**k * step)[:3])
         swept = swept.as_original().simplify(smooth)  # as of one solid: where two meet is else kept for ever
+        if swept.num_tri() > MOST_TRIANGLES:
+            return None
     return swept

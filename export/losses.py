@@ -180,6 +180,7 @@ def losses_text(asset: Asset, textured: bool, files: frozenset[str]) -> str:
         " `loaders/load_ENGINE.py` holds a function `load` that puts back what can be put back.",
         f"Trust in the reconstruction that it was made of: **{describe_trust(asset.trust)}**",
         *_contact_losses(asset),
+        *_overlap(asset),
         "## Files",
         _table(formats, [row for row in rows if row != "own"]),
         "## Engines",
@@ -210,6 +211,19 @@ def _contact_losses(asset: Asset) -> list[str]:
                 f"contact stands out by {out} at most, all of it by {furthest}"
             )
     return [f"What is touched is not quite what is seen: {'; '.join(said)}."] if said else []
+
+
+def _overlap(asset: Asset) -> list[str]:
+    """What asset.json states of parts that stayed in each other, a paragraph; none where it states nothing."""
+    found = asset.source.get("penetration")
+    why, deepest = (
+        (found.get(key) for key in ("not_carved_because", "deepest_m")) if isinstance(found, dict) else (None,) * 2
+    )
+    if not (isinstance(why, str) and isinstance(deepest, int | float)):
+        return []
+    return [
+        f"What is touched of the two parts is up to {1000 * deepest:.3g} mm in each other, and was not carved: {why}."
+    ]
 
 
 def write_losses(folder: Path, asset: Asset) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,14 @@ def test_every_effect_is_lost_or_told_in_every_column(tmp_path: Path):
         assert (urdf == losses.KEPT) == bool(effect.urdf_dynamics()) and (mjcf == losses.KEPT) == bool(
             effect.mjcf_joint()
         )
+
+
+def test_parts_that_stayed_in_each_other_are_said(tmp_path: Path):
+    asset = write_case(tmp_path, "revolute")
+    assert "in each other" not in losses_text(asset, False, frozenset({"object.urdf"}))
+    stated = {"penetration": {"deepest_m": 0.0123, "not_carved_because": "the moving part is not closed"}}
+    text = losses_text(replace(asset, source=stated), False, frozenset({"object.urdf"}))
+    assert "up to 12.3 mm in each other, and was not carved: the moving part is not closed." in text
 
 
 def test_sizes_of_zero_are_nothing_to_lose(tmp_path: Path):
