@@ -54,9 +54,8 @@ def test_a_stribeck_curve_is_found_with_its_numbers_in_the_torque_of_steady_turn
 def test_nothing_is_found_where_nothing_is_missing(asset: Asset, rate: int, seconds: float):
     slow = (0.003, 0.006, 0.01, 0.02, 0.03, 0.05, 0.08, 0.13, 0.2, 0.3)
     speeds = slow if rate == 10 else SPEEDS
-    for seed in (0,) if rate == 1000 else (0, 1):
-        found = find_gap(asset, steady_of(seed, rate, seconds, speeds=speeds))
-        assert (found.verdict, found.by) == ("no_gap", "force"), seed
+    found = find_gap(asset, steady_of(0, rate, seconds, speeds=speeds))
+    assert (found.verdict, found.by) == ("no_gap", "force")
 
 
 def test_dry_friction_is_not_told_by_the_load_where_the_load_stays_as_it_is(asset: Asset):
