@@ -293,6 +293,8 @@ def _file_names(names: Sequence[str]) -> list[str]:
     return [f"curves/{f'{k:03d}_' * twice}{name}.csv" for k, name in enumerate(safe)]
 
 
+MOST_SIGMAS = 1e6
+"""More come of readings without noise, of which sigma is the last digit of a number."""
 HEAD = ("run", "rms error", "in sigmas", "used", "start", "start velocity")
 """Of what `texts_of` gives."""
 
@@ -301,7 +303,8 @@ def texts_of(row: Row) -> tuple[str, ...]:
     """A row of the table: errors and start in the unit of the data."""
     run = row.replay
     error, q, qd = (f"{value / row.per_unit:.6g} {row.unit}" for value in (run.error, *run.start))
-    return row.name, error, f"{run.sigmas:.4g}{'' if run.sure else ' (hangs on a hair)'}", row.use, q, f"{qd}/s"
+    sigmas = f"{run.sigmas:.4g}" if run.sigmas < MOST_SIGMAS else f"over {MOST_SIGMAS:g}"
+    return row.name, error, sigmas + " (hangs on a hair)" * (not run.sure), row.use, q, f"{qd}/s"
 
 
 def table(result: Replayed) -> str:

@@ -12,7 +12,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -43,6 +43,8 @@ TIMESTEPS_S: dict[Engine, float] = {"sapien": 4e-3, "mujoco": 1e-3}
 """First choice; halved for every run until that changes it by little (`replay_process`)."""
 SURE, SURE_PART = 1.0, 0.05
 """Sigmas by which halving the finest time step may change a replay that tells something, and the part of its error."""
+_STIRRED = 1e-3
+"""rad or m, and a second: at which sizes starts are looked for where nothing moved."""
 Progress = Callable[[int, int], None]
 """Called with the number of runs replayed and their total."""
 State = tuple[float, float]
@@ -216,7 +218,8 @@ def fitted_starts(
     plant = plant_of(asset, measured)
     runs, floor = fit_runs(measured, plant)
     problem = as_delivered(problem_of(plant, measured, runs, floor, GapSettings()))
-    theory = Theory(problem, (), prompt=True)
+    speed, high = max(problem.speed, _STIRRED), max(problem.q_high, problem.q_low + _STIRRED)
+    theory = Theory(replace(problem, speed=speed, q_high=high), (), prompt=True)
     theta = np.full(len(theory.ranges()), holding)  # nothing else is left to fit
     states: dict[str, State] = {}
     of = {run.name: run for run in runs}

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from freeart21 import se3
+from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.actuator_json import actuator_from_json
@@ -30,9 +31,7 @@ from freeart21.se3 import Array
 from generator import simulate
 from simgap.geometry.placing import place
 from simgap.geometry.track_geometry import at_point, displacement
-from simgap.measure.base_motion import sway_of
-from simgap.proof.asset_files import mjcf_beside
-from simgap.proof.writeback import repaired
+from simgap.proof.asset_files import copied, mjcf_beside
 
 HALVINGS = 6
 """Of the first time step, at most."""
@@ -104,6 +103,8 @@ class _Stage(ABC):
         base = BaseSeries(*(data.get(f"base_{name}_{i}") for name in BASE))
         if all(getattr(base, name) is None for name in BASE):
             return None
+        from simgap.measure.base_motion import sway_of  # most bases stand still, and it imports a second's worth
+
         turns = self.job["base"]
         axis = None if turns is None else BaseAxis(np.array(turns["axis"]), np.array(turns["point"]))
         placed = self.placed
@@ -160,7 +161,7 @@ class _InMujoco(_Stage):
         with tempfile.TemporaryDirectory() as place_:
             mjcf = mjcf_beside(self.asset.urdf)
             if not (mjcf.is_file() and read_xml(mjcf).tag == "mujoco"):
-                mjcf = mjcf_beside(repaired(self.asset, (), Path(place_) / "asset").urdf)
+                mjcf = _converted(self.asset, Path(place_))
             try:
                 spec = mujoco.MjSpec.from_file(str(mjcf))
                 for joint in [j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_FREE]:
@@ -226,6 +227,16 @@ class _InMujoco(_Stage):
                 f"MuJoCo loses joint '{self.asset.joint}' at a time step of {h:g} s: its state is not a number"
             )
         return np.arange(n + 1, dtype=float) * h, q
+
+
+def _converted(asset: Asset, folder: Path) -> Path:
+    """The asset's URDF as MJCF, in a folder with the files that it names."""
+    from export.mjcf_of_urdf import mjcf_of_urdf  # most have one, and it imports half a second's worth
+
+    urdf = folder / asset.urdf.name
+    atomic.write_bytes(urdf, copied(asset.urdf, folder, asset.root)[urdf.name])
+    atomic.write_bytes(mjcf_beside(urdf), mjcf_of_urdf(replace(asset, urdf=urdf, root=folder)))
+    return mjcf_beside(urdf)
 
 
 _STAGES: dict[str, type[_Stage]] = {"sapien": _InSapien, "mujoco": _InMujoco}
