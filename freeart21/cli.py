@@ -729,6 +729,9 @@ def gap(
     for note in verdict.notes:
         print(f"- {note}", file=sys.stderr)
     print(f"{verdict.verdict}: {verdict.sentence}")
+    proof = getattr(verdict, "proof", None)
+    for what, line in ({} if proof is None else proof.repeat).items():
+        print(f"gap {what}: {line}")
     print(out / "verdict.json")
 
 

@@ -133,6 +133,13 @@ def test_the_engines_witness_each_other_or_say_why_not(tmp_path: Path):
         replay_folder(notched, [runs], engine="mujoco")
 
 
+def test_without_mujoco_one_line_says_so(tmp_path: Path, monkeypatch):
+    own = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *more: None if name == "mujoco" else own(name, *more))
+    with pytest.raises(FreeArtError, match="MuJoCo is not installed: pip install"):
+        replay_folder(oiled(tmp_path), [write_set(tmp_path / "m", pendulum(1))], engine="mujoco")
+
+
 def test_what_the_files_guess_acts_unless_it_is_left_out(tmp_path: Path):
     asset, runs = read_asset(oiled(tmp_path)), write_set(tmp_path / "m", pendulum(1))
     write_asset_json(asset.urdf.parent, replace(asset, source={"dynamics": {"guessed": True}}))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import shlex
 import time
 from collections.abc import Sequence
@@ -282,8 +281,6 @@ def _witness(
 ) -> dict[str, Any]:
     """What MuJoCo says of the same runs, from the same states, by the files as they were given and as delivered."""
     said: dict[str, Any] = {"engine": "mujoco"}
-    if importlib.util.find_spec("mujoco") is None:
-        return {**said, "absent": "the package mujoco is not installed"}
     names = [run.run for run in replays[0].runs]
     starts = [
         Starts({run.run: run.start for run in one.runs}, {run.run: run.noise for run in one.runs}) for one in replays

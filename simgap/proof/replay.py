@@ -7,6 +7,7 @@ Only the state in which a run starts is free; it is fitted to the run, for each 
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
 import subprocess
 import tempfile
@@ -245,6 +246,8 @@ def replay_from(
     """`replay` from start states that are told, for each asset its own."""
     if not names and not any(poses):
         raise FreeArtError("no run to replay, expected one or more")
+    if engine == "mujoco" and importlib.util.find_spec("mujoco") is None:
+        raise CannotReplay("MuJoCo is not installed: pip install 'freeart21[engines]'")
     of = {run.name: run for run in measured.runs}
     runs = [of[name] for name in names if all(name in begin.states for begin in starts)]
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
