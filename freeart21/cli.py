@@ -747,7 +747,7 @@ def replay(
 ) -> None:
     """Simulate measured runs from an asset's files alone, and say how far the simulation is from each.
 
-    Only the state in which a run starts is free; it is fitted to the run, and told. Gaps that `gap` tells are these.
+    Only the state in which a run starts is free; it is fitted to the run and reported. `gap` has these very numbers.
 
     Args:
         asset: An asset folder or a URDF, with what lies beside it (effects.json; MJCF for MuJoCo).
@@ -762,7 +762,7 @@ def replay(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from simgap.replay import replay_folder, table
+    from simgap.replay import format_table, replay_folder
 
     if not seconds > 0 or not (holding is None or 0 <= holding <= 1):
         raise FreeArtError(
@@ -781,7 +781,7 @@ def replay(
         print(f"- {note}", file=sys.stderr)
     if done.given_up:
         print(f"- not replayed within {seconds:g} s: {', '.join(done.given_up)}", file=sys.stderr)
-    print(table(done))
+    print(format_table(done))
     print(done.command if out is None else out / "replay.json")
 
 

@@ -31,7 +31,7 @@ from simgap.verdict import SCHEMA as VERDICT
 from simgap.verdict import Use, unit_of
 
 SCHEMA = "freeart21/replay/1"
-MEASURED = "measured.json"
+MEASURED, POSES = "measured.json", "poses.npz"
 UNKNOWN = "unknown"
 
 
@@ -92,7 +92,7 @@ def replay_folder(
             given.
         guesses: whether effects act that asset.json calls guessed.
         seconds: what is not replayed by then is given up.
-        progress: told how many runs are replayed.
+        progress: called with the number of runs replayed and their total.
         root: bounds what the URDF may name.
 
     Raises FreeArtError when asset or runs cannot be read, nothing is replayed in time, or `out` exists.
@@ -101,12 +101,12 @@ def replay_folder(
         check_place(out, None, (asset, *runs))
     _check_urdf(asset)
     files = AssetOnDisk(asset, root, guesses)
-    uses, sets = _uses(asset), _sets(runs)
+    uses, sets = _read_uses(asset), _find_sets(runs)
     if out is not None:
         check_place(out, None, sets)
     end, total = time.monotonic() + seconds, sum(map(len, sets.values()))
     rows: list[Row] = []
-    late: list[str] = []
+    given_up: list[str] = []
     notes: list[str] = []
     joints, version, urdf = [], "", asset
     for folder, names in sets.items():
@@ -115,10 +115,10 @@ def replay_folder(
         measured = dataclasses.replace(measured, runs=tuple(run for run in measured.runs if run.poses is None))
         urdf = files.read(measured).urdf
         notes += [note for note in measured.notes if any(f"'{name}'" in note for name in names)]
-        if holding is None and measured.interpolation == "unknown" and _driven(measured.runs, names):
+        if holding is None and measured.interpolation == "unknown" and _is_driven(measured.runs, names):
             notes.append(f"{folder} does not say how inputs go on between their rows: smoothly here (else --holding 1)")
-        unit, per_unit = _unit(folder, measured.joint_type)
-        done = len(rows) + len(late)
+        unit, per_unit = _read_unit(folder, measured.joint_type)
+        done = len(rows) + len(given_up)
         (found,) = replay(
             (files,),
             measured,
@@ -131,16 +131,24 @@ def replay_folder(
         version = found.version or version
         joints.append(measured.joint)
         label = "{}" if len(sets) == 1 else f"{folder}: {{}}"
-        late += [label.format(name) for name in found.given_up]
+        given_up += [label.format(name) for name in found.given_up]
         for run in found.runs:
             use = uses.get(file_sha256(paths[run.run], folder), UNKNOWN)
             file = folder / paths[run.run].relative_to(folder.resolve())
             rows.append(Row(label.format(run.run), file, unit, per_unit, use, measured.joint_type, run))
     if not rows:
         raise FreeArtError(f"none of {total} runs was replayed within {seconds:g} s, expected more time (--seconds)")
-    command = _command(asset, runs, engine, holding, guesses, root)
+    command = _command_line(asset, runs, engine, holding, guesses, root)
     result = Replayed(
-        files, urdf, ", ".join(dict.fromkeys(joints)), engine, version, tuple(rows), tuple(late), tuple(notes), command
+        files,
+        urdf,
+        ", ".join(dict.fromkeys(joints)),
+        engine,
+        version,
+        tuple(rows),
+        tuple(given_up),
+        tuple(notes),
+        command,
     )
     if out is not None:
         with only_writer(out), atomic.new_folder(out) as aside:
@@ -157,8 +165,8 @@ def _check_urdf(asset: Path) -> None:
         )
 
 
-def _sets(runs: Sequence[Path]) -> dict[Path, list[str]]:
-    """Folder of a measured set to the names of the runs that are asked for, in order."""
+def _find_sets(runs: Sequence[Path]) -> dict[Path, list[str]]:
+    """Folder of a measured set to the names of the runs to replay, in order."""
     found: dict[Path, list[str]] = {}
     for path in runs:
         if not path.exists():
@@ -173,7 +181,14 @@ def _sets(runs: Sequence[Path]) -> dict[Path, list[str]]:
                 "SET` makes one of a joint's positions"
             )
         here = path.resolve()
-        name = next((name for name, file in run_files(folder).items() if here in (file, file.parent)), None)
+        name = next(
+            (
+                name
+                for name, file in run_files(folder).items()
+                if here == file or (file.name == POSES and here == file.parent)
+            ),
+            None,
+        )
         if name is None:
             raise FreeArtError(f"{folder / MEASURED} names no run {path}; runs: {', '.join(run_files(folder))}")
         folder = next((known for known in found if known.resolve() == folder.resolve()), folder)
@@ -198,21 +213,21 @@ def _check_names(folder: Path, names: Sequence[str], runs: Sequence[Run]) -> Non
             )
 
 
-def _driven(runs: Sequence[Run], names: Sequence[str]) -> bool:
+def _is_driven(runs: Sequence[Run], names: Sequence[str]) -> bool:
     return any(
         run.name in names and any(getattr(run, k) is not None for k in ("effort", "q_command", "voltage"))
         for run in runs
     )
 
 
-def _unit(folder: Path, kind: JointType) -> tuple[str, float]:
+def _read_unit(folder: Path, kind: JointType) -> tuple[str, float]:
     """The unit of the positions in the files of a set, and what one of it is in rad or m."""
     own = unit_of("position", kind)
     unit = checked.read_json(folder / MEASURED)["units"].get("q", own)
     return unit, 1.0 if unit == own else OTHER_UNITS[own][unit]
 
 
-def _uses(asset: Path) -> dict[str, str]:
+def _read_uses(asset: Path) -> dict[str, str]:
     """SHA-256 of a run's file to what it was used for, as the verdict beside the asset's folder says."""
     home = asset if asset.is_dir() else asset.parent
     path = home.resolve().parent / "verdict.json"
@@ -227,7 +242,7 @@ def _uses(asset: Path) -> dict[str, str]:
     return {str(hashes[name]): use for name, use in uses.items() if name in hashes and use in get_args(Use)}
 
 
-def _command(
+def _command_line(
     asset: Path, runs: Sequence[Path], engine: str, holding: float | None, guesses: bool, root: Path | None
 ) -> str:
     words = ["freeart21", "replay", str(asset), *map(str, runs)]
@@ -256,17 +271,17 @@ def _write(out: Path, result: Replayed) -> None:
             "versions": {"freeart21": __version__, result.engine: result.version},
             "joint": result.joint,
             "asset": {"path": str(result.asset.path), "files": file_hashes(result.urdf, result.asset.root)},
-            "runs": [_said(row, name) for row, name in zip(result.rows, names, strict=True)],
+            "runs": [_row_to_json(row, name) for row, name in zip(result.rows, names, strict=True)],
             "given_up": list(result.given_up),
             "notes": list(result.notes),
         },
     )
-    drawn = [Drawn(row.name, row.joint_type, row.replay, texts_of(row)) for row in result.rows]
+    drawn = [Drawn(row.name, row.joint_type, row.replay, format_row(row)) for row in result.rows]
     about = [f"joint {result.joint}", f"{result.engine} {result.version}", f"{len(drawn)} runs"]
     write_replay_page(out / "index.html", str(result.asset.path), about, result.command, HEAD, drawn, result.notes)
 
 
-def _said(row: Row, curve: str) -> dict[str, Any]:
+def _row_to_json(row: Row, curve: str) -> dict[str, Any]:
     """A run as it stands in replay.json."""
     run = row.replay
     return {
@@ -296,10 +311,10 @@ def _file_names(names: Sequence[str]) -> list[str]:
 MOST_SIGMAS = 1e6
 """More come of readings without noise, of which sigma is the last digit of a number."""
 HEAD = ("run", "rms error", "in sigmas", "used", "start", "start velocity")
-"""Of what `texts_of` gives."""
+"""Of what `format_row` gives."""
 
 
-def texts_of(row: Row) -> tuple[str, ...]:
+def format_row(row: Row) -> tuple[str, ...]:
     """A row of the table: errors and start in the unit of the data."""
     run = row.replay
     error, q, qd = (f"{value / row.per_unit:.6g} {row.unit}" for value in (run.error, *run.start))
@@ -307,8 +322,8 @@ def texts_of(row: Row) -> tuple[str, ...]:
     return row.name, error, sigmas + " (hangs on a hair)" * (not run.sure), row.use, q, f"{qd}/s"
 
 
-def table(result: Replayed) -> str:
+def format_table(result: Replayed) -> str:
     """The runs as lines of text."""
-    rows = [HEAD, *map(texts_of, result.rows)]
+    rows = [HEAD, *map(format_row, result.rows)]
     widths = [max(len(row[k]) for row in rows) for k in range(len(HEAD))]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)

@@ -76,8 +76,8 @@ class RunGap:
     regime: str
     """Which kind of motion the run is, such as 'small' or 'large' swings."""
     use: Use = "fitted"
-    tried: float | None = None
-    """With what was tried and is not in the asset beside the verdict; None where that has all that was tried."""
+    trial: float | None = None
+    """By a trial repair that is not in the asset beside the verdict; None where there is no such repair."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Proof:
     engine: str
     version: str
     repeat: dict[str, str]
-    """Command lines: `before`, `after`, and `tried` where something was tried that is not in the asset."""
+    """Command lines: `before`, `after`, and `trial` of a trial repair that is not in the asset."""
     witness: dict[str, Any]
     """A second engine's word: `engine`, with its `version` and `gap`, run by run, or why it is `absent`."""
     runs: dict[str, str] = field(default_factory=dict)

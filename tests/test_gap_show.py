@@ -466,9 +466,9 @@ def test_what_does_not_help_is_rolled_back(tmp_path: Path):
     verdict = publish(asset, measured, draft(measured, STARTS, ReturnSpring(1.0, 0.0)), out, "bob")
     assert (verdict.verdict, verdict.effects) == ("unexplained", ())
     (gap,) = [gap for gap in verdict.gaps if np.isfinite(gap.before)]
-    assert gap.after == gap.before != gap.tried
+    assert gap.after == gap.before != gap.trial
     assert read_asset(out / "asset").effects == {"j": (ViscousDamping(0.01),)}
-    assert len(read_asset(out / "tried").effects["j"]) == 2
+    assert len(read_asset(out / "trial").effects["j"]) == 2
     page = (out / "index.html").read_text()
     assert "rolled back: replayed in SAPIEN it did not help on 1 run kept to confirm it, or" in page
 

@@ -23,7 +23,7 @@ from freeart21.files.measured_writer import write_measured
 from freeart21.joint import JointType
 from freeart21.measured import Measured, Run
 from simgap.proof.writeback import repaired
-from simgap.replay import Replayed, replay_folder, table
+from simgap.replay import Replayed, format_table, replay_folder
 
 OIL = 0.06
 STARTS = (1.2, -0.7, 0.5, -1.0, 0.9, -0.4)
@@ -190,7 +190,7 @@ def test_of_two_joints_each_is_replayed_by_its_own_runs(tmp_path: Path):
     turned, pushed = result.rows
     assert turned.replay.error < 1.1e-3 and len(turned.replay.times_s) == 180
     assert pushed.replay.error < 1.1e-3 and pushed.replay.start == pytest.approx((0.5, 1.0), abs=3e-3)
-    assert " rad" in table(result) and " mm/s" in table(result) and result.joint == "j, slide"
+    assert " rad" in format_table(result) and " mm/s" in format_table(result) and result.joint == "j, slide"
     assert len(list((tmp_path / "out/curves").iterdir())) == 2
 
 

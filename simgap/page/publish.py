@@ -140,8 +140,8 @@ def publish(
     """Write asset/, verdict.json and index.html into `folder`; the verdict as it stands after the replay in SAPIEN.
 
     Only effects that are certain are written into asset/. Those that do not help on runs that were not fitted are
-    rolled back, motion and geometry each by itself, and the verdict is then unexplained. What was tried and is not in
-    asset/ stands in tried/, as of several rivals the best. Positions that part poses were made into are in runs/.
+    rolled back, motion and geometry each by itself, and the verdict is then unexplained. A trial repair that is not in
+    asset/ is in trial/, as of several rivals the best. Positions that part poses were made into are in runs/.
     Every gap of positions is a replay of these files.
 
     Args:
@@ -171,7 +171,7 @@ def publish(
         verdict = replace(verdict, where=where(maps, found, measured.joint_type))
     tried = verdict.effects if verdict.verdict in ("named", "ambiguous") else draft.certain
     changed = bool(tried) or draft.body != NO_CORRECTION
-    _write(asset, tried, draft.body, verdict, folder / "asset")
+    _write_asset(asset, tried, draft.body, verdict, folder / "asset")
     given = AssetOnDisk(address_of(asset), asset.root, guesses=False)
     trial = Trial(asset, measured, runs, draft, placed, tried)
     began = time.monotonic()
@@ -188,17 +188,19 @@ def publish(
         verdict, kept, notes = _judged(verdict, draft, tried, shown, why, replay_seconds)
     body = draft.body if verdict.corrections else NO_CORRECTION
     if (kept, body) != (tried, draft.body):
-        (folder / "asset").rename(folder / "tried")
-        _write(asset, kept, body, verdict, folder / "asset")
+        (folder / "asset").rename(folder / "trial")
+        _write_asset(asset, kept, body, verdict, folder / "asset")
     verdict = replace(verdict, added=tuple(n.effect.name for n in kept))
     if verdict.by == "position":
-        verdict = replace(verdict, gaps=_final_gaps(verdict.gaps, shown, tried, kept, body == draft.body))
+        verdict = replace(verdict, gaps=_gaps_of_files(verdict.gaps, shown, tried, kept, body == draft.body))
     if replays:
         delivered = AssetOnDisk(folder / "asset")
         left = replay_seconds - (time.monotonic() - began)
-        same = not _moving(kept) and body == NO_CORRECTION
-        witness = _witness((given,) if same else (given, delivered), runs, replays, verdict.holding or 0.0, left)
-        verdict = replace(verdict, proof=_proof(paths, asset, measured, folder, verdict.holding, replays[0], witness))
+        same = not _select_moving(kept) and body == NO_CORRECTION
+        witness = _ask_witness((given,) if same else (given, delivered), runs, replays, verdict.holding or 0.0, left)
+        verdict = replace(
+            verdict, proof=_make_proof(paths, asset, measured, folder, verdict.holding, replays[0], witness)
+        )
     verdict.write(folder / "verdict.json", measured.joint_type)
     write_report(
         folder / "index.html",
@@ -219,7 +221,9 @@ def publish(
     return verdict
 
 
-def _write(asset: Asset, effects: tuple[Named, ...], body: BodyCorrection, verdict: Verdict, folder: Path) -> None:
+def _write_asset(
+    asset: Asset, effects: tuple[Named, ...], body: BodyCorrection, verdict: Verdict, folder: Path
+) -> None:
     """The asset with these effects and this body, which says what became of it."""
     source: dict[str, Any] = {"verdict": verdict.verdict, "effects": [n.effect.name for n in effects]}
     source |= {"corrections": [vars(c) for c in verdict.corrections]} if verdict.corrections else {}
@@ -227,7 +231,7 @@ def _write(asset: Asset, effects: tuple[Named, ...], body: BodyCorrection, verdi
     repaired(asset, tuple(n.effect for n in effects), folder, source if changed else None, body)
 
 
-def _moving(effects: Sequence[Named]) -> list[Named]:
+def _select_moving(effects: Sequence[Named]) -> list[Named]:
     """Those that change how the joint moves, or what is read of it."""
     return [named for named in effects if named.effect.kind != "kinematics"]
 
@@ -276,7 +280,7 @@ class Trial:
         return Chosen(run.name, draft.floor, draft.regimes.get(run.name, ""), draft.uses.get(run.name, "fitted"))
 
 
-def _witness(
+def _ask_witness(
     assets: tuple[AssetOnDisk, ...], runs: Measured, replays: tuple[Replay, ...], holding: float, seconds: float
 ) -> dict[str, Any]:
     """What MuJoCo says of the same runs, from the same states, by the files as they were given and as delivered."""
@@ -301,7 +305,7 @@ def _witness(
     }
 
 
-def _proof(
+def _make_proof(
     paths: Paths | None,
     asset: Asset,
     measured: Measured,
@@ -322,8 +326,8 @@ def _proof(
         return shlex.join(["freeart21", "replay", str(path), str(set_), *how, *more])
 
     repeat = {"before": command(paths.asset, *bounds), "after": command(paths.out / "asset")}
-    if (folder / "tried").is_dir():
-        repeat["tried"] = command(paths.out / "tried")
+    if (folder / "trial").is_dir():
+        repeat["trial"] = command(paths.out / "trial")
     hashes = run_hashes(folder / "runs") if posed else paths.runs
     return Proof(made_by.engine, made_by.version, repeat, witness, hashes)
 
@@ -480,13 +484,13 @@ def _measured_gaps(gaps: tuple[RunGap, ...], shown: Shown) -> tuple[RunGap, ...]
     return tuple(out)
 
 
-def _final_gaps(
+def _gaps_of_files(
     gaps: tuple[RunGap, ...], shown: Shown | None, tried: tuple[Named, ...], kept: tuple[Named, ...], same_body: bool
 ) -> tuple[RunGap, ...]:
     """Gaps by the files that are delivered: of motion and of geometry what was tried where it was kept, else as before;
     NaN of what was not replayed."""
     bent = all(n in kept for n in tried if n.effect.kind == "kinematics")
-    moved = same_body and all(n in kept for n in _moving(tried))
+    moved = same_body and all(n in kept for n in _select_moving(tried))
     done = set() if shown is None else {run.run for run in (*shown.runs, *shown.unsure)}
     found = []
     for gap in gaps:
@@ -495,7 +499,7 @@ def _final_gaps(
         elif bent if gap.regime == GEOMETRY else moved:
             found.append(gap)
         else:
-            found.append(replace(gap, after=gap.before, tried=gap.after))
+            found.append(replace(gap, after=gap.before, trial=gap.after))
     return tuple(found)
 
 

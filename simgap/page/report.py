@@ -157,7 +157,7 @@ def _sizes(
     judged = told_by(gaps)
     where = runs_text([g.use for g in judged], in_turn)
     before, floor = (root_mean_square([getattr(g, name) for g in judged]) for name in ("before", "floor"))
-    after = root_mean_square([g.after if g.tried is None else g.tried for g in judged])
+    after = root_mean_square([g.after if g.trial is None else g.trial for g in judged])
     first = "gap before" if after_is else "gap"
     tiles = [_tile(text(before), f"{first}, {what}on {where}", f"{before / floor:.1f} floors")]
     if after_is and after_is != ROLLED_BACK and np.isfinite(after):
@@ -388,13 +388,13 @@ def _gaps(gap: Gap) -> list[Section]:
     """All runs in numbers."""
     proof = gap.verdict.proof
     witness = {} if proof is None else {row["run"]: row for row in proof.witness.get("gap", ())}
-    tried = any(g.tried is not None for g in gap.verdict.gaps)
-    head = ["", "", "motion", "gap before", "after", *["with what was tried"] * tried, "floor"]
+    trial = any(g.trial is not None for g in gap.verdict.gaps)
+    head = ["", "", "motion", "gap before", "after", *["trial repair"] * trial, "floor"]
     head += ["MuJoCo: before", "after"] if witness else []
     rows = []
     for g in gap.verdict.gaps:
         off = g.regime == GEOMETRY
-        sizes = [g.before, g.after, *[np.nan if g.tried is None else g.tried] * tried, g.floor]
+        sizes = [g.before, g.after, *[np.nan if g.trial is None else g.trial] * trial, g.floor]
         if witness:
             seen = {} if off else witness.get(g.run, {})
             sizes += [seen.get("before", np.nan), seen.get("after", np.nan)]
@@ -420,7 +420,7 @@ def _repeat(gap: Gap) -> list[Section]:
     of = {
         "before": "The gap before, from the files of the asset as it was given",
         "after": "The gap after, from the files of the asset beside the verdict",
-        "tried": "With what was tried and is not in that asset",
+        "trial": "The gap with the trial repair, which is not in that asset",
     }
     absent = proof.witness.get("absent")
     said = f"MuJoCo has not witnessed it: {absent}." if absent else "Add --engine mujoco for MuJoCo's numbers."

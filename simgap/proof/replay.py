@@ -86,7 +86,7 @@ class RunReplay:
     simulated: Array
     """(n,) rad or m: what the sensor would read."""
     noise: float
-    """rad or m: sigma of the run's readings, as all runs of the set tell it."""
+    """rad or m: sigma of the run's readings, estimated on all runs of the set."""
     start: State
     """At the first reading: fitted to the run."""
     timestep_s: float
@@ -182,26 +182,26 @@ def replay(
 
     Args:
         assets: what is on disk.
-        measured: all runs of the set (its noise is told by all), and their circumstances.
+        measured: all runs of the set (noise is estimated on all), and their circumstances.
         names: of the runs to replay; None for all.
         engine: MuJoCo takes the MJCF beside the URDF, or the URDF as MJCF where there is none.
         holding: of inputs of which `measured` does not say how they go on between their rows: 0 smoothly, 1 held until
             the next.
         poses: for each asset, runs of poses.
         seconds: when these are over, runs that all assets have done count, and the rest is given up.
-        progress: told how many replays are done.
+        progress: called with the number of replays done and their total.
 
     Raises FreeArtError when an asset cannot be read or there is nothing to replay, and CannotReplay when the fresh
     process fails, as where MuJoCo's format cannot say an effect.
     """
     end = time.monotonic() + seconds
-    wanted = [run.name for run in measured.runs] if names is None else list(names)
-    starts = [fitted_starts(asset.read(measured), measured, wanted, holding, end) for asset in assets]
+    run_names = [run.name for run in measured.runs] if names is None else list(names)
+    starts = [fit_start_states(asset.read(measured), measured, run_names, holding, end) for asset in assets]
     return replay_from(
         assets,
         measured,
         starts,
-        wanted,
+        run_names,
         engine=engine,
         holding=holding,
         poses=poses,
@@ -210,7 +210,7 @@ def replay(
     )
 
 
-def fitted_starts(
+def fit_start_states(
     asset: Asset, measured: Measured, names: Sequence[str], holding: float = 0.0, end: float = np.inf
 ) -> Starts:
     """From where the asset follows each run best, for runs that are reached before time.monotonic() is `end`."""
@@ -243,7 +243,7 @@ def replay_from(
     seconds: float = SECONDS,
     progress: Progress | None = None,
 ) -> tuple[Replay, ...]:
-    """`replay` from start states that are told, for each asset its own."""
+    """`replay` from given start states, for each asset its own."""
     if not names and not any(poses):
         raise FreeArtError("no run to replay, expected one or more")
     if engine == "mujoco" and importlib.util.find_spec("mujoco") is None:
@@ -254,8 +254,8 @@ def replay_from(
         folder = Path(place)
         _write_job(folder, assets, measured, runs, starts, engine, holding, seconds, poses)
         _run(folder, len(runs) * len(assets), seconds, progress)
-        version, off = _told(folder, len(assets))
-        done = [i for i in range(len(runs)) if all(_answer(folder, k, i).is_file() for k in range(len(assets)))]
+        version, off = _read_told(folder, len(assets))
+        done = [i for i in range(len(runs)) if all(_answer_path(folder, k, i).is_file() for k in range(len(assets)))]
         late = tuple(name for name in names if name not in {runs[i].name for i in done})
         return tuple(
             Replay(engine, version, tuple(_read_run(folder, k, i, runs[i], starts[k]) for i in done), off[k], late)
@@ -263,12 +263,12 @@ def replay_from(
         )
 
 
-def _answer(folder: Path, asset: int, run: int) -> Path:
+def _answer_path(folder: Path, asset: int, run: int) -> Path:
     """Where the fresh process puts the replay of a run by an asset."""
     return folder / f"run_{asset}_{run}.npz"
 
 
-def _told(folder: Path, count: int) -> tuple[str, list[tuple[float, ...]]]:
+def _read_told(folder: Path, count: int) -> tuple[str, list[tuple[float, ...]]]:
     """The engine's version, and for each of `count` assets how far poses are off, as far as this is known."""
     path = folder / "told.json"
     if not path.is_file():
@@ -278,7 +278,7 @@ def _told(folder: Path, count: int) -> tuple[str, list[tuple[float, ...]]]:
 
 
 def _read_run(folder: Path, asset: int, i: int, run: Run, starts: Starts) -> RunReplay:
-    data = checked.read_npz(_answer(folder, asset, i), ("q", "step"))
+    data = checked.read_npz(_answer_path(folder, asset, i), ("q", "step"))
     known = np.isfinite(run.q)
     step, change = map(float, data["step"])
     return RunReplay(

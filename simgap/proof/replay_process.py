@@ -161,7 +161,7 @@ class _InMujoco(_Stage):
         with tempfile.TemporaryDirectory() as place_:
             mjcf = mjcf_beside(self.asset.urdf)
             if not (mjcf.is_file() and read_xml(mjcf).tag == "mujoco"):
-                mjcf = _converted(self.asset, Path(place_))
+                mjcf = _convert_to_mjcf(self.asset, Path(place_))
             try:
                 spec = mujoco.MjSpec.from_file(str(mjcf))
                 for joint in [j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_FREE]:
@@ -229,7 +229,7 @@ class _InMujoco(_Stage):
         return np.arange(n + 1, dtype=float) * h, q
 
 
-def _converted(asset: Asset, folder: Path) -> Path:
+def _convert_to_mjcf(asset: Asset, folder: Path) -> Path:
     """The asset's URDF as MJCF, in a folder with the files that it names."""
     from export.mjcf_of_urdf import mjcf_of_urdf  # most have one, and it imports half a second's worth
 
