@@ -376,7 +376,8 @@ def _judged(
     rest = [n for n in tried if n not in certain]
     if rest:
         notes.append(
-            f"The asset was not given {_names(rest)}: that is not certain. Curves and gaps after show what it would do."
+            f"The asset was not given {_names(rest)}: that is not certain. It is in trial/, and curves show what it "
+            "would do."
         )
     if shown.unsure:
         notes.append(
