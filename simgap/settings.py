@@ -78,12 +78,6 @@ class JudgementSettings:
     explained_part: float = 0.03
     """Part of a large gap that it may leave besides, departures of its formulas being counted. Of strong effects of a
     second world .002 to .01 are left; of a filmed pendulum, whose losses have no such names, .07."""
-    hardly: float = 2.0
-    """Floors that it may leave of three runs in four and no larger set is looked at: of our own world's true formulas
-    hardly any leaves more."""
-    hardly_part: float = 0.01
-    """Part of the gap that it may leave besides. Of strong effects of a second world that depart otherwise than by a
-    slope and a bend .004 and .01 were left."""
     formula_part: float = 0.1
     """The same of a set with an effect that has no way to depart, as a drive that is late, which is some parts in a
     hundred off its formula, too."""

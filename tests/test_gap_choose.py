@@ -101,12 +101,10 @@ def test_a_pair_is_named_that_no_single_effect_is_part_of(tmp_path: Path):
     assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "quadratic_drag"})
 
 
-def test_friction_with_oil_is_no_friction_under_load(tmp_path: Path):
-    """Load goes with speed squared on a swing: beside a gap of 300 floors that form would do for a little oil.
-
-    Of five draws (23 to 27) four are told; 24 is called load friction on some processors and not on others.
-    """
-    found = verdict(tmp_path, measured_of(23, dry=0.5, viscous=0.1))
+@pytest.mark.parametrize("seed", [23, 24])
+def test_friction_with_oil_is_no_friction_under_load(tmp_path: Path, seed: int):
+    """Load goes with speed squared on a swing, and leaves hardly more than noise; the pair is far more probable."""
+    found = verdict(tmp_path, measured_of(seed, dry=0.5, viscous=0.1))
     assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "viscous_damping"})
 
 

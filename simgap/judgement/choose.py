@@ -66,8 +66,8 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     if (ahead <= error or closed < settings.least_gap) and sum(plain) < (1 - settings.met) * len(plain):
         return Choice(base, best, table=tuple(table))
     found = Choice(base, best, gap=True, table=tuple(table))
-    real = _real(table, folds, base, settings)
-    standing = nearest(_no_larger([h for h in real if h.names and named_whole(h, base, settings)], base, settings))
+    real = [departing(h, folds, base) for h in table]
+    standing = nearest(h for h in real if h.names and named_whole(h, base, settings))
     told = {h.names: beside(h, folds) for h in standing}
     whole = [h for h in standing if not any(refutes(n, base, settings) for n in told[h.names])]
     whole = [h for h in whole if not _plainer_without_name(h, real, folds) and not _smaller_as_probable(h, real)]
@@ -81,20 +81,6 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
         return replace(found, explaining=added, in_part=True, nameless=beside(part[0][0], folds))
     near = standing[0] if standing else best
     return replace(found, nameless=told.get(near.names) or beside(near, folds))
-
-
-def _real(
-    table: Sequence[Hypothesis], folds: tuple[Fold, ...], base: Hypothesis, settings: JudgementSettings
-) -> list[Hypothesis]:
-    """The sets with how real effects depart; larger ones than one that leaves hardly more than noise, which none wants
-    (`_no_larger`) and which take longest, by their formulas."""
-    found: list[Hypothesis] = []
-    enough = len(EFFECTS)
-    for h in sorted(table, key=lambda h: len(h.names)):
-        found.append(departing(h, folds, base) if len(h.names) <= enough else h)
-        if h.names and named_whole(found[-1], base, settings) and _hardly(found[-1], base, settings):
-            enough = len(h.names)
-    return found
 
 
 def nearest(table: Iterable[Hypothesis]) -> list[Hypothesis]:
@@ -127,23 +113,6 @@ def named_whole(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSet
     }
     chose = [met[run] for run in shown if run in hypothesis.left]
     return sum(met.values()) >= settings.met * len(met) and sum(chose) >= 0.5 * len(chose)
-
-
-def _no_larger(whole: list[Hypothesis], base: Hypothesis, settings: JudgementSettings) -> list[Hypothesis]:
-    """Of the sets those no larger than the smallest that leaves hardly more than noise, and none that becomes such a
-    one in a special case: a real effect is not its formula, nor quite that with what it may depart by, and what is left
-    then is not worth another name, however sure it is."""
-
-    enough = {h.names for h in whole if _hardly(h, base, settings)}
-    fewest = min((len(names) for names in enough), default=len(EFFECTS))
-    return [h for h in whole if len(h.names) <= fewest and not any(less in enough for less in plainer(h.names))]
-
-
-def _hardly(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether a set leaves hardly more than noise in all runs but one of four."""
-    after, before = hypothesis.by_run, base.by_run
-    met = [left <= np.hypot(settings.hardly, settings.hardly_part * excess(before[run])) for run, left in after.items()]
-    return sum(met) >= settings.met * len(met)
 
 
 def refutes(rival: Nameless, base: Hypothesis, settings: JudgementSettings) -> bool:
