@@ -26,7 +26,7 @@ from simgap.fitting.force_guess import local_force, places
 from simgap.fitting.guess import _grid
 from simgap.fitting.least_squares import Prior, charge, solve, weight
 from simgap.fitting.problem import problem_of
-from simgap.fitting.search import Search, candidates, stilled
+from simgap.fitting.search import Search, candidates, loss_sets, stilled
 from simgap.judgement.split import split_of
 from simgap.measure.data import fit_runs
 from simgap.measure.floor import floor_of
@@ -112,6 +112,14 @@ def test_a_larger_set_fits_no_worse_than_a_smaller_one(tmp_path: Path):
         for name in names:
             smaller = search.fits.get(tuple(n for n in names if n != name))
             assert smaller is None or fit.cost <= smaller.cost * (1 + 1e-6) + 1e-2, names
+
+
+def test_what_a_geared_drive_has_is_tried_together_wherever_one_drives_the_joint():
+    """Under a commanded effort, too: gear friction with oil was found by no single effect of the two."""
+    free, driven = ("coulomb_friction", "viscous_damping"), ("coulomb_friction", "gear_friction", "viscous_damping")
+    assert ("gear_friction", "viscous_damping") in loss_sets(driven)
+    assert loss_sets(free) == [("coulomb_friction",), ("viscous_damping",), free]
+    assert len(set(loss_sets(driven))) == len(loss_sets(driven)) == 7
 
 
 def test_the_floor_is_the_sensors(tmp_path: Path):

@@ -63,7 +63,7 @@ _ALL_ALONG = (
 LOSSES = ("coulomb_friction", "quadratic_drag", "viscous_damping")
 """What takes energy all along: every joint has some of them."""
 _SERVO = ("actuator_gain", "armature", "coulomb_friction", "gear_friction", "viscous_damping")
-"""What a geared drive that follows positions has, of all of which it takes several to come near: of a hobby servo's
+"""What a geared drive has, of all of which it takes several to come near: of a hobby servo's
 logs (Rhoban/bam, XL330) dry friction and that of its gears leave 102 floors, a gain besides 38, any less than two of
 the three over 80. One by one none shows."""
 _SLACKS = (0.003, 0.01, 0.03)
@@ -201,12 +201,9 @@ class Search:
                     self.without(fit, name)
 
     def losses(self) -> list[Fit]:
-        """Every set of losses, and of up to four of what a servo has where one drives the joint, fitted from the asset
-        as it is told, not from what it must be off by to do without."""
-        sets = [names for k in (1, 2, 3) for names in combinations(LOSSES, k)]
-        if any(run.inputs.held for run in self.train):
-            sets += [names for k in (1, 2, 3, 4) for names in combinations(_SERVO, k) if names not in sets]
-        for names in (names for names in sets if set(names) <= set(self.names)):
+        """The sets of `loss_sets`, fitted from the asset as it is told, not from what it must be off by to do
+        without."""
+        for names in loss_sets(self.names):
             if names not in self._losses:
                 self._losses[names] = grown_mild(Theory(self.problem, names), self.train)
         own = self._losses.items()
@@ -549,6 +546,15 @@ def _shafts(fit: Fit) -> list[Array]:
             theta[part] = 1 + taken * doubt
         found.append(theta)
     return found
+
+
+def loss_sets(names: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Of the effects `names` every set of losses, and of up to four of what a geared drive has where one drives the
+    joint."""
+    sets = [s for k in (1, 2, 3) for s in combinations(LOSSES, k)]
+    if "gear_friction" in names:
+        sets += [s for k in (1, 2, 3, 4) for s in combinations(_SERVO, k) if s not in sets]
+    return [s for s in sets if set(s) <= set(names)]
 
 
 def _hides_damping(fit: Fit) -> bool:
