@@ -78,7 +78,7 @@ class Surface:
     turned: bool = False
     """Whether the part's triangles faced inwards and were turned."""
     layers: float = 1.0
-    """Area that was given over the area of the mesh, which is the boundary of the solid."""
+    """Area that was given, crumbs too, over the area of the mesh, which is the boundary of the solid."""
 
     @property
     def is_solid(self) -> bool:
@@ -112,7 +112,8 @@ def closed(part: Mesh, settings: MeshSettings, elsewhere: NDArray[np.float64] | 
     """
     if len(part.faces) > MAX_FACES:
         raise FreeArtError(f"mesh has {len(part.faces)} triangles, expected at most {MAX_FACES}")
-    seen = without_crumbs(deduplicated(Mesh(part.vertices, part.faces)), settings.min_component)
+    given = deduplicated(Mesh(part.vertices, part.faces))
+    seen = without_crumbs(given, settings.min_component)
     if seen.empty:
         raise FreeArtError("mesh has no triangle of any area")
     wrong_way = inside_out(seen)
@@ -133,7 +134,7 @@ def closed(part: Mesh, settings: MeshSettings, elsewhere: NDArray[np.float64] | 
     observed = np.ones(len(faces), bool) if whole else _observed(vertices, faces, seen, spacing)
     faces = faces[np.argsort(~observed, kind="stable")]
     mesh = _coloured(Mesh(vertices, faces), part)
-    return Surface(mesh, int(observed.sum()), wrong_way, float(seen.areas().sum() / mesh.areas().sum()))
+    return Surface(mesh, int(observed.sum()), wrong_way, float(given.areas().sum() / mesh.areas().sum()))
 
 
 def _apart(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -25,6 +25,7 @@ from export.model import AssetModel, LinkModel
 from export.outside import even_points, outside_of
 from export.primitive_fit import primitive_of, shapes_round
 from export.primitives import Box, Cylinder, Sphere
+from export.surface import closed
 from export.urdf import urdf_text
 from freeart21 import se3
 from freeart21.files.urdf import read_urdf
@@ -241,6 +242,11 @@ def test_a_piece_without_thickness_has_shapes_round_it():
     box = next(shape for shape in shapes_round(flat) if isinstance(shape, Box))
     inside = se3.transform(se3.inverse(box.T_link_shape), flat)
     assert (np.abs(inside) <= 0.5 * box.size + 1e-9).all() and box.size.min() < 1e-6 and box.size.max() < 0.12
+
+
+def test_loose_triangles_of_which_all_but_one_are_crumbs_are_no_solid():
+    corners = 0.05 * np.random.default_rng(0).normal(size=(6000, 3))
+    assert not closed(Mesh(corners, np.arange(6000).reshape(-1, 3)), MeshSettings(points=1000)).is_solid
 
 
 def test_triangles_that_bound_no_solid_get_a_hull_and_are_told_so(tmp_path: Path, monkeypatch):
