@@ -68,8 +68,10 @@ class Collision:
         return [*self.hulls, *(shape.mesh() for shape in self.primitives)]
 
 
-def convex_parts(mesh: Mesh, settings: CollisionSettings, ground: float | None = None) -> Collision:
-    """The part as at most `max_hulls` convex pieces, primitives where these are as good.
+def convex_parts(
+    mesh: Mesh, settings: CollisionSettings, ground: float | None = None, whole: bool = False
+) -> Collision:
+    """The part as at most `max_hulls` convex pieces, primitives where these are as good; as one if it is left `whole`.
 
     Pieces end at `ground`, the height z, m, of the plane that the object stands on: pieces that stand out of the part
     by different amounts would make it tilt. Raises FreeArtError when the mesh has no area.
@@ -84,7 +86,7 @@ def convex_parts(mesh: Mesh, settings: CollisionSettings, ground: float | None =
         settings.pairs,
         settings.max_vertices,
     )
-    pieces = convex_pieces(outside, tolerance, settings.max_hulls)
+    pieces = [mesh.vertices] if whole else convex_pieces(outside, tolerance, settings.max_hulls)
     hulls: list[Mesh] = []
     primitives: list[Primitive] = []
     for piece in pieces:

@@ -153,6 +153,7 @@ def export_result(
         {"revolute": settings.min_range_rad, "prismatic": settings.min_range_m * settings.scale},
         settings.scale,
         {name: part.surface.observed for name, part in parts.items()},
+        [name for name, part in parts.items() if not part.surface.is_solid],
     )
     with only_writer(out), atomic.new_folder(out, ASSET) as aside:
         with ThreadPoolExecutor() as pool:  # most of it looks up nearest points, which threads do at once
@@ -288,7 +289,8 @@ def _shape(name: str, part: Part, placement: Placement, settings: ExportSettings
     visual, solid = getattr(placement, name), placement.solids[name]
     ground = 0.0 if name == placement.root else -float(placement.joint.pivot[2])  # in its link's frame
     try:
-        shape = _Shape(part, visual, solid, convex_parts(solid, settings.collision, ground))
+        collision = convex_parts(solid, settings.collision, ground, whole=not part.surface.is_solid)
+        shape = _Shape(part, visual, solid, collision)
         inertial_of(solid, 1.0, settings.wall)  # there is a volume
     except FreeArtError as error:
         raise FreeArtError(f"{name} part: {error}") from error

@@ -180,7 +180,7 @@ def losses_text(asset: Asset, textured: bool, files: frozenset[str]) -> str:
         " `loaders/load_ENGINE.py` holds a function `load` that puts back what can be put back.",
         f"Trust in the reconstruction that it was made of: **{describe_trust(asset.trust)}**",
         *_contact_losses(asset),
-        *_overlap(asset),
+        *given_up(asset),
         "## Files",
         _table(formats, [row for row in rows if row != "own"]),
         "## Engines",
@@ -213,17 +213,24 @@ def _contact_losses(asset: Asset) -> list[str]:
     return [f"What is touched is not quite what is seen: {'; '.join(said)}."] if said else []
 
 
-def _overlap(asset: Asset) -> list[str]:
-    """What asset.json states of parts that stayed in each other, a paragraph; none where it states nothing."""
+def given_up(asset: Asset) -> list[str]:
+    """What asset.json states of parts that are no solids, and of parts that stayed in each other: a line each."""
+    parts, lines = asset.source.get("parts"), []
+    for name, part in parts.items() if isinstance(parts, dict) else ():
+        layers = part.get("layers") if isinstance(part, dict) and part.get("solid") is False else None
+        if isinstance(layers, int | float):
+            lines.append(
+                f"`{name}` is no solid: its triangles have {layers:.3g} times the area of what they enclose. "
+                "What is touched of it is its one convex hull."
+            )
     found = asset.source.get("penetration")
     why, deepest = (
         (found.get(key) for key in ("not_carved_because", "deepest_m")) if isinstance(found, dict) else (None,) * 2
     )
-    if not (isinstance(why, str) and isinstance(deepest, int | float)):
-        return []
-    return [
-        f"What is touched of the two parts is up to {1000 * deepest:.3g} mm in each other, and was not carved: {why}."
-    ]
+    if isinstance(why, str) and isinstance(deepest, int | float):
+        deep = f"up to {1000 * deepest:.3g} mm in each other"
+        lines.append(f"What is touched of the two parts is {deep}, and was not carved: {why}.")
+    return lines
 
 
 def write_losses(folder: Path, asset: Asset) -> None:

@@ -46,6 +46,8 @@ class Part:
             "faces_before": self.faces_before,
             "faces": len(surface.mesh.faces),
             "faces_turned_outwards": surface.turned,
+            "layers": round(surface.layers, 3),
+            "solid": surface.is_solid,
             "patch": {
                 "first_face": surface.patch_first,
                 "faces": surface.patch_count,

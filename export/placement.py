@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -90,6 +91,7 @@ def placed(
     min_range: dict[str, float],
     scale: float = 1.0,
     observed: dict[str, NDArray[np.bool_]] | None = None,
+    not_solid: Sequence[str] = (),
 ) -> Placement:
     """Link frames for a reconstruction.
 
@@ -99,6 +101,7 @@ def placed(
         min_range: joint type to the smallest range, rad or m, that counts as motion.
         scale: the reconstruction's lengths over those of its video: tolerances grow with them.
         observed: (F,) of each part, which of its triangles were seen; None is all. Others do not end the joint's range.
+        not_solid: parts that are no solids: nothing is carved.
 
     The URDF joint has the range of `joint_range` and its zero at the end, or state, that `zero_state` chooses. Parts
     that are in each other by more than the tolerance within the range are carved where both are closed: what collides,
@@ -121,7 +124,7 @@ def placed(
             f"least {min_range[joint.type]:g}: its limits cannot be told"
         )
     zero, said_zero = zero_state(articulation, found, settings.zero)
-    apart, said_penetration = _apart(articulation, found, overlap, tolerance, settings.carve)
+    apart, said_penetration = _apart(articulation, found, overlap, tolerance, settings.carve, not_solid)
     up, carrier, said_up = _up(reconstruction, settings, found, zero)
     root = "moving" if carrier == "moving" else "reference"
     T_canonical_root = _standing(articulation, carrier, up, zero)
@@ -154,7 +157,7 @@ def placed(
 
 
 def _apart(
-    parts: Articulation, found: JointRange, overlap: Overlap, tolerance: float, carve: bool
+    parts: Articulation, found: JointRange, overlap: Overlap, tolerance: float, carve: bool, not_solid: Sequence[str]
 ) -> tuple[Articulation, dict[str, Any]]:
     """What collides: the parts no deeper in each other than `tolerance` in the range, where that can be; what was done.
 
@@ -165,6 +168,8 @@ def _apart(
     said: dict[str, Any] = {"deepest_m": before, "deepest_visual_m": before, "tolerance_m": tolerance, "carved": None}
     if before <= tolerance or not carve:
         return parts, said
+    if not_solid:
+        return parts, said | {"not_carved_because": f"the {not_solid[0]} part is no solid"}
     cut = carved(parts, found.low, found.high, tolerance, overlap)
     if isinstance(cut, str):
         return parts, said | {"not_carved_because": cut}

@@ -32,6 +32,9 @@ from freeart21.mesh import Mesh, bounding_diagonal
 
 MAX_FACES = 4_000_000
 """Triangles of a part that are looked at, ten times those of our largest reconstruction."""
+MAX_LAYERS = 4.0
+"""Times the area of the solid's boundary that a part's triangles may have. Of 18 parts of nine true objects they have
+0.3 to 1.0, of a cabinet of loose boards (PartNet-Mobility 45940) 1.8, of 5,000 random triangles 20."""
 FAITH = 8.0
 """How much more an observed area weighs than an equal area of the boundary: at 1 holes would eat the surface."""
 _SIDE = 0.25
@@ -74,6 +77,13 @@ class Surface:
     """First triangle that closes what nobody saw; all after it do, too."""
     turned: bool = False
     """Whether the part's triangles faced inwards and were turned."""
+    layers: float = 1.0
+    """Area that was given, crumbs too, over the area of the mesh, which is the boundary of the solid."""
+
+    @property
+    def is_solid(self) -> bool:
+        """Whether what was given is the surface of a solid for the most part, and does not cross it everywhere."""
+        return self.layers <= MAX_LAYERS
 
     @property
     def observed(self) -> NDArray[np.bool_]:
@@ -102,7 +112,8 @@ def closed(part: Mesh, settings: MeshSettings, elsewhere: NDArray[np.float64] | 
     """
     if len(part.faces) > MAX_FACES:
         raise FreeArtError(f"mesh has {len(part.faces)} triangles, expected at most {MAX_FACES}")
-    seen = without_crumbs(deduplicated(Mesh(part.vertices, part.faces)), settings.min_component)
+    given = deduplicated(Mesh(part.vertices, part.faces))
+    seen = without_crumbs(given, settings.min_component)
     if seen.empty:
         raise FreeArtError("mesh has no triangle of any area")
     wrong_way = inside_out(seen)
@@ -122,7 +133,8 @@ def closed(part: Mesh, settings: MeshSettings, elsewhere: NDArray[np.float64] | 
     vertices = _apart(vertices, faces)
     observed = np.ones(len(faces), bool) if whole else _observed(vertices, faces, seen, spacing)
     faces = faces[np.argsort(~observed, kind="stable")]
-    return Surface(_coloured(Mesh(vertices, faces), part), int(observed.sum()), wrong_way)
+    mesh = _coloured(Mesh(vertices, faces), part)
+    return Surface(mesh, int(observed.sum()), wrong_way, float(given.areas().sum() / mesh.areas().sum()))
 
 
 def _apart(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:

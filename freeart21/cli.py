@@ -473,6 +473,7 @@ def export(
     from export.checklist import check_asset
     from export.delivered import delivered_shapes
     from export.exporter import ExportSettings, export_result
+    from export.losses import given_up
     from export.placement import PlacementSettings
     from freeart21.reconstruction import describe_trust
 
@@ -492,6 +493,8 @@ def export(
     findings = check_asset(out)
     for finding in findings:
         print(f"  {finding}", file=sys.stderr)
+    for line in given_up(asset):
+        print(line, file=sys.stderr)
     contact = contact_row(*delivered_shapes(asset.urdf), asset.urdf.parent)
     if contact.verdict == "fail":
         print(f"{contact.rule} fails: {contact.reason}", file=sys.stderr)

@@ -6,9 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from manifold3d import Manifold
+from manifold3d import Manifold, OpType
 
-from export.carving import _slid, sound
+from export import carving
+from export.carving import _slid, _swept, sound
+from freeart21.joint import Joint
 
 WAY = np.array([0.0, 0.0, 0.03])
 TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
@@ -51,3 +53,24 @@ def test_what_slides_sweeps_as_many_copies_of_it_do(made, turned):
     assert swept.volume() > 1.2 * tool.volume()
     outside = copies - swept
     assert outside.volume() < 1e-3 * copies.volume()
+
+
+def test_a_union_that_only_grows_is_given_up_at_its_second_doubling(monkeypatch):
+    """A brush of crossing needles: each copy of it crosses all others."""
+    rng = np.random.default_rng(0)
+    needles = [Manifold.cube([0.2, 0.002, 0.002], True).rotate(rng.uniform(0, 360, 3).tolist()) for _ in range(12)]
+    brush = Manifold.batch_boolean(needles, OpType.Add)
+    states = []
+
+    class Counted(Joint):
+        def transform(self, q):
+            states.append(q)
+            return super().transform(q)
+
+    joint = Counted("hinge", "revolute", np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0, 2.0)
+    monkeypatch.setattr(carving, "MOST_TRIANGLES", 20 * brush.num_tri())
+    assert _swept(brush, joint, 0.0, 2.0, 8, 1e-6) is None
+    assert len(states) <= 3
+    plate = Manifold.cube([0.1, 0.1, 0.002], True)
+    monkeypatch.setattr(carving, "MOST_TRIANGLES", 1000 * plate.num_tri())
+    assert sound(_swept(plate, joint, 0.0, 2.0, 8, 1e-6))

@@ -9,16 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from test_export import reconstruction
 
+from export.check.contact_rule import contact_row
 from export.collision import CollisionSettings, convex_hull, convex_parts
 from export.decomposition import Tolerance, convex_pieces
+from export.delivered import delivered_shapes
+from export.exporter import ExportSettings, export_result
 from export.fidelity import measured
 from export.inertia import Inertial
+from export.losses import given_up
+from export.meshes import MeshSettings
 from export.mjcf import mjcf_text
 from export.model import AssetModel, LinkModel
 from export.outside import even_points, outside_of
 from export.primitive_fit import primitive_of, shapes_round
 from export.primitives import Box, Cylinder, Sphere
+from export.surface import closed
 from export.urdf import urdf_text
 from freeart21 import se3
 from freeart21.files.urdf import read_urdf
@@ -235,3 +242,33 @@ def test_a_piece_without_thickness_has_shapes_round_it():
     box = next(shape for shape in shapes_round(flat) if isinstance(shape, Box))
     inside = se3.transform(se3.inverse(box.T_link_shape), flat)
     assert (np.abs(inside) <= 0.5 * box.size + 1e-9).all() and box.size.min() < 1e-6 and box.size.max() < 0.12
+
+
+def test_loose_triangles_of_which_all_but_one_are_crumbs_are_no_solid():
+    corners = 0.05 * np.random.default_rng(0).normal(size=(6000, 3))
+    assert not closed(Mesh(corners, np.arange(6000).reshape(-1, 3)), MeshSettings(points=1000)).is_solid
+
+
+def test_triangles_that_bound_no_solid_get_a_hull_and_are_told_so(tmp_path: Path, monkeypatch):
+    """A soup: cutting it into convex pieces and carving what it sweeps took eight minutes, for nothing."""
+    rng = np.random.default_rng(0)
+    soup = Mesh(0.05 * rng.normal(size=(900, 3)), rng.integers(0, 900, (1500, 3)))
+    worked_on = []
+
+    def pieces(outside, tolerance, most):
+        worked_on.append(len(outside.points))
+        return convex_pieces(outside, tolerance, most)
+
+    monkeypatch.setattr("export.collision.convex_pieces", pieces)
+    monkeypatch.setattr("export.placement.carved", lambda *_: pytest.fail("carved"))
+    coarse = ExportSettings(usd=False, meshes=MeshSettings(points=1000, max_faces=1000))
+    asset = export_result(reconstruction(moving=soup), tmp_path / "a", coarse)
+    assert len(worked_on) == 1  # the slab alone
+    said = asset.source["parts"]
+    assert said["reference"]["solid"] and said["moving"]["solid"] is False and said["moving"]["layers"] > 10
+    assert said["moving"]["hulls"] + said["moving"]["primitives"] == 1
+    assert asset.source["penetration"]["not_carved_because"] == "the moving part is no solid"
+    text = (tmp_path / "a/LOSSES.md").read_text()
+    assert "`moving` is no solid" in text and "one convex hull" in text
+    assert given_up(asset)[0] in text
+    assert contact_row(*delivered_shapes(asset.urdf), asset.urdf.parent).verdict == "fail"

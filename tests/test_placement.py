@@ -267,13 +267,11 @@ def test_open_parts_are_not_carved_and_say_why():
     assert said["carved"] is None and said["not_carved_because"] == "the moving part is not closed"
 
 
-def test_carving_is_given_up_where_a_sweep_only_grows(monkeypatch):
-    """Each copy of loose triangles adds all of them: no bound on time but that on their number."""
+def test_copies_are_cut_out_one_by_one_where_their_union_only_grows(monkeypatch):
     answer = seen_as(lidded(0.3, gap=-0.004), np.linspace(-0.3, 0.5, 9))
     monkeypatch.setattr("export.carving.MOST_TRIANGLES", 20)
     said = stands(answer).said["penetration"]
-    assert said["carved"] is None and said["deepest_m"] == said["deepest_visual_m"]
-    assert said["not_carved_because"] == "what one part sweeps has more than 20 triangles"
+    assert said["carved"] is not None and said["deepest_m"] <= 1.1 * TOLERANCE < said["deepest_visual_m"]
 
 
 def test_a_thin_drawer_leaves_nothing_standing_in_its_way():

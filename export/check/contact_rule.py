@@ -13,7 +13,8 @@ from freeart21.files import checked
 
 RULE = "collision.true-to-visual"
 _STATED_SHARE = 0.01
-"""Part of a link's size by which numbers in asset.json may differ: another machine may place points elsewhere."""
+"""Part of a link's size by which numbers in asset.json may differ: another machine may place points elsewhere.
+On the one that made them exports have their numbers to the digit (two, four links)."""
 
 
 def contact_row(seen: Mapping[str, Shapes], touched: Mapping[str, Shapes], folder: Path) -> Row:

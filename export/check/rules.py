@@ -8,7 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 MAX_HULLS = 256
-"""Collision geometries a link may have: a thin-walled part within 2 mm takes up to some hundred."""
+"""Collision geometries a link may have: a thin-walled part within 2 mm takes up to some hundred.
+With 64 the base of a reconstructed stapler, 66, would fail; `export` writes no more than these."""
 DRIFT_M, DRIFT_RAD = 1e-3, 1e-2
 """arXiv 2605.19136: an asset at rest drifts by no more."""
 GROUND_M = DRIFT_M
@@ -16,11 +17,14 @@ GROUND_M = DRIFT_M
 TURNS = 3
 """The same paper: so many changes of a velocity's sign are an oscillation."""
 REST_S = 5.0
+"""A creep of 0.2 mm/s drifts by `DRIFT_M` in it."""
 STATES = 100
+"""Drawn at random: what is wrong in a tenth of a joint's range is missed once in 38,000 times, by 25 once in 14."""
 POSE_TOLERANCE = 1e-6
-"""Rotation entries, and metres for an asset of up to a metre (single precision is relative)."""
+"""Rotation entries, and metres for an asset of up to a metre: 17 roundings to single precision, of 6e-8 each."""
 MASS_TOLERANCE = 1e-3
-"""Relative, of a link's mass and of its largest moment."""
+"""Relative, of a link's mass and of its largest moment. Principal moments and axes in single precision, as engines have
+them, give 5,000 random tensors back within 2e-7."""
 ENERGY_RISE = 0.02
 """Of the greatest kinetic energy on the way. Engines step semi-implicitly at 2 ms: energy errs by half a step times
 power. Measured on ten exported reconstructions, in all four engines alike: at most 1 %."""
