@@ -117,9 +117,9 @@ async def _serve(
         stage = Stage(_told(loaded, room, fov_y), (settings.width, settings.height), start, settings.finest)
         bounds = Bounds(body.lower, body.upper, room.reach)
         server = Server(_facts(name, loaded, room, fov_y), bounds, start, stage, takes, gate, _log)
-        _announce(addresses(settings.host, port, gate.token), own)
         for path, seconds in takes.unsaved_takes():
             _log(f"{path} is a take of {seconds:.1f} s that nobody saved: move it to keep it, or remove it")
+        _announce(addresses(settings.host, port, gate.token), own)
         _log(f"{name}: open this address in a browser; takes go to {takes.next_name()}; Ctrl-C ends")
         try:
             await _until_told(told, [server.run(listener, None if own is None else own.context()), stage.run(_log)])
