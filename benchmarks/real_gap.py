@@ -12,14 +12,8 @@ hand are left out.
 from __future__ import annotations
 
 import hashlib
-import math
-import os
-import resource
 import shutil
-import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +21,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.common import RESULTS, ROOT, commit, machine
+from benchmarks.common import RESULTS, ROOT, commit, machine, run_within
 from benchmarks.real_grade import closed, graded, overclaims, summary
 from benchmarks.real_recordings import SHARED, recordings
 from freeart21.errors import FreeArtError
@@ -36,8 +30,6 @@ from freeart21.files import atomic, checked
 EXPECTED = ROOT / "benchmarks" / "real_expected.json"
 _CODE = ("simgap", "freeart21", "generator", "export")
 """Rooms whose code an answer depends on."""
-_PATIENCE = 8.0
-"""Times the limit that an answer may take by the clock: a busy machine gives it a part of a processor."""
 _NO_TIME = {"seconds": 0.0, "wall seconds": 0.0}
 _COMMAND = ("-m", "freeart21", "gap", "asset.urdf", "measured", "--out", "answer")
 
@@ -102,41 +94,14 @@ def _asked(name: str, folder: Path, limit: float) -> dict[str, Any]:
         recordings()[name](folder)
     except FreeArtError as error:
         return {"name": name, "status": "refused", "said": str(error), **_NO_TIME, "answer": None}
-    command, most = [sys.executable, *_COMMAND], math.ceil(limit)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    began, used = time.monotonic(), _processor_seconds()
-    with (folder / "said.txt").open("wb") as said:
-        process = subprocess.Popen(
-            command,
-            cwd=folder,
-            env=environment,
-            stdout=said,
-            stderr=said,
-            start_new_session=True,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (most, most)),
-        )
-        try:
-            code: int | None = process.wait(_PATIENCE * limit)
-        except subprocess.TimeoutExpired:
-            code = None
-        finally:
-            if process.poll() is None:  # its replay is a process of its own, in the same session
-                os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
-    code = None if code in (-signal.SIGXCPU, -signal.SIGKILL) else code
-    seconds = {"seconds": round(_processor_seconds() - used, 1), "wall seconds": round(time.monotonic() - began, 1)}
-    last = ((folder / "said.txt").read_text(errors="replace").strip().splitlines() or [""])[-1]
+    ended = run_within(limit, [sys.executable, *_COMMAND], folder)
+    code, said = ended.code, ended.last
+    row = {"name": name, "seconds": ended.seconds, "wall seconds": ended.wall_seconds}
     verdict = folder / "answer" / "verdict.json"
     if code == 0 and verdict.is_file():
-        return {"name": name, "status": "answered", "said": "", **seconds, "answer": checked.read_json(verdict)}
+        return {**row, "status": "answered", "said": "", "answer": checked.read_json(verdict)}
     status = "out of time" if code is None else "refused" if code == 1 else "failed"
-    return {"name": name, "status": status, "said": "" if code is None else last, **seconds, "answer": None}
-
-
-def _processor_seconds() -> float:
-    """That the processes used which this one started."""
-    told = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return told.ru_utime + told.ru_stime
+    return {**row, "status": status, "said": "" if code is None else said, "answer": None}
 
 
 def _graded(row: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:

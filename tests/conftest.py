@@ -12,7 +12,6 @@ QUICK = {  # file to CPU seconds alone, imports included, measured on two cores 
     "doctor": 1.2,
     "effects": 3.2,
     "files": 2.1,
-    "gap_score": 1.3,
     "joint": 0.8,
     "joint_asset": 2.1,
     "kernels": 2.6,

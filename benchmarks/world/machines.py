@@ -1,4 +1,4 @@
-"""What stands before the sensor: a box on a joint, as its maker told it (the URDF) and as it really is."""
+"""What stands before the sensor: a box on a joint, as its maker gives it (the URDF) and as it really is."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.second_world import laws as w
+from benchmarks.world import laws as w
 
 GRAVITY = 9.81
-KINDS = ("pendulum", "lid", "door", "drawer", "arm")
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A joint as told. Base frame: z up, but for a drawer's slope; the joint's axis goes through the origin.
+    """A joint as given. Base frame: z up, but for a drawer's slope; the joint's axis goes through the origin.
 
     `mass` kg, `lever` m from axis to centre of mass (0 of a drawer), `inertia` kg m^2 about the axis (kg of a drawer),
     `size` (3,) m of the box, `slope` rad by which a drawer runs downhill, `low`, `high` the stops, `stiffness`,
@@ -38,6 +37,11 @@ class Machine:
         return self.kind == "drawer"
 
     @property
+    def light(self) -> bool:
+        """Gravity hardly moves it."""
+        return self.kind in ("door", "drawer")
+
+    @property
     def axis(self) -> np.ndarray:
         """(3,) unit; a lid's is turned so that gravity closes it."""
         axes = {"door": (0.0, 0.0, 1.0), "drawer": (1.0, 0.0, 0.0), "lid": (0.0, -1.0, 0.0)}
@@ -46,13 +50,11 @@ class Machine:
     @property
     def arm(self) -> np.ndarray:
         """(3,) m: the centre of mass at joint state zero."""
-        if self.slides:
-            return np.zeros(3)
-        return self.lever * (np.array([0.0, 0, -1]) if self.kind in ("pendulum", "arm") else np.array([1.0, 0, 0]))
+        return self.lever * np.array([0.0, 0, -1] if self.kind in ("pendulum", "arm") else [1.0, 0, 0])
 
     @property
     def gravity(self) -> np.ndarray:
-        """(3,) m/s^2 in the base's frame, as told."""
+        """(3,) m/s^2 in the base's frame, as given."""
         return GRAVITY * np.array([math.sin(self.slope), 0, -math.cos(self.slope)])
 
     @property
@@ -63,14 +65,12 @@ class Machine:
     @property
     def omega(self) -> float:
         """rad/s: of a small swing, or of pushes that suit a machine that has none."""
-        if self.kind in ("pendulum", "arm"):
-            return math.sqrt(self.weight / self.inertia)
-        return 2.0 if self.kind != "drawer" else 4.0
+        hangs = self.kind in ("pendulum", "arm")
+        return math.sqrt(self.weight / self.inertia) if hangs else 4.0 if self.slides else 2.0
 
 
 def draw_machine(kind: str, rng: np.random.Generator) -> Machine:
-    """One of its kind: .1 to 1 m, .05 to 20 kg by its volume at a density of 60 to 600 kg/m^3 (hollow wood to
-    solid)."""
+    """One of its kind: .1 to 1 m, .05 to 20 kg by its volume at 60 to 600 kg/m^3 (hollow wood to solid)."""
     length = math.exp(rng.uniform(math.log(0.12), math.log(0.6 if kind in ("pendulum", "arm") else 0.9)))
     width, thick = length * rng.uniform(0.2, 0.8), length * rng.uniform(0.04, 0.12)
     mass = float(np.clip(rng.uniform(60, 600) * length * width * thick, 0.05, 20.0))
@@ -80,23 +80,18 @@ def draw_machine(kind: str, rng: np.random.Generator) -> Machine:
     if kind == "arm":  # a weight near the end of a light beam
         lever = 0.8 * length
         inertia = mass * (lever**2 + (0.3 * length) ** 2 / 12)
-        weight = mass * GRAVITY * lever
-        stiffness = weight * rng.uniform(2, 10)
+        stiffness = mass * GRAVITY * lever * rng.uniform(2, 10)
         damping = 2 * rng.uniform(0.25, 0.7) * math.sqrt(stiffness * inertia)
         return Machine(kind, mass, lever, inertia, (0.3 * length,) * 3, 0.0, -2.8, 2.8, stiffness, damping)
-    low, high = {"pendulum": (-3.1, 3.1), "lid": (0.0, 2.0), "door": (-2.2, 2.2)}[kind]
+    stops = {"pendulum": (-3.1, 3.1), "lid": (0.0, 2.0), "door": (-2.2, 2.2)}[kind]
     inertia = mass * (length**2 + thick**2) / 12 + mass * (length / 2) ** 2
-    size = (
-        (thick, width, length)
-        if kind == "pendulum"
-        else ((length, thick, width) if kind == "door" else (length, width, thick))
-    )
-    return Machine(kind, mass, length / 2, inertia, size, 0.0, low, high)
+    sizes = {"pendulum": (thick, width, length), "lid": (length, width, thick), "door": (length, thick, width)}
+    return Machine(kind, mass, length / 2, inertia, sizes[kind], 0.0, *stops)
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """What is never as told, of every machine: shares of inertia and weight, and the base's tilt about x, y, z, rad."""
+    """What is never as given: shares of inertia and weight, and the base's tilt about x and y, rad."""
 
     inertia: float = 0.0
     weight: float = 0.0
@@ -104,8 +99,7 @@ class Nuisance:
 
 
 def draw_nuisance(machine: Machine, rng: np.random.Generator) -> Nuisance:
-    """Inertia within 10 % (a drawer's mass within 5 %), centre of mass within 5 %, base tilted by .3 degrees (facts,
-    section 6)."""
+    """Inertia within 10 % (a drawer's mass 5 %), centre of mass within 5 %, base tilted by .3 degrees."""
     way = rng.uniform(0, 2 * math.pi)
     tilt = math.radians(0.3) * np.array([math.cos(way), math.sin(way)])
     weight = float(rng.uniform(-0.05, 0.05))
@@ -137,9 +131,8 @@ def truth(machine: Machine, nuisance: Nuisance) -> np.ndarray:
 
 def urdf(machine: Machine) -> str:
     """The machine as told, a base and a box; nothing in it knows of the case."""
-    about = np.array([machine.size[1] ** 2 + machine.size[2] ** 2, machine.size[0] ** 2 + machine.size[2] ** 2, 0.0])
-    about[2] = machine.size[0] ** 2 + machine.size[1] ** 2
-    own = machine.mass / 12 * about
+    a, b, c = machine.size
+    own = machine.mass / 12 * np.array([b**2 + c**2, a**2 + c**2, a**2 + b**2])
     if not machine.slides:
         k = int(np.argmax(np.abs(machine.axis)))
         own[k] = machine.inertia - machine.mass * machine.lever**2

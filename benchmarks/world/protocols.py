@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.second_world import laws as w
-from benchmarks.second_world.machines import Machine, Nuisance, truth
+from benchmarks.world import laws as w
+from benchmarks.world.machines import Machine, Nuisance, truth
 
 LEAD = 0.15  # s that a run goes on before its log begins; more than any lateness drawn
 GRID = 0.002  # s between the corners of a smooth command: 1/20 of the shortest bump
@@ -56,47 +57,25 @@ class Plan:
     interpolation: str
 
 
-def inputs(run: Run, late: np.ndarray | float = 0.0, lag: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Knots (k,) and what is commanded between them (k - 1, 2), corners `late` by their own delays and readings older
-    by `lag`."""
-    times = np.maximum.accumulate(run.times + late)
-    knots = np.unique(np.concatenate([[0.0], times[times > 0], run.stamps - lag]))
-    moved = replace(run, times=times)
-    if run.held:
-        value = moved.at(knots[:-1])
-        return knots, np.stack([value, value], 1)
-    value = moved.at(knots)
-    return knots, np.stack([value[:-1], value[1:]], 1)
-
-
 def simulate(
-    p: np.ndarray,
-    run: Run,
-    late: np.ndarray | float = 0.0,
-    lag: float = 0.0,
-    longest: float = 1e-4,
-    asked: bool = False,
+    p: np.ndarray, run: Run, late: np.ndarray | float = 0.0, longest: float = 1e-4, commanded: bool = False
 ) -> np.ndarray:
-    """(n, 5) states of the real machine at the run's rows. Efforts that are `asked` of an actuator pass through its
-    gain, and are late; those from outside do neither."""
-    knots, drive = inputs(run, late if asked or run.role == "q_command" else 0.0, lag)
-    p = p.copy()
+    """(n, 5) states of the real machine at the run's rows. Corners of commands are `late` by their own delays, readings
+    older by what `p` has. Efforts that are `commanded` of an actuator pass through its gain, and are late; those from
+    outside do neither."""
+    driven = run.role == "q_command"
+    times = np.maximum.accumulate(run.times + (late if commanded or driven else 0.0))
+    stamps = run.stamps - p[w.LATE]
+    knots = np.unique(np.concatenate([[0.0], times[times > 0], stamps]))
+    value = replace(run, times=times).at(knots)
+    drive = np.stack([value[:-1], value[:-1] if run.held else value[1:]], 1)
+    p, (q, v), still = p.copy(), run.start, np.zeros_like(drive)
     p[w.CLOCK] = run.session
-    q, v = run.start
-    start = np.array([q, v, 0.0, q, v])
-    still = np.zeros_like(drive)
-    if run.role == "q_command":
-        states = w.integrate(p, knots, drive, still, start, longest)
-    else:
-        p[w.KP] = p[w.KD] = 0.0  # the drive is off
-        states = w.integrate(p, knots, still, drive * (p[w.GAIN] if asked else 1.0), start, longest)
-    return states[np.searchsorted(knots, run.stamps - lag)]
-
-
-def _rows(rate: float, seconds: float, rng: np.random.Generator) -> np.ndarray:
-    """Stamps whose steps vary as those of a real servo's log do: 3.5 to 6 ms about 4.5 (facts, section 6)."""
-    steps = rng.uniform(0.78, 1.33, int(seconds * rate)) / rate
-    return LEAD + np.cumsum(steps / steps.mean()) / rate - steps[0]
+    if not driven:  # the drive is off
+        p[w.KP] = p[w.KD] = 0.0
+        drive, still = still, drive * (p[w.GAIN] if commanded else 1.0)
+    states = w.integrate(p, knots, drive, still, np.array([q, v, 0.0, q, v]), longest)
+    return states[np.searchsorted(knots, stamps)]
 
 
 def _bumps(seconds: float, width: float, rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
@@ -109,14 +88,8 @@ def _bumps(seconds: float, width: float, rng: np.random.Generator, t: np.ndarray
     return out
 
 
-def _sway(omega: float, rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
-    """A push to and fro from rest without a mean speed, off resonance."""
-    a, b = omega * rng.uniform(0.35, 0.6), omega * rng.uniform(1.6, 2.4)
-    return 0.6 * np.cos(a * (t - LEAD)) + 0.4 * np.cos(b * (t - LEAD))
-
-
 def _targets(omega: float, seconds: float, rng: np.random.Generator, t: np.ndarray, kind: int) -> np.ndarray:
-    """What a servo is told, between -1 and 1: steps, a slow ramp to and fro, a sweep, a sum of sines."""
+    """What is commanded of a servo, between -1 and 1: steps, a slow ramp to and fro, a sweep, a sum of sines."""
     s = t - LEAD
     if kind == 0:
         edges = np.cumsum(rng.uniform(0.5, 1.3, 40))
@@ -129,15 +102,7 @@ def _targets(omega: float, seconds: float, rng: np.random.Generator, t: np.ndarr
     return 0.65 * np.sin(f[0] * s + rng.uniform(0, 6)) + 0.35 * np.sin(f[1] * s + rng.uniform(0, 6))
 
 
-def _rounded(values: np.ndarray, seconds: float) -> np.ndarray:
-    """Corners of a smooth command rounded off over `seconds` (straight lines between rows follow it then)."""
-    bell = np.hanning(2 * max(2, round(seconds / GRID / 2)) + 1)[1:-1]
-    wide = np.pad(values, len(bell) // 2, mode="edge")
-    return np.convolve(wide, bell / bell.sum(), mode="valid")
-
-
-@dataclass(frozen=True)
-class _Sketch:
+class _Sketch(NamedTuple):
     """A run before its times are drawn: start, role, size of what is commanded and its shape."""
 
     start: tuple[float, float]
@@ -158,44 +123,32 @@ def _sketches(name: str, machine: Machine, n: int, rng: np.random.Generator) -> 
         wide = rng.uniform(0.25, 0.8, n)
         out = [_Sketch((float(rng.uniform(-0.1, 0.1)), 0.0), "q_command", a, i % 4) for i, a in enumerate(wide)]
         if name == "and pushed":  # the drive is off then, so the arm swings
-            out[-3:] = [
-                _Sketch((s * rng.uniform(0, 0.5), 0.0), "effort", unit * rng.uniform(0.2, 0.4), 4) for s in sign[-3:]
-            ]
+            for k in (-3, -2, -1):
+                out[k] = _Sketch((sign[k] * rng.uniform(0, 0.5), 0.0), "effort", unit * rng.uniform(0.2, 0.4), 4)
         return out
     if kind == "pendulum":
         free = n if name == "free" else n - int(rng.integers(2, 4))
         wide = np.geomspace(rng.uniform(0.12, 0.25), rng.uniform(1.2, 2.2), free) * sign[:free]
         out = [_Sketch((float(a), 0.0)) for a in rng.permutation(wide)]
-        out += [
-            _Sketch((s * rng.uniform(0, 0.3), 0.0), "effort", unit * rng.uniform(0.2, 0.45), 4 + i % 2)
-            for i, s in enumerate(sign[free:])
-        ]
+        for i, s in enumerate(sign[free:]):
+            out.append(_Sketch((s * rng.uniform(0, 0.3), 0.0), "effort", unit * rng.uniform(0.2, 0.45), 4 + i % 2))
         return out
     if kind == "lid":
-        drops = n - 1
-        out = [_Sketch((float(a), 0.0)) for a in rng.permutation(np.linspace(0.25, rng.uniform(1.0, 1.4), drops))]
+        out = [_Sketch((float(a), 0.0)) for a in rng.permutation(np.linspace(0.25, rng.uniform(1.0, 1.4), n - 1))]
         return [*out, _Sketch((0.3, 0.0), "effort", machine.weight * rng.uniform(1.0, 1.5), 6)]
     reach = 0.45 if machine.slides else 1.2
     swing = reach * machine.omega**2 * (1.0 if machine.slides else 0.25) * machine.inertia
     out = []
     for i, s in enumerate(sign):
-        if name == "caught":
-            out.append(
-                _Sketch((0.0, 0.0), "effort", swing * rng.uniform(0.6, 1.2), 6)
-                if i % 2
-                else _Sketch((0.6 * reach, -rng.uniform(0.3, 0.9)), "free")
-            )
+        if name == "caught" and i % 2:
+            out.append(_Sketch((0.0, 0.0), "effort", swing * rng.uniform(0.6, 1.2), 6))
+        elif name == "caught":
+            out.append(_Sketch((0.6 * reach, -rng.uniform(0.3, 0.9))))
         elif i % 2 and not machine.slope:
-            out.append(_Sketch((-s * 0.5 * reach, s * rng.uniform(0.15, 0.7) * reach), "free"))
+            out.append(_Sketch((-s * 0.5 * reach, s * rng.uniform(0.15, 0.7) * reach)))
         else:
-            out.append(
-                _Sketch(
-                    (float(rng.uniform(-0.2, 0.2)) * reach, 0.0),
-                    "effort",
-                    swing * rng.uniform(0.3, 0.8),
-                    5 + int(rng.integers(2)),
-                )
-            )
+            start = (float(rng.uniform(-0.2, 0.2)) * reach, 0.0)
+            out.append(_Sketch(start, "effort", swing * rng.uniform(0.3, 0.8), 5 + int(rng.integers(2))))
     return out
 
 
@@ -204,61 +157,56 @@ def _command(sketch: _Sketch, machine: Machine, seconds: float, rng: np.random.G
         return np.zeros_like(t)
     if sketch.role == "q_command":
         return sketch.size * _targets(machine.omega, seconds, rng, t, sketch.shape)
-    if sketch.shape == 5:
-        value = sketch.size * _sway(machine.omega, rng, t)
+    if sketch.shape == 5:  # to and fro from rest without a mean speed, off resonance
+        a, b = machine.omega * rng.uniform(0.35, 0.6), machine.omega * rng.uniform(1.6, 2.4)
+        value = sketch.size * (0.6 * np.cos(a * (t - LEAD)) + 0.4 * np.cos(b * (t - LEAD)))
     else:
         value = sketch.size * _bumps(seconds, max(0.12, 2.0 / machine.omega), rng, t)
-    return value - (
-        machine.mass * 9.81 * math.sin(machine.slope) if machine.slides else 0.0
-    )  # what holds a slide on its slope
+    return value - (machine.weight if machine.slides else 0.0)  # what holds a slide on its slope
 
 
 def draw_plan(name: str, machine: Machine, rng: np.random.Generator) -> Plan:
     """A session by protocol `name`: `usual`, `free` (nothing pushes), `and pushed` (an arm, its drive off), `caught` (a
     door at its catch), `asked` (efforts are an actuator's, not a hand's) or `still`."""
-    n = int(rng.integers(6, 11))
-    rate = float(rng.uniform(50, 250))
-    held = bool(rng.random() < 0.5)
+    n, rate, held = int(rng.integers(6, 11)), float(rng.uniform(50, 250)), bool(rng.random() < 0.5)
     brief = {"lid": (3.0, 4.0), "door": (3.0, 6.0), "drawer": (3.0, 4.5)}.get(machine.kind, (5.0, 15.0))
     empty = bool(held or rng.random() < 0.5)  # lost readings are empty cells, or rows that are not there
     sure = rng.random() < 0.5
-    told = ("held" if sure else "unknown") if held else ("linear" if sure and rate > 100 else "unknown")
+    between = ("held" if held else "linear") if sure and (held or rate > 100) else "unknown"
     runs: list[Run] = []
     session = 0.0
     for i, sketch in enumerate(_sketches(name, machine, n, rng)):
         seconds = float(rng.uniform(*brief))
-        stamps = _rows(rate, seconds, rng)
+        steps = rng.uniform(0.78, 1.33, int(seconds * rate)) / rate  # as those of a servo's log (facts, section 6)
+        stamps = LEAD + np.cumsum(steps / steps.mean()) / rate - steps[0]
         lost = rng.random(len(stamps)) < rng.uniform(0.005, 0.03)
         lost[:2] = lost[-2:] = False
-        if held:
-            times = np.concatenate([[0.0], stamps[:: int(rng.integers(1, 3))]])
-        else:
-            times = np.arange(0.0, stamps[-1] + 2 * GRID, GRID)
+        smooth = np.arange(0.0, stamps[-1] + 2 * GRID, GRID)
+        times = np.concatenate([[0.0], stamps[:: int(rng.integers(1, 3))]]) if held else smooth
         values = _command(sketch, machine, seconds, rng, times)
-        values = np.round(values if held else _rounded(values, 6 / rate), 6)
+        if not held:  # corners rounded off over six rows: straight lines between rows follow it then
+            bell = np.hanning(2 * max(2, round(6 / rate / GRID / 2)) + 1)[1:-1]
+            values = np.convolve(np.pad(values, len(bell) // 2, mode="edge"), bell / bell.sum(), mode="valid")
+        values = np.round(values, 6)
         if held:
             values[0] = values[1]
-        run = Run(stamps, sketch.start, sketch.role, times, values, held, lost, session, held_out=i % 4 == 2)
-        run = _tamed(run, machine)
+        run = _tame(Run(stamps, sketch.start, sketch.role, times, values, held, lost, session, i % 4 == 2), machine)
         if not empty:
-            kept = ~run.lost
-            run = replace(run, stamps=run.stamps[kept], lost=run.lost[kept])
+            run = replace(run, stamps=run.stamps[~lost], lost=lost[~lost])
         runs.append(run)
         session += seconds + float(rng.uniform(5, 20))
     roles = {run.role for run in runs}
-    return Plan(
-        tuple(runs), rate, "effort" in roles, "q_command" in roles, "commanded" if name == "asked" else "external", told
-    )
+    effort_kind = "commanded" if name == "asked" else "external"
+    return Plan(tuple(runs), rate, "effort" in roles, "q_command" in roles, effort_kind, between)
 
 
-def _tamed(run: Run, machine: Machine) -> Run:
-    """The push made gentler until the machine as told stays off its stops and off the top; a lid may fall on its
-    stop."""
+def _tame(run: Run, machine: Machine) -> Run:
+    """The push made gentler until the machine as given stays off the top and its stops; a lid may fall on its stop."""
     if run.role != "effort":
         return run
     p = truth(machine, Nuisance())
     p[w.LOW], p[w.HIGH] = (-1e9 if machine.kind != "lid" else machine.low), 1e9
-    rest = -machine.mass * 9.81 * math.sin(machine.slope) if machine.slides else 0.0
+    rest = -machine.weight if machine.slides else 0.0
     far = {"pendulum": FAR, "arm": FAR, "lid": 1.8}.get(machine.kind, 0.8 * machine.high)
     for _ in range(20):
         if np.abs(simulate(p, run, longest=5e-4)[:, 0]).max() < far:

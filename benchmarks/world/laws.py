@@ -5,93 +5,50 @@ behind play). All numbers are SI and float64. Formulas differ on purpose from pl
 LuGre (Canudas de Wit et al. 1995), oil is a power |v|^p, a stop gives way as Hunt and Crossley's (1975), springs
 harden.
 
-Classical Runge-Kutta of order 4 at a fixed small step; steps end at every change of a command, and where the joint
-meets a stop or a catch, at the instant found by bisection. `tests/test_second_world.py` holds it to scipy's solve_ivp
-and to MuJoCo.
+Runge-Kutta of order 4 at a fixed small step; steps end at every change of a command, and where the joint meets a stop
+or a catch, at the instant found by bisection. `tests/test_world.py` holds it to scipy's solve_ivp and to MuJoCo.
 """
 
 from __future__ import annotations
 
 import math
-from enum import IntEnum
 
 import numba
 import numpy as np
 
-
-class P(IntEnum):
-    """Places in the vector of parameters; what is 0 does not act, save where it is said."""
-
-    M = 0  # inertia that moves with the joint, kg m^2 or kg, armature included
-    GA = 1  # gravity's torque GA cos q + GB sin q + GC, N m or N
-    GB = 2
-    GC = 3
-    OIL = 4  # OIL |v|^OIL_P, N m (s/rad)^p
-    OIL_P = 5
-    AIR = 6  # AIR |v|^AIR_P
-    AIR_P = 7
-    TRAVEL = 8  # LuGre's pre-sliding travel, rad: bristles are DRY / TRAVEL stiff; 0: no dry friction
-    BRISTLE_D = 9  # their damping at rest, N m s/rad
-    DRY = 10  # sliding friction, N m; with LOAD its share of the bearing's load, m (or 1 for a slide)
-    STICK = 11  # friction that has to be broken, over sliding friction; at least 1
-    STICK_V = 12  # Stribeck velocity, rad/s
-    LEAN = 13  # dry friction is (1 + LEAN) forwards and (1 - LEAN) backwards
-    LOAD = 14  # 1: dry friction is a share of what the bearing carries
-    MASS = 15  # kg
-    LEVER = 16  # distance of the centre of mass to the axis, m
-    AXIAL = 17  # load along the axis (or across the slide), N
-    SPRING = 18  # N m/rad
-    SPRING_Q = 19
-    HARDEN = 20  # share by which the spring is stiffer per unit of squared deflection
-    NOTCH = 21  # largest force of a notch, N m
-    NOTCH_Q = 22
-    NOTCH_W = 23
-    COG = 24  # amplitude of cogging
-    COG_N = 25
-    COG_PHASE = 26
-    CABLE = 27  # CABLE (q - CABLE_Q)^1.7 beyond CABLE_Q
-    CABLE_Q = 28
-    MAGNET = 29  # depth of a magnet's well, J
-    MAGNET_Q = 30
-    MAGNET_W = 31
-    KP = 32  # the position drive
-    KD = 33
-    GAIN = 34  # of the drive and of commanded efforts; 1 is a true one
-    ROTOR = 35  # inertia of a rotor that the drive turns, when it does not sit on the joint; 0: it does
-    BELT = 36  # stiffness between rotor and joint
-    BELT_D = 37
-    PLAY = 38  # free travel between them, from end to end; below 0 none, the belt holds both ways
-    LOW = 39
-    HIGH = 40
-    STOP_K = 41  # Hunt-Crossley stiffness N m/rad^1.5; 0: a dead stop, as simulators have it
-    STOP_C = 42  # its loss, s/rad
-    CATCH = 43  # force of a catch at LOW
-    CATCH_IN = 44  # it snaps nearer than this to LOW
-    CATCH_OUT = 45  # and lets go further off than that
-    CLOCK = 46  # session time at the run's start, s
-    WARM = 47  # dry friction times 1 + WARM exp(-session time / WARM_S)
-    WARM_S = 48
-    SWAY = 49  # oil times 1 + SWAY sin(2 pi session time / SWAY_S)
-    SWAY_S = 50
-
-
-SIZE = len(P)
-M, GA, GB, GC, OIL, OIL_P, AIR, AIR_P = (int(x) for x in list(P)[0:8])
-TRAVEL, BRISTLE_D, DRY, STICK, STICK_V, LEAN, LOAD, MASS, LEVER, AXIAL = (int(x) for x in list(P)[8:18])
-SPRING, SPRING_Q, HARDEN, NOTCH, NOTCH_Q, NOTCH_W, COG, COG_N, COG_PHASE = (int(x) for x in list(P)[18:27])
-CABLE, CABLE_Q, MAGNET, MAGNET_Q, MAGNET_W, KP, KD, GAIN = (int(x) for x in list(P)[27:35])
-ROTOR, BELT, BELT_D, PLAY, LOW, HIGH, STOP_K, STOP_C = (int(x) for x in list(P)[35:43])
-CATCH, CATCH_IN, CATCH_OUT, CLOCK, WARM, WARM_S, SWAY, SWAY_S = (int(x) for x in list(P)[43:51])
+# Places in the vector of parameters. What is 0 does not act, unless stated otherwise.
+M, GA, GB, GC = range(4)  # moving inertia, kg m^2 or kg, armature included; torque GA cos q + GB sin q + GC, N m or N
+OIL, OIL_P, AIR, AIR_P = range(4, 8)  # OIL |v|^OIL_P + AIR |v|^AIR_P
+TRAVEL, BRISTLE_D = 8, 9  # LuGre's pre-sliding travel, rad: bristles are DRY / TRAVEL stiff; their damping at rest
+DRY, STICK, STICK_V = range(10, 13)  # sliding friction, N m; breakaway over sliding, >= 1; Stribeck velocity, rad/s
+LEAN = 13  # dry friction is (1 + LEAN) forwards and (1 - LEAN) backwards
+LOAD, MASS, LEVER, AXIAL = range(14, 18)  # 1: DRY is a share of the bearing's load, m; kg; m to the mass; N along axis
+SPRING, SPRING_Q, HARDEN = range(18, 21)  # N m/rad; rad; share of stiffness a unit of squared deflection adds
+NOTCH, NOTCH_Q, NOTCH_W = range(21, 24)  # largest force of a notch, N m; its place and width
+COG, COG_N, COG_PHASE = range(24, 27)  # cogging: amplitude, periods a turn, phase
+CABLE, CABLE_Q = 27, 28  # CABLE (q - CABLE_Q)^1.7 beyond CABLE_Q
+MAGNET, MAGNET_Q, MAGNET_W = range(29, 32)  # depth of a magnet's well, J; its place and width
+KP, KD, GAIN = range(32, 35)  # the position drive; gain of it and of commanded efforts, 1 is a true one
+ROTOR, BELT, BELT_D = range(35, 38)  # inertia of a rotor off the joint (0: it sits on it); stiffness, damping between
+PLAY = 38  # free travel between rotor and joint, from end to end; below 0 none, the belt holds both ways
+LOW, HIGH, STOP_K, STOP_C = range(39, 43)  # stops; Hunt-Crossley N m/rad^1.5 (0: a dead stop) and loss, s/rad
+CATCH, CATCH_IN, CATCH_OUT = range(43, 46)  # force of a catch at LOW; it snaps nearer than IN, lets go beyond OUT
+CLOCK, WARM, WARM_S = range(46, 49)  # session time at the run's start, s; dry friction x 1 + WARM exp(-time / WARM_S)
+SWAY, SWAY_S = 49, 50  # oil x 1 + SWAY sin(2 pi time / SWAY_S)
+STRETCH, ZERO, LATE, DELAY = range(51, 55)  # reading = STRETCH q + ZERO, s behind its stamp; commands arrive s late
 
 
 def parameters() -> np.ndarray:
-    """A vector in which nothing acts: unit inertia, no stops."""
-    p = np.zeros(SIZE)
-    p[[M, OIL_P, GAIN, STICK, STICK_V, NOTCH_W, MAGNET_W, WARM_S, SWAY_S, MASS, LEVER]] = 1.0
-    p[AIR_P] = 2.0
-    p[PLAY] = -1.0
-    p[LOW], p[HIGH] = -1e9, 1e9
+    """A vector in which nothing acts: unit inertia, no stops, a true encoder."""
+    p = np.zeros(DELAY + 1)
+    p[[M, OIL_P, GAIN, STICK, STICK_V, NOTCH_W, MAGNET_W, WARM_S, SWAY_S, MASS, LEVER, STRETCH]] = 1.0
+    p[[AIR_P, PLAY, LOW, HIGH]] = 2.0, -1.0, -1e9, 1e9
     return p
+
+
+def longest_step(p: np.ndarray) -> float:
+    """s: finer where bristles, teeth or a stop are quick. Halving it moves nothing by a tenth of a quantum (tests)."""
+    return 5e-5 if p[TRAVEL] > 0 or p[ROTOR] > 0 or p[STOP_K] > 0 else 1e-4
 
 
 @numba.njit(cache=True)
@@ -109,9 +66,7 @@ def _level(p, q, v, pull):
 @numba.njit(cache=True)
 def _push_of_stop(p, depth, speed):
     """Hunt-Crossley: depth into the stop and its rate; a stop never pulls."""
-    if depth <= 0.0:
-        return 0.0
-    return max(0.0, p[STOP_K] * depth**1.5 * (1.0 + p[STOP_C] * speed))
+    return max(0.0, p[STOP_K] * depth**1.5 * (1.0 + p[STOP_C] * speed)) if depth > 0.0 else 0.0
 
 
 @numba.njit(cache=True)
@@ -176,8 +131,16 @@ def _rates(p, t, y, command, effort, caught):
 
 
 @numba.njit(cache=True)
-def _step(p, t, h, y, c0, c1, e0, e1, caught, out):
-    """One Runge-Kutta step of length h; command and effort go straight from c0, e0 to c1, e1."""
+def _line(a, k, r):
+    """What goes straight from a[k, 0] to a[k, 1], at share r of the way."""
+    return a[k, 0] + (a[k, 1] - a[k, 0]) * r
+
+
+@numba.njit(cache=True)
+def _step(p, knots, k, t, h, y, command, effort, caught, out):
+    """One Runge-Kutta step of length h from t, which lies between knots k and k + 1."""
+    r0, r1 = (t - knots[k]) / (knots[k + 1] - knots[k]), (t + h - knots[k]) / (knots[k + 1] - knots[k])
+    c0, c1, e0, e1 = _line(command, k, r0), _line(command, k, r1), _line(effort, k, r0), _line(effort, k, r1)
     w = np.empty(5)
     a = _rates(p, t, y, c0, e0, caught)
     for i in range(5):
@@ -211,42 +174,29 @@ def _beyond(p, y, caught, resting):
 
 @numba.njit(cache=True)
 def integrate(p, knots, command, effort, start, longest):
-    """States (n, 5) at `knots` (n,), s. Between knots i and i + 1 command and effort go straight from [i, 0] to [i,
-    1]."""
-    n = len(knots)
-    states = np.empty((n, 5))
-    y = start.copy()
-    new = np.empty(5)
+    """States (n, 5) at `knots` (n,), s. From knot i to i + 1 command and effort go straight from [i, 0] to [i, 1]."""
+    states, y, new = np.empty((len(knots), 5)), start.copy(), np.empty(5)
     caught = p[CATCH] > 0.0 and y[0] - p[LOW] < p[CATCH_IN]
     resting = 0  # 1 at LOW, 2 at HIGH: a dead stop carries it
     states[0] = y
-    for k in range(n - 1):
-        t, end = knots[k], knots[k + 1]
-        span = end - t
-        if span <= 0.0:
-            states[k + 1] = y
-            continue
-        steps = math.ceil(span / longest)
+    for k in range(len(knots) - 1):
+        t, span = knots[k], knots[k + 1] - knots[k]
+        steps = math.ceil(span / longest) if span > 0.0 else 0
         for s in range(steps):
             left = t + span * (s + 1) / steps - (t + span * s / steps)
             now = t + span * s / steps
             events = 0
             while left > 0.0:
-                r0, r1 = (now - t) / span, (now + left - t) / span
-                c0 = command[k, 0] + (command[k, 1] - command[k, 0]) * r0
-                c1 = command[k, 0] + (command[k, 1] - command[k, 0]) * r1
-                e0 = effort[k, 0] + (effort[k, 1] - effort[k, 0]) * r0
-                e1 = effort[k, 0] + (effort[k, 1] - effort[k, 0]) * r1
                 if resting != 0:
-                    push = _rates(p, now, y, c0, e0, caught)[1]
+                    r = (now - t) / span
+                    push = _rates(p, now, y, _line(command, k, r), _line(effort, k, r), caught)[1]
                     if (resting == 1 and push <= 0.0) or (resting == 2 and push >= 0.0):
-                        if p[ROTOR] == 0.0:
-                            break  # it stays for this step
-                        _step(p, now, left, y, c0, c1, e0, e1, caught, new)
-                        y[3], y[4] = new[3], new[4]
+                        if p[ROTOR] != 0.0:  # the rotor moves on, the joint stays for this step
+                            _step(p, knots, k, now, left, y, command, effort, caught, new)
+                            y[3], y[4] = new[3], new[4]
                         break
                     resting = 0
-                _step(p, now, left, y, c0, c1, e0, e1, caught, new)
+                _step(p, knots, k, now, left, y, command, effort, caught, new)
                 event = _beyond(p, new, caught, resting)
                 if event == 0 or events > 20:
                     y[:] = new
@@ -254,38 +204,20 @@ def integrate(p, knots, command, effort, start, longest):
                 low, high = 0.0, left  # the event lies between them
                 for _ in range(40):
                     half = 0.5 * (low + high)
-                    rh = (now + half - t) / span
-                    ch = command[k, 0] + (command[k, 1] - command[k, 0]) * rh
-                    eh = effort[k, 0] + (effort[k, 1] - effort[k, 0]) * rh
-                    _step(p, now, half, y, c0, ch, e0, eh, caught, new)
+                    _step(p, knots, k, now, half, y, command, effort, caught, new)
                     if _beyond(p, new, caught, resting) == 0:
                         low = half
                     else:
                         high = half
-                rh = (now + high - t) / span
-                ch = command[k, 0] + (command[k, 1] - command[k, 0]) * rh
-                eh = effort[k, 0] + (effort[k, 1] - effort[k, 0]) * rh
-                _step(p, now, high, y, c0, ch, e0, eh, caught, new)
+                _step(p, knots, k, now, high, y, command, effort, caught, new)
                 event = _beyond(p, new, caught, resting)
                 y[:] = new
-                if event == 1:
-                    y[0], y[1], resting = p[LOW], 0.0, 1
-                elif event == 2:
-                    y[0], y[1], resting = p[HIGH], 0.0, 2
-                elif event == 3:
-                    caught = True
-                elif event == 4:
-                    caught = False
+                if event == 1 or event == 2:
+                    y[0], y[1], resting = p[LOW] if event == 1 else p[HIGH], 0.0, event
+                elif event != 0:
+                    caught = event == 3
                 events += 1
                 now += high
                 left -= high
         states[k + 1] = y
     return states
-
-
-def energy(p: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """(n,) J: kinetic, gravity's and a plain spring's; what is conserved where nothing else acts."""
-    q, v = states[:, 0], states[:, 1]
-    d = q - p[SPRING_Q]
-    fall = -p[GA] * np.sin(q) + p[GB] * np.cos(q) - p[GC] * q
-    return 0.5 * p[M] * v**2 + fall + p[SPRING] * (0.5 * d**2 + 0.25 * p[HARDEN] * d**4)

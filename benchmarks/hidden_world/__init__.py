@@ -1,1 +1,0 @@
-"""A world of its own that makes measured data with hidden effects: it imports nothing of the product, and no SAPIEN."""
