@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from export.inertia import Inertial
-from freeart21.effects import CoulombFriction, Effect, ViscousDamping
+from freeart21.effects import Effect, effects_from_urdf_dynamics
 from freeart21.joint import Joint
 
 Dynamics = Literal["guessed", "none"]
@@ -39,4 +39,4 @@ def guessed_effects(joint: Joint, child: Inertial) -> tuple[Effect, ...]:
         arm = arm - axis * (axis @ arm)
         inertia = float(axis @ child.inertia @ axis) + child.mass * float(arm @ arm)
         weight = child.mass * GRAVITY * float(np.linalg.norm(arm))
-    return (ViscousDamping(inertia / SETTLE_S), CoulombFriction(HOLD * weight))
+    return effects_from_urdf_dynamics(inertia / SETTLE_S, HOLD * weight)

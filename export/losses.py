@@ -51,14 +51,22 @@ class Column:
 
 
 _FILES = {"canonical": "**lost**: it stands in asset.json"}
+
+
+def _played(**words: str) -> dict[str, str]:
+    """What becomes of the effects that a format or an engine has as a number of a joint, by `Effect.joint_word`."""
+    return {name: words[kind.joint_word] for name, kind in EFFECTS.items() if kind.joint_word in words}
+
+
 _URDF_EFFECTS = {name: KEPT for name, kind in EFFECTS.items() if kind.urdf_dynamics is not Effect.urdf_dynamics}
 _MJCF_EFFECTS = {name: KEPT for name, kind in EFFECTS.items() if kind.mjcf_joint is not Effect.mjcf_joint}
-_USD_EFFECTS = {
-    "viscous_damping": "kept: drive",
-    "return_spring": "kept: drive",
-    "coulomb_friction": "PhysX 5.6's and Newton's names, which UsdPhysics lacks",
-    "armature": "PhysX's and Newton's names, which UsdPhysics lacks",
-}
+_USD_EFFECTS = _played(
+    damping="kept: drive",
+    stiffness="kept: drive",
+    friction="PhysX 5.6's and Newton's names, which UsdPhysics lacks",
+    armature="PhysX's and Newton's names, which UsdPhysics lacks",
+)
+_SOFT_FRICTION = _played(friction="kept, softly: a joint that it holds creeps")
 
 FORMATS = (
     Column("URDF", "object.urdf", _FILES | _URDF_EFFECTS | {"parts": "**lost**: engines decide"}),
@@ -78,8 +86,7 @@ ENGINES = (
             "effort": "**lost**: give it to your drive as force_limit",
             "velocity": LOADER,
             "own": "0.05 1/s of damping a link, friction of 0.05 of the load, sleep; the loader takes them away",
-            "viscous_damping": KEPT,
-            **dict.fromkeys(("coulomb_friction", "armature", "return_spring"), LOADER),
+            **_played(damping=KEPT, friction=LOADER, armature=LOADER, stiffness=LOADER),
         },
         notes=("Its loader's friction is set for the scene's time step as it is when the asset is loaded.",),
     ),
@@ -90,7 +97,7 @@ ENGINES = (
             "limits": "soft: a stop that is met at 2.5 m/s gives by 13 mm",
             "velocity": LOST,
             **_MJCF_EFFECTS,
-            "coulomb_friction": "kept, softly: a joint that it holds creeps",
+            **_SOFT_FRICTION,
         },
     ),
     Column(
@@ -102,7 +109,7 @@ ENGINES = (
             "texture": LOST,
             "parts": "**lost**: a part that stands in the world touches the other",
             **_URDF_EFFECTS,
-            "coulomb_friction": "kept, softly: a joint that it holds creeps",
+            **_SOFT_FRICTION,
         },
     ),
     Column(
@@ -112,8 +119,7 @@ ENGINES = (
             "effort": "a number that nothing keeps",
             "velocity": LOADER,
             "own": "0.04 1/s of damping a link, a motor that holds every joint; the loader takes them away",
-            "viscous_damping": KEPT,
-            "coulomb_friction": LOADER,
+            **_played(damping=KEPT, friction=LOADER),
         },
         notes=("Its loader makes the joint's motor its friction: it can do nothing else then.",),
     ),
@@ -123,19 +129,14 @@ ENGINES = (
         {
             "effort": "**lost** without a transmission",
             "velocity": "a number that nothing keeps",
-            "viscous_damping": KEPT,
-            **dict.fromkeys(("coulomb_friction", "armature", "return_spring"), LOADER),
+            **_played(damping=KEPT, friction=LOADER, armature=LOADER, stiffness=LOADER),
         },
         notes=("Its loader's friction acts in discrete plants only, and takes `connect` after `load`.",),
     ),
     Column(
         "Isaac Sim 5, Isaac Lab",
         "object.usdc",
-        {
-            **_USD_EFFECTS,
-            "coulomb_friction": "kept: staticFrictionEffort, dynamicFrictionEffort",
-            "armature": KEPT,
-        },
+        _USD_EFFECTS | _played(friction="kept: staticFrictionEffort, dynamicFrictionEffort", armature=KEPT),
         seen=False,
         notes=(
             "Isaac's URDF importer drops friction; before Isaac Sim 5 friction is a coefficient of the joint's load, "
@@ -146,7 +147,7 @@ ENGINES = (
     Column(
         "Newton",
         "object.usdc",
-        {**_USD_EFFECTS, "coulomb_friction": "kept: newton:friction", "armature": KEPT},
+        _USD_EFFECTS | _played(friction="kept: newton:friction", armature=KEPT),
         seen=False,
         notes=("Its MuJoCo solver plays damping and friction of the URDF as they are (measured with 1.8.0).",),
     ),

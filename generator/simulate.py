@@ -27,10 +27,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from freeart21 import se3
 from freeart21.asset import Asset
-from freeart21.effects.armature import Armature, thrown
-from freeart21.effects.backlash import Backlash
-from freeart21.effects.base import Effect, readings
+from freeart21.effects.base import Effect, readings, strongest_rotor
 from freeart21.errors import FreeArtError
+from freeart21.events import drive_rebound, meet_part, part_at_limit, touching_side
 from freeart21.files.asset import movable_joint
 from freeart21.files.urdf import UrdfJoint, links_beyond, parsed, read_urdf_joints
 from freeart21.files.urdf_files import named_file
@@ -88,7 +87,7 @@ class SimulatedAsset:
         self._forces: list[tuple[Any, tuple[float, ...]]] = []
         self._dampers: list[tuple[Any, tuple[float, ...]]] = []
         self._recalls: list[tuple[int, Any, tuple[float, ...]]] = []
-        self._slack: Backlash | None = None
+        self._slack: Effect | None = None
         self._actuator: Actuator | None = None
         self._sway: Sway | None = None
         q = float(np.clip(0.0, joint.lower, joint.upper))
@@ -128,9 +127,9 @@ class SimulatedAsset:
         where = f"{self.asset.urdf} joint '{self.asset.joint}'"
         for effect in effects:
             effect.check_joint_type(self.world_joint.type, where)
-        slacks = [e for e in effects if isinstance(e, Backlash)]
+        slacks = [e for e in effects if e.acts == "slack"]
         if len(slacks) > 1:
-            raise FreeArtError(f"{where} has {len(slacks)} effects 'backlash', expected at most one")
+            raise FreeArtError(f"{where} has {len(slacks)} effects '{slacks[0].name}', expected at most one")
         self.effects = effects
         self._forces = [(e.law, e.values()) for e in effects if e.acts == "force"]
         forces = [e for e in effects if e.acts == "force"]
@@ -140,8 +139,6 @@ class SimulatedAsset:
         self._drives = [(e.law, e.values(), e.geared) for e in effects if e.acts == "drive"]
         self._needs_load = any(e.needs_load for e in effects)
         self._stops = [e for e in effects if e.acts == "stop"]
-        shafts = [e for e in effects if isinstance(e, Armature)]
-        self._shaft = max(shafts, key=lambda e: e.throw_back * e.value, default=None)
         self._poses = [e for e in effects if e.acts == "pose"]
         self._gain = float(np.prod([e.gain() for e in effects]))
         self._delay = float(np.sum([e.delay() for e in effects if e.acts == "command"]))
@@ -149,7 +146,8 @@ class SimulatedAsset:
         added = float(np.sum([e.inertia() for e in effects]))
         self._slack = slacks[0] if slacks else None
         self._inertia = self.joint_inertia + (0.0 if self._slack else added)
-        self._drive_inertia = self._slack.drive_inertia + added if self._slack else 0.0
+        self._rotor = self._slack.rotor() if self._slack else strongest_rotor(effects)
+        self._drive_inertia = self._rotor.inertia + added if self._slack else 0.0
         self._joint.set_drive_properties(stiffness=0.0, damping=0.0, force_limit=0.0, mode="force")
         self._joint.set_drive_velocity_target(0.0)
         self._joint.set_armature(np.zeros(1, np.float32))
@@ -290,7 +288,7 @@ class SimulatedAsset:
         self._qdd, self._struck = (qd - qd0) / h, 0.0
         self._q, self._qd = self._moved(q0, qd0, h, low, high, force(t) if force else 0.0)
         if self._slack:
-            self._move_drive_side(self._slack, self._middle, qd0, t, h)
+            self._move_drive_side(self._slack.slack(), self._middle, qd0, t, h)
         if self._qd != qd:
             self.articulation.set_qvel(np.array([self._qd], np.float32))
         self.time_s += h
@@ -333,15 +331,14 @@ class SimulatedAsset:
         self, limit: float, towards: float, speed: float, t: float, push: float
     ) -> tuple[float, float, float]:
         """Seconds at the limit, and speed and acceleration after them, of a part whose drive takes it back."""
-        shaft = self._shaft
-        if shaft is None or not shaft.throw_back or self._slack:
+        rotor = self._rotor
+        if not rotor.throw_back or self._slack:
             return 0.0, 0.0, 0.0
         pull = float(self.mechanics.gravity_force(limit)) + self._effect_force(limit, 0.0) + push
         pull += self._sway(limit, t) if self._sway else 0.0
         given = self._actuator_force(limit, 0.0, t)
         drive, press = towards * given, towards * pull + self._friction(limit, 0.0, abs(given - pull))
-        links = self._inertia - shaft.value
-        stays, taken = thrown(speed, press, drive, links, shaft.value, shaft.throw_back, shaft.swing)
+        stays, taken = drive_rebound(speed, press, drive, self._inertia - rotor.inertia, *rotor)
         return stays, taken, towards * (drive + press) / self._inertia
 
     def _leave(self, leaving: tuple[float, float, float], h: float) -> None:
@@ -355,33 +352,29 @@ class SimulatedAsset:
         self._qd, self._leaving = speed + rest * a, None
         self.articulation.set_qvel(np.array([self._qd], np.float32))
 
-    def _move_drive_side(self, slack: Backlash, q: float, qd: float, t: float, h: float) -> None:
-        """Advance the body on the actuator's side of a slack, after the part; forces acted at `q`, `qd`, `t`.
-
-        What happens at limits is said in `Backlash`.
-        """
-        J, side, back = self._drive_inertia, self._side, slack.throw_back
-        if side and self._struck and (side * self._struck < 0 or back):
-            self._drive_q, self._side = self._q + 0.5 * side * slack.width, 0
-            self._drive_qd = self._struck if side * self._struck < 0 else -back * self._struck
-            return
+    def _move_drive_side(self, width: float, q: float, qd: float, t: float, h: float) -> None:
+        """Advance the body on the actuator's side of a slack, after the part; forces acted at `q`, `qd`, `t`."""
+        J, side, back = self._drive_inertia, self._side, self._rotor.throw_back
         if side:
-            push = self._actuator_force(q + 0.5 * side * slack.width, qd, t) - J * self._qdd
-            self._drive_q, self._drive_qd = self._q + 0.5 * side * slack.width, self._qd
+            self._drive_q, self._drive_qd = self._q + 0.5 * side * width, self._qd
+            if self._struck:
+                self._drive_qd, self._side = part_at_limit(side, self._struck, self._struck, self._qd, back)
+                if not self._side:
+                    return
+            push = self._actuator_force(q + 0.5 * side * width, qd, t) - J * self._qdd
         else:
             asked = self._actuator_force(self._drive_q + 0.5 * h * self._drive_qd, self._drive_qd, t)
             damping = self._actuator_damping(self._drive_q, self._drive_qd, t)
             before, push = self._drive_qd, 0.0
             self._drive_qd += h * asked / (J + h * damping)
             self._drive_q += 0.5 * h * (before + self._drive_qd)
-        self._side = slack.meeting(side, self._drive_q, self._drive_qd, self._q, self._qd, push, slack.width)
-        if self._side and not side and self._qd == 0.0 and self._q == (self.upper if self._side > 0 else self.lower):
-            self._drive_q, self._drive_qd = self._q + 0.5 * self._side * slack.width, -back * self._drive_qd
-            self._side = 0 if self._drive_qd else self._side
-        elif self._side and not side:
-            together = (self._inertia * self._qd + J * self._drive_qd) / (self._inertia + J)
-            self._drive_q, self._drive_qd = self._q + 0.5 * self._side * slack.width, together
-            self._qd = together
+        self._side = touching_side(side, self._drive_q, self._drive_qd, self._q, self._qd, push, width)
+        if self._side and not side:
+            held = self._qd == 0.0 and self._q == (self.upper if self._side > 0 else self.lower)
+            self._drive_q = self._q + 0.5 * self._side * width
+            self._qd, self._drive_qd, self._side = meet_part(
+                self._side, self._qd, self._drive_qd, held, self._inertia, J, back, 0.0
+            )
 
     def energy(self, q: ArrayLike, qd: ArrayLike) -> NDArray[np.float64]:
         """Joules at positions and velocities (...): kinetic, with armature, plus potential in gravity, 0 at q = 0."""
@@ -423,7 +416,7 @@ class SimulatedAsset:
         if self._slack is None:
             return self._actuator_force(q, qd, t)
         if self._side:
-            return self._actuator_force(q + 0.5 * self._side * self._slack.width, qd, t)
+            return self._actuator_force(q + 0.5 * self._side * self._slack.slack(), qd, t)
         return 0.0
 
     def _damping_slope(self, q: float, qd: float, t: float) -> float:

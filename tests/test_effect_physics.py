@@ -18,7 +18,7 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.effects.actuator_delay import ActuatorDelay
 from freeart21.effects.actuator_gain import ActuatorGain
-from freeart21.effects.armature import Armature, thrown
+from freeart21.effects.armature import Armature
 from freeart21.effects.axis_tilt import AxisTilt
 from freeart21.effects.backlash import Backlash
 from freeart21.effects.coulomb_friction import CoulombFriction
@@ -41,6 +41,7 @@ from freeart21.effects.time_offset import TimeOffset
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.effects.wobble import Wobble
 from freeart21.errors import FreeArtError
+from freeart21.events import drive_rebound
 from freeart21.files.asset import read_asset
 from freeart21.mechanics import Actuator, held
 from generator.simulate import joint_motion, load, roll_out
@@ -333,7 +334,7 @@ def test_what_a_rotor_does_at_a_limit_is_a_spring_and_a_dashpots(speed: float, p
             p, v, touched = 0.0, 0.0, i * h
     z = c / (2 * np.sqrt(k * drive))
     back = float(np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z)))
-    stays, leaves = thrown(speed, press, push, part, drive, back, float(np.sqrt(drive / k)))
+    stays, leaves = drive_rebound(speed, press, push, part, drive, back, float(np.sqrt(drive / k)))
     whole, together = part + drive, 30_000 * h - stays
     if leaves == 0.0 or together <= 0:
         assert touched > 0.05  # it stays
@@ -343,8 +344,11 @@ def test_what_a_rotor_does_at_a_limit_is_a_spring_and_a_dashpots(speed: float, p
         assert touched > stays  # pressed in again
     else:
         assert middle == pytest.approx((part * p + drive * x) / whole, abs=2e-5 + 0.01 * abs(middle))
-    assert thrown(speed, press, push, part, drive, back, 0.0) == (0.0, pytest.approx(back * speed * drive / whole))
-    assert thrown(speed, press, push, part, drive, 0.0, 0.01) == (0.0, 0.0)
+    assert drive_rebound(speed, press, push, part, drive, back, 0.0) == (
+        0.0,
+        pytest.approx(back * speed * drive / whole),
+    )
+    assert drive_rebound(speed, press, push, part, drive, 0.0, 0.01) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("timestep_s", [1e-3, 7e-3])

@@ -10,17 +10,15 @@ from pathlib import Path
 
 from export.model import WORLD
 from freeart21.asset import Asset
-from freeart21.effects.armature import Armature
-from freeart21.effects.coulomb_friction import CoulombFriction
-from freeart21.effects.return_spring import ReturnSpring
-from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.files import atomic
 from freeart21.files.urdf import read_urdf
 from freeart21.reconstruction import describe_trust
 
 FOLDER = "loaders"
-SCHEMA = "freeart21/loaders/1"
+SCHEMA = "freeart21/loaders/2"
 ENGINES = ("sapien", "mujoco", "pybullet", "drake")
+WORDS = ("damping", "friction", "armature", "stiffness")
+"""Numbers of a joint that effects say (`Effect.joint_word`)."""
 
 
 def write_loaders(folder: Path, asset: Asset) -> None:
@@ -37,9 +35,9 @@ def joint_numbers(asset: Asset) -> dict[str, object]:
     urdf = read_urdf(asset.urdf)
     joint = urdf.joints[asset.joint]
     effects = asset.effects.get(asset.joint, ())
-    springs = [effect for effect in effects if isinstance(effect, ReturnSpring)]
-    stiffness = sum(spring.stiffness for spring in springs)
-    pull = sum(spring.stiffness * spring.rest for spring in springs)
+    said = [(effect.joint_word, effect.values()) for effect in effects]
+    sizes = {word: sum(values[0] for own, values in said if own == word) for word in WORDS}
+    pull = sum(values[0] * values[1] for own, values in said if own == "stiffness")
     return {
         "schema": SCHEMA,
         "urdf": asset.urdf.name,
@@ -48,13 +46,10 @@ def joint_numbers(asset: Asset) -> dict[str, object]:
         "base_link": joint.parent,
         "joint": asset.joint,
         "type": joint.joint_type,
-        "damping": sum(effect.coefficient for effect in effects if isinstance(effect, ViscousDamping)),
-        "friction": sum(effect.level for effect in effects if isinstance(effect, CoulombFriction)),
-        "armature": sum(effect.value for effect in effects if isinstance(effect, Armature)),
-        "stiffness": stiffness,
-        "rest": pull / stiffness if stiffness else 0.0,
+        **sizes,
+        "rest": pull / sizes["stiffness"] if sizes["stiffness"] else 0.0,
         "velocity": joint.velocity,
-        "effects": sorted({effect.name for effect in effects}),
+        "effects": {effect.name: effect.joint_word for effect in sorted(effects, key=lambda effect: effect.name)},
         "trust": describe_trust(asset.trust),
     }
 

@@ -12,7 +12,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-PLAYED = {"viscous_damping", "coulomb_friction", "armature", "return_spring", "quadratic_drag"}
+PLAYED = {"damping", "friction", "armature", "stiffness", "drag"}
 
 
 def load(
@@ -35,7 +35,7 @@ def load(
         raise ValueError(f"{said['mjcf']} was exported with a fixed base and cannot move freely")
     if said["trust"].startswith("doubtful"):
         warnings.warn(f"{said['mjcf']} was made of a reconstruction that is {said['trust']}", stacklevel=2)
-    if left := sorted(set(said["effects"]) - PLAYED):
+    if left := [name for name, word in said["effects"].items() if word not in PLAYED]:
         warnings.warn(f"MuJoCo plays {said['mjcf']} without {', '.join(left)}", stacklevel=2)
 
     spec = mujoco.MjSpec.from_file(str(here.parent / said["mjcf"]))

@@ -12,7 +12,7 @@ import json
 import warnings
 from pathlib import Path
 
-PLAYED = {"viscous_damping", "coulomb_friction"}
+PLAYED = {"damping", "friction"}
 
 
 def load(
@@ -34,7 +34,7 @@ def load(
         raise ValueError(f"{said['urdf']} was exported with a fixed base and cannot move freely")
     if said["trust"].startswith("doubtful"):
         warnings.warn(f"{said['urdf']} was made of a reconstruction that is {said['trust']}", stacklevel=2)
-    if left := sorted(set(said["effects"]) - PLAYED):
+    if left := [name for name, word in said["effects"].items() if word not in PLAYED]:
         warnings.warn(f"PyBullet plays {said['urdf']} without {', '.join(left)}", stacklevel=2)
 
     body = pybullet.loadURDF(

@@ -14,7 +14,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-PLAYED = {"viscous_damping", "coulomb_friction", "armature", "return_spring"}
+PLAYED = {"damping", "friction", "armature", "stiffness"}
 CREEP = 1e-6  # rad/s or m/s at which the friction's damper is cut off
 
 
@@ -28,7 +28,7 @@ def load(scene: Any, pose: Any = None, fixed: bool | None = None) -> Any:
         raise ValueError(f"{said['urdf']} was exported with a fixed base and cannot move freely")
     if said["trust"].startswith("doubtful"):
         warnings.warn(f"{said['urdf']} was made of a reconstruction that is {said['trust']}", stacklevel=2)
-    if left := sorted(set(said["effects"]) - PLAYED):
+    if left := [name for name, word in said["effects"].items() if word not in PLAYED]:
         warnings.warn(f"SAPIEN plays {said['urdf']} without {', '.join(left)}", stacklevel=2)
 
     loader = scene.create_urdf_loader()

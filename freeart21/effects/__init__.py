@@ -9,6 +9,7 @@ from typing import Any
 
 from freeart21.effects.base import Effect, perpendiculars, readings
 from freeart21.effects.coulomb_friction import CoulombFriction
+from freeart21.effects.gravity_offset import GravityOffset
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
@@ -22,6 +23,7 @@ __all__ = [
     "ViscousDamping",
     "effect_from_json",
     "effects_from_urdf_dynamics",
+    "gravity_change",
     "perpendiculars",
     "readings",
 ]
@@ -48,6 +50,11 @@ def effect_from_json(data: Any, joint_type: JointType, where: str) -> Effect:
     if not isinstance(name, str) or name not in EFFECTS:
         raise FreeArtError(f"{where}: unknown effect '{name}'; effects: {', '.join(sorted(EFFECTS))}")
     return EFFECTS[name].from_json(data, joint_type, where)
+
+
+def gravity_change(cosine: float, sine: float, constant: float) -> Effect:
+    """What gravity's force has besides: of cos q and sin q of a hinge, N*m, or the constant of a slider, N."""
+    return GravityOffset(cosine, sine, constant)
 
 
 def effects_from_urdf_dynamics(damping: float, friction: float) -> tuple[Effect, ...]:

@@ -12,6 +12,9 @@ class ActuatorGain(Effect):
 
     name: ClassVar[str] = "actuator_gain"
     acts: ClassVar[Acts] = "command"
+    plain: ClassVar[str] = "a drive weaker or stronger than told"
+    of_drive: ClassVar[bool] = True
+    neutral: ClassVar[float] = 1.0
     common: ClassVar[bool] = True
     departs: ClassVar[tuple[float, float]] = (0.05, 0.05)  # motors saturate a little
 

@@ -18,6 +18,7 @@ class ActuatorOffset(Effect):
 
     name: ClassVar[str] = "actuator_offset"
     acts: ClassVar[Acts] = "command"
+    plain: ClassVar[str] = "a drive that pushes a little without being told"
     needs_effort: ClassVar[bool] = True
     common: ClassVar[bool] = True
     departs: ClassVar[tuple[float, float]] = (0.05, 0.05)  # a zero that drifts; not measured

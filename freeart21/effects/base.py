@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +43,17 @@ class Parameter:
         if unit is None:
             raise FreeArtError(f"a {joint_type} joint has no parameter '{self.meaning}'")
         return unit
+
+
+class Rotor(NamedTuple):
+    """A drive's inertia on the shaft between it and the part, see `freeart21.events.drive_rebound`."""
+
+    inertia: float = 0.0
+    """kg*m^2 or kg."""
+    throw_back: float = 0.0
+    """Part of its speed that it comes back with after the part has stopped dead."""
+    swing: float = 0.0
+    """Seconds in which it swings by a radian on its shaft."""
 
 
 def parameter(
@@ -79,15 +91,14 @@ class Effect(ABC):
       "stop"     `law` is the speed after an impact at a limit that came in with qd; without any, impacts leave 0.
       "command"  acts on the actuator only: it gives `gain()` times the force that the command of `delay()` s ago makes,
                  and `bias_force()` besides while it is on.
-      "slack"    the actuator's side is a body of its own, see `backlash`.
+      "slack"    the actuator's side is a body of its own, with `slack()` between it and the part.
     kinematics, "pose": `displacement` takes the moving part from where the ideal joint has it to where it truly is.
     sensing, "reading": what is written down at time t is q(t - delay()) + reading_error(q(t - delay())).
 
     `law(q, qd, load, memory, *parameters)` is a static method of scalars or arrays, plain numpy, no instance: so a
     fitter may compile it (`numba.njit(cls.law)`) or give it arrays of parameters. `load` is the bearing force in N
     (`JointMechanics.load`), 0 unless `needs_load`, or what gears carry where the effect is `geared`. `memory` is one
-    number, `remember(q, memory, *parameters)` is its next value, at the start it is `remember(q, 0.0, ...)`: used by
-    latch alone.
+    number, `remember(q, memory, *parameters)` is its next value, at the start it is `remember(q, 0.0, ...)`.
 
     Effects of one kind add up, in no order; displacements are multiplied in the order listed, the first one outermost.
     """
@@ -112,6 +123,24 @@ class Effect(ABC):
     those."""
     widths: ClassVar[float] = 1.5
     """Of an effect with a place: how many widths from there its ends are."""
+
+    rotor_fields: ClassVar[tuple[str, ...]] = ()
+    """Of a drive's inertia: the parameters that are the numbers of its `Rotor`, in their order. Those of its shaft, all
+    but the first, have no first guess of their own: how dead a stop is tells them."""
+    of_drive: ClassVar[bool] = False
+    """Whether every geared drive has it: of such losses and inertias none shows alone."""
+    neutral: ClassVar[float] = 0.0
+    """Value of its first parameter with which it does nothing."""
+    polar: ClassVar[bool] = False
+    """Whether its two parameters are the length and the angle of a vector, in whose components it is linear."""
+    in_time: ClassVar[bool] = False
+    """Whether a displacement goes with time, not with the joint's position."""
+    joint_word: ClassVar[str | None] = None
+    """What simulators call it that have it as one number of a joint: damping, drag, friction, armature, stiffness."""
+    plain: ClassVar[str] = ""
+    """What a mechanic would call it."""
+    experiment: ClassVar[str] = ""
+    """What to record so that it parts from others that explain the same; empty for nothing that it has of its own."""
 
     becomes: ClassVar[str | None] = None
     """The plainer effect that this one is in a special case: that one has the name unless it does worse."""
@@ -183,6 +212,14 @@ class Effect(ABC):
         """Force against the motion per speed, N*m*s/rad or N*s/m."""
         return 0.0
 
+    def rotor(self) -> Rotor:
+        """The drive's inertia that it says, and how that comes back from a limit."""
+        return Rotor(*(float(getattr(self, name)) for name in self.rotor_fields))
+
+    def slack(self) -> float:
+        """Free travel, rad or m, between the actuator's side and the part."""
+        return 0.0
+
     def gain(self) -> float:
         """Part of the actuator's force that arrives."""
         return 1.0
@@ -210,6 +247,30 @@ class Effect(ABC):
     def reading_error(self, q: ArrayLike) -> Any:
         """What is read, less the position `q` that it is read at."""
         return 0.0 * np.asarray(q, float)
+
+    # several of one kind, and other forms
+
+    def merged(self, other: Effect) -> Effect | None:
+        """One effect that does what this one and `other`, of the same class, do together; None where they stay two.
+
+        Forces, friction and inertias of one number are in proportion to it and add; of what shafts give back the larger
+        counts, as in a simulation. Raises FreeArtError where a joint has at most one.
+        """
+        size, *others = self.parameters()
+        if self.acts not in ("force", "drive", "inertia") or {*others} - {*self.rotor_fields}:
+            return None
+        larger = {name: max(getattr(self, name), getattr(other, name)) for name in others}
+        return type(self)(**{size: getattr(self, size) + getattr(other, size)}, **larger)
+
+    @classmethod
+    def of_rocking(cls, frequency: float, waves: Array) -> Effect:
+        """The effect, one that is `in_time`, that is a rocking of the part in some runs.
+
+        Args:
+            frequency: Hz.
+            waves: (runs, 2, 2) rad about the first and the second of `perpendiculars`, of sine and cosine of the time.
+        """
+        raise NotImplementedError
 
     # words
 
@@ -281,6 +342,12 @@ def perpendiculars(axis: ArrayLike) -> tuple[Array, Array]:
     first = np.cross(np.eye(3)[int(np.argmin(np.round(np.abs(axis), 6)))], axis)
     first = first / np.linalg.norm(first)
     return first, np.cross(axis, first)
+
+
+def strongest_rotor(effects: Iterable[Effect]) -> Rotor:
+    """That of the drive inertias of a joint whose shaft gives back most; nothing without any."""
+    rotors = [effect.rotor() for effect in effects if effect.rotor_fields]
+    return max(rotors, key=lambda rotor: rotor.throw_back * rotor.inertia, default=Rotor())
 
 
 def readings(effects: tuple[Effect, ...], times_s: ArrayLike, q: ArrayLike) -> Array:

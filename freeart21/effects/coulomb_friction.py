@@ -15,6 +15,9 @@ class CoulombFriction(Effect):
 
     name: ClassVar[str] = "coulomb_friction"
     acts: ClassVar[Acts] = "drive"
+    plain: ClassVar[str] = "dry friction"
+    of_drive: ClassVar[bool] = True
+    joint_word: ClassVar[str | None] = "friction"
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
     twin: ClassVar[str | None] = "load_friction"

@@ -19,6 +19,7 @@ class Detent(Effect):
 
     name: ClassVar[str] = "detent"
     acts: ClassVar[Acts] = "force"
+    plain: ClassVar[str] = "a notch that it clicks into"
     spans: ClassVar[tuple[str, ...]] = ("position",)
     knows_speed: ClassVar[bool] = False
     departs: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes

@@ -23,6 +23,8 @@ class Eccentricity(Effect):
     name: ClassVar[str] = "eccentricity"
     kind: ClassVar[Kind] = "kinematics"
     acts: ClassVar[Acts] = "pose"
+    plain: ClassVar[str] = "a pin out of round"
+    polar: ClassVar[bool] = True
     joint_types: ClassVar[tuple[str, ...]] = ("revolute",)
 
     amplitude: float = parameter("m", None, 0.0, 1.0, "how far the pivot wanders", scale=0.002)

@@ -16,6 +16,7 @@ class EncoderOffset(Effect):
     name: ClassVar[str] = "encoder_offset"
     kind: ClassVar[Kind] = "sensing"
     acts: ClassVar[Acts] = "reading"
+    plain: ClassVar[str] = "a sensor whose zero is off"
     common: ClassVar[bool] = True
 
     offset: float = parameter("rad", "m", -100.0, 100.0, "reading at q = 0", scale=0.05)

@@ -19,6 +19,8 @@ class GearFriction(Effect):
 
     name: ClassVar[str] = "gear_friction"
     acts: ClassVar[Acts] = "drive"
+    plain: ClassVar[str] = "friction in the gears that grows with what they carry"
+    of_drive: ClassVar[bool] = True
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
     geared: ClassVar[bool] = True

@@ -19,6 +19,7 @@ class GravityOffset(Effect):
 
     name: ClassVar[str] = "gravity_offset"
     acts: ClassVar[Acts] = "force"
+    plain: ClassVar[str] = "a pull of gravity other than the model's"
     common: ClassVar[bool] = True
     knows_speed: ClassVar[bool] = False
     departs: ClassVar[tuple[float, float]] = (0.0, 0.1)  # base or rails bend a little

@@ -21,6 +21,7 @@ class Latch(Effect):
 
     name: ClassVar[str] = "latch"
     acts: ClassVar[Acts] = "force"
+    plain: ClassVar[str] = "a catch that holds it"
     knows_speed: ClassVar[bool] = False
     departs: ClassVar[tuple[float, float]] = (0.0, 0.4)  # grooves and catches have all shapes
     widths: ClassVar[float] = 1.0

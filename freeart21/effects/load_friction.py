@@ -17,6 +17,7 @@ class LoadFriction(Effect):
 
     name: ClassVar[str] = "load_friction"
     acts: ClassVar[Acts] = "drive"
+    plain: ClassVar[str] = "friction that grows with the load"
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
     twin: ClassVar[str | None] = "coulomb_friction"

@@ -16,6 +16,8 @@ class QuadraticDrag(Effect):
 
     name: ClassVar[str] = "quadratic_drag"
     acts: ClassVar[Acts] = "force"
+    plain: ClassVar[str] = "drag that grows with the square of speed"
+    joint_word: ClassVar[str | None] = "drag"
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
     spans: ClassVar[tuple[str, ...]] = ("velocity",)

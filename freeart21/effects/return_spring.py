@@ -1,5 +1,7 @@
 """Return spring: a force towards a rest position, in proportion to the distance from it."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -12,6 +14,8 @@ class ReturnSpring(Effect):
 
     name: ClassVar[str] = "return_spring"
     acts: ClassVar[Acts] = "force"
+    plain: ClassVar[str] = "a spring"
+    joint_word: ClassVar[str | None] = "stiffness"
     spans: ClassVar[tuple[str, ...]] = ("position", "direction")
     knows_speed: ClassVar[bool] = False
     departs: ClassVar[tuple[float, float]] = (0.0, 0.1)  # a coil's rate is even over the middle of its way only
@@ -22,6 +26,13 @@ class ReturnSpring(Effect):
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, stiffness: Any, rest: Any) -> Any:
         return -stiffness * (q - rest)
+
+    def merged(self, other: Effect) -> ReturnSpring:
+        """Two springs side by side, which MJCF can say only as one."""
+        assert isinstance(other, ReturnSpring)
+        stiffness = self.stiffness + other.stiffness
+        rest = (self.stiffness * self.rest + other.stiffness * other.rest) / stiffness if stiffness else self.rest
+        return ReturnSpring(stiffness, rest)
 
     def steepness(self) -> float:
         return self.stiffness

@@ -20,6 +20,10 @@ class Sag(Effect):
     name: ClassVar[str] = "sag"
     kind: ClassVar[Kind] = "kinematics"
     acts: ClassVar[Acts] = "pose"
+    plain: ClassVar[str] = "sagging under its weight"
+    experiment: ClassVar[str] = (
+        "Tip the base by some 30 degrees and record again: a joint that sags follows gravity, crooked parts do not."
+    )
 
     compliance: float = parameter("rad/(N*m)", "rad/(N*m)", 0.0, 1000.0, "turn per moment", scale=1e-3)
 

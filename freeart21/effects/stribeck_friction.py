@@ -19,6 +19,7 @@ class StribeckFriction(Effect):
 
     name: ClassVar[str] = "stribeck_friction"
     acts: ClassVar[Acts] = "drive"
+    plain: ClassVar[str] = "friction that sticks before it slides"
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
     becomes: ClassVar[str | None] = "coulomb_friction"

@@ -12,6 +12,9 @@ class ViscousDamping(Effect):
 
     name: ClassVar[str] = "viscous_damping"
     acts: ClassVar[Acts] = "force"
+    plain: ClassVar[str] = "damping as by oil"
+    of_drive: ClassVar[bool] = True
+    joint_word: ClassVar[str | None] = "damping"
     dissipates: ClassVar[bool] = True
     common: ClassVar[bool] = True
     spans: ClassVar[tuple[str, ...]] = ("velocity",)

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
-from freeart21.effects.armature import Armature
-from freeart21.effects.backlash import Backlash
 from freeart21.se3 import Array
 from simgap.motion import kernel, laws
 from simgap.motion.surrogate import Nuisance, Plant, numbers_of, terms_of
@@ -143,15 +141,12 @@ class Theory:
         if not self.prompt and any(cls.acts == "drive" for cls in self.classes):
             found.append(Range(_FRICTION, "travel_root", 0.1, 1.0, 0.3, 0.5, 0.3))
             found.append(Range(_FRICTION, "gripping", 0.0, 2.0, 0.3, 0.5, 0.5))
-        if (
-            any(cls.acts in ("inertia", "slack") for cls in self.classes)
-            and problem.near_stop
-            and not problem.force_read
-            and "end_stop_bounce" not in self.names
-        ):
+        acts = {cls.acts for cls in self.classes}
+        shaft = max((len(cls.rotor_fields) for cls in self.classes), default=0)
+        if shaft > 1 and problem.near_stop and not problem.force_read and "stop" not in acts:
             # part of the most that a shaft gives back; where no run tells, as if all of that were as likely
             found.append(Range(SHAFT, "rebound", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
-            if "armature" in self.names and not any(cls.acts == "slack" for cls in self.classes):
+            if shaft > 2 and "slack" not in acts:
                 found.append(Range(SHAFT, "swing", 0.0, 1.0, 0.1, 1 / np.sqrt(12), 0.5))
         if self.departing:
             found += [
@@ -164,7 +159,7 @@ class Theory:
 
     def fitted_of(self, cls: type[Effect]) -> list[str]:
         """The parameters of an effect that are its own: what a shaft gives back, and when, is fitted in their place."""
-        return [n for n in cls.parameters(self.problem.plant.joint_type) if n not in ("throw_back", "swing")]
+        return [n for n in cls.parameters(self.problem.plant.joint_type) if n not in cls.rotor_fields[1:]]
 
     def _range(self, cls: type[Effect], name: str) -> Range:
         """Bounds and size of an effect's parameter on these data: nothing beyond what was moved through."""
@@ -242,25 +237,25 @@ class Reader:
         for cls, names in self.fitted:
             at = self.owners.index(cls.name)
             made.append(cls(**dict(zip(names, map(float, theta[at : at + len(names)]), strict=True))))
-        return tuple(self._thrown(theta, e, made) for e in made) if SHAFT in self.owners else tuple(made)
+        return tuple(self._on_shaft(theta, e, made) for e in made) if SHAFT in self.owners else tuple(made)
 
-    def _thrown(self, theta: Array, effect: Effect, added: Sequence[Effect]) -> Effect:
+    def _on_shaft(self, theta: Array, effect: Effect, added: Sequence[Effect]) -> Effect:
         """The effect, if it is a drive, as it comes back from limits: a rotor on its shaft by its own share of all
         inertia, but behind a slack the drive side."""
         slack = any(e.acts == "slack" for e in (*self.base, *added))
-        if isinstance(effect, Backlash):
-            return replace(effect, throw_back=self.throw_back(theta, self.behind(theta, added)))
-        if not isinstance(effect, Armature) or slack:
+        own, shaft = effect.rotor().inertia, effect.rotor_fields[1:]
+        if not shaft or (slack and effect.acts != "slack"):
             return effect
         part = self.nuisance(theta).inertia * self.theory.problem.plant.mechanics.inertia
-        share = effect.value / (part + effect.value)
-        return replace(effect, throw_back=self.throw_back(theta, share), swing=self.swing(theta, share))
+        share = self.behind(theta, added) if slack else own / (part + own)
+        values = self.throw_back(theta, share), self.swing(theta, share)
+        return replace(effect, **dict(zip(shaft, values, strict=False)))  # type: ignore[type-var]
 
     def throw_back(self, theta: Array, share: float) -> float:
         """Part of its speed that a drive comes back with, whose `share` of all inertia is known.
 
         Of the drive's inertia alone on a shaft that stops at the other end, a damping ratio z is left of that of both:
-        see `Armature`.
+        see `events.drive_rebound`.
         """
         z = self.theory.problem.fit.shaft_damping * np.sqrt(1 - share)
         most = np.exp(-2 * z * np.arccos(z) / np.sqrt(1 - z * z))
@@ -276,7 +271,7 @@ class Reader:
         """Part of all inertia that is a drive's, as large as it may be: what is taken for the part's own inertia beyond
         the least that this may be is the drive's as well."""
         own, doubt = self.theory.problem.plant.mechanics.inertia, self.theory.problem.inertia_relative
-        drive = sum(e.drive_inertia if isinstance(e, Backlash) else e.inertia() for e in added)
+        drive = sum(e.rotor().inertia for e in added)
         taken = self.nuisance(theta).inertia
         return float((drive + (taken - 1 + doubt) * own) / (taken * own + drive))
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from freeart21 import se3
 from freeart21.asset import Asset
+from freeart21.effects import EFFECTS
 from freeart21.errors import FreeArtError
 from freeart21.measured import Measured
 from freeart21.mechanics import JointMechanics
@@ -23,6 +24,7 @@ from simgap.geometry import pose_search
 from simgap.geometry.finding import GeometryVerdict, KinematicsFinding, KinematicsSettings
 from simgap.geometry.placing import place
 from simgap.geometry.pose_model import (
+    ROCK,
     STATIC,
     Geometry,
     Linear,
@@ -35,7 +37,7 @@ from simgap.geometry.pose_model import (
     named_effects,
     priors,
 )
-from simgap.geometry.pose_search import ROCK, Losses
+from simgap.geometry.pose_search import Losses
 from simgap.geometry.track_geometry import track_geometry
 from simgap.measure.swings import unit_numbers
 
@@ -371,16 +373,8 @@ def _rivals(losses: Losses, chosen: tuple[str, ...], settings: KinematicsSetting
 
 def _experiment(rivals: tuple[tuple[str, ...], ...]) -> str:
     """What to record next so that the rivals part."""
-    names = {n for r in rivals for n in r}
-    if "sag" in names:
-        return (
-            "Tip the base by some 30 degrees and record again: a joint that sags follows gravity, crooked parts do not."
-        )
-    if ROCK in names:
-        return (
-            "Move the joint at another speed: rocking keeps its own frequency, the rest goes with the joint's position."
-        )
-    return "Record the joint over more of its range: only there do these causes part."
+    own = (EFFECTS[name].experiment for name in sorted({n for r in rivals for n in r}))
+    return next(filter(None, own), "Record the joint over more of its range: only there do these causes part.")
 
 
 def find_geometry_of(

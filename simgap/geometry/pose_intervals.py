@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
-from simgap.geometry.pose_model import Geometry, Linear, Weighting, normal_equations, priors, waves_at, wobble_of
+from simgap.geometry.pose_model import Geometry, Linear, Weighting, normal_equations, priors, rocking_effect, waves_at
 
 
 def intervals(
@@ -39,11 +40,11 @@ def intervals(
     static = _static(point, covariance, reach)
     if point.rock is None:
         return static
-    wobble = wobble_of(point.rock)
+    rocking_now = rocking_effect(point.rock)
     errors = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
     spread = {"amplitude": errors[0], "direction": errors[1], "frequency": errors[2], "phase": errors[3]}
-    low = {name: getattr(wobble, name) - reach * float(s) for name, s in spread.items()}
-    high = {name: getattr(wobble, name) + reach * float(s) for name, s in spread.items()}
+    low = {name: getattr(rocking_now, name) - reach * float(s) for name, s in spread.items()}
+    high = {name: getattr(rocking_now, name) + reach * float(s) for name, s in spread.items()}
     low["amplitude"] = max(low["amplitude"], 0.0)
     return [(low, high), *static]
 
@@ -54,17 +55,14 @@ def _static(point: Geometry, covariance: Array, reach: float) -> list[tuple[dict
         block = covariance[at : at + len(values), at : at + len(values)]
         at += len(values)
         change = np.eye(len(values))
-        if name == "eccentricity":  # from amplitude * (cos, sin) to amplitude and phase
+        if EFFECTS[name].polar:  # from length * (cos, sin) to length and angle
             size = max(float(np.hypot(*values)), 1e-12)
             change = np.array([values / size, [-values[1] / size**2, values[0] / size**2]])
         errors = reach * np.sqrt(np.maximum(np.diag(change @ block @ change.T), 0.0))
         centres = effect.values()
-        names = list(effect.parameters())
-        low = {n: c - float(e) for n, c, e in zip(names, centres, errors, strict=True)}
-        high = {n: c + float(e) for n, c, e in zip(names, centres, errors, strict=True)}
-        for n in ("compliance", "amplitude"):
-            if n in low:
-                low[n] = max(low[n], 0.0)
+        specs = effect.parameters()
+        low = {n: max(c - float(e), specs[n].lower) for n, c, e in zip(specs, centres, errors, strict=True)}
+        high = {n: c + float(e) for n, c, e in zip(specs, centres, errors, strict=True)}
         out.append((low, high))
     return out
 

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from freeart21 import se3
 from freeart21.effects import EFFECTS, perpendiculars
 from freeart21.effects.base import Effect
-from freeart21.effects.eccentricity import Eccentricity
-from freeart21.effects.wobble import Wobble
 from freeart21.joint import Joint
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
 
-STATIC: dict[str, int] = {"axis_tilt": 2, "pivot_offset": 2, "screw_pitch": 1, "sag": 1, "eccentricity": 2}
+STATIC: dict[str, int] = {n: len(c.parameters()) for n, c in EFFECTS.items() if c.acts == "pose" and not c.in_time}
 """Effects that depend on the joint's position alone, and how many coordinates each has; first one outermost."""
+ROCK = next(name for name, cls in EFFECTS.items() if cls.in_time)
+"""The effect that is a rocking in time."""
 _STEP = 1e-5  # of a coordinate's scale in central differences
-_SCALES = {"axis_tilt": 0.02, "pivot_offset": 0.005, "screw_pitch": 0.005, "sag": 1e-3, "eccentricity": 0.002}
+_SCALES = {name: next(iter(EFFECTS[name].parameters().values())).scale for name in STATIC}
 _PARTS = (1.0, 0.5, 0.25, 0.125)  # of a step that are tried
 _DONE = 1e-3  # scales by which the last round moved a coordinate
 _MOST_REGISTRATION = 3.0  # standard deviations: beyond, it is no longer the tracker
@@ -46,7 +46,7 @@ class Track:
 
 @dataclass(frozen=True)
 class Rock:
-    """A steady rocking of the part across the axis: what `wobble` says, with a phase for each run."""
+    """A steady rocking of the part across the axis: what ROCK says, with a phase for each run."""
 
     frequency: float
     """Hz."""
@@ -61,7 +61,7 @@ class Geometry:
     names: tuple[str, ...]
     """Static effects, in the order of STATIC."""
     values: Array
-    """(k,) their coordinates: parameters, but amplitude * (cos, sin)(phase) for eccentricity."""
+    """(k,) their coordinates: parameters, but length * (cos, sin)(angle) of one that is `polar`."""
     registration: Array
     """(6,) twist of B."""
     rock: Rock | None = None
@@ -85,16 +85,15 @@ class Geometry:
 def effect_of(name: str, values: Array) -> Effect:
     """A static effect from its coordinates; what lies beyond a bound is put on it."""
     values = np.clip(values, *_ends(name))
-    if name == "eccentricity":
-        most = _ends(name)[1][0]
-        return Eccentricity(float(min(np.hypot(*values), most)), float(np.arctan2(values[1], values[0])))
+    if EFFECTS[name].polar:
+        values = np.array([min(np.hypot(*values), _ends(name)[1][0]), np.arctan2(values[1], values[0])])
     return EFFECTS[name](*values.tolist())
 
 
 def _ends(name: str) -> tuple[Array, Array]:
     """(k,) lowest and highest of every coordinate of a static effect, as the library bounds its parameters."""
     specs = list(EFFECTS[name].parameters().values())
-    if name == "eccentricity":
+    if EFFECTS[name].polar:
         return np.full(2, -specs[0].upper), np.full(2, specs[0].upper)
     return np.array([p.lower for p in specs]), np.array([p.upper for p in specs])
 
@@ -337,17 +336,11 @@ def rock_direction(rock: Rock) -> Array:
     return np.asarray(np.linalg.svd(np.concatenate(list(rock.coefficients), -1))[0][:, 0])
 
 
-def wobble_of(rock: Rock) -> Wobble:
-    """The library's effect: amplitude over all runs, phase of the first run."""
-    stacked = np.concatenate(list(rock.coefficients), -1)
-    u = np.linalg.svd(stacked)[0][:, 0]
-    u = u * (1.0 if u[int(np.argmax(np.abs(u)))] > 0 else -1.0)
-    waves = u @ rock.coefficients  # (runs, 2)
-    amplitude = float(np.sqrt((waves**2).sum(-1).mean()))
-    phase = float(np.arctan2(waves[0, 1], waves[0, 0]))
-    return Wobble(min(amplitude, 0.8), rock.frequency, phase, float(np.arctan2(u[1], u[0])))
-
-
 def named_effects(point: Geometry) -> tuple[Effect, ...]:
     """All effects of a point of the model, outermost displacement first."""
-    return (*(() if point.rock is None else (wobble_of(point.rock),)), *point.effects())
+    return (*(() if point.rock is None else (rocking_effect(point.rock),)), *point.effects())
+
+
+def rocking_effect(rock: Rock) -> Effect:
+    """The library's effect: amplitude over all runs, phase of the first run."""
+    return EFFECTS[ROCK].of_rocking(rock.frequency, rock.coefficients)

@@ -1,7 +1,7 @@
 """Which kinematic effects the poses need: every subset, judged on runs that it was not fitted to.
 
 The model is nearly linear about its own best fit, so subsets are compared by linear algebra there: each run is
-predicted from the others, and losses of half-swings are compared in pairs. Rocking in time (`wobble`) has a frequency
+predicted from the others, and losses of half-swings are compared in pairs. Rocking in time has a frequency
 that is looked for without the run it is judged on, and a phase in every run that is fitted to its other half.
 """
 
@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.se3 import Array
-from simgap.geometry.pose_model import STATIC, Linear, solved_within, waves_at
+from simgap.geometry.pose_model import ROCK, STATIC, Linear, solved_within, waves_at
 
-ROCK = "wobble"
 _RIDGE = 1e-9
 
 

@@ -13,7 +13,19 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from simgap.motion.laws import DRIVE, FORCE, STAMP, STOP, jit, law, remember, thrown
+from simgap.motion.laws import (
+    DRIVE,
+    FORCE,
+    STAMP,
+    STOP,
+    drive_rebound,
+    jit,
+    law,
+    meet_part,
+    part_at_limit,
+    remember,
+    touching_side,
+)
 
 INERTIA, GRAVITY_COS, GRAVITY_SIN, GRAVITY_CONST = 0, 1, 2, 3
 LOAD_ARM2, LOAD_WEIGHT2, LOAD_ACROSS, LOAD_TURNED = 4, 5, 6, 7
@@ -259,12 +271,11 @@ def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
             if terms[k, 1] == FORCE and remember(terms[k, 0], q, memory[k], p, terms[k, 2] + PLACE) != memory[k]:
                 found |= _MEMORY
     if p[SLACK_WIDTH] > 0.0:
-        if side == 0:
-            apart = x - q
-            if abs(apart) >= 0.5 * p[SLACK_WIDTH] and apart * (w - v) > 0:
-                found |= _MET
-        elif side * _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded) < 0:
-            found |= _PARTED
+        pushes = 0.0
+        if side != 0:
+            pushes = _contact(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
+        if touching_side(side, x, w, q, v, pushes, p[SLACK_WIDTH]) != side:
+            found |= _MET if side == 0 else _PARTED
     return found
 
 
@@ -309,7 +320,7 @@ def _rebound(terms, p, v):  # pragma: no cover
             speed = law(terms[k, 0], 0.0, v, 0.0, 0.0, p, terms[k, 2] + PLACE)
             if abs(speed) > abs(after):
                 after = speed
-    return min(abs(after), abs(v)) * (1.0 if after > 0 else -1.0)
+    return after
 
 
 @jit
@@ -321,7 +332,7 @@ def _taken_back(terms, p, memory, limit, towards, v, side, push, position, effor
         F = _acting(terms, p, memory, limit, 0.0, side, push, position, effort)
         press = towards * F - drive
         press += _level(terms, p, memory, limit, _carried(p, limit, 0.0, side, position, effort, F))
-    stays, speed = thrown(abs(v), press, drive, others, p[SHAFT_INERTIA], p[SHAFT_BACK], p[SHAFT_SWING])
+    stays, speed = drive_rebound(abs(v), press, drive, others, p[SHAFT_INERTIA], p[SHAFT_BACK], p[SHAFT_SWING])
     return stays, -towards * speed
 
 
@@ -510,17 +521,11 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
             side = 0
         if found & _MET:
             side = 1 if y[2] > y[0] else -1
-        if found & _MET and frozen and resting * side > 0:  # the part is pressed on its limit, and gives way no further
-            at, w1 = y[0] + 0.5 * side * p[SLACK_WIDTH], p[SHAFT_BACK] * abs(y[3])
-            pressed = side * _actuator(p, y[2], y[3], position, asked) / p[SLACK_INERTIA]
-            if w1 > 0.5 * step * max(pressed, 0.0):
-                y, side = (y[0], 0.0, at, -side * w1), 0
-            else:
-                y = (y[0], 0.0, at, 0.0)
-        elif found & _MET:
-            both = p[INERTIA] + p[SLACK_INERTIA]
-            together = (p[INERTIA] * y[1] + p[SLACK_INERTIA] * y[3]) / both
-            y = (y[0], together, y[0] + 0.5 * side * p[SLACK_WIDTH], together)
+            at, part, drive = y[0] + 0.5 * side * p[SLACK_WIDTH], p[INERTIA], p[SLACK_INERTIA]
+            least = 0.5 * step * max(side * _actuator(p, y[2], y[3], position, asked) / drive, 0.0)
+            held = frozen and resting * side > 0  # by its limit: what comes back within half a step stays
+            v1, w1, side = meet_part(side, y[1], y[3], held, part, drive, p[SHAFT_BACK], least)
+            y = (y[0], v1, at, w1)
         if found & _LIMIT:
             towards = 1 if y[0] - p[LOWER] > p[UPPER] - y[0] else -1
             limit = p[UPPER] if towards > 0 else p[LOWER]
@@ -536,12 +541,10 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
                 waits, leaves, back, resting = now + stays, back, 0.0, towards
             v = y[1]
             y = (limit, back, y[2], y[3])
-            if side * towards < 0:  # the drive goes on through the slack
-                y, side = (limit, back, limit + 0.5 * side * p[SLACK_WIDTH], v), 0
-            elif side != 0:
-                own = back if p[SHAFT_BACK] == 0.0 else -p[SHAFT_BACK] * v
-                y = (limit, back, limit + 0.5 * side * p[SLACK_WIDTH], own)
-                side = 0 if own != back else side
+            if side != 0:
+                at = limit + 0.5 * side * p[SLACK_WIDTH]
+                w1, side = part_at_limit(side, towards, v, back, p[SHAFT_BACK])
+                y = (limit, back, at, w1)
         elif found & _STOPPED:
             y = (y[0], 0.0, y[2], 0.0 if side != 0 else y[3])
     for i in range(done, n):  # ever more events in ever less time: it comes to rest here

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from freeart21.asset import Asset
 from freeart21.base_motion import WAYS
 from freeart21.effects import Effect
-from freeart21.effects.armature import Armature
-from freeart21.effects.backlash import Backlash
+from freeart21.effects.base import strongest_rotor
 from freeart21.errors import FreeArtError
 from freeart21.joint import JointType
 from freeart21.measured import Measured
@@ -214,15 +213,13 @@ def numbers_of(
     mechanics = plant.mechanics
     head = np.zeros(kernel.HEAD)
     added = sum(effect.inertia() for effect in effects)
-    slack = next((effect for effect in effects if isinstance(effect, Backlash)), None)
+    slack = next((effect for effect in effects if effect.acts == "slack"), None)
     head[kernel.INERTIA] = nuisance.inertia * mechanics.inertia + (0.0 if slack else added)
     if slack:
-        head[kernel.SLACK_WIDTH], head[kernel.SLACK_INERTIA] = slack.width, slack.drive_inertia + added
-        head[kernel.SHAFT_BACK] = slack.throw_back
-    shafts = [effect for effect in effects if isinstance(effect, Armature)]
-    if shafts and not slack:
-        shaft = max(shafts, key=lambda effect: effect.throw_back * effect.value)
-        head[kernel.SHAFT_INERTIA : kernel.SHAFT_SWING + 1] = shaft.value, shaft.throw_back, shaft.swing
+        head[kernel.SLACK_WIDTH], head[kernel.SLACK_INERTIA] = slack.slack(), slack.rotor().inertia + added
+        head[kernel.SHAFT_BACK] = slack.rotor().throw_back
+    else:
+        head[kernel.SHAFT_INERTIA : kernel.SHAFT_SWING + 1] = strongest_rotor(effects)
     terms = plant.gravity_terms
     head[kernel.GRAVITY_COS : kernel.GRAVITY_CONST + 1] = nuisance.gravity * (
         terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2]
@@ -287,8 +284,7 @@ def step_of(
     damping += gain * plant.damping
     inertia = plant.mechanics.inertia
     local = (settings.phase_per_step / settings.local_phase_per_step) ** 2
-    slack = next((effect for effect in effects if isinstance(effect, Backlash)), None)
-    driven = min(inertia, slack.drive_inertia) if slack else inertia
+    driven = min([inertia, *(effect.rotor().inertia for effect in effects if effect.acts == "slack")])
     weight = float(np.hypot(*plant.gravity_terms[0, :2]))
 
     def longest(stiffness: float) -> float:

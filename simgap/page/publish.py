@@ -13,8 +13,7 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.asset import Asset
-from freeart21.effects.base import Effect
-from freeart21.effects.gravity_offset import GravityOffset
+from freeart21.effects import Effect, gravity_change
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import guesses_dynamics
 from freeart21.files.measured import read_measured, run_hashes
@@ -413,14 +412,9 @@ def _as_fitted(
     """What `missing_force` takes, held-out runs too: by as much as the asset is known to be off there is no gap."""
     if off == Off():
         return runs, placed.mechanics, *limits, acting, runs.runs
-    cosine, sine, constant = off.gravity
-    if placed.mechanics.joint.type == "revolute":
-        other = GravityOffset(cosine=cosine, sine=sine)
-    else:
-        other = GravityOffset(constant=constant)
     exact = replace(runs, inertia_relative=0.0, gravity_relative=0.0)
     mechanics = replace(placed.mechanics, inertia=placed.mechanics.inertia * off.inertia)
-    return exact, mechanics, *limits, (*acting, other), runs.runs
+    return exact, mechanics, *limits, (*acting, gravity_change(*off.gravity)), runs.runs
 
 
 def _limits(asset: Asset) -> tuple[float, float]:

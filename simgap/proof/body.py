@@ -10,7 +10,7 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.asset import Asset
-from freeart21.effects.gravity_offset import GravityOffset
+from freeart21.effects import Effect, gravity_change
 from freeart21.errors import FreeArtError
 from freeart21.files.urdf import links_beyond, parsed_xml, read_urdf_joints
 from freeart21.se3 import Array
@@ -38,7 +38,7 @@ class BodyCorrection:
     """Of distances of centres of mass from a hinge's axis."""
     turn: float = 0.0
     """rad by which centres of mass are turned about a hinge's axis."""
-    offset: tuple[GravityOffset, ...] = ()
+    offset: tuple[Effect, ...] = ()
     """What of gravity's force no `<inertial>` can say, as an effect: a vertical hinge has no weight to scale, and a
     slider's mass is its inertia."""
 
@@ -58,7 +58,7 @@ def correction_of(plant: Plant, nuisance: Nuisance) -> BodyCorrection:
     rest = true - f * own  # masses times the inertia's factor weigh so much more
     if np.abs(rest).max() <= 1e-9 * np.abs(terms).max():
         return BodyCorrection(f, f)
-    return BodyCorrection(f, f, offset=(GravityOffset(*(float(value) for value in rest)),))
+    return BodyCorrection(f, f, offset=(gravity_change(*(float(value) for value in rest)),))
 
 
 def urdf_with_body(text: bytes, asset: Asset, correction: BodyCorrection) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +14,7 @@ from export.loaders import FOLDER as LOADERS
 from export.mjcf import STIFF_FRICTION, joint_words
 from export.mjcf_of_urdf import mjcf_of_urdf
 from freeart21.asset import Asset
-from freeart21.effects.backlash import Backlash
 from freeart21.effects.base import Effect
-from freeart21.effects.return_spring import ReturnSpring
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, write_asset_json
@@ -26,9 +23,6 @@ from generator import simulate
 from simgap.proof.asset_files import copied, mjcf_beside, written
 from simgap.proof.body import NO_CORRECTION, BodyCorrection, check_body, urdf_with_body
 
-_ONE_SIZE = ("viscous_damping", "coulomb_friction", "quadratic_drag", "load_friction", "gear_friction", "armature")
-"""Effects whose first number is a size: two of them are one with the sum; of what their shafts throw back the larger
-counts, as in a simulation."""
 _POSE_TOLERANCE = 1e-6  # single precision of the engine, metres and rotation entries
 
 
@@ -74,30 +68,16 @@ def repaired(
 
 
 def joined_effects(had: tuple[Effect, ...], new: tuple[Effect, ...]) -> tuple[Effect, ...]:
-    """The effects of both, those of one size, and springs, as one; FreeArtError when both have a backlash."""
+    """The effects of both, two of a kind as one where that can be (`Effect.merged`)."""
     out = list(had)
     for effect in new:
         same = next((i for i, e in enumerate(out) if e.name == effect.name), None)
-        if same is not None and effect.name in _ONE_SIZE:
-            pairs = {name: (getattr(out[same], name), getattr(effect, name)) for name in effect.parameters()}
-            size = next(iter(pairs))
-            both = {name: sum(pair) if name == size else max(pair) for name, pair in pairs.items()}
-            out[same] = dataclasses.replace(effect, **both)  # type: ignore[type-var]
-        elif same is not None and isinstance(effect, ReturnSpring):
-            out[same] = _one_spring(out[same], effect)
-        elif same is not None and isinstance(effect, Backlash):
-            raise FreeArtError("the asset's joint has an effect 'backlash' already, expected at most one")
-        else:
+        both = None if same is None else out[same].merged(effect)
+        if same is None or both is None:
             out.append(effect)
+        else:
+            out[same] = both
     return tuple(out)
-
-
-def _one_spring(a: Effect, b: Effect) -> ReturnSpring:
-    """Two springs side by side, which MJCF can say only as one."""
-    assert isinstance(a, ReturnSpring) and isinstance(b, ReturnSpring)
-    stiffness = a.stiffness + b.stiffness
-    rest = (a.stiffness * a.rest + b.stiffness * b.rest) / stiffness if stiffness else a.rest
-    return ReturnSpring(stiffness, rest)
 
 
 def urdf_with_effects(text: bytes, effects: dict[str, tuple[Effect, ...]], where: Path) -> bytes:
