@@ -108,6 +108,24 @@ class DcMotor:
         return self.torque_constant / self.resistance
 
 
+def asked_force(
+    q: float, qd: float, q_command: float, effort: float, stiffness: float, damping: float, dead_band: float
+) -> float:
+    """What an actuator's law asks for, N*m or N, at position `q` and velocity `qd`; `q_command` is NaN without one.
+
+    `simgap.motion.kernel` compiles this and `given_force`.
+    """
+    error = q_command - q
+    if error == error:
+        effort += stiffness * (error - min(max(error, -dead_band), dead_band)) - damping * qd
+    return effort
+
+
+def given_force(asked: float, qd: float, most_asked: float, back_emf: float, most: float) -> float:
+    """What the actuator gives of it, N*m or N."""
+    return min(max(min(max(asked, -most_asked), most_asked) - back_emf * qd, -most), most)
+
+
 @dataclass(frozen=True)
 class DriveLaw:
     """The numbers of an actuator that is on, in N*m or N: `force` is what it gives."""
@@ -124,17 +142,11 @@ class DriveLaw:
 
     def asked(self, q: float, qd: float, q_command: float, effort: float) -> float:
         """What is asked for at position `q` and velocity `qd`; `q_command` is NaN without a position law."""
-        error = q_command - q
-        if error != error:
-            return effort
-        error -= min(max(error, -self.dead_band), self.dead_band)
-        return effort + self.stiffness * error - self.damping * qd
+        return asked_force(q, qd, q_command, effort, self.stiffness, self.damping, self.dead_band)
 
     def force(self, q: float, qd: float, q_command: float, effort: float) -> float:
         """N*m or N."""
-        asked = self.asked(q, qd, q_command, effort)
-        asked = min(max(asked, -self.most_asked), self.most_asked) - self.back_emf * qd
-        return min(max(asked, -self.most), self.most)
+        return given_force(self.asked(q, qd, q_command, effort), qd, self.most_asked, self.back_emf, self.most)
 
     def damped(self, q: float, qd: float, q_command: float, effort: float) -> float:
         """By what the force falls with speed: not at all at its limits, but for a motor's back EMF."""

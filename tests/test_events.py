@@ -8,7 +8,7 @@ import pytest
 from freeart21 import events
 from freeart21.effects import EFFECTS, Effect
 from freeart21.joint import Joint
-from freeart21.mechanics import JointMechanics
+from freeart21.mechanics import DriveLaw, JointMechanics
 from generator import simulate
 from simgap.motion import laws
 from simgap.motion.surrogate import Inputs, Plant
@@ -17,10 +17,12 @@ from simgap.motion.surrogate import simulate as fast
 NOTHING = np.zeros(3)
 
 
-def slider(lower: float = -10.0, upper: float = 10.0) -> Plant:
+def slider(lower: float = -10.0, upper: float = 10.0, drive: DriveLaw | None = None) -> Plant:
     """A mass of 2 kg on a level rail."""
     joint = Joint("j", "prismatic", np.eye(3)[0], NOTHING, lower, upper)
-    return Plant(JointMechanics(joint, 2.0, 2.0, NOTHING, -9.81 * np.eye(3)[2]), lower, upper)
+    return Plant(
+        JointMechanics(joint, 2.0, 2.0, NOTHING, -9.81 * np.eye(3)[2]), lower, upper, drive=drive or DriveLaw()
+    )
 
 
 def made(name: str, **values: float) -> Effect:
@@ -90,3 +92,13 @@ def test_a_slack_is_taken_up_before_a_drive_moves_its_part():
     after = np.maximum(times - taken, 0.0)
     speed = 0.5 * (8.0 * taken) / 2.5  # of both, by momentum
     assert q == pytest.approx(speed * after + 0.5 * (4.0 / 2.5) * after**2, abs=1e-9)
+
+
+def test_a_drive_is_as_strong_on_its_way_through_the_slack_as_elsewhere():
+    slack = made("backlash", width=0.02, drive_inertia=0.5)
+    times = np.linspace(0.0, 0.3, 151)
+    inputs = Inputs(times[:1], np.full(1, 5.0), np.zeros(1), np.zeros(1))
+    q = fast(slider(drive=DriveLaw(stiffness=100.0, most_asked=4.0)), (slack,), times, 0.0, 0.0, inputs)
+    taken = np.sqrt(2 * 0.01 * 0.5 / 4.0)
+    after = np.maximum(times - taken, 0.0)
+    assert q == pytest.approx(0.5 * 8.0 * taken / 2.5 * after + 0.5 * (4.0 / 2.5) * after**2, abs=1e-6)

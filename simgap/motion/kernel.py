@@ -18,7 +18,9 @@ from simgap.motion.laws import (
     FORCE,
     STAMP,
     STOP,
+    asked_force,
     drive_rebound,
+    given_force,
     jit,
     law,
     meet_part,
@@ -37,13 +39,11 @@ OFFSET, DEAD_BAND, MOST_ASKED, BACK_EMF, MOST = 25, 26, 27, 28, 29
 MOMENT_SCALE, MASS_SCALE, SWAYS = 30, 31, 32
 """Of a base that moves: factors of the rows of `base_motion.sway_terms`, and whether it does. What it does now:"""
 SWAY_COS, SWAY_SIN, SWAY_CONST, SWAY_COS2, SWAY_SIN2, SWAY_LINEAR = 33, 34, 35, 36, 37, 38
-LIMITED = 39
-"""Whether the actuator is more than a position law and an effort."""
-DEPARTS = 40
+DEPARTS = 39
 """The speed at which effects depart from their formulas by all that they do over speeds; 0 when they do not."""
-GEARED = 41
+GEARED = 40
 """Whether the drive's gears rub."""
-HEAD = 42
+HEAD = 41
 """Places in the vector of numbers that describes one simulation; behind them each effect has its place, then how it
 departs from its formula, then its parameters."""
 PLACE = 5
@@ -101,26 +101,11 @@ def _sum(acts, terms, p, memory, q, v, load, carried):  # pragma: no cover
 
 
 @jit
-def _asked(p, q, v, position, effort):  # pragma: no cover
-    """Force of an actuator that has no limit but that of its force, at the position and speed that it sees; `position`
-    is NaN without a position law. While it is off GAIN and OFFSET are 0."""
-    asked = effort
-    if not np.isnan(position):
-        asked += p[STIFFNESS] * (position - q) - p[DAMPING] * v
-    return p[GAIN] * min(max(asked, -p[MOST]), p[MOST]) + p[OFFSET]
-
-
-@jit
 def _actuator(p, q, v, position, effort):  # pragma: no cover
-    """The same of any (`mechanics.DriveLaw`)."""
-    if p[LIMITED] == 0.0:
-        return _asked(p, q, v, position, effort)
-    asked = effort
-    if not np.isnan(position):
-        error = position - q
-        asked += p[STIFFNESS] * (error - min(max(error, -p[DEAD_BAND]), p[DEAD_BAND])) - p[DAMPING] * v
-    asked = min(max(asked, -p[MOST_ASKED]), p[MOST_ASKED]) - p[BACK_EMF] * v
-    return p[GAIN] * min(max(asked, -p[MOST]), p[MOST]) + p[OFFSET]
+    """Force of the actuator at the position and speed that it sees; `position` is NaN without a position law. GAIN and
+    OFFSET are 0 while it is off."""
+    asked = asked_force(q, v, position, effort, p[STIFFNESS], p[DAMPING], p[DEAD_BAND])
+    return p[GAIN] * given_force(asked, v, p[MOST_ASKED], p[BACK_EMF], p[MOST]) + p[OFFSET]
 
 
 @jit
@@ -224,8 +209,7 @@ def _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
         a = _acceleration(terms, p, memory, y[0], y[1], slide, grip, side, push, position, effort, loaded)
     b = 0.0
     if p[SLACK_WIDTH] > 0.0:
-        # on its way through the slack a drive is a plain one: to look for more here makes all runs a fifth slower
-        b = a if side != 0 else _asked(p, y[2], y[3], position, effort) / p[SLACK_INERTIA]
+        b = a if side != 0 else _actuator(p, y[2], y[3], position, effort) / p[SLACK_INERTIA]
     return a, b
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from numba import njit
 
-from freeart21 import events
+from freeart21 import events, mechanics
 from freeart21.effects import EFFECTS, Effect
 
 FORCE, DRIVE, STOP = 0, 1, 2
@@ -69,8 +69,9 @@ def _pieces(name: str, formula: str) -> tuple[int, Any, Any]:
 
 law = _law_among(list(LAWS))
 remember = _memory_among([n for n in LAWS if EFFECTS[n].remember is not Effect.remember])
+asked_force, given_force = jit(mechanics.asked_force), jit(mechanics.given_force)
 drive_rebound, meet_part = jit(events.drive_rebound), jit(events.meet_part)
 part_at_limit, touching_side = jit(events.part_at_limit), jit(events.touching_side)
-_files = (__file__, events.__file__, *(inspect.getfile(EFFECTS[n]) for n in LAWS))
+_files = (__file__, events.__file__, mechanics.__file__, *(inspect.getfile(EFFECTS[n]) for n in LAWS))
 STAMP = int.from_bytes(hashlib.sha256(b"".join(Path(file).read_bytes() for file in _files)).digest()[:7], "big")
 """Of all these formulas: another one when any of them changes."""

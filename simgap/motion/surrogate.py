@@ -234,8 +234,6 @@ def numbers_of(
     drive = plant.drive
     head[kernel.STIFFNESS], head[kernel.DAMPING] = drive.stiffness, drive.damping
     head[kernel.DEAD_BAND : kernel.MOST + 1] = drive.dead_band, drive.most_asked, drive.back_emf, drive.most
-    bounds = min(drive.most_asked, drive.most)
-    head[kernel.LIMITED] = drive.dead_band > 0 or drive.back_emf > 0 or bounds < np.inf
     head[kernel.HOLDING] = nuisance.holding
     head[kernel.MOMENT_SCALE], head[kernel.MASS_SCALE] = nuisance.gravity, nuisance.inertia
     head[kernel.LOWER], head[kernel.UPPER] = plant.lower, plant.upper
