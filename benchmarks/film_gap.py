@@ -80,7 +80,7 @@ _SUB = {"noise_growth", "noise_grazing"}
 
 def grade(truth: set[str], verdict: Any) -> str:
     """right, right among rivals, in part, silent or wrong."""
-    named = {e.name for e in verdict.effects} - _SUB
+    named = {n.effect.name for n in verdict.effects} - _SUB
     rivals = [set(r) - _SUB for r in verdict.rivals]
     if named == truth:
         return "right"
@@ -113,12 +113,12 @@ def main() -> None:
                 "case": kind,
                 "size": size,
                 "truth": sorted(expected),
-                "named": [e.name for e in verdict.effects],
+                "named": [n.effect.name for n in verdict.effects],
                 "rivals": [list(r) for r in verdict.rivals],
                 "verdict": verdict.verdict,
                 "grade": grade(expected, verdict),
                 "seconds": round(time.perf_counter() - began, 1),
-                "values": {k: p.value for e in verdict.effects for k, p in e.parameters.items()},
+                "values": {k: v for n in verdict.effects for k, v in vars(n.effect).items()},
             }
             rows.append(row)
             print(f"{name:24} {kind:32} {size:8.3g} {row['grade']:20} {', '.join(row['named'])}", flush=True)

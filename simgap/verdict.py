@@ -18,7 +18,7 @@ SCHEMA = "freeart21/verdict/1"
 Use = Literal["fitted", "choosing", "confirming"]
 """What a run is used for: to fit sets to, to choose among them, or to confirm the choice."""
 Answer = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
-By = Literal["position", "force"]
+By = Literal["position", "force", "picture"]
 ANSWERS: tuple[str, ...] = get_args(Answer)
 
 
@@ -125,9 +125,9 @@ def told_by(gaps: Sequence[RunGap]) -> list[RunGap]:
 
 
 def unit_of(by: By, joint_type: JointType) -> str:
-    """SI unit of what was compared."""
+    """SI unit of what was compared; none of pictures, where every gap has its own."""
     turns = joint_type == "revolute"
-    return {"position": "rad" if turns else "m", "force": "N*m" if turns else "N"}[by]
+    return {"position": "rad" if turns else "m", "force": "N*m" if turns else "N", "picture": ""}[by]
 
 
 @dataclass(frozen=True)

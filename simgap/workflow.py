@@ -14,10 +14,7 @@ from freeart21 import __version__
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.files.asset import read_asset
-from freeart21.files.atomic import new_folder
-from freeart21.files.lock import only_writer
 from freeart21.files.measured import read_measured, run_hashes
-from freeart21.files.places import ANSWER, check_place
 from freeart21.joint import JointType
 from freeart21.measured import Measured
 from simgap.fitting.fit import Fit, Problem, Reader, Theory, fit_starts, placed
@@ -39,7 +36,7 @@ from simgap.measure.floor import Floor
 from simgap.measure.prescribed import ForceRun, force_runs
 from simgap.measure.withstood import withstood
 from simgap.motion.surrogate import Nuisance, plant_of
-from simgap.page.publish import Draft, Paths, off_of, publish, with_positions
+from simgap.page.publish import Draft, Paths, answer_folder, off_of, publish, with_positions
 from simgap.page.report import Ranked
 from simgap.proof.body import NO_CORRECTION
 from simgap.proof.replay import SECONDS, Progress, check_match
@@ -286,14 +283,15 @@ def gap_folder(
     runs are replayed; `root` bounds what the asset's URDF may name. Raises FreeArtError when `out` holds anything else,
     or asset or measurement.
     """
-    check_place(out, ANSWER, (asset, measured))
-    runs = read_measured(measured)
-    loaded = read_asset(asset, runs.joint, guesses=False, root=root)
-    with only_writer(out), new_folder(out, ANSWER) as aside:
+    with answer_folder(out, (asset, measured)) as write:
+        runs = read_measured(measured)
+        loaded = read_asset(asset, runs.joint, guesses=False, root=root)
         began = time.perf_counter()
         draft = explain(loaded, runs, settings)
         seconds = time.perf_counter() - began
         named = Path(measured).resolve()
         title = named.parent.name if named.name == "measured" else named.name
         paths = Paths(Path(asset), Path(measured), Path(out), root, run_hashes(Path(measured)))
-        return publish(loaded, runs, draft, aside, title, seconds, settings.seed, replay_seconds, progress, paths)
+        return publish(
+            loaded, runs, draft, write.folder, title, seconds, settings.seed, replay_seconds, progress, paths
+        )

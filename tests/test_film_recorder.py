@@ -33,7 +33,7 @@ def test_faults_that_were_recorded_are_found_again(tmp_path):
         depth_scale=0.03, noise=5e-4, noise_at=0.3, dark_share=0.9, dark_level=0.35, exposure=(0.0, 1.0)
     )
     verdict = answer(*filmed(tmp_path / "data", faults))
-    names = {effect.name for effect in verdict.effects} - {"noise_growth", "noise_grazing"}
+    names = {named.effect.name for named in verdict.effects} - {"noise_growth", "noise_grazing"}
     assert names == {"depth_scale", "axial_noise", "dark_holes", "exposure_drift"}, verdict.sentence
     assert verdict.camera.depth_scale == pytest.approx(0.03, abs=1e-3)
     assert verdict.camera.noise == pytest.approx(5e-4, rel=0.25)
@@ -41,7 +41,7 @@ def test_faults_that_were_recorded_are_found_again(tmp_path):
 
 def test_geometry_and_time_that_were_recorded_are_found_again(tmp_path):
     verdict = answer(*filmed(tmp_path / "late", CameraFaults(depth_delay=0.02, focal=0.03)))
-    assert {effect.name for effect in verdict.effects} == {"depth_delay", "focal_length"}, verdict.sentence
+    assert {named.effect.name for named in verdict.effects} == {"depth_delay", "focal_length"}, verdict.sentence
     assert verdict.camera.depth_delay == pytest.approx(0.02, abs=2e-3)
     assert verdict.camera.focal == pytest.approx(0.03, abs=3e-3)
 

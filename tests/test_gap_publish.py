@@ -95,7 +95,7 @@ def test_what_is_not_certain_is_not_written(tmp_path: Path, answer: str):
     data = json.loads((tmp_path / "out/verdict.json").read_text())
     assert data["added"] == [] and data["effects"][0]["name"] == "viscous_damping"
     page = (tmp_path / "out/index.html").read_text()
-    assert "not added to the asset" in page and "What was added" not in page
+    assert "not written" in page and "What was written" not in page
 
 
 def test_geometry_stays_when_only_the_motions_repair_hurts(tmp_path: Path):

@@ -1,89 +1,176 @@
-"""Sets of effects before frames that they were not fitted to: the smallest within one standard error of the best."""
+"""Which set of effects of one kind: forward selection by a beam, judged by frames that it was not fitted to.
+
+Scores and the smallest set within one standard error are those of `simgap.judgement.predictive`: a stretch of frames
+here is what a stretch of a run is there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.se3 import Array
+from simgap.judgement.predictive import Score, lead, smallest
+from simgap.motion.localise import sign_flips
 
-FLIPS = 1999
+Frames = NDArray[np.int64]
+"""(n,) indices of frames, ascending."""
+BEAM = 5
+"""Sets of each size that are widened: greedy search picks the best single effect and cannot reach a pair without it."""
 LEAST_SHARE = 0.01
-"""Of what the best set gains, that a further effect must bring: less is what a straight line misses of a curve, and
-columns are of first order. Not measured."""
+"""Of what the best set gains, that a larger set must bring: less is what a straight line misses of a curve, and columns
+are of first order. Not measured."""
+KEEPS = 0.5
+"""Share by which an effect's size may change beside a nameless rival that explains more. Not measured."""
+TWICE = 2.0
+"""Times a set's gain from which on what a nameless rival explains is no more what the set explains."""
+GROUPS = 8
+"""Of frames, each left out once for the standard error of a parameter (jackknife)."""
 
 
 @dataclass(frozen=True)
-class Tried:
-    """One set of effects, or a nameless rival, before the frames that choose."""
+class Fitted:
+    """A set of effects with its numbers."""
 
+    values: dict[str, float]
+    """By parameter."""
+    judge: Callable[[Frames], Array]
+    """Frames to the log density of each."""
+    matters: bool = True
+    """Whether each of its effects is large enough to be named."""
+    sizes: dict[str, Array] = field(default_factory=dict)
+    """Effect to its parameters by what they move, where it may be compared beside a nameless rival."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Effects that are judged by the same rows."""
+
+    name: str
+    effects: tuple[str, ...]
+    fit: Callable[[tuple[str, ...], Frames, str], Fitted | None]
+    """Effects, frames and a nameless rival ('' for none) to the fit; None for a set that makes no sense."""
+    nameless: tuple[str, ...] = ()
+    """Free curves and maps that no name stands for: what they explain and no name does, has no name."""
+    spare: float = LEAST_SHARE
+    gaps: tuple[str, ...] = ()
+    """The gaps that its effects close (`proof`)."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """What the frames say of one kind."""
+
+    kind: Kind
     names: tuple[str, ...]
-    """Keys of effects; none for the asset's film as it is."""
-    size: int
-    """Parameters."""
-    densities: Array
-    """(frames,) log predictive density of each."""
-    nameless: bool = False
-
-    @property
-    def mean(self) -> float:
-        """Over the frames."""
-        return float(self.densities.mean())
-
-
-def standard_error(values: Array) -> float:
-    """Of the mean of `values` (n,) in the order of time: frames next to each other say partly the same."""
-    n = len(values)
-    if n < 3:
-        return float("inf")
-    d = values - values.mean()
-    variance = float((d**2).mean())
-    along = float((d[1:] * d[:-1]).mean()) / variance if variance > 0 else 0.0
-    return float(np.sqrt(variance / (n - 1) * max(1.0, 1 + 2 * along)))
+    """The smallest set within one standard error of the best; none for the film as it is."""
+    rivals: tuple[tuple[str, ...], ...]
+    """All sets of as many effects that are, itself first."""
+    values: dict[str, float]
+    errors: dict[str, float]
+    """Standard errors of `values`."""
+    scores: tuple[Score, ...]
+    """Of everything that was tried, the most probable first."""
+    p_values: dict[str, float]
+    """Effect to the chance that confirming frames gain as much by it if it is not there."""
+    refused: dict[str, str]
+    """Effects that give way to a nameless rival, and why."""
+    dominated: str
+    """A nameless rival that explains `TWICE` as much as the whole set; '' for none."""
 
 
-def smallest(tried: Sequence[Tried], least_share: float = 0.0) -> tuple[Tried, tuple[Tried, ...]]:
-    """The smallest set within one standard error of the best, and all sets of as many effects that are, too.
+def choose(kind: Kind, split: tuple[Frames, Frames, Frames]) -> Chosen:
+    """The smallest set within one standard error of the best on the frames that choose."""
+    fit_on, choose_on, _ = split
+    stretches = np.flatnonzero(np.diff(choose_on, prepend=-2) > 1)
+    fits: dict[tuple[str, ...], Fitted] = {}
+    scores: dict[tuple[str, ...], Score] = {}
 
-    A set with fewer effects, but some, is as good within `least_share` of what the best gains.
-    """
-    named = [t for t in tried if not t.nameless]
-    best = max(named, key=lambda t: t.mean)
-    none = next((t for t in named if not t.names), best)
-    spare = least_share * (best.mean - none.mean)
-    within = [
-        t
-        for t in named
-        if best.mean - t.mean
-        <= max(standard_error(best.densities - t.densities), spare if 0 < len(t.names) < len(best.names) else 0.0)
-        or t is best
-    ]
-    first = min(within, key=lambda t: (len(t.names), t.size, -t.mean))
-    alike = sorted((t for t in within if len(t.names) == len(first.names)), key=lambda t: -t.mean)
-    return first, tuple(alike)
+    def attempt(names: tuple[str, ...], nameless: str = "") -> float:
+        found = kind.fit(names, fit_on, nameless)
+        if found is None or not (found.matters or nameless):
+            return -np.inf
+        key = (*names, nameless) if nameless else names
+        fits[key] = found
+        scores[key] = Score(key, np.add.reduceat(found.judge(choose_on), stretches))
+        return scores[key].total
+
+    attempt(())
+    beam: list[tuple[str, ...]] = [()]
+    best = _smallest(scores, kind.spare)
+    while len(beam[0]) <= len(best[0].names) + 1:  # a size further than what helps: pairs may do what neither does
+        wider = {tuple(e for e in kind.effects if e in (*s, more)) for s in beam for more in kind.effects} - set(beam)
+        if not wider:
+            break
+        beam = sorted(sorted(wider), key=attempt, reverse=True)[:BEAM]
+        best = _smallest(scores, kind.spare)
+    first = best[0]
+    none, found = scores[()], fits[first.names]
+    gain, refused, dominated = first.total - none.total, dict[str, str](), ""
+    for rival in kind.nameless if first.names else ():
+        attempt((), rival)
+        alone = scores[(rival,)]
+        if alone.total - none.total > TWICE * gain:
+            dominated = rival
+        if not found.sizes:
+            continue
+        attempt(first.names, rival)
+        both = scores[(*first.names, rival)]
+        ahead, error = lead(alone, first)
+        if ahead <= max(error, kind.spare * gain) and both.total - first.total <= gain / TWICE:
+            continue
+        brought, error = lead(both, alone)
+        for name in first.names:
+            own, then = found.sizes[name], fits[both.names].sizes[name]
+            if np.linalg.norm(then - own) > KEEPS * np.linalg.norm(own) or brought <= error:
+                refused[name] = f"errors by {rival} explain more, and beside them it has another size"
+    return Chosen(
+        kind,
+        first.names,
+        tuple(s.names for s in best),
+        found.values,
+        _standard_errors(kind, first.names, fit_on, found.values),
+        tuple(sorted(scores.values(), key=lambda s: -s.total)),
+        {name: _p_value(kind, fits, first.names, name, split) for name in first.names},
+        refused,
+        dominated,
+    )
 
 
-def sign_flip_p(gains: Array, seed: int = 0) -> float:
-    """Chance that frames which gain nothing on average gain as much: the signs of their gains flipped at random.
+def _smallest(scores: dict[tuple[str, ...], Score], spare: float) -> tuple[Score, ...]:
+    """The smallest sets within one standard error of the best; of sets that gain, up to the share `spare`, what the
+    best one does, only the smallest stand."""
+    named = list(scores.values())
+    best = max(named, key=lambda s: s.total)
+    near = [len(s.names) for s in named if s.names and best.total - s.total <= spare * (best.total - scores[()].total)]
+    return smallest([s for s in named if len(s.names) <= min(near, default=0)])
 
-    Gains are capped at three times their median size, so that one frame does not decide.
-    """
-    if not len(gains) or not gains.any():
-        return 1.0
+
+def _standard_errors(kind: Kind, names: tuple[str, ...], frames: Frames, values: dict[str, float]) -> dict[str, float]:
+    """Of the values, from fits without each of `GROUPS` groups of frames."""
+    if not names or len(frames) < GROUPS:
+        return {}
+    again = [kind.fit(names, np.delete(frames, np.s_[g::GROUPS]), "") for g in range(GROUPS)]
+    every = [f.values for f in again if f is not None]
+    return {name: float(np.sqrt(GROUPS - 1) * np.std([v[name] for v in every])) for name in values if every}
+
+
+def _p_value(
+    kind: Kind,
+    fits: dict[tuple[str, ...], Fitted],
+    names: tuple[str, ...],
+    name: str,
+    split: tuple[Frames, Frames, Frames],
+) -> float:
+    """By the signs of confirming frames' gains, flipped at random; gains are capped at three times their median size,
+    so that one frame does not decide."""
+    rest = tuple(n for n in names if n != name)
+    without = fits.get(rest) or kind.fit(rest, split[0], "") or fits[()]
+    gains = fits[names].judge(split[2]) - without.judge(split[2])
     cap = 3 * max(float(np.median(np.abs(gains))), 1e-12)
-    g = np.clip(gains, -cap, cap)
-    rng = np.random.default_rng([seed, 13])
-    signs = rng.choice([-1.0, 1.0], size=(FLIPS, len(g)))
-    return float((1 + ((signs @ g) >= g.sum() - 1e-12).sum()) / (FLIPS + 1))
-
-
-def benjamini_hochberg(p: NDArray[np.float64]) -> Array:
-    """(n,) p-values corrected for their number (Benjamini and Hochberg 1995)."""
-    order, n = np.argsort(p), len(p)
-    stepped = np.minimum.accumulate((p[order] * n / np.arange(1, n + 1))[::-1])[::-1]
-    out = np.empty(n)
-    out[order] = np.minimum(stepped, 1.0)
-    return out
+    at, capped = np.arange(len(gains)), np.clip(gains, -cap, cap)
+    z, p, _ = sign_flips(at, np.zeros_like(at), capped, 1, np.random.default_rng(13))
+    return p if z[0] > 0 else 1.0

@@ -1,175 +1,216 @@
-"""What the camera does to depth and outlines: which set of effects, by frames that it was not fitted to."""
+"""What a camera does to the size of depth, to the pictures' geometry and to their timing, as columns over the rows."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simgap.film.choose import LEAST_SHARE, Tried, smallest
-from simgap.film.library import GEOMETRY, NAMELESS, Design, Effect
-from simgap.film.linear import Block, LinearFit, density, fitted
+from freeart21.camera_faults import CameraFaults
+from freeart21.se3 import Array
+from simgap.film.choose import Fitted, Frames, Kind
+from simgap.film.effects import parameters_of
+from simgap.film.linear import Block, LinearFit, density, fit_blocks
+from simgap.film.samples import Rows
 
-MOST = 3
-"""Effects of a set up to which several are widened; more are added one by one while they help."""
+BIAS = ("depth_scale", "depth_offset", "depth_curve")
+"""Effects of the depth's size."""
+PICTURE = ("focal_length", "principal_point", "misregistration", "depth_delay")
+"""Effects by which a film is simulated anew."""
+NAMELESS = ("place in the picture", "distance", "angle of incidence", "lens")
+GAPS = ("depth of inner pixels", "outline of the mask", "outline of the depth")
 LEAST_DEPTH, LEAST_PX = 5e-4, 0.15
 """An effect is not named that moves depth by less than this share of the distance and outlines by less than this many
 pixels, both as root mean squares: no camera is so good (Tolgyessy 2021: 1 part in 1,000), and no mask."""
 TOGETHER = 0.3
 """Share of the largest of them that several errors of the depth's size must come to together. Not measured."""
-BEAM = 5
-"""Sets of each size that are widened: greedy search picks the best single effect and cannot reach a pair without it."""
 ROWS = 5000
-"""Of a kind, that a search reads."""
+"""Of a kind of rows, that a search reads."""
 
 
 @dataclass(frozen=True)
-class Geometry:
-    """What the search came to."""
+class Design:
+    """All rows with all columns."""
 
-    chosen: tuple[Effect, ...]
-    rivals: tuple[tuple[str, ...], ...]
-    """Sets of keys that the frames cannot tell from the chosen one, itself first."""
-    fit: LinearFit
-    tried: tuple[Tried, ...]
-    """Best first."""
-    null: Tried
-    null_fit: LinearFit
-    beside: dict[str, tuple[Tried, Tried, LinearFit]]
-    """Nameless rival to itself, itself beside the chosen set, and that fit."""
+    blocks: tuple[Block, ...]
+    columns: dict[str, tuple[int, ...]]
+    """Effect, or nameless rival, to its columns."""
+    free: tuple[int, ...] = ()
+    """Columns that every model has, without a name."""
+    ridge: Array | None = None
+    """(K,) 1 / standard deviation^2 by which each parameter is held towards zero."""
 
-
-def by_key(key: str) -> Effect:
-    """The effect of the library."""
-    return next(effect for effect in GEOMETRY if effect.key == key)
+    def moves(self, name: str, fit: LinearFit) -> list[Array]:
+        """(n,) of each block: what an effect of a fit does to its rows."""
+        columns = list(self.columns[name])
+        beta = fit.beta[[fit.chosen.index(c) for c in columns]]
+        return [b.columns[:, columns] @ beta for b in self.blocks]
 
 
-def thinned(blocks: Sequence[Block], most: int) -> tuple[Block, ...]:
-    """At most about `most` rows of each kind, evenly drawn."""
-    out = []
-    for b in blocks:
-        step = max(1, len(b.y) // most)
-        out.append(Block(b.y[::step], b.columns[::step], b.own[::step], b.frame[::step], b.least, b.span))
-    return tuple(out)
-
-
-def search(
+def linear_kind(
+    name: str,
     design: Design,
-    fit_on: NDArray[np.int64],
-    choose_on: NDArray[np.int64],
-    shut: frozenset[str] = frozenset(),
-    most: int = MOST,
-) -> Geometry:
-    """The smallest set of effects that the frames `choose_on` (indices) ask for.
+    effects: tuple[str, ...],
+    nameless: tuple[str, ...],
+    values_of: Callable[[str, Array], dict[str, float]],
+    matters: Callable[[Design, LinearFit, tuple[str, ...]], bool],
+    gaps: tuple[str, ...],
+) -> Kind:
+    """Effects that are columns over the same rows. `values_of` makes parameters of an effect's coefficients."""
+    cut: dict[bytes, list[Block]] = {}
+    root_squares = np.sqrt(np.mean(np.concatenate([b.columns**2 for b in design.blocks]), 0))
 
-    Names and keys in `shut` are not tried; the best sets of each size are widened, up to `most` effects, and then the
-    best alone.
+    def blocks_of(frames: Frames) -> list[Block]:
+        key = frames.tobytes()
+        if key not in cut:
+            cut[key] = [b.of(frames) for b in design.blocks]
+        return cut[key]
+
+    def fit(names: tuple[str, ...], frames: Frames, rival: str) -> Fitted:
+        keys = (*names, rival) if rival else names
+        columns = [*design.free, *(c for key in keys for c in design.columns[key])]
+        found = fit_blocks(blocks_of(frames), columns, design.ridge)
+        values, sizes = dict[str, float](), dict[str, Array]()
+        for key in names:
+            at = list(design.columns[key])
+            beta = found.beta[[found.chosen.index(c) for c in at]]
+            values |= values_of(key, beta)
+            sizes[key] = beta * root_squares[at]
+        return Fitted(values, lambda some: density(blocks_of(some), found, some), matters(design, found, names), sizes)
+
+    return Kind(name, effects, fit, nameless, gaps=gaps)
+
+
+def geometry_kind(design: Design, shut: frozenset[str]) -> Kind:
+    """What the camera does to depth and outlines, but for what is in `shut`."""
+    return linear_kind(
+        "depth and outlines",
+        replace(design, blocks=tuple(b.thinned(ROWS) for b in design.blocks)),
+        tuple(e for e in (*BIAS, *PICTURE) if e not in shut),
+        NAMELESS,
+        lambda name, beta: dict(zip(parameters_of(name), beta.tolist(), strict=True)),
+        _matters,
+        GAPS,
+    )
+
+
+def design_of(rows: Rows, depth_unit: float, exact: bool, simulated_with: CameraFaults) -> Design:
+    """The rows as blocks: depth of inner pixels (metres), the mask's outline and the depth's outline (pixels).
+
+    Args:
+        rows: about the camera `simulated_with`.
+        depth_unit: step of the measured depth, metres.
+        exact: whether the poses leave no doubt; else a shift, a turn and a time of both pictures together are free.
+        simulated_with: what it does to geometry and time is put back to first order: parameters are then whole ones.
     """
-    blocks = thinned(design.blocks, ROWS)
-    fitting = [b.of(fit_on) for b in blocks]
-    choosing = [b.of(choose_on) for b in blocks]
-    fits: dict[tuple[str, ...], LinearFit] = {}
-    tried: list[Tried] = []
-
-    def attempt(keys: tuple[str, ...], nameless: bool = False) -> Tried | None:
-        columns = [c for key in keys for c in design.columns[key]]
-        ridge = _ridge(design, keys)
-        fits[keys] = fit = fitted(fitting, columns, ridge)
-        if not nameless and not all(_matters(design, blocks, key, fit) for key in keys):
-            return None
-        if not nameless and _cancel(design, blocks, keys, fit):
-            return None
-        found = Tried(keys, len(columns), density(choosing, fit, choose_on), nameless)
-        tried.append(found)
-        return found
-
-    null = attempt(())
-    assert null is not None
-    effects = [e for e in GEOMETRY if not {e.name, e.key} & shut]
-    if _at_the_floor(fits[()], blocks):
-        return Geometry((), ((),), fits[()], tuple(tried), null, fits[()], {})
-    beam: list[tuple[str, ...]] = [()]
-    for _ in range(most):
-        wider = {
-            tuple(e.key for e in effects if e.key in (*keys, more.key))
-            for keys in beam
-            for more in effects
-            if more.name not in {by_key(k).name for k in keys}
-        }
-        level = [(attempt(keys), keys) for keys in sorted(wider)]
-        beam = [keys for found, keys in sorted(level, key=lambda f: -(f[0].mean if f[0] else -np.inf))[:BEAM]]
-    first, alike = smallest(tried, LEAST_SHARE)
-    while len(first.names) >= most:
-        more = [e for e in effects if e.name not in {by_key(k).name for k in first.names}]
-        added = [attempt((*first.names, e.key)) for e in more]
-        again, alike_again = smallest(tried, LEAST_SHARE)
-        if again is first or not any(added):
-            break
-        first, alike = again, alike_again
-    beside = {}
-    for key in NAMELESS:
-        alone = attempt((key,), nameless=True)
-        if first.names:
-            both = attempt((*first.names, key), nameless=True)
-            assert alone is not None and both is not None
-            beside[key] = alone, both, fits[(*first.names, key)]
-    ordered = tuple(sorted(tried, key=lambda t: -t.mean))
-    own = {tuple(sorted(by_key(k).name for k in first.names))}
-    rivals = [first.names]
-    for t in alike:
-        names = tuple(sorted(by_key(k).name for k in t.names))
-        if names not in own:
-            own.add(names)
-            rivals.append(t.names)
-    return Geometry(
-        tuple(by_key(k) for k in first.names), tuple(rivals), fits[first.names], ordered, null, fits[()], beside
-    )
+    inner, mask, depth = np.isfinite(rows["error"]), np.isfinite(rows["mask_off"]), np.isfinite(rows["depth_off"])
+    z, at, slope, later = (rows[name][inner] for name in ("z", "at", "slope", "later"))
+    edge_at, n, moving = rows["outline"], rows["outward"], rows["moving"]
+    size = max(float(np.abs(np.concatenate([at, edge_at])).max(initial=1.0)), 1.0)
+    along, along_edge = (slope * at).sum(1), (n * edge_at).sum(1)
+    turned, turned_edge = (slope * _turned(at)).sum(1), (n * _turned(edge_at)).sum(1)
+    none = np.zeros(len(n))
+    shifted, shifted_edge = np.column_stack([-slope, -turned]), np.column_stack([n, turned_edge])
+    r, r_edge = (at**2).sum(1) / size**2, (edge_at**2).sum(1) / size**2
+    of: dict[str, tuple[Array, ...]] = {
+        "depth_scale": (z, none, none),
+        "depth_offset": (np.ones(len(z)), none, none),
+        "depth_curve": (z * z, none, none),
+        "focal_length": (-along, along_edge, along_edge),
+        "principal_point": (-slope, n, n),
+        "misregistration": (shifted, 0 * shifted_edge, shifted_edge),
+        "depth_delay": (later, none, moving),
+        "place in the picture": _inner_only(waves(at / size), n),
+        "distance": _inner_only(hats(z, 6), n),
+        "angle of incidence": _inner_only(hats(rows["cosine"][inner], 6), n),
+        "lens": (-along * r, along_edge * r_edge, along_edge * r_edge),
+    }
+    if not exact:
+        of["poses"] = (
+            np.column_stack([shifted, later]),
+            np.column_stack([shifted_edge, moving]),
+            np.column_stack([shifted_edge, moving]),
+        )
+    columns, full, held = stacked(of, {"place in the picture", "distance", "angle of incidence"})
+    floor = depth_floor(float(np.median(z)) if len(z) else 1.0, depth_unit)
+    own = np.ones((len(z), 1)) if exact else _planes(at / size, rows["part"][inner])
+    edge = rows.of("mask_off")
+    outlines = [
+        Block(rows[field][on], block[on], n[on], edge[on], (0.15, 0.05), 14.0)
+        for field, on, block in (("mask_off", mask, full[1]), ("depth_off", depth, full[2]))
+    ]
+    blocks = [Block(rows["error"][inner], full[0], own, rows.of("error")[inner], (floor, floor), 1.0), *outlines]
+    for name in PICTURE:
+        back = np.array([getattr(simulated_with, field) for field in parameters_of(name)])
+        blocks = [replace(b, y=b.y + b.columns[:, list(columns[name])] @ back) for b in blocks]
+    return Design(tuple(blocks), columns, columns.get("poses", ()), held)
 
 
-def _at_the_floor(fit: LinearFit, blocks: Sequence[Block]) -> bool:
-    """Whether the film as it is lacks nothing that the comparison could tell."""
-    return all(
-        s <= 1.01 * b.least[0] and t <= 1.01 * b.least[1] for s, t, b in zip(fit.sigma, fit.tau, blocks, strict=True)
-    )
+def stacked(
+    of: dict[str, tuple[Array, ...]], held: set[str], deviation: float = 0.01
+) -> tuple[dict[str, tuple[int, ...]], list[Array], Array]:
+    """Names to numbers of columns, the columns of each block (n, K), and a ridge (K,) that holds what is in `held` to
+    `deviation`, so that what no row tells stays finite."""
+    columns, count = dict[str, tuple[int, ...]](), 0
+    parts = {key: [np.asarray(b, float).reshape(len(b), -1) for b in blocks] for key, blocks in of.items()}
+    for key, blocks in parts.items():
+        columns[key] = tuple(range(count, count + blocks[0].shape[1]))
+        count += blocks[0].shape[1]
+    ridge = np.zeros(count)
+    ridge[[c for key in held for c in columns[key]]] = deviation**-2
+    return columns, [np.concatenate(block, 1) for block in zip(*parts.values(), strict=True)], ridge
 
 
-def _ridge(design: Design, keys: tuple[str, ...]) -> np.ndarray | None:
-    """Nameless curves are held to a hundredth of a metre, so that what no row tells stays finite."""
-    free = [c for key in keys if key in NAMELESS and key != "lens" for c in design.columns[key]]
-    if not free:
-        return None
-    ridge = np.zeros(design.blocks[0].columns.shape[1])
-    ridge[free] = 1 / 0.01**2
-    return ridge
+def depth_floor(distance: float, depth_unit: float) -> float:
+    """Metres: what the comparison of depth cannot tell: half the measured depth's step, or 1 part in 10,000 of the
+    distance, a tenth of what the best cameras err by (Tolgyessy 2021: a millimetre at a metre)."""
+    return max(0.5 * depth_unit, 1e-4 * distance)
 
 
-def moved(design: Design, blocks: Sequence[Block], key: str, fit: LinearFit) -> tuple[float, float]:
-    """How far an effect of a fit moves depth, as a share of the distance, and outlines, pixels: root mean squares."""
-    at = {column: value for column, value in zip(fit.chosen, fit.beta, strict=True)}
-    columns = list(design.columns[key])
-    beta = np.array([at[c] for c in columns])
-    sizes = []
-    for b in blocks:
-        sizes.append(float(np.sqrt(np.mean((b.columns[:, columns] @ beta) ** 2))) if len(b.y) else 0.0)
-    z = blocks[0].columns[:, design.columns["depth_scale"][0]]
-    return sizes[0] / max(float(np.median(z)) if len(z) else 1.0, 1e-9), max(sizes[1], sizes[2])
+def hats(x: Array, knots: int | Array) -> Array:
+    """(n, knots) hat functions over x (n,), at its quantiles or at given knots."""
+    if isinstance(knots, int):
+        knots = np.unique(np.quantile(x, np.linspace(0.01, 0.99, knots))) if len(x) else np.arange(float(knots))
+    return np.stack([np.interp(x, knots, one) for one in np.eye(len(knots))], -1)
 
 
-def _cancel(design: Design, blocks: Sequence[Block], keys: tuple[str, ...], fit: LinearFit) -> bool:
-    """Whether several errors of the depth's size mostly undo each other: together they are then no more than a curve
-    through something else."""
-    bias = [k for k in keys if k in ("depth_scale", "depth_offset", "depth_curve")]
-    if len(bias) < 2:
-        return False
-    at = {column: value for column, value in zip(fit.chosen, fit.beta, strict=True)}
-    columns = [c for k in bias for c in design.columns[k]]
-    parts = blocks[0].columns[:, columns] * np.array([at[c] for c in columns])
-    alone = float(np.sqrt((parts**2).mean(0)).max())
-    return float(np.sqrt((parts.sum(1) ** 2).mean())) < TOGETHER * alone
+def waves(at: Array) -> Array:
+    """(n, 15) products of cosines over the picture, `at` (n, 2) in -1 to 1; all but the constant."""
+    x, y = (np.stack([np.cos(np.pi * k * (a + 1) / 2) for k in range(4)], -1) for a in (at[:, 0], at[:, 1]))
+    return np.asarray((x[:, :, None] * y[:, None, :]).reshape(len(at), 16)[:, 1:])
 
 
-def _matters(design: Design, blocks: Sequence[Block], key: str, fit: LinearFit) -> bool:
-    depth, px = moved(design, blocks, key, fit)
-    return depth >= LEAST_DEPTH or px >= LEAST_PX
+def _turned(at: Array) -> Array:
+    return np.stack([-at[:, 1], at[:, 0]], -1)
+
+
+def _inner_only(inner: Array, edge: Array) -> tuple[Array, Array, Array]:
+    none = np.zeros((len(edge), inner.shape[1]))
+    return inner, none, none
+
+
+def _planes(at: Array, part: NDArray[np.int64]) -> Array:
+    """(n, 6) an offset and two slopes of each part: what a pose does that is a little off."""
+    plane = np.column_stack([np.ones(len(at)), at])
+    return np.concatenate([np.where((part == k)[:, None], plane, 0.0) for k in (1, 2)], 1)
+
+
+def root_mean_square(values: Sequence[float] | Array) -> float:
+    """Of all values; 0 of none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
+
+
+def _matters(design: Design, fit: LinearFit, names: tuple[str, ...]) -> bool:
+    """Whether every effect moves depth or outlines by enough, and errors of the depth's size do not undo each other:
+    together they would be no more than a curve through something else."""
+    z = design.blocks[0].columns[:, design.columns["depth_scale"][0]]
+    distance = float(np.median(z)) if len(z) else 1.0
+    moves = {name: design.moves(name, fit) for name in names}
+    for move in moves.values():
+        depth, *outlines = (root_mean_square(m) for m in move)
+        if depth < LEAST_DEPTH * distance and max(outlines) < LEAST_PX:
+            return False
+    bias = [moves[name][0] for name in names if name in BIAS]
+    return len(bias) < 2 or root_mean_square(np.sum(bias, 0)) >= TOGETHER * max(root_mean_square(m) for m in bias)

@@ -35,15 +35,15 @@ class MissingPart:
 
     part: str
     """'reference' or 'moving'."""
-    middle: Array
+    middle_m: Array
     """(3,) metres, canonical frame at state zero."""
-    size: Array
+    size_m: Array
     """(3,) metres: the sides of its box."""
     frames: int
     """Confirming frames that show it."""
-    told: float
+    share_explained: float
     """Share of the confirming frames' excess points that lie in it."""
-    pixels: float
+    share_of_pixels: float
     """Of the object's pixels in such frames, the share that it covers."""
 
 

@@ -1,272 +1,191 @@
-"""The page of a gap between two films: what the camera does, how sure that is, where it shows, and one frame."""
+"""The page of a gap between two films, of the sections of every gap page: what the camera does, how sure that is, where
+it shows, and one frame three times."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from freeart21.files import atomic, checked
-from freeart21.view.document import MOVING, REFERENCE, Section, data_url, document, escape
+from freeart21.files import checked
+from freeart21.se3 import Array
+from freeart21.view.document import Section, data_url, document, escape
 from freeart21.view.tables import table_section
-from simgap.film.choose import Tried, standard_error
-from simgap.film.errors import film_maps
-from simgap.film.found import Found
-from simgap.film.pictures import Image, heat, shown
-from simgap.film.verdict import FilmGap, FilmVerdict
-from simgap.film.where import LEVEL, FilmMap
-from simgap.film.words import PLAIN
+from simgap.film.answer import FilmVerdict, size_text
+from simgap.film.maps import FilmMap
+from simgap.film.samples import simulated
+from simgap.film.workflow import Found
+from simgap.judgement.predictive import lead
+from simgap.page.replay_page import repeat_section
+from simgap.page.report import (
+    Ranked,
+    answer_section,
+    doubt_sections,
+    maps_section,
+    parameters_section,
+    ranking_section,
+    tile,
+)
+from simgap.page.report_plots import map_drawing, p_text
 
-_WORDS = {
-    "no_gap": "No gap",
-    "named": "Named",
-    "ambiguous": "More than one answer",
-    "unexplained": "Unexplained",
-}
-_LEFT, _RIGHT, _TOP, _BOTTOM = 50, 8, 8, 22
-BEFORE, AFTER = MOVING, REFERENCE
-"""Orange for the film as it was, blue with the camera's faults."""
+Image = NDArray[np.uint8]
+MARGIN = 0.12
+"""Share of the object's box that is shown round it."""
+WIDEST = 420
+"""Pixels of a picture on the page, at most."""
+_BLUE, _RED = np.array([0, 114, 178.0]), np.array([213, 94, 0.0])
 
 
-def write_page(path: Path, verdict: FilmVerdict, found: Found, seconds: float) -> None:
-    """Write the page, one file that needs no other."""
-    atomic.write_bytes(path, page(verdict, found, seconds).encode())
-
-
-def page(verdict: FilmVerdict, found: Found, seconds: float) -> str:
-    """The page as HTML."""
-    frames = {k: len(v) for k, v in verdict.frames.items()}
+def page(verdict: FilmVerdict, found: Found, command: str, seconds: float) -> str:
+    """The page as HTML. `command` is what makes it again."""
+    n = {k: len(v) for k, v in verdict.frames.items()}
     chips = [
-        f"{len(found.frames)} frames: {frames['fit']} fit, {frames['choose']} choose, {frames['confirm']} kept back",
+        f"{sum(n.values())} frames: {n['fit']} fitted, {n['choose']} choosing, {n['confirm']} confirming",
         f"poses from {verdict.poses}",
         f"{seconds:.0f} s",
     ]
-    sections = [_answer(verdict), _frame(verdict, found), *_parameters(verdict), *_doubt(verdict)]
-    sections += [_maps(found), _explanations(found), _gaps(verdict)]
-    return document(found.recording.name, sections, "gap between films", chips)
+    largest = sorted(verdict.gaps, key=lambda g: -g.before / max(g.floor, 1e-12))[:4]
+    tiles = [
+        tile(
+            f"{size_text(g.before, g.unit)} → {size_text(g.after, g.unit)}",
+            f"{g.regime}, on confirming frames",
+            f"floor {size_text(g.floor, g.unit)}",
+        )
+        for g in largest
+    ]
+    note = "Filmed with what is certain by `freeart21 record NAME --camera camera.json`." * bool(verdict.added)
+    sections = [
+        answer_section(verdict, tiles),
+        _frame(verdict, found),
+        *parameters_section(verdict, "revolute", note, lambda effect: "camera.json"),
+        *doubt_sections(verdict, "all frames", _doubt(verdict)),
+        *_maps(found),
+    ]
+    for kind in found.kinds:
+        none = next(s for s in kind.scores if not s.names)
+        ranking = [Ranked(s.names, np.nan, *lead(s, kind.scores[0])) for s in kind.scores[:8]]
+        if kind.names or kind.scores[0] is not none:
+            sections += ranking_section(ranking, f"frames that chose ({kind.kind.name})")
+    sections += [_gaps(verdict), repeat_section({"All of it": command})]
+    return document(found.film.recording.name, sections, "gap between films", chips)
 
 
-def _answer(verdict: FilmVerdict) -> Section:
-    word = _WORDS[verdict.verdict] + ", in part" * verdict.in_part
-    shown_gaps = sorted(verdict.gaps, key=lambda g: -(g.before / max(g.floor, 1e-12)))[:4]
-    tiles = "".join(
-        f"<div><b>{escape(size_text(g.before, g.unit))} → {escape(size_text(g.after, g.unit))}</b>"
-        f"<span>{escape(g.quantity)}, on the frames kept back</span>"
-        f"<small>floor {escape(size_text(g.floor, g.unit))}</small></div>"
-        for g in shown_gaps
+def _gaps(verdict: FilmVerdict) -> Section:
+    trial = any(g.trial is not None for g in verdict.gaps)
+    head = ("", "before", "after, with camera.json", *["with all that is named"] * trial, "floor")
+    rows = [
+        (g.regime, *(size_text(v, g.unit) for v in (g.before, g.after, *[g.trial or 0.0] * trial, g.floor)))
+        for g in verdict.gaps
+    ]
+    return table_section("The gap on confirming frames", rows, head, "full")
+
+
+def _doubt(verdict: FilmVerdict) -> str:
+    html = ""
+    part = verdict.missing_part
+    if part is not None:
+        sides, at = (
+            " x ".join(f"{1e3 * v:.0f}" for v in part.size_m),
+            ", ".join(f"{1e3 * v:.0f}" for v in part.middle_m),
+        )
+        html += (
+            f"<p>The asset lacks something of about {escape(sides)} mm on its {escape(part.part)} part, at "
+            f"({escape(at)}) mm of the canonical frame; {part.frames} confirming frames show it, and "
+            f"{100 * part.share_explained:.0f} % of what they have beyond the asset lies there.</p>"
+        )
+    for title, lines in (
+        ("Nothing can be said of these", [f"{names.replace('_', ' ')}: {why}" for names, why in verdict.cannot_tell]),
+        ("What is left without a name", verdict.left),
+    ):
+        items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+        html += f'<p>{title}:</p><ul class="remarks">{items}</ul>' if items else ""
+    return html
+
+
+def _maps(found: Found) -> list[Section]:
+    maps = sorted(found.maps, key=lambda m: (m.bins.adjusted, not len(m.rows)))
+    drawings = [
+        _picture_map(m)
+        if len(m.rows)
+        else map_drawing(m.bins, f"{m.what} by {m.over}".capitalize(), m.unit, 1.0, m.over_unit.split(" ")[0])
+        for m in maps
+    ]
+    note = "Measured less simulated, as the asset is with an ideal camera; holes are against their frame's mean."
+    return maps_section(drawings, [m.bins for m in maps], "signs of frames", note)
+
+
+def _picture_map(m: FilmMap) -> str:
+    values = m.bins.mean.reshape(len(m.rows) - 1, -1)
+    reach = float(np.nanquantile(np.abs(values), 0.98)) or 1.0
+    level = np.clip(np.nan_to_num(values) / reach, -1, 1)[..., None]
+    colours = np.where(level > 0, 255 + level * (_RED - 255), 255 - level * (_BLUE - 255))
+    colours[~np.isfinite(values)] = 225
+    image = cv2.resize(np.rint(colours).astype(np.uint8), None, fx=24, fy=24, interpolation=cv2.INTER_NEAREST)
+    title = f"{m.what} over the picture".capitalize()
+    return (
+        f"<figure><figcaption><b>{escape(title)}</b>, p = {p_text(m.bins.p_value)}<br>blue -{reach:.2g}, red "
+        f'+{reach:.2g} {escape(m.unit)}</figcaption><img class="pixels" alt="{escape(title)}" '
+        f'src="{_png(image)}"></figure>'
     )
-    notes = "".join(f'<p class="note">{escape(note)}</p>' for note in verdict.notes)
-    html = (
-        f'<p class="verdict {escape(verdict.verdict)}"><b>{escape(word)}</b></p>'
-        f'<p class="sentence">{escape(verdict.sentence)}</p><div class="tiles">{tiles}</div>{notes}'
-    )
-    return Section("The answer", html, place="full")
-
-
-def size_text(value: float, unit: str) -> str:
-    """A size with its unit, for people."""
-    if unit == "m":
-        return f"{1e3 * value:.2g} mm"
-    return f"{100 * value:.2g} %" if unit == "" else f"{value:.2g} {unit}"
 
 
 def _frame(verdict: FilmVerdict, found: Found) -> Section:
-    """The frame kept back that the film as it is misses most."""
-    confirm = found.split[2]
-    rows = found.rows
-    size = [
-        float(np.nanmedian(np.abs(rows.frames[int(i)].error))) if len(rows.frames[int(i)].error) else 0.0
-        for i in confirm
+    """The confirming frame that the film as it is misses most, measured, simulated, and with the camera's faults."""
+    of = {f.frame: f for f in found.rows.frames}
+    size = {
+        i: float(np.nanmedian(np.abs(of[i].error))) if np.isfinite(of[i].error).any() else 0.0
+        for i in verdict.frames["confirm"]
+    }
+    index = max(size, key=lambda i: size[i])
+    recording, scene, camera = found.film.recording, found.film.scene, verdict.camera
+    fps = 1 / float(np.median(np.diff(recording.times_s)))
+    frame = recording.frame(index)
+    ideal = simulated(scene, recording.camera, type(camera)(), index, fps).colour
+    then = simulated(scene, recording.camera, camera, index, fps)
+    rest = replace(camera, depth_shift_u=0.0, depth_shift_v=0.0, depth_turn=0.0)
+    rng = np.random.default_rng([index, 51])
+    depth = rest.depth(then.depth.depth, then.depth.brightness, then.depth.cosine, recording.camera, rng)
+    rgb = camera.colour(np.rint(then.colour.rgb).astype(np.uint8), index / max(len(recording) - 1, 1))
+    on = frame.mask | (ideal.part > 0)
+    ends = [np.flatnonzero(on.any(axis))[[0, -1]] for axis in (1, 0)]
+    pad = int(MARGIN * max(np.ptp(e) for e in ends)) + 4
+    box = tuple(slice(max(e[0] - pad, 0), e[1] + pad) for e in ends)
+    seen = ideal.depth[ideal.depth > 0]
+    room = 0.15 * max(float(np.ptp(seen)), 0.02 * float(seen.max()))
+    near, far = float(seen.min()) - room, float(seen.max()) + room
+    depths = [
+        _coloured(np.where(on | (d > 0) & (d < far), d, 0)[box], near, far) for d in (frame.depth, ideal.depth, depth)
     ]
-    index = int(found.frames[confirm[int(np.nanargmax(size))]])
-    pictures = shown(found.recording, found.scene, index, verdict.camera)
-    names = ("measured", "simulated, as the asset is", "simulated, with the camera's faults")
+    colours = [frame.rgb[box], np.rint(ideal.rgb).astype(np.uint8)[box], rgb[box]]
+    names = ["measured", "simulated, as the asset is", "simulated, with camera.json"]
+    shown = slice(2 if camera.none else 3)
     figures = "".join(
-        f'<figure><figcaption><b>{what}</b>, {name}</figcaption><img alt="{what}, {name}" src="{_png(image)}" '
-        'style="width:100%;image-rendering:pixelated;border-radius:6px"></figure>'
-        for what, images in (("Colour", pictures.colours), ("Depth", pictures.depths))
-        for name, image in zip(names, images, strict=True)
+        f'<figure><figcaption><b>{what}</b>, {name}</figcaption><img class="pixels" alt="{what}, {name}" '
+        f'src="{_png(_sized(image))}"></figure>'
+        for what, images in (("Colour", colours), ("Depth", depths))
+        for name, image in zip(names[shown], images[shown], strict=True)
     )
-    note = (
-        f"Depth from {pictures.near:.3g} m (dark) to {pictures.far:.3g} m (light); white: none; grey: beyond. The "
-        "asset's colours are not lit."
-    )
-    style = "grid-template-columns:repeat(auto-fit,minmax(min(100%,340px),1fr))"
-    html = f'<div class="charts" style="{style}">{figures}</div><p class="note">{escape(note)}</p>'
-    return Section(f"Frame {index}, which was kept back", html, place="full")
+    note = f"Depth from {near:.3g} m (dark) to {far:.3g} m (light); white: none; grey: beyond. The asset is not lit."
+    html = f'<div class="charts pictures">{figures}</div><p class="note">{escape(note)}</p>'
+    return Section(f"Frame {index}, of the confirming ones", html, place="full")
+
+
+def _sized(image: Image) -> Image:
+    factor = min(WIDEST / image.shape[1], 4.0)
+    how = cv2.INTER_NEAREST if factor > 1 else cv2.INTER_AREA
+    return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=how), np.uint8)
+
+
+def _coloured(depth: Array, near: float, far: float) -> Image:
+    """Near dark, far light (viridis); none is white, beyond is grey."""
+    level = np.clip((depth - near) / max(far - near, 1e-9), 0, 1)
+    out = cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1].copy()
+    out[depth <= 0] = 255
+    out[depth > far] = 128
+    return np.asarray(out, np.uint8)
 
 
 def _png(image: Image) -> str:
     return data_url("image/png", checked.encode_png(image))
-
-
-def _parameters(verdict: FilmVerdict) -> list[Section]:
-    rows = []
-    for effect in verdict.effects:
-        for k, (name, p) in enumerate(effect.parameters.items()):
-            value = ", ".join(f"{v:.2g}" for v in p.value) if isinstance(p.value, tuple) else f"{p.value:.4g}"
-            between: str = "" if p.low is None or p.high is None else f"{p.low:.4g} to {p.high:.4g}"
-            sure = "" if effect.certain else "not certain"
-            head = (PLAIN[effect.name], f"{effect.p_value:.2g}", sure) if k == 0 else ("", "", "")
-            rows.append((head[0], name, f"{value} {p.unit}".strip(), between, head[1], head[2]))
-    if not rows:
-        return []
-    certain = [e.name for e in verdict.effects if e.certain]
-    note = (
-        "camera.json holds what is certain; `freeart21 record NAME --camera camera.json` films with it."
-        if certain
-        else ""
-    )
-    return [
-        table_section("What the camera does", rows, ("", "parameter", "value", "90 % interval", "p", ""), "full", note)
-    ]
-
-
-def _doubt(verdict: FilmVerdict) -> list[Section]:
-    html = ""
-    if verdict.rivals:
-        sets = "".join(f"<li>{escape(' and '.join(PLAIN[n] for n in names))}</li>" for names in verdict.rivals)
-        html += f'<p>These explain the frames equally well:</p><ul class="remarks">{sets}</ul>'
-    part = verdict.missing_part
-    if part is not None:
-        sides = " x ".join(f"{1e3 * v:.0f}" for v in part.size)
-        at = ", ".join(f"{1e3 * v:.0f}" for v in part.middle)
-        html += (
-            f"<p>The asset lacks something of about {escape(sides)} mm on its {escape(part.part)} part, at "
-            f"({escape(at)}) mm of the canonical frame; {part.frames} frames kept back show it, and "
-            f"{100 * part.told:.0f} % of what they have beyond the asset lies there.</p>"
-        )
-    if verdict.cannot_tell:
-        lines = "".join(
-            f"<li><b>{escape(names.replace('_', ' '))}</b>: {escape(why)}</li>" for names, why in verdict.cannot_tell
-        )
-        html += f'<p>Nothing can be said of these:</p><ul class="remarks">{lines}</ul>'
-    if verdict.left:
-        lines = "".join(f"<li>{escape(line)}</li>" for line in verdict.left)
-        html += f'<p>What is left without a name:</p><ul class="remarks">{lines}</ul>'
-    return [Section("What is in doubt, and what is left", html, place="full")] if html else []
-
-
-def _maps(found: Found) -> Section:
-    maps = sorted(film_maps(found), key=lambda m: (m.p_value, not len(m.rows)))
-    drawn = "".join(_picture_map(m) if len(m.rows) else _bars(m) for m in maps)
-    told = sum(m.adjusted <= LEVEL for m in maps)
-    note = (
-        "Means over all frames, orange as the asset is, blue with what was found. "
-        f"{told} of {len(maps)} maps differ from nothing beyond chance (signs of frames flipped at random, corrected "
-        "for the number of maps); where, is on colour. Holes and brightness are against their frame's and film's mean. "
-        "These maps point; the frames kept back decide."
-    )
-    html = f'<div class="charts maps">{drawn}</div><p class="note">{escape(note)}</p>'
-    return Section("Where the two films part", html, place="full")
-
-
-def _factor(m: FilmMap) -> float:
-    return {"mm": 1e3, "%": 100.0}.get(m.unit, 1.0)
-
-
-def _caption(m: FilmMap) -> str:
-    text = f"{m.what[:1].upper()}{m.what[1:]}"
-    return (
-        f"<figcaption><b>{escape(text)}</b>, {escape(m.unit)}, by {escape(m.over)}; p = {m.adjusted:.2g}</figcaption>"
-    )
-
-
-def _bars(m: FilmMap, width: int = 330, height: int = 150) -> str:
-    f = _factor(m)
-    before, after = f * m.before, f * m.after
-    both = np.concatenate([before, after])
-    low, high = min(float(np.nanmin(both)), 0.0), max(float(np.nanmax(both)), 0.0)
-    pad = 0.08 * (high - low) or 1.0
-    low, high = low - pad, high + pad
-    n = len(before)
-    ends = np.linspace(_LEFT, width - _RIGHT, n + 1)
-
-    def down(v: float) -> float:
-        return float(_TOP + (high - v) / (high - low) * (height - _TOP - _BOTTOM))
-
-    parts = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(m.what)} by {escape(m.over)}">']
-    for k in range(n):
-        x, w = float(ends[k]), float(ends[k + 1] - ends[k])
-        if m.flagged[k]:
-            parts.append(
-                f'<rect class="flagged" x="{x:.1f}" width="{w:.1f}" y="{_TOP}" height="{height - _TOP - _BOTTOM}"/>'
-            )
-        for values, colour, at, share in ((before, BEFORE, 0.14, 0.34), (after, AFTER, 0.52, 0.34)):
-            if np.isfinite(values[k]):
-                y0, y1 = sorted((down(0.0), down(float(values[k]))))
-                parts.append(
-                    f'<rect fill="{colour}" x="{x + at * w:.1f}" width="{share * w:.1f}" y="{y0:.1f}" '
-                    f'height="{max(y1 - y0, 0.8):.1f}"/>'
-                )
-    parts.append(f'<line class="zero" x1="{_LEFT}" x2="{width - _RIGHT}" y1="{down(0):.1f}" y2="{down(0):.1f}"/>')
-    for v in (low + pad, high - pad):
-        parts.append(f'<text x="{_LEFT - 5}" y="{down(v) + 4:.1f}" text-anchor="end">{v:.2g}</text>')
-    for k in (0, n // 2, n):
-        anchor = "start" if k == 0 else "end" if k == n else "middle"
-        unit = f" {m.over_unit.split(' ')[0]}" if k == n and len(m.over_unit.split(" ")[0]) < 3 else ""
-        parts.append(
-            f'<text x="{ends[k]:.1f}" y="{height - 6}" text-anchor="{anchor}">{m.edges[k]:.3g}{escape(unit)}</text>'
-        )
-    return f"<figure>{_caption(m)}{''.join(parts)}</svg></figure>"
-
-
-def _picture_map(m: FilmMap) -> str:
-    f = _factor(m)
-    reach = float(np.nanquantile(np.abs(f * m.before), 0.98)) or 1.0
-    images = []
-    for values in (m.before, m.after):
-        small = heat(f * values, reach)
-        images.append(cv2.resize(small, None, fx=12, fy=12, interpolation=cv2.INTER_NEAREST))
-    gap = np.full((images[0].shape[0], 10, 3), 255, np.uint8)
-    both = np.concatenate([images[0], gap, images[1]], 1)
-    note = f"left before, right after; blue -{reach:.2g}, red +{reach:.2g} {m.unit}"
-    return (
-        f'<figure>{_caption(m)}<img alt="{escape(m.what)} over the picture" src="{_png(both)}" style="width:100%;'
-        f'image-rendering:pixelated;border-radius:4px"><small>{escape(note)}</small></figure>'
-    )
-
-
-def _explanations(found: Found) -> Section:
-    kinds: list[tuple[str, Sequence[Tried], Tried | None, tuple[str, ...]]] = [
-        ("depth and outlines", found.geometry.tried, found.geometry.null, tuple(e.key for e in found.geometry.chosen))
-    ]
-    kinds += [(f.kind, f.tried, f.null, f.chosen) for f in found.families]
-    if found.drift is not None:
-        kinds.append(("colours", found.drift.tried, found.drift.null, found.drift.chosen))
-    rows = []
-    for kind, tried, null, chosen in kinds:
-        if null is None:
-            continue
-        kept = [t for t in tried if t.nameless][:2] + [t for t in tried if not t.nameless][:4]
-        if all(t.names != chosen for t in kept):
-            kept += [t for t in tried if t.names == chosen and not t.nameless]
-        for k, t in enumerate(sorted(kept, key=lambda t: -t.mean)):
-            gain = t.densities - null.densities
-            names = " and ".join(_said(n) for n in t.names) or "nothing"
-            mark = "chosen" if t.names == chosen and not t.nameless else "nameless" if t.nameless else ""
-            error = standard_error(gain)
-            spread = f"{error:.2g}" if np.isfinite(error) else ""
-            rows.append((kind if k == 0 else "", names, f"{gain.mean():.1f}", spread, mark))
-    note = (
-        "Log predictive density that a frame gains over the film as it is, on frames that choose and were not fitted."
-    )
-    return table_section("Explanations that were tried", rows, ("", "", "gain", "standard error", ""), "full", note)
-
-
-def _said(key: str) -> str:
-    name, _, way = key.partition(",")
-    if name not in PLAIN:
-        return f"a free map by {key}"
-    return PLAIN[name] + (f" ({way.strip()})" if way else "")
-
-
-def _gaps(verdict: FilmVerdict) -> Section:
-    def cells(g: FilmGap) -> tuple[str, ...]:
-        return g.quantity, *(size_text(v, g.unit) for v in (g.before, g.after, g.floor))
-
-    return table_section(
-        "The gap on the frames kept back", [cells(g) for g in verdict.gaps], ("", "before", "after", "floor"), "full"
-    )

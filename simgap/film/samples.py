@@ -94,7 +94,13 @@ class FrameRows:
     # at edges
     band: Array
     """(b,) pixels to the depth edge."""
-    flying: NDArray[np.bool_]
+    band_z: Array
+    """(b,) simulated depth, metres."""
+    band_cosine: Array
+    band_depth: Array
+    """(b,) measured depth, metres; 0 for a hole."""
+    lonely: Array
+    """(b,) metres within which five pixels of the measured 5 x 5 round it are as far away."""
     # of the whole frame
     pixels: int
     """Of the simulated object."""
@@ -158,10 +164,7 @@ def rows_of(
     faults: CameraFaults | None = None,
     tell: Callable[[], None] = lambda: None,
 ) -> Rows:
-    """The rows of `frames`, about the simulated camera with the geometry of `faults`.
-
-    What `faults` says of the depth's size and noise changes no row but those at edges, where it says what flies.
-    """
+    """The rows of `frames`, about the simulated camera with the geometry and timing of `faults`."""
     faults = faults or CameraFaults()
     fps = 1 / float(np.median(np.diff(recording.times_s)))
     rows = []
@@ -179,10 +182,10 @@ def _frame_rows(recording: Recording, scene: FilmScene, i: int, faults: CameraFa
     share = i / max(len(recording) - 1, 1)
     outlines = _outlines(now, before, frame, principal, fps, rng)
     inner = _inner(now, before, frame, principal, fps, rng)
-    band, flying = _band(now.depth, frame, faults, rng)
+    band = _band(now.depth, frame, rng)
     excess, beside = _excess(now, frame, camera, rng)
     pixels = int((now.colour.part > 0).sum())
-    values = (i, share, *inner, *outlines, band, flying, pixels, excess, beside)
+    values = (i, share, *inner, *outlines, *band, pixels, excess, beside)
     return FrameRows(**dict[str, Any](zip(_FIELDS, values, strict=True)))
 
 
@@ -304,27 +307,17 @@ def _crossing(on: NDArray[np.bool_], u: NDArray, v: NDArray, n: Array) -> Array:
     return np.where(told, steps[k] + STEP_PX * part, np.nan)
 
 
-def _band(
-    depth: Drawn, frame: Frame, faults: CameraFaults, rng: np.random.Generator
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Distances to the next depth edge of pixels near one, and whether their measured depth is of no surface."""
+def _band(depth: Drawn, frame: Frame, rng: np.random.Generator) -> tuple[NDArray, ...]:
+    """Pixels near a depth edge: distance to it, simulated depth and angle, measured depth, and how lonely that is."""
     z = depth.depth
-    nearer = depth_edges(z)[0]
-    distance = cv2.distanceTransform((~nearer).astype(np.uint8), cv2.DIST_L2, 3) + 1.0
-    band = (z > 0) & (distance <= BAND_PX) & frame.mask
-    k = _chosen(band, MOST_BAND, rng)
+    distance = cv2.distanceTransform((~depth_edges(z)[0]).astype(np.uint8), cv2.DIST_L2, 3) + 1.0
+    k = _chosen((z > 0) & (distance <= BAND_PX) & frame.mask, MOST_BAND, rng)
     v, u = np.divmod(k, z.shape[1])
     padded = np.pad(frame.depth, 2)
     d = frame.depth.flat[k]
-    noise = faults.spread(z.flat[k], np.minimum(depth.cosine.flat[k], 1.0)) if faults.noise else np.zeros(len(k))
-    alike = np.zeros(len(k), int)
-    for dv in range(5):
-        for du in range(5):
-            alike += np.abs(padded[v + dv, u + du] - d) < np.maximum(0.01 * d, 3 * noise)
-    near = z.flat[k].astype(float)
-    near = near * (1 + faults.depth_scale) + faults.depth_offset + faults.depth_curve * near**2
-    beyond = d - near > np.maximum(EDGE_SHARE * near, 5 * noise)
-    return distance.flat[k].astype(float), (d > 0) & beyond & (alike - 1 < 5)
+    off = np.abs([padded[v + dv, u + du] - d for dv in range(5) for du in range(5)])
+    lonely = np.partition(off, 5, axis=0)[5]  # the pixel itself is one of them
+    return distance.flat[k].astype(float), z.flat[k].astype(float), depth.cosine.flat[k].astype(float), d, lonely
 
 
 def _excess(now: Simulated, frame: Frame, camera: Camera, rng: np.random.Generator) -> tuple[Array, int]:

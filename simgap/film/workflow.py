@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from freeart21.camera_faults import CameraFaults, with_values
+from freeart21.camera_faults import CameraFaults
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.atomic import new_folder
 from freeart21.files.camera_faults import write_camera_faults
-from freeart21.files.lock import only_writer
-from freeart21.files.places import ANSWER, check_place
 from freeart21.files.sequence import read_sequence
 from freeart21.recording import Recording
-from simgap.film.answer import answered
-from simgap.film.colour import colours
-from simgap.film.counts import flying, holes, noise
-from simgap.film.found import Found
-from simgap.film.geometry import Geometry, search
-from simgap.film.library import GEOMETRY, Design, about, depth_floor, design_of, faults_of, frames_split
+from simgap.film import counts
+from simgap.film.answer import FilmVerdict, QuantityGap, confirm, verdict_of
+from simgap.film.choose import Chosen, Frames, choose
+from simgap.film.colour import colour_design, colour_kind
+from simgap.film.effects import camera_of, effect_of
+from simgap.film.geometry import PICTURE, Design, depth_floor, design_of, geometry_kind, root_mean_square
+from simgap.film.linear import LinearFit
+from simgap.film.maps import FilmMap, film_maps
 from simgap.film.missing import missing_part
+from simgap.film.proof import UNITS, floors, measure_gaps
 from simgap.film.samples import Rows, rows_of
 from simgap.film.scene import FilmScene, read_scene
-from simgap.film.verdict import FilmVerdict
 
 MOST_FRAMES = 90
 """Frames that are compared, evenly drawn: a third of them confirms, enough for a standard error."""
@@ -36,15 +35,11 @@ LEAST_FRAMES = 12
 PASSES = 3
 """Times that the film is simulated with the geometry found: columns are of first order."""
 SETTLED_PX = 0.2
-"""Pixels by which a further pass may move the picture and end it."""
+"""Pixels by which a further pass may move outlines and end it."""
 ABSORBED = frozenset({"depth_scale", "depth_offset", "depth_curve", "focal_length", "principal_point"})
 """What an asset reconstructed from the same video has taken on."""
 
-BASE = tuple(e for e in GEOMETRY if e.key == e.name and e.name not in ("depth_scale", "depth_offset", "depth_curve"))
-"""Effects by which a film is simulated anew."""
-
 Progress = Callable[[int, int], None]
-Split = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
@@ -57,96 +52,125 @@ class Film:
     """Metres: the step of the measured depth."""
 
 
+@dataclass(frozen=True)
+class Found:
+    """What a page shows besides the verdict."""
+
+    film: Film
+    kinds: tuple[Chosen, ...]
+    maps: tuple[FilmMap, ...]
+    rows: Rows
+    """Of the asset's film as it is."""
+
+
 def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVerdict, Found]:
     """What the simulated film lacks; nothing is written. Deterministic. Raises FreeArtError when films do not fit."""
+    recording, scene = film.recording, film.scene
     frames = _frames(film)
-    split = frames_split(len(frames))
-    tell = _teller(progress, len(frames) * (PASSES + 1))
-    shut = ABSORBED if film.scene.same_video else frozenset[str]()
-    if not _moves(film):
-        shut |= {"depth_delay"}
-    if film.scene.placed.exact:  # told in the frame of the colour camera
-        shut |= {e.key for e in GEOMETRY if e.key != e.name}
-    geometry, rows, design, camera, simulated_with = _geometry(film, frames, split, shut, tell)
-    middle = float(np.median(rows["z"]))
-    quiet = max(depth_floor(middle, film.depth_unit), film.depth_unit / np.sqrt(12))
-    noisy = noise(rows, split, quiet)
-    lost = holes(rows, split)
-    said = replace(
-        with_values(simulated_with, noisy.values),
-        depth_scale=camera.depth_scale,
-        depth_offset=camera.depth_offset,
-        depth_curve=camera.depth_curve,
+    split = _split(len(frames))
+    done, total = [0], len(frames) * PASSES + 2 * len(split[2])
+
+    def rows_with(camera: CameraFaults, some: Frames) -> Rows:
+        def tell() -> None:
+            done[0] += 1
+            if progress is not None:
+                progress(min(done[0], total), total)
+
+        return rows_of(recording, scene, frames[some], camera, tell)
+
+    shut = ABSORBED if not scene.placed.exact else frozenset[str]()
+    first, rows, found = _geometry(film, rows_with, split, shut if _moves(film) else shut | {"depth_delay"})
+    quiet = max(depth_floor(float(np.median(rows["z"])), film.depth_unit), film.depth_unit / np.sqrt(12))
+    kinds = [found, choose(counts.noise_kind(rows, quiet), split), choose(counts.holes_kind(rows), split)]
+    known = camera_of({n: effect_of(n, c.values) for c in kinds for n in c.names})
+    kinds.append(choose(counts.flying_kind(rows, known), split))
+    drift = colour_design(rows) if scene.coloured else None
+    if drift is not None:
+        kinds.append(choose(colour_kind(drift, lit=not scene.placed.exact), split))
+    simulated = {_picture(CameraFaults()): first.only(split[2])}
+
+    def measure(camera: CameraFaults) -> dict[str, float]:
+        key = _picture(camera)
+        if key not in simulated:
+            simulated[key] = rows_with(key, split[2])
+        flying = camera_of({n: effect_of(n, c.values) for c in kinds for n in c.names})
+        gaps = measure_gaps(simulated[key], camera, flying, quiet, film.depth_unit, scene.placed.exact)
+        return {what: size for what, size in gaps.items() if drift is not None or what in list(UNITS)[:-1]}
+
+    confirmed = confirm(kinds, measure)
+    gaps = _gaps(
+        film, confirmed.delivered, confirmed.best, measure, floors(rows, confirmed.best, quiet, film.depth_unit)
     )
-    if said != simulated_with:  # what flies is told from what is noisy, or off as a whole
-        rows = rows_of(film.recording, film.scene, frames, said, tell)
-    families = (noisy, lost, flying(rows, split))
-    drift = colours(rows, split, film.scene.same_video) if film.scene.coloured else None
-    part = missing_part(film.recording, film.scene, rows, split)
-    found = Found(
-        film.recording,
-        film.scene,
-        frames,
-        split,
-        rows,
-        design,
-        geometry,
-        camera,
-        simulated_with,
-        families,
-        drift,
-        part,
-        shut,
-        quiet,
+    maps = film_maps(first, drift is not None)
+    part = missing_part(recording, scene, rows, split)
+    numbers = {k: frames[i].tolist() for k, i in zip(("fit", "choose", "confirm"), split, strict=True)}
+    verdict = verdict_of(recording.name, kinds, confirmed, gaps, maps, part, scene, rows, numbers)
+    return verdict, Found(film, tuple(kinds), maps, first)
+
+
+def _picture(camera: CameraFaults) -> CameraFaults:
+    """The geometry and timing of a camera alone, by which a film is simulated."""
+    fields = ("focal", "centre_u", "centre_v", "depth_shift_u", "depth_shift_v", "depth_turn", "depth_delay")
+    return CameraFaults(**{name: getattr(camera, name) for name in fields})
+
+
+def _gaps(
+    film: Film,
+    delivered: CameraFaults,
+    best: CameraFaults,
+    measure: Callable[[CameraFaults], dict[str, float]],
+    floor: dict[str, float],
+) -> tuple[QuantityGap, ...]:
+    before, after, trial = measure(CameraFaults()), measure(delivered), measure(best)
+    return tuple(
+        QuantityGap(
+            *(film.recording.name, size, after[what], floor[what], True, what, "confirming"),
+            *(None if best == delivered else trial[what], UNITS[what]),
+        )
+        for what, size in before.items()
     )
-    return answered(found), found
 
 
 def _geometry(
-    film: Film, frames: NDArray[np.int64], split: Split, shut: frozenset[str], tell: Callable[[], None]
-) -> tuple[Geometry, Rows, Design, CameraFaults, CameraFaults]:
-    """The geometry, found anew about the film that was simulated with what was found before."""
-    exact = film.scene.placed.exact
-    camera = CameraFaults()
-    for k in range(PASSES):
-        rows = rows_of(film.recording, film.scene, frames, camera, tell)
-        design = about(design_of(rows, film.depth_unit, exact), BASE, camera)
-        geometry = search(design, split[0], split[1], shut, most=3 if k else 2)
-        found = faults_of(design, geometry.chosen, geometry.fit.chosen, geometry.fit.beta)
-        wanted = _to_simulate(geometry, found)
-        if k == PASSES - 1 or _shift(film.recording, wanted, camera) < SETTLED_PX:
+    film: Film,
+    rows_with: Callable[[CameraFaults, Frames], Rows],
+    split: tuple[Frames, Frames, Frames],
+    shut: frozenset[str],
+) -> tuple[Rows, Rows, Chosen]:
+    """The rows of the film as it is, those of the film simulated with the geometry found, and that geometry, found anew
+    about the film that was simulated with what was found before."""
+    camera, every = CameraFaults(), np.sort(np.concatenate(split))
+    first: Rows | None = None
+    for _ in range(PASSES):
+        rows = rows_with(camera, every)
+        first = first or rows
+        design = design_of(rows, film.depth_unit, film.scene.placed.exact, camera)
+        found = choose(geometry_kind(design, shut), split)
+        wanted = camera_of({n: effect_of(n, found.values) for n in found.names if n in PICTURE})
+        if _shift(design, wanted, camera) < SETTLED_PX:
             break
         camera = wanted
-    return geometry, rows, design, found, camera
+    assert first is not None
+    return first, rows, found
 
 
-def _to_simulate(geometry: Geometry, found: CameraFaults) -> CameraFaults:
-    """The geometry alone. Where the poses go with the depth picture the colour picture is what is moved."""
-    keys = {e.key for e in geometry.chosen}
-    wanted = replace(found, depth_scale=0.0, depth_offset=0.0, depth_curve=0.0)
-    if "misregistration, poses by depth" in keys:
-        wanted = replace(
-            wanted,
-            centre_u=found.centre_u - found.depth_shift_u,
-            centre_v=found.centre_v - found.depth_shift_v,
-            depth_turn=0.0,
-        )
-    return replace(wanted, depth_delay=0.0) if "depth_delay, poses by depth" in keys else wanted
+def _shift(design: Design, new: CameraFaults, old: CameraFaults) -> float:
+    """Pixels, root mean square, by which the outlines of two cameras' pictures differ, to first order."""
+    effects = (effect_of(n, {**vars(new)}) for n in PICTURE), (effect_of(n, {**vars(old)}) for n in PICTURE)
+    beta = np.concatenate([np.subtract(a.values(), b.values()) for a, b in zip(*effects, strict=True)])
+    columns = tuple(c for n in PICTURE for c in design.columns[n])
+    fit = LinearFit(columns, beta, (), ())
+    moves = [replace(design, columns={"all": columns}).moves("all", fit)[k] for k in (1, 2)]
+    return max(root_mean_square(m) for m in moves)
 
 
-def _shift(recording: Recording, new: CameraFaults, old: CameraFaults) -> float:
-    """Pixels by which two cameras' pictures differ at most, roughly; a delay counts a pixel for every 5 ms."""
-    reach = 0.25 * float(np.hypot(recording.camera.width, recording.camera.height))
-    return max(
-        reach * abs(new.focal - old.focal),
-        float(np.hypot(new.centre_u - old.centre_u, new.centre_v - old.centre_v)),
-        float(np.hypot(new.depth_shift_u - old.depth_shift_u, new.depth_shift_v - old.depth_shift_v)),
-        reach * abs(new.depth_turn - old.depth_turn),
-        abs(new.depth_delay - old.depth_delay) / 5e-3,
-    )
+def _split(n: int) -> tuple[Frames, Frames, Frames]:
+    """Frames to fit, to choose and to confirm with: stretches of frames in turn, as neighbours say the same."""
+    turn = (np.arange(n) // max(1, n // 30)) % 3
+    return np.flatnonzero(turn == 0), np.flatnonzero(turn == 1), np.flatnonzero(turn == 2)
 
 
-def _frames(film: Film) -> NDArray[np.int64]:
+def _frames(film: Film) -> Frames:
     """Frames with known poses, evenly drawn."""
     n, placed = len(film.recording), film.scene.placed
     if len(placed.Ts[0]) != n:
@@ -159,31 +183,17 @@ def _frames(film: Film) -> NDArray[np.int64]:
         raise FreeArtError(
             f"{film.recording.name} shows both parts in {len(seen)} frames, expected {LEAST_FRAMES} or more"
         )
-    if len(seen) > MOST_FRAMES:
-        seen = seen[np.linspace(0, len(seen) - 1, MOST_FRAMES).round().astype(int)]
-    return seen
+    return seen[np.linspace(0, len(seen) - 1, min(len(seen), MOST_FRAMES)).round().astype(int)]
 
 
 def _moves(film: Film) -> bool:
-    """Whether the object moves in the picture, so that a delay would show: by a pixel a frame in the median."""
-    Ts, scene, camera = film.scene.placed.Ts, film.scene, film.recording.camera
+    """Whether the object moves in the picture, so that a delay would show: by half a pixel a frame in the median."""
     speed = []
-    for k, part in enumerate(scene.parts):
+    for Ts, part in zip(film.scene.placed.Ts, film.scene.parts, strict=True):
         corners = np.array(np.meshgrid(*np.stack([part.vertices.min(0), part.vertices.max(0)]).T)).reshape(3, -1).T
-        at = np.stack([camera.project(corners @ T[:3, :3].T + T[:3, 3]) for T in Ts[k]])
+        at = np.stack([film.recording.camera.project(corners @ T[:3, :3].T + T[:3, 3]) for T in Ts])
         speed.append(np.linalg.norm(np.diff(at, axis=0), axis=-1).max(1))
     return bool(np.nanmedian(np.max(speed, 0)) >= 0.5)
-
-
-def _teller(progress: Progress | None, total: int) -> Callable[[], None]:
-    done = [0]
-
-    def tell() -> None:
-        done[0] += 1
-        if progress is not None:
-            progress(min(done[0], total), total)
-
-    return tell
 
 
 def is_sequence(path: Path) -> bool:
@@ -207,16 +217,17 @@ def film_gap_folder(
     root: Path | None = None,
 ) -> FilmVerdict:
     """`find_film_gap` from folders to a folder with verdict.json, camera.json and a page, whole or not at all."""
-    from simgap.film.page import write_page
+    from simgap.film.page import page
+    from simgap.page.publish import answer_folder
 
     inputs = [asset, sequence] if poses is None else [asset, sequence, poses]
-    check_place(out, ANSWER, inputs)
-    film = read_film(asset, sequence, poses, root)
-    with only_writer(out), new_folder(out, ANSWER) as aside:
+    options = [f"--{name} {shlex.quote(str(path))}" for name, path in (("poses", poses), ("root", root)) if path]
+    command = " ".join([shlex.join(["freeart21", "gap", str(asset), str(sequence), "--out", str(out)]), *options])
+    with answer_folder(out, inputs) as write:
+        film = read_film(asset, sequence, poses, root)
         began = time.perf_counter()
         verdict, found = find_film_gap(film, progress)
         if not verdict.camera.none:
-            write_camera_faults(aside / "camera.json", verdict.camera)
-        write_page(aside / "index.html", verdict, found, time.perf_counter() - began)
-        verdict.write(aside / "verdict.json")
+            write_camera_faults(write.folder / "camera.json", verdict.camera)
+        write(verdict, "revolute", page(verdict, found, command, time.perf_counter() - began))
     return verdict

@@ -8,8 +8,8 @@ with those of sign-flipped data (so one p-value holds for the whole map), and ma
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,8 +81,13 @@ def residual_maps(found: MissingForce, seed: int = 0) -> tuple[ResidualMap, ...]
         maps.append(
             _named_map("run", found.run, along * local, found, moving, rng, found.run_names, signed=False, within=True)
         )
-    order = benjamini_hochberg(np.array([m.p_value for m in maps]))
-    return tuple(_adjusted(m, float(p)) for m, p in zip(maps, order, strict=True))
+    return correct_maps(maps)
+
+
+def correct_maps(maps: Sequence[ResidualMap]) -> tuple[ResidualMap, ...]:
+    """The maps with p-values corrected for their number, and nothing flagged on those above `LEVEL`."""
+    adjusted = benjamini_hochberg(np.array([m.p_value for m in maps])).tolist()
+    return tuple(replace(m, adjusted=p, flagged=m.flagged & (p <= LEVEL)) for m, p in zip(maps, adjusted, strict=True))
 
 
 def benjamini_hochberg(p: Array) -> Array:
@@ -151,7 +156,7 @@ def _map(
     edges = np.linspace(low, max(high, low + 1e-9), _BINS + 1)
     inside = kept & (x >= low) & (x <= high)
     bins = np.clip(np.searchsorted(edges, x[inside], side="right") - 1, 0, _BINS - 1)
-    return _filled(quantity, edges, bins, values[inside], found.unit[inside], rng, signed, (), within)
+    return bin_map(quantity, edges, bins, values[inside], found.unit[inside], rng, signed, (), within)
 
 
 def _named_map(
@@ -166,20 +171,21 @@ def _named_map(
     within: bool = False,
 ) -> ResidualMap:
     edges = np.arange(len(labels) + 1.0)
-    return _filled(quantity, edges, bins[kept], values[kept], found.unit[kept], rng, signed, labels, within)
+    return bin_map(quantity, edges, bins[kept], values[kept], found.unit[kept], rng, signed, labels, within)
 
 
-def _filled(
+def bin_map(
     quantity: str,
     edges: Array,
     bins: NDArray[np.int64],
     values: Array,
     units: NDArray[np.int64],
     rng: np.random.Generator,
-    signed: bool,
-    labels: tuple[str, ...],
-    within: bool,
+    signed: bool = True,
+    labels: tuple[str, ...] = (),
+    within: bool = False,
 ) -> ResidualMap:
+    """The map of `values` (n,) in `bins` (n,), each of one of the exchangeable `units` (n,)."""
     count = len(edges) - 1
     z, p, most = sign_flips(units, bins, values, count, rng)
     n = np.bincount(bins, minlength=count)
@@ -187,13 +193,6 @@ def _filled(
         mean = np.bincount(bins, values, count) / np.where(n > 0, n, np.nan)
         spread = np.abs(mean) / np.maximum(np.abs(z), 1e-12)
     return ResidualMap(quantity, edges, mean, spread, p, p, np.abs(z) > most, signed, labels, within)
-
-
-def _adjusted(m: ResidualMap, p: float) -> ResidualMap:
-    values = {**vars(m), "adjusted": p}
-    if p > LEVEL:
-        values["flagged"] = np.zeros(len(m.flagged), bool)
-    return ResidualMap(**values)
 
 
 def _local(found: MissingForce) -> Array:

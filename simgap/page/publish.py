@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,14 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.effects import Effect, gravity_change
 from freeart21.errors import FreeArtError
+from freeart21.files import atomic
 from freeart21.files.asset import guesses_dynamics
+from freeart21.files.atomic import new_folder
+from freeart21.files.lock import only_writer
 from freeart21.files.measured import read_measured, run_hashes
 from freeart21.files.measured_writer import write_measured
+from freeart21.files.places import ANSWER, check_place
+from freeart21.joint import JointType
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import JointMechanics
 from simgap.geometry.finding import KinematicsFinding
@@ -27,7 +33,7 @@ from simgap.judgement.words import plain, runs_text, with_closed, with_replayed
 from simgap.motion.equation_error import missing_force
 from simgap.motion.localise import residual_maps, where
 from simgap.motion.surrogate import Nuisance, Plant, plant_of
-from simgap.page.report import GEOMETRY, Gap, Ranked, use_of, write_report
+from simgap.page.report import GEOMETRY, Gap, Ranked, page, use_of
 from simgap.proof.body import NO_CORRECTION, BodyCorrection
 from simgap.proof.replay import (
     SECONDS,
@@ -124,6 +130,27 @@ class Paths:
     """Run name to the SHA-256 of its file in `measured`."""
 
 
+@dataclass(frozen=True)
+class AnswerWriter:
+    """Writes the verdict and its page into the folder of an answer that is not in its place yet."""
+
+    folder: Path
+
+    def __call__(self, verdict: Verdict, kind: JointType, html: str) -> None:
+        """Page first: verdict.json names the files that lie beside it."""
+        atomic.write_bytes(self.folder / "index.html", html.encode())
+        verdict.write(self.folder / "verdict.json", kind)
+
+
+@contextmanager
+def answer_folder(out: Path, inputs: Sequence[Path]) -> Iterator[AnswerWriter]:
+    """A new folder that takes the place of `out` at the end, whole or not at all. Raises FreeArtError where `out` holds
+    anything but an older answer, or is one of the inputs."""
+    check_place(out, ANSWER, inputs)
+    with only_writer(out), new_folder(out, ANSWER) as aside:
+        yield AnswerWriter(aside)
+
+
 def publish(
     asset: Asset,
     measured: Measured,
@@ -200,23 +227,11 @@ def publish(
         verdict = replace(
             verdict, proof=_make_proof(paths, asset, measured, folder, verdict.holding, replays[0], witness)
         )
-    verdict.write(folder / "verdict.json", measured.joint_type)
-    write_report(
-        folder / "index.html",
-        Gap(
-            title,
-            measured.joint,
-            measured.joint_type,
-            verdict,
-            draft.ranking,
-            maps,
-            shown,
-            draft.geometry,
-            tuple(notes),
-            seconds,
-            draft.curves,
-        ),
+    gap = Gap(
+        *(title, measured.joint, measured.joint_type, verdict, draft.ranking, maps, shown, draft.geometry),
+        *(tuple(notes), seconds, draft.curves),
     )
+    AnswerWriter(folder)(verdict, measured.joint_type, page(gap))
     return verdict
 
 

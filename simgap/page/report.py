@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
 
-from freeart21.files import atomic
+from freeart21.effects.base import Effect
 from freeart21.joint import JointType
 from freeart21.view.document import Section, document, escape
 from freeart21.view.plot import display_unit
@@ -19,7 +18,7 @@ from simgap.geometry.track_geometry import TrackGeometry
 from simgap.judgement.words import amount, capital, effect_words, number_text, plain, runs_text
 from simgap.motion.localise import LEVEL, ResidualMap
 from simgap.page.replay_page import repeat_section
-from simgap.page.report_plots import AFTER, BEFORE, Line, chart, interval_drawing, map_drawing, p_text, run_drawings
+from simgap.page.report_plots import AFTER, BEFORE, Line, chart, force_map, interval_drawing, p_text, run_drawings
 from simgap.proof.show import PoseGap, ReplayGap, Shown, alike, closed_alike
 from simgap.verdict import RunGap, Use, Verdict, root_mean_square, told_by, unit_of
 
@@ -73,11 +72,6 @@ class Gap:
     """Held-out runs by inverse dynamics, where motion was prescribed and nothing can be replayed."""
 
 
-def write_report(path: Path, gap: Gap) -> None:
-    """Write the page, one file that needs no other."""
-    atomic.write_bytes(path, page(gap).encode())
-
-
 def page(gap: Gap) -> str:
     """The page as HTML."""
     verdict = gap.verdict
@@ -86,7 +80,11 @@ def page(gap: Gap) -> str:
     chips = [f"joint {gap.joint}, {gap.joint_type}", f"{len(uses)} runs: {counts}"]
     if gap.seconds is not None:
         chips.append(f"{gap.seconds:.1f} s")
-    sections = [_answer(gap), *_parameters(gap), *_doubt(gap)]
+    sections = [
+        answer_section(verdict, _tiles(gap), gap.notes),
+        *parameters_section(verdict, gap.joint_type, f"Fitted to {_fitted_text(gap)}.", _file_of),
+        *doubt_sections(verdict, runs_text(uses)),
+    ]
     motion, geometry = [*_runs(gap), *_maps(gap)], _geometry(gap)
     sections += [*motion, *geometry] if _moves_otherwise(gap) else [*geometry, *motion]
     return document(gap.title, [*sections, *_ranking(gap), *_gaps(gap), *_repeat(gap)], "gap", chips)
@@ -108,17 +106,15 @@ def _moves_otherwise(gap: Gap) -> bool:
     return not kinds or any(kind != "kinematics" for kind in kinds)
 
 
-def _answer(gap: Gap) -> Section:
-    """The sentence, and the three figures that matter."""
-    verdict = gap.verdict
-    tiles = _tiles(gap)
-    notes = "".join(f'<p class="note">{escape(note)}</p>' for note in (*gap.notes, *verdict.notes))
+def answer_section(verdict: Verdict, tiles: Sequence[str], notes: Sequence[str] = ()) -> Section:
+    """The sentence, and the figures that matter."""
     word = _WORDS[verdict.verdict] + ", in part" * verdict.in_part
     html = (
         f'<p class="verdict {escape(verdict.verdict)}"><b>{escape(word)}</b></p>'
         f'<p class="sentence">{escape(verdict.sentence)}</p>'
-        f'<div class="tiles">{"".join(tiles)}</div>{notes}'
+        f'<div class="tiles">{"".join(tiles)}</div>'
     )
+    html += "".join(f'<p class="note">{escape(note)}</p>' for note in (*notes, *verdict.notes))
     return Section("The answer", html, place="full")
 
 
@@ -159,10 +155,10 @@ def _sizes(
     before, floor = (root_mean_square([getattr(g, name) for g in judged]) for name in ("before", "floor"))
     after = root_mean_square([g.after if g.trial is None else g.trial for g in judged])
     first = "gap before" if after_is else "gap"
-    tiles = [_tile(text(before), f"{first}, {what}on {where}", f"{before / floor:.1f} floors")]
+    tiles = [tile(text(before), f"{first}, {what}on {where}", f"{before / floor:.1f} floors")]
     if after_is and after_is != ROLLED_BACK and np.isfinite(after):
-        tiles.append(_tile(text(after), f"gap {after_is}, {what}on the same, in SAPIEN", f"{after / floor:.1f} floors"))
-    return [*tiles, _tile(text(floor), f"floor, {what}the sensor's noise in the same", "")]
+        tiles.append(tile(text(after), f"gap {after_is}, {what}on the same, in SAPIEN", f"{after / floor:.1f} floors"))
+    return [*tiles, tile(text(floor), f"floor, {what}the sensor's noise in the same", "")]
 
 
 def _closed(gap: Gap) -> list[str]:
@@ -176,54 +172,63 @@ def _closed(gap: Gap) -> list[str]:
     if same is not None:
         what = f"of the gap closed, on {runs_text([run.use for run in near])}"
         kind = "same kind of motion as was fitted" if {r.regime for r in near} <= fitted else "other motion"
-        tiles.append(_tile(f"{100 * min(same, 1.0):.0f} %", what, kind))
+        tiles.append(tile(f"{100 * min(same, 1.0):.0f} %", what, kind))
     if other is not None:
         what = f"closed in other motion, on {runs_text([run.use for run in far])}"
-        tiles.append(_tile(f"{100 * min(other, 1.0):.0f} %", what, ", ".join(sorted({run.regime for run in far}))))
+        tiles.append(tile(f"{100 * min(other, 1.0):.0f} %", what, ", ".join(sorted({run.regime for run in far}))))
     return tiles
 
 
-def _tile(figure: str, what: str, more: str) -> str:
+def tile(figure: str, what: str, more: str) -> str:
+    """A figure with what it is of, and a word more."""
     return f"<div><b>{escape(figure)}</b><span>{escape(what)}</span><small>{escape(more)}</small></div>"
 
 
-def _parameters(gap: Gap) -> list[Section]:
-    """Every parameter of the named effects, with its interval."""
+def parameters_section(verdict: Verdict, kind: JointType, note: str, file_of: Callable[[Effect], str]) -> list[Section]:
+    """Every parameter of the named effects and every corrected number of the asset, with its interval, and the file that
+    holds it: `file_of` an effect that was written."""
+
+    def row(head: str, name: str, meaning: str, unit: str, value: float, low: float, high: float, file: str) -> str:
+        known = np.isfinite([low, high]).any()
+        span = f"{escape(number_text(low, unit))} to {escape(number_text(high, unit))}" if known else ""
+        return (
+            f"<tr><th scope=row>{head}</th><td>{escape(name)}<br><small>{escape(meaning)}</small></td>"
+            f"<td class=number><b>{escape(number_text(value, unit))}</b></td><td class=number>{span}</td>"
+            f"<td>{interval_drawing(value, low, high) if known else ''}</td><td><small>{escape(file)}</small></td></tr>"
+        )
+
     rows = [
-        f"<tr><th scope=row><b>The asset's own</b></th><td>{escape(c.name)}<br><small>"
-        f"{'times what the asset says' if c.unit == '1' else 'of the pull of its weight'}</small></td>"
-        f"<td class=number><b>{escape(number_text(c.value, c.unit))}</b></td>"
-        f"<td class=number>{escape(number_text(c.low, c.unit))} to {escape(number_text(c.high, c.unit))}</td>"
-        f"<td>{interval_drawing(c.value, c.low, c.high)}</td></tr>"
-        for c in gap.verdict.corrections
+        row("<b>The asset's own</b>", c.name, _OWN[c.unit], c.unit, c.value, c.low, c.high, "asset/: <inertial>")
+        for c in verdict.corrections
     ]
-    for named in gap.verdict.effects:
-        specs = named.effect.parameters(gap.joint_type)
-        for k, (name, spec) in enumerate(specs.items()):
-            unit = spec.unit(gap.joint_type)
+    for named in verdict.effects:
+        head = f"<b>{escape(capital(plain(named.effect.name)))}</b><br>{escape(named.effect.name)}"
+        for name, spec in named.effect.parameters(kind).items():
             value, low, high = getattr(named.effect, name), named.low[name], named.high[name]
-            head = (
-                f"<b>{escape(capital(plain(named.effect.name)))}</b><br>{escape(named.effect.name)}" if k == 0 else ""
-            )
-            rows.append(
-                f"<tr><th scope=row>{head}</th><td>{escape(name)}<br><small>{escape(spec.meaning)}</small></td>"
-                f"<td class=number><b>{escape(number_text(value, unit))}</b></td>"
-                f"<td class=number>{escape(number_text(low, unit))} to {escape(number_text(high, unit))}</td>"
-                f"<td>{interval_drawing(value, low, high)}</td></tr>"
-            )
+            file = file_of(named.effect) if named.effect.name in verdict.added else "not written"
+            rows.append(row(head, name, spec.meaning, spec.unit(kind), value, low, high, file))
+            head = ""
     if not rows:
         return []
-    head = "".join(f"<th scope=col>{cell}</th>" for cell in ("", "parameter", "value", "90 % interval", ""))
+    head = "".join(f"<th scope=col>{cell}</th>" for cell in ("", "parameter", "value", "90 % interval", "", "in"))
     html = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
-    html += f'<p class="note">Fitted to {escape(_fitted_text(gap))}.</p>'
-    here = [named.effect.name in gap.verdict.added for named in gap.verdict.effects]
-    if all(here):
-        title = "What was added to the asset"
-    elif any(here):
-        title = f"The best explanation; added to the asset: {', '.join(gap.verdict.added)}"
+    names = [named.effect.name for named in verdict.effects]
+    if set(names) <= set(verdict.added):
+        title = "What was written"
+    elif verdict.added:
+        title = f"The best explanation; written: {', '.join(verdict.added)}"
     else:
-        title = "The best explanation, not certain, and not added to the asset"
-    return [Section(title, html, place="full")]
+        title = "The best explanation, not certain, and not written"
+    return [Section(title, f'{html}<p class="note">{escape(note)}</p>', place="full")]
+
+
+def _file_of(effect: Effect) -> str:
+    """Files of the delivered asset that say an effect."""
+    more = ", ".join(f"<dynamics {name}>" for name in effect.urdf_dynamics())
+    return f"asset/effects.json{', URDF ' * bool(more)}{more}"
+
+
+_OWN = {"1": "times what the asset says", "rad": "of the pull of its weight"}
 
 
 def _fitted_text(gap: Gap) -> str:
@@ -232,27 +237,26 @@ def _fitted_text(gap: Gap) -> str:
     return f"run {names[0]}" if len(names) == 1 else f"{len(names)} runs: {', '.join(names)}"
 
 
-def _doubt(gap: Gap) -> list[Section]:
-    """Rivals and the next experiment, and where something remains."""
-    verdict, lines = gap.verdict, []
-    for names in verdict.rivals:
-        said = capital(" and ".join(plain(n) for n in names))
-        lines.append(f"<li>{escape(said)} <small>{escape(', '.join(names))}</small></li>")
+def doubt_sections(verdict: Verdict, of: str, more: str = "") -> list[Section]:
+    """Rivals, what else is in doubt (`more`, HTML) and the next experiment; and where something shows, in what `of`."""
     html = ""
-    if lines:
-        html += "<p>These explain the runs equally well:</p>" + f'<ul class="remarks">{"".join(lines)}</ul>'
+    if verdict.rivals:
+        said = [(capital(" and ".join(plain(n) for n in names)), ", ".join(names)) for names in verdict.rivals]
+        lines = "".join(f"<li>{escape(words)} <small>{escape(names)}</small></li>" for words, names in said)
+        html += f'<p>These explain what was measured equally well:</p><ul class="remarks">{lines}</ul>'
+    html += more
     if verdict.next_experiment:
         html += f'<p class="next"><b>Next experiment.</b> {escape(verdict.next_experiment)}</p>'
-    title = "What the data cannot tell apart" if lines else "What would tell more"
+    title = (
+        "What cannot be told apart" if verdict.rivals else "What would tell more" if not more else "What is in doubt"
+    )
     found = [Section(title, html, place="full")] if html else []
     if verdict.where:
         spots = "".join(
             f"<li>{escape(w.text)} <small>p = {escape(p_text(w.p_value))}</small></li>" for w in verdict.where[:8]
         )
-        more = f'<p class="note">And {len(verdict.where) - 8} more.</p>' if len(verdict.where) > 8 else ""
-        every = {g.run: g.use for g in gap.verdict.gaps}
-        title = f"Where it shows, in {runs_text(list(every.values()))}"
-        found.append(Section(title, f'<ul class="remarks two">{spots}</ul>{more}', place="full"))
+        rest = f'<p class="note">And {len(verdict.where) - 8} more.</p>' if len(verdict.where) > 8 else ""
+        found.append(Section(f"Where it shows, in {of}", f'<ul class="remarks two">{spots}</ul>{rest}', place="full"))
     return found
 
 
@@ -280,24 +284,23 @@ def _runs(gap: Gap) -> list[Section]:
 
 def _maps(gap: Gap) -> list[Section]:
     """Maps of the missing force, the surest first."""
-    if not gap.maps:
-        return []
     maps = sorted(gap.maps, key=lambda m: m.p_value)
-    drawn = "".join(map_drawing(m, gap.joint_type) for m in maps)
-    told = sum(m.adjusted <= LEVEL for m in maps)
     note = (
         "What force the asset's equation lacks, by the accelerations in "
-        f"{runs_text([*{g.run: g.use for g in gap.verdict.gaps}.values()])}; bars with standard errors. "
-        f"{told} of {len(maps)} maps differ from nothing beyond chance (half-swings flipped at random, corrected for "
-        "the number of maps); where, is on colour. These maps point; the fits decide."
+        f"{runs_text([*{g.run: g.use for g in gap.verdict.gaps}.values()])}; bars with standard errors."
     )
-    return [
-        Section(
-            "Where simulation and measurement part",
-            f'<div class="charts maps">{drawn}</div><p class="note">{escape(note)}</p>',
-            place="full",
-        )
-    ]
+    return maps_section([force_map(m, gap.joint_type) for m in maps], maps, "half-swings", note)
+
+
+def maps_section(drawings: Sequence[str], maps: Sequence[ResidualMap], units: str, note: str) -> list[Section]:
+    """Maps of where measurement and simulation differ, and how many of them chance does not explain."""
+    told = sum(m.adjusted <= LEVEL for m in maps)
+    note += (
+        f" {told} of {len(maps)} maps differ from nothing beyond chance ({units} flipped at random, corrected for the "
+        "number of maps); where, is on colour. These maps point; the fits decide."
+    )
+    html = f'<div class="charts maps">{"".join(drawings)}</div><p class="note">{escape(note)}</p>'
+    return [Section("Where simulation and measurement differ", html, place="full")] if maps else []
 
 
 def _geometry(gap: Gap) -> list[Section]:
@@ -358,30 +361,34 @@ def _off_drawing(track: TrackGeometry, columns: slice, title: str, unit: str, fa
 
 def _ranking(gap: Gap) -> list[Section]:
     """Every explanation tried, by what it leaves on runs that it was not fitted to."""
-    if not gap.ranking:
-        return []
-    worst = max(np.log10(max(r.floors, 1.0)) for r in gap.ranking) or 1.0
-    rows = []
-    for r in gap.ranking[:12]:
-        names = capital(" and ".join(plain(n) for n in r.names) or "nothing is missing")
-        share = 100 * np.log10(max(r.floors, 1.0)) / worst
-        behind = "" if r.ahead == 0.0 else f"{r.ahead:.0f} ± {r.error:.0f}"
-        spread = "" if r.spread is None else f"{r.spread[0]:.2f} to {r.spread[1]:.2f}"
-        rows.append(
-            f"<tr><th scope=row>{escape(names)}<br><small>{escape(', '.join(r.names))}</small></th>"
-            f'<td class="bar"><i style="width:{share:.1f}%"></i></td><td class=number>{r.floors:.2f}</td>'
-            f"<td class=number>{escape(spread)}</td>"
-            f"<td class=number>{escape(behind)}</td></tr>"
-        )
-    head = "".join(
-        f"<th scope=col>{cell}</th>" for cell in ("", "error (log)", "floors", "run by run", "log probability")
-    )
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
-    html = f'<div class="table ranked">{table}</div>'
     motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY]
     chose = [g for g in motion if g.use == "choosing"] or motion
-    of = runs_text([g.use for g in chose], _in_turn(gap))
-    return [Section(f"Explanations, by their error on {of}", html, place="full")]
+    return ranking_section(gap.ranking[:12], f"{runs_text([g.use for g in chose], _in_turn(gap))}")
+
+
+def ranking_section(ranking: Sequence[Ranked], of: str) -> list[Section]:
+    """Explanations that were tried, by their error on what they were not fitted to: `of` says what that is."""
+    worst = max((np.log10(max(r.floors, 1.0)) for r in ranking if np.isfinite(r.floors)), default=0.0)
+    rows = []
+    for r in ranking:
+        names = capital(" and ".join(plain(n) for n in r.names) or "nothing is missing")
+        behind = "0" if r.ahead == 0.0 else f"{r.ahead:.0f} ± {r.error:.0f}"
+        cells = f"<td class=number>{escape(behind)}</td>"
+        if worst:
+            spread = "" if r.spread is None else f"{r.spread[0]:.2f} to {r.spread[1]:.2f}"
+            share = 100 * np.log10(max(r.floors, 1.0)) / worst
+            cells += (
+                f'<td class="bar"><i style="width:{share:.1f}%"></i></td><td class=number>{r.floors:.2f}</td>'
+                f"<td class=number>{escape(spread)}</td>"
+            )
+        rows.append(
+            f"<tr><th scope=row>{escape(names)}<br><small>{escape(', '.join(r.names))}</small></th>{cells}</tr>"
+        )
+    heads = ("", "log probability", *("error (log)", "floors", "run by run") * bool(worst))
+    head = "".join(f"<th scope=col>{cell}</th>" for cell in heads)
+    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    html = f'<div class="table ranked">{table}</div>'
+    return [Section(f"Explanations, judged on {of}", html, place="full")] if ranking else []
 
 
 def _gaps(gap: Gap) -> list[Section]:

@@ -126,10 +126,20 @@ def run_drawings(
     return figures, data
 
 
-def map_drawing(m: ResidualMap, kind: JointType, height: int = 150, width: int = 330) -> str:
-    """A map of the missing force as bars with their standard errors, flagged ones on colour."""
+def force_map(m: ResidualMap, kind: JointType) -> str:
+    """A map of the missing force."""
     factor, unit = _axis(m, kind)
     force_factor, force_unit = _force_unit(m, kind)
+    how = "towards larger positions" if m.signed else "along the motion; negative brakes"
+    rest = ", besides smooth friction and springs" if m.within else ""
+    title = _TITLES.get(m.quantity, m.quantity.capitalize())
+    return map_drawing(m, title, f"{force_unit} {how}{rest}", factor, unit, force_factor)
+
+
+def map_drawing(m: ResidualMap, title: str, what: str, factor: float, unit: str, force_factor: float = 1.0) -> str:
+    """A map as bars with their standard errors, flagged ones on colour; `factor` makes `unit` of its edges, and
+    `force_factor` what is written of its means."""
+    height, width = 150, 330
     mean, spread = force_factor * m.mean, force_factor * m.spread
     known = np.isfinite(mean)
     reach = np.nan_to_num(np.minimum(spread, np.nanmax(np.abs(mean), initial=0.0)))
@@ -143,7 +153,7 @@ def map_drawing(m: ResidualMap, kind: JointType, height: int = 150, width: int =
     def down(value: Array | float) -> Array:
         return _TOP + (high - np.asarray(value, float)) / (high - low) * (height - _TOP - _BOTTOM)
 
-    parts = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="missing force over {escape(m.quantity)}">']
+    parts = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}">']
     for a, b, flag in zip(ends[:-1], ends[1:], m.flagged, strict=True):
         if flag:
             parts.append(
@@ -164,11 +174,9 @@ def map_drawing(m: ResidualMap, kind: JointType, height: int = 150, width: int =
             f'y2="{float(down(mean[i] + reach[i])):.1f}"/>'
         )
     parts += _map_ticks(m, factor, unit, ends, height)
-    how = "towards larger positions" if m.signed else "along the motion; negative brakes"
-    rest = ", besides smooth friction and springs" if m.within else ""
     return (
-        f"<figure><figcaption><b>{escape(_TITLES.get(m.quantity, m.quantity.capitalize()))}</b>, p = "
-        f"{p_text(m.p_value)}<br>{escape(force_unit)} {escape(how + rest)}</figcaption>{''.join(parts)}</svg></figure>"
+        f"<figure><figcaption><b>{escape(title)}</b>, p = {p_text(m.p_value)}<br>{escape(what)}</figcaption>"
+        f"{''.join(parts)}</svg></figure>"
     )
 
 
