@@ -18,6 +18,7 @@ from freeart21.effects.actuator_offset import ActuatorOffset
 from freeart21.effects.armature import Armature
 from freeart21.effects.axis_tilt import AxisTilt
 from freeart21.effects.backlash import Backlash
+from freeart21.effects.base import Surroundings
 from freeart21.effects.coulomb_friction import CoulombFriction
 from freeart21.effects.detent import Detent
 from freeart21.effects.eccentricity import Eccentricity
@@ -437,3 +438,56 @@ def test_without_effects_json_the_urdf_speaks(tmp_path: Path):
         read_effects(write_urdf(tmp_path, '<dynamics damping="much"/>'))
     with pytest.raises(FreeArtError, match="viscous_damping"):
         read_effects(write_urdf(tmp_path, '<dynamics damping="-1"/>'))
+
+
+def test_alternatives_do_what_they_stand_for():
+    among = Surroundings("revolute", speed=6.0, span=2.0, load=5.0, inertia=0.5, gravity=(0.3, -2.0, 0.0))
+
+    def others(effect: Effect) -> dict[str, Effect]:
+        found = effect.alternatives(among)
+        return {name: EFFECTS[name](**{k: v for k, v in point.items() if v}) for name, point, _ in found}
+
+    dry, viscous, drag, loaded = CoulombFriction(0.6), ViscousDamping(0.2), QuadraticDrag(0.0667), LoadFriction(0.12)
+    half = {e.name: abs(e.force(0.0, 3.0)) + e.drive_limit(0.0, 3.0, 5.0) for e in (dry, viscous, drag, loaded)}
+    assert list(half.values()) == pytest.approx([0.6] * 4, rel=1e-3)
+    for effect in (dry, viscous, drag, loaded):
+        swapped = others(effect)
+        assert swapped and all(
+            abs(e.force(0.0, 3.0)) + e.drive_limit(0.0, 3.0, 5.0) == pytest.approx(0.6, rel=1e-3)
+            for e in swapped.values()
+        )
+    assert not {"load_friction", "coulomb_friction"} & {
+        a.name for e in (dry, loaded) for a in e.alternatives(replace(among, load=0.0))
+    }
+
+    q = np.linspace(-1, 1, 9)
+    turned = EncoderOffset(0.2).alternatives(among)[0]
+    pull = GravityOffset(cosine=0.3, sine=-2.0)
+    assert GravityOffset(**turned.point).force(q, 0) + pull.force(q, 0) == pytest.approx(
+        pull.force(q - turned.ahead, 0)
+    )
+    lighter = others(Armature(0.1))["gravity_offset"]  # of .5 in all: the part alone falls as fast under .8 of the pull
+    assert lighter.force(q, 0.0) == pytest.approx(-0.2 * pull.force(q, 0.0))
+    widths = [a.point["width"] for a in Armature(0.1).alternatives(among) if a.name == "backlash"]
+    assert min(widths) > 0 and max(widths) < 0.05 * among.span
+
+    notch = others(Detent(0.5, 0.4, 0.05))
+    assert notch["return_spring"].steepness() == Detent(0.5, 0.4, 0.05).steepness()
+    assert others(notch["latch"])["detent"].values() == pytest.approx((0.5, 0.4, 0.05))  # there and back
+    assert not EncoderOffset(0.2).alternatives(replace(among, joint_type="prismatic"))
+
+
+def test_two_of_one_kind_are_one_where_that_can_be():
+    assert CoulombFriction(0.2).merged(CoulombFriction(0.3)) == CoulombFriction(0.5)
+    assert Armature(0.25, 0.2, 0.01).merged(Armature(0.5, 0.1, 0.02)) == Armature(0.75, 0.2, 0.02)
+    both, q = ReturnSpring(3.0, 0.4).merged(ReturnSpring(1.0, -0.4)), np.linspace(-1, 1, 5)
+    assert both.force(q, 0.0) == pytest.approx(ReturnSpring(3.0, 0.4).force(q, 0) + ReturnSpring(1.0, -0.4).force(q, 0))
+    for two in (Detent(0.5, 0.4, 0.05), StribeckFriction(0.2, 0.3, 0.5), GravityOffset(sine=0.1), EncoderScale(1.1)):
+        assert two.merged(two) is None
+    with pytest.raises(FreeArtError, match="has an effect 'backlash' already, expected at most one"):
+        Backlash(0.02, 0.1).merged(Backlash(0.02, 0.1))
+
+
+def test_every_effect_says_what_a_mechanic_would_call_it():
+    words = [cls.plain for cls in EFFECTS.values()]
+    assert all(words) and len({*words}) == len(words)

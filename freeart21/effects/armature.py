@@ -3,7 +3,10 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
+
+_SLACKS = (0.003, 0.01, 0.03)
+"""Parts of the way moved through that a slack is tried at."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,15 @@ class Armature(Effect):
     value: float = parameter("kg*m^2", "kg", 0.0, 1e4, "added inertia", scale=0.01)
     throw_back: float = parameter("1", "1", 0.0, 1.0, "part of its speed that it comes back with", default=0.0)
     swing: float = parameter("s", "s", 0.0, 1.0, "seconds in which it swings by a radian on its shaft", default=0.0)
+
+    def alternatives(self, among: Surroundings) -> list[Alternative]:
+        """Gravity that pulls less: the same motion, where no other force is known. And a drive of this inertia behind a
+        slack so narrow that it hardly makes a difference: through a wide one all impacts fall elsewhere."""
+        less = dict(
+            zip(("cosine", "sine", "constant"), (-self.value / among.inertia * g for g in among.gravity), strict=True)
+        )
+        slacks = [{"width": part * among.span, "drive_inertia": self.value} for part in _SLACKS]
+        return [Alternative("gravity_offset", less), *(Alternative("backlash", point) for point in slacks)]
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, value: Any, throw_back: Any, swing: Any) -> Any:

@@ -56,6 +56,32 @@ class Rotor(NamedTuple):
     """Seconds in which it swings by a radian on its shaft."""
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """What an effect acts among in some recordings; SI units, a slider's in m and N."""
+
+    joint_type: JointType
+    speed: float
+    """Largest speed."""
+    span: float
+    """Range of the positions."""
+    load: float
+    """Usual force on the bearing, N; 0 for nothing but rounding."""
+    inertia: float
+    """Of the joint, all in all."""
+    gravity: tuple[float, float, float]
+    """Of cos q, of sin q and constant."""
+
+
+class Alternative(NamedTuple):
+    """Another effect that does much the same, and its parameters."""
+
+    name: str
+    point: dict[str, float]
+    ahead: float = 0.0
+    """By how much the positions are then ahead, rad or m."""
+
+
 def parameter(
     revolute_unit: str | None,
     prismatic_unit: str | None,
@@ -261,6 +287,11 @@ class Effect(ABC):
             return None
         larger = {name: max(getattr(self, name), getattr(other, name)) for name in others}
         return type(self)(**{size: getattr(self, size) + getattr(other, size)}, **larger)
+
+    def alternatives(self, among: Surroundings) -> list[Alternative]:
+        """Effects that do much the same there, with the parameters at which they do: where a fit of one is found, fits
+        of the others may begin."""
+        return []
 
     @classmethod
     def of_rocking(cls, frequency: float, waves: Array) -> Effect:

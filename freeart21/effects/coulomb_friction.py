@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,11 @@ class CoulombFriction(Effect):
     departs: ClassVar[tuple[float, float]] = (0.1, 0.1)  # a level is what it is
 
     level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force", scale=0.1)
+
+    def alternatives(self, among: Surroundings) -> list[Alternative]:
+        """Friction of the usual load, and damping that is as strong at half the top speed."""
+        found = [Alternative("viscous_damping", {"coefficient": 2 * self.level / among.speed})]
+        return found + ([Alternative("load_friction", {"coefficient": self.level / among.load})] if among.load else [])
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, level: Any) -> Any:

@@ -5,7 +5,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
+
+CATCH = 1.5
+"""Widths of a notch that a catch of the same force at the same place lets its part travel, about."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,12 @@ class Detent(Effect):
     peak: float = parameter("N*m", "N", 0.0, 1e4, "largest holding force", scale=0.1)
     centre: float = parameter("rad", "m", -100.0, 100.0, "position that it holds", scale=0.1)
     width: float = parameter("rad", "m", 1e-5, 10.0, "distance from the centre to the largest force", scale=0.05)
+
+    def alternatives(self, among: Surroundings) -> list[Alternative]:
+        """A spring, for a notch so wide that nothing of it but its slope is seen, and a catch of the same force."""
+        spring = {"stiffness": self.steepness(), "rest": self.centre}
+        catch = {"hold": self.peak, "position": self.centre, "travel": CATCH * self.width, "capture": 0.5}
+        return [Alternative("return_spring", spring), Alternative("latch", catch)]
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, peak: Any, centre: Any, width: Any) -> Any:

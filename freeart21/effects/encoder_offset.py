@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from freeart21.effects.base import Acts, Effect, Kind, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, Kind, Surroundings, parameter
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,14 @@ class EncoderOffset(Effect):
     common: ClassVar[bool] = True
 
     offset: float = parameter("rad", "m", -100.0, 100.0, "reading at q = 0", scale=0.05)
+
+    def alternatives(self, among: Surroundings) -> list[Alternative]:
+        """A hinge's gravity that pulls from elsewhere: the same motion wherever nothing else has a place."""
+        cosine, sine, _ = among.gravity
+        change = complex(cosine, sine) * complex(np.expm1(1j * self.offset))
+        if among.joint_type != "revolute":
+            return []
+        return [Alternative("gravity_offset", {"cosine": change.real, "sine": change.imag}, self.offset)]
 
     def reading_error(self, q: ArrayLike) -> Any:
         return self.offset + 0.0 * np.asarray(q, float)

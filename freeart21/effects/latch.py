@@ -5,7 +5,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
+from freeart21.effects.detent import CATCH
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,10 @@ class Latch(Effect):
     position: float = parameter("rad", "m", -100.0, 100.0, "where it holds the joint", scale=0.1)
     travel: float = parameter("rad", "m", 1e-5, 10.0, "distance from there at which it lets go", scale=0.02)
     capture: float = parameter("1", "1", 0.0, 1.0, "part of the travel within which it catches", scale=0.5)
+
+    def alternatives(self, among: Surroundings) -> list[Alternative]:
+        """A notch of the same force at the same place."""
+        return [Alternative("detent", {"peak": self.hold, "centre": self.position, "width": self.travel / CATCH})]
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, hold: Any, position: Any, travel: Any, capture: Any) -> Any:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,12 @@ class LoadFriction(Effect):
     departs: ClassVar[tuple[float, float]] = (0.1, 0.1)  # as Coulomb's
 
     coefficient: float = parameter("m", "1", 0.0, 10.0, "friction force per bearing force", scale=0.01)
+
+    def alternatives(self, among: Surroundings) -> list[Alternative]:
+        """Friction of the usual load's size, and damping that is as strong at half the top speed."""
+        level = self.coefficient * among.load
+        found = [Alternative("viscous_damping", {"coefficient": 2 * level / among.speed})]
+        return found + ([Alternative("coulomb_friction", {"level": level})] if among.load else [])
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, coefficient: Any) -> Any:

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,10 @@ class QuadraticDrag(Effect):
     departs: ClassVar[tuple[float, float]] = (0.2, 0.1)  # the power is not quite 2
 
     coefficient: float = parameter("N*m*s^2/rad^2", "N*s^2/m^2", 0.0, 1e4, "force per speed squared", scale=0.01)
+
+    def alternatives(self, among: Surroundings) -> list[Alternative]:
+        """Damping that is as strong at half the top speed."""
+        return [Alternative("viscous_damping", {"coefficient": 0.5 * among.speed * self.coefficient})]
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, coefficient: Any) -> Any:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,10 @@ class ViscousDamping(Effect):
     departs: ClassVar[tuple[float, float]] = (0.2, 0.1)  # oils thin with speed; films are much the same everywhere
 
     coefficient: float = parameter("N*m*s/rad", "N*s/m", 0.0, 1e4, "force per speed", scale=0.1)
+
+    def alternatives(self, among: Surroundings) -> list[Alternative]:
+        """Drag that is as strong at half the top speed."""
+        return [Alternative("quadratic_drag", {"coefficient": 2 * self.coefficient / among.speed})]
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, coefficient: Any) -> Any:
