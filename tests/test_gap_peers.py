@@ -1,0 +1,73 @@
+"""What `gap` is compared with: which runs nobody may fit, the library's fits, MuJoCo's, and the ratios."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.gap_peers import compare, fit_all, open_library, take_away
+from benchmarks.gap_speed import asset_in, long_runs
+from freeart21.files.asset import read_asset
+from freeart21.files.measured import read_measured
+
+
+@pytest.mark.parametrize(("marked", "gone"), [((1, 3), [3]), ((1,), [1]), ((0, 2, 3, 4), [2, 4]), ((), [2])])
+def test_runs_are_taken_away_by_one_rule(tmp_path: Path, marked: tuple[int, ...], gone: list[int]):
+    folder = tmp_path / "measured"
+    folder.mkdir()
+    runs = [{"file": f"r{i}.csv", **({"held_out": True} if i in marked else {})} for i in range(5)]
+    doc = {"version": 1, "joint": "j", "joint_type": "revolute", "units": {"t_s": "s", "q": "rad"}, "runs": runs}
+    doc |= {"gravity": [0, 0, -9.81], "base": "fixed", "sampling": {"rate_hz": 100, "timestamps": "recorded"}}
+    (folder / "measured.json").write_text(json.dumps(doc))
+    for i in range(5):
+        rows = [f"{0.01 * k:.2f},{math.cos(0.01 * k + i):.6f}" for k in range(60)]
+        (folder / f"r{i}.csv").write_text("\n".join(["t_s,q", *rows]) + "\n")
+    names = take_away(folder, tmp_path / "fitted")
+    every, left = (read_measured(path) for path in (folder, tmp_path / "fitted"))
+    assert names == [every.runs[i].name for i in gone]
+    assert [run.name for run in left.runs] == [run.name for run in every.runs if run.name not in names]
+
+
+def test_ratios_are_geometric_and_what_was_not_delivered_is_nothing():
+    errors = {"a": {"nothing": 4.0, "gap": 1.0, "sysid": 2.0}, "b": {"nothing": 2.0, "gap": 1.0, "sysid": None}}
+    errors["c"] = {"nothing": 1.0, "gap": 1.0, "sysid": 0.5}
+    rows = [{"case": c, "way": w, "error": e} for c, of in errors.items() for w, e in of.items()]
+    found = compare(rows, ("nothing", "gap", "sysid"))
+    assert found["sysid"]["ratio"] == pytest.approx((0.5 * 0.5 * 2.0) ** (1 / 3))
+    logs = np.log([0.5, 0.5, 2.0])
+    assert found["sysid"]["standard_error_of_log"] == pytest.approx(logs.std(ddof=1) / math.sqrt(3))
+    assert found["sysid"]["gap_worse"] == ["c"] and found["nothing"]["gap_worse"] == []
+    assert "gap" not in found
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    """A pendulum whose asset lacks dry friction and oil, five runs, and the names of those that nobody may fit."""
+    measured = long_runs(3.0)
+    return asset_in(tmp_path_factory.mktemp("asset")), replace(measured, runs=measured.runs[:5]), ["run4"]
+
+
+def test_a_fit_of_all_effects_follows_a_run_that_it_has_not_seen(pendulum):
+    urdf, measured, untouched = pendulum
+    library = open_library(read_asset(urdf), measured, untouched)
+    (before,) = library.errors(library.as_delivered())
+    fit, claims, _ = fit_all(library, 0.0)
+    (after,) = library.errors(fit)
+    assert after < 0.1 * before
+    assert set(claims) <= set(library.names)
+
+
+def test_mujoco_identifies_a_pendulum(pendulum):
+    pytest.importorskip("absl", reason="mujoco[sysid]")
+    from benchmarks.mujoco_sysid import Identification
+
+    urdf, measured, untouched = pendulum
+    runs = tuple(run for run in measured.runs if run.name not in untouched)[:2]
+    identification = Identification(urdf, measured, runs)
+    (run,) = (run for run in measured.runs if run.name in untouched)
+    before = identification.score(identification.fit(0.0), run)
+    found = identification.fit(60.0, iterations=12)
+    assert identification.score(found, run) < 0.2 * before
