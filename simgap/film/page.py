@@ -134,11 +134,7 @@ def _picture_map(m: FilmMap) -> str:
 def _frame(verdict: FilmVerdict, found: Found) -> Section:
     """The confirming frame that the film as it is misses most, measured, simulated, and with the camera's faults."""
     of = {f.frame: f for f in found.rows.frames}
-    size = {
-        i: float(np.nanmedian(np.abs(of[i].error))) if np.isfinite(of[i].error).any() else 0.0
-        for i in verdict.frames["confirm"]
-    }
-    index = max(size, key=lambda i: size[i])
+    index = max(verdict.frames["confirm"], key=lambda i: np.nansum(np.abs(of[i].fields["error"])))
     recording, scene, camera = found.film.recording, found.film.scene, verdict.camera
     fps = 1 / float(np.median(np.diff(recording.times_s)))
     frame = recording.frame(index)

@@ -7,8 +7,7 @@ picture) and the outline of the depth picture. What a camera may do is, to first
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -43,65 +42,13 @@ AHEAD = 0.5
 
 @dataclass(frozen=True)
 class FrameRows:
-    """One frame's rows. Lengths of the three blocks: n inner pixels, e outline points, b pixels at edges."""
+    """One frame's rows."""
 
     frame: int
     share: float
     """Of the film, 0 to 1."""
-    # inner pixels
-    error: Array
-    """(n,) measured less simulated depth, metres; NaN for a hole."""
-    z: Array
-    """(n,) simulated depth, metres."""
-    at: Array
-    """(n, 2) pixels from the principal point."""
-    slope: Array
-    """(n, 2) of the simulated depth in the picture, metres a pixel."""
-    later: Array
-    """(n,) how the simulated depth changes with a delay of the depth picture, metres a second."""
-    cosine: Array
-    brightness: Array
-    """(n,) of the asset there, sRGB 0 to 1."""
-    measured_brightness: Array
-    """(n,) of the picture there."""
-    part: NDArray[np.int64]
-    normal: Array
-    """(n, 3) camera frame."""
-    pair: Array
-    """(n,) second difference of the error over `PAIR_PX` to both sides, over root 6, metres; NaN where there is none.
-
-    It is as large as the noise, and blind to what is smooth.
-    """
-    near: Array
-    """(n,) the same over the next pixels."""
-    stops: Array
-    """(n,) measured over simulated linear light, powers of two; NaN where a picture is too dark or bright to tell."""
-    light: Array
-    """(n,) log2 of the simulated linear light."""
-    # outlines
-    outline: Array
-    """(e, 2) from the principal point, pixels."""
-    outward: Array
-    """(e, 2) unit normals in the picture."""
-    outline_part: NDArray[np.int64]
-    outline_z: Array
-    mask_off: Array
-    """(e,) how far the measured mask reaches beyond the simulated one, pixels; NaN where it is not told."""
-    depth_off: Array
-    """(e,) the same of the measured depth picture."""
-    moving: Array
-    """(e,) how far the outline goes outwards with a delay, pixels a second."""
-    # at edges
-    band: Array
-    """(b,) pixels to the depth edge."""
-    band_z: Array
-    """(b,) simulated depth, metres."""
-    band_cosine: Array
-    band_depth: Array
-    """(b,) measured depth, metres; 0 for a hole."""
-    lonely: Array
-    """(b,) metres within which five pixels of the measured 5 x 5 round it are as far away."""
-    # of the whole frame
+    fields: dict[str, NDArray]
+    """As `Rows` has them."""
     pixels: int
     """Of the simulated object."""
     excess: Array
@@ -110,11 +57,25 @@ class FrameRows:
     """How many pixels such points stand for."""
 
 
-_FIELDS = tuple(field.name for field in fields(FrameRows))
-
-
 class Rows:
-    """All frames' rows: `rows["error"]` are those of one kind, one frame below the other."""
+    """All frames' rows: `rows["error"]` are those of one field, one frame below the other.
+
+    Inner pixels (n,): `error` measured less simulated depth, metres, NaN for a hole; `z` simulated depth; `at` (n, 2)
+    pixels from the principal point; `slope` (n, 2) of the simulated depth, metres a pixel; `later` how that depth
+    changes with a delay of the depth picture, metres a second; `cosine` of the angle of incidence;
+    `measured_brightness` sRGB 0 to 1; `part` 1 or 2; `normal` (n, 3) camera frame; `pair` second difference of the
+    error over `PAIR_PX` to both sides, over root 6, metres, NaN where there is none: as large as the noise, and blind
+    to what is smooth; `near` the same over the next pixels; `stops` measured over simulated linear light, powers of
+    two, NaN where a picture is too dark or bright to tell; `light` log2 of the simulated one.
+
+    Outlines (e,): `outline` (e, 2) from the principal point, pixels; `outward` (e, 2) unit normals; `mask_off` how
+    far the measured mask reaches beyond the simulated one, pixels, NaN where that is not known; `depth_off` the same
+    of the depth picture; `moving` how far the outline goes outwards with a delay, pixels a second.
+
+    Pixels at edges (b,): `band` pixels to the depth edge; `band_z` simulated depth; `band_cosine`; `band_depth`
+    measured depth, 0 for a hole; `lonely` metres within which five pixels of the measured 5 x 5 round it are as far
+    away.
+    """
 
     def __init__(self, frames: tuple[FrameRows, ...]) -> None:
         self.frames = frames
@@ -122,12 +83,12 @@ class Rows:
 
     def __getitem__(self, name: str) -> NDArray:
         if name not in self._joined:
-            self._joined[name] = np.concatenate([np.atleast_1d(getattr(frame, name)) for frame in self.frames])
+            self._joined[name] = np.concatenate([frame.fields[name] for frame in self.frames])
         return self._joined[name]
 
     def of(self, name: str) -> NDArray[np.int64]:
         """(rows,) index into `frames` for the rows of the field `name`."""
-        return np.repeat(np.arange(len(self.frames)), [len(np.atleast_1d(getattr(f, name))) for f in self.frames])
+        return np.repeat(np.arange(len(self.frames)), [len(frame.fields[name]) for frame in self.frames])
 
     def only(self, chosen: NDArray[np.int64]) -> Rows:
         """The rows of some frames, by their index here."""
@@ -179,14 +140,10 @@ def _frame_rows(recording: Recording, scene: FilmScene, i: int, faults: CameraFa
     now, before = (simulated(scene, camera, faults, t, fps) for t in (i, i - AHEAD))
     rng = np.random.default_rng([i, 41])
     principal = faults.seeing(camera).K[:2, 2]
-    share = i / max(len(recording) - 1, 1)
-    outlines = _outlines(now, before, frame, principal, fps, rng)
-    inner = _inner(now, before, frame, principal, fps, rng)
-    band = _band(now.depth, frame, rng)
-    excess, beside = _excess(now, frame, camera, rng)
+    rows = _outlines(now, before, frame, principal, fps, rng)
+    rows |= _inner(now, before, frame, principal, fps, rng) | _band(now.depth, frame, rng)
     pixels = int((now.colour.part > 0).sum())
-    values = (i, share, *inner, *outlines, *band, pixels, excess, beside)
-    return FrameRows(**dict[str, Any](zip(_FIELDS, values, strict=True)))
+    return FrameRows(i, i / max(len(recording) - 1, 1), rows, pixels, *_excess(now, frame, camera, rng))
 
 
 def depth_edges(depth: NDArray) -> tuple[NDArray[np.bool_], NDArray]:
@@ -205,7 +162,7 @@ def _chosen(mask: NDArray[np.bool_], most: int, rng: np.random.Generator) -> NDA
 
 def _inner(
     now: Simulated, before: Simulated, frame: Frame, principal: Array, fps: float, rng: np.random.Generator
-) -> tuple[NDArray, ...]:
+) -> dict[str, NDArray]:
     z = now.depth.depth.astype(float)
     inside = cv2.distanceTransform(frame.mask.astype(np.uint8), cv2.DIST_L2, 3) > INNER_PX
     ok = (depth_edges(z)[1] >= INNER_PX) & inside
@@ -228,62 +185,50 @@ def _inner(
     told = (now.colour.part.flat[k] > 0) & (light > 0.004) & (seen > 0.004) & (frame.rgb.max(-1).flat[k] < 250)
     with np.errstate(divide="ignore", invalid="ignore"):
         stops = np.where(told, np.log2(seen / light), np.nan)
-    return (
-        error.flat[k],
-        z.flat[k],
-        at,
-        np.stack([slope_u.flat[k], slope_v.flat[k]], -1),
-        later.flat[k],
-        np.asarray(now.depth.cosine.flat[k], float),
-        np.asarray(now.depth.brightness.flat[k], float),
-        np.asarray(frame.rgb.mean(-1).flat[k]) / 255,
-        np.asarray(now.depth.part.flat[k], int),
-        now.depth.normals.reshape(-1, 3)[k].astype(float),
-        pair.flat[k],
-        near.flat[k],
-        stops,
-        np.log2(np.maximum(light, 1e-6)),
-    )
+    return {
+        "error": error.flat[k],
+        "z": z.flat[k],
+        "at": at,
+        "slope": np.stack([slope_u.flat[k], slope_v.flat[k]], -1),
+        "later": later.flat[k],
+        "cosine": now.depth.cosine.flat[k].astype(float),
+        "measured_brightness": np.asarray(frame.rgb.mean(-1).flat[k]) / 255,
+        "part": now.depth.part.flat[k].astype(int),
+        "normal": now.depth.normals.reshape(-1, 3)[k].astype(float),
+        "pair": pair.flat[k],
+        "near": near.flat[k],
+        "stops": stops,
+        "light": np.log2(np.maximum(light, 1e-6)),
+    }
 
 
 def _outlines(
     now: Simulated, before: Simulated, frame: Frame, principal: Array, fps: float, rng: np.random.Generator
-) -> tuple[NDArray, ...]:
+) -> dict[str, NDArray]:
     """Points on the simulated outline of the whole object, and where both measured outlines cross their normals."""
-    found: list[tuple[NDArray, ...]] = []
-    for picture, which in ((now.colour, "mask"), (now.depth, "depth")):
+    found: list[dict[str, NDArray]] = []
+    for picture in (now.colour, now.depth)[: 1 if now.depth is now.colour else 2]:
         on = picture.part > 0
         soft = cv2.GaussianBlur(on.astype(np.float32), (0, 0), 1.5)
         rim = on & (cv2.erode(on.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0)
         rim[:8], rim[-8:], rim[:, :8], rim[:, -8:] = False, False, False, False
-        k = _chosen(rim, MOST_EDGE, rng) if which == "mask" or now.depth is not now.colour else found[0][0]
+        k = _chosen(rim, MOST_EDGE, rng)
         v, u = np.divmod(k, on.shape[1])
         gv, gu = np.gradient(soft)
         n = -np.stack([gu.flat[k], gv.flat[k]], -1)
         n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-9)
-        z = picture.depth.flat[k].astype(float)
-        crossing = _crossing(on, u, v, n)
-        if which == "mask":
-            off = _crossing(frame.mask, u, v, n) - crossing
-        else:
+        crossing, none = _crossing(on, u, v, n), np.full(len(k), np.nan)
+        rows = {"outline": np.stack([u + 0.5, v + 0.5], -1) - principal, "outward": n, "mask_off": none}
+        rows |= {"depth_off": none, "moving": np.zeros(len(k))}
+        if picture is now.colour:
+            rows["mask_off"] = _crossing(frame.mask, u, v, n) - crossing
+        if picture is now.depth:
             near = (frame.depth > 0) & (np.abs(frame.depth - _spread_out(picture.depth)) < 0.08 * frame.depth)
-            off = _crossing(near, u, v, n) - crossing
+            rows["depth_off"] = _crossing(near, u, v, n) - crossing
             moved = _crossing(before.depth.part > 0, u, v, n) - crossing
-        at = np.stack([u + 0.5, v + 0.5], -1) - principal
-        found.append((k, at, n, picture.part.flat[k].astype(int), z, off))
-    (_, at, n, part, z, mask_off), (_, at_d, n_d, part_d, z_d, depth_off) = found
-    nothing, none = np.full(len(at_d), np.nan), np.full(len(at), np.nan)
-    if now.depth is now.colour:
-        return at, n, part, z, mask_off, depth_off, np.nan_to_num(moved) * fps / AHEAD
-    return (
-        np.concatenate([at, at_d]),
-        np.concatenate([n, n_d]),
-        np.concatenate([part, part_d]),
-        np.concatenate([z, z_d]),
-        np.concatenate([mask_off, nothing]),
-        np.concatenate([none, depth_off]),
-        np.concatenate([np.zeros(len(at)), np.nan_to_num(moved) * fps / AHEAD]),
-    )
+            rows["moving"] = np.nan_to_num(moved) * fps / AHEAD
+        found.append(rows)
+    return {name: np.concatenate([rows[name] for rows in found]) for name in found[0]}
 
 
 def _spread_out(depth: NDArray) -> NDArray:
@@ -307,7 +252,7 @@ def _crossing(on: NDArray[np.bool_], u: NDArray, v: NDArray, n: Array) -> Array:
     return np.where(told, steps[k] + STEP_PX * part, np.nan)
 
 
-def _band(depth: Drawn, frame: Frame, rng: np.random.Generator) -> tuple[NDArray, ...]:
+def _band(depth: Drawn, frame: Frame, rng: np.random.Generator) -> dict[str, NDArray]:
     """Pixels near a depth edge: distance to it, simulated depth and angle, measured depth, and how lonely that is."""
     z = depth.depth
     distance = cv2.distanceTransform((~depth_edges(z)[0]).astype(np.uint8), cv2.DIST_L2, 3) + 1.0
@@ -317,7 +262,8 @@ def _band(depth: Drawn, frame: Frame, rng: np.random.Generator) -> tuple[NDArray
     d = frame.depth.flat[k]
     off = np.abs([padded[v + dv, u + du] - d for dv in range(5) for du in range(5)])
     lonely = np.partition(off, 5, axis=0)[5]  # the pixel itself is one of them
-    return distance.flat[k].astype(float), z.flat[k].astype(float), depth.cosine.flat[k].astype(float), d, lonely
+    of = {"band": distance, "band_z": z, "band_cosine": depth.cosine}
+    return {name: values.flat[k].astype(float) for name, values in of.items()} | {"band_depth": d, "lonely": lonely}
 
 
 def _excess(now: Simulated, frame: Frame, camera: Camera, rng: np.random.Generator) -> tuple[Array, int]:

@@ -120,10 +120,7 @@ def _of_truth(path: Path, folder: Path, root: Path | None) -> FilmScene:
     q = {**held, str(truth.source.get("joint", asset.joint)): asset.state_zero if described else 0.0}
     T = _canonical_root(asset, q) if described else np.eye(4)
     placed = Placed(
-        (truth.Ts_camera_reference, truth.Ts_camera_moving),
-        np.ones(len(truth), bool),
-        True,
-        "the recording's truth",
+        (truth.Ts_camera_reference, truth.Ts_camera_moving), np.ones(len(truth), bool), True, "the recording's truth"
     )
     return _scene(asset, q, T, reference, placed, same_video=False)
 

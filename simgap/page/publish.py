@@ -347,12 +347,7 @@ def _make_proof(
 
 
 def _judged(
-    verdict: Verdict,
-    draft: Draft,
-    tried: tuple[Named, ...],
-    shown: Shown | None,
-    why: str,
-    seconds: float,
+    verdict: Verdict, draft: Draft, tried: tuple[Named, ...], shown: Shown | None, why: str, seconds: float
 ) -> tuple[Verdict, tuple[Named, ...], list[str]]:
     """The verdict after the replay, the effects that go into the asset, and what else must be said."""
     certain = draft.certain

@@ -185,35 +185,38 @@ def tile(figure: str, what: str, more: str) -> str:
 
 
 def parameters_section(verdict: Verdict, kind: JointType, note: str, file_of: Callable[[Effect], str]) -> list[Section]:
-    """Every parameter of the named effects and every corrected number of the asset, with its interval, and the file that
-    holds it: `file_of` an effect that was written."""
+    """Every parameter of the named effects and every corrected number of the asset, with its 90 % interval and its file:
+    `file_of` an effect that was written."""
 
-    def row(head: str, name: str, meaning: str, unit: str, value: float, low: float, high: float, file: str) -> str:
+    def row(head: tuple[str, str], name: str, meaning: str, value: float, low: float, high: float, *texts: str) -> str:
         known = np.isfinite([low, high]).any()
-        span = f"{escape(number_text(low, unit))} to {escape(number_text(high, unit))}" if known else ""
+        span, drawing = (f"{texts[1]} to {texts[2]}", interval_drawing(value, low, high)) if known else ("", "")
         return (
-            f"<tr><th scope=row>{head}</th><td>{escape(name)}<br><small>{escape(meaning)}</small></td>"
-            f"<td class=number><b>{escape(number_text(value, unit))}</b></td><td class=number>{span}</td>"
-            f"<td>{interval_drawing(value, low, high) if known else ''}</td><td><small>{escape(file)}</small></td></tr>"
+            f"<tr><th scope=row><b>{escape(head[0])}</b><br><small>{escape(head[1])}</small></th>"
+            f"<td>{escape(name)}<br><small>{escape(meaning)}</small></td>"
+            f"<td><b>{escape(texts[0])}</b><br><small>{escape(span)}</small></td><td>{drawing}</td></tr>"
         )
 
-    rows = [
-        row("<b>The asset's own</b>", c.name, _OWN[c.unit], c.unit, c.value, c.low, c.high, "asset/: <inertial>")
-        for c in verdict.corrections
-    ]
+    rows = []
+    for c in verdict.corrections:
+        sizes = c.value, c.low, c.high
+        texts = [f"{v:.4g}" if c.unit == "1" else number_text(v, c.unit) for v in sizes]
+        rows.append(row(("The asset's own", "in asset/: <inertial>"), c.name, _OWN[c.unit], *sizes, *texts))
     for named in verdict.effects:
-        head = f"<b>{escape(capital(plain(named.effect.name)))}</b><br>{escape(named.effect.name)}"
-        for name, spec in named.effect.parameters(kind).items():
-            value, low, high = getattr(named.effect, name), named.low[name], named.high[name]
-            file = file_of(named.effect) if named.effect.name in verdict.added else "not written"
-            rows.append(row(head, name, spec.meaning, spec.unit(kind), value, low, high, file))
-            head = ""
+        effect = named.effect
+        file = f"in {file_of(effect)}" if effect.name in verdict.added else "not written"
+        head = f"{capital(plain(effect.name))}", f"{effect.name}, {file}"
+        for name, spec in effect.parameters(kind).items():
+            sizes = getattr(effect, name), named.low[name], named.high[name]
+            rows.append(row(head, name, spec.meaning, *sizes, *(number_text(v, spec.unit(kind)) for v in sizes)))
+            head = "", ""
     if not rows:
         return []
-    head = "".join(f"<th scope=col>{cell}</th>" for cell in ("", "parameter", "value", "90 % interval", "", "in"))
-    html = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
-    names = [named.effect.name for named in verdict.effects]
-    if set(names) <= set(verdict.added):
+    cells = "".join(f"<th scope=col>{cell}</th>" for cell in ("", "parameter", "value, 90 % interval", ""))
+    html = (
+        f'<div class="table fitted"><table><thead><tr>{cells}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+    )
+    if {named.effect.name for named in verdict.effects} <= set(verdict.added):
         title = "What was written"
     elif verdict.added:
         title = f"The best explanation; written: {', '.join(verdict.added)}"
@@ -293,13 +296,18 @@ def _maps(gap: Gap) -> list[Section]:
 
 
 def maps_section(drawings: Sequence[str], maps: Sequence[ResidualMap], units: str, note: str) -> list[Section]:
-    """Maps of where measurement and simulation differ, and how many of them chance does not explain."""
-    told = sum(m.adjusted <= LEVEL for m in maps)
+    """Maps of where measurement and simulation differ, the surest first; those that chance explains are folded away."""
+    sure = [drawing for drawing, m in zip(drawings, maps, strict=True) if m.adjusted <= LEVEL]
+    rest = [drawing for drawing in drawings if drawing not in sure]
     note += (
-        f" {told} of {len(maps)} maps differ from nothing beyond chance ({units} flipped at random, corrected for the "
-        "number of maps); where, is on colour. These maps point; the fits decide."
+        f" {len(sure)} of {len(maps)} maps differ from nothing beyond chance ({units} flipped at random, corrected for "
+        "the number of maps); where, is on colour. These maps point; the fits decide."
     )
-    html = f'<div class="charts maps">{"".join(drawings)}</div><p class="note">{escape(note)}</p>'
+    html = f'<div class="charts maps">{"".join(sure)}</div>' if sure else ""
+    if rest:
+        html += f"<details{' open' * (not sure)}><summary>{len(rest)} maps that chance explains</summary>"
+        html += f'<div class="charts maps">{"".join(rest)}</div></details>'
+    html += f'<p class="note">{escape(note)}</p>'
     return [Section("Where simulation and measurement differ", html, place="full")] if maps else []
 
 
@@ -398,9 +406,12 @@ def _gaps(gap: Gap) -> list[Section]:
     trial = any(g.trial is not None for g in gap.verdict.gaps)
     head = ["", "", "motion", "gap before", "after", *["trial repair"] * trial, "floor"]
     head += ["MuJoCo: before", "after"] if witness else []
-    rows = []
+    rows, still = [], 0
     for g in gap.verdict.gaps:
         off = g.regime == GEOMETRY
+        if not np.isfinite(g.before):
+            still += 1
+            continue
         sizes = [g.before, g.after, *[np.nan if g.trial is None else g.trial] * trial, g.floor]
         if witness:
             seen = {} if off else witness.get(g.run, {})
@@ -414,8 +425,9 @@ def _gaps(gap: Gap) -> list[Section]:
         note = (
             "Replayed by the files in a fresh process in SAPIEN, each run at the time step that it needs, "
             f"{1e3 * gap.shown.timestep_s:g} ms at the finest; the last halving changed a run, before or after, by no "
-            f"more than {gap.shown.numerics:.2g} floors. Runs without a gap were not replayed."
+            f"more than {gap.shown.numerics:.2g} floors."
         )
+    note += f" {still} more runs were not replayed." if still else ""
     return [table_section("Runs", rows, head, "full", note)]
 
 

@@ -104,10 +104,7 @@ def run_drawings(
     kept = np.unique(np.linspace(0, len(run.times_s) - 1, min(_MOST_POINTS, len(run.times_s))).astype(int))
     x = run.times_s[kept] - run.times_s[0]
     measured, before, after = (factor * series[kept] for series in (run.measured, run.before, run.after))
-    position = [
-        Line("measured", MEASURED, measured, "wide"),
-        Line(f"simulated {names[0]}", BEFORE, before, "dashed"),
-    ]
+    position = [Line("measured", MEASURED, measured, "wide"), Line(f"simulated {names[0]}", BEFORE, before, "dashed")]
     difference = [Line(f"{names[0]}, less measured", BEFORE, before - measured, "dashed")]
     if names[1] is not None:
         position.append(Line(f"simulated {names[1]}", AFTER, after))
