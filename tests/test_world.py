@@ -2,12 +2,14 @@
 
 import json
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from benchmarks import hidden_gap
+from benchmarks.common import Ended, run_within
 from benchmarks.world import draw, effects, protocols, sensor
 from benchmarks.world import laws as w
 from benchmarks.world.draw import strength
@@ -318,6 +320,38 @@ def test_a_case_on_disk_reads_tells_nothing_and_is_the_same_twice(tmp_path):
     assert json.loads((tmp_path / "a" / "labels" / "000.json").read_text())["effects"] == []
     (folder / "machine.urdf").write_text("changed")
     assert hidden_gap.hash_files(tmp_path / "a") != hidden_gap.hash_files(tmp_path / "b")
+
+
+def test_a_draw_is_asked_scored_and_goes_on_where_it_was(tmp_path, monkeypatch):
+    specs = [draw.Spec("null", (), "arm", "usual"), draw.Spec("null", (), "door", "usual")]
+    asked = []
+
+    def ended(limit, command, folder):
+        asked.append(command)
+        (folder / "answer").mkdir()
+        verdict = {"verdict": "no_gap", "effects": [], "rivals": [], "gap": []}
+        (folder / "answer" / "verdict.json").write_text(json.dumps(verdict))
+        return Ended(0, "", 1.5, 2.0)
+
+    monkeypatch.setattr(hidden_gap, "draw_specs", lambda share, seed: specs)
+    monkeypatch.setattr(hidden_gap, "run_within", ended)
+    monkeypatch.setattr(hidden_gap, "RESULTS", tmp_path)
+    for _ in range(2):
+        hidden_gap.main(tmp_path / "out")
+    found = json.loads((tmp_path / "hidden_gap-dev.json").read_text())
+    assert len(asked) == 2 and [row["outcome"] for row in found["rows"]] == ["right", "right"]
+    assert found["seconds"] == {"median": 1.5, "most": 1.5} and len(found["cases_sha256"]) == 64
+    with pytest.raises(SystemExit, match="another draw"):
+        hidden_gap.main(tmp_path / "out", seed=2)
+    with pytest.raises(SystemExit, match="is the release's"):
+        hidden_gap.main(tmp_path / "out", seed=hidden_gap.RELEASE)
+
+
+def test_a_command_is_killed_when_its_time_is_over(tmp_path):
+    ended = run_within(1.0, [sys.executable, "-c", "print('on')\nwhile True: pass"], tmp_path)
+    assert ended.code is None and ended.seconds < 5
+    ended = run_within(60.0, [sys.executable, "-c", "print('one'); print('two'); raise SystemExit(3)"], tmp_path)
+    assert (ended.code, ended.last) == (3, "two")
 
 
 def test_metadata_do_not_tell_nulls_from_the_rest():
