@@ -48,8 +48,8 @@ from freeart21.files.measured import read_measured
 from freeart21.measured import Measured
 
 WAYS = ("nothing", "gap", "sysid", "fit-all", "greedy")
-RECORDINGS = ("multiarm", "phy180_31", "phy180_32", "adip_pend_cut", "rotary_settled", "bam_free")
-"""The handful that is asked when nothing else is said: free swings of four machines."""
+RECORDINGS = ("bam_free", "dfki", "rotary_settled", "multiarm", "hsm150_pos", "phy180_32")
+"""The handful that is asked when nothing else is said: one of every machine whose positions can be replayed."""
 SEED = 44
 """Of the drawn cases."""
 _STRATA = ("clear", "pair", "outside")
