@@ -185,7 +185,7 @@ def tile(figure: str, what: str, more: str) -> str:
 
 
 def parameters_section(verdict: Verdict, kind: JointType, note: str, file_of: Callable[[Effect], str]) -> list[Section]:
-    """Every parameter of the named effects and every corrected number of the asset, with its 90 % interval and its file:
+    """Every parameter of the named effects and every corrected number of the asset, with 90 % interval and file:
     `file_of` an effect that was written."""
 
     def row(head: tuple[str, str], name: str, meaning: str, value: float, low: float, high: float, *texts: str) -> str:
