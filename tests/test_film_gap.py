@@ -214,3 +214,14 @@ def test_poses_go_between_frames_and_beyond():
     Ts = np.stack([se3.pose(np.eye(3), [0.0, 0, k]) for k in (1.0, 2.0, 4.0)])
     assert between(Ts, 0.5)[2, 3] == pytest.approx(1.5) and between(Ts, -0.5)[2, 3] == pytest.approx(0.5)
     assert between(Ts, 2.5)[2, 3] == pytest.approx(5.0)
+
+
+def test_a_delay_is_told_where_poses_were_estimated(film):
+    """As a reconstruction has them: every part stands a little off in every frame, and nobody knows by how much."""
+    rng, placed = np.random.default_rng(3), film.scene.placed
+    off = [[se3.pose(se3.exp_so3(rng.normal(size=3) * 4e-3), rng.normal(size=3) * 6e-4) for _ in T] for T in placed.Ts]
+    Ts = tuple(np.array(o) @ T for o, T in zip(off, placed.Ts, strict=True))
+    estimated = replace(film, scene=replace(film.scene, placed=replace(placed, Ts=Ts, exact=False)))
+    verdict = named(estimated, lambda f: sensors.lags(f, 1))
+    assert names(verdict) == {"depth_delay"} and size(verdict, "depth_delay") == pytest.approx(1 / 30, abs=4e-3)
+    assert not named(estimated, lambda f: f).effects

@@ -24,7 +24,7 @@ from simgap.motion.localise import LEVEL, benjamini_hochberg
 from simgap.verdict import Named, RunGap, Verdict
 
 LEFT = 0.1
-"""Share of a gap that may be left without a word. Not measured."""
+"""Share of a gap that may be left without a word, and that a name must close. Not measured."""
 TWICE = 2.0
 """Floors from which on what is left is spoken of."""
 HALF = 0.5
@@ -111,8 +111,8 @@ def confirm(kinds: Sequence[Chosen], measure: Callable[[CameraFaults], dict[str,
                 why = f"not confirmed by the frames kept back (p = {adjusted[name]:.2g})"
             elif c.dominated and closed < HALF:
                 why = f"errors by {c.dominated} explain far more"
-            elif closed <= 0:
-                why = "frames that were not fitted do not come nearer with it"
+            elif closed < LEFT:
+                why = "frames that were not fitted hardly come nearer with it"
             if why:
                 notes.append(f"{capital(plain(name))}: {why}")
                 continue

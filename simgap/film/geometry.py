@@ -102,7 +102,7 @@ def design_of(rows: Rows, depth_unit: float, exact: bool, simulated_with: Camera
     Args:
         rows: about the camera `simulated_with`.
         depth_unit: step of the measured depth, metres.
-        exact: whether the poses leave no doubt; else a shift, a turn and a time of both pictures together are free.
+        exact: whether the poses leave no doubt; else every frame's parts may stand off a little.
         simulated_with: what it does to geometry and time is put back to first order: parameters are then whole ones.
     """
     inner, mask, depth = np.isfinite(rows["error"]), np.isfinite(rows["mask_off"]), np.isfinite(rows["depth_off"])
@@ -127,12 +127,6 @@ def design_of(rows: Rows, depth_unit: float, exact: bool, simulated_with: Camera
         "angle of incidence": _inner_only(hats(rows["cosine"][inner], 6), n),
         "lens": (-along * r, along_edge * r_edge, along_edge * r_edge),
     }
-    if not exact:
-        of["poses"] = (
-            np.column_stack([shifted, later]),
-            np.column_stack([shifted_edge, moving]),
-            np.column_stack([shifted_edge, moving]),
-        )
     columns, full, held = stacked(of, {"place in the picture", "distance", "angle of incidence"})
     floor = depth_floor(float(np.median(z)) if len(z) else 1.0, depth_unit)
     own = np.ones((len(z), 1)) if exact else _planes(at / size, rows["part"][inner])
@@ -145,7 +139,7 @@ def design_of(rows: Rows, depth_unit: float, exact: bool, simulated_with: Camera
     for name in PICTURE:
         back = np.array([getattr(simulated_with, field) for field in parameters_of(name)])
         blocks = [replace(b, y=b.y + b.columns[:, list(columns[name])] @ back) for b in blocks]
-    return Design(tuple(blocks), columns, columns.get("poses", ()), held)
+    return Design(tuple(blocks), columns, ridge=held)
 
 
 def stacked(

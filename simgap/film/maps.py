@@ -105,7 +105,7 @@ def flagged_places(maps: tuple[FilmMap, ...]) -> list[tuple[str, Where]]:
             text, ends = f"{m.what}: {size} at {u:.0f}, {v:.0f} px from the principal point", (u, v)
         else:
             ends = float(b.edges[k]), float(b.edges[k + 1])
-            text = f"{m.what}: {size} at {m.over} {ends[0]:.2g} to {ends[1]:.2g} {m.over_unit}".strip()
+            text = f"{m.what}: {size} at {m.over} {ends[0]:.3g} to {ends[1]:.3g} {m.over_unit}".strip()
         found.append((m.gap, Where(b.quantity, *ends, b.adjusted, text)))
     return found
 

@@ -65,7 +65,14 @@ def page(verdict: FilmVerdict, found: Found, command: str, seconds: float) -> st
     ]
     for kind in found.kinds:
         none = next(s for s in kind.scores if not s.names)
-        ranking = [Ranked(s.names, np.nan, *lead(s, kind.scores[0])) for s in kind.scores[:8]]
+        ranking = [
+            Ranked(
+                tuple(n if n in kind.kind.effects else f"errors by {n}" for n in s.names),
+                np.nan,
+                *lead(s, kind.scores[0]),
+            )
+            for s in kind.scores[:8]
+        ]
         if kind.names or kind.scores[0] is not none:
             sections += ranking_section(ranking, f"frames that chose ({kind.kind.name})")
     sections += [_gaps(verdict), repeat_section({"All of it": command})]

@@ -5,8 +5,6 @@ It knows only a camera's numbers, as camera.json has them, and nothing of how th
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from freeart21.camera_faults import CameraFaults, at_share
@@ -28,7 +26,7 @@ UNITS = {
 
 
 def measure_gaps(
-    rows: Rows, camera: CameraFaults, known: CameraFaults, quiet: float, depth_unit: float, exact: bool
+    rows: Rows, camera: CameraFaults, known: CameraFaults, quiet: float, depth_unit: float
 ) -> dict[str, float]:
     """Root mean squares (of holes and flying pixels shares) of what is measured less what is simulated.
 
@@ -38,15 +36,12 @@ def measure_gaps(
         known: what is known of depth and noise, by which pixels at edges are called flying.
         quiet: floor of a pixel's noise, metres.
         depth_unit: step of the measured depth, metres.
-        exact: whether poses leave no doubt; else a shift, a turn and a time of both pictures together are free.
     """
-    design = geometry.design_of(rows, depth_unit, exact, CameraFaults())
-    inner, *outlines = design.blocks
+    inner, *outlines = geometry.design_of(rows, depth_unit, True, CameraFaults()).blocks
     z = rows["z"][np.isfinite(rows["error"])]
     bias = camera.depth_scale * z + camera.depth_offset + camera.depth_curve * z**2
-    blocks = [replace(inner, y=inner.y - bias), *outlines]
-    fit = fit_blocks(blocks, design.free)
-    sizes = dict(zip(geometry.GAPS, [_winsorised(fit.residual(b)) for b in blocks], strict=True))
+    left = (inner.y - bias, *(b.y for b in outlines))
+    sizes = dict(zip(geometry.GAPS, map(_winsorised, left), strict=True))
     pairs = np.isfinite(rows["pair"])
     had = counts.robust_deviation(rows["pair"][pairs])
     spread = np.hypot(camera.spread(rows["z"][pairs], rows["cosine"][pairs]), quiet)

@@ -219,14 +219,14 @@ def _outlines(
         n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-9)
         crossing, none = _crossing(on, u, v, n), np.full(len(k), np.nan)
         rows = {"outline": np.stack([u + 0.5, v + 0.5], -1) - principal, "outward": n, "mask_off": none}
-        rows |= {"depth_off": none, "moving": np.zeros(len(k))}
+        earlier = before.colour if picture is now.colour else before.depth
+        moving = np.nan_to_num(_crossing(earlier.part > 0, u, v, n) - crossing) * fps / AHEAD
+        rows |= {"depth_off": none, "moving": moving}
         if picture is now.colour:
             rows["mask_off"] = _crossing(frame.mask, u, v, n) - crossing
         if picture is now.depth:
             near = (frame.depth > 0) & (np.abs(frame.depth - _spread_out(picture.depth)) < 0.08 * frame.depth)
             rows["depth_off"] = _crossing(near, u, v, n) - crossing
-            moved = _crossing(before.depth.part > 0, u, v, n) - crossing
-            rows["moving"] = np.nan_to_num(moved) * fps / AHEAD
         found.append(rows)
     return {name: np.concatenate([rows[name] for rows in found]) for name in found[0]}
 

@@ -94,7 +94,7 @@ def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVer
         if key not in simulated:
             simulated[key] = rows_with(key, split[2])
         flying = camera_of({n: effect_of(n, c.values) for c in kinds for n in c.names})
-        gaps = measure_gaps(simulated[key], camera, flying, quiet, film.depth_unit, scene.placed.exact)
+        gaps = measure_gaps(simulated[key], camera, flying, quiet, film.depth_unit)
         return {what: size for what, size in gaps.items() if drift is not None or what in list(UNITS)[:-1]}
 
     confirmed = confirm(kinds, measure)
