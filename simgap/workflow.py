@@ -283,7 +283,7 @@ def gap_folder(
     runs are replayed; `root` bounds what the asset's URDF may name. Raises FreeArtError when `out` holds anything else,
     or asset or measurement.
     """
-    with answer_folder(out, (asset, measured)) as write:
+    with answer_folder(out, (asset, measured)) as folder:
         runs = read_measured(measured)
         loaded = read_asset(asset, runs.joint, guesses=False, root=root)
         began = time.perf_counter()
@@ -292,6 +292,4 @@ def gap_folder(
         named = Path(measured).resolve()
         title = named.parent.name if named.name == "measured" else named.name
         paths = Paths(Path(asset), Path(measured), Path(out), root, run_hashes(Path(measured)))
-        return publish(
-            loaded, runs, draft, write.folder, title, seconds, settings.seed, replay_seconds, progress, paths
-        )
+        return publish(loaded, runs, draft, folder, title, seconds, settings.seed, replay_seconds, progress, paths)

@@ -218,16 +218,16 @@ def film_gap_folder(
 ) -> FilmVerdict:
     """`find_film_gap` from folders to a folder with verdict.json, camera.json and a page, whole or not at all."""
     from simgap.film.page import page
-    from simgap.page.publish import answer_folder
+    from simgap.page.publish import answer_folder, write_answer
 
     inputs = [asset, sequence] if poses is None else [asset, sequence, poses]
     options = [f"--{name} {shlex.quote(str(path))}" for name, path in (("poses", poses), ("root", root)) if path]
     command = " ".join([shlex.join(["freeart21", "gap", str(asset), str(sequence), "--out", str(out)]), *options])
-    with answer_folder(out, inputs) as write:
+    with answer_folder(out, inputs) as folder:
         film = read_film(asset, sequence, poses, root)
         began = time.perf_counter()
         verdict, found = find_film_gap(film, progress)
         if not verdict.camera.none:
-            write_camera_faults(write.folder / "camera.json", verdict.camera)
-        write(verdict, "revolute", page(verdict, found, command, time.perf_counter() - began))
+            write_camera_faults(folder / "camera.json", verdict.camera)
+        write_answer(folder, verdict, "revolute", page(verdict, found, command, time.perf_counter() - began))
     return verdict

@@ -130,25 +130,19 @@ class Paths:
     """Run name to the SHA-256 of its file in `measured`."""
 
 
-@dataclass(frozen=True)
-class AnswerWriter:
-    """Writes the verdict and its page into the folder of an answer that is not in its place yet."""
-
-    folder: Path
-
-    def __call__(self, verdict: Verdict, kind: JointType, html: str) -> None:
-        """Page first: verdict.json names the files that lie beside it."""
-        atomic.write_bytes(self.folder / "index.html", html.encode())
-        verdict.write(self.folder / "verdict.json", kind)
-
-
 @contextmanager
-def answer_folder(out: Path, inputs: Sequence[Path]) -> Iterator[AnswerWriter]:
+def answer_folder(out: Path, inputs: Sequence[Path]) -> Iterator[Path]:
     """A new folder that takes the place of `out` at the end, whole or not at all. Raises FreeArtError where `out` holds
     anything but an older answer, or is one of the inputs."""
     check_place(out, ANSWER, inputs)
     with only_writer(out), new_folder(out, ANSWER) as aside:
-        yield AnswerWriter(aside)
+        yield aside
+
+
+def write_answer(folder: Path, verdict: Verdict, kind: JointType, html: str) -> None:
+    """The page and verdict.json, which names the files that lie beside it."""
+    atomic.write_bytes(folder / "index.html", html.encode())
+    verdict.write(folder / "verdict.json", kind)
 
 
 def publish(
@@ -231,7 +225,7 @@ def publish(
         *(title, measured.joint, measured.joint_type, verdict, draft.ranking, maps, shown, draft.geometry),
         *(tuple(notes), seconds, draft.curves),
     )
-    AnswerWriter(folder)(verdict, measured.joint_type, page(gap))
+    write_answer(folder, verdict, measured.joint_type, page(gap))
     return verdict
 
 

@@ -58,18 +58,8 @@ def write_replay_page(
     ]
     for drawn in runs[:MOST_DRAWN]:
         run = drawn.replay
-        gap = ReplayGap(
-            run.run,
-            run.times_s,
-            run.measured,
-            run.simulated,
-            run.simulated,
-            run.error,
-            run.error,
-            run.noise,
-            "",
-            "fitted",
-        )
+        curves = run.times_s, run.measured, run.simulated, run.simulated
+        gap = ReplayGap(run.run, *curves, run.error, run.error, run.noise, "", "fitted")
         figures, data = run_drawings(gap, drawn.joint_type, ("by the files", None))
         heading = f"Run {drawn.name}: {drawn.texts[1]}, {drawn.texts[2]} sigmas"
         sections.append(Section(heading, f'<div class="charts wide">{"".join(figures)}</div>', "curves", data, "full"))

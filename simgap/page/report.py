@@ -11,7 +11,6 @@ import numpy as np
 from freeart21.effects.base import Effect
 from freeart21.joint import JointType
 from freeart21.view.document import Section, document, escape
-from freeart21.view.plot import display_unit
 from freeart21.view.tables import table_section
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.track_geometry import TrackGeometry
@@ -119,17 +118,17 @@ def answer_section(verdict: Verdict, tiles: Sequence[str], notes: Sequence[str] 
 
 
 def _tiles(gap: Gap) -> list[str]:
-    """Gap before, after, floor, and how much is closed: of the motion, and of the poses off the joint."""
+    """The gap, and how much of it is closed: of the motion, and of the poses off the joint."""
     tiles = []
     motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY and np.isfinite(g.before)]
     if _moves_otherwise(gap) and motion:
         replayed = gap.shown is not None and bool(gap.shown.runs)
         after = _with(gap) if replayed else None
-        tiles += _sizes(motion, lambda v: size_text(v, gap), "", after, _in_turn(gap) and not replayed)
+        tiles.append(_sizes(motion, lambda v: _size_text(v, gap), "", after, _in_turn(gap) and not replayed))
         tiles += _closed(gap) if after not in (None, ROLLED_BACK) else []
     off = [g for g in gap.verdict.gaps if g.regime == GEOMETRY]
     if off:
-        tiles += _sizes(off, metres_text, "off the joint, ", "after")
+        tiles.append(_sizes(off, lambda v: amount(v, "m"), "off the joint, ", "after"))
     return tiles
 
 
@@ -145,37 +144,39 @@ def _with(gap: Gap) -> str | None:
 
 def _sizes(
     gaps: list[RunGap], text: Callable[[float], str], what: str, after_is: str | None, in_turn: bool = False
-) -> list[str]:
-    """Tiles of the gap before and, if SAPIEN replayed it, after, and of the floor, each with the runs that it is of.
-
-    These are the confirming runs; where there is none, those that chose, or all.
-    """
+) -> str:
+    """A tile of the gap before and, where SAPIEN replayed it, after, beside the noise, with the runs that it is of: the
+    confirming ones; where there is none, those that chose, or all."""
     judged = told_by(gaps)
-    where = runs_text([g.use for g in judged], in_turn)
     before, floor = (root_mean_square([getattr(g, name) for g in judged]) for name in ("before", "floor"))
     after = root_mean_square([g.after if g.trial is None else g.trial for g in judged])
-    first = "gap before" if after_is else "gap"
-    tiles = [tile(text(before), f"{first}, {what}on {where}", f"{before / floor:.1f} floors")]
-    if after_is and after_is != ROLLED_BACK and np.isfinite(after):
-        tiles.append(tile(text(after), f"gap {after_is}, {what}on the same, in SAPIEN", f"{after / floor:.1f} floors"))
-    return [*tiles, tile(text(floor), f"floor, {what}the sensor's noise in the same", "")]
+    shown = [before, after] if after_is and after_is != ROLLED_BACK and np.isfinite(after) else [before]
+    how = f"before and {after_is}, in SAPIEN, " if len(shown) > 1 else ""
+    times = " → ".join(f"{v / floor:.1f}" for v in shown)
+    return tile(
+        " → ".join(map(text, shown)),
+        f"gap {what}{how}on {runs_text([g.use for g in judged], in_turn)}",
+        f"{times} times the sensor's noise, {text(floor)}",
+    )
 
 
 def _closed(gap: Gap) -> list[str]:
     """Tiles of the part of the gap that is closed, in motion as was fitted and in other."""
     assert gap.shown is not None
     fitted = {r.regime for r in gap.verdict.gaps if r.use == "fitted"}
-    same, other = closed_alike(gap.shown, fitted)
     near = alike(gap.shown, fitted)
     far = [run for run in gap.shown.runs if run not in near]
     tiles = []
-    if same is not None:
-        what = f"of the gap closed, on {runs_text([run.use for run in near])}"
-        kind = "same kind of motion as was fitted" if {r.regime for r in near} <= fitted else "other motion"
-        tiles.append(tile(f"{100 * min(same, 1.0):.0f} %", what, kind))
-    if other is not None:
-        what = f"closed in other motion, on {runs_text([run.use for run in far])}"
-        tiles.append(tile(f"{100 * min(other, 1.0):.0f} %", what, ", ".join(sorted({run.regime for run in far}))))
+    for part, runs in zip(closed_alike(gap.shown, fitted), (near, far), strict=True):
+        if part is not None:
+            regimes = {run.regime for run in runs}
+            kind = (
+                "same kind of motion as was fitted"
+                if regimes <= fitted
+                else f"other motion: {', '.join(sorted(regimes))}"
+            )
+            what = f"of the gap closed, on {runs_text([run.use for run in runs])}"
+            tiles.append(tile(f"{100 * min(part, 1.0):.0f} %", what, kind))
     return tiles
 
 
@@ -216,12 +217,9 @@ def parameters_section(verdict: Verdict, kind: JointType, note: str, file_of: Ca
     html = (
         f'<div class="table fitted"><table><thead><tr>{cells}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
     )
-    if {named.effect.name for named in verdict.effects} <= set(verdict.added):
-        title = "What was written"
-    elif verdict.added:
-        title = f"The best explanation; written: {', '.join(verdict.added)}"
-    else:
-        title = "The best explanation, not certain, and not written"
+    whole = {named.effect.name for named in verdict.effects} <= set(verdict.added)
+    part = f"; written: {', '.join(verdict.added)}" if verdict.added else ", not certain, and not written"
+    title = "What was written" if whole else f"The best explanation{part}"
     return [Section(title, f'{html}<p class="note">{escape(note)}</p>', place="full")]
 
 
@@ -279,7 +277,7 @@ def _runs(gap: Gap) -> list[Section]:
         figures, data = run_drawings(run, gap.joint_type, names, gap.verdict.by)
         role = run.use if run.use != "fitted" or replayed else "held out in turn"
         facts = ", ".join(w for w in (role, run.regime, where) if w)
-        sizes = [size_text(v, gap) for v in (run.gap_before, run.gap_after)]
+        sizes = [_size_text(v, gap) for v in (run.gap_before, run.gap_after)]
         title = f"Run {run.run}, {facts}: {' → '.join(sizes if names[1] else sizes[:1])}"
         sections.append(Section(title, f'<div class="charts wide">{"".join(figures)}</div>', "curves", data, "full"))
     return sections
@@ -416,7 +414,7 @@ def _gaps(gap: Gap) -> list[Section]:
         if witness:
             seen = {} if off else witness.get(g.run, {})
             sizes += [seen.get("before", np.nan), seen.get("after", np.nan)]
-        texts = ["-" if not np.isfinite(v) else metres_text(v) if off else size_text(v, gap) for v in sizes]
+        texts = ["-" if not np.isfinite(v) else amount(v, "m") if off else _size_text(v, gap) for v in sizes]
         replayed = gap.verdict.by == "position" or off
         fitted = "fitted" if replayed or not _in_turn(gap) else "held out in turn"
         rows.append((g.run, fitted if g.use == "fitted" else g.use, g.regime, *texts))
@@ -446,20 +444,6 @@ def _repeat(gap: Gap) -> list[Section]:
     return [repeat_section({of[what]: line for what, line in proof.repeat.items()}, said)]
 
 
-def metres_text(value: float) -> str:
-    """A displacement in millimetres."""
-    return f"{1e3 * value:.2g} mm" if value < 0.0995 else f"{1e3 * value:.0f} mm"
-
-
-def size_text(value: float, gap: Gap) -> str:
+def _size_text(value: float, gap: Gap) -> str:
     """What runs are compared by: a length or an angle, or, of prescribed motion, a force."""
-    if gap.verdict.by == "force":
-        return amount(value, unit_of("force", gap.joint_type))
-    return length_text(value, gap.joint_type)
-
-
-def length_text(value: float, kind: JointType) -> str:
-    """A joint's position or a difference of two, in degrees or millimetres."""
-    if kind == "prismatic":
-        return metres_text(value)
-    return f"{display_unit(kind)[1] * value:.2g}°"
+    return amount(value, unit_of(gap.verdict.by, gap.joint_type))

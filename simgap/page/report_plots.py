@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,9 +61,7 @@ def chart(
     def across(value: Array | float) -> Array:
         return _LEFT + (np.asarray(value, float) - first) / (last - first) * (width - _LEFT - _RIGHT)
 
-    def down(value: Array | float) -> Array:
-        return _TOP + (high - np.asarray(value, float)) / (high - low) * (height - _TOP - _BOTTOM)
-
+    down = _scale(low, high, height)
     parts = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}">']
     if band:
         top, bottom = float(down(band)), float(down(-band))
@@ -147,9 +145,7 @@ def map_drawing(m: ResidualMap, title: str, what: str, factor: float, unit: str,
     count = len(mean)
     ends = np.linspace(_LEFT, width - _RIGHT, count + 1)
 
-    def down(value: Array | float) -> Array:
-        return _TOP + (high - np.asarray(value, float)) / (high - low) * (height - _TOP - _BOTTOM)
-
+    down = _scale(low, high, height)
     parts = [f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}">']
     for a, b, flag in zip(ends[:-1], ends[1:], m.flagged, strict=True):
         if flag:
@@ -248,10 +244,15 @@ def _map_ticks(m: ResidualMap, factor: float, unit: str, ends: Array, height: in
     ]
 
 
-def _grid(low: float, high: float, down: object, width: int) -> list[str]:
+def _scale(low: float, high: float, height: int) -> Callable[[Array | float], Array]:
+    """Values from `low` to `high` to pixels from the top."""
+    return lambda value: _TOP + (high - np.asarray(value, float)) / (high - low) * (height - _TOP - _BOTTOM)
+
+
+def _grid(low: float, high: float, down: Callable[[float], Array], width: int) -> list[str]:
     return [
-        f'<line class="grid" x1="{_LEFT}" x2="{width - _RIGHT}" y1="{float(down(y)):.1f}" y2="{float(down(y)):.1f}"/>'  # type: ignore[operator]
-        f'<text x="{_LEFT - 6}" y="{float(down(y)) + 4:.1f}" text-anchor="end">{y:g}</text>'  # type: ignore[operator]
+        f'<line class="grid" x1="{_LEFT}" x2="{width - _RIGHT}" y1="{float(down(y)):.1f}" y2="{float(down(y)):.1f}"/>'
+        f'<text x="{_LEFT - 6}" y="{float(down(y)) + 4:.1f}" text-anchor="end">{y:g}</text>'
         for y in ticks(low, high, 4)
     ]
 
