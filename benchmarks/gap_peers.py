@@ -9,6 +9,7 @@ free: with the library's effects by `simgap.fitting.fit`, as `freeart21 replay` 
 
 nothing  the asset as it is
 gap      `freeart21 gap`, by the files that it delivers
+trial    the same, by its trial where it delivers none: of rivals the best, or what it found and did not trust
 sysid    `mujoco.sysid`, all that it can express free (`mujoco_sysid`)
 fit-all  every effect of the library that these runs could show, at once; claims those whose 90 % interval leaves 0 out
 greedy   the effect that lowers BIC most, then the next, while it falls; no run but fitted ones decides
@@ -47,7 +48,7 @@ from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 from freeart21.measured import Measured
 
-WAYS = ("nothing", "gap", "sysid", "fit-all", "greedy")
+WAYS = ("nothing", "gap", "trial", "sysid", "fit-all", "greedy")
 RECORDINGS = ("bam_free", "dfki", "rotary_settled", "multiarm", "hsm150_pos", "phy180_32")
 """The handful that is asked when nothing else is said: one of every machine whose positions can be replayed."""
 SEED = 44
@@ -92,8 +93,8 @@ def main(
         for way in ways:
             rows.append(_ask(case, way, work, seconds, untouched))
             print({k: rows[-1][k] for k in ("case", "way", "error", "names", "seconds")}, flush=True)
-        atomic.write_json(out, {**about, "settings": settings, "ratios": compare(rows, ways), "rows": rows})
-    _print(rows, compare(rows, ways), ways)
+        atomic.write_json(out, {**about, "settings": settings, "ratios": _compare_ours(rows, ways), "rows": rows})
+    _print(rows, _compare_ours(rows, ways), ways)
     print(out)
 
 
@@ -186,12 +187,13 @@ def answer(way: str, place: str, out: str, seconds: float) -> None:
         names, finished, spent = found.names, found.finished, time.process_time() - began
         errors = [identification.score(found, run) for run in measured.runs if run.name in untouched]
     else:
-        repaired, spent = Path(out) / "answer" / "asset", 0.0
-        asset = read_asset(repaired if way == "gap" and repaired.is_dir() else urdf, measured.joint)
-        library = open_library(asset, measured, untouched)
-        if way in ("nothing", "gap"):
+        answered, spent = Path(out).resolve().parent / "gap" / "answer", 0.0
+        found_in = {"nothing": (), "gap": ("asset",), "trial": ("trial", "asset")}.get(way, ())
+        repaired = next((answered / name for name in found_in if (answered / name).is_dir()), urdf)
+        library = open_library(read_asset(repaired, measured.joint), measured, untouched)
+        if way in ("nothing", "gap", "trial"):
             fit = library.as_delivered()
-            names = _claims(Path(out) / "answer" / "verdict.json")
+            names = _claims(answered / "verdict.json") if found_in else []
         else:
             began = time.process_time()
             fit, names, finished = (fit_all if way == "fit-all" else fit_greedy)(library, seconds)
@@ -309,24 +311,28 @@ def fit_greedy(library: SimpleNamespace, seconds: float) -> tuple[Any, list[str]
         best = new
 
 
-def compare(rows: list[dict[str, Any]], ways: tuple[str, ...]) -> dict[str, dict[str, Any]]:
-    """Of each way: the geometric mean over cases of gap's error over its, the standard error of the logarithm, and the
-    cases in which gap is worse by more than a tenth. What was not delivered is judged as nothing."""
+def compare(rows: list[dict[str, Any]], ways: tuple[str, ...], ours: str = "gap") -> dict[str, dict[str, Any]]:
+    """Of each way: the geometric mean over cases of our error over its, the standard error of the logarithm, and the
+    cases in which ours is worse by more than a tenth. What was not delivered is judged as nothing."""
     of = {(row["case"], row["way"]): row["error"] for row in rows}
     found: dict[str, dict[str, Any]] = {}
     for way in ways:
         logs = {}
         for case in dict.fromkeys(row["case"] for row in rows):
-            errors = [of.get((case, w)) or of.get((case, "nothing")) for w in ("gap", way)]
-            if way != "gap" and all(errors):
+            errors = [of.get((case, w)) or of.get((case, "nothing")) for w in (ours, way)]
+            if way not in ("gap", "trial") and all(errors):
                 logs[case] = math.log(errors[0] / errors[1])
         if logs:
             values = np.array(list(logs.values()))
             spread = float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else None
             worse = [case for case, x in logs.items() if x > math.log(1.1)]
             mean = float(np.exp(values.mean()))
-            found[way] = {"ratio": mean, "standard_error_of_log": spread, "cases": len(logs), "gap_worse": worse}
+            found[way] = {"ratio": mean, "standard_error_of_log": spread, "cases": len(logs), "worse": worse}
     return found
+
+
+def _compare_ours(rows: list[dict[str, Any]], ways: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    return {ours: compare(rows, ways, ours) for ours in ("gap", "trial") if ours in ways}
 
 
 def _print(rows: list[dict[str, Any]], ratios: dict[str, dict[str, Any]], ways: tuple[str, ...]) -> None:
@@ -342,11 +348,11 @@ def _print(rows: list[dict[str, Any]], ratios: dict[str, dict[str, Any]], ways: 
         table.add_row(case, *cells)
     console = Console(width=200)
     console.print(table)
-    for way, figure in ratios.items():
+    for ours, way, figure in ((ours, way, figure) for ours, of in ratios.items() for way, figure in of.items()):
         spread = figure["standard_error_of_log"]
         factor = "" if spread is None else f", times or over {math.exp(spread):.2f} (one standard error)"
         console.print(
-            f"gap over {way}: {figure['ratio']:.2f}{factor}; worse by a tenth: {figure['gap_worse'] or 'never'}"
+            f"{ours} over {way}: {figure['ratio']:.2f}{factor}; worse by a tenth: {figure['worse'] or 'never'}"
         )
 
 

@@ -39,7 +39,7 @@ def test_ratios_are_geometric_and_what_was_not_delivered_is_nothing():
     assert found["sysid"]["ratio"] == pytest.approx((0.5 * 0.5 * 2.0) ** (1 / 3))
     logs = np.log([0.5, 0.5, 2.0])
     assert found["sysid"]["standard_error_of_log"] == pytest.approx(logs.std(ddof=1) / math.sqrt(3))
-    assert found["sysid"]["gap_worse"] == ["c"] and found["nothing"]["gap_worse"] == []
+    assert found["sysid"]["worse"] == ["c"] and found["nothing"]["worse"] == []
     assert "gap" not in found
 
 
