@@ -73,37 +73,15 @@ class JudgementSettings:
     stamps alone."""
     plain_gap: float = 2.5
     """Floors of error of the middle run at which there is a gap, whether anything explains it or not."""
-    explained: float = 1.35
-    """Floors of error that an explanation of a small gap may leave of a run; the floor is an estimate."""
     explained_part: float = 0.03
-    """Part of a large gap that it may leave besides, departures of its formulas being counted. Of strong effects of a
-    second world .002 to .01 are left; of a filmed pendulum, whose losses have no such names, .07."""
-    formula_part: float = 0.1
-    """The same of a set with an effect that has no way to depart, as a drive that is late, which is some parts in a
-    hundred off its formula, too."""
+    """Part of a large gap that an explanation may leave, departures of its formulas being counted. Of strong effects
+    of a second world .002 to .01 are left; of a filmed pendulum, whose losses have no such names, .07."""
     most: float = 10.0
     """Floors that it may leave of a run in any case: more is a name in part."""
     met: float = 0.75
     """Part of the runs that must be met so: what just passes a notch or grazes a stop hangs on a hair."""
     dominant: float = 0.5
     """Part of a run's gap that what dominates may leave."""
-    good_part: float = 0.1
-    """Part of the gap from which on what has no name, or another set, dominates as well. Of right names in a draw of
-    our own world nothing nameless took more than .03, of wrong ones .15 to .5."""
-    rival_part: float = 0.4
-    """Part of what a set takes of the gap, from which on what has no name and takes so much is no remainder of it. Drag
-    in the place of oil that was left out of the library leaves it .45; cogging beside friction and drag takes .30, what
-    the friction of a real pendulum has besides .24."""
-    much_better: float = 0.6
-    """Part of what a set leaves, beyond noise, that such a thing must leave at most."""
-    drift: float = 0.2
-    """Part of itself by which the size of an effect must change over the session for it not to be a constant."""
-    slight: float = 0.02
-    """Part of the largest loss's force, up to the top speed, that another has at least. Not measured."""
-    most_gain: float = 1.5
-    """Times what it is told that a drive gives, at most, for its gain to be named beside a remainder: what its voltage
-    and its windings may be off by. By inverse dynamics a hobby servo's logs have 1.0 to 1.5; more stands for a loss
-    that is not the model's."""
 
 
 @dataclass(frozen=True)

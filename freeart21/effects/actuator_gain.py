@@ -5,6 +5,10 @@ from typing import ClassVar
 
 from freeart21.effects.base import Acts, Effect, parameter
 
+MOST_USUAL = 1.5
+"""Times what it is told that a drive gives at most, by what its voltage and its windings may be off. By inverse
+dynamics a hobby servo's logs have 1.0 to 1.5; more stands for a loss that is not the model's."""
+
 
 @dataclass(frozen=True)
 class ActuatorGain(Effect):
@@ -22,3 +26,6 @@ class ActuatorGain(Effect):
 
     def gain(self) -> float:
         return self.factor
+
+    def is_usual(self) -> bool:
+        return 1 / MOST_USUAL < self.factor < MOST_USUAL

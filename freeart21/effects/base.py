@@ -258,6 +258,10 @@ class Effect(ABC):
         """Seconds by which a command ("command") or a reading ("reading") comes late."""
         return 0.0
 
+    def is_usual(self) -> bool:
+        """Whether real machines have it in this size; else it more likely stands for something that has no name."""
+        return True
+
     # kinematics
 
     def displacement(self, q: ArrayLike, t: ArrayLike, mechanics: JointMechanics) -> Array:

@@ -174,12 +174,16 @@ class Search:
                 level = self.larger(level[: self.settings.parents if size == 2 else self.settings.parents - 1])
             self._swapped(size)
             level = self._of_size(size)
-            if min(self.fits.values(), key=lambda fit: fit.cost).level < self.settings.all_told:
+            if self._is_explained():
                 break
-        every = [fit for fit in self.losses() if self.base().level > _FAR]
+        every = [] if self._is_explained() else [fit for fit in self.losses() if self.base().level > _FAR]
         best = [fit for k in range(1, size + 1) for fit in self._of_size(k)[: self.settings.contenders]]
         names = {fit.theory.names for fit in best}
         return best + [fit for fit in every if fit.theory.names not in names]
+
+    def _is_explained(self) -> bool:
+        """Whether a set leaves hardly more than noise, so that no other has to be looked for."""
+        return min(self.fits.values(), key=lambda fit: fit.cost).level < self.settings.all_told
 
     def _of_size(self, size: int) -> list[Fit]:
         """All sets of so many effects, the best first."""
@@ -212,7 +216,7 @@ class Search:
     def _with_losses(self, size: int) -> list[Fit]:
         """Those of a size that fit better than the same set, or than all that was found: others tell a search
         nothing."""
-        if self.base().level <= _FAR:
+        if self.base().level <= _FAR or self._is_explained():
             return []
         level = [fit.cost for names, fit in self.fits.items() if len(names) == size]
         found = []

@@ -1,25 +1,24 @@
-"""Which set of effects stands: one table, one score, and what is asked of a name.
+"""Which set of effects stands: one table, one score.
 
 Every set that the search came to is judged by the log predictive density of runs that it was not fitted to
-(`hypotheses`, `predictive`). The smallest within one standard error of the best stand, those of them being rivals that
-no run tells apart. A set that leaves next to nothing is the answer. Real machines leave a remainder above their
-sensor's noise: then a set is named in part, if it is made of what every machine has, does most of what can be done and
-no force without a name (`nameless`) takes a good part of the gap beside it. Where neither is so, nothing is named.
+(`hypotheses`, `predictive`), its effects departing from their formulas as real ones do. The smallest within one
+standard error of the best stand; those of them are rivals that no run tells apart. A set that leaves next to nothing is
+the answer. Real machines leave a remainder above their sensor's noise: then what dominates is named in part, of what
+every machine has. Where neither is so, nothing is named.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from freeart21.effects import EFFECTS, Effect
+from freeart21.effects import EFFECTS
 from simgap.fitting.fit import Fit
 from simgap.fitting.force_search import ForceSearch
 from simgap.fitting.guess import idle
 from simgap.fitting.search import Search, prompt
-from simgap.fitting.theory import departures_of
 from simgap.judgement.hypotheses import Hypothesis, departing, excess, judged
 from simgap.judgement.nameless import Nameless, beside
 from simgap.judgement.predictive import lead, smallest
@@ -27,8 +26,9 @@ from simgap.judgement.split import Fold
 from simgap.settings import JudgementSettings
 from simgap.verdict import SHOWS
 
-_SMALLER = 3
-"""Smaller sets beside which forces without a name are tried: the most probable ones."""
+_OF_A_SIZE = 5
+"""Sets of each size that may depart from their formulas, the most probable ones: of 59 cases that were tried more
+changed one verdict."""
 _END = 0.01
 """Part of a range that counts as its end."""
 
@@ -47,7 +47,7 @@ class Choice:
     in_part: bool = False
     """Whether the sets of `explaining` are but what dominates: they leave a remainder without a name."""
     nameless: tuple[Nameless, ...] = ()
-    """Forces without a name beside what is named, or beside what was nearest."""
+    """Forces without a name beside what is named, or beside what was nearest; they decide nothing."""
     table: tuple[Hypothesis, ...] = field(default=(), repr=False)
 
 
@@ -60,27 +60,37 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     able = [fit for fit in search.explored() if not idle(fit, search.train, base.fit.level)]
     table = [base, *(judged(fit, folds, base) for fit in able)]
     best = max(table, key=lambda h: h.score.total)
-    ahead, error = lead(best.score, base.score)
-    closed = float(np.sqrt(max(base.floors**2 - best.floors**2, 0.0)))
-    plain = [floors > settings.plain_gap for floors in base.by_run.values()]
-    if (ahead <= error or closed < settings.least_gap) and sum(plain) < (1 - settings.met) * len(plain):
+    if not _has_gap(base, best, settings):
         return Choice(base, best, table=tuple(table))
-    found = Choice(base, best, gap=True, table=tuple(table))
-    real = [departing(h, folds, base) for h in table]
-    standing = nearest(h for h in real if h.names and named_whole(h, base, settings))
-    told = {h.names: beside(h, folds) for h in standing}
-    whole = [h for h in standing if not any(refutes(n, base, settings) for n in told[h.names])]
-    whole = [h for h in whole if not _plainer_without_name(h, real, folds) and not _smaller_as_probable(h, real)]
-    if whole:
-        added = tuple(as_added(h, search, folds, base) for h in whole)
-        return replace(found, explaining=added, nameless=told[whole[0].names], table=tuple(real))
-    part = [(h, as_added(h, search, folds, base)) for h in dominating(table, base, folds, settings)]
-    part = [(h, added) for h, added in part if _may_dominate(added, base, settings)]  # as a simulator has it, too
-    if part:
-        added = tuple(there for _, there in part)
-        return replace(found, explaining=added, in_part=True, nameless=beside(part[0][0], folds))
-    near = standing[0] if standing else best
-    return replace(found, nameless=told.get(near.names) or beside(near, folds))
+    real = [departing(h, folds, base) for h in _best_of_each_size(table)]
+    whole = [h for h in nearest(h for h in real if named_whole(h, base, settings)) if not _is_less_enough(h, real)]
+    part = [] if whole else nearest(h for h in table if may_dominate(h, base, settings))
+    standing = [(h, as_added(h, search, folds, base)) for h in whole or part]
+    standing = [(h, added) for h, added in standing if whole or may_dominate(added, base, settings)]
+    return Choice(
+        base,
+        best,
+        tuple(added for _, added in standing),
+        gap=True,
+        in_part=bool(standing) and not whole,
+        nameless=beside(standing[0][0] if standing else best, folds),
+        table=tuple(table) if not whole else tuple(real),
+    )
+
+
+def _has_gap(base: Hypothesis, best: Hypothesis, settings: JudgementSettings) -> bool:
+    """Whether a set makes the runs more probable than the asset does, and takes more of what is left than coarse time
+    stamps may; or most runs leave far more than noise."""
+    ahead, error = lead(best.score, base.score)
+    taken = float(np.sqrt(max(base.floors**2 - best.floors**2, 0.0)))
+    plain = [floors > settings.plain_gap for floors in base.by_run.values()]
+    return (ahead > error and taken >= settings.least_gap) or sum(plain) >= (1 - settings.met) * len(plain)
+
+
+def _best_of_each_size(table: Sequence[Hypothesis]) -> list[Hypothesis]:
+    order = sorted((h for h in table if h.names), key=lambda h: -h.score.total)
+    sizes = sorted({len(h.names) for h in order})
+    return [h for size in sizes for h in [o for o in order if len(o.names) == size][:_OF_A_SIZE]]
 
 
 def nearest(table: Iterable[Hypothesis]) -> list[Hypothesis]:
@@ -105,94 +115,26 @@ def named_whole(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSet
     if at_end(hypothesis.fit):
         return False
     before, after = base.by_run, hypothesis.by_run
-    depart = all(departures_of(EFFECTS[name]) for name in hypothesis.names)
-    part = settings.explained_part if depart else settings.formula_part
     shown = [run for run in after if before[run] > SHOWS] or list(after)
-    met = {
-        run: after[run] <= min(np.hypot(settings.explained, part * excess(before[run])), settings.most) for run in shown
-    }
+    most = {run: min(np.hypot(SHOWS, settings.explained_part * excess(before[run])), settings.most) for run in shown}
+    met = {run: after[run] <= most[run] for run in shown}
     chose = [met[run] for run in shown if run in hypothesis.left]
     return sum(met.values()) >= settings.met * len(met) and sum(chose) >= 0.5 * len(chose)
 
 
-def refutes(rival: Nameless, base: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether a force without a name is more probable beside a set than the set alone, and takes a good part of the gap
-    in choosing runs; or sizes that change over the session are so by more than a standard error, and change by much."""
-    if rival.kind == "session":
-        much = any(abs(change) > settings.drift for change in rival.changes.values())
-        return rival.ahead > rival.error and much
-    return rival.ahead > 0 and rival.taken > max(settings.least_gap, settings.good_part * excess(base.floors))
-
-
-def _plainer_without_name(hypothesis: Hypothesis, table: Sequence[Hypothesis], folds: tuple[Fold, ...]) -> bool:
-    """Whether one effect less and a force without a name of fewer numbers is about as probable as a set: the smaller
-    one stands then, and what the set calls by a name has none."""
-    fewer = [h for h in table if h.names and len(h.names) < len(hypothesis.names) and _within(h, hypothesis)]
-    for smaller in sorted(fewer, key=lambda h: -h.score.total)[:_SMALLER]:
-        for rival in beside(smaller, folds, len(hypothesis.fit.theta) - len(smaller.fit.theta) - 1):
-            ahead, error = lead(hypothesis.score, replace(smaller.score, parts=smaller.score.parts + rival.more))
-            if ahead <= error:
-                return True
-    return False
-
-
-def _smaller_as_probable(hypothesis: Hypothesis, table: Sequence[Hypothesis]) -> bool:
+def _is_less_enough(hypothesis: Hypothesis, table: Sequence[Hypothesis]) -> bool:
     """Whether a part of a set, which leaves too much for a name, is about as probable as all of it: that what all of it
     leaves just passes then hangs on a hair."""
-    fewer = [h for h in table if h.names and len(h.names) < len(hypothesis.names) and _within(h, hypothesis)]
-    return any(not _beats(hypothesis, h) for h in fewer)
-
-
-def dominating(
-    table: Sequence[Hypothesis], base: Hypothesis, folds: tuple[Fold, ...], settings: JudgementSettings
-) -> list[Hypothesis]:
-    """The smallest sets of what every machine has within one standard error of the best of them, by their formulas: how
-    effects depart from these would take what has no name. None of which what has no name, a set with a number that no
-    machine has, or one of what only some machines have, does away with most of what it leaves."""
-    able = [h for h in table if _may_dominate(h, base, settings)]
-    best = max(able, key=lambda h: h.score.total, default=None)
-    near = [h for h in able if best is not None and not _beats(best, h)]
-    others = [h for h in table if h.names and not _common(h.names)]
-    odd = [h for h in table if at_end(h.fit) and not _unmoved(h.fit)]
-    standing = [h for h in near if not any(_beats(o, h) for o in odd if not _within(h, o))]
-    standing = [h for h in standing if not any(_takes_much(o, h, base, settings) for o in others if not _within(h, o))]
-    return nearest(h for h in standing if not any(overtakes(n, h, base, settings) for n in beside(h, folds)))
-
-
-def overtakes(rival: Nameless, hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether a force without a name speaks against a set that is named in part: it takes a good part of what the set
-    does, and is no mere remainder; or sizes change over the session."""
-    if rival.kind == "session":
-        return refutes(rival, base, settings)
-    taken = float(np.sqrt(max(base.floors**2 - hypothesis.floors**2, 0.0)))
-    return rival.ahead > 0 and rival.taken > max(settings.least_gap, settings.rival_part * taken)
-
-
-def _may_dominate(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether a set is of what every machine has, a loss and one dry friction at most among it, none of them slight, no
-    number at its bound, and halves the gap in most of the runs that show one, and in half of those that choose."""
-    names, fit = hypothesis.names, hypothesis.fit
-    dry = sum(_is_dry(name) for name in names)  # one contact has one law of friction
-    if not any(EFFECTS[name].dissipates for name in names) or not _common(names) or dry > 1:
-        return False
-    if at_end(fit) or _slight(fit, settings) or not _usual_gain(fit, settings):
-        return False
-    after, before = hypothesis.by_run, base.by_run
-    halved = {run: excess(after[run]) < settings.dominant * excess(before[run]) for run in after if before[run] > SHOWS}
-    chose = [halved[run] for run in halved if run in hypothesis.left]
-    return sum(halved.values()) > 0.5 * len(halved) and sum(chose) >= 0.5 * len(chose)
-
-
-def _common(names: tuple[str, ...]) -> bool:
-    return all(EFFECTS[name].common for name in names)
+    fewer = [h for h in table if len(h.names) < len(hypothesis.names) and _within(h, hypothesis)]
+    return any(ahead <= error for ahead, error in (lead(hypothesis.score, h.score) for h in fewer))
 
 
 def _within(hypothesis: Hypothesis, other: Hypothesis) -> bool:
     """Whether another set has all that a set has, dry friction being one, and what becomes a plainer effect that."""
-    return _plainly(hypothesis.names) <= _plainly(other.names)
+    return _plain_names(hypothesis.names) <= _plain_names(other.names)
 
 
-def _plainly(names: tuple[str, ...]) -> set[str]:
+def _plain_names(names: tuple[str, ...]) -> set[str]:
     return {"dry friction" if _is_dry(name) else EFFECTS[name].becomes or name for name in names}
 
 
@@ -201,44 +143,19 @@ def _is_dry(name: str) -> bool:
     return EFFECTS[name].acts == "drive" and not EFFECTS[name].geared
 
 
-def _beats(other: Hypothesis, hypothesis: Hypothesis) -> bool:
-    ahead, error = lead(other.score, hypothesis.score)
-    return ahead > error
-
-
-def _takes_much(other: Hypothesis, hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether another set does away with most of what a set leaves, and that is a good part of the gap."""
-    less = float(np.sqrt(max(hypothesis.floors**2 - other.floors**2, 0.0)))
-    much = excess(other.floors) < settings.much_better * excess(hypothesis.floors)
-    return much and less > max(settings.least_gap, settings.good_part * excess(base.floors))
-
-
-def _unmoved(fit: Fit) -> bool:
-    """Whether the set has all the inertia that it may: what no force moves goes on as it began, and explains
-    nothing."""
-    told = [(r, x) for r, x in zip(fit.theory.ranges(), fit.theta, strict=True) if r.owner in EFFECTS]
-    return any(EFFECTS[r.owner].acts == "inertia" and x > (1 - _END) * r.upper for r, x in told)
-
-
-def _slight(fit: Fit, settings: JudgementSettings) -> bool:
-    """Whether a loss of the set takes next to no force beside another, up to the top speed."""
-    problem = fit.theory.problem
-    speed = problem.speed * np.linspace(0.05, 1.0, 20)
-    middle = np.full(len(speed), problem.reference[1])
-
-    def size(loss: Effect) -> float:
-        force = loss.law(middle, -speed, problem.presses(type(loss)), 1.0, *loss.values()) * np.ones(len(speed))
-        return float(np.sqrt(np.mean(force**2)))
-
-    forces = [size(effect) for effect in fit.effects if effect.dissipates]
-    return min(forces) < settings.slight * max(forces)
-
-
-def _usual_gain(fit: Fit, settings: JudgementSettings) -> bool:
-    """Whether a drive that is named gives about what it is told: beyond that it is another drive, or a loss holds
-    it."""
-    gains = [effect.gain() for effect in fit.effects if effect.name == "actuator_gain"]
-    return all(1 / settings.most_gain < gain < settings.most_gain for gain in gains)
+def may_dominate(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
+    """Whether a set is of what every machine has, a loss and one dry friction at most among it, no number at its bound
+    or beyond what is usual, and halves the gap in most of the runs that show one, and in half of those that choose."""
+    classes = [EFFECTS[name] for name in hypothesis.names]
+    one_friction = sum(_is_dry(name) for name in hypothesis.names) <= 1  # one contact has one law of it
+    if not any(cls.dissipates for cls in classes) or not all(cls.common for cls in classes) or not one_friction:
+        return False
+    if at_end(hypothesis.fit) or not all(effect.is_usual() for effect in hypothesis.fit.effects):
+        return False
+    after, before = hypothesis.by_run, base.by_run
+    halved = {run: excess(after[run]) < settings.dominant * excess(before[run]) for run in after if before[run] > SHOWS}
+    chose = [halved[run] for run in halved if run in hypothesis.left]
+    return sum(halved.values()) > 0.5 * len(halved) and sum(chose) >= 0.5 * len(chose)
 
 
 def at_end(fit: Fit) -> bool:
@@ -258,4 +175,5 @@ def as_added(
     fit = prompt(hypothesis.fit, search.train)
     if fit is hypothesis.fit:
         return hypothesis
-    return departing(judged(fit, folds, base), folds, base) if hypothesis.departing else judged(fit, folds, base)
+    added = judged(fit, folds, base)
+    return departing(added, folds, base) if hypothesis.departing else added
