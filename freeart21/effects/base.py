@@ -124,7 +124,8 @@ class Effect(ABC):
     `law(q, qd, load, memory, *parameters)` is a static method of scalars or arrays, plain numpy, no instance: so a
     fitter may compile it (`numba.njit(cls.law)`) or give it arrays of parameters. `load` is the bearing force in N
     (`JointMechanics.load`), 0 unless `needs_load`, or what gears carry where the effect is `geared`. `memory` is one
-    number, `remember(q, memory, *parameters)` is its next value, at the start it is `remember(q, 0.0, ...)`.
+    number, `remember(q, memory, *parameters)` is its next value, at the start it is `remember(q, 0.0, ...)`; one that
+    leaps, leaps by 1.
 
     Effects of one kind add up, in no order; displacements are multiplied in the order listed, the first one outermost.
     """
@@ -168,6 +169,10 @@ class Effect(ABC):
     experiment: ClassVar[str] = ""
     """What to record so that it parts from others that explain the same; empty for nothing that it has of its own."""
 
+    counts: ClassVar[int] = 1
+    """How many effects it counts for where smaller sets come first: one for every three of its numbers, about."""
+    ends: ClassVar[tuple[str, ...]] = ()
+    """Parameters that are the ends of the way that was moved through, and no numbers to be fitted."""
     becomes: ClassVar[str | None] = None
     """The plainer effect that this one is in a special case: that one has the name unless it does worse."""
     twin: ClassVar[str | None] = None

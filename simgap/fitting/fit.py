@@ -284,7 +284,7 @@ def _mild(theory: Theory, runs: tuple[FitRun, ...]) -> Array:
         if cls.acts not in ("force", "drive"):
             continue
         i = next(i for i, r in enumerate(theory.ranges()) if r.owner == cls.name)
-        others = [theta[i + k] for k in range(1, len(theory.fitted_of(cls)))]
+        others = [*(theta[i + k] for k in range(1, len(theory.fitted_of(cls)))), *problem.ends(cls).values()]
         unit = float(np.sqrt(np.mean((cls.law(q, v, problem.presses(cls), 1.0, 1.0, *others) * np.ones(len(q))) ** 2)))
         theta[i] = _MILD * problem.force / max(unit, 1e-12)
     low, high = (np.array([getattr(r, k) for r in theory.ranges()]) for k in ("lower", "upper"))

@@ -218,7 +218,7 @@ class Linear:
             return min(r.size, 0.1) if cls.acts != "inertia" else r.size
         q = np.concatenate([run.way[::5] for run in self.runs])
         v = np.concatenate([run.speed[::5] for run in self.runs])
-        unit = {**point, r.name: 1.0}
+        unit = {**point, **self.problem.ends(cls), r.name: 1.0}
         values = [unit.get(n, 0.0) for n in cls.parameters()]
         force = cls.law(q, v, self.problem.presses(cls), 1.0, *values) * np.ones(len(q))
         size = float(np.sqrt(np.mean(np.square(force))))

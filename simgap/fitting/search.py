@@ -117,11 +117,17 @@ class Search:
     train: tuple[FitRun, ...]
     settings: SearchSettings
     names: tuple[str, ...]
+    """Effects that sets are made of; those that may have any shape (`Effect.counts`) only beside what is best without:
+    they would be first in every set."""
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     _first: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
     _losses: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     """Of every set of losses, from the asset as it is told."""
     _forces: dict[tuple[str, ...], LocalForce] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.shapes = tuple(name for name in self.names if EFFECTS[name].counts > 1)
+        self.names = tuple(name for name in self.names if name not in self.shapes)
 
     def base(self) -> Fit:
         """Nothing missing but what the asset may be off by."""
@@ -143,7 +149,7 @@ class Search:
         parts = parts_of(self.problem, self.train)
         if parts is self.train or self.base().level <= _FAR:
             return self._explored()
-        there = Search(self.problem, parts, self.settings, self.names)._explored()
+        there = Search(self.problem, parts, self.settings, self.names + self.shapes)._explored()
         near = sorted(worth(there, _HOPEFUL), key=lambda fit: len(fit.theory.names))
         found = [self.keep(on_all(fit, self.train)) for fit in near]
         for size in range(1, self.settings.max_effects + 1):
@@ -178,6 +184,7 @@ class Search:
                 break
         every = [] if self._is_explained() else [fit for fit in self.losses() if self.base().level > _FAR]
         best = [fit for k in range(1, size + 1) for fit in self._of_size(k)[: self.settings.contenders]]
+        best += self._with_shapes()
         names = {fit.theory.names for fit in best}
         return best + [fit for fit in every if fit.theory.names not in names]
 
@@ -203,6 +210,20 @@ class Search:
                     self.of(tuple(sorted({*rest, less})))
                 if rest:
                     self.without(fit, name)
+
+    def _with_shapes(self) -> list[Fit]:
+        """Where nothing explains the runs, forces and frictions of any shape, alone and beside the best of a size."""
+        if self._is_explained():
+            return []
+        found = []
+        for shape in self.shapes:
+            like = {n for n in self.names if EFFECTS[n].acts == EFFECTS[shape].acts and not EFFECTS[n].knows_speed}
+            beside = [[f for f in self._of_size(k) if not like & {*f.theory.names}][:1] for k in (1, 2)]
+            found += [
+                self.of((shape,)),
+                *(self.of(tuple(sorted((*f.theory.names, shape)))) for (f,) in filter(None, beside)),
+            ]
+        return found
 
     def losses(self) -> list[Fit]:
         """The sets of `loss_sets`, fitted from the asset as it is told, not from what it must be off by to do
@@ -516,7 +537,7 @@ def _catches(fit: Fit) -> list[Array]:
     """(p,) points about a fit at which its catch holds elsewhere, or over another way; none without one."""
     ranges, found = fit.theory.ranges(), []
     for cls in fit.theory.classes:
-        if cls.remember is Effect.remember:
+        if cls.remember is Effect.remember or not is_local(cls):
             continue
         kind = fit.theory.problem.plant.joint_type
         own = {i: cls.parameters()[r.name] for i, r in enumerate(ranges) if r.owner == cls.name}

@@ -71,6 +71,10 @@ class Problem:
         """A usual load of what an effect looks at."""
         return self.carried if cls.geared else self.load
 
+    def ends(self, cls: type[Effect]) -> dict[str, float]:
+        """Parameters of an effect that are the ends of the way that was moved through."""
+        return dict(zip(cls.ends, (self.q_low, self.q_high), strict=False))
+
     @property
     def reference(self) -> tuple[float, float, float]:
         """Largest speed, middle and half range of position."""
@@ -159,7 +163,8 @@ class Theory:
 
     def fitted_of(self, cls: type[Effect]) -> list[str]:
         """The parameters of an effect that are its own: what a shaft gives back, and when, is fitted in their place."""
-        return [n for n in cls.parameters(self.problem.plant.joint_type) if n not in cls.rotor_fields[1:]]
+        told = (*cls.rotor_fields[1:], *cls.ends)
+        return [n for n in cls.parameters(self.problem.plant.joint_type) if n not in told]
 
     def _range(self, cls: type[Effect], name: str) -> Range:
         """Bounds and size of an effect's parameter on these data: nothing beyond what was moved through."""
@@ -236,7 +241,8 @@ class Reader:
         made: list[Effect] = []
         for cls, names in self.fitted:
             at = self.owners.index(cls.name)
-            made.append(cls(**dict(zip(names, map(float, theta[at : at + len(names)]), strict=True))))
+            values = dict(zip(names, map(float, theta[at : at + len(names)]), strict=True))
+            made.append(cls(**values, **self.theory.problem.ends(cls)))
         return tuple(self._on_shaft(theta, e, made) for e in made) if SHAFT in self.owners else tuple(made)
 
     def _on_shaft(self, theta: Array, effect: Effect, added: Sequence[Effect]) -> Effect:

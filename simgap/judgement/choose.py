@@ -125,7 +125,7 @@ def named_whole(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSet
 def _is_less_enough(hypothesis: Hypothesis, table: Sequence[Hypothesis]) -> bool:
     """Whether a part of a set, which leaves too much for a name, is about as probable as all of it: that what all of it
     leaves just passes then hangs on a hair."""
-    fewer = [h for h in table if len(h.names) < len(hypothesis.names) and _within(h, hypothesis)]
+    fewer = [h for h in table if h.score.size < hypothesis.score.size and _within(h, hypothesis)]
     return any(ahead <= error for ahead, error in (lead(hypothesis.score, h.score) for h in fewer))
 
 
@@ -139,8 +139,9 @@ def _plain_names(names: tuple[str, ...]) -> set[str]:
 
 
 def _is_dry(name: str) -> bool:
-    """Whether an effect is a dry friction of the joint's bearing."""
-    return EFFECTS[name].acts == "drive" and not EFFECTS[name].geared
+    """Whether an effect is a dry friction of the joint's bearing, or becomes one."""
+    cls = EFFECTS[name]
+    return (cls.acts == "drive" and not cls.geared) or (cls.becomes is not None and _is_dry(cls.becomes))
 
 
 def may_dominate(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:

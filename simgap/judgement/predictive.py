@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 from scipy.special import gammaln
 
+from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
 from simgap.measure.data import FitRun
 
@@ -152,6 +153,11 @@ class Score:
     """What the fitted ones among them are too large by, for the numbers that were fitted."""
 
     @property
+    def size(self) -> int:
+        """How many effects it has, those of very many numbers counting for several."""
+        return sum(EFFECTS[name].counts if name in EFFECTS else 1 for name in self.names)
+
+    @property
     def total(self) -> float:
         """Log density of all runs."""
         return float(self.parts.sum()) - self.price
@@ -173,8 +179,8 @@ def smallest(scores: Sequence[Score]) -> tuple[Score, ...]:
     near = []
     for score in scores:
         behind, error = lead(best, score)
-        dearer = score.price - best.price if len(score.names) == len(best.names) else 0.0
+        dearer = score.price - best.price if score.size == best.size else 0.0
         if score is best or behind - max(dearer, 0.0) <= error:
             near.append(score)
-    fewest = min(len(s.names) for s in near)
-    return tuple(sorted((s for s in near if len(s.names) == fewest), key=lambda s: -s.total))
+    fewest = min(s.size for s in near)
+    return tuple(sorted((s for s in near if s.size == fewest), key=lambda s: -s.total))

@@ -252,8 +252,9 @@ def _events(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
         if q < p[LOWER] or q > p[UPPER]:
             found |= _LIMIT
         for k in range(len(terms)):
-            if terms[k, 1] == FORCE and remember(terms[k, 0], q, memory[k], p, terms[k, 2] + PLACE) != memory[k]:
-                found |= _MEMORY
+            if terms[k, 1] == FORCE:
+                leap = remember(terms[k, 0], q, memory[k], p, terms[k, 2] + PLACE) - memory[k]
+                found |= _MEMORY if abs(leap) > 0.5 else 0
     if p[SLACK_WIDTH] > 0.0:
         pushes = 0.0
         if side != 0:
@@ -496,11 +497,10 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
             y, resting, waits = (y[0], leaves, y[2], y[3]), 0, -np.inf
         if slide != 0:
             grip = (_bristle(p, slide, grip, y[0]), y[0])
+        for k in range(len(terms)):
+            if terms[k, 1] == FORCE:
+                memory[k] = remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + PLACE)
         # what the event changes
-        if found & _MEMORY:
-            for k in range(len(terms)):
-                if terms[k, 1] == FORCE:
-                    memory[k] = remember(terms[k, 0], y[0], memory[k], p, terms[k, 2] + PLACE)
         if found & _PARTED and not found & (_STOPPED | _LIMIT):  # what stops takes its drive side with it
             side = 0
         if found & _MET:

@@ -30,6 +30,9 @@ _TAKEN = {  # a slice would cost more than the formula
     4: jit(lambda p, at: (p[at], p[at + 1], p[at + 2], p[at + 3])),
     5: jit(lambda p, at: (p[at], p[at + 1], p[at + 2], p[at + 3], p[at + 4])),
     6: jit(lambda p, at: (p[at], p[at + 1], p[at + 2], p[at + 3], p[at + 4], p[at + 5])),
+    10: jit(
+        lambda p, a: (p[a], p[a + 1], p[a + 2], p[a + 3], p[a + 4], p[a + 5], p[a + 6], p[a + 7], p[a + 8], p[a + 9])
+    ),
 }
 
 

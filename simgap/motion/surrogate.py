@@ -306,7 +306,8 @@ def creeping(plant: Plant, effects: tuple[Effect, ...], steps_s: Steps, settings
 
 def is_local(cls: type[Effect]) -> bool:
     """Whether an effect has a place and a width, beyond which it does nothing."""
-    return cls.acts == "force" and any(s.revolute_unit == "rad" and s.lower >= 0 for s in cls.parameters().values())
+    lengths = [s.lower for s in cls.parameters().values() if s.revolute_unit == "rad"]
+    return cls.acts == "force" and min(lengths, default=0.0) < 0 <= max(lengths, default=0.0)
 
 
 @dataclass(frozen=True)

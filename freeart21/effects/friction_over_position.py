@@ -1,0 +1,40 @@
+"""Friction over position: dry friction whose level is some curve over the joint's position."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.force_over_position import ForceOverPosition
+
+
+@dataclass(frozen=True)
+class FrictionOverPosition(Effect):
+    """level(q) against the motion, and up to level(q) at rest: straight lines between eight levels, evenly from the
+    first position to the last, and beyond them as at the ends.
+
+    What rails, seals and bearings have that rub harder at some places than at others. URDF and MJCF have no word for
+    it.
+    """
+
+    name: ClassVar[str] = "friction_over_position"
+    acts: ClassVar[Acts] = "drive"
+    plain: ClassVar[str] = "dry friction that differs from place to place"
+    experiment: ClassVar[str] = "Move it slowly through its whole range, both ways, with a known force."
+    counts: ClassVar[int] = 3
+    ends: ClassVar[tuple[str, ...]] = ("first", "last")
+    dissipates: ClassVar[bool] = True
+    becomes: ClassVar[str | None] = "coulomb_friction"
+    departs: ClassVar[tuple[float, float]] = (0.1, 0.0)  # it has any shape over position as it is
+
+    level_1: float = parameter("N*m", "N", 0.0, 1e4, "level at the first position", scale=0.1)
+    level_2: float = parameter("N*m", "N", 0.0, 1e4, "level at 1/7 of the way", scale=0.1)
+    level_3: float = parameter("N*m", "N", 0.0, 1e4, "level at 2/7 of the way", scale=0.1)
+    level_4: float = parameter("N*m", "N", 0.0, 1e4, "level at 3/7 of the way", scale=0.1)
+    level_5: float = parameter("N*m", "N", 0.0, 1e4, "level at 4/7 of the way", scale=0.1)
+    level_6: float = parameter("N*m", "N", 0.0, 1e4, "level at 5/7 of the way", scale=0.1)
+    level_7: float = parameter("N*m", "N", 0.0, 1e4, "level at 6/7 of the way", scale=0.1)
+    level_8: float = parameter("N*m", "N", 0.0, 1e4, "level at the last position", scale=0.1)
+    first: float = parameter("rad", "m", -100.0, 100.0, "first position", scale=0.1)
+    last: float = parameter("rad", "m", -100.0, 100.0, "last position", scale=0.1)
+
+    law = staticmethod(ForceOverPosition.law)

@@ -1,0 +1,43 @@
+"""Pre-sliding friction: dry friction that gives like a spring before it slides."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from freeart21.effects.base import Acts, Effect, parameter
+
+
+@dataclass(frozen=True)
+class PreslidingFriction(Effect):
+    """force = -level * (q - anchor) / travel; the anchor is dragged along where it is further away than travel.
+
+    Its memory is the anchor. After a reversal friction builds up over 2 * travel, so small swings feel a spring that
+    takes energy. The elastoplastic bristle that Dahl's and the LuGre model smooth: Dupont, Hayward, Armstrong and
+    Altpeter, "Single state elastoplastic friction models", IEEE Transactions on Automatic Control 47 (2002). URDF and
+    MJCF have no word for it.
+    """
+
+    name: ClassVar[str] = "presliding_friction"
+    acts: ClassVar[Acts] = "force"
+    plain: ClassVar[str] = "dry friction that gives like a spring before it slides"
+    experiment: ClassVar[str] = "Push it to and fro by less and less, down to where it hardly moves."
+    dissipates: ClassVar[bool] = True
+    common: ClassVar[bool] = True
+    becomes: ClassVar[str | None] = "coulomb_friction"
+    knows_speed: ClassVar[bool] = False
+    departs: ClassVar[tuple[float, float]] = (0.1, 0.1)  # as of other dry friction
+
+    level: float = parameter("N*m", "N", 0.0, 1e4, "size of the friction force once it slides", scale=0.1)
+    travel: float = parameter("rad", "m", 1e-5, 10.0, "way over which it gives before it slides", scale=0.02)
+
+    @staticmethod
+    def law(q: Any, qd: Any, load: Any, memory: Any, level: Any, travel: Any) -> Any:
+        return -level * np.minimum(np.maximum((q - memory) / travel, -1.0), 1.0)
+
+    @staticmethod
+    def remember(q: Any, memory: Any, level: Any, travel: Any) -> Any:
+        return np.minimum(np.maximum(memory, q - travel), q + travel)
+
+    def steepness(self) -> float:
+        return self.level / self.travel
