@@ -25,11 +25,14 @@ from freeart21.effects.eccentricity import Eccentricity
 from freeart21.effects.encoder_offset import EncoderOffset
 from freeart21.effects.encoder_scale import EncoderScale
 from freeart21.effects.end_stop_bounce import EndStopBounce
+from freeart21.effects.force_over_position import ForceOverPosition
+from freeart21.effects.friction_over_position import FrictionOverPosition
 from freeart21.effects.gear_friction import GearFriction
 from freeart21.effects.gravity_offset import GravityOffset
 from freeart21.effects.latch import Latch
 from freeart21.effects.load_friction import LoadFriction
 from freeart21.effects.pivot_offset import PivotOffset
+from freeart21.effects.presliding_friction import PreslidingFriction
 from freeart21.effects.quadratic_drag import QuadraticDrag
 from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.sag import Sag
@@ -49,6 +52,9 @@ MORE = (
     QuadraticDrag(0.3),
     LoadFriction(0.01),
     GearFriction(0.1),
+    PreslidingFriction(0.2, 0.02),
+    ForceOverPosition(0.1, -0.2, 0.3, 0.0, 0.2, -0.1, 0.0, 0.1, -0.5, 0.5),
+    FrictionOverPosition(0.1, 0.2, 0.3, 0.1, 0.0, 0.1, 0.2, 0.1, -0.5, 0.5),
     Detent(0.5, 0.4, 0.05),
     Latch(2.0, 0.1, 0.02, 0.5),
     Backlash(0.02, 0.1),

@@ -217,7 +217,9 @@ class Search:
             return []
         found = []
         for shape in self.shapes:
-            like = {n for n in self.names if EFFECTS[n].acts == EFFECTS[shape].acts and not EFFECTS[n].knows_speed}
+            kinds = [(n, EFFECTS[n]) for n in self.names]
+            acts = EFFECTS[shape].acts
+            like = {n for n, c in kinds if c.acts == acts and not c.knows_speed and not c.dissipates}
             beside = [[f for f in self._of_size(k) if not like & {*f.theory.names}][:1] for k in (1, 2)]
             found += [
                 self.of((shape,)),

@@ -1,0 +1,56 @@
+"""Friction that gives before it slides, and forces and frictions of any shape over position."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_case import asset_of, measured_of
+
+from freeart21.effects import EFFECTS
+from freeart21.files.asset import read_asset
+from simgap.fitting.fit import Theory, fitted, predicted
+from simgap.fitting.problem import problem_of
+from simgap.fitting.search import Search, candidates
+from simgap.judgement.choose import chosen
+from simgap.judgement.split import split_of
+from simgap.measure.data import fit_runs
+from simgap.motion.surrogate import plant_of
+from simgap.settings import GapSettings
+
+HIDDEN = {
+    "presliding_friction": {"level": 0.15, "travel": 0.08},
+    "force_over_position": {f"force_{k + 1}": 0.3 * (-1) ** (k // 2) for k in range(8)},
+    "friction_over_position": {f"level_{k + 1}": 0.02 + 0.3 * (k in (2, 5)) for k in range(8)},
+}
+
+
+def test_friction_that_gives_takes_what_slides_of_a_cycle():
+    """4 * level * (amplitude - travel) a cycle, and nothing within its travel: Dupont et al. (2002)."""
+    law, remember, level, travel = *(getattr(EFFECTS["presliding_friction"], k) for k in ("law", "remember")), 0.3, 0.02
+    for amplitude, expected in ((0.1, 4 * 0.3 * 0.08), (0.019, 0.0)):
+        q = amplitude * np.sin(np.linspace(0, 4 * np.pi, 40_001))
+        anchor, work = remember(0.0, 0.0, level, travel), []
+        for a, b in zip(q[:-1], q[1:], strict=True):
+            work.append(-law(0.5 * (a + b), 0.0, 0.0, anchor, level, travel) * (b - a))
+            anchor = remember(b, anchor, level, travel)
+        assert sum(work[20_000:]) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_it_is_named_where_it_is_all_that_is_missing(tmp_path: Path, name: str):
+    measured, settings = measured_of(5, exact=True), GapSettings()
+    plant = plant_of(read_asset(asset_of(tmp_path), "j"), measured)
+    runs, floor = fit_runs(measured, plant)
+    problem = problem_of(plant, measured, runs, floor, settings)
+    theory = Theory(problem, (name,), prompt=True)
+    theta = np.array([HIDDEN[name].get(r.name, x) for r, x in zip(theory.ranges(), theory.neutral(), strict=True)])
+    true = fitted(theory, runs, theta, iterations=0)
+    rng = np.random.default_rng(0)
+    runs = tuple(replace(run, q=predicted(true, run) + run.sigma * rng.normal(size=len(run.q))) for run in runs)
+    split = split_of(runs)
+    search = Search(problem, split.fitted, settings.search, candidates(problem, split.fitted))
+    choice = chosen(search, split.folds, settings.judgement)
+    assert choice.explaining and choice.explaining[0].names == (name,) and not choice.in_part, choice
