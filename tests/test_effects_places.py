@@ -23,14 +23,7 @@ WORDS = {
     "generator/objects": {"latch"},
 }
 """Words of file formats and engines, and names of parts of objects, that effects have as well."""
-NOT_YET = {
-    "simgap/fitting/alike.py",
-    "simgap/fitting/guess.py",
-    "simgap/fitting/search.py",
-    "simgap/judgement/choose.py",
-    "simgap/judgement/intervals.py",
-    "simgap/judgement/words.py",
-}
+NOT_YET = {"simgap/judgement/choose.py"}
 """Files that know single effects still."""
 
 

@@ -41,7 +41,7 @@ class Guess:
 
 def neutral_value(cls: type[Effect]) -> float:
     """First parameter's value at which the effect does nothing (or next to nothing, where its bounds forbid that)."""
-    return {"actuator_gain": 1.0, "encoder_scale": 1.0}.get(cls.name, 0.0)
+    return cls.neutral
 
 
 def off(problem: Problem, name: str) -> dict[str, float]:

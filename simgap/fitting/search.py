@@ -51,23 +51,18 @@ _PARTS, _BACK, _SWINGS = (None, -0.5, 0.0, 0.5), (0.3, 0.85), (0.2, 0.5, 0.8)
 how fast, as parts of what may be."""
 _CATCHES = 3
 """How many of these are fitted, beside what was found."""
-_ALL_ALONG = (
-    "coulomb_friction",
-    "gravity_offset",
-    "load_friction",
-    "quadratic_drag",
-    "return_spring",
-    "viscous_damping",
+_ALL_ALONG = tuple(
+    name
+    for name, cls in EFFECTS.items()
+    if cls.acts in ("force", "drive") and not (is_local(cls) or cls.becomes or cls.geared)
 )
 """Effects that take energy, and forces without a place: they act wherever the joint is."""
-LOSSES = ("coulomb_friction", "quadratic_drag", "viscous_damping")
+LOSSES = tuple(name for name in _ALL_ALONG if EFFECTS[name].dissipates and not EFFECTS[name].needs_load)
 """What takes energy all along: every joint has some of them."""
-_SERVO = ("actuator_gain", "armature", "coulomb_friction", "gear_friction", "viscous_damping")
+_SERVO = tuple(name for name, cls in EFFECTS.items() if cls.of_drive)
 """What a geared drive has, of all of which it takes several to come near: of a hobby servo's
 logs (Rhoban/bam, XL330) dry friction and that of its gears leave 102 floors, a gain besides 38, any less than two of
 the three over 80. One by one none shows."""
-_SLACKS = (0.003, 0.01, 0.03)
-"""Parts of the way moved through that a slack is tried at."""
 _HOPEFUL = 6.0
 """Times the least sum of squares on stretches that another effect may leave there and still be fitted to whole runs."""
 _FAR, _WILD = 2.0, 4.0
@@ -92,7 +87,7 @@ def candidates(
     def possible(cls: type[Effect]) -> bool:
         if problem.plant.joint_type not in cls.joint_types or cls.kind == "kinematics":
             return False
-        if cls.name in ("encoder_offset", "encoder_scale") and not encoder:
+        if cls.reading_error is not Effect.reading_error and not encoder:
             return False
         if any(s.revolute_unit == "rad/s" and s.lower >= problem.speed for s in cls.parameters().values()):
             return False  # nothing moves as fast as it acts
@@ -104,7 +99,7 @@ def candidates(
             return commanded and not (slack and cls.acts == "slack")
         if cls.acts == "stop":
             return near
-        return cls.name != "time_offset" or driven or near
+        return cls.delay is Effect.delay or driven or near
 
     return tuple(name for name, cls in EFFECTS.items() if possible(cls) and name not in without)
 
@@ -200,8 +195,8 @@ class Search:
         """Beside the best sets of a size those with an effect's like in its place, those that they become in special
         cases, and those with one effect less."""
         for fit in self._of_size(size)[: self.settings.parents]:
-            for swap in (alike.twins, alike.losses, alike.turned, alike.lighter, alike.narrowed, alike.held):
-                for at in swap(self.problem, fit, self.names):
+            for at in alike.alternatives(self.problem, fit, self.names):
+                if EFFECTS[at.new].becomes != at.old.name:  # that is begun from where it is plain
                     self.keep(fitted(at.theory, self.train, at.theta, at.starts))
             for name in fit.theory.names:
                 rest = {*fit.theory.names} - {name}
@@ -284,8 +279,8 @@ class Search:
             if plainer and (name,) in self.fits and (plainer,) in self.fits:
                 self._keep_from(name, self.fits[(plainer,)])
                 self._keep_plain(self.fits[(name,)], plainer)
-        if ("armature",) in self.fits and ("backlash",) in self.fits:
-            self._with_slack(self.fits[("armature",)])
+            if plainer and EFFECTS[name].acts == "slack" and {(name,), (plainer,)} <= {*self.fits}:
+                self._with_slack(name, self.fits[(plainer,)])
         return self._resettled([self.fits[(name,)] for name in self.names if (name,) in self.fits and name not in far])
 
     def _left_out(self) -> list[str]:
@@ -302,18 +297,14 @@ class Search:
         least = min(fit.cost for fit in self.fits.values())
         return [name for name in new if self.of((name,)).cost >= least]
 
-    def _with_slack(self, armature: Fit) -> None:
-        """Backlash from an armature of its drive's inertia, with a slack so narrow that it hardly makes a difference:
-        through a wide one far from the true one all impacts fall elsewhere."""
-        theory, span = Theory(self.problem, ("backlash",)), self.problem.q_high - self.problem.q_low
-        inertia = next(iter(armature.effects)).inertia()
-        if self.fits[("backlash",)].cost < armature.cost or inertia <= 0:
+    def _with_slack(self, name: str, plain: Fit) -> None:
+        """A slack, begun from its drive's inertia without one: through a wide one far from the true one all impacts
+        fall elsewhere."""
+        begin = alike.alternatives(self.problem, plain, (name,))
+        if self.fits[(name,)].cost < plain.cost or next(iter(plain.effects)).inertia() <= 0:
             return
-        points = [{"width": part * span, "drive_inertia": inertia} for part in _SLACKS]
-        starts = [joined(theory, armature, {"backlash": point}) for point in points]
-        tried = [fitted(theory, self.train, theta, armature.starts, _SCREEN) for theta in starts]
-        best = min(tried, key=lambda fit: fit.cost)
-        self.keep(fitted(theory, self.train, best.theta, best.starts))
+        best = tried_of(begin[0].theory, [at.theta for at in begin], self.train, plain.starts, _SCREEN)
+        self.keep(fitted(best.theory, self.train, best.theta, best.starts))
 
     def _apart(self, own: list[Guess]) -> list[Guess]:
         """The best first guesses of one effect that differ: neighbours on the grid lead to the same fit."""
@@ -431,7 +422,7 @@ class Search:
             other = rough.get(tuple(sorted((*entry[1].theory.names, plainer)))) if plainer else None
             if other is not None and not any(e is other for e in best):
                 best.append(other)  # which has the name when it does as well
-        damped = [e for e in order if _hides_damping(e[1]) and e[2].name == "viscous_damping"]
+        damped = [e for e in order if _hides_damping(e[1]) and EFFECTS[e[2].name].damping is not Effect.damping]
         best += [entry for entry in damped if not any(e is entry for e in best)]
         level = [self._started(*entry[1:]) for entry in best]
         lost = self._with_losses(len(parents[0].theory.names) + 1)
@@ -563,7 +554,8 @@ def _shafts(fit: Fit) -> list[Array]:
     at = {(r.owner, r.name): i for i, r in enumerate(fit.theory.ranges())}
     if (SHAFT, "swing") not in at:
         return []
-    own, drive = fit.theory.problem.plant.mechanics.inertia, at["armature", "value"]
+    own = fit.theory.problem.plant.mechanics.inertia
+    drive = next(at[cls.name, cls.rotor_fields[0]] for cls in fit.theory.classes if len(cls.rotor_fields) > 2)
     part, doubt, found = at.get(("asset", "inertia")), fit.theory.problem.inertia_relative, []
     for taken, back, swing in product(_PARTS if part is not None else _PARTS[:1], _BACK, _SWINGS):
         theta = fit.theta.copy()
@@ -579,7 +571,7 @@ def loss_sets(names: tuple[str, ...]) -> list[tuple[str, ...]]:
     """Of the effects `names` every set of losses, and of up to four of what a geared drive has where one drives the
     joint."""
     sets = [s for k in (1, 2, 3) for s in combinations(LOSSES, k)]
-    if "gear_friction" in names:
+    if any(EFFECTS[name].geared for name in names):
         sets += [s for k in (1, 2, 3, 4) for s in combinations(_SERVO, k) if s not in sets]
     return [s for s in sets if set(s) <= set(names)]
 
@@ -587,7 +579,7 @@ def loss_sets(names: tuple[str, ...]) -> list[tuple[str, ...]]:
 def _hides_damping(fit: Fit) -> bool:
     """Whether a drive comes and goes: where its inertia and its slack are off, first guesses of damping are worth
     nothing, and it looks like a delay."""
-    return any(cls.acts in ("slack", "inertia") for cls in fit.theory.classes)
+    return any(cls.rotor_fields for cls in fit.theory.classes)
 
 
 def is_sudden(cls: type[Effect]) -> bool:
@@ -599,7 +591,7 @@ def stilled(fit: Fit) -> Fit:
     """The fit with starts that run into a limit from next to it at rest there: a dead stop makes no difference between
     them, any other does."""
     plant, near = fit.theory.problem.plant, 2 * fit.theory.problem.sigma
-    if "end_stop_bounce" in fit.theory.names:
+    if any(cls.acts == "stop" for cls in fit.theory.classes):
         return fit
     starts = {}
     for name, (q, v) in fit.starts.items():

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from freeart21.effects import Effect
-from freeart21.effects.armature import Armature
-from freeart21.effects.backlash import Backlash
 from simgap.fitting.fit import Fit, information, tempered, unit_of
 from simgap.fitting.guess import neutral_value
 from simgap.fitting.theory import SHAFT
@@ -34,10 +32,8 @@ def with_intervals(hypothesis: Hypothesis) -> tuple[Named, ...]:
             size = 0.0 if is_place(effect, name) else x - neutral_value(type(effect)) * (i == min(own.values()))
             spread = NORMAL_90 * np.hypot(errors[effect.name, name], part * size)
             ends[name] = max(x - spread, specs[name].lower), min(x + spread, specs[name].upper)
-        if isinstance(effect, Armature | Backlash):
-            ends["throw_back"] = _of_shaft(fit, errors, effect, "rebound")
-        if isinstance(effect, Armature):
-            ends["swing"] = _of_shaft(fit, errors, effect, "swing")
+        for shaft, form in zip(effect.rotor_fields[1:], ("rebound", "swing"), strict=False):
+            ends[shaft] = _of_shaft(fit, errors, effect, form, shaft)
         low, high = ({name: float(end[k]) for name, end in ends.items()} for k in (0, 1))
         i = min(own.values())
         weight = (fit.theta[i] - neutral_value(type(effect))) ** 2 * fit.normal[i, i]
@@ -46,10 +42,12 @@ def with_intervals(hypothesis: Hypothesis) -> tuple[Named, ...]:
     return tuple(named for _, named in found)
 
 
-def _of_shaft(fit: Fit, errors: dict[tuple[str, str], float], effect: Effect, name: str) -> tuple[float, float]:
-    """90 % interval of what a drive has of its shaft, fitted as SHAFT's `name`; nothing where stops bounce by
-    themselves."""
-    ranges, told = fit.theory.ranges(), {"rebound": "throw_back", "swing": "swing"}[name]
+def _of_shaft(
+    fit: Fit, errors: dict[tuple[str, str], float], effect: Effect, name: str, told: str
+) -> tuple[float, float]:
+    """90 % interval of the parameter `told` that a drive has of its shaft, fitted as SHAFT's `name`; nothing where
+    stops bounce by themselves."""
+    ranges = fit.theory.ranges()
     at = next((i for i, r in enumerate(ranges) if (r.owner, r.name) == (SHAFT, name)), None)
     if at is None:
         return 0.0, 0.0

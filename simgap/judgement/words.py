@@ -8,43 +8,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from freeart21.effects import EFFECTS
 from freeart21.effects.base import Effect
 from freeart21.joint import JointType
 from simgap.verdict import Corrected, Use
 
-PLAIN: dict[str, str] = {
-    "viscous_damping": "damping as by oil",
-    "coulomb_friction": "dry friction",
-    "stribeck_friction": "friction that sticks before it slides",
-    "quadratic_drag": "drag that grows with the square of speed",
-    "load_friction": "friction that grows with the load",
-    "gear_friction": "friction in the gears that grows with what they carry",
-    "return_spring": "a spring",
-    "gravity_offset": "a pull of gravity other than the model's",
-    "detent": "a notch that it clicks into",
-    "latch": "a catch that holds it",
-    "backlash": "play in the drive",
-    "end_stop_bounce": "a stop that throws it back",
-    "actuator_delay": "a drive that acts late",
-    "actuator_gain": "a drive weaker or stronger than told",
-    "actuator_offset": "a drive that pushes a little without being told",
-    "armature": "inertia of the drive itself",
-    "axis_tilt": "an axis that points elsewhere",
-    "pivot_offset": "an axis that lies elsewhere",
-    "screw_pitch": "a thread: it shifts along its axis as it turns",
-    "wobble": "rocking in a worn bearing",
-    "sag": "sagging under its weight",
-    "eccentricity": "a pin out of round",
-    "encoder_offset": "a sensor whose zero is off",
-    "encoder_scale": "a sensor whose scale is off",
-    "time_offset": "a sensor whose clock is off",
-}
-"""Effect name to what a mechanic would call it; no effect needs one to work."""
-
 
 def plain(name: str) -> str:
     """What a mechanic would call the effect of this name."""
-    return PLAIN.get(name, name.replace("_", " "))
+    return EFFECTS[name].plain if name in EFFECTS else name.replace("_", " ")
 
 
 def amount(value: float, unit: str) -> str:
