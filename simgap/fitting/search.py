@@ -207,20 +207,14 @@ class Search:
                     self.without(fit, name)
 
     def _with_shapes(self) -> list[Fit]:
-        """Where nothing explains the runs, forces and frictions of any shape, alone and beside the best of a size."""
+        """Where nothing explains the runs, forces and frictions of any shape alone and beside the best of the losses,
+        from the asset as it is told."""
         if self._is_explained():
             return []
-        found = []
-        for shape in self.shapes:
-            kinds = [(n, EFFECTS[n]) for n in self.names]
-            acts = EFFECTS[shape].acts
-            like = {n for n, c in kinds if c.acts == acts and not c.knows_speed and not c.dissipates}
-            beside = [[f for f in self._of_size(k) if not like & {*f.theory.names}][:1] for k in (1, 2)]
-            found += [
-                self.of((shape,)),
-                *(self.of(tuple(sorted((*f.theory.names, shape)))) for (f,) in filter(None, beside)),
-            ]
-        return found
+        lossy = sorted((f for f in self.fits.values() if f.theory.names in loss_sets(self.names)), key=lambda f: f.cost)
+        beside = [(), *(fit.theory.names for fit in lossy[:2])]
+        sets = [tuple(sorted((*names, shape))) for shape in self.shapes for names in beside]
+        return [self.keep(grown_mild(Theory(self.problem, names), self.train)) for names in sets]
 
     def losses(self) -> list[Fit]:
         """The sets of `loss_sets`, fitted from the asset as it is told, not from what it must be off by to do

@@ -180,6 +180,9 @@ class Theory:
         elif unit in ("rad", "m") and cls.acts != "drive":
             # what is wider than a third of the way moved through is no local effect, and looks like a spring
             low, high, size = max(2 * problem.sigma, 1e-3 * span), 0.35 * span, 0.05 * span
+        elif unit in ("N*m", "N") and cls.ends:
+            # where a fold's runs do not come it is no more than a part of the forces at work
+            return Range(cls.name, name, low, high, 0.1 * problem.force, 0.3 * problem.force)
         elif unit in ("N*m", "N") and cls.acts == "command":
             size = 0.1 * problem.force
         elif unit in ("rad/s", "m/s"):

@@ -279,14 +279,15 @@ def unmoved(hypothesis: Hypothesis) -> list[str]:
     fit, unit, found = hypothesis.fit, unit_of_noise(tempered(hypothesis.left)), []
     ranges = fit.theory.ranges()
     for effect in fit.effects:
-        own = [i for i, r in enumerate(ranges) if r.owner == effect.name and not np.isfinite(r.prior)]
+        untold = [not np.isfinite(r.prior) or bool(effect.ends) for r in ranges]
+        own = [i for i, r in enumerate(ranges) if r.owner == effect.name and untold[i]]
         about = neutral_value(type(effect))
         block = fit.normal[np.ix_(own, own)] / unit
         scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
         inverse = np.linalg.pinv(block / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
         spread = NORMAL_90 * np.sqrt(np.diag(inverse))
         sizes = np.array([fit.theta[i] - (about if i == own[0] else 0.0) for i in own])
-        forces = [i == own[0] or ranges[i].name in ("sine",) for i in own]
+        forces = [i == own[0] or ranges[i].name in ("sine",) or bool(effect.ends) for i in own]
         if not any(abs(x) > 0.8 * s for x, s, force in zip(sizes, spread, forces, strict=True) if force):
             found.append(effect.name)
     return found
