@@ -65,9 +65,9 @@ def verdict(folder: Path, seed: int, **hidden: float) -> Verdict:
 
 
 def test_what_dominates_is_named_in_part_where_a_remainder_has_no_name(tmp_path: Path):
-    found = verdict(tmp_path, 3, dry=0.12, drag=0.06, cog=0.1, count=9.0, seconds=4.0)  # cogging is in no library
+    found = verdict(tmp_path, 4, dry=0.12, drag=0.06, cog=0.1, count=9.0, seconds=4.0)  # cogging is in no library
     assert found.verdict in ("named", "ambiguous") and found.in_part, found
-    dry = {"coulomb_friction", "load_friction"}
+    dry = {"coulomb_friction", "load_friction", "stribeck_friction"}
     sets = found.rivals or [tuple(named.effect.name for named in found.effects)]
     assert all("quadratic_drag" in names and dry & set(names) and len(names) == 2 for names in sets)
     sizes = {named.effect.name: named.effect for named in found.effects}

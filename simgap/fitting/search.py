@@ -207,13 +207,13 @@ class Search:
                     self.without(fit, name)
 
     def _with_shapes(self) -> list[Fit]:
-        """Where nothing explains the runs, forces and frictions of any shape alone and beside the best of the losses,
-        from the asset as it is told."""
-        if self._is_explained():
-            return []
+        """Forces and frictions of any shape, alone and beside the best of the losses, from the asset as it is told:
+        where nothing explains the runs, or several of a shape's kind together."""
+        best = min(self.fits.values(), key=lambda fit: fit.cost).theory.names
         lossy = sorted((f for f in self.fits.values() if f.theory.names in loss_sets(self.names)), key=lambda f: f.cost)
         beside = [(), *(fit.theory.names for fit in lossy[:2])]
-        sets = [tuple(sorted((*names, shape))) for shape in self.shapes for names in beside]
+        wanted = [s for s in self.shapes if not self._is_explained() or sum(_is_alike(n, s) for n in best) > 1]
+        sets = [tuple(sorted((*names, shape))) for shape in wanted for names in beside]
         return [self.keep(grown_mild(Theory(self.problem, names), self.train)) for names in sets]
 
     def losses(self) -> list[Fit]:
@@ -559,6 +559,12 @@ def _shafts(fit: Fit) -> list[Array]:
             theta[part] = 1 + taken * doubt
         found.append(theta)
     return found
+
+
+def _is_alike(name: str, shape: str) -> bool:
+    """Whether an effect is a force, or a friction, that a shape over position can be as well."""
+    cls, of = EFFECTS[name], EFFECTS[shape]
+    return cls.acts == of.acts and cls.dissipates == of.dissipates and (of.dissipates or not cls.knows_speed)
 
 
 def loss_sets(names: tuple[str, ...]) -> list[tuple[str, ...]]:
