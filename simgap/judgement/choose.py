@@ -62,9 +62,12 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     best = max(table, key=lambda h: h.score.total)
     if not _has_gap(base, best, settings):
         return Choice(base, best, table=tuple(table))
-    real = [departing(h, folds, base) for h in _best_of_each_size(table)]
+    real = [departing(h, folds, base) for h in _best_of_each_size([h for h in table if not _has_shape(h)])]
     whole = [h for h in nearest(h for h in real if named_whole(h, base, settings)) if not _is_less_enough(h, real)]
     part = [] if whole else nearest(h for h in table if may_dominate(h, base, settings))
+    if not whole and not part:  # what has a formula, and what every machine has, come first
+        real += [departing(h, folds, base) for h in table if _has_shape(h)]
+        whole = nearest(h for h in real if _has_shape(h) and named_whole(h, base, settings))
     standing = [(h, as_added(h, search, folds, base)) for h in whole or part]
     standing = [(h, added) for h, added in standing if whole or may_dominate(added, base, settings)]
     return Choice(
@@ -85,6 +88,11 @@ def _has_gap(base: Hypothesis, best: Hypothesis, settings: JudgementSettings) ->
     taken = float(np.sqrt(max(base.floors**2 - best.floors**2, 0.0)))
     plain = [floors > settings.plain_gap for floors in base.by_run.values()]
     return (ahead > error and taken >= settings.least_gap) or sum(plain) >= (1 - settings.met) * len(plain)
+
+
+def _has_shape(hypothesis: Hypothesis) -> bool:
+    """Whether an effect of the set may be of any shape."""
+    return any(EFFECTS[name].counts > 1 for name in hypothesis.names)
 
 
 def _best_of_each_size(table: Sequence[Hypothesis]) -> list[Hypothesis]:
