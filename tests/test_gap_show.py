@@ -394,7 +394,7 @@ def test_a_verdict_is_published_with_the_gaps_that_sapien_measured(tmp_path: Pat
     assert read_asset(out / "asset").effects == {"j": (ViscousDamping(0.03),)}
     page = (out / "index.html").read_text()
     assert "A &lt;bob&gt;" in page and "<bob>" not in page
-    for said in ("Oil is missing.", "Damping as by oil", "Run run_1, confirming, slow", "closed in other motion"):
+    for said in ("Oil is missing.", "Damping as by oil", "Run run_1, confirming, slow", "other motion: slow"):
         assert said in page, said
     assert "http://" not in page.replace("http://www.w3.org", "") and "src=" not in page
 
@@ -436,11 +436,11 @@ def test_every_figure_says_what_its_runs_were_used_for(tmp_path: Path):
     page = _page_of(tmp_path, (1, 2))
     for said in (
         "3 runs: 1 fitted, 2 confirming",
-        "gap before, on 2 runs kept to confirm it",
+        "gap before and after, in SAPIEN, on 2 runs kept to confirm it",
         "of the gap closed, on 1 run kept to confirm it",
-        "closed in other motion, on 1 run kept to confirm it",
+        "other motion: slow",
         "Fitted to run run_0.",
-        "by the accelerations in 1 run that it was fitted to and 2 runs kept to confirm it",
+        "Where it shows, in 1 run that it was fitted to and 2 runs kept to confirm it",
         "Run run_1, confirming,",
     ):
         assert said in page, said
@@ -449,9 +449,9 @@ def test_every_figure_says_what_its_runs_were_used_for(tmp_path: Path):
 def test_nothing_is_said_of_runs_kept_back_where_all_were_fitted(tmp_path: Path):
     page = _page_of(tmp_path, ())
     for said in (
-        "gap before, on 3 runs that it was fitted to",
+        "gap before and after, in SAPIEN, on 3 runs that it was fitted to",
         "of the gap closed, on 3 runs that it was fitted to",
-        "Explanations, by their error on 3 runs, each held out in turn",
+        "Explanations, judged on 3 runs, each held out in turn",
         "Fitted to 3 runs: run_0, run_1, run_2.",
         "Run run_0, fitted,",
     ):
