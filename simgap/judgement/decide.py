@@ -177,15 +177,16 @@ def _verdict_of(
     of = runs_text([gap.use for gap in told], len(split.folds) > 1 and not split.confirming)
     closing = f"{closed_text(closed, of)}."
     body = f"{correction_words(delivery.corrected)}, and the asset delivered says so" if delivery.corrected else ""
-    if not choice.gap and body:
-        said = f"No effect is missing, but the asset itself is off: {body}. {closing}"
-        return Verdict("no_gap", (), (), gaps, (), None, said, corrections=delivery.corrected)
     if not choice.gap:
-        said = _agreement(gaps, problem)
+        said = (
+            f"No effect is missing, but the asset itself is off: {body}. {closing}"
+            if body
+            else _agreement(gaps, problem)
+        )
         odd, far = max(before.by_run.items(), key=lambda entry: entry[1])
         if far > _ODD * before.usual:
             said += f" But run {odd} goes another way, and nothing explains that one alone: record it again."
-        return Verdict("no_gap", (), (), gaps, (), None, said)
+        return Verdict("no_gap", (), (), gaps, (), None, said, corrections=delivery.corrected)
     if not choice.explaining:
         return _unexplained(choice, gaps, floor, problem)
     best = choice.explaining[0]

@@ -29,7 +29,7 @@ from simgap.measure.data import FitRun
 from simgap.motion.surrogate import plant_of
 from simgap.proof.body import NO_CORRECTION, BodyCorrection, correction_of
 from simgap.proof.writeback import repaired
-from simgap.verdict import Corrected, Named
+from simgap.verdict import SHOWS, Corrected, Named
 
 ASSET = "asset"
 """Owner of the numbers that say how the asset is off (`Theory.ranges`)."""
@@ -72,7 +72,8 @@ def _renumbered(named: Named, effect: Effect) -> Named:
 def deliver(
     hypothesis: Hypothesis, train: tuple[FitRun, ...], folds: tuple[Fold, ...], asset: Asset, measured: Measured
 ) -> Delivery:
-    """The effects of a hypothesis with the smallest correction of the body within one standard error of the best.
+    """The effects of a hypothesis with the smallest correction of the body within one standard error of the best that
+    leaves noise where all of them do: what is fitted and not delivered may explain nothing.
 
     Of two corrections as small the one that the asset's doubts make likelier stands. `train` are the runs to fit.
     """
@@ -80,9 +81,10 @@ def deliver(
     tried = [_refitted(variant, hypothesis.fit, train) for variant in _variants(problem, hypothesis.names)]
     if len(tried) == 1:  # nothing of the asset is in doubt
         return Delivery(tried[0])
-    scores = [judged(fit, folds).score for fit in tried]
-    best = max(scores, key=lambda score: score.total)
-    near = [fit for fit, score in zip(tried, scores, strict=True) if _near(best, score)]
+    seen = [judged(fit, folds) for fit in tried]
+    best = max((h.score for h in seen), key=lambda score: score.total)
+    quiet = {run for run, floors in seen[-1].by_run.items() if floors <= SHOWS}
+    near = [h.fit for h in seen if h is seen[-1] or (_near(best, h.score) and _is_quiet(h, quiet))]
     fewest = min(len(_doubts(fit)) for fit in near)
     fit = min((fit for fit in near if len(_doubts(fit)) == fewest), key=lambda fit: fit.cost)
     if not _doubts(fit):
@@ -94,6 +96,12 @@ def deliver(
     except FreeArtError:  # its files cannot say so
         return Delivery(tried[0])
     return Delivery(_refitted(as_delivered(problem, plant), fit, train), body, _corrected(fit))
+
+
+def _is_quiet(hypothesis: Hypothesis, runs: set[str]) -> bool:
+    """Whether three of four of these runs show no gap of their own."""
+    shown = sum(hypothesis.by_run[run] > SHOWS for run in runs)
+    return shown <= 0.25 * len(runs)
 
 
 def _near(best: Score, score: Score) -> bool:
