@@ -690,6 +690,7 @@ def gap(
     asset: Annotated[Path, Positional],
     measured: Annotated[Path, Positional],
     out: Path,
+    seconds: float = 120.0,
     replay_seconds: float = 120.0,
     poses: Path | None = None,
     root: Path | None = None,
@@ -701,6 +702,7 @@ def gap(
         measured: A measured set (with measured.json), or a sequence folder: a video of the asset.
         out: Folder for verdict.json, what was named (the repaired asset, or camera.json for `record --camera`) and a
             page; an older one there is replaced.
+        seconds: Of a measured set: processor time after which nothing further is looked for; the answer then says so.
         replay_seconds: Of a measured set: seconds after which SAPIEN's replay is given up; the answer then says so.
         poses: Of a video: the result or truth folder that says where the asset was; the result that holds the asset, or
             the truth beside the sequence, when not given.
@@ -725,10 +727,11 @@ def gap(
 
             verdict = film_gap_folder(asset, measured, out, poses, told("Comparing the films"), root)
         else:
+            from simgap.settings import GapSettings
             from simgap.workflow import gap_folder
 
-            replayed = told("Replaying in SAPIEN")
-            verdict = gap_folder(asset, measured, out, replay_seconds=replay_seconds, progress=replayed, root=root)
+            settings, replayed = GapSettings(seconds=seconds), told("Replaying in SAPIEN")
+            verdict = gap_folder(asset, measured, out, settings, replay_seconds, replayed, root)
     for note in verdict.notes:
         print(f"- {note}", file=sys.stderr)
     print(f"{verdict.verdict}: {verdict.sentence}")

@@ -92,6 +92,8 @@ class GapSettings:
     fit: FitSettings = field(default_factory=FitSettings)
     search: SearchSettings = field(default_factory=SearchSettings)
     judgement: JudgementSettings = field(default_factory=JudgementSettings)
+    seconds: float = 120.0
+    """Of processor time after which no further set of effects is looked for."""
     seed: int = 0
     """Of permutations."""
     without: tuple[str, ...] = ()

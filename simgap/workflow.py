@@ -49,6 +49,7 @@ NOT_REPLAYED = (
     "SAPIEN has not confirmed it: where the force is read that prescribed motion took, no free simulation can follow; "
     "runs kept to confirm it are judged by inverse dynamics."
 )
+STOPPED = "The search was stopped after {:.0f} s of processor time (--seconds): this is the best that it had found."
 MOST_RANKED = 12
 """Sets that the page lists."""
 _ORDER = ("no_gap", "not_excited", "named", "ambiguous", "unexplained")
@@ -111,6 +112,8 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
     before = fit_starts(as_is, np.full(len(as_is.ranges()), delivery.holding), runs)
     delivered = Delivered(delivery, before, placed(delivery.fit, runs))
     motion = verdict_of(choice, split, delivered, runs, floor, problem, settings.judgement)
+    if isinstance(search, Search) and search.stopped:
+        motion = replace(motion, notes=(*motion.notes, STOPPED.format(settings.seconds)))
     motion = replace(motion, notes=(*seen[2], NOT_REPLAYED)) if seen is not None and problem.force_read else motion
     return Draft(
         joined(motion, geometry, measured.joint_type),
@@ -135,7 +138,7 @@ def search_of(problem: Problem, split: Split, measured: Measured, settings: GapS
         return ForceSearch(problem, split.fitted, settings.search, names)
     encoder = any(run.poses is None for run in measured.runs)
     names = candidates(problem, split.fitted, encoder, settings.without)
-    return Search(problem, split.fitted, settings.search, names)
+    return Search(problem, split.fitted, settings.search, names, settings.seconds)
 
 
 def with_twins(choice: Choice, search: ForceSearch, split: Split) -> Choice:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import combinations
+from typing import ClassVar
 
 import numpy as np
 
@@ -78,6 +79,8 @@ class ForceSearch:
     settings: SearchSettings
     names: tuple[str, ...]
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
+    late: ClassVar[bool] = False
+    """It takes no time to speak of."""
 
     def base(self) -> Fit:
         """Nothing missing but what the asset may be off by."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 
@@ -114,6 +115,8 @@ class Search:
     names: tuple[str, ...]
     """Effects that sets are made of; those that may have any shape (`Effect.counts`) only beside what is best without:
     they would be first in every set."""
+    seconds: float = np.inf
+    """Of processor time for all that is done with these sets: after half of it no further one is begun."""
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     _first: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
     _losses: dict[tuple[str, ...], Fit] = field(default_factory=dict)
@@ -121,8 +124,22 @@ class Search:
     _forces: dict[tuple[str, ...], LocalForce] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._began, self.stopped = time.process_time(), False
         self.shapes = tuple(name for name in self.names if EFFECTS[name].counts > 1)
         self.names = tuple(name for name in self.names if name not in self.shapes)
+
+    @property
+    def spent(self) -> bool:
+        """Whether the time is over: what was found by then is the answer."""
+        self.stopped = self.stopped or time.process_time() > self._began + 0.5 * self.seconds
+        return self.stopped
+
+    @property
+    def late(self) -> bool:
+        """Whether all of the time is over."""
+        late = time.process_time() > self._began + self.seconds
+        self.stopped = self.stopped or late
+        return late
 
     def base(self) -> Fit:
         """Nothing missing but what the asset may be off by."""
@@ -144,8 +161,9 @@ class Search:
         parts = parts_of(self.problem, self.train)
         if parts is self.train or self.base().level <= _FAR:
             return self._explored()
-        there = Search(self.problem, parts, self.settings, self.names + self.shapes)._explored()
-        near = sorted(worth(there, _HOPEFUL), key=lambda fit: len(fit.theory.names))
+        short = Search(self.problem, parts, self.settings, self.names + self.shapes, 0.5 * self.seconds)
+        near = sorted(worth(short._explored(), _HOPEFUL), key=lambda fit: len(fit.theory.names))
+        self.stopped = short.stopped
         found = [self.keep(on_all(fit, self.train)) for fit in near]
         for size in range(1, self.settings.max_effects + 1):
             for fit in self._of_size(size)[: self.settings.parents]:
@@ -175,7 +193,7 @@ class Search:
                 level = self.larger(level[: self.settings.parents if size == 2 else self.settings.parents - 1])
             self._swapped(size)
             level = self._of_size(size)
-            if self._is_explained():
+            if self._is_explained() or self.spent:
                 break
         every = [] if self._is_explained() else [fit for fit in self.losses() if self.base().level > _FAR]
         best = [fit for k in range(1, size + 1) for fit in self._of_size(k)[: self.settings.contenders]]
@@ -194,7 +212,7 @@ class Search:
     def _swapped(self, size: int) -> None:
         """Beside the best sets of a size those with an effect's like in its place, those that they become in special
         cases, and those with one effect less."""
-        for fit in self._of_size(size)[: self.settings.parents]:
+        for fit in self._of_size(size)[: 0 if self.spent else self.settings.parents]:
             for at in alike.alternatives(self.problem, fit, self.names):
                 if EFFECTS[at.new].becomes != at.old.name:  # that is begun from where it is plain
                     self.keep(fitted(at.theory, self.train, at.theta, at.starts))
@@ -214,13 +232,13 @@ class Search:
         beside = [(), *(fit.theory.names for fit in lossy[:2])]
         wanted = [s for s in self.shapes if not self._is_explained() or sum(_is_alike(n, s) for n in best) > 1]
         sets = [tuple(sorted((*names, shape))) for shape in wanted for names in beside]
-        return [self.keep(grown_mild(Theory(self.problem, names), self.train)) for names in sets]
+        return [self.keep(grown_mild(Theory(self.problem, names), self.train)) for names in sets if not self.spent]
 
     def losses(self) -> list[Fit]:
         """The sets of `loss_sets`, fitted from the asset as it is told, not from what it must be off by to do
         without."""
         for names in loss_sets(self.names):
-            if names not in self._losses:
+            if names not in self._losses and not self.spent:
                 self._losses[names] = grown_mild(Theory(self.problem, names), self.train)
         own = self._losses.items()
         return [min((fit, self.fits.get(names, fit)), key=lambda f: f.cost) for names, fit in own]
@@ -284,10 +302,10 @@ class Search:
         and are not even nearer than all that were guessed."""
         if min((fit.level for fit in self.fits.values()), default=np.inf) <= self.settings.lost:
             return []
-        for name in self.names:
+        for name in self.names if not self.spent else ():
             if EFFECTS[name].acts == "stop":
                 self.of((name,))
-        new = [name for name in _ALL_ALONG if name in self.names and (name,) not in self.fits]
+        new = [n for n in _ALL_ALONG if n in self.names and (n,) not in self.fits and not self.spent]
         least = min(fit.cost for fit in self.fits.values())
         return [name for name in new if self.of((name,)).cost >= least]
 
@@ -418,7 +436,7 @@ class Search:
                 best.append(other)  # which has the name when it does as well
         damped = [e for e in order if _hides_damping(e[1]) and EFFECTS[e[2].name].damping is not Effect.damping]
         best += [entry for entry in damped if not any(e is entry for e in best)]
-        level = [self._started(*entry[1:]) for entry in best]
+        level = [self._started(*entry[1:]) for entry in best if not self.spent]
         lost = self._with_losses(len(parents[0].theory.names) + 1)
         known = {fit.theory.names for fit in level}
         return self._resettled(level + [fit for fit in lost if fit.theory.names not in known])

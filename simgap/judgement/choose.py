@@ -57,16 +57,17 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     if not search.promising():
         return Choice(base, base, table=(base,))
     base = judged(base.fit, folds, base)
-    able = [fit for fit in search.explored() if not idle(fit, search.train, base.fit.level)]
-    table = [base, *(judged(fit, folds, base) for fit in able)]
+    fits = [fit for fit in search.explored() if not idle(fit, search.train, base.fit.level)]
+    table = [base, *(judged(fit, folds, base) for fit in fits)]
     best = max(table, key=lambda h: h.score.total)
     if not _has_gap(base, best, settings):
         return Choice(base, best, table=tuple(table))
-    real = [departing(h, folds, base) for h in _best_of_each_size([h for h in table if not _has_shape(h)])]
+    able = _best_of_each_size([h for h in table if not _has_shape(h)])
+    real = [h if search.late else departing(h, folds, base) for h in sorted(able, key=lambda h: -h.score.total)]
     whole = [h for h in nearest(h for h in real if named_whole(h, base, settings)) if not _is_less_enough(h, real)]
     part = [] if whole else nearest(h for h in table if may_dominate(h, base, settings))
     if not whole and not part:  # what has a formula, and what every machine has, come first
-        real += [departing(h, folds, base) for h in table if _has_shape(h)]
+        real += [h if search.late else departing(h, folds, base) for h in table if _has_shape(h)]
         whole = nearest(h for h in real if _has_shape(h) and named_whole(h, base, settings))
     standing = [(h, as_added(h, search, folds, base)) for h in whole or part]
     standing = [(h, added) for h, added in standing if whole or may_dominate(added, base, settings)]
