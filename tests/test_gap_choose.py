@@ -19,7 +19,10 @@ from simgap.fitting import search as search_module
 from simgap.fitting.fit import Fit, Theory, fitted, stretched
 from simgap.fitting.problem import problem_of
 from simgap.fitting.search import Search, caught
-from simgap.judgement.split import split_of
+from simgap.judgement import delivery
+from simgap.judgement.hypotheses import Hypothesis, judged
+from simgap.judgement.predictive import Score
+from simgap.judgement.split import Fold, split_of
 from simgap.measure.data import FitRun, fit_runs
 from simgap.motion.surrogate import plant_of
 from simgap.settings import GapSettings, SearchSettings
@@ -269,6 +272,20 @@ def test_runs_that_choose_do_not_confirm():
     assert [run.name for run in split.confirming] == ["r2", "r7"]
     assert not {run.name for fold in split.folds for run in (*fold.train, *fold.test)} & {"r2", "r7"}
     assert not split_of(unmarked[:4]).confirming
+
+
+def test_a_correction_that_runs_need_is_delivered_however_unsure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Where no score tells the asset as it is from the one that leaves noise, the smaller correction would say that a
+    gap of many floors is none."""
+
+    def unsure(fit: Fit, folds: tuple[Fold, ...]) -> Hypothesis:
+        seen = judged(fit, folds)
+        return replace(seen, score=Score((), np.zeros(8)))
+
+    monkeypatch.setattr(delivery, "judged", unsure)
+    found = verdict(tmp_path, measured_of(0))
+    assert found.verdict == "no_gap" and found.corrections
+    assert max(gap.before / gap.floor for gap in found.gaps) > 2 > max(gap.after / gap.floor for gap in found.gaps)
 
 
 def test_the_wrong_joint_costs_one_line(tmp_path: Path):

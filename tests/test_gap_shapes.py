@@ -40,7 +40,7 @@ def test_friction_that_gives_takes_what_slides_of_a_cycle():
         assert sum(work[20_000:]) == pytest.approx(expected, abs=1e-5)
 
 
-@pytest.mark.parametrize(("name", "said"), zip(HIDDEN, [*list(HIDDEN)[:2], "coulomb_friction"], strict=True))
+@pytest.mark.parametrize(("name", "said"), list(zip(HIDDEN, [*list(HIDDEN)[:2], "coulomb_friction"], strict=True)))
 def test_it_is_named_where_it_is_all_that_is_missing(tmp_path: Path, name: str, said: str):
     """What every machine has comes first: friction that differs from place to place is dry friction, in part."""
     measured, settings = measured_of(5, exact=True, marked=False), GapSettings()
