@@ -265,12 +265,6 @@ class Search:
             self._first = cut, at, guesses(at, cut, self.names)
         return self._first
 
-    @property
-    def tries(self) -> int:
-        """Effects at all their places, widths and speeds that were looked at: any of them might be the best by
-        chance."""
-        return max(len(self._guesses()[2]), len(self.names))
-
     def singles(self) -> list[Fit]:
         """Every effect alone, the best first."""
         cut, at, found = self._guesses()
