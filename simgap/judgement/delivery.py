@@ -72,8 +72,9 @@ def _renumbered(named: Named, effect: Effect) -> Named:
 def deliver(
     hypothesis: Hypothesis, train: tuple[FitRun, ...], folds: tuple[Fold, ...], asset: Asset, measured: Measured
 ) -> Delivery:
-    """The effects of a hypothesis with the smallest correction of the body within one standard error of the best that
-    leaves noise where all of them do: what is fitted and not delivered may explain nothing.
+    """The effects of a hypothesis with the smallest correction of the body that leaves noise where all of them do: what
+    is fitted and not delivered may explain nothing. Where all leave more, with the smallest within one standard error
+    of the best.
 
     Of two corrections as small the one that the asset's doubts make likelier stands. `train` are the runs to fit.
     """
@@ -83,8 +84,9 @@ def deliver(
         return Delivery(tried[0])
     seen = [judged(fit, folds) for fit in tried]
     best = max((h.score for h in seen), key=lambda score: score.total)
-    quiet = {run for run, floors in seen[-1].by_run.items() if floors <= SHOWS}
-    near = [h.fit for h in seen if h is seen[-1] or (_near(best, h.score) and _is_quiet(h, quiet))]
+    every, quiet = set(seen[-1].by_run), {run for run, floors in seen[-1].by_run.items() if floors <= SHOWS}
+    able = [h for h in seen if h is seen[-1] or _is_quiet(h, quiet)]
+    near = [h.fit for h in able if h is seen[-1] or _is_quiet(h, every) or _near(best, h.score)]
     fewest = min(len(_doubts(fit)) for fit in near)
     fit = min((fit for fit in near if len(_doubts(fit)) == fewest), key=lambda fit: fit.cost)
     if not _doubts(fit):
