@@ -367,9 +367,10 @@ def _off_drawing(track: TrackGeometry, columns: slice, title: str, unit: str, fa
 
 def _ranking(gap: Gap) -> list[Section]:
     """Every explanation tried, by what it leaves on runs that it was not fitted to."""
-    motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY]
-    chose = [g for g in motion if g.use == "choosing"] or motion
-    return ranking_section(gap.ranking[:12], f"{runs_text([g.use for g in chose], _in_turn(gap))}")
+    uses = [g.use for g in gap.verdict.gaps if g.regime != GEOMETRY]
+    marked = [use for use in uses if use == "choosing"]
+    of = runs_text(marked) if marked else runs_text([use for use in uses if use == "fitted"], in_turn=True)
+    return ranking_section(gap.ranking[:12], of)
 
 
 def ranking_section(ranking: Sequence[Ranked], of: str) -> list[Section]:
