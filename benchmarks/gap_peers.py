@@ -5,7 +5,7 @@
 Cases are recordings of others (`real_recordings`) and draws of the hidden world (`benchmarks/world`). Of each case some
 runs are taken away: of those marked as held out every second, or the only one, else every fifth of all. Each way sees
 the others, and is then judged on those taken away by the root mean square error of position, each run's start state
-free: with the library's effects by `simgap.fitting.fit`, as `freeart21 replay` finds starts, and MuJoCo's by MuJoCo.
+free: with the library's effects by `simgap.fit.fit`, as `freeart21 replay` finds starts, and MuJoCo's by MuJoCo.
 
 nothing  the asset as it is
 gap      `freeart21 gap`, by the files that it delivers
@@ -221,12 +221,12 @@ def open_library(asset: Asset, measured: Measured, untouched: list[str]) -> Simp
     """All that this file takes of `simgap`: fits of sets of the library's effects to the runs that may be fitted, and
     errors, rad or m, of the runs `untouched`."""
     from freeart21.effects import EFFECTS
-    from simgap.fitting.fit import Fit, Theory, fit_starts, fitted, grown, information, joined, unit_of
-    from simgap.fitting.guess import neutral_value, off
-    from simgap.fitting.problem import as_delivered, problem_of
-    from simgap.fitting.search import candidates
+    from simgap.fit.fit import Fit, Theory, fit_starts, fitted, grown, information, joined, unit_of
+    from simgap.fit.guess import neutral_value, off
+    from simgap.fit.problem import as_delivered, problem_of
+    from simgap.fit.search import candidates
     from simgap.measure.data import fit_runs
-    from simgap.motion.surrogate import is_local, plant_of
+    from simgap.models.surrogate import is_local, plant_of
     from simgap.settings import GapSettings
 
     plant = plant_of(asset, measured)

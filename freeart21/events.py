@@ -1,6 +1,6 @@
 """What a joint and its drive do at limits and at the ends of a slack: the one code of both simulations.
 
-Numbers in, numbers out, and `math` alone: `simgap.motion.kernel` compiles these functions, `generator.simulate` calls
+Numbers in, numbers out, and `math` alone: `simgap.models.kernel` compiles these functions, `generator.simulate` calls
 them. When an event is, each of the two finds in its own steps.
 """
 

@@ -113,7 +113,7 @@ def asked_force(
 ) -> float:
     """What an actuator's law asks for, N*m or N, at position `q` and velocity `qd`; `q_command` is NaN without one.
 
-    `simgap.motion.kernel` compiles this and `given_force`.
+    `simgap.models.kernel` compiles this and `given_force`.
     """
     error = q_command - q
     if error == error:

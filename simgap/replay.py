@@ -1,6 +1,6 @@
 """From paths to replays: measured runs by an asset's files alone, as a table, and as a folder that tells how to repeat.
 
-`simgap.proof.replay` replays. Of an answer of `gap` beside the asset only what runs were used for is read.
+`simgap.prove.replay` replays. Of an answer of `gap` beside the asset only what runs were used for is read.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from freeart21.files.urdf import read_xml
 from freeart21.joint import JointType
 from freeart21.measured import Run
 from simgap.page.replay_page import Drawn, write_replay_page
-from simgap.proof.asset_files import file_hashes
-from simgap.proof.replay import SECONDS, AssetOnDisk, Engine, Progress, RunReplay, replay
+from simgap.prove.asset_files import file_hashes
+from simgap.prove.replay import SECONDS, AssetOnDisk, Engine, Progress, RunReplay, replay
 from simgap.verdict import SCHEMA as VERDICT
 from simgap.verdict import Use, unit_of
 

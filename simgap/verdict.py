@@ -62,7 +62,7 @@ class Where:
 class RunGap:
     """How far simulation and measurement of one run are apart: root mean squares, rad or m, or N*m or N.
 
-    Of positions, once it is published: replays of files (`simgap.proof.replay`), NaN for a run that was not replayed.
+    Of positions, once it is published: replays of files (`simgap.prove.replay`), NaN for a run that was not replayed.
     """
 
     run: str

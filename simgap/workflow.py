@@ -17,30 +17,30 @@ from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured, run_hashes
 from freeart21.joint import JointType
 from freeart21.measured import Measured
-from simgap.fitting.fit import Fit, Problem, Reader, Theory, fit_starts, placed
-from simgap.fitting.force_search import ForceSearch
-from simgap.fitting.force_search import candidates as force_candidates
-from simgap.fitting.problem import as_delivered, problem_of
-from simgap.fitting.search import Search, candidates
+from simgap.fit.fit import Fit, Problem, Reader, Theory, fit_starts, placed
+from simgap.fit.force_search import ForceSearch
+from simgap.fit.force_search import candidates as force_candidates
+from simgap.fit.problem import as_delivered, problem_of
+from simgap.fit.search import Search, candidates
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.kinematics import KinematicsSettings, find_geometry_of
-from simgap.judgement.choose import Choice, chosen
-from simgap.judgement.decide import Delivered, moves_enough, says_enough, silent_verdict, verdict_of
-from simgap.judgement.delivery import deliver
-from simgap.judgement.hypotheses import FORM, Hypothesis, judged
-from simgap.judgement.predictive import DECISIVE, FREEDOM, lead
-from simgap.judgement.split import Split, split_of
-from simgap.judgement.words import amount, effect_words, plain
 from simgap.measure.data import FitRun, fit_runs, thinned
 from simgap.measure.floor import Floor
 from simgap.measure.prescribed import ForceRun, force_runs
 from simgap.measure.withstood import withstood
-from simgap.motion.surrogate import Nuisance, plant_of
+from simgap.models.surrogate import Nuisance, plant_of
 from simgap.page.publish import Draft, Paths, answer_folder, off_of, publish, with_positions
 from simgap.page.report import Ranked
-from simgap.proof.body import NO_CORRECTION
-from simgap.proof.replay import SECONDS, Progress, check_match
-from simgap.proof.show import ReplayGap
+from simgap.prove.body import NO_CORRECTION
+from simgap.prove.replay import SECONDS, Progress, check_match
+from simgap.prove.show import ReplayGap
+from simgap.select.choose import Choice, chosen
+from simgap.select.decide import Delivered, moves_enough, says_enough, silent_verdict, verdict_of
+from simgap.select.delivery import deliver
+from simgap.select.hypotheses import FORM, Hypothesis, judged
+from simgap.select.predictive import DECISIVE, FREEDOM, lead
+from simgap.select.split import Split, split_of
+from simgap.select.words import amount, effect_words, plain
 from simgap.settings import GapSettings
 from simgap.verdict import SHOWS, Named, Verdict
 

@@ -12,8 +12,8 @@ from numba import njit
 from freeart21.asset import Asset
 from freeart21.measured import Interpolation, Measured, Run
 from freeart21.mechanics import Actuator
-from simgap.proof.replay import AssetOnDisk, Starts, address_of, replay_from
-from simgap.proof.show import Chosen, Shown, show
+from simgap.prove.replay import AssetOnDisk, Starts, address_of, replay_from
+from simgap.prove.show import Chosen, Shown, show
 
 MASS, ARM, G = 1.6, 0.5, 9.81
 INERTIA = 0.01 + MASS * ARM**2

@@ -24,7 +24,7 @@ from freeart21.files.asset import read_asset
 from freeart21.files.result import write_result
 from freeart21.reconstruction import Trust
 from freeart21.view.pages import page
-from simgap.proof.writeback import repaired
+from simgap.prove.writeback import repaired
 
 REASON = "the axis is known to 12° only --- a test's <reason>"
 DOUBTFUL = Trust("doubtful", (REASON, "and another"))

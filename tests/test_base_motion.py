@@ -16,12 +16,12 @@ from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 from freeart21.files.measured_writer import write_measured
 from freeart21.measured import BaseAxis, BaseSeries, Measured, Run
-from simgap.fitting.fit import Theory, fitted, placed, predicted
-from simgap.fitting.problem import problem_of
+from simgap.fit.fit import Theory, fitted, placed, predicted
+from simgap.fit.problem import problem_of
 from simgap.measure.data import fit_runs
 from simgap.measure.inputs import base_sway, inputs_of
-from simgap.motion.equation_error import missing_force
-from simgap.motion.surrogate import Nuisance, plant_of, simulate
+from simgap.models.equation_error import missing_force
+from simgap.models.surrogate import Nuisance, plant_of, simulate
 from simgap.settings import GapSettings
 
 ROTARY = Path(__file__).resolve().parents[1].parent / "shared" / "measured" / "rotary_and_cart"
@@ -117,7 +117,7 @@ def test_a_crooked_joint_on_a_base_that_turns_and_is_pushed_moves_as_its_bits_of
     assert np.abs(ours - q).max() < 2e-4 * np.ptp(q)
     still = simulated(tmp_path, replace(measured, runs=(replace(measured.runs[0], base=None),)), path, effects)
     assert np.abs(still - q).max() > 0.1 * np.ptp(q)
-    from simgap.proof.writeback import repaired
+    from simgap.prove.writeback import repaired
 
     asset = repaired(read_asset(path), effects, tmp_path / "sprung")
     start = (0.4, 0.0)

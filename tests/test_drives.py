@@ -22,13 +22,13 @@ from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, DcMotor
 from generator.simulate import roll_out
-from simgap.fitting.problem import problem_of
-from simgap.fitting.search import candidates
+from simgap.fit.problem import problem_of
+from simgap.fit.search import candidates
 from simgap.measure.data import fit_runs
 from simgap.measure.inputs import inputs_of
-from simgap.motion.equation_error import missing_force
-from simgap.motion.surrogate import plant_of, simulate
-from simgap.proof.writeback import repaired
+from simgap.models.equation_error import missing_force
+from simgap.models.surrogate import plant_of, simulate
+from simgap.prove.writeback import repaired
 from simgap.settings import GapSettings
 
 RATE, SECONDS = 1000, 2.0

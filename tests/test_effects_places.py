@@ -19,12 +19,10 @@ WORDS = {
     "export/mjcf.py": {"armature"},
     "export/usd.py": {"armature"},
     "export/loaders": {"armature"},
-    "simgap/proof/writeback.py": {"armature"},
+    "simgap/prove/writeback.py": {"armature"},
     "generator/objects": {"latch"},
 }
 """Words of file formats and engines, and names of parts of objects, that effects have as well."""
-NOT_YET = {"simgap/judgement/choose.py"}
-"""Files that know single effects still."""
 
 
 def mentions(source: str, allowed: frozenset[str] = frozenset()) -> list[tuple[int, str]]:

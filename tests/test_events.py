@@ -10,9 +10,9 @@ from freeart21.effects import EFFECTS, Effect
 from freeart21.joint import Joint
 from freeart21.mechanics import DriveLaw, JointMechanics
 from generator import simulate
-from simgap.motion import laws
-from simgap.motion.surrogate import Inputs, Plant
-from simgap.motion.surrogate import simulate as fast
+from simgap.models import laws
+from simgap.models.surrogate import Inputs, Plant
+from simgap.models.surrogate import simulate as fast
 
 NOTHING = np.zeros(3)
 

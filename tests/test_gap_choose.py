@@ -15,16 +15,16 @@ from freeart21.effects import EFFECTS
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
-from simgap.fitting import search as search_module
-from simgap.fitting.fit import Fit, Theory, fitted, stretched
-from simgap.fitting.problem import problem_of
-from simgap.fitting.search import Search, caught
-from simgap.judgement import delivery
-from simgap.judgement.hypotheses import Hypothesis, judged
-from simgap.judgement.predictive import Score
-from simgap.judgement.split import Fold, split_of
+from simgap.fit import search as search_module
+from simgap.fit.fit import Fit, Theory, fitted, stretched
+from simgap.fit.problem import problem_of
+from simgap.fit.search import Search, caught
 from simgap.measure.data import FitRun, fit_runs
-from simgap.motion.surrogate import plant_of
+from simgap.models.surrogate import plant_of
+from simgap.select import delivery
+from simgap.select.hypotheses import Hypothesis, judged
+from simgap.select.predictive import Score
+from simgap.select.split import Fold, split_of
 from simgap.settings import GapSettings, SearchSettings
 from simgap.verdict import Verdict
 from simgap.workflow import find_gap

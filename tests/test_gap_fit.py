@@ -13,7 +13,7 @@ from freeart21.effects.latch import Latch
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
-from simgap.fitting.fit import (
+from simgap.fit.fit import (
     Problem,
     Theory,
     fitted,
@@ -22,15 +22,15 @@ from simgap.fitting.fit import (
     predicted,
     tangent,
 )
-from simgap.fitting.force_guess import local_force, places
-from simgap.fitting.guess import _grid
-from simgap.fitting.least_squares import Prior, charge, solve, weight
-from simgap.fitting.problem import problem_of
-from simgap.fitting.search import Search, candidates, loss_sets, stilled
-from simgap.judgement.split import split_of
+from simgap.fit.force_guess import local_force, places
+from simgap.fit.guess import _grid
+from simgap.fit.least_squares import Prior, charge, solve, weight
+from simgap.fit.problem import problem_of
+from simgap.fit.search import Search, candidates, loss_sets, stilled
 from simgap.measure.data import fit_runs
 from simgap.measure.floor import floor_of
-from simgap.motion.surrogate import plant_of, simulate
+from simgap.models.surrogate import plant_of, simulate
+from simgap.select.split import split_of
 from simgap.settings import GapSettings
 
 SETTINGS = GapSettings()

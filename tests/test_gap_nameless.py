@@ -9,14 +9,14 @@ import pytest
 from gap_case import asset_of, measured_of
 
 from freeart21.files.asset import read_asset
-from simgap.fitting.fit import Fit, Theory, fitted, left_by, predicted
-from simgap.fitting.guess import idle
-from simgap.fitting.problem import problem_of
-from simgap.judgement.hypotheses import judged
-from simgap.judgement.nameless import Nameless, _told, beside
-from simgap.judgement.split import split_of
+from simgap.fit.fit import Fit, Theory, fitted, left_by, predicted
+from simgap.fit.guess import idle
+from simgap.fit.problem import problem_of
 from simgap.measure.data import FitRun, fit_runs
-from simgap.motion.surrogate import plant_of
+from simgap.models.surrogate import plant_of
+from simgap.select.hypotheses import judged
+from simgap.select.nameless import Nameless, _told, beside
+from simgap.select.split import split_of
 from simgap.settings import GapSettings
 
 

@@ -10,11 +10,11 @@ import pytest
 from gap_case import asset_of, measured_of
 
 from freeart21.files.asset import read_asset
-from simgap.fitting.fit import Problem, Theory, grown_mild
-from simgap.fitting.parts import on_all, parts_of, worth
-from simgap.fitting.problem import problem_of
+from simgap.fit.fit import Problem, Theory, grown_mild
+from simgap.fit.parts import on_all, parts_of, worth
+from simgap.fit.problem import problem_of
 from simgap.measure.data import FitRun, fit_runs
-from simgap.motion.surrogate import plant_of
+from simgap.models.surrogate import plant_of
 from simgap.settings import GapSettings
 
 

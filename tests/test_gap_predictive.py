@@ -11,10 +11,10 @@ from gap_case import asset_of, measured_of
 from scipy.stats import multivariate_t
 
 from freeart21.files.asset import read_asset
-from simgap.judgement import predictive
-from simgap.judgement.predictive import DECISIVE, FREEDOM, Score, error_of, lead, log_densities, motion_of, smallest
 from simgap.measure.data import FitRun
-from simgap.motion.surrogate import Inputs
+from simgap.models.surrogate import Inputs
+from simgap.select import predictive
+from simgap.select.predictive import DECISIVE, FREEDOM, Score, error_of, lead, log_densities, motion_of, smallest
 from simgap.verdict import Verdict
 from simgap.workflow import find_gap
 

@@ -18,13 +18,13 @@ from freeart21.files.measured import read_measured
 from freeart21.files.measured_writer import write_measured
 from freeart21.joint import JointType
 from freeart21.measured import Measured, Run
-from simgap.fitting.problem import problem_of
-from simgap.judgement.decide import _gated
+from simgap.fit.problem import problem_of
 from simgap.measure.data import fit_runs
-from simgap.motion.surrogate import Nuisance, plant_of
-from simgap.proof.body import correction_of
-from simgap.proof.replay import AssetOnDisk, replay
-from simgap.proof.writeback import repaired
+from simgap.models.surrogate import Nuisance, plant_of
+from simgap.prove.body import correction_of
+from simgap.prove.replay import AssetOnDisk, replay
+from simgap.prove.writeback import repaired
+from simgap.select.decide import _gated
 from simgap.settings import GapSettings, JudgementSettings
 from simgap.verdict import Named, RunGap, Use, Verdict
 from simgap.workflow import find_gap, gap_folder

@@ -21,12 +21,12 @@ from freeart21.files.asset import read_asset
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.kinematics import find_geometry_of
 from simgap.geometry.placing import place
-from simgap.motion.equation_error import missing_force
-from simgap.motion.localise import residual_maps
+from simgap.models.equation_error import missing_force
+from simgap.models.localise import residual_maps
 from simgap.page.publish import GEOMETRY, Off, _as_fitted, publish
-from simgap.proof import replay_process
-from simgap.proof.replay import CannotReplay, Replay, RunReplay
-from simgap.proof.show import Chosen, show
+from simgap.prove import replay_process
+from simgap.prove.replay import CannotReplay, Replay, RunReplay
+from simgap.prove.show import Chosen, show
 from simgap.verdict import Verdict
 from simgap.workflow import certain_of, joined
 

@@ -12,13 +12,13 @@ from gap_case import asset_of, measured_of
 
 from freeart21.effects import EFFECTS
 from freeart21.files.asset import read_asset
-from simgap.fitting.fit import Theory, fitted, predicted
-from simgap.fitting.problem import problem_of
-from simgap.fitting.search import Search, candidates
-from simgap.judgement.choose import chosen
-from simgap.judgement.split import split_of
+from simgap.fit.fit import Theory, fitted, predicted
+from simgap.fit.problem import problem_of
+from simgap.fit.search import Search, candidates
 from simgap.measure.data import fit_runs
-from simgap.motion.surrogate import plant_of
+from simgap.models.surrogate import plant_of
+from simgap.select.choose import chosen
+from simgap.select.split import split_of
 from simgap.settings import GapSettings
 
 HIDDEN = {

@@ -35,16 +35,16 @@ from freeart21.mechanics import Actuator
 from generator.simulate import joint_motion, roll_out
 from simgap.geometry.kinematics import find_geometry_of
 from simgap.geometry.placing import place
-from simgap.judgement.words import closed_text, runs_text, with_closed
-from simgap.motion.equation_error import missing_force
-from simgap.motion.localise import residual_maps
-from simgap.motion.surrogate import Nuisance, plant_of
+from simgap.models.equation_error import missing_force
+from simgap.models.localise import residual_maps
+from simgap.models.surrogate import Nuisance, plant_of
 from simgap.page.publish import GEOMETRY, Draft, off_of, publish, with_positions
 from simgap.page.report import Ranked
-from simgap.proof.body import NO_CORRECTION, correction_of
-from simgap.proof.replay import replay_from
-from simgap.proof.show import helps
-from simgap.proof.writeback import repaired
+from simgap.prove.body import NO_CORRECTION, correction_of
+from simgap.prove.replay import replay_from
+from simgap.prove.show import helps
+from simgap.prove.writeback import repaired
+from simgap.select.words import closed_text, runs_text, with_closed
 from simgap.verdict import Named, RunGap, Use, Verdict
 
 MASS, ARM, G = 1.2, 0.3, 9.81
@@ -216,7 +216,7 @@ def test_meshes_from_elsewhere_come_into_the_copy(tmp_path: Path, named_as: str)
 )
 def test_not_everything_that_a_urdf_names_is_copied(tmp_path: Path, name: str, said: str, monkeypatch):
     asset = bob(tmp_path / "a")
-    monkeypatch.setattr("simgap.proof.asset_files.MAX_BYTES", 1000)
+    monkeypatch.setattr("simgap.prove.asset_files.MAX_BYTES", 1000)
     (tmp_path / "a/big.obj").write_bytes(b"#" * 1001)
     (tmp_path / "a/notes.txt").write_text("")
     visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'

@@ -17,14 +17,14 @@ from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 from freeart21.files.measured_writer import write_measured
 from freeart21.measured import Measured, Run
-from simgap.fitting.force_search import candidates
-from simgap.fitting.problem import problem_of
-from simgap.judgement.split import split_of
+from simgap.fit.force_search import candidates
+from simgap.fit.problem import problem_of
 from simgap.measure.data import fit_runs
 from simgap.measure.prescribed import force_runs
 from simgap.measure.withstood import withstood
-from simgap.motion.equation_error import smoothed
-from simgap.motion.surrogate import plant_of
+from simgap.models.equation_error import smoothed
+from simgap.models.surrogate import plant_of
+from simgap.select.split import split_of
 from simgap.settings import GapSettings
 from simgap.workflow import find_gap, force_problem, gap_folder
 

@@ -19,7 +19,7 @@ from freeart21.mechanics import Actuator, between, course, held
 from generator.simulate import roll_out
 from simgap.measure.data import stride_of, thinned
 from simgap.measure.inputs import inputs_of, logged_at
-from simgap.motion.surrogate import Nuisance, plant_of, simulate
+from simgap.models.surrogate import Nuisance, plant_of, simulate
 from simgap.workflow import find_gap
 
 TIMES = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.6])

@@ -11,8 +11,8 @@ from freeart21.joint import Joint
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, JointMechanics
 from simgap.measure.swings import half_swings, reversals
-from simgap.motion.equation_error import missing_force
-from simgap.motion.localise import LEVEL, benjamini_hochberg, residual_maps, sign_flips, where
+from simgap.models.equation_error import missing_force
+from simgap.models.localise import LEVEL, benjamini_hochberg, residual_maps, sign_flips, where
 
 INERTIA, WEIGHT = 0.05, 1.2  # kg m^2, N m of m g l
 MECHANICS = JointMechanics(

@@ -20,7 +20,7 @@ from freeart21.mechanics import Actuator
 from freeart21.turns import is_wrapped
 from simgap.measure.floor import floor_of
 from simgap.measure.inputs import inputs_of
-from simgap.motion.surrogate import plant_of, simulate
+from simgap.models.surrogate import plant_of, simulate
 
 TIMES = np.arange(400) / 100
 ROUND = 3.0 + 2.5 * TIMES + np.sin(3 * TIMES)
@@ -142,7 +142,7 @@ from pathlib import Path
 from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured
 from simgap.measure.data import fit_runs, thinned
-from simgap.motion.surrogate import plant_of
+from simgap.models.surrogate import plant_of
 measured = read_measured(Path({str(tmp_path / "set")!r}))
 runs, floor = fit_runs(measured, plant_of(read_asset(Path({str(asset_of(tmp_path))!r})), measured))
 memory = int(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0]) / 2**20  # its own, no parent's

@@ -24,7 +24,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from generator.simulate import joint_motion
 from leaderboard.asset_joint import measured_joint
-from simgap.proof.writeback import repaired
+from simgap.prove.writeback import repaired
 
 ALL = frozenset({"object.urdf", "object.xml", "object.usdc"})
 

@@ -22,7 +22,7 @@ from freeart21.files.asset import read_asset, write_asset_json
 from freeart21.files.measured_writer import write_measured
 from freeart21.joint import JointType
 from freeart21.measured import Measured, Run
-from simgap.proof.writeback import repaired
+from simgap.prove.writeback import repaired
 from simgap.replay import Replayed, format_table, replay_folder
 
 OIL = 0.06

@@ -15,8 +15,8 @@ from freeart21.files.asset import read_asset
 from freeart21.measured import Measured
 from freeart21.mechanics import Actuator, held
 from generator.simulate import roll_out
-from simgap.motion import kernel, laws
-from simgap.motion.surrogate import Batch, Inputs, Nuisance, numbers_of, plant_of, simulate, step_of, sweep, terms_of
+from simgap.models import kernel, laws
+from simgap.models.surrogate import Batch, Inputs, Nuisance, numbers_of, plant_of, simulate, step_of, sweep, terms_of
 from simgap.settings import SurrogateSettings
 
 MASS, ARM, G = 1.6, 0.5, 9.81
@@ -314,7 +314,7 @@ def test_a_narrow_place_is_stepped_finely_only_there(tmp_path: Path):
 @pytest.mark.parametrize("threads", [1, 3])
 def test_runs_side_by_side_are_as_each_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int):
     if threads > 1:
-        monkeypatch.setattr("simgap.motion.surrogate._MANY", 0)
+        monkeypatch.setattr("simgap.models.surrogate._MANY", 0)
         monkeypatch.setattr("os.sched_getaffinity", lambda process: set(range(threads)), raising=False)
     effects = (made("coulomb_friction", level=0.2), made("latch", hold=2.0, position=0.1, travel=0.1, capture=0.4))
     plant = plant_of(asset_at(tmp_path, "revolute"), measured_of("revolute", Actuator(stiffness=60.0, damping=4.0)))

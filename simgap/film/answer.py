@@ -19,8 +19,8 @@ from simgap.film.maps import FilmMap, flagged_places
 from simgap.film.missing import MissingPart
 from simgap.film.samples import Rows
 from simgap.film.scene import FilmScene
-from simgap.judgement.words import amount, capital, effect_words, plain
-from simgap.motion.localise import LEVEL, benjamini_hochberg
+from simgap.models.localise import LEVEL, benjamini_hochberg
+from simgap.select.words import amount, capital, effect_words, plain
 from simgap.verdict import Named, RunGap, Verdict
 
 LEFT = 0.1

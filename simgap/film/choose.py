@@ -1,6 +1,6 @@
 """Which set of effects of one kind: forward selection by a beam, judged by frames that it was not fitted to.
 
-Scores and the smallest set within one standard error are those of `simgap.judgement.predictive`: a stretch of frames
+Scores and the smallest set within one standard error are those of `simgap.select.predictive`: a stretch of frames
 here is what a stretch of a run is there.
 """
 
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.se3 import Array
-from simgap.judgement.predictive import Score, lead, smallest
-from simgap.motion.localise import sign_flips
+from simgap.models.localise import sign_flips
+from simgap.select.predictive import Score, lead, smallest
 
 Frames = NDArray[np.int64]
 """(n,) indices of frames, ascending."""

@@ -1,7 +1,7 @@
 """Where the two films part: maps over picture, distance, angle of incidence, edges and time, tested frame by frame.
 
 Pixels beside each other say the same, so the exchangeable unit is the frame, as half-swings are in
-`simgap.motion.localise`: where nothing is missing, a frame's error in a bin is as likely to be positive as negative.
+`simgap.models.localise`: where nothing is missing, a frame's error in a bin is as likely to be positive as negative.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from freeart21.camera_faults import CameraFaults
 from freeart21.se3 import Array
 from simgap.film import colour, counts, geometry
 from simgap.film.samples import Rows
-from simgap.motion.localise import LEVEL, ResidualMap, bin_map, correct_maps
+from simgap.models.localise import LEVEL, ResidualMap, bin_map, correct_maps
 from simgap.verdict import Where
 
 _BINS = 10

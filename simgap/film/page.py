@@ -17,7 +17,6 @@ from simgap.film.answer import FilmVerdict, size_text
 from simgap.film.maps import FilmMap
 from simgap.film.samples import simulated
 from simgap.film.workflow import Found
-from simgap.judgement.predictive import lead
 from simgap.page.replay_page import repeat_section
 from simgap.page.report import (
     Ranked,
@@ -29,6 +28,7 @@ from simgap.page.report import (
     tile,
 )
 from simgap.page.report_plots import map_drawing, p_text
+from simgap.select.predictive import lead
 
 Image = NDArray[np.uint8]
 MARGIN = 0.12

@@ -13,7 +13,7 @@ from freeart21.se3 import Array
 from simgap.measure.floor import Floor, floor_of
 from simgap.measure.inputs import inputs_of
 from simgap.measure.swings import reversals
-from simgap.motion.surrogate import Inputs, Plant, step_of
+from simgap.models.surrogate import Inputs, Plant, step_of
 
 MAX_SAMPLES = 1500
 """Readings of a run that a fit looks at, where they are enough; more are thinned out evenly."""

@@ -13,7 +13,7 @@ from freeart21.measured import Interpolation, Measured, Run
 from freeart21.mechanics import DriveLaw, course
 from freeart21.se3 import Array
 from simgap.measure.base_motion import Sway, sway_of
-from simgap.motion.surrogate import Inputs, Plant
+from simgap.models.surrogate import Inputs, Plant
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Of a stretch as -1 to 1: exact for the cubics that curves are, and for their first moments."""

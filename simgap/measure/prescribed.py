@@ -23,8 +23,8 @@ from simgap.measure.data import MAX_SAMPLES, FitRun
 from simgap.measure.floor import Floor, floor_of
 from simgap.measure.inputs import base_sway, enabled_at, logged_at, told_efforts
 from simgap.measure.swings import reversals
-from simgap.motion.equation_error import smoothed
-from simgap.motion.surrogate import Inputs, Plant
+from simgap.models.equation_error import smoothed
+from simgap.models.surrogate import Inputs, Plant
 
 STEADY = 0.01
 """Part of the told force that inertia takes where the joint slides, root mean squares, below which motion is

@@ -14,7 +14,7 @@ from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
 from simgap.measure.floor import Floor
 from simgap.measure.inputs import enabled_at, logged_at, told_efforts
-from simgap.motion.surrogate import Plant
+from simgap.models.surrogate import Plant
 
 REACH = {"revolute": 1e-2, "prismatic": 1e-4}
 """rad or m by which what holds a joint may bend: a real arm's friction gave way by 1.8e-3 rad before it slid, filmed

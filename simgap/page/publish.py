@@ -29,13 +29,12 @@ from freeart21.mechanics import JointMechanics
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.placing import Placed, place
 from simgap.geometry.track_geometry import lever_of, middle_of
-from simgap.judgement.words import plain, runs_text, with_closed, with_replayed
-from simgap.motion.equation_error import missing_force
-from simgap.motion.localise import residual_maps, where
-from simgap.motion.surrogate import Nuisance, Plant, plant_of
+from simgap.models.equation_error import missing_force
+from simgap.models.localise import residual_maps, where
+from simgap.models.surrogate import Nuisance, Plant, plant_of
 from simgap.page.report import GEOMETRY, Gap, Ranked, page, use_of
-from simgap.proof.body import NO_CORRECTION, BodyCorrection
-from simgap.proof.replay import (
+from simgap.prove.body import NO_CORRECTION, BodyCorrection
+from simgap.prove.replay import (
     SECONDS,
     AssetOnDisk,
     CannotReplay,
@@ -47,8 +46,9 @@ from simgap.proof.replay import (
     replay,
     replay_from,
 )
-from simgap.proof.show import Chosen, ChosenPoses, ReplayGap, Shown, alike, closed_alike, helps, show
-from simgap.proof.writeback import repaired
+from simgap.prove.show import Chosen, ChosenPoses, ReplayGap, Shown, alike, closed_alike, helps, show
+from simgap.prove.writeback import repaired
+from simgap.select.words import plain, runs_text, with_closed, with_replayed
 from simgap.settings import JudgementSettings
 from simgap.verdict import Named, Proof, RunGap, Use, Verdict, halved, root_mean_square, told_by, unit_of
 

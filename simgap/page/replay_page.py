@@ -11,8 +11,8 @@ from freeart21.joint import JointType
 from freeart21.view.document import Section, document, escape
 from freeart21.view.tables import table_section
 from simgap.page.report_plots import run_drawings
-from simgap.proof.replay import RunReplay
-from simgap.proof.show import ReplayGap
+from simgap.prove.replay import RunReplay
+from simgap.prove.show import ReplayGap
 
 MOST_DRAWN = 40
 """Runs whose curves are drawn: each takes some 50 kB."""

@@ -14,11 +14,11 @@ from freeart21.view.document import Section, document, escape
 from freeart21.view.tables import table_section
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.track_geometry import TrackGeometry
-from simgap.judgement.words import amount, capital, effect_words, number_text, plain, runs_text
-from simgap.motion.localise import LEVEL, ResidualMap
+from simgap.models.localise import LEVEL, ResidualMap
 from simgap.page.replay_page import repeat_section
 from simgap.page.report_plots import AFTER, BEFORE, Line, chart, force_map, interval_drawing, p_text, run_drawings
-from simgap.proof.show import PoseGap, ReplayGap, Shown, alike, closed_alike
+from simgap.prove.show import PoseGap, ReplayGap, Shown, alike, closed_alike
+from simgap.select.words import amount, capital, effect_words, number_text, plain, runs_text
 from simgap.verdict import RunGap, Use, Verdict, root_mean_square, told_by, unit_of
 
 GEOMETRY = "geometry"

@@ -12,8 +12,8 @@ from freeart21.joint import JointType
 from freeart21.se3 import Array
 from freeart21.view.document import MOVING, REFERENCE, escape
 from freeart21.view.plot import display_unit, path_data, runs, ticks
-from simgap.motion.localise import ResidualMap
-from simgap.proof.show import ReplayGap
+from simgap.models.localise import ResidualMap
+from simgap.prove.show import ReplayGap
 from simgap.verdict import By, unit_of
 
 MEASURED, BEFORE, AFTER = "#7d8894", MOVING, REFERENCE

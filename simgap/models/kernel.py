@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from simgap.motion.laws import (
+from simgap.models.laws import (
     DRIVE,
     FORCE,
     STAMP,

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from freeart21.effects import Effect
 from freeart21.se3 import Array
-from simgap.fitting.theory import Reader, Theory
+from simgap.fit.theory import Reader, Theory
 from simgap.measure.data import FitRun
 from simgap.measure.prescribed import ForceRun
-from simgap.motion import kernel, laws
-from simgap.motion.surrogate import terms_of
+from simgap.models import kernel, laws
+from simgap.models.surrogate import terms_of
 
 _PROBE = 1e-4
 """Part of a parameter's size by which it is changed to see what it does."""

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from freeart21.joint import JointType
 from freeart21.se3 import Array
-from simgap.judgement.words import amount, span_text
-from simgap.motion.equation_error import MissingForce
+from simgap.models.equation_error import MissingForce
+from simgap.select.words import amount, span_text
 from simgap.verdict import Where
 
 LEVEL = 0.05

@@ -18,17 +18,17 @@ from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 from freeart21.measured import Measured
-from simgap.fitting.fit import Fit, Theory, fitted, joined, resettled, tempered, unit_of
-from simgap.fitting.problem import as_delivered
-from simgap.fitting.theory import HOLDING, Problem, Reader
-from simgap.judgement.hypotheses import Hypothesis, judged
-from simgap.judgement.intervals import NORMAL_90, covariance
-from simgap.judgement.predictive import Score, lead
-from simgap.judgement.split import Fold
+from simgap.fit.fit import Fit, Theory, fitted, joined, resettled, tempered, unit_of
+from simgap.fit.problem import as_delivered
+from simgap.fit.theory import HOLDING, Problem, Reader
 from simgap.measure.data import FitRun
-from simgap.motion.surrogate import plant_of
-from simgap.proof.body import NO_CORRECTION, BodyCorrection, correction_of
-from simgap.proof.writeback import repaired
+from simgap.models.surrogate import plant_of
+from simgap.prove.body import NO_CORRECTION, BodyCorrection, correction_of
+from simgap.prove.writeback import repaired
+from simgap.select.hypotheses import Hypothesis, judged
+from simgap.select.intervals import NORMAL_90, covariance
+from simgap.select.predictive import Score, lead
+from simgap.select.split import Fold
 from simgap.verdict import SHOWS, Corrected, Named
 
 ASSET = "asset"

@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from freeart21.effects import Effect
 from freeart21.se3 import Array
-from simgap.fitting.force_model import ForceModel
-from simgap.fitting.least_squares import Prior, charge, solve
-from simgap.fitting.theory import Problem as Problem
-from simgap.fitting.theory import Range as Range
-from simgap.fitting.theory import Reader as Reader
-from simgap.fitting.theory import Theory as Theory
+from simgap.fit.force_model import ForceModel
+from simgap.fit.least_squares import Prior, charge, solve
+from simgap.fit.theory import Problem as Problem
+from simgap.fit.theory import Range as Range
+from simgap.fit.theory import Reader as Reader
+from simgap.fit.theory import Theory as Theory
 from simgap.measure.data import FitRun
-from simgap.motion import kernel
-from simgap.motion.surrogate import Batch, creeping, readings_of, step_of, sweep, terms_of
+from simgap.models import kernel
+from simgap.models.surrogate import Batch, creeping, readings_of, step_of, sweep, terms_of
 
 _PROBE = 1e-4
 """Part of a parameter's size by which it is changed to see what it does."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from freeart21.effects import Effect
-from simgap.fitting.fit import Fit, information, tempered, unit_of
-from simgap.fitting.guess import neutral_value
-from simgap.fitting.theory import SHAFT
-from simgap.judgement.hypotheses import Hypothesis
+from simgap.fit.fit import Fit, information, tempered, unit_of
+from simgap.fit.guess import neutral_value
+from simgap.fit.theory import SHAFT
+from simgap.select.hypotheses import Hypothesis
 from simgap.verdict import Named
 
 NORMAL_90 = 1.645

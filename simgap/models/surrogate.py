@@ -27,7 +27,7 @@ from freeart21.mechanics import DriveLaw, JointMechanics
 from freeart21.se3 import Array
 from generator.simulate import load
 from simgap.geometry.placing import place
-from simgap.motion import kernel, laws
+from simgap.models import kernel, laws
 from simgap.settings import SurrogateSettings
 
 _MANY = 20_000

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simgap.fitting.fit import Fit, Problem, fitted, resettled
+from simgap.fit.fit import Fit, Problem, fitted, resettled
 from simgap.measure.data import FitRun
 
 _LONG, _SEARCHED = 400.0, 100.0

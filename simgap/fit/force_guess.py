@@ -14,10 +14,10 @@ import numpy as np
 from freeart21.base_motion import sway_force
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
-from simgap.fitting.theory import Problem, Theory
+from simgap.fit.theory import Problem, Theory
 from simgap.measure.data import FitRun
 from simgap.measure.inputs import HALFWAY
-from simgap.motion.surrogate import Plant, is_local
+from simgap.models.surrogate import Plant, is_local
 
 _READINGS = 7
 """Of a window whose parabola tells speed and acceleration."""

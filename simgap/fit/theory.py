@@ -9,8 +9,8 @@ import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
-from simgap.motion import kernel, laws
-from simgap.motion.surrogate import Nuisance, Plant, numbers_of, terms_of
+from simgap.models import kernel, laws
+from simgap.models.surrogate import Nuisance, Plant, numbers_of, terms_of
 from simgap.settings import FitSettings, SurrogateSettings
 
 _FRICTION = "friction form"

@@ -10,9 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
-from simgap.fitting.fit import Fit, Problem, Theory, fitted, joined, priced, unit_of
-from simgap.fitting.force_model import force_of
-from simgap.fitting.guess import guesses, off
+from simgap.fit.fit import Fit, Problem, Theory, fitted, joined, priced, unit_of
+from simgap.fit.force_model import force_of
+from simgap.fit.guess import guesses, off
 from simgap.measure.data import FitRun
 from simgap.measure.prescribed import ForceRun
 from simgap.settings import SearchSettings

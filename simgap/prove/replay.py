@@ -1,7 +1,7 @@
 """Measured runs, simulated by the files of assets alone: nothing of how an asset was made is known here.
 
 Only the state in which a run starts is free; it is fitted to the run, for each asset by itself. A fresh process
-(`simgap.proof.replay_process`) reads the files and simulates.
+(`simgap.prove.replay_process`) reads the files and simulates.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from freeart21.files.base_json import BASE
 from freeart21.files.measured import DRIVES
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
-from simgap.fitting.fit import Theory, fit_starts
-from simgap.fitting.problem import as_delivered, problem_of
+from simgap.fit.fit import Theory, fit_starts
+from simgap.fit.problem import as_delivered, problem_of
 from simgap.measure.data import fit_runs
-from simgap.motion.surrogate import plant_of
+from simgap.models.surrogate import plant_of
 from simgap.settings import GapSettings
 from simgap.verdict import root_mean_square
 
@@ -298,7 +298,7 @@ def _run(folder: Path, count: int, seconds: float, progress: Progress | None) ->
     told, end = -1, time.monotonic() + seconds
     with (folder / "stderr").open("w") as stderr:
         process = subprocess.Popen(
-            [*child.command("simgap.proof.replay_process"), str(folder)],
+            [*child.command("simgap.prove.replay_process"), str(folder)],
             stdout=subprocess.DEVNULL,
             stderr=stderr,
             cwd=folder,

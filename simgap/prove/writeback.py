@@ -20,8 +20,8 @@ from freeart21.files import atomic
 from freeart21.files.asset import read_asset, write_asset_json
 from freeart21.files.urdf import parsed_xml
 from generator import simulate
-from simgap.proof.asset_files import copied, mjcf_beside, written
-from simgap.proof.body import NO_CORRECTION, BodyCorrection, check_body, urdf_with_body
+from simgap.prove.asset_files import copied, mjcf_beside, written
+from simgap.prove.body import NO_CORRECTION, BodyCorrection, check_body, urdf_with_body
 
 _POSE_TOLERANCE = 1e-6  # single precision of the engine, metres and rotation entries
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array, exp_so3
-from simgap.fitting.fit import Fit, Reader
+from simgap.fit.fit import Fit, Reader
 from simgap.measure.data import FitRun
-from simgap.motion.surrogate import Inputs, Plant, simulate
+from simgap.models.surrogate import Inputs, Plant, simulate
 
 _SECONDS, _RATE = 5.0, 100.0
 _TILT = np.deg2rad(20.0)

@@ -1,4 +1,4 @@
-"""The fresh process of `simgap.proof.replay`, which is given a FOLDER and reads FOLDER/job.json and job.npz.
+"""The fresh process of `simgap.prove.replay`, which is given a FOLDER and reads FOLDER/job.json and job.npz.
 
 Results appear one by one, so that those in time count when the others are not: FOLDER/told.json (the engine's version,
 and how far poses are off), then run_K_I.npz, run I by asset K, with the sensor's readings, the time step and what its
@@ -31,7 +31,7 @@ from freeart21.se3 import Array
 from generator import simulate
 from simgap.geometry.placing import place
 from simgap.geometry.track_geometry import at_point, displacement
-from simgap.proof.asset_files import copied, mjcf_beside
+from simgap.prove.asset_files import copied, mjcf_beside
 
 HALVINGS = 6
 """Of the first time step, at most."""

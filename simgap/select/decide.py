@@ -7,20 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from freeart21.joint import JointType
-from simgap.fitting.fit import Fit, Problem, tempered
-from simgap.fitting.fit import unit_of as unit_of_noise
-from simgap.fitting.guess import neutral_value
-from simgap.judgement.choose import Choice
-from simgap.judgement.delivery import Delivery
-from simgap.judgement.experiment import next_experiment
-from simgap.judgement.hypotheses import Hypothesis
-from simgap.judgement.intervals import NORMAL_90, with_intervals
-from simgap.judgement.nameless import Nameless
-from simgap.judgement.split import Split
-from simgap.judgement.words import amount, capital, closed_text, correction_words, effect_words, plain, runs_text
+from simgap.fit.fit import Fit, Problem, tempered
+from simgap.fit.fit import unit_of as unit_of_noise
+from simgap.fit.guess import neutral_value
 from simgap.measure.data import FitRun
 from simgap.measure.floor import Floor
 from simgap.measure.withstood import Withstood
+from simgap.select.choose import Choice
+from simgap.select.delivery import Delivery
+from simgap.select.experiment import next_experiment
+from simgap.select.hypotheses import Hypothesis
+from simgap.select.intervals import NORMAL_90, with_intervals
+from simgap.select.nameless import Nameless
+from simgap.select.split import Split
+from simgap.select.words import amount, capital, closed_text, correction_words, effect_words, plain, runs_text
 from simgap.settings import JudgementSettings
 from simgap.verdict import By, RunGap, Verdict, halved, root_mean_square, shows_gap, told_by, unit_of
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from freeart21.effects.base import Alternative, Effect, Surroundings
 from freeart21.se3 import Array
-from simgap.fitting.fit import Fit, Problem, Reader, Starts, Theory, joined
-from simgap.motion import kernel
+from simgap.fit.fit import Fit, Problem, Reader, Starts, Theory, joined
+from simgap.models import kernel
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
-from simgap.fitting.fit import Fit, Problem, Range, Reader, Theory, joined, left_by, tangent
-from simgap.fitting.force_model import ForceModel
+from simgap.fit.fit import Fit, Problem, Range, Reader, Theory, joined, left_by, tangent
+from simgap.fit.force_model import ForceModel
 from simgap.measure.data import FitRun
-from simgap.motion import kernel
-from simgap.motion.surrogate import readings_of, step_of, sweep, terms_of
+from simgap.models import kernel
+from simgap.models.surrogate import readings_of, step_of, sweep, terms_of
 
 _PLACES = 13
 _REBOUNDS = (0.15, 0.5)

@@ -10,8 +10,8 @@ import numpy as np
 
 from freeart21.effects import EFFECTS, Effect
 from freeart21.se3 import Array
-from simgap.fitting import alike
-from simgap.fitting.fit import (
+from simgap.fit import alike
+from simgap.fit.fit import (
     Fit,
     Problem,
     Starts,
@@ -27,12 +27,12 @@ from simgap.fitting.fit import (
     resettled,
     unit_of,
 )
-from simgap.fitting.force_guess import LocalForce, local_force, places
-from simgap.fitting.guess import Guess, guesses, off
-from simgap.fitting.parts import on_all, parts_of, worth
-from simgap.fitting.theory import SHAFT
+from simgap.fit.force_guess import LocalForce, local_force, places
+from simgap.fit.guess import Guess, guesses, off
+from simgap.fit.parts import on_all, parts_of, worth
+from simgap.fit.theory import SHAFT
 from simgap.measure.data import FitRun
-from simgap.motion.surrogate import is_local
+from simgap.models.surrogate import is_local
 from simgap.settings import SearchSettings
 
 _CROSSINGS = (0.25, 0.8, 2.5, 6.0)

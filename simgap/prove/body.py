@@ -15,8 +15,8 @@ from freeart21.errors import FreeArtError
 from freeart21.files.urdf import links_beyond, parsed_xml, read_urdf_joints
 from freeart21.se3 import Array
 from generator import simulate
-from simgap.motion.surrogate import Nuisance, Plant
-from simgap.proof.asset_files import written
+from simgap.models.surrogate import Nuisance, Plant
+from simgap.prove.asset_files import written
 
 _EXACT = 1e-4
 """Part of the inertia by which that of the reloaded file may differ; SAPIEN reads single precision."""

@@ -17,13 +17,13 @@ import numpy as np
 
 from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
-from simgap.fitting.fit import Fit, tempered, unit_of
-from simgap.fitting.guess import Linear, linear
-from simgap.fitting.theory import Range
-from simgap.judgement.hypotheses import Hypothesis, rms, score_parts
-from simgap.judgement.predictive import Score, lead
-from simgap.judgement.split import Fold
+from simgap.fit.fit import Fit, tempered, unit_of
+from simgap.fit.guess import Linear, linear
+from simgap.fit.theory import Range
 from simgap.measure.data import FitRun
+from simgap.select.hypotheses import Hypothesis, rms, score_parts
+from simgap.select.predictive import Score, lead
+from simgap.select.split import Fold
 
 KINDS = ("position", "velocity", "direction", "time", "flexing", "session")
 _MOMENTS = 6

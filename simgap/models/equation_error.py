@@ -19,7 +19,7 @@ from freeart21.mechanics import DriveLaw, JointMechanics
 from freeart21.se3 import Array
 from simgap.measure.inputs import base_sway, enabled_at, logged_at, told_efforts
 from simgap.measure.swings import reversals, unit_numbers
-from simgap.motion.surrogate import Plant
+from simgap.models.surrogate import Plant
 
 _ORDER = 4  # of the local polynomials
 _SHORTEST = 7  # readings of a window

@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from freeart21.se3 import Array
-from simgap.fitting.fit import Fit, fitted, information, placed, priced, stretched, tempered, unit_of
-from simgap.judgement.predictive import Score, error_of, stretch_densities
-from simgap.judgement.split import Fold
+from simgap.fit.fit import Fit, fitted, information, placed, priced, stretched, tempered, unit_of
 from simgap.measure.data import FitRun
+from simgap.select.predictive import Score, error_of, stretch_densities
+from simgap.select.split import Fold
 
 FORM = 0.06
 """Part of the gap by which the right effect is off though it departs from its formula (`Effect.departs`): how real ones

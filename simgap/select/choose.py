@@ -15,14 +15,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from freeart21.effects import EFFECTS
-from simgap.fitting.fit import Fit
-from simgap.fitting.force_search import ForceSearch
-from simgap.fitting.guess import idle
-from simgap.fitting.search import Search, prompt
-from simgap.judgement.hypotheses import Hypothesis, departing, excess, judged
-from simgap.judgement.nameless import Nameless, beside
-from simgap.judgement.predictive import lead, smallest
-from simgap.judgement.split import Fold
+from simgap.fit.fit import Fit
+from simgap.fit.force_search import ForceSearch
+from simgap.fit.guess import idle
+from simgap.fit.search import Search, prompt
+from simgap.select.hypotheses import Hypothesis, departing, excess, judged
+from simgap.select.nameless import Nameless, beside
+from simgap.select.predictive import lead, smallest
+from simgap.select.split import Fold
 from simgap.settings import JudgementSettings
 from simgap.verdict import SHOWS
 

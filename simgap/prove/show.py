@@ -1,6 +1,6 @@
 """The gap that counts: measured runs, replayed by the files of the asset as it was and of the repaired one.
 
-`simgap.proof.replay` replays; here the two are held against each other.
+`simgap.prove.replay` replays; here the two are held against each other.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from freeart21.se3 import Array
-from simgap.proof.replay import Replay, RunReplay
+from simgap.prove.replay import Replay, RunReplay
 from simgap.verdict import Use
 
 WIDER, RUN_WIDER = 0.25, 0.5

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from freeart21.measured import Measured
-from simgap.fitting.theory import Problem
+from simgap.fit.theory import Problem
 from simgap.measure.data import FitRun
 from simgap.measure.floor import Floor
-from simgap.motion.surrogate import Plant
+from simgap.models.surrogate import Plant
 from simgap.settings import GapSettings
 
 
