@@ -56,3 +56,11 @@ def test_it_is_named_where_it_is_all_that_is_missing(tmp_path: Path, name: str, 
     search = Search(problem, split.fitted, settings.search, candidates(problem, split.fitted))
     choice = chosen(search, split.folds, settings.judgement)
     assert choice.explaining and choice.explaining[0].names == (said,) and choice.in_part == (said != name), choice
+
+
+def test_a_wheel_that_turns_on_and_on_has_no_shape_over_position(tmp_path: Path):
+    measured = measured_of(5, exact=True)
+    plant = plant_of(read_asset(asset_of(tmp_path), "j"), measured)
+    runs, floor = fit_runs(measured, plant)
+    problem = replace(problem_of(plant, measured, runs, floor, GapSettings()), q_high=3300.0)
+    assert not {"force_over_position", "friction_over_position"} & set(candidates(problem, runs))

@@ -38,7 +38,7 @@ def candidates(problem: Problem, runs: tuple[FitRun, ...], without: tuple[str, .
     turned = any((run.acceleration != 0).any() for run in told)
 
     def possible(cls: type[Effect]) -> bool:
-        if problem.plant.joint_type not in cls.joint_types or cls.acts not in _ACTS:
+        if problem.plant.joint_type not in cls.joint_types or cls.acts not in _ACTS or not problem.can_span(cls):
             return False
         if cls.remember is not Effect.remember or cls.delay is not Effect.delay:
             return False  # what catches holds what stands; of a steady force nobody sees when it comes

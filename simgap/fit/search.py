@@ -86,7 +86,7 @@ def candidates(
     slack = any(effect.acts == "slack" for effect in problem.plant.effects)
 
     def possible(cls: type[Effect]) -> bool:
-        if problem.plant.joint_type not in cls.joint_types or cls.kind == "kinematics":
+        if problem.plant.joint_type not in cls.joint_types or cls.kind == "kinematics" or not problem.can_span(cls):
             return False
         if cls.reading_error is not Effect.reading_error and not encoder:
             return False

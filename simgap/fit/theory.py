@@ -75,6 +75,11 @@ class Problem:
         """Parameters of an effect that are the ends of the way that was moved through."""
         return dict(zip(cls.ends, (self.q_low, self.q_high), strict=False))
 
+    def can_span(self, cls: type[Effect]) -> bool:
+        """Whether an effect over the way that was moved through can say so long a way; a wheel's turns it cannot."""
+        specs = cls.parameters()
+        return all(specs[name].lower <= x <= specs[name].upper for name, x in self.ends(cls).items())
+
     @property
     def reference(self) -> tuple[float, float, float]:
         """Largest speed, middle and half range of position."""
