@@ -65,7 +65,7 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     able = _best_of_each_size([h for h in table if not _has_shape(h)])
     real = [h if search.late else departing(h, folds, base) for h in sorted(able, key=lambda h: -h.score.total)]
     whole = [h for h in nearest(h for h in real if named_whole(h, base, settings)) if not _is_less_enough(h, real)]
-    part = [] if whole else nearest(h for h in table if may_dominate(h, base, settings))
+    part = [] if whole else _dominating(table, base, settings)
     if not whole and not part:  # what has a formula, and what every machine has, come first
         real += [h if search.late else departing(h, folds, base) for h in table if _has_shape(h)]
         whole = nearest(h for h in real if _has_shape(h) and named_whole(h, base, settings))
@@ -135,7 +135,7 @@ def _is_less_enough(hypothesis: Hypothesis, table: Sequence[Hypothesis]) -> bool
     """Whether a part of a set, which leaves too much for a name, is about as probable as all of it: that what all of it
     leaves just passes then hangs on a hair."""
     fewer = [h for h in table if h.score.size < hypothesis.score.size and _within(h, hypothesis)]
-    return any(ahead <= error for ahead, error in (lead(hypothesis.score, h.score) for h in fewer))
+    return any(not _is_ahead(hypothesis, h) for h in fewer)
 
 
 def _within(hypothesis: Hypothesis, other: Hypothesis) -> bool:
@@ -145,6 +145,22 @@ def _within(hypothesis: Hypothesis, other: Hypothesis) -> bool:
 
 def _plain_names(names: tuple[str, ...]) -> set[str]:
     return {"dry friction" if _is_dry(name) else EFFECTS[name].becomes or name for name in names}
+
+
+def _dominating(table: Sequence[Hypothesis], base: Hypothesis, settings: JudgementSettings) -> list[Hypothesis]:
+    """The smallest sets that may dominate, but where a set with a number at its bound, which no machine has, is clearly
+    more probable than they: then something else is at work."""
+    able = [h for h in table if may_dominate(h, base, settings)]
+    best = max(able, key=lambda h: h.score.total, default=None)
+    near = [h for h in able if best is not None and not _is_ahead(best, h)]
+    odd = [h for h in table if h.names and at_end(h.fit)]
+    return nearest(h for h in near if not any(_is_ahead(o, h) for o in odd if not _within(h, o)))
+
+
+def _is_ahead(other: Hypothesis, hypothesis: Hypothesis) -> bool:
+    """Whether another set is more probable by more than a standard error."""
+    ahead, error = lead(other.score, hypothesis.score)
+    return ahead > error
 
 
 def _is_dry(name: str) -> bool:
