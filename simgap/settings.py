@@ -82,6 +82,8 @@ class JudgementSettings:
     """Part of the runs that must be met so: what just passes a notch or grazes a stop hangs on a hair."""
     dominant: float = 0.5
     """Part of a run's gap that what dominates may leave."""
+    drift: float = 0.2
+    """Part of itself by which the size of an effect must change over the session for it not to be a constant."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,13 @@ from simgap.film.samples import Rows
 from simgap.film.scene import FilmScene
 from simgap.models.localise import LEVEL, benjamini_hochberg
 from simgap.select.words import amount, capital, effect_words, plain
+from simgap.verdict import Answer as Answer
+from simgap.verdict import By as By
+from simgap.verdict import Corrected as Corrected
 from simgap.verdict import Named, RunGap, Verdict
+from simgap.verdict import Proof as Proof
+from simgap.verdict import Use as Use
+from simgap.verdict import Where as Where
 
 LEFT = 0.1
 """Share of a gap that may be left without a word, and that a name must close. Not measured."""

@@ -47,7 +47,7 @@ class Choice:
     in_part: bool = False
     """Whether the sets of `explaining` are but what dominates: they leave a remainder without a name."""
     nameless: tuple[Nameless, ...] = ()
-    """Forces without a name beside what is named, or beside what was nearest; they decide nothing."""
+    """Forces without a name beside what is named, or beside what was nearest."""
     table: tuple[Hypothesis, ...] = field(default=(), repr=False)
 
 
@@ -71,15 +71,24 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
         whole = nearest(h for h in real if _has_shape(h) and named_whole(h, base, settings))
     standing = [(h, as_added(h, search, folds, base)) for h in whole or part]
     standing = [(h, added) for h, added in standing if whole or may_dominate(added, base, settings)]
+    nameless = beside(standing[0][0] if standing else best, folds)
+    if any(_drifts(n, settings) for n in nameless):
+        standing = []
     return Choice(
         base,
         best,
         tuple(added for _, added in standing),
         gap=True,
         in_part=bool(standing) and not whole,
-        nameless=beside(standing[0][0] if standing else best, folds),
+        nameless=nameless,
         table=tuple(table) if not whole else tuple(real),
     )
+
+
+def _drifts(rival: Nameless, settings: JudgementSettings) -> bool:
+    """Whether the size of an effect is no constant: it clearly changes over the session, and by much."""
+    much = any(abs(change) > settings.drift for change in rival.changes.values())
+    return rival.kind == "session" and rival.ahead > rival.error and much
 
 
 def _has_gap(base: Hypothesis, best: Hypothesis, settings: JudgementSettings) -> bool:
