@@ -42,7 +42,7 @@ class Corrected:
     """1 of a factor, rad of a lean."""
     value: float
     low: float
-    """90 % interval, all else being as it stands in the files."""
+    """90 % interval, all else that the asset may be off by being as doubtful."""
     high: float
 
 

@@ -49,7 +49,10 @@ NOT_REPLAYED = (
     "SAPIEN has not confirmed it: where the force is read that prescribed motion took, no free simulation can follow; "
     "runs kept to confirm it are judged by inverse dynamics."
 )
-STOPPED = "The search was stopped after {:.0f} s of processor time (--seconds): this is the best that it had found."
+STOPPED = (
+    "The search was stopped after {:.0f} s of processor time (--seconds): this is the best that it had found; a "
+    "larger --seconds may find more."
+)
 MOST_RANKED = 12
 """Sets that the page lists."""
 _ORDER = ("no_gap", "not_excited", "named", "ambiguous", "unexplained")

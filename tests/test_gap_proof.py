@@ -21,6 +21,7 @@ from freeart21.measured import Measured, Run
 from simgap.fit.problem import problem_of
 from simgap.measure.data import fit_runs
 from simgap.models.surrogate import Nuisance, plant_of
+from simgap.page.publish import _rolled_back
 from simgap.prove.body import correction_of
 from simgap.prove.replay import AssetOnDisk, replay
 from simgap.prove.writeback import repaired
@@ -120,6 +121,28 @@ def test_the_delivered_files_give_the_verdicts_own_numbers(inertia: float, oil: 
     assert replayed(urdf, measured, list(kept)) == {name: gap.before for name, gap in kept.items()}
     _, mine = swings(tmp_path / "mine", inertia, oil, 7)
     assert replayed(tmp_path / "gap/asset", mine, ["run_6"])["run_6"] < 1.3e-3
+
+
+def test_what_free_swings_cannot_tell_of_the_asset_ends_with_what_would(tmp_path: Path):
+    """A heavier part swings as one of less inertia: either may be written, and a known push tells them apart."""
+    asset, measured = swings(tmp_path, 1.03, 0.0)
+    found = find_gap(read_asset(asset), read_measured(measured))
+    (inertia,) = (c for c in found.corrections if c.name == "inertia")
+    assert found.verdict == "no_gap" and inertia.low < 1.0 < 1.03 < inertia.high  # weight alone may be off as well
+    assert "or it may be that its weight pulls 0.97" in found.sentence
+    assert found.next_experiment and "known" in found.next_experiment and "then differ by" in found.next_experiment
+
+
+def test_an_answer_that_nothing_confirms_asks_for_more_runs(tmp_path: Path):
+    asset, measured = swings(tmp_path, 1.0, 0.06, count=4)
+    found = find_gap(read_asset(asset), read_measured(measured))
+    assert found.verdict == "named" and "not confirmed" in found.sentence
+    assert found.next_experiment and "Record more runs" in found.next_experiment
+
+
+def test_what_no_replay_confirms_ends_with_an_experiment():
+    oil = Named(ViscousDamping(0.1), {"coefficient": 0.09}, {"coefficient": 0.11})
+    assert _rolled_back(Verdict("named", (oil,), (), (), (), None, "Oil."), (oil,), (oil,)).next_experiment
 
 
 def rows(*sizes: tuple[Use, float, float]) -> tuple[RunGap, ...]:

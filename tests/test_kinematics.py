@@ -248,6 +248,7 @@ def test_what_the_library_does_not_have_is_not_named(tmp_path: Path, size: float
     found = found_in(tmp_path, "revolute", cam, span=1.1)
     assert found.verdict == verdict, (found.effects, found.remainder_floors)
     assert found.remainder_floors > (1 if verdict == "unexplained" else 0.5)
+    assert (found.next_experiment is not None) == (verdict == "unexplained")
 
 
 def test_little_motion_says_nothing(tmp_path: Path):

@@ -337,7 +337,7 @@ def _finding(
         tuple(track_geometry(t, out, mechanics, weighting, plain, point) for t, out in zip(tracks, flags, strict=True)),
         tuple(sorted(ranking, key=lambda row: row[1])),
         remainder,
-        _experiment(rivals) if rivals else None,
+        _experiment(rivals) if rivals else _UNNAMED if verdict == "unexplained" else None,
         (plain.registration, point.registration),
         tuple(order[e.name] for e in effects),
     )
@@ -369,6 +369,12 @@ def _rivals(losses: Losses, chosen: tuple[str, ...], settings: KinematicsSetting
         if p > 0.05 or gain < 0.5 * settings.least_share * losses.mean(chosen):
             found.append((gain, subset))
     return (chosen, *(subset for _, subset in sorted(found))) if found else ()
+
+
+_UNNAMED = (
+    "Move the joint slowly through its whole range, both ways, and once with the part held still, all in the picture."
+)
+"""What to record of a displacement that has no name: whether it goes with position, direction or time."""
 
 
 def _experiment(rivals: tuple[tuple[str, ...], ...]) -> str:

@@ -48,6 +48,7 @@ from simgap.prove.replay import (
 )
 from simgap.prove.show import Chosen, ChosenPoses, ReplayGap, Shown, alike, closed_alike, helps, show
 from simgap.prove.writeback import repaired
+from simgap.select.experiment import UNNAMED
 from simgap.select.words import plain, runs_text, with_closed, with_replayed
 from simgap.settings import JudgementSettings
 from simgap.verdict import Named, Proof, RunGap, Use, Verdict, halved, root_mean_square, told_by, unit_of
@@ -517,6 +518,7 @@ def _rolled_back(verdict: Verdict, certain: tuple[Named, ...], bad: Sequence[Nam
     return replace(
         verdict,
         verdict="unexplained",
+        next_experiment=verdict.next_experiment or UNNAMED[""],
         effects=kept,
         rivals=(),
         sentence=sentence,

@@ -15,7 +15,7 @@ from simgap.measure.floor import Floor
 from simgap.measure.withstood import Withstood
 from simgap.select.choose import Choice
 from simgap.select.delivery import Delivery
-from simgap.select.experiment import next_experiment
+from simgap.select.experiment import UNNAMED, next_experiment
 from simgap.select.hypotheses import Hypothesis
 from simgap.select.intervals import NORMAL_90, with_intervals
 from simgap.select.nameless import Nameless
@@ -39,16 +39,6 @@ _FORCES = {
     "time": "a force that depends on the time since a run began",
     "flexing": "parts that flex between the sensor and the load",
     "session": "a size that changes over the session",
-}
-_LATER = {
-    "position": "Move it slowly through its whole range, both ways, with a known force, and record again.",
-    "velocity": "Record it at several steady speeds, both ways, with a known force.",
-    "direction": "Record the same motion both ways, and once with the base turned round.",
-    "time": "Begin the same motion early and late after the recording is started.",
-    "flexing": "Hold the part and push the drive, and tap it at rest: what rings between them is not in the asset.",
-    "session": "Move it for some minutes, then record these runs again, the last ones first.",
-    "": "Record free motion without any drive, small and large, then the same with known pushes: what is missing in "
-    "both is the joint's, what only in one is the drive's.",
 }
 
 
@@ -148,15 +138,15 @@ def _gated(found: Verdict, problem: Problem, settings: JudgementSettings) -> Ver
             f"Simulation and measurement differ, and the nearest explanation, {nearest}, leaves {now} of {was} on "
             f"{of}, by its fit: it is none."
         )
-        return replace(bare, verdict="unexplained", next_experiment=_LATER[""], sentence=said)
+        return replace(bare, verdict="unexplained", next_experiment=UNNAMED[""], sentence=said)
     others = [gap for gap in found.gaps if gap.use != "confirming"]
     odd = [gap for gap in others if gap.before > settings.plain_gap * gap.floor]
+    names = ", ".join(gap.run for gap in odd)
+    later = f"Record more motion like that of {names}, and hold half of it out."
     if len(odd) < (1 - settings.met) * len(others):
         said = f"Simulation and measurement agree on {of}; what others leave has no name that these confirm."
-        return replace(bare, verdict="no_gap", sentence=said)
-    names = ", ".join(gap.run for gap in odd)
+        return replace(bare, verdict="no_gap", sentence=said, next_experiment=later if odd else None)
     said = f"Simulation and measurement differ in {names}, perhaps by {nearest}; but no gap shows on {of}."
-    later = f"Record more motion like that of {names}, and hold half of it out."
     return replace(bare, verdict="unexplained", next_experiment=later, sentence=said)
 
 
@@ -176,7 +166,9 @@ def _verdict_of(
     closed = float(np.clip((was - now) / max(was - 1.0, 1e-9), 0.0, 1.0))
     of = runs_text([gap.use for gap in told], len(split.folds) > 1 and not split.confirming)
     closing = f"{closed_text(closed, of)}."
+    later = next_experiment(delivery.rivals) if delivery.rivals else None
     body = f"{correction_words(delivery.corrected)}, and the asset delivered says so" if delivery.corrected else ""
+    body += f"; or it may be that {correction_words(delivery.other)}" if delivery.other else ""
     if not choice.gap:
         said = (
             f"No effect is missing, but the asset itself is off: {body}. {closing}"
@@ -185,8 +177,9 @@ def _verdict_of(
         )
         odd, far = max(before.by_run.items(), key=lambda entry: entry[1])
         if far > _ODD * before.usual:
-            said += f" But run {odd} goes another way, and nothing explains that one alone: record it again."
-        return Verdict("no_gap", (), (), gaps, (), None, said, corrections=delivery.corrected)
+            said += f" But run {odd} goes another way, and nothing explains that one alone."
+            later = " ".join(filter(None, (f"Record run {odd} again.", later)))
+        return Verdict("no_gap", (), (), gaps, (), later, said, corrections=delivery.corrected)
     if not choice.explaining:
         return _unexplained(choice, gaps, floor, problem)
     best = choice.explaining[0]
@@ -195,7 +188,7 @@ def _verdict_of(
     words = " and ".join(effect_words(n.effect, kind) for n in named)
     if len(choice.explaining) > 1:
         sets = tuple(j.names for j in choice.explaining)
-        experiment = next_experiment([j.fit for j in choice.explaining], runs)
+        experiment = next_experiment([j.fit for j in choice.explaining])
         or_else = ", or ".join(_listed(j) for j in choice.explaining)
         said = f"These runs cannot decide{' what dominates' * choice.in_part}: {or_else}.{sure_of(sets)}{rest}"
         return Verdict("ambiguous", named, (), gaps, sets, experiment, said, in_part=choice.in_part)
@@ -205,16 +198,22 @@ def _verdict_of(
         return Verdict("not_excited", named, (), gaps, (), wider, said)
     if body:
         words += f". Besides, {body}"
+    steps = [later]
     if not split.confirming:
         closing += " It is not confirmed: there are too few runs to keep some for that."
+        steps.append("Record more runs like these: of five, or of two that are held out, one confirms the answer.")
     if choice.in_part:
         said = f"Most of what the simulation misses is this: {words}. {closing}{rest}"
-        return Verdict("named", named, (), gaps, (), None, said, in_part=True, corrections=delivery.corrected)
-    said = f"The simulation misses this: {words}. {closing}"
-    if best.usual > _REMAINS:
+    else:
+        said = f"The simulation misses this: {words}. {closing}"
+    if not choice.in_part and best.usual > _REMAINS:
         rest = _length(best.usual * floor.still, problem)
         said += f" What remains, {rest} or {best.usual:.2g} times the sensor's noise, has no name."
-    return Verdict("named", named, (), gaps, (), None, said, corrections=delivery.corrected)
+    steps += [_later(choice)] if rest else []
+    experiment = " ".join(filter(None, steps)) or None
+    return Verdict(
+        "named", named, (), gaps, (), experiment, said, in_part=choice.in_part, corrections=delivery.corrected
+    )
 
 
 def _unexplained(choice: Choice, gaps: tuple[RunGap, ...], floor: Floor, problem: Problem) -> Verdict:
@@ -231,8 +230,13 @@ def _unexplained(choice: Choice, gaps: tuple[RunGap, ...], floor: Floor, problem
         said += f". Something without a name does better: {_FORCES[rival.kind]}"
         changes = {name: by for name, by in rival.changes.items() if abs(by) > _SPOKEN}
         said += "".join(f"; {plain(name)} changes by {by:+.0%}" for name, by in changes.items())
-    later = _LATER[rival.kind if rival is not None else ""]
-    return Verdict("unexplained", (), (), gaps, (), later, f"{said}.")
+    return Verdict("unexplained", (), (), gaps, (), _later(choice), f"{said}.")
+
+
+def _later(choice: Choice) -> str:
+    """What to record of what has no name."""
+    rival = _spoken(choice)
+    return UNNAMED[rival.kind if rival is not None else ""]
 
 
 def _spoken(choice: Choice) -> Nameless | None:

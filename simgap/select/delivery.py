@@ -8,7 +8,7 @@ asset as it then is.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -51,6 +51,10 @@ class Delivery:
     body: BodyCorrection = NO_CORRECTION
     corrected: tuple[Corrected, ...] = ()
     """The numbers of the body that were fitted, with 90 % intervals."""
+    rivals: tuple[Fit, ...] = ()
+    """The correction and the likeliest that does as well by other numbers; empty where there is none."""
+    other: tuple[Corrected, ...] = ()
+    """The numbers of that one that the correction does not have."""
 
     @property
     def holding(self) -> float:
@@ -91,13 +95,19 @@ def deliver(
     fit = min((fit for fit in near if len(_doubts(fit)) == fewest), key=lambda fit: fit.cost)
     if not _doubts(fit):
         return Delivery(fit)
+    numbers, every_doubt = {*_doubts(fit)}, tried[-1]
+    others = [o for o in near if not numbers <= {*_doubts(o)} and len(_doubts(o)) < len(_doubts(every_doubt))]
+    rival = min(others, key=lambda o: o.cost, default=None)
+    rivals = () if rival is None else (fit, rival)
+    other = () if rival is None else _corrected(rival, every_doubt, numbers)
     body = correction_of(problem.plant, Reader(fit.theory).nuisance(fit.theta))
     try:
         with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
             plant = plant_of(repaired(asset, (), Path(place) / "asset", body=body), measured)
     except FreeArtError:  # its files cannot say so
         return Delivery(tried[0])
-    return Delivery(_refitted(as_delivered(problem, plant), fit, train), body, _corrected(fit))
+    corrected = _corrected(fit, every_doubt)
+    return Delivery(_refitted(as_delivered(problem, plant), fit, train), body, corrected, rivals, other)
 
 
 def _is_quiet(hypothesis: Hypothesis, runs: set[str]) -> bool:
@@ -113,11 +123,14 @@ def _near(best: Score, score: Score) -> bool:
 
 
 def _variants(problem: Problem, names: tuple[str, ...]) -> list[Problem]:
-    """The problem without doubts of the asset, with that of its inertia alone, of its weight alone, and with all."""
+    """The problem without doubts of the asset, with that of its inertia, of its base, of both, of its weight, and with
+    all."""
     bare = as_delivered(problem)
     variants = [
         bare,
         replace(bare, inertia_relative=problem.inertia_relative),
+        replace(bare, fit=problem.fit),
+        replace(bare, fit=problem.fit, inertia_relative=problem.inertia_relative),
         replace(bare, gravity_relative=problem.gravity_relative),
         problem,
     ]
@@ -135,17 +148,20 @@ def _refitted(problem: Problem, parent: Fit, runs: tuple[FitRun, ...]) -> Fit:
     return resettled(fitted(theory, runs, joined(theory, parent, {}), starts), runs)
 
 
-def _doubts(fit: Fit) -> list[int]:
-    """Indices of the numbers that say how the asset is off."""
-    return [i for i, r in enumerate(fit.theory.ranges()) if r.owner == ASSET and r.name != HOLDING]
+def _doubts(fit: Fit) -> dict[str, int]:
+    """Names of the numbers that say how the asset is off, and their indices."""
+    return {r.name: i for i, r in enumerate(fit.theory.ranges()) if r.owner == ASSET and r.name != HOLDING}
 
 
-def _corrected(fit: Fit) -> tuple[Corrected, ...]:
-    """The numbers of the asset that were fitted, with 90 % intervals; what else was fitted is as doubtful."""
-    ranges = fit.theory.ranges()
-    spread = NORMAL_90 * np.sqrt(np.diag(covariance(fit, unit_of(tempered(fit.residuals)))))
-    return tuple(
-        Corrected(*_SAID[ranges[i].name], float(x), float(x - s), float(x + s))
-        for i in _doubts(fit)
-        for x, s in [(fit.theta[i], spread[i])]
-    )
+def _corrected(fit: Fit, every: Fit, without: Collection[str] = ()) -> tuple[Corrected, ...]:
+    """The numbers of the asset that were fitted, but those `without`, with the 90 % intervals that they have in a fit
+    of `every` doubt."""
+    at = _doubts(every)
+    spread = NORMAL_90 * np.sqrt(np.diag(covariance(every, unit_of(tempered(every.residuals)))))
+    found = []
+    for name, i in _doubts(fit).items():
+        if name in without:
+            continue
+        x, free, s = float(fit.theta[i]), float(every.theta[at[name]]), float(spread[at[name]])
+        found.append(Corrected(*_SAID[name], x, min(x, free - s), max(x, free + s)))
+    return tuple(found)

@@ -1,16 +1,17 @@
-"""The next experiment: which of a few simple ones would part the rivals most, by their own predictions."""
+"""The next experiment: which of a few simple ones would part the rivals most, by their own predictions; and, where
+there are no rivals, what to record of what has no name."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array, exp_so3
 from simgap.fit.fit import Fit, Reader
-from simgap.measure.data import FitRun
 from simgap.models.surrogate import Inputs, Plant, simulate
 
 _SECONDS, _RATE = 5.0, 100.0
@@ -31,22 +32,44 @@ class Trial:
     """Whether the true position is recorded besides the sensor's readings."""
 
 
-def next_experiment(fits: list[Fit], runs: tuple[FitRun, ...]) -> str:
-    """What would part the first two fits most, and by how much."""
-    best, most = None, 0.0
-    for trial in _menu(fits[0], runs):
-        apart = _divergence(trial, fits[0], fits[1])
-        if apart > 1.3 * most:  # earlier ones are simpler
-            best, most = trial, apart
-    problem = fits[0].theory.problem
-    floors = most / problem.sigma
-    if best is None or floors < 3:
-        return "No simple experiment would part these explanations by their own predictions."
-    unit = f"{np.degrees(most):.2g}°" if problem.plant.joint_type == "revolute" else f"{1e3 * most:.2g} mm"
-    return f"{best.words}: the explanations then differ by {unit} ({floors:.0f} times the sensor's noise)."
+NO_EXPERIMENT = "No simple experiment would part these explanations by their own predictions."
+UNNAMED = {
+    "position": "Move it slowly through its whole range, both ways, with a known force, and record again.",
+    "velocity": "Record it at several steady speeds, both ways, with a known force.",
+    "direction": "Record the same motion both ways, and once with the base turned round.",
+    "time": "Begin the same motion early and late after the recording is started.",
+    "flexing": "Hold the part and push the drive, and tap it at rest: what rings between them is not in the asset.",
+    "session": "Move it for some minutes, then record these runs again, the last ones first.",
+    "": "Record free motion without any drive, small and large, then the same with known pushes: what is missing in "
+    "both is the joint's, what only in one is the drive's.",
+}
+"""Kind of force without a name (`nameless.KINDS`), empty for none, to what would tell more of it."""
+_CLEAR = 3.0
+"""Floors from which on predictions of an experiment are apart."""
 
 
-def _menu(fit: Fit, runs: tuple[FitRun, ...]) -> Iterator[Trial]:
+def next_experiment(fits: Sequence[Fit]) -> str:
+    """What would part all rivals, and by how much the nearest two of them then differ; where nothing parts all, what
+    parts the best two."""
+    problem, menu = fits[0].theory.problem, list(_menu(fits[0]))
+    for rivals in (fits, fits[:2]):
+        best, most = None, 0.0
+        for trial in menu:
+            curves = [_predicted(trial, fit) for fit in rivals]
+            apart = min(float(np.sqrt(np.mean((a - b) ** 2))) for a, b in combinations(curves, 2))
+            if apart > 1.3 * most:  # earlier ones are simpler
+                best, most = trial, apart
+        floors = most / problem.sigma
+        if best is None or floors < _CLEAR:
+            continue
+        unit = f"{np.degrees(most):.2g}°" if problem.plant.joint_type == "revolute" else f"{1e3 * most:.2g} mm"
+        which = "the explanations" if len(rivals) == len(fits) else "the first two explanations"
+        least = "at least " if len(rivals) > 2 else ""
+        return f"{best.words}: {which} then differ by {least}{unit} ({floors:.0f} times the sensor's noise)."
+    return NO_EXPERIMENT
+
+
+def _menu(fit: Fit) -> Iterator[Trial]:
     problem = fit.theory.problem
     plant, still = problem.plant, Inputs()
     middle, half = problem.reference[1], problem.reference[2]
@@ -105,17 +128,13 @@ def _loaded(plant: Plant) -> Plant:
     return replace(plant, mechanics=loaded)
 
 
-def _divergence(trial: Trial, first: Fit, second: Fit) -> float:
-    """Root mean square difference of what the two predict, rad or m."""
-    times = np.arange(int(_SECONDS * _RATE)) / _RATE
-    curves: list[list[Array]] = []
-    for fit in (first, second):
-        reader = Reader(fit.theory)
-        effects, nuisance = reader.effects(fit.theta), reader.nuisance(fit.theta)
-        made = [simulate(trial.plant, effects, times, trial.q0, 0.0, trial.inputs, nuisance)]
-        if trial.poses:
-            dynamic = tuple(effect for effect in effects if effect.kind != "sensing")
-            offset = made[0][0] - trial.q0
-            made.append(simulate(trial.plant, dynamic, times, trial.q0 - offset, 0.0, trial.inputs, nuisance))
-        curves.append(made[1:] if trial.poses else made)
-    return float(max(np.sqrt(np.mean((a - b) ** 2)) for a, b in zip(*curves, strict=True)))
+def _predicted(trial: Trial, fit: Fit) -> Array:
+    """(n,) what is recorded by this fit, rad or m."""
+    times, reader = np.arange(int(_SECONDS * _RATE)) / _RATE, Reader(fit.theory)
+    effects, nuisance = reader.effects(fit.theta), reader.nuisance(fit.theta)
+    readings = simulate(trial.plant, effects, times, trial.q0, 0.0, trial.inputs, nuisance)
+    if not trial.poses:
+        return readings
+    true = tuple(effect for effect in effects if effect.kind != "sensing")
+    offset = readings[0] - trial.q0
+    return simulate(trial.plant, true, times, trial.q0 - offset, 0.0, trial.inputs, nuisance)

@@ -44,8 +44,7 @@ def effect_words(effect: Effect, joint_type: JointType) -> str:
 
 
 def correction_words(corrections: Sequence[Corrected]) -> str:
-    """The asset's corrected numbers that differ from what it says; all of them where none does by itself."""
-    far = [c for c in corrections if not c.low <= (1.0 if c.unit == "1" else 0.0) <= c.high]
+    """The asset's corrected numbers."""
     said = {
         "inertia": "its inertia is {} times what the asset says",
         "weight": "its weight pulls {} times as much as the asset says",
@@ -53,7 +52,7 @@ def correction_words(corrections: Sequence[Corrected]) -> str:
         "lean_across": "its weight pulls {} from across where the asset says",
     }
     words = []
-    for c in far or corrections:
+    for c in corrections:
         value, low, high = (f"{v:.4g}" if c.unit == "1" else amount(v, c.unit) for v in (c.value, c.low, c.high))
         words.append(f"{said[c.name].format(value)} ({low} to {high})")
     return " and ".join(words)

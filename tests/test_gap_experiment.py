@@ -1,0 +1,49 @@
+"""The next experiment, by the predictions of those that it has to part."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_case import ARM, INERTIA, MASS, G, asset_of, measured_of
+
+from freeart21.files.asset import read_asset
+from simgap.fit.fit import Fit
+from simgap.fit.problem import Problem, as_delivered, problem_of
+from simgap.fit.theory import Theory
+from simgap.measure.data import fit_runs
+from simgap.models.surrogate import plant_of
+from simgap.select.experiment import NO_EXPERIMENT, next_experiment
+from simgap.settings import GapSettings
+
+
+@pytest.fixture
+def problem(tmp_path: Path) -> Problem:
+    """A pendulum that swings free, nothing of its asset in doubt."""
+    measured = measured_of(3, runs=2)
+    plant = plant_of(read_asset(asset_of(tmp_path)), measured)
+    return as_delivered(problem_of(plant, measured, *fit_runs(measured, plant), GapSettings()))
+
+
+def fit(problem: Problem, name: str, *values: float) -> Fit:
+    """One effect of known numbers."""
+    theory = Theory(problem, (name,))
+    count = len(theory.ranges())
+    assert count == len(values)
+    return Fit(theory, np.array(values), {}, {}, 0.0, np.eye(count))
+
+
+def test_an_experiment_parts_all_rivals(problem: Problem):
+    """A tenth of inertia more swings as a weaker pull; a known push tells them apart, and both from oil."""
+    heavier = fit(problem, "armature", 0.1 * INERTIA)
+    weaker = fit(problem, "gravity_offset", 0.0, MASS * G * ARM / 11)
+    oil = fit(problem, "viscous_damping", 0.06)
+    assert next_experiment([heavier, weaker]).startswith("Push it to and fro with a known")
+    assert "the explanations then differ by at least" in next_experiment([heavier, weaker, oil])
+
+
+def test_what_no_experiment_parts_is_said(problem: Problem):
+    oil, more = fit(problem, "viscous_damping", 0.06), fit(problem, "viscous_damping", 0.2)
+    assert next_experiment([oil, oil]) == NO_EXPERIMENT
+    assert "the first two explanations then differ by" in next_experiment([oil, more, oil])
