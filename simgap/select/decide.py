@@ -188,17 +188,17 @@ def _verdict_of(
     words = " and ".join(effect_words(n.effect, kind) for n in named)
     if len(choice.explaining) > 1:
         sets = tuple(j.names for j in choice.explaining)
-        experiment = next_experiment([j.fit for j in choice.explaining])
+        parted = next_experiment([j.fit for j in choice.explaining])
         or_else = ", or ".join(_listed(j) for j in choice.explaining)
         said = f"These runs cannot decide{' what dominates' * choice.in_part}: {or_else}.{sure_of(sets)}{rest}"
-        return Verdict("ambiguous", named, (), gaps, sets, experiment, said, in_part=choice.in_part)
+        return Verdict("ambiguous", named, (), gaps, sets, parted, said, in_part=choice.in_part)
     if unmoved(best):
         said = f"Something is missing, perhaps {words}, but these runs do not move enough of it to say how much."
         wider = "Record larger and smaller motions over the whole range, with pushes of known size."
         return Verdict("not_excited", named, (), gaps, (), wider, said)
     if body:
         words += f". Besides, {body}"
-    steps = [later]
+    steps: list[str | None] = [later]
     if not split.confirming:
         closing += " It is not confirmed: there are too few runs to keep some for that."
         steps.append("Record more runs like these: of five, or of two that are held out, one confirms the answer.")
