@@ -7,8 +7,7 @@ upon the colour picture, and how the colours came out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import cv2
@@ -28,98 +27,75 @@ SOFT_RAD = float(np.radians(3.0))
 """The same for grazing surfaces, radians; half of what `generator.tof` has after Nguyen 2012. Not measured."""
 ROOM_M = 1.0
 """How far behind an object the room is that flying pixels are mixed with, where nothing is drawn, as in `tof`."""
-BOUNDS: dict[str, tuple[float, float]] = {
-    "depth_scale": (-0.5, 1.0),
-    "depth_offset": (-1.0, 1.0),
-    "depth_curve": (-1.0, 1.0),
-    "noise": (0.0, 1.0),
-    "noise_at": (1e-3, 1e3),
-    "noise_growth": (-4.0, 8.0),
-    "noise_grazing": (0.0, 8.0),
-    "holes": (0.0, 1.0),
-    "dark_share": (0.0, 1.0),
-    "dark_level": (0.0, 1.0),
-    "grazing_share": (0.0, 1.0),
-    "grazing_angle": (0.0, np.pi / 2),
-    "flying_share": (0.0, 1.0),
-    "flying_reach": (0.0, 20.0),
-    "depth_shift_u": (-200.0, 200.0),
-    "depth_shift_v": (-200.0, 200.0),
-    "depth_turn": (-0.5, 0.5),
-    "focal": (-0.5, 1.0),
-    "centre_u": (-1000.0, 1000.0),
-    "centre_v": (-1000.0, 1000.0),
-    "depth_delay": (-5.0, 5.0),
-}
-"""What each number may be at most: far beyond any camera, so that a damaged file is refused."""
-MOST_KNOTS = 100
+MOST_KNOTS, MOST_DRIFT = 100, 20.0
+"""Knots of a drift, and the largest value at one, stops or 1."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What a number of `CameraFaults` means."""
+
+    low: float
+    high: float
+    """Between these it must lie: far beyond any camera, so that a damaged file is refused."""
+    unit: str
+    """SI, pixels or stops; 1 of a share or an exponent."""
+    meaning: str
+
+
+def _fault(low: float, high: float, unit: str, meaning: str, default: float | tuple[float, ...] = 0.0) -> Any:
+    return field(default=default, metadata={"fault": Fault(low, high, unit, meaning)})
 
 
 @dataclass(frozen=True)
 class CameraFaults:
-    """How a camera departs from an ideal pinhole with perfect depth."""
+    """How a camera departs from an ideal pinhole with perfect depth.
 
-    depth_scale: float = 0.0
-    """Share: a depth z reads (1 + share) z."""
-    depth_offset: float = 0.0
-    """Metres that every depth reads too much."""
-    depth_curve: float = 0.0
-    """1/m: a depth z reads curve z^2 too much."""
-    noise: float = 0.0
-    """Standard deviation of each pixel's depth, metres, at the distance `noise_at` and straight on."""
-    noise_at: float = 1.0
-    """Metres."""
-    noise_growth: float = 0.0
-    """Exponent of the distance that the noise grows by."""
-    noise_grazing: float = 0.0
-    """Exponent of 1 / cos(angle of incidence) that the noise grows by."""
-    holes: float = 0.0
-    """Share of the pixels, anywhere on the object, without depth."""
-    dark_share: float = 0.0
-    """Share of the pixels that surfaces lose which are much darker than `dark_level`."""
-    dark_level: float = 0.0
-    """Brightness (mean of sRGB, 0 to 1) of surfaces that lose half as much."""
-    grazing_share: float = 0.0
-    """Share of the pixels that surfaces lose which are seen much flatter than `grazing_angle`."""
-    grazing_angle: float = 0.0
-    """Angle of incidence, radians, at which they lose half as much."""
-    flying_share: float = 0.0
-    """Share of the pixels at a depth edge whose depth lies anywhere between the two surfaces."""
-    flying_reach: float = 0.0
-    """Pixels from the edge within which they do."""
-    depth_shift_u: float = 0.0
-    depth_shift_v: float = 0.0
-    """Pixels to the right and down by which the depth picture lies off the colour picture."""
-    depth_turn: float = 0.0
-    """Radians, clockwise in the picture, by which it is turned about the principal point."""
-    focal: float = 0.0
-    """Share by which the focal length is larger than told."""
-    centre_u: float = 0.0
-    centre_v: float = 0.0
-    """Pixels by which the principal point is right of, and below, where it is told."""
-    depth_delay: float = 0.0
-    """Seconds by which the depth picture shows an earlier moment than the colour picture."""
-    exposure: tuple[float, ...] = ()
-    """Stops (powers of two of linear light) of exposure at moments spread evenly over the film; straight between."""
-    gamma: tuple[float, ...] = ()
-    """The same of the exponent on linear light, less 1."""
+    A depth z reads (1 + depth_scale) z + depth_offset + depth_curve z^2. Noise is at the distance `noise_at` and
+    straight on. Surfaces much darker than `dark_level` lose `dark_share` of their pixels, those at it half as much;
+    likewise those seen flatter than `grazing_angle`. Drifts are values at moments spread evenly over the film, straight
+    between.
+    """
+
+    depth_scale: float = _fault(-0.5, 1.0, "1", "share of itself that depth reads too much")
+    depth_offset: float = _fault(-1.0, 1.0, "m", "what depth reads too much at any distance")
+    depth_curve: float = _fault(-1.0, 1.0, "1/m", "what depth reads too much, by the square of the distance")
+    noise: float = _fault(0.0, 1.0, "m", "standard deviation of each pixel's depth")
+    noise_at: float = _fault(1e-3, 1e3, "m", "distance at which it is that", 1.0)
+    noise_growth: float = _fault(-4.0, 8.0, "1", "power of the distance that the noise grows by")
+    noise_grazing: float = _fault(0.0, 8.0, "1", "power of 1 / cos(angle of incidence) that the noise grows by")
+    holes: float = _fault(0.0, 1.0, "1", "share of all pixels without depth")
+    dark_share: float = _fault(0.0, 1.0, "1", "share of their pixels that dark surfaces lose")
+    dark_level: float = _fault(0.0, 1.0, "1", "brightness, 0 to 1, below which they do")
+    grazing_share: float = _fault(0.0, 1.0, "1", "share of their pixels that surfaces seen flat lose")
+    grazing_angle: float = _fault(0.0, np.pi / 2, "rad", "angle of incidence above which they do")
+    flying_share: float = _fault(0.0, 1.0, "1", "share of the pixels at a depth edge that lie between both surfaces")
+    flying_reach: float = _fault(0.0, 20.0, "px", "distance to the edge within which they do")
+    depth_shift_u: float = _fault(-200.0, 200.0, "px", "of the depth picture, right of the colour picture")
+    depth_shift_v: float = _fault(-200.0, 200.0, "px", "below it")
+    depth_turn: float = _fault(-0.5, 0.5, "rad", "clockwise about the principal point")
+    focal: float = _fault(-0.5, 1.0, "1", "share by which the focal length is longer than given")
+    centre_u: float = _fault(-1000.0, 1000.0, "px", "of the principal point, right of where it is given")
+    centre_v: float = _fault(-1000.0, 1000.0, "px", "below it")
+    depth_delay: float = _fault(-5.0, 5.0, "s", "by which the depth picture is older than the colour picture")
+    exposure: tuple[float, ...] = _fault(-MOST_DRIFT, MOST_DRIFT, "stops", "exposure", ())
+    gamma: tuple[float, ...] = _fault(-MOST_DRIFT, MOST_DRIFT, "1", "exponent of the tone curve, less 1,", ())
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name in ("exposure", "gamma"):
+        for name, fault in FAULTS.items():
+            value, low, high = getattr(self, name), fault.low, fault.high
+            if name in ("exposure", "gamma"):
                 knots = np.asarray(value, float)
-                if knots.ndim != 1 or len(knots) > MOST_KNOTS or not (np.abs(knots) <= 20).all():
+                if knots.ndim != 1 or len(knots) > MOST_KNOTS or not (np.abs(knots) <= high).all():
                     raise FreeArtError(
-                        f"camera faults: {field.name} is {value!r}, expected up to {MOST_KNOTS} numbers from -20 to 20"
+                        f"camera faults: {name} is {value!r}, expected up to {MOST_KNOTS} numbers from {low:g} to "
+                        f"{high:g}"
                     )
-                if field.name == "gamma" and (knots <= -1).any():
+                if name == "gamma" and (knots <= -1).any():
                     raise FreeArtError(f"camera faults: gamma is {value!r}, expected numbers above -1")
-                object.__setattr__(self, field.name, tuple(float(v) for v in knots))
-                continue
-            low, high = BOUNDS[field.name]
-            if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-                raise FreeArtError(f"camera faults: {field.name} is {value!r}, expected {low:g} to {high:g}")
+                object.__setattr__(self, name, tuple(float(v) for v in knots))
+            elif isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+                raise FreeArtError(f"camera faults: {name} is {value!r}, expected {low:g} to {high:g}")
 
     @property
     def none(self) -> bool:
@@ -199,9 +175,8 @@ class CameraFaults:
         return np.asarray(cv2.warpAffine(depth, A, depth.shape[::-1], flags=cv2.INTER_NEAREST))
 
 
-def with_values(faults: CameraFaults, values: Mapping[str, Any]) -> CameraFaults:
-    """The faults with other values, by name."""
-    return replace(faults, **values)
+FAULTS: dict[str, Fault] = {each.name: each.metadata["fault"] for each in fields(CameraFaults)}
+"""Field to what it means."""
 
 
 def falling(x: NDArray) -> Array:

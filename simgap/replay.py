@@ -24,32 +24,15 @@ from freeart21.files.places import check_place
 from freeart21.files.urdf import read_xml
 from freeart21.joint import JointType
 from freeart21.measured import Run
-from simgap.page.replay_page import Drawn, write_replay_page
+from simgap.page.replay_page import HEAD, Row, replay_page
 from simgap.prove.asset_files import file_hashes
-from simgap.prove.replay import SECONDS, AssetOnDisk, Engine, Progress, RunReplay, replay
+from simgap.prove.replay import SECONDS, AssetOnDisk, Engine, Progress, replay
 from simgap.verdict import SCHEMA as VERDICT
 from simgap.verdict import Use, unit_of
 
 SCHEMA = "freeart21/replay/1"
 MEASURED, POSES = "measured.json", "poses.npz"
 UNKNOWN = "unknown"
-
-
-@dataclass(frozen=True)
-class Row:
-    """One run."""
-
-    name: str
-    """Of all sets that were given, unmistakable."""
-    file: Path
-    unit: str
-    """Of the file's positions."""
-    per_unit: float
-    """rad or m in one of these."""
-    use: str
-    """What the verdict beside the asset says that it was used for; "unknown" where there is none, or of other runs."""
-    joint_type: JointType
-    replay: RunReplay
 
 
 @dataclass(frozen=True)
@@ -108,7 +91,7 @@ def replay_folder(
     rows: list[Row] = []
     given_up: list[str] = []
     notes: list[str] = []
-    joints, version, urdf = [], "", asset
+    joints, version, urdf = dict[str, None](), "", asset
     for folder, names in sets.items():
         measured, paths = read_measured(folder), run_files(folder)
         _check_names(folder, names, measured.runs)
@@ -129,7 +112,7 @@ def replay_folder(
             progress=None if progress is None else lambda k, _, done=done: progress(done + k, total),  # type: ignore[misc]
         )
         version = found.version or version
-        joints.append(measured.joint)
+        joints[measured.joint] = None
         label = "{}" if len(sets) == 1 else f"{folder}: {{}}"
         given_up += [label.format(name) for name in found.given_up]
         for run in found.runs:
@@ -139,17 +122,8 @@ def replay_folder(
     if not rows:
         raise FreeArtError(f"none of {total} runs was replayed within {seconds:g} s, expected more time (--seconds)")
     command = _command_line(asset, runs, engine, holding, guesses, root)
-    result = Replayed(
-        files,
-        urdf,
-        ", ".join(dict.fromkeys(joints)),
-        engine,
-        version,
-        tuple(rows),
-        tuple(given_up),
-        tuple(notes),
-        command,
-    )
+    told = tuple(rows), tuple(given_up), tuple(notes)
+    result = Replayed(files, urdf, ", ".join(joints), engine, version, *told, command)
     if out is not None:
         with only_writer(out), atomic.new_folder(out) as aside:
             _write(aside, result)
@@ -171,29 +145,20 @@ def _find_sets(runs: Sequence[Path]) -> dict[Path, list[str]]:
     for path in runs:
         if not path.exists():
             raise FreeArtError(f"{path} does not exist")
-        if (path / MEASURED).is_file():
-            found.setdefault(path, []).extend(name for name in run_files(path) if name not in found.get(path, ()))
-            continue
-        folder = next((above for above in (path.absolute().parents) if (above / MEASURED).is_file()), None)
+        folder = next((place for place in (path, *path.absolute().parents) if (place / MEASURED).is_file()), None)
         if folder is None:
             raise FreeArtError(
                 f"{path} is no measured set and lies in none ({MEASURED}): `freeart21 measure FILES --asset URDF --out "
                 "SET` makes one of a joint's positions"
             )
-        here = path.resolve()
-        name = next(
-            (
-                name
-                for name, file in run_files(folder).items()
-                if here == file or (file.name == POSES and here == file.parent)
-            ),
-            None,
-        )
-        if name is None:
-            raise FreeArtError(f"{folder / MEASURED} names no run {path}; runs: {', '.join(run_files(folder))}")
+        files, here = run_files(folder), path.resolve()
+        places = {name: (file, file.parent) if file.name == POSES else (file,) for name, file in files.items()}
+        names = [name for name, at in places.items() if folder is path or here in at]
+        if not names:
+            raise FreeArtError(f"{folder / MEASURED} names no run {path}; runs: {', '.join(files)}")
         folder = next((known for known in found if known.resolve() == folder.resolve()), folder)
-        if name not in found.setdefault(folder, []):
-            found[folder].append(name)
+        already = found.setdefault(folder, [])
+        already += [name for name in names if name not in already]
     if not found:
         raise FreeArtError("no run to replay, expected measured sets or files of runs in such")
     return found
@@ -214,10 +179,8 @@ def _check_names(folder: Path, names: Sequence[str], runs: Sequence[Run]) -> Non
 
 
 def _is_driven(runs: Sequence[Run], names: Sequence[str]) -> bool:
-    return any(
-        run.name in names and any(getattr(run, k) is not None for k in ("effort", "q_command", "voltage"))
-        for run in runs
-    )
+    inputs = [(run.effort, run.q_command, run.voltage) for run in runs if run.name in names]
+    return any(values is not None for each in inputs for values in each)
 
 
 def _read_unit(folder: Path, kind: JointType) -> tuple[str, float]:
@@ -276,9 +239,9 @@ def _write(out: Path, result: Replayed) -> None:
             "notes": list(result.notes),
         },
     )
-    drawn = [Drawn(row.name, row.joint_type, row.replay, format_row(row)) for row in result.rows]
-    about = [f"joint {result.joint}", f"{result.engine} {result.version}", f"{len(drawn)} runs"]
-    write_replay_page(out / "index.html", str(result.asset.path), about, result.command, HEAD, drawn, result.notes)
+    about = [f"joint {result.joint}", f"{result.engine} {result.version}", f"{len(result.rows)} runs"]
+    html = replay_page(str(result.asset.path), about, result.command, result.rows, result.notes)
+    atomic.write_bytes(out / "index.html", html.encode())
 
 
 def _row_to_json(row: Row, curve: str) -> dict[str, Any]:
@@ -308,22 +271,8 @@ def _file_names(names: Sequence[str]) -> list[str]:
     return [f"curves/{f'{k:03d}_' * twice}{name}.csv" for k, name in enumerate(safe)]
 
 
-MOST_SIGMAS = 1e6
-"""More come of readings without noise, of which sigma is the last digit of a number."""
-HEAD = ("run", "rms error", "in sigmas", "used", "start", "start velocity")
-"""Of what `format_row` gives."""
-
-
-def format_row(row: Row) -> tuple[str, ...]:
-    """A row of the table: errors and start in the unit of the data."""
-    run = row.replay
-    error, q, qd = (f"{value / row.per_unit:.6g} {row.unit}" for value in (run.error, *run.start))
-    sigmas = f"{run.sigmas:.4g}" if run.sigmas < MOST_SIGMAS else f"over {MOST_SIGMAS:g}"
-    return row.name, error, sigmas + " (hangs on a hair)" * (not run.sure), row.use, q, f"{qd}/s"
-
-
 def format_table(result: Replayed) -> str:
     """The runs as lines of text."""
-    rows = [HEAD, *map(format_row, result.rows)]
+    rows = [HEAD, *(row.texts() for row in result.rows)]
     widths = [max(len(row[k]) for row in rows) for k in range(len(HEAD))]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,8 @@ Use = Literal["fitted", "choosing", "confirming"]
 """What a run is used for: to fit sets to, to choose among them, or to confirm the choice."""
 Answer = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
 By = Literal["position", "force", "picture"]
-ANSWERS: tuple[str, ...] = get_args(Answer)
+GEOMETRY = "geometry"
+"""Regime of a gap that is counted in metres off the joint."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,8 @@ SHOWS = 1.35
 
 
 def root_mean_square(values: ArrayLike) -> float:
-    """Of all values."""
-    return float(np.sqrt(np.mean(np.square(values))))
+    """Of all values; 0 of none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else 0.0
 
 
 def shows_gap(gaps: Sequence[RunGap]) -> bool:

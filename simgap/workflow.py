@@ -17,7 +17,7 @@ from freeart21.files.asset import read_asset
 from freeart21.files.measured import read_measured, run_hashes
 from freeart21.joint import JointType
 from freeart21.measured import Measured
-from simgap.fit.fit import Fit, Problem, Reader, Theory, fit_starts, placed
+from simgap.fit.fit import Problem, Reader, Theory, fit_starts, placed
 from simgap.fit.force_search import ForceSearch
 from simgap.fit.force_search import candidates as force_candidates
 from simgap.fit.problem import as_delivered, problem_of
@@ -28,12 +28,13 @@ from simgap.measure.data import FitRun, fit_runs, thinned
 from simgap.measure.floor import Floor
 from simgap.measure.prescribed import ForceRun, force_runs
 from simgap.measure.withstood import withstood
-from simgap.models.surrogate import Nuisance, plant_of
-from simgap.page.publish import Draft, Paths, answer_folder, off_of, publish, with_positions
+from simgap.models.surrogate import plant_of
+from simgap.page.publish import Draft, Paths, answer_folder, publish, with_positions
 from simgap.page.report import Ranked
 from simgap.prove.body import NO_CORRECTION
-from simgap.prove.replay import SECONDS, Progress, check_match
-from simgap.prove.show import ReplayGap
+from simgap.prove.replay import SECONDS, Progress
+from simgap.prove.replay_process import check_match
+from simgap.prove.show import ReplayGap, compare_curves
 from simgap.select.choose import Choice, chosen
 from simgap.select.decide import Delivered, moves_enough, says_enough, silent_verdict, verdict_of
 from simgap.select.delivery import deliver
@@ -42,7 +43,7 @@ from simgap.select.predictive import DECISIVE, FREEDOM, lead
 from simgap.select.split import Split, split_of
 from simgap.select.words import amount, effect_words, plain
 from simgap.settings import GapSettings
-from simgap.verdict import SHOWS, Named, Verdict
+from simgap.verdict import SHOWS, Named, Verdict, root_mean_square
 
 DEFAULTS = GapSettings()
 NOT_REPLAYED = (
@@ -120,15 +121,13 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
     motion = replace(motion, notes=(*seen[2], NOT_REPLAYED)) if seen is not None and problem.force_read else motion
     return Draft(
         joined(motion, geometry, measured.joint_type),
-        off_of(plant, nuisance_of(choice.base.fit)),
+        Reader(choice.base.fit.theory).nuisance(choice.base.fit.theta),
         ranking_of(choice),
         geometry,
-        {run.name: run.regime for run in runs},
         floor.still,
         motion.verdict != "no_gap",
         certain_of(motion, geometry),
         curves_of(choice, split, delivered, runs) if problem.force_read else (),
-        {run.name: split.use(run.name) for run in runs},
         delivery.body if motion.corrections or motion.verdict == "ambiguous" else NO_CORRECTION,
         settings.judgement.dominant,
     )
@@ -183,21 +182,11 @@ def curves_of(choice: Choice, split: Split, delivered: Delivered, runs: tuple[Fi
     for run in runs:
         if nearest and run.name not in nearest:
             continue
-        off = (delivered.before.residuals[run.name], nearest.get(run.name, delivered.after.residuals[run.name]))
-        before, after = (run.q - residual * run.sigma for residual in off)
-        gap_before, gap_after, floor = (
-            float(np.sqrt(np.mean(series**2))) for series in (before - run.q, after - run.q, run.sigma)
-        )
-        use = split.use(run.name)
-        found.append(
-            ReplayGap(run.name, run.times_s, run.q, before, after, gap_before, gap_after, floor, run.regime, use)
-        )
+        after = nearest.get(run.name, delivered.after.residuals[run.name])
+        curves = run.q - delivered.before.residuals[run.name] * run.sigma, run.q - after * run.sigma
+        floor, use = root_mean_square(run.sigma), split.use(run.name)
+        found.append(compare_curves(run.name, run.times_s, run.q, curves, floor, run.regime, use))
     return tuple(found)
-
-
-def nuisance_of(fit: Fit) -> Nuisance:
-    """How the asset is off by this fit."""
-    return Reader(fit.theory).nuisance(fit.theta)
 
 
 def ranking_of(choice: Choice) -> tuple[Ranked, ...]:
@@ -218,14 +207,9 @@ def spread_of(hypothesis: Hypothesis) -> tuple[float, float]:
 def certain_of(motion: Verdict, geometry: KinematicsFinding | None) -> tuple[Named, ...]:
     """The effects that are named without doubt, whatever may be said of the rest: these go into the asset."""
     return (
-        *(named_of(geometry) if geometry is not None and geometry.verdict == "named" else ()),
+        *(geometry.named if geometry is not None and geometry.verdict == "named" else ()),
         *(motion.effects if motion.verdict == "named" else ()),
     )
-
-
-def named_of(geometry: KinematicsFinding) -> tuple[Named, ...]:
-    """The effects of the joint's geometry, with their intervals."""
-    return tuple(Named(*each) for each in zip(geometry.effects, geometry.low, geometry.high, strict=True))
 
 
 def joined(motion: Verdict, geometry: KinematicsFinding | None, kind: JointType) -> Verdict:
@@ -234,7 +218,7 @@ def joined(motion: Verdict, geometry: KinematicsFinding | None, kind: JointType)
         return motion
     answer = max(motion.verdict, geometry.verdict, key=_ORDER.index)
     told = ("named",) if answer == "unexplained" else ("named", "ambiguous")
-    crooked_effects = named_of(geometry) if geometry.verdict in told else ()
+    crooked_effects = geometry.named if geometry.verdict in told else ()
     kept = (*crooked_effects, *(motion.effects if motion.verdict in told else ()))
     sets = [
         tuple(dict.fromkeys((*crooked, *other)))

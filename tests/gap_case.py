@@ -12,8 +12,9 @@ from numba import njit
 from freeart21.asset import Asset
 from freeart21.measured import Interpolation, Measured, Run
 from freeart21.mechanics import Actuator
-from simgap.prove.replay import AssetOnDisk, Starts, address_of, replay_from
-from simgap.prove.show import Chosen, Shown, show
+from simgap.prove.replay import AssetOnDisk, Starts, address_of, replay
+from simgap.prove.show import Shown, show
+from simgap.verdict import RunGap
 
 MASS, ARM, G = 1.6, 0.5, 9.81
 INERTIA = 0.01 + MASS * ARM**2
@@ -126,6 +127,8 @@ def shown(
     of = dict(zip([run.name for run in measured.runs], starts, strict=True))
     begin = Starts(of, dict.fromkeys(of, noise))
     files = [AssetOnDisk(address_of(asset)) for asset in (before, after)]
-    pair = replay_from(files, measured, (begin, begin), list(of), holding=holding)
-    chosen = [Chosen(name, noise, regime) for name, regime in zip_longest(of, regimes, fillvalue="")]
-    return show(*pair, chosen)
+    before_, after_ = replay(files, measured, list(of), starts=(begin, begin), holding=holding)
+    gaps = [
+        RunGap(name, 0, 0, 0, True, regime, "confirming") for name, regime in zip_longest(of, regimes, fillvalue="")
+    ]
+    return show(before_, after_, noise, gaps)

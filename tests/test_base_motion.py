@@ -122,7 +122,7 @@ def test_a_crooked_joint_on_a_base_that_turns_and_is_pushed_moves_as_its_bits_of
     asset = repaired(read_asset(path), effects, tmp_path / "sprung")
     start = (0.4, 0.0)
     (there,) = shown(asset, asset, measured, (start,), 1e-4).runs
-    assert there.gap_after < 2e-4 * np.ptp(q)  # in SAPIEN
+    assert there.after < 2e-4 * np.ptp(q)  # in SAPIEN
     plant = plant_of(asset, measured)
     missing = missing_force(measured, plant.mechanics, -50, 50, effects, plant=plant)
     assert np.sqrt(np.mean(missing.force**2)) < 0.02 * missing.inertia * np.std(

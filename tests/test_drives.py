@@ -128,12 +128,12 @@ def test_a_replay_in_sapien_is_the_equation(name: str, tmp_path: Path):
     before = asset if name == "offset" else right
     plain = replace(measured, runs=(replace(run, enabled=None),))
     (there,) = shown(before, right, measured, (start,), 1e-4).runs
-    assert there.gap_after < 1e-5
+    assert there.after < 1e-5
     if name == "offset":
-        assert there.gap_before > 0.05
+        assert there.before > 0.05
     elif run.enabled is not None:
         (on,) = shown(right, right, plain, (start,), 1e-4).runs
-        assert on.gap_after > 0.05
+        assert on.after > 0.05
 
 
 @NAMES

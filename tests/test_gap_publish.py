@@ -18,25 +18,25 @@ from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
+from freeart21.measured import Run
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.kinematics import find_geometry_of
-from simgap.geometry.placing import place
 from simgap.models.equation_error import missing_force
 from simgap.models.localise import residual_maps
-from simgap.page.publish import GEOMETRY, Off, _as_fitted, publish
+from simgap.models.surrogate import Nuisance, plant_of
+from simgap.page.publish import _as_fitted, publish
 from simgap.prove import replay_process
 from simgap.prove.replay import CannotReplay, Replay, RunReplay
-from simgap.prove.show import Chosen, show
-from simgap.verdict import Verdict
+from simgap.prove.show import show
+from simgap.verdict import GEOMETRY, RunGap, Verdict
 from simgap.workflow import certain_of, joined
 
 TILT = AxisTilt(0.02, -0.015)
 
 
 def found(answer, *effects, rivals=()):
-    ends = tuple({n: getattr(e, n) for n in e.parameters()} for e in effects)
     more = "Tip the base." if rivals else None
-    return KinematicsFinding(answer, effects, ends, ends, rivals, (), (), 0.0, more)
+    return KinematicsFinding(answer, named(*effects), rivals, (), (), 0.0, more)
 
 
 def said(answer, *effects, rivals=(), more=None):
@@ -150,21 +150,19 @@ class _Stage:
     def load(self, h: float) -> float:
         return h
 
-    def replay(self, loaded, h, data, i, start):
+    def replay(self, loaded, h, run, start):
         return np.full(20, self.stiff * h**2)
 
 
-def runs_of(*offs: float, seconds: float = 2.0) -> dict[str, np.ndarray]:
-    """Readings of runs that are off by so much of a simulation at zero."""
-    times = np.linspace(0, seconds, 20)
-    return {f"{k}_{i}": v for i, off in enumerate(offs) for k, v in (("q", np.full(20, off)), ("times", times))}
+def run_of(off: float, seconds: float = 2.0) -> Run:
+    """A run that is off by so much of a simulation at zero."""
+    return Run("run", np.linspace(0, seconds, 20), np.full(20, off))
 
 
 def test_every_run_is_replayed_at_the_time_step_that_it_needs():
-    data = runs_of(0.0, 1e3)  # the second is off by so much that no step matters
-
-    def needed(stiff: float, i: int = 0, data=data) -> tuple[float, float]:
-        q, h, numerics = replay_process._converged(_Stage(stiff), data, i, (0.0, 0.0), 1e-3, 2e-3)
+    def needed(stiff: float, run: Run | None = None) -> tuple[float, float]:
+        run = run or run_of(0.0)
+        q, h, numerics = replay_process._converged(_Stage(stiff), run, (0.0, 0.0), 1e-3, 2e-3)
         np.testing.assert_allclose(q, stiff * h**2)  # the finest that was tried
         return h, numerics
 
@@ -172,9 +170,9 @@ def test_every_run_is_replayed_at_the_time_step_that_it_needs():
     assert smooth == 1e-3 and stiff == 5e-4 and max(at_once, later) < replay_process.ENOUGH
     h, numerics = needed(1e9)  # and does not go on for ever
     assert h == 2e-3 / 2**replay_process.HALVINGS and numerics > 1
-    assert needed(1e6, i=1)[0] == 1e-3
+    assert needed(1e6, run_of(1e3))[0] == 1e-3  # off by so much that no step matters
     long = 0.9 * replay_process.MOST_STEPS * 1e-3
-    assert needed(1e9, data=runs_of(0.0, seconds=long))[0] == 1e-3
+    assert needed(1e9, run_of(0.0, seconds=long))[0] == 1e-3
 
 
 class _StiffStage(_Stage):
@@ -183,15 +181,15 @@ class _StiffStage(_Stage):
             raise FreeArtError("shorten timestep_s")
         return h
 
-    def replay(self, loaded, h, data, i, start):
+    def replay(self, loaded, h, run, start):
         return np.zeros(20)
 
 
 def test_what_is_too_stiff_for_a_step_is_stepped_finer():
-    data = runs_of(0.0)
-    assert replay_process._converged(_StiffStage(1.5e-3), data, 0, (0.0, 0.0), 1e-3, 4e-3)[1] == 5e-4
+    run = run_of(0.0)
+    assert replay_process._converged(_StiffStage(1.5e-3), run, (0.0, 0.0), 1e-3, 4e-3)[1] == 5e-4
     with pytest.raises(FreeArtError, match="shorten"):
-        replay_process._converged(_StiffStage(1e-4), data, 0, (0.0, 0.0), 1e-3, 4e-3)
+        replay_process._converged(_StiffStage(1e-4), run, (0.0, 0.0), 1e-3, 4e-3)
 
 
 @pytest.mark.parametrize("change, told", [(0.9, ["run_0", "run_1"]), (40.0, ["run_0"]), (None, ["run_1"])])
@@ -203,7 +201,8 @@ def test_a_run_that_hangs_on_a_hair_tells_nothing(change: float | None, told: li
 
     first = (made("run_0", 0.0, 0.02 if change else 7.0), made("run_1", 0.0, 0.02))
     second = (made("run_0", 0.0, 0.05), made("run_1", 0.1, change or 0.05))
-    seen = show(*(Replay("sapien", "3", runs) for runs in (first, second)), [Chosen(f"run_{i}", 1e-3) for i in (0, 1)])
+    gaps = [RunGap(f"run_{i}", 0.0, 0.0, 0.0, True, "", "confirming") for i in (0, 1)]
+    seen = show(Replay("sapien", "3", first), Replay("sapien", "3", second), 1e-3, gaps)
     assert [run.run for run in seen.runs] == told
     assert sorted([*told, *(run.run for run in seen.unsure)]) == ["run_0", "run_1"] and seen.numerics < 1
 
@@ -222,10 +221,11 @@ def test_what_the_asset_is_off_by_is_no_place_of_a_gap(tmp_path: Path):
         return 0.02 * weight * np.cos(q)
 
     asset, measured = bob(tmp_path / "a"), pendulum(starts, lean, seconds=5.0, inertia=1.06 * INERTIA, gravity=0.97)
-    placed = place(asset, measured.gravity)
-    off = Off(1.06, (0.02 * weight, 0.03 * weight, 0.0))
+    plant = plant_of(asset, measured)
+    leans = float(np.sign(plant.gravity_terms[1, 0])) * 0.02 / 0.97
     naive, known = (
-        residual_maps(missing_force(*_as_fitted(measured, placed, (), o, (-3.0, 3.0)))) for o in (Off(), off)
+        residual_maps(missing_force(*_as_fitted(measured, plant, nuisance)))
+        for nuisance in (Nuisance(), Nuisance(1.06, 0.97, (leans, 0.0)))
     )
     assert min(m.adjusted for m in naive) < 0.01
     assert min(m.adjusted for m in known) > 0.05

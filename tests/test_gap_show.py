@@ -38,14 +38,14 @@ from simgap.geometry.placing import place
 from simgap.models.equation_error import missing_force
 from simgap.models.localise import residual_maps
 from simgap.models.surrogate import Nuisance, plant_of
-from simgap.page.publish import GEOMETRY, Draft, off_of, publish, with_positions
+from simgap.page.publish import Draft, publish, with_positions
 from simgap.page.report import Ranked
-from simgap.prove.body import NO_CORRECTION, correction_of
-from simgap.prove.replay import replay_from
-from simgap.prove.show import helps
+from simgap.prove.body import NO_CORRECTION, correction_of, true_gravity
+from simgap.prove.replay import replay
+from simgap.prove.show import closed_part, helps
 from simgap.prove.writeback import repaired
 from simgap.select.words import closed_text, runs_text, with_closed
-from simgap.verdict import Named, RunGap, Use, Verdict
+from simgap.verdict import GEOMETRY, Named, RunGap, Use, Verdict
 
 MASS, ARM, G = 1.2, 0.3, 9.81
 INERTIA = 0.01 + MASS * ARM**2
@@ -261,17 +261,20 @@ def test_a_right_repair_closes_the_gap_in_a_fresh_process(tmp_path: Path):
     again = repaired(asset, (ViscousDamping(0.03),), tmp_path / "b")
     there = shown(asset, again, measured, STARTS, regimes=["fast", "slow", "fast"])
     for run in there.runs:
-        assert run.gap_before > 30 * run.floor
-        assert run.gap_after < 1.5 * run.floor
-        assert run.after == pytest.approx(run.measured, abs=8e-3)
-    assert there.helps and there.numerics < 0.1
-    assert there.closed() > 0.97 and there.closed({"slow"}) > 0.97 and there.closed({"other"}) is None
+        assert run.before > 30 * run.floor
+        assert run.after < 1.5 * run.floor
+        assert run.curves[1] == pytest.approx(run.measured, abs=8e-3)
+    assert helps(there.runs) and there.numerics < 0.1
+    near, far = there.split({"slow"})
+    assert [run.run for run in near] == ["run_1"] and [run.run for run in far] == ["run_0", "run_2"]
+    assert there.split({"other"}) == (list(there.runs), [])
+    assert all((closed_part(runs) or 0.0) > 0.97 for runs in (there.runs, near)) and closed_part([]) is None
 
 
 def test_a_wrong_repair_is_no_help(tmp_path: Path):
     asset, measured = bob(tmp_path / "a"), pendulum(STARTS[:2], damped)
     again = repaired(asset, (ReturnSpring(1.0, 0.0),), tmp_path / "b")
-    assert not shown(asset, again, measured, STARTS[:2]).helps
+    assert not helps(shown(asset, again, measured, STARTS[:2]).runs)
     good = shown(asset, repaired(asset, (ViscousDamping(0.03),), tmp_path / "c"), measured, STARTS[:2])
     first, second = good.runs
     for fast, quiet, wider, fine in (  # nor one that harms another regime by a quarter floor
@@ -280,12 +283,12 @@ def test_a_wrong_repair_is_no_help(tmp_path: Path):
         (2, 1.3, 0.2, True),
         (2, 1.3, 0.3, False),
     ):
-        slow = replace(second, gap_before=quiet * second.floor, gap_after=(quiet + wider) * second.floor, regime="slow")
-        quick = replace(first, gap_before=fast * first.floor, gap_after=first.floor)
-        assert good.helps and helps((quick, slow)) == fine
+        slow = replace(second, before=quiet * second.floor, after=(quiet + wider) * second.floor, regime="slow")
+        quick = replace(first, before=fast * first.floor, after=first.floor)
+        assert helps(good.runs) and helps((quick, slow)) == fine
     for wider, fine in ((0.4, True), (0.6, False)):  # nor one run by half a floor, however well the others do
-        one = replace(second, gap_before=second.floor, gap_after=(1 + wider) * second.floor, regime="all")
-        most = replace(first, gap_before=20 * first.floor, gap_after=first.floor, regime="all")
+        one = replace(second, before=second.floor, after=(1 + wider) * second.floor, regime="all")
+        most = replace(first, before=20 * first.floor, after=first.floor, regime="all")
         assert helps((most, one)) == fine
 
 
@@ -296,8 +299,8 @@ def test_what_the_asset_is_off_by_is_replayed_only_as_its_files_say(tmp_path: Pa
     for name, written, most in (("b", NO_CORRECTION, np.inf), ("c", body, 1.5e-3)):
         again = repaired(asset, oil, tmp_path / name, body=written)
         (run,) = shown(asset, again, measured, STARTS[:1]).runs
-        assert run.gap_after < most and run.gap_before > 30e-3
-        assert written == body or run.gap_after > 10e-3
+        assert run.after < most and run.before > 30e-3
+        assert written == body or run.after > 10e-3
 
 
 @pytest.mark.parametrize("late", [0.04, -0.04])
@@ -308,7 +311,7 @@ def test_a_sensor_that_is_late_is_replayed_from_the_state_it_read_first(tmp_path
     measured = replace(pendulum(STARTS[:1], damped, seconds=2.0), runs=(run,))
     start = tuple(float(np.interp(times[0] - late, true.times_s, s)) for s in (true.q, true.qd))
     again = repaired(asset, (TimeOffset(late),), tmp_path / "b")
-    assert shown(asset, again, measured, (start,)).runs[0].gap_after < 1e-4
+    assert shown(asset, again, measured, (start,)).runs[0].after < 1e-4
 
 
 def test_servo_efforts_and_the_sensor_are_replayed(tmp_path: Path):
@@ -330,8 +333,8 @@ def test_servo_efforts_and_the_sensor_are_replayed(tmp_path: Path):
     measured = replace(measured, runs=tuple(replace(r, q=r.q + 0.05) for r in measured.runs))
     again = repaired(asset, (ViscousDamping(0.03), EncoderOffset(0.05)), tmp_path / "b")
     (run,) = shown(asset, again, measured, ((0.1, 0.0),)).runs
-    assert run.gap_before > 0.05
-    assert run.gap_after < 4e-3  # commands are held from reading to reading
+    assert run.before > 0.05
+    assert run.after < 4e-3  # commands are held from reading to reading
 
 
 def test_a_replay_that_cannot_run_says_why_in_one_line(tmp_path: Path):
@@ -343,7 +346,7 @@ def test_a_replay_that_cannot_run_says_why_in_one_line(tmp_path: Path):
         shown(asset, again, measured, STARTS[:1])
     assert "\n" not in str(caught.value)
     with pytest.raises(FreeArtError, match="no run to replay"):
-        replay_from((), measured, (), ())
+        replay((), measured, ())
 
 
 # ---------------------------------------------------------------- and published
@@ -367,8 +370,6 @@ def draft(measured, starts, *effects, answer="named", **more):
     return Draft(
         verdict,
         ranking=(Ranked(tuple(e.name for e in effects), 1.1), Ranked((), 90.0, -500.0, 20.0)),
-        regimes={gap.run: gap.regime for gap in gaps},
-        uses={run.name: use_of(run) for run in measured.runs},
         floor=1e-3,
         certain=verdict.effects if answer == "named" else (),
         **more,
@@ -483,13 +484,12 @@ def test_without_a_gap_the_asset_stays_as_it_is(tmp_path: Path):
     assert "No gap" in (out / "index.html").read_text()
 
 
-def test_a_fits_nuisance_is_what_replays_are_off_by(tmp_path: Path):
+def test_what_a_fit_says_that_the_asset_is_off_by_goes_with_inertia_and_gravity(tmp_path: Path):
     plant = plant_of(bob(tmp_path / "a"), pendulum(STARTS[:1], damped, seconds=0.2))
-    off = off_of(plant, Nuisance(1.1, 0.9, (0.01, 0.0)))
-    assert off.inertia == 1.1
+    more = true_gravity(plant, Nuisance(1.1, 0.9, (0.01, 0.0))) - plant.gravity_terms[0]
     weight = MASS * G * ARM
-    assert off.gravity[1] == pytest.approx(0.1 * weight, rel=1e-6)  # less of -m g l sin q
-    assert abs(off.gravity[0]) == pytest.approx(0.9 * 0.01 * weight, rel=1e-6)
+    assert more[1] == pytest.approx(0.1 * weight, rel=1e-6)  # less of -m g l sin q
+    assert abs(more[0]) == pytest.approx(0.9 * 0.01 * weight, rel=1e-6)
 
 
 def filmed(asset: Asset, seed: int = 0, runs: int = 4, fps: float = 30.0, gravity: tuple[float, ...] = (0, 0, -G)):

@@ -157,7 +157,7 @@ def test_a_replay_goes_on_between_rows_as_the_fit_found(share: float, tmp_path: 
     assert run.q_command is not None
     asset, start = read_asset(asset_of(tmp_path)), (float(run.q_command[0]), 0.0)
     right, wrong = (shown(asset, asset, measured, (start,), holding=s).runs[0] for s in (share, 1 - share))
-    assert right.gap_after < 1.5e-3 < wrong.gap_after
+    assert right.after < 1.5e-3 < wrong.after
 
 
 def test_many_readings_are_thinned_as_far_as_the_motion_allows_and_that_is_said():

@@ -200,8 +200,8 @@ def test_parameters_lie_in_their_intervals(tmp_path: Path):
         true = {"along_first": OFFSET @ first, "along_second": OFFSET @ np.cross(Y, first)}
         for name, value in true.items():
             tests += 1
-            inside += found.low[0][name] <= value <= found.high[0][name]
-            assert found.high[0][name] - found.low[0][name] < 0.003
+            inside += found.named[0].low[name] <= value <= found.named[0].high[name]
+            assert found.named[0].high[name] - found.named[0].low[name] < 0.003
     assert inside >= 0.6 * tests
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.view.document import Section, escape
-from freeart21.view.plot import path_data, runs, ticks, unseen_boxes
+from freeart21.view.plot import Axes, path_data, runs, unseen_boxes
 
 WIDTH, HEIGHT = 400, 150
-LEFT, RIGHT, TOP, BOTTOM = 40, 6, 8, 20
+MARGINS = 40, 6, 8, 20
 TALLEST = 12.0
 """Medians that a chart is high at most: a single far outlier leaves at the top, and the rest stays readable."""
 
@@ -24,7 +26,8 @@ class Curve:
     colour: str
     values: NDArray[np.float64]
     """(n,); the line is broken where NaN."""
-    dashed: bool = False
+    style: str = ""
+    """Class of the line: '', 'dashed' or 'wide'."""
 
 
 @dataclass(frozen=True)
@@ -53,64 +56,78 @@ def curves_section(
     Frames where `unseen` (n,) lie on grey. The scripts add a cursor that follows the video, and the values there.
     """
     x = np.asarray(abscissa, float)
-    across = LEFT + (x - x[0]) / max(float(x[-1] - x[0]), 1e-9) * (WIDTH - LEFT - RIGHT)
-    under = unseen_boxes(across, ~unseen, TOP, HEIGHT - TOP - BOTTOM) if unseen is not None else []
-    drawn = "".join(_figure(chart, x, across, timed, under) for chart in charts)
+    axes = [Axes(WIDTH, HEIGHT, MARGINS, _ends(x), (0.0, _high(chart))) for chart in charts]
+    under = (
+        unseen_boxes(axes[0].across(x), ~unseen, MARGINS[2], HEIGHT - sum(MARGINS[2:])) if unseen is not None else []
+    )
+    drawn = "".join(
+        line_figure(on, x, chart.curves, chart.title, chart.unit, " s" * timed, (5, 3), under, chart.about)
+        for chart, on in zip(charts, axes, strict=True)
+    )
     below = f'<p class="note">{escape(note)}</p>' if note else ""
-    return Section(
-        title,
-        f'<div class="charts">{drawn}</div>{below}',
-        "curves",
-        {
-            "x": np.round(across, 2),
-            "width": WIDTH,
-            "charts": [[_rounded(curve.values) for curve in chart.curves] for chart in charts],
-            "units": [chart.unit for chart in charts],
-        },
-        "full",
+    data = curves_data(axes[0], x, [chart.curves for chart in charts], [chart.unit for chart in charts])
+    return Section(title, f'<div class="charts">{drawn}</div>{below}', "curves", data, "full")
+
+
+def line_figure(
+    axes: Axes,
+    x: NDArray[np.float64],
+    curves: Sequence[Curve],
+    title: str,
+    unit: str,
+    x_unit: str,
+    ticks: tuple[int, int] = (6, 4),
+    under: Sequence[str] = (),
+    about: str = "",
+) -> str:
+    """A figure of curves over `x` (n,), with a legend; what is `under` them is SVG.
+
+    It fits the script of kind 'curves' and `curves_data`: a cursor, and a place for the value there after every name.
+    """
+    lines = "".join(
+        f'<path{_class(curve)} stroke="{curve.colour}" '
+        f'd="{path_data(axes.across(x[run]), axes.down(curve.values[run]))}"/>'
+        for curve in curves
+        for run in runs(np.isfinite(curve.values))
     )
-
-
-def _figure(chart: Chart, x: NDArray[np.float64], across: NDArray[np.float64], timed: bool, under: list[str]) -> str:
-    values = np.concatenate([curve.values for curve in chart.curves])
-    high = _high(values[np.isfinite(values)], chart.top)
-
-    def down(value: NDArray[np.float64] | float) -> NDArray[np.float64]:
-        return TOP + (1 - np.minimum(np.asarray(value), high) / high) * (HEIGHT - TOP - BOTTOM)
-
-    parts = [f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(chart.title)} over time">', *under]
-    for y in ticks(0.0, high, 3):
-        parts.append(
-            f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{down(y):.1f}" y2="{down(y):.1f}"/>'
-            f'<text x="{LEFT - 5}" y="{down(y) + 4:.1f}" text-anchor="end">{y:g}</text>'
-        )
-    begin, end = float(x[0]), float(max(x[-1], x[0] + 1e-9))
-    for t in ticks(begin, end, 5):
-        at = LEFT + (t - begin) / (end - begin) * (WIDTH - LEFT - RIGHT)
-        label = f"{t:g}{' s' if timed and t == ticks(begin, end, 5)[-1] else ''}"
-        parts.append(f'<text x="{at:.1f}" y="{HEIGHT - 5}" text-anchor="middle">{label}</text>')
-    for curve in chart.curves:
-        dashes = ' class="dashed"' if curve.dashed else ""
-        for run in runs(np.isfinite(curve.values)):
-            line = path_data(across[run], down(curve.values[run]))
-            parts.append(f'<path{dashes} stroke="{curve.colour}" d="{line}"/>')
-    parts += [f'<line class="cursor" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>', "</svg>"]
-    legend = "".join(
-        f'<li><i{" class=dashed" if curve.dashed else ""} style="color:{curve.colour}"></i>{escape(curve.name)} '
-        f"<output></output></li>"
-        for curve in chart.curves
+    names = "".join(
+        f'<li><i{_class(curve) * (curve.style == "dashed")} style="color:{curve.colour}"></i>{escape(curve.name)} '
+        "<output></output></li>"
+        for curve in curves
     )
+    drawn = "".join([*under, *axes.grid(ticks[1]), *axes.marks(ticks[0], x_unit), lines, axes.cursor])
+    tip = f' title="{escape(about)}"' if about else ""
     return (
-        f'<figure><figcaption title="{escape(chart.about)}"><b>{escape(chart.title)}</b>, {escape(chart.unit)}'
-        f'</figcaption>{"".join(parts)}<ul class="legend">{legend}</ul></figure>'
+        f"<figure><figcaption{tip}><b>{escape(title)}</b>, {escape(unit)}</figcaption>"
+        f'<svg viewBox="0 0 {axes.width} {axes.height}" role="img" aria-label="{escape(title)} over time">{drawn}</svg>'
+        f'<ul class="legend">{names}</ul></figure>'
     )
 
 
-def _high(values: NDArray[np.float64], top: float | None) -> float:
+def curves_data(
+    axes: Axes, x: NDArray[np.float64], curves: Sequence[Sequence[Curve]], units: Sequence[str]
+) -> dict[str, Any]:
+    """What the script of kind 'curves' needs of `line_figure`s over the same `x` (n,)."""
+    values = [[_rounded(curve.values) for curve in chart] for chart in curves]
+    return {"x": np.round(axes.across(x), 2), "width": axes.width, "charts": values, "units": list(units)}
+
+
+def _class(curve: Curve) -> str:
+    return f' class="{curve.style}"' if curve.style else ""
+
+
+def _ends(x: NDArray[np.float64]) -> tuple[float, float]:
+    return float(x[0]), float(max(x[-1], x[0] + 1e-9))
+
+
+def _high(chart: Chart) -> float:
+    """The upper end of a chart's axis."""
+    values = np.concatenate([curve.values for curve in chart.curves])
+    values = values[np.isfinite(values)]
     if not len(values):
-        return top or 1.0
+        return chart.top or 1.0
     high = float(min(values.max(), max(TALLEST * np.median(values), np.percentile(values, 95))))
-    return 1.05 * high or 1.0 if top is None else max(high, top)
+    return 1.05 * high or 1.0 if chart.top is None else max(high, chart.top)
 
 
 def _rounded(values: NDArray[np.float64]) -> list[float | None]:

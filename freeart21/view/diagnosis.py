@@ -56,7 +56,7 @@ def diagnosis_section(
     charts: list[Chart] = []
     if diagnostics is not None:
         d = diagnostics
-        moving_jointed = Curve("moving, by the joint", GAP, mm * d.jointed_residual_m[:, 1], dashed=True)
+        moving_jointed = Curve("moving, by the joint", GAP, mm * d.jointed_residual_m[:, 1], "dashed")
         residual = Chart(
             "Residual",
             "mm",

@@ -8,10 +8,58 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.joint import JointType
-from freeart21.view.document import MOVING, TRUTH, Section
+from freeart21.view.document import MOVING, TRUTH, Section, escape
 
-WIDTH, HEIGHT = 720, 260
-LEFT, RIGHT, TOP, BOTTOM = 52, 10, 12, 40
+
+@dataclass(frozen=True)
+class Axes:
+    """Where values lie in a drawing, pixels from its upper left corner, and the lines and numbers of its axes."""
+
+    width: int
+    height: int
+    margins: tuple[int, int, int, int]
+    """Left, right, top and bottom."""
+    x: tuple[float, float]
+    """Values at the left and the right end."""
+    y: tuple[float, float]
+    """Values at the bottom and the top."""
+
+    def across(self, value: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """From the left."""
+        left, right, _, _ = self.margins
+        share = (np.asarray(value, float) - self.x[0]) / max(self.x[1] - self.x[0], 1e-9)
+        return np.asarray(left + share * (self.width - left - right))
+
+    def down(self, value: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """From the top; what lies above the axes is drawn at their top."""
+        _, _, top, bottom = self.margins
+        share = (self.y[1] - np.minimum(np.asarray(value, float), self.y[1])) / (self.y[1] - self.y[0])
+        return np.asarray(top + share * (self.height - top - bottom))
+
+    def grid(self, about: int) -> list[str]:
+        """Some `about` lines with their values at the left."""
+        left, right, _, _ = self.margins
+        return [
+            f'<line class="grid" x1="{left}" x2="{self.width - right}" y1="{y:.1f}" y2="{y:.1f}"/>'
+            f'<text x="{left - 6}" y="{y + 4:.1f}" text-anchor="end">{value:g}</text>'
+            for value in ticks(*self.y, about)
+            for y in [float(self.down(value))]
+        ]
+
+    def marks(self, about: int, unit: str = "") -> list[str]:
+        """Some `about` values below, the last one with the unit behind it."""
+        at, y = ticks(*self.x, about), self.height - self.margins[3] + 16
+        return [
+            f'<text x="{self.across(t):.1f}" y="{y}" text-anchor="middle">'
+            f"{t:g}{escape(unit) if t == at[-1] else ''}</text>"
+            for t in at
+        ]
+
+    @property
+    def cursor(self) -> str:
+        """The line that the scripts move."""
+        left, _, top, bottom = self.margins
+        return f'<line class="cursor" x1="{left}" x2="{left}" y1="{top}" y2="{self.height - bottom}"/>'
 
 
 @dataclass(frozen=True)
@@ -43,24 +91,12 @@ def plot_section(series: StateSeries) -> Section:
     curves = [factor * values for values in (series.found, series.truth) if values is not None]
     band = _band(series, factor)
     low, high = _range([*curves, *(band or ())])
-    x_low, x_high = float(x[0]), float(max(x[-1], x[0] + 1e-9))
-
-    def across(value: NDArray[np.float64] | float) -> NDArray[np.float64]:
-        return LEFT + (np.asarray(value) - x_low) / (x_high - x_low) * (WIDTH - LEFT - RIGHT)
-
-    def down(value: NDArray | float) -> NDArray[np.float64]:
-        return TOP + (high - np.asarray(value)) / (high - low) * (HEIGHT - TOP - BOTTOM)
-
-    parts = [f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="joint state over time">']
+    axes = Axes(720, 260, (52, 10, 12, 40), (float(x[0]), float(max(x[-1], x[0] + 1e-9))), (low, high))
+    across, down = axes.across, axes.down
+    parts = [f'<svg viewBox="0 0 {axes.width} {axes.height}" role="img" aria-label="joint state over time">']
     if series.seen is not None:
-        parts += unseen_boxes(across(x), series.seen, TOP, HEIGHT - TOP - BOTTOM)
-    for y in ticks(low, high, 5):
-        parts.append(
-            f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{down(y):.1f}" y2="{down(y):.1f}"/>'
-            f'<text x="{LEFT - 7}" y="{down(y) + 4:.1f}" text-anchor="end">{y:g}</text>'
-        )
-    for t in ticks(x_low, x_high, 8):
-        parts.append(f'<text x="{across(t):.1f}" y="{HEIGHT - BOTTOM + 18}" text-anchor="middle">{t:g}</text>')
+        parts += unseen_boxes(across(x), series.seen, 12, 208)
+    parts += [*axes.grid(5), *axes.marks(8)]
     if band is not None:
         parts += [
             f'<path class="band" d="{_area(across(x[run]), down(band[0][run]), down(band[1][run]))}"/>'
@@ -77,8 +113,8 @@ def plot_section(series: StateSeries) -> Section:
         parts.append(f'<polyline class="found" stroke="{MOVING}" points="{points}"/>')
     name = "time, s" if series.timed else "frame"
     parts += [
-        f'<text x="{WIDTH - RIGHT}" y="{HEIGHT - 3}" text-anchor="end">{name}</text>',
-        f'<line class="cursor" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>',
+        f'<text x="{axes.width - 10}" y="{axes.height - 3}" text-anchor="end">{name}</text>',
+        axes.cursor,
         "</svg>",
     ]
     return Section(
@@ -87,7 +123,7 @@ def plot_section(series: StateSeries) -> Section:
         "plot",
         {
             "x": np.round(across(x), 2),
-            "width": WIDTH,
+            "width": axes.width,
             "found": _rounded(series.found),
             "truth": _rounded(series.truth),
             "type": series.type,

@@ -19,24 +19,45 @@ from freeart21.view.plot import display_unit
 ARROWS = {"up": ("↑", "more is better"), "down": ("↓", "less is better")}
 
 
+class Markup(str):
+    """A whole cell of a table as HTML, already escaped."""
+
+    __slots__ = ()
+
+
+def two_lines(text: str, below: str, heading: bool = False, bold: bool = False) -> Markup:
+    """A cell, or a row's heading, with a text, and a smaller one below."""
+    lines = f"{f'<b>{escape(text)}</b>' if bold else escape(text)}<br><small>{escape(below)}</small>"
+    return Markup(f"<th scope=row>{lines}</th>" if heading else f"<td>{lines}</td>")
+
+
+def bar(share: float) -> Markup:
+    """A cell with a bar as wide as this share of it, 0 to 1."""
+    return Markup(f'<td class="bar"><i style="width:{100 * share:.1f}%"></i></td>')
+
+
 def table_section(
     title: str,
     rows: Iterable[Sequence[str]],
     head: Sequence[str] = (),
     place: Literal["left", "right", "full", "small"] = "small",
     note: str = "",
+    kind: str = "",
 ) -> Section:
-    """A table of texts, all escaped here; the first cell of a row is its heading."""
+    """A table of texts, all escaped here but `Markup`; the first cell of a row is its heading, `kind` a CSS class."""
     header = f"<thead><tr>{''.join(f'<th scope=col>{escape(cell)}</th>' for cell in head)}</tr></thead>" if head else ""
-    body = "".join(
-        f"<tr><th scope=row>{escape(first)}</th>{''.join(map(table_cell, rest))}</tr>" for first, *rest in rows
-    )
+    body = "".join(f"<tr>{table_cell(row[0], 'th')}{''.join(map(table_cell, row[1:]))}</tr>" for row in rows)
     below = f'<p class="note">{escape(note)}</p>' if note else ""
-    return Section(title, f'<div class="table"><table>{header}<tbody>{body}</tbody></table></div>{below}', place=place)
+    table = f"<table>{header}<tbody>{body}</tbody></table>"
+    return Section(title, f'<div class="{f"table {kind}".strip()}">{table}</div>{below}', place=place)
 
 
-def table_cell(text: str) -> str:
+def table_cell(text: str, tag: Literal["td", "th"] = "td") -> str:
     """A cell; one of numbers is never broken, so that a narrow page scrolls the table in its box instead."""
+    if isinstance(text, Markup):
+        return text
+    if tag == "th":
+        return f"<th scope=row>{escape(text)}</th>"
     figures = any(c.isdigit() for c in text) and not _WORDS.search(text)
     return f"<td{' class=number' * figures}>{escape(text)}</td>"
 
@@ -113,9 +134,7 @@ def seconds_section(seconds: Mapping[str, float], peak_bytes: int | None = None)
     """Seconds a stage, with bars; most memory held, if known."""
     most, total = max([*seconds.values(), 1e-9]), sum(seconds.values())
     rows = "".join(
-        f"<tr><th scope=row>{escape(stage)}</th>"
-        f'<td class="bar"><i style="width:{100 * max(value, 0.0) / most:.1f}%"></i></td>'
-        f"<td>{value:.2f} s</td></tr>"
+        f"<tr><th scope=row>{escape(stage)}</th>{bar(max(value, 0.0) / most)}<td>{value:.2f} s</td></tr>"
         for stage, value in seconds.items()
     )
     last = f'<tr class="total"><th scope=row>all</th><td></td><td>{total:.2f} s</td></tr>'

@@ -5,14 +5,13 @@ Each is a small family of models with a formula for every pixel; frames judge th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from freeart21.camera_faults import CameraFaults, with_values
+from freeart21.camera_faults import CameraFaults
 from freeart21.se3 import Array
 from simgap.film.choose import Fitted, Frames, Kind
 from simgap.film.effects import parameters_of
@@ -103,36 +102,27 @@ def _log_noise(e: Array, scale: Array) -> Array:
     return np.asarray(np.log((1 - WILD) * 0.39894 * np.exp(-0.5 * (e / scale) ** 2) / scale + WILD))
 
 
-@dataclass(frozen=True)
-class Holes:
-    """Pixels of the object, and those of them without depth, by frame, brightness and angle of incidence."""
+def count_holes(rows: Rows) -> tuple[Array, Array]:
+    """(frames, brightness, angle) of all pixels of the object, and of those without depth."""
+    angle = np.arccos(np.clip(rows["cosine"], 0, 1)) / (np.pi / 2)
+    values = zip((rows["measured_brightness"], angle), BINS, strict=True)
+    at = rows.of("error"), *(np.minimum((x * n).astype(int), n - 1) for x, n in values)
+    every, lost = np.zeros((2, len(rows.frames), *BINS))
+    np.add.at(every, at, 1)
+    np.add.at(lost, at, np.isnan(rows["error"]))
+    return every, lost
 
-    rows: Rows
 
-    @cached_property
-    def counts(self) -> tuple[Array, Array]:
-        """(frames, brightness, angle) of all pixels, and of those that are lost."""
-        angle = np.arccos(np.clip(self.rows["cosine"], 0, 1)) / (np.pi / 2)
-        at = [
-            np.minimum((x * n).astype(int), n - 1)
-            for x, n in zip((self.rows["measured_brightness"], angle), BINS, strict=True)
-        ]
-        every, lost = np.zeros((2, len(self.rows.frames), *BINS))
-        np.add.at(every, (self.rows.of("error"), *at), 1)
-        np.add.at(lost, (self.rows.of("error"), *at), np.isnan(self.rows["error"]))
-        return every, lost
-
-    @staticmethod
-    def rate(camera: CameraFaults) -> Array:
-        """(brightness, angle) share of the pixels that a camera loses."""
-        light, slope = ((np.arange(n) + 0.5) / n for n in BINS)
-        return camera.lost(light[:, None], np.cos(slope * np.pi / 2)[None])
+def hole_rate(camera: CameraFaults) -> Array:
+    """(brightness, angle) share of the pixels that a camera loses."""
+    light, slope = ((np.arange(n) + 0.5) / n for n in BINS)
+    return camera.lost(light[:, None], np.cos(slope * np.pi / 2)[None])
 
 
 def holes_kind(rows: Rows) -> Kind:
     """Pixels without depth inside the object: anywhere, on dark surfaces, on grazing ones."""
     lost, frame = np.isnan(rows["error"]), rows.of("error")
-    every, gone = Holes(rows).counts
+    every, gone = count_holes(rows)
     cells = {_PLACE: _cells(rows["at"]), "part": rows["part"]}
     dark_end = float(np.quantile(rows["measured_brightness"], 0.95)) if len(lost) else 1.0
     flat_end = float(np.arccos(np.clip(np.quantile(rows["cosine"], 0.95), 0, 1))) if len(lost) else 0.0
@@ -147,18 +137,18 @@ def holes_kind(rows: Rows) -> Kind:
         fields = [field for name in names for field in parameters_of(name)]
         total, g = every[frames].sum(0), gone[frames].sum(0)
 
-        def values_of(x: Array) -> dict[str, float]:
+        def values_of(x: Array) -> dict[str, Any]:
             shares = 0.5 * (1 + np.tanh(0.5 * x))  # each between 0 and its ceiling
             return {f: float(ceiling.get(f, 0.995) * s) for f, s in zip(fields, shares, strict=True)}
 
-        def logs_of(values: dict[str, float], total: Array, g: Array) -> Array:
-            p = np.clip(Holes.rate(with_values(CameraFaults(), values)), FLOOR_RATE, 1 - 1e-3)
+        def logs_of(values: dict[str, Any], total: Array, g: Array) -> Array:
+            p = np.clip(hole_rate(CameraFaults(**values)), FLOOR_RATE, 1 - 1e-3)
             return np.asarray(g * np.log(p) + (total - g) * np.log(1 - p))
 
         def loss(x: Array) -> float:
             return -float(logs_of(values_of(x), total, g).sum() / max(total.sum(), 1))
 
-        values = dict[str, float]()
+        values = dict[str, Any]()
         if names:
             levels = [(level, tilt) for level in (0.08, 0.2, 0.35, 0.5) for tilt in np.radians((45.0, 60.0, 75.0))]
             shares = [
@@ -169,8 +159,7 @@ def holes_kind(rows: Rows) -> Kind:
             options = {"xatol": 1e-3, "fatol": 1e-7, "maxiter": 600}
             values = values_of(minimize(loss, first, method="Nelder-Mead", options=options).x)
         own = [
-            float((total * Holes.rate(with_values(CameraFaults(), {f: values[f] for f in parameters_of(n)}))).sum())
-            for n in names
+            float((total * hole_rate(CameraFaults(**{f: values[f] for f in parameters_of(n)}))).sum()) for n in names
         ]
         inside = values.get("dark_level", 0.0) < dark_end and values.get("grazing_angle", 2.0) > flat_end
         matters = inside and min(own, default=np.inf) >= LEAST_HOLES * total.sum()  # each takes some, leaves others

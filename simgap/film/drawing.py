@@ -14,7 +14,7 @@ from freeart21 import se3
 from freeart21.camera import Camera
 from freeart21.se3 import Array
 from freeart21.z_buffer import BEHIND, enter
-from simgap.film.scene import FilmScene, Skin
+from simgap.film.scene import FilmScene
 
 Map = NDArray[np.float32]
 
@@ -40,38 +40,27 @@ class Drawn:
         return np.asarray(self.rgb.mean(-1) / np.float32(255))
 
 
-def draw(scene: FilmScene, camera: Camera, Ts: tuple[Array, Array], colours: bool = True) -> Drawn:
+def draw(scene: FilmScene, camera: Camera, Ts: tuple[Array, Array]) -> Drawn:
     """The picture of both parts at the poses `Ts` (4, 4), camera from canonical."""
     shape = (camera.height, camera.width)
-    depth, part = np.full(shape, np.inf), np.zeros(shape, np.uint8)
+    depth, face, weights = np.full(shape, np.inf), np.full(shape, -1), np.zeros((*shape, 3))
+    vertices = np.where((scene.part == 1)[:, None], *(se3.transform(T, scene.vertices) for T in Ts))
+    at = camera.project(np.where(vertices[:, 2:] > BEHIND, vertices, [0.0, 0.0, 1.0]))
+    enter(at, vertices[:, 2], scene.faces, depth, face, weights)
+    on = face >= 0
+    corners, part = scene.faces[face[on]], np.zeros(shape, np.uint8)
+    part[on] = scene.part[corners[:, 0]]
+    a, b, c = (vertices[corners[:, i]] for i in range(3))
+    n = np.cross(b - a, c - a)
+    n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-15)
+    ray = camera.rays()[on]
+    across = (n * ray).sum(1)
     normals, rgb = np.zeros((*shape, 3), np.float32), np.zeros((*shape, 3), np.float32)
-    posed = [se3.transform(T, skin.vertices) for T, skin in zip(Ts, scene.parts, strict=True)]
-    entered = []
-    for k, (vertices, skin) in enumerate(zip(posed, scene.parts, strict=True)):
-        face, weights = np.full(shape, -1), np.zeros((*shape, 3))
-        at = camera.project(np.where(vertices[:, 2:] > BEHIND, vertices, [0.0, 0.0, 1.0]))
-        enter(at, vertices[:, 2], skin.faces, depth, face, weights)
-        part[face >= 0] = k + 1
-        entered.append((face, weights))
-    rays = camera.rays()
     cosine = np.ones(shape, np.float32)
-    for k, (vertices, skin) in enumerate(zip(posed, scene.parts, strict=True)):
-        on = part == k + 1
-        if not on.any():
-            continue
-        face, weights = entered[k]
-        faces = skin.faces[face[on]]
-        a, b, c = (vertices[faces[:, i]] for i in range(3))
-        n = np.cross(b - a, c - a)
-        n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-15)
-        ray = rays[on]
-        across = (n * ray).sum(1)
-        n = np.where(across[:, None] > 0, -n, n)
-        normals[on] = n
-        cosine[on] = np.abs(across) / np.linalg.norm(ray, axis=1)
-        if colours:
-            rgb[on] = _colours(skin, faces, face[on], weights[on])
-    return Drawn(np.where(part > 0, depth, 0).astype(np.float32), part, normals, cosine, rgb)
+    normals[on] = np.where(across[:, None] > 0, -n, n)
+    cosine[on] = np.abs(across) / np.linalg.norm(ray, axis=1)
+    rgb[on] = _colours(scene, corners, face[on], weights[on])
+    return Drawn(np.where(on, depth, 0).astype(np.float32), part, normals, cosine, rgb)
 
 
 def between(Ts: Array, t: float) -> Array:
@@ -82,13 +71,13 @@ def between(Ts: Array, t: float) -> Array:
     return np.asarray(Ts[k] @ se3.exp_se3((t - k) * se3.log_se3(se3.inverse(Ts[k]) @ Ts[k + 1])))
 
 
-def _colours(skin: Skin, corners: NDArray[np.int64], faces: NDArray[np.int64], weights: Array) -> Array:
-    out = np.einsum("nk,nkd->nd", weights, skin.colours[corners])
-    index = skin.texture[faces]
-    for t, picture in enumerate(skin.textures):
+def _colours(scene: FilmScene, corners: NDArray[np.int64], faces: NDArray[np.int64], weights: Array) -> Array:
+    out = np.einsum("nk,nkd->nd", weights, scene.colours[corners])
+    index = scene.texture[faces]
+    for t, picture in enumerate(scene.textures):
         on = index == t
         if on.any():
-            uv = np.einsum("nk,nkd->nd", weights[on], skin.uv[corners[on]])
+            uv = np.einsum("nk,nkd->nd", weights[on], scene.uv[corners[on]])
             h, width = picture.shape[:2]
             column = np.floor(np.mod(uv[:, 0], 1.0) * width).astype(int).clip(0, width - 1)
             row = np.floor(np.mod(1.0 - uv[:, 1], 1.0) * h).astype(int).clip(0, h - 1)

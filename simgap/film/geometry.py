@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from simgap.film.choose import Fitted, Frames, Kind
 from simgap.film.effects import parameters_of
 from simgap.film.linear import Block, LinearFit, density, fit_blocks
 from simgap.film.samples import Rows
+from simgap.verdict import root_mean_square
 
 BIAS = ("depth_scale", "depth_offset", "depth_curve")
 """Effects of the depth's size."""
@@ -112,6 +113,10 @@ def design_of(rows: Rows, depth_unit: float, exact: bool, simulated_with: Camera
     along, along_edge = (slope * at).sum(1), (n * edge_at).sum(1)
     turned, turned_edge = (slope * _turned(at)).sum(1), (n * _turned(edge_at)).sum(1)
     none = np.zeros(len(n))
+
+    def inner_only(columns: Array) -> tuple[Array, ...]:
+        return columns, *[np.zeros((len(n), columns.shape[1]))] * 2
+
     shifted, shifted_edge = np.column_stack([-slope, -turned]), np.column_stack([n, turned_edge])
     r, r_edge = (at**2).sum(1) / size**2, (edge_at**2).sum(1) / size**2
     of: dict[str, tuple[Array, ...]] = {
@@ -122,9 +127,9 @@ def design_of(rows: Rows, depth_unit: float, exact: bool, simulated_with: Camera
         "principal_point": (-slope, n, n),
         "misregistration": (shifted, 0 * shifted_edge, shifted_edge),
         "depth_delay": (later, none, moving),
-        "place in the picture": _inner_only(waves(at / size), n),
-        "distance": _inner_only(hats(z, 6), n),
-        "angle of incidence": _inner_only(hats(rows["cosine"][inner], 6), n),
+        "place in the picture": inner_only(waves(at / size)),
+        "distance": inner_only(hats(z, 6)),
+        "angle of incidence": inner_only(hats(rows["cosine"][inner], 6)),
         "lens": (-along * r, along_edge * r_edge, along_edge * r_edge),
     }
     columns, full, held = stacked(of, {"place in the picture", "distance", "angle of incidence"})
@@ -180,20 +185,10 @@ def _turned(at: Array) -> Array:
     return np.stack([-at[:, 1], at[:, 0]], -1)
 
 
-def _inner_only(inner: Array, edge: Array) -> tuple[Array, Array, Array]:
-    none = np.zeros((len(edge), inner.shape[1]))
-    return inner, none, none
-
-
 def _planes(at: Array, part: NDArray[np.int64]) -> Array:
     """(n, 6) an offset and two slopes of each part: what a pose does that is a little off."""
     plane = np.column_stack([np.ones(len(at)), at])
     return np.concatenate([np.where((part == k)[:, None], plane, 0.0) for k in (1, 2)], 1)
-
-
-def root_mean_square(values: Sequence[float] | Array) -> float:
-    """Of all values; 0 of none."""
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
 
 
 def _matters(design: Design, fit: LinearFit, names: tuple[str, ...]) -> bool:

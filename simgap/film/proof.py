@@ -12,6 +12,7 @@ from freeart21.se3 import Array
 from simgap.film import colour, counts, geometry
 from simgap.film.linear import Block, fit_blocks
 from simgap.film.samples import Rows
+from simgap.verdict import root_mean_square
 
 ROUNDED_PX = 0.41
 """Root mean square of the difference of two outlines that are both rounded to whole pixels: 1 / sqrt(6)."""
@@ -47,8 +48,8 @@ def measure_gaps(
     spread = np.hypot(camera.spread(rows["z"][pairs], rows["cosine"][pairs]), quiet)
     simulated = np.random.default_rng(5).normal(size=len(spread)) * spread if camera.noise else np.zeros(len(spread))
     sizes[counts.NOISE] = abs(had - counts.robust_deviation(simulated))
-    every, gone = (c.sum(0) for c in counts.Holes(rows).counts)
-    off = (gone - every * counts.Holes.rate(camera)).reshape(6, -1, 6, every.shape[1] // 6).sum((1, 3))
+    every, gone = (c.sum(0) for c in counts.count_holes(rows))
+    off = (gone - every * counts.hole_rate(camera)).reshape(6, -1, 6, every.shape[1] // 6).sum((1, 3))
     sizes[counts.LOST] = float(np.abs(off).sum() / max(every.sum(), 1))  # in wide bins, for single ones are chance
     near = rows["band"] <= (known.flying_reach or 2.0)
     flying = float(counts.flies(rows, known)[near].mean()) if near.any() else 0.0
@@ -68,7 +69,7 @@ def floors(rows: Rows, best: CameraFaults, quiet: float, depth_unit: float) -> d
 
 def _winsorised(r: Array) -> float:
     """Root mean square, sizes beyond the 95th percentile taken as that."""
-    return geometry.root_mean_square(np.minimum(np.abs(r), np.quantile(np.abs(r), 0.95))) if len(r) else 0.0
+    return root_mean_square(np.minimum(np.abs(r), np.quantile(np.abs(r), 0.95))) if len(r) else 0.0
 
 
 def _brightness(rows: Rows, design: geometry.Design, camera: CameraFaults) -> float:
@@ -80,4 +81,4 @@ def _brightness(rows: Rows, design: geometry.Design, camera: CameraFaults) -> fl
     block = Block(block.y - told, block.columns, block.own, block.frame, block.least, block.span)
     r = fit_blocks([block], design.free, design.ridge).residual(block)
     off = np.array([np.median(each) for each in np.split(r, block.starts[1:])])
-    return geometry.root_mean_square(off - np.median(off))
+    return root_mean_square(off - np.median(off))

@@ -1,9 +1,10 @@
-"""The asset as two rigid parts with colours, and where they were in every frame of the video."""
+"""The asset as triangles of two rigid parts with colours, and where these were in every frame of the video."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,35 +16,12 @@ from freeart21.files import checked
 from freeart21.files.asset import read_asset
 from freeart21.files.result import read_result
 from freeart21.files.truth import read_truth
-from freeart21.files.urdf import link_poses, links_beyond, read_urdf
+from freeart21.files.urdf import Urdf, links_beyond, read_urdf
 from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.reconstruction import Failure
 from freeart21.se3 import Array
-from freeart21.view.link_shapes import ShownUrdf, read_shown
+from freeart21.view.link_shapes import read_shown
 from freeart21.view.obj import PLAIN
-
-
-@dataclass(frozen=True)
-class Skin:
-    """One rigid part, in the canonical frame at state zero, with what it looks like."""
-
-    vertices: Array
-    """(V, 3) metres."""
-    faces: NDArray[np.int64]
-    """(F, 3)."""
-    colours: Array
-    """(V, 3) sRGB, 0 to 255."""
-    uv: Array
-    """(V, 2); zero where there is no texture."""
-    texture: NDArray[np.int64]
-    """(F,) index into `textures`, -1 for none."""
-    textures: tuple[NDArray[np.uint8], ...]
-    """(h, w, 3) RGB each."""
-
-    @property
-    def mesh(self) -> Mesh:
-        """The bare triangles."""
-        return Mesh(self.vertices, self.faces)
 
 
 @dataclass(frozen=True)
@@ -64,18 +42,31 @@ class Placed:
 class FilmScene:
     """All that the simulated film needs."""
 
-    parts: tuple[Skin, Skin]
-    """Reference and moving part."""
+    vertices: Array
+    """(V, 3) metres, in the canonical frame at state zero."""
+    part: NDArray[np.int64]
+    """(V,) 1 for the reference part, 2 for the moving one."""
+    colours: Array
+    """(V, 3) sRGB, 0 to 255."""
+    uv: Array
+    """(V, 2); zero where there is no texture."""
+    faces: NDArray[np.int64]
+    """(F, 3), those of the reference part first."""
+    texture: NDArray[np.int64]
+    """(F,) index into `textures`, -1 for none."""
+    textures: tuple[NDArray[np.uint8], ...]
+    """(h, w, 3) RGB each."""
     placed: Placed
-    coloured: bool
-    """Whether the asset says anything of its colours."""
-    same_video: bool
-    """Whether the asset was reconstructed from the video itself: then its size and shape have taken on the camera's."""
+
+    @property
+    def coloured(self) -> bool:
+        """Whether the asset says anything of its colours."""
+        return bool(self.textures) or bool((self.colours != np.array(PLAIN)).any())
 
     @property
     def diagonal(self) -> float:
         """Of the object at state zero, metres."""
-        return bounding_diagonal(*(part.mesh for part in self.parts))
+        return bounding_diagonal(Mesh(self.vertices, self.faces))
 
 
 def read_scene(asset_path: Path, sequence: Path, poses: Path | None = None, root: Path | None = None) -> FilmScene:
@@ -118,43 +109,37 @@ def _of_truth(path: Path, folder: Path, root: Path | None) -> FilmScene:
         )
     held = {str(k): float(v) for k, v in (truth.source.get("held") or {}).items()}
     q = {**held, str(truth.source.get("joint", asset.joint)): asset.state_zero if described else 0.0}
-    T = _canonical_root(asset, q) if described else np.eye(4)
-    placed = Placed(
-        (truth.Ts_camera_reference, truth.Ts_camera_moving), np.ones(len(truth), bool), True, "the recording's truth"
-    )
-    return _scene(asset, q, T, reference, placed, same_video=False)
+    T = _canonical_root(asset, urdf, q) if described else np.eye(4)
+    Ts = truth.Ts_camera_reference, truth.Ts_camera_moving
+    return _scene(asset, q, T, reference, Placed(Ts, np.ones(len(truth), bool), True, "the recording's truth"))
 
 
 def _of_result(asset: Asset, folder: Path) -> FilmScene:
     result = read_result(folder, appearance=False)
     if isinstance(result, Failure):
         raise FreeArtError(f"{folder} has no part poses: the method gave up at {result.stage}")
-    q = {**asset.held, asset.joint: asset.state_zero}
-    T = _canonical_root(asset, q)
-    joint = result.articulation.joint
-    _check_same_joint(asset, q, T, joint.axis, folder)
+    urdf, q = read_urdf(asset.urdf), {**asset.held, asset.joint: asset.state_zero}
+    T = _canonical_root(asset, urdf, q)
+    _check_same_joint(asset, urdf, q, T, result.articulation.joint.axis, folder)
+    below = links_beyond(urdf.joints, urdf.joints[asset.joint].child)
+    reference = below if asset.reference_link in below else set(urdf.links) - below
     shrink = np.eye(4)
     shrink[:3, :3] /= asset.scale
-    placed = Placed(
-        (result.Ts_camera_reference, result.Ts_camera_moving),
-        np.asarray(result.seen.all(1)),
-        False,
-        "the reconstruction of this video",
-    )
-    return _scene(asset, q, shrink @ T, _side(asset), placed, same_video=True)
+    Ts, seen = (result.Ts_camera_reference, result.Ts_camera_moving), np.asarray(result.seen.all(1))
+    placed = Placed(Ts, seen, False, "the reconstruction of this video")
+    return _scene(asset, q, shrink @ T, reference, placed)
 
 
-def _canonical_root(asset: Asset, q: dict[str, float]) -> Array:
-    Ts = link_poses(read_urdf(asset.urdf).joints, q)
-    return np.asarray(asset.T_canonical_reference @ se3.inverse(Ts.get(asset.reference_link, np.eye(4))))
+def _canonical_root(asset: Asset, urdf: Urdf, q: dict[str, float]) -> Array:
+    return np.asarray(asset.T_canonical_reference @ se3.inverse(urdf.link_poses(q)[asset.reference_link]))
 
 
-def _check_same_joint(asset: Asset, q: dict[str, float], T_canonical_root: Array, axis: Array, folder: Path) -> None:
+def _check_same_joint(
+    asset: Asset, urdf: Urdf, q: dict[str, float], T_canonical_root: Array, axis: Array, folder: Path
+) -> None:
     """The asset's axis must be the result's: else the poses mean another frame."""
-    urdf = read_urdf(asset.urdf)
     joint = urdf.joints[asset.joint]
-    Ts = link_poses(urdf.joints, q)
-    own = T_canonical_root[:3, :3] @ Ts.get(joint.child, np.eye(4))[:3, :3] @ joint.axis
+    own = T_canonical_root[:3, :3] @ urdf.link_poses(q)[joint.child][:3, :3] @ joint.axis
     off = np.degrees(np.arccos(np.clip(abs(own @ axis), 0, 1)))
     if off > 5:
         raise FreeArtError(
@@ -163,56 +148,29 @@ def _check_same_joint(asset: Asset, q: dict[str, float], T_canonical_root: Array
         )
 
 
-def _side(asset: Asset) -> set[str]:
-    """Links on the reference link's side of the scored joint."""
-    urdf = read_urdf(asset.urdf)
-    below = links_beyond(urdf.joints, urdf.joints[asset.joint].child)
-    return below if asset.reference_link in below else set(urdf.links) - below
-
-
 def _scene(
-    asset: Asset, q: dict[str, float], T_canonical_root: Array, reference: set[str], placed: Placed, same_video: bool
+    asset: Asset, q: dict[str, float], T_canonical_root: Array, reference: set[str], placed: Placed
 ) -> FilmScene:
     shown = read_shown(asset.urdf, asset.root)
     if shown.missing:
         raise FreeArtError(f"{asset.urdf} names the mesh {shown.missing[0]}, which is missing")
-    Ts = shown.urdf.link_poses(q)
-    placing = {name: T_canonical_root @ T for name, T in Ts.items()}
-    sides = [name for name in shown.visuals if name in reference], [n for n in shown.visuals if n not in reference]
-    parts = _skin(shown, placing, sides[0]), _skin(shown, placing, sides[1])
-    for name, part in zip(("reference", "moving"), parts, strict=True):
-        if not len(part.faces):
-            raise FreeArtError(f"{asset.urdf} has no visual mesh on its {name} side, expected one to film")
-    coloured = any(len(p.textures) or bool((p.colours != np.array(PLAIN)).any()) for p in parts)
-    return FilmScene(parts, placed, coloured, same_video)
-
-
-def _skin(shown: ShownUrdf, placing: dict[str, Array], links: list[str]) -> Skin:
-    vertices, faces, colours, uv, texture = [], [], [], [], []
-    pictures: dict[Path, int] = {}
-    count = 0
-    for name in links:
-        for piece in shown.visuals[name]:
-            mesh, index = piece.mesh, -1
-            if mesh.empty:
-                continue
+    Ts, pictures, at = shown.urdf.link_poses(q), dict[Path, int](), 0
+    found: list[tuple[NDArray[Any], ...]] = []
+    for name in sorted(shown.visuals, key=lambda name: name not in reference):
+        for piece in (p for p in shown.visuals[name] if not p.mesh.empty):
+            mesh, index, n = piece.mesh.moved(T_canonical_root @ Ts[name]), -1, len(piece.mesh.vertices)
             if piece.texture is not None and piece.uv is not None:
                 index = pictures.setdefault(piece.texture, len(pictures))
-            vertices.append(mesh.vertices @ placing[name][:3, :3].T + placing[name][:3, 3])
-            faces.append(mesh.faces + count)
-            plain = np.tile(np.array(PLAIN, np.uint8), (len(mesh.vertices), 1))
-            colours.append(plain if mesh.colours is None else mesh.colours)
-            uv.append(np.zeros((len(mesh.vertices), 2)) if index < 0 or piece.uv is None else piece.uv)
-            texture.append(np.full(len(mesh.faces), index))
-            count += len(mesh.vertices)
-    if not vertices:
-        return Skin(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0, int), ())
+            colours = np.tile(np.array(PLAIN, np.uint8), (n, 1)) if mesh.colours is None else mesh.colours
+            uv = np.zeros((n, 2)) if index < 0 or piece.uv is None else piece.uv
+            part = np.full(n, 1 if name in reference else 2)
+            found.append(
+                (mesh.vertices, part, colours.astype(float), uv, mesh.faces + at, np.full(len(mesh.faces), index))
+            )
+            at += n
+    for k, name in ((1, "reference"), (2, "moving")):
+        if not any(part[0] == k for _, part, *_ in found):
+            raise FreeArtError(f"{asset.urdf} has no visual mesh on its {name} side, expected one to film")
+    vertices, parts, rgb, uvs, faces, texture = (np.concatenate(each) for each in zip(*found, strict=True))
     textures = tuple(checked.read_rgb(path) for path in pictures)
-    return Skin(
-        np.concatenate(vertices),
-        np.concatenate(faces),
-        np.concatenate(colours).astype(float),
-        np.concatenate(uv),
-        np.concatenate(texture),
-        textures,
-    )
+    return FilmScene(vertices, parts, rgb, uvs, faces, texture, textures, placed)

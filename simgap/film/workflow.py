@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +20,14 @@ from simgap.film import counts
 from simgap.film.answer import FilmVerdict, QuantityGap, confirm, verdict_of
 from simgap.film.choose import Chosen, Frames, choose
 from simgap.film.colour import colour_design, colour_kind
-from simgap.film.effects import camera_of, effect_of
-from simgap.film.geometry import PICTURE, Design, depth_floor, design_of, geometry_kind, root_mean_square
-from simgap.film.linear import LinearFit
+from simgap.film.effects import camera_of, effect_of, parameters_of
+from simgap.film.geometry import PICTURE, Design, depth_floor, design_of, geometry_kind
 from simgap.film.maps import FilmMap, film_maps
 from simgap.film.missing import missing_part
 from simgap.film.proof import UNITS, floors, measure_gaps
 from simgap.film.samples import Rows, rows_of
 from simgap.film.scene import FilmScene, read_scene
+from simgap.verdict import root_mean_square
 
 MOST_FRAMES = 90
 """Frames that are compared, evenly drawn: a third of them confirms, enough for a standard error."""
@@ -110,8 +110,7 @@ def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVer
 
 def _picture(camera: CameraFaults) -> CameraFaults:
     """The geometry and timing of a camera alone, by which a film is simulated."""
-    fields = ("focal", "centre_u", "centre_v", "depth_shift_u", "depth_shift_v", "depth_turn", "depth_delay")
-    return CameraFaults(**{name: getattr(camera, name) for name in fields})
+    return CameraFaults(**{f: getattr(camera, f) for n in PICTURE for f in parameters_of(n)})
 
 
 def _gaps(
@@ -156,12 +155,9 @@ def _geometry(
 
 def _shift(design: Design, new: CameraFaults, old: CameraFaults) -> float:
     """Pixels, root mean square, by which the outlines of two cameras' pictures differ, to first order."""
-    effects = (effect_of(n, {**vars(new)}) for n in PICTURE), (effect_of(n, {**vars(old)}) for n in PICTURE)
-    beta = np.concatenate([np.subtract(a.values(), b.values()) for a, b in zip(*effects, strict=True)])
-    columns = tuple(c for n in PICTURE for c in design.columns[n])
-    fit = LinearFit(columns, beta, (), ())
-    moves = [replace(design, columns={"all": columns}).moves("all", fit)[k] for k in (1, 2)]
-    return max(root_mean_square(m) for m in moves)
+    beta = np.array([getattr(new, f) - getattr(old, f) for n in PICTURE for f in parameters_of(n)])
+    columns = [c for n in PICTURE for c in design.columns[n]]
+    return max(root_mean_square(b.columns[:, columns] @ beta) for b in design.blocks[1:])
 
 
 def _split(n: int) -> tuple[Frames, Frames, Frames]:
@@ -189,8 +185,9 @@ def _frames(film: Film) -> Frames:
 def _moves(film: Film) -> bool:
     """Whether the object moves in the picture, so that a delay would show: by half a pixel a frame in the median."""
     speed = []
-    for Ts, part in zip(film.scene.placed.Ts, film.scene.parts, strict=True):
-        corners = np.array(np.meshgrid(*np.stack([part.vertices.min(0), part.vertices.max(0)]).T)).reshape(3, -1).T
+    for k, Ts in enumerate(film.scene.placed.Ts, 1):
+        own = film.scene.vertices[film.scene.part == k]
+        corners = np.array(np.meshgrid(*np.stack([own.min(0), own.max(0)]).T)).reshape(3, -1).T
         at = np.stack([film.recording.camera.project(corners @ T[:3, :3].T + T[:3, 3]) for T in Ts])
         speed.append(np.linalg.norm(np.diff(at, axis=0), axis=-1).max(1))
     return bool(np.nanmedian(np.max(speed, 0)) >= 0.5)

@@ -10,6 +10,7 @@ import numpy as np
 from freeart21.effects.base import Effect
 from freeart21.se3 import Array
 from simgap.geometry.track_geometry import TrackGeometry
+from simgap.verdict import Named
 
 GeometryVerdict = Literal["no_gap", "named", "ambiguous", "unexplained", "not_excited"]
 
@@ -49,11 +50,8 @@ class KinematicsFinding:
     """The geometry of the joint, as far as it can be told."""
 
     verdict: GeometryVerdict
-    effects: tuple[Effect, ...]
-    """Named effects, outermost displacement first."""
-    low: tuple[dict[str, float], ...]
-    """Lower ends of the 90 % intervals of each effect's parameters."""
-    high: tuple[dict[str, float], ...]
+    named: tuple[Named, ...]
+    """Effects with their intervals, outermost displacement first."""
     rivals: tuple[tuple[str, ...], ...]
     """Sets of names that explain the poses as well as each other, the best one first; empty when there is no doubt."""
     tracks: tuple[TrackGeometry, ...]
@@ -67,3 +65,8 @@ class KinematicsFinding:
     measured motion = model @ exp(twist), in the parent link's frame."""
     p_values: tuple[float, ...] = field(default=())
     """Of every named effect: that the others do as well without it."""
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The named effects."""
+        return tuple(each.effect for each in self.named)

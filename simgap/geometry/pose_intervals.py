@@ -7,50 +7,41 @@ from numpy.typing import NDArray
 
 from freeart21.effects import EFFECTS
 from freeart21.se3 import Array
-from simgap.geometry.pose_model import Geometry, Linear, Weighting, normal_equations, priors, rocking_effect, waves_at
+from simgap.geometry.pose_model import Geometry, Linear, Weighting, normal_equations, rocking_effect
+from simgap.verdict import Named
 
 
-def intervals(
-    lin: Linear, point: Geometry, weighting: Weighting, units: NDArray[np.int64]
-) -> list[tuple[dict[str, float], dict[str, float]]]:
-    """Lower and upper ends for every effect of `point`, in the order of `named_effects`.
+def intervals(lin: Linear, point: Geometry, weighting: Weighting, units: NDArray[np.int64]) -> list[Named]:
+    """Every effect of `point`, outermost displacement first, with its interval.
 
     Covariance by the sandwich of scores summed over half-swings `units` (n,) (Liang and Zeger 1986), with the
     registration's prior as an error of its own.
     """
     from scipy.stats import t as student
 
-    columns, count = lin.columns, len(point.values) + 6
-    data = lin.data - columns @ np.concatenate([point.values, point.registration])
+    columns, k = lin.columns, len(point.values)
+    data = lin.residual(point)
     if point.rock is not None:
         rocking, derivatives = _rocking(lin, point)
         data, columns = data - rocking, np.concatenate([columns, derivatives], -1)
     A, _ = normal_equations(columns, data)
-    extra = columns.shape[-1] - count
-    prior = np.concatenate([priors(point.names, weighting), np.zeros(extra)])
+    prior = np.concatenate([weighting.priors(point.names), np.zeros(columns.shape[-1] - k - 6)])
     scores = np.zeros((int(units.max()) + 1, columns.shape[-1]))
     np.add.at(scores, units, np.einsum("nij,ni->nj", columns, data))
     n = len(scores)
     meat = scores.T @ scores * n / max(n - 1, 1)
-    k = len(point.values)
     meat[range(k, k + 6), range(k, k + 6)] += weighting.correlation * weighting.registration_precision
     bread = np.linalg.inv(A + np.diag(prior) + 1e-12 * np.trace(A) * np.eye(len(A)))
     covariance = bread @ meat @ bread
     reach = float(student.ppf(0.95, max(n - 1, 1)))
-    static = _static(point, covariance, reach)
-    if point.rock is None:
-        return static
-    rocking_now = rocking_effect(point.rock)
-    errors = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
-    spread = {"amplitude": errors[0], "direction": errors[1], "frequency": errors[2], "phase": errors[3]}
-    low = {name: getattr(rocking_now, name) - reach * float(s) for name, s in spread.items()}
-    high = {name: getattr(rocking_now, name) + reach * float(s) for name, s in spread.items()}
-    low["amplitude"] = max(low["amplitude"], 0.0)
-    return [(low, high), *static]
-
-
-def _static(point: Geometry, covariance: Array, reach: float) -> list[tuple[dict[str, float], dict[str, float]]]:
-    out, at = [], 0
+    found, at = [], 0
+    if point.rock is not None:
+        rocks = rocking_effect(point.rock)
+        spread = reach * np.sqrt(np.maximum(np.diag(covariance)[k + 6 :], 0.0))
+        ends = dict(zip(("amplitude", "direction", "frequency", "phase"), spread.tolist(), strict=False))
+        low, high = ({name: getattr(rocks, name) + sign * e for name, e in ends.items()} for sign in (-1, 1))
+        low["amplitude"] = max(low["amplitude"], 0.0)
+        found.append(Named(rocks, low, high))
     for effect, (name, values) in zip(point.effects(), point.split(), strict=True):
         block = covariance[at : at + len(values), at : at + len(values)]
         at += len(values)
@@ -59,21 +50,18 @@ def _static(point: Geometry, covariance: Array, reach: float) -> list[tuple[dict
             size = max(float(np.hypot(*values)), 1e-12)
             change = np.array([values / size, [-values[1] / size**2, values[0] / size**2]])
         errors = reach * np.sqrt(np.maximum(np.diag(change @ block @ change.T), 0.0))
-        centres = effect.values()
-        specs = effect.parameters()
+        centres, specs = effect.values(), effect.parameters()
         low = {n: max(c - float(e), specs[n].lower) for n, c, e in zip(specs, centres, errors, strict=True)}
         high = {n: c + float(e) for n, c, e in zip(specs, centres, errors, strict=True)}
-        out.append((low, high))
-    return out
+        found.append(Named(effect, low, high))
+    return found
 
 
 def _rocking(lin: Linear, point: Geometry) -> tuple[Array, Array]:
     """(n, 6) of the rocking and (n, 6, 3 + runs) its derivatives by amplitude, direction, frequency, every phase."""
     rock = point.rock
     assert rock is not None
-    angles = np.einsum("nab,nb->na", rock.coefficients[lin.run], waves_at(rock.frequency, lin.times_s))
-    quarter = waves_at(rock.frequency, lin.times_s)[:, ::-1] * [1.0, -1.0]  # derivative of the waves by their phase
-    turned = np.einsum("nab,nb->na", rock.coefficients[lin.run], quarter)
+    angles, turned = (rock.angles(lin.run, lin.times_s, ahead) for ahead in (False, True))
     size = float(np.sqrt((rock.coefficients**2).sum((1, 2)).mean())) or 1.0
     across = np.stack([-angles[:, 1], angles[:, 0]], -1)
     parts = [angles / size, across, turned * (2 * np.pi * lin.times_s)[:, None]]

@@ -53,6 +53,21 @@ class Rock:
     coefficients: Array
     """(runs, 2, 2) rad: about the first and second direction across the axis, of sine and cosine."""
 
+    @property
+    def direction(self) -> Array:
+        """(2,) unit vector on the directions across the axis about which it rocks most."""
+        return np.asarray(np.linalg.svd(np.concatenate(list(self.coefficients), -1))[0][:, 0])
+
+    def in_one_direction(self) -> Rock:
+        """With every run rocking about that direction alone."""
+        u = self.direction
+        return replace(self, coefficients=u[:, None] * (u @ self.coefficients)[:, None, :])
+
+    def angles(self, run: NDArray[np.int64], times_s: Array, ahead: bool = False) -> Array:
+        """(n, 2) rad at times (n,) of runs (n,); a quarter period `ahead` for the derivative by the phase."""
+        waves = waves_at(self.frequency, times_s)
+        return np.einsum("nab,nb->na", self.coefficients[run], waves[:, ::-1] * [1.0, -1.0] if ahead else waves)
+
 
 @dataclass(frozen=True)
 class Geometry:
@@ -122,8 +137,17 @@ class Weighting:
     @property
     def registration_precision(self) -> Array:
         """(6,) of the registration's coordinates, as many-fold as frames count."""
-        metres, radians = self.registration_std
-        return self.correlation / np.repeat([metres**2, radians**2], 3)
+        return self.correlation / np.repeat(np.square(self.registration_std), 3)
+
+    def priors(self, names: tuple[str, ...]) -> Array:
+        """(k + 6,) precisions about zero: wide ones for the coordinates, the tracker's for the registration."""
+        return np.concatenate([(_WIDE * coordinate_scales(names)) ** -2.0, self.registration_precision])
+
+    def bounds(self, names: tuple[str, ...]) -> tuple[Array, Array]:
+        """(k + 6,) twice: what coordinates and registration can be at all: no sag upwards, a tracker not far off."""
+        box = _MOST_REGISTRATION * np.repeat(self.registration_std, 3)
+        low, high = zip(*(_ends(name) for name in names), (-box, box), strict=True)
+        return np.concatenate(low), np.concatenate(high)
 
 
 @dataclass(frozen=True)
@@ -147,6 +171,10 @@ class Linear:
     """(n,)."""
     left_to_whitened: Array
     """(n, 6, 6) of a twist in the parent's frame, acting outermost."""
+
+    def residual(self, point: Geometry) -> Array:
+        """(n, 6) what the static effects and the registration of a point leave."""
+        return self.data - self.columns @ np.concatenate([point.values, point.registration])
 
 
 def first_positions(joint: Joint, motions: Array) -> Array:
@@ -207,32 +235,28 @@ class PoseModel:
         columns = project @ columns
         rocks = project @ (to_part @ self.rock_screws.T)
         data = (project @ y[..., None])[..., 0] + columns @ np.concatenate([point.values, point.registration])
-        if point.rock is not None:
-            data = data + (rocks @ self._rock_angles(point.rock)[..., None])[..., 0]
-        return Linear(data, columns, rocks, self.run, self.times_s, q, project @ to_part)
+        lin = Linear(data, columns, rocks, self.run, self.times_s, q, project @ to_part)
+        return lin if point.rock is None else replace(lin, data=data + self.rocking(lin, point))
 
-    def fit(
-        self, point: Geometry, weighting: Weighting, frames: NDArray[np.bool_] | None = None, rounds: int = 6
-    ) -> tuple[Geometry, Array]:
+    def fit(self, point: Geometry, weighting: Weighting, rounds: int = 6) -> tuple[Geometry, Array]:
         """Coordinates and registration (rocking as it is) of least weighted squares, by Gauss-Newton; positions (n,).
 
-        Steps that make the squares larger are halved. `frames` (n,) says which frames count; all have their position
-        found.
+        Steps that make the squares larger are halved.
         """
         q = self.positions(point, weighting)
-        prior = priors(point.names, weighting)
+        prior = weighting.priors(point.names)
         k = len(point.values)
 
         def squares(at: Geometry, q: Array) -> float:
             left = self.residuals(at, q) @ weighting.whitening.T
             size = np.concatenate([at.values, at.registration])
-            return float((left**2).sum(-1)[... if frames is None else frames].sum() + prior @ size**2)
+            return float((left**2).sum(-1).sum() + prior @ size**2)
 
         least = squares(point, q)
         for _ in range(rounds):
             lin = self.linear(point, q, weighting)
-            A, b = normal_equations(lin.columns, lin.data - self.rocking(lin, point), frames)
-            found = solved_within(A + np.diag(prior), b, *bounds(point.names, weighting))
+            A, b = normal_equations(lin.columns, lin.data - self.rocking(lin, point))
+            found = solved_within(A + np.diag(prior), b, *weighting.bounds(point.names))
             step = found - np.concatenate([point.values, point.registration])
             for part in _PARTS:
                 here = part * step
@@ -252,17 +276,12 @@ class PoseModel:
         """(n, 6) what rocking gives to `lin`'s data."""
         if point.rock is None:
             return np.zeros((len(self.times_s), 6))
-        return np.asarray((lin.rocks @ self._rock_angles(point.rock)[..., None])[..., 0])
-
-    def _rock_angles(self, rock: Rock) -> Array:
-        """(n, 2) rad."""
-        waves = waves_at(rock.frequency, self.times_s)
-        return np.einsum("nab,nb->na", rock.coefficients[self.run], waves)
+        return np.asarray((lin.rocks @ point.rock.angles(self.run, self.times_s)[..., None])[..., 0])
 
     def _rocked(self, point: Geometry) -> Array:
         if point.rock is None:
             return np.broadcast_to(np.eye(4), (len(self.times_s), 4, 4))
-        return se3.exp_se3(self._rock_angles(point.rock) @ self.rock_screws)
+        return se3.exp_se3(point.rock.angles(self.run, self.times_s) @ self.rock_screws)
 
     def _tangents(self, point: Geometry, q: Array) -> Array:
         """(n, 6) twist of the part, in its frame, per unit of q."""
@@ -288,14 +307,6 @@ class PoseModel:
         return np.stack(columns, -1) if columns else np.zeros((len(q), 6, 0))
 
 
-def bounds(names: tuple[str, ...], weighting: Weighting) -> tuple[Array, Array]:
-    """(k + 6,) twice: what coordinates and registration can be at all: no sag upwards, a tracker not far off."""
-    metres, radians = weighting.registration_std
-    box = _MOST_REGISTRATION * np.repeat([metres, radians], 3)
-    ends = [*(_ends(name) for name in names), (-box, box)]
-    return np.concatenate([low for low, _ in ends]), np.concatenate([high for _, high in ends])
-
-
 def solved_within(A: Array, b: Array, low: Array, high: Array) -> Array:
     """(k,) x of least x A x / 2 - b x, each within its bounds; those beyond are put on them, until none is."""
     x = np.asarray(np.linalg.solve(A, b), float)
@@ -312,15 +323,8 @@ def solved_within(A: Array, b: Array, low: Array, high: Array) -> Array:
     return np.clip(x, low, high)
 
 
-def priors(names: tuple[str, ...], weighting: Weighting) -> Array:
-    """(k + 6,) precisions about zero: wide ones for the coordinates, the tracker's for the registration."""
-    return np.concatenate([(_WIDE * coordinate_scales(names)) ** -2.0, weighting.registration_precision])
-
-
-def normal_equations(columns: Array, data: Array, frames: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-    """(k, k) and (k,) of least squares over the frames chosen; columns (n, 6, k), data (n, 6)."""
-    if frames is not None:
-        columns, data = columns[frames], data[frames]
+def normal_equations(columns: Array, data: Array) -> tuple[Array, Array]:
+    """(k, k) and (k,) of least squares; columns (n, 6, k), data (n, 6)."""
     flat = columns.reshape(-1, columns.shape[-1])
     return flat.T @ flat, flat.T @ data.reshape(-1)
 
@@ -329,16 +333,6 @@ def waves_at(frequency: float, times_s: Array) -> Array:
     """(n, 2) sine and cosine."""
     angle = 2 * np.pi * frequency * times_s
     return np.stack([np.sin(angle), np.cos(angle)], -1)
-
-
-def rock_direction(rock: Rock) -> Array:
-    """(2,) unit vector on the directions across the axis about which it rocks most."""
-    return np.asarray(np.linalg.svd(np.concatenate(list(rock.coefficients), -1))[0][:, 0])
-
-
-def named_effects(point: Geometry) -> tuple[Effect, ...]:
-    """All effects of a point of the model, outermost displacement first."""
-    return (*(() if point.rock is None else (rocking_effect(point.rock),)), *point.effects())
 
 
 def rocking_effect(rock: Rock) -> Effect:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21.se3 import Array
-from simgap.geometry.pose_model import ROCK, STATIC, Linear, solved_within, waves_at
+from simgap.geometry.pose_model import ROCK, STATIC, Linear, Weighting, normal_equations, solved_within, waves_at
 
 _RIDGE = 1e-9
 
@@ -78,8 +78,7 @@ def subsets_of(names: Sequence[str], most: int = 3) -> tuple[tuple[str, ...], ..
 def held_out_losses(
     lin: Linear,
     names: tuple[str, ...],
-    prior: Array,
-    limits: tuple[Array, Array],
+    weighting: Weighting,
     units: NDArray[np.int64],
     subsets: tuple[tuple[str, ...], ...],
     frequencies: Sequence[float | None],
@@ -90,32 +89,29 @@ def held_out_losses(
     Args:
         lin: the model about its fit with all `names`.
         names: static effects, as the columns of `lin` have them.
-        prior: (k + 6,) precisions.
-        limits: (k + 6,) lowest and highest values.
+        weighting: the noise, and what is known of coordinates and registration beforehand.
         units: (n,) what losses are averaged over.
         subsets: of `names` and ROCK.
         frequencies: Hz of rocking for each fold, found without it; None for no candidate.
         folds: (n,) what is left out together.
     """
-    at = _column_numbers(names)
-    k = lin.columns.shape[-1] - 6
-    registration = list(range(k, k + 6))
+    k, prior, limits = lin.columns.shape[-1] - 6, weighting.priors(names), weighting.bounds(names)
+    of_column = np.repeat(np.array([*names, ""]), [*(STATIC[name] for name in names), 6])  # "" of the registration
     numbers = np.unique(folds)
     count = np.bincount(units)
-    plain = {f: _gram(lin.columns[folds == f], lin.data[folds == f]) for f in numbers}
+    plain = {f: normal_equations(lin.columns[folds == f], lin.data[folds == f]) for f in numbers}
     out = np.zeros((len(subsets), int(units.max()) + 1))
     for f, frequency in zip(numbers, frequencies, strict=True):
         here = folds == f
         rocked = None if frequency is None else _rock_grams(lin, frequency, folds)
         for s, subset in enumerate(subsets):
-            use = [i for name in subset if name != ROCK for i in at[name]] + registration
-            rocks = ROCK in subset and rocked is not None
-            grams = rocked if rocks and rocked is not None else plain
+            use = np.flatnonzero(np.isin(of_column, [*subset, ""]))
+            grams = plain if rocked is None or ROCK not in subset else rocked
             A = sum((grams[g][0] for g in numbers if g != f), np.zeros_like(plain[f][0]))
             b = sum((grams[g][1] for g in numbers if g != f), np.zeros_like(plain[f][1]))
             x = solved_within(A[np.ix_(use, use)] + np.diag(prior[use]), b[use], *(ends[use] for ends in limits))
             left = lin.data[here] - lin.columns[here][:, :, use] @ x
-            if rocks and frequency is not None:
+            if grams is rocked and frequency is not None:
                 left = _rocks_taken_out(left, lin.rocks[here], lin.times_s[here], frequency)
             out[s] += np.bincount(units[here], (left**2).sum(-1), len(count))
     ceiling = _ceiling_losses(lin, prior[k:], folds, units)
@@ -139,7 +135,7 @@ def free_columns(lin: Linear, degree: int = 5) -> Array:
 def free_residual(lin: Linear, prior: Array, rocking: Array | float = 0.0) -> Array:
     """(n, 6) what neither `rocking` (n, 6) nor a function of the joint's position explains; `prior` (6,) of B."""
     columns, data = np.concatenate([free_columns(lin), lin.columns[..., -6:]], -1), lin.data - rocking
-    A, b = _gram(columns, data)
+    A, b = normal_equations(columns, data)
     return data - columns @ _ridge(A, b, np.concatenate([np.zeros(len(b) - 6), prior]))
 
 
@@ -182,21 +178,8 @@ def rock_coefficients(lin: Linear, left: Array, frequency: float) -> Array:
     for r in range(int(lin.run.max()) + 1):
         here = lin.run == r
         columns = _rock_columns(lin.rocks[here], lin.times_s[here], frequency)
-        out.append(_ridge(*_gram(columns, left[here])).reshape(2, 2))
+        out.append(_ridge(*normal_equations(columns, left[here])).reshape(2, 2))
     return np.stack(out)
-
-
-def _column_numbers(names: tuple[str, ...]) -> dict[str, list[int]]:
-    at, out = 0, {}
-    for name in names:
-        out[name] = list(range(at, at + STATIC[name]))
-        at += STATIC[name]
-    return out
-
-
-def _gram(columns: Array, data: Array) -> tuple[Array, Array]:
-    flat = columns.reshape(-1, columns.shape[-1])
-    return flat.T @ flat, flat.T @ data.reshape(-1)
 
 
 def _ridge(A: Array, b: Array, prior: Array | float = 0.0) -> Array:
@@ -216,7 +199,7 @@ def _rock_grams(lin: Linear, frequency: float, folds: NDArray[np.int64]) -> dict
     for f in np.unique(folds):
         here = folds == f
         both = np.concatenate([lin.columns[here], _rock_columns(lin.rocks[here], lin.times_s[here], frequency)], -1)
-        A, b = _gram(both, lin.data[here])
+        A, b = normal_equations(both, lin.data[here])
         k = len(b) - 4
         D = A[k:, k:] + _RIDGE * np.trace(A[k:, k:]) * np.eye(4)
         solved = np.linalg.solve(D, np.concatenate([A[k:, :k], b[k:, None]], -1))
@@ -231,14 +214,14 @@ def _rocks_taken_out(left: Array, rocks: Array, times_s: Array, frequency: float
     out = np.array(left)
     for part in (late, ~late):
         if part.any() and (~part).any():
-            out[part] -= columns[part] @ _ridge(*_gram(columns[~part], left[~part]))
+            out[part] -= columns[part] @ _ridge(*normal_equations(columns[~part], left[~part]))
     return out
 
 
 def _ceiling_losses(lin: Linear, prior: Array, folds: NDArray[np.int64], units: NDArray[np.int64]) -> Array:
     columns = np.concatenate([free_columns(lin), lin.columns[..., -6:]], -1)
     precisions = np.concatenate([np.zeros(columns.shape[-1] - 6), prior])
-    grams = {f: _gram(columns[folds == f], lin.data[folds == f]) for f in np.unique(folds)}
+    grams = {f: normal_equations(columns[folds == f], lin.data[folds == f]) for f in np.unique(folds)}
     total_A, total_b = (sum((g[i] for g in grams.values()), 0.0 * grams[folds[0]][i]) for i in (0, 1))
     out = np.zeros(int(units.max()) + 1)
     whole = _ridge(total_A, total_b, precisions)

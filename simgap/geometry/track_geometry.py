@@ -9,7 +9,7 @@ import numpy as np
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
 from simgap.geometry import pose_search
-from simgap.geometry.pose_model import Geometry, PoseModel, Rock, Track, Weighting, rock_direction
+from simgap.geometry.pose_model import Geometry, PoseModel, Rock, Track, Weighting
 
 
 @dataclass(frozen=True)
@@ -76,12 +76,11 @@ def _with_phase(model: PoseModel, point: Geometry, weighting: Weighting) -> Geom
     """The point of the model with rocking's phase of this one run; direction, amplitude and frequency stay."""
     if point.rock is None:
         return point
-    u = rock_direction(point.rock)
+    u = point.rock.direction
     amplitude = float(np.sqrt(((u @ point.rock.coefficients) ** 2).sum(-1).mean()))
     still = replace(point, rock=None)
     lin = model.linear(still, model.positions(still, weighting), weighting)
-    left = lin.data - lin.columns @ np.concatenate([point.values, point.registration])
-    waves = u @ pose_search.rock_coefficients(lin, left, point.rock.frequency)[0]
+    waves = u @ pose_search.rock_coefficients(lin, lin.residual(point), point.rock.frequency)[0]
     waves = amplitude * waves / max(float(np.linalg.norm(waves)), 1e-12)
     return replace(point, rock=Rock(point.rock.frequency, np.outer(u, waves)[None]))
 
@@ -90,7 +89,7 @@ def _time_shift(point: Geometry, here: Geometry) -> float:
     """Seconds by which rocking of this run's phase is ahead of the first run's."""
     if point.rock is None or here.rock is None:
         return 0.0
-    u = rock_direction(point.rock)
+    u = point.rock.direction
     first, now = u @ point.rock.coefficients[0], u @ here.rock.coefficients[0]
     ahead = np.arctan2(now[1], now[0]) - np.arctan2(first[1], first[0])
     return float(ahead / (2 * np.pi * point.rock.frequency))

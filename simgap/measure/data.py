@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -76,8 +77,9 @@ class FitRun:
 
     def between(self, begin: int, end: int) -> FitRun:
         """The stretch of readings begin to end."""
-        cut = slice(begin, end)
-        return replace(self, times_s=self.times_s[cut], q=self.q[cut], sigma=self.sigma[cut], speed=self.speed[cut])
+        own = {f.name: getattr(self, f.name) for f in fields(self)}
+        cut: dict[str, Any] = {k: v[..., begin:end] for k, v in own.items() if isinstance(v, np.ndarray)}
+        return replace(self, **cut)
 
 
 def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floor]:
@@ -94,19 +96,9 @@ def fit_runs(measured: Measured, plant: Plant) -> tuple[tuple[FitRun, ...], Floo
     runs, longest = [], step_of(plant, plant.effects)[0]
     for turn, (run, (times, q)) in enumerate(zip(measured.runs, series, strict=True)):
         stride = stride_of(times, q)
-        speed = rough_speed(times, q)
-        runs.append(
-            FitRun(
-                run.name,
-                np.ascontiguousarray(times[::stride]),
-                q[::stride],
-                floor.sigma(speed[::stride]),
-                speed[::stride],
-                inputs_of(run, measured, longest, plant),
-                run.held_out,
-                turn=turn,
-            )
-        )
+        speed, inputs = rough_speed(times, q)[::stride], inputs_of(run, measured, longest, plant)
+        read = np.ascontiguousarray(times[::stride]), q[::stride], floor.sigma(speed), speed
+        runs.append(FitRun(run.name, *read, inputs, run.held_out, turn=turn))
     return _with_regimes(runs), floor
 
 
@@ -138,12 +130,8 @@ def rough_speed(times: Array, q: Array) -> Array:
     """(n,) slope of a straight line through five neighbours."""
     reach = min(2, (len(q) - 1) // 2)
     width = 2 * reach + 1
-    pad_t, pad_q = (
-        np.pad(times, reach, mode="reflect", reflect_type="odd"),
-        np.pad(q, reach, mode="reflect", reflect_type="odd"),
-    )
-    t = np.lib.stride_tricks.sliding_window_view(pad_t, width)
-    v = np.lib.stride_tricks.sliding_window_view(pad_q, width)
+    padded = (np.pad(series, reach, mode="reflect", reflect_type="odd") for series in (times, q))
+    t, v = (np.lib.stride_tricks.sliding_window_view(series, width) for series in padded)
     t = t - t.mean(1, keepdims=True)
     return np.asarray((t * v).sum(1) / (t * t).sum(1))
 
@@ -151,14 +139,8 @@ def rough_speed(times: Array, q: Array) -> Array:
 def _with_regimes(runs: list[FitRun]) -> tuple[FitRun, ...]:
     """Runs named by how they move: driven or free, and small or large against the others of their kind."""
     driven = [
-        bool(len(run.inputs.times_s))
-        and bool(
-            np.any(run.inputs.effort)
-            or np.any(run.inputs.push)
-            or np.isfinite(run.inputs.command).any()
-            or np.any(run.inputs.sway)
-        )
-        for run in runs
+        np.isfinite(given.command).any() or any(np.any(each) for each in (given.effort, given.push, given.sway))
+        for given in (run.inputs for run in runs)
     ]
     fast = np.array([float(np.sqrt(np.mean(run.speed**2))) for run in runs])
     named = []
@@ -173,15 +155,13 @@ def _with_regimes(runs: list[FitRun]) -> tuple[FitRun, ...]:
 def _check_units(measured: Measured, plant: Plant, series: list[tuple[Array, Array]]) -> None:
     unit, foreign = ("rad", "degrees") if plant.joint_type == "revolute" else ("m", "mm")
     for run, (_, q) in zip(measured.runs, series, strict=True):
-        low, high = float(q.min()), float(q.max())
-        span = plant.upper - plant.lower
-        if np.isfinite(span):
-            beyond = max(plant.lower - low, high - plant.upper)
-            if beyond > 0.25 * span + (0.3 if unit == "rad" else 0.0):
-                raise FreeArtError(
-                    f"run '{run.name}' reads {low:.4g} to {high:.4g} {unit}, but joint '{measured.joint}' has limits "
-                    f"{plant.lower:.4g} to {plant.upper:.4g} {unit}: are its units {foreign}?"
-                )
+        low, high, span = float(q.min()), float(q.max()), plant.upper - plant.lower
+        beyond = max(plant.lower - low, high - plant.upper)
+        if np.isfinite(span) and beyond > 0.25 * span + (0.3 if unit == "rad" else 0.0):
+            raise FreeArtError(
+                f"run '{run.name}' reads {low:.4g} to {high:.4g} {unit}, but joint '{measured.joint}' has limits "
+                f"{plant.lower:.4g} to {plant.upper:.4g} {unit}: are its units {foreign}?"
+            )
         turns = np.abs(np.diff(q[[0, *reversals(q, 0.1 * float(np.ptp(q))), -1]]))
         if unit == "rad" and len(turns) >= 3 and np.median(turns) > 4 * np.pi:
             raise FreeArtError(

@@ -8,9 +8,8 @@ more than what accelerates it. The reading is the told force; a theory foretells
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,25 +44,21 @@ _FEWEST = 8
 """Readings of the force that a run must have where its joint slides."""
 
 
-def _nothing() -> Array:
-    return np.zeros(0)
-
-
 @dataclass(frozen=True)
 class ForceRun(FitRun):
     """A run of which the force is read: `q` and `sigma` are of the told force, N*m or N, `speed` of the joint."""
 
-    position: Array = field(default_factory=_nothing)
+    position: Array = field(kw_only=True)
     """(n,) rad or m."""
-    acceleration: Array = field(default_factory=_nothing)
+    acceleration: Array = field(kw_only=True)
     """(n,) rad/s^2 or m/s^2."""
-    asked: Array = field(default_factory=_nothing)
+    asked: Array = field(kw_only=True)
     """(n,) of the force what the actuator was told to give."""
-    on: Array = field(default_factory=_nothing)
+    on: Array = field(kw_only=True)
     """(n,) 1 where the actuator was on, else 0."""
-    turned: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    turned: Array = field(kw_only=True)
     """(2, n) cosine and sine of the position, which gravity goes with."""
-    load: Array = field(default_factory=_nothing)
+    load: Array = field(kw_only=True)
     """(n,) N on the bearing."""
 
     @property
@@ -75,12 +70,6 @@ class ForceRun(FitRun):
     def extent(self) -> float:
         """Root mean square of the force at work."""
         return float(np.sqrt(np.mean(self.q**2)))
-
-    def between(self, begin: int, end: int) -> ForceRun:
-        """The stretch of readings begin to end."""
-        own = {f.name: getattr(self, f.name) for f in fields(self)}
-        cut: dict[str, Any] = {k: v[..., begin:end] for k, v in own.items() if isinstance(v, np.ndarray)}
-        return replace(self, **cut)
 
 
 def force_runs(measured: Measured, plant: Plant) -> tuple[tuple[ForceRun, ...], Floor, tuple[str, ...]] | None:
@@ -184,11 +173,16 @@ def _of_run(measured: Measured, plant: Plant, run: Run, noise: float, still: flo
         return None
     ways = np.sign(speed[at])
     regime = "forwards" if (ways > 0).all() else "backwards" if (ways < 0).all() else "both ways"
+    read = t[at] - run.times_s[0], (asked + beside)[at], np.full(len(at), sigma), speed[at]
     return ForceRun(
-        run.name, t[at] - run.times_s[0], (asked + beside)[at], np.full(len(at), sigma), speed[at], Inputs(),
-        run.held_out, regime, measured.runs.index(run), q[at], qdd[at], asked[at], on[at],
-        np.stack([cosine, sine])[:, at], mechanics.load(q, qd, qdd)[at],
-    )  # fmt: skip
+        *(run.name, *read, Inputs(), run.held_out, regime, measured.runs.index(run)),
+        position=q[at],
+        acceleration=qdd[at],
+        asked=asked[at],
+        on=on[at],
+        turned=np.stack([cosine, sine])[:, at],
+        load=mechanics.load(q, qd, qdd)[at],
+    )
 
 
 def _sliding(q: Array) -> NDArray[np.bool_]:

@@ -27,13 +27,13 @@ from freeart21.joint import JointType
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import JointMechanics
 from simgap.geometry.finding import KinematicsFinding
-from simgap.geometry.placing import Placed, place
-from simgap.geometry.track_geometry import lever_of, middle_of
+from simgap.geometry.placing import place
+from simgap.geometry.track_geometry import TrackGeometry, lever_of, middle_of
 from simgap.models.equation_error import missing_force
 from simgap.models.localise import residual_maps, where
 from simgap.models.surrogate import Nuisance, Plant, plant_of
-from simgap.page.report import GEOMETRY, Gap, Ranked, page, use_of
-from simgap.prove.body import NO_CORRECTION, BodyCorrection
+from simgap.page.report import Draft, Gap, page
+from simgap.prove.body import NO_CORRECTION, BodyCorrection, true_gravity
 from simgap.prove.replay import (
     SECONDS,
     AssetOnDisk,
@@ -44,65 +44,16 @@ from simgap.prove.replay import (
     Starts,
     address_of,
     replay,
-    replay_from,
 )
-from simgap.prove.show import Chosen, ChosenPoses, ReplayGap, Shown, alike, closed_alike, helps, show
+from simgap.prove.show import Shown, closed_part, helps, show
 from simgap.prove.writeback import repaired
 from simgap.select.experiment import UNNAMED
 from simgap.select.words import plain, runs_text, with_closed, with_replayed
-from simgap.settings import JudgementSettings
-from simgap.verdict import Named, Proof, RunGap, Use, Verdict, halved, root_mean_square, told_by, unit_of
+from simgap.verdict import GEOMETRY, Named, Proof, RunGap, Verdict, halved, root_mean_square, told_by, unit_of
 
 MOST_REPLAYS = 6
 """Runs that SAPIEN replays; of every regime some."""
 _MOST_POSES = 150
-
-
-@dataclass(frozen=True)
-class Off:
-    """How far an asset is off without anything missing, as a fit has it."""
-
-    inertia: float = 1.0
-    """True inertia over the asset's."""
-    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Torque of cos q and of sin q (N*m), or force (N): what true gravity has beyond the asset's."""
-
-
-@dataclass(frozen=True)
-class Draft:
-    """What fits and choice have come to, before SAPIEN has seen it."""
-
-    verdict: Verdict
-    """Gaps as the fits have them; those of replayed runs are measured anew."""
-    off: Off = Off()
-    """How far the asset is off by itself, which the maps of where know."""
-    ranking: tuple[Ranked, ...] = ()
-    geometry: KinematicsFinding | None = None
-    regimes: dict[str, str] = field(default_factory=dict)
-    """Run name to regime."""
-    floor: float = 0.0
-    """rad or m."""
-    moves_otherwise: bool = True
-    """Whether the motion along the joint is other than simulated; without that, nothing is said of where."""
-    certain: tuple[Named, ...] = ()
-    """Effects that are named without doubt, whatever is said of the rest: only these go into the asset."""
-    curves: tuple[ReplayGap, ...] = ()
-    """Of runs whose motion was prescribed, the force by inverse dynamics: by the asset as it is and by the best that
-    was found."""
-    uses: dict[str, Use] = field(default_factory=dict)
-    """Run name to what it was used for."""
-    body: BodyCorrection = NO_CORRECTION
-    """What the asset's inertia and weight are corrected by, beside the effects of the verdict."""
-    dominant: float = JudgementSettings.dominant
-    """Part of the gap that what is delivered may leave of confirming runs."""
-
-
-def off_of(plant: Plant, nuisance: Nuisance) -> Off:
-    """How a fit's nuisance changes inertia and gravity."""
-    terms = plant.gravity_terms
-    true = nuisance.gravity * (terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2])
-    cosine, sine, constant = (float(v) for v in true - terms[0])
-    return Off(nuisance.inertia, (cosine, sine, constant))
 
 
 def with_positions(measured: Measured, geometry: KinematicsFinding | None) -> Measured:
@@ -177,36 +128,38 @@ def publish(
         progress: told how many replays are done.
         paths: those of the command; as they are here when not given.
     """
-    placed = place(asset, measured.gravity)
-    runs = with_positions(measured, draft.geometry)
-    posed = any(run.poses is not None for run in measured.runs)
+    runs, posed = with_positions(measured, draft.geometry), any(run.poses is not None for run in measured.runs)
     if posed:
         write_measured(folder / "runs", runs)
         runs = read_measured(folder / "runs")
-    acting = asset.effects.get(asset.joint, ())
-    known = _as_fitted(runs, placed, acting, draft.off, _limits(asset))
-    found = missing_force(*known, plant=plant_of(asset, measured))
+    plant, verdict = plant_of(asset, measured), draft.verdict
+    found = missing_force(*_as_fitted(runs, plant, draft.nuisance), plant=plant)
     maps = residual_maps(found, seed)
-    verdict = draft.verdict
     if draft.moves_otherwise and not verdict.where:
         verdict = replace(verdict, where=where(maps, found, measured.joint_type))
     tried = verdict.effects if verdict.verdict in ("named", "ambiguous") else draft.certain
     changed = bool(tried) or draft.body != NO_CORRECTION
     _write_asset(asset, tried, draft.body, verdict, folder / "asset")
-    given = AssetOnDisk(address_of(asset), asset.root, guesses=False)
-    trial = Trial(asset, measured, runs, draft, placed, tried)
-    began = time.monotonic()
-    replays, shown, why = trial.replayed((given, AssetOnDisk(folder / "asset")), changed, replay_seconds, progress)
+    given, delivered = AssetOnDisk(address_of(asset), asset.root, guesses=False), AssetOnDisk(folder / "asset")
+    end = time.monotonic() + replay_seconds
+    chosen = _pick_runs(runs, verdict) if verdict.by == "position" else []
+    tracks = _place_tracks(asset, measured, draft.geometry, tried)
+    files = (given, delivered) if changed else (given,)
+    replays, shown, why = _replay_trial(files, runs, draft, chosen, tracks, replay_seconds, progress)
     kept, notes = draft.certain, [] if changed or not why else [f"SAPIEN could not replay the asset: {why}"]
     if shown is not None:
-        verdict = replace(verdict, gaps=_measured_gaps(verdict.gaps, shown))
+        verdict = replace(verdict, gaps=_measure_gaps(verdict.gaps, shown))
     if shown is not None and shown.runs:
-        sizes = ("gap_before", "gap_after", "floor")
-        was, is_now, floor = (root_mean_square([getattr(run, k) for run in shown.runs]) for k in sizes)
-        said = with_replayed(verdict.sentence, was, is_now, floor, unit_of("position", measured.joint_type))
-        verdict = replace(verdict, sentence=said)
-    if changed:
-        verdict, kept, notes = _judged(verdict, draft, tried, shown, why, replay_seconds)
+        was, left, floor = (root_mean_square([getattr(r, k) for r in shown.runs]) for k in ("before", "after", "floor"))
+        unit = unit_of("position", measured.joint_type)
+        verdict = replace(verdict, sentence=with_replayed(verdict.sentence, was, left, floor, unit))
+    if changed and why:
+        bad = _select_moving(tried) or list(tried)
+        notes = [f"SAPIEN could not replay {_names(bad) or 'the corrected asset'}: {why}"]
+        verdict = _roll_back(verdict, draft.certain, bad)
+        kept = verdict.effects
+    elif changed and shown is not None:
+        verdict, kept, notes = _judge(verdict, draft, tried, shown, replay_seconds)
     body = draft.body if verdict.corrections else NO_CORRECTION
     if (kept, body) != (tried, draft.body):
         (folder / "asset").rename(folder / "trial")
@@ -215,17 +168,12 @@ def publish(
     if verdict.by == "position":
         verdict = replace(verdict, gaps=_gaps_of_files(verdict.gaps, shown, tried, kept, body == draft.body))
     if replays:
-        delivered = AssetOnDisk(folder / "asset")
-        left = replay_seconds - (time.monotonic() - began)
         same = not _select_moving(kept) and body == NO_CORRECTION
-        witness = _ask_witness((given,) if same else (given, delivered), runs, replays, verdict.holding or 0.0, left)
-        verdict = replace(
-            verdict, proof=_make_proof(paths, asset, measured, folder, verdict.holding, replays[0], witness)
-        )
-    gap = Gap(
-        *(title, measured.joint, measured.joint_type, verdict, draft.ranking, maps, shown, draft.geometry),
-        *(tuple(notes), seconds, draft.curves),
-    )
+        assets = (given,) if same else (given, delivered)
+        witness = _ask_witness(assets, runs, replays, verdict.holding or 0.0, end - time.monotonic())
+        proof = _make_proof(paths, asset, posed, folder, verdict.holding, replays[0], witness)
+        verdict = replace(verdict, proof=proof)
+    gap = Gap(title, measured, verdict, draft, maps, shown, tuple(notes), seconds)
     write_answer(folder, verdict, measured.joint_type, page(gap))
     return verdict
 
@@ -246,78 +194,58 @@ def _select_moving(effects: Sequence[Named]) -> list[Named]:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """Effects that are tried in SAPIEN."""
+class _Tracks:
+    """Runs of poses, as they are held against the asset as it was and as it is now."""
 
-    asset: Asset
-    measured: Measured
-    runs: Measured
-    """The same with positions in the place of poses."""
-    draft: Draft
-    placed: Placed
-    tried: tuple[Named, ...]
+    tracks: tuple[TrackGeometry, ...] = ()
+    before: tuple[PosesToReplay, ...] = ()
+    after: tuple[PosesToReplay, ...] = ()
 
-    def replayed(
-        self, files: tuple[AssetOnDisk, AssetOnDisk], changed: bool, seconds: float, progress: Progress | None
-    ) -> tuple[tuple[Replay, ...], Shown | None, str]:
-        """The replays by the asset as it was and, where it was changed, by the other one, and what they show; or why
-        there are none, which is empty for nothing to replay."""
-        draft = self.draft
-        able = [run for run in self.runs.runs if np.isfinite(run.q).any()] if draft.verdict.by == "position" else []
-        chosen = [self._chosen(run) for run in _picked(able, draft)]
-        tracks: list[tuple[ChosenPoses, PosesToReplay, PosesToReplay]] = []
-        if draft.geometry is not None and any(n.effect.kind == "kinematics" for n in self.tried):
-            tracks = _tracks(self.measured, draft.geometry, self.placed, self.asset.state_zero)
-        if not chosen and not tracks:
-            return (), None, ""
-        try:
-            replays = replay(
-                files if changed else files[:1],
-                self.runs,
-                [run.name for run in chosen],
-                holding=draft.verdict.holding or 0.0,
-                poses=([was for _, was, _ in tracks], [is_now for *_, is_now in tracks]),
-                seconds=seconds,
-                progress=progress,
-            )
-        except CannotReplay as error:
-            return (), None, str(error)
-        return replays, show(replays[0], replays[-1], chosen, [run for run, *_ in tracks]), ""
 
-    def _chosen(self, run: Run) -> Chosen:
-        draft = self.draft
-        return Chosen(run.name, draft.floor, draft.regimes.get(run.name, ""), draft.uses.get(run.name, "fitted"))
+def _replay_trial(
+    files: Sequence[AssetOnDisk],
+    runs: Measured,
+    draft: Draft,
+    chosen: list[str],
+    poses: _Tracks,
+    seconds: float,
+    progress: Progress | None,
+) -> tuple[tuple[Replay, ...], Shown | None, str]:
+    """The replays by the asset as it was and, where it was changed, by the other one, and what they show; or why there
+    are none, which is empty for nothing to replay."""
+    if not chosen and not poses.tracks:
+        return (), None, ""
+    both, holding = (poses.before, poses.after), draft.verdict.holding or 0.0
+    try:
+        replays = replay(files, runs, chosen, holding=holding, poses=both, seconds=seconds, progress=progress)
+    except CannotReplay as error:
+        return (), None, str(error)
+    return replays, show(replays[0], replays[-1], draft.floor, draft.verdict.gaps, poses.tracks), ""
 
 
 def _ask_witness(
-    assets: tuple[AssetOnDisk, ...], runs: Measured, replays: tuple[Replay, ...], holding: float, seconds: float
+    assets: Sequence[AssetOnDisk], runs: Measured, replays: tuple[Replay, ...], holding: float, seconds: float
 ) -> dict[str, Any]:
     """What MuJoCo says of the same runs, from the same states, by the files as they were given and as delivered."""
     said: dict[str, Any] = {"engine": "mujoco"}
     names = [run.run for run in replays[0].runs]
-    starts = [
-        Starts({run.run: run.start for run in one.runs}, {run.run: run.noise for run in one.runs}) for one in replays
-    ]
+    starts = [Starts({r.run: r.start for r in one.runs}, {r.run: r.noise for r in one.runs}) for one in replays]
     if not names:
         return {**said, "absent": "no run was replayed in time"}
+    starts, seconds = starts[: len(assets)], max(seconds, 1.0)
     try:
-        found = replay_from(
-            assets, runs, starts[: len(assets)], names, engine="mujoco", holding=holding, seconds=max(seconds, 1.0)
-        )
+        found = replay(assets, runs, names, starts=starts, engine="mujoco", holding=holding, seconds=seconds)
     except FreeArtError as error:
         return {**said, "absent": str(error)}
     pairs = zip(found[0].runs, found[-1].runs, strict=True)
-    return {
-        **said,
-        "version": found[0].version,
-        "gap": [{"run": was.run, "before": was.error, "after": is_now.error} for was, is_now in pairs],
-    }
+    gaps = [{"run": was.run, "before": was.error, "after": is_now.error} for was, is_now in pairs]
+    return {**said, "version": found[0].version, "gap": gaps}
 
 
 def _make_proof(
     paths: Paths | None,
     asset: Asset,
-    measured: Measured,
+    posed: bool,
     folder: Path,
     holding: float | None,
     made_by: Replay,
@@ -325,7 +253,6 @@ def _make_proof(
 ) -> Proof:
     """What replayed, and the command lines that do it again."""
     paths = paths or Paths(address_of(asset), Path("MEASURED"), folder, asset.root)
-    posed = any(run.poses is not None for run in measured.runs)
     set_ = paths.out / "runs" if posed else paths.measured
     how = [] if holding is None else ["--holding", repr(holding)]
     bounds = [] if paths.root is None else ["--root", str(paths.root)]
@@ -341,22 +268,17 @@ def _make_proof(
     return Proof(made_by.engine, made_by.version, repeat, witness, hashes)
 
 
-def _judged(
-    verdict: Verdict, draft: Draft, tried: tuple[Named, ...], shown: Shown | None, why: str, seconds: float
+def _judge(
+    verdict: Verdict, draft: Draft, tried: tuple[Named, ...], shown: Shown, seconds: float
 ) -> tuple[Verdict, tuple[Named, ...], list[str]]:
     """The verdict after the replay, the effects that go into the asset, and what else must be said."""
     certain = draft.certain
     notes: list[str] = []
-    if shown is None and not why:
-        return verdict, certain, notes
-    if shown is None:
-        bad = [n for n in tried if n.effect.kind != "kinematics"]
-        notes.append(f"SAPIEN could not replay {_names(bad or tried) or 'the corrected asset'}: {why}")
-        return _rolled_back(verdict, certain, bad or list(tried)), _without(certain, bad or list(tried)), notes
     fitted = {gap.regime for gap in verdict.gaps if gap.use == "fitted"}
-    same = closed_alike(shown, fitted)[0] if shown.runs else None
+    near, _ = shown.split(fitted)
+    same = closed_part(near)
     if same is not None:
-        of = runs_text([run.use for run in alike(shown, fitted)])
+        of = runs_text([run.use for run in near])
         verdict = replace(verdict, sentence=with_closed(verdict.sentence, same, f"{of}, replayed in SAPIEN,"))
     if shown.given_up:
         done = len(shown.runs) + len(shown.unsure)
@@ -368,15 +290,16 @@ def _judged(
             unsure = "SAPIEN has not confirmed it: the replay took too long."
             verdict = replace(verdict, sentence=f"{verdict.sentence} {unsure}")
     motion = helps(shown.runs) and _confirms(verdict, shown, draft.dominant) if shown.runs else None
-    geometry = helps((), shown.poses) if shown.poses else None
+    geometry = helps(shown.poses) if shown.poses else None
     bad = [n for n in tried if (geometry if n.effect.kind == "kinematics" else motion) is False]
     if bad or (motion is False and verdict.corrections):
-        of = runs_text([run.use for run in shown.runs] or [use_of(p) for p in shown.poses])
+        of = runs_text([run.use for run in shown.runs or shown.poses])
         notes.append(
             f"A repair with {_names(bad) or 'another body'} was tried and rolled back: replayed in SAPIEN it did not "
             f"help on {of}, or made some of their motion worse."
         )
-        return _rolled_back(verdict, certain, bad), _without(certain, bad), notes
+        verdict = _roll_back(verdict, certain, bad)
+        return verdict, verdict.effects, notes
     rest = [n for n in tried if n not in certain]
     if rest:
         notes.append(
@@ -407,81 +330,61 @@ def _names(effects: Sequence[Named]) -> str:
     return ", ".join(named.effect.name for named in effects)
 
 
-def _without(certain: tuple[Named, ...], bad: Sequence[Named]) -> tuple[Named, ...]:
-    return tuple(named for named in certain if named not in bad)
-
-
 def _as_fitted(
-    runs: Measured, placed: Placed, acting: tuple[Effect, ...], off: Off, limits: tuple[float, float]
+    runs: Measured, plant: Plant, nuisance: Nuisance
 ) -> tuple[Measured, JointMechanics, float, float, tuple[Effect, ...], tuple[Run, ...]]:
     """What `missing_force` takes, held-out runs too: by as much as the asset is known to be off there is no gap."""
-    if off == Off():
-        return runs, placed.mechanics, *limits, acting, runs.runs
+    limits, more = (plant.lower, plant.upper), true_gravity(plant, nuisance) - plant.gravity_terms[0]
+    if nuisance.inertia == 1.0 and not more.any():
+        return runs, plant.mechanics, *limits, plant.effects, runs.runs
     exact = replace(runs, inertia_relative=0.0, gravity_relative=0.0)
-    mechanics = replace(placed.mechanics, inertia=placed.mechanics.inertia * off.inertia)
-    return exact, mechanics, *limits, (*acting, gravity_change(*off.gravity)), runs.runs
+    mechanics = replace(plant.mechanics, inertia=plant.mechanics.inertia * nuisance.inertia)
+    return exact, mechanics, *limits, (*plant.effects, gravity_change(*map(float, more))), runs.runs
 
 
-def _limits(asset: Asset) -> tuple[float, float]:
-    from freeart21.files.asset import movable_joint
-
-    joint = movable_joint(asset.urdf, asset.joint)
-    return joint.lower, joint.upper
-
-
-def _picked(runs: list[Run], draft: Draft) -> list[Run]:
+def _pick_runs(runs: Measured, verdict: Verdict) -> list[str]:
     """Runs to replay, of those with a start that tell what the answer is worth: the regimes in turn."""
-    gaps = draft.verdict.gaps
-    tell = {gap.run for gap in told_by(gaps)}
-    unfitted = {gap.run for gap in gaps if gap.use != "fitted"}
-    by_regime: dict[str, list[Run]] = {}
-    for run in runs:
-        if run.name in (tell & unfitted or tell):
-            by_regime.setdefault(draft.regimes.get(run.name, ""), []).append(run)
-    turns = [group[k] for k in range(len(runs)) for group in by_regime.values() if k < len(group)]
+    tell = {gap.run: gap for gap in told_by(verdict.gaps)}
+    unfitted = {gap.run for gap in verdict.gaps if gap.use != "fitted"}
+    wanted = tell.keys() & unfitted or tell.keys()
+    by_regime: dict[str, list[str]] = {}
+    for run in runs.runs:
+        if run.name in wanted and np.isfinite(run.q).any():
+            by_regime.setdefault(tell[run.name].regime, []).append(run.name)
+    turns = [group[k] for k in range(len(runs.runs)) for group in by_regime.values() if k < len(group)]
     return turns[:MOST_REPLAYS]
 
 
-def _tracks(
-    measured: Measured, geometry: KinematicsFinding, placed: Placed, state_zero: float
-) -> list[tuple[ChosenPoses, PosesToReplay, PosesToReplay]]:
-    """Runs of poses, as they are held against the asset as it was and as it is now."""
-    if not geometry.effects:
-        return []
-    of = {run.name: run for run in measured.runs}
-    T_canonical_parent = se3.inverse(placed.T_parent_canonical)
+def _place_tracks(
+    asset: Asset, measured: Measured, geometry: KinematicsFinding | None, tried: tuple[Named, ...]
+) -> _Tracks:
+    """Runs of poses to replay: those held out, else three, where any geometry is tried."""
+    if geometry is None or not geometry.effects or len(_select_moving(tried)) == len(tried):
+        return _Tracks()
+    of, placed = {run.name: run for run in measured.runs}, place(asset, measured.gravity)
+    at_zero = se3.inverse(placed.T_parent_canonical) @ placed.mechanics.joint.transform(asset.state_zero)
     middle = middle_of(placed.mechanics)
-    at_zero = placed.mechanics.joint.transform(state_zero)
-    tracks = sorted(geometry.tracks, key=lambda t: not t.held_out)
-    found = []
-    for track in [t for t in tracks if t.held_out] or tracks[:3]:
+    point, lever = se3.transform(at_zero, middle[None])[0], lever_of(placed.mechanics, middle)
+    chosen = tuple(t for t in geometry.tracks if t.held_out) or geometry.tracks[:3]
+    found: tuple[list[PosesToReplay], ...] = [], []
+    for track in chosen:
         motions = placed.track(of[track.name]).motions
         kept = np.unique(np.linspace(0, len(motions) - 1, min(_MOST_POSES, len(motions))).astype(int))
-        was, is_now = (
-            PosesToReplay(
-                placed.poses(motions[kept] @ se3.exp_se3(-registration)),
-                q[kept] - state_zero,
-                track.times_s[kept] + track.time_shift_s,
-                se3.transform(T_canonical_parent @ at_zero, middle[None])[0],
-                lever_of(placed.mechanics, middle),
-            )
-            for registration, q in zip(geometry.registrations, (track.q_before, track.q), strict=True)
-        )
-        found.append((ChosenPoses(track.name, track.floor, track.held_out), was, is_now))
-    return found
+        times = track.times_s[kept] + track.time_shift_s
+        for some, registration, q in zip(found, geometry.registrations, (track.q_before, track.q), strict=True):
+            poses = placed.poses(motions[kept] @ se3.exp_se3(-registration))
+            some.append(PosesToReplay(poses, q[kept] - asset.state_zero, times, point, lever))
+    return _Tracks(chosen, *map(tuple, found))
 
 
-def _measured_gaps(gaps: tuple[RunGap, ...], shown: Shown) -> tuple[RunGap, ...]:
+def _measure_gaps(gaps: tuple[RunGap, ...], shown: Shown) -> tuple[RunGap, ...]:
     """Gaps with those that SAPIEN measured in their places, and those of the geometry."""
     replayed = {run.run: run for run in (*shown.runs, *shown.unsure)}
-    out = [
-        replace(gap, before=replayed[gap.run].gap_before, after=replayed[gap.run].gap_after)
-        if gap.run in replayed
-        else gap
+    sizes = [
+        {} if gap.run not in replayed else {k: getattr(replayed[gap.run], k) for k in ("before", "after")}
         for gap in gaps
     ]
-    out += [RunGap(p.run, p.before, p.after, p.floor, p.held_out, GEOMETRY, use_of(p)) for p in shown.poses]
-    return tuple(out)
+    return (*(replace(gap, **size) for gap, size in zip(gaps, sizes, strict=True)), *shown.poses)
 
 
 def _gaps_of_files(
@@ -503,25 +406,16 @@ def _gaps_of_files(
     return tuple(found)
 
 
-def _rolled_back(verdict: Verdict, certain: tuple[Named, ...], bad: Sequence[Named]) -> Verdict:
-    """Unexplained but for what helped."""
-    kept = _without(certain, bad)
-    bent = any(named.effect.kind == "kinematics" for named in bad)
-    moved = any(named.effect.kind != "kinematics" for named in bad) or not bent
+def _roll_back(verdict: Verdict, certain: tuple[Named, ...], bad: Sequence[Named]) -> Verdict:
+    """Unexplained but for what is certain and helped."""
+    kept = tuple(named for named in certain if named not in bad)
+    moved = bool(_select_moving(bad)) or not bad
     what = "the best repair of it did not help, or made some motion worse"
     if kept:
         words = ", ".join(plain(named.effect.name) for named in kept)
-        sentence = f"This is mended: {words}. What else simulation and measurement differ by is not known: {what}."
+        said = f"This is mended: {words}. What else simulation and measurement differ by is not known: {what}."
     else:
-        sentence = f"Simulation and measurement differ, and nothing known here mends it: {what}."
-    corrections = () if moved else verdict.corrections
-    return replace(
-        verdict,
-        verdict="unexplained",
-        next_experiment=verdict.next_experiment or UNNAMED[""],
-        effects=kept,
-        rivals=(),
-        sentence=sentence,
-        in_part=False,
-        corrections=corrections,
-    )
+        said = f"Simulation and measurement differ, and nothing known here mends it: {what}."
+    later, corrections = verdict.next_experiment or UNNAMED[""], () if moved else verdict.corrections
+    bare = replace(verdict, effects=kept, rivals=(), in_part=False, corrections=corrections)
+    return replace(bare, verdict="unexplained", sentence=said, next_experiment=later)

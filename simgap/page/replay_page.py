@@ -6,27 +6,46 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from freeart21.files import atomic
 from freeart21.joint import JointType
 from freeart21.view.document import Section, document, escape
 from freeart21.view.tables import table_section
 from simgap.page.report_plots import run_drawings
 from simgap.prove.replay import RunReplay
-from simgap.prove.show import ReplayGap
+from simgap.prove.show import ReplayGap, compare_curves
+from simgap.verdict import By
 
 MOST_DRAWN = 40
 """Runs whose curves are drawn: each takes some 50 kB."""
 
 
+MOST_SIGMAS = 1e6
+"""More come of readings without noise, of which sigma is the last digit of a number."""
+HEAD = ("run", "rms error", "in sigmas", "used", "start", "start velocity")
+"""Of what `Row.texts` gives."""
+
+
 @dataclass(frozen=True)
-class Drawn:
-    """One run of the page."""
+class Row:
+    """One run."""
 
     name: str
+    """Of all sets that were given, unmistakable."""
+    file: Path
+    unit: str
+    """Of the file's positions."""
+    per_unit: float
+    """rad or m in one of these."""
+    use: str
+    """What the verdict beside the asset says that it was used for; "unknown" where there is none, or of other runs."""
     joint_type: JointType
     replay: RunReplay
-    texts: tuple[str, ...]
-    """Its row of the table."""
+
+    def texts(self) -> tuple[str, ...]:
+        """The row of the table: errors and start in the unit of the data."""
+        run = self.replay
+        error, q, qd = (f"{value / self.per_unit:.6g} {self.unit}" for value in (run.error, *run.start))
+        sigmas = f"{run.sigmas:.4g}" if run.sigmas < MOST_SIGMAS else f"over {MOST_SIGMAS:g}"
+        return self.name, error, sigmas + " (hangs on a hair)" * (not run.sure), self.use, q, f"{qd}/s"
 
 
 def repeat_section(commands: dict[str, str], note: str = "") -> Section:
@@ -38,31 +57,30 @@ def repeat_section(commands: dict[str, str], note: str = "") -> Section:
     return Section("Repeat it", lines + (f'<p class="note">{escape(note)}</p>' if note else ""), place="full")
 
 
-def write_replay_page(
-    path: Path,
-    title: str,
-    about: Sequence[str],
-    command: str,
-    head: Sequence[str],
-    runs: Sequence[Drawn],
-    notes: Sequence[str] = (),
-) -> None:
-    """Write the page, one file that needs no other."""
+def run_section(
+    title: str, run: ReplayGap, kind: JointType, names: tuple[str, str | None], by: By = "position"
+) -> Section:
+    """The curves of a run; `names` are those of the simulations, None for one that is not drawn."""
+    figures, data = run_drawings(run, kind, names, by)
+    return Section(title, f'<div class="charts wide">{"".join(figures)}</div>', "curves", data, "full")
+
+
+def replay_page(title: str, about: Sequence[str], command: str, rows: Sequence[Row], notes: Sequence[str] = ()) -> str:
+    """The page as HTML, which needs no other file."""
     told = (
         "Simulated from the asset's files alone. Only the state at each run's first reading is free; it is fitted to "
         "the run. Sigma is the noise of the readings."
     )
+    texts = [row.texts() for row in rows]
     sections = [
-        table_section("Runs", [run.texts for run in runs], head, "full", " ".join([told, *notes])),
+        table_section("Runs", texts, HEAD, "full", " ".join([told, *notes])),
         repeat_section({"This replay": command}),
     ]
-    for drawn in runs[:MOST_DRAWN]:
-        run = drawn.replay
-        curves = run.times_s, run.measured, run.simulated, run.simulated
-        gap = ReplayGap(run.run, *curves, run.error, run.error, run.noise, "", "fitted")
-        figures, data = run_drawings(gap, drawn.joint_type, ("by the files", None))
-        heading = f"Run {drawn.name}: {drawn.texts[1]}, {drawn.texts[2]} sigmas"
-        sections.append(Section(heading, f'<div class="charts wide">{"".join(figures)}</div>', "curves", data, "full"))
-    if len(runs) > MOST_DRAWN:
-        sections.append(Section("More runs", f"<p>{len(runs) - MOST_DRAWN} more are in curves/.</p>", place="full"))
-    atomic.write_bytes(path, document(title, sections, "replay", about).encode())
+    for row, (name, error, sigmas, *_) in list(zip(rows, texts, strict=True))[:MOST_DRAWN]:
+        run = row.replay
+        gap = compare_curves(run.run, run.times_s, run.measured, (run.simulated, run.simulated), run.noise)
+        heading = f"Run {name}: {error}, {sigmas} sigmas"
+        sections.append(run_section(heading, gap, row.joint_type, ("by the files", None)))
+    if len(rows) > MOST_DRAWN:
+        sections.append(Section("More runs", f"<p>{len(rows) - MOST_DRAWN} more are in curves/.</p>", place="full"))
+    return document(title, sections, "replay", about)

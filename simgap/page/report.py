@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import get_args
 
 import numpy as np
 
 from freeart21.effects.base import Effect
 from freeart21.joint import JointType
+from freeart21.measured import Measured
+from freeart21.view.curves import Curve
 from freeart21.view.document import Section, document, escape
-from freeart21.view.tables import table_section
+from freeart21.view.tables import Markup, bar, table_section, two_lines
 from simgap.geometry.finding import KinematicsFinding
 from simgap.geometry.track_geometry import TrackGeometry
 from simgap.models.localise import LEVEL, ResidualMap
-from simgap.page.replay_page import repeat_section
-from simgap.page.report_plots import AFTER, BEFORE, Line, chart, force_map, interval_drawing, p_text, run_drawings
-from simgap.prove.show import PoseGap, ReplayGap, Shown, alike, closed_alike
+from simgap.models.surrogate import Nuisance
+from simgap.page.replay_page import repeat_section, run_section
+from simgap.page.report_plots import AFTER, BEFORE, chart, drawn_samples, force_map, interval_drawing, p_text
+from simgap.prove.body import NO_CORRECTION, BodyCorrection
+from simgap.prove.show import ReplayGap, Shown, closed_part, use_of
 from simgap.select.words import amount, capital, effect_words, number_text, plain, runs_text
-from simgap.verdict import RunGap, Use, Verdict, root_mean_square, told_by, unit_of
+from simgap.settings import JudgementSettings
+from simgap.verdict import GEOMETRY, Named, RunGap, Use, Verdict, root_mean_square, told_by, unit_of
 
-GEOMETRY = "geometry"
-"""Regime of a gap that is counted in metres off the joint."""
 ROLLED_BACK = "with the repair that was rolled back"
 MOST_RUNS = 4
 """Held-out runs that are drawn."""
@@ -52,57 +55,93 @@ class Ranked:
 
 
 @dataclass(frozen=True)
+class Draft:
+    """What fits and choice have come to, before SAPIEN has seen it."""
+
+    verdict: Verdict
+    """Gaps as the fits have them; those of replayed runs are measured anew."""
+    nuisance: Nuisance = field(default_factory=Nuisance)
+    """How far the asset is off by itself, which the maps of where know."""
+    ranking: tuple[Ranked, ...] = ()
+    """Best first."""
+    geometry: KinematicsFinding | None = None
+    floor: float = 0.0
+    """rad or m."""
+    moves_otherwise: bool = True
+    """Whether the motion along the joint is other than simulated; without that, nothing is said of where."""
+    certain: tuple[Named, ...] = ()
+    """Effects that are named without doubt, whatever is said of the rest: only these go into the asset."""
+    curves: tuple[ReplayGap, ...] = ()
+    """Of runs whose motion was prescribed, the force by inverse dynamics: by the asset as it is and by the best that
+    was found."""
+    body: BodyCorrection = NO_CORRECTION
+    """What the asset's inertia and weight are corrected by, beside the effects of the verdict."""
+    dominant: float = JudgementSettings.dominant
+    """Part of the gap that what is delivered may leave of confirming runs."""
+
+
+@dataclass(frozen=True)
 class Gap:
     """All that the page shows."""
 
     title: str
-    joint: str
-    joint_type: JointType
+    measured: Measured
     verdict: Verdict
-    ranking: tuple[Ranked, ...] = ()
-    """Best first."""
+    draft: Draft
     maps: tuple[ResidualMap, ...] = ()
     shown: Shown | None = None
-    geometry: KinematicsFinding | None = None
     notes: tuple[str, ...] = ()
     """What else should be known, such as that a repair was rolled back."""
     seconds: float | None = None
-    curves: tuple[ReplayGap, ...] = ()
-    """Held-out runs by inverse dynamics, where motion was prescribed and nothing can be replayed."""
+
+    @property
+    def motion(self) -> list[RunGap]:
+        """Gaps along the joint."""
+        return [g for g in self.verdict.gaps if g.regime != GEOMETRY]
+
+    @property
+    def in_turn(self) -> bool:
+        """Whether none of the runs of motion is held out for good: the fits then hold out each in turn."""
+        return all(g.use == "fitted" for g in self.motion)
+
+    @property
+    def moves_otherwise(self) -> bool:
+        """Whether the answer is (also) about the motion, not about the joint's geometry alone."""
+        kinds = [named.effect.kind for named in self.verdict.effects]
+        return not kinds or any(kind != "kinematics" for kind in kinds)
+
+    @property
+    def second_curve(self) -> str | None:
+        """What the second curve of a replayed run is; None where there is none."""
+        verdict = self.verdict
+        if self.shown is None or not self.shown.changed:
+            return None
+        if verdict.verdict == "ambiguous":
+            return "with the best of these answers"
+        moved = any(n.effect.kind != "kinematics" and n.effect.name in verdict.added for n in verdict.effects)
+        return "after" if moved or verdict.corrections else ROLLED_BACK
+
+    def text(self, value: float) -> str:
+        """What runs are compared by: a length or an angle, or, of prescribed motion, a force."""
+        return amount(value, unit_of(self.verdict.by, self.measured.joint_type))
 
 
 def page(gap: Gap) -> str:
     """The page as HTML."""
     verdict = gap.verdict
-    uses = list({g.run: g.use for g in verdict.gaps}.values())
+    uses, kind = list({g.run: g.use for g in verdict.gaps}.values()), gap.measured.joint_type
     counts = ", ".join(f"{uses.count(use)} {use}" for use in get_args(Use) if use in uses)
-    chips = [f"joint {gap.joint}, {gap.joint_type}", f"{len(uses)} runs: {counts}"]
+    chips = [f"joint {gap.measured.joint}, {kind}", f"{len(uses)} runs: {counts}"]
     if gap.seconds is not None:
         chips.append(f"{gap.seconds:.1f} s")
     sections = [
         answer_section(verdict, _tiles(gap), gap.notes),
-        *parameters_section(verdict, gap.joint_type, f"Fitted to {_fitted_text(gap)}.", _file_of),
+        *parameters_section(verdict, kind, f"Fitted to {_fitted_text(gap)}.", _file_of),
         *doubt_sections(verdict, runs_text(uses)),
     ]
     motion, geometry = [*_runs(gap), *_maps(gap)], _geometry(gap)
-    sections += [*motion, *geometry] if _moves_otherwise(gap) else [*geometry, *motion]
+    sections += [*motion, *geometry] if gap.moves_otherwise else [*geometry, *motion]
     return document(gap.title, [*sections, *_ranking(gap), *_gaps(gap), *_repeat(gap)], "gap", chips)
-
-
-def _in_turn(gap: Gap) -> bool:
-    """Whether none of the runs of motion is held out for good: the fits then hold out each in turn."""
-    return all(g.use == "fitted" for g in gap.verdict.gaps if g.regime != GEOMETRY)
-
-
-def use_of(track: PoseGap | TrackGeometry) -> Use:
-    """What a run of poses was used for."""
-    return "choosing" if track.held_out else "fitted"
-
-
-def _moves_otherwise(gap: Gap) -> bool:
-    """Whether the answer is (also) about the motion, not about the joint's geometry alone."""
-    kinds = [named.effect.kind for named in gap.verdict.effects]
-    return not kinds or any(kind != "kinematics" for kind in kinds)
 
 
 def answer_section(verdict: Verdict, tiles: Sequence[str], notes: Sequence[str] = ()) -> Section:
@@ -120,26 +159,16 @@ def answer_section(verdict: Verdict, tiles: Sequence[str], notes: Sequence[str] 
 def _tiles(gap: Gap) -> list[str]:
     """The gap, and how much of it is closed: of the motion, and of the poses off the joint."""
     tiles = []
-    motion = [g for g in gap.verdict.gaps if g.regime != GEOMETRY and np.isfinite(g.before)]
-    if _moves_otherwise(gap) and motion:
+    motion = [g for g in gap.motion if np.isfinite(g.before)]
+    if gap.moves_otherwise and motion:
         replayed = gap.shown is not None and bool(gap.shown.runs)
-        after = _with(gap) if replayed else None
-        tiles.append(_sizes(motion, lambda v: _size_text(v, gap), "", after, _in_turn(gap) and not replayed))
+        after = gap.second_curve if replayed else None
+        tiles.append(_sizes(motion, gap.text, "", after, gap.in_turn and not replayed))
         tiles += _closed(gap) if after not in (None, ROLLED_BACK) else []
     off = [g for g in gap.verdict.gaps if g.regime == GEOMETRY]
     if off:
         tiles.append(_sizes(off, lambda v: amount(v, "m"), "off the joint, ", "after"))
     return tiles
-
-
-def _with(gap: Gap) -> str | None:
-    """What the second curve of a replayed run is; None where there is none."""
-    if gap.shown is None or not gap.shown.changed:
-        return None
-    if gap.verdict.verdict == "ambiguous":
-        return "with the best of these answers"
-    moved = any(n.effect.kind != "kinematics" and n.effect.name in gap.verdict.added for n in gap.verdict.effects)
-    return "after" if moved or gap.verdict.corrections else ROLLED_BACK
 
 
 def _sizes(
@@ -164,17 +193,12 @@ def _closed(gap: Gap) -> list[str]:
     """Tiles of the part of the gap that is closed, in motion as was fitted and in other."""
     assert gap.shown is not None
     fitted = {r.regime for r in gap.verdict.gaps if r.use == "fitted"}
-    near = alike(gap.shown, fitted)
-    far = [run for run in gap.shown.runs if run not in near]
     tiles = []
-    for part, runs in zip(closed_alike(gap.shown, fitted), (near, far), strict=True):
+    for runs in gap.shown.split(fitted):
+        part, regimes = closed_part(runs), {run.regime for run in runs}
         if part is not None:
-            regimes = {run.regime for run in runs}
-            kind = (
-                "same kind of motion as was fitted"
-                if regimes <= fitted
-                else f"other motion: {', '.join(sorted(regimes))}"
-            )
+            other = f"other motion: {', '.join(sorted(regimes))}"
+            kind = "same kind of motion as was fitted" if regimes <= fitted else other
             what = f"of the gap closed, on {runs_text([run.use for run in runs])}"
             tiles.append(tile(f"{100 * min(part, 1.0):.0f} %", what, kind))
     return tiles
@@ -189,38 +213,33 @@ def parameters_section(verdict: Verdict, kind: JointType, note: str, file_of: Ca
     """Every parameter of the named effects and every corrected number of the asset, with 90 % interval and file:
     `file_of` an effect that was written."""
 
-    def row(head: tuple[str, str], name: str, meaning: str, value: float, low: float, high: float, *texts: str) -> str:
-        known = np.isfinite([low, high]).any()
-        span, drawing = (f"{texts[1]} to {texts[2]}", interval_drawing(value, low, high)) if known else ("", "")
-        return (
-            f"<tr><th scope=row><b>{escape(head[0])}</b><br><small>{escape(head[1])}</small></th>"
-            f"<td>{escape(name)}<br><small>{escape(meaning)}</small></td>"
-            f"<td><b>{escape(texts[0])}</b><br><small>{escape(span)}</small></td><td>{drawing}</td></tr>"
-        )
+    def row(
+        head: tuple[str, str], name: str, meaning: str, sizes: tuple[float, float, float], texts: list[str]
+    ) -> tuple:
+        known = np.isfinite(sizes[1:]).any()
+        span, drawing = (f"{texts[1]} to {texts[2]}", interval_drawing(*sizes)) if known else ("", "")
+        size = two_lines(texts[0], span, bold=True)
+        return two_lines(*head, True, bool(head[0])), two_lines(name, meaning), size, Markup(f"<td>{drawing}</td>")
 
     rows = []
     for c in verdict.corrections:
         sizes = c.value, c.low, c.high
         texts = [f"{v:.4g}" if c.unit == "1" else number_text(v, c.unit) for v in sizes]
-        rows.append(row(("The asset's own", "in asset/: <inertial>"), c.name, _OWN[c.unit], *sizes, *texts))
+        rows.append(row(("The asset's own", "in asset/: <inertial>"), c.name, _OWN[c.unit], sizes, texts))
     for named in verdict.effects:
         effect = named.effect
         file = f"in {file_of(effect)}" if effect.name in verdict.added else "not written"
         head = f"{capital(plain(effect.name))}", f"{effect.name}, {file}"
         for name, spec in effect.parameters(kind).items():
             sizes = getattr(effect, name), named.low[name], named.high[name]
-            rows.append(row(head, name, spec.meaning, *sizes, *(number_text(v, spec.unit(kind)) for v in sizes)))
+            rows.append(row(head, name, spec.meaning, sizes, [number_text(v, spec.unit(kind)) for v in sizes]))
             head = "", ""
     if not rows:
         return []
-    cells = "".join(f"<th scope=col>{cell}</th>" for cell in ("", "parameter", "value, 90 % interval", ""))
-    html = (
-        f'<div class="table fitted"><table><thead><tr>{cells}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
-    )
     whole = {named.effect.name for named in verdict.effects} <= set(verdict.added)
     part = f"; written: {', '.join(verdict.added)}" if verdict.added else ", not certain, and not written"
     title = "What was written" if whole else f"The best explanation{part}"
-    return [Section(title, f'{html}<p class="note">{escape(note)}</p>', place="full")]
+    return [table_section(title, rows, ("", "parameter", "value, 90 % interval", ""), "full", note, "fitted")]
 
 
 def _file_of(effect: Effect) -> str:
@@ -264,22 +283,21 @@ def doubt_sections(verdict: Verdict, of: str, more: str = "") -> list[Section]:
 def _runs(gap: Gap) -> list[Section]:
     """Runs before and after, as SAPIEN replays them; by inverse dynamics where motion was prescribed."""
     replayed = gap.shown.runs if gap.shown is not None else ()
-    most = MOST_RUNS if _moves_otherwise(gap) else 1
+    most = MOST_RUNS if gap.moves_otherwise else 1
     names: tuple[str, str | None]
     if replayed:
-        second = _with(gap)
+        second = gap.second_curve
         runs, where, names = replayed, "in SAPIEN", ("as the asset was" if second else "as the asset is", second)
     else:
         nearest = "with the nearest try, which is no answer" if gap.verdict.verdict == "unexplained" else None
-        runs, where, names = gap.curves, "by inverse dynamics", ("as the asset is", nearest)
+        runs, where, names = gap.draft.curves, "by inverse dynamics", ("as the asset is", nearest)
     sections = []
     for run in sorted(runs, key=lambda r: get_args(Use)[::-1].index(r.use))[:most]:  # first those that tell
-        figures, data = run_drawings(run, gap.joint_type, names, gap.verdict.by)
         role = run.use if run.use != "fitted" or replayed else "held out in turn"
         facts = ", ".join(w for w in (role, run.regime, where) if w)
-        sizes = [_size_text(v, gap) for v in (run.gap_before, run.gap_after)]
+        sizes = [gap.text(v) for v in (run.before, run.after)]
         title = f"Run {run.run}, {facts}: {' → '.join(sizes if names[1] else sizes[:1])}"
-        sections.append(Section(title, f'<div class="charts wide">{"".join(figures)}</div>', "curves", data, "full"))
+        sections.append(run_section(title, run, gap.measured.joint_type, names, gap.verdict.by))
     return sections
 
 
@@ -290,7 +308,7 @@ def _maps(gap: Gap) -> list[Section]:
         "What force the asset's equation lacks, by the accelerations in "
         f"{runs_text([*{g.run: g.use for g in gap.verdict.gaps}.values()])}; bars with standard errors."
     )
-    return maps_section([force_map(m, gap.joint_type) for m in maps], maps, "half-swings", note)
+    return maps_section([force_map(m, gap.measured.joint_type) for m in maps], maps, "half-swings", note)
 
 
 def maps_section(drawings: Sequence[str], maps: Sequence[ResidualMap], units: str, note: str) -> list[Section]:
@@ -311,9 +329,9 @@ def maps_section(drawings: Sequence[str], maps: Sequence[ResidualMap], units: st
 
 def _geometry(gap: Gap) -> list[Section]:
     """How far the part is off its joint, by the poses alone."""
-    if gap.geometry is None or not gap.geometry.tracks:
+    g = gap.draft.geometry
+    if g is None or not g.tracks:
         return []
-    g = gap.geometry
     track = sorted(g.tracks, key=lambda t: not t.held_out)[0]
     figures = "".join(
         _off_drawing(track, columns, title, unit, factor)
@@ -337,7 +355,7 @@ def _geometry(gap: Gap) -> list[Section]:
     what = f"Run {track.name}, {'held out' if track.held_out else 'fitted'}"
     note = (
         "The position along the joint is free in every frame here, so no dynamics is in it: what remains is geometry. "
-        + capital("; ".join(effect_words(e, gap.joint_type) for e in g.effects))
+        + capital("; ".join(effect_words(e, gap.measured.joint_type) for e in g.effects))
     )
     table = table_section(
         f"Explanations of the geometry, by poses of {runs_text([use_of(t) for t in g.tracks if not t.held_out])}, "
@@ -357,9 +375,9 @@ def _geometry(gap: Gap) -> list[Section]:
 
 
 def _off_drawing(track: TrackGeometry, columns: slice, title: str, unit: str, factor: float) -> str:
-    kept = np.unique(np.linspace(0, len(track.times_s) - 1, min(500, len(track.times_s))).astype(int))
+    kept = drawn_samples(len(track.times_s), 500)
     lines = [
-        Line(name, colour, factor * np.linalg.norm(off[kept][:, columns], axis=1))
+        Curve(name, colour, factor * np.linalg.norm(off[kept][:, columns], axis=1))
         for name, colour, off in (("before", BEFORE, track.off_before), ("after", AFTER, track.off_after))
     ]
     return chart(track.times_s[kept] - track.times_s[0], lines, title, unit, height=170)
@@ -367,10 +385,10 @@ def _off_drawing(track: TrackGeometry, columns: slice, title: str, unit: str, fa
 
 def _ranking(gap: Gap) -> list[Section]:
     """Every explanation tried, by what it leaves on runs that it was not fitted to."""
-    uses = [g.use for g in gap.verdict.gaps if g.regime != GEOMETRY]
+    uses = [g.use for g in gap.motion]
     marked = [use for use in uses if use == "choosing"]
     of = runs_text(marked) if marked else runs_text([use for use in uses if use == "fitted"], in_turn=True)
-    return ranking_section(gap.ranking[:12], of)
+    return ranking_section(gap.draft.ranking[:12], of)
 
 
 def ranking_section(ranking: Sequence[Ranked], of: str) -> list[Section]:
@@ -380,22 +398,13 @@ def ranking_section(ranking: Sequence[Ranked], of: str) -> list[Section]:
     for r in ranking:
         names = capital(" and ".join(plain(n) for n in r.names) or "nothing is missing")
         behind = "0" if r.ahead == 0.0 else f"{r.ahead:.0f} ± {r.error:.0f}"
-        cells = f"<td class=number>{escape(behind)}</td>"
+        cells: list[str] = [two_lines(names, ", ".join(r.names), heading=True), behind]
         if worst:
             spread = "" if r.spread is None else f"{r.spread[0]:.2f} to {r.spread[1]:.2f}"
-            share = 100 * np.log10(max(r.floors, 1.0)) / worst
-            cells += (
-                f'<td class="bar"><i style="width:{share:.1f}%"></i></td><td class=number>{r.floors:.2f}</td>'
-                f"<td class=number>{escape(spread)}</td>"
-            )
-        rows.append(
-            f"<tr><th scope=row>{escape(names)}<br><small>{escape(', '.join(r.names))}</small></th>{cells}</tr>"
-        )
+            cells += [bar(np.log10(max(r.floors, 1.0)) / worst), f"{r.floors:.2f}", spread]
+        rows.append(cells)
     heads = ("", "log probability", *("error (log)", "floors", "run by run") * bool(worst))
-    head = "".join(f"<th scope=col>{cell}</th>" for cell in heads)
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
-    html = f'<div class="table ranked">{table}</div>'
-    return [Section(f"Explanations, judged on {of}", html, place="full")] if ranking else []
+    return [table_section(f"Explanations, judged on {of}", rows, heads, "full", kind="ranked")] if ranking else []
 
 
 def _gaps(gap: Gap) -> list[Section]:
@@ -415,9 +424,9 @@ def _gaps(gap: Gap) -> list[Section]:
         if witness:
             seen = {} if off else witness.get(g.run, {})
             sizes += [seen.get("before", np.nan), seen.get("after", np.nan)]
-        texts = ["-" if not np.isfinite(v) else amount(v, "m") if off else _size_text(v, gap) for v in sizes]
+        texts = ["-" if not np.isfinite(v) else amount(v, "m") if off else gap.text(v) for v in sizes]
         replayed = gap.verdict.by == "position" or off
-        fitted = "fitted" if replayed or not _in_turn(gap) else "held out in turn"
+        fitted = "fitted" if replayed or not gap.in_turn else "held out in turn"
         rows.append((g.run, fitted if g.use == "fitted" else g.use, g.regime, *texts))
     note = ""
     if gap.shown is not None and gap.shown.runs:
@@ -443,8 +452,3 @@ def _repeat(gap: Gap) -> list[Section]:
     absent = proof.witness.get("absent")
     said = f"MuJoCo has not witnessed it: {absent}." if absent else "Add --engine mujoco for MuJoCo's numbers."
     return [repeat_section({of[what]: line for what, line in proof.repeat.items()}, said)]
-
-
-def _size_text(value: float, gap: Gap) -> str:
-    """What runs are compared by: a length or an angle, or, of prescribed motion, a force."""
-    return amount(value, unit_of(gap.verdict.by, gap.joint_type))

@@ -9,69 +9,44 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
+import pickle
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import get_args
 
 import numpy as np
 
 from freeart21 import child
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic, checked
-from freeart21.files.actuator_json import actuator_to_json
-from freeart21.files.asset import check_followers, movable_joint, read_asset
-from freeart21.files.base_json import BASE
-from freeart21.files.measured import DRIVES
+from freeart21.files import checked
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
 from simgap.fit.fit import Theory, fit_starts
 from simgap.fit.problem import as_delivered, problem_of
 from simgap.measure.data import fit_runs
 from simgap.models.surrogate import plant_of
+from simgap.prove.replay_process import AssetOnDisk, Engine, Job, PosesToReplay, Starts, State
 from simgap.settings import GapSettings
 from simgap.verdict import root_mean_square
 
-Engine = Literal["sapien", "mujoco"]
 ENGINES: tuple[str, ...] = get_args(Engine)
 SECONDS = 120.0
 """What is not replayed by then is given up."""
-TIMESTEPS_S: dict[Engine, float] = {"sapien": 4e-3, "mujoco": 1e-3}
-"""First choice; halved for every run until that changes it by little (`replay_process`)."""
 SURE, SURE_PART = 1.0, 0.05
 """Sigmas by which halving the finest time step may change a replay that tells something, and the part of its error."""
 _STIRRED = 1e-3
 """rad or m, and a second: at which sizes starts are looked for where nothing moved."""
 Progress = Callable[[int, int], None]
 """Called with the number of runs replayed and their total."""
-State = tuple[float, float]
-"""Position, rad or m, and velocity."""
 
 
 class CannotReplay(FreeArtError):
     """The fresh process failed; its last line says why."""
-
-
-@dataclass(frozen=True)
-class AssetOnDisk:
-    """An asset as `read_asset` reads it."""
-
-    path: Path
-    """Its folder, or its URDF."""
-    root: Path | None = None
-    """Bounds what the URDF may name (`Asset.root`)."""
-    guesses: bool = True
-    """Whether effects act that asset.json calls guessed."""
-
-    def read(self, measured: Measured) -> Asset:
-        """The asset; FreeArtError when it has not the joint that was measured, or others follow that one."""
-        asset = read_asset(self.path, measured.joint, guesses=self.guesses, root=self.root)
-        check_match(asset, measured)
-        return asset
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,47 +99,10 @@ class Replay:
     """Runs that were not replayed in time."""
 
 
-@dataclass(frozen=True)
-class Starts:
-    """Where runs start, and what their sensor's noise is."""
-
-    states: Mapping[str, State]
-    """Run name to the state at its first reading."""
-    noise: Mapping[str, float]
-    """Run name to rad or m."""
-
-
-@dataclass(frozen=True)
-class PosesToReplay:
-    """Measured poses of one run to hold against where an asset puts the part."""
-
-    poses: Array
-    """(n, 4, 4) in the canonical frame, without the tracker's registration."""
-    states: Array
-    """(n,) canonical joint states, as the poses say them."""
-    times_s: Array
-    """(n,) on the clock of the asset's effects."""
-    middle: Array
-    """(3,) canonical, at state zero: the point of the moving part at which shifts are counted."""
-    lever: float
-    """m: how far points are from there, to count turns as shifts."""
-
-
 def address_of(asset: Asset) -> Path:
     """The folder or the URDF that `read_asset` reads it from."""
     home = asset.urdf.parent
     return home if (home / "asset.json").is_file() else asset.urdf
-
-
-def check_match(asset: Asset, measured: Measured, what: str = "a replay") -> None:
-    """Raise FreeArtError when the measured joint is not the asset's, or others follow it, with which `what` moves one
-    part alone."""
-    joint = movable_joint(asset.urdf, measured.joint)
-    check_followers(asset.urdf, joint.name, what)
-    if joint.joint_type != measured.joint_type:
-        raise FreeArtError(
-            f"{asset.urdf}: joint '{joint.name}' is {joint.joint_type}, but the measurement says {measured.joint_type}"
-        )
 
 
 def replay(
@@ -172,6 +110,7 @@ def replay(
     measured: Measured,
     names: Sequence[str] | None = None,
     *,
+    starts: Sequence[Starts] | None = None,
     engine: Engine = "sapien",
     holding: float = 0.0,
     poses: Sequence[Sequence[PosesToReplay]] = (),
@@ -184,6 +123,7 @@ def replay(
         assets: what is on disk.
         measured: all runs of the set (noise is estimated on all), and their circumstances.
         names: of the runs to replay; None for all.
+        starts: for each asset where runs start; None fits them to the runs.
         engine: MuJoCo takes the MJCF beside the URDF, or the URDF as MJCF where there is none.
         holding: of inputs of which `measured` does not say how they go on between their rows: 0 smoothly, 1 held until
             the next.
@@ -195,19 +135,27 @@ def replay(
     process fails, as where MuJoCo's format cannot say an effect.
     """
     end = time.monotonic() + seconds
-    run_names = [run.name for run in measured.runs] if names is None else list(names)
-    starts = [fit_start_states(asset.read(measured), measured, run_names, holding, end) for asset in assets]
-    return replay_from(
-        assets,
-        measured,
-        starts,
-        run_names,
-        engine=engine,
-        holding=holding,
-        poses=poses,
-        seconds=max(end - time.monotonic(), 0.0),
-        progress=progress,
-    )
+    names = [run.name for run in measured.runs] if names is None else names
+    if starts is None:
+        starts = [fit_start_states(asset.read(measured), measured, names, holding, end) for asset in assets]
+    if not names and not any(poses):
+        raise FreeArtError("no run to replay, expected one or more")
+    if engine == "mujoco" and importlib.util.find_spec("mujoco") is None:
+        raise CannotReplay("MuJoCo is not installed: pip install 'freeart21[engines]'")
+    of = {run.name: run for run in measured.runs}
+    runs = tuple(of[name] for name in names if all(name in begin.states for begin in starts))
+    files, tracks = tuple(asset.resolved() for asset in assets), tuple(map(tuple, poses))
+    job = Job(files, replace(measured, runs=runs), tuple(starts), engine, holding, tracks)
+    with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
+        folder = Path(place)
+        _run(folder, job, max(end - time.monotonic(), 0.0), progress)
+        version, off = _read_told(folder, len(assets))
+        done = [i for i in range(len(runs)) if all(_answer_path(folder, k, i).is_file() for k in range(len(assets)))]
+        late = tuple(name for name in names if name not in {runs[i].name for i in done})
+        return tuple(
+            Replay(engine, version, tuple(_read_run(folder, k, i, runs[i], begin) for i in done), off[k], late)
+            for k, begin in enumerate(starts)
+        )
 
 
 def fit_start_states(
@@ -229,38 +177,6 @@ def fit_start_states(
             break
         states |= fit_starts(theory, theta, (of[name],)).starts  # each by itself: it hangs on no other run
     return Starts(states, {run.name: root_mean_square(run.sigma) for run in runs})
-
-
-def replay_from(
-    assets: Sequence[AssetOnDisk],
-    measured: Measured,
-    starts: Sequence[Starts],
-    names: Sequence[str],
-    *,
-    engine: Engine = "sapien",
-    holding: float = 0.0,
-    poses: Sequence[Sequence[PosesToReplay]] = (),
-    seconds: float = SECONDS,
-    progress: Progress | None = None,
-) -> tuple[Replay, ...]:
-    """`replay` from given start states, for each asset its own."""
-    if not names and not any(poses):
-        raise FreeArtError("no run to replay, expected one or more")
-    if engine == "mujoco" and importlib.util.find_spec("mujoco") is None:
-        raise CannotReplay("MuJoCo is not installed: pip install 'freeart21[engines]'")
-    of = {run.name: run for run in measured.runs}
-    runs = [of[name] for name in names if all(name in begin.states for begin in starts)]
-    with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
-        folder = Path(place)
-        _write_job(folder, assets, measured, runs, starts, engine, holding, seconds, poses)
-        _run(folder, len(runs) * len(assets), seconds, progress)
-        version, off = _read_told(folder, len(assets))
-        done = [i for i in range(len(runs)) if all(_answer_path(folder, k, i).is_file() for k in range(len(assets)))]
-        late = tuple(name for name in names if name not in {runs[i].name for i in done})
-        return tuple(
-            Replay(engine, version, tuple(_read_run(folder, k, i, runs[i], starts[k]) for i in done), off[k], late)
-            for k in range(len(assets))
-        )
 
 
 def _answer_path(folder: Path, asset: int, run: int) -> Path:
@@ -293,12 +209,15 @@ def _read_run(folder: Path, asset: int, i: int, run: Run, starts: Starts) -> Run
     )
 
 
-def _run(folder: Path, count: int, seconds: float, progress: Progress | None) -> None:
+def _run(folder: Path, job: Job, seconds: float, progress: Progress | None) -> None:
     """Let the fresh process work for some seconds."""
-    told, end = -1, time.monotonic() + seconds
-    with (folder / "stderr").open("w") as stderr:
+    told, end, count = -1, time.monotonic() + seconds, len(job.measured.runs) * len(job.assets)
+    with (folder / "stderr").open("w") as stderr, tempfile.TemporaryFile() as stdin:
+        pickle.dump(job, stdin)
+        stdin.seek(0)
         process = subprocess.Popen(
             [*child.command("simgap.prove.replay_process"), str(folder)],
+            stdin=stdin,
             stdout=subprocess.DEVNULL,
             stderr=stderr,
             cwd=folder,
@@ -322,58 +241,3 @@ def _run(folder: Path, count: int, seconds: float, progress: Progress | None) ->
         raise CannotReplay((lines or [f"the replay in a fresh process failed: exit status {process.returncode}"])[-1])
     if progress is not None:
         progress(count, count)
-
-
-def _write_job(
-    folder: Path,
-    assets: Sequence[AssetOnDisk],
-    measured: Measured,
-    runs: Sequence[Run],
-    starts: Sequence[Starts],
-    engine: Engine,
-    holding: float,
-    seconds: float,
-    poses: Sequence[Sequence[PosesToReplay]],
-) -> None:
-    law, turns = measured.actuator, measured.base_axis
-    job: dict[str, Any] = {
-        "assets": [
-            {
-                "path": str(asset.path.resolve()),
-                "root": None if asset.root is None else str(asset.root.resolve()),
-                "guesses": asset.guesses,
-            }
-            for asset in assets
-        ],
-        "engine": engine,
-        "joint": measured.joint,
-        "gravity": np.asarray(measured.gravity, float).tolist(),
-        "actuator": None if law is None else actuator_to_json(law),
-        "effort": measured.effort_kind,
-        "interpolation": measured.interpolation,
-        "base": None if turns is None else {"axis": turns.axis.tolist(), "point": turns.point.tolist()},
-        "holding": holding,
-        "timestep_s": TIMESTEPS_S[engine],
-        "starts": [[list(begin.states[run.name]) for run in runs] for begin in starts],
-        "noise": [[begin.noise[run.name] for run in runs] for begin in starts],
-        "poses": [[{"middle": np.asarray(t.middle).tolist(), "lever": t.lever} for t in tracks] for tracks in poses],
-    }
-    arrays: dict[str, Array] = {}
-    for i, run in enumerate(runs):
-        known = np.isfinite(run.q)
-        arrays[f"times_{i}"], arrays[f"q_{i}"] = run.times_s[known], run.q[known]
-        arrays[f"clock_{i}"] = run.times_s
-        for name in DRIVES:
-            values = getattr(run, name)
-            if values is not None:
-                arrays[f"{name}_{i}"] = values
-        for name in BASE:
-            values = getattr(run.base, name, None)
-            if values is not None:
-                arrays[f"base_{name}_{i}"] = values
-    for k, tracks in enumerate(poses):
-        for i, track in enumerate(tracks):
-            arrays |= {f"{name}_{k}_{i}": getattr(track, name) for name in ("poses", "states", "times_s")}
-    atomic.write_json(folder / "job.json", job)
-    with (folder / "job.npz").open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The fresh process of `simgap.prove.replay`, which is given a FOLDER and reads FOLDER/job.json and job.npz.
+"""The fresh process of `simgap.prove.replay`: FOLDER is its argument, and a pickled `Job` its standard input.
 
 Results appear one by one, so that those in time count when the others are not: FOLDER/told.json (the engine's version,
 and how far poses are off), then run_K_I.npz, run I by asset K, with the sensor's readings, the time step and what its
@@ -7,32 +7,39 @@ last halving changed, in sigmas.
 
 from __future__ import annotations
 
+import pickle
 import sys
 import tempfile
 from abc import ABC, abstractmethod
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
-from freeart21.files import atomic, checked
-from freeart21.files.actuator_json import actuator_from_json
-from freeart21.files.asset import movable_joint, read_asset
-from freeart21.files.base_json import BASE
+from freeart21.files import atomic
+from freeart21.files.asset import check_followers, movable_joint, read_asset
 from freeart21.files.urdf import read_xml
-from freeart21.measured import BaseAxis, BaseSeries
+from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, between
 from freeart21.se3 import Array
 from generator import simulate
 from simgap.geometry.placing import place
 from simgap.geometry.track_geometry import at_point, displacement
 from simgap.prove.asset_files import copied, mjcf_beside
+from simgap.verdict import root_mean_square
 
+Engine = Literal["sapien", "mujoco"]
+State = tuple[float, float]
+"""Position, rad or m, and velocity."""
+TIMESTEPS_S: dict[Engine, float] = {"sapien": 4e-3, "mujoco": 1e-3}
+"""First choice; halved for every run until that changes it by little."""
 HALVINGS = 6
 """Of the first time step, at most."""
 MOST_STEPS = 100_000
@@ -43,78 +50,139 @@ ENOUGH, SMALL = 0.1, 0.005
 free swing far from the measured one may differ by more at any step, and tells the same."""
 
 
+@dataclass(frozen=True)
+class AssetOnDisk:
+    """An asset as `read_asset` reads it."""
+
+    path: Path
+    """Its folder, or its URDF."""
+    root: Path | None = None
+    """Bounds what the URDF may name (`Asset.root`)."""
+    guesses: bool = True
+    """Whether effects act that asset.json calls guessed."""
+
+    def read(self, measured: Measured) -> Asset:
+        """The asset; FreeArtError when it has not the joint that was measured, or others follow that one."""
+        asset = read_asset(self.path, measured.joint, guesses=self.guesses, root=self.root)
+        check_match(asset, measured)
+        return asset
+
+    def resolved(self) -> AssetOnDisk:
+        """The same from any working folder."""
+        return replace(self, path=self.path.resolve(), root=None if self.root is None else self.root.resolve())
+
+
+def check_match(asset: Asset, measured: Measured, what: str = "a replay") -> None:
+    """Raise FreeArtError when the measured joint is not the asset's, or others follow it, with which `what` moves one
+    part alone."""
+    joint = movable_joint(asset.urdf, measured.joint)
+    check_followers(asset.urdf, joint.name, what)
+    if joint.joint_type != measured.joint_type:
+        raise FreeArtError(
+            f"{asset.urdf}: joint '{joint.name}' is {joint.joint_type}, but the measurement says {measured.joint_type}"
+        )
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Where runs start, and what their sensor's noise is."""
+
+    states: Mapping[str, State]
+    """Run name to the state at its first reading."""
+    noise: Mapping[str, float]
+    """Run name to rad or m."""
+
+
+@dataclass(frozen=True)
+class PosesToReplay:
+    """Measured poses of one run to hold against where an asset puts the part."""
+
+    poses: Array
+    """(n, 4, 4) in the canonical frame, without the tracker's registration."""
+    states: Array
+    """(n,) canonical joint states, as the poses say them."""
+    times_s: Array
+    """(n,) on the clock of the asset's effects."""
+    middle: Array
+    """(3,) canonical, at state zero: the point of the moving part at which shifts are counted."""
+    lever: float
+    """m: how far points are from there, to count turns as shifts."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to replay."""
+
+    assets: tuple[AssetOnDisk, ...]
+    measured: Measured
+    """With the runs to replay alone."""
+    starts: tuple[Starts, ...]
+    """For each asset."""
+    engine: Engine
+    holding: float
+    """Of inputs of which nobody knows how they go on between their rows: 0 smoothly, 1 held."""
+    poses: tuple[tuple[PosesToReplay, ...], ...]
+    """For each asset, or none."""
+
+
 class _Stage(ABC):
     """One asset in an engine, as its files say, ready to replay runs."""
 
-    def __init__(self, said: dict[str, Any], job: dict[str, Any]):
-        root = None if said["root"] is None else Path(said["root"])
-        self.asset = read_asset(Path(said["path"]), job["joint"], guesses=said["guesses"], root=root)
-        self.placed = place(self.asset, np.array(job["gravity"]))
-        self.lower, self.upper = (
-            getattr(movable_joint(self.asset.urdf, self.asset.joint), k) for k in ("lower", "upper")
-        )
-        self.gravity, self.job = self.placed.gravity, job
-        effects = self.asset.effects.get(self.asset.joint, ())
-        self.sensing = [effect for effect in effects if effect.kind == "sensing"]
+    def __init__(self, said: AssetOnDisk, job: Job):
+        self.job, measured = job, job.measured
+        self.asset = said.read(measured)
+        self.placed = place(self.asset, measured.gravity)
+        joint = movable_joint(self.asset.urdf, self.asset.joint)
+        self.lower, self.upper = joint.lower, joint.upper
+        self.effects = self.asset.effects.get(self.asset.joint, ())
+        self.sensing = [effect for effect in self.effects if effect.kind == "sensing"]
 
     @abstractmethod
     def load(self, timestep_s: float) -> Any:
         """The asset with its effects, to be stepped by `timestep_s`."""
 
     @abstractmethod
-    def roll(
-        self,
-        loaded: Any,
-        h: float,
-        start: tuple[float, float],
-        seconds: float,
-        push: Any,
-        actuator: Actuator | None,
-        sway: simulate.Sway | None,
-    ) -> tuple[Array, Array]:
-        """Times and positions from `start` on, each (n,)."""
+    def roll(self, loaded: Any, h: float, start: State, seconds: float, **forces: Any) -> tuple[Array, Array]:
+        """Times and positions from `start` on, each (n,); `forces` as `simulate.roll_out` takes them: `force`,
+        `actuator` and `sway`."""
 
-    def replay(self, loaded: Any, h: float, data: Any, i: int, start: tuple[float, float]) -> Array:
-        """(n,) what the sensor reads at the times of run `i`; the state `start` is that of the first reading.
+    def replay(self, loaded: Any, h: float, run: Run, start: State) -> Array:
+        """(n,) what the sensor reads at the known readings of `run`; the state `start` is that of the first one.
 
         A sensor that is late reads a state of before: the simulation begins by so much earlier.
         """
-        times, clock = data[f"times_{i}"], data[f"clock_{i}"]
+        times, measured = run.times_s[np.isfinite(run.q)], self.job.measured
         first = float(times[0])
         begin = first - sum(effect.delay() for effect in self.sensing)
 
-        def told(name: str, mean_s: float = h, how: str = self.job["interpolation"]) -> Any:
-            values = data.get(f"{name}_{i}")
-            return None if values is None else between(clock - begin, values, how, mean_s, self.job["holding"])
+        def told(values: Array | None, mean_s: float = h, how: str = measured.interpolation) -> Any:
+            return None if values is None else between(run.times_s - begin, values, how, mean_s, self.job.holding)
 
-        effort = told("effort")
-        push = effort if self.job["effort"] == "external" else None
+        effort = told(run.effort)
+        push = effort if measured.effort_kind == "external" else None
         asked = None if push else effort
-        actuator = self._driven(told("q_command"), asked, told("voltage"), told("enabled", 0.0, "held"))
+        actuator = self._driven(told(run.q_command), asked, told(run.voltage), told(run.enabled, 0.0, "held"))
         q0 = float(np.clip(start[0], self.lower, self.upper))
         seconds = float(np.ceil((times[-1] - first) / h) * h) + h
-        sway = self._sway(data, i, begin)
-        at, course = self.roll(loaded, h, (q0, start[1]), seconds, push, actuator, sway)
+        sway = self._sway(run, begin)
+        at, course = self.roll(loaded, h, (q0, start[1]), seconds, force=push, actuator=actuator, sway=sway)
         q = np.interp(times - first, at, course)
         return np.asarray(q + sum((effect.reading_error(q) for effect in self.sensing), np.zeros(len(q))))
 
-    def _sway(self, data: Any, i: int, begin: float) -> simulate.Sway | None:
-        """What the joint feels in run `i` of a base that moves."""
-        base = BaseSeries(*(data.get(f"base_{name}_{i}") for name in BASE))
-        if all(getattr(base, name) is None for name in BASE):
+    def _sway(self, run: Run, begin: float) -> simulate.Sway | None:
+        """What the joint feels of a base that moves."""
+        if run.base is None:
             return None
         from simgap.measure.base_motion import sway_of  # most bases stand still, and it imports a second's worth
 
-        turns = self.job["base"]
-        axis = None if turns is None else BaseAxis(np.array(turns["axis"]), np.array(turns["point"]))
-        placed = self.placed
-        found = sway_of(data[f"clock_{i}"], base, axis, placed.mechanics, placed.T_parent_canonical, placed.child_moves)
+        placed, turns = self.placed, self.job.measured.base_axis
+        found = sway_of(run.times_s, run.base, turns, placed.mechanics, placed.T_parent_canonical, placed.child_moves)
         return found.function(begin)
 
     def _driven(self, command: Any, effort: Any, voltage: Any, enabled: Any) -> Actuator | None:
         """What drives the joint by these functions of time, each of which may be missing."""
-        said = self.job["actuator"]
-        law = Actuator() if said is None else actuator_from_json(said, "job.json")
+        said = self.job.measured.actuator
+        law = said or Actuator()
         volts, asked = (voltage if law.motor else None), effort
         if volts is not None and law.motor is not None:
             per = law.motor.per_volt
@@ -127,29 +195,19 @@ class _Stage(ABC):
 
 class _InSapien(_Stage):
     def load(self, timestep_s: float) -> simulate.SimulatedAsset:
-        return simulate.load(self.asset, timestep_s=timestep_s, gravity=self.gravity)
+        return simulate.load(self.asset, timestep_s=timestep_s, gravity=self.placed.gravity)
 
-    def roll(
-        self,
-        loaded: simulate.SimulatedAsset,
-        h: float,
-        start: tuple[float, float],
-        seconds: float,
-        push: Any,
-        actuator: Actuator | None,
-        sway: simulate.Sway | None,
-    ) -> tuple[Array, Array]:
-        rolled = simulate.roll_out(loaded, *start, duration_s=seconds, force=push, actuator=actuator, sway=sway)
+    def roll(self, loaded: Any, h: float, start: State, seconds: float, **forces: Any) -> tuple[Array, Array]:
+        rolled = simulate.roll_out(loaded, *start, duration_s=seconds, **forces)
         return rolled.times_s, rolled.q
 
 
 class _InMujoco(_Stage):
     """By the MJCF beside the URDF; the drive and what the joint feels of a moved base are forces from outside."""
 
-    def __init__(self, said: dict[str, Any], job: dict[str, Any]):
+    def __init__(self, said: AssetOnDisk, job: Job):
         super().__init__(said, job)
-        effects = self.asset.effects.get(self.asset.joint, ())
-        unsaid = [e.name for e in effects if e.kind != "kinematics" and not e.mjcf_joint()]
+        unsaid = [e.name for e in self.effects if e.kind != "kinematics" and not e.mjcf_joint()]
         if unsaid:
             raise FreeArtError(f"MuJoCo's format cannot say {', '.join(unsaid)} of joint '{self.asset.joint}'")
 
@@ -193,25 +251,17 @@ class _InMujoco(_Stage):
         elif name != "world":
             raise FreeArtError(f"the MJCF of {self.asset.urdf.name} has no body '{name}'")
         canonical = se3.inverse(self.asset.T_canonical_reference)[:3, :3]
-        return np.asarray(turn @ canonical @ np.array(self.job["gravity"]))
+        return np.asarray(turn @ canonical @ self.job.measured.gravity)
 
     def load(self, timestep_s: float) -> Any:
         self.model.opt.timestep = timestep_s
         return self.model
 
-    def roll(
-        self,
-        loaded: Any,
-        h: float,
-        start: tuple[float, float],
-        seconds: float,
-        push: Any,
-        actuator: Actuator | None,
-        sway: simulate.Sway | None,
-    ) -> tuple[Array, Array]:
+    def roll(self, loaded: Any, h: float, start: State, seconds: float, **forces: Any) -> tuple[Array, Array]:
         import mujoco
 
         data, n = mujoco.MjData(loaded), round(seconds / h)
+        push, actuator, sway = (forces[name] for name in ("force", "actuator", "sway"))
         data.qpos[0], data.qvel[0] = start
         q = np.empty(n + 1)
         q[0] = start[0]
@@ -239,77 +289,57 @@ def _convert_to_mjcf(asset: Asset, folder: Path) -> Path:
     return mjcf_beside(urdf)
 
 
-_STAGES: dict[str, type[_Stage]] = {"sapien": _InSapien, "mujoco": _InMujoco}
-
-
-def _version(engine: str) -> str:
-    if engine == "mujoco":
-        import mujoco
-
-        return str(mujoco.__version__)
-    import sapien
-
-    return str(sapien.__version__)
-
-
-def _replay(folder: Path) -> None:
-    job = checked.read_json(folder / "job.json")
-    data = checked.read_npz(folder / "job.npz")
-    stages = [_STAGES[job["engine"]](said, job) for said in job["assets"]]
-    off = [
-        [_pose_gap(stage, data, k, i, said) for i, said in enumerate(tracks)]
-        for k, (stage, tracks) in enumerate(zip(stages, job["poses"], strict=False))
-    ]
+def _replay(folder: Path, job: Job) -> None:
+    stages = [(_InMujoco if job.engine == "mujoco" else _InSapien)(said, job) for said in job.assets]
+    off = [[_pose_gap(stage, one) for one in tracks] for stage, tracks in zip(stages, job.poses, strict=False)]
     off += [[]] * (len(stages) - len(off))
-    atomic.write_json(folder / "told.json", {"version": _version(job["engine"]), "poses": off})
-    for i in range(len(job["starts"][0])):
-        for k, stage in enumerate(stages):
-            start, noise = job["starts"][k][i], float(job["noise"][k][i])
-            q, *step = _converged(stage, data, i, (float(start[0]), float(start[1])), noise, float(job["timestep_s"]))
+    atomic.write_json(folder / "told.json", {"version": str(import_module(job.engine).__version__), "poses": off})
+    for i, run in enumerate(job.measured.runs):
+        for k, (stage, begin) in enumerate(zip(stages, job.starts, strict=True)):
+            h = TIMESTEPS_S[job.engine]
+            q, *step = _converged(stage, run, begin.states[run.name], begin.noise[run.name], h)
             aside = folder / f"aside_{k}_{i}.npz"
             np.savez(aside, q=q, step=np.array(step))
             aside.replace(folder / f"run_{k}_{i}.npz")
 
 
-def _converged(
-    stage: _Stage, data: Any, i: int, start: tuple[float, float], noise: float, h: float
-) -> tuple[Array, float, float]:
+def _converged(stage: _Stage, run: Run, start: State, noise: float, h: float) -> tuple[Array, float, float]:
     """Readings of one run, the time step that they needed, s, and by how many sigmas its last halving changed them.
 
     Each run with each asset by itself: what was added may be stiffer than all that was there, and a run that just
     passes a notch, or does not, needs far finer steps than one that only swings wider and faster.
     """
-    times = data[f"times_{i}"]
+    known = np.isfinite(run.q)
+    times, measured = run.times_s[known], run.q[known]
     finest = h / 2**HALVINGS
     enough = max(finest, float(times[-1] - times[0]) / MOST_STEPS)
     coarse = None
     while coarse is None:
         try:
-            coarse = stage.replay(stage.load(h), h, data, i, start)
+            coarse = stage.replay(stage.load(h), h, run, start)
         except FreeArtError:  # too stiff for such a step
             if h < 4 * finest:
                 raise
             h /= 2
     while True:
         h /= 2
-        fine = stage.replay(stage.load(h), h, data, i, start)
-        change, off = (float(np.sqrt(np.mean((fine - q) ** 2))) / noise for q in (coarse, data[f"q_{i}"]))
+        fine = stage.replay(stage.load(h), h, run, start)
+        change, off = (root_mean_square(fine - q) / noise for q in (coarse, measured))
         if change < max(ENOUGH, SMALL * off) or h / 2 < enough:
             return fine, h, change
         coarse = fine
 
 
-def _pose_gap(stage: _Stage, data: Any, k: int, i: int, said: dict[str, Any]) -> float:
-    """m: how far the measured poses `i` for asset `k` are from where that has the part."""
-    states, times, poses = (data[f"{name}_{k}_{i}"] for name in ("states", "times_s", "poses"))
-    motion = simulate.joint_motion(stage.asset, states, times, stage.gravity)
-    off = se3.log_se3(se3.inverse(motion) @ poses)
-    return displacement(at_point(np.array(said["middle"]), off), float(said["lever"]))
+def _pose_gap(stage: _Stage, track: PosesToReplay) -> float:
+    """m: how far measured poses are from where the asset has the part."""
+    motion = simulate.joint_motion(stage.asset, track.states, track.times_s, stage.placed.gravity)
+    off = se3.log_se3(se3.inverse(motion) @ track.poses)
+    return displacement(at_point(track.middle, off), track.lever)
 
 
 def main() -> None:
-    """Replay what the folder that the command line names asks for."""
+    """Replay what standard input says, into the folder that the command line names."""
     try:
-        _replay(Path(sys.argv[1]))
+        _replay(Path(sys.argv[1]), pickle.load(sys.stdin.buffer))
     except FreeArtError as error:
         sys.exit(str(error))

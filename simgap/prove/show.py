@@ -6,84 +6,59 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from freeart21.se3 import Array
-from simgap.prove.replay import Replay, RunReplay
-from simgap.verdict import Use
+from simgap.geometry.track_geometry import TrackGeometry
+from simgap.prove.replay import Replay
+from simgap.verdict import GEOMETRY, RunGap, Use, root_mean_square
 
 WIDER, RUN_WIDER = 0.25, 0.5
 """Floors by which a repair may widen the gap of a regime, and of any one run in it."""
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """A run to replay, by its name in the measured set."""
+@dataclass(frozen=True, eq=False)
+class ReplayGap(RunGap):
+    """The gap of one run with its curves, of positions (rad or m) or of the force that prescribed motion took."""
 
-    name: str
-    floor: float
-    """rad or m: noise of the readings."""
-    regime: str = ""
-    use: Use = "confirming"
-
-
-@dataclass(frozen=True)
-class ChosenPoses:
-    """A run of poses to replay."""
-
-    name: str
-    floor: float
-    """m: noise of the poses."""
-    held_out: bool = True
-
-
-@dataclass(frozen=True)
-class PoseGap:
-    """How far the part is off the assets' joints, m: root mean square displacement."""
-
-    run: str
-    before: float
-    after: float
-    floor: float
-    held_out: bool
-
-
-@dataclass(frozen=True)
-class ReplayGap:
-    """What came out for one run."""
-
-    run: str
-    times_s: Array
+    times_s: Array = field(kw_only=True)
     """(n,) s."""
-    measured: Array
-    """(n,) rad or m."""
-    before: Array
-    """(n,) readings of the asset as it was, in SAPIEN."""
-    after: Array
-    """(n,) of the repaired asset."""
-    gap_before: float
-    """Root mean square difference, rad or m."""
-    gap_after: float
-    floor: float
-    regime: str
-    use: Use
+    measured: Array = field(kw_only=True)
+    """(n,) readings."""
+    curves: tuple[Array, Array] = field(kw_only=True)
+    """(n,) what the asset as it was gives, and the repaired one."""
+
+
+def compare_curves(
+    run: str,
+    times_s: Array,
+    measured: Array,
+    curves: tuple[Array, Array],
+    floor: float,
+    regime: str = "",
+    use: Use = "fitted",
+) -> ReplayGap:
+    """The gap of curves (n,) to what was measured (n,)."""
+    before, after = (root_mean_square(curve - measured) for curve in curves)
+    held_out = use != "fitted"
+    return ReplayGap(
+        run, before, after, floor, held_out, regime, use, times_s=times_s, measured=measured, curves=curves
+    )
 
 
 @dataclass(frozen=True)
 class Shown:
-    """The gap of all replayed runs, and whether the repair is one."""
+    """The gap of all replayed runs."""
 
     runs: tuple[ReplayGap, ...]
     numerics: float
     """Floors by which the last halving of the time step changed a replay at most; NaN when it was never reached."""
     timestep_s: float
     """The finest one of any run."""
-    helps: bool | None
-    """Whether the repaired asset is nearer to what was measured, and in no regime further away; None: not one run of
-    these was replayed in time."""
-    poses: tuple[PoseGap, ...] = ()
+    poses: tuple[RunGap, ...] = ()
+    """How far the part is off the assets' joints in each run of poses, m: root mean square displacement."""
     given_up: tuple[str, ...] = ()
     """Runs that were not replayed in time."""
     unsure: tuple[ReplayGap, ...] = ()
@@ -91,66 +66,66 @@ class Shown:
     changed: bool = True
     """Whether there are two assets, or one replay stands for both."""
 
-    def closed(self, regimes: Iterable[str] | None = None) -> float | None:
-        """Part of the gap beyond the floor that is closed in these regimes (all for None); None without any gap."""
-        chosen = [r for r in self.runs if regimes is None or r.regime in set(regimes)]
-        if not chosen:
-            return None
-        before, after, floor = (
-            float(np.sqrt(np.mean([getattr(r, name) ** 2 for r in chosen])))
-            for name in ("gap_before", "gap_after", "floor")
-        )
-        return (before - after) / (before - floor) if before > floor else None
+    def split(self, fitted: Iterable[str]) -> tuple[list[ReplayGap], list[ReplayGap]]:
+        """The runs that move as the `fitted` regimes do (all where none does), and the others."""
+        of = set(fitted)
+        near = [run for run in self.runs if run.regime in of] or list(self.runs)
+        return near, [run for run in self.runs if run not in near]
 
 
-def alike(shown: Shown, fitted: Iterable[str]) -> list[ReplayGap]:
-    """The replayed runs that move as the `fitted` regimes do; all where none does."""
-    of = set(fitted)
-    return [run for run in shown.runs if run.regime in of] or list(shown.runs)
+def closed_part(runs: Sequence[RunGap]) -> float | None:
+    """Part of the gap beyond the floor that is closed in these runs; None without any gap."""
+    if not runs:
+        return None
+    before, after, floor = (root_mean_square([getattr(r, name) for r in runs]) for name in ("before", "after", "floor"))
+    return (before - after) / (before - floor) if before > floor else None
 
 
-def closed_alike(shown: Shown, fitted: Iterable[str]) -> tuple[float | None, float | None]:
-    """Closed part of the gap in motion of the `fitted` regimes (in all where none of those was replayed), and in other
-    motion."""
-    regimes = {r.regime for r in shown.runs}
-    like = regimes & set(fitted)
-    return shown.closed(like or regimes), shown.closed(regimes - like) if like and regimes - like else None
+def use_of(track: TrackGeometry) -> Use:
+    """What a run of poses was used for."""
+    return "choosing" if track.held_out else "fitted"
 
 
-def show(before: Replay, after: Replay, chosen: Sequence[Chosen], poses: Sequence[ChosenPoses] = ()) -> Shown:
+def show(
+    before: Replay,
+    after: Replay,
+    floor: float,
+    judged: Iterable[RunGap],
+    poses: Sequence[TrackGeometry] = (),
+) -> Shown:
     """Two replays of the same runs, by the asset as it was and by the repaired one.
 
-    A run that hangs on a hair counts only where all do.
+    A run that hangs on a hair counts only where all do. `floor` is the noise of the readings, rad or m; `judged` says
+    what the runs were used for, and `poses` are the runs of poses that were replayed.
     """
-    of = {each.name: each for each in chosen}
-    pairs = list(zip(before.runs, after.runs, strict=True))
-    sure = [pair for pair in pairs if pair[0].sure and pair[1].sure] or pairs
-    runs = tuple(_gap(*pair, of[pair[0].run]) for pair in sure)
-    tracks = tuple(
-        PoseGap(track.name, was, is_now, track.floor, track.held_out)
-        for track, was, is_now in zip(poses, before.poses, after.poses, strict=False)
-    )
-    told = [run for pair in sure for run in pair]
+    of = {gap.run: gap for gap in judged if gap.regime != GEOMETRY}
+    gaps, sure = [], []
+    for was, is_now in zip(before.runs, after.runs, strict=True):
+        curves, about = (was.simulated, is_now.simulated), of[was.run]
+        gaps.append(compare_curves(was.run, was.times_s, was.measured, curves, floor, about.regime, about.use))
+        sure.append(was.sure and is_now.sure)
+    tells = sure if any(sure) else [True] * len(sure)
+    told = [run for asset in (before, after) for run, counts in zip(asset.runs, tells, strict=True) if counts]
     return Shown(
-        runs,
-        max((run.change for run in told), default=np.nan if chosen else 0.0),
+        tuple(gap for gap, counts in zip(gaps, tells, strict=True) if counts),
+        max((run.change for run in told), default=np.nan if before.given_up else 0.0),
         min((run.timestep_s for run in told), default=np.nan),
-        helps(runs, tracks) if runs or tracks else None,
-        tracks,
+        tuple(
+            RunGap(track.name, was, is_now, track.floor, track.held_out, GEOMETRY, use_of(track))
+            for track, was, is_now in zip(poses, before.poses, after.poses, strict=False)
+        ),
         before.given_up,
-        tuple(_gap(*pair, of[pair[0].run]) for pair in pairs if pair not in sure),
+        tuple(gap for gap, counts in zip(gaps, tells, strict=True) if not counts),
         before is not after,
     )
 
 
-def helps(runs: Sequence[ReplayGap], poses: tuple[PoseGap, ...] = ()) -> bool:
-    """Whether the gap, in floors, is smaller in all, in no regime (nor off the joint) wider by a quarter floor, and in
-    no run by half a floor: runs of one regime may be of different kinds all the same."""
+def helps(gaps: Sequence[RunGap]) -> bool:
+    """Whether the gap, in floors, is smaller in all, in no regime wider by a quarter floor, and in no run by half a
+    floor: runs of one regime may be of different kinds all the same."""
     groups: dict[str, list[tuple[float, float]]] = {}
-    for run in runs:
-        groups.setdefault(run.regime, []).append((run.gap_before / run.floor, run.gap_after / run.floor))
-    for track in [p for p in poses if p.held_out] or poses:
-        groups.setdefault(" off the joint", []).append((track.before / track.floor, track.after / track.floor))
+    for gap in gaps:
+        groups.setdefault(gap.regime, []).append((gap.before / gap.floor, gap.after / gap.floor))
     sizes = [np.sqrt(np.mean(np.square(group), axis=0)) for group in groups.values()]
     whole, left = np.sqrt(np.mean(np.square([pair for group in groups.values() for pair in group]), axis=0))
     if not np.isfinite(sizes).all() or any(after > before + WIDER for before, after in sizes):
@@ -158,18 +133,3 @@ def helps(runs: Sequence[ReplayGap], poses: tuple[PoseGap, ...] = ()) -> bool:
     if any(after > before + RUN_WIDER for group in groups.values() for before, after in group):
         return False
     return bool(left < whole)
-
-
-def _gap(before: RunReplay, after: RunReplay, chosen: Chosen) -> ReplayGap:
-    return ReplayGap(
-        before.run,
-        before.times_s,
-        before.measured,
-        before.simulated,
-        after.simulated,
-        before.error,
-        after.error,
-        chosen.floor,
-        chosen.regime,
-        chosen.use,
-    )
