@@ -14,7 +14,7 @@ from freeart21.files.camera_faults import faults_json
 from freeart21.joint import JointType
 from simgap.film import counts, geometry
 from simgap.film.choose import Chosen
-from simgap.film.effects import camera_of, effect_of
+from simgap.film.effects import camera_of
 from simgap.film.maps import FilmMap, flagged_places
 from simgap.film.missing import MissingPart
 from simgap.film.samples import Rows
@@ -92,26 +92,26 @@ class Confirmed:
     @property
     def best(self) -> CameraFaults:
         """With everything that is named."""
-        return camera_of([n.effect for n in self.named])
+        return camera_of(n.effect for n in self.named)
 
     @property
     def delivered(self) -> CameraFaults:
         """With what is certain."""
-        return camera_of([n.effect for n in self.named if n.effect.name in self.certain])
+        return camera_of(n.effect for n in self.named if n.effect.name in self.certain)
 
 
 def confirm(kinds: Sequence[Chosen], measure: Callable[[CameraFaults], dict[str, float]]) -> Confirmed:
     """What stands of every kind: each effect gains on confirming frames beyond chance, and the camera that has them all
     closes their gaps there. `measure` gives the gaps of confirming frames with a camera."""
-    effects = {name: effect_of(name, c.values) for c in kinds for name in c.names}
-    before, after = measure(CameraFaults()), measure(camera_of(effects))
+    before, after = measure(CameraFaults()), measure(camera_of(e for c in kinds for e in c.effects))
     p_values = {name: p for c in kinds for name, p in c.p_values.items()}
     adjusted = dict(zip(p_values, benjamini_hochberg(np.array(list(p_values.values()))).tolist(), strict=True))
     named, certain, notes = list[tuple[float, Named]](), list[str](), list[str]()
     rivals: tuple[tuple[str, ...], ...] = ()
     for c in kinds:
         closed = max((1 - after[g] / max(before[g], 1e-12) for g in c.kind.gaps if g in before), default=0.0)
-        for name in c.names:
+        for effect in c.effects:
+            name, specs = effect.name, effect.parameters()
             why = c.refused.get(name, "")
             if adjusted[name] > LEVEL:
                 why = f"not confirmed by the frames kept back (p = {adjusted[name]:.2g})"
@@ -122,10 +122,9 @@ def confirm(kinds: Sequence[Chosen], measure: Callable[[CameraFaults], dict[str,
             if why:
                 notes.append(f"{capital(plain(name))}: {why}")
                 continue
-            specs = effects[name].parameters()
             spread = {k: T_90 * c.errors.get(k, np.nan) for k in specs}
             low, high = ({k: c.values[k] + sign * spread[k] for k in specs} for sign in (-1, 1))
-            named.append((c.scores[0].total - c.scores[-1].total, Named(effects[name], low, high)))
+            named.append((c.scores[0].total - c.scores[-1].total, Named(effect, low, high)))
             certain += [name] if all(name in names for names in c.rivals) else []
         if len(c.rivals) > 1 and not rivals and any(n.effect.name in c.names for _, n in named):
             rivals = c.rivals
@@ -134,7 +133,6 @@ def confirm(kinds: Sequence[Chosen], measure: Callable[[CameraFaults], dict[str,
 
 
 def verdict_of(
-    name: str,
     kinds: Sequence[Chosen],
     found: Confirmed,
     gaps: tuple[QuantityGap, ...],

@@ -12,7 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from freeart21.effects.base import Effect
 from freeart21.se3 import Array
+from simgap.film.effects import effect_of
 from simgap.models.localise import sign_flips
 from simgap.select.predictive import Score, lead, smallest
 
@@ -80,6 +82,11 @@ class Chosen:
     """Effects that give way to a nameless rival, and why."""
     dominated: str
     """A nameless rival that explains `TWICE` as much as the whole set; '' for none."""
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Those of `names`, with their values within bounds."""
+        return tuple(effect_of(name, self.values) for name in self.names)
 
 
 def choose(kind: Kind, split: tuple[Frames, Frames, Frames]) -> Chosen:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -66,11 +66,9 @@ def effect_of(name: str, values: Mapping[str, float]) -> Effect:
     return EFFECTS[name](**{k: float(np.clip(values[k], s.lower, s.upper)) for k, s in specs.items()})
 
 
-def camera_of(effects: Mapping[str, Effect] | list[Effect]) -> CameraFaults:
+def camera_of(effects: Iterable[Effect]) -> CameraFaults:
     """The camera that has these effects and is else without fault."""
-    every = list(effects.values()) if isinstance(effects, Mapping) else effects
-    values = {k: v for effect in every for k, v in dataclasses.asdict(effect).items()}  # type: ignore[call-overload]
-    drifts: dict[str, Any] = {
-        field: tuple(values.pop(f"{field}_{k}") for k in range(KNOTS)) for field in DRIFTS if f"{field}_0" in values
-    }
-    return CameraFaults(**values, **drifts)
+    values = {name: getattr(effect, name) for effect in effects for name in effect.parameters()}
+    for field in (drift for drift in DRIFTS if f"{drift}_0" in values):
+        values[field] = tuple(values.pop(f"{field}_{k}") for k in range(KNOTS))
+    return CameraFaults(**values)

@@ -20,7 +20,7 @@ from simgap.film import counts
 from simgap.film.answer import FilmVerdict, QuantityGap, confirm, verdict_of
 from simgap.film.choose import Chosen, Frames, choose
 from simgap.film.colour import colour_design, colour_kind
-from simgap.film.effects import camera_of, effect_of, parameters_of
+from simgap.film.effects import camera_of, parameters_of
 from simgap.film.geometry import PICTURE, Design, depth_floor, design_of, geometry_kind
 from simgap.film.maps import FilmMap, film_maps
 from simgap.film.missing import missing_part
@@ -82,7 +82,7 @@ def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVer
     first, rows, found = _geometry(film, rows_with, split, shut if _moves(film) else shut | {"depth_delay"})
     quiet = max(depth_floor(float(np.median(rows["z"])), film.depth_unit), film.depth_unit / np.sqrt(12))
     kinds = [found, choose(counts.noise_kind(rows, quiet), split), choose(counts.holes_kind(rows), split)]
-    known = camera_of({n: effect_of(n, c.values) for c in kinds for n in c.names})
+    known = camera_of(effect for kind in kinds for effect in kind.effects)
     kinds.append(choose(counts.flying_kind(rows, known), split))
     drift = colour_design(rows) if scene.coloured else None
     if drift is not None:
@@ -93,41 +93,31 @@ def find_film_gap(film: Film, progress: Progress | None = None) -> tuple[FilmVer
         key = _picture(camera)
         if key not in simulated:
             simulated[key] = rows_with(key, split[2])
-        flying = camera_of({n: effect_of(n, c.values) for c in kinds for n in c.names})
-        gaps = measure_gaps(simulated[key], camera, flying, quiet, film.depth_unit)
+        every = camera_of(effect for kind in kinds for effect in kind.effects)
+        gaps = measure_gaps(simulated[key], camera, every, quiet, film.depth_unit)
         return {what: size for what, size in gaps.items() if drift is not None or what in list(UNITS)[:-1]}
 
     confirmed = confirm(kinds, measure)
-    gaps = _gaps(
-        film, confirmed.delivered, confirmed.best, measure, floors(rows, confirmed.best, quiet, film.depth_unit)
+    floor = floors(rows, confirmed.best, quiet, film.depth_unit)
+    before, after, trial = (measure(c) for c in (CameraFaults(), confirmed.delivered, confirmed.best))
+    tried = confirmed.best != confirmed.delivered
+    gaps = tuple(
+        QuantityGap(
+            *(recording.name, size, after[what], floor[what], True, what, "confirming"),
+            *(trial[what] if tried else None, UNITS[what]),
+        )
+        for what, size in before.items()
     )
     maps = film_maps(first, drift is not None)
     part = missing_part(recording, scene, rows, split)
     numbers = {k: frames[i].tolist() for k, i in zip(("fit", "choose", "confirm"), split, strict=True)}
-    verdict = verdict_of(recording.name, kinds, confirmed, gaps, maps, part, scene, rows, numbers)
+    verdict = verdict_of(kinds, confirmed, gaps, maps, part, scene, rows, numbers)
     return verdict, Found(film, tuple(kinds), maps, first)
 
 
 def _picture(camera: CameraFaults) -> CameraFaults:
     """The geometry and timing of a camera alone, by which a film is simulated."""
     return CameraFaults(**{f: getattr(camera, f) for n in PICTURE for f in parameters_of(n)})
-
-
-def _gaps(
-    film: Film,
-    delivered: CameraFaults,
-    best: CameraFaults,
-    measure: Callable[[CameraFaults], dict[str, float]],
-    floor: dict[str, float],
-) -> tuple[QuantityGap, ...]:
-    before, after, trial = measure(CameraFaults()), measure(delivered), measure(best)
-    return tuple(
-        QuantityGap(
-            *(film.recording.name, size, after[what], floor[what], True, what, "confirming"),
-            *(None if best == delivered else trial[what], UNITS[what]),
-        )
-        for what, size in before.items()
-    )
 
 
 def _geometry(
@@ -145,7 +135,7 @@ def _geometry(
         first = first or rows
         design = design_of(rows, film.depth_unit, film.scene.placed.exact, camera)
         found = choose(geometry_kind(design, shut), split)
-        wanted = camera_of({n: effect_of(n, found.values) for n in found.names if n in PICTURE})
+        wanted = camera_of(effect for effect in found.effects if effect.name in PICTURE)
         if _shift(design, wanted, camera) < SETTLED_PX:
             break
         camera = wanted

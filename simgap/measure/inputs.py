@@ -48,18 +48,9 @@ def base_sway(run: Run, measured: Measured, plant: Plant) -> Sway:
 
 
 def _swayed(driven: Inputs, sway: Sway, longest_s: float) -> Inputs:
-    """The inputs with those of a base that moves: in each of its steps two values, with impulse and way of the
-    straight line between its ends."""
-    span = np.diff(sway.times_s)
-    parts = np.maximum(np.ceil(span / (2 * longest_s)), 1).astype(int)
-    row = np.repeat(np.arange(len(span)), parts)
-    span = span[row] / parts[row]
-    begin = sway.times_s[row] + span * (np.arange(len(row)) - (np.cumsum(parts) - parts)[row])
-    first, last = sway.at(begin), sway.at(begin + span)
-    mean, tilt = 0.5 * (first + last), (last - first) / 3  # as `_as_held` has it
-    terms = np.stack([mean - tilt, mean + tilt], -1).reshape(len(mean), -1)
-    own = np.append((begin[:, None] + span[:, None] * np.array([0.0, 0.5])).ravel(), sway.times_s[-1])
-    own, terms = _together(own, np.append(terms, sway.terms[:, -1:], 1), longest_s, np.zeros(0))
+    """The inputs with those of a base that moves, which goes straight from each of its times to the next."""
+    own, terms, _ = _as_held(sway.times_s, sway.terms, "linear", longest_s)
+    own, terms = _together(own, terms, longest_s, np.zeros(0))
     times = np.union1d(own, driven.times_s)
 
     def lasting(values: Array, since: Array, none: float) -> Array:
@@ -184,8 +175,8 @@ def _passed(since: Array, values: Array, at: Array) -> Array:
 
 
 def _as_held(times: Array, logged: Array, how: Interpolation, longest_s: float) -> tuple[Array, Array, Array]:
-    """Times (i,), the (3, i) values that last from each to the next, and what these have besides if the `logged` ones
-    (3, n) are held."""
+    """Times (i,), the (k, i) values that last from each to the next, and what these have besides if the `logged` ones
+    (k, n) are held."""
     channels = [_Logged(times, values, how) for values in logged]
     if how == "held" or len(times) < 2:
         series = np.stack([channel(times, times)[0] for channel in channels])
@@ -199,7 +190,7 @@ def _as_held(times: Array, logged: Array, how: Interpolation, longest_s: float) 
     nodes = begin + 0.5 * span * (1 + _NODES[:, None])
     told = [channel(times[row], nodes) for channel in channels]
     mean, tilt = (np.stack([weights @ curve for _, curve in told]) for weights in (_WEIGHTS / 2, _WEIGHTS * _NODES))
-    series = np.stack([mean - tilt, mean + tilt], -1).reshape(3, -1)
+    series = np.stack([mean - tilt, mean + tilt], -1).reshape(len(logged), -1)
     at = begin[:, None] + span[:, None] * np.array([0.0, 0.5])
     last = np.stack([channel(times[-1:], times[-1:])[1] for channel in channels])
     base = np.repeat(np.stack([held for held, _ in told]), 2, axis=1)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import shutil
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from freeart21.errors import FreeArtError
@@ -31,28 +30,23 @@ _NAMED_FILES = ("mesh", "texture", "hfield")
 _BESIDE_MESH = ("mtllib", "map_Kd", "map_Ka", "map_Ks", "map_d", "map_Bump", "map_bump", "bump", "norm")
 
 
-@dataclass
 class _Copy:
-    """What was copied so far."""
+    """What was copied so far into a folder."""
 
-    home: Path
-    """Absolute folder of the URDF."""
-    folder: Path
-    total: int = 0
-    done: dict[Path, str] = field(default_factory=dict)
-    """Source to its name in the folder."""
-    places: dict[Path, str] = field(default_factory=dict)
-    """Folder outside of the asset's to its place in the new one."""
+    def __init__(self, home: Path, folder: Path):
+        self.home, self.folder, self.total = home, folder, 0
+        self.done: dict[Path, str] = {}
+        """Source to its name in the folder."""
+        self.places: dict[Path, str] = {}
+        """Folder outside of `home`, the URDF's absolute one, to its place in the new one."""
 
     def take(self, source: Path, told: str) -> str:
         """Copy a file and what it names itself; its name in the new folder."""
         source = Path(os.path.normpath(source))
         if source not in self.done:
-            if source.is_relative_to(self.home):
-                base, place = self.home, ""
-            else:
-                base, place = source.parent, self._place(source.parent)
-            self._copy(source, base, place, told)
+            inside = source.is_relative_to(self.home)
+            base = self.home if inside else source.parent
+            self._copy(source, base, "" if inside else self._place(base), told)
         return self.done[source]
 
     def _copy(self, source: Path, base: Path, place: str, told: str) -> None:
@@ -137,13 +131,10 @@ def _mjcf(path: Path, root: ET.Element, copy: _Copy) -> bytes:
     """The MJCF with its files named from its own folder: its compiler's folders go."""
     folders: dict[str, str] = {}
     for compiler in root.iter("compiler"):
-        every = compiler.attrib.pop("assetdir", None)
-        for tag, word in (("mesh", "meshdir"), ("hfield", "meshdir"), ("texture", "texturedir")):
-            said = compiler.get(word, every)
-            if said is not None:
-                folders[tag] = said
-        for word in ("meshdir", "texturedir"):
-            compiler.attrib.pop(word, None)
+        every = compiler.attrib.pop("assetdir", "")
+        meshes, textures = (compiler.attrib.pop(word, every) for word in ("meshdir", "texturedir"))
+        told = {"mesh": meshes, "hfield": meshes, "texture": textures}
+        folders |= {tag: where for tag, where in told.items() if where}
     for element in _naming(root, "file"):
         name = element.get("file", "")
         source = copy.home / folders.get(element.tag, "") / name
