@@ -79,8 +79,10 @@ def run_drawings(
 
 def force_map(m: ResidualMap, kind: JointType) -> str:
     """A map of the missing force."""
-    factor, unit = _axis(m, kind)
-    force_factor, force_unit = _force_unit(m, kind)
+    unit, factor = ("s", 1.0) if m.quantity == "time" else display_unit(kind)
+    unit += "/s" * (m.quantity == "velocity")
+    small = 0 < float(np.nanmax(np.abs(m.mean), initial=0.0)) < 0.1
+    force_factor, force_unit = 1e3 if small else 1.0, "m" * small + ("N m" if kind == "revolute" else "N")
     how = "towards larger positions" if m.signed else "along the motion; negative brakes"
     rest = ", besides smooth friction and springs" if m.within else ""
     title = _TITLES.get(m.quantity, m.quantity.capitalize())
@@ -164,16 +166,3 @@ _TITLES = {
     "command": "Over the command's lead",
     "run": "By run",
 }
-
-
-def _axis(m: ResidualMap, kind: JointType) -> tuple[float, str]:
-    if m.quantity == "time":
-        return 1.0, "s"
-    unit, factor = display_unit(kind)
-    return factor, unit + ("/s" if m.quantity == "velocity" else "")
-
-
-def _force_unit(m: ResidualMap, kind: JointType) -> tuple[float, str]:
-    unit = "N m" if kind == "revolute" else "N"
-    largest = float(np.nanmax(np.abs(m.mean), initial=0.0))
-    return (1e3, f"m{unit}") if 0 < largest < 0.1 else (1.0, unit)
