@@ -13,7 +13,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from freeart21.errors import FreeArtError
-from freeart21.files import checked
+from freeart21.files import atomic, checked
 from freeart21.files.benchmark import file_sha256
 from freeart21.files.urdf import read_xml
 from freeart21.files.urdf_files import named_file, named_inside
@@ -75,7 +75,7 @@ class _Copy:
         return self.places[folder]
 
 
-def copied(urdf: Path, folder: Path, root: Path | None = None) -> dict[str, bytes]:
+def copied(urdf: Path, folder: Path, root: Path | None = None) -> dict[str, ET.Element]:
     """Copy the files that the asset of `urdf` needs, all inside `root`, into `folder`.
 
     Returns the URDF, and the MJCF when there is one beside it, by file name, with their files named as in the copy;
@@ -85,17 +85,16 @@ def copied(urdf: Path, folder: Path, root: Path | None = None) -> dict[str, byte
     folder.mkdir(parents=True, exist_ok=True)
     home = Path(os.path.normpath(urdf.absolute().parent))
     copy = _Copy(home, folder)
-    out = {}
     robot = read_xml(urdf, comments=True)
     for element in _naming(robot, "filename"):
         name = element.get("filename", "")
         element.set("filename", copy.take(named_file(urdf, name, root), str(urdf)))
-    out[urdf.name] = written(robot, declared=True)
-    mjcf = mjcf_beside(urdf)
+    out, mjcf = {urdf.name: robot}, mjcf_beside(urdf)
     if mjcf.is_file():
         model = read_xml(mjcf, comments=True)
         if model.tag == "mujoco":  # else it is something of the same name
-            out[mjcf.name] = _mjcf(mjcf, model, copy)
+            _copy_named(mjcf, model, copy)
+            out[mjcf.name] = model
     if (home / "semantics.txt").is_file():
         shutil.copyfile(checked.require_file(home / "semantics.txt", MAX_FILE_BYTES), folder / "semantics.txt")
     return out
@@ -118,17 +117,18 @@ def mjcf_beside(urdf: Path) -> Path:
     return urdf.with_suffix(".mjcf" if urdf.suffix == ".xml" else ".xml")
 
 
-def written(root: ET.Element, declared: bool = False) -> bytes:
-    """The element as a file."""
-    return ET.tostring(root, encoding="utf-8", xml_declaration=declared or None) + b"\n"
+def write_xml(path: Path, root: ET.Element) -> None:
+    """Write a URDF or MJCF, whole or not at all."""
+    declared = True if root.tag == "robot" else None
+    atomic.write_bytes(path, ET.tostring(root, encoding="utf-8", xml_declaration=declared) + b"\n")
 
 
 def _naming(root: ET.Element, attribute: str) -> list[ET.Element]:
     return [e for tag in _NAMED_FILES for e in root.iter(tag) if e.get(attribute)]
 
 
-def _mjcf(path: Path, root: ET.Element, copy: _Copy) -> bytes:
-    """The MJCF with its files named from its own folder: its compiler's folders go."""
+def _copy_named(path: Path, root: ET.Element, copy: _Copy) -> None:
+    """Copy the files of an MJCF, which then names them from its own folder: its compiler's folders go."""
     folders: dict[str, str] = {}
     for compiler in root.iter("compiler"):
         every = compiler.attrib.pop("assetdir", "")
@@ -141,7 +141,6 @@ def _mjcf(path: Path, root: ET.Element, copy: _Copy) -> bytes:
         if not source.is_file():
             raise FreeArtError(f"{path} names file '{name}', which does not exist")
         element.set("file", copy.take(source, str(path)))
-    return written(root)
 
 
 def _beside(source: Path) -> list[Path]:

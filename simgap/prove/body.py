@@ -12,11 +12,10 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.effects import Effect, gravity_change
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import links_beyond, parsed_xml, read_urdf_joints
+from freeart21.files.urdf import links_beyond, read_urdf_joints
 from freeart21.se3 import Array
 from generator import simulate
 from simgap.models.surrogate import Nuisance, Plant
-from simgap.prove.asset_files import written
 
 _EXACT = 1e-4
 """Part of the inertia by which that of the reloaded file may differ; SAPIEN reads single precision."""
@@ -66,13 +65,12 @@ def correction_of(plant: Plant, nuisance: Nuisance) -> BodyCorrection:
     return BodyCorrection(f, f, offset=(gravity_change(*(float(value) for value in rest)),))
 
 
-def urdf_with_body(text: bytes, asset: Asset, correction: BodyCorrection) -> bytes:
-    """The URDF of `asset` with the `<inertial>` of all links beyond its joint corrected; everything else stays."""
+def correct_body(root: ET.Element, asset: Asset, correction: BodyCorrection) -> None:
+    """Correct the `<inertial>` of all links beyond the joint of `asset` in its URDF; everything else stays."""
     if correction == NO_CORRECTION:
-        return text
+        return
     loaded = simulate.load(replace(asset, effects={}), gravity=(0.0, 0.0, 0.0))
     hinge = loaded.world_joint
-    root = parsed_xml(text, asset.urdf, comments=True)
     joints = read_urdf_joints(asset.urdf)
     moving = links_beyond(joints, joints[asset.joint].child)
     for link in root.findall("link"):
@@ -88,7 +86,6 @@ def urdf_with_body(text: bytes, asset: Asset, correction: BodyCorrection) -> byt
             to_link = se3.inverse(loaded.link_pose(link.get("name", "")))
             axis, pivot = to_link[:3, :3] @ hinge.axis, se3.transform(to_link, hinge.pivot[None])[0]
             _move_centre(inertial, axis, pivot, correction.arm, correction.turn)
-    return written(root, declared=True)
 
 
 def check_body(before: Asset, after: Asset, correction: BodyCorrection, folder: Path) -> None:

@@ -32,7 +32,7 @@ from freeart21.se3 import Array
 from generator import simulate
 from simgap.geometry.placing import place
 from simgap.geometry.track_geometry import at_point, displacement
-from simgap.prove.asset_files import copied, mjcf_beside
+from simgap.prove.asset_files import copied, mjcf_beside, write_xml
 from simgap.verdict import root_mean_square
 
 Engine = Literal["sapien", "mujoco"]
@@ -284,7 +284,7 @@ def _convert_to_mjcf(asset: Asset, folder: Path) -> Path:
     from export.mjcf_of_urdf import mjcf_of_urdf  # most have one, and it imports half a second's worth
 
     urdf = folder / asset.urdf.name
-    atomic.write_bytes(urdf, copied(asset.urdf, folder, asset.root)[urdf.name])
+    write_xml(urdf, copied(asset.urdf, folder, asset.root)[urdf.name])
     atomic.write_bytes(mjcf_beside(urdf), mjcf_of_urdf(replace(asset, urdf=urdf, root=folder)))
     return mjcf_beside(urdf)
 

@@ -18,10 +18,9 @@ from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.asset import read_asset, write_asset_json
-from freeart21.files.urdf import parsed_xml
 from generator import simulate
-from simgap.prove.asset_files import copied, mjcf_beside, written
-from simgap.prove.body import NO_CORRECTION, BodyCorrection, check_body, urdf_with_body
+from simgap.prove.asset_files import copied, mjcf_beside, write_xml
+from simgap.prove.body import NO_CORRECTION, BodyCorrection, check_body, correct_body
 
 _POSE_TOLERANCE = 1e-6  # single precision of the engine, metres and rotation entries
 
@@ -47,12 +46,15 @@ def repaired(
     """
     effects = (*effects, *body.offset)
     joined = {**asset.effects, asset.joint: joined_effects(asset.effects.get(asset.joint, ()), effects)}
-    texts = copied(asset.urdf, folder, asset.root)
+    files = copied(asset.urdf, folder, asset.root)
     urdf, mjcf = folder / asset.urdf.name, mjcf_beside(asset.urdf)
-    atomic.write_bytes(urdf, urdf_with_effects(urdf_with_body(texts[urdf.name], asset, body), joined, asset.urdf))
-    as_it_was = mjcf.name in texts and body == NO_CORRECTION  # else it is made anew, of the corrected URDF
+    correct_body(files[urdf.name], asset, body)
+    set_dynamics(files[urdf.name], joined)
+    write_xml(urdf, files[urdf.name])
+    as_it_was = mjcf.name in files and body == NO_CORRECTION  # else it is made anew, of the corrected URDF
     if as_it_was:
-        atomic.write_bytes(folder / mjcf.name, mjcf_with_effects(texts[mjcf.name], asset.joint, joined, mjcf))
+        set_joint_words(files[mjcf.name], asset.joint, joined, mjcf)
+        write_xml(folder / mjcf.name, files[mjcf.name])
     told = {key: value for key, value in asset.source.items() if key != "dynamics"}  # measured now, not guessed
     told |= {"repair": source} if source else {}
     mended = replace(asset, urdf=urdf, effects=joined, source=told, root=folder)
@@ -80,9 +82,8 @@ def joined_effects(had: tuple[Effect, ...], new: tuple[Effect, ...]) -> tuple[Ef
     return tuple(out)
 
 
-def urdf_with_effects(text: bytes, effects: dict[str, tuple[Effect, ...]], where: Path) -> bytes:
-    """The URDF with `<dynamics>` of every joint as its effects say; everything else, comments too, stays."""
-    root = parsed_xml(text, where, comments=True)
+def set_dynamics(root: ET.Element, effects: dict[str, tuple[Effect, ...]]) -> None:
+    """Set `<dynamics>` of every joint of a URDF as its effects say; everything else, comments too, stays."""
     for joint in root.findall("joint"):
         acting = effects.get(joint.get("name", ""), ())
         said = [effect.urdf_dynamics() for effect in acting]
@@ -93,12 +94,10 @@ def urdf_with_effects(text: bytes, effects: dict[str, tuple[Effect, ...]], where
         element = ET.SubElement(joint, "dynamics") if element is None else element
         for word, value in sums.items():
             element.set(word, repr(value))
-    return written(root, declared=True)
 
 
-def mjcf_with_effects(text: bytes, joint: str, effects: dict[str, tuple[Effect, ...]], where: Path) -> bytes:
-    """The MJCF with the words of its joint as the effects say; FreeArtError when it has no such joint."""
-    root = parsed_xml(text, where, comments=True)
+def set_joint_words(root: ET.Element, joint: str, effects: dict[str, tuple[Effect, ...]], where: Path) -> None:
+    """Set the words of an MJCF's joint as the effects say; FreeArtError when it has no such joint."""
     element = next((e for e in root.iter("joint") if e.get("name") == joint), None)
     if element is None:
         names = ", ".join(e.get("name", "") for e in root.iter("joint"))
@@ -107,7 +106,6 @@ def mjcf_with_effects(text: bytes, joint: str, effects: dict[str, tuple[Effect, 
         element.attrib.pop(word, None)
     for word, said in joint_words(effects.get(joint, ()), joint).items():
         element.set(word, said)
-    return written(root)
 
 
 def _reloaded(asset: Asset, effects: dict[str, tuple[Effect, ...]], folder: Path) -> Asset:
