@@ -21,7 +21,7 @@ from freeart21.measured import Measured, Run
 from simgap.fit.problem import problem_of
 from simgap.measure.data import fit_runs
 from simgap.models.surrogate import Nuisance, plant_of
-from simgap.page.publish import _rolled_back
+from simgap.page.publish import _roll_back
 from simgap.prove.body import correction_of
 from simgap.prove.replay import AssetOnDisk, replay
 from simgap.prove.writeback import repaired
@@ -142,7 +142,7 @@ def test_an_answer_that_nothing_confirms_asks_for_more_runs(tmp_path: Path):
 
 def test_what_no_replay_confirms_ends_with_an_experiment():
     oil = Named(ViscousDamping(0.1), {"coefficient": 0.09}, {"coefficient": 0.11})
-    assert _rolled_back(Verdict("named", (oil,), (), (), (), None, "Oil."), (oil,), (oil,)).next_experiment
+    assert _roll_back(Verdict("named", (oil,), (), (), (), None, "Oil."), (oil,), (oil,)).next_experiment
 
 
 def rows(*sizes: tuple[Use, float, float]) -> tuple[RunGap, ...]:
