@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +112,9 @@ class _Search:
         left = pose_search.free_residual(lin, self.weighting.priors(()))
         frequencies = pose_search.rocking_frequency(lin, left, self.folds, self.rate_hz)
         rocks = all(f is not None for f in frequencies) and ROCK not in settings.without
-        subsets = pose_search.subsets_of((*able, *((ROCK,) if rocks else ())), settings.most_effects)
+        names = (*able, *((ROCK,) if rocks else ()))
+        sizes = range(min(settings.most_effects, len(names)) + 1)
+        subsets = tuple(subset for size in sizes for subset in combinations(names, size))
         losses = pose_search.held_out_losses(
             lin, full.names, self.weighting, self.units, subsets, frequencies, self.folds
         )

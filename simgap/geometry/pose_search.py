@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,20 +40,15 @@ class Losses:
         return self.units[self.subsets.index(subset)]
 
     def gain(self, small: Array, big: Array) -> tuple[float, float]:
-        """How much lower the loss `big` (units,) is than `small`, a frame, and the p-value of no gain (paired t)."""
-        return paired_gain(small, big, self.weights)
+        """How much lower the loss `big` (units,) is than `small`, a frame, and a one-sided p-value of no gain.
 
-
-def paired_gain(small: Array, big: Array, weights: Array) -> tuple[float, float]:
-    """Weighted mean of small - big over units, and a one-sided p-value of no gain.
-
-    The lesser of two paired t-tests, doubled: of differences, which the largest swings decide, and of ratios, to which
-    all contribute alike.
-    """
-    gain = float(np.average(small - big, weights=weights))
-    differences = (small - big) * weights / weights.mean()
-    ratios = np.log(np.maximum(small, 1e-12)) - np.log(np.maximum(big, 1e-12))
-    return gain, min(1.0, 2 * min(_above_zero(differences), _above_zero(ratios)))
+        The lesser of two paired t-tests, doubled: of differences, which the largest swings decide, and of ratios, to
+        which all contribute alike.
+        """
+        gain, weights = float(np.average(small - big, weights=self.weights)), self.weights
+        differences = (small - big) * weights / weights.mean()
+        ratios = np.log(np.maximum(small, 1e-12)) - np.log(np.maximum(big, 1e-12))
+        return gain, min(1.0, 2 * min(_above_zero(differences), _above_zero(ratios)))
 
 
 def _above_zero(terms: Array) -> float:
@@ -68,11 +62,6 @@ def _above_zero(terms: Array) -> float:
     if error == 0:
         return 0.0 if terms.mean() > 0 else 1.0
     return float(student.sf(terms.mean() / error, n - 1))
-
-
-def subsets_of(names: Sequence[str], most: int = 3) -> tuple[tuple[str, ...], ...]:
-    """All subsets of up to `most` names, the empty one first."""
-    return tuple(s for size in range(min(most, len(names)) + 1) for s in combinations(names, size))
 
 
 def held_out_losses(

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from freeart21.measured import Measured, Run
-from freeart21.se3 import Array
 from simgap.measure.floor import Floor
 from simgap.measure.inputs import enabled_at, logged_at, told_efforts
 from simgap.models.surrogate import Plant
@@ -66,15 +65,11 @@ def _of_run(run: Run, measured: Measured, plant: Plant) -> Withstood:
     others = others + weight + sum((np.asarray(e.force(q, zero)) for e in plant.effects), zero)
     load, carried = plant.mechanics.load(q, zero, zero), np.abs(drive - others)
     level = sum((np.asarray(e.drive_limit(q, zero, carried if e.geared else load)) for e in plant.effects), zero)
-    net = _less(drive + others, UNSURE * np.abs(told) + measured.gravity_relative * np.abs(weight) + level)
+    net, unsure = drive + others, UNSURE * np.abs(told) + measured.gravity_relative * np.abs(weight) + level
+    net = np.sign(net) * np.maximum(np.abs(net) - unsure, 0.0)
     slack = 1e-3 * (plant.upper - plant.lower) if np.isfinite(plant.upper - plant.lower) else 0.0
     stopped = ((q > plant.upper - slack) & (net > 0)) | ((q < plant.lower + slack) & (net < 0))
     net = np.where(stopped, 0.0, net)
     steps = np.diff(t, prepend=t[0])
     alone = np.cumsum(np.cumsum(net / plant.mechanics.inertia * steps) * steps)
     return Withstood(float(np.abs(net).max()), float(np.ptp(q)), float(np.abs(alone).max()))
-
-
-def _less(values: Array, by: Array) -> Array:
-    """Values nearer to 0 by so much."""
-    return np.asarray(np.sign(values) * np.maximum(np.abs(values) - by, 0.0))

@@ -289,7 +289,10 @@ def _judge(
         if not done:
             unsure = "SAPIEN has not confirmed it: the replay took too long."
             verdict = replace(verdict, sentence=f"{verdict.sentence} {unsure}")
-    motion = helps(shown.runs) and _confirms(verdict, shown, draft.dominant) if shown.runs else None
+    replayed = {run.run for run in shown.runs}
+    confirming = [gap for gap in verdict.gaps if gap.use == "confirming" and gap.run in replayed]
+    confirmed = not confirming or halved(confirming, draft.dominant)
+    motion = helps(shown.runs) and confirmed if shown.runs else None
     geometry = helps(shown.poses) if shown.poses else None
     bad = [n for n in tried if (geometry if n.effect.kind == "kinematics" else motion) is False]
     if bad or (motion is False and verdict.corrections):
@@ -317,13 +320,6 @@ def _judge(
             f"{shown.numerics:.2g} floors: gaps are no surer than that."
         )
     return verdict, certain, notes
-
-
-def _confirms(verdict: Verdict, shown: Shown, most: float) -> bool:
-    """Whether confirming runs, as far as they were replayed, keep at most this part of their gap."""
-    replayed = {run.run for run in shown.runs}
-    kept = [gap for gap in verdict.gaps if gap.use == "confirming" and gap.run in replayed]
-    return not kept or halved(kept, most)
 
 
 def _names(effects: Sequence[Named]) -> str:
