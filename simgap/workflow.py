@@ -111,7 +111,7 @@ def _explained(asset: Asset, measured: Measured, settings: GapSettings) -> Draft
     if isinstance(search, ForceSearch):
         choice = with_twins(choice, search, split)
     best = choice.explaining[0] if choice.explaining else choice.base
-    delivery = deliver(best, search.train, split.folds, asset, measured)
+    delivery = deliver(best, search.train, split.folds, asset, measured, search.names)
     as_is = Theory(as_delivered(problem), (), prompt=True)
     before = fit_starts(as_is, np.full(len(as_is.ranges()), delivery.holding), runs)
     delivered = Delivered(delivery, before, placed(delivery.fit, runs))

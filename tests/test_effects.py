@@ -180,6 +180,11 @@ def test_formulas_by_hand():
     detent = Detent(0.5, 0.4, 0.05)
     assert detent.force(np.array([0.35, 0.4, 0.45, 0.6]), 0.0) == pytest.approx([0.5, 0, -0.5, 0], abs=2e-3)
     assert np.abs(detent.force(np.linspace(0, 1, 10001), 0.0)).max() == pytest.approx(0.5, rel=1e-6)
+    for tail in (0.05, 0.25, 1.0, 2.0):  # largest one width away, however it ends, and nowhere steeper than it says
+        notch, q = Detent(0.5, 0.4, 0.05, tail), np.linspace(0, 1, 100001)
+        force = notch.force(q, 0.0)
+        assert force[35000] == np.abs(force).max() == pytest.approx(0.5, rel=1e-6)
+        assert np.abs(np.diff(force)).max() / 1e-5 == pytest.approx(notch.steepness(), rel=0.03)
     latch = Latch(2.0, 0.1, 0.02, 0.5)
     course, memory, held = np.array([0.13, 0.115, 0.109, 0.119, 0.0801, 0.121, 0.115]), 0.0, []
     for q in course:
@@ -472,14 +477,16 @@ def test_alternatives_do_what_they_stand_for():
     assert GravityOffset(**turned.point).force(q, 0) + pull.force(q, 0) == pytest.approx(
         pull.force(q - turned.ahead, 0)
     )
+    (zero,) = GravityOffset(**turned.point).alternatives(among)  # and back
+    assert (zero.name, zero.point["offset"], zero.ahead) == ("encoder_offset", pytest.approx(0.2), pytest.approx(-0.2))
     lighter = others(Armature(0.1))["gravity_offset"]  # of .5 in all: the part alone falls as fast under .8 of the pull
     assert lighter.force(q, 0.0) == pytest.approx(-0.2 * pull.force(q, 0.0))
     widths = [a.point["width"] for a in Armature(0.1).alternatives(among) if a.name == "backlash"]
     assert min(widths) > 0 and max(widths) < 0.05 * among.span
 
     notch = others(Detent(0.5, 0.4, 0.05))
-    assert notch["return_spring"].steepness() == Detent(0.5, 0.4, 0.05).steepness()
-    assert others(notch["latch"])["detent"].values() == pytest.approx((0.5, 0.4, 0.05))  # there and back
+    assert notch["return_spring"].steepness() == pytest.approx(Detent(0.5, 0.4, 0.05).steepness())
+    assert others(notch["latch"])["detent"].values() == pytest.approx((0.5, 0.4, 0.05, 0.5))  # there and back
     assert not EncoderOffset(0.2).alternatives(replace(among, joint_type="prismatic"))
 
 

@@ -22,6 +22,7 @@ from simgap.fit.search import Search, caught
 from simgap.measure.data import FitRun, fit_runs
 from simgap.models.surrogate import plant_of
 from simgap.select import delivery
+from simgap.select.choose import at_once
 from simgap.select.hypotheses import Hypothesis, judged
 from simgap.select.predictive import Score
 from simgap.select.split import Fold, split_of
@@ -109,6 +110,29 @@ def test_friction_with_oil_is_no_friction_under_load(tmp_path: Path, seed: int):
     """Load goes with speed squared on a swing, and leaves hardly more than noise; the pair is far more probable."""
     found = verdict(tmp_path, measured_of(seed, dry=0.5, viscous=0.1))
     assert (found.verdict, names(found)) == ("named", {"coulomb_friction", "viscous_damping"})
+
+
+def test_friction_that_is_there_at_once_is_fitted_so(tmp_path: Path):
+    """A joint that sticks under a command that changes bends by nothing: the least way of building up leaves most of
+    what is left, which other effects would take."""
+    measured = measured_of(8, dry=4.0, servo=True, exact=True, lean=0.0, runs=3)
+    plant = plant_of(read_asset(asset_of(tmp_path), "j"), measured)
+    runs, floor = fit_runs(measured, plant)
+    problem = problem_of(plant, measured, runs, floor, GapSettings())
+    theory = Theory(problem, ("coulomb_friction",))
+    built = fitted(theory, runs, at(theory, level=4.0, travel_root=0.1))
+    assert at_once(built, runs).theory.prompt and at_once(built, runs).level < 0.9 * built.level
+    nearer = replace(built, cost=0.0)
+    assert at_once(nearer, runs) is nearer
+
+
+@pytest.mark.parametrize("servo", [False, True])
+def test_a_notch_of_another_form_is_one_notch(tmp_path: Path, servo: bool):
+    """Two lobes that end, which no Gaussian does: what that leaves is no catch beside it."""
+    found = verdict(tmp_path, measured_of(6, groove=0.6, centre=-0.2, width=0.1, servo=servo))
+    assert (found.verdict, names(found), found.in_part) == ("named", {"detent"}, False)
+    (notch,) = found.effects
+    assert notch.effect.peak == pytest.approx(0.6, rel=0.15) and notch.effect.tail < 0.4
 
 
 def test_runs_that_hang_on_a_hair_do_not_decide(tmp_path: Path):

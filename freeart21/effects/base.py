@@ -148,6 +148,9 @@ class Effect(ABC):
     """By what part of itself a real one may differ from its formula: over the range of speeds, and over that of
     positions, there once as a slope and once between middle and ends. What has a speed or a place of its own, over
     those."""
+    form_error: ClassVar[float] = 0.0
+    """Part of itself by which the formula is off for real ones of other forms, all numbers fitted: what it leaves of a
+    gap by that needs no other name."""
     widths: ClassVar[float] = 1.5
     """Of an effect with a place: how many widths from there its ends are."""
 

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from freeart21.effects.base import Acts, Effect, parameter
+from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,15 @@ class GravityOffset(Effect):
     cosine: float = parameter("N*m", None, -1e4, 1e4, "torque at q = 0", scale=0.1, default=0.0)
     sine: float = parameter("N*m", None, -1e4, 1e4, "torque at q = 90 degrees", scale=0.1, default=0.0)
     constant: float = parameter(None, "N", -1e4, 1e4, "force along the axis", scale=0.1, default=0.0)
+
+    def alternatives(self, among: Surroundings) -> list[Alternative]:
+        """A sensor whose zero is off, for a hinge's gravity that pulls from elsewhere: see there."""
+        cosine, sine, _ = among.gravity
+        was = complex(cosine, sine)
+        if among.joint_type != "revolute" or was == 0:
+            return []
+        turn = float(np.angle((was + complex(self.cosine, self.sine)) / was))
+        return [Alternative("encoder_offset", {"offset": turn}, -turn)]
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, cosine: Any, sine: Any, constant: Any) -> Any:

@@ -34,7 +34,11 @@ class Latch(Effect):
 
     def alternatives(self, among: Surroundings) -> list[Alternative]:
         """A notch of the same force at the same place."""
-        return [Alternative("detent", {"peak": self.hold, "centre": self.position, "width": self.travel / CATCH})]
+        return [
+            Alternative(
+                "detent", {"peak": self.hold, "centre": self.position, "width": self.travel / CATCH, "tail": 0.5}
+            )
+        ]
 
     @staticmethod
     def law(q: Any, qd: Any, load: Any, memory: Any, hold: Any, position: Any, travel: Any, capture: Any) -> Any:

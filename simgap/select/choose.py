@@ -19,6 +19,8 @@ from simgap.fit.fit import Fit
 from simgap.fit.force_search import ForceSearch
 from simgap.fit.guess import idle
 from simgap.fit.search import Search, prompt
+from simgap.measure.data import FitRun
+from simgap.models.surrogate import is_local
 from simgap.select.hypotheses import Hypothesis, departing, excess, judged
 from simgap.select.nameless import Nameless, beside
 from simgap.select.predictive import lead, smallest
@@ -57,14 +59,17 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     if not search.promising():
         return Choice(base, base, table=(base,))
     base = judged(base.fit, folds, base)
-    fits = [fit for fit in search.explored() if not idle(fit, search.train, base.fit.level)]
+    fits = [fit if search.late else at_once(fit, search.train) for fit in search.explored()]
+    fits = [fit for fit in fits if not idle(fit, search.train, base.fit.level)]
     table = [base, *(judged(fit, folds, base) for fit in fits)]
     best = max(table, key=lambda h: h.score.total)
     if not _has_gap(base, best, settings):
         return Choice(base, best, table=tuple(table))
     able = _best_of_each_size([h for h in table if not _has_shape(h)])
     real = [h if search.late else departing(h, folds, base) for h in sorted(able, key=lambda h: -h.score.total)]
-    whole = [h for h in nearest(h for h in real if named_whole(h, base, settings)) if not _is_less_enough(h, real)]
+    able = [h for h in real if named_whole(h, base, settings, table)]
+    able = [h for h in able if not any(_mends(h, part) for part in able)]
+    whole = [h for h in nearest(able) if not _is_less_enough(h, real)]
     part = [] if whole else _dominating(table, base, settings)
     if not whole and not part:  # what has a formula, and what every machine has, come first
         real += [h if search.late else departing(h, folds, base) for h in table if _has_shape(h)]
@@ -83,6 +88,12 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
         nameless=nameless,
         table=tuple(table) if not whole else tuple(real),
     )
+
+
+def at_once(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The fit, or the same set with dry friction that is there at once, where that is nearer than friction that builds
+    up over the least way that is tried: a joint that sticks and is pushed to and fro shows even that way."""
+    return min((fit, prompt(fit, runs)), key=lambda f: f.cost)
 
 
 def _drifts(rival: Nameless, settings: JudgementSettings) -> bool:
@@ -126,18 +137,32 @@ def plainer(names: tuple[str, ...]) -> list[tuple[str, ...]]:
     return [tuple(sorted({*names, less} - {name})) for name, less in special if less]
 
 
-def named_whole(hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings) -> bool:
-    """Whether a set leaves next to nothing of what `base` does, in all runs that show a gap but one of four, which may
-    hang on a hair, and in half of those that choose; and none of its numbers is at its bound, where it stands for
-    something else."""
+def named_whole(
+    hypothesis: Hypothesis, base: Hypothesis, settings: JudgementSettings, table: Sequence[Hypothesis] = ()
+) -> bool:
+    """Whether a set leaves next to nothing of what `base` does, or what its formulas are off by, in all runs that show
+    a gap but one of four, which may hang on a hair, and in half of those that choose; and none of its numbers is at its
+    bound, where it stands for something else. What an effect's formula is off by is a part of what it takes beside the
+    others, by the sets of `table`."""
     if at_end(hypothesis.fit):
         return False
     before, after = base.by_run, hypothesis.by_run
     shown = [run for run in after if before[run] > SHOWS] or list(after)
-    most = {run: min(np.hypot(SHOWS, settings.explained_part * excess(before[run])), settings.most) for run in shown}
+    off = {run: _form_error(hypothesis, run, base, table) for run in shown}
+    parts = {run: np.hypot(settings.explained_part * excess(before[run]), off[run]) for run in shown}
+    most = {run: min(np.hypot(SHOWS, parts[run]), settings.most) for run in shown}
     met = {run: after[run] <= most[run] for run in shown}
     chose = [met[run] for run in shown if run in hypothesis.left]
     return sum(met.values()) >= settings.met * len(met) and sum(chose) >= 0.5 * len(chose)
+
+
+def _form_error(hypothesis: Hypothesis, run: str, base: Hypothesis, table: Sequence[Hypothesis]) -> float:
+    """Floors of a run by which the formulas of a set are off (`Effect.form_error`)."""
+    of, off = {h.names: h for h in table}, 0.0
+    for name in hypothesis.names:
+        rest = of.get(tuple(n for n in hypothesis.names if n != name), base)
+        off = float(np.hypot(off, EFFECTS[name].form_error * excess(rest.by_run[run])))
+    return off
 
 
 def _is_less_enough(hypothesis: Hypothesis, table: Sequence[Hypothesis]) -> bool:
@@ -145,6 +170,14 @@ def _is_less_enough(hypothesis: Hypothesis, table: Sequence[Hypothesis]) -> bool
     leaves just passes then hangs on a hair."""
     fewer = [h for h in table if h.score.size < hypothesis.score.size and _within(h, hypothesis)]
     return any(not _is_ahead(hypothesis, h) for h in fewer)
+
+
+def _mends(hypothesis: Hypothesis, part: Hypothesis) -> bool:
+    """Whether all that a set has beside a part of it are forces at a place, as is one of the part whose formula is off
+    by itself (`Effect.form_error`)."""
+    more = {*hypothesis.names} - {*part.names}
+    off = any(EFFECTS[name].form_error > 0 for name in part.names)
+    return off and bool(more) and {*part.names} < {*hypothesis.names} and all(is_local(EFFECTS[name]) for name in more)
 
 
 def _within(hypothesis: Hypothesis, other: Hypothesis) -> bool:

@@ -166,9 +166,12 @@ def _verdict_of(
     closed = float(np.clip((was - now) / max(was - 1.0, 1e-9), 0.0, 1.0))
     of = runs_text([gap.use for gap in told], len(split.folds) > 1 and not split.confirming)
     closing = f"{closed_text(closed, of)}."
-    later = next_experiment(delivery.rivals) if delivery.rivals else None
+    apart = [next_experiment([delivery.chosen, rival.fit]) for rival in delivery.rivals if delivery.chosen is not None]
+    later = " ".join(dict.fromkeys(apart)) or None
     body = f"{correction_words(delivery.corrected)}, and the asset delivered says so" if delivery.corrected else ""
-    body += f"; or it may be that {correction_words(delivery.other)}" if delivery.other else ""
+    for rival in delivery.rivals:
+        it_is = " and ".join(effect_words(effect, kind) for effect in rival.effects)
+        body += f"; or it may be {f'that {correction_words(rival.numbers)}' if rival.numbers else it_is}"
     if not choice.gap:
         said = (
             f"No effect is missing, but the asset itself is off: {body}. {closing}"

@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from freeart21.asset import Asset
-from freeart21.effects.base import Effect
+from freeart21.effects import gravity_change
+from freeart21.effects.base import Effect, Surroundings
 from freeart21.errors import FreeArtError
 from freeart21.measured import Measured
 from simgap.fit.fit import Fit, Theory, fitted, joined, resettled, tempered, unit_of
@@ -29,17 +30,30 @@ from simgap.select.hypotheses import Hypothesis, judged
 from simgap.select.intervals import NORMAL_90, covariance
 from simgap.select.predictive import Score, lead
 from simgap.select.split import Fold
+from simgap.settings import FitSettings
 from simgap.verdict import SHOWS, Corrected, Named
 
 ASSET = "asset"
 """Owner of the numbers that say how the asset is off (`Theory.ranges`)."""
+_LEAN = "lean_1"
 _SAID = {
     "inertia": ("inertia", "1"),
     "gravity": ("weight", "1"),
-    "lean_1": ("lean", "rad"),
+    _LEAN: ("lean", "rad"),
     "lean_2": ("lean_across", "rad"),
 }
 """Its names to those of verdict.json, and units."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another explanation of what a correction explains."""
+
+    fit: Fit
+    numbers: tuple[Corrected, ...] = ()
+    """Those of the asset that the correction does not have."""
+    effects: tuple[Effect, ...] = ()
+    """Likewise."""
 
 
 @dataclass(frozen=True)
@@ -51,10 +65,10 @@ class Delivery:
     body: BodyCorrection = NO_CORRECTION
     corrected: tuple[Corrected, ...] = ()
     """The numbers of the body that were fitted, with 90 % intervals."""
-    rivals: tuple[Fit, ...] = ()
-    """The correction and the likeliest that does as well by other numbers; empty where there is none."""
-    other: tuple[Corrected, ...] = ()
-    """The numbers of that one that the correction does not have."""
+    chosen: Fit | None = None
+    """The fit by which the body is corrected."""
+    rivals: tuple[Rival, ...] = ()
+    """What does as well in the place of numbers of the correction."""
 
     @property
     def holding(self) -> float:
@@ -74,13 +88,19 @@ def _renumbered(named: Named, effect: Effect) -> Named:
 
 
 def deliver(
-    hypothesis: Hypothesis, train: tuple[FitRun, ...], folds: tuple[Fold, ...], asset: Asset, measured: Measured
+    hypothesis: Hypothesis,
+    train: tuple[FitRun, ...],
+    folds: tuple[Fold, ...],
+    asset: Asset,
+    measured: Measured,
+    names: Collection[str] = (),
 ) -> Delivery:
     """The effects of a hypothesis with the smallest correction of the body that leaves noise where all of them do: what
     is fitted and not delivered may explain nothing. Where all leave more, with the smallest within one standard error
     of the best.
 
-    Of two corrections as small the one that the asset's doubts make likelier stands. `train` are the runs to fit.
+    Of two corrections as small the one that the asset's doubts make likelier stands. `train` are the runs to fit,
+    `names` effects that these could show.
     """
     problem = hypothesis.fit.theory.problem
     tried = [_refitted(variant, hypothesis.fit, train) for variant in _variants(problem, hypothesis.names)]
@@ -97,9 +117,9 @@ def deliver(
         return Delivery(fit)
     numbers, every_doubt = {*_doubts(fit)}, tried[-1]
     others = [o for o in near if not numbers <= {*_doubts(o)} and len(_doubts(o)) < len(_doubts(every_doubt))]
-    rival = min(others, key=lambda o: o.cost, default=None)
-    rivals = () if rival is None else (fit, rival)
-    other = () if rival is None else _corrected(rival, every_doubt, numbers)
+    rivals = [Rival(o, _corrected(o, every_doubt, numbers)) for o in sorted(others, key=lambda o: o.cost)[:1]]
+    turned = [Rival(o, effects=_added(o, fit)) for o in _instead_of_lean(fit, train, names)]
+    rivals += [rival for rival in turned if _is_as_good(judged(rival.fit, folds), seen[tried.index(fit)], every)]
     body = correction_of(problem.plant, Reader(fit.theory).nuisance(fit.theta))
     try:
         with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
@@ -107,13 +127,47 @@ def deliver(
     except FreeArtError:  # its files cannot say so
         return Delivery(tried[0])
     corrected = _corrected(fit, every_doubt)
-    return Delivery(_refitted(as_delivered(problem, plant), fit, train), body, corrected, rivals, other)
+    delivered = _refitted(as_delivered(problem, plant), fit, train)
+    return Delivery(delivered, body, corrected, fit, tuple(rivals))
 
 
 def _is_quiet(hypothesis: Hypothesis, runs: set[str]) -> bool:
     """Whether three of four of these runs show no gap of their own."""
     shown = sum(hypothesis.by_run[run] > SHOWS for run in runs)
     return shown <= 0.25 * len(runs)
+
+
+def _is_as_good(hypothesis: Hypothesis, other: Hypothesis, runs: set[str]) -> bool:
+    """Whether a hypothesis leaves noise of these runs, or is within one standard error of another."""
+    return _is_quiet(hypothesis, runs) or _near(other.score, hypothesis.score)
+
+
+def _instead_of_lean(fit: Fit, runs: tuple[FitRun, ...], names: Collection[str]) -> list[Fit]:
+    """What else, of the effects `names`, explains that the weight pulls from where the asset does not say, by more than
+    a usual mounting: that set, begun without a lean, to which its prior holds it."""
+    problem, nuisance = fit.theory.problem, Reader(fit.theory).nuisance(fit.theta)
+    if problem.force_read or abs(nuisance.lean[0]) <= FitSettings.tilt_rad:
+        return []
+    terms = problem.plant.gravity_terms
+    pull = nuisance.gravity * (terms[0] + nuisance.lean[0] * terms[1] + nuisance.lean[1] * terms[2])
+    own, change = ([float(value) for value in each] for each in (terms[0], pull - terms[0]))
+    plant, span = problem.plant, problem.q_high - problem.q_low
+    inertia = nuisance.inertia * plant.mechanics.inertia
+    among = Surroundings(plant.joint_type, problem.speed, span, problem.load, inertia, (own[0], own[1], own[2]))
+    found = []
+    for other in gravity_change(*change).alternatives(among):
+        if other.name in fit.theory.names or other.name not in names:
+            continue
+        theory = Theory(problem, tuple(sorted((*fit.theory.names, other.name))), prompt=True)
+        begin = joined(theory, fit, {other.name: other.point, ASSET: {_LEAN: 0.0}})
+        starts = {run: (q + other.ahead, speed) for run, (q, speed) in fit.starts.items()}
+        found.append(resettled(fitted(theory, runs, begin, starts), runs))
+    return found
+
+
+def _added(fit: Fit, other: Fit) -> tuple[Effect, ...]:
+    """The effects that another fit does not have."""
+    return tuple(effect for effect in fit.effects if effect.name not in other.theory.names)
 
 
 def _near(best: Score, score: Score) -> bool:

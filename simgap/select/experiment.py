@@ -129,12 +129,10 @@ def _loaded(plant: Plant) -> Plant:
 
 
 def _predicted(trial: Trial, fit: Fit) -> Array:
-    """(n,) what is recorded by this fit, rad or m."""
+    """(n,) what is recorded by this fit, rad or m; it begins where the sensor reads the trial's first position."""
     times, reader = np.arange(int(_SECONDS * _RATE)) / _RATE, Reader(fit.theory)
     effects, nuisance = reader.effects(fit.theta), reader.nuisance(fit.theta)
-    readings = simulate(trial.plant, effects, times, trial.q0, 0.0, trial.inputs, nuisance)
-    if not trial.poses:
-        return readings
-    true = tuple(effect for effect in effects if effect.kind != "sensing")
-    offset = readings[0] - trial.q0
-    return simulate(trial.plant, true, times, trial.q0 - offset, 0.0, trial.inputs, nuisance)
+    readings = simulate(trial.plant, effects, times[:1], trial.q0, 0.0, trial.inputs, nuisance)
+    begin = trial.q0 - float(readings[0] - trial.q0)
+    seen = tuple(effect for effect in effects if effect.kind != "sensing") if trial.poses else effects
+    return simulate(trial.plant, seen, times, begin, 0.0, trial.inputs, nuisance)
