@@ -134,12 +134,12 @@ def test_what_free_swings_cannot_tell_of_the_asset_ends_with_what_would(tmp_path
 
 
 def test_a_pull_from_elsewhere_may_be_a_sensors_zero(tmp_path: Path):
-    """Both within what the asset may be off by: a swinging joint shows their sum alone, and a camera tells."""
+    """Both within what the asset may be off by: a swinging joint shows their sum alone."""
     measured = measured_of(30, runs=6, offset=0.04)
     found = find_gap(read_asset(asset_of(tmp_path)), replace(measured, gravity_relative=0.1))
     assert found.verdict == "no_gap" and any(c.name == "lean" for c in found.corrections)
     assert "or it may be a sensor whose zero is off" in found.sentence
-    assert found.next_experiment and "camera beside the sensor" in found.next_experiment
+    assert found.next_experiment and "then differ by" in found.next_experiment
     bare = find_gap(read_asset(asset_of(tmp_path / "b")), replace(measured_of(30, runs=6), gravity_relative=0.1))
     assert "zero" not in bare.sentence  # a usual mounting is no question
 
