@@ -59,6 +59,7 @@ def size(verdict, parameter):
 def test_nothing_is_named_in_a_clean_film(film):
     verdict = named(film, lambda f: f)
     assert verdict.verdict == "no_gap" and not verdict.effects and not verdict.left and verdict.camera.none
+    assert verdict.next_experiment is None
 
 
 @pytest.mark.parametrize(
@@ -110,6 +111,7 @@ def test_pairs_are_both_named(film):
 def test_what_no_library_has_gets_no_name(film, change):
     verdict = named(film, change)
     assert not verdict.effects and verdict.verdict == "unexplained" and verdict.left
+    assert verdict.next_experiment and "board" in verdict.next_experiment
 
 
 def test_a_part_that_the_asset_lacks_is_found_on_its_part(scene, film, tmp_path):

@@ -155,7 +155,7 @@ def verdict_of(
         tuple(w for gap, w in flagged_places(maps) if gap in large),
         gaps,
         found.rivals,
-        None,
+        next_film(answer, remains),
         _sentence(answer, found, part, remains),
         found.certain,
         found.notes,
@@ -168,6 +168,18 @@ def verdict_of(
         camera=found.delivered,
         poses=scene.placed.source,
     )
+
+
+def next_film(answer: str, remains: Sequence[str]) -> str | None:
+    """What to film where the answer leaves rivals or a remainder; None where it tells all."""
+    told = {
+        "ambiguous": "depth and lens differ there in how they go with distance, angle and place in the picture",
+        "unexplained": "what stays there is the camera's, what does not is the object's",
+    }
+    if answer not in told and not remains:
+        return None
+    board = "Film a flat board of known size from half and from twice the distance, square on and tilted by 60 degrees"
+    return f"{board}, all over the picture: {told.get(answer, told['unexplained'])}."
 
 
 def size_text(value: float, unit: str) -> str:
