@@ -481,6 +481,12 @@ def test_alternatives_do_what_they_stand_for():
     assert (zero.name, zero.point["offset"], zero.ahead) == ("encoder_offset", pytest.approx(0.2), pytest.approx(-0.2))
     lighter = others(Armature(0.1))["gravity_offset"]  # of .5 in all: the part alone falls as fast under .8 of the pull
     assert lighter.force(q, 0.0) == pytest.approx(-0.2 * pull.force(q, 0.0))
+    weak = others(ActuatorGain(0.8))  # a quarter more gravity, where it hangs a spring of as much
+    assert weak["gravity_offset"].force(q, 0.0) == pytest.approx(0.25 * pull.force(q, 0.0))
+    hangs = weak["return_spring"].rest
+    near = hangs + np.array([-0.01, 0.0, 0.01])
+    assert weak["return_spring"].force(near, 0.0) == pytest.approx(0.25 * pull.force(near, 0.0), abs=1e-6)
+    assert [a.name for a in ActuatorGain(1.2).alternatives(among)] == ["gravity_offset"]
     widths = [a.point["width"] for a in Armature(0.1).alternatives(among) if a.name == "backlash"]
     assert min(widths) > 0 and max(widths) < 0.05 * among.span
 

@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from freeart21.effects.base import Acts, Effect, parameter
+import numpy as np
+
+from freeart21.effects.base import Acts, Alternative, Effect, Surroundings, parameter
 
 MOST_USUAL = 1.5
 """Times what it is told that a drive gives at most, by what its voltage and its windings may be off. By inverse
@@ -23,6 +25,19 @@ class ActuatorGain(Effect):
     departs: ClassVar[tuple[float, float]] = (0.05, 0.05)  # motors saturate a little
 
     factor: float = parameter("1", "1", 0.0, 100.0, "force per commanded force", scale=1.0)
+
+    def alternatives(self, among: Surroundings) -> list[Alternative]:
+        """A joint under 1 / factor times the gravity, which moves the same where its inertia is 1 / factor times as
+        large, and, of a hinge that hangs and a weaker drive, the spring that this is in small motions."""
+        more = 1 / max(self.factor, 1e-9) - 1
+        cosine, sine, constant = (more * term for term in among.gravity)
+        if among.joint_type != "revolute":
+            return [Alternative("gravity_offset", {"constant": constant})]
+        found = [Alternative("gravity_offset", {"cosine": cosine, "sine": sine})]
+        stiffness, rest = float(np.hypot(cosine, sine)), float(np.arctan2(cosine, -sine))
+        if more > 0 and stiffness > 0:
+            found.append(Alternative("return_spring", {"stiffness": stiffness, "rest": rest}))
+        return found
 
     def gain(self) -> float:
         return self.factor
