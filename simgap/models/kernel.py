@@ -21,6 +21,7 @@ from simgap.models.laws import (
     asked_force,
     drive_rebound,
     given_force,
+    inlined,
     jit,
     law,
     meet_part,
@@ -69,7 +70,7 @@ _REACH = 2.0
 _STOPPED, _LIMIT, _MEMORY, _MET, _PARTED, _SURE = 1, 2, 4, 8, 16, 32
 
 
-@jit
+@inlined
 def departed(p, at, q, v):  # pragma: no cover
     """What a real effect is times its formula: a slope over the logarithm of speeds, so that what goes with another
     power of speed departs as much at all of them, and a slope and a bend over places."""
@@ -88,7 +89,7 @@ def departures(p, at, q, v):  # pragma: no cover
     return found
 
 
-@jit
+@inlined
 def _sum(acts, terms, p, memory, q, v, load, carried):  # pragma: no cover
     """Sum of all forces, or of all friction levels, under the load on the bearing and what gears carry."""
     total = 0.0
@@ -100,7 +101,7 @@ def _sum(acts, terms, p, memory, q, v, load, carried):  # pragma: no cover
     return total
 
 
-@jit
+@inlined
 def _actuator(p, q, v, position, effort):  # pragma: no cover
     """Force of the actuator at the position and speed that it sees; `position` is NaN without a position law. GAIN and
     OFFSET are 0 while it is off."""
@@ -108,7 +109,7 @@ def _actuator(p, q, v, position, effort):  # pragma: no cover
     return p[GAIN] * given_force(asked, v, p[MOST_ASKED], p[BACK_EMF], p[MOST]) + p[OFFSET]
 
 
-@jit
+@inlined
 def _swayed(p, q):  # pragma: no cover
     """Force of a base that moves (`base_motion.sway_force`)."""
     c, s = math.cos(q), math.sin(q)
@@ -116,7 +117,7 @@ def _swayed(p, q):  # pragma: no cover
     return F + p[SWAY_COS2] * (c * c - s * s) + 2.0 * p[SWAY_SIN2] * s * c
 
 
-@jit
+@inlined
 def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no cover
     """All forces on the part but friction."""
     F = p[GRAVITY_CONST] + push
@@ -128,7 +129,7 @@ def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no
     return F + _driving(p, q, v, side, position, effort)
 
 
-@jit
+@inlined
 def _driving(p, q, v, side, position, effort):  # pragma: no cover
     """Force of the actuator on the part, 0 where slack is between them."""
     if p[SLACK_WIDTH] == 0.0:
@@ -138,7 +139,7 @@ def _driving(p, q, v, side, position, effort):  # pragma: no cover
     return 0.0
 
 
-@jit
+@inlined
 def _carried(p, q, v, side, position, effort, F):  # pragma: no cover
     """What gears carry of all forces `F` but friction; 0 where none rub."""
     if p[GEARED] == 0.0:
@@ -146,7 +147,7 @@ def _carried(p, q, v, side, position, effort, F):  # pragma: no cover
     return abs(2.0 * _driving(p, q, v, side, position, effort) - F)
 
 
-@jit
+@inlined
 def _bearing(p, q, v):  # pragma: no cover
     """Square of the load that the bearing carries but for its acceleration, and what a unit of that adds to it to first
     order; 0 where no friction asks for the load."""
@@ -157,20 +158,20 @@ def _bearing(p, q, v):  # pragma: no cover
     return load2, 2.0 * (s * p[LOAD_ACROSS] - c * p[LOAD_TURNED])
 
 
-@jit
+@inlined
 def _level_of(terms, p, memory, q, v, qdd, bearing, carried):  # pragma: no cover
     """Friction level at this acceleration under what `_bearing` and `_carried` say."""
     load2 = bearing[0] + qdd * (bearing[1] + qdd * p[LOAD_ARM2])
     return _sum(DRIVE, terms, p, memory, q, v, math.sqrt(max(load2, 0.0)), carried)
 
 
-@jit
+@inlined
 def _level(terms, p, memory, q, carried):  # pragma: no cover
     """Friction level at rest, under the load that the bearing and the gears carry there."""
     return _level_of(terms, p, memory, q, 0.0, 0.0, _bearing(p, q, 0.0), carried)
 
 
-@jit
+@inlined
 def _bristle(p, slide, grip, q):  # pragma: no cover
     """How far friction has built up at `q`, -1 to 1: `grip` is that where a motion in direction `slide` began, and
     where it did."""
@@ -179,7 +180,7 @@ def _bristle(p, slide, grip, q):  # pragma: no cover
     return slide + (grip[0] - slide) * math.exp(-abs(q - grip[1]) / p[TRAVEL])
 
 
-@jit
+@inlined
 def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Of a moving part; `slide` is the direction in which it slides against friction, 0 without friction."""
     inertia = p[INERTIA] + (p[SLACK_INERTIA] if side != 0 else 0.0)
@@ -201,7 +202,7 @@ def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, eff
     return qdd
 
 
-@jit
+@inlined
 def _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Accelerations of part and drive side at y = (q, v, x, w)."""
     a = 0.0
@@ -217,21 +218,16 @@ def _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effo
 def _advanced(y, h, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """State after `h` by the classical Runge-Kutta step, nothing changing but the state."""
     q, v, x, w = y
-    a1, b1 = _slopes(y, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
-    v2, w2 = v + 0.5 * h * a1, w + 0.5 * h * b1
-    y2 = (q + 0.5 * h * v, v2, x + 0.5 * h * w, w2)
-    a2, b2 = _slopes(y2, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
-    v3, w3 = v + 0.5 * h * a2, w + 0.5 * h * b2
-    y3 = (q + 0.5 * h * v2, v3, x + 0.5 * h * w2, w3)
-    a3, b3 = _slopes(y3, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
-    v4, w4 = v + h * a3, w + h * b3
-    y4 = (q + h * v3, v4, x + h * w3, w4)
-    a4, b4 = _slopes(y4, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
-    q1 = q + h * (v + 2 * v2 + 2 * v3 + v4) / 6
-    v1 = v + h * (a1 + 2 * a2 + 2 * a3 + a4) / 6
+    q1, v1, x1, w1, there = q, v, x, w, y
+    for stage in range(4):
+        a, b = _slopes(there, terms, p, memory, frozen, slide, grip, side, push, position, effort, loaded)
+        share = h / (6.0 if stage == 0 or stage == 3 else 3.0)
+        q1, v1, x1, w1 = q1 + share * there[1], v1 + share * a, x1 + share * there[3], w1 + share * b
+        far = h if stage == 2 else 0.5 * h
+        there = (q + far * there[1], v + far * a, x + far * there[3], w + far * b)
     if side != 0:
         return q1, v1, q1 + 0.5 * side * p[SLACK_WIDTH], v1
-    return q1, v1, x + h * (w + 2 * w2 + 2 * w3 + w4) / 6, w + h * (b1 + 2 * b2 + 2 * b3 + b4) / 6
+    return q1, v1, x1, w1
 
 
 @jit

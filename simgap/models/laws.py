@@ -23,6 +23,8 @@ NAMES = tuple(LAWS)
 
 jit = njit(error_model="numpy", fastmath={"contract"}, _nrt=False)  # type: ignore[call-overload]  # no arrays are made
 
+inlined = njit(error_model="numpy", fastmath={"contract"}, _nrt=False, forceinline=True)  # type: ignore[call-overload]
+
 _TAKEN = {  # a slice would cost more than the formula
     1: jit(lambda p, at: (p[at],)),
     2: jit(lambda p, at: (p[at], p[at + 1])),
@@ -41,7 +43,7 @@ def _law_among(names: list[str]) -> Any:
     number, formula, taken = _pieces(names[0], "law")
     others = _law_among(names[1:]) if len(names) > 1 else jit(lambda which, q, qd, load, memory, p, at: 0.0)
 
-    @jit
+    @inlined
     def choose(which, q, qd, load, memory, p, at):  # pragma: no cover
         if which == number:
             return 1.0 * formula(q, qd, load, memory, *taken(p, at))
@@ -57,7 +59,7 @@ def _memory_among(names: list[str]) -> Any:
     number, formula, taken = _pieces(names[0], "remember")
     others = _memory_among(names[1:])
 
-    @jit
+    @inlined
     def choose(which, q, memory, p, at):  # pragma: no cover
         if which == number:
             return 1.0 * formula(q, memory, *taken(p, at))
