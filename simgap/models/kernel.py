@@ -59,6 +59,8 @@ _HAIR = 2.0**-25
 """Of a step, beyond which an event that was just found has surely happened: as close as bisection comes."""
 _BENDING = 0.02
 """Part of the friction level that may still build up unseen."""
+_BENT = 40.0
+"""Times TRAVEL after which nothing is left of where a motion began: exp(-40) is less than a bit of 1."""
 _YIELD = 0.98
 """Of the friction level: beyond, a part at rest gives way no further before it slides."""
 _SAME = 1e-9
@@ -121,8 +123,8 @@ def _swayed(p, q):  # pragma: no cover
 def _acting(terms, p, memory, q, v, side, push, position, effort):  # pragma: no cover
     """All forces on the part but friction."""
     F = p[GRAVITY_CONST] + push
-    if p[GRAVITY_COS] != 0.0 or p[GRAVITY_SIN] != 0.0:
-        F += p[GRAVITY_COS] * math.cos(q) + p[GRAVITY_SIN] * math.sin(q)
+    if p[GRAVITY_COS] != 0.0:
+        F += p[GRAVITY_COS] * math.cos(q - p[GRAVITY_SIN])
     if p[SWAYS] != 0.0:
         F += _swayed(p, q)
     F += _sum(FORCE, terms, p, memory, q, v, 0.0, 0.0)
@@ -162,7 +164,8 @@ def _bearing(p, q, v):  # pragma: no cover
 def _level_of(terms, p, memory, q, v, qdd, bearing, carried):  # pragma: no cover
     """Friction level at this acceleration under what `_bearing` and `_carried` say."""
     load2 = bearing[0] + qdd * (bearing[1] + qdd * p[LOAD_ARM2])
-    return _sum(DRIVE, terms, p, memory, q, v, math.sqrt(max(load2, 0.0)), carried)
+    load = math.sqrt(load2) if load2 > 0.0 else 0.0  # a root costs as much as a formula
+    return _sum(DRIVE, terms, p, memory, q, v, load, carried)
 
 
 @inlined
@@ -177,15 +180,18 @@ def _bristle(p, slide, grip, q):  # pragma: no cover
     where it did."""
     if p[TRAVEL] == 0.0 or grip[0] == slide:
         return 1.0 * slide
-    return slide + (grip[0] - slide) * math.exp(-abs(q - grip[1]) / p[TRAVEL])
+    way = abs(q - grip[1])
+    if way > _BENT * p[TRAVEL]:
+        return 1.0 * slide
+    return slide + (grip[0] - slide) * math.exp(-way / p[TRAVEL])
 
 
 @inlined
 def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, effort, loaded):  # pragma: no cover
     """Of a moving part; `slide` is the direction in which it slides against friction, 0 without friction."""
-    inertia = p[INERTIA] + (p[SLACK_INERTIA] if side != 0 else 0.0)
+    share = 1.0 / (p[INERTIA] + (p[SLACK_INERTIA] if side != 0 else 0.0))
     F = _acting(terms, p, memory, q, v, side, push, position, effort)
-    free = F / inertia
+    free = F * share
     if slide == 0:
         return free
     # against the motion: LuGre's, whose bristles bend over TRAVEL and damp by GRIPPING times the usual (Canudas de Wit,
@@ -196,7 +202,7 @@ def _acceleration(terms, p, memory, q, v, slide, grip, side, push, position, eff
     bearing, carried, qdd = _bearing(p, q, v), _carried(p, q, v, side, position, effort, F), free
     for _ in range(5 if loaded else 1):  # the load depends on the acceleration that friction changes
         level, before = _level_of(terms, p, memory, q, v, qdd, bearing, carried), qdd
-        qdd = free - (level * bent + (damp * math.sqrt(level) if damp != 0.0 else 0.0)) / inertia
+        qdd = free - (level * bent + (damp * math.sqrt(level) if damp != 0.0 else 0.0)) * share
         if abs(qdd - before) <= _SAME * abs(qdd):
             break
     return qdd
@@ -329,6 +335,8 @@ def _roll(p, terms, memory, times, t_in, command, effort, pushes, beside, sway, 
     for k in range(len(terms)):
         if terms[k, 1] == FORCE:
             memory[k] = remember(terms[k, 0], y[0], 0.0, p, terms[k, 2] + PLACE)
+    turned = math.atan2(p[GRAVITY_SIN], p[GRAVITY_COS])  # from here on the largest force of gravity, and where it is
+    p[GRAVITY_COS], p[GRAVITY_SIN] = math.hypot(p[GRAVITY_COS], p[GRAVITY_SIN]), turned
     gain, offset = p[GAIN], p[OFFSET]
     if inputs == 0:
         p[GAIN] = p[OFFSET] = 0.0
