@@ -95,6 +95,10 @@ class ForceSearch:
         found = guesses(base, self.train, self.names)
         return any(0.5 * (base.rss - guess.cost) / unit > priced(len(guess.point), readings) for guess in found)
 
+    def shaped(self) -> list[Fit]:
+        """None besides: in a force, what may be of any shape costs no more to look for than what has a formula."""
+        return []
+
     def explored(self) -> list[Fit]:
         """The best sets of every size, ever larger ones until nothing is left to explain."""
         best: list[Fit] = []

@@ -119,8 +119,8 @@ class Search:
     """Of processor time for all that is done with these sets: after half of it no further one is begun."""
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     _first: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
-    _losses: dict[tuple[str, ...], Fit] = field(default_factory=dict)
-    """Of every set of losses, from the asset as it is told."""
+    _losses: list[Fit] | None = None
+    """Of sets of losses, from the asset as it is told."""
     _forces: dict[tuple[str, ...], LocalForce] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -153,8 +153,12 @@ class Search:
         base, (cut, at, found) = self.base(), self._guesses()
         if cut is not self.train:
             return True
-        unit, readings = unit_of(base.residuals), sum(len(run.q) for run in self.train)
-        return any(0.5 * (at.rss - guess.cost) / unit > priced(len(guess.point), readings) for guess in found)
+        return any(self._is_paid(base, guess, at.rss - guess.cost) for guess in found)
+
+    def _is_paid(self, fit: Fit, guess: Guess, gain: float) -> bool:
+        """Whether a fall of a fit's sum of squares makes the runs more probable than the numbers of a guess cost."""
+        readings = sum(len(run.q) for run in self.train)
+        return 0.5 * gain / unit_of(fit.residuals) > priced(len(guess.point), readings)
 
     def explored(self) -> list[Fit]:
         """The best sets of every size, of long runs found on parts of them and then fitted to all."""
@@ -197,7 +201,6 @@ class Search:
                 break
         every = [] if self._is_explained() else [fit for fit in self.losses() if self.base().level > _FAR]
         best = [fit for k in range(1, size + 1) for fit in self._of_size(k)[: self.settings.contenders]]
-        best += self._with_shapes()
         names = {fit.theory.names for fit in best}
         return best + [fit for fit in every if fit.theory.names not in names]
 
@@ -215,33 +218,37 @@ class Search:
         for fit in self._of_size(size)[: 0 if self.spent else self.settings.parents]:
             for at in alike.alternatives(self.problem, fit, self.names):
                 if EFFECTS[at.new].becomes != at.old.name:  # that is begun from where it is plain
-                    self.keep(fitted(at.theory, self.train, at.theta, at.starts))
+                    self._keep_near(fit, at.theory, at.theta, at.starts)
             for name in fit.theory.names:
                 rest = {*fit.theory.names} - {name}
                 less = EFFECTS[name].becomes
                 if less in self.names:
                     self.of(tuple(sorted({*rest, less})))
                 if rest:
-                    self.without(fit, name)
+                    theory = Theory(self.problem, tuple(sorted(rest)))
+                    self._keep_near(fit, theory, joined(theory, fit, {}), fit.starts)
 
-    def _with_shapes(self) -> list[Fit]:
-        """Forces and frictions of any shape, alone and beside the best of the losses, from the asset as it is told:
-        where nothing explains the runs, or several of a shape's kind together."""
-        best = min(self.fits.values(), key=lambda fit: fit.cost).theory.names
+    def _keep_near(self, fit: Fit, theory: Theory, theta: Array, starts: Starts) -> None:
+        """Another set, begun beside a fit, to its end where it stays near that."""
+        near = fitted(theory, self.train, theta, starts, _SCREEN)
+        if near.cost < _HOPEFUL * fit.cost:
+            self.keep(fitted(theory, self.train, near.theta, near.starts))
+
+    def shaped(self) -> list[Fit]:
+        """Forces and frictions of any shape, alone and beside the best of the losses, from the asset as it is told."""
         lossy = sorted((f for f in self.fits.values() if f.theory.names in loss_sets(self.names)), key=lambda f: f.cost)
         beside = [(), *(fit.theory.names for fit in lossy[:2])]
-        wanted = [s for s in self.shapes if not self._is_explained() or sum(_is_alike(n, s) for n in best) > 1]
-        sets = [tuple(sorted((*names, shape))) for shape in wanted for names in beside]
-        return [self.keep(grown_mild(Theory(self.problem, names), self.train)) for names in sets if not self.spent]
+        sets = [tuple(sorted((*names, shape))) for shape in self.shapes for names in beside]
+        theories = [Theory(self.problem, names) for names in sets if not self.spent]
+        return [self.keep(fit) for fit in grown_mild(theories, self.train, _HOPEFUL)]
 
     def losses(self) -> list[Fit]:
         """The sets of `loss_sets`, fitted from the asset as it is told, not from what it must be off by to do
         without."""
-        for names in loss_sets(self.names):
-            if names not in self._losses and not self.spent:
-                self._losses[names] = grown_mild(Theory(self.problem, names), self.train)
-        own = self._losses.items()
-        return [min((fit, self.fits.get(names, fit)), key=lambda f: f.cost) for names, fit in own]
+        if self._losses is None:
+            theories = [Theory(self.problem, names) for names in loss_sets(self.names) if not self.spent]
+            self._losses = grown_mild(theories, self.train, _HOPEFUL)
+        return [min((fit, self.fits.get(fit.theory.names, fit)), key=lambda f: f.cost) for fit in self._losses]
 
     def _with_losses(self, size: int) -> list[Fit]:
         """Those of a size that fit better than the same set, or than all that was found: others tell a search
@@ -410,7 +417,8 @@ class Search:
 
     def larger(self, parents: list[Fit]) -> list[Fit]:
         """The most promising sets of one effect more than some of `parents`, fitted; of every parent's at least one:
-        the best single effect is often none of a pair."""
+        the best single effect is often none of a pair. What is sudden takes most of the time, and is not tried where it
+        does not promise what its numbers cost."""
         rough: dict[tuple[str, ...], tuple[float, Fit, Guess, Fit, tuple[FitRun, ...]]] = {}
         for parent in parents:
             cut, at = self._cut(parent)
@@ -418,6 +426,8 @@ class Search:
             for guess in guesses(at, cut, self.names):
                 names = tuple(sorted((*parent.theory.names, guess.name)))
                 cost = guess.cost * scale
+                if is_sudden(EFFECTS[guess.name]) and not self._is_paid(parent, guess, parent.cost - cost):
+                    continue
                 if names not in self.fits and (names not in rough or cost < rough[names][0]):
                     rough[names] = (cost, parent, guess, at, cut)
         order = sorted(rough.values(), key=lambda entry: entry[0])
@@ -471,11 +481,6 @@ class Search:
             cut, at = self._cut(parent)
             self._started(parent, guesses(at, cut, new)[0], at, cut)
         return self.fits[names]
-
-    def without(self, fit: Fit, name: str) -> Fit:
-        """The set of `fit` without one effect, started from `fit`."""
-        theory = Theory(self.problem, tuple(n for n in fit.theory.names if n != name))
-        return self.keep(fitted(theory, self.train, joined(theory, fit, {}), fit.starts))
 
     def keep(self, fit: Fit) -> Fit:
         """Remember a fit, after making sure that it is no worse than any of a smaller set."""
@@ -571,12 +576,6 @@ def _shafts(fit: Fit) -> list[Array]:
             theta[part] = 1 + taken * doubt
         found.append(theta)
     return found
-
-
-def _is_alike(name: str, shape: str) -> bool:
-    """Whether an effect is a force, or a friction, that a shape over position can be as well."""
-    cls, of = EFFECTS[name], EFFECTS[shape]
-    return cls.acts == of.acts and cls.dissipates == of.dissipates and (of.dissipates or not cls.knows_speed)
 
 
 def loss_sets(names: tuple[str, ...]) -> list[tuple[str, ...]]:

@@ -72,6 +72,9 @@ def chosen(search: Search | ForceSearch, folds: tuple[Fold, ...], settings: Judg
     whole = [h for h in nearest(able) if not _is_less_enough(h, real)]
     part = [] if whole else _dominating(table, base, settings)
     if not whole and not part:  # what has a formula, and what every machine has, come first
+        shaped = [fit for fit in search.shaped() if not idle(fit, search.train, base.fit.level)]
+        table += [judged(fit, folds, base) for fit in shaped]
+        best = max(table, key=lambda h: h.score.total)
         real += [h if search.late else departing(h, folds, base) for h in table if _has_shape(h)]
         whole = nearest(h for h in real if _has_shape(h) and named_whole(h, base, settings))
     standing = [(h, as_added(h, search, folds, base)) for h in whole or part]

@@ -17,8 +17,9 @@ FORM = 0.06
 """Part of the gap by which the right effect is off though it departs from its formula (`Effect.departs`): how real ones
 depart is not quite a slope and a bend. With .02 the verdicts of the second world's cases that were tried are the same.
 """
-_ABLE = 0.7
-"""Part of the gap that a formula leaves at most for its departures, a fifth of it, to make half of that."""
+_ABLE = 0.4
+"""Part of the gap that a formula leaves at most for its departures to take next to all of that: they are a fifth of it
+by one standard deviation (`Effect.departs`), and this by two."""
 _CROSSINGS = 5.0
 """Crossings of its range, at top speed, of the stretches that departures are first fitted to. Of 0.5, 1.5 and 5 the
 last two led a spring that hardens to the same place."""
