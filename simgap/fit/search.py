@@ -285,8 +285,8 @@ class Search:
             rough = [self._stretched(fit, runs) for fit in _hopeful(rough)[: most - fewer]]
         for fit in _hopeful(rough)[:most]:
             self.keep(self._whole(fit, self.base()) if cut is not self.train else self._finished(fit))
-        far = self._left_out()
         self._with_losses(1)
+        far = self._left_out()
         for name in self.names:
             plainer = EFFECTS[name].becomes
             if plainer and (name,) in self.fits and (plainer,) in self.fits:
@@ -306,7 +306,10 @@ class Search:
         for name in self.names if not self.spent else ():
             if EFFECTS[name].acts == "stop":
                 self.of((name,))
-        new = [n for n in _ALL_ALONG if n in self.names and (n,) not in self.fits and not self.spent]
+        looked = LOSSES if self._losses is not None else ()
+        new = [
+            n for n in _ALL_ALONG if n in self.names and (n,) not in self.fits and n not in looked and not self.spent
+        ]
         least = min(fit.cost for fit in self.fits.values())
         return [name for name in new if self.of((name,)).cost >= least]
 
