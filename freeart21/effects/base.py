@@ -7,6 +7,7 @@ of it URDF and MJCF can express; `effects.json` holds all of it. To add one: one
 from __future__ import annotations
 
 import dataclasses
+import functools
 from abc import ABC
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -197,6 +198,7 @@ class Effect(ABC):
             object.__setattr__(self, field, float(value))
 
     @classmethod
+    @functools.cache
     def parameters(cls, joint_type: JointType | None = None) -> dict[str, Parameter]:
         """Parameter name to its specification, in order: all of them, or those that a joint of this type has."""
         specs: dict[str, Parameter] = {f.name: f.metadata["parameter"] for f in dataclasses.fields(cls)}  # type: ignore[arg-type]

@@ -129,12 +129,17 @@ class _Model:
         flat, ends = (self.q[at] - q) / self.sigma[at], np.cumsum(self.lengths[which])
         return [flat[end - n : end] for end, n in zip(ends, self.lengths[which], strict=True)]
 
-    def begun(self, i: int, starts: Array, theta: Array, seen: int) -> Array:
-        """(m, n) residuals of the first readings, as many as are `seen`, of run i from starts (m, 2)."""
+    def begun(self, which: NDArray[np.int64], starts: Array, theta: Array) -> Array:
+        """(m,) mean squared residuals of the first readings of the runs `which` (m,) from starts (m, 2)."""
         table, effects = self._table(starts, theta)
-        run = self.runs[i].between(0, seen)
-        q = sweep(table, self.terms, run.times_s, run.inputs, self.steps(effects)[i])
-        return np.asarray((run.q - (readings_of(effects, q) if self.reader.sensing else q)) / run.sigma)
+        cut = [run.between(0, _seen(run)) for run in self.runs]
+        batch = Batch.of([(run.times_s, run.inputs) for run in cut])
+        q = batch.sweep(table, self.terms, which, self.steps(effects))
+        q = readings_of(effects, q) if self.reader.sensing else q
+        lengths = np.diff(batch.begins)[which]
+        flat = np.concatenate([cut[i].q for i in which]) - q
+        square = (flat / np.concatenate([cut[i].sigma for i in which])) ** 2
+        return np.asarray(np.add.reduceat(square, np.cumsum(lengths) - lengths) / lengths)
 
     def _table(self, starts: Array, theta: Array) -> tuple[Array, tuple[Effect, ...]]:
         """(m, n) vectors of numbers that differ in their starts (m, 2), and all effects."""
@@ -226,7 +231,11 @@ def _begun(theory: Theory, runs: tuple[FitRun, ...], at: Array, known: Starts) -
     if theory.problem.force_read:
         return ForceModel(theory, runs), np.zeros((len(runs), 2))
     model = _Model(theory, runs, at)
-    return model, np.array([known[r.name] if r.name in known else _start(model, i, at) for i, r in enumerate(runs)])
+    starts = np.array([known.get(run.name, (0.0, 0.0)) for run in runs])
+    unknown = np.array([i for i, run in enumerate(runs) if run.name not in known], dtype=int)
+    if len(unknown):
+        starts[unknown] = _starts(model, unknown, at)
+    return model, starts
 
 
 def left_by(theory: Theory, runs: tuple[FitRun, ...], theta: Array, starts: Starts) -> Array:
@@ -241,18 +250,27 @@ def misfit(theory: Theory, runs: tuple[FitRun, ...], theta: Array, starts: Start
     return float(left @ left)
 
 
-def _start(model: _Model, i: int, theta: Array) -> Array:
-    """(2,) the start, of those about the first guess, from which run i begins most like its readings."""
-    run, plant = model.runs[i], model.problem.plant
-    told = run.starts
-    speeds = (*(told[0][1] + model.problem.speed * np.array(_SPEEDS)), *(qd0 for _, qd0 in told[1:]), 0.0)
-    rows = np.array([*told[1:], *((q, v) for q in (told[0][0], run.q[0]) for v in speeds)])
+def _seen(run: FitRun) -> int:
+    """Readings of a run that decide where its start is looked for."""
+    return max(8, int(np.searchsorted(run.times_s, run.times_s[0] + _SEEN_S)))
+
+
+def _starts(model: _Model, which: NDArray[np.int64], theta: Array) -> Array:
+    """(m, 2) the starts, of those about the first guesses, from which the runs `which` (m,) begin most like their
+    readings."""
+    plant, speed = model.problem.plant, model.problem.speed
     sensing = [effect for effect in model.numbers(theta)[1] if effect.kind == "sensing"]
-    rows[:, 0] -= sum((effect.reading_error(rows[:, 0]) for effect in sensing), np.zeros(len(rows)))
-    rows[:, 0] = np.clip(rows[:, 0], plant.lower, plant.upper)
-    seen = max(8, int(np.searchsorted(run.times_s, run.times_s[0] + _SEEN_S)))
-    left = model.begun(i, rows, theta, seen)
-    return np.asarray(rows[int(np.argmin((left * left).sum(1)))])
+    rows = []
+    for i in which:
+        run, told = model.runs[i], model.runs[i].starts
+        speeds = (*(told[0][1] + speed * np.array(_SPEEDS)), *(qd0 for _, qd0 in told[1:]), 0.0)
+        rows.append([*told[1:], *((q, v) for q in (told[0][0], run.q[0]) for v in speeds)])
+    starts = np.array(rows)  # (m, ways, 2)
+    starts[..., 0] -= sum((effect.reading_error(starts[..., 0]) for effect in sensing), np.zeros(starts.shape[:2]))
+    starts[..., 0] = np.clip(starts[..., 0], plant.lower, plant.upper)
+    ways = starts.shape[1]
+    left = model.begun(np.repeat(which, ways), starts.reshape(-1, 2), theta).reshape(-1, ways)
+    return np.asarray(starts[np.arange(len(which)), left.argmin(1)])
 
 
 def grown(theory: Theory, runs: tuple[FitRun, ...], theta: Array | None = None, iterations: int = 6) -> Fit:
