@@ -29,8 +29,6 @@ _ENOUGH = 0.3
 taken."""
 _STRAIGHT = 0.5
 """Part of what a first-order look promised that a step must gain for its slopes to be carried on to the next."""
-_ROUGH = 8
-"""Iterations of a search's own fits, of which nobody asks how well their numbers are known."""
 _OUTLIER = 3.0
 """Times the usual error, or floors where that is less than the floor, beyond which a run counts for less."""
 
@@ -86,13 +84,14 @@ def solve(
     parts = look(every, starts, theta)
     costs = np.array([part @ part for part in parts])
     sizes = np.array([len(part) for part in parts])
-    damping, own, normal, fresh = 1e-3, np.full(runs, 1e-3), np.zeros((p, p)), False
+    damping, own, normal, fresh = 1e-3, np.full(runs, 1e-3), np.zeros((p, p)), True
     table: list[Array] = []
     for _ in range(iterations):
         weights = weight(costs / sizes)
         total = float(weights @ costs) + prior.cost(theta)
-        if not table:
-            table, fresh = slopes(starts, theta, parts, free), True
+        fresh = not table
+        if fresh:
+            table = slopes(starts, theta, parts, free)
         gain, moved, told, enough = 0.0, False, 0.0, 1e-4 * total + 1e-2
         for trials in range(_TRIALS):
             if not trials or (trials == 1 and not fresh):
@@ -129,16 +128,14 @@ def solve(
                 made = np.hstack([new_starts - starts, np.tile(trial - theta, (runs, int(free)))])
                 changes = [part - new for part, new in zip(parts, new_parts, strict=True)]
                 table = _carried_on(table, made, changes) if not trials and gain > _STRAIGHT * told else []
-                fresh = False
                 theta, starts, parts, costs = trial, new_starts, new_parts, new_costs
                 damping = max(damping / 10, 1e-9)
                 break
             damping *= 8
         if not moved or gain < enough:
-            break
-    if free and iterations > _ROUGH and not fresh:
-        weights, table = weight(costs / sizes), slopes(starts, theta, parts, free)
-        normal = _information(np.array([J @ J.T for J in table]), weights, prior, p)
+            if fresh:
+                break
+            table = []  # what was carried on is no proof that this is the end
     return State(theta, starts, parts, float(sizes @ charge(costs / sizes)) + prior.cost(theta), normal)
 
 
