@@ -18,7 +18,7 @@ from freeart21.measured import Measured
 from simgap.fit import search as search_module
 from simgap.fit.fit import Fit, Theory, fitted, stretched
 from simgap.fit.problem import problem_of
-from simgap.fit.search import Search, caught
+from simgap.fit.search import Search
 from simgap.measure.data import FitRun, fit_runs
 from simgap.models.surrogate import plant_of
 from simgap.select import delivery
