@@ -280,23 +280,18 @@ def grown(theory: Theory, runs: tuple[FitRun, ...], theta: Array | None = None, 
     return resettled(fitted(theory, runs, at, known), runs)
 
 
-def grown_mild(theories: list[Theory], runs: tuple[FitRun, ...], hopeful: float) -> list[Fit]:
-    """Theories fitted from the asset as it is told, their effects mild beside the forces at work, to ever longer
-    stretches: as `grown`, but those of a motion that takes its whole run to cross the range are parts of that. One that
-    leaves over `hopeful` times the least sum of squares of them on the same stretches goes no further."""
-    if not theories:
-        return []
+def grown_mild(theory: Theory, runs: tuple[FitRun, ...]) -> Fit:
+    """The theory fitted from the asset as it is told, its effects mild beside the forces at work, to ever longer
+    stretches: as `grown`, but those of a motion that takes its whole run to cross the range are parts of that."""
     longest = max(float(run.times_s[-1] - run.times_s[0]) for run in runs)
-    crossings = longest / theories[0].problem.crossing_s
+    crossings = longest / theory.problem.crossing_s
     ways = [_SHORT, _LONG] if crossings > _STRETCHES * _SHORT else [crossings / _STRETCHES**2, crossings / _STRETCHES]
     while _LONGER * _STRETCHES / 2 * ways[-1] < crossings:
         ways.append(_LONGER * ways[-1])
-    begun: list[tuple[Theory, Array, Starts | None]] = [(theory, _mild(theory, runs), None) for theory in theories]
+    at, known = _mild(theory, runs), None
     for way in ways:
-        fits = [_rough(theory, runs, at, way, _MILD_STEPS, known) for theory, at, known in begun]
-        most = hopeful * min(fit.cost for fit in fits)
-        begun = [(fit.theory, fit.theta, _with_runs(fit.starts, runs)) for fit in fits if fit.cost <= most]
-    return [resettled(fitted(theory, runs, at, known), runs) for theory, at, known in begun]
+        at, known = stretched(theory, runs, at, way, _MILD_STEPS, known)
+    return resettled(fitted(theory, runs, at, known), runs)
 
 
 def _mild(theory: Theory, runs: tuple[FitRun, ...]) -> Array:
@@ -323,25 +318,9 @@ def stretched(
     known: Starts | None = None,
 ) -> tuple[Array, Starts]:
     """Parameters from stretches of the runs, and the starts of stretches and of runs."""
-    rough = _rough(theory, runs, theta, crossings, iterations, known)
-    return rough.theta, _with_runs(rough.starts, runs)
-
-
-def _rough(
-    theory: Theory,
-    runs: tuple[FitRun, ...],
-    theta: Array | None,
-    crossings: float,
-    iterations: int,
-    known: Starts | None,
-) -> Fit:
-    """The theory fitted to stretches of the runs."""
-    return fitted(theory, pieces(runs, crossings * theory.problem.crossing_s), theta, known, iterations)
-
-
-def _with_runs(starts: Starts, runs: tuple[FitRun, ...]) -> Starts:
-    """Starts of stretches, and of the runs that they are of."""
-    return {**starts, **{run.name: starts[f"{run.name}#0"] for run in runs}}
+    cut = pieces(runs, crossings * theory.problem.crossing_s)
+    rough = fitted(theory, cut, theta, known, iterations)
+    return rough.theta, {**rough.starts, **{run.name: rough.starts[f"{run.name}#0"] for run in runs}}
 
 
 def placed(fit: Fit, runs: tuple[FitRun, ...], starts: Starts | None = None) -> Fit:

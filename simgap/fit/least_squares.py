@@ -27,8 +27,6 @@ _SHORTER = np.array([0.3, 0.1, 0.03])
 _ENOUGH = 0.3
 """Part of a gain that is not worth another step, below which the first-order look must promise one for any to be
 taken."""
-_STRAIGHT = 0.5
-"""Part of what a first-order look promised that a step must gain for its slopes to be carried on to the next."""
 _OUTLIER = 3.0
 """Times the usual error, or floors where that is less than the floor, beyond which a run counts for less."""
 
@@ -84,27 +82,19 @@ def solve(
     parts = look(every, starts, theta)
     costs = np.array([part @ part for part in parts])
     sizes = np.array([len(part) for part in parts])
-    damping, own, normal, fresh = 1e-3, np.full(runs, 1e-3), np.zeros((p, p)), True
-    table: list[Array] = []
+    damping, own, normal = 1e-3, np.full(runs, 1e-3), np.zeros((p, p))
     for _ in range(iterations):
         weights = weight(costs / sizes)
         total = float(weights @ costs) + prior.cost(theta)
-        fresh = not table
-        if fresh:
-            table = slopes(starts, theta, parts, free)
-        gain, moved, told, enough = 0.0, False, 0.0, 1e-4 * total + 1e-2
+        table = slopes(starts, theta, parts, free)
+        blocks = np.array([J @ J.T for J in table])
+        rights = np.array([J @ part for J, part in zip(table, parts, strict=True)])
+        normal = _information(blocks, weights, prior, p) if free else normal
+        gain, moved, enough = 0.0, False, 1e-4 * total + 1e-2
         for trials in range(_TRIALS):
-            if not trials or (trials == 1 and not fresh):
-                if trials:  # what was carried on from another place misleads
-                    table, fresh = slopes(starts, theta, parts, free), True
-                blocks = np.array([J @ J.T for J in table])
-                rights = np.array([J @ part for J, part in zip(table, parts, strict=True)])
-                normal = _information(blocks, weights, prior, p) if free else normal
             shift, moves = _step(theta, blocks, rights, weights, damping, own, prior, free)
-            if not trials:
-                told = _promised(shift, moves, theta, blocks, rights, weights, prior, free)
-                if told < _ENOUGH * enough:
-                    break
+            if not trials and _promised(shift, moves, theta, blocks, rights, weights, prior, free) < _ENOUGH * enough:
+                break
             trial = np.clip(theta + shift, prior.low, prior.high)
             there = starts + moves
             there[:, 0] = np.clip(there[:, 0], lower, upper)
@@ -125,29 +115,13 @@ def solve(
             own = np.where(taken, np.maximum(own / 10, 1e-9), np.minimum(own * 10, 1e3))
             if new_total < total:
                 gain, moved = total - new_total, True
-                made = np.hstack([new_starts - starts, np.tile(trial - theta, (runs, int(free)))])
-                changes = [part - new for part, new in zip(parts, new_parts, strict=True)]
-                table = _carried_on(table, made, changes) if not trials and gain > _STRAIGHT * told else []
                 theta, starts, parts, costs = trial, new_starts, new_parts, new_costs
                 damping = max(damping / 10, 1e-9)
                 break
             damping *= 8
         if not moved or gain < enough:
-            if fresh:
-                break
-            table = []  # what was carried on is no proof that this is the end
+            break
     return State(theta, starts, parts, float(sizes @ charge(costs / sizes)) + prior.cost(theta), normal)
-
-
-def _carried_on(table: list[Array], moves: Array, changes: list[Array]) -> list[Array]:
-    """What a unit of every number takes from the residuals, after `moves` (r, 2 [+ p]) that took `changes` from them:
-    as before, but right along the move (Broyden 1965), each number measured by what it does."""
-    found = []
-    for J, move, change in zip(table, moves, changes, strict=True):
-        scaled = move * np.einsum("ij,ij->i", J, J)
-        size = float(scaled @ move)
-        found.append(J + np.outer(scaled / size, change - move @ J) if size > 0 else J)
-    return found
 
 
 def charge(powers: Array) -> Array:

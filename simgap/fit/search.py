@@ -119,8 +119,8 @@ class Search:
     """Of processor time for all that is done with these sets: after half of it no further one is begun."""
     fits: dict[tuple[str, ...], Fit] = field(default_factory=dict)
     _first: tuple[tuple[FitRun, ...], Fit, list[Guess]] | None = None
-    _losses: list[Fit] | None = None
-    """Of sets of losses, from the asset as it is told."""
+    _losses: dict[tuple[str, ...], Fit] = field(default_factory=dict)
+    """Of every set of losses, from the asset as it is told."""
     _forces: dict[tuple[str, ...], LocalForce] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -218,37 +218,30 @@ class Search:
         for fit in self._of_size(size)[: 0 if self.spent else self.settings.parents]:
             for at in alike.alternatives(self.problem, fit, self.names):
                 if EFFECTS[at.new].becomes != at.old.name:  # that is begun from where it is plain
-                    self._keep_near(fit, at.theory, at.theta, at.starts)
+                    self.keep(fitted(at.theory, self.train, at.theta, at.starts))
             for name in fit.theory.names:
                 rest = {*fit.theory.names} - {name}
                 less = EFFECTS[name].becomes
                 if less in self.names:
                     self.of(tuple(sorted({*rest, less})))
                 if rest:
-                    theory = Theory(self.problem, tuple(sorted(rest)))
-                    self._keep_near(fit, theory, joined(theory, fit, {}), fit.starts)
-
-    def _keep_near(self, fit: Fit, theory: Theory, theta: Array, starts: Starts) -> None:
-        """Another set, begun beside a fit, to its end where it stays near that."""
-        near = fitted(theory, self.train, theta, starts, _SCREEN)
-        if near.cost < _HOPEFUL * fit.cost:
-            self.keep(fitted(theory, self.train, near.theta, near.starts))
+                    self.without(fit, name)
 
     def shaped(self) -> list[Fit]:
         """Forces and frictions of any shape, alone and beside the best of the losses, from the asset as it is told."""
         lossy = sorted((f for f in self.fits.values() if f.theory.names in loss_sets(self.names)), key=lambda f: f.cost)
         beside = [(), *(fit.theory.names for fit in lossy[:2])]
         sets = [tuple(sorted((*names, shape))) for shape in self.shapes for names in beside]
-        theories = [Theory(self.problem, names) for names in sets if not self.spent]
-        return [self.keep(fit) for fit in grown_mild(theories, self.train, _HOPEFUL)]
+        return [self.keep(grown_mild(Theory(self.problem, names), self.train)) for names in sets if not self.spent]
 
     def losses(self) -> list[Fit]:
         """The sets of `loss_sets`, fitted from the asset as it is told, not from what it must be off by to do
         without."""
-        if self._losses is None:
-            theories = [Theory(self.problem, names) for names in loss_sets(self.names) if not self.spent]
-            self._losses = grown_mild(theories, self.train, _HOPEFUL)
-        return [min((fit, self.fits.get(fit.theory.names, fit)), key=lambda f: f.cost) for fit in self._losses]
+        for names in loss_sets(self.names):
+            if names not in self._losses and not self.spent:
+                self._losses[names] = grown_mild(Theory(self.problem, names), self.train)
+        own = self._losses.items()
+        return [min((fit, self.fits.get(names, fit)), key=lambda f: f.cost) for names, fit in own]
 
     def _with_losses(self, size: int) -> list[Fit]:
         """Those of a size that fit better than the same set, or than all that was found: others tell a search
@@ -306,7 +299,7 @@ class Search:
         for name in self.names if not self.spent else ():
             if EFFECTS[name].acts == "stop":
                 self.of((name,))
-        looked = LOSSES if self._losses is not None else ()
+        looked = LOSSES if self._losses else ()
         new = [
             n for n in _ALL_ALONG if n in self.names and (n,) not in self.fits and n not in looked and not self.spent
         ]
@@ -484,6 +477,11 @@ class Search:
             cut, at = self._cut(parent)
             self._started(parent, guesses(at, cut, new)[0], at, cut)
         return self.fits[names]
+
+    def without(self, fit: Fit, name: str) -> Fit:
+        """The set of `fit` without one effect, started from `fit`."""
+        theory = Theory(self.problem, tuple(n for n in fit.theory.names if n != name))
+        return self.keep(fitted(theory, self.train, joined(theory, fit, {}), fit.starts))
 
     def keep(self, fit: Fit) -> Fit:
         """Remember a fit, after making sure that it is no worse than any of a smaller set."""
