@@ -21,7 +21,7 @@ from simgap.fit.problem import problem_of
 from simgap.fit.search import Search
 from simgap.measure.data import FitRun, fit_runs
 from simgap.models.surrogate import plant_of
-from simgap.select import delivery
+from simgap.select import choose, delivery
 from simgap.select.choose import at_once
 from simgap.select.hypotheses import Hypothesis, judged
 from simgap.select.predictive import Score
@@ -265,6 +265,24 @@ def test_a_catch_that_was_looked_for_beside_its_place_is_found(tmp_path: Path, s
     found = search._finished(beside)
     assert fitted(theory, search.train, off, truth.starts).level > 3 and found.level < 1.1
     assert found.values["latch", "position"] == pytest.approx(0.2, abs=0.01)
+
+
+def test_of_rivals_in_part_what_all_have_is_named_where_it_may_dominate():
+    """Dry frictions are one: rivals that differ by their law alone stay rivals."""
+
+    def case(*names: str) -> SimpleNamespace:
+        return SimpleNamespace(names=names, score=Score(names, np.zeros(8)))
+
+    pair, dry, load, rotor = (
+        case("gear_friction", "viscous_damping"),
+        case("coulomb_friction", "gear_friction", "viscous_damping"),
+        case("gear_friction", "load_friction", "viscous_damping"),
+        case("armature", "gear_friction", "viscous_damping"),
+    )
+    assert choose._shared([dry, load, rotor], [pair, dry, load, rotor]) == [pair]
+    assert choose._shared([dry, rotor], [dry, rotor]) == []
+    assert choose._shared([dry, load], [pair, dry, load]) == []
+    assert choose._shared([], [pair]) == []
 
 
 def test_a_joint_that_hardly_moves_says_nothing(tmp_path: Path):

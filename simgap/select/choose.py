@@ -199,7 +199,17 @@ def _dominating(table: Sequence[Hypothesis], base: Hypothesis, settings: Judgeme
     best = max(able, key=lambda h: h.score.total, default=None)
     near = [h for h in able if best is not None and not _is_ahead(best, h)]
     odd = [h for h in table if h.names and at_end(h.fit)]
-    return nearest(h for h in near if not any(_is_ahead(o, h) for o in odd if not _within(h, o)))
+    rivals = nearest(h for h in near if not any(_is_ahead(o, h) for o in odd if not _within(h, o)))
+    return _shared(rivals, able) or rivals
+
+
+def _shared(rivals: Sequence[Hypothesis], able: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The part that all rivals have, where that may itself dominate: it is sure, what they have besides is not."""
+    if not rivals:
+        return []
+    common = set.intersection(*(_plain_names(h.names) for h in rivals))
+    smaller = [h for h in able if h.score.size < rivals[0].score.size and _plain_names(h.names) == common]
+    return nearest(smaller)
 
 
 def _is_ahead(other: Hypothesis, hypothesis: Hypothesis) -> bool:
