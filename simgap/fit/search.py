@@ -214,8 +214,8 @@ class Search:
 
     def _swapped(self, size: int) -> None:
         """Beside the best sets of a size those with an effect's like in its place, those that they become in special
-        cases, and those with one effect less."""
-        for fit in self._of_size(size)[: 0 if self.spent else self.settings.parents]:
+        cases, and those with one effect less; beside the very best only when the time is over."""
+        for fit in self._of_size(size)[: 1 if self.spent else self.settings.parents]:
             for at in alike.alternatives(self.problem, fit, self.names):
                 if EFFECTS[at.new].becomes != at.old.name:  # that is begun from where it is plain
                     self.keep(fitted(at.theory, self.train, at.theta, at.starts))
@@ -406,10 +406,8 @@ class Search:
     def _keep_plain(self, general: Fit, plainer: str) -> None:
         """A plainer effect that fits worse is fitted again from where the general one is: that may be its special
         case."""
-        theory = Theory(self.problem, (plainer,))
-        point = {name: value for (_, name), value in general.values.items() if name in EFFECTS[plainer].parameters()}
-        if point and general.cost < self.fits[(plainer,)].cost:
-            self.keep(fitted(theory, self.train, joined(theory, general, {plainer: point}), general.starts))
+        if general.cost < self.fits[(plainer,)].cost:
+            self.keep(reduced(general, general.theory.names[0], self.train))
 
     def larger(self, parents: list[Fit]) -> list[Fit]:
         """The most promising sets of one effect more than some of `parents`, fitted; of every parent's at least one:
@@ -624,3 +622,23 @@ def prompt(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
     if len(theory.ranges()) == len(fit.theta):
         return fit
     return resettled(fitted(theory, runs, joined(theory, fit, {}), fit.starts), runs)
+
+
+def reduced(fit: Fit, name: str, runs: tuple[FitRun, ...]) -> Fit:
+    """The fit with the plainer effect that one of its effects becomes in a special case, from the numbers of both."""
+    plainer = EFFECTS[name].becomes or name
+    theory = replace(fit.theory, names=tuple(sorted({*fit.theory.names, plainer} - {name})))
+    shared = {
+        key: x for (owner, key), x in fit.values.items() if owner == name and key in EFFECTS[plainer].parameters()
+    }
+    return fitted(theory, runs, joined(theory, fit, {plainer: shared}), fit.starts)
+
+
+def plain(fit: Fit, runs: tuple[FitRun, ...]) -> Fit:
+    """The fit, or that with a plainer effect in the place of one whose special case it is: no number that is nothing is
+    told."""
+    for name in fit.theory.names:
+        if EFFECTS[name].becomes and EFFECTS[name].becomes not in fit.theory.names:
+            less = reduced(fit, name, runs)
+            fit = less if less.cost <= fit.cost + 1e-3 + 1e-6 * fit.cost else fit
+    return fit

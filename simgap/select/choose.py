@@ -18,7 +18,7 @@ from freeart21.effects import EFFECTS
 from simgap.fit.fit import Fit
 from simgap.fit.force_search import ForceSearch
 from simgap.fit.guess import idle
-from simgap.fit.search import Search, prompt
+from simgap.fit.search import Search, plain, prompt
 from simgap.measure.data import FitRun
 from simgap.models.surrogate import is_local
 from simgap.select.hypotheses import Hypothesis, departing, excess, judged
@@ -252,8 +252,9 @@ def at_end(fit: Fit) -> bool:
 def as_added(
     hypothesis: Hypothesis, search: Search | ForceSearch, folds: tuple[Fold, ...], base: Hypothesis
 ) -> Hypothesis:
-    """The set with the numbers that bring a simulator nearest, which knows no build-up of friction."""
-    fit = prompt(hypothesis.fit, search.train)
+    """The set with the numbers that bring a simulator nearest, which knows no build-up of friction; by its plainer name
+    where these are of a special case."""
+    fit = plain(prompt(hypothesis.fit, search.train), search.train)
     if fit is hypothesis.fit:
         return hypothesis
     added = judged(fit, folds, base)
