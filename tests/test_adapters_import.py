@@ -20,7 +20,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.result import read_method, read_result
 from leaderboard.adapters.importer import import_results
 from leaderboard.adapters.points import SIDE, mesh_of_points
-from leaderboard.adapters.registry import LAYOUTS
+from leaderboard.adapters.registry import layouts
 from leaderboard.adapters.toolbox import Options
 from leaderboard.validate import validate_results
 
@@ -57,11 +57,11 @@ def official(tmp_path):
 
 
 def options_of(layout, official):
-    return Options(object_poses=official) if LAYOUTS[layout].frame in ("zup", "link") else Options()
+    return Options(object_poses=official) if layouts()[layout].frame in ("zup", "link") else Options()
 
 
 def test_every_layout_has_a_writer_here():
-    assert set(WRITERS) == set(LAYOUTS)
+    assert set(WRITERS) == set(layouts())
 
 
 @pytest.mark.parametrize("layout", WRITERS)
@@ -76,7 +76,7 @@ def test_an_import_is_valid_and_needs_no_truth(data, tmp_path, src, official, la
     found = validate_results(tmp_path / "r", blind)
     assert [str(fault) for fault in found.faults] == ["c is missing, expected a folder with prediction.json"]
     method = read_method(tmp_path / "r")
-    assert method.name == "theirs" and method.settings["read_as"] == LAYOUTS[layout].source
+    assert method.name == "theirs" and method.settings["read_as"] == layouts()[layout].source
     assert "renders" in method.lacks
 
 
@@ -397,7 +397,7 @@ def test_the_command(data, tmp_path, src):
 
 def test_the_page_names_every_layout_and_where_it_was_read():
     page = (ROOT / "docs" / "adapters.md").read_text()
-    for layout in LAYOUTS.values():
+    for layout in layouts().values():
         repository = layout.source.split(":")[0]
         assert f"`{layout.name}`" in page and repository.split("@")[0] in page, layout.name
         assert repository.split("@")[1][:7] in page, layout.name

@@ -38,8 +38,8 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from leaderboard.asset_joint import measured_joint
 from leaderboard.case import Case
-from leaderboard.protocols import ARENA_1, arena1
-from leaderboard.protocols.arena1 import KAPPA, distance, ends, pair_distance, solid_of, still_distance
+from leaderboard.protocols import arena1
+from leaderboard.protocols.arena1 import ARENA_1, KAPPA, distance, ends, pair_distance, solid_of, still_distance
 
 scored = functools.partial(values_of, ARENA_1)
 IDS = ("twist", "twist_shown", "twist_compact")

@@ -36,9 +36,9 @@ from freeart21.truth import Truth
 from generator import partnet
 from generator.foreign import truth_of
 from generator.rays import Caster
-from leaderboard.protocols import PROTOCOLS, STRICT_2
+from leaderboard.protocols import PROTOCOLS
 from leaderboard.protocols.strict1 import Strict1
-from leaderboard.protocols.strict2 import measure
+from leaderboard.protocols.strict2 import STRICT_2, measure
 from leaderboard.score import score_results
 
 W, H, N = 8, 6, 3

@@ -28,8 +28,7 @@ from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.mesh import Mesh
 from leaderboard.case import Case
-from leaderboard.protocols import ITACO_1
-from leaderboard.protocols.itaco1 import Itaco1
+from leaderboard.protocols.itaco1 import ITACO_1, Itaco1
 
 scored = functools.partial(values_of, ITACO_1, constants=Itaco1(samples=3000))
 SURFACES = ("cd_w", "cd_m", "cd_s")

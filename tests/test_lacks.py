@@ -28,10 +28,11 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import PIECES, Failure
 from leaderboard.case import Case
-from leaderboard.protocols import ARENA_1, ITACO_1, PAPER_1, STRICT_1, STRICT_2
-from leaderboard.protocols.itaco1 import Itaco1
-from leaderboard.protocols.paper1 import Paper1
-from leaderboard.protocols.strict1 import Strict1
+from leaderboard.protocols.arena1 import ARENA_1
+from leaderboard.protocols.itaco1 import ITACO_1, Itaco1
+from leaderboard.protocols.paper1 import PAPER_1, Paper1
+from leaderboard.protocols.strict1 import STRICT_1, Strict1
+from leaderboard.protocols.strict2 import STRICT_2
 from leaderboard.tables import NOTHING, _cell, print_scores
 from leaderboard.validate import validate_results
 

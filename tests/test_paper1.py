@@ -35,9 +35,9 @@ from synthetic_case import (
 from freeart21 import se3
 from freeart21.mesh import Mesh
 from leaderboard.case import Case
-from leaderboard.protocols import PAPER_1, STRICT_2
-from leaderboard.protocols.paper1 import Paper1, average_alignment, measure, state_error
+from leaderboard.protocols.paper1 import PAPER_1, Paper1, average_alignment, measure, state_error
 from leaderboard.protocols.strict1 import Strict1
+from leaderboard.protocols.strict2 import STRICT_2
 from leaderboard.registration import registered
 
 scored = functools.partial(values_of, PAPER_1, constants=Paper1(samples=1500))

@@ -35,7 +35,8 @@ from freeart21.files.result import Method, write_method, write_result
 from freeart21.joint import Joint
 from freeart21.reconstruction import Failure
 from leaderboard.asset_joint import joint_of_motion, measured_joint
-from leaderboard.protocols import PROTOCOLS, STRICT_2, protocol_named
+from leaderboard.protocols import PROTOCOLS, protocol_named
+from leaderboard.protocols.strict2 import STRICT_2
 from leaderboard.score import statistic
 from leaderboard.scores_file import write_scores
 from leaderboard.tables import page_entries, print_scores, score_note

@@ -24,8 +24,9 @@ from freeart21 import se3
 from freeart21.mesh import Mesh
 from leaderboard.case import Case
 from leaderboard.protocol import Shape
-from leaderboard.protocols import DEFAULT, PROTOCOLS, STRICT_1, STRICT_2, strict1, strict2
-from leaderboard.protocols.strict1 import Strict1
+from leaderboard.protocols import DEFAULT, PROTOCOLS, strict1, strict2
+from leaderboard.protocols.strict1 import STRICT_1, Strict1
+from leaderboard.protocols.strict2 import STRICT_2
 
 KINDS = ("revolute", "prismatic")
 QUICK = Strict1(samples=3000)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
-from abc import ABCMeta
 from typing import Any
 
 from freeart21.effects.base import Effect, perpendiculars, readings
@@ -14,6 +11,7 @@ from freeart21.effects.return_spring import ReturnSpring
 from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.joint import JointType
+from freeart21.registry import find_classes
 
 __all__ = [
     "EFFECTS",
@@ -29,19 +27,8 @@ __all__ = [
 ]
 
 
-def _found() -> dict[str, type[Effect]]:
-    """Every effect class that a module of this package defines, by name; a module is named as its effect."""
-    found: dict[str, type[Effect]] = {}
-    for info in sorted(pkgutil.iter_modules(__path__), key=lambda info: info.name):
-        module = importlib.import_module(f"{__name__}.{info.name}")
-        for value in vars(module).values():
-            if isinstance(value, ABCMeta) and issubclass(value, Effect) and getattr(value, "name", None) == info.name:
-                found[info.name] = value
-    return found
-
-
-EFFECTS: dict[str, type[Effect]] = _found()
-"""Name to class, in alphabetical order."""
+EFFECTS: dict[str, type[Effect]] = find_classes(__name__, Effect)
+"""Name to class: the modules of this folder, and entry points of others (`freeart21.registry`)."""
 
 
 def effect_from_json(data: Any, joint_type: JointType, where: str) -> Effect:

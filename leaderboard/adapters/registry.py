@@ -2,40 +2,21 @@
 
 from __future__ import annotations
 
+import functools
+
 from freeart21.errors import FreeArtError
-from leaderboard.adapters import (
-    artgs,
-    articulate_anything,
-    bundlesdf,
-    digitaltwinart,
-    foundationpose,
-    freeartgs,
-    itaco,
-    paris,
-    rsrd,
-    screwsplat,
-)
+from freeart21.registry import find_instances
 from leaderboard.adapters.toolbox import Layout
 
-LAYOUTS: dict[str, Layout] = {
-    module.LAYOUT.name: module.LAYOUT
-    for module in (
-        freeartgs,
-        itaco,
-        rsrd,
-        paris,
-        digitaltwinart,
-        artgs,
-        articulate_anything,
-        bundlesdf,
-        foundationpose,
-        screwsplat,
-    )
-}
+
+@functools.cache
+def layouts() -> dict[str, Layout]:
+    """By name: the modules of this folder, and entry points `leaderboard.adapters` of others (`freeart21.registry`)."""
+    return find_instances("leaderboard.adapters", Layout)
 
 
 def layout_named(name: str) -> Layout:
     """The layout `name`; FreeArtError names those that exist."""
-    if name not in LAYOUTS:
-        raise FreeArtError(f"unknown layout '{name}'; known: {', '.join(LAYOUTS)}")
-    return LAYOUTS[name]
+    if name not in layouts():
+        raise FreeArtError(f"unknown layout '{name}'; known: {', '.join(layouts())}")
+    return layouts()[name]

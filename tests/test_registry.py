@@ -1,0 +1,85 @@
+"""A package of somebody else adds a member of a kind by one file and one entry point."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from freeart21.effects import EFFECTS, Effect
+from freeart21.errors import FreeArtError
+from freeart21.registry import find_classes, find_instances
+from leaderboard.adapters.registry import layouts
+from leaderboard.adapters.toolbox import Layout
+from leaderboard.protocols import PROTOCOLS, Protocol
+
+EFFECT = """
+from freeart21.effects.viscous_damping import ViscousDamping
+
+class Squeak(ViscousDamping):
+    name = "squeak"
+"""
+PROTOCOL = """
+from dataclasses import replace
+from leaderboard.protocols.strict2 import STRICT_2 as theirs
+
+OWN = replace(theirs, name="own-1", ranking=False)
+del theirs
+"""
+LAYOUT = """
+from dataclasses import replace
+from leaderboard.adapters import paris
+
+LAYOUT = replace(paris.LAYOUT, name="own")
+"""
+
+
+def install(folder: Path, group: str, text: str) -> None:
+    """An installed package with one module, named by one entry point."""
+    (folder / "stranger.py").write_text(text)
+    info = folder / "stranger-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{group}]\nown = stranger\n")
+
+
+@pytest.fixture
+def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "stranger", raising=False)
+    return tmp_path
+
+
+def test_an_effect_of_a_stranger(stranger: Path):
+    install(stranger, "freeart21.effects", EFFECT)
+    found = find_classes("freeart21.effects", Effect)
+    assert set(found) - set(EFFECTS) == {"squeak"} and found["squeak"](0.1).coefficient == 0.1
+
+
+@pytest.mark.parametrize(
+    ("group", "text", "kind", "ours", "name"),
+    [
+        ("leaderboard.protocols", PROTOCOL, Protocol, PROTOCOLS, "own-1"),
+        ("leaderboard.adapters", LAYOUT, Layout, layouts(), "own"),
+    ],
+)
+def test_an_instance_of_a_stranger(stranger: Path, group: str, text: str, kind: type, ours: dict, name: str):
+    install(stranger, group, text)
+    found = find_instances(group, kind)
+    assert set(found) - set(ours) == {name} and isinstance(found[name], kind) and list(found) == sorted(found)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (EFFECT.replace('"squeak"', '"detent"'), "name already taken: Effect 'detent'"),
+        ("import nowhere_at_all", "No module named 'nowhere_at_all'"),
+        ("", "defines no Effect with a name"),
+    ],
+)
+def test_a_member_that_cannot_be_one_is_named(stranger: Path, text: str, message: str):
+    install(stranger, "freeart21.effects", text)
+    with pytest.raises(FreeArtError, match="entry point freeart21.effects: own = stranger") as fault:
+        find_classes("freeart21.effects", Effect)
+    assert message in str(fault.value)
