@@ -36,7 +36,7 @@ class Body:
                 fixed_base=fixed_base,
                 scene=sub_scene,
                 visuals=scene.can_render(),
-                limited=True,
+                settable_limits=True,
             )
             _fetch(self.simulated.articulation)
         simulated = self.simulated
@@ -75,7 +75,7 @@ class Body:
         """Take the state that somebody else has given the engine."""
         articulation = self.simulated.articulation
         self.simulated.set_state(float(articulation.qpos[0]), float(articulation.qvel[0]))
-        self.simulated.base_moved()
+        self.simulated.update_gravity()
         self._history.clear()
         self._note()
 
@@ -132,7 +132,7 @@ class Body:
         """What acts in ManiSkill's next step of the engine; further steps that stiff effects need are made here."""
         simulated, px = self.simulated, self._scene.px
         if not self._fixed:
-            simulated.base_moved()
+            simulated.update_gravity()
         n = simulated.substeps
         self._h = px.timestep = self._timestep / n
         for _ in range(n - 1):
@@ -165,7 +165,7 @@ class Body:
         are the engine's, and impacts are inelastic.
         """
         if kept != self._held_limits:
-            own, wide = (self.simulated.lower, self.simulated.upper), (-simulate.WIDE, simulate.WIDE)
+            own, wide = (self.simulated.lower, self.simulated.upper), (-simulate.UNREACHED, simulate.UNREACHED)
             self._joint.set_limits(np.array([np.clip(own, *wide) if kept else wide], np.float32))
             self._held_limits = kept
 

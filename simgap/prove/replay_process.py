@@ -144,7 +144,7 @@ class _Stage(ABC):
     @abstractmethod
     def roll(self, loaded: Any, h: float, start: State, seconds: float, **forces: Any) -> tuple[Array, Array]:
         """Times and positions from `start` on, each (n,); `forces` as `simulate.roll_out` takes them: `force`,
-        `actuator` and `sway`."""
+        `actuator` and `base_force`."""
 
     def replay(self, loaded: Any, h: float, run: Run, start: State) -> Array:
         """(n,) what the sensor reads at the known readings of `run`; the state `start` is that of the first one.
@@ -165,11 +165,11 @@ class _Stage(ABC):
         q0 = float(np.clip(start[0], self.lower, self.upper))
         seconds = float(np.ceil((times[-1] - first) / h) * h) + h
         sway = self._sway(run, begin)
-        at, course = self.roll(loaded, h, (q0, start[1]), seconds, force=push, actuator=actuator, sway=sway)
+        at, course = self.roll(loaded, h, (q0, start[1]), seconds, force=push, actuator=actuator, base_force=sway)
         q = np.interp(times - first, at, course)
         return np.asarray(q + sum((effect.reading_error(q) for effect in self.sensing), np.zeros(len(q))))
 
-    def _sway(self, run: Run, begin: float) -> simulate.Sway | None:
+    def _sway(self, run: Run, begin: float) -> simulate.BaseForce | None:
         """What the joint feels of a base that moves."""
         if run.base is None:
             return None
@@ -261,7 +261,7 @@ class _InMujoco(_Stage):
         import mujoco
 
         data, n = mujoco.MjData(loaded), round(seconds / h)
-        push, actuator, sway = (forces[name] for name in ("force", "actuator", "sway"))
+        push, actuator, sway = (forces[name] for name in ("force", "actuator", "base_force"))
         data.qpos[0], data.qvel[0] = start
         q = np.empty(n + 1)
         q[0] = start[0]

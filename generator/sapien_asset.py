@@ -1,0 +1,205 @@
+"""Loads an asset's URDF into SAPIEN as one free joint without any loss or limit of the engine's own."""
+
+from __future__ import annotations
+
+import copy
+import tempfile
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freeart21 import se3
+from freeart21.asset import Asset
+from freeart21.errors import FreeArtError
+from freeart21.files.urdf import UrdfJoint, links_beyond, parsed
+from freeart21.files.urdf_files import named_file
+
+UNREACHED = 1e4
+"""rad or m: engine limits that no joint reaches."""
+_MAX_SPEED = 1e6  # rad/s or m/s: the engine's speed limits are raised to this
+_COLLISION_GROUPS = [1, 1, 1 << 15, 0]  # a common bit of the third word: links of assets never collide with each other
+
+
+def physics_scene(gravity: NDArray[np.float32]) -> Any:
+    """A scene without a graphics device, under `gravity` (3,) m/s^2.
+
+    SAPIEN takes gravity from a setting of the whole process, which is restored here.
+    """
+    import sapien
+
+    before = sapien.physx.get_scene_config()
+    config = copy.copy(before)
+    config.gravity = gravity
+    sapien.physx.set_scene_config(config)
+    try:
+        return sapien.Scene([sapien.physx.PhysxCpuSystem()])
+    finally:
+        sapien.physx.set_scene_config(before)
+
+
+def build_articulation(
+    asset: Asset,
+    joints: dict[str, UrdfJoint],
+    joint: UrdfJoint,
+    scene: Any,
+    *,
+    fixed_base: bool,
+    visuals: bool,
+    collisions: bool,
+    settable_limits: bool,
+) -> Any:
+    """SAPIEN's articulation of `asset` in `scene`: only `joint` moves, all others are frozen.
+
+    Args:
+        asset: its `held` says where the other joints are frozen; else at the position nearest to zero in their limits.
+        joints: all joints of the URDF, by name.
+        joint: the one that moves.
+        scene: a `sapien.Scene`.
+        fixed_base: fix the root link to the world.
+        visuals: load visual meshes.
+        collisions: load collision shapes also of links with an `<inertial>`.
+        settable_limits: make a joint whose engine limits can be set later; they are `UNREACHED` until then.
+
+    Raises FreeArtError when the URDF is not one tree with the asset's links, or SAPIEN cannot read a file.
+    """
+    robot = _urdf_for_sapien(asset, joints, visuals, collisions)
+    _check_sides(asset, joints, joint)
+    builder = _articulation_builder(asset.urdf, robot, scene)
+    for link in builder.link_builders:
+        link.collision_groups = _COLLISION_GROUPS
+        record = link.joint_record
+        if record.name == joint.name:
+            record.limits = [[-UNREACHED, UNREACHED]] if settable_limits else [[-np.inf, np.inf]]
+            if joint.joint_type == "revolute":
+                record.joint_type = "revolute_unwrapped"
+        elif record.name in joints and joints[record.name].joint_type:
+            _freeze(record, _frozen_position(asset, joints[record.name]))
+    try:
+        articulation = builder.build(fix_root_link=fixed_base)
+    except Exception as error:  # SAPIEN raises Exception itself
+        raise _cannot_load(asset.urdf, error) from error
+    _remove_losses(articulation)
+    return articulation
+
+
+def links_from(articulation: Any, first: str) -> list[Any]:
+    """The link named `first` and all links that descend from it."""
+    names, links = {first}, []
+    for link in articulation.links:  # parents come before children
+        if link.name in names or (link.parent is not None and link.parent.name in names):
+            names.add(link.name)
+            links.append(link)
+    return links
+
+
+def _check_sides(asset: Asset, joints: dict[str, UrdfJoint], joint: UrdfJoint) -> None:
+    """FreeArtError unless reference and moving link are on different sides of the joint."""
+    beyond = links_beyond(joints, joint.child)
+    if (asset.reference_link in beyond) == (asset.moving_link in beyond):
+        raise FreeArtError(
+            f"{asset.urdf}: links '{asset.reference_link}' and '{asset.moving_link}' are on the same "
+            f"side of joint '{joint.name}', expected one on each side"
+        )
+
+
+def _articulation_builder(urdf: Path, robot: ET.Element, scene: Any) -> Any:
+    """SAPIEN's articulation builder of the rewritten URDF `robot`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "asset.urdf"
+        ET.ElementTree(robot).write(path, encoding="utf-8")
+        try:
+            articulations, actors, _ = scene.create_urdf_loader().parse(str(path))
+        except Exception as error:  # SAPIEN raises Exception itself
+            raise _cannot_load(urdf, error) from error
+    if len(articulations) != 1 or actors:
+        raise FreeArtError(
+            f"{urdf} holds {len(articulations)} articulations and {len(actors)} loose bodies, expected one articulation"
+        )
+    return articulations[0]
+
+
+def _cannot_load(urdf: Path, error: Exception) -> FreeArtError:
+    lines = str(error).strip().splitlines() or [type(error).__name__]
+    return FreeArtError(f"{urdf} cannot be loaded by SAPIEN: {lines[0]}")
+
+
+def _remove_losses(articulation: Any) -> None:
+    """Switch off the engine's own sleeping, damping, friction, armature and speed limits."""
+    articulation.set_sleep_threshold(0.0)
+    for link in articulation.links:
+        link.set_linear_damping(0.0)
+        link.set_angular_damping(0.0)
+        link.set_max_linear_velocity(_MAX_SPEED)
+        link.set_max_angular_velocity(_MAX_SPEED)
+    for joint in articulation.active_joints:
+        joint.set_friction(0.0)
+        joint.set_armature(np.zeros(joint.dof, np.float32))
+        joint.set_max_velocity(_MAX_SPEED)
+
+
+def _freeze(record: Any, q: float) -> None:
+    """Turn a movable joint of a builder into a fixed one at position `q`: its axis is the x axis of its frame."""
+    import sapien
+
+    motion = se3.exp_se3(np.eye(6)[0] * q if record.joint_type == "prismatic" else np.eye(6)[3] * q)
+    record.pose_in_parent = record.pose_in_parent * sapien.Pose(motion.astype(np.float32))
+    record.joint_type, record.limits = "fixed", []
+
+
+def _frozen_position(asset: Asset, joint: UrdfJoint) -> float:
+    return asset.held.get(joint.name, float(np.clip(0.0, joint.lower, joint.upper)))
+
+
+def _urdf_for_sapien(asset: Asset, joints: dict[str, UrdfJoint], visuals: bool, collisions: bool) -> ET.Element:
+    """The URDF with absolute file names and complete limits, without what the simulation does not need."""
+    root = parsed(asset.urdf)
+    for element in list(root):
+        if element.tag not in ("link", "joint", "material"):
+            root.remove(element)
+    _check_tree(asset, joints, [link.get("name", "") for link in root.findall("link")])
+    for file in [*root.iter("mesh"), *root.iter("texture")]:
+        file.set("filename", str(named_file(asset.urdf, file.get("filename", ""), asset.root)))
+    for link in root.findall("link"):
+        mass = link.find("inertial/mass")
+        has_mass = mass is not None and float(mass.get("value", "0")) > 0
+        for child in list(link):
+            unused_shape = child.tag == "collision" and has_mass and not collisions
+            if unused_shape or (child.tag == "visual" and not visuals):
+                link.remove(child)
+    for element in root.findall("joint"):
+        for child in [c for c in element if c.tag in ("mimic", "dynamics", "limit")]:
+            element.remove(child)
+        joint = joints[element.get("name", "")]
+        if joint.type in ("revolute", "prismatic"):
+            ET.SubElement(element, "limit", {"lower": repr(joint.lower), "upper": repr(joint.upper)})
+    return root
+
+
+def _check_tree(asset: Asset, joints: dict[str, UrdfJoint], links: list[str]) -> None:
+    """FreeArtError unless the URDF is one tree of unique links, with the asset's links and known joint types."""
+    urdf, names = asset.urdf, ", ".join(links)
+    if len(set(links)) != len(links):
+        twice = next(name for name in links if links.count(name) > 1)
+        raise FreeArtError(f"{urdf} has link '{twice}' {links.count(twice)} times, expected unique names")
+    for joint in joints.values():
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise FreeArtError(f"{urdf}: joint '{joint.name}' names link '{link}'; links: {names}")
+        if joint.joint_type is None and joint.type != "fixed":
+            raise FreeArtError(
+                f"{urdf}: joint '{joint.name}' has type '{joint.type}', expected fixed, revolute, continuous or "
+                "prismatic"
+            )
+    children = [joint.child for joint in joints.values()]
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1 or len(set(children)) != len(children):
+        raise FreeArtError(
+            f"{urdf} is not one tree: its roots are {', '.join(roots) or 'none'}, expected one, and every other link "
+            "the child of one joint"
+        )
+    for link in (asset.reference_link, asset.moving_link):
+        if link not in links:
+            raise FreeArtError(f"{urdf} has no link '{link}'; links: {names}")
