@@ -45,8 +45,8 @@ from freeart21.files.truth import read_truth
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Reconstruction
 from freeart21.truth import Truth
-from leaderboard.case import score_sequence
 from leaderboard.score import score_results
+from leaderboard.sequence_score import score_sequence
 
 AXIS_OFF, PIVOT_OFF_M, STATE_OFF = np.deg2rad(0.5), 0.002, 0.01
 """By how much a made answer is wrong: its joint, and its states as a share of their range."""
@@ -55,8 +55,8 @@ WAVE_M, WAVES_PER_M = 0.0005, 400.0
 STAGES = {
     "read_sequence": "list the sequence",
     "read_truth": "read the truth",
-    "read_with_notes": "read and check the answer",
-    "with_asset": "load, drive and check the asset",
+    "read_submission_with_notes": "read and check the answer",
+    "apply_asset": "load, drive and check the asset",
     "match": "match parts by their masks",
     "surface_values": "surface distances",
     "picture_values": "held-out views",
@@ -203,7 +203,7 @@ def _stages(results: Path, benchmark: Benchmark, protocol: str, rows: int) -> di
     for (_, _, function), (_, _, _, total, _) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
         if function in STAGES:
             seconds[STAGES[function]] += total / len(chosen)
-    seconds[STAGES["with_asset"]] += (whole - own) / len(chosen)  # in a process of its own
+    seconds[STAGES["apply_asset"]] += (whole - own) / len(chosen)  # in a process of its own
     seconds["all else"] = whole / len(chosen) - sum(seconds.values())
     return seconds
 

@@ -46,10 +46,10 @@ from freeart21.files.truth import read_truth
 from generator import v1
 from generator.dataset import Job, Label, record_jobs
 from generator.session import RecordSettings
-from leaderboard.case import Case, score_sequence
 from leaderboard.protocols import Group, protocol_named
 from leaderboard.rows import Row
 from leaderboard.score import summarise
+from leaderboard.sequence_score import SequenceScorer, score_sequence
 from leaderboard.suite.rows import ROWS
 from reconstruct import VERSION
 from reconstruct.cache import code_digest, work_folder
@@ -492,8 +492,8 @@ def _in_a_process(task: Task, workers: int) -> tuple[Outcome, bool]:
         raise FreeArtError(answer["broken"])
     row, seconds, peak = answer.get("row"), answer.get("seconds", {}), answer.get("peak_gb")
     if row is None:
-        case = Case(protocol_named(PROTOCOL), read_sequence(task.sequence), read_truth(task.truth))
-        row = case.priced("failed", answer["crash"])
+        case = SequenceScorer(protocol_named(PROTOCOL), read_sequence(task.sequence), read_truth(task.truth))
+        row = case.penalised_row("failed", answer["crash"])
     outcome = Outcome(task.object, task.motion, row, seconds, peak, VERSION, commit(), machine(), workers, task.data)
     return outcome, "crash" in answer
 

@@ -45,7 +45,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files.atomic import write_json
 from freeart21.files.result import Method, write_method, write_result
 from leaderboard import protocols
-from leaderboard.archive import results_folder
+from leaderboard.archive import open_results
 from leaderboard.protocols import strict2
 from leaderboard.protocols.strict1 import Strict1
 from leaderboard.rows import Row
@@ -55,7 +55,7 @@ from leaderboard.tables import print_scores
 from leaderboard.validate import validate_results
 
 sys.path.append(str(ROOT / "tests"))
-from score_case import truths, write_asset, write_data
+from score_files import truths, write_asset, write_data
 from synthetic_case import noisy_answer, pictures, truth_as_answer
 
 LIMIT_S = 60.0
@@ -213,13 +213,13 @@ class Fuzz:
         try:
             with _limit(), self._few_samples(), contextlib.redirect_stdout(io.StringIO()):
                 try:
-                    with results_folder(given) as folder:
+                    with open_results(given) as folder:
                         report = validate_results(folder, self.data)
                     fatal = [str(f) for f in report.faults if f.fatal and f.file.split("/")[0] == SEQUENCE]
                 except FreeArtError as error:
                     refusals.append(str(error))
                 try:
-                    with results_folder(given) as folder:
+                    with open_results(given) as folder:
                         scores = score_results(folder, self.data, limit_s=None)
                     row, status, said = scores.rows[0], scores.rows[0].status, scores.rows[0].reason
                     print_scores(scores, Console(file=io.StringIO()), everything=True)

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from leaderboard.submission import MAX_FILES, printable
+from leaderboard.submission import MAX_FILES, escape_unprintable
 
 MAX_ARCHIVE_BYTES = 4 << 30
 """Of the file, and of all that is in it: 21 results of 300 frames with assets have 0.5 GB."""
@@ -28,7 +28,7 @@ _LEFT_BY_SYSTEMS = ("__MACOSX", ".DS_Store", "Thumbs.db", "desktop.ini")
 
 
 @contextmanager
-def results_folder(given: Path) -> Iterator[Path]:
+def open_results(given: Path) -> Iterator[Path]:
     """The folder of results that `given` is, or that the ZIP file `given` holds, unpacked until the block ends.
 
     The results may stand in the archive themselves or in one folder of it. Raises FreeArtError, before anything is
@@ -42,7 +42,7 @@ def results_folder(given: Path) -> Iterator[Path]:
     if given.suffix.lower() != ".zip":
         raise FreeArtError(f"{given} is a file, expected a folder of results or a .zip of one")
     with tempfile.TemporaryDirectory(prefix="freeart21-") as aside:
-        folder = Path(aside) / (printable(given.stem)[:LONGEST_NAME] or "results")
+        folder = Path(aside) / (escape_unprintable(given.stem)[:LONGEST_NAME] or "results")
         folder.mkdir()
         _unpack(given, folder)
         yield _top(folder)
@@ -62,7 +62,7 @@ def _unpack(path: Path, folder: Path) -> None:
                 _write(path, archive, entry, folder / name)
     except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError, RuntimeError, NotImplementedError) as error:
         said = (str(error).splitlines() or [""])[0]
-        raise FreeArtError(f"{path} cannot be unpacked: {printable(said) or type(error).__name__}") from error
+        raise FreeArtError(f"{path} cannot be unpacked: {escape_unprintable(said) or type(error).__name__}") from error
 
 
 def _entries(path: Path, archive: zipfile.ZipFile) -> list[tuple[zipfile.ZipInfo, PurePosixPath]]:
@@ -76,7 +76,7 @@ def _entries(path: Path, archive: zipfile.ZipFile) -> list[tuple[zipfile.ZipInfo
         name = PurePosixPath(entry.filename)
         wrong = _wrong(entry, name)
         if wrong:
-            raise FreeArtError(f"{path}: entry '{printable(entry.filename)[:LONGEST_NAME]}' {wrong}")
+            raise FreeArtError(f"{path}: entry '{escape_unprintable(entry.filename)[:LONGEST_NAME]}' {wrong}")
         if entry.is_dir() or any(part in _LEFT_BY_SYSTEMS or part.startswith("._") for part in name.parts):
             continue
         total += entry.file_size

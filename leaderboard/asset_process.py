@@ -33,11 +33,11 @@ SAID = "said.txt"
 _LONGEST_SAID = 4096
 
 
-class Late(Exception):
+class TimedOut(Exception):
     """A request took more than its limit."""
 
 
-class Ended(Exception):
+class Crashed(Exception):
     """A request ended the process that answered it; the text says how."""
 
 
@@ -59,7 +59,7 @@ def ask(module: str, request: dict[str, Any], place: Path, limit_s: float) -> di
     """What `reply(request)` of `module` says, asked in a process of its own within `limit_s` seconds.
 
     The `main()` of `module` runs `serve(reply, ...)` here.
-    `place` is a folder where the process may write; its temporary files go there. Raises Late or Ended.
+    `place` is a folder where the process may write; its temporary files go there. Raises TimedOut or Crashed.
     """
     body = json.dumps({"request": request, "place": str(place), "limit_s": limit_s}).encode() + b"\n"
     with _lock:
@@ -71,12 +71,12 @@ def ask(module: str, request: dict[str, Any], place: Path, limit_s: float) -> di
             raise
         if not line:
             _close()
-            raise Ended(f"exit code {waiting.process.returncode}: no message")
+            raise Crashed(f"exit code {waiting.process.returncode}: no message")
     answer: dict[str, Any] = json.loads(line)
     if "late" in answer:
-        raise Late
+        raise TimedOut
     if "ended" in answer:
-        raise Ended(f"exit code {answer['ended']}: {_last_line(place / SAID)}")
+        raise Crashed(f"exit code {answer['ended']}: {_last_line(place / SAID)}")
     said: dict[str, Any] = answer["answer"]
     return said
 

@@ -54,7 +54,7 @@ def score(
     from freeart21.errors import FreeArtError
     from freeart21.files import atomic
     from freeart21.files.places import SCORES, check_place
-    from leaderboard.archive import results_folder
+    from leaderboard.archive import open_results
     from leaderboard.rows import Row
     from leaderboard.score import score_results
     from leaderboard.scores_file import write_scores
@@ -70,7 +70,7 @@ def score(
         work = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}.", suffix=atomic.ASIDE))
     console = Console(stderr=True)
     with (
-        results_folder(results) as folder,
+        open_results(results) as folder,
         Progress(console=console, transient=True, disable=not console.is_terminal) as bars,
     ):
         task = bars.add_task("Scoring", total=None)
@@ -150,10 +150,10 @@ def validate(results: Annotated[Path, Positional], data: Path) -> int:
         results: A method's results (RESULTS/SEQ/prediction.json), or a .zip of them.
         data: The data folder they answer.
     """
-    from leaderboard.archive import results_folder
+    from leaderboard.archive import open_results
     from leaderboard.validate import validate_results
 
-    with results_folder(results) as folder:
+    with open_results(results) as folder:
         report = validate_results(folder, data)
     for fault in report.faults:
         print(f"{fault}{f'; to mend: {fault.mend}' if fault.mend else ''}")
@@ -396,11 +396,11 @@ def pack(
 
     from freeart21.errors import FreeArtError
     from freeart21.files.places import check_place
-    from leaderboard.pack import PUBLIC, TRUTH, key_place, pack_public, pack_truth
+    from leaderboard.pack import PUBLIC, TRUTH, default_key_path, pack_public, pack_truth
 
     if public == truth:
         raise FreeArtError("pack: say which half, --public or --truth; it takes one of them")
-    key = key or key_place(data)
+    key = key or default_key_path(data)
     made = not key.exists()
     check_place(out, None if out.suffix == ".zip" else PUBLIC if public else TRUTH, (data, key))
     console = Console(stderr=True)

@@ -15,10 +15,10 @@ import pandas as pd
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import read_benchmark
 from freeart21.joint import JointType
-from leaderboard.archive import results_folder
-from leaderboard.categories import UNKNOWN, category_of
-from leaderboard.kept import kept_scores
-from leaderboard.paired import Interval, paired_intervals
+from leaderboard.archive import open_results
+from leaderboard.bootstrap import Interval, bootstrap_intervals
+from leaderboard.cached import cached_scores
+from leaderboard.categories import UNKNOWN, read_category
 from leaderboard.protocol import Metric, Protocol
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Scores, Statistic
@@ -128,7 +128,7 @@ class Comparison:
                 continue
             numbers = {entrant.name: self._numbers(entrant, group, metric) for entrant in self.entrants}
             columns = np.stack([numbers[later.name] - numbers[first.name] for first, later in pairs], axis=1)
-            for (first, later), interval in zip(pairs, paired_intervals(columns), strict=True):
+            for (first, later), interval in zip(pairs, bootstrap_intervals(columns), strict=True):
                 if interval is not None:
                     found.append(Difference(later.name, first.name, metric.id, interval, _verdict(interval, metric)))
         return tuple(found)
@@ -168,7 +168,7 @@ def compare_results(
     progress: Callable[[Path, Row, int], None] | None = None,
     truth: Path | None = None,
 ) -> Comparison:
-    """The comparison of `results`: results folders, or a .zip of one, which are scored (`kept_scores`), or tables of
+    """The comparison of `results`: results folders, or a .zip of one, which are scored (`cached_scores`), or tables of
     `score --out`.
 
     `protocol` None takes that of the tables, or the default when there is none. Raises FreeArtError in one line when
@@ -197,14 +197,14 @@ def compare_results(
         if place in tables:
             return tables[place]
         told = None if progress is None else lambda row, of: progress(place, row, of)
-        with results_folder(place) as folder:
-            return kept_scores(folder, data, rules.name, keep, told, truth=truth)
+        with open_results(place) as folder:
+            return cached_scores(folder, data, rules.name, keep, told, truth=truth)
 
     found = [(place, scored(place)) for place in places]
     facts = benchmark_facts(benchmark)
     notes = check_tables(found, facts, benchmark.sequences)
     known = not benchmark.hidden or benchmark.apart is not None  # tables alone can be compared without any truth
-    categories = {name: category_of(benchmark.truth(name)) if known else UNKNOWN for name in benchmark.sequences}
+    categories = {name: read_category(benchmark.truth(name)) if known else UNKNOWN for name in benchmark.sequences}
     return Comparison(rules, facts, _entrants(found), categories, notes)
 
 

@@ -12,7 +12,7 @@ import pandas as pd
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
 from freeart21.files.places import Output, require_replaceable
-from leaderboard import paired
+from leaderboard import bootstrap
 from leaderboard.compare import By, Comparison, Group
 from leaderboard.compare_tables import latex, legend, markdown
 
@@ -105,11 +105,11 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
             for entrant in comparison.entrants
         ],
         "interval": {
-            "kind": paired.KIND,
-            "level": paired.LEVEL,
-            "resamples": paired.RESAMPLES,
-            "seed": paired.SEED,
-            "fewest_sequences": paired.fewest(),
+            "kind": bootstrap.KIND,
+            "level": bootstrap.LEVEL,
+            "resamples": bootstrap.RESAMPLES,
+            "seed": bootstrap.SEED,
+            "fewest_sequences": bootstrap.min_sequences(),
         },
         "groups": [
             _group(comparison, group) for by in get_args(By) if by != "sequence" for group in comparison.groups(by)

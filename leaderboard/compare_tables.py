@@ -13,11 +13,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from leaderboard import paired
+from leaderboard import bootstrap
 from leaderboard.compare import By, Comparison, Difference, Entrant, Group, Standing
 from leaderboard.protocol import Metric
 from leaderboard.rows import Statistic
-from leaderboard.submission import printable
+from leaderboard.submission import escape_unprintable
 from leaderboard.tables import NOTHING, WIDTH, column_foot, column_head, decimals, ranking_metrics, sign
 
 _LONGEST_NAME = 22
@@ -81,17 +81,17 @@ def legend(comparison: Comparison, by: By) -> tuple[str, ...]:
         lines.append("Standard deviations are of a sample (ddof 1). measured: rows that were not priced. Best in bold.")
     if by != "sequence" and len(comparison.entrants) > 1:
         lines.append(
-            f"Differences: mean over the same sequences, {100 * paired.LEVEL:g} % interval ({paired.KIND}; "
-            f"{paired.RESAMPLES} resamples, seed {paired.SEED}); none below {paired.fewest()} sequences. "
-            f"✓ better, ✗ worse than {comparison.entrants[0].name}; unmarked: 0 lies within, or there is no interval. "
-            "Where nothing differs, one interval in twenty leaves 0 out."
+            f"Differences: mean over the same sequences, {100 * bootstrap.LEVEL:g} % interval ({bootstrap.KIND}; "
+            f"{bootstrap.RESAMPLES} resamples, seed {bootstrap.SEED}); none below {bootstrap.min_sequences()} "
+            f"sequences. ✓ better, ✗ worse than {comparison.entrants[0].name}; unmarked: 0 lies within, or there is no "
+            "interval. Where nothing differs, one interval in twenty leaves 0 out."
         )
     lacking = [
         f"{NOTHING} {entrant.name} makes no {', '.join(entrant.scores.method.lacks)}."
         for entrant in comparison.entrants
         if entrant.scores.method.lacks
     ]
-    return tuple(printable(line) for line in (*lines, *lacking, *comparison.notes))
+    return tuple(escape_unprintable(line) for line in (*lines, *lacking, *comparison.notes))
 
 
 # ---- what stands in a cell
@@ -219,7 +219,7 @@ def print_comparison(comparison: Comparison, by: By, console: Console | None = N
         console.width = max(console.width, WIDTH)
     for grid in grids(comparison, by):
         for piece in pieces(grid, console.width):
-            console.print(f"\n[bold]{escape(printable(piece.title))}[/]")
+            console.print(f"\n[bold]{escape(escape_unprintable(piece.title))}[/]")
             console.print(_rich(piece))
     for line in legend(comparison, by):
         console.print(f"  {escape(line)}", style="dim")
@@ -263,9 +263,9 @@ def _rich(grid: Grid) -> Table:
         )
     for name, rows in grid.sections:
         table.add_section()
-        table.add_row(f"[bold]{escape(printable(name))}[/]")
+        table.add_row(f"[bold]{escape(escape_unprintable(name))}[/]")
         for row in rows:
-            first = f"  {_cut(printable(row[0].text), _LONGEST_NAME)}"
+            first = f"  {_cut(escape_unprintable(row[0].text), _LONGEST_NAME)}"
             table.add_row(escape(first), *(f"[bold]{escape(c.text)}[/]" if c.best else escape(c.text) for c in row[1:]))
     return table
 
@@ -320,16 +320,16 @@ def latex(comparison: Comparison, by: By) -> str:
 
 def _plain(text: str) -> str:
     """Text that Markdown shows as it is."""
-    return re.sub(r"([\\`*_\[\]|~#])", r"\\\1", html.escape(printable(text), quote=False))
+    return re.sub(r"([\\`*_\[\]|~#])", r"\\\1", html.escape(escape_unprintable(text), quote=False))
 
 
 def _tex(text: str) -> str:
     """Text that pdfLaTeX shows as it is; letters beyond Latin-1, which its fonts may not have, are '?'."""
-    words = "".join(_LATEX.get(c, c if ord(c) < 0x100 else "?") for c in printable(text))
+    words = "".join(_LATEX.get(c, c if ord(c) < 0x100 else "?") for c in escape_unprintable(text))
     return re.sub(r"(?<![\w-])-(?=\d)", "$-$", words)
 
 
 def _ascii(text: str) -> str:
     """Text for a comment of LaTeX; the marks by their names."""
-    words = printable(text).replace("✓", "check mark").replace("✗", "cross")
+    words = escape_unprintable(text).replace("✓", "check mark").replace("✗", "cross")
     return words.encode("ascii", "replace").decode()

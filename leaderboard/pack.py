@@ -59,13 +59,13 @@ class Names:
     """Name of a sequence in the data folder to its name in both halves."""
 
 
-def key_place(data: Path) -> Path:
+def default_key_path(data: Path) -> Path:
     """Where the key of a data folder lies when no place is named: beside it."""
     data = Path(data).resolve()
     return data.parent / f"{data.name}.key"
 
 
-def read_key(path: Path) -> bytes:
+def read_or_create_key(path: Path) -> bytes:
     """The key in the file `path`, which is made, for its owner's eyes only, where there is none."""
     path = Path(path)
     if not checked.is_there(path):
@@ -81,7 +81,7 @@ def read_key(path: Path) -> bytes:
     return key
 
 
-def names_of(benchmark: Benchmark, key: bytes, keep_names: bool) -> Names:
+def choose_names(benchmark: Benchmark, key: bytes, keep_names: bool) -> Names:
     """What the halves of `benchmark` call its sequences under `key`."""
 
     def keyed(what: str) -> str:
@@ -97,8 +97,8 @@ def pack_public(
     """Write what methods may see of the data folder `data` to `out`: a folder, or a ZIP where its name ends so.
 
     `keep_names` leaves the sequences' names as they are, which tell what objects they show. `key` is a file, made where
-    there is none; None takes `key_place`. A set that was packed before gives the same again. Raises FreeArtError when
-    `data` is broken or not as its benchmark.json lists it, or when something else stands at `out` (a ZIP is never
+    there is none; None takes `default_key_path`. A set that was packed before gives the same again. Raises FreeArtError
+    when `data` is broken or not as its benchmark.json lists it, or when something else stands at `out` (a ZIP is never
     replaced).
     """
     benchmark = read_benchmark(data)
@@ -106,7 +106,7 @@ def pack_public(
     if benchmark.hidden:
         names, hidden = {name: name for name in benchmark.sequences}, benchmark.hidden
     else:
-        found = names_of(benchmark, read_key(key or key_place(data)), keep_names)
+        found = choose_names(benchmark, read_or_create_key(key or default_key_path(data)), keep_names)
         names, hidden = found.packed, digest(found.salt, _truth_hashes(benchmark, found))
     _write(Path(out), PUBLIC, _public_files(benchmark, names, hidden, progress))
 
@@ -119,7 +119,7 @@ def pack_truth(
     if benchmark.hidden:
         raise FreeArtError(f"{data} was packed without its truth: there is none to write")
     _check_files(Path(data))
-    names = names_of(benchmark, read_key(key or key_place(data)), keep_names)
+    names = choose_names(benchmark, read_or_create_key(key or default_key_path(data)), keep_names)
     _write(Path(out), TRUTH, _truth_files(benchmark, names, progress))
 
 

@@ -37,11 +37,11 @@ class Metric:
     """Unit for objects whose true joint is prismatic; None where the number does not exist. '%' is of the diagonal."""
     direction: Literal["up", "down"]
     """'up': larger is better."""
-    price: float | None
+    penalty: float | None
     """What a failure, a missing sequence or (where it applies) a wrong joint type costs; None: it depends on the
-    sequence, as `price_from` says."""
+    sequence, as `penalty_source` says."""
     definition: str
-    beside: str | None = None
+    supplements: str | None = None
     """The ranking number beside which this one is shown; None when it is a ranking number itself."""
     label: str = ""
     """Its name for people, such as 'chamfer, moving part'."""
@@ -49,9 +49,9 @@ class Metric:
     """The head of its column where tables have room for few; empty: left out there."""
     needs: tuple[Piece, ...] = ()
     """Pieces of an answer without which there is no such number: None in every row of a method that lacks one."""
-    prismatic_price: float | None = None
+    prismatic_penalty: float | None = None
     """The price where the true joint is prismatic, if it is another than `price`."""
-    price_from: str = "range of motion"
+    penalty_source: str = "range of motion"
     """Where the price comes from when it depends on the sequence."""
 
     def unit(self, group: Group) -> str | None:
@@ -64,22 +64,23 @@ class Metric:
             return self.revolute_unit or self.prismatic_unit
         return self.revolute_unit if self.revolute_unit == self.prismatic_unit else None
 
-    def price_for(self, joint_type: JointType, from_sequence: float | None = None) -> float | None:
+    def penalty_for(self, joint_type: JointType, from_sequence: float | None = None) -> float | None:
         """The price for a sequence, in the metric's unit; `from_sequence` where it depends on the sequence."""
         if self.unit(joint_type) is None:
             return None
-        if joint_type == "prismatic" and self.prismatic_price is not None:
-            return self.prismatic_price
-        return from_sequence if self.price is None else self.price
+        if joint_type == "prismatic" and self.prismatic_penalty is not None:
+            return self.prismatic_penalty
+        return from_sequence if self.penalty is None else self.penalty
 
     @property
-    def price_text(self) -> float | str:
+    def penalty_text(self) -> float | str:
         """The price as a file says it: the number, or in words where there is not one number for all sequences."""
-        if self.price is None:
-            return self.price_from
-        if self.prismatic_price is None:
-            return self.price
-        return f"{self.price:g} {self.revolute_unit} revolute, {self.prismatic_price:g} {self.prismatic_unit} prismatic"
+        if self.penalty is None:
+            return self.penalty_source
+        if self.prismatic_penalty is None:
+            return self.penalty
+        prismatic = f"{self.prismatic_penalty:g} {self.prismatic_unit} prismatic"
+        return f"{self.penalty:g} {self.revolute_unit} revolute, {prismatic}"
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ class Shape:
         return Shape(self.parts[::-1], se3.inverse(self.motions))
 
 
-def no_prices(truth: Truth) -> dict[str, float | None]:
+def no_penalties(truth: Truth) -> dict[str, float | None]:
     """None: every price of the protocol is a constant."""
     return {}
 
@@ -140,20 +141,20 @@ class Protocol:
     """Whether a price is a cap, so that no answer costs more than a declared failure."""
     ranking: bool = False
     """Whether methods are ranked by it."""
-    price_from: Callable[[Truth], dict[str, float | None]] = no_prices
+    sequence_penalties: Callable[[Truth], dict[str, float | None]] = no_penalties
     """Metric id to price for those whose price depends on the sequence; None where it has no such number."""
     published: tuple[PublishedRow, ...] = ()
     """What others printed by these definitions, of other objects: shown beside, never ranked."""
 
-    def prices(self, truth: Truth) -> dict[str, float | None]:
+    def penalties(self, truth: Truth) -> dict[str, float | None]:
         """Metric id to price, in the metric's unit for this sequence; None for numbers that do not exist for it."""
-        kind, from_sequence = truth.articulation.joint.type, self.price_from(truth)
-        return {metric.id: metric.price_for(kind, from_sequence.get(metric.id)) for metric in self.metrics}
+        kind, from_sequence = truth.articulation.joint.type, self.sequence_penalties(truth)
+        return {metric.id: metric.penalty_for(kind, from_sequence.get(metric.id)) for metric in self.metrics}
 
     @property
-    def priced_by_truth(self) -> tuple[str, ...]:
+    def penalised_by_truth(self) -> tuple[str, ...]:
         """Ids of the metrics whose price is a number of the truth, such as its range of motion."""
-        return tuple(metric.id for metric in self.metrics if metric.price is None)
+        return tuple(metric.id for metric in self.metrics if metric.penalty is None)
 
     def capped_value(self, id: str, value: float, price: float) -> float:
         """`value` of the metric `id`, or its price where the protocol caps it and the value is worse."""
@@ -169,6 +170,6 @@ class Protocol:
         raise FreeArtError(f"unknown metric '{id}'; metrics of {self.name}: {', '.join(m.id for m in self.metrics)}")
 
 
-def plain(values: dict[str, float | None]) -> dict[str, float | None]:
+def to_floats(values: dict[str, float | None]) -> dict[str, float | None]:
     """`values` as Python's own numbers."""
     return {id: None if value is None else float(value) for id, value in values.items()}

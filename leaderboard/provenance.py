@@ -30,7 +30,7 @@ _ROOT = Path(__file__).resolve().parents[1]
 _PIECE = 1 << 20
 
 
-def made_with() -> dict[str, Any]:
+def describe_environment() -> dict[str, Any]:
     """Version of this package, fingerprint of the code that scores a row, commit (empty outside of a checkout; with
     '-dirty' when files differ from it), versions of what computes, and the machine: the same on the same machine."""
     return {
@@ -46,7 +46,7 @@ def made_with() -> dict[str, Any]:
 @lru_cache
 def scoring_code() -> str:
     """SHA-256, hexadecimal, of what all modules do that scoring a row may use."""
-    return code_digest(modules_behind("leaderboard.case", _ROOT, _ROOMS).items())
+    return code_digest(modules_behind("leaderboard.sequence_score", _ROOT, _ROOMS).items())
 
 
 def folder_sha256(folder: Path) -> str:
@@ -95,7 +95,7 @@ def truth_sha256(benchmark: Benchmark, sequence: str) -> str | None:
     return hashlib.sha256(f"{benchmark.salt} {found}".encode()).hexdigest() if found and benchmark.salt else found
 
 
-def traced(scores: Scores, results: Path, benchmark: Benchmark) -> Scores:
+def with_provenance(scores: Scores, results: Path, benchmark: Benchmark) -> Scores:
     """`scores` with what they were made with, and the hash of every result and truth that they are of.
 
     What rows say names files from the results folder on: it is the same wherever that lies.
@@ -117,7 +117,7 @@ def traced(scores: Scores, results: Path, benchmark: Benchmark) -> Scores:
         )
         for row in scores.rows
     )
-    return replace(scores, rows=rows, made_with=made_with())
+    return replace(scores, rows=rows, made_with=describe_environment())
 
 
 def _file_sha256(path: Path, size: int) -> str:

@@ -1,6 +1,6 @@
 """Rigid registration of two clouds of points by iterated closest points, coarse to fine.
 
-Ours, on SciPy's k-d tree; the steps are those that FreeArtGS's released evaluator asks of Open3D: clouds thinned to
+Ours, on SciPy's k-d tree; the steps are those that FreeArtGS's released evaluator asks of Open3D: clouds voxel_means to
 voxels of a 50th, a 100th and a 200th of the target's diagonal, matches within three voxels, point to point twice (Besl
 and McKay 1992), then point to plane (Chen and Medioni 1991).
 """
@@ -27,7 +27,7 @@ NEIGHBOURS = 30
 """Points, within four voxels, that a normal is fitted to."""
 
 
-def registered(source: Array, target: Array) -> Array:
+def register_clouds(source: Array, target: Array) -> Array:
     """T_target_source (4, 4) that lays the points `source` (n, 3) on `target` (m, 3), metres, from where they are.
 
     The identity where nothing lies within reach: it finds the nearest fit, not the best.
@@ -36,13 +36,13 @@ def registered(source: Array, target: Array) -> Array:
     diagonal = float(np.linalg.norm(np.ptp(target, axis=0)))
     for share, steps, to_plane in zip(SHARES, STEPS, (False, False, True), strict=True):
         voxel = max(diagonal / share, LEAST_VOXEL)
-        moving, fixed = thinned(source, voxel), thinned(target, voxel)
+        moving, fixed = voxel_means(source, voxel), voxel_means(target, voxel)
         normals = _normals(fixed, 4 * voxel) if to_plane else None
         T = _level(moving, fixed, normals, T, REACH * voxel, steps)
     return T
 
 
-def thinned(points: Array, voxel: float) -> Array:
+def voxel_means(points: Array, voxel: float) -> Array:
     """The mean (k, 3) of the `points` (n, 3) in each cube of edge `voxel`, metres, that holds any."""
     cells = np.floor((points - points.min(0)) / voxel + 0.5).astype(np.int64)
     _, which, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)

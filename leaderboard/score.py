@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import Benchmark, file_sha256, read_benchmark
 from freeart21.reconstruction import Piece
-from leaderboard.case import score_sequence
+from leaderboard.parallel_rows import PLACES, score_rows_as_jobs, score_rows_locally
 from leaderboard.protocol import Group, Protocol
 from leaderboard.protocols import DEFAULT, protocol_named
-from leaderboard.provenance import traced
+from leaderboard.provenance import with_provenance
 from leaderboard.rows import Row, Scores, Statistic, Summary, frame
-from leaderboard.rows_apart import PLACES, rows_beside, rows_elsewhere
-from leaderboard.submission import method_of
+from leaderboard.sequence_score import score_sequence
+from leaderboard.submission import read_submitted_method
 from leaderboard.worker import ROW_LIMIT_S
 
 
@@ -53,7 +53,7 @@ def score_results(
     rules = protocol_named(protocol)
     benchmark = read_benchmark(data, truth)
     check_results_folder(results, benchmark.sequences)
-    method, faults = method_of(results)
+    method, faults = read_submitted_method(results)
     chosen = benchmark.chosen(sequences)
     requests: list[dict[str, Any]] = [
         {
@@ -73,15 +73,15 @@ def score_results(
             rows.append(score_sequence(places[0], places[1], places[2], rules.name, method.lacks))
             told(rows[-1])
     elif executor == "local":
-        rows = rows_beside(requests, workers, limit_s, told)
+        rows = score_rows_locally(requests, workers, limit_s, told)
     else:
-        rows = rows_elsewhere(requests, workers, executor, limit_s, work, told)
-    notes = [*(str(fault) for fault in faults), *lack_notes(rules, method.lacks)]
+        rows = score_rows_as_jobs(requests, workers, executor, limit_s, work, told)
+    notes = [*(str(fault) for fault in faults), *describe_lacks(rules, method.lacks)]
     if len(chosen) < len(benchmark.sequences):
         notes.append(f"{len(chosen)} of {len(benchmark.sequences)} sequences were chosen: {', '.join(chosen)}")
     summaries = summarise(rows, rules)
     scores = Scores(rules.name, method, benchmark_facts(benchmark), tuple(rows), summaries, notes=tuple(notes))
-    return replace(traced(scores, results, benchmark), seconds=time.perf_counter() - begun)
+    return replace(with_provenance(scores, results, benchmark), seconds=time.perf_counter() - begun)
 
 
 def benchmark_facts(benchmark: Benchmark) -> dict[str, str]:
@@ -95,7 +95,7 @@ def benchmark_facts(benchmark: Benchmark) -> dict[str, str]:
     }
 
 
-def lack_notes(rules: Protocol, lacks: tuple[Piece, ...]) -> tuple[str, ...]:
+def describe_lacks(rules: Protocol, lacks: tuple[Piece, ...]) -> tuple[str, ...]:
     """A line that says which numbers there are not, as the method does not make what it `lacks`."""
     if not lacks:
         return ()

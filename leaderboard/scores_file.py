@@ -18,7 +18,7 @@ from freeart21.joint import JointType
 from leaderboard.protocol import Metric, Protocol
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row, Scores, Source, Status, Summary
-from leaderboard.submission import LONGEST_TEXT, plain, printable, shortened
+from leaderboard.submission import LONGEST_TEXT, escape_unprintable, plain_json, shorten
 
 SCHEMA = "freeart21/scores/2"
 MAX_ROWS = 100_000
@@ -42,7 +42,7 @@ def write_scores(path: Path, scores: Scores) -> None:
     rules = protocol_named(scores.protocol)
     body: dict[str, Any] = asdict(scores)
     del body["seconds"]
-    metrics = [{**_terms(m), "beside": m.beside, "definition": m.definition} for m in rules.metrics]
+    metrics = [{**_terms(m), "beside": m.supplements, "definition": m.definition} for m in rules.metrics]
     body["protocol"] = {"name": rules.name, "preamble": rules.preamble, "metrics": metrics}
     atomic.write_json(Path(path), {"schema": SCHEMA, **body})
 
@@ -57,11 +57,11 @@ def read_scores(path: Path) -> Scores:
     try:
         return _scores(checked.read_json(path, SCHEMA, checked.ANYWHERE), path)
     except FreeArtError as error:  # which may quote what is in the file
-        raise FreeArtError(shortened(str(error), len(str(path)) + LONGEST_TEXT)) from error
+        raise FreeArtError(shorten(str(error), len(str(path)) + LONGEST_TEXT)) from error
     except RecursionError as error:
         raise FreeArtError(f"{path} is no table of scores: it is nested too deeply") from error
     except (ValueError, OverflowError) as error:  # a number of more digits than Python reads, or than a float holds
-        raise FreeArtError(f"{path} is no table of scores: {shortened(str(error))}") from error
+        raise FreeArtError(f"{path} is no table of scores: {shorten(str(error))}") from error
 
 
 def _scores(data: dict[str, Any], path: Path) -> Scores:
@@ -81,7 +81,7 @@ def _scores(data: dict[str, Any], path: Path) -> Scores:
         raise FreeArtError(f"{path} has a sequence more than once: {name}")
     summaries = summarise(rows, rules)
     _check_summaries(data.get("summaries"), summaries, path)
-    made = plain(_object(data, "made_with", path))
+    made = plain_json(_object(data, "made_with", path))
     return Scores(
         rules.name,
         _method(_object(data, "method", path), path),
@@ -101,7 +101,7 @@ def _terms(metric: Metric) -> dict[str, Any]:
         "label": metric.label,
         "unit": {"revolute": metric.revolute_unit, "prismatic": metric.prismatic_unit},
         "direction": metric.direction,
-        "price": metric.price_text,
+        "price": metric.penalty_text,
     }
 
 
@@ -123,17 +123,17 @@ def _method(data: dict[str, Any], path: Path) -> Method:
     settings = data.get("settings")
     if settings is not None and not isinstance(settings, dict):
         raise FreeArtError(f"{path}: the method's settings are {_short(settings)}, expected an object or null")
-    words = [shortened(checked.text(data, key, path)) for key in ("name", "code", "hardware")]
+    words = [shorten(checked.text(data, key, path)) for key in ("name", "code", "hardware")]
     if not words[0].strip():
         raise FreeArtError(f"{path}: the method has no name")
-    return Method(words[0], words[1], plain(settings), words[2], lacks_of(data, path))
+    return Method(words[0], words[1], plain_json(settings), words[2], lacks_of(data, path))
 
 
 def _row(data: Any, where: str, rules: Protocol) -> Row:
     """The row that `data` holds; `where` begins its faults."""
     known = [field.name for field in fields(Row)]
     if not isinstance(data, dict) or sorted(data) != sorted(known):
-        got = ", ".join(shortened(str(key)) for key in sorted(data)) if isinstance(data, dict) else _short(data)
+        got = ", ".join(shorten(str(key)) for key in sorted(data)) if isinstance(data, dict) else _short(data)
         raise FreeArtError(f"{where} has {got[:LONGEST_TEXT]}, expected {', '.join(known)}")
     sequence = data["sequence"]
     if not _is_name(sequence):
@@ -156,7 +156,7 @@ def _row(data: Any, where: str, rules: Protocol) -> Row:
     if sorted(values) != sorted(expected):
         odd = sorted(set(values) ^ set(expected))[0]
         is_ = "lacks" if odd in expected else "has"
-        raise FreeArtError(f"{where}: its values {is_} '{shortened(odd)}', expected the numbers of {rules.name}")
+        raise FreeArtError(f"{where}: its values {is_} '{shorten(odd)}', expected the numbers of {rules.name}")
     centimetres = _numbers(data, "values_cm", where)
     if not set(centimetres) <= set(expected):
         raise FreeArtError(f"{where}: 'values_cm' has numbers that {rules.name} does not know")
@@ -167,7 +167,7 @@ def _row(data: Any, where: str, rules: Protocol) -> Row:
         sequence,
         data["joint_type"],
         data["status"],
-        shortened(data["reason"]),
+        shorten(data["reason"]),
         data["measured_from"],
         data["swapped"],
         diagonal,
@@ -188,7 +188,7 @@ def _check_summaries(said: Any, summaries: Iterable[Summary], path: Path) -> Non
     for one in said:
         group = str(one.get("group"))
         if group not in ours:
-            raise FreeArtError(f"{path} has a summary of '{shortened(group)}'; its rows are {', '.join(ours)}")
+            raise FreeArtError(f"{path} has a summary of '{shorten(group)}'; its rows are {', '.join(ours)}")
         wrong = _difference(one, ours[group])
         if wrong:
             raise FreeArtError(f"{path}: {wrong} of its {group} summary is not that of its rows")
@@ -201,12 +201,12 @@ def _difference(said: Mapping[str, Any], ours: Mapping[str, Any]) -> str:
         if isinstance(value, dict) and isinstance(mine, Mapping):
             deeper = _difference(value, mine)
             if deeper:
-                return f"{shortened(key)} {deeper}"
+                return f"{shorten(key)} {deeper}"
         elif isinstance(value, int | float) and isinstance(mine, int | float):
             if not math.isclose(value, mine, rel_tol=_CLOSE, abs_tol=_CLOSE):
-                return shortened(key)
+                return shorten(key)
         elif value != mine:
-            return shortened(key)
+            return shorten(key)
     return ""
 
 
@@ -228,7 +228,7 @@ def _line(data: dict[str, Any], key: str, path: Path) -> str:
 def _notes(value: Any, where: str) -> tuple[str, ...]:
     if not isinstance(value, list) or len(value) > MAX_NOTES or not all(isinstance(note, str) for note in value):
         raise FreeArtError(f"{where}: 'notes' is {_short(value)}, expected a list of at most {MAX_NOTES} lines")
-    return tuple(printable(note) for note in value)
+    return tuple(escape_unprintable(note) for note in value)
 
 
 def _numbers(data: dict[str, Any], key: str, where: str) -> dict[str, float | None]:
@@ -244,7 +244,7 @@ def _number(data: dict[str, Any], key: str, where: str) -> float | None:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
-        raise FreeArtError(f"{where}: '{shortened(key)}' is {_short(value)}, expected a finite number or null")
+        raise FreeArtError(f"{where}: '{shorten(key)}' is {_short(value)}, expected a finite number or null")
     return float(value)
 
 
@@ -270,4 +270,4 @@ def _short(value: Any) -> str:
     """At most sixty characters of what came from outside."""
     if isinstance(value, dict | list):
         return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
-    return printable(repr(value)[:60])
+    return escape_unprintable(repr(value)[:60])

@@ -67,17 +67,17 @@ class Fault:
         field = f": {self.field}" if self.field else ""
         frame = "" if self.frame is None or not self.field else f" (frame {self.frame})"  # a picture's name says it
         expected = f", expected {self.expected}" if self.expected else ""
-        return printable(f"{self.file}{field}{frame} {self.found}{expected}")
+        return escape_unprintable(f"{self.file}{field}{frame} {self.found}{expected}")
 
 
-def printable(text: str) -> str:
+def escape_unprintable(text: str) -> str:
     """`text` with control characters, lone surrogates and what else does not print written as escapes."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def shortened(text: str, longest: int = LONGEST_TEXT) -> str:
+def shorten(text: str, longest: int = LONGEST_TEXT) -> str:
     """`text` on one line, printable, of at most `longest` characters."""
-    return printable(" ".join(text[: 20 * longest].split()))[:longest]
+    return escape_unprintable(" ".join(text[: 20 * longest].split()))[:longest]
 
 
 def read_submission(folder: Path, frames: int, height: int, width: int) -> Reconstruction | Failure:
@@ -86,14 +86,14 @@ def read_submission(folder: Path, frames: int, height: int, width: int) -> Recon
     Raises FreeArtError when it is not one: unreadable files, links, another number of frames, masks of another size,
     numbers that are not in SI units.
     """
-    return read_with_notes(folder, frames, height, width)[0]
+    return read_submission_with_notes(folder, frames, height, width)[0]
 
 
-def read_with_notes(
+def read_submission_with_notes(
     folder: Path, frames: int, height: int, width: int
 ) -> tuple[Reconstruction | Failure, tuple[str, ...]]:
     """As `read_submission`, and a line about each fault that does not keep the answer from being scored."""
-    looking = look_through(Path(folder), frames, height, width)
+    looking = find_faults(Path(folder), frames, height, width)
     notes: list[str] = []
     while True:
         try:
@@ -106,7 +106,7 @@ def read_with_notes(
         notes.append(str(fault))
 
 
-def look_through(
+def find_faults(
     folder: Path, frames: int, height: int, width: int
 ) -> Generator[Fault, None, Reconstruction | Failure | None]:
     """Every fault of the result in `folder`, fatal or not; returns the answer when none was fatal."""
@@ -132,14 +132,14 @@ def look_through(
     )
 
 
-def method_of(results: Path) -> tuple[Method, list[Fault]]:
+def read_submitted_method(results: Path) -> tuple[Method, list[Fault]]:
     """The method of a results folder, its words printable and its settings plain, and what is wrong with method.json.
 
     One without the file is named after the folder; one whose file cannot be read is named UNREADABLE.
     """
     path = results / "method.json"
     if not checked.is_there(path):
-        return Method(shortened(results.resolve().name)), []
+        return Method(shorten(results.resolve().name)), []
     try:
         if path.is_symlink():
             return Method(UNREADABLE), [_link_fault("method.json")]
@@ -148,10 +148,11 @@ def method_of(results: Path) -> tuple[Method, list[Fault]]:
         if not isinstance(settings, dict):
             found, mend = f"is of type {type(settings).__name__}", "leave it out or write an object"
             fault = Fault("method.json", found, "an object", "settings", mend=mend, fatal=False)
-            return Method(shortened(checked.text(data, "name", path))), [fault]
-        words = [shortened(str(data.get(key) or "")) for key in ("code", "hardware")]
+            return Method(shorten(checked.text(data, "name", path))), [fault]
+        words = [shorten(str(data.get(key) or "")) for key in ("code", "hardware")]
         lacks, faults = _tried(results, path, "lacks", partial(lacks_of, data, path))
-        method = Method(shortened(checked.text(data, "name", path)), words[0], plain(settings), words[1], lacks or ())
+        name = shorten(checked.text(data, "name", path))
+        method = Method(name, words[0], plain_json(settings), words[1], lacks or ())
         return method, [replace(fault, fatal=False) for fault in faults]
     except Exception as error:  # as above
         fault = _unreadable("method.json", path, error)
@@ -159,7 +160,7 @@ def method_of(results: Path) -> tuple[Method, list[Fault]]:
         return Method(UNREADABLE), [replace(fault, fatal=False, mend=mend)]
 
 
-def link_faults(folder: Path) -> Iterator[Fault]:
+def find_link_faults(folder: Path) -> Iterator[Fault]:
     """A fault for a result folder that is a link, and for each link in it that leads out of it, or to itself."""
     if folder.is_symlink():
         yield _link_fault(folder.name)
@@ -180,7 +181,7 @@ def link_faults(folder: Path) -> Iterator[Fault]:
             yield replace(_link_fault(_named(folder, path)), found="leads out of the folder")
 
 
-def render_faults(
+def read_render(
     folder: Path, pictures: str, index: int, height: int, width: int
 ) -> tuple[NDArray[np.uint8] | None, list[Fault]]:
     """The picture of held-out query `index` in the subfolder `pictures`; None when there is none, or with its fault."""
@@ -197,7 +198,7 @@ def render_faults(
     return None, [replace(fault, fatal=False)]
 
 
-def appearance_faults(folder: Path) -> list[Fault]:
+def find_appearance_faults(folder: Path) -> list[Fault]:
     """What is wrong with gaussians.ply, if it is there: nothing is measured of it, so it costs nothing."""
     faults = _tried(folder, folder / GAUSSIANS, "", partial(read_appearance, folder))[1]
     return [replace(fault, fatal=False) for fault in faults]
@@ -205,7 +206,7 @@ def appearance_faults(folder: Path) -> list[Fault]:
 
 def _faults(folder: Path, frames: int, height: int, width: int, masks: list[NDArray[np.uint8]]) -> Iterator[Fault]:
     """Every fault before the answer is put together; `masks` gets what was read of part_mask/."""
-    links = list(link_faults(folder))
+    links = list(find_link_faults(folder))
     yield from links
     if links:
         return
@@ -394,16 +395,16 @@ def _named(folder: Path, path: Path) -> str:
     return f"{folder.name}/{path.relative_to(folder)}"
 
 
-def plain(value: Any, depth: int = 0) -> Any:
+def plain_json(value: Any, depth: int = 0) -> Any:
     """JSON that any reader takes: printable words, finite numbers that fit a float, no more than DEEPEST_SETTINGS."""
     if depth > DEEPEST_SETTINGS:
         return "..."
     if isinstance(value, dict):
-        return {printable(str(k)): plain(v, depth + 1) for k, v in value.items()}
+        return {escape_unprintable(str(k)): plain_json(v, depth + 1) for k, v in value.items()}
     if isinstance(value, list):
-        return [plain(v, depth + 1) for v in value]
+        return [plain_json(v, depth + 1) for v in value]
     if isinstance(value, str):
-        return printable(value)
+        return escape_unprintable(value)
     if isinstance(value, int | float) and not math.isfinite(value):
         return str(value)[:LONGEST_TEXT]
     return value

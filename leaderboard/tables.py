@@ -12,7 +12,7 @@ from rich.table import Table
 from leaderboard.protocol import Metric, Protocol
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row, Scores, Statistic, Summary
-from leaderboard.submission import printable
+from leaderboard.submission import escape_unprintable
 
 WIDTH = 100
 """Columns of characters that the table of ranking numbers fits."""
@@ -44,7 +44,7 @@ def column_foot(metric: Metric, beside: str = "") -> str:
 def ranking_metrics(rules: Protocol) -> tuple[Metric, ...]:
     """The metrics that have a column where there is room for few; all that stand beside no other one when none has."""
     chosen = tuple(metric for metric in rules.metrics if metric.column)
-    return chosen or tuple(metric for metric in rules.metrics if metric.beside is None)
+    return chosen or tuple(metric for metric in rules.metrics if metric.supplements is None)
 
 
 def column_head(metric: Metric) -> str:
@@ -124,7 +124,7 @@ def score_note(row: Row, protocol: str) -> str:
 def _table(scores: Scores, metrics: list[Metric], whole: bool) -> Table:
     rules = protocol_named(scores.protocol)
     title = f"{scores.method.name} by {rules.name}, sequences of {scores.benchmark['name']}; failures priced"
-    table = Table(title=escape(printable(title)), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table = Table(title=escape(escape_unprintable(title)), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("sequence", overflow="fold", min_width=10)
     table.add_column("", overflow="fold")
     for metric in metrics:

@@ -13,16 +13,16 @@ from freeart21.files.benchmark import read_benchmark
 from freeart21.files.sequence import read_sequence
 from freeart21.reconstruction import Failure, Piece, Reconstruction
 from freeart21.recording import Recording
-from leaderboard.asset_joint import measured_asset
+from leaderboard.asset_measurement import measure_asset
 from leaderboard.score import check_results_folder
 from leaderboard.submission import (
     Fault,
-    appearance_faults,
-    link_faults,
-    look_through,
-    method_of,
-    printable,
-    render_faults,
+    escape_unprintable,
+    find_appearance_faults,
+    find_faults,
+    find_link_faults,
+    read_render,
+    read_submitted_method,
 )
 from leaderboard.video_fit import describe_misfit
 
@@ -48,7 +48,7 @@ def validate_results(results: Path, data: Path) -> Report:
     """
     results, benchmark = Path(results), read_benchmark(data)
     check_results_folder(results, benchmark.sequences)
-    method, faults = method_of(results)
+    method, faults = read_submitted_method(results)
     notes: list[str] = []
     if not (results / "method.json").exists():
         notes.append(f"there is no method.json: the method is called {results.resolve().name}")
@@ -67,7 +67,9 @@ def validate_results(results: Path, data: Path) -> Report:
             and path.name[0] != "."
         ):
             notes.append(f"{path.name} is no sequence of {benchmark.name}, and will not be looked at")
-    return Report(len(benchmark.sequences), answers, failures, tuple(faults), tuple(printable(note) for note in notes))
+    return Report(
+        len(benchmark.sequences), answers, failures, tuple(faults), tuple(escape_unprintable(note) for note in notes)
+    )
 
 
 def _sequence(
@@ -78,18 +80,18 @@ def _sequence(
         mend = 'if it has no answer, write prediction.json with "status": "failed", "stage" and "reason"'
         return None, [Fault(folder.name, "is missing", "a folder with prediction.json", mend=mend)], []
     faults: list[Fault] = []
-    looking = look_through(folder, len(recording), height, width)
+    looking = find_faults(folder, len(recording), height, width)
     while True:
         try:
             faults.append(next(looking))
         except StopIteration as end:
             answer: Reconstruction | Failure | None = end.value
             break
-    if any(link_faults(folder)):
+    if any(find_link_faults(folder)):
         return answer, faults, []  # what else is named in it may lie anywhere
     notes = []
     for pictures in ("renders", "renders_other"):
-        found = [render_faults(folder, pictures, i, height, width) for i in range(len(recording.queries))]
+        found = [read_render(folder, pictures, i, height, width) for i in range(len(recording.queries))]
         wrong = [fault for _, some in found for fault in some]
         absent = sum(picture is None for picture, _ in found) - len(wrong)
         faults += wrong
@@ -100,7 +102,7 @@ def _sequence(
             and ((folder / pictures).is_dir() or pictures == "renders")
         ):
             notes.append(f"{folder.name}/{pictures}: {absent} of {len(found)} held-out views have no picture")
-    faults += appearance_faults(folder)
+    faults += find_appearance_faults(folder)
     if (folder / "asset").exists():
         states = answer.states if isinstance(answer, Reconstruction) else np.zeros(1)
         faults += _asset_faults(folder, states)
@@ -116,7 +118,7 @@ def _asset_faults(folder: Path, states: np.ndarray) -> Iterator[Fault]:
         f"{folder.name}/asset", "", mend="`freeart21 view` shows it; `freeart21 export` writes one that passes"
     )
     try:
-        asset = measured_asset(folder / "asset", states)
+        asset = measure_asset(folder / "asset", states)
     except FreeArtError as error:
         yield replace(fault, found=str(error).removeprefix(str(folder / "asset")).lstrip(": /"))
         return

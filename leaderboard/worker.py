@@ -31,7 +31,7 @@ ROW_MEMORY = 12 << 30
 """Bytes of address space that a row's process may have: ours have 1.2 GiB."""
 
 
-class RowEnded(Exception):
+class RowAborted(Exception):
     """A row took more than its limit, or ended the process that scored it."""
 
 
@@ -43,9 +43,9 @@ class Worker:
         self._over = False
 
     def score(self, request: dict[str, Any], limit_s: float) -> Row:
-        """The row that `leaderboard.case.score_sequence` makes of `request` (its arguments as JSON has them).
+        """The row that `leaderboard.sequence_score.score_sequence` makes of `request` (its arguments as JSON has them).
 
-        Raises RowEnded when it takes more than `limit_s` seconds or ends the process, FreeArtError as it does.
+        Raises RowAborted when it takes more than `limit_s` seconds or ends the process, FreeArtError as it does.
         """
         process = self._running()
         assert process.stdin is not None and process.stdout is not None
@@ -63,14 +63,16 @@ class Worker:
         if not line:
             code = process.wait()
             self.close()
-            raise RowEnded(f"scoring took more than {limit_s:g} s" if late else f"scoring ended with exit code {code}")
+            raise RowAborted(
+                f"scoring took more than {limit_s:g} s" if late else f"scoring ended with exit code {code}"
+            )
         if late:  # it answered as it was ended
             self.close()
         said: dict[str, Any] = json.loads(line)
         if "error" in said:
             raise FreeArtError(said["error"])
         if "ended" in said:
-            raise RowEnded(said["ended"])
+            raise RowAborted(said["ended"])
         return Row.from_json(said["row"])
 
     def _running(self) -> subprocess.Popen[str]:
@@ -85,7 +87,7 @@ class Worker:
             )
         if self._over:
             _kill(self._process)
-            raise RowEnded("scoring was stopped")
+            raise RowAborted("scoring was stopped")
         return self._process
 
     def end(self) -> None:
@@ -155,7 +157,7 @@ def main() -> None:
 
 
 def _answer(request: dict[str, Any]) -> dict[str, Any]:
-    from leaderboard.case import score_sequence
+    from leaderboard.sequence_score import score_sequence
 
     result, sequence, truth = (Path(request[key]) for key in ("result", "sequence", "truth"))
     try:

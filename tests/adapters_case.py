@@ -13,12 +13,12 @@ import numpy as np
 import trimesh
 from plyfile_like import write_cloud
 from scipy.spatial.transform import Rotation
-from score_case import few_samples, truths, write_data
+from score_files import few_samples, truths, write_data
 
 from freeart21.files.result import read_method
 from leaderboard.adapters.importer import import_results
 from leaderboard.adapters.toolbox import Options
-from leaderboard.case import score_sequence
+from leaderboard.sequence_score import score_sequence
 
 __all__ = ["few_samples", "write_data"]
 GL = np.diag([1.0, -1.0, -1.0, 1.0])

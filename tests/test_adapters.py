@@ -13,12 +13,12 @@ from adapters_case import (
     write_json,
 )
 from scipy.spatial.transform import Rotation
-from score_case import score_one
+from score_files import score_one
 
 from freeart21.files.result import read_method, read_result
 from freeart21.reconstruction import Failure
 from leaderboard.adapters.importer import import_results
-from leaderboard.case import score_sequence
+from leaderboard.sequence_score import score_sequence
 
 CLOUD = 1.0
 """% of the diagonal: what a cloud of a few thousand points leaves of Chamfer distance on the made-up object."""

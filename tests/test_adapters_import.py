@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adapters_case import few_samples, official_example, truth_of, write_data, write_json
-from score_case import score_results
+from score_files import score_results
 from synthetic_case import FRAMES
 from test_adapters import freeartgs, itaco
 from test_adapters_followed import rsrd, runs_of

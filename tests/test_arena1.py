@@ -22,7 +22,7 @@ from perturbed import (
     with_poses,
     with_states,
 )
-from score_case import write_asset
+from score_files import write_asset
 from synthetic_case import (
     in_frame,
     make_recording,
@@ -36,10 +36,18 @@ from synthetic_case import (
 from freeart21.errors import FreeArtError
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
-from leaderboard.asset_joint import measured_joint
-from leaderboard.case import Case
+from leaderboard.asset_measurement import measure_joint
 from leaderboard.protocols import arena1
-from leaderboard.protocols.arena1 import ARENA_1, KAPPA, distance, ends, pair_distance, solid_of, still_distance
+from leaderboard.protocols.arena1 import (
+    ARENA_1,
+    KAPPA,
+    end_twists,
+    joint_distance,
+    pair_distance,
+    solid_from_mesh,
+    still_distance,
+)
+from leaderboard.sequence_score import SequenceScorer
 
 scored = functools.partial(values_of, ARENA_1)
 IDS = ("twist", "twist_shown", "twist_compact")
@@ -62,14 +70,14 @@ def random_joint(rng, kind=None):
 
 
 def test_a_box_weighs_as_a_box_does():
-    solid = solid_of(body())
+    solid = solid_from_mesh(body())
     a, b, c = BOX
     assert solid.mass == pytest.approx(a * b * c) and np.allclose(solid.centre, (0.1, -0.2, 0.3))
     assert np.allclose(solid.inertia / solid.mass, np.diag([b * b + c * c, a * a + c * c, a * a + b * b]) / 12)
 
 
 def test_the_norm_is_the_root_mean_square_speed_of_the_parts_points():
-    solid, n = solid_of(body()), 24
+    solid, n = solid_from_mesh(body()), 24
     grid = (np.stack(np.meshgrid(*[(np.arange(n) + 0.5) / n - 0.5] * 3, indexing="ij"), -1) * BOX).reshape(-1, 3)
     points = grid + np.array((0.1, -0.2, 0.3))
     for twist in np.random.default_rng(0).normal(size=(5, 6)):
@@ -80,10 +88,10 @@ def test_the_norm_is_the_root_mean_square_speed_of_the_parts_points():
 def test_an_open_mesh_is_taken_as_its_hull_and_a_flat_one_as_a_sheet():
     closed = body()
     holed = Mesh(closed.vertices, closed.faces[2:])
-    assert np.allclose(solid_of(holed).inertia, solid_of(closed).inertia)
+    assert np.allclose(solid_from_mesh(holed).inertia, solid_from_mesh(closed).inertia)
     a, b, _ = BOX
     for flat in (Mesh(closed.vertices * [1, 1, 0], closed.faces), body((a, b, 1e-7), (0.1, -0.2, 0))):
-        sheet = solid_of(flat)
+        sheet = solid_from_mesh(flat)
         assert np.allclose(sheet.centre, (0.1, -0.2, 0), atol=1e-6)
         assert np.allclose(sheet.inertia / sheet.mass, np.diag([b * b, a * a, a * a + b * b]) / 12, atol=1e-6)
 
@@ -125,7 +133,7 @@ def test_tilting_a_slider_costs_the_chord(degrees):
 def test_tilting_a_hinge_costs_the_speed_of_the_part_about_the_difference():
     truth = make_truth()
     joint, answer = truth.articulation.joint, tilted(truth, 10.0)
-    solid = solid_of(truth.articulation.moving)
+    solid = solid_from_mesh(truth.articulation.moving)
     other = answer.articulation.joint
     off = other.screw - joint.screw  # both ends, times their angle
     expected = np.sqrt(solid.square(off)) * np.hypot(joint.lower, joint.upper)
@@ -139,7 +147,7 @@ def test_a_wrong_type_costs_what_the_two_motions_differ_by():
     truth = make_truth()
     joint = truth.articulation.joint
     answer = other_type(truth)
-    solid = solid_of(truth.articulation.moving)
+    solid = solid_from_mesh(truth.articulation.moving)
     zero = int(np.argmin(np.abs(truth.states)))
     slide = replace(
         answer.articulation.joint,
@@ -147,7 +155,7 @@ def test_a_wrong_type_costs_what_the_two_motions_differ_by():
         upper=joint.upper - answer.states[zero],
     )
     assert scored(truth, answer)["twist"] == pytest.approx(
-        pair_distance(ends(joint, solid), ends(slide, solid), solid.square)
+        pair_distance(end_twists(joint, solid), end_twists(slide, solid), solid.square)
     )
     assert scored(truth, answer)["joint_type"] == 0
 
@@ -155,16 +163,16 @@ def test_a_wrong_type_costs_what_the_two_motions_differ_by():
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_moving_costs_what_a_failure_does(kind):
     truth = make_truth(kind)
-    joint, solid = truth.articulation.joint, solid_of(truth.articulation.moving)
+    joint, solid = truth.articulation.joint, solid_from_mesh(truth.articulation.moving)
     still = with_states(truth, 0 * truth.states)
     still = with_joint(still, replace(joint, lower=0.0, upper=0.0), still.states)
-    row = Case(ARENA_1, make_recording(truth), truth).priced("failed", "declared")
+    row = SequenceScorer(ARENA_1, make_recording(truth), truth).penalised_row("failed", "declared")
     size = np.sqrt(solid.square(joint.screw)) * np.hypot(joint.lower, joint.upper)
     assert row.values["twist"] == pytest.approx(size) and row.values["joint_type"] == 0
     offset = float(np.median(truth.states))  # its zero is laid on the middle of the true states
     moved = replace(joint, lower=offset, upper=offset)
     assert scored(truth, still)["twist"] == pytest.approx(
-        pair_distance(ends(joint, solid), ends(moved, solid), solid.square), rel=0.05
+        pair_distance(end_twists(joint, solid), end_twists(moved, solid), solid.square), rel=0.05
     )
 
 
@@ -190,7 +198,7 @@ def test_what_is_the_same_motion_costs_nothing(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_reversed_motion_is_another_motion(kind):
     truth = make_truth(kind)
-    joint, solid = truth.articulation.joint, solid_of(truth.articulation.moving)
+    joint, solid = truth.articulation.joint, solid_from_mesh(truth.articulation.moving)
     values = scored(truth, with_states(truth, -truth.states))
     assert values["twist_shown"] > 0.1 * still_distance(joint, solid)
 
@@ -204,33 +212,33 @@ def test_millimetres_and_poses_of_another_convention_are_seen(kind):
 
 
 def test_it_is_a_metric():
-    rng, solid = np.random.default_rng(0), solid_of(body())
+    rng, solid = np.random.default_rng(0), solid_from_mesh(body())
     for _ in range(200):
         a, b, c = (random_joint(rng) for _ in range(3))
         for kappa in (None, KAPPA):
-            ab, bc, ac = (distance(x, y, solid, kappa) for x, y in ((a, b), (b, c), (a, c)))
-            assert ab == pytest.approx(distance(b, a, solid, kappa), abs=1e-12) and ac <= ab + bc + 1e-12
-        assert distance(a, a.reversed(), solid) == pytest.approx(0, abs=1e-12)
-        assert distance(a, b, solid, KAPPA) <= 2 * np.sqrt(2)
+            ab, bc, ac = (joint_distance(x, y, solid, kappa) for x, y in ((a, b), (b, c), (a, c)))
+            assert ab == pytest.approx(joint_distance(b, a, solid, kappa), abs=1e-12) and ac <= ab + bc + 1e-12
+        assert joint_distance(a, a.reversed(), solid) == pytest.approx(0, abs=1e-12)
+        assert joint_distance(a, b, solid, KAPPA) <= 2 * np.sqrt(2)
 
 
 def test_joints_without_limits():
     truth = make_truth()
     joint = truth.articulation.joint
     endless = replace(joint, lower=-np.inf, upper=np.inf)
-    row = Case(ARENA_1, make_recording(truth), truth).measured(
+    row = SequenceScorer(ARENA_1, make_recording(truth), truth).measure_row(
         with_joint(truth_as_answer(truth), endless), Path("none"), "files"
     )
-    assert row.values["twist"] == Case(ARENA_1, make_recording(truth), truth).prices()["twist"]
+    assert row.values["twist"] == SequenceScorer(ARENA_1, make_recording(truth), truth).penalties()["twist"]
     assert "no limits" in row.notes[0] and row.values["twist_compact"] > 1
     turning = replace(truth, articulation=replace(truth.articulation, joint=endless))
-    case = Case(ARENA_1, make_recording(turning), turning)
-    assert case.priced("failed", "declared").values["twist"] is None
-    values = case.measured(truth_as_answer(turning), Path("none"), "files").values
+    case = SequenceScorer(ARENA_1, make_recording(turning), turning)
+    assert case.penalised_row("failed", "declared").values["twist"] is None
+    values = case.measure_row(truth_as_answer(turning), Path("none"), "files").values
     assert values["twist"] is None and values["twist_compact"] == pytest.approx(0, abs=1e-9)
-    solid = solid_of(truth.articulation.moving)
+    solid = solid_from_mesh(truth.articulation.moving)
     far = replace(joint, lower=-1e6, upper=1e6)
-    assert distance(endless, far, solid, KAPPA) == pytest.approx(0, abs=1e-9)
+    assert joint_distance(endless, far, solid, KAPPA) == pytest.approx(0, abs=1e-9)
 
 
 def test_everything_between_is_finite():
@@ -245,14 +253,14 @@ def test_everything_between_is_finite():
 def test_an_assets_limits_are_its_urdfs_counted_from_the_canonical_zero(tmp_path):
     joint = make_truth().articulation.joint
     write_asset(tmp_path / "a", joint, state_zero=0.3, limits=(-0.5, 1.1))
-    found, _ = measured_joint(tmp_path / "a", [0.0, 0.5])
+    found, _ = measure_joint(tmp_path / "a", [0.0, 0.5])
     assert (found.lower, found.upper) == pytest.approx((-0.8, 0.8))
 
     def endless(text):
         return text.replace('type="revolute"', 'type="continuous"').replace('lower="-2.0" upper="2.0"', "")
 
     write_asset(tmp_path / "b", joint, urdf=endless)
-    found, _ = measured_joint(tmp_path / "b", [0.0, 0.5])
+    found, _ = measure_joint(tmp_path / "b", [0.0, 0.5])
     assert (found.lower, found.upper) == (-np.inf, np.inf)
 
 
@@ -263,7 +271,7 @@ def test_ours_is_the_packages_number():
     package = pytest.importorskip("articulatearena")
     rng = np.random.default_rng(1)
     for _ in range(200):
-        solid = solid_of(body(rng.uniform(0.02, 1.0, 3), rng.normal(size=3)))
+        solid = solid_from_mesh(body(rng.uniform(0.02, 1.0, 3), rng.normal(size=3)))
         a, b = random_joint(rng), random_joint(rng)
         norm = package.make_kinetic_energy_norm(package.LinkInertia(solid.mass, solid.centre, solid.inertia))
         theirs = []
@@ -271,13 +279,13 @@ def test_ours_is_the_packages_number():
             twist = package.screw_twist(joint.axis, joint.pivot, joint.type)
             theirs.append(package.joint_to_endpoint_pair(package.Joint(twist, joint.lower, joint.upper, joint.type)))
         four = [end.data for pair in theirs for end in (pair.u, pair.v)]
-        ours = pair_distance(ends(a, solid), ends(b, solid), solid.square)
+        ours = pair_distance(end_twists(a, solid), end_twists(b, solid), solid.square)
         assert ours == pytest.approx(package.joint_metric(*four, norm), rel=1e-12)
-        compact = pair_distance(ends(a, solid, KAPPA), ends(b, solid, KAPPA), solid.square)
+        compact = pair_distance(end_twists(a, solid, KAPPA), end_twists(b, solid, KAPPA), solid.square)
         assert compact == pytest.approx(package.compactified_joint_metric(*four, norm, KAPPA), rel=1e-12)
         assert still_distance(a, solid) == pytest.approx(package.cost_to_fixed((four[0], four[1]), norm), rel=1e-12)
         endless = replace(a, lower=-np.inf, upper=np.inf)
-        assert distance(endless, b, solid, KAPPA) > 0  # holds ours to theirs within, and raises where they differ
+        assert joint_distance(endless, b, solid, KAPPA) > 0  # holds ours to theirs within, and raises where they differ
 
 
 def test_the_body_is_the_packages_body(tmp_path):
@@ -288,7 +296,7 @@ def test_the_body_is_the_packages_body(tmp_path):
     write_asset(tmp_path, joint)
     theirs = load_joint_child_inertia(tmp_path / "made.urdf", joint.name)
     ply = trimesh.load(tmp_path / "meshes" / "lid.ply", force="mesh")
-    ours = solid_of(Mesh(ply.vertices, ply.faces))
+    ours = solid_from_mesh(Mesh(ply.vertices, ply.faces))
     assert ours.mass == pytest.approx(theirs.mass) and np.allclose(ours.centre, theirs.com, atol=1e-9)
     assert np.allclose(ours.inertia, theirs.inertia, rtol=1e-9, atol=1e-12)
 

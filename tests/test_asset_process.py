@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from leaderboard import asset_process
-from leaderboard.asset_process import Ended, Late
+from leaderboard.asset_process import Crashed, TimedOut
 
 
 @pytest.fixture
@@ -28,13 +28,13 @@ def test_each_request_has_a_process_that_knows_nothing_of_the_others(ask, tmp_pa
 )
 def test_a_process_that_ends_without_an_answer_is_told_and_the_next_one_answers(ask, do, said):
     waiting = ask("answer") and asset_process._waiting.process.pid
-    with pytest.raises(Ended, match=said):
+    with pytest.raises(Crashed, match=said):
         ask(do)
     assert ask("answer")["asked"] == 1 and asset_process._waiting.process.pid == waiting
 
 
 def test_one_that_takes_too_long_is_ended(ask):
-    with pytest.raises(Late):
+    with pytest.raises(TimedOut):
         ask("hang", 0.5)
     assert ask("answer")["asked"] == 1
     assert not _children(asset_process._waiting.process.pid)

@@ -108,7 +108,7 @@ def _check_asset(folder: Path) -> list[list[str]]:
 
 
 def _score(folder: Path) -> list[list[str]]:
-    from score_case import submit, truths, write_data
+    from score_files import submit, truths, write_data
 
     write_data(folder / "data")
     submit(folder / "results" / "a", truths()["a"], renders=False)

@@ -16,11 +16,11 @@ from freeart21.files.atomic import write_json
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.result import Method
 from leaderboard import commands, compare
-from leaderboard.categories import category_of
+from leaderboard.bootstrap import bootstrap_intervals, min_sequences
+from leaderboard.categories import read_category
 from leaderboard.compare import compare_results
 from leaderboard.compare_files import COMPARISONS, write_comparison
 from leaderboard.compare_tables import grids, latex, legend, markdown, pieces, print_comparison
-from leaderboard.paired import fewest, paired_intervals
 from leaderboard.protocols import PROTOCOLS, protocol_named
 from leaderboard.rows import Row, Scores
 from leaderboard.score import benchmark_facts, summarise
@@ -167,7 +167,7 @@ def test_an_interval_of_two_values_is_that_of_the_binomial_distribution():
     from scipy.stats import binom, norm, t
 
     n, level = 20, 0.9
-    (found,) = paired_intervals(np.repeat([0.0, 1.0], n // 2)[:, None], level, 200_000)
+    (found,) = bootstrap_intervals(np.repeat([0.0, 1.0], n // 2)[:, None], level, 200_000)
     tail = norm.cdf(-np.sqrt(n / (n - 1)) * t.ppf((1 + level) / 2, n - 1))
     assert found.mean == 0.5
     assert found.low == binom.ppf(tail, n, 0.5) / n and found.high == binom.ppf(1 - tail, n, 0.5) / n
@@ -176,22 +176,22 @@ def test_an_interval_of_two_values_is_that_of_the_binomial_distribution():
 @pytest.mark.parametrize("n", [6, 15, 21])
 def test_an_interval_of_90_percent_holds_the_true_difference_that_often(n):
     draws = np.random.default_rng(n).normal(0.3, 2.0, (n, 400))
-    held = [one.low <= 0.3 <= one.high for one in paired_intervals(draws, 0.9, 4000)]
+    held = [one.low <= 0.3 <= one.high for one in bootstrap_intervals(draws, 0.9, 4000)]
     assert 0.85 <= np.mean(held) <= 0.95
 
 
 def test_an_interval_of_lopsided_differences_holds_nearly_that_often():
     """Errors that are mostly small and sometimes a failure's price: the honest limit of 15 sequences."""
     draws = np.random.default_rng(3).exponential(1.0, (15, 400))
-    held = [one.low <= 1.0 <= one.high for one in paired_intervals(draws, 0.9, 4000)]
+    held = [one.low <= 1.0 <= one.high for one in bootstrap_intervals(draws, 0.9, 4000)]
     assert 0.8 <= np.mean(held) <= 0.95
 
 
 def test_few_sequences_have_no_interval():
-    assert fewest(0.95) == 6 and fewest(0.9) == 5
+    assert min_sequences(0.95) == 6 and min_sequences(0.9) == 5
     rng = np.random.default_rng(0)
     for n, has in ((1, False), (5, False), (6, True)):
-        (found,) = paired_intervals(rng.normal(size=(n, 1)))
+        (found,) = bootstrap_intervals(rng.normal(size=(n, 1)))
         assert (found.low is not None) == has and found.sequences == n and (has or not found.sure)
 
 
@@ -200,9 +200,9 @@ def test_intervals_are_the_same_every_time_and_of_each_column_alone():
     draws[3:, 2] = np.nan
     draws[:, 4] = np.nan
     draws[:9, 1] = np.nan
-    together = paired_intervals(draws)
-    assert together == paired_intervals(draws) and together[4] is None and together[2].low is None
-    assert together[1] == paired_intervals(draws[9:, 1:2])[0]
+    together = bootstrap_intervals(draws)
+    assert together == bootstrap_intervals(draws) and together[4] is None and together[2].low is None
+    assert together[1] == bootstrap_intervals(draws[9:, 1:2])[0]
     assert together[0].low < together[0].mean < together[0].high
 
 
@@ -245,12 +245,12 @@ def test_what_a_method_does_not_make_is_a_dash_and_in_no_difference(data, compar
 def test_categories_are_what_the_truth_says_and_never_guessed(tmp_path):
     def said(source):
         write_json(tmp_path / "truth.json", {"schema": "freeart21/truth/1", "source": source})
-        return category_of(tmp_path)
+        return read_category(tmp_path)
 
     assert said({"category": "Stapler"}) == "Stapler"
     assert said({"object": "mini_stapler"}) == "Stapler" and said({"object": "4552"}) == "Display"
     assert said({"object": "my_stapler"}) == said({}) == said(None) == said({"category": 3}) == "unknown"
-    assert category_of(tmp_path / "none") == "unknown"
+    assert read_category(tmp_path / "none") == "unknown"
     assert said({"category": "a\x1b[2J\nb"}).isprintable()
 
 
@@ -331,7 +331,7 @@ def test_results_folders_are_scored_and_kept(data, tmp_path, monkeypatch):
         asked.append((place.name, protocol, keep))
         return made(data, place.name)
 
-    monkeypatch.setattr(compare, "kept_scores", kept)
+    monkeypatch.setattr(compare, "cached_scores", kept)
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "method.json").write_text("{}")

@@ -212,7 +212,7 @@ def test_the_example_of_a_verdict_is_what_gap_writes(written: Path) -> None:
 
 
 def test_the_example_of_scores_is_read_and_has_the_fields_that_score_writes(written: Path, tmp_path: Path) -> None:
-    from leaderboard.provenance import made_with
+    from leaderboard.provenance import describe_environment
     from leaderboard.scores_file import read_scores, write_scores
 
     said, scores = read_json(written / "scores.json"), read_scores(written / "scores.json")
@@ -223,8 +223,8 @@ def test_the_example_of_scores_is_read_and_has_the_fields_that_score_writes(writ
         assert again[key] == said[key]
     assert again["protocol"]["metrics"][0].keys() == said["protocol"]["metrics"][0].keys()
     assert again["summaries"][0]["statistics"]["axis"] == said["summaries"][0]["statistics"]["axis"]
-    assert said["made_with"].keys() == made_with().keys()
-    assert said["made_with"]["machine"].keys() == made_with()["machine"].keys()
+    assert said["made_with"].keys() == describe_environment().keys()
+    assert said["made_with"]["machine"].keys() == describe_environment()["machine"].keys()
 
 
 def test_the_example_of_a_comparison_has_the_fields_that_compare_writes(written: Path, tmp_path: Path) -> None:

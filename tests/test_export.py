@@ -35,7 +35,7 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh, middle
 from freeart21.reconstruction import Failure, Reconstruction
 from generator.simulate import joint_motion, load, roll_out
-from leaderboard.asset_joint import measured_joint
+from leaderboard.asset_measurement import measure_joint
 
 RED, BLUE = (200, 30, 20), (20, 40, 220)
 
@@ -168,7 +168,7 @@ def test_the_part_that_carries_is_the_root_and_moves_the_same_joint(tmp_path: Pa
     asked = np.array([0.0, 0.3, 0.8])
     expected = exchanged.articulation.joint.transform(asked)
     np.testing.assert_allclose(joint_motion(asset, asked), expected, atol=1e-6)
-    scored, states = measured_joint(tmp_path / "b", asked)
+    scored, states = measure_joint(tmp_path / "b", asked)
     np.testing.assert_allclose(scored.transform(states), expected, atol=1e-5)
 
 
@@ -226,11 +226,11 @@ def test_a_scaled_asset_is_the_scaled_object_and_moves_as_it(tmp_path: Path, kin
 
 
 def test_a_scaled_asset_is_not_scored(tmp_path: Path):
-    from leaderboard.asset_joint import measured_joint
+    from leaderboard.asset_measurement import measure_joint
 
     export_result(reconstruction(), tmp_path / "a", ExportSettings(scale=2.0))
     with pytest.raises(FreeArtError, match="has 2 times the video's lengths"):
-        measured_joint(tmp_path / "a", [0.0, 0.5])
+        measure_joint(tmp_path / "a", [0.0, 0.5])
 
 
 def test_up_becomes_z(tmp_path: Path):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from score_case import truths, write_data
+from score_files import truths, write_data
 from synthetic_case import truth_as_answer
 
 from freeart21.errors import FreeArtError

@@ -27,8 +27,8 @@ from synthetic_case import in_frame, make_recording, random_pose, truth_as_answe
 from freeart21 import se3
 from freeart21.articulation import Articulation
 from freeart21.mesh import Mesh
-from leaderboard.case import Case
 from leaderboard.protocols.itaco1 import ITACO_1, Itaco1
+from leaderboard.sequence_score import SequenceScorer
 
 scored = functools.partial(values_of, ITACO_1, constants=Itaco1(samples=3000))
 SURFACES = ("cd_w", "cd_m", "cd_s")
@@ -145,8 +145,8 @@ def test_the_moving_map_counts_the_frames_that_have_any():
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_failure_costs_what_theirs_does(kind):
     truth = make_truth(kind)
-    case = Case(ITACO_1, make_recording(truth), truth)
-    assert case.priced("failed", "declared").values == {
+    case = SequenceScorer(ITACO_1, make_recording(truth), truth)
+    assert case.penalised_row("failed", "declared").values == {
         "joint_type": 0,
         "axis": 90,
         "position": 100 if kind == "revolute" else None,
@@ -157,8 +157,8 @@ def test_a_failure_costs_what_theirs_does(kind):
         "camera_position": 100,
     }
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
-    row = case.measured(with_parts(truth_as_answer(truth), moving=empty), Path("none"), "files")
+    row = case.measure_row(with_parts(truth_as_answer(truth), moving=empty), Path("none"), "files")
     assert row.values["cd_m"] == 100 and row.notes == ()  # held-out views are not asked for
     parts = truth.articulation
     neither = replace(truth_as_answer(truth), articulation=Articulation(parts.joint, empty, empty))
-    assert case.measured(neither, Path("none"), "files").values["cd_w"] == 100
+    assert case.measure_row(neither, Path("none"), "files").values["cd_w"] == 100

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from perturbed import KINDS, make_truth, tilted, with_parts
 from rich.console import Console
-from score_case import few_samples, score_results, submit, truths, write_data
-from score_case import score_results_apart as score_apart
+from score_files import few_samples, score_results, submit, truths, write_data
+from score_files import score_results_apart as score_apart
 from synthetic_case import (
     in_frame,
     make_recording,
@@ -27,12 +27,12 @@ from freeart21.files.result import Method, write_method, write_result
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import PIECES, Failure
-from leaderboard.case import Case
 from leaderboard.protocols.arena1 import ARENA_1
 from leaderboard.protocols.itaco1 import ITACO_1, Itaco1
 from leaderboard.protocols.paper1 import PAPER_1, Paper1
 from leaderboard.protocols.strict1 import STRICT_1, Strict1
 from leaderboard.protocols.strict2 import STRICT_2
+from leaderboard.sequence_score import SequenceScorer
 from leaderboard.tables import NOTHING, _cell, print_scores
 from leaderboard.validate import validate_results
 
@@ -95,7 +95,7 @@ def without(answer, lacks, anchor=ANCHOR):
 
 
 def row_of(rules, truth, answer, lacks, folder=Path("none")):
-    return Case(rules, make_recording(truth), truth, lacks).measured(answer, folder, "files")
+    return SequenceScorer(rules, make_recording(truth), truth, lacks).measure_row(answer, folder, "files")
 
 
 def assert_perfect(rules, row, lacks):
@@ -167,11 +167,11 @@ def test_fillers_do_not_count(rules, lacks):
 @pytest.mark.parametrize("lacks", SOME, ids="-".join)
 def test_a_failure_has_no_price_for_what_the_method_does_not_make(rules, lacks):
     truth = make_truth()
-    case = Case(rules, make_recording(truth), truth, lacks)
-    full = Case(rules, make_recording(truth), truth).prices()
+    case = SequenceScorer(rules, make_recording(truth), truth, lacks)
+    full = SequenceScorer(rules, make_recording(truth), truth).penalties()
     for metric in rules.metrics:
         expected = None if {*lacks} & {*metric.needs} else full[metric.id]
-        assert case.priced("failed", "declared").values[metric.id] == expected, metric.id
+        assert case.penalised_row("failed", "declared").values[metric.id] == expected, metric.id
 
 
 def test_the_axis_and_its_place_are_measured_in_the_anchor_frame():

@@ -96,9 +96,11 @@ def test_a_planted_import_is_found(room, planted):
 def test_the_checklist_is_asked_only_where_assets_are_loaded_in_a_process_of_their_own():
     for path in (ROOT / "leaderboard").rglob("*.py"):
         asked = [at_top for module, at_top in imports(path.read_text()) if module.startswith("export")]
-        assert not any(asked) and bool(asked) == (path.name == "asset_joint.py"), path
-    source = (ROOT / "leaderboard" / "asset_joint.py").read_text()
-    (function,) = [f for f in ast.walk(ast.parse(source)) if isinstance(f, ast.FunctionDef) and f.name == "_examined"]
+        assert not any(asked) and bool(asked) == (path.name == "asset_measurement.py"), path
+    source = (ROOT / "leaderboard" / "asset_measurement.py").read_text()
+    (function,) = [
+        f for f in ast.walk(ast.parse(source)) if isinstance(f, ast.FunctionDef) and f.name == "_examine_asset"
+    ]
     assert "export.checklist" in {module for module, _ in imports(ast.unparse(function))}
 
 

@@ -23,7 +23,7 @@ from freeart21.effects.viscous_damping import ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
 from generator.simulate import joint_motion
-from leaderboard.asset_joint import measured_joint
+from leaderboard.asset_measurement import measure_joint
 from simgap.prove.writeback import repaired
 
 ALL = frozenset({"object.urdf", "object.xml", "object.usdc"})
@@ -85,7 +85,7 @@ def test_an_asset_of_either_base_is_the_same_asset(tmp_path: Path, base):
     asked = np.array([0.0, 0.3, 0.8])
     expected = answer.articulation.joint.transform(asked)
     np.testing.assert_allclose(joint_motion(asset, asked), expected, atol=1e-6)
-    joint, states = measured_joint(tmp_path / "a", asked)
+    joint, states = measure_joint(tmp_path / "a", asked)
     np.testing.assert_allclose(joint.transform(states), expected, atol=1e-5)
     free = ET.parse(tmp_path / "a/object.xml").find(".//freejoint")
     assert (free is not None) == (base == "free")

@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from score_case import few_samples, score_results, submit
+from score_files import few_samples, score_results, submit
 from synthetic_case import QUERIES, make_recording, make_truth
 
 from freeart21.errors import FreeArtError
@@ -26,7 +26,7 @@ from freeart21.files.truth import read_truth, write_truth
 from freeart21.files.verify import verify
 from leaderboard import commands, kept
 from leaderboard.compare import compare_results
-from leaderboard.pack import EPOCH_S, key_place, pack_public, pack_truth, read_key
+from leaderboard.pack import EPOCH_S, default_key_path, pack_public, pack_truth, read_or_create_key
 from leaderboard.scores_file import write_scores
 from leaderboard.validate import validate_results
 
@@ -156,7 +156,7 @@ def secrets_of(data: Path, truths) -> dict[str, bytes]:
                 )
         for i in range(QUERIES):
             found[f"view {i}"] = truth.query_rgb(i)[..., ::-1].tobytes()  # as OpenCV gives pixels
-    key = key_place(data).read_text()
+    key = default_key_path(data).read_text()
     found["key"] = json.loads(key)["key"].encode()
     return found
 
@@ -280,7 +280,7 @@ def test_packing_again_gives_the_same_bytes_and_replaces_only_a_pack(data, halve
 def test_a_packed_set_packed_again_is_itself(halves, tmp_path):
     """So it says nothing but what its pictures and numbers show."""
     pack_public(halves[0], tmp_path / "again")
-    assert contents(tmp_path / "again") == contents(halves[0]) and not key_place(halves[0]).exists()
+    assert contents(tmp_path / "again") == contents(halves[0]) and not default_key_path(halves[0]).exists()
     with pytest.raises(FreeArtError, match="packed without its truth"):
         pack_truth(halves[0], tmp_path / "none")
 
@@ -305,10 +305,10 @@ def test_a_zip_is_the_folder_and_the_same_every_time(data, halves, tmp_path):
 
 
 def test_the_key_decides_names_and_salt_and_is_for_its_owner(data, halves, tmp_path):
-    place = key_place(data)
+    place = default_key_path(data)
     assert place == data.parent / "data.key" and stat.S_IMODE(place.stat().st_mode) == 0o600
-    key = read_key(place)
-    assert read_key(place) == key and len(key) == 32
+    key = read_or_create_key(place)
+    assert read_or_create_key(place) == key and len(key) == 32
     pack_public(data, tmp_path / "other", tmp_path / "other.key")
     names = [set(read_benchmark(folder).sequences) for folder in (halves[0], tmp_path / "other")]
     assert not names[0] & names[1]

@@ -34,11 +34,11 @@ from synthetic_case import (
 
 from freeart21 import se3
 from freeart21.mesh import Mesh
-from leaderboard.case import Case
 from leaderboard.protocols.paper1 import PAPER_1, Paper1, average_alignment, measure, state_error
 from leaderboard.protocols.strict1 import Strict1
 from leaderboard.protocols.strict2 import STRICT_2
-from leaderboard.registration import registered
+from leaderboard.registration import register_clouds
+from leaderboard.sequence_score import SequenceScorer
 
 scored = functools.partial(values_of, PAPER_1, constants=Paper1(samples=1500))
 strict = functools.partial(values_of, STRICT_2, constants=Strict1(samples=1500))
@@ -145,9 +145,9 @@ def test_a_wrong_type_is_a_flag_and_nothing_else_is_priced(kind):
     truth = make_truth(kind)
     values = scored(truth, other_type(truth))
     assert values["joint_type"] == 0 and values["axis"] == pytest.approx(0, abs=1e-6)
-    row = Case(PAPER_1, make_recording(truth), truth).measured(other_type(truth), Path("none"), "files")
+    row = SequenceScorer(PAPER_1, make_recording(truth), truth).measure_row(other_type(truth), Path("none"), "files")
     assert row.values["axis"] == pytest.approx(0, abs=1e-6) and row.values["state"] < 90
-    assert STRICT_2.metric("axis").price == 90 and "axis" not in strict(truth, other_type(truth))
+    assert STRICT_2.metric("axis").penalty == 90 and "axis" not in strict(truth, other_type(truth))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -189,15 +189,15 @@ def test_a_part_of_another_shape_is_not_registered_away():
 def test_a_missing_part_costs_a_square_metre():
     truth = make_truth()
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
-    case = Case(PAPER_1, make_recording(truth), truth)
-    row = case.measured(with_parts(truth_as_answer(truth), moving=empty), Path("none"), "files")
+    case = SequenceScorer(PAPER_1, make_recording(truth), truth)
+    row = case.measure_row(with_parts(truth_as_answer(truth), moving=empty), Path("none"), "files")
     assert row.values["cd_m"] == 100 and row.values["cd_s"] < 0.05 and row.values["cd_w"] < 10
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_failure_costs_what_the_text_says(kind):
     truth = make_truth(kind)
-    row = Case(PAPER_1, make_recording(truth), truth).priced("failed", "declared")
+    row = SequenceScorer(PAPER_1, make_recording(truth), truth).penalised_row("failed", "declared")
     assert row.values == {
         "joint_type": 0,
         "axis": 90,
@@ -259,18 +259,18 @@ def test_a_known_small_motion_is_found(seed):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(4000, 3)) * [0.2, 0.1, 0.05]
     T = se3.exp_se3(np.concatenate([rng.normal(size=3) * 0.003, rng.normal(size=3) * 0.02]))
-    found = registered(se3.transform(se3.inverse(T), points), points)
+    found = register_clouds(se3.transform(se3.inverse(T), points), points)
     assert np.linalg.norm(found[:3, 3] - T[:3, 3]) < 1e-4
     assert np.rad2deg(se3.rotation_angle(found[:3, :3] @ T[:3, :3].T)) < 0.05
 
 
 def test_what_is_out_of_reach_stays():
     points = np.random.default_rng(0).normal(size=(500, 3)) * 0.1
-    assert np.array_equal(registered(points + 5.0, points), np.eye(4))
+    assert np.array_equal(register_clouds(points + 5.0, points), np.eye(4))
 
 
 def test_one_point_and_a_flat_cloud_are_no_trouble():
     one = np.zeros((5, 3))
-    assert np.isfinite(registered(one, one)).all()
+    assert np.isfinite(register_clouds(one, one)).all()
     flat = np.random.default_rng(0).random((800, 3)) * [1, 1, 0]
-    assert np.isfinite(registered(flat + np.array([0, 0, 0.01]), flat)).all()
+    assert np.isfinite(register_clouds(flat + np.array([0, 0, 0.01]), flat)).all()

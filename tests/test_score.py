@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from score_case import (
+from score_files import (
     assert_priced,
     few_samples,
     score_one,
@@ -34,7 +34,7 @@ from freeart21.files import checked
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.joint import Joint
 from freeart21.reconstruction import Failure
-from leaderboard.asset_joint import joint_of_motion, measured_joint
+from leaderboard.asset_measurement import fit_joint_to_motion, measure_joint
 from leaderboard.protocols import PROTOCOLS, protocol_named
 from leaderboard.protocols.strict2 import STRICT_2
 from leaderboard.score import statistic
@@ -179,9 +179,11 @@ def test_every_metric_has_a_definition_and_a_price():
     for name, protocol in PROTOCOLS.items():
         assert protocol.name == name
         for metric in protocol.metrics:
-            assert metric.definition and metric.label and metric.direction in ("up", "down") and metric.price_text != ""
+            assert (
+                metric.definition and metric.label and metric.direction in ("up", "down") and metric.penalty_text != ""
+            )
         for truth in truths().values():
-            kind, prices = truth.articulation.joint.type, protocol.prices(truth)
+            kind, prices = truth.articulation.joint.type, protocol.penalties(truth)
             assert {id for id, price in prices.items() if price is None} == {
                 metric.id for metric in protocol.metrics if metric.unit(kind) is None
             }
@@ -448,7 +450,7 @@ def test_an_asset_that_ends_the_simulator_ends_only_itself(data, tmp_path, monke
 def test_a_range_of_several_turns_is_read_right(tmp_path):
     joint = Joint("lid", "revolute", np.array([0, 0.6, 0.8]), np.array([0.1, 0.2, -0.3]), -7.0, 9.0)
     write_asset(tmp_path, joint, limits=(-7.0, 9.0))
-    found, states = measured_joint(tmp_path, [-6.0, 0.0, 2.0, 8.5])
+    found, states = measure_joint(tmp_path, [-6.0, 0.0, 2.0, 8.5])
     assert np.allclose(found.axis, joint.axis, atol=1e-5)
     assert np.linalg.norm(np.cross(found.pivot - joint.pivot, joint.axis)) < 1e-5
     assert np.allclose(np.exp(1j * states), np.exp(1j * np.array([-6.0, 0.0, 2.0, 8.5])), atol=1e-5)
@@ -461,7 +463,7 @@ def test_the_joint_of_a_motion_survives_single_precision(kind):
     states = np.linspace(-0.2, 0.3, 33)
     motion = joint.transform(states) @ random_pose(rng)
     motion = motion @ se3.inverse(motion[0]) if kind == "prismatic" else joint.transform(states)
-    found = joint_of_motion("j", states, motion.astype(np.float32).astype(float))
+    found = fit_joint_to_motion("j", states, motion.astype(np.float32).astype(float))
     assert found.type == kind and np.rad2deg(np.arccos(min(1, found.axis @ joint.axis))) < 0.03
     if kind == "revolute":
         assert np.linalg.norm(np.cross(found.pivot - joint.pivot, joint.axis)) < 1e-5
@@ -472,6 +474,6 @@ def test_a_motion_that_is_no_joint_is_refused():
     helix = Joint("j", "revolute", [0, 0, 1.0], np.zeros(3), 0, 1).transform(states)
     helix[:, 2, 3] += states
     with pytest.raises(FreeArtError, match="neither hinge nor slider"):
-        joint_of_motion("j", states, helix)
+        fit_joint_to_motion("j", states, helix)
     with pytest.raises(FreeArtError, match="does not move"):
-        joint_of_motion("j", states, np.repeat(np.eye(4)[None], 33, 0))
+        fit_joint_to_motion("j", states, np.repeat(np.eye(4)[None], 33, 0))

@@ -10,7 +10,7 @@ from urllib.parse import unquote, urldefrag
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser
-from score_case import few_samples, submit, truths, write_data
+from score_files import few_samples, submit, truths, write_data
 from synthetic_case import noisy_answer, static_answer, truth_as_answer, with_names_exchanged
 
 from freeart21.errors import FreeArtError
@@ -18,17 +18,17 @@ from freeart21.files.places import SITE
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.mesh import Mesh
 from freeart21.reconstruction import Failure
-from leaderboard.case import score_sequence
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Scores
 from leaderboard.score import summarise
+from leaderboard.sequence_score import score_sequence
 from leaderboard.site import build
 from leaderboard.site.answers import read_answer
 from leaderboard.site.entrant import entrants
 from leaderboard.site.index_page import ranked
 from leaderboard.site.names import file_names
 from leaderboard.site.packed import Packed, read_script, read_varints, varints
-from leaderboard.submission import method_of
+from leaderboard.submission import read_submitted_method
 
 BOARD = "#protocol-strict-2"
 HOSTILE = '<script>alert("x")</script> & <img src=https://evil.example/x onerror=alert(1)>'
@@ -72,7 +72,7 @@ def kept(world):
 
 def scores_of(folder: Path, data: Path, protocol: str) -> Scores:
     """The table of one method; numbers that it lacks are left out, as scoring leaves them out."""
-    method, _ = method_of(folder)
+    method, _ = read_submitted_method(folder)
     rows = [score_sequence(folder / n, data / "sequences" / n, data / "truth" / n, protocol) for n in "abc"]
     rules = protocol_named(protocol)
     lacking = {m.id for m in rules.metrics if m.id.startswith(("miou", "psnr", "ssim", "chamfer", "fscore"))}
@@ -93,7 +93,7 @@ def site(world, kept, tmp_path_factory):
 def write(world, kept, out, **options):
     data, results = world
     patch = pytest.MonkeyPatch()
-    patch.setattr(build, "kept_scores", lambda folder, data, protocol, *_, **__: kept[folder, protocol])
+    patch.setattr(build, "cached_scores", lambda folder, data, protocol, *_, **__: kept[folder, protocol])
     try:
         options = {"protocols": PROTOCOLS_SHOWN, "command": ["freeart21", "site", HOSTILE], **options}
         return build.write_site(results, data, out, **options)

@@ -12,22 +12,22 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser
-from score_case import few_samples, submit, truths, write_data
+from score_files import few_samples, submit, truths, write_data
 from synthetic_case import noisy_answer
 
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.reconstruction import Failure
-from leaderboard.case import score_sequence
 from leaderboard.pack import pack_public, pack_truth
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Scores
 from leaderboard.score import benchmark_facts, summarise
 from leaderboard.scores_file import read_scores, write_scores
+from leaderboard.sequence_score import score_sequence
 from leaderboard.site import build
 from leaderboard.site.packed import read_script, read_varints
-from leaderboard.submission import method_of
+from leaderboard.submission import read_submitted_method
 
 needs_chromium = pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")
 
@@ -58,7 +58,7 @@ def world(tmp_path_factory):
 
 
 def scores_of(folder: Path, data: Path, public: Path, protocol: str) -> Scores:
-    method, _ = method_of(folder)
+    method, _ = read_submitted_method(folder)
     rows = [score_sequence(folder / n, data / "sequences" / n, data / "truth" / n, protocol) for n in "abc"]
     facts = benchmark_facts(read_benchmark(public))
     made = {"scoring": "1" * 64, "libraries": {}}
@@ -71,7 +71,7 @@ def site(world, tmp_path_factory):
     public, scores = world
     out = tmp_path_factory.mktemp("out") / "site"
     patch = pytest.MonkeyPatch()
-    patch.setattr(build, "kept_scores", lambda folder, *_, **__: scores[folder])
+    patch.setattr(build, "cached_scores", lambda folder, *_, **__: scores[folder])
     build.write_site(list(scores), public, out)
     patch.undo()
     return out
@@ -190,7 +190,7 @@ def test_tables_alone_make_the_same_numbers(tables, site, tmp_path):
 
 def test_folders_and_tables_stand_on_one_board(world, tables, tmp_path, monkeypatch):
     public, scores = world
-    monkeypatch.setattr(build, "kept_scores", lambda folder, *_, **__: scores[folder])
+    monkeypatch.setattr(build, "cached_scores", lambda folder, *_, **__: scores[folder])
     good = next(iter(scores))
     build.write_site([good, tables[1]], public, tmp_path / "site")
     page = (tmp_path / "site" / "sequences" / "b.html").read_text()

@@ -22,11 +22,11 @@ from synthetic_case import (
 
 from freeart21 import se3
 from freeart21.mesh import Mesh
-from leaderboard.case import Case
 from leaderboard.protocol import Shape
 from leaderboard.protocols import DEFAULT, PROTOCOLS, strict1, strict2
 from leaderboard.protocols.strict1 import STRICT_1, Strict1
 from leaderboard.protocols.strict2 import STRICT_2
+from leaderboard.sequence_score import SequenceScorer
 
 KINDS = ("revolute", "prismatic")
 QUICK = Strict1(samples=3000)
@@ -94,7 +94,7 @@ def test_strict_1_gives_the_numbers_that_it_gave_before_there_was_strict_2(kind)
 def test_strict_1_caps_nothing():
     truth = make_truth()
     worse = replace(truth_as_answer(truth), articulation=far_off(truth))
-    row = Case(STRICT_1, make_recording(truth), truth).measured(worse, Path("none"), "files")
+    row = SequenceScorer(STRICT_1, make_recording(truth), truth).measure_row(worse, Path("none"), "files")
     assert row.values["chamfer_s"] > 1000
 
 
@@ -110,16 +110,16 @@ def far_off(truth):
 def test_no_answer_costs_more_than_a_declared_failure(kind, monkeypatch):
     truth = make_truth(kind)
     rules = replace(STRICT_2, measure=functools.partial(strict2.measure, constants=QUICK))
-    case = Case(rules, make_recording(truth), truth)
-    failed = case.priced("failed", "declared")
+    case = SequenceScorer(rules, make_recording(truth), truth)
+    failed = case.penalised_row("failed", "declared")
     answers = [replace(truth_as_answer(truth), articulation=far_off(truth)), static_answer(truth)]
     for answer in answers + [random_answer(truth, seed) for seed in range(3)]:
-        row = case.measured(answer, Path("none"), "files")
+        row = case.measure_row(answer, Path("none"), "files")
         for metric in rules.metrics:
             value, price = row.values[metric.id], failed.values[metric.id]
             if price is not None:
                 assert value <= price if metric.direction == "down" else value >= price, metric.id
-    assert case.measured(answers[0], Path("none"), "files").values["chamfer_s"] == 100
+    assert case.measure_row(answers[0], Path("none"), "files").values["chamfer_s"] == 100
 
 
 # ---- laws

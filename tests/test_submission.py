@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from score_case import assert_priced, few_samples, score_one, score_results, submit, truths, write_asset, write_data
+from score_files import assert_priced, few_samples, score_one, score_results, submit, truths, write_asset, write_data
 from synthetic_case import (
     HEIGHT,
     WIDTH,
@@ -315,7 +315,7 @@ def test_one_level_too_high_or_too_low_says_what_was_meant(data, tmp_path):
 def impatient(monkeypatch):
     """A scorer that sleeps on sequence b and dies on sequence c."""
     source = (
-        "import sys, os, time, leaderboard.case as s, leaderboard.worker as w\n"
+        "import sys, os, time, leaderboard.sequence_score as s, leaderboard.worker as w\n"
         "real = s.score_sequence\n"
         "def slow(result, *rest):\n"
         "    if result.name == 'b': time.sleep(600)\n"

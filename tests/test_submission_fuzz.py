@@ -12,7 +12,7 @@ from benchmarks import submission_fuzz
 from benchmarks.submission_fuzz import Fuzz
 from freeart21.errors import FreeArtError
 from leaderboard import archive
-from leaderboard.archive import results_folder
+from leaderboard.archive import open_results
 from leaderboard.score import score_results
 from leaderboard.validate import validate_results
 
@@ -85,7 +85,7 @@ def _link(name):
 @pytest.mark.parametrize("top", ["", "mine/"])
 def test_an_archive_holds_results_or_one_folder_of_them(packed, top):
     path = packed((f"{top}a/prediction.json", "{}"), (f"{top}b/prediction.json", "[]"), ("__MACOSX/._a", "x"))
-    with results_folder(path) as folder:
+    with open_results(path) as folder:
         assert sorted(p.name for p in folder.iterdir()) == ["a", "b"] and folder.name == ("mine" if top else "results")
         assert (folder / "b" / "prediction.json").read_text() == "[]"
         aside = folder
@@ -93,7 +93,7 @@ def test_an_archive_holds_results_or_one_folder_of_them(packed, top):
 
 
 def test_one_answer_is_not_taken_for_the_folder_of_all(packed):
-    with results_folder(packed(("a/prediction.json", "{}"))) as folder:
+    with open_results(packed(("a/prediction.json", "{}"))) as folder:
         assert (folder / "a" / "prediction.json").exists()
 
 
@@ -113,24 +113,24 @@ def test_one_answer_is_not_taken_for_the_folder_of_all(packed):
 )
 def test_entries_that_are_no_results_file_are_refused_before_anything_is_unpacked(packed, monkeypatch, name, said):
     monkeypatch.setattr(archive, "_write", lambda *_: pytest.fail("unpacked"))
-    with pytest.raises(FreeArtError, match=said) as error, results_folder(packed(("a/b", "x"), (name, "x"))):
+    with pytest.raises(FreeArtError, match=said) as error, open_results(packed(("a/b", "x"), (name, "x"))):
         pass
     assert str(error.value).isprintable()
 
 
 def test_bombs_are_refused(packed, monkeypatch):
     monkeypatch.setattr(archive, "MAX_ENTRY_BYTES", 1000)
-    with pytest.raises(FreeArtError, match="unpacks to 2000 bytes"), results_folder(packed(("a", bytes(2000)))):
+    with pytest.raises(FreeArtError, match="unpacks to 2000 bytes"), open_results(packed(("a", bytes(2000)))):
         pass
     monkeypatch.setattr(archive, "MAX_ARCHIVE_BYTES", 1500)
     many = packed(("a", bytes(900)), ("b", bytes(900)))
-    with pytest.raises(FreeArtError, match="unpacks to more than 1500"), results_folder(many):
+    with pytest.raises(FreeArtError, match="unpacks to more than 1500"), open_results(many):
         pass
     monkeypatch.setattr(archive, "MAX_FILES", 1)
-    with pytest.raises(FreeArtError, match="has 2 entries"), results_folder(many):
+    with pytest.raises(FreeArtError, match="has 2 entries"), open_results(many):
         pass
     monkeypatch.setattr(archive, "MAX_DIRECTORY_BYTES", 50)
-    with pytest.raises(FreeArtError, match="directory of 9"), results_folder(many):
+    with pytest.raises(FreeArtError, match="directory of 9"), open_results(many):
         pass
 
 
@@ -140,7 +140,7 @@ def test_an_entry_with_more_bytes_than_it_says_is_refused(packed):
     for at, field in ((data.find(b"PK\3\4"), 22), (data.rfind(b"PK\1\2"), 24)):
         data[at + field : at + field + 4] = struct.pack("<I", 10)
     path.write_bytes(data)
-    with pytest.raises(FreeArtError, match=r"more bytes than it says|cannot be unpacked"), results_folder(path):
+    with pytest.raises(FreeArtError, match=r"more bytes than it says|cannot be unpacked"), open_results(path):
         pass
 
 
@@ -149,7 +149,7 @@ def test_what_is_no_archive_is_one_clear_line(tmp_path, content):
     path = tmp_path / "results.zip"
     path.write_bytes(content)
     try:
-        with results_folder(path) as folder:
+        with open_results(path) as folder:
             assert not any(folder.iterdir())  # an empty archive is an empty folder of results
     except FreeArtError as error:
         assert "cannot be unpacked" in str(error) and str(error).isprintable()
@@ -159,6 +159,6 @@ def test_another_file_is_named(tmp_path):
     (tmp_path / "x.tar").write_bytes(b"x")
     with (
         pytest.raises(FreeArtError, match=r"expected a folder of results or a \.zip"),
-        results_folder(tmp_path / "x.tar"),
+        open_results(tmp_path / "x.tar"),
     ):
         pass

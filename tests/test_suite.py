@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from score_case import few_samples, score_results, submit, truths, write_data
+from score_files import few_samples, score_results, submit, truths, write_data
 
 from freeart21.errors import FreeArtError
 from freeart21.files.result import read_result, write_result
@@ -21,7 +21,7 @@ from freeart21.reconstruction import Failure
 from leaderboard.reference import KINDS, static_answer, write_reference
 from leaderboard.score import score_results as score_results_apart
 from leaderboard.suite import steps
-from leaderboard.suite.rates import MEASURED, measured_rates, read_rates
+from leaderboard.suite.rates import MEASURED, read_rates, update_rates
 from leaderboard.suite.rows import GROUPS, ROWS, chosen_rows
 from leaderboard.suite.workflow import _facts, _objections, prepare, run_suite
 from reconstruct.settings import ReconstructSettings, read_settings
@@ -63,7 +63,7 @@ def test_the_truth_scores_perfect_and_what_knows_nothing_badly(data, tmp_path, m
         for kind, scores in tables.items()
     }
     truth = means["truth"]["all"]
-    assert not steps.imperfect(tables["truth"])
+    assert not steps.list_imperfect(tables["truth"])
     assert truth["miou"] == truth["joint_type"] == 1 and truth["psnr"] == 100 and truth["axis"] < 1e-3
     assert truth["chamfer_w"] < 1e-6 and truth["pose_moving_rotation"] < 1e-3
     for row in ("static", "random"):
@@ -175,9 +175,9 @@ def test_a_truth_that_is_a_little_off_is_objected_to(data, tmp_path, monkeypatch
     few_samples(monkeypatch)
     write_reference("truth", data, tmp_path / "truth")
     scores = score_results(tmp_path / "truth", data, "strict-1")
-    assert steps.imperfect(scores) == []
+    assert steps.list_imperfect(scores) == []
     write_result(tmp_path / "truth" / "b", Failure("none", "not solved"))
-    found = steps.imperfect(score_results(tmp_path / "truth", data, "strict-1"))
+    found = steps.list_imperfect(score_results(tmp_path / "truth", data, "strict-1"))
     assert any(line.startswith("b: axis 90, expected 0") for line in found)
     row = {row.name: row for row in ROWS}
     assert "does not score perfect" in _objections(row["truth"], "strict-1", {"imperfect": found})[0]
@@ -262,7 +262,7 @@ def test_rates_have_a_source_and_follow_what_is_measured():
     rates = read_rates(MEASURED)
     kinds = {"record", "record-trivial", "reconstruct", "reconstruct-paper", "export", "reference", "score"}
     assert set(rates) == kinds and all(rate.source for rate in rates.values())
-    now = measured_rates(rates, [("score", 6.0, 10), ("score", 2.0, 10)], "here")
+    now = update_rates(rates, [("score", 6.0, 10), ("score", 2.0, 10)], "here")
     assert now["score"].seconds_per_frame == 0.4 and now["score"].source == "here: 2 jobs"
     assert now["export"] == rates["export"]
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from score_case import score_results, submit, truths, write_asset, write_data
+from score_files import score_results, submit, truths, write_asset, write_data
 from test_measured import write as write_measured_set
 
 from freeart21 import cli, stopping

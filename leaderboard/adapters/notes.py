@@ -6,7 +6,7 @@ from pathlib import Path
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from leaderboard.submission import shortened
+from leaderboard.submission import shorten
 
 MOST = 8
 """Lines that a row shows: a result may come from anywhere."""
@@ -21,4 +21,4 @@ def import_notes(folder: Path) -> tuple[str, ...]:
     told = settings.get("import") if isinstance(settings, dict) else None
     notes = told.get("notes") if isinstance(told, dict) else None
     lines = [note for note in notes if isinstance(note, str)] if isinstance(notes, list) else []
-    return tuple(f"import: {shortened(note)}" for note in lines[:MOST])
+    return tuple(f"import: {shorten(note)}" for note in lines[:MOST])

@@ -24,7 +24,7 @@ from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard import metrics
 from leaderboard.matching import match
-from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, plain
+from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_floats
 
 KAPPA = np.pi
 """Metres at which the compact metric bends: the setting of their benchmark."""
@@ -69,24 +69,24 @@ def measure(
     """
     matched = match(truth, answer, lacks)
     true, aligned = truth.articulation.joint, matched.answer
-    states, joint = at_true_zero(truth, aligned, lacks)
-    solid = solid_of(truth.articulation.moving)
+    states, joint = count_from_true_zero(truth, aligned, lacks)
+    solid = solid_from_mesh(truth.articulation.moving)
     values: dict[str, float | None] = {
         "joint_type": float(joint.type == true.type),
-        "twist_shown": distance(true.spanning(truth.states), joint.spanning(states), solid),
-        "twist_compact": distance(true, joint, solid, KAPPA),
+        "twist_shown": joint_distance(true.spanning(truth.states), joint.spanning(states), solid),
+        "twist_compact": joint_distance(true, joint, solid, KAPPA),
     }
     notes: tuple[str, ...] = ()
-    if not bounded(true):
+    if not has_limits(true):
         values["twist"] = None
-    elif bounded(joint):
-        values["twist"] = distance(true, joint, solid)
+    elif has_limits(joint):
+        values["twist"] = joint_distance(true, joint, solid)
     else:
         notes = ("the joint has no limits, the true one has: no finite distance, twist is priced",)
-    return Measured(plain(values), matched.swapped, notes=notes)
+    return Measured(to_floats(values), matched.swapped, notes=notes)
 
 
-def at_true_zero(truth: Truth, aligned: Reconstruction, lacks: tuple[Piece, ...] = ()) -> tuple[Array, Joint]:
+def count_from_true_zero(truth: Truth, aligned: Reconstruction, lacks: tuple[Piece, ...] = ()) -> tuple[Array, Joint]:
     """States (n,) and joint of an aligned answer, limits with them, counted from the truth's state zero.
 
     Where a method puts its state zero is its own affair: the offset of strict-2's `state` is taken off. States of
@@ -105,12 +105,12 @@ def at_true_zero(truth: Truth, aligned: Reconstruction, lacks: tuple[Piece, ...]
     return states + shift, moved
 
 
-def bounded(joint: Joint) -> bool:
+def has_limits(joint: Joint) -> bool:
     """Whether the joint has both limits."""
     return bool(np.isfinite([joint.lower, joint.upper]).all())
 
 
-def solid_of(mesh: Mesh) -> Solid:
+def solid_from_mesh(mesh: Mesh) -> Solid:
     """`mesh` as a body of uniform density: its inside where it is closed, else that of its convex hull.
 
     A flat mesh, for which theirs has no body, is a sheet of uniform mass.
@@ -141,7 +141,7 @@ def _sheet(mesh: Mesh) -> Solid:
     return Solid(float(areas.sum()), centre, (np.trace(moment) * np.eye(3) - moment) / 12)
 
 
-def ends(joint: Joint, solid: Solid, kappa: float | None = None) -> tuple[Array, Array]:
+def end_twists(joint: Joint, solid: Solid, kappa: float | None = None) -> tuple[Array, Array]:
     """The end twists (v, w) (6,) of a joint, lower and upper; with `kappa` bent into the unit ball of the norm.
 
     Bent, an end without a limit is the unit twist that it goes towards.
@@ -153,9 +153,9 @@ def ends(joint: Joint, solid: Solid, kappa: float | None = None) -> tuple[Array,
     return lower, upper
 
 
-def distance(true: Joint, joint: Joint, solid: Solid, kappa: float | None = None) -> float:
+def joint_distance(true: Joint, joint: Joint, solid: Solid, kappa: float | None = None) -> float:
     """The distance of two joints of one frame: metres, or without a unit in [0, 2 sqrt 2] when bent by `kappa`."""
-    found = pair_distance(ends(true, solid, kappa), ends(joint, solid, kappa), solid.square)
+    found = pair_distance(end_twists(true, solid, kappa), end_twists(joint, solid, kappa), solid.square)
     if theirs := _package():
         beside = _by_package(theirs, true, joint, solid, kappa)
         if abs(beside - found) > AGREEMENT * max(1.0, found):
@@ -175,14 +175,14 @@ def pair_distance(a: tuple[Array, Array], b: tuple[Array, Array], square: Callab
 def still_distance(joint: Joint, solid: Solid, kappa: float | None = None) -> float:
     """The distance of a joint to one that does not move: what the tree distance charges for a joint not found."""
     nothing = np.zeros(6), np.zeros(6)
-    return pair_distance(ends(joint, solid, kappa), nothing, solid.square)
+    return pair_distance(end_twists(joint, solid, kappa), nothing, solid.square)
 
 
-def prices(truth: Truth) -> dict[str, float | None]:
+def penalties(truth: Truth) -> dict[str, float | None]:
     """What a joint that does not move costs."""
-    joint, solid = truth.articulation.joint, solid_of(truth.articulation.moving)
+    joint, solid = truth.articulation.joint, solid_from_mesh(truth.articulation.moving)
     return {
-        "twist": still_distance(joint, solid) if bounded(joint) else None,
+        "twist": still_distance(joint, solid) if has_limits(joint) else None,
         "twist_shown": still_distance(joint.spanning(truth.states), solid),
         "twist_compact": still_distance(joint, solid, KAPPA),
     }
@@ -255,7 +255,7 @@ ARENA_1 = Protocol(
             "limits",
             label="joint as a motion (E)",
             column="E",
-            price_from=_NOTHING,
+            penalty_source=_NOTHING,
             needs=("joint",),
         ),
         Metric(
@@ -272,7 +272,7 @@ ARENA_1 = Protocol(
                 "joint",
                 "states",
             ),
-            price_from=_NOTHING,
+            penalty_source=_NOTHING,
         ),
         Metric(
             "twist_compact",
@@ -284,11 +284,11 @@ ARENA_1 = Protocol(
             "too",
             label="joint as a motion, compact (E phi)",
             column="E phi",
-            price_from=_NOTHING,
+            penalty_source=_NOTHING,
             needs=("joint",),
         ),
     ),
     measure,
     asset="joint",
-    price_from=prices,
+    sequence_penalties=penalties,
 )

@@ -17,7 +17,7 @@ from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard import metrics
 from leaderboard.matching import Matched, match
-from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, plain
+from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_floats
 from leaderboard.protocols.paper1 import SURFACES, posed_surfaces
 from leaderboard.published import PUBLISHED
 
@@ -65,7 +65,7 @@ def measure(
     }
     if revolute:
         values["position"] = 100 * metrics.line_to_line(true.axis, true.pivot, joint.axis, joint.pivot)
-    return Measured(plain(values), False)
+    return Measured(to_floats(values), False)
 
 
 def first_alignment(Ts_camera_truth: Array, Ts_camera_predicted: Array, centre_truth: Array) -> Array:
@@ -180,7 +180,7 @@ ITACO_1 = Protocol(
                 "joint",
                 "states",
             ),
-            prismatic_price=100.0,
+            prismatic_penalty=100.0,
         ),
         _surface("cd_w", "CD-w", "whole object"),
         _surface("cd_m", "CD-m", "moving part"),

@@ -20,9 +20,9 @@ from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard import metrics
 from leaderboard.matching import Matched, match
-from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, plain
+from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_floats
 from leaderboard.published import PUBLISHED
-from leaderboard.registration import registered
+from leaderboard.registration import register_clouds
 from leaderboard.surface import Surface
 
 SURFACES = ("cd_w", "cd_m", "cd_s")
@@ -77,7 +77,7 @@ def measure(
     }
     if revolute:
         values["position"] = 100 * position_error(true, aligned.articulation.joint)
-    return Measured(plain(values), False, notes=notes)
+    return Measured(to_floats(values), False, notes=notes)
 
 
 def average_alignment(Ts_camera_truth: Array, Ts_camera_predicted: Array, centre_truth: Array) -> Array:
@@ -140,7 +140,7 @@ def surface_values(truth: Truth, matched: Matched, c: Paper1) -> tuple[dict[str,
         if found[id].empty:
             continue
         target, points = true[id].sample(c.samples, (c.seed, 0, k)), found[id].sample(c.samples, (c.seed, 1, k))
-        distance = 100 * metrics.squared_chamfer(se3.transform(registered(points, target), points), target)
+        distance = 100 * metrics.squared_chamfer(se3.transform(register_clouds(points, target), points), target)
         floor = 100 * metrics.squared_chamfer(true[id].sample(c.samples, (c.seed, 2, k)), target)
         values[id] = distance
         if distance < 2 * floor:
@@ -237,7 +237,7 @@ PAPER_1 = Protocol(
                 "joint",
                 "states",
             ),
-            prismatic_price=100.0,
+            prismatic_penalty=100.0,
         ),
         _surface("cd_w", "CD-w", "whole object"),
         _surface("cd_m", "CD-m", "moving part"),

@@ -15,7 +15,7 @@ from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard import metrics
 from leaderboard.matching import Matched, match
-from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, plain
+from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_floats
 from leaderboard.surface import Surface
 
 Pair = tuple[Array, Array]
@@ -61,7 +61,7 @@ def measure(
         **surface_values(truth, matched, matched.shape, c),
         **picture_values(truth, renders),
     }
-    return Measured(plain(values), matched.swapped)
+    return Measured(to_floats(values), matched.swapped)
 
 
 def answer_values(truth: Truth, matched: Matched, c: Strict1) -> dict[str, float | None]:
@@ -186,7 +186,7 @@ def picture_values(truth: Truth, renders: Sequence[Render]) -> dict[str, float |
     return {"psnr": float(np.mean(ratios)), "ssim": float(np.mean(similarities))}
 
 
-def prices(truth: Truth) -> dict[str, float | None]:
+def penalties(truth: Truth) -> dict[str, float | None]:
     """What the states cost where there are none: the range of motion, deg, or % of the diagonal."""
     motion = truth.range_of_motion
     revolute = truth.articulation.joint.type == "revolute"
@@ -374,5 +374,5 @@ STRICT_1 = Protocol(
     ),
     measure,
     asset="joint",
-    price_from=prices,
+    sequence_penalties=penalties,
 )

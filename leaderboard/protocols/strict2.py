@@ -16,8 +16,8 @@ from freeart21.reconstruction import Piece, Reconstruction
 from freeart21.truth import Truth
 from leaderboard import metrics
 from leaderboard.matching import Matched, match
-from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, plain
-from leaderboard.protocols.strict1 import STRICT_1, Strict1, answer_values, picture_values, prices, surface_values
+from leaderboard.protocol import Measured, Metric, Protocol, Render, Shape, to_floats
+from leaderboard.protocols.strict1 import STRICT_1, Strict1, answer_values, penalties, picture_values, surface_values
 
 
 def measure(
@@ -52,7 +52,7 @@ def measure(
         **{f"{id}_parts": value for id, value in parts.items()},
         **picture_values(truth, renders_other if other_views and renders_other is not None else renders),
     }
-    return Measured(plain(values), matched.swapped, other_views)
+    return Measured(to_floats(values), matched.swapped, other_views)
 
 
 def moving_pose_values(truth: Truth, matched: Matched) -> dict[str, float | None]:
@@ -78,7 +78,7 @@ def _of_parts(metric: Metric) -> Metric:
         metric,
         id=f"{metric.id}_parts",
         definition=f"{metric.id} measured from parts/*.ply instead of the asset's visual meshes",
-        beside=metric.id,
+        supplements=metric.id,
         label=f"{metric.label}, from the part files",
         column="",
     )
@@ -134,5 +134,5 @@ STRICT_2 = Protocol(
     asset="whole",
     capped=True,
     ranking=True,
-    price_from=prices,
+    sequence_penalties=penalties,
 )

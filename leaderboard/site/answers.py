@@ -27,7 +27,7 @@ from freeart21.reconstruction import Piece
 from freeart21.se3 import Array
 from freeart21.truth import Truth
 from leaderboard import metrics
-from leaderboard.submission import LARGEST, link_faults
+from leaderboard.submission import LARGEST, find_link_faults
 from leaderboard.surface import Surface
 
 EMPTY = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
@@ -74,7 +74,7 @@ def read_answer(
     the names of its parts, `size` is (height, width). Only what is shown is read. Raises FreeArtError when it cannot be
     shown.
     """
-    if any(link_faults(folder)):
+    if any(find_link_faults(folder)):
         raise FreeArtError(f"{folder.name} holds links that lead out of it")
     header, n = folder / "prediction.json", truth if isinstance(truth, int) else len(truth)
     data = checked.read_json(header, SCHEMA)

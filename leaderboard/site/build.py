@@ -13,8 +13,8 @@ from freeart21.files.benchmark import Benchmark, read_benchmark
 from freeart21.files.places import SITE, check_place
 from freeart21.files.result import Method
 from freeart21.joint import JointType
+from leaderboard.cached import cached_scores
 from leaderboard.compare import check_tables
-from leaderboard.kept import kept_scores
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Scores
 from leaderboard.score import benchmark_facts
@@ -175,7 +175,7 @@ def _tables(
             if progress:
                 progress(f"Scored {folder.name}, {row.sequence}, by {protocol}", done, of)  # noqa: B023
 
-        tables[protocol] = kept_scores(folder, data, protocol, keep, scored, truth=truth)
+        tables[protocol] = cached_scores(folder, data, protocol, keep, scored, truth=truth)
     return tables
 
 

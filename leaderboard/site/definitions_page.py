@@ -44,7 +44,7 @@ def _protocol(rules: Protocol) -> str:
             if metric.revolute_unit is None
             else ""
         )
-        beside = f" Stands beside {metric.beside} and does not rank." if metric.beside else ""
+        beside = f" Stands beside {metric.supplements} and does not rank." if metric.supplements else ""
         better = "larger is better" if metric.direction == "up" else "smaller is better"
         entries.append(
             f'<div id="{escape(rules.name)}.{escape(metric.id)}"><dt>{escape(metric.label or metric.id)} '

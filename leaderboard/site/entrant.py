@@ -76,7 +76,7 @@ def public_scores(scores: Scores, hidden: str) -> Scores:
     The price of a failure in joint state is the range of motion, so a failed row would tell it.
     """
     rules = protocol_named(scores.protocol)
-    lost = rules.priced_by_truth if hidden else ()
+    lost = rules.penalised_by_truth if hidden else ()
     if not lost:
         return scores
     rows = [

@@ -40,7 +40,7 @@ def failures_page(
     ]
     measured = [(e, row) for e, row in rows if row.status == "ok"]
     for metric in rules.metrics:
-        if metric.beside is None and metric.column and (worst := _worst(metric, measured)):
+        if metric.supplements is None and metric.column and (worst := _worst(metric, measured)):
             cards = [
                 _card(e, row, files, pictures, number(row.values[metric.id], metric.unit(row.joint_type), True), "")
                 for e, row in worst

@@ -163,7 +163,7 @@ def columns(rules: Protocol) -> list[tuple[Metric, Group]]:
     """The columns of a ranking: every ranking number, twice where revolute and prismatic have units of their own."""
     found: list[tuple[Metric, Group]] = []
     for metric in rules.metrics:
-        if metric.beside is not None or not (metric.column or metric.id == "joint_type"):
+        if metric.supplements is not None or not (metric.column or metric.id == "joint_type"):
             continue
         if metric.unit("all") is not None:
             found.append((metric, "all"))
@@ -185,7 +185,7 @@ def sentence(text: str) -> str:
 
 def price_text(metric: Metric) -> str:
     """What a failure costs, in words: a number with its unit, two where joint types differ, or where it comes from."""
-    told = getattr(metric, "price_text", metric.price)
+    told = getattr(metric, "penalty_text", metric.penalty)
     if isinstance(told, str):
         return told
     if told is None:
@@ -211,7 +211,7 @@ def metric_row(rules: Protocol, metric: Metric, cells: str) -> str:
     arrow = "↑" if metric.direction == "up" else "↓"
     place = f"../definitions.html#{escape(rules.name)}.{escape(metric.id)}"
     name = f'<a href="{place}">{escape(metric.label or metric.id)}</a> <small>{arrow}</small>'
-    return f'<tr class="{"beside" if metric.beside else ""}"><th scope="row">{name}</th>{cells}</tr>'
+    return f'<tr class="{"beside" if metric.supplements else ""}"><th scope="row">{name}</th>{cells}</tr>'
 
 
 def number_cell(text: str, best: bool = False, value: float | None = None, more: str = "") -> str:

@@ -158,7 +158,7 @@ def ranked(protocol: str, entrants: Sequence[Entrant]) -> list[Place]:
 
 def hidden_metrics(entrant: Entrant, rules: Protocol) -> tuple[str, ...]:
     """Ids of the numbers that are shown in means alone, as the truth is hidden."""
-    return rules.priced_by_truth if entrant.scores[rules.name].benchmark.get("hidden") else ()
+    return rules.penalised_by_truth if entrant.scores[rules.name].benchmark.get("hidden") else ()
 
 
 def _cell(entrant: Entrant, protocol: str, metric: Metric, group: str) -> tuple[float, float | None] | None:
@@ -199,7 +199,7 @@ def _line(
 
 def _matrix(rules: Protocol, entrants: Sequence[Entrant], shown: Sequence[Shown], files: dict[str, str]) -> str:
     """Every sequence with the first ranking number of every method; the scripts offer the others."""
-    metric = next((m for m in rules.metrics if m.column and m.beside is None), rules.metrics[0])
+    metric = next((m for m in rules.metrics if m.column and m.supplements is None), rules.metrics[0])
     head = "".join(f'<th scope="col">{name}</th>' for name in ("sequence", "category", "joint"))
     head += "".join(f'<th scope="col" class="number">{method_link(e, False)}</th>' for e in entrants)
     lines = []
@@ -270,7 +270,7 @@ def _data(
             }
             for m in metrics
         ],
-        "first": at[next((m for m in metrics if m.column and m.beside is None), metrics[0]).id] if metrics else 0,
+        "first": at[next((m for m in metrics if m.column and m.supplements is None), metrics[0]).id] if metrics else 0,
         "methods": methods,
         "sequences": [
             {

@@ -54,7 +54,7 @@ class Plan:
         return name
 
 
-def planned(
+def plan_suite(
     benchmark: Benchmark,
     rows: Sequence[SuiteRow],
     sequences: tuple[str, ...],
@@ -99,7 +99,7 @@ def planned(
                 call="leaderboard.suite.steps:reference",
                 arguments={"kind": row.reference, "data": place, "out": "{out}", "sequences": list(sequences)},
                 out=results,
-                key=f"{key} code {code_digest('leaderboard')}",
+                key=f"{key} code {package_digest('leaderboard')}",
             )
             solved = dict.fromkeys(sequences, made)
         else:
@@ -116,7 +116,8 @@ def planned(
                     out=f"{results}/{own}",
                     needs=first,
                     codes=(0, 1, 3),  # 1 is an answer, too, as long as the failure is written down
-                    key=f"{key} code {code_digest('reconstruct')} settings {json.dumps(row.settings, sort_keys=True)}",
+                    key=f"{key} code {package_digest('reconstruct')} "
+                    f"settings {json.dumps(row.settings, sort_keys=True)}",
                 )
                 for name, own in names.items()
             }
@@ -129,7 +130,7 @@ def planned(
                     call="leaderboard.suite.steps:export",
                     arguments={"result": f"{{folder}}/{results}/{own}"},
                     needs=(solved[name],),
-                    key=f"code {code_digest('export')}",
+                    key=f"code {package_digest('export')}",
                 )
                 for name, own in names.items()
             }
@@ -148,7 +149,7 @@ def planned(
                 },
                 out=f"scores/{row.name}.{protocol}.json",
                 needs=tuple(dict.fromkeys(solved.values())),
-                key=f"{key} code {code_digest('leaderboard')}",
+                key=f"{key} code {package_digest('leaderboard')}",
             )
     return plan
 
@@ -159,7 +160,7 @@ def disk_bytes(plan: Plan, jobs: Sequence[Job], rates: dict[str, Rate]) -> float
 
 
 @lru_cache
-def code_digest(room: str) -> str:
+def package_digest(room: str) -> str:
     """SHA-256, hexadecimal, of the version and of a room's code, comments and layout apart; it is not imported."""
     found = importlib.util.find_spec(room)
     places = [] if found is None else list(found.submodule_search_locations or [])

@@ -35,7 +35,7 @@ def read_rates(path: Path = MEASURED) -> dict[str, Rate]:
         raise FreeArtError(f"{path}: 'rates' is not a rate (seconds, bytes, source) for every kind of job") from error
 
 
-def measured_rates(rates: dict[str, Rate], taken: Iterable[tuple[str, float, int]], where: str) -> dict[str, Rate]:
+def update_rates(rates: dict[str, Rate], taken: Iterable[tuple[str, float, int]], where: str) -> dict[str, Rate]:
     """`rates` with the seconds of those kinds that `taken` (kind, seconds, frames) tells; `where` names the source."""
     sums: dict[str, tuple[float, int, int]] = {}
     for kind, seconds, frames in taken:

@@ -56,25 +56,25 @@ def score(results: str, data: str, protocol: str, out: str, sequences: Sequence[
     """Score a row, write its table, and return its statistics and which numbers are not those of a perfect answer."""
     scores = score_results(Path(results), Path(data), protocol, sequences=sequences)
     write_scores(Path(out), scores)
-    return {"summaries": [asdict(summary) for summary in scores.summaries], "imperfect": imperfect(scores)}
+    return {"summaries": [asdict(summary) for summary in scores.summaries], "imperfect": list_imperfect(scores)}
 
 
 TOLERANCE = 0.01
 """By which a number of the truth itself may be off, in its unit: deg, %, dB or a fraction."""
 
 
-def imperfect(scores: Scores) -> list[str]:
+def list_imperfect(scores: Scores) -> list[str]:
     """What a table of the truth should not show, a line a number: all that is further than TOLERANCE from perfect."""
     rules = protocol_named(scores.protocol)
     return [
-        f"{row.sequence}: {metric.id} {value:.4g}, expected {perfect(metric):g}"
+        f"{row.sequence}: {metric.id} {value:.4g}, expected {perfect_value(metric):g}"
         for row in scores.rows
         for metric in rules.metrics
-        if (value := row.values.get(metric.id)) is not None and abs(value - perfect(metric)) > TOLERANCE
+        if (value := row.values.get(metric.id)) is not None and abs(value - perfect_value(metric)) > TOLERANCE
     ]
 
 
-def perfect(metric: Metric) -> float:
+def perfect_value(metric: Metric) -> float:
     """The number of a perfect answer."""
     if metric.direction == "down":
         return 0.0

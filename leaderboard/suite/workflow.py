@@ -17,8 +17,8 @@ from freeart21.jobs import ATTEMPTS, Failed, Job, run_jobs
 from freeart21.jobs.ledger import Ledger
 from freeart21.jobs.run import Listener, unfinished
 from leaderboard.protocols import DEFAULT, protocol_named
-from leaderboard.suite.plan import Plan, disk_bytes, planned
-from leaderboard.suite.rates import measured_rates, read_rates, write_rates
+from leaderboard.suite.plan import Plan, disk_bytes, plan_suite
+from leaderboard.suite.rates import read_rates, update_rates, write_rates
 from leaderboard.suite.rows import SuiteRow, chosen_rows
 
 SCHEMA = "freeart21/suite/1"
@@ -77,7 +77,7 @@ def prepare(
             raise FreeArtError(f"{out} is a suite over other data ({before}); choose another place")
     measured = out / "rates.json"
     rates = read_rates(measured) if measured.is_file() else read_rates()
-    plan = planned(benchmark, chosen, benchmark.chosen(sequences), tuple(names), rates)
+    plan = plan_suite(benchmark, chosen, benchmark.chosen(sequences), tuple(names), rates)
     todo = unfinished(out, plan.jobs)
     above = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
     return Suite(
@@ -117,7 +117,7 @@ def run_suite(
     ledger = Ledger(out)
     said = {job.name: checked.read_json(path) for job in plan.jobs if (path := _statistics(ledger, job)).is_file()}
     taken = [(name.split("/")[0], float(facts["seconds"]), plan.frames[name]) for name, facts in said.items()]
-    write_rates(out / "rates.json", measured_rates(read_rates(), taken, f"this suite, {executor}, {workers} workers"))
+    write_rates(out / "rates.json", update_rates(read_rates(), taken, f"this suite, {executor}, {workers} workers"))
     tables: dict[str, dict[str, list[dict[str, Any]]]] = {}
     objections = []
     for protocol in plan.protocols:

@@ -17,11 +17,11 @@ from freeart21.files.result import write_result
 from freeart21.files.sequence import write_sequence
 from freeart21.files.truth import write_truth
 from freeart21.joint import Joint
-from leaderboard.case import score_sequence
 from leaderboard.protocols import PROTOCOLS, strict1, strict2
 from leaderboard.protocols.strict1 import STRICT_1, Strict1
 from leaderboard.protocols.strict2 import STRICT_2
 from leaderboard.score import score_results as score_results_apart
+from leaderboard.sequence_score import score_sequence
 
 
 def few_samples(monkeypatch) -> None:

@@ -32,13 +32,13 @@ class Interval:
         return self.low is not None and self.high is not None and not self.low <= 0 <= self.high
 
 
-def fewest(level: float = LEVEL) -> int:
+def min_sequences(level: float = LEVEL) -> int:
     """How many sequences an interval needs: all n differences lie on one side of their true median by a chance of
     2^(1-n), and no bootstrap looks beyond the differences that it has."""
     return math.ceil(1 - math.log2(1 - level))
 
 
-def paired_intervals(
+def bootstrap_intervals(
     differences: ArrayLike, level: float = LEVEL, resamples: int = RESAMPLES, seed: int = SEED
 ) -> list[Interval | None]:
     """An interval for each column of `differences` (n, k): a row a sequence, NaN where one of the two has no number.
@@ -59,7 +59,7 @@ def paired_intervals(
         chosen = table[np.ix_(rows, columns)]
         means = chosen.mean(0)
         ends: NDArray[np.float64] | None = None
-        if n >= fewest(level):
+        if n >= min_sequences(level):
             tail = _tail(n, level)
             ends = np.quantile(_counts(n, resamples, seed) @ chosen / n, [tail, 1 - tail], axis=0)
         for k, column in enumerate(columns):

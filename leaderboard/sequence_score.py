@@ -14,11 +14,11 @@ from freeart21.reconstruction import Failure, Piece, Reconstruction
 from freeart21.recording import Recording
 from freeart21.truth import Truth
 from leaderboard.adapters.notes import import_notes
-from leaderboard.asset_joint import measured_asset, measured_joint
+from leaderboard.asset_measurement import measure_asset, measure_joint
 from leaderboard.protocol import Protocol, Render, Shape
 from leaderboard.protocols import DEFAULT, protocol_named
 from leaderboard.rows import Row, Source, Status
-from leaderboard.submission import printable, read_with_notes, render_faults, shortened
+from leaderboard.submission import escape_unprintable, read_render, read_submission_with_notes, shorten
 
 LONGEST_RUN_S = 1e9
 """Seconds (30 years) beyond which what a method says it took is no time."""
@@ -35,28 +35,28 @@ def score_sequence(
 
     Raises FreeArtError for a broken sequence or truth; a broken result is priced.
     """
-    case = Case(protocol_named(protocol), read_sequence(sequence_folder), read_truth(truth_folder), lacks)
+    case = SequenceScorer(protocol_named(protocol), read_sequence(sequence_folder), read_truth(truth_folder), lacks)
     camera, folder = case.recording.camera, Path(result_folder)
     if not folder.is_dir() and not folder.is_symlink():
-        return case.priced("missing", f"there is no {folder.name} among the results")
+        return case.penalised_row("missing", f"there is no {folder.name} among the results")
     try:
-        answer, notes = read_with_notes(folder, len(case.recording), camera.height, camera.width)
+        answer, notes = read_submission_with_notes(folder, len(case.recording), camera.height, camera.width)
     except FreeArtError as error:
-        return case.priced("unreadable", str(error))
+        return case.penalised_row("unreadable", str(error))
     if isinstance(answer, Failure):
-        return case.priced("failed", f"{answer.stage}: {answer.reason}", answer.seconds)
+        return case.penalised_row("failed", f"{answer.stage}: {answer.reason}", answer.seconds)
     source: Source = "files"
     shape: Shape | None = None
     if case.rules.asset != "none" and (folder / "asset").exists():
         try:
-            answer, shape, found = with_asset(answer, folder / "asset", case.rules.asset == "whole")
+            answer, shape, found = apply_asset(answer, folder / "asset", case.rules.asset == "whole")
         except FreeArtError as error:
-            return case.priced("failed", f"asset: {error}", answer.seconds)
+            return case.penalised_row("failed", f"asset: {error}", answer.seconds)
         source, notes = "asset", (*notes, *found)
-    return case.measured(answer, folder, source, shape, (*notes, *import_notes(folder)))
+    return case.measure_row(answer, folder, source, shape, (*notes, *import_notes(folder)))
 
 
-def with_asset(
+def apply_asset(
     answer: Reconstruction, folder: Path, whole: bool
 ) -> tuple[Reconstruction, Shape | None, tuple[str, ...]]:
     """`answer` with joint and states as the asset in `folder` moves when loaded; FreeArtError when it does not.
@@ -66,17 +66,17 @@ def with_asset(
     shape: Shape | None = None
     notes: tuple[str, ...] = ()
     if whole:
-        asset = measured_asset(folder, answer.states)
+        asset = measure_asset(folder, answer.states)
         joint, states, shape = asset.joint, asset.states, asset.shape
         notes = tuple(f"asset: {finding}" for finding in asset.findings)
     else:
-        joint, states = measured_joint(folder, answer.states)
+        joint, states = measure_joint(folder, answer.states)
     parts = answer.articulation
     return replace(answer, articulation=Articulation(joint, parts.reference, parts.moving), states=states), shape, notes
 
 
 @dataclass(frozen=True)
-class Case:
+class SequenceScorer:
     """One sequence to be scored on, by the rules of one protocol."""
 
     rules: Protocol
@@ -97,14 +97,14 @@ class Case:
         """The truth's, metres."""
         return self.truth.diagonal
 
-    def prices(self) -> dict[str, float | None]:
+    def penalties(self) -> dict[str, float | None]:
         """Metric id to price, in the metric's unit for this sequence; None for numbers that do not exist for it."""
         shown = any(self.truth.query_mask(i).any() for i in range(len(self.recording.queries)))
         nowhere = {*self.lacks, *(() if shown else ("renders",))}
-        prices = self.rules.prices(self.truth)
+        prices = self.rules.penalties(self.truth)
         return {m.id: None if nowhere & {*m.needs} else prices[m.id] for m in self.rules.metrics}
 
-    def measured(
+    def measure_row(
         self,
         answer: Reconstruction,
         folder: Path,
@@ -130,14 +130,14 @@ class Case:
         if given_type != expected and "joint" not in self.lacks:
             notes = (f"the joint is {given_type}, expected {expected}", *notes)
         values: dict[str, float | None] = {}
-        for id, price in self.prices().items():
+        for id, price in self.penalties().items():
             value = found.values.get(id, price)
             values[id] = None if price is None or value is None else self.rules.capped_value(id, value, price)
         return self._row(values, "ok", "", source, found.swapped, (*notes, *faults), answer.seconds)
 
-    def priced(self, status: Status, reason: str, seconds: dict[str, float] | None = None) -> Row:
+    def penalised_row(self, status: Status, reason: str, seconds: dict[str, float] | None = None) -> Row:
         """The row of an answer that cannot be measured: every number at its price."""
-        return self._row(self.prices(), status, shortened(reason), "nothing", False, (), seconds or {})
+        return self._row(self.penalties(), status, shorten(reason), "nothing", False, (), seconds or {})
 
     def _renders(self, folder: Path, pictures: str) -> tuple[list[Render], tuple[str, ...]]:
         """The picture of every query in the subfolder `pictures`, None where there is none, and what is wrong with
@@ -148,7 +148,7 @@ class Case:
         renders: list[Render] = []
         notes = []
         for i in range(len(self.recording.queries)):
-            render, faults = render_faults(folder, pictures, i, camera.height, camera.width)
+            render, faults = read_render(folder, pictures, i, camera.height, camera.width)
             renders.append(render)
             notes += [str(fault) for fault in faults]
         absent = sum(render is None for render in renders) - len(notes)
@@ -184,6 +184,6 @@ class Case:
             diagonal,
             values,
             centimetres,
-            tuple(printable(note) for note in notes),
+            tuple(escape_unprintable(note) for note in notes),
             total if timed else None,
         )

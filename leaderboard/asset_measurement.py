@@ -66,7 +66,7 @@ class MeasuredAsset:
     """What `export.checklist.check_asset` finds, one line each; empty when only the joint was asked."""
 
 
-def measured_joint(folder: Path, states: ArrayLike) -> tuple[Joint, Array]:
+def measure_joint(folder: Path, states: ArrayLike) -> tuple[Joint, Array]:
     """The joint of the asset in `folder`, canonical frame, and what it makes of the canonical `states` (n,), rad or m.
 
     Drives the asset in a process of its own. Raises FreeArtError with one reason when it does not load, does not move,
@@ -76,17 +76,17 @@ def measured_joint(folder: Path, states: ArrayLike) -> tuple[Joint, Array]:
     return asset.joint, asset.states
 
 
-def measured_asset(folder: Path, states: ArrayLike) -> MeasuredAsset:
+def measure_asset(folder: Path, states: ArrayLike) -> MeasuredAsset:
     """The asset in `folder` as it is once loaded and put at the canonical `states` (n,), rad or m.
 
-    Raises FreeArtError as `measured_joint` does, and when a mesh or a mass is broken: empty, not finite, of no size, or
+    Raises FreeArtError as `measure_joint` does, and when a mesh or a mass is broken: empty, not finite, of no size, or
     one that no body has.
     """
     return _measured(folder, states, whole=True)
 
 
 def _measured(folder: Path, states: ArrayLike, whole: bool) -> MeasuredAsset:
-    check_files(folder)
+    check_asset_files(folder)
     with tempfile.TemporaryDirectory() as made:
         place = Path(made)
         shape = place / "shape.npz"
@@ -101,10 +101,10 @@ def _measured(folder: Path, states: ArrayLike, whole: bool) -> MeasuredAsset:
 
 def _ask(folder: Path, request: dict[str, Any], place: Path) -> dict[str, Any]:
     try:
-        answer = asset_process.ask("leaderboard.asset_joint", request, place, TIME_LIMIT_S)
-    except asset_process.Late as error:
+        answer = asset_process.ask("leaderboard.asset_measurement", request, place, TIME_LIMIT_S)
+    except asset_process.TimedOut as error:
         raise FreeArtError(f"{folder} did not load and move within {TIME_LIMIT_S:g} s") from error
-    except asset_process.Ended as error:
+    except asset_process.Crashed as error:
         code, _, said = str(error).partition(": ")
         raise FreeArtError(f"{folder} ended the simulator that loaded it ({code}): {said}") from error
     if "error" in answer:
@@ -124,7 +124,7 @@ def _read_shape(path: Path) -> Shape:
     return Shape((reference, moving), data["motions"])
 
 
-def check_files(folder: Path) -> None:
+def check_asset_files(folder: Path) -> None:
     """FreeArtError unless the asset is of bounded size and its URDF names no file outside `folder`."""
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     if size > MAX_ASSET_BYTES:
@@ -135,7 +135,7 @@ def check_files(folder: Path) -> None:
                 named_inside(urdf, element.attrib["filename"], folder)
 
 
-def drive(asset: Asset, states: ArrayLike) -> tuple[Joint, Array, Array]:
+def drive_joint(asset: Asset, states: ArrayLike) -> tuple[Joint, Array, Array]:
     """Load `asset` in SAPIEN, drive its joint over its range, and read joint, states and motions from the link poses.
 
     The motions (n, 4, 4) displace the moving part from canonical state zero to `states` (n,). States beyond the URDF's
@@ -153,13 +153,13 @@ def drive(asset: Asset, states: ArrayLike) -> tuple[Joint, Array, Array]:
     high = upper if np.isfinite(upper) else max(reachable.max(), 0.5)
     driven = np.linspace(low, high, DRIVEN_STATES)
     motion = joint_motion(asset, np.concatenate([driven, reachable]))
-    found = joint_of_motion(asset.joint, driven, motion[: len(driven)])
+    found = fit_joint_to_motion(asset.joint, driven, motion[: len(driven)])
     joint = replace(found, lower=lower, upper=upper)  # as far as it goes, which may be without end
     motions = motion[len(driven) :]
-    return joint, states_of_motion(joint, motions), motions
+    return joint, project_states(joint, motions), motions
 
 
-def visual_parts(asset: Asset) -> tuple[Mesh, Mesh]:
+def read_visual_parts(asset: Asset) -> tuple[Mesh, Mesh]:
     """All visual meshes on the reference link's side of the joint, and all on the moving link's, at state zero.
 
     In the canonical frame, each link where SAPIEN has it. Raises FreeArtError when a mesh cannot be read, has no
@@ -213,7 +213,7 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     return Mesh(vertices, np.concatenate([m.faces + start for m, start in zip(meshes, starts[:-1], strict=True)]))
 
 
-def joint_of_motion(name: str, states: Array, motion: Array) -> Joint:
+def fit_joint_to_motion(name: str, states: Array, motion: Array) -> Joint:
     """The hinge or slider that displaces a part by `motion` (n, 4, 4), canonical frame, at rising `states` (n,).
 
     The axis is the direction of the summed small rotations (or of the whole translation) towards larger states; the
@@ -235,21 +235,21 @@ def joint_of_motion(name: str, states: Array, motion: Array) -> Joint:
         joint = Joint(name, "prismatic", slide / np.linalg.norm(slide), np.zeros(3), *limits)
     else:
         raise FreeArtError(f"joint '{name}' of the asset does not move over its range {limits[0]:g} to {limits[1]:g}")
-    q = states_of_motion(joint, from_first)
+    q = project_states(joint, from_first)
     error = np.abs(from_first - joint.transform(q)).max()
     if error > LOOSEST_FIT * (1 + np.linalg.norm(from_first[:, :3, 3], axis=-1).max()):
         raise FreeArtError(f"joint '{name}' of the asset moves like neither hinge nor slider: off by {error:.2g}")
     return joint
 
 
-def states_of_motion(joint: Joint, motion: Array) -> Array:
+def project_states(joint: Joint, motion: Array) -> Array:
     """States (n,) along `joint` of displacements (n, 4, 4): rad in [-pi, pi] about its axis, or m along it."""
     if joint.type == "prismatic":
         return motion[:, :3, 3] @ joint.axis
     return se3.log_so3(motion[:, :3, :3]) @ joint.axis
 
 
-def _examined(folder: Path, states: Array, shape: Path | None) -> dict[str, Any]:
+def _examine_asset(folder: Path, states: Array, shape: Path | None) -> dict[str, Any]:
     asset, findings = read_asset(folder), []
     if shape is not None:
         from export.checklist import check_asset
@@ -258,9 +258,9 @@ def _examined(folder: Path, states: Array, shape: Path | None) -> dict[str, Any]
         for finding in findings:
             if finding.broken:
                 raise FreeArtError(str(finding))
-    joint, moved_states, motions = drive(asset, states)
+    joint, moved_states, motions = drive_joint(asset, states)
     if shape is not None:
-        _write_shape(shape, Shape(visual_parts(asset), motions))
+        _write_shape(shape, Shape(read_visual_parts(asset), motions))
     return {"joint": joint_to_json(joint), "states": moved_states.tolist(), "findings": [str(f) for f in findings]}
 
 
@@ -268,7 +268,7 @@ def reply(request: dict[str, Any]) -> dict[str, Any]:
     """What the asset is, or the one error that it has."""
     shape = request.get("shape")
     try:
-        return _examined(Path(request["asset"]), np.array(request["states"], float), shape and Path(shape))
+        return _examine_asset(Path(request["asset"]), np.array(request["states"], float), shape and Path(shape))
     except Exception as error:  # hostile files reach parsers of many libraries; each has exceptions of its own
         return {"error": child.one_line(error)}
 

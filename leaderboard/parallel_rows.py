@@ -15,10 +15,10 @@ from freeart21.files import atomic, checked
 from freeart21.files.sequence import read_sequence
 from freeart21.files.truth import read_truth
 from freeart21.jobs import Job, run_jobs
-from leaderboard.case import Case
 from leaderboard.protocols import protocol_named
 from leaderboard.rows import Row
-from leaderboard.worker import RowEnded, Worker, worker
+from leaderboard.sequence_score import SequenceScorer
+from leaderboard.worker import RowAborted, Worker, worker
 
 PLACES = ("result", "sequence", "truth")
 """The folders that a request names, beside its protocol."""
@@ -30,7 +30,7 @@ Request = Mapping[str, Any]
 """What `leaderboard.worker` is asked: PLACES, protocol, and the pieces that the method lacks."""
 
 
-def rows_beside(
+def score_rows_locally(
     requests: Sequence[Request], workers: int, limit_s: float, told: Callable[[Row], None] = lambda row: None
 ) -> list[Row]:
     """The rows of `requests`, in their order, `workers` at a time; `told` hears of each as it is done.
@@ -47,7 +47,7 @@ def rows_beside(
     def scored(request: Request) -> Row:
         scorer = idle.get()
         try:
-            return one_row(scorer, request, limit_s)
+            return score_row(scorer, request, limit_s)
         finally:
             idle.put(scorer)
 
@@ -68,21 +68,21 @@ def rows_beside(
     return [future.result() for future in futures]
 
 
-def one_row(scorer: Worker, request: Request, limit_s: float) -> Row:
+def score_row(scorer: Worker, request: Request, limit_s: float) -> Row:
     """The row of `request`, priced when it takes more than `limit_s` seconds or ends the process."""
     try:
         return scorer.score(dict(request), limit_s)
-    except RowEnded as reason:
-        case = Case(
+    except RowAborted as reason:
+        case = SequenceScorer(
             protocol_named(request["protocol"]),
             read_sequence(Path(request["sequence"])),
             read_truth(Path(request["truth"])),
             tuple(request["lacks"]),
         )
-        return case.priced("failed", str(reason))
+        return case.penalised_row("failed", str(reason))
 
 
-def rows_elsewhere(
+def score_rows_as_jobs(
     requests: Sequence[Request],
     workers: int,
     executor: str,
@@ -92,8 +92,8 @@ def rows_elsewhere(
 ) -> list[Row]:
     """The rows of `requests`, in their order, each a job of `executor`; `told` hears of each as it is done.
 
-    `work` is a new folder that every machine sees: rows are handed back there. Raises FreeArtError as `rows_beside`,
-    and when `work` is None or exists, or a job fails.
+    `work` is a new folder that every machine sees: rows are handed back there. Raises FreeArtError as
+    `score_rows_locally`, and when `work` is None or exists, or a job fails.
     """
     if work is None:
         raise FreeArtError(f"scoring by '{executor}' needs a folder that all its machines see, where rows are gathered")
@@ -103,7 +103,7 @@ def rows_elsewhere(
     jobs = [
         Job(
             f"score/{k:06d}",
-            call="leaderboard.rows_apart:write_row",
+            call="leaderboard.parallel_rows:write_row",
             arguments={
                 "request": {
                     key: value if key not in PLACES else str(Path(value).resolve()) for key, value in r.items()
@@ -131,7 +131,7 @@ def rows_elsewhere(
 def write_row(request: dict[str, Any], limit_s: float, out: str) -> None:
     """What the job of a row does."""
     with worker() as scorer:
-        atomic.write_json(Path(out), asdict(one_row(scorer, request, limit_s)))
+        atomic.write_json(Path(out), asdict(score_row(scorer, request, limit_s)))
 
 
 def _row(path: Path) -> Row:

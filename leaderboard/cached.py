@@ -10,17 +10,17 @@ from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import Benchmark, read_benchmark
 from freeart21.files.places import SCORES, check_place
 from leaderboard.protocols import protocol_named
-from leaderboard.provenance import made_with, sha256_or_none, truth_sha256
+from leaderboard.provenance import describe_environment, sha256_or_none, truth_sha256
 from leaderboard.rows import Row, Scores
 from leaderboard.score import benchmark_facts, check_results_folder, score_results
 from leaderboard.scores_file import read_scores, write_scores
-from leaderboard.submission import method_of
+from leaderboard.submission import read_submitted_method
 
 _MATTERS = ("freeart21", "scoring", "python", "libraries")
 """Of what numbers were made with: all that they may depend on. The commit says it again; machines agree."""
 
 
-def kept_scores(
+def cached_scores(
     results: Path,
     data: Path,
     protocol: str,
@@ -39,11 +39,11 @@ def kept_scores(
     """
     results, rules, benchmark = Path(results), protocol_named(protocol), read_benchmark(data, truth)
     check_results_folder(results, benchmark.sequences)
-    path = None if keep is None else kept_path(results, rules.name, Path(keep))
+    path = None if keep is None else cache_path(results, rules.name, Path(keep))
     if path is not None:
         check_place(path, SCORES, (Path(data), results))
         found = _read(path)
-        if found is not None and still_true(found, results, benchmark):
+        if found is not None and is_current(found, results, benchmark):
             return found
     before = _fingerprints(results, benchmark)
     scores = score_results(results, data, rules.name, progress, workers=workers, truth=truth)
@@ -54,18 +54,18 @@ def kept_scores(
     return scores
 
 
-def kept_path(results: Path, protocol: str, keep: Path) -> Path:
+def cache_path(results: Path, protocol: str, keep: Path) -> Path:
     """Where the table of a results folder is kept: named after the folder, in letters that every disk takes."""
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", results.resolve().name).strip(".-") or "results"
     return keep / f"{name}.{protocol}.json"
 
 
-def still_true(scores: Scores, results: Path, benchmark: Benchmark) -> bool:
+def is_current(scores: Scores, results: Path, benchmark: Benchmark) -> bool:
     """Whether scoring `results` now would give `scores`: the same bytes, by the same code and libraries."""
-    now = made_with()
+    now = describe_environment()
     if any(scores.made_with.get(key) != now[key] for key in _MATTERS):
         return False
-    if scores.benchmark != benchmark_facts(benchmark) or scores.method != method_of(results)[0]:
+    if scores.benchmark != benchmark_facts(benchmark) or scores.method != read_submitted_method(results)[0]:
         return False
     if tuple(row.sequence for row in scores.rows) != benchmark.sequences:
         return False

@@ -7,16 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from score_case import few_samples, score_results, submit, truths, write_data
+from score_files import few_samples, score_results, submit, truths, write_data
 
 from freeart21.code import code_digest, modules_behind
 from freeart21.errors import FreeArtError
 from freeart21.files.benchmark import read_benchmark
 from freeart21.files.result import Method, write_method, write_result
 from freeart21.reconstruction import Failure
-from leaderboard import kept, provenance
-from leaderboard.kept import kept_scores
-from leaderboard.provenance import folder_sha256, made_with, scoring_code
+from leaderboard import cached, provenance
+from leaderboard.cached import cached_scores
+from leaderboard.provenance import describe_environment, folder_sha256, scoring_code
 from leaderboard.scores_file import read_scores, write_scores
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -50,7 +50,7 @@ def counted(monkeypatch):
         scored.append(results.name)
         return score_results(results, *arguments, **named)
 
-    monkeypatch.setattr(kept, "score_results", score)
+    monkeypatch.setattr(cached, "score_results", score)
     return scored
 
 
@@ -84,7 +84,7 @@ def test_every_row_says_of_which_bytes_it_is(data, results):
         assert rows[name].result_sha256 == folder_sha256(results / name)
     assert rows["c"].status == "missing" and rows["c"].result_sha256 is None
     assert {row.truth_sha256 for row in scores.rows} == {folder_sha256(data / "truth" / name) for name in "abc"}
-    assert scores.made_with == made_with() and len(scores.made_with["scoring"]) == 64
+    assert scores.made_with == describe_environment() and len(scores.made_with["scoring"]) == 64
     assert scores.made_with["libraries"]["numpy"] and scores.made_with["machine"]["machine"]
 
 
@@ -127,13 +127,16 @@ def test_a_folder_is_hashed_without_following_links_or_waiting_for_pipes(tmp_pat
 
 
 def test_the_fingerprint_of_the_scoring_code_is_of_what_scoring_uses():
-    modules = modules_behind("leaderboard.case", ROOT, ("freeart21", "generator", "export", "leaderboard"))
-    assert {"leaderboard.case", "leaderboard.protocols.strict1", "generator.simulate", "export.checklist"} <= set(
-        modules
-    )
+    modules = modules_behind("leaderboard.sequence_score", ROOT, ("freeart21", "generator", "export", "leaderboard"))
+    assert {
+        "leaderboard.sequence_score",
+        "leaderboard.protocols.strict1",
+        "generator.simulate",
+        "export.checklist",
+    } <= set(modules)
     assert not {"leaderboard.tables", "leaderboard.commands", "freeart21.cli", "freeart21.view"} & set(modules)
     assert scoring_code() == code_digest(
-        modules_behind("leaderboard.case", ROOT, (*provenance._ROOMS, "elsewhere")).items()
+        modules_behind("leaderboard.sequence_score", ROOT, (*provenance._ROOMS, "elsewhere")).items()
     )
 
 
@@ -151,18 +154,18 @@ def test_a_fingerprint_changes_with_what_code_does_and_not_with_what_is_said_of_
 
 
 def test_a_table_is_kept_and_read_again(data, results, counted, tmp_path):
-    first = kept_scores(results, data, "strict-2", tmp_path / "keep")
-    again = kept_scores(results, data, "strict-2", tmp_path / "keep")
+    first = cached_scores(results, data, "strict-2", tmp_path / "keep")
+    again = cached_scores(results, data, "strict-2", tmp_path / "keep")
     assert counted == ["mine"] and again == replace(first, seconds=None)
     assert [path.name for path in (tmp_path / "keep").iterdir()] == ["mine.strict-2.json"]
-    kept_scores(results, data, "strict-1", tmp_path / "keep")
+    cached_scores(results, data, "strict-1", tmp_path / "keep")
     assert counted == ["mine"] * 2 and (tmp_path / "keep" / "mine.strict-1.json").is_file()
 
 
 def test_without_a_place_nothing_is_kept(data, results, counted, tmp_path):
     before = sorted(tmp_path.rglob("*"))
     for _ in range(2):
-        kept_scores(results, data, "strict-2", None)
+        cached_scores(results, data, "strict-2", None)
     assert counted == ["mine"] * 2 and sorted(tmp_path.rglob("*")) == before
 
 
@@ -216,18 +219,18 @@ CHANGES = [
 @pytest.mark.parametrize("change", CHANGES, ids=[change.__name__.strip("_") for change in CHANGES])
 def test_what_has_changed_is_scored_anew(change, data, results, counted, tmp_path, monkeypatch):
     mine = shutil.copytree(data, tmp_path / "data")
-    kept_scores(results, mine, "strict-2", tmp_path / "keep")
+    cached_scores(results, mine, "strict-2", tmp_path / "keep")
     change(results, mine, monkeypatch)
-    kept_scores(results, mine, "strict-2", tmp_path / "keep")
-    kept_scores(results, mine, "strict-2", tmp_path / "keep")
+    cached_scores(results, mine, "strict-2", tmp_path / "keep")
+    cached_scores(results, mine, "strict-2", tmp_path / "keep")
     assert counted == ["mine"] * 2
 
 
 def test_the_machine_and_the_commit_change_no_number(data, results, counted, tmp_path, monkeypatch):
-    kept_scores(results, data, "strict-2", tmp_path / "keep")
+    cached_scores(results, data, "strict-2", tmp_path / "keep")
     monkeypatch.setattr(provenance, "_commit", lambda: "0" * 40)
     monkeypatch.setattr(provenance, "_processor", lambda: "another")
-    kept_scores(results, data, "strict-2", tmp_path / "keep")
+    cached_scores(results, data, "strict-2", tmp_path / "keep")
     assert counted == ["mine"]
 
 
@@ -236,9 +239,9 @@ def test_results_that_change_while_they_are_scored_are_not_kept(data, results, t
         scores = score_results(results, *arguments, **named)
         return replace(scores, rows=(replace(scores.rows[0], result_sha256="0" * 64), *scores.rows[1:]))
 
-    monkeypatch.setattr(kept, "score_results", score)
+    monkeypatch.setattr(cached, "score_results", score)
     with pytest.raises(FreeArtError, match="changed while it was scored"):
-        kept_scores(results, data, "strict-2", tmp_path / "keep")
+        cached_scores(results, data, "strict-2", tmp_path / "keep")
     assert not (tmp_path / "keep").exists()
 
 
@@ -247,22 +250,22 @@ def test_what_is_no_table_is_never_replaced(data, results, counted, tmp_path):
     path.parent.mkdir()
     path.write_text("{}")
     with pytest.raises(FreeArtError, match="is no older table of scores"):
-        kept_scores(results, data, "strict-2", tmp_path / "keep")
+        cached_scores(results, data, "strict-2", tmp_path / "keep")
     assert path.read_text() == "{}" and counted == []
     with pytest.raises(FreeArtError, match="lies in"):
-        kept_scores(results, data, "strict-2", data / "keep")
+        cached_scores(results, data, "strict-2", data / "keep")
 
 
 def test_a_kept_table_is_named_in_letters_that_every_disk_takes(tmp_path):
     for folder, name in (("mine", "mine.p.json"), ("a b/ü", "results.p.json"), ("x y:z", "x-y-z.p.json")):
-        assert kept.kept_path(tmp_path / folder, "p", tmp_path).name == name
+        assert cached.cache_path(tmp_path / folder, "p", tmp_path).name == name
 
 
 def test_a_truth_that_cannot_be_hashed_is_never_taken_for_unchanged(data, results):
     scores, benchmark = score_results(results, data), read_benchmark(data)
-    assert kept.still_true(scores, results, benchmark)
+    assert cached.is_current(scores, results, benchmark)
     rows = (replace(scores.rows[0], result_sha256=None), *scores.rows[1:])
-    assert not kept.still_true(replace(scores, rows=rows), results, benchmark)
+    assert not cached.is_current(replace(scores, rows=rows), results, benchmark)
 
 
 # ---- tables from anybody
