@@ -22,7 +22,7 @@ from freeart21.se3 import Array
 from generator import simulate
 from generator.model import Link, ObjectModel
 from generator.motion.body import Body
-from generator.motion.release import tipped
+from generator.motion.styles.release import tipped
 from generator.partnet import PartNetObject
 from generator.partnet_writer import R_ROOT_MESH
 from generator.shapes import triangles
@@ -42,7 +42,7 @@ def released_states(
     """Joint states (frames,), rad or m, after the joint was let go at rest in frame 0.
 
     Args:
-        loaded: the object; its base is fixed as `generator.motion.release.tipped` says, which 'release' plans show too.
+        loaded: the object; its base is fixed as `tipped` says, which 'release' plans show too.
         effects: what acts on the joint besides gravity; none at all means no loss.
         frames: 2 or more.
         fps: frames a second.

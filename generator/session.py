@@ -32,10 +32,10 @@ from freeart21.truth import Truth
 from generator import objects, partnet, urdf_folder
 from generator.frame_writer import FrameWriter
 from generator.model import ObjectModel
-from generator.motion import MOTIONS, PRESETS, Plan, motion_range, plan_motion
+from generator.motion import PRESETS, STYLES, Plan, motion_range, plan_motion
 from generator.motion import track as tracks
 from generator.motion.body import Body
-from generator.motion.planner import world_of
+from generator.motion.planner import camera_in_world
 from generator.partnet_writer import write_partnet
 from generator.progress import Progress
 from generator.queries import PlannedQuery, plan_queries
@@ -92,7 +92,7 @@ class RecordSettings:
     queries: int = 20
     """Held-out views."""
     motion: str = "tumble"
-    """How the object is moved: one of `generator.motion.MOTIONS`, or TRACK."""
+    """How the object is moved: one of `generator.motion.STYLES`, or TRACK."""
     track: Path | None = None
     """File of the take that the motion TRACK replays (`freeart21.formats.captured.read_track`)."""
     carry: float | None = None
@@ -158,7 +158,7 @@ class RecordSettings:
                 f"the way cannot be scaled by {self.carry:g} in the motion {self.motion}; expected 0 to "
                 f"{MOST_CARRY:g}, and the motion track:FILE"
             )
-        motions = (*MOTIONS, TRACK)
+        motions = (*STYLES, TRACK)
         named = ("motion", self.motion, motions), ("preset", self.preset, PRESETS), ("shader", self.shader, SHADERS)
         for what, value, known in named:
             if value not in known:
@@ -301,7 +301,12 @@ def _tracked(loaded: partnet.PartNetObject, settings: RecordSettings, camera: Ca
     }
     if take.filter is not None:
         said["filter"] = {"one_euro": asdict(take.filter)}
-    plan = Plan(Ts, states, world_of("tumble", Ts, body), said | {"begins_s": stretch.begins_s} | fitted | carried)
+    plan = Plan(
+        Ts,
+        states,
+        camera_in_world(STYLES["tumble"], Ts, body),
+        said | {"begins_s": stretch.begins_s} | fitted | carried,
+    )
     tracks.check_in_view(take.name, plan, body, camera, depth_bounds(Ts, diagonal)[0], s.fps)
     return plan
 

@@ -88,12 +88,12 @@ def test_what_the_help_lists_is_what_there_is():
     from export.exporter import DENSITY
     from export.materials import MATERIALS
     from freeart21.formats.measured_series import ANGLES, EFFORTS, LENGTHS, ROLES, TIME_UNITS, UNSURE
-    from generator.motion import MOTIONS, PRESETS
+    from generator.motion import PRESETS, STYLES
     from generator.sensor import SENSORS
     from generator.session import SHADERS
 
     lists = {
-        "record": [*MOTIONS, *PRESETS, *SENSORS, *SHADERS],
+        "record": [*STYLES, *PRESETS, *SENSORS, *SHADERS],
         "measure": [*ROLES, *ANGLES, *LENGTHS, *EFFORTS, *TIME_UNITS, f"{UNSURE[0]:g} when", f"{UNSURE[1]:g} when"],
         "export": [*MATERIALS, f"plastic ({DENSITY:g}"],
     }

@@ -19,8 +19,8 @@ from freeart21.strokes import Movement, spans_of, strokes
 from generator.motion import Plan, human_hand, plan_motion
 from generator.motion.body import Body
 from generator.motion.framing import MARGIN, extent
-from generator.motion.human import human
-from generator.motion.styles import Task
+from generator.motion.style import Task
+from generator.motion.styles.human import propose
 from generator.motion.timing import Hold
 from generator.motion.visibility import Atlas
 from generator.session import RecordSettings, load_object, planned
@@ -87,9 +87,9 @@ def test_candidates_differ_in_directions_alone() -> None:
     """Else the choice among them would be one of larger sweeps, or of fewer rests."""
     task = Task(BODY, Atlas(BODY, 4.0, 96, 4), 300, 30.0, "none", None, seed=(3, 4))
     rng = np.random.default_rng(0)
-    rates = [np.diff(human(task, rng).clock) for _ in range(3)]
+    rates = [np.diff(propose(task, rng).clock) for _ in range(3)]
     assert np.array_equal(rates[0], rates[1]) and np.array_equal(rates[0], rates[2])
-    other = human(dataclasses.replace(task, seed=(4, 4)), rng)
+    other = propose(dataclasses.replace(task, seed=(4, 4)), rng)
     assert not np.allclose(np.diff(other.clock), rates[0])
 
 
@@ -118,7 +118,7 @@ def test_in_rests_the_hand_trembles_and_a_table_does_not() -> None:
     hands = [human_hand.hand(300, 30.0, np.random.default_rng([seed, 11])) for seed in range(200)]
     seed = next(k for k, hand in enumerate(hands) if hand.laid and hand.laid[0][1] < 290)
     task = Task(BODY, Atlas(BODY, 4.0, 96, 4), 300, 30.0, "none", None, seed=(seed,))
-    course, (a, b) = human(task, np.random.default_rng(1)), hands[seed].laid[0]
+    course, (a, b) = propose(task, np.random.default_rng(1)), hands[seed].laid[0]
     part = slice(int(a) + 8, int(b) - 8)
     assert np.ptp(course.Rs[part], axis=0).max() < 1e-9 and np.ptp(course.sway[part], axis=0).max() < 1e-9
 

@@ -17,11 +17,11 @@ from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from generator import partnet, simulate
 from generator.model import Hinge, Link, Material, ObjectModel, Piece
-from generator.motion import MOTIONS, PRESETS, Plan, motion_range, plan_motion
+from generator.motion import PRESETS, STYLES, Plan, motion_range, plan_motion
 from generator.motion.body import Body
 from generator.motion.planner import _hardship
-from generator.motion.release import SLOPE, tipped
-from generator.motion.styles import Task
+from generator.motion.style import Task
+from generator.motion.styles.release import SLOPE, tipped
 from generator.motion.timing import Hold, ease, glide, joint_course
 from generator.motion.turns import rolled, spline, steps_degrees
 from generator.motion.visibility import Atlas
@@ -272,7 +272,8 @@ def test_bad_requests_get_one_clear_line() -> None:
         with pytest.raises(FreeArtError, match=message) as caught:
             plan_motion(style, meshes, joint, CAMERA, frames, 30.0, 0, states=states)
         assert "\n" not in str(caught.value)
-    assert (*PLANNED, "release", "human") == MOTIONS
+    assert (*PLANNED, "release", "human") == tuple(STYLES)
+    assert [style.stream for style in STYLES.values()] == list(range(len(STYLES)))  # what a seed draws is frozen
 
 
 def test_a_joint_without_limits_still_gets_a_range() -> None:

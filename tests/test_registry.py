@@ -10,6 +10,8 @@ import pytest
 from freeart21.effects import EFFECTS, Effect
 from freeart21.errors import FreeArtError
 from freeart21.registry import find_classes, find_instances
+from generator.motion.style import Style
+from generator.motion.styles import STYLES
 from leaderboard.adapters.registry import layouts
 from leaderboard.adapters.toolbox import Layout
 from leaderboard.protocols import PROTOCOLS, Protocol
@@ -26,6 +28,12 @@ from leaderboard.protocols.strict2 import STRICT_2 as theirs
 
 OWN = replace(theirs, name="own-1", ranking=False)
 del theirs
+"""
+STYLE = """
+from dataclasses import replace
+from generator.motion.styles import wave
+
+STYLE = replace(wave.STYLE, name="shake", stream=1000)
 """
 LAYOUT = """
 from dataclasses import replace
@@ -61,6 +69,7 @@ def test_an_effect_of_a_stranger(stranger: Path):
     ("group", "text", "kind", "ours", "name"),
     [
         ("leaderboard.protocols", PROTOCOL, Protocol, PROTOCOLS, "own-1"),
+        ("generator.motion.styles", STYLE, Style, STYLES, "shake"),
         ("leaderboard.adapters", LAYOUT, Layout, layouts(), "own"),
     ],
 )

@@ -7,12 +7,13 @@ distance follows from the picture (`framing`). `release` lets go of the joint; i
 """
 
 from generator.motion.body import hull_points, motion_range
-from generator.motion.plan import MOTIONS, PRESETS, Plan, Preset
+from generator.motion.plan import PRESETS, Plan, Preset
 from generator.motion.planner import plan_motion
+from generator.motion.styles import STYLES
 
 __all__ = [
-    "MOTIONS",
     "PRESETS",
+    "STYLES",
     "Plan",
     "Preset",
     "hull_points",

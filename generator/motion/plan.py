@@ -7,10 +7,6 @@ from typing import Any
 
 from freeart21.se3 import Array
 
-MOTIONS: tuple[str, ...] = ("tumble", "inspect", "wave", "turntable", "static_base", "release", "human")
-"""Styles of motion that `plan_motion` knows. Their places are part of what a seed draws: new ones
-come last."""
-
 
 @dataclass(frozen=True)
 class Plan:

@@ -17,10 +17,9 @@ from freeart21.se3 import Array
 from generator.motion import turns
 from generator.motion.body import UPRIGHT, Body
 from generator.motion.framing import placed
-from generator.motion.human import human
-from generator.motion.plan import MOTIONS, PRESETS, Plan, Preset
-from generator.motion.release import released_plan
-from generator.motion.styles import HEIGHTS, STYLES, Course, Hardship, Task
+from generator.motion.plan import PRESETS, Plan, Preset
+from generator.motion.style import Course, Hardship, Style, Task
+from generator.motion.styles import STYLES
 from generator.motion.visibility import Atlas
 
 FEW = 0.05
@@ -33,7 +32,7 @@ _COUNTED = 4
 
 
 def plan_motion(
-    style: str,
+    style_name: str,
     meshes: tuple[Mesh, Mesh],
     joint: Joint,
     camera: Camera,
@@ -51,7 +50,7 @@ def plan_motion(
     of an object lets no view hide a side, the motion hides it as far as it can.
 
     Args:
-        style: one of MOTIONS.
+        style_name: one of `STYLES`.
         meshes: the sides of the joint, parent and child, in the object's frame (z up), of the preset's size.
         joint: what moves the second mesh.
         camera: intrinsics; the object stays inside its picture.
@@ -64,35 +63,35 @@ def plan_motion(
 
     Raises FreeArtError for an unknown style and for states that do not fit.
     """
-    if style not in MOTIONS:
-        raise FreeArtError(f"unknown motion '{style}'; motions: {', '.join(MOTIONS)}")
+    if style_name not in STYLES:
+        raise FreeArtError(f"unknown motion '{style_name}'; motions: {', '.join(STYLES)}")
+    style = STYLES[style_name]
     if frames < 2 or fps <= 0:
         raise FreeArtError(f"cannot plan {frames} frames at {fps:g} a second; expected 2 or more, above 0 a second")
-    if states is None and style == "release":
-        raise FreeArtError("motion 'release' needs the joint's states, rolled out by generator.release")
+    if states is None and style.plan is not None:
+        raise FreeArtError(f"motion '{style_name}' needs the joint's states, rolled out by generator.release")
     if states is not None:
         states = np.asarray(states, float)
         if states.shape != (frames,) or not np.isfinite(states).all():
             raise FreeArtError(f"given states have shape {states.shape}, expected {frames} finite numbers")
     body = Body.of(meshes, joint)
-    if style == "release":
-        assert states is not None
-        return released_plan(body, states, camera, preset, seed)
-    atlas, heights = _atlas(body, camera, frames), HEIGHTS.get(style, (-1.0, 1.0))
-    task = Task(body, atlas, frames, fps, "hidden", states, heights, (seed, _key(body)))
+    if style.propose is None:
+        assert style.plan is not None and states is not None
+        return style.plan(body, states, camera, preset, seed)
+    atlas = _atlas(body, camera, frames)
+    task = Task(body, atlas, frames, fps, "hidden", states, style.heights, (seed, _key(body)))
     task = replace(task, hardship=_hardship(task, seed, hard))
-    rng = np.random.default_rng([seed, 2, MOTIONS.index(style), _key(body)])
+    rng = np.random.default_rng([seed, 2, style.stream, _key(body)])
     drawn = int(np.clip(frames // 8, 6, 20 if task.hardship == "none" else 36))
-    candidates = [(human if style == "human" else STYLES[style])(task, rng) for _ in range(drawn)]
+    candidates = [style.propose(task, rng) for _ in range(drawn)]
     guessed = [_score(c, task, task.atlas.shares(_views(c.Rs), c.states)) for c in candidates]
-    still = style == "turntable"
     best: tuple[float, Plan] | None = None
     for k in sorted(range(len(candidates)), key=lambda k: -guessed[k])[:_COUNTED]:
         course = candidates[k]
-        Ts = placed(course.Rs, course.sway, course.clock, course.states, body, camera, preset, still)
+        Ts = placed(course.Rs, course.sway, course.clock, course.states, body, camera, preset, style.still)
         score = _score(course, task, task.atlas.counted(Ts, course.states))
         if best is None or score > best[0]:
-            best = score, Plan(Ts, course.states, world_of(style, Ts, body))
+            best = score, Plan(Ts, course.states, camera_in_world(style, Ts, body))
     assert best is not None
     return best[1]
 
@@ -155,10 +154,9 @@ def _longest(flags: NDArray[np.bool_]) -> int:
     return int(np.diff(edges)[::2].max(initial=0))
 
 
-def world_of(style: str, Ts: Array, body: Body) -> Array:
-    """(n, 4, 4) camera from world: under the object at rest (static_base), else where the object is in frame 0."""
-    foot = se3.pose(np.eye(3), [*body.centre[:2], min(float(h[:, 2].min()) for h in body.hulls)])
-    if style == "static_base":
-        return Ts @ foot
-    R = Ts[0, :3, :3] if style == "turntable" else UPRIGHT
+def camera_in_world(style: Style, Ts: Array, body: Body) -> Array:
+    """(n, 4, 4) camera from world: on the ground under the object, else where the object is in frame 0."""
+    if style.world == "foot":
+        return Ts @ se3.pose(np.eye(3), [*body.centre[:2], min(float(h[:, 2].min()) for h in body.hulls)])
+    R = Ts[0, :3, :3] if style.world == "object" else UPRIGHT
     return np.broadcast_to(se3.pose(R, se3.transform(Ts[0], body.centre[None])[0]), Ts.shape).copy()

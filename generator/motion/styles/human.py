@@ -8,7 +8,7 @@ from freeart21 import se3
 from freeart21.se3 import Array
 from generator.motion import human_hand, timing, turns
 from generator.motion.human_hand import BACK, ON, Sweep
-from generator.motion.styles import Course, Task, long_rest, start_view, welcome
+from generator.motion.style import Course, Style, Task, long_rest, start_view, welcome
 
 _TREMOR = 2.1
 """Times `timing.tremor`: an object held still then turns by .040 degrees a frame in the median, as measured, and shifts
@@ -22,7 +22,7 @@ _DIRECTIONS = 48  # of which a sweep takes one
 _RAMP = 0.2  # s in which a hand lets go, or takes hold
 
 
-def human(task: Task, rng: np.random.Generator) -> Course:
+def propose(task: Task, rng: np.random.Generator) -> Course:
     """In a person's hands: sweeps, holds, corrections, put down at times, the joint worked in strokes of its own."""
     # candidates differ in directions alone: the choice among them favours no larger sweeps, and no fewer rests
     hand = human_hand.hand(task.frames, task.fps, np.random.default_rng([*task.seed, 11]))
@@ -86,3 +86,6 @@ def _in_hand(laid: tuple[tuple[float, float], ...], frames: int, fps: float) -> 
         ramp = _RAMP * fps
         held *= 1 - timing.ease((t - a) / ramp) * timing.ease((b - t) / ramp)
     return held
+
+
+STYLE = Style("human", 6, propose)

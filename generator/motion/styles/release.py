@@ -12,6 +12,7 @@ from generator.motion import turns
 from generator.motion.body import Body
 from generator.motion.framing import placed
 from generator.motion.plan import Plan, Preset
+from generator.motion.style import Style
 from generator.motion.visibility import Atlas
 
 SLOPE = np.radians(20.0)
@@ -80,3 +81,6 @@ def _perpendicular(axis: Array) -> Array:
 
 def _unit(v: Array) -> Array:
     return v / np.linalg.norm(v)
+
+
+STYLE = Style("release", 5, plan=released_plan)

@@ -1,4 +1,4 @@
-"""The styles: how object, camera and joint are moved, as candidates to choose from."""
+"""What a style of motion is, and what several styles share: views, paces, the joint, the hand."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freeart21 import se3
+from freeart21.camera import Camera
 from freeart21.se3 import Array
 from generator.motion import timing, turns
 from generator.motion.body import Body
+from generator.motion.plan import Plan, Preset
 from generator.motion.timing import Hold, JointCourse
 from generator.motion.visibility import Atlas
 
@@ -22,9 +24,6 @@ Hardship = Literal["none", "hidden", "gone"]
 
 HIDDEN = 0.045
 """A side whose share of the object's pixels is below counts as hidden."""
-
-HEIGHTS: dict[str, tuple[float, float]] = {"turntable": (0.2, 0.65), "static_base": (0.05, 0.82)}
-"""Sines of the angles from which a style looks down, where it does not look from everywhere."""
 
 
 @dataclass(frozen=True)
@@ -69,105 +68,26 @@ class Course:
     """The largest step that is welcome, degrees a frame at 30 frames a second."""
 
 
-def tumble(task: Task, rng: np.random.Generator) -> Course:
-    """Turned over and over in the hand, with pauses, while the joint is worked."""
-    states, course = _joint(task, rng)
-    pace = _pace(task, rng, 2.3, 2.8)
-    tau = timing.clock(timing.pose_rate(task.frames, course, rng, _linger(task)))
-    views = _views(task, states, course, 1.1 * pace * tau, rng, (0.7, 1.1))
-    Rs = turns.rolled(views, 0.35, rng)
-    Rs = _paced(lambda scale: turns.spline(Rs, _within(Rs, scale * tau)), pace, pace)
-    return _held(task, Rs, tau, states, pace, rng, (0.04, 0.02, 0.06))
+@dataclass(frozen=True)
+class Style:
+    """A way to move an object: one file of `generator.motion.styles` each, or one of somebody else's package."""
+
+    name: str
+    stream: int
+    """Number of its random stream, which no other style may have: what a seed draws depends on it."""
+    propose: Callable[[Task, np.random.Generator], Course] | None = None
+    """Draws one candidate; the planner takes the best of several."""
+    plan: Callable[[Body, Array, Camera, Preset, int], Plan] | None = None
+    """Instead: the plan of given joint states (n,), of a style that needs them (a joint that is let go)."""
+    heights: tuple[float, float] = (-1.0, 1.0)
+    """Sines of the lowest and highest angles from which it looks down on the object."""
+    still: bool = False
+    """Whether the camera keeps its distance over the whole video."""
+    world: Literal["upright", "object", "foot"] = "upright"
+    """The world's axes: upright, the object's in frame 0, or moving with the object, which stands on the ground."""
 
 
-def inspect(task: Task, rng: np.random.Generator) -> Course:
-    """Shown side after side: eased turns between views, with short holds, in some of which the joint is worked."""
-    states, course = _joint(task, rng)
-    pace = _pace(task, rng, 2.2, 2.6)
-    t = np.arange(task.frames, dtype=float)
-    views = _views(task, states, course, 1.15 * pace * t, rng, (0.8, 1.5), even=False)
-    Rs = turns.rolled(views, 0.2, rng)
-    steps = se3.log_so3(np.swapaxes(Rs[:-1], 1, 2) @ Rs[1:])
-    lengths, luck = np.linalg.norm(steps, axis=1), rng.uniform(0, 1, (2, len(Rs)))
-
-    def shown(speed: float) -> tuple[Array, Array]:
-        """Rotations at a mean speed of turning, radians a frame, and how many views have been shown."""
-        start, u, long = 2.0, np.zeros(task.frames), 0
-        for k, length in enumerate(lengths):
-            last = start + max(length / speed, 10.0)
-            u += timing.glide((t - start) / (last - start))
-            working = any(a < last < b - 12 for a, b in course.moves)
-            hidden = course.held is not None and course.held[0] < last < course.held[1] and task.hardship != "none"
-            worked = working and luck[0, k] < 0.6 and long < max(task.frames // 100, 1)
-            long += worked
-            start = last + 2 + 4 * luck[1, k] + 16 * worked + 6 * hidden
-        k = np.clip(np.floor(u).astype(int), 0, len(Rs) - 2)
-        return Rs[k] @ se3.exp_so3((u - k)[:, None] * steps[k]), u
-
-    speed = pace * 1.1
-    for _ in range(6):
-        median = np.radians(float(np.median(turns.steps_degrees(shown(speed)[0]))))
-        speed = float(np.clip(speed * (pace / max(median, 1e-9)) ** 0.7, 0.9 * pace, 1.6 * pace))
-    turned, u = shown(speed)
-    return _held(task, turned, 25.0 * u, states, pace, rng, (0.03, 0.015, 0.05))
-
-
-def wave(task: Task, rng: np.random.Generator) -> Course:
-    """Held about upright, swung and shaken, while it turns slowly round and the joint is worked."""
-    states, course = _joint(task, rng)
-    pace = _pace(task, rng, 2.2, 2.7)
-    slow = _pace(task, rng, 0.5, 0.8) if task.hardship == "none" else _pace(task, rng, 1.2, 1.6)
-    tau = timing.clock(timing.pose_rate(task.frames, course, rng, _linger(task)))
-    highest = 0.6 if task.hardship == "none" else 1.0
-    views = _views(task, states, course, slow * tau, rng, (0.5, 0.9), highest=highest)
-    base = turns.rolled(views, 0.1, rng)
-    drift = turns.spline(base, _within(base, slow / 0.6 * tau))
-    swings = [timing.wander(tau / task.fps, rng, rng.uniform(0.8, 1.2)) for _ in range(6)]
-    shake = np.stack(swings[:3], -1) * np.array([0.6, 1.0, 0.5])
-    shake -= shake[0]
-    Rs = _paced(lambda size: se3.exp_so3(size * shake) @ drift, 0.2, pace)
-    return _held(task, Rs, tau, states, pace, rng, (0.10, 0.04, 0.08), np.stack(swings[3:], -1))
-
-
-def turntable(task: Task, rng: np.random.Generator) -> Course:
-    """Standing upright on a plate that turns steadily; the camera rests and looks a little down."""
-    states, _ = _joint(task, rng)
-    pace = _pace(task, rng, 2.2, 2.8) * rng.choice([-1, 1])
-    yaw = rng.uniform(-np.pi, np.pi) + pace * np.arange(task.frames)
-    Rs = turns.level(yaw, np.full(task.frames, rng.uniform(0.2, 0.7)))
-    return Course(Rs, np.zeros((task.frames, 3)), np.zeros(task.frames), states, abs(np.degrees(pace)) * task.fps / 30)
-
-
-def static_base(task: Task, rng: np.random.Generator) -> Course:
-    """At rest on its base while a camera in a hand goes to and fro round it, higher and lower, nearer and further.
-
-    Slower than the other styles: half as many degrees a frame take a person round an object at a metre's distance at
-    walking pace.
-    """
-    states, course = _joint(task, rng)
-    pace = _pace(task, rng, 1.1, 1.5)
-    tau = timing.clock(timing.pose_rate(task.frames, course, rng, _linger(task)))
-    front, arc, pitch, tilt = rng.uniform(-0.5, 0.5), rng.uniform(1.4, 2.4), rng.uniform(0.4, 0.6), 0.35
-    turn, phases = rng.uniform(1.3, 2.2), rng.uniform(0, 2 * np.pi, 2)
-
-    def seen(scale: float) -> Array:
-        s = scale * tau / 100
-        yaw = front + arc * np.sin(s + phases[0])
-        return turns.level(yaw, pitch + tilt * np.sin(turn * s + phases[1]))
-
-    return _held(task, _paced(seen, 1.0, pace), tau, states, pace, rng, (0.02, 0.02, 0.12))
-
-
-STYLES: dict[str, Callable[[Task, np.random.Generator], Course]] = {
-    "tumble": tumble,
-    "inspect": inspect,
-    "wave": wave,
-    "turntable": turntable,
-    "static_base": static_base,
-}
-
-
-def _joint(task: Task, rng: np.random.Generator) -> tuple[Array, JointCourse]:
+def joint_states(task: Task, rng: np.random.Generator) -> tuple[Array, JointCourse]:
     """States (frames,) and when they move; a hard motion rests where the smaller side can be hidden best."""
     course = timing.joint_course(task.frames, rng, long_rest(task, rng))
     return (task.body.state(course.shares) if task.states is None else task.states), course
@@ -183,17 +103,17 @@ def long_rest(task: Task, rng: np.random.Generator) -> Hold | None:
     return Hold(at, float(rng.uniform(0.22, 0.30)))
 
 
-def _pace(task: Task, rng: np.random.Generator, slowest: float, fastest: float) -> float:
+def pace_per_frame(task: Task, rng: np.random.Generator, slowest: float, fastest: float) -> float:
     """Radians a frame: between so many degrees at 30 frames a second."""
     return float(np.radians(rng.uniform(slowest, fastest)) * 30 / task.fps)
 
 
-def _linger(task: Task) -> float:
+def slow_down(task: Task) -> float:
     """How much slower the hand is while it hides the smaller side."""
     return 1.0 if task.hardship == "none" else 0.55
 
 
-def _views(
+def plan_views(
     task: Task,
     states: Array,
     course: JointCourse,
@@ -246,11 +166,12 @@ def start_view(task: Task, states: Array, rng: np.random.Generator, usual: NDArr
     return np.asarray(directions[int(rng.choice(good))])
 
 
-def _within(Rs: Array, u: Array) -> Array:
+def clip_to_views(Rs: Array, u: Array) -> Array:
+    """Places (n,) on a path through views `Rs`, which ends at its last view."""
     return np.clip(u, 0, len(Rs) - 1)
 
 
-def _paced(course: Callable[[float], Array], first: float, pace: float) -> Array:
+def match_pace(course: Callable[[float], Array], first: float, pace: float) -> Array:
     """The rotations `course(scale)` at the scale, searched from `first`, at which their median step is `pace` rad."""
     scale, best = first, (np.inf, course(first))
     for _ in range(14):
@@ -265,7 +186,7 @@ def _paced(course: Callable[[float], Array], first: float, pace: float) -> Array
     return best[1]
 
 
-def _held(
+def in_hand(
     task: Task,
     Rs: Array,
     tau: Array,

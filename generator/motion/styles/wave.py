@@ -1,0 +1,40 @@
+"""The style `wave`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from freeart21 import se3
+from generator.motion import timing, turns
+from generator.motion.style import (
+    Course,
+    Style,
+    Task,
+    clip_to_views,
+    in_hand,
+    joint_states,
+    match_pace,
+    pace_per_frame,
+    plan_views,
+    slow_down,
+)
+
+
+def propose(task: Task, rng: np.random.Generator) -> Course:
+    """Held about upright, swung and shaken, while it turns slowly round and the joint is worked."""
+    states, course = joint_states(task, rng)
+    pace = pace_per_frame(task, rng, 2.2, 2.7)
+    slow = pace_per_frame(task, rng, 0.5, 0.8) if task.hardship == "none" else pace_per_frame(task, rng, 1.2, 1.6)
+    tau = timing.clock(timing.pose_rate(task.frames, course, rng, slow_down(task)))
+    highest = 0.6 if task.hardship == "none" else 1.0
+    views = plan_views(task, states, course, slow * tau, rng, (0.5, 0.9), highest=highest)
+    base = turns.rolled(views, 0.1, rng)
+    drift = turns.spline(base, clip_to_views(base, slow / 0.6 * tau))
+    swings = [timing.wander(tau / task.fps, rng, rng.uniform(0.8, 1.2)) for _ in range(6)]
+    shake = np.stack(swings[:3], -1) * np.array([0.6, 1.0, 0.5])
+    shake -= shake[0]
+    Rs = match_pace(lambda size: se3.exp_so3(size * shake) @ drift, 0.2, pace)
+    return in_hand(task, Rs, tau, states, pace, rng, (0.10, 0.04, 0.08), np.stack(swings[3:], -1))
+
+
+STYLE = Style("wave", 2, propose)
