@@ -28,7 +28,7 @@ from freeart21.files import atomic, checked
 from freeart21.files.asset import read_asset
 from freeart21.files.benchmark import Benchmark, read_benchmark
 from freeart21.files.truth import read_truth
-from freeart21.files.urdf import parsed
+from freeart21.files.urdf import parse_urdf
 from leaderboard.reference import truth_answer
 
 SCHEMA = "freeart21/benchmark-simcheck/1"
@@ -101,7 +101,7 @@ def _row(name: str, benchmark: Benchmark, engines: tuple[str, ...], work: Path, 
     report = check(asset, engines, simcheck=True, limit_s=limit_s)
     public = [r for r in report.rows if r.engine.startswith("simcheck")]
     found = {
-        "pieces": len(parsed(read_asset(asset).urdf).findall("link/collision")),
+        "pieces": len(parse_urdf(read_asset(asset).urdf).findall("link/collision")),
         "passed": sum(r.verdict == "pass" and not r.reason.startswith("warn: ") for r in public),
         "skipped": sum(r.verdict == "skip" for r in public),
         "failed": [f"{r.rule} ({r.engine}): {r.reason}" for r in public if r in report.not_passed],

@@ -20,8 +20,16 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import LARGEST_LIMIT, link_poses, numbers, origin_pose, parsed, read_urdf_joints, told
-from freeart21.files.urdf_files import missing_file, named_inside
+from freeart21.files.urdf import (
+    LARGEST_LIMIT,
+    link_poses,
+    parse_numbers,
+    parse_origin,
+    parse_urdf,
+    read_attribute,
+    read_urdf_joints,
+)
+from freeart21.files.urdf_files import describe_missing_file, resolve_file
 from freeart21.se3 import Array
 from freeart21.view.mesh_pieces import read_pieces
 from freeart21.view.simplify import joined
@@ -64,7 +72,7 @@ def check_asset(folder: Path) -> list[Finding]:
     folder = Path(folder)
     try:
         asset = read_asset(folder)
-        robot = parsed(asset.urdf)
+        robot = parse_urdf(asset.urdf)
     except (FreeArtError, ValueError, OverflowError, RecursionError) as error:
         return [Finding("asset", str(error))]
     findings = urdf_findings(robot, asset.urdf, asset.urdf.parent)
@@ -83,7 +91,7 @@ def urdf_findings(robot: ET.Element, urdf: Path, folder: Path) -> list[Finding]:
     if any(f.item == "tree" or f.rule == "paths.exist" for f in findings):  # the rest needs a tree with all its files
         return [*findings, *masses]
     findings += masses
-    files = partial(named_inside, urdf, root=folder)
+    files = partial(resolve_file, urdf, root=folder)
     try:
         for link in robot.findall("link"):
             if not any(finding.broken for finding in masses):
@@ -104,7 +112,7 @@ def _said(error: Exception) -> str:
 
 def _tree(robot: ET.Element) -> Iterator[Finding]:
     links = [link.get("name", "") for link in robot.findall("link")]
-    ends = [(told(j, "parent", "link"), told(j, "child", "link")) for j in robot.findall("joint")]
+    ends = [(read_attribute(j, "parent", "link"), read_attribute(j, "child", "link")) for j in robot.findall("joint")]
     for end in {e for pair in ends for e in pair}:
         if end not in links:
             yield Finding("tree.links-exist", f"a joint names link '{end}'; links: {', '.join(links)}")
@@ -143,8 +151,8 @@ def _paths(robot: ET.Element, urdf: Path, folder: Path) -> Iterator[Finding]:
             expected = "expected a relative path without spaces in the asset's folder"
             yield Finding("paths.relative", f"file '{name}', {expected}")
         try:
-            if not named_inside(urdf, name, folder).is_file():
-                yield Finding("paths.exist", f"file {missing_file(urdf, name, folder)}")
+            if not resolve_file(urdf, name, folder).is_file():
+                yield Finding("paths.exist", f"file {describe_missing_file(urdf, name, folder)}")
         except FreeArtError as error:
             yield Finding("paths.exist", str(error))
 
@@ -153,7 +161,7 @@ def _masses(link: ET.Element, robot: ET.Element) -> Iterator[Finding]:
     """Mass and inertia as numbers alone: what no body can have is broken."""
     name = link.get("name")
     if link.find("inertial") is None:
-        if any(told(j, "child", "link") == name for j in robot.findall("joint") if j.get("type") != "fixed"):
+        if any(read_attribute(j, "child", "link") == name for j in robot.findall("joint") if j.get("type") != "fixed"):
             yield Finding("inertia.present", f"link '{name}' moves and has no <inertial>", broken=True)
         return
     rows = ("ixx ixy ixz", "ixy iyy iyz", "ixz iyz izz")
@@ -177,7 +185,9 @@ def _mass_centre(link: ET.Element, files: Files) -> Iterator[Finding]:
 
 
 def _mass_place(link: ET.Element) -> Array:
-    return numbers(told(link, "inertial/origin", "xyz", "0 0 0"), 3, f"link '{link.get('name')}' has xyz")
+    return parse_numbers(
+        read_attribute(link, "inertial/origin", "xyz", "0 0 0"), 3, f"link '{link.get('name')}' has xyz"
+    )
 
 
 def _collisions(link: ET.Element, files: Files) -> Iterator[Finding]:
@@ -217,7 +227,9 @@ def _axis(joint: ET.Element) -> Iterator[Finding]:
     if joint.get("type") == "fixed":
         return
     name = joint.get("name")
-    length = float(np.linalg.norm(numbers(told(joint, "axis", "xyz", "1 0 0"), 3, f"joint '{name}' has axis")))
+    length = float(
+        np.linalg.norm(parse_numbers(read_attribute(joint, "axis", "xyz", "1 0 0"), 3, f"joint '{name}' has axis"))
+    )
     if abs(length - 1) > 1e-6:
         yield Finding("axis.unit", f"joint '{name}' has an axis of length {length:.6g}, expected 1")
 
@@ -305,7 +317,7 @@ def shapes_of(link: ET.Element, tag: str, files: Files) -> list[tuple[Array, tri
         shape = element.find("geometry/*")
         solid = None if shape is None else _solid(shape, files, where)
         if solid is not None:
-            found.append((origin_pose(element, where), solid))
+            found.append((parse_origin(element, where), solid))
     return found
 
 
@@ -313,7 +325,7 @@ def _solid(shape: ET.Element, files: Files, where: str) -> trimesh.Trimesh | Non
     """The mesh of a geometry in its own frame; None for a kind that URDF does not know."""
 
     def size(attribute: str, count: int = 1, default: str | None = None) -> Array:
-        return numbers(shape.get(attribute, default), count, f"{where} has {attribute}")
+        return parse_numbers(shape.get(attribute, default), count, f"{where} has {attribute}")
 
     match shape.tag:
         case "box":
@@ -353,4 +365,4 @@ def _words(path: Path, key: str) -> list[str]:
 
 def _number(element: ET.Element, path: str, attribute: str, default: str, finite: bool = True) -> float:
     what = f"{element.tag} '{element.get('name')}' has {attribute}"
-    return float(numbers(told(element, path, attribute, default), 1, what, finite)[0])
+    return float(parse_numbers(read_attribute(element, path, attribute, default), 1, what, finite)[0])

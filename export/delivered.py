@@ -18,8 +18,8 @@ from export.decomposition import thickened
 from export.fidelity import PER_SHAPES, Fidelity, depth_within, half_spaces, measured
 from export.outside import DENSE, even_points, outside_of
 from freeart21 import se3
-from freeart21.files.urdf import parsed, read_urdf
-from freeart21.files.urdf_files import named_inside
+from freeart21.files.urdf import parse_urdf, read_urdf
+from freeart21.files.urdf_files import resolve_file
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
 
@@ -35,8 +35,8 @@ _DEPTH_POINTS = 20_000
 
 def delivered_shapes(urdf: Path) -> tuple[dict[str, Shapes], dict[str, Shapes]]:
     """Visual and collision shapes of a URDF by link, in its frame, as its files say; raises FreeArtError."""
-    files = partial(named_inside, urdf, root=urdf.parent)
-    links = parsed(urdf).findall("link")
+    files = partial(resolve_file, urdf, root=urdf.parent)
+    links = parse_urdf(urdf).findall("link")
     seen, touched = ({e.get("name", ""): shapes_of(e, tag, files) for e in links} for tag in ("visual", "collision"))
     return seen, touched
 

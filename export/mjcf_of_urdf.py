@@ -14,7 +14,7 @@ from export.model import WORLD, Base, number_text
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, children, read_urdf
+from freeart21.files.urdf import UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, child_joints, read_urdf
 from freeart21.se3 import Array
 
 _MESHES = (".obj", ".stl", ".msh")
@@ -35,7 +35,7 @@ def mjcf_of_urdf(asset: Asset, base: Base = "fixed") -> bytes:
     ET.SubElement(model, "option", integrator="implicitfast")
     assets = ET.SubElement(model, "asset")
     world = ET.SubElement(model, "worldbody")
-    below = children(urdf.joints.values())
+    below = child_joints(urdf.joints.values())
     waiting: list[tuple[ET.Element, str, UrdfJoint | None]] = [(world, urdf.root, None)]
     while waiting:
         parent, name, joint = waiting.pop(0)

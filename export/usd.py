@@ -24,7 +24,7 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.urdf import UrdfInertial, UrdfJoint, UrdfLink, UrdfShape, read_urdf
-from freeart21.files.urdf_files import named_inside
+from freeart21.files.urdf_files import resolve_file
 from freeart21.reconstruction import describe_trust
 from freeart21.se3 import Array
 
@@ -203,7 +203,7 @@ def _shape(stage: Any, path: Any, shape: UrdfShape, urdf: Path) -> Any:
 def _mesh(geom: Any, shape: UrdfShape, urdf: Path) -> Any:
     from pxr import Sdf, UsdGeom, Vt
 
-    path = named_inside(urdf, shape.filename)
+    path = resolve_file(urdf, shape.filename)
     mesh = trimesh.load_mesh(checked.require_file(path, MAX_MESH_BYTES), process=False)
     points = np.ascontiguousarray(mesh.vertices * shape.size, np.float32)
     geom.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
@@ -225,7 +225,7 @@ def _look(stage: Any, root: Any, name: str, geom: Any, shape: UrdfShape, urdf: P
     """UsdPreviewSurface of the mesh's first material: its picture, or its colour."""
     from pxr import Gf, Sdf, UsdShade
 
-    picture, colour = _material(named_inside(urdf, shape.filename)) if shape.kind == "mesh" else (None, None)
+    picture, colour = _material(resolve_file(urdf, shape.filename)) if shape.kind == "mesh" else (None, None)
     if colour is None:
         colour = (0.7, 0.7, 0.7) if shape.rgba is None else tuple(shape.rgba[:3].tolist())
     stage.DefinePrim(root.AppendChild("Looks"), "Scope")

@@ -1,4 +1,4 @@
-"""A simulation-ready asset: a URDF with meshes, the effects URDF cannot say, and how it sits in its canonical frame."""
+"""A simulation-ready asset: a URDF with meshes, effects beyond URDF, and its pose in the canonical frame."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from freeart21.se3 import Array, check_poses
 
 @dataclass(frozen=True)
 class Asset:
-    """One articulated object on disk, two of whose links matter: the reference link and the moving link."""
+    """One articulated object on disk; one joint of it, between the reference link and the moving link, is scored."""
 
     urdf: Path
     """The URDF file."""
     joint: str
     """Name of the scored joint in the URDF."""
     reference_link: str
-    """Link that carries the reference part: one side of the joint."""
+    """Link of the reference part, on one side of the joint."""
     moving_link: str
-    """Link that carries the moving part: the other side of the joint."""
+    """Link of the moving part, on the other side."""
     T_canonical_reference: Array = field(default_factory=lambda: np.eye(4))
-    """(4, 4) canonical frame from the reference link's frame."""
+    """(4, 4) the reference link's frame in the canonical frame."""
     state_zero: float = 0.0
-    """The URDF joint's position, rad or m, at the canonical state zero."""
+    """Position of the URDF joint, rad or m, at canonical state zero."""
     effects: dict[str, tuple[Effect, ...]] = field(default_factory=dict)
-    """Joint name to the effects that act on it: from effects.json when there is one, else from URDF `<dynamics>`."""
+    """Joint name to the effects on it, from effects.json or, without one, from the URDF's `<dynamics>`."""
     held: dict[str, float] = field(default_factory=dict)
-    """Other joints and the positions, rad or m, at which they are held: they are frozen into the part they hang on."""
+    """Other joints and the positions, rad or m, at which they are held fixed."""
     source: dict[str, Any] = field(default_factory=dict)
-    """Where the asset came from."""
+    """Provenance, as in asset.json."""
     scale: float = 1.0
-    """Lengths of the asset, of its canonical frame and of a prismatic joint's states over those of the video that it
-    came from: 1 unless it was exported at another size."""
+    """Lengths of the asset, its canonical frame and a prismatic joint's states over those of its video; 1 unless
+    exported at another size."""
     trust: Trust | None = None
-    """Whether the reconstruction that it was made of trusts itself; None when that is not stated."""
+    """Trust in the reconstruction it was made from; None when not stated."""
     root: Path | None = None
-    """Folder within which the files lie that the URDF names; None takes what `urdf_files.find_root` finds."""
+    """Folder that bounds the files named by the URDF; None: that of `urdf_files.find_root`."""
 
     def __post_init__(self) -> None:
         object.__setattr__(

@@ -21,7 +21,7 @@ from freeart21.files.asset import write_asset_json
 from freeart21.files.measured_writer import write_measured
 from freeart21.files.places import check_place
 from freeart21.files.truth import read_truth
-from freeart21.files.urdf import parsed
+from freeart21.files.urdf import parse_urdf
 from freeart21.measured import Measured, Run
 from freeart21.se3 import Array
 from freeart21.truth import Truth
@@ -197,7 +197,7 @@ def _same_urdf(folder: Path, truth: Truth, urdf: Path | None, root: Path | None)
 
 def _without_losses(urdf: Path) -> None:
     """Take <dynamics> out of a URDF: a joint that is let go has the effects of the recording, and no others."""
-    robot = parsed(urdf)
+    robot = parse_urdf(urdf)
     for joint in robot.findall("joint"):
         for dynamics in joint.findall("dynamics"):
             joint.remove(dynamics)

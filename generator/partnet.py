@@ -28,8 +28,8 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.asset import held_positions, movable_joint, read_semantics
-from freeart21.files.urdf import MAX_URDF_BYTES, Urdf, UrdfJoint, UrdfLink, links_beyond, read_urdf
+from freeart21.files.asset import find_movable_joint, held_positions, read_semantics
+from freeart21.files.urdf import MAX_URDF_BYTES, Urdf, UrdfJoint, UrdfLink, read_urdf, subtree_links
 from freeart21.joint import Joint
 from freeart21.mesh import bounding_diagonal
 from freeart21.se3 import Array
@@ -119,7 +119,7 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
     meta = _meta(folder)
     read = read_tree(urdf)
     joints = read.joints
-    scored = movable_joint(urdf, joint or meta.get("scored_joint"))
+    scored = find_movable_joint(urdf, joint or meta.get("scored_joint"))
     if not scored.lower < scored.upper:
         raise FreeArtError(
             f"{urdf}: joint '{scored.name}' cannot move: its limits are [{scored.lower:g}, {scored.upper:g}]"
@@ -130,7 +130,7 @@ def load(folder: Path, joint: str | None = None, skip_missing: bool = False) -> 
     gaps = Gaps()
     absent = _absent(visuals, folder, urdf, skip_missing or folder.resolve().name in INCOMPLETE)
     gaps.meshes.update(absent)
-    below = links_beyond(joints, scored.child)
+    below = subtree_links(joints, scored.child)
     child = _side(scored, tuple(name for name in visuals if name in below), visuals, Ts, folder, gaps)
     parent = _side(scored, tuple(name for name in visuals if name not in below), visuals, Ts, folder, gaps)
     T_object_joint = Ts[scored.parent] @ scored.T_parent_joint

@@ -27,8 +27,8 @@ from trimesh.geometry import triangulate_quads
 
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.urdf import parsed
-from freeart21.files.urdf_files import named_inside
+from freeart21.files.urdf import parse_urdf
+from freeart21.files.urdf_files import resolve_file
 from freeart21.se3 import Array
 from generator.surface import Paint, Surface, srgb
 
@@ -266,7 +266,7 @@ def sapien_urdf(urdf: Path, root: Path | None = None) -> Iterator[Path]:
     without absent pictures, and meshes that their scale mirrors have their faces turned round (SAPIEN would show them
     from within). Only OBJ files are looked into; all lie in `root`, as in `freeart21.files.urdf_files`.
     """
-    robot = parsed(urdf)
+    robot = parse_urdf(urdf)
     with tempfile.TemporaryDirectory(prefix="freeart21-") as place:
         changed = False
         for link in robot.iter("link"):
@@ -274,7 +274,7 @@ def sapien_urdf(urdf: Path, root: Path | None = None) -> Iterator[Path]:
                 mesh = shape.find("geometry/mesh")
                 if mesh is None:
                     continue
-                path = named_inside(urdf, mesh.get("filename", ""), root)
+                path = resolve_file(urdf, mesh.get("filename", ""), root)
                 mirrored = np.prod(_scale(mesh)) < 0
                 usable = _usable(path, Path(place), bool(mirrored))
                 changed |= usable != urdf.absolute().parent / mesh.get("filename", "")
@@ -284,7 +284,7 @@ def sapien_urdf(urdf: Path, root: Path | None = None) -> Iterator[Path]:
                     mesh.set("filename", str(usable))
         if changed:
             for texture in robot.iter("texture"):
-                texture.set("filename", str(named_inside(urdf, texture.get("filename", ""), root)))
+                texture.set("filename", str(resolve_file(urdf, texture.get("filename", ""), root)))
             ET.ElementTree(robot).write(Path(place) / urdf.name, encoding="utf-8")
         yield Path(place) / urdf.name if changed else urdf
 

@@ -17,7 +17,7 @@ import trimesh
 from freeart21.asset import Asset
 from freeart21.effects.base import Effect
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import parsed
+from freeart21.files.urdf import parse_urdf
 from freeart21.se3 import Array
 from generator import simulate
 from generator.model import Link, ObjectModel
@@ -78,7 +78,7 @@ def released_states(
 
 def weighed(asset: Asset, model: ObjectModel, folder: Path, shapes: bool = False) -> Asset:
     """`asset`, written from `model`, with a URDF in `folder` that has inertia by the materials, and maybe shapes."""
-    root = parsed(asset.urdf)
+    root = parse_urdf(asset.urdf)
     for element in root.findall("link"):
         for shape in () if shapes else (*element.findall("visual"), *element.findall("collision")):
             element.remove(shape)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import UrdfJoint, links_beyond, parsed
-from freeart21.files.urdf_files import named_file
+from freeart21.files.urdf import UrdfJoint, parse_urdf, subtree_links
+from freeart21.files.urdf_files import find_file
 
 UNREACHED = 1e4
 """rad or m: engine limits that no joint reaches."""
@@ -97,7 +97,7 @@ def links_from(articulation: Any, first: str) -> list[Any]:
 
 def _check_sides(asset: Asset, joints: dict[str, UrdfJoint], joint: UrdfJoint) -> None:
     """FreeArtError unless reference and moving link are on different sides of the joint."""
-    beyond = links_beyond(joints, joint.child)
+    beyond = subtree_links(joints, joint.child)
     if (asset.reference_link in beyond) == (asset.moving_link in beyond):
         raise FreeArtError(
             f"{asset.urdf}: links '{asset.reference_link}' and '{asset.moving_link}' are on the same "
@@ -155,13 +155,13 @@ def _frozen_position(asset: Asset, joint: UrdfJoint) -> float:
 
 def _urdf_for_sapien(asset: Asset, joints: dict[str, UrdfJoint], visuals: bool, collisions: bool) -> ET.Element:
     """The URDF with absolute file names and complete limits, without what the simulation does not need."""
-    root = parsed(asset.urdf)
+    root = parse_urdf(asset.urdf)
     for element in list(root):
         if element.tag not in ("link", "joint", "material"):
             root.remove(element)
     _check_tree(asset, joints, [link.get("name", "") for link in root.findall("link")])
     for file in [*root.iter("mesh"), *root.iter("texture")]:
-        file.set("filename", str(named_file(asset.urdf, file.get("filename", ""), asset.root)))
+        file.set("filename", str(find_file(asset.urdf, file.get("filename", ""), asset.root)))
     for link in root.findall("link"):
         mass = link.find("inertial/mass")
         has_mass = mass is not None and float(mass.get("value", "0")) > 0

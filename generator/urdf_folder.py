@@ -19,9 +19,9 @@ import trimesh
 
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
-from freeart21.files.asset import movable_joint
-from freeart21.files.urdf import UrdfShape, parsed
-from freeart21.files.urdf_files import file_names, find_root, missing_file, named_inside
+from freeart21.files.asset import find_movable_joint
+from freeart21.files.urdf import UrdfShape, parse_urdf
+from freeart21.files.urdf_files import describe_missing_file, file_names, find_root, resolve_file
 from freeart21.view.link_shapes import primitive
 from freeart21.view.mesh_pieces import ENDINGS, read_pieces, up_axis
 from freeart21.view.obj import Piece
@@ -52,7 +52,7 @@ def digest(urdf: Path, root: Path | None = None) -> str:
     """SHA-256, hexadecimal, of the URDF and of the meshes in `root` that it shows."""
     sums = hashlib.sha256()
     names = {shape.filename for link in partnet.read_tree(urdf).links.values() for shape in link.visuals}
-    for path in (urdf, *(named_inside(urdf, name, root) for name in sorted(names) if name)):
+    for path in (urdf, *(resolve_file(urdf, name, root) for name in sorted(names) if name)):
         data = checked.read_bytes(path, MAX_OBJ_BYTES, checked.ANYWHERE) if path.is_file() else b""
         sums.update(hashlib.sha256(data).digest())
     return sums.hexdigest()
@@ -66,7 +66,7 @@ def load_urdf(
     What the URDF names lies in `root`, by default in its own folder or its package's. Raises FreeArtError, in one line,
     as `generator.partnet.load` does.
     """
-    scored = movable_joint(urdf, joint).name
+    scored = find_movable_joint(urdf, joint).name
     try:
         if not folder.is_dir():
             write_folder(urdf, folder, skip_missing, root)
@@ -81,7 +81,7 @@ def load_urdf(
 
 def write_folder(urdf: Path, folder: Path, skip_missing: bool = False, root: Path | None = None) -> Path:
     """Write the new folder `folder` with mobility.urdf, OBJ meshes and pictures of what `urdf` shows."""
-    read, robot = partnet.read_tree(urdf), parsed(urdf)
+    read, robot = partnet.read_tree(urdf), parse_urdf(urdf)
     root = find_root(urdf, file_names(robot), root)
     gaps = Gaps()
     with atomic.new_folder(folder) as aside:
@@ -129,14 +129,14 @@ def _surface(shape: UrdfShape, urdf: Path, where: str, skip_missing: bool, root:
     elif not shape.size.all():
         raise FreeArtError(f"{where} has a mesh of scale {shape.size.tolist()}, expected none to be zero")
     else:
-        path = named_inside(urdf, shape.filename, root)
+        path = resolve_file(urdf, shape.filename, root)
         if path.suffix.lower() not in ENDINGS:
             raise FreeArtError(f"{where} has the mesh '{shape.filename}', expected {', '.join(ENDINGS)}")
         if not checked.is_there(path):
             if skip_missing:
                 gaps.meshes.add(shape.filename)
                 return None
-            absent = missing_file(urdf, shape.filename, root)
+            absent = describe_missing_file(urdf, shape.filename, root)
             raise FreeArtError(f"{where} names the mesh {absent}; --skip-missing leaves absent meshes out")
         if path.suffix.lower() == ".obj":
             surface = read_obj(path, root, gaps)

@@ -18,10 +18,10 @@ from freeart21 import child, se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.asset import movable_joint, read_asset
+from freeart21.files.asset import find_movable_joint, read_asset
 from freeart21.files.joint_json import joint_from_json, joint_to_json
-from freeart21.files.urdf import parsed, read_urdf_joints
-from freeart21.files.urdf_files import named_inside
+from freeart21.files.urdf import parse_urdf, read_urdf_joints
+from freeart21.files.urdf_files import resolve_file
 from freeart21.joint import Joint
 from freeart21.mesh import Mesh
 from freeart21.se3 import Array
@@ -130,9 +130,9 @@ def check_asset_files(folder: Path) -> None:
     if size > MAX_ASSET_BYTES:
         raise FreeArtError(f"{folder} has {size} bytes, at most {MAX_ASSET_BYTES} are read")
     for urdf in sorted(folder.rglob("*.urdf")):
-        for element in parsed(urdf).iter():
+        for element in parse_urdf(urdf).iter():
             if "filename" in element.attrib:
-                named_inside(urdf, element.attrib["filename"], folder)
+                resolve_file(urdf, element.attrib["filename"], folder)
 
 
 def drive_joint(asset: Asset, states: ArrayLike) -> tuple[Joint, Array, Array]:
@@ -146,7 +146,7 @@ def drive_joint(asset: Asset, states: ArrayLike) -> tuple[Joint, Array, Array]:
     if asset.scale != 1.0:
         raise FreeArtError(f"{asset.urdf.parent} has {asset.scale:g} times the video's lengths (its scale), expected 1")
     states = np.asarray(states, float)
-    limits = movable_joint(asset.urdf, asset.joint)
+    limits = find_movable_joint(asset.urdf, asset.joint)
     lower, upper = limits.lower - asset.state_zero, limits.upper - asset.state_zero
     reachable = np.clip(states, lower, upper)
     low = lower if np.isfinite(lower) else min(reachable.min(), -0.5)

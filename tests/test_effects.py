@@ -416,9 +416,9 @@ def test_effects_json_of_another_urdf_is_refused(tmp_path: Path):
 @pytest.mark.parametrize(
     "inside, said",
     [
-        ("", r"damping 0.3, but lid.urdf says 0"),
-        ('<dynamics damping="0.3"/>', r"friction 0.2, but lid.urdf says 0"),
-        ('<dynamics damping="0.31" friction="0.2"/>', r"damping 0.3, but lid.urdf says 0.31"),
+        ("", r"damping 0.3, but lid.urdf has 0"),
+        ('<dynamics damping="0.3"/>', r"friction 0.2, but lid.urdf has 0"),
+        ('<dynamics damping="0.31" friction="0.2"/>', r"damping 0.3, but lid.urdf has 0.31"),
     ],
 )
 def test_effects_json_that_contradicts_the_urdf_is_refused(tmp_path: Path, inside: str, said: str):

@@ -15,7 +15,7 @@ from freeart21.camera import Camera
 from freeart21.effects import CoulombFriction, ReturnSpring, ViscousDamping
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked, places
-from freeart21.files.asset import movable_joint, read_asset, write_asset_json
+from freeart21.files.asset import find_movable_joint, read_asset, write_asset_json
 from freeart21.files.benchmark import read_benchmark, write_benchmark
 from freeart21.files.mesh_file import read_ply, write_ply
 from freeart21.files.result import Method, read_method, read_render, read_result, write_method, write_result
@@ -422,7 +422,7 @@ def test_an_asset_round_trips_with_effects_that_urdf_cannot_say(urdf):
 
 def test_effects_that_contradict_the_urdf_are_refused(urdf):
     write_asset_json(urdf.parent, Asset(urdf, "hinge", "base", "lid", effects={"hinge": (CoulombFriction(0.5),)}))
-    with pytest.raises(FreeArtError, match="joint 'hinge' has damping 0, but box.urdf says 0.03"):
+    with pytest.raises(FreeArtError, match="joint 'hinge' has damping 0, but box.urdf has 0.03"):
         read_asset(urdf.parent)
 
 
@@ -438,13 +438,13 @@ def test_a_urdf_without_a_movable_joint(tmp_path):
     path = tmp_path / "a.urdf"
     path.write_text('<robot name="a"><link name="base"/></robot>')
     with pytest.raises(FreeArtError, match="has no movable joint"):
-        movable_joint(path)
+        find_movable_joint(path)
     path.write_text("<sdf/>")
     with pytest.raises(FreeArtError, match="is not a URDF: its root is <sdf>"):
-        movable_joint(path)
+        find_movable_joint(path)
     path.write_text("<robot")
     with pytest.raises(FreeArtError, match="is not XML"):
-        movable_joint(path)
+        find_movable_joint(path)
 
 
 def test_an_unclear_choice_of_joint_lists_them(urdf):

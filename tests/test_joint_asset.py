@@ -11,7 +11,7 @@ import pytest
 from export.joint_asset import JointNumbers, write_joint_asset
 from freeart21 import cli
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import movable_joint, read_asset
+from freeart21.files.asset import find_movable_joint, read_asset
 from generator.simulate import load, roll_out
 
 G = 9.81
@@ -68,10 +68,10 @@ def test_a_door_feels_its_inertia_and_no_gravity_and_a_drawer_its_mass(tmp_path:
 
 def test_limits_and_names_are_those_told(tmp_path: Path):
     asset = made(tmp_path, "drawer", 2.0, lower=0.0, upper=0.4, name="slide")
-    joint = movable_joint(asset.urdf)
+    joint = find_movable_joint(asset.urdf)
     assert (joint.name, joint.type, joint.lower, joint.upper) == ("slide", "prismatic", 0.0, 0.4)
-    assert movable_joint(made(tmp_path, "door", 2.0, 0.3).urdf).type == "continuous"
-    assert movable_joint(made(tmp_path, "pendulum", 2.0, 0.3, lower=-1.0, upper=1.0).urdf).type == "revolute"
+    assert find_movable_joint(made(tmp_path, "door", 2.0, 0.3).urdf).type == "continuous"
+    assert find_movable_joint(made(tmp_path, "pendulum", 2.0, 0.3, lower=-1.0, upper=1.0).urdf).type == "revolute"
 
 
 WRONG = {

@@ -741,7 +741,7 @@ def test_the_choice_of_joints_of_a_real_object() -> None:
         (_LID + _SLIDE + _BODY + _link("lost"), "has the root links base, lost, expected one"),
         (
             _LID + _SLIDE + _BODY + _joint("j", "fixed", "link_0", "base"),
-            "'link_0' hangs on both joints 'joint_0' and 'j'",
+            "'link_0' is the child of both joints 'joint_0' and 'j'",
         ),
         (
             _LID

@@ -11,9 +11,9 @@ from test_export import reconstruction
 from export.check.tree import hold_followers, tree_of_urdf
 from export.exporter import export_result
 from freeart21.errors import FreeArtError
-from freeart21.files.asset import check_followers, held_positions, movable_joint, read_asset
-from freeart21.files.urdf import UrdfShape, link_poses, parsed, read_urdf, read_urdf_joints, with_followers
-from freeart21.files.urdf_files import named_file, named_inside
+from freeart21.files.asset import check_no_mimics, find_movable_joint, held_positions, read_asset
+from freeart21.files.urdf import UrdfShape, link_poses, parse_urdf, read_urdf, read_urdf_joints, resolve_mimics
+from freeart21.files.urdf_files import find_file, resolve_file
 
 PARTNET = Path(__file__).resolve().parents[2] / "shared" / "partnet_mobility"
 
@@ -120,7 +120,7 @@ FAULTS = {
     r"joint 'hinge' has axis \[0.0, 0.0, 0.0\], expected a direction": ("0 3 4", "0 0 0"),
     "joint 'slide' has effort 'nan', expected a finite number": ('effort="7"', 'effort="nan"'),
     "link 'lid': a visual has size '1 2', expected 3": ('1 2 3"/></geom', '1 2"/></geom'),
-    "link 'tip' hangs on both joints": (
+    "link 'tip' is the child of both joints": (
         "</robot>",
         '<joint name="again" type="fixed"><parent link="base"/><child link="tip"/></joint></robot>',
     ),
@@ -142,7 +142,7 @@ def test_entities_are_refused_whoever_reads(odd: Path) -> None:
     bomb = f'<!DOCTYPE robot [<!ENTITY l0 "ha">{laughs}]><robot name="&l9;"><link name="base"/></robot>'
     for data in (bomb.encode(), bomb.encode("utf-16")):
         odd.write_bytes(data)
-        for read in (parsed, read_urdf, read_urdf_joints, read_asset):
+        for read in (parse_urdf, read_urdf, read_urdf_joints, read_asset):
             with pytest.raises(FreeArtError, match="declares a document type 'robot', which is not read"):
                 read(odd)
 
@@ -178,10 +178,10 @@ def test_layouts_of_packages_are_understood(tmp_path: Path, urdf: str, name: str
     for file in (urdf, mesh, mark or urdf):
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / file).touch()
-    assert named_file(tmp_path / urdf, name.format(tmp_path)) == (tmp_path / mesh).resolve()
+    assert find_file(tmp_path / urdf, name.format(tmp_path)) == (tmp_path / mesh).resolve()
     (tmp_path / mesh).unlink()
     with pytest.raises(FreeArtError, match=r"which does not exist: looked for .* in .*; --root DIR") as caught:
-        named_file(tmp_path / urdf, name.format(tmp_path))
+        find_file(tmp_path / urdf, name.format(tmp_path))
     assert "\n" not in str(caught.value)
 
 
@@ -191,17 +191,17 @@ def test_a_root_that_is_given_bounds_what_is_read(tmp_path: Path) -> None:
         (tmp_path / file).touch()
     urdf, mesh = tmp_path / "src/one/urdf/a.urdf", tmp_path / "src/two/meshes/m.stl"
     for name in ("package://two/meshes/m.stl", "../../two/meshes/m.stl", str(mesh)):
-        assert named_file(urdf, name, tmp_path / "src") == mesh.resolve()
+        assert find_file(urdf, name, tmp_path / "src") == mesh.resolve()
         with pytest.raises(FreeArtError, match=r"leads out of the folder|--root DIR"):
-            named_file(urdf, name)
+            find_file(urdf, name)
     (tmp_path / "src/link.stl").symlink_to(tmp_path / "secret.stl")
     for name in ("../../link.stl", "../../../secret.stl"):
         with pytest.raises(FreeArtError, match=r"leads out of the folder .*; --root DIR names a larger one"):
-            named_file(urdf, name, tmp_path / "src")
+            find_file(urdf, name, tmp_path / "src")
     with pytest.raises(FreeArtError, match=r"the root .*/gone is not a folder"):
-        named_file(urdf, str(mesh), tmp_path / "gone")
+        find_file(urdf, str(mesh), tmp_path / "gone")
     with pytest.raises(FreeArtError, match=r"expected a path, or an address of package://, model:// or file://"):
-        named_file(urdf, "https://example.org/m.stl")
+        find_file(urdf, "https://example.org/m.stl")
 
 
 def test_nobodys_home_is_a_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,7 +211,7 @@ def test_nobodys_home_is_a_package(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (tmp_path / "me/private.stl").touch()
     for name in ("package://me/private.stl", "package://me/../private.stl"):
         with pytest.raises(FreeArtError, match=r"--root DIR"):
-            named_file(tmp_path / "me/got/a.urdf", name)
+            find_file(tmp_path / "me/got/a.urdf", name)
 
 
 def _mimics(text: str, told: str) -> str:
@@ -226,20 +226,20 @@ def test_followers_stand_where_their_leader_puts_them(odd: Path) -> None:
     follows = '<mimic joint="{}" multiplier="{}" offset="{}"/>'.format
     odd.write_text(_mimics('lower="0.5" upper="2"', f"{follows('a', -2, 0.25)}|{follows('b', 0.5, 1)}"))
     joints = read_urdf_joints(odd)
-    assert with_followers(joints, {"a": 0.75}) == {"a": 0.75, "b": -1.25, "c": 0.375}
+    assert resolve_mimics(joints, {"a": 0.75}) == {"a": 0.75, "b": -1.25, "c": 0.375}
     assert held_positions(joints, "a") == {"b": 0.25, "c": 1.125}, "at the scored joint's zero"
-    assert movable_joint(odd).name == "a", "the only one that moves by itself"
-    with pytest.raises(FreeArtError, match=r"joint 'b' follows 'a' \(mimic\), expected one that moves by itself"):
-        movable_joint(odd, "b")
+    assert find_movable_joint(odd).name == "a", "the only one that moves by itself"
+    with pytest.raises(FreeArtError, match=r"joint 'b' follows 'a' \(mimic\), expected one that does not"):
+        find_movable_joint(odd, "b")
     with pytest.raises(FreeArtError, match=r"'b' follows 'a' \(mimic\), but gap moves one part alone"):
-        check_followers(odd, "a", "gap")
+        check_no_mimics(odd, "a", "gap")
     held = hold_followers(tree_of_urdf(read_urdf(odd)))
     assert [j.name for j in held.movable] == ["a"]
     np.testing.assert_allclose(held.link_poses({})["c"], link_poses(joints, {"c": 0.5 * (-2 * 0.5 + 0.25) + 1})["c"])
-    for second, said in (("c", "mimics, by way of 'c', itself"), ("d", "mimics 'd', which is no joint")):
+    for second, said in (("c", "mimics itself by way of 'c'"), ("d", "mimics 'd', which is no joint")):
         odd.write_text(_mimics("", f"{follows(second, 1, 0)}|{follows('b', 1, 0)}"))
         with pytest.raises(FreeArtError, match=said):
-            with_followers(read_urdf_joints(odd), {})
+            resolve_mimics(read_urdf_joints(odd), {})
 
 
 @pytest.mark.parametrize("end", ["1e30", "1e16", "1001", "inf", "Infinity"])
@@ -265,7 +265,7 @@ def test_limits_that_nothing_reaches_are_none(odd: Path, end: str) -> None:
 )
 def test_xacro_is_said_to_be_xacro(odd: Path, text: str) -> None:
     odd.write_text(text)
-    for read in (parsed, read_urdf, read_urdf_joints, read_asset):
+    for read in (parse_urdf, read_urdf, read_urdf_joints, read_asset):
         with pytest.raises(FreeArtError, match=r"is a xacro file, .*: expand it first, `xacro odd.urdf > expanded"):
             read(odd)
     odd.write_text('<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="a"/></robot>')
@@ -277,11 +277,11 @@ def test_files_are_looked_for_inside_the_folder_only(odd: Path) -> None:
     mesh = odd.parent / "meshes" / "a.obj"
     mesh.write_text("")
     for name in ("meshes/a.obj", "file://meshes/a.obj", "package://odd/meshes/a.obj", "package://meshes/a.obj"):
-        assert named_inside(odd, name) == mesh.resolve()
-    assert named_inside(odd, "no.obj") == (odd.parent / "no.obj").resolve()
-    assert named_inside(odd, "../x.obj", odd.parent.parent).name == "x.obj"
+        assert resolve_file(odd, name) == mesh.resolve()
+    assert resolve_file(odd, "no.obj") == (odd.parent / "no.obj").resolve()
+    assert resolve_file(odd, "../x.obj", odd.parent.parent).name == "x.obj"
     for name in ("../x.obj", "/etc/passwd", "package://../../x.obj", "file:///etc/passwd"):
         with pytest.raises(FreeArtError, match="leads out of the folder"):
-            named_inside(odd, name)
+            resolve_file(odd, name)
     with pytest.raises(FreeArtError, match="which cannot be looked up"):
-        named_inside(odd, "a" * 5000)
+        resolve_file(odd, "a" * 5000)

@@ -15,7 +15,7 @@ from export.check.rules import ENGINE_RULES, UNREAD
 from export.check.subject import find_subject
 from export.check.trial_process import ask
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import parsed, read_urdf_joints
+from freeart21.files.urdf import parse_urdf, read_urdf_joints
 from freeart21.files.urdf_files import file_names
 
 ENGINES = tuple(MODULES)
@@ -89,7 +89,7 @@ def check(
 
 
 def _collision_files(urdf: Path | None) -> list[str]:
-    links = [] if urdf is None else parsed(urdf).findall("link")
+    links = [] if urdf is None else parse_urdf(urdf).findall("link")
     return [name for link in links for shape in link.findall("collision") for name in file_names(shape)]
 
 

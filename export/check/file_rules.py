@@ -27,8 +27,8 @@ from export.usd_reload import usd_findings
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import parsed, read_urdf
-from freeart21.files.urdf_files import named_inside
+from freeart21.files.urdf import parse_urdf, read_urdf
+from freeart21.files.urdf_files import resolve_file
 from freeart21.reconstruction import describe_trust
 
 _FATAL = ("paths.exist", "inertia.physical", "limits.ordered", "numbers and meshes")
@@ -55,7 +55,7 @@ def file_rows(
         yield from _mjcf_rows(mjcf, folder, facts, rows)
         return
     say("numbers and meshes")
-    robot = parsed(urdf)
+    robot = parse_urdf(urdf)
     findings = urdf_findings(robot, urdf, folder)
     stop = [f for f in findings if f.item == "tree" or f.rule in _FATAL]
     facts["blocked"] = f"{stop[0].rule} fails" if stop else UNREAD
@@ -66,7 +66,7 @@ def file_rows(
         yield from rows_of(findings, skipped, rows)
         return
     say("mesh.readable")
-    files = partial(named_inside, urdf, root=folder)
+    files = partial(resolve_file, urdf, root=folder)
     seen: dict[str, Shapes] = {}
     findings += _visuals(robot, files, seen)
     try:

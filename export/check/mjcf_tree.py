@@ -17,7 +17,7 @@ from export.check.tree import Tree, TreeJoint
 from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
-from freeart21.files.urdf import UrdfInertial, numbers, read_xml
+from freeart21.files.urdf import UrdfInertial, parse_numbers, read_xml
 from freeart21.joint import JointType
 from freeart21.se3 import Array
 
@@ -185,4 +185,4 @@ class _Reader:
         text = element.get(key, default)
         if count is None:  # MuJoCo 4 takes several where there was one
             count = max(1, len(text.split()))
-        return numbers(text, count, f"{self.path}: '{name}' has {key}")
+        return parse_numbers(text, count, f"{self.path}: '{name}' has {key}")

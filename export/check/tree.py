@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from freeart21.files.urdf import Urdf, UrdfInertial, with_followers
+from freeart21.files.urdf import Urdf, UrdfInertial, resolve_mimics
 from freeart21.joint import Joint, JointType
 from freeart21.se3 import Array
 
@@ -99,7 +99,7 @@ class Tree:
 
     def complete(self, q: Mapping[str, float]) -> dict[str, float]:
         """Positions of all joints that move: `q`, and what follows it."""
-        return with_followers(self.joints, q)
+        return resolve_mimics(self.joints, q)
 
     def link_poses(self, q: Mapping[str, float | Array]) -> dict[str, Array]:
         """Link name to T_root_link (..., 4, 4) at joint positions `q`, rad or m, each a number or an array (...) of one
@@ -178,8 +178,8 @@ def tree_of_urdf(urdf: Urdf) -> Tree:
         )
         for j in sorted(urdf.joints.values(), key=lambda joint: place[joint.child])
     }
-    low = with_followers(joints, {j.name: j.lower for j in joints.values()})
-    high = with_followers(joints, {j.name: j.upper for j in joints.values()})
+    low = resolve_mimics(joints, {j.name: j.lower for j in joints.values()})
+    high = resolve_mimics(joints, {j.name: j.upper for j in joints.values()})
     for name, joint in joints.items():
         if joint.mimic is not None:  # it goes as far as its leader takes it
             joints[name] = replace(joint, lower=min(low[name], high[name]), upper=max(low[name], high[name]))

@@ -17,8 +17,8 @@ from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.asset import read_asset
-from freeart21.files.urdf import parsed
-from freeart21.files.urdf_files import named_file
+from freeart21.files.urdf import parse_urdf
+from freeart21.files.urdf_files import find_file
 from freeart21.formats.maniskill import objects_place
 from freeart21.reconstruction import describe_trust
 from generator.object_folder import object_folder, sapien_urdf
@@ -92,11 +92,11 @@ def loadable(asset: Asset, scale: float) -> Iterator[Asset]:
 
 def _travel(urdf: Path, scale: float) -> dict[str, float]:
     """Joint name to `scale`, for the joints whose positions are lengths."""
-    return {j.get("name", ""): scale for j in parsed(urdf).findall("joint") if j.get("type") == "prismatic"}
+    return {j.get("name", ""): scale for j in parse_urdf(urdf).findall("joint") if j.get("type") == "prismatic"}
 
 
 def _scaled(urdf: Path, scale: float) -> ET.Element:
-    root = parsed(urdf)
+    root = parse_urdf(urdf)
 
     def times(element: ET.Element, name: str, factor: float, default: str | None = None) -> None:
         text = element.get(name, default)
@@ -106,7 +106,7 @@ def _scaled(urdf: Path, scale: float) -> ET.Element:
     for origin in root.iter("origin"):
         times(origin, "xyz", scale)
     for mesh in root.iter("mesh"):
-        mesh.set("filename", str(named_file(urdf, mesh.get("filename", ""), Path(urdf.anchor))))
+        mesh.set("filename", str(find_file(urdf, mesh.get("filename", ""), Path(urdf.anchor))))
         times(mesh, "scale", scale, "1 1 1")
     for tag, name in (("box", "size"), ("sphere", "radius"), ("cylinder", "radius"), ("cylinder", "length")):
         for shape in root.iter(tag):

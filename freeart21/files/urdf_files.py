@@ -1,8 +1,8 @@
-"""Where the files are that a URDF names: the one resolver of all readers, within one folder, the root.
+"""Resolves the file names of a URDF within one folder, the root.
 
-Names are relative to the URDF, absolute, or addresses: package://NAME/PATH and model://NAME/PATH (looked up in each
-folder from the URDF's to the root, with and without NAME) and file://PATH. Percent-encoded characters and backslashes
-are understood where no file is named so. Nothing outside the root is opened, whatever a name says.
+A name is relative to the URDF, absolute, or an address: package://NAME/PATH and model://NAME/PATH (looked up with and
+without NAME in each folder from the URDF's to the root), or file://PATH. Percent-encoding and backslashes are decoded
+where no file has the literal name. Nothing outside the root is opened.
 """
 
 from __future__ import annotations
@@ -15,19 +15,17 @@ from urllib.parse import unquote
 from freeart21.errors import FreeArtError
 
 _LEVELS = 3
-"""So many folders above the URDF's own are asked whether they are its package: PACKAGE/urdf/robots/arm/a.urdf."""
+"""Folders above the URDF's own that may be its package: PACKAGE/urdf/robots/arm/a.urdf."""
 _PACKAGES = ("package://", "model://")
 _MARKS = ("package.xml", "model.config")
 """Files in the top folder of a ROS package, and of a Gazebo model."""
 
 
 def find_root(urdf: Path, names: Iterable[str] = (), root: Path | None = None) -> Path:
-    """The folder that holds what a URDF of these file `names` may name: `root` when it is given, else the URDF's own,
-    or that of the package it lies in.
+    """The folder that bounds the file `names` of a URDF: `root` when given, else the URDF's own or that of its package.
 
-    A folder above is the package's when it holds package.xml or model.config, or both this URDF's folder, called urdf,
-    and one called meshes, or when its own name is the package that a name begins with. Raises FreeArtError when `root`
-    is not a folder.
+    A folder above is the package when it holds package.xml or model.config, when it holds a folder meshes beside the
+    URDF's folder urdf, or when its name is the package of an address. Raises FreeArtError when `root` is no folder.
     """
     if root is not None:
         if not root.is_dir():
@@ -37,7 +35,7 @@ def find_root(urdf: Path, names: Iterable[str] = (), root: Path | None = None) -
     home = urdf.absolute().parent
     root = home
     for folder in (home, *home.parents[:_LEVELS]):
-        if Path.home().is_relative_to(folder):  # what holds everything is no package
+        if Path.home().is_relative_to(folder):  # a folder that holds the user's home is no package
             break
         holds_both = folder == home.parent and home.name.lower() == "urdf" and (folder / "meshes").is_dir()
         if holds_both or folder.name in packages or any((folder / mark).is_file() for mark in _MARKS):
@@ -46,41 +44,43 @@ def find_root(urdf: Path, names: Iterable[str] = (), root: Path | None = None) -
 
 
 def file_names(robot: ET.Element) -> list[str]:
-    """The names of all files that the elements of a URDF name."""
+    """All file names in a URDF."""
     return [name for element in robot.iter() if (name := element.get("filename"))]
 
 
-def named_inside(urdf: Path, filename: str, root: Path | None = None) -> Path:
-    """Where in `root` (by default `find_root`'s) the file is that a URDF names, whether it exists or not.
+def resolve_file(urdf: Path, filename: str, root: Path | None = None) -> Path:
+    """Path inside `root` (default: `find_root`) of a file that a URDF names; it need not exist.
 
     Raises FreeArtError when the name leads out of the root.
     """
-    return _places(urdf, filename, root)[0]
+    return _candidates(urdf, filename, root)[0]
 
 
-def named_file(urdf: Path, filename: str, root: Path | None = None) -> Path:
-    """The file in `root` that a URDF names; FreeArtError says where it was looked for when there is none."""
-    path = named_inside(urdf, filename, root)
+def find_file(urdf: Path, filename: str, root: Path | None = None) -> Path:
+    """The same, but FreeArtError, which lists the places searched, when the file does not exist."""
+    path = resolve_file(urdf, filename, root)
     if not path.is_file():
-        raise FreeArtError(f"{urdf} names the mesh {missing_file(urdf, filename, root)}")
+        raise FreeArtError(f"{urdf} names the mesh {describe_missing_file(urdf, filename, root)}")
     return path
 
 
-def missing_file(urdf: Path, filename: str, root: Path | None = None) -> str:
-    """What to say of a file that a URDF names and that is not there, such as "'a.obj', which does not exist: ..."."""
+def describe_missing_file(urdf: Path, filename: str, root: Path | None = None) -> str:
+    """Text for a message about a missing file, such as "'a.obj', which does not exist: ..."."""
     folder = find_root(urdf, [filename], root).resolve()
-    places = [str(place.relative_to(folder)) for place in _places(urdf, filename, root)]
+    places = [str(place.relative_to(folder)) for place in _candidates(urdf, filename, root)]
     return (
         f"'{filename}', which does not exist: looked for {' and '.join(places[:_LEVELS])} in {folder}; "
         "--root DIR looks in another folder"
     )
 
 
-def _places(urdf: Path, filename: str, root: Path | None) -> list[Path]:
-    """Resolved paths inside the root at which the file may be, the one that exists first."""
+def _candidates(urdf: Path, filename: str, root: Path | None) -> list[Path]:
+    """Resolved paths inside the root where the file may be, existing ones first."""
     root = find_root(urdf, [filename], root)
     decoded = unquote(filename)
-    paths = [path for name in (filename, decoded, decoded.replace("\\", "/")) for path in _paths(urdf, name, root)]
+    paths = [
+        path for name in (filename, decoded, decoded.replace("\\", "/")) for path in _unresolved_paths(urdf, name, root)
+    ]
     try:
         resolved = dict.fromkeys(path.resolve() for path in paths)
         places = [path for path in resolved if path.is_relative_to(root.resolve())]
@@ -95,8 +95,8 @@ def _places(urdf: Path, filename: str, root: Path | None) -> list[Path]:
     return places
 
 
-def _paths(urdf: Path, name: str, root: Path) -> list[Path]:
-    """Where a name may point to, in order; unresolved."""
+def _unresolved_paths(urdf: Path, name: str, root: Path) -> list[Path]:
+    """Places that a name may point to, in order."""
     home, top = urdf.absolute().parent, root.absolute()
     if name.startswith(_PACKAGES):
         inner = name.partition("://")[2].lstrip("/")

@@ -20,7 +20,7 @@ import numpy as np
 
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic, base_json, checked
-from freeart21.files.asset import UrdfJoint, movable_joint, read_asset
+from freeart21.files.asset import UrdfJoint, find_movable_joint, read_asset
 from freeart21.files.measured import MAX_RATE_HZ, MIN_SAMPLES, read_measured
 from freeart21.files.measured_writer import write_measured
 from freeart21.formats import circumstances
@@ -128,7 +128,7 @@ def measure_series(
     _check_numbers(settings)
     files = [Path(file) for file in files]
     chosen = read_asset(Path(asset), joint)
-    scored = movable_joint(chosen.urdf, chosen.joint)
+    scored = find_movable_joint(chosen.urdf, chosen.joint)
     kind = scored.joint_type
     assert kind is not None  # movable
     notes = []

@@ -15,7 +15,7 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.asset import Asset
-from freeart21.files.urdf import links_beyond, read_urdf
+from freeart21.files.urdf import read_urdf, subtree_links
 from freeart21.joint import Joint
 from freeart21.mechanics import JointMechanics, joint_inertia
 from freeart21.se3 import Array
@@ -57,7 +57,7 @@ def joint_mechanics(asset: Asset, gravity: Array) -> JointMechanics | None:
     """
     urdf = read_urdf(asset.urdf)
     scored = urdf.joints[asset.joint]
-    moving = links_beyond(urdf.joints, scored.child)
+    moving = subtree_links(urdf.joints, scored.child)
     if asset.reference_link in moving or scored.joint_type is None:
         return None
     Ts = urdf.link_poses(asset.held)  # of the joint itself at zero

@@ -10,7 +10,7 @@ import numpy as np
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.urdf import Urdf, UrdfShape, read_urdf
-from freeart21.files.urdf_files import find_root, named_inside
+from freeart21.files.urdf_files import find_root, resolve_file
 from freeart21.mesh import Mesh
 from freeart21.view.mesh_pieces import read_pieces
 from freeart21.view.obj import PLAIN, Piece
@@ -32,7 +32,7 @@ class ShownUrdf:
 def read_shown(path: Path, root: Path | None = None) -> ShownUrdf:
     """The URDF with all meshes it names: OBJ and PLY here, other formats through trimesh.
 
-    Meshes are looked for inside `root` only, as `urdf_files.named_inside` does. Raises FreeArtError when the URDF
+    Meshes are looked for inside `root` only, as `urdf_files.resolve_file` does. Raises FreeArtError when the URDF
     cannot be read, a geometry is unknown, or a mesh is there and cannot be read.
     """
     urdf = read_urdf(path)
@@ -92,7 +92,7 @@ def primitive(shape: UrdfShape, where: str) -> Mesh:
 
 
 def _mesh(shape: UrdfShape, path: Path, root: Path | None, missing: list[str]) -> list[Piece]:
-    file = named_inside(path, shape.filename, root)
+    file = resolve_file(path, shape.filename, root)
     if not checked.is_there(file):
         missing.append(shape.filename)
         return []

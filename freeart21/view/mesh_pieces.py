@@ -19,7 +19,7 @@ from freeart21 import se3
 from freeart21.errors import FreeArtError
 from freeart21.files import checked
 from freeart21.files.mesh_file import read_ply
-from freeart21.files.urdf import parsed_xml
+from freeart21.files.urdf import parse_xml
 from freeart21.mesh import Mesh
 from freeart21.view.obj import MAX_OBJ_BYTES, Piece, read_obj
 
@@ -55,7 +55,7 @@ def read_pieces(file: Path, root: Path) -> list[Piece]:
 
 def up_axis(file: Path, root: Path) -> str:
     """What a COLLADA file says of its axes: X_UP, Y_UP, Z_UP, or nothing."""
-    asset = parsed_xml(checked.read_bytes(file, MAX_OBJ_BYTES, root), file).find("{*}asset/{*}up_axis")
+    asset = parse_xml(checked.read_bytes(file, MAX_OBJ_BYTES, root), file).find("{*}asset/{*}up_axis")
     return "" if asset is None else (asset.text or "").strip()
 
 
@@ -107,7 +107,7 @@ def _check_accessors(header: Any) -> None:
 
 def _unit(file: Path, data: bytes) -> float:
     """Metres a unit of a COLLADA file. Its XML is looked at before another parser gets it."""
-    unit = parsed_xml(data, file).find("{*}asset/{*}unit")
+    unit = parse_xml(data, file).find("{*}asset/{*}unit")
     metres = float("1" if unit is None else unit.get("meter", "1"))
     if not 0 < metres < np.inf:
         raise ValueError(f"its unit is {metres:g} m")

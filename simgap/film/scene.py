@@ -16,7 +16,7 @@ from freeart21.files import checked
 from freeart21.files.asset import read_asset
 from freeart21.files.result import read_result
 from freeart21.files.truth import read_truth
-from freeart21.files.urdf import Urdf, links_beyond, read_urdf
+from freeart21.files.urdf import Urdf, read_urdf, subtree_links
 from freeart21.mesh import Mesh, bounding_diagonal
 from freeart21.reconstruction import Failure
 from freeart21.se3 import Array
@@ -121,7 +121,7 @@ def _of_result(asset: Asset, folder: Path) -> FilmScene:
     urdf, q = read_urdf(asset.urdf), {**asset.held, asset.joint: asset.state_zero}
     T = _canonical_root(asset, urdf, q)
     _check_same_joint(asset, urdf, q, T, result.articulation.joint.axis, folder)
-    below = links_beyond(urdf.joints, urdf.joints[asset.joint].child)
+    below = subtree_links(urdf.joints, urdf.joints[asset.joint].child)
     reference = below if asset.reference_link in below else set(urdf.links) - below
     shrink = np.eye(4)
     shrink[:3, :3] /= asset.scale

@@ -8,7 +8,7 @@ import numpy as np
 
 from freeart21 import se3
 from freeart21.asset import Asset
-from freeart21.files.asset import movable_joint
+from freeart21.files.asset import find_movable_joint
 from freeart21.measured import Run
 from freeart21.mechanics import JointMechanics
 from freeart21.se3 import Array
@@ -57,7 +57,7 @@ def place(asset: Asset, gravity: Array) -> Placed:
     simulated = simulate.load(replace(asset, effects={}), gravity=(0.0, 0.0, 0.0))
     simulated.set_state(asset.state_zero)
     T_world_canonical = simulated.link_pose(asset.reference_link) @ se3.inverse(asset.T_canonical_reference)
-    joint = movable_joint(asset.urdf, asset.joint)
+    joint = find_movable_joint(asset.urdf, asset.joint)
     T_world_parent = simulated.link_pose(joint.parent)
     g = T_world_canonical[:3, :3] @ np.asarray(gravity, float)
     mechanics = simulated.mechanics

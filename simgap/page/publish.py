@@ -17,7 +17,7 @@ from freeart21.asset import Asset
 from freeart21.effects import Effect, gravity_change
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
-from freeart21.files.asset import guesses_dynamics
+from freeart21.files.asset import has_guessed_dynamics
 from freeart21.files.atomic import new_folder
 from freeart21.files.lock import only_writer
 from freeart21.files.measured import read_measured, run_hashes
@@ -256,7 +256,7 @@ def _make_proof(
     set_ = paths.out / "runs" if posed else paths.measured
     how = [] if holding is None else ["--holding", repr(holding)]
     bounds = [] if paths.root is None else ["--root", str(paths.root)]
-    bounds += ["--without-guesses"] if guesses_dynamics(asset) else []
+    bounds += ["--without-guesses"] if has_guessed_dynamics(asset) else []
 
     def command(path: Path, *more: str) -> str:
         return shlex.join(["freeart21", "replay", str(path), str(set_), *how, *more])

@@ -16,7 +16,7 @@ from freeart21.errors import FreeArtError
 from freeart21.files import atomic, checked
 from freeart21.files.benchmark import file_sha256
 from freeart21.files.urdf import read_xml
-from freeart21.files.urdf_files import named_file, named_inside
+from freeart21.files.urdf_files import find_file, resolve_file
 
 MAX_FILE_BYTES = 512 << 20
 MAX_BYTES = 2 << 30
@@ -88,7 +88,7 @@ def copied(urdf: Path, folder: Path, root: Path | None = None) -> dict[str, ET.E
     robot = read_xml(urdf, comments=True)
     for element in _naming(robot, "filename"):
         name = element.get("filename", "")
-        element.set("filename", copy.take(named_file(urdf, name, root), str(urdf)))
+        element.set("filename", copy.take(find_file(urdf, name, root), str(urdf)))
     out, mjcf = {urdf.name: robot}, mjcf_beside(urdf)
     if mjcf.is_file():
         model = read_xml(mjcf, comments=True)
@@ -107,7 +107,7 @@ def file_hashes(urdf: Path, root: Path | None = None) -> dict[str, str]:
     beside = (urdf, home / "asset.json", home / "effects.json", mjcf_beside(urdf))
     found = {path.name: path for path in beside if path.is_file()}
     for name in sorted({e.get("filename", "") for e in _naming(read_xml(urdf), "filename")}):
-        if (path := named_inside(urdf, name, root)).is_file():
+        if (path := resolve_file(urdf, name, root)).is_file():
             found[name] = path
     return {name: file_sha256(path, checked.ANYWHERE) for name, path in found.items()}
 

@@ -12,7 +12,7 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.effects import Effect, gravity_change
 from freeart21.errors import FreeArtError
-from freeart21.files.urdf import links_beyond, read_urdf_joints
+from freeart21.files.urdf import read_urdf_joints, subtree_links
 from freeart21.se3 import Array
 from generator import simulate
 from simgap.models.surrogate import Nuisance, Plant
@@ -72,7 +72,7 @@ def correct_body(root: ET.Element, asset: Asset, correction: BodyCorrection) -> 
     loaded = simulate.load(replace(asset, effects={}), gravity=(0.0, 0.0, 0.0))
     hinge = loaded.world_joint
     joints = read_urdf_joints(asset.urdf)
-    moving = links_beyond(joints, joints[asset.joint].child)
+    moving = subtree_links(joints, joints[asset.joint].child)
     for link in root.findall("link"):
         inertial = link.find("inertial")
         if link.get("name") not in moving or inertial is None:

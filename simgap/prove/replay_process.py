@@ -24,7 +24,7 @@ from freeart21 import se3
 from freeart21.asset import Asset
 from freeart21.errors import FreeArtError
 from freeart21.files import atomic
-from freeart21.files.asset import check_followers, movable_joint, read_asset
+from freeart21.files.asset import check_no_mimics, find_movable_joint, read_asset
 from freeart21.files.urdf import read_xml
 from freeart21.measured import Measured, Run
 from freeart21.mechanics import Actuator, between
@@ -75,8 +75,8 @@ class AssetOnDisk:
 def check_match(asset: Asset, measured: Measured, what: str = "a replay") -> None:
     """Raise FreeArtError when the measured joint is not the asset's, or others follow it, with which `what` moves one
     part alone."""
-    joint = movable_joint(asset.urdf, measured.joint)
-    check_followers(asset.urdf, joint.name, what)
+    joint = find_movable_joint(asset.urdf, measured.joint)
+    check_no_mimics(asset.urdf, joint.name, what)
     if joint.joint_type != measured.joint_type:
         raise FreeArtError(
             f"{asset.urdf}: joint '{joint.name}' is {joint.joint_type}, but the measurement says {measured.joint_type}"
@@ -132,7 +132,7 @@ class _Stage(ABC):
         self.job, measured = job, job.measured
         self.asset = said.read(measured)
         self.placed = place(self.asset, measured.gravity)
-        joint = movable_joint(self.asset.urdf, self.asset.joint)
+        joint = find_movable_joint(self.asset.urdf, self.asset.joint)
         self.lower, self.upper = joint.lower, joint.upper
         self.effects = self.asset.effects.get(self.asset.joint, ())
         self.sensing = [effect for effect in self.effects if effect.kind == "sensing"]

@@ -10,8 +10,8 @@ from pathlib import Path
 from export.check.tree import hold_followers, tree_of_urdf
 from export.checklist import read_solid
 from export.urdf import origin_element
-from freeart21.files.urdf import parsed, read_urdf
-from freeart21.files.urdf_files import named_inside
+from freeart21.files.urdf import parse_urdf, read_urdf
+from freeart21.files.urdf_files import resolve_file
 
 READ_BY_ENGINES = (".obj", ".stl", ".msh", ".vtk")
 """Endings of collision meshes that engines are given as they are; they get an OBJ of others."""
@@ -25,13 +25,13 @@ def _as_obj(path: Path, copy: Path) -> Path:
 def plain_urdf(urdf: Path, folder: Path, extra: ET.Element | None = None) -> Path:
     """A copy in a temporary folder that lives as long as the process; `extra` is added at its beginning, and
     goes before what the file says in an element of the same name."""
-    robot, place = parsed(urdf), Path(tempfile.mkdtemp())
+    robot, place = parse_urdf(urdf), Path(tempfile.mkdtemp())
     for link in robot.findall("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
     for element in robot.iter():
         if "filename" in element.attrib:
-            path = named_inside(urdf, element.attrib["filename"], folder)
+            path = resolve_file(urdf, element.attrib["filename"], folder)
             if path.suffix.lower() not in READ_BY_ENGINES and path.is_file():
                 path = _as_obj(path, place / f"{len([*place.iterdir()])}.obj")
             element.set("filename", str(path))
