@@ -630,7 +630,7 @@ def run_tests(tests: list[str], tree: Path, work: Path, compiled: str, limit_s: 
         text = output.read().decode(errors="replace")
     if code == 0:
         return None, ""
-    match = re.search(r"^(?:FAILED|ERROR) (\S+)(?: - (.*))?$", text, re.M)
+    match = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - (.*))?$", text, re.M)
     if match is None:
         raise FreeArtError(f"pytest {' '.join(tests)} ended with {code}: {text.strip()[-500:]}")
     return match[1], (match[2] or "")[:200]

@@ -88,6 +88,13 @@ def test_fit_is_exact_on_exact_poses_in_any_gauge(kind, seed):
         assert line < 1e-6
 
 
+def test_a_part_that_turns_several_times_keeps_counting():
+    rng = np.random.default_rng(0)
+    joint, states = random_joint(rng, "revolute"), np.linspace(0, 15, 80)
+    fit = both_fits(relative_poses(joint, states, rng), np.array([0.1, 0, 0]), 0.1)["revolute"]
+    assert fit.residual < 1e-9 and errors(fit, joint, states)[2].max() < 1e-6
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_fifth_of_the_frames_may_be_nonsense(seed):
     rng = np.random.default_rng(seed)

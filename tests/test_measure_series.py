@@ -57,6 +57,7 @@ FORMS = {
     "a line of units": text(TABLE, "time,position\ns,rad"),
     "milliseconds": text(np.column_stack([1e3 * T, Q]), "time,q"),
     "milliseconds by name": text(np.column_stack([1e3 * T, Q]), "time_ms,q"),
+    "microseconds by a bracket": text(np.column_stack([1e6 * T, Q]), "time [us],q"),
     "nanoseconds since 1970": "\n".join(["stamp,q", *(f"{10**18 + round(1e9 * t)},{q:.7f}" for t, q in TABLE)]),
     "degrees by the limits": text(np.column_stack([T, np.degrees(Q)]), "time,angle"),
     "degrees by name": text(np.column_stack([T, np.degrees(Q)]), "time,angle_deg"),
