@@ -359,7 +359,7 @@ FAULTS = (
     ),
     Fault(
         "missing-number-unpriced",
-        "leaderboard/case.py",
+        "leaderboard/sequence_score.py",
         "found.values.get(id, price)",
         "found.values.get(id)",
         "a failure that is not priced: what an answer lacks is left out of the mean",
