@@ -32,8 +32,12 @@ def main() -> None:
 
 def _command() -> None:
     from freeart21.ending import in_one_line
+    from freeart21.errors import FreeArtError
+    from freeart21.search_path import replaced_package
 
     with in_one_line():
+        if (fault := replaced_package()) is not None:
+            raise FreeArtError(fault)
         from freeart21.cli import main as command
 
         command()

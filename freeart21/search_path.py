@@ -7,12 +7,21 @@ import os
 import sys
 
 _ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+_MODULES = {
+    "generator": "recorder",
+    "reconstruct": "pipeline",
+    "export": "exporter",
+    "leaderboard": "score",
+    "simgap": "workflow",
+}
+"""The packages beside this one, each with a module that it is recognised by: others use such names, too."""
 
 
 def search_path() -> list[str]:
     """`sys.path` with this package's own place and without the working folder.
 
-    That is searched where PYTHONPATH names it in full, where the package lies in it, and where it is a `site-packages`.
+    The working folder stays where PYTHONPATH names it in full, where the package lies in it, and where it is a
+    `site-packages`. Our place comes before any other that has a package named as one of ours.
     """
     try:
         here = os.getcwd()
@@ -21,4 +30,26 @@ def search_path() -> list[str]:
     named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     wanted = here in (_ROOT, *named) or os.path.basename(here) == "site-packages"
     places = [place for place in sys.path if place and (wanted or os.path.abspath(place) != here)]
-    return places if _ROOT in places else [*places, _ROOT]
+    ours = places.index(_ROOT) if _ROOT in places else len(places)
+    clash = next((i for i, place in enumerate(places[:ours]) if _has_clash(place)), ours)
+    others = [place for place in places if place != _ROOT]
+    return [*others[:clash], _ROOT, *others[clash:]]
+
+
+def replaced_package() -> str | None:
+    """One line about a package beside this one that another project has replaced; None when all are ours."""
+    for package, module in _MODULES.items():
+        if not os.path.isfile(os.path.join(_ROOT, package, f"{module}.py")):
+            folder = os.path.join(_ROOT, package)
+            return (
+                f"package {package}: {folder} is not FreeArt-21's (no {module}.py): another project of that name was "
+                "installed over it; install freeart21 in an environment of its own"
+            )
+    return None
+
+
+def _has_clash(place: str) -> bool:
+    return any(
+        os.path.isdir(os.path.join(place, name)) or os.path.isfile(os.path.join(place, f"{name}.py"))
+        for name in _MODULES
+    )

@@ -9,7 +9,7 @@ import pytest
 from another_python import ROOT, run_python
 from little_asset import write_little
 
-from freeart21 import child
+from freeart21 import child, search_path
 
 PACKAGES = ("freeart21", "generator", "reconstruct", "export", "leaderboard", "simgap")
 TRAPS = ("queue", "numpy", "json", "signal", "random", "cv2", "multiprocessing", "sitecustomize", "pickle", "sapien")
@@ -128,3 +128,18 @@ def test_no_command_runs_what_lies_in_its_folder(tmp_path, prepare):
         done = run_python("-m", "freeart21", *words, cwd=tmp_path)
         assert done.returncode in (0, 3) or words[0] == "doctor", done.stderr
         assert not marker.exists(), (words, marker.read_text())
+
+
+def test_packages_of_the_same_names_elsewhere_are_not_imported(tmp_path):
+    (tmp_path / "export").mkdir()
+    (tmp_path / "export" / "__init__.py").write_text("raise SystemExit(9)\n")
+    command = ["-m", "freeart21", "joint-asset", "--mass", "1", "--length", "0.1", "--out", str(tmp_path / "p.urdf")]
+    done = run_python(*command, PYTHONPATH=os.pathsep.join([str(tmp_path), str(ROOT)]))
+    assert done.returncode == 0 and (tmp_path / "p.urdf").is_file(), done.stderr
+
+
+def test_a_package_that_another_project_replaced_is_named(tmp_path, monkeypatch):
+    assert search_path.replaced_package() is None
+    monkeypatch.setattr(search_path, "_ROOT", str(tmp_path))
+    fault = search_path.replaced_package()
+    assert fault.startswith(f"package generator: {tmp_path / 'generator'} is not FreeArt-21's (no recorder.py)")

@@ -30,8 +30,6 @@ from freeart21.reconstruction import Failure, Reconstruction
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-USERS = tuple(path for path in DOCUMENTS if path.name != "journal.md")
-"""What users are told today; the journal tells what was."""
 _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.M | re.S)
 
 
@@ -296,7 +294,7 @@ def _without_blocks(text: str) -> str:
 # ---------------------------------------------------------------- commands
 
 
-@pytest.mark.parametrize("document", named(USERS))
+@pytest.mark.parametrize("document", named(DOCUMENTS))
 def test_commands_and_options_exist(document: Path) -> None:
     commands, text = _commands(), document.read_text("utf-8")
     every = set().union(*commands.values())
@@ -310,7 +308,7 @@ def test_commands_and_options_exist(document: Path) -> None:
                 assert _known(option, every), f"{document.name}: no command has {option}"
 
 
-@pytest.mark.parametrize("document", named(USERS))
+@pytest.mark.parametrize("document", named(DOCUMENTS))
 def test_modules_exist(document: Path) -> None:
     for module in re.findall(r"python -m ([\w.]+)", document.read_text("utf-8")):
         path = ROOT / module.replace(".", "/")
