@@ -39,6 +39,18 @@ class Material:
     """Metres that one texture covers; None fits it once to the piece's bounding box."""
 
 
+def textured(
+    name: str, finish: Finish, density: float, texture: NDArray[np.uint8], tile_m: float | None = None
+) -> Material:
+    """A material that shows a texture, every `tile_m` metres or once over its piece; density in kg/m^3."""
+    return Material(name, (1, 1, 1), finish, density, texture, tile_m)
+
+
+def printed(name: str, texture: NDArray[np.uint8]) -> Material:
+    """A printed paper label of 900 kg/m^3."""
+    return textured(name, "paper", 900.0, texture)
+
+
 @dataclass(frozen=True)
 class Piece:
     """One solid of one material, in the object's frame (z up, metres) with all joints at zero."""

@@ -10,7 +10,7 @@ from manifold3d import Manifold
 from numpy.typing import NDArray
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece
+from generator.model import Hinge, Link, Material, ObjectModel, Piece, printed, textured
 from generator.shapes import (
     box,
     moulded,
@@ -123,10 +123,10 @@ def _monitor(
         middle,
         thick,
         str(rng.choice(_BRANDS)),
-        Material("shell", (1, 1, 1), "plastic", _ABS, textures.speckle(rng, colour, 0.05), 0.04),
+        textured("shell", "plastic", _ABS, textures.speckle(rng, colour, 0.05), 0.04),
         Material("stand_metal", textures.shade(trim, 0.95), "metal", 2700.0),
         Material("port_plastic", textures.shade(colour, 0.4), "plastic", _ABS),
-        Material("steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, (0.55, 0.56, 0.58)), 0.02),
+        textured("steel", "metal", _STEEL, textures.brushed_metal(rng, (0.55, 0.56, 0.58)), 0.02),
         Material("rubber", (0.07, 0.07, 0.075), "rubber", 1200.0),
         (0.20, 0.20, 0.22) if light else (0.62, 0.62, 0.64),
     )
@@ -145,7 +145,7 @@ def _panel(m: _Monitor, bezel: float, chin: float, picture: textures.Image, dept
     led = box((0.001, 0.009, 0.0018), (0, -m.width * 0.45, -m.height / 2 + chin * 0.30), 0.0003)
     glow = Material("power_light", [(0.85, 0.88, 0.92), (0.30, 0.70, 0.95)][len(m.brand) % 2], "plastic", _ABS)
     ink = Material("brand", m.print, "plastic", _ABS)
-    glass = Material("screen", (1, 1, 1), "plastic", 2500.0, picture)
+    glass = textured("screen", "plastic", 2500.0, picture)
     return _raised(
         m,
         ("screen_frame", frame, m.shell),
@@ -209,7 +209,7 @@ def _back(m: _Monitor, depth: float, rng: np.random.Generator) -> tuple[Piece, .
     )
     text = [f"MODEL {m.brand[:2]}-{int(rng.integers(200, 299))}", "12 V = 3.0 A", "MADE OF CODE"]
     paper = textures.shade(m.shell.texture[0, 0] / 255.0 if m.shell.texture is not None else m.print, 1.25, 0.03)
-    rating = Material("rating_plate", (1, 1, 1), "paper", 900.0, textures.label(text, paper, m.print, 2.0, rng))
+    rating = printed("rating_plate", textures.label(text, paper, m.print, 2.0, rng))
     sticker = box((0.0005, 0.068, 0.034), (face + 0.0001, m.width * 0.155, -m.height * 0.13))
     return _raised(
         m,
@@ -319,7 +319,7 @@ def _column_and_foot(m: _Monitor, rng: np.random.Generator) -> tuple[Piece, ...]
         8,
         True,
     )
-    scale = Material("scale", (1, 1, 1), "paper", 900.0, _scale(m.stand.colour, m.print))
+    scale = printed("scale", _scale(m.stand.colour, m.print))
     strips = union(
         box((0.012, 0.0004, top - m.middle - 0.062), (x, k * 0.032, (top + m.middle + 0.05) / 2)) for k in (-1, 1)
     )
@@ -381,9 +381,9 @@ def folding_display(seed: int) -> ObjectModel:
         0.0125 * rng.uniform(0.95, 1.08),
         (width * rng.uniform(0.66, 0.76), height * rng.uniform(0.52, 0.58)),
         height * rng.uniform(0.10, 0.16),
-        Material("shell", (1, 1, 1), "metal", 2000.0, textures.speckle(rng, colour, 0.03), 0.04),
+        textured("shell", "metal", 2000.0, textures.speckle(rng, colour, 0.03), 0.04),
         Material("dark_plastic", textures.shade(colour, 0.45), "plastic", _ABS),
-        Material("steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, textures.shade(colour, 1.05)), 0.02),
+        textured("steel", "metal", _STEEL, textures.brushed_metal(rng, textures.shade(colour, 1.05)), 0.02),
         Material("rubber", textures.shade(colour, 0.35), "rubber", 1200.0),
         colour,
         textures.shade(colour, 0.28),
@@ -409,7 +409,7 @@ def _tablet(p: _Portable, rng: np.random.Generator) -> tuple[Piece, ...]:
     slit = box((0.004, 0.0022, 0.014), (p.thick / 2, 0, (p.height / 2 + p.top) / 2 + 0.012))
     slab -= repeated(slit, (0, 0.0056, 0), 16)
     paper = textures.shade(p.colour, 1.06)
-    glass = Material("screen", (1, 1, 1), "plastic", 2200.0, _page(rng, paper, p.ink, wide / high))
+    glass = textured("screen", "plastic", 2200.0, _page(rng, paper, p.ink, wide / high))
     brand = str(rng.choice(_BRANDS))
     name = plate(text_outline(brand, chin * 0.30).mirror((1, 0)), 0.0008, "x", front).translate(
         (0, 0, -p.height / 2 + chin / 2)
@@ -460,13 +460,7 @@ def _tablet_back(p: _Portable, rng: np.random.Generator) -> tuple[Piece, ...]:
         for k in (-1, 1)
     )
     text = [f"EP-{int(rng.integers(130, 170))} PORTABLE DISPLAY", "5 V = 2.0 A", "MADE OF CODE"]
-    rating = Material(
-        "rating_plate",
-        (1, 1, 1),
-        "paper",
-        900.0,
-        textures.label(text, textures.shade(p.colour, 1.12, 0.02), p.ink, 2.4, rng),
-    )
+    rating = printed("rating_plate", textures.label(text, textures.shade(p.colour, 1.12, 0.02), p.ink, 2.4, rng))
     sticker = box((0.0003, p.pocket[0] * 0.44, p.pocket[0] * 0.44 / 2.4), (floor + 0.0001, 0, middle))
     corners = [(sy * (p.width / 2 - 0.011), sz * (p.height / 2 - 0.011)) for sy in (-1, 1) for sz in (-1, 1)]
     screws = union(screw(0.0026, "x", (p.thick / 2 - 0.0008, y, zz), segments=16) for y, zz in corners)
@@ -494,9 +488,8 @@ def _kickstand(p: _Portable, rng: np.random.Generator) -> tuple[Piece, ...]:
         for k in (-1, 1)
     )
     edge = box((0.0044, wide * 0.55, 0.0044), (x, 0, long + 0.0019), 0.0003)
-    words = Material(
+    words = textured(
         "stand_print",
-        (1, 1, 1),
         "plastic",
         _ABS,
         textures.label(

@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold, OpType
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece
+from generator.model import Hinge, Link, Material, ObjectModel, Piece, printed, textured
 from generator.shapes import (
     box,
     lathe,
@@ -45,7 +45,7 @@ def flip_lighter(seed: int) -> ObjectModel:
     width, depth = 0.038 * rng.uniform(0.96, 1.05), 0.0130 * rng.uniform(0.96, 1.08)
     seam, height = 0.0355 * rng.uniform(0.97, 1.04), 0.0570 * rng.uniform(0.97, 1.04)
     colour = _METALS[int(rng.integers(len(_METALS)))]
-    case = Material("case_metal", (1, 1, 1), "metal", _BRASS, textures.brushed_metal(rng, colour), 0.012)
+    case = textured("case_metal", "metal", _BRASS, textures.brushed_metal(rng, colour), 0.012)
     ink = textures.shade(colour, 0.25)
     hinge_at = (width / 2 + 0.0006, 0.0, seam)
     body = Link("heavy lighter_body", _body(width, depth, seam, case, colour, ink, rng))
@@ -68,18 +68,16 @@ def _body(
 ) -> tuple[Piece, ...]:
     shell = round_box((width, depth, seam + 0.006), 0.0022, (0, 0, (seam + 0.006) / 2)).trim_by_plane((0, 0, -1), -seam)
     shell -= box((width - 0.0016, depth - 0.0016, seam), (0, 0, seam / 2 + 0.002))
-    emblem = Material(
+    emblem = textured(
         "emblem",
-        (1, 1, 1),
         "metal",
         _BRASS,
         textures.emblem(rng, textures.brushed_metal(rng, colour), ink, str(rng.choice(["STORM", "ASTRA", "NOMAD"]))),
     )
     size = min(width * 0.78, seam * 0.86)
     front = box((size, 0.0004, size), (0, -depth / 2, seam * 0.5))
-    words = Material(
+    words = textured(
         "inscription",
-        (1, 1, 1),
         "metal",
         _BRASS,
         textures.label(
@@ -92,9 +90,7 @@ def _body(
         ),
     )
     rear = box((width * 0.74, 0.0004, width * 0.57), (0, depth / 2, seam * 0.5))
-    stamp = Material(
-        "stamp", (1, 1, 1), "metal", _BRASS, textures.label(["FA-21", "BRADFORD"], colour, ink, 2.6, None, False)
-    )
+    stamp = textured("stamp", "metal", _BRASS, textures.label(["FA-21", "BRADFORD"], colour, ink, 2.6, None, False))
     sole = box((width * 0.74, depth * 0.62, 0.0004), (0, 0, 0))
     barrel = rod(0.0013, depth * 0.80, "y", (width / 2 + 0.0006, 0, seam)) - box(
         (0.004, depth * 0.27, 0.004), (width / 2, 0, seam)
@@ -111,7 +107,7 @@ def _body(
 
 
 def _insert(width: float, depth: float, seam: float, rng: np.random.Generator) -> tuple[Piece, ...]:
-    steel = Material("insert_steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, (0.66, 0.67, 0.70)), 0.02)
+    steel = textured("insert_steel", "metal", _STEEL, textures.brushed_metal(rng, (0.66, 0.67, 0.70)), 0.02)
     block = plate(
         rounded_outline(width - 0.0022, depth - 0.0022, 0.0016), seam + 0.0005, "z", (seam + 0.0045) / 2, 0.0004
     )
@@ -127,7 +123,7 @@ def _insert(width: float, depth: float, seam: float, rng: np.random.Generator) -
         for dz in (-1, 0, 1)
     )
     wheel_at = (width / 2 - 0.0105, 0.0, seam + 0.0088)
-    teeth = Material("wheel", (1, 1, 1), "metal", _STEEL, textures.knurl((0.52, 0.50, 0.48), 5), 0.006)
+    teeth = textured("wheel", "metal", _STEEL, textures.knurl((0.52, 0.50, 0.48), 5), 0.006)
     wheel = rod(0.0036, 0.0048, "y", wheel_at, 0.0004)
     yoke = union(
         box((0.0075, 0.0008, 0.0085), (wheel_at[0] + 0.0012, s * 0.0032, seam + 0.0065), 0.0003) for s in (-1, 1)
@@ -160,9 +156,8 @@ def _lid(
     full = round_box((width, depth, height - seam + 0.010), 0.0030, (0, 0, (height + seam - 0.010) / 2))
     shell = full.trim_by_plane((0, 0, 1), seam + gap)
     shell -= round_box((width - 0.0016, depth - 0.0016, height - seam), 0.0016, (0, 0, (height + seam) / 2 - 0.0012))
-    crest = Material(
+    crest = textured(
         "crest",
-        (1, 1, 1),
         "metal",
         _BRASS,
         textures.label(
@@ -195,7 +190,7 @@ def torch_lighter(seed: int) -> ObjectModel:
     width, depth = 0.0360 * rng.uniform(0.95, 1.06), 0.0165 * rng.uniform(0.95, 1.06)
     seam = 0.0480 * rng.uniform(0.95, 1.05)
     colour = _TORCHES[int(rng.integers(len(_TORCHES)))]
-    paint = Material("paint", (1, 1, 1), "metal", _ZINC, textures.speckle(rng, colour, 0.04), 0.015)
+    paint = textured("paint", "metal", _ZINC, textures.speckle(rng, colour, 0.04), 0.015)
     split, pivot = width * 0.20, (width * 0.165, 0.0, seam + 0.0125)
     outline = _torch_outline(width, seam, int(rng.integers(2, 5)))
     body = Link("heavy lighter_body", _torch_body(width, depth, seam, split, pivot, outline, paint, colour, rng))
@@ -279,7 +274,7 @@ def _torch_body(
     slot = plate(trigger.offset(0.0002, JoinType.Round), depth * 0.62 + 0.0004, "y")
     ink = (0.62, 0.62, 0.62) if sum(colour) < 1.2 else (0.12, 0.12, 0.12)
     lines = ["WARNING", "FLAMMABLE", f"LOT {int(rng.integers(100, 999))}"]
-    notice = Material("notice", (1, 1, 1), "paper", 900.0, textures.label(lines, colour, ink, 1.7, None, False))
+    notice = printed("notice", textures.label(lines, colour, ink, 1.7, None, False))
     note = box((width * 0.40, 0.0002, width * 0.235), (-width * 0.12, depth / 2, seam * 0.72))
     smoke = Material("window", textures.shade(colour, 0.55, 0.02), "plastic", 1180.0)
     trim = Material("trigger", textures.shade(colour, 0.90, 0.01), "plastic", 1050.0)
@@ -310,7 +305,7 @@ def _torch_base(depth: float, colour: textures.Colour) -> tuple[Piece, ...]:
 
 def _burner(width: float, depth: float, seam: float, split: float, rng: np.random.Generator) -> tuple[Piece, ...]:
     """Under the cover: a plate with one to three jets and a wire that lights them."""
-    steel = Material("burner_steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, (0.55, 0.55, 0.57)), 0.01)
+    steel = textured("burner_steel", "metal", _STEEL, textures.brushed_metal(rng, (0.55, 0.55, 0.57)), 0.01)
     jets = int(rng.integers(1, 4))
     middle, room = (split - width / 2) / 2 - 0.0012, depth - 0.0062
     base = moulded(rounded_outline(width * 0.44, room, 0.0022), 0.0020, "z", seam - 0.0010, 0.0004).translate(
@@ -392,10 +387,8 @@ def folding_lighter(seed: int) -> ObjectModel:
 def _handle(
     neck: float, thick: float, colour: textures.Colour, accent: textures.Colour, rng: np.random.Generator
 ) -> tuple[Piece, ...]:
-    plastic = Material("handle", (1, 1, 1), "plastic", 1050.0, textures.speckle(rng, colour, 0.03), 0.02)
-    rubber = Material(
-        "grip_rubber", (1, 1, 1), "rubber", 1150.0, textures.speckle(rng, (0.13, 0.13, 0.14), 0.25), 0.012
-    )
+    plastic = textured("handle", "plastic", 1050.0, textures.speckle(rng, colour, 0.03), 0.02)
+    rubber = textured("grip_rubber", "rubber", 1150.0, textures.speckle(rng, (0.13, 0.13, 0.14), 0.25), 0.012)
     end = neck + 0.036
     side = softened(
         polygon(
@@ -471,7 +464,7 @@ def _handle(
     words = plate(name.translate((0.0300, -0.0080)), 0.0010, "y", -thick / 2)
     lines = ["KEEP AWAY FROM", "CHILDREN", f"GAS {int(rng.integers(10, 99))} ml"]
     sticker = textures.label(lines, (0.96, 0.94, 0.86), (0.12, 0.12, 0.14), 2.7, rng)
-    paper = Material("sticker", (1, 1, 1), "paper", 900.0, sticker)
+    paper = printed("sticker", sticker)
     tail = box((0.0260, 0.0003, 0.0096), (0.0290, thick / 2, -0.0076))
     return (
         Piece("handle", solid - hang, plastic),
@@ -494,7 +487,7 @@ def _handle(
 
 def _neck(neck: float, accent: textures.Colour, rng: np.random.Generator) -> tuple[Piece, ...]:
     """A knuckle on the pin, the tube, and a slotted nozzle with its jet and spark wire."""
-    steel = Material("neck_steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, (0.70, 0.71, 0.73)), 0.02)
+    steel = textured("neck_steel", "metal", _STEEL, textures.brushed_metal(rng, (0.70, 0.71, 0.73)), 0.02)
     knuckle = rod(0.0078, 0.0086, "y", (0, 0, 0), 0.0008, 48) - rod(0.0037, 0.1, "y", (0, 0, 0), 0, 32)
     collar = lathe([[0, 0.006], [0.0043, 0.006], [0.0043, 0.0135], [0.0037, 0.0165], [0, 0.0165]], "x", (0, 0, 0), 32)
     collar -= rod(0.0037, 0.1, "y", (0, 0, 0), 0, 32)
@@ -539,7 +532,7 @@ def _neck(neck: float, accent: textures.Colour, rng: np.random.Generator) -> tup
         [[head - 0.008, 0, 0.0020], [neck - 0.006, 0, 0.0021], [neck - 0.0042, 0, 0.0019], [neck - 0.0036, 0, 0.0006]]
     )
     black = Material("knuckle", accent, "plastic", 1050.0)
-    burnt = Material("nozzle", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, (0.52, 0.50, 0.48)), 0.02)
+    burnt = textured("nozzle", "metal", _STEEL, textures.brushed_metal(rng, (0.52, 0.50, 0.48)), 0.02)
     brass = Material("jet", (0.74, 0.60, 0.32), "metal", _BRASS)
     mark = Material("neck_band", (0.86, 0.16, 0.12), "plastic", 1050.0)
     band = lathe([[0.0030, 0.0180], [0.0034, 0.0180], [0.0034, 0.0205], [0.0030, 0.0205]], "x", (0, 0, 0), 32)

@@ -14,7 +14,7 @@ from manifold3d import CrossSection, Manifold
 from numpy.typing import NDArray
 
 from generator import textures
-from generator.model import Finish, Hinge, Link, Material, ObjectModel, Piece
+from generator.model import Finish, Hinge, Link, Material, ObjectModel, Piece, printed, textured
 from generator.shapes import (
     box,
     lathe,
@@ -91,7 +91,7 @@ def _slider_screen(
     case = moulded(outline, face - _SLIT, "z", (face + _SLIT) / 2, 0.0020, 3)
     band = moulded(outline.offset(0.00025) - outline.offset(-0.0010), 0.0016, "z", 0.0034, 0.0002, 1)
     skin = textures.brushed_metal(rng, colour) if finish == "metal" else textures.speckle(rng, colour, 0.03)
-    shell = Material("upper_shell", (1, 1, 1), finish, _FILLED, skin, 0.03)
+    shell = textured("upper_shell", finish, _FILLED, skin, 0.03)
     chrome = Material("chrome", (0.80, 0.81, 0.83), "metal", _STEEL)
     dark = Material("dark_holes", (0.03, 0.03, 0.035), "rubber", _ABS)
 
@@ -125,21 +125,21 @@ def _slider_screen(
     back = rounded_outline(width - 0.0110, height - 0.0160, 0.0040, 24)
     cut_back, slide = _recess(back, _SLIT, -1, 0.0009, 0.00020)
     rails = union(box((0.0014, height - 0.0240, 0.0010), (s * width * 0.28, 0, 0.0006)) for s in (-1, 1))
-    steel = Material("slide_steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, (0.62, 0.63, 0.66)), 0.02)
+    steel = textured("slide_steel", "metal", _STEEL, textures.brushed_metal(rng, (0.62, 0.63, 0.66)), 0.02)
     note = textures.label([brand, "TYPE FA-21"], (0.90, 0.90, 0.88), (0.1, 0.1, 0.1), 2.4, rng)
     sticker = box((width * 0.42, width * 0.175, 0.0001), (0, travel * 0.5 + height * 0.13, _SLIT + 0.00017))
     return [
         Piece("upper_case", case - union((cut_window, cut_pad, cut_holes, cut_back)), shell),
         Piece("upper_band", band - plate(back, 0.02, "z"), chrome),
         Piece("screen_glass", pane, _gloss()),
-        Piece("screen", display, Material("screen", (1, 1, 1), "metal", _GLASS, _screen_off(rng))),
+        Piece("screen", display, textured("screen", "metal", _GLASS, _screen_off(rng))),
         keys,
         Piece("arrow_ring", arrows, chrome),
         Piece("select_key", press, Material("select_key", textures.shade(other, 0.8, 0.05), "plastic", _ABS)),
         Piece("earpiece", holes, dark),
         Piece("brand", name, chrome),
         Piece("slide_plate", slide - rails, steel),
-        Piece("slide_sticker", sticker, Material("slide_sticker", (1, 1, 1), "paper", 900.0, note)),
+        Piece("slide_sticker", sticker, printed("slide_sticker", note)),
     ]
 
 
@@ -156,7 +156,7 @@ def _slider_base(
     back, face = -0.0086, -_SLIT
     outline = rounded_outline(width, height, 0.0085, 40)
     case = moulded(outline, face - back, "z", (face + back) / 2, 0.0020, 3)
-    shell = Material("lower_shell", (1, 1, 1), "plastic", _FILLED, textures.speckle(rng, colour, 0.06), 0.02)
+    shell = textured("lower_shell", "plastic", _FILLED, textures.speckle(rng, colour, 0.06), 0.02)
     size = (width - 0.0060, travel - 0.0065)
     at = (0.0, -height / 2 + 0.0038 + size[1] / 2)
     tray = rounded_outline(size[0] + 0.0004, size[1] + 0.0004, 0.0030, 24).translate(at)
@@ -186,7 +186,7 @@ def _keyboard_screen(
     """The upper half: a wide screen, a trackball among keys on its right, the loudspeaker on its left."""
     face = 0.0072
     case = moulded(rounded_outline(width, height, 0.0100, 40), face - _SLIT, "z", (face + _SLIT) / 2, 0.0018, 3)
-    shell = Material("upper_shell", (1, 1, 1), "plastic", _FILLED, textures.speckle(rng, colour, 0.05), 0.02)
+    shell = textured("upper_shell", "plastic", _FILLED, textures.speckle(rng, colour, 0.05), 0.02)
     trim = Material("trim", textures.shade(colour, 1.25, 0.03), "metal", _STEEL)
     dark = Material("dark_holes", (0.03, 0.03, 0.035), "rubber", _ABS)
     glass, glass_x = (width * 0.665, height - 0.0090), -width * 0.035
@@ -224,14 +224,14 @@ def _keyboard_screen(
     return [
         Piece("upper_case", case - union((cut_window, cut_panel, cut_holes, cut_back)), shell),
         Piece("screen_glass", pane, _gloss()),
-        Piece("screen", display, Material("screen", (1, 1, 1), "metal", _GLASS, _screen_off(rng))),
+        Piece("screen", display, textured("screen", "metal", _GLASS, _screen_off(rng))),
         Piece("screen_bezel", bezel, trim),
         keys,
         Piece("trackball", ball, Material("trackball", textures.shade(colour, 1.6, 0.10), "plastic", _ABS)),
         Piece("trackball_socket", socket, trim),
         Piece("earpiece", holes, dark),
         Piece("brand", name, Material("brand_print", (0.62, 0.63, 0.65), "metal", _ABS)),
-        Piece("slide_plate", slide - rails, Material("slide_steel", (1, 1, 1), "metal", _STEEL, steel, 0.02)),
+        Piece("slide_plate", slide - rails, textured("slide_steel", "metal", _STEEL, steel, 0.02)),
     ]
 
 
@@ -241,7 +241,7 @@ def _keyboard_base(
     """The lower half: four rows of keys in front; camera, battery door and sticker behind; keys and ports around."""
     back, face = -0.0088, -_SLIT
     case = moulded(rounded_outline(width, height, 0.0100, 40), face - back, "z", (face + back) / 2, 0.0018, 3)
-    shell = Material("lower_shell", (1, 1, 1), "plastic", _FILLED, textures.speckle(rng, colour, 0.10), 0.02)
+    shell = textured("lower_shell", "plastic", _FILLED, textures.speckle(rng, colour, 0.10), 0.02)
     size = (width - 0.0110, travel - 0.0060)
     at = (0.0, -height / 2 + 0.0034 + size[1] / 2)
     tray = rounded_outline(size[0] + 0.0004, size[1] + 0.0004, 0.0020, 20).translate(at)
@@ -288,7 +288,7 @@ def _cover(
 ) -> list[Piece]:
     """The cover: the front of the lower part of the phone, with lips that reach around its sides."""
     face, inner = 0.0110, 0.0078
-    paint = Material("cover_paint", (1, 1, 1), "plastic", _ABS, textures.speckle(rng, colour, 0.05), 0.02)
+    paint = textured("cover_paint", "plastic", _ABS, textures.speckle(rng, colour, 0.05), 0.02)
     relief = Material("cover_relief", textures.shade(colour, 0.72), "plastic", _ABS)
     long = split - 0.0003 + height / 2
     room = box((width - 0.0028, 1, 0.1), (0, 0, inner - 0.05))
@@ -312,7 +312,7 @@ def _cover(
         Piece("cover_ridges", ridges, relief),
         Piece("microphone", holes, Material("dark_holes", (0.03, 0.03, 0.035), "rubber", _ABS)),
         Piece("cover_brand", name, relief),
-        Piece("cover_seal", seal, Material("cover_seal", (1, 1, 1), "plastic", _ABS, star)),
+        Piece("cover_seal", seal, textured("cover_seal", "plastic", _ABS, star)),
         Piece("cover_lining", lining, Material("cover_lining", textures.shade(colour, 0.85), "rubber", _ABS)),
     ]
 
@@ -329,7 +329,7 @@ def _bar(
 ) -> list[Piece]:
     """The candy bar: screen, softkeys and roller above, digits in the bed of the cover below, aerial on top."""
     face, bed, back = 0.0110, 0.0075, -0.0110
-    paint = Material("body_paint", (1, 1, 1), "plastic", _FILLED, textures.speckle(rng, colour, 0.05), 0.02)
+    paint = textured("body_paint", "plastic", _FILLED, textures.speckle(rng, colour, 0.05), 0.02)
     relief = Material("relief", textures.shade(colour, 0.72), "plastic", _ABS)
     dark = Material("dark_holes", (0.03, 0.03, 0.035), "rubber", _ABS)
     room = box((1, 1, 1), (0, split - 0.5, 0.5 + 0.0019)) - box((width - 0.0032, 1.2, 1), (0, split - 0.5, bed - 0.5))
@@ -372,7 +372,7 @@ def _bar(
     upper = [
         Piece("body", case - union((cut_tray, cut_window, cut_pad, cut_ear, *cuts, *gaps)), paint),
         Piece("screen_glass", pane, _gloss()),
-        Piece("screen", display, Material("screen", (1, 1, 1), "metal", _GLASS, _screen_off(rng))),
+        Piece("screen", display, textured("screen", "metal", _GLASS, _screen_off(rng))),
         functions,
         Piece("roller", roller, relief),
         Piece("earpiece", ear, dark),
@@ -431,7 +431,7 @@ def _back(
     text = [brand, f"MODEL FA-{int(rng.integers(100, 999))}", f"IMEI 35{int(rng.integers(10**6, 10**7))}"]
     paper = textures.shade(colour, 1.0, 0.06) if rng.random() < 0.6 else textures.shade(colour, 0.85)
     ink = (0.9, 0.9, 0.9) if sum(colour) < 1.2 else (0.12, 0.12, 0.14)
-    note = Material("imei_label", (1, 1, 1), "paper", 900.0, textures.label(text, paper, ink, 2.1, rng, True))
+    note = printed("imei_label", textures.label(text, paper, ink, 2.1, rng, True))
     wide = min(door[0] * 0.66, 0.030)
     sticker = box((wide, wide / 2.1, 0.0002), (door_at[0], door_at[1] - door[1] * 0.26, back))
     emboss = (
@@ -552,7 +552,7 @@ def _keypad(
     ]
     picture = _key_picture(size, cells, colour)
     solid = union((mat, *caps)).translate((*at, 0))
-    return Piece(name, solid, Material(name, (1, 1, 1), "plastic", _ABS, picture))
+    return Piece(name, solid, textured(name, "plastic", _ABS, picture))
 
 
 def _key_picture(size: tuple[float, float], cells: Sequence[Cell], colour: textures.Colour) -> NDArray[np.uint8]:

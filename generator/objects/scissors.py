@@ -15,7 +15,7 @@ from manifold3d import CrossSection, Manifold
 from numpy.typing import ArrayLike, NDArray
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece
+from generator.model import Hinge, Link, Material, ObjectModel, Piece, printed, textured
 from generator.shapes import box, lathe, moulded, plate, polygon, rod, softened, stood, stroke, text_outline, union
 
 _STEEL = 7850.0
@@ -53,7 +53,7 @@ def office_scissors(seed: int) -> ObjectModel:
     hard, soft = _OFFICE[int(rng.integers(len(_OFFICE)))]
     steel = _brushed("blade_steel", (0.70, 0.71, 0.73), rng)
     ground = _brushed("ground_steel", (0.82, 0.83, 0.85), rng)
-    handle = Material("handle_plastic", (1, 1, 1), "plastic", _ABS, textures.speckle(rng, hard, 0.10), 0.015)
+    handle = textured("handle_plastic", "plastic", _ABS, textures.speckle(rng, hard, 0.10), 0.015)
     lining = Material("soft_lining", soft, "rubber", _TPE)
     thumb = _loop((-0.0262, -0.074), (0.0170, 0.0235), -6, size)
     fingers = _loop((-0.0270, -0.074), (0.0185, 0.0330), 8, size)
@@ -99,7 +99,7 @@ def tailor_shears(seed: int) -> ObjectModel:
     colour = _SHEARS[int(rng.integers(len(_SHEARS)))]
     steel = _brushed("blade_metal", colour, rng)
     ground = _brushed("ground_metal", textures.shade(colour, 1.06, 0.02), rng)
-    cast = Material("cast_metal", (1, 1, 1), "metal", _STEEL, textures.speckle(rng, colour, 0.04), 0.02)
+    cast = textured("cast_metal", "metal", _STEEL, textures.speckle(rng, colour, 0.04), 0.02)
     relief = Material("relief", textures.shade(colour, 0.85), "metal", _STEEL)
     bend = rng.uniform(17, 23)
     fingers = _loop((-0.0240, -0.086), (0.0190, 0.0390), 7, size)
@@ -132,7 +132,7 @@ def tailor_shears(seed: int) -> ObjectModel:
     halves[1].append(Piece("rear_number", number.translate((0.0015, reach * 0.30, 0.0037)), relief))
     crown = _engraving(["FREEART", f"21  {int(rng.integers(100, 999))}"], colour, rng)
     halves[1].append(Piece("rear_stamp", _plaque((0.0060, 0.034), (0.0052, reach * 0.46), 0.0038), crown))
-    knurled = Material("knurled_metal", (1, 1, 1), "metal", _STEEL, _knurl(colour), 0.010)
+    knurled = textured("knurled_metal", "metal", _STEEL, _knurl(colour), 0.010)
     screw = _screw(0.0086, 0.0034, 0.0046, rng.uniform(0, 180), steel)
     nut = Piece("nut", _nut(0.0076, 0.0036, 0.0046), knurled)
     return _pair("tailor_shears", seed, halves, [*screw, nut], 0.0036, rng.uniform(0.88, 1.05))
@@ -174,10 +174,10 @@ def craft_scissors(seed: int) -> ObjectModel:
             Piece(f"{side}_dots", dots, soft),
         ]
         halves.append(pieces)
-    scale = Material("ruler_print", (1, 1, 1), "metal", _STEEL, np.rot90(_ruler(5, 0.0068 / 0.042)).copy())
+    scale = textured("ruler_print", "metal", _STEEL, np.rot90(_ruler(5, 0.0068 / 0.042)).copy())
     halves[0].append(Piece("front_ruler", _plaque((0.0068, 0.042), (0.0019, 0.0310), 0.0015), scale))
     card = textures.label([str(rng.choice(["KIDS", "ANNA", "LEO", "SCHOOL"]))], (0.98, 0.98, 0.96), colours[0], 3.6)
-    name = Material("name_sticker", (1, 1, 1), "paper", 900.0, np.rot90(card).copy())
+    name = printed("name_sticker", np.rot90(card).copy())
     halves[1].append(Piece("rear_sticker", _plaque((0.0070, 0.026), (0.0014, 0.028), 0.0015), name))
     screw = _screw(0.0046, 0.0022, 0.0015, rng.uniform(0, 180), ground)
     rivet = Piece("rivet", _nut(0.0038, 0.0008, 0.0015), steel)
@@ -315,14 +315,14 @@ def _mean(material: Material) -> textures.Colour:
 
 
 def _brushed(name: str, colour: textures.Colour, rng: np.random.Generator) -> Material:
-    return Material(name, (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, colour), 0.05)
+    return textured(name, "metal", _STEEL, textures.brushed_metal(rng, colour), 0.05)
 
 
 def _engraving(lines: list[str], colour: textures.Colour, rng: np.random.Generator, aspect: float = 6.3) -> Material:
     """Words etched into the metal, to be read with the points to the left."""
     metal = np.rot90(textures.brushed_metal(rng, colour))
     words = textures.label(lines, metal, textures.shade(colour, 0.45), aspect, None, False, 128)
-    return Material("_".join(lines).lower().replace(" ", ""), (1, 1, 1), "metal", _STEEL, np.rot90(words).copy())
+    return textured("_".join(lines).lower().replace(" ", ""), "metal", _STEEL, np.rot90(words).copy())
 
 
 def _knurl(colour: textures.Colour) -> NDArray[np.uint8]:

@@ -7,7 +7,7 @@ import numpy as np
 from manifold3d import CrossSection, JoinType, OpType
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece
+from generator.model import Hinge, Link, Material, ObjectModel, Piece, printed, textured
 from generator.shapes import (
     box,
     coil,
@@ -37,7 +37,7 @@ def stapler(seed: int) -> ObjectModel:
     rng = np.random.default_rng([seed, 101])
     length, width = 0.140 * rng.uniform(0.94, 1.08), 0.036 * rng.uniform(0.94, 1.08)
     body = _BODIES[int(rng.integers(len(_BODIES)))]
-    steel = Material("steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, (0.72, 0.73, 0.76)), 0.03)
+    steel = textured("steel", "metal", _STEEL, textures.brushed_metal(rng, (0.72, 0.73, 0.76)), 0.03)
     dark = Material("dark_steel", (0.20, 0.20, 0.22), "metal", _STEEL)
     shell = Material("shell", body, "plastic", _ABS)
     hinge_at = (length * 0.40, 0.0, 0.024)
@@ -64,10 +64,8 @@ def _base(
     dark: Material,
     rng: np.random.Generator,
 ) -> tuple[Piece, ...]:
-    rubber = Material("rubber", (1, 1, 1), "rubber", 1200.0, textures.speckle(rng, (0.09, 0.09, 0.10), 0.5), 0.02)
-    paint = Material(
-        "base_plastic", (1, 1, 1), "plastic", _ABS, textures.speckle(rng, textures.shade(body, 0.30, 0.03)), 0.02
-    )
+    rubber = textured("rubber", "rubber", 1200.0, textures.speckle(rng, (0.09, 0.09, 0.10), 0.5), 0.02)
+    paint = textured("base_plastic", "plastic", _ABS, textures.speckle(rng, textures.shade(body, 0.30, 0.03)), 0.02)
     slab = plate(rounded_outline(length, width, 0.010), 0.007, "z", 0.0055, 0.0015)
     sole = plate(rounded_outline(length * 0.94, width * 0.86, 0.008), 0.002, "z", 0.001)
     anvil_at = -length * 0.40
@@ -77,7 +75,7 @@ def _base(
     profile = polygon([[x - 0.022, 0.008], [x + 0.012, 0.008], [x + 0.009, z + 0.006], [x - 0.008, z + 0.006]])
     cheeks = union(plate(profile, 0.0016, "y", side * (width * 0.39 + 0.0012)) for side in (-1, 1))
     pin = rod(0.0028, width * 0.86, "y", hinge_at, 0.0006)
-    ruler = Material("ruler", (1, 1, 1), "paper", 900.0, _ruler(), None)
+    ruler = printed("ruler", _ruler())
     return (
         Piece("base_body", slab - sole, paint),
         Piece("base_pad", sole, rubber),
@@ -98,9 +96,8 @@ def _magazine(
     channel = box((reach, width, height), (middle, 0, z - 0.002), 0.0004)
     channel -= box((reach - 0.002, width - 0.0020, height), (middle, 0, z - 0.002 + 0.0010))
     channel -= box((0.004, width * 0.8, height), (front, 0, z - 0.002 + 0.001))
-    staples = Material(
+    staples = textured(
         "staples",
-        (1, 1, 1),
         "metal",
         _STEEL * 0.5,
         textures.stripes(((0.80, 0.80, 0.82), (0.62, 0.62, 0.66), (0.86, 0.80, 0.70)), 30),
@@ -110,8 +107,8 @@ def _magazine(
     pusher = box((0.010, width - 0.0028, height * 0.9), (front + reach * 0.60, 0, z - 0.0005), 0.001)
     red = Material("pusher", (0.85, 0.12, 0.10), "plastic", 1050.0)
     spring = rod(0.0022, reach * 0.30, "x", (front + reach * 0.78, 0, z + 0.0002))
-    coil = Material(
-        "spring", (1, 1, 1), "metal", _STEEL * 0.3, textures.stripes(((0.25, 0.25, 0.27), (0.75, 0.75, 0.78)), 12), 0.02
+    coil = textured(
+        "spring", "metal", _STEEL * 0.3, textures.stripes(((0.25, 0.25, 0.27), (0.75, 0.75, 0.78)), 12), 0.02
     )
     lean = 0.085  # the magazine's mouth stands a little above the anvil
     return tuple(
@@ -158,19 +155,14 @@ def _lid(
     lean = 0.085
     red_ink = textures.shade(body, 0.25)
     text = str(rng.choice(["HEAVY DUTY", "OFFICE 24/6", "DESK PRO 26"]))
-    sticker = Material(
-        "label", (1, 1, 1), "paper", 900.0, textures.label(["FA-21", text], (0.96, 0.95, 0.90), red_ink, 3.2, rng), None
-    )
+    sticker = printed("label", textures.label(["FA-21", text], (0.96, 0.95, 0.90), red_ink, 3.2, rng))
     ends = np.array(outline[6]), np.array(outline[5])
     slope, middle = np.arctan2(*(ends[1] - ends[0])[::-1]), (ends[0] + ends[1]) / 2
     top = tilted(box((length * 0.30, width * 0.42, 0.0006)), "y", -slope, (0, 0, 0)).translate(
         (middle[0], 0, middle[1] + 0.0001)
     )
-    side = Material(
+    side = printed(
         "side_print",
-        (1, 1, 1),
-        "paper",
-        900.0,
         textures.label(["STAPLER  " + str(int(rng.integers(100, 999)))], body, (0.97, 0.97, 0.97), 5.0, None, False),
     )
     prints = union(
@@ -205,10 +197,10 @@ def mini_stapler(seed: int) -> ObjectModel:
     rng = np.random.default_rng([seed, 331])
     length, width = 0.062 * rng.uniform(0.95, 1.06), 0.0260 * rng.uniform(0.95, 1.06)
     colour = _PASTELS[int(rng.integers(len(_PASTELS)))]
-    shell = Material("shell", (1, 1, 1), "plastic", _ABS, textures.speckle(rng, colour, 0.02), 0.02)
+    shell = textured("shell", "plastic", _ABS, textures.speckle(rng, colour, 0.02), 0.02)
     grey = 0.10 + 0.80 * sum(colour) / 3
     r, g, b = (0.55 * grey + 0.45 * c for c in colour)  # coated to go with the shell
-    steel = Material("steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, (r, g, b)), 0.03)
+    steel = textured("steel", "metal", _STEEL, textures.brushed_metal(rng, (r, g, b)), 0.03)
     hinge_at = (length * 0.355, 0.0, 0.0155)
     base = Link("heavy stapler_base", _mini_base(length, width, hinge_at, colour, shell, steel, rng))
     magazine = Link(
@@ -269,7 +261,7 @@ def _mini_base(
     spring = coil(0.0024, 0.0003, 0.0042, 4, "z", (0.004, 0, 0.0086))
     lines = ["MINI 10", f"FA-{int(rng.integers(100, 999))}"]
     print_ = textures.label(lines, colour, textures.shade(colour, 0.55, 0.10), 2.0, None, False)
-    words = Material("base_print", (1, 1, 1), "paper", 900.0, print_)
+    words = printed("base_print", print_)
     return (
         Piece("base_body", floor - grooves, shell),
         Piece("base_sole", sole, foot),
@@ -297,7 +289,7 @@ def _mini_magazine(
     channel -= rod(0.0019, width * 2, "y", hinge_at, 0, 24)
     slots = union(box((0.0060, 0.1, 0.0012), (front + 0.012 + 0.009 * k, 0, level + 0.0004)) for k in range(2))
     tints = ((0.78, 0.78, 0.80), (0.62, 0.62, 0.66))
-    staples = Material("staples", (1, 1, 1), "metal", _STEEL * 0.5, textures.stripes(tints, 40), 0.020)
+    staples = textured("staples", "metal", _STEEL * 0.5, textures.stripes(tints, 40), 0.020)
     strip = box((reach * 0.44, width - 0.0024, height * 0.72), (front + reach * 0.25, 0, level + 0.0006), 0.0005)
     pusher = box((0.0050, width - 0.0022, height * 0.85), (front + reach * 0.54, 0, level + 0.0008), 0.0006)
     spring = coil(0.0015, 0.00025, reach * 0.26, 9, "x", (front + reach * 0.72, 0, level + 0.0012))
@@ -367,7 +359,7 @@ def _mini_lid(
     leaf = plate(stroke(bend, 0.0003, 8), 0.0060, "y")
     text = [f"No.{int(rng.choice([8, 10, 12]))}", "MADE OF CODE"]
     print_ = textures.label(text, colour, textures.shade(colour, 0.50, 0.10), 1.6, None)
-    label_ = Material("label", (1, 1, 1), "paper", 900.0, print_)
+    label_ = printed("label", print_)
     sticker = box((0.0108, 0.0068, 0.0012), (x - 0.0042, 0, top - 0.0003)) ^ outer.translate((0, 0, 0.0001))
     lean = -0.02
     return tuple(
@@ -386,10 +378,8 @@ def long_arm_stapler(seed: int) -> ObjectModel:
     rng = np.random.default_rng([seed, 332])
     length, width = 0.300 * rng.uniform(0.95, 1.05), 0.0240 * rng.uniform(0.95, 1.06)
     colour = _GREYS[int(rng.integers(len(_GREYS)))]
-    steel = Material(
-        "steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, textures.shade(colour, 1.08)), 0.04
-    )
-    paint = Material("hammer_paint", (1, 1, 1), "metal", _STEEL, textures.speckle(rng, colour, 0.07), 0.03)
+    steel = textured("steel", "metal", _STEEL, textures.brushed_metal(rng, textures.shade(colour, 1.08)), 0.04)
+    paint = textured("hammer_paint", "metal", _STEEL, textures.speckle(rng, colour, 0.07), 0.03)
     hinge_at = (length / 2 - 0.021, 0.0, 0.0345)
     base = Link("heavy stapler_base", _long_base(length, width, hinge_at, colour, paint, steel, rng))
     magazine = Link(
@@ -457,9 +447,7 @@ def _long_base(
     )
     pin = rod(0.0026, width + 0.0040, "y", hinge_at, 0, 28)
     scale_long, ink = length * 0.46, textures.shade(colour, 0.25)
-    rule = Material(
-        "ruler", (1, 1, 1), "metal", _STEEL, _ruler_cm(scale_long, 0.0105, textures.shade(colour, 1.06), ink)
-    )
+    rule = textured("ruler", "metal", _STEEL, _ruler_cm(scale_long, 0.0105, textures.shade(colour, 1.06), ink))
     strip = box((scale_long, 0.0105, 0.0004), (-length * 0.09, -width * 0.36, top))
     stop_at = -length * rng.uniform(0.02, 0.12)
     fence = moulded(rounded_outline(width * 2.3, 0.0125, 0.0030), 0.0014, "x", stop_at, 0.0004).translate(
@@ -480,7 +468,7 @@ def _long_base(
     rubber = Material("feet", textures.shade(colour, 0.70), "rubber", 1200.0)
     lines = ["LONG REACH STAPLER", f"MODEL {int(length * 1000)}  SN {int(rng.integers(10000, 99999))}"]
     name_plate = textures.label(lines, textures.shade(colour, 1.04), ink, 3.6, None)
-    plate_ = Material("name_plate", (1, 1, 1), "metal", _STEEL, name_plate)
+    plate_ = textured("name_plate", "metal", _STEEL, name_plate)
     return (
         Piece("base_channel", body - holes, paint),
         Piece("base_feet", feet, rubber),
@@ -512,8 +500,8 @@ def _long_magazine(
     )
     rail = plate(strap, 0.0080, "y") - rod(0.0028, 0.1, "y", hinge_at, 0, 28)
     bright = textures.shade(colour, 1.12)
-    staples = Material(
-        "staples", (1, 1, 1), "metal", _STEEL * 0.5, textures.stripes((bright, textures.shade(bright, 0.86)), 40), 0.02
+    staples = textured(
+        "staples", "metal", _STEEL * 0.5, textures.stripes((bright, textures.shade(bright, 0.86)), 40), 0.02
     )
     strip = box((reach * 0.55, width - 0.0032, height * 0.76), (front + reach * 0.29, 0, level + 0.0008), 0.0006)
     pusher = box((0.0100, width - 0.0028, height * 0.9), (front + reach * 0.62, 0, level + 0.0012), 0.001)
@@ -592,7 +580,7 @@ def _long_arm(
     leaf = plate(stroke(bend, 0.0005, 8), 0.0080, "y")
     lines = ["26/6 - 24/8", f"MAX {int(rng.integers(20, 60))} SHEETS"]
     print_ = textures.label(lines, textures.shade(colour, 1.05), textures.shade(colour, 0.3), 3.0, None)
-    label_ = Material("arm_label", (1, 1, 1), "metal", _STEEL, print_)
+    label_ = textured("arm_label", "metal", _STEEL, print_)
     sticker = box((length * 0.11, length * 0.036, 0.0004), (-length * 0.235 + 0.012, 0, 0))
     slope = np.arctan2(0.0020, x - 0.010 + 0.0130 - front - length * 0.24)
     sticker = tilted(sticker, "y", float(slope), (0, 0, 0)).translate((0, 0, top - 0.0018))

@@ -8,7 +8,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece
+from generator.model import Hinge, Link, Material, ObjectModel, Piece, printed, textured
 from generator.shapes import (
     box,
     lathe,
@@ -54,7 +54,7 @@ def drawer_unit(seed: int) -> ObjectModel:
     width, depth, height = np.array([0.235, 0.265, 0.245]) * rng.uniform(0.94, 1.06, 3)
     light, dark = _WOODS[int(rng.integers(len(_WOODS)))]
     paint = _FRONTS[int(rng.integers(len(_FRONTS)))]
-    carcass = Material("carcass_wood", (1, 1, 1), "wood", _PINE, textures.wood(rng, light, dark), 0.22)
+    carcass = textured("carcass_wood", "wood", _PINE, textures.wood(rng, light, dark), 0.22)
     split = height * rng.uniform(0.50, 0.58)
     root = Link("heavy furniture_body", _carcass(width, depth, height, split, carcass, rng))
     drawers = []
@@ -74,9 +74,7 @@ def _carcass(
     top = box((depth, inner, _BOARD), (0, 0, height - _BOARD / 2), 0.001)
     bottom = box((depth, inner, _BOARD), (0, 0, _BOARD / 2), 0.001)
     shelf = box((depth - 0.012, inner, 0.006), (0.006, 0, split))
-    ply = Material(
-        "plywood", (1, 1, 1), "wood", 600.0, textures.wood(rng, (0.78, 0.70, 0.55), (0.66, 0.56, 0.42)), 0.15
-    )
+    ply = textured("plywood", "wood", 600.0, textures.wood(rng, (0.78, 0.70, 0.55), (0.66, 0.56, 0.42)), 0.15)
     back = box((0.005, inner, height - 2 * _BOARD), (depth / 2 - 0.0025, 0, height / 2))
     rubber = Material("feet", (0.08, 0.08, 0.09), "rubber", 1100.0)
     feet = union(
@@ -84,28 +82,17 @@ def _carcass(
         for sx in (-1, 1)
         for sy in (-1, 1)
     )
-    sticker = Material(
+    sticker = printed(
         "back_label",
-        (1, 1, 1),
-        "paper",
-        900.0,
         textures.label(["FREEART-21", "DRAWER UNIT", "MADE OF CODE"], (0.97, 0.97, 0.95), (0.1, 0.1, 0.12), 1.6, rng),
     )
     note = box((0.0006, inner * 0.50, inner * 0.31), (depth / 2 + 0.0002, 0, height * 0.55))
-    badge = Material(
-        "top_badge",
-        (1, 1, 1),
-        "paper",
-        900.0,
-        textures.label(["TOOLS & PARTS", "A4 / A5"], (0.95, 0.82, 0.25), (0.15, 0.12, 0.05), 2.2, None),
+    badge = printed(
+        "top_badge", textures.label(["TOOLS & PARTS", "A4 / A5"], (0.95, 0.82, 0.25), (0.15, 0.12, 0.05), 2.2, None)
     )
     plate = box((depth * 0.40, depth * 0.18, 0.0006), (-depth * 0.12, width * 0.12, height + 0.0002))
-    side_card = Material(
-        "side_card",
-        (1, 1, 1),
-        "paper",
-        900.0,
-        textures.emblem(rng, np.full((320, 320, 3), 244, np.uint8), (0.16, 0.22, 0.45), "ARCHIVE"),
+    side_card = printed(
+        "side_card", textures.emblem(rng, np.full((320, 320, 3), 244, np.uint8), (0.16, 0.22, 0.45), "ARCHIVE")
     )
     cards = union(
         box((height * 0.42, 0.0006, height * 0.42), (depth * 0.05, s * (width / 2 + 0.0002), height * 0.52))
@@ -135,10 +122,8 @@ def _drawer(
 ) -> tuple[Piece, ...]:
     front_x = -depth / 2
     lacquer = Material("front_lacquer", paint, "plastic", 700.0)
-    wood = Material(
-        "drawer_wood", (1, 1, 1), "wood", _PINE, textures.wood(rng, (0.86, 0.78, 0.62), (0.74, 0.62, 0.46)), 0.16
-    )
-    steel = Material("handle_metal", (1, 1, 1), "metal", 7850.0, textures.brushed_metal(rng, (0.75, 0.74, 0.72)), 0.05)
+    wood = textured("drawer_wood", "wood", _PINE, textures.wood(rng, (0.86, 0.78, 0.62), (0.74, 0.62, 0.46)), 0.16)
+    steel = textured("handle_metal", "metal", 7850.0, textures.brushed_metal(rng, (0.75, 0.74, 0.72)), 0.05)
     wide, tall = inner - 2 * _GAP, top - bottom - 0.003 - 2 * _GAP
     middle = (top + bottom + 0.003) / 2 if number == "1" else (top + bottom - 0.003) / 2
     front = box((0.012, wide, tall), (front_x + 0.006, 0, middle), 0.0018)
@@ -150,13 +135,8 @@ def _drawer(
     )
     rear = box((0.006, wide - 0.018, wall_h), (front_x + 0.009 + long, 0, low + wall_h / 2))
     floor = box((long, wide - 0.014, 0.004), (front_x + 0.012 + long / 2, 0, low + 0.004))
-    felt = Material(
-        "felt",
-        (1, 1, 1),
-        "rubber",
-        300.0,
-        textures.stripes(((0.20, 0.34, 0.24), (0.24, 0.40, 0.29), (0.86, 0.80, 0.55)), 4),
-        0.09,
+    felt = textured(
+        "felt", "rubber", 300.0, textures.stripes(((0.20, 0.34, 0.24), (0.24, 0.40, 0.29), (0.86, 0.80, 0.55)), 4), 0.09
     )
     lining = box((long - 0.004, wide - 0.020, 0.001), (front_x + 0.012 + long / 2, 0, low + 0.0065))
     divider = box((0.004, wide - 0.020, wall_h * 0.7), (front_x + long * 0.55, 0, low + 0.006 + wall_h * 0.35))
@@ -166,12 +146,8 @@ def _drawer(
         rod(0.0035, reach + 0.004, "x", (front_x - reach / 2 + 0.002, s * wide * 0.16, bar_z)) for s in (-1, 1)
     )
     text = str(rng.choice(["SCREWS M3", "CABLES", "PENCILS", "RECEIPTS", "BATTERIES"]))
-    card = Material(
-        f"card_{number}",
-        (1, 1, 1),
-        "paper",
-        900.0,
-        textures.label([f"{number}  {text}"], (0.97, 0.96, 0.90), (0.12, 0.12, 0.18), 3.4, None),
+    card = printed(
+        f"card_{number}", textures.label([f"{number}  {text}"], (0.97, 0.96, 0.90), (0.12, 0.12, 0.18), 3.4, None)
     )
     card_h = min(0.026, tall * 0.28)
     card_at = (front_x, 0, middle - tall * 0.24)
@@ -225,8 +201,8 @@ def nightstand(seed: int) -> ObjectModel:
         leg + (height - leg) * rng.uniform(0.50, 0.56),
         height,
         Material("lacquer", paint, "plastic", _MDF),
-        Material("drawer_wood", (1, 1, 1), "wood", _PINE, textures.wood(rng, pale, textures.shade(pale, 0.88)), 0.30),
-        Material("brass", (1, 1, 1), "metal", 8500.0, textures.brushed_metal(rng, brass), 0.05),
+        textured("drawer_wood", "wood", _PINE, textures.wood(rng, pale, textures.shade(pale, 0.88)), 0.30),
+        textured("brass", "metal", 8500.0, textures.brushed_metal(rng, brass), 0.05),
         (0.15, 0.14, 0.14) if sum(paint) > 1.5 else (0.85, 0.83, 0.78),
     )
     root = Link("heavy furniture_body", (*_bedside_box(stand), *_bedside_legs(stand), *_bedside_niche(stand, rng)))
@@ -264,11 +240,8 @@ def _bedside_box(s: _Bedside) -> tuple[Piece, ...]:
         for y in (-1, 0, 1)
         for z in (s.leg + board * 1.8, under - 0.02)
     )
-    note = Material(
+    note = printed(
         "maker_label",
-        (1, 1, 1),
-        "paper",
-        900.0,
         textures.label(["FREEART HOME", "NIGHTSTAND", "MAX 20 KG"], (0.95, 0.95, 0.93), (0.15, 0.15, 0.16), 1.7, None),
     )
     return (
@@ -347,16 +320,10 @@ def _book(size: tuple[float, float, float], colour: textures.Colour, title: str,
     cover = spine - box((deep, long + 1, thick - 0.005), (0.005, 0, 0))
     pages = box((deep - 0.010, long - 0.006, thick - 0.005), (0.0, 0, 0))
     cloth = Material(f"{name}_cover", colour, "paper", 700.0)
-    paper = Material(f"{name}_pages", (1, 1, 1), "paper", 750.0, textures.page_edges((0.90, 0.87, 0.80)), 0.04)
+    paper = textured(f"{name}_pages", "paper", 750.0, textures.page_edges((0.90, 0.87, 0.80)), 0.04)
     ink = (0.95, 0.92, 0.84) if sum(colour) < 1.6 else (0.15, 0.14, 0.13)
     tall = thick * 0.62
-    title_ink = Material(
-        f"{name}_title",
-        (1, 1, 1),
-        "paper",
-        900.0,
-        textures.label([title], colour, ink, long * 0.8 / tall, None, False, 96),
-    )
+    title_ink = printed(f"{name}_title", textures.label([title], colour, ink, long * 0.8 / tall, None, False, 96))
     return (
         Piece(name, cover, cloth),
         Piece(f"{name}_pages", pages, paper),
@@ -404,9 +371,8 @@ def _drawer_box(s: _Bedside, wide: float, tall: float, x: float, low: float) -> 
     rails = union(
         box((long * 0.95, 0.004, 0.008), (x + long * 0.48, k * (out / 2 + 0.002), _runner(s)), 0.0008) for k in (-1, 1)
     )
-    sheet = Material(
+    sheet = textured(
         "lining",
-        (1, 1, 1),
         "paper",
         800.0,
         textures.stripes((textures.shade(s.lacquer.colour, 0.9), textures.shade(s.lacquer.colour, 0.78, 0.05)), 6),
@@ -478,9 +444,9 @@ def filing_cabinet(seed: int) -> ObjectModel:
         depth,
         height,
         height * rng.uniform(0.048, 0.058),
-        Material("enamelled_steel", (1, 1, 1), "metal", 7850.0, textures.speckle(rng, paint, 0.02), 0.10),
+        textured("enamelled_steel", "metal", 7850.0, textures.speckle(rng, paint, 0.02), 0.10),
         Material("dark_steel", textures.shade(paint, 0.45), "metal", 7850.0),
-        Material("chrome", (1, 1, 1), "metal", 7850.0, textures.brushed_metal(rng, (0.74, 0.75, 0.77)), 0.05),
+        textured("chrome", "metal", 7850.0, textures.brushed_metal(rng, (0.74, 0.75, 0.77)), 0.05),
         Material("rubber", (0.10, 0.10, 0.11), "rubber", 1200.0),
     )
     subjects = rng.choice([["A - H", "I - Q", "R - Z"], ["2019", "2020", "2021"], ["INVOICES", "STAFF", "PLANS"]])
@@ -550,9 +516,8 @@ def _cabinet_front(c: _Cabinet, paint: textures.Colour, rng: np.random.Generator
     ring = rod(0.0145, 0.0020, "x", (face - 0.0002, y, z), 0.0006, 32)
     blade = box((0.026, 0.0015, 0.0075), (face - 0.011, y, z), 0.0003)
     bow = plate(rounded_outline(0.024, 0.023, 0.009), 0.0024, "y", 0.0, 0.0006) - rod(0.004, 0.01, "y", (-0.005, 0, 0))
-    badge = Material(
+    badge = textured(
         "maker_plate",
-        (1, 1, 1),
         "metal",
         2700.0,
         textures.label(
@@ -582,13 +547,7 @@ def _cabinet_rear(c: _Cabinet, rng: np.random.Generator) -> tuple[Piece, ...]:
         for z in np.linspace(0.10, c.height - 0.03, 4)
     )
     text = ["TYPE FC-3", "STEEL 0.8 MM", "DO NOT OPEN TWO DRAWERS"]
-    label = Material(
-        "type_label",
-        (1, 1, 1),
-        "paper",
-        900.0,
-        textures.label(text, (0.93, 0.93, 0.90), (0.12, 0.12, 0.14), 1.9, rng),
-    )
+    label = printed("type_label", textures.label(text, (0.93, 0.93, 0.90), (0.12, 0.12, 0.14), 1.9, rng))
     sticker = box((0.0006, 0.115, 0.06), (c.depth / 2 + 0.0001, c.width * 0.22, c.height * 0.70))
     return Piece("rear_screws", screws, c.chrome), Piece("type_label", sticker, label)
 
@@ -609,12 +568,8 @@ def _file_front(c: _Cabinet, n: int, subject: str, rng: np.random.Generator) -> 
     card_z, high = z + tall * 0.34, 0.034
     frame = box((0.0030, high * 2.6 + 0.010, high + 0.010), (face - 0.0010, 0, card_z), 0.0008)
     opening = box((0.02, high * 2.6 - 0.004, high - 0.004), (face, 0, card_z + 0.002))
-    card = Material(
-        f"card_{n}",
-        (1, 1, 1),
-        "paper",
-        900.0,
-        textures.label([subject], (0.95, 0.94, 0.89), (0.12, 0.12, 0.16), 2.6, None, False, 128),
+    card = printed(
+        f"card_{n}", textures.label([subject], (0.95, 0.94, 0.89), (0.12, 0.12, 0.16), 2.6, None, False, 128)
     )
     paper = box((0.0010, high * 2.6 - 0.004, high - 0.004), (face - 0.0005, 0, card_z + 0.002))
     rivets = union(screw(0.0028, "x", (face - 0.0024, k * (high * 1.3 + 0.0025), card_z), -1, 12) for k in (-1, 1))
@@ -678,9 +633,7 @@ def _hanging_files(c: _Cabinet, n: int, rng: np.random.Generator) -> tuple[Piece
         tabs.append(tilted(tab, "y", tilt, (x, 0, z0 + high)))
     spine = box((xs[-1] - xs[0], wide - 0.06, 0.003), ((xs[0] + xs[-1]) / 2, 0, z0 + high * 0.25))
     paper = Material("folder", manila, "paper", 700.0)
-    letters = Material(
-        "tab", (1, 1, 1), "paper", 900.0, textures.label(["FILE"], (0.96, 0.95, 0.90), (0.2, 0.2, 0.25), 2.7, None)
-    )
+    letters = printed("tab", textures.label(["FILE"], (0.96, 0.95, 0.90), (0.2, 0.2, 0.25), 2.7, None))
     wire = Material("hanger", (0.55, 0.56, 0.58), "metal", 7850.0)
     leaves = union([*folders, spine])
     return (

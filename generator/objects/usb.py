@@ -6,7 +6,7 @@ import numpy as np
 from manifold3d import CrossSection
 
 from generator import textures
-from generator.model import Hinge, Link, Material, ObjectModel, Piece
+from generator.model import Hinge, Link, Material, ObjectModel, Piece, printed, textured
 from generator.shapes import (
     box,
     moulded,
@@ -55,7 +55,7 @@ def swivel_usb(seed: int) -> ObjectModel:
 def _stick(
     front: float, width: float, thick: float, colour: textures.Colour, rng: np.random.Generator
 ) -> tuple[Piece, ...]:
-    plastic = Material("stick", (1, 1, 1), "plastic", _ABS, textures.speckle(rng, colour, 0.06), 0.02)
+    plastic = textured("stick", "plastic", _ABS, textures.speckle(rng, colour, 0.06), 0.02)
     ends = [CrossSection.circle(0.003, 24).translate((0.003 - front, s * (width / 2 - 0.003))) for s in (-1, 1)]
     solid = moulded(CrossSection.batch_hull([*ends, CrossSection.circle(width / 2, 48)]), thick, "z", 0, 0.0014, 3)
     loop = CrossSection.batch_hull(
@@ -68,13 +68,9 @@ def _stick(
         solid -= union(rod(0.0006, thick * 2, "z", (x, s * (width / 2 + 0.0001), 0), segments=12) for s in (-1, 1))
     solid -= rod(0.0024, thick * 2, "z", segments=32)
     size = str(rng.choice(["16 GB", "32 GB", "64 GB", "128 GB"]))
-    words = Material(
-        "capacity", (1, 1, 1), "paper", 900.0, textures.label([size], colour, _ink_on(colour), 2.2, None, False)
-    )
+    words = printed("capacity", textures.label([size], colour, _ink_on(colour), 2.2, None, False))
     lines = ["FREEART 21", f"SN {int(rng.integers(10000, 99999))}"]
-    small = Material(
-        "serial", (1, 1, 1), "paper", 900.0, textures.label(lines, (0.95, 0.95, 0.93), (0.1, 0.1, 0.1), 2.0, rng)
-    )
+    small = printed("serial", textures.label(lines, (0.95, 0.95, 0.93), (0.1, 0.1, 0.1), 2.0, rng))
     at, half = -front * 0.665, thick / 2
     lamp = Material("lamp", (0.45, 0.85, 0.95), "plastic", _ABS)
     return (
@@ -88,7 +84,7 @@ def _stick(
 
 def _sleeve(reach: float, width: float, thick: float, rng: np.random.Generator) -> tuple[Piece, ...]:
     """A steel strip bent to a U over the plug, its legs riveted to the stick at the origin."""
-    steel = Material("sleeve_steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, _SILVER), 0.02)
+    steel = textured("sleeve_steel", "metal", _STEEL, textures.brushed_metal(rng, _SILVER), 0.02)
     sheet, inner = 0.0007, thick + 0.0006
     nose = -(np.hypot(reach, 0.006) + 0.0006)  # the plug's corners pass inside
     long = width / 2 - nose + 0.01
@@ -105,7 +101,7 @@ def _sleeve(reach: float, width: float, thick: float, rng: np.random.Generator) 
     prints = textures.label(
         ["CE  FC", "MADE OF CODE"], textures.brushed_metal(rng, _SILVER), (0.25, 0.25, 0.27), 2.2, rng, False
     )
-    etched = Material("etching", (1, 1, 1), "metal", _STEEL, prints)
+    etched = textured("etching", "metal", _STEEL, prints)
     below = box((width * 1.05, width * 0.48, 0.0002), (middle, 0, -top))
     shaft = rod(0.0020, inner + 2 * sheet + 0.0012, "z", segments=32)
     heads = union(rod(0.0034, 0.0014, "z", (0, 0, s * (top + 0.0001)), 0.0004, 40) for s in (-1, 1))
@@ -123,7 +119,7 @@ def flip_cap_usb(seed: int) -> ObjectModel:
     rng = np.random.default_rng([seed, 312])
     long, width, thick = np.array([0.0445, 0.0200, 0.0105]) * rng.uniform(0.94, 1.06, 3)
     rubber, accent = _RUBBERS[int(rng.integers(len(_RUBBERS)))]
-    coat = Material("rubber", (1, 1, 1), "rubber", _RUBBER, textures.speckle(rng, rubber, 0.04), 0.015)
+    coat = textured("rubber", "rubber", _RUBBER, textures.speckle(rng, rubber, 0.04), 0.015)
     ring = Material("accent", accent, "plastic", _ABS)
     pivot = (0.0, 0.0, thick / 2 + 0.0004)
     body = Link("heavy usb_body", _grip(long, width, thick, coat, ring, rubber, rng))
@@ -165,8 +161,8 @@ def _grip(
     back = textures.label(
         ["FREEART 21", "FLASH DRIVE", f"P/N {int(rng.integers(1000, 9999))}"], rubber, _ink_on(rubber), 1.9, rng, False
     )
-    paper = Material("sticker", (1, 1, 1), "paper", 900.0, sticker)
-    print_ = Material("back_print", (1, 1, 1), "paper", 900.0, back)
+    paper = printed("sticker", sticker)
+    print_ = printed("back_print", back)
     window = Material(
         "window", tuple(rng.choice([(0.35, 0.75, 0.95), (0.95, 0.35, 0.25), (0.45, 0.9, 0.5)])), "plastic", _ABS
     )
@@ -215,7 +211,7 @@ def folding_usb(seed: int) -> ObjectModel:
     rng = np.random.default_rng([seed, 313])
     colour = _KNIVES[int(rng.integers(len(_KNIVES)))]
     tip, width = 0.0350 * rng.uniform(0.94, 1.06), 0.0190 * rng.uniform(0.96, 1.06)
-    steel = Material("scale_steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, colour), 0.02)
+    steel = textured("scale_steel", "metal", _STEEL, textures.brushed_metal(rng, colour), 0.02)
     screw = Material("screws", textures.shade(colour, 0.86), "metal", _STEEL)
     handle = Link("heavy usb_body", _handle(tip, width, colour, steel, screw, rng))
     blade = Link(
@@ -273,7 +269,7 @@ def _handle(
         None,
         False,
     )
-    etched = Material("etching", (1, 1, 1), "metal", _STEEL, etching)
+    etched = textured("etching", "metal", _STEEL, etching)
     texts = box((tip * 0.26, tip * 0.13, 0.0002), (tip * 0.80, half * 0.20, out))
     turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     bow = np.stack([0.0058 * np.cos(turn), 0 * turn, 0.0058 * np.sin(turn)], -1)
@@ -311,7 +307,7 @@ def _blade(tip: float, width: float, colour: textures.Colour, rng: np.random.Gen
 
 def _plug(colour: textures.Colour, base: float, rng: np.random.Generator) -> tuple[Piece, ...]:
     """A type A plug from x = base to base - `_PLUG_LONG`: a steel shell with its tongue and four contacts."""
-    steel = Material("plug_steel", (1, 1, 1), "metal", _STEEL, textures.brushed_metal(rng, colour), 0.015)
+    steel = textured("plug_steel", "metal", _STEEL, textures.brushed_metal(rng, colour), 0.015)
     long, root = _PLUG_LONG, 0.003
     middle = base - (long - root) / 2
     shell = plate(rounded_outline(0.0120, 0.0045, 0.0006, 16), long + root, "x", middle, 0.0002)
